@@ -8,7 +8,6 @@ pub mod method;
 pub mod problem;
 pub mod replay;
 pub mod stability;
-pub(crate) mod step_limit_table;
 pub mod sweep;
 
 pub use adaptive::AdaptiveMethod;

@@ -1,6 +1,7 @@
 //! Analyses the loop of a law and a plate in the z plane: poles, margins, boundaries and tuning.
 //! Amplitudes are µm and voltages Vpp, both peak to peak; times are s, angular frequencies rad/s.
 
+mod bisection;
 pub mod case;
 pub mod closed_loop;
 pub mod controller;

@@ -13,7 +13,6 @@ use platebench_report::text::Table;
 use platebench_rig::RigSpec;
 use platebench_runner::{Clock, Pacing, TimeBase};
 use platebench_scenario::{Metric, Scenario};
-use std::fmt::Write as _;
 
 const FILE: &str = "ladder.csv";
 /// A logarithmic axis has no zero.
@@ -141,12 +140,9 @@ const EXPLANATION: [&str; 2] = [
 
 fn section(results: &[RungResult]) -> Result<ChartSection, ChartError> {
     let table = rung_table(results);
-    let mut summary = String::new();
-    for line in table.lines() {
-        let _ = writeln!(summary, "  {line}");
-    }
+    let summary = ChartSection::indented(&table);
     let mut files = vec![(FILE.to_owned(), numbers(results).csv())];
-    let mut blocks: Vec<PageBlock> = EXPLANATION.map(|text| PageBlock::Text(text.to_owned())).into();
+    let mut blocks = ChartSection::paragraphs(&EXPLANATION);
     blocks.push(PageBlock::Table(table));
     for (place, (metric, file, unit)) in METRICS.into_iter().enumerate() {
         let svg = drawing(results, place, metric, unit).svg()?;

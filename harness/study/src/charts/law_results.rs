@@ -67,10 +67,7 @@ impl LawScenario {
 
     /// Response time in ms, `None` if it does not stay in the band, and overshoot in percent.
     pub(crate) fn response(&self, played: &TrialResult) -> (Option<f64>, f64) {
-        let response = match metrics::measure(&self.response_expectation, &played.trace_rows, &played.telemetry) {
-            Measure::Value(value) => Some(value),
-            Measure::Interval(_) | Measure::Samples(_) | Measure::Missing(_) | Measure::Undefined(_) => None,
-        };
+        let response = measure(&self.response_expectation, played);
         let peak = played.trace_rows.iter().map(|row| row.amplitude_um).fold(0.0, f64::max);
         (response, ((peak / self.scenario.setpoint.range().1 - 1.0) * 100.0).max(0.0))
     }
@@ -135,12 +132,8 @@ impl LawResult {
         let (mut responses, mut means) = (Vec::new(), Vec::new());
         for index in 0..scene.trials {
             let played = play_hosted(&what, &scene.scenario, law, index)?;
-            let measured = |expectation| match metrics::measure(expectation, &played.trace_rows, &played.telemetry) {
-                Measure::Value(value) => Some(value),
-                Measure::Interval(_) | Measure::Samples(_) | Measure::Missing(_) | Measure::Undefined(_) => None,
-            };
-            responses.push(measured(&scene.response_expectation).unwrap_or(f64::INFINITY));
-            means.extend(measured(&scene.window_mean_expectation));
+            responses.push(measure(&scene.response_expectation, &played).unwrap_or(f64::INFINITY));
+            means.extend(measure(&scene.window_mean_expectation, &played));
         }
         let whole = SampleSummary::of(&means).filter(|summary| summary.count == responses.len());
         let settled = responses.iter().filter(|response| response.is_finite()).count() as u32;
@@ -152,6 +145,13 @@ impl LawResult {
             static_error_percent: whole.map(|summary| summary.mean.abs()),
             repeatability_percent: whole.filter(|summary| summary.count > 1).map(|summary| summary.deviation),
         })
+    }
+}
+
+fn measure(expectation: &Expectation, played: &TrialResult) -> Option<f64> {
+    match metrics::measure(expectation, &played.trace_rows, &played.telemetry) {
+        Measure::Value(value) => Some(value),
+        Measure::Interval(_) | Measure::Samples(_) | Measure::Missing(_) | Measure::Undefined(_) => None,
     }
 }
 

@@ -30,7 +30,7 @@ pub fn build_chart(scenes: &[LawScenario]) -> Result<ChartSection, ChartError> {
     let files = [(FILE, csv_table(scenes, &results).csv()), (TABLE, format_markdown(&table)), (DRAWING, svg.clone())];
     let variant_files =
         [(law_variants::CSV, law_variants::csv(&quiet, &variants)), (law_variants::DRAWING, multiples.clone())];
-    let mut blocks: Vec<PageBlock> = EXPLANATION.map(|text| PageBlock::Text(text.to_owned())).into();
+    let mut blocks = ChartSection::paragraphs(&EXPLANATION);
     let caption = "Control laws: response time, static error, repeatability".to_owned();
     blocks.push(PageBlock::Drawings(vec![(svg, caption)]));
     blocks.push(PageBlock::Text(VARIANTS_EXPLANATION.to_owned()));

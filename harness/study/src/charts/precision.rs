@@ -58,7 +58,7 @@ pub fn build_chart(scenarios: &[Scenario], is_quick: bool) -> Result<ChartSectio
     }
     files.push((FILE.to_owned(), numbers.csv()));
     let summary = format_console(&headlines);
-    let mut blocks: Vec<PageBlock> = EXPLANATION.map(|text| PageBlock::Text(text.to_owned())).into();
+    let mut blocks = ChartSection::paragraphs(&EXPLANATION);
     blocks.push(PageBlock::Table(headlines));
     blocks.push(PageBlock::File(FILE.to_owned()));
     blocks.extend(drawings);

@@ -4,47 +4,43 @@ use crate::charts::measured_run::{LOCKSTEP, MeasuredRun};
 use crate::charts::section::{ChartError, ChartSection};
 use crate::cost::median;
 use platebench_plate::Tier;
-use platebench_record::{ExpectationRecord, RunRecord, Verdict};
+use platebench_record::{ExpectationRecord, RunRecord};
 use platebench_report::chart::{StripChart, StripRow};
 use platebench_report::page::PageBlock;
 use platebench_report::text::Table;
 use platebench_rig::RigSpec;
 use platebench_scenario::{Expectation, Scenario};
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 
 const FILE: &str = "scenes.csv";
 const DRAWING: &str = "scenes.svg";
 const LISTED_DIFFERENCE: f64 = 0.1;
 const SCALE_FLOOR: f64 = 1e-9;
 
-struct MetricResult {
-    name: String,
-    value: Option<f64>,
-    reference: Option<f64>,
-    verdict: Verdict,
-    reference_verdict: Verdict,
+struct MetricResult<'a> {
+    own: &'a ExpectationRecord,
+    reference: &'a ExpectationRecord,
     /// |value − reference| in tolerances; infinite if only one of them is a number.
     difference: f64,
 }
 
-impl MetricResult {
+impl MetricResult<'_> {
     fn is_listed(&self) -> bool {
-        self.verdict != self.reference_verdict || self.difference > LISTED_DIFFERENCE
+        self.own.verdict != self.reference.verdict || self.difference > LISTED_DIFFERENCE
     }
 }
 
-struct ModelResult {
+struct ModelResult<'a> {
     tier: Tier,
-    verdict: Verdict,
-    reference_verdict: Verdict,
-    metrics: Vec<MetricResult>,
+    /// True if the scenario has another verdict than on the reference.
+    is_changed: bool,
+    metrics: Vec<MetricResult<'a>>,
 }
 
 /// The simplest model first; the last one is the reference.
 struct SceneResult<'a> {
     scenario: &'a Scenario,
-    models: Vec<ModelResult>,
+    models: Vec<ModelResult<'a>>,
 }
 
 struct ModelCost {
@@ -89,7 +85,7 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, 
 }
 
 impl<'a> SceneResult<'a> {
-    fn new(scenario: &'a Scenario, records: &BTreeMap<&str, RunRecord>) -> Option<Self> {
+    fn new(scenario: &'a Scenario, records: &'a BTreeMap<&str, RunRecord>) -> Option<Self> {
         let on = |tier: Tier| records.get(tier.name())?.scenarios.iter().find(|scene| scene.file == scenario.file);
         let tiers = models(scenario);
         let reference = on(*tiers.last()?)?;
@@ -99,28 +95,21 @@ impl<'a> SceneResult<'a> {
             let metrics = both
                 .zip(&scenario.expectations)
                 .map(|((own, reference), expectation)| MetricResult::new(expectation, own, reference));
-            let (verdict, reference_verdict) = (record.verdict, reference.verdict);
-            Some(ModelResult { tier, verdict, reference_verdict, metrics: metrics.collect() })
+            let is_changed = record.verdict != reference.verdict;
+            Some(ModelResult { tier, is_changed, metrics: metrics.collect() })
         };
         Some(Self { scenario, models: tiers.iter().filter_map(|tier| model(*tier)).collect() })
     }
 }
 
-impl MetricResult {
-    fn new(expectation: &Expectation, own: &ExpectationRecord, reference: &ExpectationRecord) -> Self {
+impl<'a> MetricResult<'a> {
+    fn new(expectation: &Expectation, own: &'a ExpectationRecord, reference: &'a ExpectationRecord) -> Self {
         let difference = match (own.value, reference.value) {
             (Some(value), Some(reference)) if value != reference => (value - reference).abs() / tolerance(expectation),
             (Some(_), None) | (None, Some(_)) => f64::INFINITY,
             _ => 0.0,
         };
-        Self {
-            name: expectation.name.clone(),
-            value: own.value,
-            reference: reference.value,
-            verdict: own.verdict,
-            reference_verdict: reference.verdict,
-            difference,
-        }
+        Self { own, reference, difference }
     }
 }
 
@@ -132,7 +121,7 @@ fn tolerance(expectation: &Expectation) -> f64 {
     }
 }
 
-impl ModelResult {
+impl ModelResult<'_> {
     fn largest_difference(&self) -> f64 {
         self.metrics.iter().map(|metric| metric.difference).fold(0.0, f64::max)
     }
@@ -141,15 +130,10 @@ impl ModelResult {
 fn section(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Result<ChartSection, ChartError> {
     let svg = strip_chart(results).svg()?;
     let (models, differences) = (model_table(results, costs), difference_table(results));
-    let mut summary = String::new();
-    for table in [&models, &differences] {
-        for line in table.lines() {
-            let _ = writeln!(summary, "  {line}");
-        }
-        summary.push('\n');
-    }
+    let [listed_models, listed_differences] = [&models, &differences].map(ChartSection::indented);
+    let summary = format!("{listed_models}\n{listed_differences}\n");
     let caption = format!("{} scenarios: largest difference of a metric on every model", results.len());
-    let mut blocks: Vec<PageBlock> = EXPLANATION.map(|text| PageBlock::Text(text.to_owned())).into();
+    let mut blocks = ChartSection::paragraphs(&EXPLANATION);
     blocks.push(PageBlock::Table(models));
     blocks.push(PageBlock::Drawings(vec![(svg.clone(), caption)]));
     blocks.push(PageBlock::Table(differences));
@@ -181,10 +165,10 @@ fn model_table(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Table {
         "CPU time per control period",
     ]);
     for cost in costs {
-        let own: Vec<&ModelResult> =
+        let own: Vec<&ModelResult<'_>> =
             results.iter().flat_map(|scene| &scene.models).filter(|model| model.tier == cost.tier).collect();
-        let changed = own.iter().filter(|model| model.verdict != model.reference_verdict).count();
-        let differs = |metric: &&MetricResult| metric.difference > LISTED_DIFFERENCE;
+        let changed = own.iter().filter(|model| model.is_changed).count();
+        let differs = |metric: &&MetricResult<'_>| metric.difference > LISTED_DIFFERENCE;
         let metrics = own.iter().flat_map(|model| &model.metrics).filter(differs).count();
         let scenes = own.iter().filter(|model| model.largest_difference() > LISTED_DIFFERENCE).count();
         table.rows.push(vec![
@@ -205,18 +189,19 @@ fn difference_table(results: &[SceneResult<'_>]) -> Table {
     for scene in results {
         for model in &scene.models {
             for metric in model.metrics.iter().filter(|metric| metric.is_listed()) {
-                let verdict = if metric.verdict == metric.reference_verdict {
-                    metric.verdict.to_string()
+                let MetricResult { own, reference, difference } = metric;
+                let verdict = if own.verdict == reference.verdict {
+                    own.verdict.to_string()
                 } else {
-                    format!("{} instead of {}", metric.verdict, metric.reference_verdict)
+                    format!("{} instead of {}", own.verdict, reference.verdict)
                 };
                 table.rows.push(vec![
                     scene.scenario.name().to_owned(),
                     model.tier.name().to_owned(),
-                    metric.name.clone(),
-                    format_value(metric.value),
-                    format_value(metric.reference),
-                    if metric.difference.is_finite() { format!("{:.2}", metric.difference) } else { "–".to_owned() },
+                    own.name.clone(),
+                    format_value(own.value),
+                    format_value(reference.value),
+                    if difference.is_finite() { format!("{difference:.2}") } else { "–".to_owned() },
                     verdict,
                 ]);
             }
@@ -245,18 +230,18 @@ fn full_table(results: &[SceneResult<'_>]) -> Table {
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
     for SceneResult { scenario, models } in results {
         for model in models {
-            for metric in &model.metrics {
+            for MetricResult { own, reference, difference } in &model.metrics {
                 table.rows.push(vec![
                     scenario.file.clone(),
                     scenario.controller.law.clone(),
                     scenario.tier.name().to_owned(),
                     model.tier.name().to_owned(),
-                    metric.name.clone(),
-                    number(metric.value),
-                    number(metric.reference),
-                    metric.difference.to_string(),
-                    metric.verdict.to_string(),
-                    metric.reference_verdict.to_string(),
+                    own.name.clone(),
+                    number(own.value),
+                    number(reference.value),
+                    difference.to_string(),
+                    own.verdict.to_string(),
+                    reference.verdict.to_string(),
                 ]);
             }
         }
@@ -267,7 +252,7 @@ fn full_table(results: &[SceneResult<'_>]) -> Table {
 fn strip_chart(results: &[SceneResult<'_>]) -> StripChart {
     let colour = |tier: Tier| Tier::ALL.iter().position(|known| *known == tier).unwrap_or_default();
     let row = |scene: &SceneResult<'_>| {
-        let changed = scene.models.iter().filter(|model| model.verdict != model.reference_verdict);
+        let changed = scene.models.iter().filter(|model| model.is_changed);
         let names: Vec<&str> = changed.map(|model| model.tier.name()).collect();
         let note = if names.is_empty() { String::new() } else { format!("verdict changes: {}", names.join(", ")) };
         StripRow {

@@ -4,6 +4,7 @@ use crate::loops::AnalysisError;
 use platebench_record::FolderError;
 use platebench_report::ReportError;
 use platebench_report::page::PageBlock;
+use platebench_report::text::Table;
 use platebench_rig::RigError;
 use platebench_runner::RunError;
 use platebench_runner::trial::{self, TrialResult};
@@ -18,6 +19,18 @@ pub struct ChartSection {
     pub blocks: Vec<PageBlock>,
     /// Name and content.
     pub files: Vec<(String, String)>,
+}
+
+impl ChartSection {
+    /// The paragraphs of an explanation.
+    pub(crate) fn paragraphs(texts: &[&str]) -> Vec<PageBlock> {
+        texts.iter().map(|text| PageBlock::Text((*text).to_owned())).collect()
+    }
+
+    /// For the console.
+    pub(crate) fn indented(table: &Table) -> String {
+        table.lines().iter().map(|line| format!("  {line}\n")).collect()
+    }
 }
 
 #[derive(Debug, thiserror::Error)]

@@ -1,8 +1,7 @@
 //! Predicts and measures where methods and loops become unstable, and draws maps.
 
 use crate::charts::section::{ChartError, ChartSection};
-use crate::integration::stability::{step_limits, to_csv};
-use crate::integration::step_limit_table;
+use crate::integration::stability::{NOTE, limits_table, step_limits, to_csv};
 use crate::loops::{AnalysisError, Discretisation, OperatingCondition, PlainLoops, Study, StudyConfig, study, table};
 use platebench_plate::Plate;
 use platebench_record::RunRecord;
@@ -20,7 +19,7 @@ const START_PERIODS: u32 = 4_000;
 pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartSection, ChartError> {
     let result = study(config)?;
     let steps = step_limits(&config.plate);
-    let step_table = step_limit_table::limits_table(&steps);
+    let step_table = limits_table(&steps);
     let boundaries = table::boundary_table(&result, config.delay);
     let known_limit = known_limit(&config.plate)?;
     let mut files = vec![
@@ -89,7 +88,7 @@ fn page_blocks(
     let text = |text: &str| PageBlock::Text(text.to_owned());
     let mut blocks = vec![
         heading("The largest stable step of a method"),
-        text(step_limit_table::NOTE),
+        text(NOTE),
         PageBlock::Preformatted(steps),
         heading("Boundaries and margins"),
         PageBlock::Preformatted(boundaries),

@@ -6,6 +6,7 @@
 //! twelfth stage of DOP853.
 
 use platebench_plate::{Complex64, Drive, Mode, State};
+use std::array::from_fn;
 
 const J: Complex64 = Complex64::I;
 
@@ -67,17 +68,58 @@ impl ProblemParameters {
     }
 }
 
+/// A problem whose σ and ω0 are constant.
+pub trait ConstantMode<const N: usize>: Problem<N> {
+    /// With σ (1/s) and ω0 (rad/s) higher by these values.
+    #[must_use]
+    fn shifted(&self, sigma: f64, omega0: f64) -> Self;
+}
+
 /// A problem with σ and ω0 linear in time, which is the last component.
 #[derive(Debug, Clone, Copy)]
-pub struct TimeVarying<P> {
+pub struct TimeVarying<P, const N: usize> {
     problem: P,
     sigma_rate: f64,
     omega0_rate: f64,
 }
 
-impl<P> TimeVarying<P> {
+impl<P: ConstantMode<N>, const N: usize> TimeVarying<P, N> {
     pub fn new(problem: P, situation: &ProblemParameters) -> Self {
         Self { problem, sigma_rate: situation.sigma_rate, omega0_rate: situation.omega0_rate }
+    }
+
+    /// The problem at the time of `x`, and the components without the time.
+    #[inline]
+    fn at<const M: usize>(&self, x: &[f64; M]) -> (P, [f64; N]) {
+        (self.problem.shifted(self.sigma_rate * x[N], self.omega0_rate * x[N]), from_fn(|i| x[i]))
+    }
+}
+
+/// M = N + 1.
+impl<P: ConstantMode<N>, const N: usize, const M: usize> Problem<M> for TimeVarying<P, N> {
+    const CLOCK: Option<usize> = Some(N);
+
+    #[inline]
+    fn rate(&self, x: &[f64; M]) -> [f64; M] {
+        let (problem, x) = self.at(x);
+        with_clock(problem.rate(&x), 1.0)
+    }
+
+    fn matrix(&self, x: &[f64; M]) -> [[f64; M]; M] {
+        let (problem, x) = self.at(x);
+        with_clock_row(&problem.matrix(&x))
+    }
+
+    fn split(&self, x: &[f64; M], step: f64) -> Split<M> {
+        let (problem, x) = self.at(x);
+        let Split { rotation, decay, gain } = problem.split(&x, step);
+        Split { rotation: with_clock_row(&rotation), decay: with_clock(decay, 1.0), gain: with_clock(gain, 0.0) }
+    }
+
+    #[inline]
+    fn forcing(&self, x: &[f64; M]) -> [f64; M] {
+        let (problem, x) = self.at(x);
+        with_clock(problem.forcing(&x), 0.0)
     }
 }
 
@@ -129,36 +171,10 @@ impl Problem<2> for EnvelopeProblem {
     }
 }
 
-impl Problem<3> for TimeVarying<EnvelopeProblem> {
-    const CLOCK: Option<usize> = Some(2);
-
+impl ConstantMode<2> for EnvelopeProblem {
     #[inline]
-    fn rate(&self, &[re, im, t]: &[f64; 3]) -> [f64; 3] {
-        let [re, im] = self.at(t).rate(&[re, im]);
-        [re, im, 1.0]
-    }
-
-    fn matrix(&self, &[re, im, t]: &[f64; 3]) -> [[f64; 3]; 3] {
-        with_clock_row(&self.at(t).matrix(&[re, im]))
-    }
-
-    fn split(&self, &[re, im, t]: &[f64; 3], step: f64) -> Split<3> {
-        let Split { rotation, decay: [d, _], gain: [g, _] } = self.at(t).split(&[re, im], step);
-        Split { rotation: with_clock_row(&rotation), decay: [d, d, 1.0], gain: [g, g, 0.0] }
-    }
-
-    #[inline]
-    fn forcing(&self, &[re, im, t]: &[f64; 3]) -> [f64; 3] {
-        let [re, im] = self.at(t).forcing(&[re, im]);
-        [re, im, 0.0]
-    }
-}
-
-impl TimeVarying<EnvelopeProblem> {
-    #[inline]
-    fn at(&self, t: f64) -> EnvelopeProblem {
-        let EnvelopeProblem { sigma, omega0, .. } = self.problem;
-        EnvelopeProblem { sigma: sigma + self.sigma_rate * t, omega0: omega0 + self.omega0_rate * t, ..self.problem }
+    fn shifted(&self, sigma: f64, omega0: f64) -> Self {
+        Self { sigma: self.sigma + sigma, omega0: self.omega0 + omega0, ..*self }
     }
 }
 
@@ -234,37 +250,10 @@ impl Problem<4> for ModalProblem {
     }
 }
 
-impl Problem<5> for TimeVarying<ModalProblem> {
-    const CLOCK: Option<usize> = Some(4);
-
+impl ConstantMode<4> for ModalProblem {
     #[inline]
-    fn rate(&self, &[a, b, c, d, t]: &[f64; 5]) -> [f64; 5] {
-        let [a, b, c, d] = self.at(t).rate(&[a, b, c, d]);
-        [a, b, c, d, 1.0]
-    }
-
-    fn matrix(&self, &[a, b, c, d, t]: &[f64; 5]) -> [[f64; 5]; 5] {
-        with_clock_row(&self.at(t).matrix(&[a, b, c, d]))
-    }
-
-    fn split(&self, &[a, b, c, d, t]: &[f64; 5], step: f64) -> Split<5> {
-        let Split { rotation, decay, gain } = self.at(t).split(&[a, b, c, d], step);
-        let pad = |[a, b, c, d]: [f64; 4], clock: f64| [a, b, c, d, clock];
-        Split { rotation: with_clock_row(&rotation), decay: pad(decay, 1.0), gain: pad(gain, 0.0) }
-    }
-
-    #[inline]
-    fn forcing(&self, &[a, b, c, d, t]: &[f64; 5]) -> [f64; 5] {
-        let [a, b, c, d] = self.at(t).forcing(&[a, b, c, d]);
-        [a, b, c, d, 0.0]
-    }
-}
-
-impl TimeVarying<ModalProblem> {
-    #[inline]
-    fn at(&self, t: f64) -> ModalProblem {
-        let ModalProblem { sigma, omega0, .. } = self.problem;
-        ModalProblem { sigma: sigma + self.sigma_rate * t, omega0: omega0 + self.omega0_rate * t, ..self.problem }
+    fn shifted(&self, sigma: f64, omega0: f64) -> Self {
+        Self { sigma: self.sigma + sigma, omega0: self.omega0 + omega0, ..*self }
     }
 }
 
@@ -359,10 +348,12 @@ impl Problem<3> for CarrierProblem {
     }
 }
 
+/// The components with that of the clock; M = N + 1.
+#[inline]
+pub(crate) fn with_clock<const N: usize, const M: usize>(x: [f64; N], clock: f64) -> [f64; M] {
+    from_fn(|i| x.get(i).copied().unwrap_or(clock))
+}
+
 fn with_clock_row<const N: usize, const M: usize>(inner: &[[f64; N]; N]) -> [[f64; M]; M] {
-    let mut outer = [[0.0; M]; M];
-    for (row, values) in outer.iter_mut().zip(inner) {
-        row.iter_mut().zip(values).for_each(|(to, from)| *to = *from);
-    }
-    outer
+    from_fn(|row| inner.get(row).map_or([0.0; M], |values| with_clock(*values, 0.0)))
 }

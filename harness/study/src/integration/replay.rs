@@ -3,7 +3,7 @@
 use crate::integration::failure::MethodFailure;
 use crate::integration::method::IntegrationMethod;
 use crate::integration::problem::{
-    CarrierProblem, EnvelopeProblem, ModalProblem, Problem, ProblemParameters, TimeVarying,
+    CarrierProblem, ConstantMode, EnvelopeProblem, ModalProblem, ProblemParameters, TimeVarying, with_clock,
 };
 use platebench_plate::{Complex64, ConditionProfiles, Drive, Plant, Plate, State, Tier, Time};
 use std::f64::consts::TAU;
@@ -75,7 +75,7 @@ pub struct Replay {
     scale: f64,
 }
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ReplayResult {
     /// W at the control instants, µm; on the carrier the phasor of y and y'.
     pub samples: Vec<Complex64>,
@@ -143,14 +143,11 @@ impl Replay {
     }
 
     pub fn exact_samples(&self, frame: EquationForm) -> Vec<Complex64> {
-        self.propagate_samples(frame.tier(), frame)
+        self.samples(frame.tier(), frame)
     }
 
-    pub fn tier_samples(&self, tier: Tier) -> Vec<Complex64> {
-        self.propagate_samples(tier, EquationForm::Modal)
-    }
-
-    fn propagate_samples(&self, tier: Tier, frame: EquationForm) -> Vec<Complex64> {
+    /// Of the exact propagation by `tier`.
+    pub(crate) fn samples(&self, tier: Tier, frame: EquationForm) -> Vec<Complex64> {
         let mut states = Vec::new();
         self.advance_plant(&mut self.plant(tier), |state| states.push(state));
         let ends = self.intervals.iter().filter(|piece| piece.ends_at_control);
@@ -190,26 +187,22 @@ impl Replay {
     }
 
     /// For problems of N components in the rotating frame; M = N + 1 includes the clock of a mode that changes.
-    fn integrate_phasors<P: Problem<N>, const N: usize, const M: usize>(
+    fn integrate_phasors<P: ConstantMode<N>, const N: usize, const M: usize>(
         &self,
         method: IntegrationMethod,
         setting: f64,
         outcome: &mut ReplayResult,
         problem: impl Fn(&ProblemParameters) -> P,
         unpack: impl Fn(&[f64; N]) -> State,
-    ) -> Result<(), MethodFailure>
-    where
-        TimeVarying<P>: Problem<M>,
-    {
+    ) -> Result<(), MethodFailure> {
         let (mut x, mut kept) = ([0.0; N], None);
         for ReplayInterval { seconds, situation, ends_at_control, .. } in &self.intervals {
             outcome.seconds += seconds;
             let problem = problem(situation);
             if situation.is_time_varying() {
-                let mut with_clock = [0.0; M];
-                with_clock[..N].copy_from_slice(&x);
                 let varying = TimeVarying::new(problem, situation);
-                x.copy_from_slice(&method.advance(&varying, with_clock, *seconds, setting, &mut None)?[..N]);
+                let start: [f64; M] = with_clock(x, 0.0);
+                x.copy_from_slice(&method.advance(&varying, start, *seconds, setting, &mut None)?[..N]);
             } else {
                 x = method.advance(&problem, x, *seconds, setting, &mut kept)?;
             }
@@ -246,17 +239,5 @@ impl Replay {
         }
         let largest = samples.iter().zip(truth).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
         largest / self.setpoint_um
-    }
-}
-
-impl ReplayResult {
-    pub fn new() -> Self {
-        Self { samples: Vec::new(), seconds: 0.0, failure: None }
-    }
-}
-
-impl Default for ReplayResult {
-    fn default() -> Self {
-        Self::new()
     }
 }

@@ -17,6 +17,9 @@ const GROWTH_STEPS: u32 = 4_000;
 /// rad/s: tuned for 33 °C, at 24 °C.
 const DETUNING: f64 = -545.0;
 
+pub(crate) const NOTE: &str = "Up to this step the free motion of a method decays: measured by bisection on the \
+    spectral radius of its step, and predicted by theory. The bench itself uses the exact forms, which have no limit.";
+
 /// Steps at which a method is stable.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum StepLimit {
@@ -29,7 +32,7 @@ pub enum StepLimit {
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepLimitRow {
     pub method: &'static str,
-    pub problem: String,
+    pub problem: &'static str,
     /// By bisection on the method's steps.
     pub measured: StepLimit,
     pub predicted: StepLimit,
@@ -67,61 +70,33 @@ pub fn step_limits(plate: &Plate) -> Vec<StepLimitRow> {
     let slow = |step: f64| format!("h·ω0 = {:.3}", step * free.omega0);
     let points = |step: f64| format!("{:.3} points per period", std::f64::consts::TAU / (free.omega0 * step));
     let circle = "|1 + hλ| = 1: h = 2σ/|λ|²";
+    let real = "RK4 on the real axis: h|λ| = 2.7853 (Hairer, Wanner: Solving ODEs II, IV.2)";
     let imaginary = "RK4 on the imaginary axis: h|λ| = 2√2 (Hairer, Wanner: Solving ODEs II, IV.2)";
     let a_stable = "A-stable: no limit (Hairer, Wanner: Solving ODEs II, IV.3)";
-    let mut rows = vec![
-        limit_row(Euler, "envelope, resonant", &envelope(free, 0.0), euler(free.sigma, 0.0), circle, ms),
-        limit_row(Euler, "envelope, 545 rad/s off", &envelope(free, DETUNING), euler(free.sigma, DETUNING), circle, ms),
-        limit_row(
-            Euler,
-            "envelope, 2 N, 545 rad/s off",
-            &envelope(pressed, DETUNING),
-            euler(pressed.sigma, DETUNING),
-            circle,
-            ms,
-        ),
-        closed_loop_limit(&free, &pressed),
-        limit_row(Euler, "modal, resonant", &modal, euler(free.sigma, turning), circle, fast),
-        limit_row(
-            Euler,
-            "carrier",
-            &carrier(free),
-            euler(free.sigma, (free.omega0.powi(2) - free.sigma.powi(2)).sqrt()),
-            circle,
-            slow,
-        ),
-        limit_row(Euler, "carrier, undamped", &carrier(undamped), StepLimit::Never, circle, none),
-        limit_row(
-            RungeKutta4,
-            "envelope, resonant",
-            &envelope(free, 0.0),
-            StepLimit::Step(2.785_293_563_405_282 / free.sigma),
-            "RK4 on the real axis: h|λ| = 2.7853 (Hairer, Wanner: Solving ODEs II, IV.2)",
-            ms,
-        ),
-        limit_row(RungeKutta4, "modal, resonant", &modal, StepLimit::Step(8.0_f64.sqrt() / turning), imaginary, fast),
-        limit_row(
-            RungeKutta4,
-            "carrier",
-            &carrier(free),
-            StepLimit::Step(8.0_f64.sqrt() / free.omega0),
-            imaginary,
-            slow,
-        ),
-        limit_row(
-            Verlet,
-            "carrier",
-            &carrier(free),
-            StepLimit::Step(2.0 / free.omega0),
-            "hω0 = 2: π points per period (Hairer, Lubich, Wanner: Geometric Numerical Integration, I.1)",
-            points,
-        ),
-        limit_row(Midpoint, "envelope, resonant", &envelope(free, 0.0), StepLimit::Always, a_stable, none),
-        limit_row(Midpoint, "modal, resonant", &modal, StepLimit::Always, a_stable, none),
-        limit_row(Midpoint, "carrier, undamped", &carrier(undamped), StepLimit::Always, a_stable, none),
-    ];
-    rows.extend([Tier::Envelope, Tier::Modal].map(|tier| exact_form_limit(tier, &free)));
-    rows
+    let verlet = "hω0 = 2: π points per period (Hairer, Lubich, Wanner: Geometric Numerical Integration, I.1)";
+    let turn = (free.omega0.powi(2) - free.sigma.powi(2)).sqrt();
+    let rk4 = |limit: f64, rate: f64| StepLimit::Step(limit / rate);
+    let [resonant, off, pressed_off] =
+        [envelope(free, 0.0), envelope(free, DETUNING), envelope(pressed, DETUNING)].map(FreeMotion);
+    let (modal, carrier, undamped) = (FreeMotion(modal), FreeMotion(carrier(free)), FreeMotion(carrier(undamped)));
+    vec![
+        resonant.limit(Euler, "envelope, resonant", euler(free.sigma, 0.0), circle, ms),
+        off.limit(Euler, "envelope, 545 rad/s off", euler(free.sigma, DETUNING), circle, ms),
+        pressed_off.limit(Euler, "envelope, 2 N, 545 rad/s off", euler(pressed.sigma, DETUNING), circle, ms),
+        closed_loop_limit(&free, &pressed, ms),
+        modal.limit(Euler, "modal, resonant", euler(free.sigma, turning), circle, fast),
+        carrier.limit(Euler, "carrier", euler(free.sigma, turn), circle, slow),
+        undamped.limit(Euler, "carrier, undamped", StepLimit::Never, circle, none),
+        resonant.limit(RungeKutta4, "envelope, resonant", rk4(2.785_293_563_405_282, free.sigma), real, ms),
+        modal.limit(RungeKutta4, "modal, resonant", rk4(8.0_f64.sqrt(), turning), imaginary, fast),
+        carrier.limit(RungeKutta4, "carrier", rk4(8.0_f64.sqrt(), free.omega0), imaginary, slow),
+        carrier.limit(Verlet, "carrier", StepLimit::Step(2.0 / free.omega0), verlet, points),
+        resonant.limit(Midpoint, "envelope, resonant", StepLimit::Always, a_stable, none),
+        modal.limit(Midpoint, "modal, resonant", StepLimit::Always, a_stable, none),
+        undamped.limit(Midpoint, "carrier, undamped", StepLimit::Always, a_stable, none),
+        exact_form_limit(Tier::Envelope, "envelope, 545 rad/s off", &free),
+        exact_form_limit(Tier::Modal, "modal, 545 rad/s off", &free),
+    ]
 }
 
 /// Steps are s.
@@ -143,7 +118,7 @@ pub fn to_csv(rows: &[StepLimitRow]) -> String {
             text,
             "{},{},{},{},{deviation},{},{below},{above},{}",
             quoted(row.method),
-            quoted(&row.problem),
+            quoted(row.problem),
             limit(row.measured),
             limit(row.predicted),
             quoted(&row.in_usual_unit),
@@ -153,47 +128,85 @@ pub fn to_csv(rows: &[StepLimitRow]) -> String {
     text
 }
 
-fn limit_row<const N: usize, P: Problem<N>>(
-    method: FixedStepMethod,
-    name: &str,
-    problem: &P,
+/// The limits of each method, measured and predicted.
+pub(crate) fn limits_table(rows: &[StepLimitRow]) -> String {
+    let mut text = format!(
+        "Methods: the largest stable step\n\n{:<20} {:<38} {:>10} {:>10} {:>11}  in the usual unit\n",
+        "method", "problem", "measured", "theory", "difference"
+    );
+    for row in rows {
+        // Rounded to 0.01 %, without −0.
+        let hundredths = |share: f64| (share * 1e4).round() as i64 as f64 / 100.0;
+        let difference = row.deviation().map_or_else(|| "–".to_owned(), |share| format!("{:.2} %", hundredths(share)));
+        let _ = writeln!(
+            text,
+            "{:<20} {:<38} {:>10} {:>10} {difference:>11}  {}",
+            row.method,
+            row.problem,
+            format_limit(row.measured),
+            format_limit(row.predicted),
+            row.in_usual_unit
+        );
+    }
+    text
+}
+
+fn format_limit(limit: StepLimit) -> String {
+    match limit {
+        StepLimit::Never => "none".to_owned(),
+        StepLimit::Always => "no limit".to_owned(),
+        StepLimit::Step(seconds) if seconds < 1e-6 => format!("{:.3} ns", seconds * 1e9),
+        StepLimit::Step(seconds) if seconds < 1e-3 => format!("{:.3} µs", seconds * 1e6),
+        StepLimit::Step(seconds) => format!("{:.3} ms", seconds * 1e3),
+    }
+}
+
+/// Measures the limit of `step`, which maps a state to the state after a step of so many s.
+fn limit_row<const N: usize>(
+    [method, problem, source]: [&'static str; 3],
     predicted: StepLimit,
-    source: &'static str,
+    step: impl Fn([f64; N], f64) -> [f64; N],
     format_limit: impl Fn(f64) -> String,
 ) -> StepLimitRow {
-    let measured = find_step_limit(|step| spectral_radius(&matrix_of(|x| free_step(method, problem, x, step))));
+    let radius = |seconds: f64| spectral_radius(&matrix_of(|x| step(x, seconds)));
+    let measured = find_step_limit(radius);
     let (in_usual_unit, growth_decades) = match measured {
         StepLimit::Step(limit) => {
-            let run = |share: f64| measure_growth_decades(|x| free_step(method, problem, x, limit * share));
-            let slowest = spectral_radius(&matrix_of(|x| free_step(method, problem, x, limit * 1.01)));
-            (format_limit(limit), is_growth_measurable(slowest).then(|| [0.99, 1.01].map(run)))
+            let run = |share: f64| measure_growth_decades(|x| step(x, limit * share));
+            (format_limit(limit), is_growth_measurable(radius(limit * 1.01)).then(|| [0.99, 1.01].map(run)))
         }
         StepLimit::Never | StepLimit::Always => (String::new(), None),
     };
-    let method = IntegrationMethod::Fixed(method).name();
-    StepLimitRow { method, problem: name.to_owned(), measured, predicted, source, in_usual_unit, growth_decades }
+    StepLimitRow { method, problem, measured, predicted, source, in_usual_unit, growth_decades }
 }
 
-fn exact_form_limit(tier: Tier, mode: &Mode) -> StepLimitRow {
+/// A problem without drive.
+struct FreeMotion<P>(P);
+
+impl<P> FreeMotion<P> {
+    fn limit<const N: usize>(
+        &self,
+        method: FixedStepMethod,
+        problem: &'static str,
+        predicted: StepLimit,
+        source: &'static str,
+        format_limit: impl Fn(f64) -> String,
+    ) -> StepLimitRow
+    where
+        P: Problem<N>,
+    {
+        let names = [IntegrationMethod::Fixed(method).name(), problem, source];
+        limit_row(names, predicted, |x, step| free_step(method, &self.0, x, step), format_limit)
+    }
+}
+
+fn exact_form_limit(tier: Tier, problem: &'static str, mode: &Mode) -> StepLimitRow {
     let drive = Drive { vpp: 0.0, omega: mode.omega0 + DETUNING };
     let scale = mode.omega0;
     let step = |x: [f64; 4], step: f64| {
         ModalProblem::pack(&Flow::new(tier, mode, &drive, &ModalProblem::unpack(&x, scale)).after(step), scale)
     };
-    let problem = match tier {
-        Tier::Linear | Tier::Envelope => "envelope, 545 rad/s off",
-        Tier::Modal | Tier::Carrier => "modal, 545 rad/s off",
-    };
-    let measured = find_step_limit(|seconds| spectral_radius(&matrix_of(|x| step(x, seconds))));
-    StepLimitRow {
-        method: "exact",
-        problem: problem.to_owned(),
-        measured,
-        predicted: StepLimit::Always,
-        source: "closed form: its step is e^{λh}",
-        in_usual_unit: String::new(),
-        growth_decades: None,
-    }
+    limit_row(["exact", problem, "closed form: its step is e^{λh}"], StepLimit::Always, step, |_| String::new())
 }
 
 /// Compares with the beat of the components after [`GROWTH_STEPS`] steps.
@@ -219,34 +232,22 @@ fn free_step<const N: usize, P: Problem<N>>(
 }
 
 /// The matched amplitude loop, tuned for the untouched plate, with the explicit Euler plate at 2 N.
-fn closed_loop_limit(free: &Mode, pressed: &Mode) -> StepLimitRow {
-    let limit_of = |stable: &dyn Fn(f64) -> f64| find_step_limit(stable);
-    let measured =
-        limit_of(&|period| spectral_radius(&matrix_of(|x| MatchedPiLoop::new(free, period).step(pressed, x))));
+fn closed_loop_limit(free: &Mode, pressed: &Mode, format_limit: impl Fn(f64) -> String) -> StepLimitRow {
     // Jury: the characteristic polynomial (z − α)(z − 1) + g(z − a) is positive at −1, α = 1 − σh,
     // g = b h Kp.
-    let predicted = limit_of(&|period| {
+    let predicted = find_step_limit(|period| {
         let pi = MatchedPiLoop::new(free, period);
         let gain = pressed.envelope_constant * period * pi.kp;
         let at_minus_one = 2.0 * (2.0 - pressed.sigma * period) - gain * (1.0 + pi.zero);
         if at_minus_one >= 0.0 { 0.0 } else { 2.0 }
     });
-    let (in_usual_unit, growth_decades) = match measured {
-        StepLimit::Step(limit) => {
-            let run = |share: f64| measure_growth_decades(|x| MatchedPiLoop::new(free, limit * share).step(pressed, x));
-            (format!("{:.3} ms", limit * 1e3), Some([0.99, 1.01].map(run)))
-        }
-        StepLimit::Never | StepLimit::Always => (String::new(), None),
-    };
-    StepLimitRow {
-        method: IntegrationMethod::Fixed(FixedStepMethod::Euler).name(),
-        problem: "envelope, 2 N, amplitude loop closed".to_owned(),
-        measured,
-        predicted,
-        source: "Jury at z = −1 for the matched PI of 1.9 ms, one step per period",
-        in_usual_unit,
-        growth_decades,
-    }
+    let names = [
+        IntegrationMethod::Fixed(FixedStepMethod::Euler).name(),
+        "envelope, 2 N, amplitude loop closed",
+        "Jury at z = −1 for the matched PI of 1.9 ms, one step per period",
+    ];
+    let step = |x, period| MatchedPiLoop::new(free, period).step(pressed, x);
+    limit_row(names, predicted, step, format_limit)
 }
 
 /// A PI matched to the zero-order hold (`docs/mathematics.md`), with setpoint 0.

@@ -151,7 +151,7 @@ pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
             repeats: 1,
             is_slow: false,
             costs: Vec::new(),
-            outcome: ReplayResult::new(),
+            outcome: ReplayResult::default(),
         })
         .collect();
     for runner in &mut runners {
@@ -176,7 +176,7 @@ struct ReferenceSolutions<'a> {
 impl<'a> ReferenceSolutions<'a> {
     fn new(passage: &'a Replay) -> Self {
         let of_frame = |frame: EquationForm| {
-            let mut tight = ReplayResult::new();
+            let mut tight = ReplayResult::default();
             let (method, tolerance) = REFERENCE;
             passage.integrate(frame, method, tolerance, &mut tight);
             (frame, [passage.exact_samples(frame), tight.samples])
@@ -198,7 +198,7 @@ impl<'a> ReferenceSolutions<'a> {
     fn measure_errors(&self, runner: SolverTimer<'_>) -> SweepResult {
         let passage = self.passage;
         let (samples, frame, failure) = match runner.solver {
-            Solver::Exact(tier) => (passage.tier_samples(tier), form_of_tier(tier), None),
+            Solver::Exact(tier) => (passage.samples(tier, EquationForm::Modal), form_of_tier(tier), None),
             Solver::General(frame, ..) => (runner.outcome.samples, frame, runner.outcome.failure),
         };
         let own = match runner.solver {
@@ -243,56 +243,26 @@ const fn form_of_tier(tier: Tier) -> EquationForm {
 }
 
 /// Steps in s or tolerances, coarse to fine; empty if the method does not support the form.
-fn settings(frame: EquationForm, method: IntegrationMethod) -> Vec<f64> {
+fn settings(form: EquationForm, method: IntegrationMethod) -> Vec<f64> {
+    use EquationForm::{Carrier, Envelope, Modal};
+    use FixedStepMethod::{Euler, Exponential, Gauss4, Gauss6, KeptExponential, Verlet};
     let halved = |powers: &[i32]| powers.iter().map(|power| 1e-3 * 0.5_f64.powi(*power)).collect();
     let decades = |from: i32, to: i32| (from..=to).map(|decade| 10.0_f64.powi(-decade)).collect();
-    match (method, frame) {
+    let method = match method {
+        IntegrationMethod::Adaptive(AdaptiveMethod::Dopri5) => return decades(2, 11),
+        IntegrationMethod::Adaptive(_) => return decades(2, 12),
+        IntegrationMethod::Fixed(method) => method,
+    };
+    match (method, form) {
+        (Verlet, Envelope | Modal) => Vec::new(),
         // The step matrix needs equations without the carrier's time.
-        (IntegrationMethod::Fixed(FixedStepMethod::Verlet), EquationForm::Envelope | EquationForm::Modal)
-        | (
-            IntegrationMethod::Fixed(
-                FixedStepMethod::Gauss4
-                | FixedStepMethod::Gauss6
-                | FixedStepMethod::Exponential
-                | FixedStepMethod::KeptExponential,
-            ),
-            EquationForm::Carrier,
-        ) => Vec::new(),
-        (
-            IntegrationMethod::Fixed(FixedStepMethod::Exponential | FixedStepMethod::KeptExponential),
-            EquationForm::Envelope | EquationForm::Modal,
-        ) => halved(&[0]),
-        (IntegrationMethod::Fixed(_), EquationForm::Envelope) => halved(&[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12]),
+        (Gauss4 | Gauss6 | Exponential | KeptExponential, Carrier) => Vec::new(),
+        (Exponential | KeptExponential, Envelope | Modal) => halved(&[0]),
+        (_, Envelope) => halved(&[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12]),
         // Stable from 155 000 steps per ms; 39 000 on the carrier.
-        (IntegrationMethod::Fixed(FixedStepMethod::Euler), EquationForm::Modal) => halved(&[8, 12, 16, 17, 18, 19]),
-        (IntegrationMethod::Fixed(FixedStepMethod::Euler), EquationForm::Carrier) => halved(&[8, 12, 15, 16, 17, 18]),
-        (
-            IntegrationMethod::Fixed(
-                FixedStepMethod::RungeKutta4
-                | FixedStepMethod::Midpoint
-                | FixedStepMethod::Gauss4
-                | FixedStepMethod::Gauss6
-                | FixedStepMethod::Splitting,
-            ),
-            EquationForm::Modal,
-        )
-        | (
-            IntegrationMethod::Fixed(
-                FixedStepMethod::RungeKutta4
-                | FixedStepMethod::Midpoint
-                | FixedStepMethod::Verlet
-                | FixedStepMethod::Splitting,
-            ),
-            EquationForm::Carrier,
-        ) => halved(&[5, 6, 7, 8, 9, 10, 11, 12, 13, 14]),
-        (
-            IntegrationMethod::Adaptive(AdaptiveMethod::Dopri5),
-            EquationForm::Envelope | EquationForm::Modal | EquationForm::Carrier,
-        ) => decades(2, 11),
-        (
-            IntegrationMethod::Adaptive(AdaptiveMethod::Dop853 | AdaptiveMethod::DeDop853 | AdaptiveMethod::DeVerner98),
-            EquationForm::Envelope | EquationForm::Modal | EquationForm::Carrier,
-        ) => decades(2, 12),
+        (Euler, Modal) => halved(&[8, 12, 16, 17, 18, 19]),
+        (Euler, Carrier) => halved(&[8, 12, 15, 16, 17, 18]),
+        (_, Modal | Carrier) => halved(&[5, 6, 7, 8, 9, 10, 11, 12, 13, 14]),
     }
 }
 

@@ -1,10 +1,12 @@
 //! Defines a case (law, plate, condition) and derives the law's linear form.
 
+use crate::loops::bisection::bisect;
 use crate::loops::controller::{LinearController, LoopChannel, PiGains};
 use crate::loops::plant::{LinearPlant, steady_state};
 use platebench_controller::design;
 use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
 use platebench_wire::{Configure, Gains, LawId};
+use std::convert::Infallible;
 use std::f64::consts::TAU;
 
 /// A drive limit that no small motion reaches, Vpp.
@@ -120,15 +122,12 @@ impl<'a> LoopCase<'a> {
             }
             LawId::FrequencyOnly => {
                 let vpp = self.frequency_only_drive();
-                let (mut low, mut high) = (mode.omega0, start + RANGE_HZ * TAU);
+                let (low, high) = (mode.omega0, start + RANGE_HZ * TAU);
                 let reaches = |omega| steady_state(tier, &mode, &Drive { vpp, omega }).norm() >= setpoint;
                 if !reaches(low) || reaches(high) {
                     return None;
                 }
-                for _ in 0..BISECTIONS {
-                    let middle = f64::midpoint(low, high);
-                    *(if reaches(middle) { &mut low } else { &mut high }) = middle;
-                }
+                let Ok([low, _]) = bisect([low, high], BISECTIONS, |omega| Ok::<_, Infallible>(reaches(omega)));
                 Drive { vpp, omega: low }
             }
             LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed | LawId::BangBang | LawId::Deadbeat => {

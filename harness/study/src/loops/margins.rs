@@ -1,10 +1,12 @@
 //! Computes gain, phase and delay margins.
 
+use crate::loops::bisection::bisect;
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
 use crate::loops::controller::LinearController;
 use crate::loops::plant::LinearPlant;
 use platebench_plate::Complex64;
 use platebench_runner::delay_boundary::DelayBoundary;
+use std::convert::Infallible;
 use std::f64::consts::PI;
 
 const FREQUENCIES: u32 = 400;
@@ -35,13 +37,13 @@ impl ClosedLoop {
                 let [low, high] = [pair[0], pair[1]];
                 let (Some(before), Some(after)) = (at(low), at(high)) else { continue };
                 if before.im * after.im < 0.0
-                    && let Some(crossing) = at(bisect(low, high, |theta| at(theta).map(|l| l.im)))
+                    && let Some(crossing) = at(root(low, high, |theta| at(theta).map(|l| l.im)))
                     && crossing.re < 0.0
                 {
                     margins.gain = smaller(margins.gain, 1.0 / crossing.norm());
                 }
                 if (before.norm() - 1.0) * (after.norm() - 1.0) < 0.0
-                    && let Some(crossing) = at(bisect(low, high, |theta| at(theta).map(|l| l.norm() - 1.0)))
+                    && let Some(crossing) = at(root(low, high, |theta| at(theta).map(|l| l.norm() - 1.0)))
                 {
                     margins.phase_deg = smaller(margins.phase_deg, (-crossing).arg().to_degrees());
                 }
@@ -63,16 +65,11 @@ fn frequency_grid() -> Vec<f64> {
     (0..=FREQUENCIES).map(|n| LOWEST_FREQUENCY * (ratio * f64::from(n) / f64::from(FREQUENCIES)).exp()).collect()
 }
 
-fn bisect(mut low: f64, mut high: f64, value: impl Fn(f64) -> Option<f64>) -> f64 {
-    let sign = value(low).unwrap_or(0.0).signum();
-    for _ in 0..BISECTIONS {
-        let middle = f64::midpoint(low, high);
-        if value(middle).unwrap_or(0.0).signum() == sign {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
+/// Where `value` changes its sign.
+fn root(low: f64, high: f64, value: impl Fn(f64) -> Option<f64>) -> f64 {
+    let sign = |at: f64| value(at).unwrap_or(0.0).signum();
+    let first = sign(low);
+    let Ok([low, high]) = bisect([low, high], BISECTIONS, |at| Ok::<_, Infallible>(sign(at) == first));
     f64::midpoint(low, high)
 }
 
@@ -92,17 +89,9 @@ pub fn delay_boundary(
     let steps = (longest / (SCAN_STEP * period)).ceil() as u32;
     let mut low = 0.0;
     for step in 1..=steps {
-        let mut high = (f64::from(step) * SCAN_STEP * period).min(longest);
+        let high = (f64::from(step) * SCAN_STEP * period).min(longest);
         if !stable(high)? {
-            for _ in 0..BISECTIONS {
-                let middle = f64::midpoint(low, high);
-                if stable(middle)? {
-                    low = middle;
-                } else {
-                    high = middle;
-                }
-            }
-            return Ok(DelayBoundary::At(low));
+            return Ok(DelayBoundary::At(bisect([low, high], BISECTIONS, stable)?[0]));
         }
         low = high;
     }

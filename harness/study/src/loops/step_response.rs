@@ -10,8 +10,8 @@ const BAND: f64 = 0.05;
 /// Amplitude of a divergence in setpoints.
 const DIVERGENCE_LIMIT: f64 = 1e3;
 
-/// Result of a setpoint step from rest, without limits of drive, range or slew.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Result of a setpoint step from rest.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct StepResponse {
     /// 5 % settling time, s; `None` if the response is outside at the end.
     pub settling: Option<f64>,
@@ -19,11 +19,13 @@ pub struct StepResponse {
     pub overshoot: f64,
     /// Vpp.
     pub peak_drive: f64,
+    /// At the drive limit; 0 in the linear loop, which has no limits.
+    pub saturated_periods: u32,
     pub diverged: bool,
 }
 
 impl ClosedLoop {
-    /// Response of W, along the phase of its steady state, to a setpoint step from rest, µm.
+    /// Response of W, along the phase of its steady state, to a setpoint step from rest, µm, without limits.
     /// Exact at resonance; otherwise the scaled response to a small step.
     pub fn step_response(&self, setpoint: f64, periods: u32) -> StepResponse {
         let [direct, integral] = self.controller.matrices();
@@ -34,7 +36,7 @@ impl ClosedLoop {
         let mut states = vec![Complex64::ZERO; self.plant.poles().len()];
         let mut commands: VecDeque<Vector2<f64>> = vec![Vector2::zeros(); whole + 2].into();
         let mut integrals = Vector2::zeros();
-        let mut response = StepResponse { settling: None, overshoot: 0.0, peak_drive: 0.0, diverged: false };
+        let mut response = StepResponse::default();
         let (mut before, mut entered) = (0.0_f64, None);
         for period in 0..periods {
             let w: Complex64 = states.iter().sum();

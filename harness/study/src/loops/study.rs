@@ -85,40 +85,27 @@ pub struct Study {
     pub maps: Vec<StabilityMap>,
 }
 
-enum StudyTask {
-    Row(LawId, OperatingCondition),
-    Map(LawId, OperatingCondition, f64),
-}
-
-enum TaskResult {
-    Row(Option<StudyRow>),
-    Map(Option<StabilityMap>),
-}
-
 pub fn study(config: &StudyConfig) -> Result<Study, AnalysisError> {
-    let pairs = config.laws.iter().flat_map(|&law| OperatingCondition::ALL.map(|condition| (law, condition)));
-    let rows = pairs.clone().map(|(law, condition)| StudyTask::Row(law, condition));
-    let wanted = pairs.filter(|(law, _)| config.maps && *law != LawId::OpenLoop);
-    let maps = wanted.flat_map(|(law, condition)| {
-        let own = LoopCase::new(&config.plate, law, condition).response();
-        MAP_RESPONSE_FACTORS.map(|share| StudyTask::Map(law, condition, share * own))
-    });
-    let tasks: Vec<StudyTask> = rows.chain(maps).collect();
+    let conditions = config.laws.iter().flat_map(|&law| OperatingCondition::ALL.map(|condition| (law, condition)));
+    let cases: Vec<(LawId, OperatingCondition)> = conditions.collect();
     let mut study = Study::default();
-    let results = collect_in_parallel(config.jobs, &tasks, |task| match *task {
-        StudyTask::Row(law, condition) => study_row(config, law, condition).map(TaskResult::Row),
-        StudyTask::Map(law, condition, response) => {
-            stability_map(config, law, condition, response).map(TaskResult::Map)
-        }
-    })?;
-    for (task, result) in tasks.iter().zip(results) {
-        match (task, result) {
-            (_, TaskResult::Row(Some(row))) => study.rows.push(row),
-            (StudyTask::Row(law, condition), TaskResult::Row(None)) => study.out_of_reach.push((*law, *condition)),
-            (_, TaskResult::Map(map)) => study.maps.extend(map),
-            (StudyTask::Map(..), TaskResult::Row(None)) => {}
+    let rows = collect_in_parallel(config.jobs, &cases, |(law, condition)| study_row(config, *law, *condition))?;
+    for (case, row) in cases.iter().zip(rows) {
+        match row {
+            Some(row) => study.rows.push(row),
+            None => study.out_of_reach.push(*case),
         }
     }
+    let mapped = cases.iter().filter(|(law, _)| config.maps && *law != LawId::OpenLoop);
+    let mapped = mapped.flat_map(|&(law, condition)| {
+        let own = LoopCase::new(&config.plate, law, condition).response();
+        MAP_RESPONSE_FACTORS.map(|share| (law, condition, share * own))
+    });
+    let mapped: Vec<(LawId, OperatingCondition, f64)> = mapped.collect();
+    let maps = collect_in_parallel(config.jobs, &mapped, |(law, condition, response)| {
+        stability_map(config, *law, *condition, *response)
+    })?;
+    study.maps = maps.into_iter().flatten().collect();
     Ok(study)
 }
 

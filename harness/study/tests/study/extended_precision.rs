@@ -118,7 +118,7 @@ fn the_exact_propagation_is_exact_to_rounding(
     };
     assert_eq!(truth.len(), PERIODS as usize);
     let reference = replay.relative_error(&replay.exact_samples(form), &truth);
-    let mut integrated = ReplayResult::new();
+    let mut integrated = ReplayResult::default();
     let dop853 = IntegrationMethod::Adaptive(AdaptiveMethod::Dop853);
     replay.integrate(form, dop853, 1e-13, &mut integrated);
     let integrated = replay.relative_error(&integrated.samples, &truth);

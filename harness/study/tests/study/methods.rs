@@ -36,7 +36,7 @@ fn replay_from_rest(scene: &ConditionProfiles, periods: u32) -> Replay {
 }
 
 fn integrate_replay(passage: &Replay, frame: EquationForm, method: IntegrationMethod, setting: f64) -> ReplayResult {
-    let mut outcome = ReplayResult::new();
+    let mut outcome = ReplayResult::default();
     passage.integrate(frame, method, setting, &mut outcome);
     outcome
 }

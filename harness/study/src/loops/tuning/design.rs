@@ -3,7 +3,8 @@
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
 use crate::loops::controller::{Discretisation, LinearController, LoopChannel, PiGains};
 use crate::loops::plant::LinearPlant;
-use crate::loops::tuning::transient::{self, StepSimulation, TransientResponse};
+use crate::loops::step_response::StepResponse;
+use crate::loops::tuning::transient::StepSimulation;
 use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
 use platebench_wire::Gains;
 
@@ -73,9 +74,15 @@ impl GainDesign {
         Self { discretisation, response, amplitude, frequency }
     }
 
-    /// The gains for the firmware's forward integral.
+    /// The gains for the firmware's forward integral; `period` in s.
     pub fn firmware_gains(&self, period: f64) -> Gains {
-        transient::firmware_gains(self.amplitude, self.frequency, period)
+        let Self { amplitude, frequency, .. } = self;
+        Gains {
+            amplitude_kp: amplitude.proportional as f32,
+            amplitude_ki: (amplitude.integral_per_period / period) as f32,
+            frequency_kp: frequency.proportional as f32,
+            frequency_ki: (frequency.integral_per_period / period) as f32,
+        }
     }
 
     /// One or both loops around the setpoint's steady state, on `plate` under the target's finger.
@@ -84,32 +91,33 @@ impl GainDesign {
         target: &TuningTarget<'_>,
         plate: &Plate,
         tier: Tier,
-        [drive, frequency]: [bool; 2],
+        which: [bool; 2],
     ) -> Result<ClosedLoop, AnalysisError> {
-        let (plant, controller) = self.linear_parts(&TuningTarget { plate, ..*target }, tier);
-        let controller = LinearController {
-            drive: controller.drive.filter(|_| drive),
-            frequency: controller.frequency.filter(|_| frequency),
-            ..controller
-        };
+        let (plant, controller) = self.linear_parts(&TuningTarget { plate, ..*target }, tier, which);
         ClosedLoop::new(plant, controller, LoopTiming { period: target.period(), delay: target.delay })
     }
 
-    pub(crate) fn linear_parts(&self, target: &TuningTarget<'_>, tier: Tier) -> (LinearPlant, LinearController) {
+    pub(crate) fn linear_parts(
+        &self,
+        target: &TuningTarget<'_>,
+        tier: Tier,
+        [drive, frequency]: [bool; 2],
+    ) -> (LinearPlant, LinearController) {
         let mode = target.mode();
-        let drive = Drive { vpp: mode.drive_for(target.setpoint), omega: mode.omega0 };
-        let plant = LinearPlant::linearised_at(tier, &mode, &drive);
+        let steady = Drive { vpp: mode.drive_for(target.setpoint), omega: mode.omega0 };
+        let plant = LinearPlant::linearised_at(tier, &mode, &steady);
         let controller = LinearController {
-            drive: Some(LoopChannel { pi: self.amplitude, error_weights: [-1.0, 0.0] }),
-            frequency: Some(LoopChannel { pi: self.frequency, error_weights: [0.0, 1.0 / plant.at().re] }),
+            drive: drive.then_some(LoopChannel { pi: self.amplitude, error_weights: [-1.0, 0.0] }),
+            frequency: frequency
+                .then_some(LoopChannel { pi: self.frequency, error_weights: [0.0, 1.0 / plant.at().re] }),
             feedforward: 0.0,
         };
         (plant, controller)
     }
 
-    pub fn simulate_step(&self, target: &TuningTarget<'_>, plate: &Plate, force_n: f64) -> TransientResponse {
+    pub fn simulate_step(&self, target: &TuningTarget<'_>, plate: &Plate, force_n: f64) -> StepResponse {
         let TuningTarget { period_us, delay, setpoint, .. } = *target;
-        let Self { amplitude, frequency, .. } = *self;
-        StepSimulation { plate, force_n, amplitude, frequency, period_us, delay, setpoint }.step(target.horizon())
+        let gains = self.firmware_gains(target.period());
+        StepSimulation { plate, force_n, gains, period_us, delay, setpoint }.step(target.horizon())
     }
 }

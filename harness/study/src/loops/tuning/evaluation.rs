@@ -5,7 +5,6 @@ use crate::loops::controller::{Discretisation, PiGains};
 use crate::loops::margins::delay_boundary;
 use crate::loops::step_response::StepResponse;
 use crate::loops::tuning::design::{GainDesign, TuningTarget};
-use crate::loops::tuning::transient::TransientResponse;
 use platebench_plate::{Plate, Tier};
 use platebench_runner::delay_boundary::DelayBoundary;
 use serde::Serialize;
@@ -51,16 +50,6 @@ impl From<StepResponse> for StepEvaluation {
     }
 }
 
-impl From<TransientResponse> for StepEvaluation {
-    fn from(transient: TransientResponse) -> Self {
-        Self {
-            settling_ms: transient.settling.map(|seconds| seconds * 1e3),
-            overshoot_percent: transient.overshoot * 100.0,
-            peak_drive_vpp: transient.peak_drive,
-        }
-    }
-}
-
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DesignEvaluation {
     pub discretisation: Discretisation,
@@ -84,7 +73,7 @@ pub(crate) fn design_delay_boundary(
     plate: &Plate,
     design: &GainDesign,
 ) -> Result<DelayBoundary, AnalysisError> {
-    let (plant, controller) = design.linear_parts(&TuningTarget { plate, ..*target }, Tier::Modal);
+    let (plant, controller) = design.linear_parts(&TuningTarget { plate, ..*target }, Tier::Modal, [true; 2]);
     delay_boundary(&plant, &controller, target.period(), longest_delay(target))
 }
 
@@ -140,9 +129,7 @@ fn evaluate_loop(
     poles.retain(|pole| pole.norm() > PENDING_POLE_RADIUS);
     poles.sort_by(|a, b| b.norm().total_cmp(&a.norm()).then(b.im.total_cmp(&a.im)));
     let margins = closed.margins();
-    let (plant, mut controller) = design.linear_parts(target, Tier::Envelope);
-    controller.drive = controller.drive.filter(|_| which[0]);
-    controller.frequency = controller.frequency.filter(|_| which[1]);
+    let (plant, controller) = design.linear_parts(target, Tier::Envelope, which);
     let bears = delay_boundary(&plant, &controller, target.period(), longest_delay(target))?;
     Ok(LoopEvaluation {
         kp: pi.proportional,

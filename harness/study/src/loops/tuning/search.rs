@@ -4,6 +4,7 @@
 //! drive limit, and the response is not smooth in the design. Therefore designs with
 //! logarithmically spaced response times are simulated on the plate.
 
+use crate::loops::bisection::bisect;
 use crate::loops::closed_loop::AnalysisError;
 use crate::loops::controller::Discretisation;
 use crate::loops::tuning::design::{GainDesign, TuningTarget};
@@ -64,9 +65,9 @@ impl<'a> DesignSearch<'a> {
     }
 
     pub fn fastest(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
-        let mut ranked: Vec<(usize, DesignCandidate)> = Vec::new();
-        ranked
-            .extend(self.candidates.iter().enumerate().filter_map(|(number, (_, played))| Some((number, (*played)?))));
+        let settled = self.candidates.iter().enumerate();
+        let mut ranked: Vec<(usize, DesignCandidate)> =
+            settled.filter_map(|(number, (_, played))| Some((number, (*played)?))).collect();
         ranked.sort_by(|(_, a), (_, b)| a.settling.total_cmp(&b.settling));
         for (number, coarse) in ranked {
             if !self.has_margin(&coarse, phase_deg)? {
@@ -108,11 +109,8 @@ impl<'a> DesignSearch<'a> {
                 slower = Some(*response);
                 continue;
             }
-            let (mut low, mut high) = (*response, slower.unwrap_or(*response));
-            for _ in 0..BISECTIONS {
-                let middle = f64::midpoint(low, high);
-                *(if meets(middle)?.is_some() { &mut low } else { &mut high }) = middle;
-            }
+            let is_met = |response| meets(response).map(|candidate| candidate.is_some());
+            let [low, _] = bisect([*response, slower.unwrap_or(*response)], BISECTIONS, is_met)?;
             for inside in RESPONSE_FACTORS {
                 if let Some(candidate) = meets(inside * low)? {
                     return Ok(Some(candidate));

@@ -3,7 +3,6 @@
 use crate::loops::closed_loop::AnalysisError;
 use crate::loops::tuning::design::{GainDesign, TuningTarget};
 use crate::loops::tuning::evaluation::{StepEvaluation, delay_margin_ms, design_delay_boundary};
-use crate::loops::tuning::transient::TransientResponse;
 use platebench_plate::{Plate, Tier};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -93,13 +92,12 @@ fn evaluate_variant(
     let nominal = target.plate;
     let factor = |percent: f64| 1.0 + percent / 100.0;
     let plate = Plate { gain: nominal.gain * factor(gain), sigma0: nominal.sigma0 / factor(tau), ..nominal.clone() };
-    let transient: TransientResponse = design.simulate_step(target, &plate, target.force_n);
     let margins = design.closed_loop(target, &plate, Tier::Modal, [true; 2])?.margins();
     Ok(PlateVariant {
         gain_percent: gain,
         time_constant_percent: tau,
         force_n: target.force_n,
-        plate: transient.into(),
+        plate: design.simulate_step(target, &plate, target.force_n).into(),
         gain_margin: margins.gain,
         phase_margin_deg: margins.phase_deg,
         delay_margin_ms: delay_margin_ms(target, design_delay_boundary(target, &plate, design)?),

@@ -3,10 +3,9 @@
 //! Unlike [`crate::loops::ClosedLoop::step_response`]: |W| with the ripple of the fast mode, a
 //! saturating drive with anti-windup, and a frequency loop that is inactive while Wd is small.
 
-use crate::loops::controller::PiGains;
+use crate::loops::step_response::StepResponse;
 use platebench_controller::{Law, Measurement};
-use platebench_plate::BandSignal;
-use platebench_plate::{BandMonitor, ConditionProfiles, Drive, Plant, Plate, Profile, Tier, Time};
+use platebench_plate::{BandMonitor, BandSignal, ConditionProfiles, Drive, Plant, Plate, Profile, Tier, Time};
 use platebench_wire::{Configure, Gains, LawId, flags};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -20,26 +19,13 @@ const LATEST_ENTRY_SHARE: f64 = 0.9;
 const RANGE_HZ: f32 = 250.0;
 const SLEW_HZ: f32 = 100.0;
 
-/// `period` in s.
-pub(crate) fn firmware_gains(amplitude: PiGains, frequency: PiGains, period: f64) -> Gains {
-    Gains {
-        amplitude_kp: amplitude.proportional as f32,
-        amplitude_ki: (amplitude.integral_per_period / period) as f32,
-        frequency_kp: frequency.proportional as f32,
-        frequency_ki: (frequency.integral_per_period / period) as f32,
-    }
-}
-
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepSimulation<'a> {
     /// Its drive limit acts.
     pub plate: &'a Plate,
     /// N.
     pub force_n: f64,
-    /// Drive from the error of Wd, Vpp per µm.
-    pub amplitude: PiGains,
-    /// Excitation from Wq/Wd, rad/s.
-    pub frequency: PiGains,
+    pub gains: Gains,
     /// µs, above 0.
     pub period_us: u32,
     /// From sampling to actuation, s.
@@ -48,22 +34,7 @@ pub struct StepSimulation<'a> {
     pub setpoint: f64,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct TransientResponse {
-    /// Last entry into ±5 % of the setpoint, s; `None` if |W| does not stay there.
-    pub settling: Option<f64>,
-    /// As a share of the setpoint.
-    pub overshoot: f64,
-    /// Vpp.
-    pub peak_drive: f64,
-    pub saturated_periods: u32,
-}
-
 impl StepSimulation<'_> {
-    pub fn period(&self) -> f64 {
-        f64::from(self.period_us) * 1e-6
-    }
-
     /// `None` if the firmware rejects the gains.
     fn law(&self) -> Option<Law> {
         let configure = Configure {
@@ -80,15 +51,15 @@ impl StepSimulation<'_> {
             drive_limit_vpp: self.plate.drive_limit_vpp as f32,
             frequency_range_hz: RANGE_HZ,
             frequency_slew_hz: SLEW_HZ,
-            gains: Some(firmware_gains(self.amplitude, self.frequency, self.period())),
+            gains: Some(self.gains),
         };
         Law::design(&configure).ok().map(|(law, _)| law)
     }
 
     /// Steps the setpoint from rest. The excitation starts at the untouched plate's resonance.
-    /// Gains that the firmware rejects give no response.
-    pub fn step(&self, periods: u32) -> TransientResponse {
-        let Some(mut law) = self.law() else { return TransientResponse::default() };
+    /// Gains that the firmware rejects give no response. Settling is the last entry into the band of |W|.
+    pub fn step(&self, periods: u32) -> StepResponse {
+        let Some(mut law) = self.law() else { return StepResponse::default() };
         let (plate, setpoint) = (self.plate, self.setpoint);
         let scene = ConditionProfiles {
             temperature_offset_k: Profile::constant(0.0),
@@ -100,7 +71,7 @@ impl StepSimulation<'_> {
             BandMonitor { signal: BandSignal::Amplitude, low: (1.0 - BAND) * setpoint, high: (1.0 + BAND) * setpoint };
         let (period, delay) = (u64::from(self.period_us) * 1_000, (self.delay * 1e9).round() as u64);
         let mut pending: VecDeque<(u64, Drive)> = VecDeque::new();
-        let (mut found, mut inside, mut crossings) = (TransientResponse::default(), None, Vec::new());
+        let (mut found, mut inside, mut crossings) = (StepResponse::default(), None, Vec::new());
         for number in 0..periods {
             let now = u64::from(number) * period;
             let w = plant.state().w;
@@ -133,10 +104,10 @@ impl StepSimulation<'_> {
                 found.overshoot = found.overshoot.max(plant.state().amplitude() / setpoint - 1.0);
             }
             if !plant.state().is_finite() {
-                return TransientResponse { settling: None, ..found };
+                return StepResponse { settling: None, diverged: true, ..found };
             }
         }
-        let latest = LATEST_ENTRY_SHARE * f64::from(periods) * self.period();
-        TransientResponse { settling: inside.filter(|entered| *entered <= latest), ..found }
+        let latest = LATEST_ENTRY_SHARE * f64::from(periods) * (f64::from(self.period_us) * 1e-6);
+        StepResponse { settling: inside.filter(|entered| *entered <= latest), ..found }
     }
 }
