@@ -1,13 +1,15 @@
-//! Measures the emulated rig. `ci/firmware` runs it for a new image.
+//! Measures the emulated rig in processor time, so that other load has less influence. `ci/firmware` runs it for a new
+//! image.
 //!
 //! `cargo run --release --ignore-rust-version -p platebench-rig --example emulated-figures [ELF]`
 
 use platebench_rig::{EmulatedLink, Session};
 use platebench_test_kit::CONFIGURE;
 use platebench_wire::{Configure, LawId, Sample};
+use rustix::time::{ClockId, clock_gettime};
 use std::error::Error;
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 const EXCHANGES: u32 = 20_000;
 const PERIOD: Duration = Duration::from_millis(1);
@@ -18,19 +20,19 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some(elf) => EmulatedLink::open(Path::new(elf)),
         None => EmulatedLink::built_in(),
     };
-    let before = Instant::now();
+    let before = processor_ms();
     let emulated = open()?;
-    println!("load, power-on and handshake: {:.1} ms, {} baud", ms(before), emulated.baud());
+    println!("load, power-on and handshake: {:.1} ms, {} baud", processor_ms() - before, emulated.baud());
     drop(emulated);
 
     for law in LawId::ALL {
         let mut session = Session::open(open()?)?;
         let configure = Configure { law, ..CONFIGURE };
         session.start_trial(&configure)?;
-        let before = Instant::now();
+        let before = processor_ms();
         session.start_trial(&configure)?;
-        let restart_ms = ms(before);
-        let before = Instant::now();
+        let restart_ms = processor_ms() - before;
+        let before = processor_ms();
         let (mut sum, mut worst, mut delay, mut amplitude) = (0, 0, Duration::ZERO, 0.0);
         for index in 0..EXCHANGES {
             let sample = Sample { time_us: index * 1_000, setpoint_um: 2.0, wd_um: amplitude, wq_um: 0.01 };
@@ -41,7 +43,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             worst = worst.max(instructions);
             delay = delay.max(reply.delay);
         }
-        let seconds = before.elapsed().as_secs_f64();
+        let seconds = (processor_ms() - before) / 1e3;
         println!(
             "{:<12} {:>6.0} exchanges/s ({:.1} us each, {:.1} times real time at 1 kHz); \
              {:.0} instructions per step, worst {worst}; loop delay at most {:.3} us; \
@@ -66,6 +68,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn ms(since: Instant) -> f64 {
-    since.elapsed().as_secs_f64() * 1e3
+/// Processor time of this thread, ms.
+fn processor_ms() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6
 }
