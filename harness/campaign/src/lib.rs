@@ -19,6 +19,7 @@ mod correlation;
 pub mod distribution;
 pub mod draw;
 pub mod error;
+mod evolution;
 mod first_order;
 mod maps;
 pub mod merge;

@@ -3,37 +3,55 @@
 //! N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772. The strategy ranks scores, so that only
 //! their order matters. Points beyond the range are moved to its border: worst cases are often there.
 
-use cmaes::{CMAESOptions, DVector};
+use crate::evolution::{Candidate, Evolution};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution as _, StandardUniform};
-use std::cell::Cell;
 
 /// Standard deviation of the first generation, relative to the range.
 const FIRST_STEP: f64 = 0.35;
-/// A search that moves less is over; another one starts.
+/// A search whose distribution is narrower is over; another one starts.
 const MIN_STEP: f64 = 1e-3;
+/// Best scores of two generations that differ less count as equal.
+const EQUAL_SCORES: f64 = 1e-12;
 
 /// Minimises the score over [0, 1] in every dimension until `score` returns `None`.
 pub(crate) fn search(dimensions: usize, seed: u64, score: &mut dyn FnMut(&[f64]) -> Option<f64>) {
-    let is_over = Cell::new(false);
+    if dimensions == 0 {
+        return;
+    }
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    for start in 0_u64.. {
-        // The first search starts in the centre of the range, others start anywhere.
-        let anywhere: Vec<f64> = (0..dimensions).map(|_| StandardUniform.sample(&mut random)).collect();
-        let first = if start == 0 { vec![0.5; dimensions] } else { anywhere };
-        let objective = |point: &DVector<f64>| {
-            let point: Vec<f64> = point.iter().map(|value| value.clamp(0.0, 1.0)).collect();
-            let score = if is_over.get() { None } else { score(&point) };
-            is_over.set(score.is_none());
-            score.unwrap_or(f64::MAX)
-        };
-        let options = CMAESOptions::new(first, FIRST_STEP).seed(seed.wrapping_add(start)).tol_x(MIN_STEP);
-        let Ok(mut state) = options.build(objective) else { return };
-        while !is_over.get() && state.next().is_none() {}
-        drop(state);
-        if is_over.get() {
-            return;
+    // The first search starts in the centre of the range, others start anywhere.
+    let mut start = vec![0.5; dimensions];
+    while descend(start, &mut random, score).is_some() {
+        start = (0..dimensions).map(|_| StandardUniform.sample(&mut random)).collect();
+    }
+}
+
+/// Searches from one start until the scores or the points no longer change. `None` if `score` returned `None`.
+fn descend(start: Vec<f64>, random: &mut ChaCha8Rng, score: &mut dyn FnMut(&[f64]) -> Option<f64>) -> Option<()> {
+    let dimensions = start.len();
+    let mut evolution = Evolution::new(start, FIRST_STEP);
+    let generation_size = evolution.generation_size();
+    let max_equal_generations = 10 + (30 * dimensions).div_ceil(generation_size);
+    let mut equal_generations = 0;
+    let mut last_best = f64::NAN;
+    loop {
+        let mut scored: Vec<(f64, Candidate)> = Vec::with_capacity(generation_size);
+        for _ in 0..generation_size {
+            let candidate = evolution.draw(random);
+            let point: Vec<f64> = candidate.point.iter().map(|value| value.clamp(0.0, 1.0)).collect();
+            scored.push((score(&point)?, candidate));
+        }
+        scored.sort_by(|(one, _), (other, _)| one.total_cmp(other));
+        let best = scored.first().map_or(f64::NAN, |(best, _)| *best);
+        let is_equal = best == last_best || (best - last_best).abs() < EQUAL_SCORES;
+        equal_generations = if is_equal { equal_generations + 1 } else { 0 };
+        last_best = best;
+        let ranked: Vec<Candidate> = scored.into_iter().map(|(_, candidate)| candidate).collect();
+        let is_usable = evolution.update(&ranked);
+        if !is_usable || equal_generations >= max_equal_generations || evolution.width() < MIN_STEP {
+            return Some(());
         }
     }
 }
