@@ -1,14 +1,10 @@
-//! Adapts the published crates with adaptive steps.
+//! Adapts the published crates with adaptive steps. Those that only the chart compares need the feature `solvers`.
+
+#[cfg(feature = "solvers")]
+mod differential_equations_crate;
 
 use crate::integration::failure::MethodFailure;
 use crate::integration::problem::Problem;
-use differential_equations::control::ControlFlag;
-use differential_equations::error::Error;
-use differential_equations::interpolate::Interpolation;
-use differential_equations::methods::ExplicitRungeKutta;
-use differential_equations::ode::{ODE, OrdinaryNumericalMethod, solve_ode};
-use differential_equations::solout::Solout;
-use differential_equations::solution::Solution;
 use ode_solvers::dop_shared::IntegrationError;
 use ode_solvers::{Dop853, Dopri5, OutputType, SVector, System};
 
@@ -21,7 +17,7 @@ macro_rules! integrate_sparse {
     ($solver:ident, $problem:expr, $x:expr, $seconds:expr, $tolerance:expr,
      $beta:expr, $smallest:expr, $largest:expr) => {{
         let mut solver = $solver::from_param(
-            CrateAdapter($problem),
+            OdeSystem($problem),
             0.0,
             $seconds,
             $seconds,
@@ -53,9 +49,11 @@ pub enum AdaptiveMethod {
     #[strum(serialize = "ode_solvers DOP853")]
     Dop853,
     /// Dormand and Prince 8(5,3) of `differential-equations`.
+    #[cfg(feature = "solvers")]
     #[strum(serialize = "differential-equations DOP853")]
     DeDop853,
     /// Verner 9(8), "most efficient", of `differential-equations`.
+    #[cfg(feature = "solvers")]
     #[strum(serialize = "differential-equations RKV98")]
     DeVerner98,
 }
@@ -74,70 +72,20 @@ impl AdaptiveMethod {
         match self {
             Self::Dopri5 => integrate_sparse!(Dopri5, problem, x, seconds, tolerance, 0.04, 0.2, 10.0),
             Self::Dop853 => integrate_sparse!(Dop853, problem, x, seconds, tolerance, 0.0, 0.333, 6.0),
-            Self::DeDop853 => {
-                let method = ExplicitRungeKutta::dop853().rtol(tolerance).atol(tolerance);
-                solve(method.max_steps(MAX_STEPS as usize), problem, seconds, x)
-            }
-            Self::DeVerner98 => {
-                let method = ExplicitRungeKutta::rkv988e().rtol(tolerance).atol(tolerance);
-                solve(method.max_steps(MAX_STEPS as usize), problem, seconds, x)
-            }
+            #[cfg(feature = "solvers")]
+            Self::DeDop853 => differential_equations_crate::dop853(problem, x, seconds, tolerance),
+            #[cfg(feature = "solvers")]
+            Self::DeVerner98 => differential_equations_crate::verner98(problem, x, seconds, tolerance),
         }
     }
 }
 
-struct CrateAdapter<'a, P>(&'a P);
+struct OdeSystem<'a, P>(&'a P);
 
-impl<const N: usize, P: Problem<N>> System<f64, SVector<f64, N>> for CrateAdapter<'_, P> {
+impl<const N: usize, P: Problem<N>> System<f64, SVector<f64, N>> for OdeSystem<'_, P> {
     #[inline]
     fn system(&self, _: f64, x: &SVector<f64, N>, rate: &mut SVector<f64, N>) {
         *rate = SVector::from(self.0.rate(&x.data.0[0]));
-    }
-}
-
-impl<const N: usize, P: Problem<N>> ODE<f64, [f64; N]> for CrateAdapter<'_, P> {
-    #[inline]
-    fn diff(&self, _: f64, x: &[f64; N], rate: &mut [f64; N]) {
-        *rate = self.0.rate(x);
-    }
-}
-
-struct NoStepOutput;
-
-impl<const N: usize> Solout<f64, [f64; N]> for NoStepOutput {
-    fn solout<I>(
-        &mut self,
-        _: f64,
-        _: f64,
-        _: &[f64; N],
-        _: &[f64; N],
-        _: &mut I,
-        _: &mut Solution<f64, [f64; N]>,
-    ) -> ControlFlag<f64, [f64; N]>
-    where
-        I: Interpolation<f64, [f64; N]> + ?Sized,
-    {
-        ControlFlag::Continue
-    }
-}
-
-fn solve<const N: usize, P, M>(mut method: M, problem: &P, seconds: f64, x: [f64; N]) -> Result<[f64; N], MethodFailure>
-where
-    P: Problem<N>,
-    M: OrdinaryNumericalMethod<f64, [f64; N]> + Interpolation<f64, [f64; N]>,
-{
-    match solve_ode(&mut method, &CrateAdapter(problem), 0.0, seconds, &x, &mut NoStepOutput) {
-        Ok(_) => Ok(*method.y()),
-        Err(error) => Err(MethodFailure::CrateError(match error {
-            Error::MaxSteps { .. } => "too many steps",
-            Error::StepSize { .. } => "step too small",
-            Error::Stiffness { .. } => "taken for stiff",
-            Error::BadInput { .. } => "refused its input",
-            Error::OutOfBounds { .. }
-            | Error::NoLags
-            | Error::InsufficientHistory { .. }
-            | Error::LinearAlgebra { .. } => "a fault of its own",
-        })),
     }
 }
 
