@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 const PLANTED_FAULT_SETPOINT_UM: f32 = 900.0;
 const SOURCE: &str = "(firmware-under-test/stm32f4/src/planted_faults.rs:";
 /// Most take milliseconds; unoptimised code on a busy machine takes a multiple.
-const TIMEOUT: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_mins(1);
 
 fn session(options: EmulatedOptions) -> Session<EmulatedLink> {
     let mut session = Session::open(EmulatedLink::new(&image("planted-faults.elf"), options).unwrap()).unwrap();

@@ -5,7 +5,6 @@ use crate::emulated_probe::SharedChip;
 use crate::image::{FLASH, ImageSpec};
 use platebench_rig::probe::{AttachedBoard, FlashOutcome, Image, ProbeError};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
 
 fn image(spec: &ImageSpec) -> Arc<Image> {
     Arc::new(Image::parse(&spec.elf()).unwrap())
@@ -53,10 +52,9 @@ fn reports_a_flash_algorithm_that_hangs() {
     let chip = SharedChip::new();
     chip.lock().algorithm_hangs = true;
     let mut board = attach(&chip).unwrap();
-    let start = Instant::now();
     let error = board.flash(&image(&ImageSpec::default())).unwrap_err();
+    // The timeout of the probe would be another error.
     assert!(matches!(error, ProbeError::Flash(_)), "{error}");
-    assert!(start.elapsed() < Duration::from_secs(10));
 }
 
 #[test]

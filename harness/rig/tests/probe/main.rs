@@ -21,6 +21,9 @@ use image::ImageSpec;
 use platebench_rig::probe::{AttachedBoard, ProbeError, ProbeSetup, ProbeSpec, RttLink, Timeouts};
 use std::time::Duration;
 
+/// Ends of waits that a timeout of at most 2 s ends, also on a busy machine.
+const BUSY_MACHINE_LIMIT: Duration = Duration::from_mins(1);
+
 fn timeouts() -> Timeouts {
     Timeouts {
         attach: Duration::from_secs(10),

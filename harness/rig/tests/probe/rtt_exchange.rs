@@ -3,7 +3,7 @@
 use crate::emulated_probe::SharedChip;
 use crate::image::{ImageSpec, Program};
 use crate::rtt_buffers::RttBuffers;
-use crate::{attach, link};
+use crate::{BUSY_MACHINE_LIMIT, attach, link};
 use platebench_rig::link::{Link, LinkError};
 use platebench_rig::probe::{Image, ProbeError, RttLink};
 use platebench_rig::{RigError, Session};
@@ -54,7 +54,7 @@ fn ignores_an_old_rtt_control_block() {
     board.restart(&image).unwrap();
     let error = RttLink::open(board, image).unwrap_err();
     assert!(matches!(error, ProbeError::RttNotStarted { address: 0x2000_0400, .. }), "{error}");
-    assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
+    assert!(start.elapsed() < BUSY_MACHINE_LIMIT, "{:?}", start.elapsed());
 }
 
 #[test]
@@ -65,7 +65,7 @@ fn ends_an_exchange_without_an_answer() {
     let mut answer = Vec::new();
     link.exchange(Duration::ZERO, &[1, 2, 0], &mut answer).unwrap();
     assert!(answer.is_empty());
-    assert!((Duration::from_millis(100)..Duration::from_secs(2)).contains(&start.elapsed()), "{:?}", start.elapsed());
+    assert!((Duration::from_millis(100)..BUSY_MACHINE_LIMIT).contains(&start.elapsed()), "{:?}", start.elapsed());
     assert!(matches!(Session::open(link), Err(RigError::NoAnswer { .. })));
 }
 
@@ -94,6 +94,6 @@ fn abandons_a_probe_that_hangs() {
     let error = link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err().to_string();
     assert!(error.contains("the debug probe hangs: an exchange did not end within 400 ms"), "{error}");
     drop(link);
-    assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
+    assert!(start.elapsed() < BUSY_MACHINE_LIMIT, "{:?}", start.elapsed());
     chip.lock().memory_hangs = false;
 }
