@@ -39,6 +39,7 @@ fn the_paper_s_scenarios_match_their_baselines() {
     let output = compare_with_baselines(folder.path()).assert_exit(0);
     assert_eq!(output.text().matches("✓ pass  paper/").count(), 11);
     assert!(!folder.path().join("run/comparison").exists(), "no difference to draw");
+    insta::assert_snapshot!("features_of_the_paper_s_scenarios", feature_table(&folder.path().join("run")));
 }
 
 #[test]
@@ -53,20 +54,16 @@ fn another_law_differs_from_every_baseline() {
     assert!(svg.contains("amplitude_um at 2 ms"));
 }
 
-#[test]
-fn features_of_the_paper_s_scenarios() {
-    let folder = tempfile::tempdir().unwrap();
-    run_paper(folder.path(), &[]);
-    let run = folder.path().join("run");
+fn feature_table(run: &Path) -> String {
     let mut table = String::new();
-    for scenario in RunRecord::read(&run).unwrap().scenarios {
+    for scenario in RunRecord::read(run).unwrap().scenarios {
         let rows = platebench_trace::read_trace(&run.join(&scenario.trials[0].trace)).unwrap();
         let features = ResponseFeatures::of(&rows).by_name().map(|(name, value)| {
             format!("{name} {}", value.map_or_else(|| "none".to_owned(), |value| value.to_string()))
         });
         writeln!(table, "{}: {}", scenario.file, features.join(", ")).unwrap();
     }
-    insta::assert_snapshot!(table);
+    table
 }
 
 fn run_folder(text: &str) -> TestFolder {

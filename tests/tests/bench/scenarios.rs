@@ -1,10 +1,10 @@
 //! Runs every scenario of the repository and compares the result with its `expected_exit`.
 
-use crate::test_folder::{ProgramOutput, run_bench, workspace_root};
+use crate::test_folder::{run_bench, workspace_root};
 use platebench_record::{RunRecord, Verdict};
 use rstest::rstest;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 fn expected_exit(path: &PathBuf) -> i32 {
     let document: toml::Table = fs::read_to_string(path).unwrap().parse().unwrap();
@@ -37,24 +37,15 @@ fn paper_expectations_name_their_requirements(#[files("../scenarios/paper/*.toml
     }
 }
 
-fn run_all(folder: &Path, more: &[&str]) -> ProgramOutput {
-    let scenarios = workspace_root().join("scenarios");
-    run_bench(folder, ["run", scenarios.to_str().unwrap(), "--out", "run"].iter().chain(more))
-}
-
 #[test]
-fn the_default_run_excludes_limits() {
+fn the_default_run_passes_and_excludes_limits() {
     let folder = tempfile::tempdir().unwrap();
-    let output = run_all(folder.path(), &["--trials", "2"]);
+    let scenarios = workspace_root().join("scenarios");
+    let arguments = ["run", scenarios.to_str().unwrap(), "--out", "run", "-v"];
+    let output = run_bench(folder.path(), arguments).assert_exit(0);
     let record = fs::read_to_string(folder.path().join("run/run.json")).unwrap();
     assert!(record.contains("paper/fig16-closed-loop.toml"));
     assert!(!record.contains("\"file\": \"limits/"), "{}", output.stdout);
-}
-
-#[test]
-fn the_table_of_the_default_run() {
-    let folder = tempfile::tempdir().unwrap();
-    let output = run_all(folder.path(), &["-v"]).assert_exit(0);
     // Rounding errors and column widths depend on the mathematics library, the cost on the image.
     let cost = (r"step: [\d ]+ worst (\(.*?\))[,;](?: [\d ]+ are)? [\d.]+ %", "step: # worst $1, # %");
     let duration = (r"duration: .*", "duration: #");
