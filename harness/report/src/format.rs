@@ -64,7 +64,7 @@ pub(crate) fn overrides(record: &RunRecord) -> Option<String> {
 }
 
 /// `1 trial`, `30 trials`.
-pub(crate) fn count(number: usize, one: &str) -> String {
+pub fn count(number: usize, one: &str) -> String {
     if number == 1 { format!("1 {one}") } else { format!("{number} {one}s") }
 }
 
@@ -126,10 +126,7 @@ fn trim_zeros(text: &str) -> &str {
 /// The value, with enough digits to lie on the correct side of its limit.
 pub fn value(expectation: &ExpectationRecord) -> Option<String> {
     let value = expectation.value?;
-    let ends = match expectation.limit {
-        Limit::AtMost(limit) | Limit::AtLeast(limit) | Limit::About(limit) => [limit; 2],
-        Limit::Within(low, high) => [low, high],
-    };
+    let ends = limit_ends(expectation.limit);
     let same_side = |text: &str| {
         let rounded: f64 = text.parse().unwrap_or(f64::NAN);
         ends.iter().all(|end| rounded.partial_cmp(end) == value.partial_cmp(end))
@@ -151,6 +148,13 @@ pub(crate) fn limit_text(limit: Limit) -> String {
         Limit::AtLeast(value) => format!("≥ {}", number(value)),
         Limit::About(value) => format!("≈ {}", number(value)),
         Limit::Within(low, high) => format!("{} … {}", number(low), number(high)),
+    }
+}
+
+pub(crate) fn limit_ends(limit: Limit) -> Vec<f64> {
+    match limit {
+        Limit::AtMost(end) | Limit::AtLeast(end) | Limit::About(end) => vec![end],
+        Limit::Within(low, high) => vec![low, high],
     }
 }
 

@@ -40,13 +40,21 @@ pub(crate) fn deciding_trial(scenario: &ScenarioRecord, index: usize) -> Option<
     decided.or_else(|| scenario.trials.first())
 }
 
+fn with_verdict(scenario: &ScenarioRecord, verdict: Verdict) -> impl Iterator<Item = usize> {
+    let all = scenario.expectations.iter().enumerate();
+    all.filter(move |(_, found)| found.verdict == verdict).map(|(index, _)| index)
+}
+
 /// Failures first.
+pub(crate) fn indices_not_passed(scenario: &ScenarioRecord) -> impl Iterator<Item = usize> {
+    with_verdict(scenario, Verdict::Fail).chain(with_verdict(scenario, Verdict::Inconclusive))
+}
+
+/// The failures of all scenarios first.
 pub(crate) fn expectations_not_passed(record: &RunRecord) -> Vec<(&ScenarioRecord, usize)> {
     let of = |verdict: Verdict| {
-        record.scenarios.iter().flat_map(move |scenario| {
-            let numbered = scenario.expectations.iter().enumerate();
-            numbered.filter(move |(_, found)| found.verdict == verdict).map(move |(index, _)| (scenario, index))
-        })
+        let scenarios = record.scenarios.iter();
+        scenarios.flat_map(move |scenario| with_verdict(scenario, verdict).map(move |index| (scenario, index)))
     };
     of(Verdict::Fail).chain(of(Verdict::Inconclusive)).collect()
 }

@@ -29,6 +29,7 @@ pub use parse::{parse, parse_bytes, parse_file};
 pub use platebench_plate::input;
 pub use requirements::{REQUIREMENTS_FILE, Requirement, read_requirements};
 pub use scenario::{AUTO_MODEL, Controller, Gains, InputFile, Scenario, Spread, Trials};
+pub use text::read_text;
 pub use unjudged::unjudged_changes;
 pub use variation::Variation;
 pub use window::{ChangingProfile, Window};

@@ -7,7 +7,7 @@ use std::path::Path;
 /// A TOML document takes some fifty times its size in memory.
 const MAX_TOML_BYTES: usize = 4 << 20;
 
-pub(crate) fn read_text(path: &Path) -> Result<String, Diagnostic> {
+pub fn read_text(path: &Path) -> Result<String, Diagnostic> {
     let bytes = input::read(path).map_err(|error| Diagnostic::for_file(path, format!("cannot be read: {error}")))?;
     if bytes.len() > MAX_TOML_BYTES {
         let message =

@@ -21,8 +21,12 @@ struct ChartCurve {
 }
 
 impl ChartCurve {
-    fn new(lines: Vec<Points>, marker: Marker, style: Style) -> Self {
-        Self { lines, marker, style }
+    fn new(lines: Vec<Points>, marker: Marker, colour: Color) -> Self {
+        Self { lines, marker, style: Style::new().fg(colour) }
+    }
+
+    fn of(state: &ViewState, signal: LiveSignal, marker: Marker, colour: Color) -> Self {
+        Self::new(state.history.lines(signal, |value| value), marker, colour)
     }
 
     fn visible(&self, x: [f64; 2], width: usize) -> Self {
@@ -43,36 +47,24 @@ pub(super) fn draw_amplitude(frame: &mut Frame<'_>, area: Rect, state: &ViewStat
     };
     let [_, highest] = history.range(&[LiveSignal::Setpoint, LiveSignal::Amplitude]).unwrap_or_default();
     let curves = [
-        ChartCurve::new(
-            history.lines(LiveSignal::Amplitude, |value| value),
-            Marker::Braille,
-            Style::new().fg(Color::Cyan),
-        ),
-        ChartCurve::new(edge(0), REFERENCE_MARKER, Style::new().fg(Color::Green)),
-        ChartCurve::new(edge(1), REFERENCE_MARKER, Style::new().fg(Color::Green)),
+        ChartCurve::of(state, LiveSignal::Amplitude, Marker::Braille, Color::Cyan),
+        ChartCurve::new(edge(0), REFERENCE_MARKER, Color::Green),
+        ChartCurve::new(edge(1), REFERENCE_MARKER, Color::Green),
     ];
     let title = match scenario.band(state.newest_row.map_or(0.0, |row| row.setpoint_um)) {
         Some([low, high]) => format!(" |W| in µm, dots; {} % band {low:.2} to {high:.2}, --- ", scenario.band_percent),
         None => " |W| in µm, dots ".to_owned(),
     };
-    draw_chart(
-        frame,
-        area,
-        state,
-        &title,
-        &curves,
-        [0.0, round_up(highest * (1.0 + scenario.band_percent / 100.0))],
-        2,
-    );
+    let top = round_up(highest * (1.0 + scenario.band_percent / 100.0));
+    draw_chart(frame, area, state, &title, &curves, [0.0, top], 2);
 }
 
 pub(super) fn draw_components(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
-    let history = &state.history;
-    let [lowest, highest] = history.range(&[LiveSignal::Wd, LiveSignal::Wq]).unwrap_or_default();
+    let [lowest, highest] = state.history.range(&[LiveSignal::Wd, LiveSignal::Wq]).unwrap_or_default();
     let low = if lowest < -0.02 * highest.abs() { -round_up(-lowest) } else { 0.0 };
     let curves = [
-        ChartCurve::new(history.lines(LiveSignal::Wq, |value| value), SECOND_MARKER, Style::new().fg(Color::Magenta)),
-        ChartCurve::new(history.lines(LiveSignal::Wd, |value| value), Marker::Braille, Style::new().fg(Color::Cyan)),
+        ChartCurve::of(state, LiveSignal::Wq, SECOND_MARKER, Color::Magenta),
+        ChartCurve::of(state, LiveSignal::Wd, Marker::Braille, Color::Cyan),
     ];
     draw_chart(frame, area, state, " Wd in µm, dots; Wq in µm, ooo ", &curves, [low, round_up(highest)], 2);
 }
@@ -84,33 +76,20 @@ pub(super) fn draw_drive(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
     let limit = history.lines(LiveSignal::Drive, |_| scenario.limit_vpp);
     let top = round_up(highest).min(scenario.limit_vpp * 1.05);
     let curves = [
-        ChartCurve::new(
-            history.lines(LiveSignal::Drive, |value| value),
-            Marker::Braille,
-            Style::new().fg(Color::Yellow),
-        ),
-        ChartCurve::new(limit, REFERENCE_MARKER, Style::new().fg(Color::Red)),
+        ChartCurve::of(state, LiveSignal::Drive, Marker::Braille, Color::Yellow),
+        ChartCurve::new(limit, REFERENCE_MARKER, Color::Red),
     ];
     let title = format!(" drive in Vpp, dots; limit of {:.0} Vpp, --- ", scenario.limit_vpp);
     draw_chart(frame, area, state, &title, &curves, [0.0, top], 0);
 }
 
 pub(super) fn draw_frequency(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
-    let history = &state.history;
-    let [lowest, highest] = history.range(&[LiveSignal::Frequency, LiveSignal::Resonance]).unwrap_or_default();
+    let [lowest, highest] = state.history.range(&[LiveSignal::Frequency, LiveSignal::Resonance]).unwrap_or_default();
     // At least 1 Hz: smaller differences do not matter.
     let margin = (0.1 * (highest - lowest)).max(1.0);
     let curves = [
-        ChartCurve::new(
-            history.lines(LiveSignal::Frequency, |value| value),
-            Marker::Braille,
-            Style::new().fg(Color::Cyan),
-        ),
-        ChartCurve::new(
-            history.lines(LiveSignal::Resonance, |value| value),
-            REFERENCE_MARKER,
-            Style::new().fg(Color::Green),
-        ),
+        ChartCurve::of(state, LiveSignal::Frequency, Marker::Braille, Color::Cyan),
+        ChartCurve::of(state, LiveSignal::Resonance, REFERENCE_MARKER, Color::Green),
     ];
     let title = " excitation in Hz, dots; resonance in Hz, --- ";
     draw_chart(frame, area, state, title, &curves, [lowest - margin, highest + margin], 1);

@@ -45,9 +45,7 @@ pub(super) fn draw_title(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
 }
 
 pub(super) fn draw_newest_row(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
-    let block = Block::bordered().title(" now ");
-    let inner = block.inner(area);
-    frame.render_widget(block, area);
+    let inner = draw_border(frame, area, " now ");
     let (Some((scenario, _)), Some(row)) = (state.current_trial(), state.newest_row) else { return };
     let (place, colour) = match scenario.band(row.setpoint_um) {
         None => ("no band", Color::Reset),
@@ -74,6 +72,14 @@ pub(super) fn draw_newest_row(frame: &mut Frame<'_>, area: Rect, state: &ViewSta
     frame.render_widget(Paragraph::new(lines), inner);
 }
 
+/// Returns the area inside.
+fn draw_border(frame: &mut Frame<'_>, area: Rect, title: &str) -> Rect {
+    let block = Block::bordered().title(title);
+    let inner = block.inner(area);
+    frame.render_widget(block, area);
+    inner
+}
+
 fn controller_state(row: &Row) -> (&'static str, Color) {
     let cases = [
         (Flags::SAFE, "controller stopped, 0 V", Color::Red),
@@ -91,9 +97,7 @@ fn progress_bar(share: f64, width: usize) -> String {
 }
 
 pub(super) fn draw_lateness(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
-    let block = Block::bordered().title(" lateness of control instants ");
-    let inner = block.inner(area);
-    frame.render_widget(block, area);
+    let inner = draw_border(frame, area, " lateness of control instants ");
     if state.run.lockstep {
         let text = "in lockstep the plate waits: there is no lateness";
         frame.render_widget(Paragraph::new(text).wrap(Wrap { trim: true }), inner);
@@ -176,9 +180,7 @@ pub(super) fn draw_last_message(frame: &mut Frame<'_>, area: Rect, state: &ViewS
 }
 
 pub(super) fn draw_messages(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
-    let block = Block::bordered().title(" messages ");
-    let inner = block.inner(area);
-    frame.render_widget(block, area);
+    let inner = draw_border(frame, area, " messages ");
     let room = usize::from(inner.height);
     let newest = state.messages.iter().skip(state.messages.len().saturating_sub(room));
     frame.render_widget(Paragraph::new(newest.map(|line| Line::raw(line.as_str())).collect::<Vec<_>>()), inner);

@@ -27,20 +27,11 @@ pub fn draw_exceedance(tube: &Tube, rows: &[Row], trial: u32, worst: &Exceedance
     let points: Vec<CurvePoint> = signal.map(|signal| signal_response(signal, rows)).unwrap_or_default();
     let points: Vec<CurvePoint> = points.into_iter().filter(|point| window.contains(point.0)).collect();
     let values = edges.iter().flat_map(|(_, ends)| *ends).chain(points.iter().map(|point| point.1));
-    let chart = TimeChart {
-        window,
-        range: padded_range(values),
-        unit: signal.map_or("", |signal| signal.unit),
-        spans: Vec::new(),
-        areas: vec![(Role::Tube, [edge(1), edge(0)])],
-        lines: vec![(Role::Golden, golden), (Role::First, points)],
-        marks: vec![Mark {
-            role: Role::Deadline,
-            at_ms: worst.t_ms,
-            text: Some(format!("{} at {} ms", tube.signal, format::number(worst.t_ms))),
-        }],
-        points: Vec::new(),
-    };
+    let text = Some(format!("{} at {} ms", tube.signal, format::number(worst.t_ms)));
+    let mut chart = TimeChart::new(window, padded_range(values), signal.map_or("", |signal| signal.unit));
+    chart.areas = vec![(Role::Tube, [edge(1), edge(0)])];
+    chart.lines = vec![(Role::Golden, golden), (Role::First, points)];
+    chart.marks = vec![Mark { role: Role::Deadline, at_ms: worst.t_ms, text }];
     chart.document(&format::exceedance(trial, worst))
 }
 

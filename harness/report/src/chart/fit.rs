@@ -1,6 +1,6 @@
 //! Draws a recording and the response of the plate that was fitted to it.
 
-use super::svg::Role;
+use super::svg::{Role, extent};
 use super::time_chart::{CurvePoint, TimeChart, TimeWindow, padded_range};
 use crate::error::ReportError;
 
@@ -20,18 +20,10 @@ impl FitChart {
         let shorten = |points: &[CurvePoint]| points.iter().take(MAX_POINTS).copied().collect::<Vec<CurvePoint>>();
         let (measured, fitted) = (shorten(&self.measured), shorten(&self.fitted));
         let all = || measured.iter().chain(&fitted);
-        let (from_ms, to_ms) =
-            all().fold((f64::MAX, f64::MIN), |(from, to), (t_ms, _)| (from.min(*t_ms), to.max(*t_ms)));
-        let chart = TimeChart {
-            window: TimeWindow { from_ms, to_ms: to_ms.max(from_ms + 1e-6) },
-            range: padded_range(all().map(|point| point.1)),
-            unit: self.unit,
-            spans: Vec::new(),
-            areas: Vec::new(),
-            lines: vec![(Role::Other, measured.clone()), (Role::First, fitted.clone())],
-            points: Vec::new(),
-            marks: Vec::new(),
-        };
+        let (from_ms, to_ms) = extent(all().map(|point| point.0)).unwrap_or((f64::MAX, f64::MIN));
+        let window = TimeWindow { from_ms, to_ms: to_ms.max(from_ms + 1e-6) };
+        let mut chart = TimeChart::new(window, padded_range(all().map(|point| point.1)), self.unit);
+        chart.lines = vec![(Role::Other, measured), (Role::First, fitted)];
         chart.document(&self.title)
     }
 }

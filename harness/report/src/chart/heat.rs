@@ -1,6 +1,6 @@
 //! Draws heat maps: a value over one or two listed quantities.
 
-use super::svg::{Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, count_factor, svg_document};
+use super::svg::{Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, count_factor, extent, svg_document};
 use crate::error::ReportError;
 use plotters::style::text_anchor::HPos;
 
@@ -47,12 +47,10 @@ impl HeatFigure {
     /// Finite values only; an infinite one has the class of its end.
     fn scale(&self) -> (f64, f64) {
         let values = self.panels.iter().flat_map(|panel| panel.values.iter().flatten().copied().flatten());
-        let ends = values.filter(|value| value.is_finite());
-        let (low, high) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
-        match () {
-            () if low < high => (low, high),
-            () if low.is_finite() => (low - 0.5, low + 0.5),
-            () => (0.0, 1.0),
+        match extent(values.filter(|value| value.is_finite())) {
+            Some((low, high)) if low < high => (low, high),
+            Some((low, _)) => (low - 0.5, low + 0.5),
+            None => (0.0, 1.0),
         }
     }
 

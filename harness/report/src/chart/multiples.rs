@@ -1,7 +1,7 @@
 //! Draws small multiples: one quantity over a few settings, one panel per row and column, one
 //! colour per series.
 
-use super::svg::{Canvas, DrawResult, Role, count_factor, svg_document};
+use super::svg::{Canvas, DrawResult, Role, count_factor, logarithmic_extent, svg_document};
 use crate::error::ReportError;
 use plotters::style::text_anchor::HPos;
 
@@ -74,9 +74,7 @@ impl MultiplesChart {
     /// Range of all panels.
     fn scale(&self) -> (f64, f64) {
         let values = self.panels.iter().flatten().flatten().filter_map(|point| point.value);
-        let drawn = values.filter(|value| value.is_finite() && *value > 0.0);
-        let (low, high) = drawn.fold((f64::INFINITY, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
-        if low > high { (0.5, 20.0) } else { (low / 1.3, high * 1.3) }
+        logarithmic_extent(values).map_or((0.5, 20.0), |(low, high)| (low / 1.3, high * 1.3))
     }
 
     fn draw_panel(

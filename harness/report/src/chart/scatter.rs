@@ -2,7 +2,7 @@
 
 use super::svg::{
     Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, count_factor, decades, format_power_of_ten, length,
-    svg_document, text_style,
+    logarithmic_extent, svg_document, text_style,
 };
 use crate::error::ReportError;
 use plotters::prelude::*;
@@ -206,9 +206,7 @@ fn shape_polygon(number: usize, (x, y): (i32, i32), role: Role) -> Polygon<(i32,
 }
 
 fn padded_range(values: impl Iterator<Item = f64>) -> Range<f64> {
-    let drawn = values.filter(|value| value.is_finite() && *value > 0.0);
-    let (low, high) = drawn.fold((f64::INFINITY, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
-    if low > high { 0.5..20.0 } else { low / 1.4..high * 1.4 }
+    logarithmic_extent(values).map_or(0.5..20.0, |(low, high)| low / 1.4..high * 1.4)
 }
 
 /// 1, 2 and 5 times powers of ten within a range.

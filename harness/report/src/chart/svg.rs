@@ -179,13 +179,19 @@ pub(crate) fn count_factor(count: usize) -> i32 {
     i32::try_from(count).map_or(MAX_COUNT, |count| count.min(MAX_COUNT))
 }
 
+/// The smallest and the largest of the values; `None` without values.
+pub(crate) fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    values.map(|value| (value, value)).reduce(|(low, high), (value, _)| (low.min(value), high.max(value)))
+}
+
+/// [`extent`] of the values that a logarithmic axis can show.
+pub(crate) fn logarithmic_extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    extent(values.filter(|value| value.is_finite() && *value > 0.0))
+}
+
 /// The whole decades around the positive finite values.
 pub(crate) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
-    let drawn = values.filter(|value| value.is_finite() && *value > 0.0);
-    let (low, high) = drawn.fold((f64::INFINITY, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
-    if low > high {
-        return 0.1..10.0;
-    }
+    let Some((low, high)) = logarithmic_extent(values) else { return 0.1..10.0 };
     let (from, to) = (low.log10().floor(), high.log10().ceil());
     10.0_f64.powf(from)..10.0_f64.powf(to.max(from + 1.0))
 }

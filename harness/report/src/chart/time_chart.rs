@@ -1,6 +1,8 @@
 //! Draws lines, areas, spans and marks over time.
 
-use super::svg::{Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, length, svg_document, svg_elements, text_style};
+use super::svg::{
+    Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, extent, length, svg_document, svg_elements, text_style,
+};
 use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
@@ -58,6 +60,11 @@ pub(crate) struct TimeChart {
 }
 
 impl TimeChart {
+    pub(crate) fn new(window: TimeWindow, range: (f64, f64), unit: &'static str) -> Self {
+        let (spans, areas, lines) = (Vec::new(), Vec::new(), Vec::new());
+        Self { window, range, unit, spans, areas, lines, marks: Vec::new(), points: Vec::new() }
+    }
+
     pub(crate) fn elements(&self, title: &str) -> Result<String, ReportError> {
         svg_elements(title, SIZE, |root| self.draw(root))
     }
@@ -99,23 +106,22 @@ impl TimeChart {
         for (role, points) in &self.lines {
             chart.draw_series([PathElement::new(points.clone(), role.colour())])?;
         }
+        // A settled response leaves room right of early marks and left of late ones.
+        let text_beside = |role: Role, text: &str, (at_ms, value): CurvePoint, distance: f64| {
+            let is_left = at_ms - self.window.from_ms < 0.55 * self.window.span_ms();
+            let (side, shift) = if is_left { (HPos::Left, distance) } else { (HPos::Right, -distance) };
+            Text::new(text.to_owned(), (at_ms + shift * self.window.span_ms(), value), text_style(role, side))
+        };
         let mut share = LOWEST_TEXT;
-        for mark in &self.marks {
-            chart.draw_series([PathElement::new([(mark.at_ms, low), (mark.at_ms, high)], mark.role.colour())])?;
-            let Some(text) = &mark.text else { continue };
-            // A settled response leaves room right of early marks and left of late ones.
-            let is_left = mark.at_ms - self.window.from_ms < 0.55 * self.window.span_ms();
-            let (side, shift) = if is_left { (HPos::Left, 1.0) } else { (HPos::Right, -1.0) };
-            let place = (mark.at_ms + shift * 0.012 * self.window.span_ms(), low + share * (high - low));
+        for Mark { role, at_ms, text } in &self.marks {
+            chart.draw_series([PathElement::new([(*at_ms, low), (*at_ms, high)], role.colour())])?;
+            let Some(text) = text else { continue };
+            chart.draw_series([text_beside(*role, text, (*at_ms, low + share * (high - low)), 0.012)])?;
             share += TEXT_HEIGHT;
-            chart.draw_series([Text::new(text.clone(), place, text_style(mark.role, side))])?;
         }
         for (role, point, text) in &self.points {
             chart.draw_series([Circle::new(*point, length(4.0), role.colour().filled())])?;
-            let is_left = point.0 - self.window.from_ms < 0.55 * self.window.span_ms();
-            let (side, shift) = if is_left { (HPos::Left, 1.0) } else { (HPos::Right, -1.0) };
-            let place = (point.0 + shift * 0.015 * self.window.span_ms(), point.1);
-            chart.draw_series([Text::new(text.clone(), place, text_style(*role, side))])?;
+            chart.draw_series([text_beside(*role, text, *point, 0.015)])?;
         }
         drop(chart);
         let canvas = Canvas(root);
@@ -126,7 +132,7 @@ impl TimeChart {
 
 /// The range of all values with a margin of 6 %.
 pub(crate) fn padded_range(values: impl Iterator<Item = f64>) -> (f64, f64) {
-    let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
+    let (low, high) = extent(values).unwrap_or((f64::MAX, f64::MIN));
     let margin = ((high - low) * 0.06).max(f64::EPSILON);
     (low - margin, high + margin)
 }

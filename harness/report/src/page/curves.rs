@@ -82,13 +82,8 @@ pub(crate) fn points(rows: &[Row], signal: PlotSignal) -> impl Iterator<Item = C
 
 /// `next` rows are not after `at_ms`. `None` outside the trace.
 pub(crate) fn value_at(rows: &[Row], next: usize, signal: PlotSignal, at_ms: f64) -> Option<f64> {
-    let before = rows.get(next.checked_sub(1)?)?;
-    let Some(after) = rows.get(next) else { return (row_ms(before) == at_ms).then(|| signal.value_in(before)) };
-    if signal.is_zero_order_hold() {
-        return Some(signal.value_in(before));
-    }
-    let share = (at_ms - row_ms(before)) / (row_ms(after) - row_ms(before));
-    Some(signal.value_in(before) + (signal.value_in(after) - signal.value_in(before)) * share)
+    let point = |row: &Row| (row_ms(row), signal.value_in(row));
+    interpolate_between(point(rows.get(next.checked_sub(1)?)?), rows.get(next).map(point), signal, at_ms)
 }
 
 /// How many rows are not after each instant, for ascending instants.
@@ -105,12 +100,16 @@ pub(crate) fn rows_until(rows: &[Row], t_ms: &[f64]) -> Vec<usize> {
 /// `None` outside the line.
 pub(crate) fn interpolate(points: &[CurvePoint], signal: PlotSignal, at_ms: f64) -> Option<f64> {
     let next = points.partition_point(|point| point.0 <= at_ms);
-    let (before, after) = (points.get(next.checked_sub(1)?)?, points.get(next));
+    interpolate_between(*points.get(next.checked_sub(1)?)?, points.get(next).copied(), signal, at_ms)
+}
+
+fn interpolate_between(before: CurvePoint, after: Option<CurvePoint>, signal: PlotSignal, at_ms: f64) -> Option<f64> {
     let Some(after) = after else { return (before.0 == at_ms).then_some(before.1) };
     if signal.is_zero_order_hold() {
         return Some(before.1);
     }
-    Some(before.1 + (after.1 - before.1) * (at_ms - before.0) / (after.0 - before.0))
+    let share = (at_ms - before.0) / (after.0 - before.0);
+    Some(before.1 + (after.1 - before.1) * share)
 }
 
 pub(crate) fn flagged_windows(rows: &[Row], flags: Flags) -> Vec<TimeWindow> {

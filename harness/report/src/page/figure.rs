@@ -71,16 +71,7 @@ impl Figure {
     /// Lines have at most some `limit` points; `t_ms` are the instants of the grid.
     pub(crate) fn chart(&self, t_ms: &[f64], window: TimeWindow, limit: usize) -> TimeChart {
         let points = |line: &SampledLine, is_stepped| line_points(t_ms, line, is_stepped, window, limit);
-        let mut chart = TimeChart {
-            window,
-            range: (0.0, 1.0),
-            unit: self.unit,
-            spans: Vec::new(),
-            areas: Vec::new(),
-            lines: Vec::new(),
-            marks: Vec::new(),
-            points: Vec::new(),
-        };
+        let mut chart = TimeChart::new(window, (0.0, 1.0), self.unit);
         for layer in self.layers.iter().filter(|layer| layer.is_drawn()) {
             match &layer.content {
                 Content::Lines { is_stepped, lines } => {

@@ -3,7 +3,7 @@
 use super::curves::PlotSignal;
 use crate::chart::time_chart::TimeWindow;
 use crate::format;
-use platebench_record::{ExpectationRecord, Limit, Metric};
+use platebench_record::{ExpectationRecord, Metric};
 use platebench_trace::Row;
 
 const LAST_OUTSIDE: &str = "last outside the band";
@@ -139,19 +139,12 @@ fn shown_signal(expectation: &ExpectationRecord) -> Option<PlotSignal> {
     }
 }
 
-fn limit_ends(limit: Limit) -> Vec<f64> {
-    match limit {
-        Limit::AtMost(end) | Limit::AtLeast(end) | Limit::About(end) => vec![end],
-        Limit::Within(low, high) => vec![low, high],
-    }
-}
-
 impl WindowResult {
     /// `rows` are those of the window, `before` the last one before it.
     fn of(expectation: &ExpectationRecord, signal: PlotSignal, before: Option<&Row>, rows: &[Row]) -> Option<Self> {
         let (first, last) = (rows.first()?, rows.last()?);
         let point = |row: &Row| (row.t_s * 1e3, signal.value_in(row));
-        let ends = limit_ends(expectation.limit);
+        let ends = format::limit_ends(expectation.limit);
         let constant = |end: &f64| Level { base: None, share: 0.0, offset: *end };
         let around_setpoint = |percent: f64| {
             [1.0, -1.0].map(|side| Level {

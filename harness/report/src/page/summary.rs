@@ -102,10 +102,6 @@ fn not_passed_card(
     changed: &BTreeSet<String>,
 ) -> Markup {
     let Some(scenario) = record.scenarios.get(place) else { return Markup::default() };
-    let of = |verdict: Verdict| {
-        let all = scenario.expectations.iter().enumerate();
-        all.filter(move |(_, found)| found.verdict == verdict).map(|(index, _)| index)
-    };
     html! {
         li class=(scenario.verdict) {
             p.what {
@@ -113,7 +109,7 @@ fn not_passed_card(
                 " " a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
                 " " span.file { (scenario.file) }
             }
-            @for index in of(Verdict::Fail).chain(of(Verdict::Inconclusive)) {
+            @for index in record_queries::indices_not_passed(scenario) {
                 (not_passed_item(record, scenario, index, data, history, changed))
             }
         }

@@ -203,11 +203,7 @@ impl TraceData {
 
 /// Expectations whose limits are drawn, with the trial that decided.
 fn marked_expectations(scenario: &ScenarioRecord) -> Vec<(usize, &TrialRecord)> {
-    let of = |verdict: Verdict| {
-        let all = scenario.expectations.iter().enumerate();
-        all.filter(move |(_, found)| found.verdict == verdict).map(|(index, _)| index)
-    };
-    let mut shown: Vec<usize> = of(Verdict::Fail).chain(of(Verdict::Inconclusive)).take(MAX_LIMITS).collect();
+    let mut shown: Vec<usize> = record_queries::indices_not_passed(scenario).take(MAX_LIMITS).collect();
     if shown.is_empty() {
         shown.extend(record_queries::closest_expectation(scenario));
     }

@@ -1,10 +1,11 @@
 //! Draws the values of an expectation over earlier runs against its limit.
 
 use super::navigation::margin_text;
+use crate::chart::svg::extent;
 use crate::format;
 use crate::text::history::TrendPoint;
 use maud::{Markup, html};
-use platebench_record::{ExpectationRecord, Limit};
+use platebench_record::ExpectationRecord;
 
 /// CSS pixels.
 const SIZE: (f64, f64) = (132.0, 34.0);
@@ -12,15 +13,12 @@ const AIR: f64 = 5.0;
 
 /// `points` end with this run, oldest first. Nothing without an earlier run.
 pub(super) fn trend(expectation: &ExpectationRecord, points: &[TrendPoint]) -> Markup {
-    let ends = match expectation.limit {
-        Limit::AtMost(end) | Limit::AtLeast(end) | Limit::About(end) => vec![end],
-        Limit::Within(low, high) => vec![low, high],
-    };
+    let ends = format::limit_ends(expectation.limit);
     if points.len() < 2 {
         return Markup::default();
     }
     let values = points.iter().filter_map(|point| point.value).chain(ends.iter().copied());
-    let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
+    let (low, high) = extent(values).unwrap_or_default();
     let (width, height) = SIZE;
     let y = |value: f64| {
         let share = if high > low { (value - low) / (high - low) } else { 0.5 };

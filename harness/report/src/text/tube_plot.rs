@@ -1,5 +1,6 @@
 //! Draws the place where a response leaves its tolerance tube, in characters.
 
+use crate::chart::svg::extent;
 use crate::format;
 use platebench_trace::Row;
 use platebench_verdict::tube::{Exceedance, Tube, TubeSignal, signal_response};
@@ -22,7 +23,7 @@ pub fn lines(tube: &Tube, rows: &[Row], worst: &Exceedance) -> Vec<String> {
     let columns: Vec<([f64; 2], f64, Option<f64>)> =
         (0..COLUMNS).map(at).map(|t_ms| (tube.edges(t_ms), tube.point_at(t_ms).value, held(t_ms))).collect();
     let values = columns.iter().flat_map(|(edges, _, value)| edges.iter().copied().chain(*value)).chain([worst.value]);
-    let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
+    let (low, high) = extent(values).unwrap_or_default();
     let span = (high - low).max(f64::MIN_POSITIVE);
     let row = |value: f64| ((high - value) / span * (ROWS - 1) as f64).round().clamp(0.0, (ROWS - 1) as f64) as usize;
     let mark = |line: usize, (edges, golden, value): &([f64; 2], f64, Option<f64>)| match value {
