@@ -1,7 +1,7 @@
 //! Describes a session: plan, rig, record folder, and who observes it.
 
 use crate::plan::Plan;
-use crate::session_record::StepRecord;
+use crate::session_record::{SessionDetails, StepRecord};
 use crate::signature::SecretKey;
 use platebench_rig::RigSpec;
 use platebench_runner::{CancelToken, Clock, Event, LiveTap, Operator, RunPlan};
@@ -22,13 +22,6 @@ pub struct SessionConfig {
     pub waived_calibrations: Vec<String>,
 }
 
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct SessionDetails {
-    pub operator: Option<String>,
-    pub place: Option<String>,
-    pub notes: Option<String>,
-}
-
 pub struct SessionHooks<'a> {
     pub operator: &'a dyn Operator,
     pub observer: &'a mut dyn SessionObserver,
@@ -36,11 +29,9 @@ pub struct SessionHooks<'a> {
 }
 
 pub trait SessionObserver {
-    fn step_started(&mut self, _step: &StepRecord) {}
-    fn step_ended(&mut self, _step: &StepRecord) {}
-    fn run_event(&mut self, _event: &Event) {}
-    /// Called before a run starts; by default there is no live view.
-    fn live_tap(&mut self, _plan: &RunPlan) -> LiveTap {
-        LiveTap::default()
-    }
+    fn step_started(&mut self, step: &StepRecord);
+    fn step_ended(&mut self, step: &StepRecord);
+    fn run_event(&mut self, event: &Event);
+    /// Called before a run starts.
+    fn live_tap(&mut self, plan: &RunPlan) -> LiveTap;
 }

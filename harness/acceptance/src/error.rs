@@ -2,16 +2,16 @@
 
 use platebench_runner::{RejudgeError, RunError};
 use platebench_scenario::Diagnostic;
+use platebench_trace::FileError;
 use platebench_trust::TrustError;
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(Debug, thiserror::Error)]
 pub enum AcceptError {
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Plan(Vec<Diagnostic>),
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    File(#[from] FileError),
     #[error(
         "{what} is {now}, but the session was started with {then}; a record contains only one, expected a new --out \
          FOLDER"
@@ -62,11 +62,4 @@ pub enum AcceptError {
     },
     #[error("the session was cancelled")]
     Cancelled,
-}
-
-impl AcceptError {
-    pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + use<> {
-        let path = path.to_owned();
-        |source| Self::Io { path, source }
-    }
 }

@@ -20,11 +20,11 @@ pub mod signature;
 mod steps;
 pub mod verify;
 
-pub use config::{SessionConfig, SessionDetails, SessionHooks, SessionObserver};
+pub use config::{SessionConfig, SessionHooks, SessionObserver};
 pub use decision::PlanDecision;
 pub use error::AcceptError;
 pub use plan::Plan;
-pub use session_record::SessionRecord;
+pub use session_record::{SessionDetails, SessionRecord};
 pub use session_runner::play_session;
 pub use signature::{PublicKey, SecretKey};
 pub use verify::{Finding, Signer, Verification, verify};

@@ -2,9 +2,10 @@
 //! accepts the format.
 
 use crate::error::AcceptError;
+use crate::session_record::write_file;
 use crate::signature;
 use platebench_record::sha256;
-use platebench_trace::write_atomically;
+use platebench_trace::{AtPath, FileError};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs;
@@ -37,20 +38,19 @@ pub(crate) fn write(folder: &Path) -> Result<(), AcceptError> {
     let mut found = FolderContents::default();
     found.collect_below(folder, "", 0);
     if let Some((name, what)) = found.not_files.first_key_value() {
-        return Err(AcceptError::io(&folder.join(name))(io::Error::other(what.to_string())));
+        return Err(FileError { path: folder.join(name), source: io::Error::other(what.to_string()) }.into());
     }
     let mut text = String::new();
     for name in &found.files {
         if name.contains(['\\', '\n', '\r']) {
             let message = "a file name that sha256sum escapes, expected none with \\ or a line break";
-            return Err(AcceptError::io(&folder.join(name))(io::Error::other(message)));
+            return Err(FileError { path: folder.join(name), source: io::Error::other(message) }.into());
         }
         let path = folder.join(name);
-        let bytes = fs::read(&path).map_err(AcceptError::io(&path))?;
+        let bytes = fs::read(&path).at(&path)?;
         let _ = writeln!(text, "{}  {name}", sha256(&bytes));
     }
-    let path = folder.join(FILE);
-    write_atomically(&path, text.as_bytes()).map_err(AcceptError::io(&path))
+    Ok(write_file(folder, FILE, text.as_bytes())?)
 }
 
 pub(crate) fn check(folder: &Path, text: &str) -> Vec<Difference> {

@@ -60,13 +60,13 @@ fn people_section(session: &SessionRecord) -> Markup {
     // A simulated rig has no chip.
     let board = if session.no_board_notice().is_some() { format!("none ({})", session.rig) } else { board };
     let facts = [
-        ("Operator", stated(&session.operator)),
-        ("Place", stated(&session.place)),
+        ("Operator", stated(&session.details.operator)),
+        ("Place", stated(&session.details.place)),
         ("Board", board),
         ("Firmware", firmware),
         ("Begun", session.started.clone()),
         ("Ended", stated(&session.finished)),
-        ("Notes", stated(&session.notes)),
+        ("Notes", stated(&session.details.notes)),
     ];
     html! {
         section { dl.facts { @for (name, value) in &facts { div { dt { (name) } dd { (value) } } } } }
@@ -77,17 +77,25 @@ fn requirements(session: &SessionRecord) -> Markup {
     html! {
         section tabindex="0" {
             h2 { "Requirements" }
-            table {
-                thead { tr { th { "Requirement" } th { "Text" } th { "Expectations met" } th { "Verdict" } } }
-                tbody { @for requirement in &session.requirements {
+            (table(None, &["Requirement", "Text", "Expectations met", "Verdict"], &html! {
+                @for requirement in &session.requirements {
                     tr {
                         th scope="row" { (requirement.id) }
                         td { (requirement.text) }
                         td.number { (evidence_summary(requirement)) }
                         td { (badge(requirement.verdict)) }
                     }
-                } }
-            }
+                }
+            }))
+        }
+    }
+}
+
+fn table(class: Option<&str>, columns: &[&str], rows: &Markup) -> Markup {
+    html! {
+        table class=[class] {
+            thead { tr { @for column in columns { th { (column) } } } }
+            tbody { (rows) }
         }
     }
 }
@@ -107,10 +115,7 @@ fn steps(session: &SessionRecord) -> Markup {
             @if !session.resumed.is_empty() {
                 p.notice { "The session was interrupted and resumed: " (session.resumed.join(", ")) "." }
             }
-            table {
-                thead { tr { th { "Step" } th { "Result" } th { "Verdict" } } }
-                tbody { @for step in &session.steps { (step_row(step)) } }
-            }
+            (table(None, &["Step", "Result", "Verdict"], &html! { @for step in &session.steps { (step_row(step)) } }))
         }
     }
 }
@@ -159,12 +164,8 @@ fn evidence(session: &SessionRecord) -> Markup {
     html! {
         section tabindex="0" {
             h2 { "Evidence" }
-            table.evidence {
-                thead { tr {
-                    th { "Requirement" } th { "Scenario" } th { "Metric" }
-                    th { "Limit" } th { "Value" } th { "Verdict" }
-                } }
-                tbody { @for requirement in &session.requirements { @for evidence in &requirement.evidence {
+            (table(Some("evidence"), &["Requirement", "Scenario", "Metric", "Limit", "Value", "Verdict"], &html! {
+                @for requirement in &session.requirements { @for evidence in &requirement.evidence {
                     tr {
                         th scope="row" { (requirement.id) }
                         td { a href={ (STEPS) "/" (evidence.step) "/report.html" } { (evidence.scenario) } }
@@ -179,8 +180,8 @@ fn evidence(session: &SessionRecord) -> Markup {
                         }
                         td { (badge(evidence.verdict)) }
                     }
-                } } }
-            }
+                } }
+            }))
         }
     }
 }
@@ -201,12 +202,8 @@ fn decision_section(session: &SessionRecord) -> Markup {
                     "Rule: " (decision.rule) ". Budget: " (decision.title) ". Expanded uncertainties cover "
                     (format!("{:.1}", decision.coverage * 100.0)) " %."
                 }
-                table {
-                    thead { tr {
-                        th { "Instrument" } th { "Serial number" } th { "Certificate" }
-                        th { "Calibrated" } th { "Valid until" }
-                    } }
-                    tbody { @for instrument in &decision.instruments {
+                (table(None, &["Instrument", "Serial number", "Certificate", "Calibrated", "Valid until"], &html! {
+                    @for instrument in &decision.instruments {
                         tr {
                             th scope="row" { (instrument.name) }
                             td { (instrument.serial) }
@@ -217,8 +214,8 @@ fn decision_section(session: &SessionRecord) -> Markup {
                                 @if instrument.waived { strong { " not valid; waived by the operator" } }
                             }
                         }
-                    } }
-                }
+                    }
+                }))
             }
         }
     }
@@ -246,10 +243,9 @@ fn environment(session: &SessionRecord) -> Markup {
         section tabindex="0" {
             h2 { "Environment" }
             dl.facts { @for (name, value) in &facts { div { dt { (name) } dd { (value) } } } }
-            table.hashes {
-                thead { tr { th { "File" } th { "SHA-256" } } }
-                tbody { @for (file, hash) in &hashes { tr { th scope="row" { (file) } td { code { (hash) } } } } }
-            }
+            (table(Some("hashes"), &["File", "SHA-256"], &html! {
+                @for (file, hash) in &hashes { tr { th scope="row" { (file) } td { code { (hash) } } } }
+            }))
         }
     }
 }

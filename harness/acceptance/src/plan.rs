@@ -155,7 +155,9 @@ pub struct Plan {
 impl Plan {
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawPlan>(path)?;
-        let mut faults = plan_diagnostics(path, &text, &raw);
+        let mut checker = PlanChecker { path, text: &text, faults: Vec::new() };
+        checker.check(&raw);
+        let mut faults = checker.faults;
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut scenarios: Vec<PlannedScenario> = Vec::new();
         for (number, planned) in raw.scenario.iter().enumerate() {
@@ -253,72 +255,84 @@ pub fn plan_schema() -> Schema {
     schema::schema_of::<RawPlan>("platebench acceptance plan")
 }
 
-fn plan_diagnostics(path: &Path, text: &str, raw: &RawPlan) -> Vec<Diagnostic> {
-    let mut faults = Vec::new();
-    let mut report = |key: &str, message: String| faults.push(Diagnostic::at_key(path, text, key, message));
-    if raw.title.trim().is_empty() {
-        report("title", "empty, expected a title".to_owned());
+struct PlanChecker<'a> {
+    path: &'a Path,
+    text: &'a str,
+    faults: Vec<Diagnostic>,
+}
+
+impl PlanChecker<'_> {
+    fn report(&mut self, key: &str, message: String) {
+        self.faults.push(Diagnostic::at_key(self.path, self.text, key, message));
     }
-    let repetitions = 1..=MAX_REPETITIONS;
-    if !repetitions.contains(&raw.repetitions) {
-        report("repetitions", format!("{}, expected 1 to {MAX_REPETITIONS}", raw.repetitions));
+
+    fn check(&mut self, raw: &RawPlan) {
+        if raw.title.trim().is_empty() {
+            self.report("title", "empty, expected a title".to_owned());
+        }
+        let repetitions = [1.0, f64::from(MAX_REPETITIONS)];
+        self.check_range("repetitions", raw.repetitions.into(), repetitions);
+        if raw.requirement.is_empty() {
+            self.report("requirement", "no [[requirement]], expected at least one".to_owned());
+        }
+        if raw.scenario.is_empty() {
+            self.report("scenario", "no [[scenario]], expected at least one".to_owned());
+        }
+        for (number, planned) in raw.scenario.iter().enumerate() {
+            if let Some(count) = planned.repetitions {
+                self.check_range(&format!("scenario.{number}.repetitions"), count.into(), repetitions);
+            }
+        }
+        let requirements = raw.requirement.iter().map(|requirement| (&requirement.id, &requirement.text));
+        self.check_entries("requirement", "text", "identifier", requirements);
+        self.check_entries("ask", "question", "name", raw.ask.iter().map(|ask| (&ask.id, &ask.question)));
+        if let Some(decision) = &raw.decision {
+            self.check_decision(decision);
+        }
+        self.check_range("bench.timing_trials", raw.bench.timing_trials.into(), [1.0, 1_000.0]);
+        self.check_range("bench.clean_runs", raw.bench.clean_runs.into(), [1.0, MAX_CLEAN_RUNS.into()]);
+        self.check_range("bench.least_kill_rate_percent", raw.bench.least_kill_rate_percent, [0.0, 100.0]);
     }
-    if raw.requirement.is_empty() {
-        report("requirement", "no [[requirement]], expected at least one".to_owned());
-    }
-    if raw.scenario.is_empty() {
-        report("scenario", "no [[scenario]], expected at least one".to_owned());
-    }
-    for (number, planned) in raw.scenario.iter().enumerate() {
-        if let Some(wrong) = planned.repetitions.filter(|count| !repetitions.contains(count)) {
-            report(&format!("scenario.{number}.repetitions"), format!("{wrong}, expected 1 to {MAX_REPETITIONS}"));
+
+    fn check_range(&mut self, key: &str, value: f64, [low, high]: [f64; 2]) {
+        if !(low..=high).contains(&value) {
+            self.report(key, format!("{value}, expected {low} to {high}"));
         }
     }
-    let mut known = BTreeSet::new();
-    for (number, requirement) in raw.requirement.iter().enumerate() {
-        if requirement.text.trim().is_empty() {
-            report(&format!("requirement.{number}.text"), "empty, expected a text".to_owned());
-        }
-        if !is_valid_name(&requirement.id) || !known.insert(&requirement.id) {
-            let message = format!("`{}`, expected letters, digits and -, each identifier once", requirement.id);
-            report(&format!("requirement.{number}.id"), message);
+
+    /// `entries`: identifier and text of each.
+    fn check_entries<'b>(
+        &mut self,
+        list: &str,
+        text_key: &str,
+        id_word: &str,
+        entries: impl Iterator<Item = (&'b String, &'b String)>,
+    ) {
+        let mut known = BTreeSet::new();
+        for (number, (id, text)) in entries.enumerate() {
+            if text.trim().is_empty() {
+                self.report(&format!("{list}.{number}.{text_key}"), format!("empty, expected a {text_key}"));
+            }
+            if !is_valid_name(id) || !known.insert(id) {
+                let message = format!("`{id}`, expected letters, digits and -, each {id_word} once");
+                self.report(&format!("{list}.{number}.id"), message);
+            }
         }
     }
-    let mut known = BTreeSet::new();
-    for (number, ask) in raw.ask.iter().enumerate() {
-        if ask.question.trim().is_empty() {
-            report(&format!("ask.{number}.question"), "empty, expected a question".to_owned());
-        }
-        if !is_valid_name(&ask.id) || !known.insert(&ask.id) {
-            let message = format!("`{}`, expected letters, digits and -, each name once", ask.id);
-            report(&format!("ask.{number}.id"), message);
-        }
-    }
-    if let Some(decision) = &raw.decision {
+
+    fn check_decision(&mut self, decision: &RawDecision) {
         let key = "decision.largest_uncertainty_percent";
         match (decision.rule, decision.largest_uncertainty_percent) {
             (DecisionRule::SharedRisk, None) => {
-                report("decision.rule", "shared-risk needs `largest_uncertainty_percent`".to_owned());
+                self.report("decision.rule", "shared-risk needs `largest_uncertainty_percent`".to_owned());
             }
-            (DecisionRule::SharedRisk, Some(percent)) if !(0.1..=100.0).contains(&percent) => {
-                report(key, format!("{percent}, expected 0.1 to 100"));
-            }
+            (DecisionRule::SharedRisk, Some(percent)) => self.check_range(key, percent, [0.1, 100.0]),
             (DecisionRule::Simple | DecisionRule::Guarded, Some(_)) => {
-                report(key, format!("only for shared-risk, the rule is {}", decision.rule));
+                self.report(key, format!("only for shared-risk, the rule is {}", decision.rule));
             }
             _ => {}
         }
     }
-    if !(1..=1_000).contains(&raw.bench.timing_trials) {
-        report("bench.timing_trials", format!("{}, expected 1 to 1000", raw.bench.timing_trials));
-    }
-    if !(1..=MAX_CLEAN_RUNS).contains(&raw.bench.clean_runs) {
-        report("bench.clean_runs", format!("{}, expected 1 to {MAX_CLEAN_RUNS}", raw.bench.clean_runs));
-    }
-    if !(0.0..=100.0).contains(&raw.bench.least_kill_rate_percent) {
-        report("bench.least_kill_rate_percent", format!("{}, expected 0 to 100", raw.bench.least_kill_rate_percent));
-    }
-    faults
 }
 
 fn is_valid_name(text: &str) -> bool {

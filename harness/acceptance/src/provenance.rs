@@ -13,9 +13,9 @@ use platebench_record::{self as record, Verdict};
 use platebench_record::{Firmware, Host, InputRecord, Tool};
 use platebench_rig::{BUILT_IN_IMAGE, RigSpec};
 use platebench_runner::{Clock, Pacing};
+use platebench_trace::AtPath;
 use std::fs;
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 pub(crate) fn new_session_record(config: &SessionConfig) -> Result<SessionRecord, AcceptError> {
     let SessionConfig { plan, rig, clock, details, .. } = config;
@@ -27,33 +27,23 @@ pub(crate) fn new_session_record(config: &SessionConfig) -> Result<SessionRecord
             InputRecord { file, sha256: sha256(&input.bytes) }
         })
     });
-    let clock = match clock {
-        Clock::Lockstep { .. } => {
-            ClockRecord { name: clock.kind().to_string(), time_scale: 1.0, pacing: "bench".to_owned() }
-        }
-        Clock::RealPlate => {
-            ClockRecord { name: clock.kind().to_string(), time_scale: 1.0, pacing: "target".to_owned() }
-        }
-        Clock::RealTime(pace) => ClockRecord {
-            name: clock.kind().to_string(),
-            time_scale: pace.time_scale,
-            pacing: if pace.pacing == Pacing::Target { "target" } else { "bench" }.to_owned(),
-        },
+    let (time_scale, pacing) = match clock {
+        Clock::Lockstep { .. } => (1.0, "bench"),
+        Clock::RealPlate => (1.0, "target"),
+        Clock::RealTime(pace) => (pace.time_scale, if pace.pacing == Pacing::Target { "target" } else { "bench" }),
     };
     Ok(SessionRecord {
         format: FORMAT,
         verdict: Verdict::Inconclusive,
         complete: false,
         title: plan.title.clone(),
-        operator: details.operator.clone(),
-        place: details.place.clone(),
-        notes: details.notes.clone(),
+        details: details.clone(),
         started: utc_timestamp(),
         finished: None,
         resumed: Vec::new(),
         bench: bench_record()?,
         rig: rig.to_string(),
-        clock,
+        clock: ClockRecord { name: clock.kind().to_string(), time_scale, pacing: pacing.to_owned() },
         firmware: None,
         plan: InputRecord { file: PLAN.to_owned(), sha256: sha256(&plan.bytes) },
         decision: plan
@@ -69,10 +59,9 @@ pub(crate) fn new_session_record(config: &SessionConfig) -> Result<SessionRecord
 }
 
 fn bench_record() -> Result<BenchRecord, AcceptError> {
-    let unknown = |source: io::Error| AcceptError::Io { path: PathBuf::from("the program of the bench"), source };
     // The running program, even if its file was replaced.
     let running = fs::read("/proc/self/exe").or_else(|_| std::env::current_exe().and_then(fs::read));
-    let program = running.map_err(unknown)?;
+    let program = running.at(Path::new("the program of the bench"))?;
     Ok(BenchRecord { tool: Tool::running(), sha256: sha256(&program), host: Host::current() })
 }
 
@@ -81,7 +70,7 @@ pub(crate) fn image_sha256(rig: &RigSpec) -> Result<Option<String>, AcceptError>
     match rig {
         RigSpec::Emulated(None) | RigSpec::Probe { elf: None, .. } => Ok(Some(sha256(BUILT_IN_IMAGE))),
         RigSpec::Emulated(Some(elf)) | RigSpec::Probe { elf: Some(elf), .. } => {
-            fs::read(elf).map(|bytes| Some(sha256(&bytes))).map_err(AcceptError::io(elf))
+            Ok(Some(sha256(&fs::read(elf).at(elf)?)))
         }
         RigSpec::Hosted | RigSpec::Exec(_) | RigSpec::Serial { .. } | RigSpec::Tcp(_) | RigSpec::Rfc2217 { .. } => {
             Ok(None)
@@ -103,7 +92,7 @@ pub(crate) fn check_run_hashes(folder: &Path, record: &SessionRecord) -> Result<
 
 pub(crate) fn run_sha256(folder: &Path) -> Result<String, AcceptError> {
     let path = folder.join(record::RECORD_FILE);
-    fs::read(&path).map(|bytes| sha256(&bytes)).map_err(AcceptError::io(&path))
+    Ok(sha256(&fs::read(&path).at(&path)?))
 }
 
 pub(crate) fn changed_error(what: &str, then: &str, now: &str) -> AcceptError {

@@ -21,14 +21,7 @@ impl ScenarioRun<'_> {
         let overrides = Overrides { trials: Some(self.trials), ..Overrides::default() };
         let mut scenario = self.scenario.clone();
         rejudge::apply_overrides(&overrides, &mut scenario);
-        let plan = RunPlan {
-            scenarios: vec![scenario],
-            jobs: self.jobs,
-            clock: self.clock,
-            own_clock: self.rig.has_own_clock(),
-            rig: self.rig.to_string(),
-            overrides,
-        };
+        let plan = RunPlan::new(self.rig, self.clock, self.jobs, vec![scenario], overrides);
         let folder = RunFolder::create(Some(folder)).map_err(RunError::from)?;
         let options = ConnectOptions { cancel: hooks.cancel.clone(), ..ConnectOptions::default() };
         let run_hooks = RunHooks {

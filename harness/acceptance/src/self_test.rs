@@ -5,20 +5,22 @@ use crate::config::SessionHooks;
 use crate::error::AcceptError;
 use crate::plan::Plan;
 use crate::scenario_run::ScenarioRun;
-use crate::session_record::{SelfTestRecord, StepRecord, TrustRecord};
+use crate::session_record::{SelfTestRecord, StepRecord, TrustRecord, write_file};
 use platebench_record::{Quantiles, RunRecord, Verdict};
 use platebench_rig::RigSpec;
 use platebench_runner::{CancelToken, Clock, Pacing, TimeBase};
 use platebench_scenario::Scenario;
-use platebench_trace::write_atomically;
+use platebench_trace::AtPath;
 use platebench_trust::report::{CONFIDENCE, MutantOutcome, Rate};
 use std::fs;
+use std::io;
 use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
 /// Seed of the first clean run, as in `platebench trust`.
 const SEED: u64 = 31_415;
+const TRUST_FILE: &str = "trust.json";
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Plays the shortest scenario to the hosted controller: twice in lockstep, which must give the
@@ -110,10 +112,9 @@ pub(crate) fn measure_trust(
         thread::sleep(CANCEL_POLL_INTERVAL);
     }
     let report = measurement.join().unwrap_or(Err(platebench_trust::TrustError::Internal))?;
-    fs::create_dir_all(folder).map_err(AcceptError::io(folder))?;
-    let path = folder.join("trust.json");
-    let text = serde_json::to_vec_pretty(&report).map_err(|error| AcceptError::io(&path)(error.into()))?;
-    write_atomically(&path, &text).map_err(AcceptError::io(&path))?;
+    fs::create_dir_all(folder).at(folder)?;
+    let text = serde_json::to_vec_pretty(&report).map_err(io::Error::from).at(&folder.join(TRUST_FILE))?;
+    write_file(folder, TRUST_FILE, &text)?;
     let survived = report.faults.iter().filter(|fault| fault.outcome != MutantOutcome::Caught);
     let result = TrustRecord {
         faults: report.kill_rate.count,

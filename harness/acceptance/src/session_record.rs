@@ -5,10 +5,11 @@ use jiff::Timestamp;
 use platebench_record::Verdict;
 use platebench_record::{Firmware, Host, InputRecord, Quantiles, Tool};
 use platebench_rig::RigSpec;
-use platebench_trace::write_atomically;
+use platebench_trace::{AtPath, FileError, write_atomically};
 use platebench_uncertainty::{CombinedUncertainty, Conformity, DecisionRule};
 use serde::{Deserialize, Serialize};
 use std::fs;
+use std::io;
 use std::path::Path;
 
 pub const FILE: &str = "session.json";
@@ -27,9 +28,8 @@ pub struct SessionRecord {
     /// True if every step has ended and is judged.
     pub complete: bool,
     pub title: String,
-    pub operator: Option<String>,
-    pub place: Option<String>,
-    pub notes: Option<String>,
+    #[serde(flatten)]
+    pub details: SessionDetails,
     /// UTC, RFC 3339, like all times of a record.
     pub started: String,
     pub finished: Option<String>,
@@ -51,6 +51,13 @@ pub struct SessionRecord {
     /// Empty until all is judged.
     pub requirements: Vec<RequirementRecord>,
     pub signature: Option<SignatureRecord>,
+}
+
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SessionDetails {
+    pub operator: Option<String>,
+    pub place: Option<String>,
+    pub notes: Option<String>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -239,10 +246,9 @@ impl StepRecord {
 
 impl SessionRecord {
     pub(crate) fn write(&self, folder: &Path) -> Result<(), AcceptError> {
-        let path = folder.join(FILE);
-        let mut text = serde_json::to_vec_pretty(self).map_err(|error| AcceptError::io(&path)(error.into()))?;
+        let mut text = serde_json::to_vec_pretty(self).map_err(io::Error::from).at(&folder.join(FILE))?;
         text.push(b'\n');
-        write_atomically(&path, &text).map_err(AcceptError::io(&path))
+        Ok(write_file(folder, FILE, &text)?)
     }
 
     pub fn read(folder: &Path) -> Result<Self, AcceptError> {
@@ -276,6 +282,12 @@ impl SessionRecord {
     pub fn lost_a_controller(&self) -> bool {
         self.steps.iter().any(|step| step.lost)
     }
+}
+
+/// Writes a file of the record as a whole.
+pub(crate) fn write_file(folder: &Path, name: &str, content: &[u8]) -> Result<(), FileError> {
+    let path = folder.join(name);
+    write_atomically(&path, content).at(&path)
 }
 
 /// UTC, RFC 3339 to the second.

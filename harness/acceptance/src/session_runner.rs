@@ -18,16 +18,18 @@ use crate::provenance::{
 };
 use crate::scenario_run::ScenarioRun;
 use crate::session_record::{
-    Attempt, BUDGET, FILE, FirmwareRecord, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind, StepRecord,
-    may_have_board, utc_timestamp,
+    Attempt, BUDGET, FILE, FirmwareRecord, PLAN, STEPS, SessionDetails, SessionRecord, SignatureRecord, StepKind,
+    StepRecord, may_have_board, utc_timestamp, write_file,
 };
 use crate::steps::{StepAction, step_actions};
 use crate::{manifest, page, self_test, signature};
 use platebench_record::{Firmware, RunRecord, Verdict, to_hex};
+use platebench_report::format::count;
 use platebench_report::traceability;
 use platebench_runner::{Clock, Question, QuestionKind, RunError};
-use platebench_trace::{remove_temporary_files, sync_tree, write_atomically};
+use platebench_trace::{AtPath, remove_temporary_files, sync_tree};
 use std::fs::{self, File, TryLockError};
+use std::io;
 use std::path::Path;
 use tracing::info;
 
@@ -71,28 +73,25 @@ impl<'a> SessionRunner<'a> {
             return Err(AcceptError::NoSession(folder.clone()));
         }
         let new = new_session_record(config)?;
-        fs::create_dir_all(folder).map_err(AcceptError::io(folder))?;
-        let lock = File::open(folder).map_err(AcceptError::io(folder))?;
+        fs::create_dir_all(folder).at(folder)?;
+        let lock = File::open(folder).at(folder)?;
         match lock.try_lock() {
-            Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(AcceptError::InUse(folder.clone())),
-            Err(TryLockError::Error(source)) => return Err(AcceptError::io(folder)(source)),
+            locked => locked.map_err(io::Error::from).at(folder)?,
         }
-        remove_temporary_files(folder).map_err(|(path, error)| AcceptError::io(&path)(error))?;
+        remove_temporary_files(folder)?;
         let record = if folder.join(FILE).exists() {
             resume(config, &new)?
         } else {
-            if fs::read_dir(folder).map_err(AcceptError::io(folder))?.next().is_some() {
+            if fs::read_dir(folder).at(folder)?.next().is_some() {
                 return Err(AcceptError::FolderNotEmpty(folder.clone()));
             }
             ask_details(new, hooks)
         };
         record.write(folder)?;
-        let path = folder.join(PLAN);
-        write_atomically(&path, &config.plan.bytes).map_err(AcceptError::io(&path))?;
+        write_file(folder, PLAN, &config.plan.bytes)?;
         if let Some(decision) = &config.plan.decision {
-            let path = folder.join(BUDGET);
-            write_atomically(&path, &decision.budget.bytes).map_err(AcceptError::io(&path))?;
+            write_file(folder, BUDGET, &decision.budget.bytes)?;
         }
         Ok(Self { config, record, _lock: lock })
     }
@@ -108,7 +107,7 @@ impl<'a> SessionRunner<'a> {
         let mut step = stored.clone();
         let folder = self.config.out.join(STEPS).join(&step.id);
         if folder.exists() {
-            fs::remove_dir_all(&folder).map_err(AcceptError::io(&folder))?;
+            fs::remove_dir_all(&folder).at(&folder)?;
         }
         self.record.write(&self.config.out)?;
         hooks.observer.step_started(&step);
@@ -119,7 +118,7 @@ impl<'a> SessionRunner<'a> {
         }
         if result.is_ok() {
             if folder.exists() {
-                sync_tree(&folder).map_err(|(path, error)| AcceptError::io(&path)(error))?;
+                sync_tree(&folder)?;
             }
             step.done = true;
             hooks.observer.step_ended(&step);
@@ -191,8 +190,8 @@ impl<'a> SessionRunner<'a> {
         let expectations: Vec<_> = record.scenarios.iter().flat_map(|scenario| &scenario.expectations).collect();
         let passed = expectations.iter().filter(|expectation| expectation.verdict == Verdict::Pass).count();
         let trials: usize = record.scenarios.iter().map(|scenario| scenario.trials.len()).sum();
-        let s = if trials == 1 { "" } else { "s" };
-        step.reason = Some(format!("{passed} of {} expectations met in {trials} trial{s}", expectations.len()));
+        let trials = count(trials, "trial");
+        step.reason = Some(format!("{passed} of {} expectations met in {trials}", expectations.len()));
         Ok(())
     }
 
@@ -224,7 +223,7 @@ impl<'a> SessionRunner<'a> {
         for name in [manifest::FILE, signature::FILE] {
             let path = folder.join(name);
             if path.exists() {
-                fs::remove_file(&path).map_err(AcceptError::io(&path))?;
+                fs::remove_file(&path).at(&path)?;
             }
         }
         let runs = read_runs(folder, &self.record.steps)?;
@@ -241,15 +240,11 @@ impl<'a> SessionRunner<'a> {
             .as_ref()
             .map(|key| SignatureRecord { algorithm: "ed25519".to_owned(), public_key: key.public_key().to_pem() });
         self.record.write(folder)?;
-        let page = page::render(&self.record);
-        let path = folder.join(page::FILE);
-        write_atomically(&path, page.as_bytes()).map_err(AcceptError::io(&path))?;
+        write_file(folder, page::FILE, page::render(&self.record).as_bytes())?;
         manifest::write(folder)?;
         if let Some(key) = &self.config.signing_key {
             let path = folder.join(manifest::FILE);
-            let manifest = fs::read(&path).map_err(AcceptError::io(&path))?;
-            let path = folder.join(signature::FILE);
-            write_atomically(&path, &key.sign(&manifest)).map_err(AcceptError::io(&path))?;
+            write_file(folder, signature::FILE, &key.sign(&fs::read(&path).at(&path)?))?;
         }
         Ok(self.record)
     }
@@ -264,9 +259,10 @@ fn resume(config: &SessionConfig, new: &SessionRecord) -> Result<SessionRecord, 
     }
     check_unchanged(&record, new)?;
     check_run_hashes(folder, &record)?;
-    record.operator = record.operator.or_else(|| config.details.operator.clone());
-    record.place = record.place.or_else(|| config.details.place.clone());
-    record.notes = record.notes.or_else(|| config.details.notes.clone());
+    let (known, SessionDetails { operator, place, notes }) = (&mut record.details, config.details.clone());
+    known.operator = known.operator.take().or(operator);
+    known.place = known.place.take().or(place);
+    known.notes = known.notes.take().or(notes);
     record.resumed.push(utc_timestamp());
     info!(folder = %folder.display(), "session resumed");
     Ok(record)
@@ -275,9 +271,9 @@ fn resume(config: &SessionConfig, new: &SessionRecord) -> Result<SessionRecord, 
 /// Only for details that the command line did not give.
 fn ask_details(mut record: SessionRecord, hooks: &SessionHooks<'_>) -> SessionRecord {
     for (detail, text) in [
-        (&mut record.operator, "Who is the operator?"),
-        (&mut record.place, "Where is this?"),
-        (&mut record.notes, "Notes?"),
+        (&mut record.details.operator, "Who is the operator?"),
+        (&mut record.details.place, "Where is this?"),
+        (&mut record.details.notes, "Notes?"),
     ] {
         if detail.is_none() {
             let answer = hooks.operator.ask(Question { text, kind: QuestionKind::Text }, hooks.cancel);

@@ -8,6 +8,7 @@ use ed25519_dalek::pkcs8::spki::der::pem::{LineEnding, decode_label};
 use ed25519_dalek::pkcs8::{DecodePrivateKey, DecodePublicKey, EncodePublicKey};
 use ed25519_dalek::{Signature, Signer as _, SigningKey, VerifyingKey};
 use platebench_record::sha256;
+use platebench_trace::AtPath;
 use std::fs;
 use std::path::Path;
 
@@ -22,7 +23,7 @@ pub struct PublicKey(VerifyingKey);
 impl SecretKey {
     /// From PKCS #8 in PEM.
     pub fn read(path: &Path) -> Result<Self, AcceptError> {
-        let text = fs::read_to_string(path).map_err(AcceptError::io(path))?;
+        let text = fs::read_to_string(path).at(path)?;
         SigningKey::from_pkcs8_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
     }
 
@@ -44,7 +45,7 @@ impl std::fmt::Debug for SecretKey {
 impl PublicKey {
     /// From SPKI in PEM.
     pub fn read(path: &Path) -> Result<Self, AcceptError> {
-        let text = fs::read_to_string(path).map_err(AcceptError::io(path))?;
+        let text = fs::read_to_string(path).at(path)?;
         VerifyingKey::from_public_key_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
     }
 

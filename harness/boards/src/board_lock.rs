@@ -3,8 +3,10 @@
 use crate::error::BoardError;
 use crate::inventory::{Board, Inventory};
 use platebench_rig::{LockHolder, port_lock};
+use platebench_trace::AtPath;
 use std::fs::{self, File};
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::PathBuf;
 
 /// Paths of a board below the state folder.
 #[derive(Debug, Clone)]
@@ -18,7 +20,7 @@ impl BoardFiles {
     /// Creates the folder.
     pub(crate) fn new(inventory: &Inventory, board: &Board) -> Result<Self, BoardError> {
         let folder = inventory.state_folder();
-        fs::create_dir_all(&folder).map_err(BoardError::io(&folder))?;
+        fs::create_dir_all(&folder).at(&folder)?;
         let probe = board.probe_serial.as_ref().map(|serial| {
             let is_plain = |letter: char| letter.is_ascii_alphanumeric();
             let name: String = serial.chars().map(|letter| if is_plain(letter) { letter } else { '_' }).collect();
@@ -35,8 +37,8 @@ impl BoardFiles {
     pub(crate) fn lock(&self) -> Result<Result<BoardLock, LockHolder>, BoardError> {
         let mut files = Vec::new();
         for path in &self.locks {
-            let file = open(path)?;
-            match port_lock::lock(&file).map_err(|error| BoardError::io(path)(error.into()))? {
+            let file = File::options().create(true).append(true).open(path).at(path)?;
+            match port_lock::lock(&file).map_err(io::Error::from).at(path)? {
                 None => files.push(file),
                 Some(holder) => return Ok(Err(holder)),
             }
@@ -49,8 +51,4 @@ impl BoardFiles {
 #[derive(Debug)]
 pub(crate) struct BoardLock {
     _files: Vec<File>,
-}
-
-fn open(path: &Path) -> Result<File, BoardError> {
-    File::options().create(true).append(true).open(path).map_err(BoardError::io(path))
 }

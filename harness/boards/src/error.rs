@@ -2,8 +2,8 @@
 
 use platebench_rig::{ConnectError, LockHolder, RigError};
 use platebench_scenario::Diagnostic;
-use std::io;
-use std::path::{Path, PathBuf};
+use platebench_trace::FileError;
+use std::path::PathBuf;
 
 #[derive(Debug, thiserror::Error)]
 pub enum BoardError {
@@ -18,12 +18,9 @@ pub enum BoardError {
         /// Names of the inventory.
         known: String,
     },
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// File or folder of the state.
-        path: PathBuf,
-        source: io::Error,
-    },
+    /// File or folder of the state.
+    #[error(transparent)]
+    File(#[from] FileError),
     #[error("{}: {source}; expected the state that platebench wrote", path.display())]
     State { path: PathBuf, source: serde_json::Error },
     #[error("board {name} is held by {holder}{since}; --wait SECONDS waits for it")]
@@ -53,18 +50,13 @@ pub enum BoardError {
 }
 
 impl BoardError {
-    pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + use<> {
-        let path = path.to_owned();
-        |source| Self::Io { path, source }
-    }
-
     /// True if the input is wrong, false if the board cannot be used now.
     pub fn is_invalid_input(&self) -> bool {
         match self {
             Self::Inventory(_)
             | Self::NoInventory
             | Self::Unknown { .. }
-            | Self::Io { .. }
+            | Self::File(_)
             | Self::State { .. }
             | Self::NotQuarantined { .. }
             | Self::NoReason => true,

@@ -3,7 +3,7 @@
 use crate::error::BoardError;
 use jiff::Timestamp;
 use platebench_record::Verdict;
-use platebench_trace::{read_text_file, write_atomically};
+use platebench_trace::{AtPath, FileError, read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -69,14 +69,14 @@ impl StoredState {
                 serde_json::from_str(&text).map_err(|source| BoardError::State { path: path.to_owned(), source })
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Self::default()),
-            Err(error) => Err(BoardError::io(path)(error)),
+            Err(source) => Err(FileError { path: path.to_owned(), source }.into()),
         }
     }
 
     pub(crate) fn write(&self, path: &Path) -> Result<(), BoardError> {
         let text =
             serde_json::to_string_pretty(self).map_err(|source| BoardError::State { path: path.to_owned(), source })?;
-        write_atomically(path, format!("{text}\n").as_bytes()).map_err(BoardError::io(path))
+        Ok(write_atomically(path, format!("{text}\n").as_bytes()).at(path)?)
     }
 
     /// `in_use` counts as a quarantine: its process is gone and did not confirm 0 V.

@@ -1,8 +1,7 @@
 //! Defines the errors of an export.
 
-use platebench_trace::TraceError;
+use platebench_trace::{FileError, TraceError};
 use std::error::Error;
-use std::io;
 use std::path::{Path, PathBuf};
 
 /// Why a run could not be exported. Files that were complete before remain.
@@ -10,8 +9,8 @@ use std::path::{Path, PathBuf};
 pub enum ExportError {
     #[error(transparent)]
     Trace(#[from] TraceError),
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    File(#[from] FileError),
     #[error("{}: {source}", path.display())]
     Format {
         path: PathBuf,
@@ -44,10 +43,6 @@ pub enum ExportError {
 }
 
 impl ExportError {
-    pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
-        move |source| Self::Io { path: path.to_owned(), source }
-    }
-
     pub(crate) fn format<E: Error + Send + Sync + 'static>(path: &Path) -> impl Fn(E) -> Self {
         move |source| Self::Format { path: path.to_owned(), source: Box::new(source) }
     }

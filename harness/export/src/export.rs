@@ -4,7 +4,7 @@ use crate::error::ExportError;
 use crate::source::ExportScenario;
 use crate::{mcap, mf4, parquet, table};
 use platebench_record::{RECORD_FILE, RunRecord, ScenarioRecord};
-use platebench_trace::AtomicFile;
+use platebench_trace::{AtPath, AtomicFile};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
@@ -101,15 +101,15 @@ type WriteFile<'a> = dyn Fn(&File, &Path) -> Result<(), ExportError> + 'a;
 
 fn write_new_file(path: &Path, write: &WriteFile<'_>) -> Result<(), ExportError> {
     if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder).map_err(ExportError::io(folder))?;
+        fs::create_dir_all(folder).at(folder)?;
     }
-    let file = AtomicFile::create(path).map_err(ExportError::io(path))?;
+    let file = AtomicFile::create(path).at(path)?;
     write(file.file(), path)?;
     // Another process may have written it meanwhile.
     if path.exists() {
         return Err(ExportError::FileExists(path.to_owned()));
     }
-    file.commit_without_sync().map_err(ExportError::io(path))
+    Ok(file.commit_without_sync().at(path)?)
 }
 
 /// The requested scenarios in the order of the run; all if `requested` is empty.

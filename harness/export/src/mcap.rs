@@ -8,6 +8,7 @@ use crate::error::ExportError;
 use crate::source::ExportScenario;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions};
+use platebench_trace::AtPath;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -50,7 +51,7 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
         }
     }
     writer.finish().map_err(&format_error)?;
-    writer.into_inner().flush().map_err(ExportError::io(path))
+    Ok(writer.into_inner().flush().at(path)?)
 }
 
 /// JSON Schema of a message; `unit` is an annotation.

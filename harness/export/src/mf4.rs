@@ -9,6 +9,7 @@ use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
 use crate::source::{ExportScenario, ExportTrial};
 use blocks::{BlockWriter, Channel, ChannelKind};
+use platebench_trace::AtPath;
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io;
@@ -23,10 +24,10 @@ pub(crate) fn write(
     file: &File,
     path: &Path,
 ) -> Result<(), ExportError> {
-    let mut blocks = BlockWriter::start(file).map_err(ExportError::io(path))?;
-    let channels = write_header(source, &mut blocks).map_err(ExportError::io(path))?;
+    let mut blocks = BlockWriter::start(file).at(path)?;
+    let channels = write_header(source, &mut blocks).at(path)?;
     write_group(trial, &channels, &mut blocks, path)?;
-    blocks.finish().map_err(ExportError::io(path))
+    Ok(blocks.finish().at(path)?)
 }
 
 fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter<'_>) -> io::Result<Vec<Channel>> {
@@ -77,8 +78,7 @@ fn write_group(
 ) -> Result<(), ExportError> {
     let name = format!("trial {:03}", trial.index);
     let comment = format!("seed {}", trial.seed);
-    let mut group =
-        blocks.start_group(&name, &comment, channels, RECORD_BYTES as u32).map_err(ExportError::io(path))?;
+    let mut group = blocks.start_group(&name, &comment, channels, RECORD_BYTES as u32).at(path)?;
     for row in trial.rows()? {
         let row = row?;
         let mut record = [0; RECORD_BYTES];
@@ -91,9 +91,9 @@ fn write_group(
                 *byte |= u8::from(row.flags.contains(flag.flag)) << bit;
             }
         }
-        blocks.write_record(&mut group, &record).map_err(ExportError::io(path))?;
+        blocks.write_record(&mut group, &record).at(path)?;
     }
-    blocks.end_group(&group).map_err(ExportError::io(path))
+    Ok(blocks.end_group(&group).at(path)?)
 }
 
 /// Omits characters that XML 1.0 forbids.

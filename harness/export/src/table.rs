@@ -4,6 +4,7 @@
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
 use crate::source::ExportScenario;
+use platebench_trace::AtPath;
 use serde::Serialize;
 use serde_json::json;
 use std::fs::File;
@@ -58,7 +59,7 @@ pub(crate) fn write(sources: &[ExportScenario<'_>], file: &File, path: &Path) ->
             }
         }
     }
-    table.flush().map_err(ExportError::io(path))
+    Ok(table.flush().at(path)?)
 }
 
 pub(crate) fn write_description(file: &File, path: &Path) -> Result<(), ExportError> {
@@ -84,5 +85,5 @@ pub(crate) fn write_description(file: &File, path: &Path) -> Result<(), ExportEr
     });
     let mut file = BufWriter::new(file);
     serde_json::to_writer_pretty(&mut file, &description).map_err(ExportError::format(path))?;
-    file.write_all(b"\n").and_then(|()| file.flush()).map_err(ExportError::io(path))
+    Ok(file.write_all(b"\n").and_then(|()| file.flush()).at(path)?)
 }

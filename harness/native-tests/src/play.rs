@@ -3,7 +3,7 @@
 use platebench_record::{FolderError, Overrides, RECORD_FILE, RunFolder, RunRecord, Verdict};
 use platebench_report::console::{self, Style};
 use platebench_report::{ReportError, junit, page, traceability};
-use platebench_rig::RigSpec;
+use platebench_rig::{ConnectOptions, RigSpec};
 use platebench_runner::{Clock, Pacing, RunError, RunHooks, RunPlan, TimeBase, rejudge};
 use platebench_scenario::Scenario;
 use std::fs::{self, Permissions};
@@ -57,14 +57,7 @@ impl TestContext {
         rejudge::apply_overrides(&overrides, &mut scenario);
         let folder = self.out.join(scenario.name());
         let expected = scenario.expected_exit.unwrap_or(0);
-        let plan = RunPlan {
-            scenarios: vec![scenario],
-            jobs: 1,
-            clock: self.clock,
-            own_clock: self.rig.has_own_clock(),
-            rig: self.rig.to_string(),
-            overrides,
-        };
+        let plan = RunPlan::new(&self.rig, self.clock, 1, vec![scenario], overrides);
         let record = self.run_and_replace(&plan, &folder)?;
         let code = exit_code(&record);
         if code == expected {
@@ -94,10 +87,7 @@ impl TestContext {
 
     fn run_into(&self, plan: &RunPlan, folder: &Path) -> Result<RunRecord, TestFailure> {
         let run = RunFolder::create(Some(folder))?;
-        let connect = || match self.clock {
-            Clock::Lockstep { .. } => self.rig.connect(),
-            Clock::RealTime(_) | Clock::RealPlate => self.rig.connect_real_time(),
-        };
+        let connect = || self.clock.connect(&self.rig, &ConnectOptions::default());
         let record = platebench_runner::run(plan, &run, &connect, RunHooks::default())?;
         junit::write(&record, &folder.join(junit::FILE))?;
         page::write(&record, folder)?;

@@ -23,6 +23,12 @@ pub struct RunPlan {
     pub overrides: Overrides,
 }
 
+impl RunPlan {
+    pub fn new(rig: &RigSpec, clock: Clock, jobs: usize, scenarios: Vec<Scenario>, overrides: Overrides) -> Self {
+        Self { scenarios, jobs, clock, own_clock: rig.has_own_clock(), rig: rig.to_string(), overrides }
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Clock {
     /// The plate waits while a sample travels and the controller computes.

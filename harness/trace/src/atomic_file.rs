@@ -1,5 +1,6 @@
 //! Replaces a file as a whole: after a kill or a power cut it has its old content or its new one.
 
+use crate::file_error::{AtPath, FileError};
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -77,30 +78,25 @@ pub fn write_new(path: &Path, content: &[u8]) -> io::Result<()> {
 }
 
 /// Brings everything below `folder`, and its own entry, to the disk.
-pub fn sync_tree(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
-    let at = |path: &Path| {
-        let path = path.to_owned();
-        |error| (path, error)
-    };
-    for entry in fs::read_dir(folder).map_err(at(folder))? {
-        let entry = entry.map_err(at(folder))?;
+pub fn sync_tree(folder: &Path) -> Result<(), FileError> {
+    for entry in fs::read_dir(folder).at(folder)? {
+        let entry = entry.at(folder)?;
         let path = entry.path();
-        if entry.file_type().map_err(at(&path))?.is_dir() {
+        if entry.file_type().at(&path)?.is_dir() {
             sync_tree(&path)?;
         } else {
-            sync(&path).map_err(at(&path))?;
+            sync(&path).at(&path)?;
         }
     }
-    sync(folder).map_err(at(folder))?;
-    folder.parent().map_or(Ok(()), sync).map_err(at(folder))
+    sync(folder).and_then(|()| folder.parent().map_or(Ok(()), sync)).at(folder)
 }
 
 /// Removes the files directly in `folder` that a kill left unfinished.
-pub fn remove_temporary_files(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
-    for entry in fs::read_dir(folder).map_err(|error| (folder.to_owned(), error))? {
-        let path = entry.map_err(|error| (folder.to_owned(), error))?.path();
+pub fn remove_temporary_files(folder: &Path) -> Result<(), FileError> {
+    for entry in fs::read_dir(folder).at(folder)? {
+        let path = entry.at(folder)?.path();
         if path.is_file() && path.as_os_str().to_string_lossy().ends_with(TEMPORARY_SUFFIX) {
-            fs::remove_file(&path).map_err(|error| (path, error))?;
+            fs::remove_file(&path).at(&path)?;
         }
     }
     Ok(())

@@ -5,11 +5,13 @@
 //! trials have equal bytes.
 
 mod atomic_file;
+mod file_error;
 mod regular_file;
 mod row;
 mod trace_file;
 
 pub use atomic_file::{AtomicFile, remove_temporary_files, sync_tree, write_atomically, write_new};
+pub use file_error::{AtPath, FileError};
 pub use regular_file::{open_regular_file, read_regular_file, read_text_file};
 pub use row::{AmplitudeColumn, COLUMNS, Flags, OPTIONAL_COLUMNS, Row};
 pub use trace_file::{TraceError, TraceReader, TraceWriter, read_trace};

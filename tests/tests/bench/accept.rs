@@ -83,7 +83,7 @@ fn a_session_is_sealed_signed_and_verified() {
     assert_eq!(judged, 1, "only the controller's own runs are judged: {all}");
     let record = read_session_record(&folder);
     assert!(record.complete && record.verdict == Verdict::Pass);
-    assert_eq!((record.operator.as_deref(), record.notes), (Some("A. Tester"), None));
+    assert_eq!((record.details.operator.as_deref(), record.details.notes), (Some("A. Tester"), None));
     assert_eq!(record.requirements[0].evidence.len(), 1);
     assert_eq!(record.steps[1].answer.as_ref().unwrap().from, "command-line");
     let runs = fs::read_dir(folder.join("record/steps/05-s/traces/s")).unwrap().count();

@@ -7,6 +7,7 @@ use super::table::Table;
 use crate::error::{ReportError, write_file};
 use crate::{format, record_queries};
 use platebench_record::RunRecord;
+use platebench_trace::AtPath;
 use std::fmt::Write as _;
 use std::fs;
 use std::io::Write as _;
@@ -21,8 +22,7 @@ pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
 /// Creates the file if it does not exist.
 pub fn append(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
     let file = fs::OpenOptions::new().append(true).create(true).open(path);
-    file.and_then(|mut file| file.write_all(format!("{}\n", render_page(record)).as_bytes()))
-        .map_err(ReportError::io(path))
+    Ok(file.and_then(|mut file| file.write_all(format!("{}\n", render_page(record)).as_bytes())).at(path)?)
 }
 
 pub fn render_page(record: &RunRecord) -> String {

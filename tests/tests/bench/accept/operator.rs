@@ -92,7 +92,7 @@ fn a_session_killed_twice_resumes_and_verifies() {
     first.child.kill();
     let record = read_session_record(&folder);
     assert_eq!(
-        (record.operator.as_deref(), record.place.as_deref(), &record.notes),
+        (record.details.operator.as_deref(), record.details.place.as_deref(), &record.details.notes),
         (Some("A. Tester"), Some("Lab 2"), &None)
     );
     assert!(record.steps[0].done && !record.steps[1].done);
