@@ -5,8 +5,9 @@ mod progress;
 use crate::board_args::{BoardArgs, release};
 use crate::clock::{ClockRequest, check_line_speed};
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::live::SessionView;
-use crate::options::{ClockArg, PacingArg, PlateModeArg, job_count, parse_time_scale};
+use crate::options::{ClockArg, PacingArg, job_count, parse_time_scale};
 use crate::prompt::TerminalOperator;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
@@ -106,35 +107,26 @@ struct SessionArgs {
     sign: Option<PathBuf>,
 }
 
-pub(crate) fn accept(arguments: &AcceptArgs, quiet: bool) -> Exit {
+pub(crate) fn accept(arguments: &AcceptArgs, quiet: bool) -> CommandResult {
     match &arguments.action {
         Some(AcceptAction::Verify { record, key }) => verify_record(record, key.as_deref()),
         None => run_session(&arguments.session, quiet),
     }
 }
 
-fn run_session(arguments: &SessionArgs, quiet: bool) -> Exit {
-    let config = match session_config(arguments) {
-        Ok(config) => config,
-        Err(exit) => return exit,
-    };
-    let reservation = match arguments.board.reserve("accept") {
-        Ok(reservation) => reservation,
-        Err(exit) => return exit,
-    };
+fn run_session(arguments: &SessionArgs, quiet: bool) -> CommandResult {
+    let config = session_config(arguments)?;
+    let reservation = arguments.board.reserve("accept")?;
     let started = reservation.as_ref().map(|board| board.started().to_owned()).unwrap_or_default();
     let folder = config.out.clone();
-    let cancel = CancelToken::default();
     let kind = if quiet { ProgressKind::Quiet } else { ProgressKind::detect() };
     let view = SessionView::new(arguments.live);
     let operator = TerminalOperator::in_session(arguments.yes);
     let mut progress = SessionProgress::new(kind, view.clone());
-    let session_cancel = cancel.clone();
-    let session = move |_: &mut EventSender<_, ()>| {
-        let mut hooks = SessionHooks { operator: &operator, observer: &mut progress, cancel: &session_cancel };
-        play_session(&config, &mut hooks)
+    let session = move |cancel: &CancelToken, _: &mut EventSender<()>| {
+        play_session(&config, &mut SessionHooks { operator: &operator, observer: &mut progress, cancel })
     };
-    let ended = run_until_signal(&cancel, None, session, |()| {});
+    let ended = run_until_signal(None, session, |()| {});
     view.close();
     let (result, signal) = match ended {
         Ok(WorkResult::Finished(result, signal)) => (result, signal),
@@ -146,7 +138,8 @@ fn run_session(arguments: &SessionArgs, quiet: bool) -> Exit {
         end.quarantine = result.as_ref().err().map(ToString::to_string);
     }
     let exit = report_end(result, signal, &folder);
-    release(reservation, end, exit)
+    release(reservation, end)?;
+    Ok(exit)
 }
 
 fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, folder: &Path) -> Exit {
@@ -157,11 +150,12 @@ fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, fo
             if record.lost_a_controller() { Exit::Unreachable } else { Exit::of_verdict(record.verdict) }
         }
         Err(error) => {
-            print_error(&error);
-            if folder.join(platebench_acceptance::session_record::FILE).exists() && is_resumable(&error) {
+            let is_resumable = is_resumable(&error);
+            let exit = Failure::from(error).report();
+            if folder.join(platebench_acceptance::session_record::FILE).exists() && is_resumable {
                 stdio::note(&format!("continue with the same command and --resume {}", folder.display()));
             }
-            signal.map_or_else(|| exit_of(&error), Exit::Signal)
+            signal.map_or(exit, Exit::Signal)
         }
     }
 }
@@ -178,31 +172,23 @@ fn is_resumable(error: &AcceptError) -> bool {
     )
 }
 
-/// Returns exit code 2 and reports the fault.
-fn session_config(arguments: &SessionArgs) -> Result<SessionConfig, Exit> {
-    let Some(rig) = arguments.board.find_rig()?.or_else(|| arguments.rig.clone()) else {
-        return Err(stdio::reject(&"--rig is missing, expected --rig RIG or --board NAME"));
-    };
-    rig.check().map_err(|error| stdio::reject(&error))?;
-    let request = ClockRequest {
-        rig: &rig,
-        clock: arguments.clock,
-        time_scale: arguments.time_scale,
-        pacing: arguments.pacing,
-        plate_mode: PlateModeArg::Emulated,
-        wire_time: false,
-    };
-    let clock = request.resolve().map_err(|error| stdio::reject(&error))?;
+fn session_config(arguments: &SessionArgs) -> Result<SessionConfig, Failure> {
+    let rig = arguments.board.find_rig()?.or_else(|| arguments.rig.clone());
+    let rig = rig.ok_or("--rig is missing, expected --rig RIG or --board NAME").or_invalid()?;
+    rig.check().or_invalid()?;
+    let (time_scale, pacing) = (arguments.time_scale, arguments.pacing);
+    let request = ClockRequest { time_scale, pacing, ..ClockRequest::new(&rig, arguments.clock) };
+    let clock = request.resolve().or_invalid()?;
     let plan = Plan::load(&arguments.plan).map_err(|faults| {
-        let exit = stdio::reject_files(&faults);
+        let exit = Failure::from(faults).report();
         if !arguments.plan.exists() {
             stdio::note(NO_PLAN);
         }
         exit
     })?;
     let scenarios: Vec<_> = plan.scenarios.iter().map(|planned| planned.scenario.clone()).collect();
-    check_line_speed(&rig, clock, &scenarios).map_err(|error| stdio::reject(&error))?;
-    let key = arguments.sign.as_deref().map(SecretKey::read).transpose().map_err(|error| stdio::reject(&error))?;
+    check_line_speed(&rig, clock, &scenarios).or_invalid()?;
+    let key = arguments.sign.as_deref().map(SecretKey::read).transpose().or_invalid()?;
     let is_serial =
         matches!(clock, platebench_runner::Clock::RealTime(_)) || !arguments.board.allows_parallel_links(&rig);
     let jobs = if is_serial { 1 } else { job_count(None) };
@@ -239,41 +225,33 @@ fn print_session(record: &SessionRecord) {
     }
 }
 
-fn print_error(error: &AcceptError) {
-    match error {
-        AcceptError::Plan(faults) => faults.iter().for_each(stdio::diagnostic),
-        AcceptError::Run(RunError::Scenario(diagnostic)) => stdio::diagnostic(diagnostic),
-        error => stdio::error(&error.to_string()),
+impl From<AcceptError> for Failure {
+    fn from(error: AcceptError) -> Self {
+        match error {
+            AcceptError::Plan(faults) => faults.into(),
+            AcceptError::Run(error) => error.into(),
+            AcceptError::Trust(_)
+            | AcceptError::AnsweredNo(_)
+            | AcceptError::Unanswered { .. }
+            | AcceptError::Cancelled => Self::new(Exit::Inconclusive, &error),
+            error => Self::invalid(&error),
+        }
     }
 }
 
-fn exit_of(error: &AcceptError) -> Exit {
-    match error {
-        AcceptError::Run(error) => Exit::of_error(error),
-        AcceptError::Trust(_)
-        | AcceptError::AnsweredNo(_)
-        | AcceptError::Unanswered { .. }
-        | AcceptError::Cancelled => Exit::Inconclusive,
-        _ => Exit::Invalid,
-    }
-}
-
-fn verify_record(record: &Path, key: Option<&Path>) -> Exit {
-    let verified = key.map(PublicKey::read).transpose().and_then(|key| verify(record, key.as_ref()));
-    let verified = match verified {
-        Ok(verified) => verified,
-        Err(error) => return stdio::reject(&error),
-    };
+fn verify_record(record: &Path, key: Option<&Path>) -> CommandResult {
+    let key = key.map(PublicKey::read).transpose().or_invalid()?;
+    let verified = verify(record, key.as_ref()).or_invalid()?;
     if verified.is_unfinished() {
-        stdio::error(&format!("{}: the session is not finished, so the record is not sealed", record.display()));
-        return Exit::Inconclusive;
+        let message = format!("{}: the session is not finished, so the record is not sealed", record.display());
+        return Err(Failure::new(Exit::Inconclusive, &message));
     }
     for finding in &verified.findings {
         stdio::error(&finding.to_string());
     }
     if !verified.findings.is_empty() {
         stdio::show("rejected: the record was changed after it was sealed\n");
-        return Exit::Failed;
+        return Ok(Exit::Failed);
     }
     let signer = match &verified.signer {
         Signer::Unsigned => "not signed: a changed record can be sealed again without trace".to_owned(),
@@ -292,5 +270,5 @@ fn verify_record(record: &Path, key: Option<&Path>) -> Exit {
         "intact: {} files, judged again with the same verdict: {verdict}\n{board}{signer}\nmanifest {seal}\n",
         verified.files
     ));
-    Exit::Passed
+    Ok(Exit::Passed)
 }

@@ -1,6 +1,7 @@
 //! `platebench baseline`: accepts, reviews, lists and compares golden traces.
 
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{BASELINES, parse_number};
 use crate::{prompt, stdio};
 use clap::{Args, Subcommand};
@@ -59,14 +60,13 @@ fn parse_share(text: &str) -> Result<f64, String> {
     parse_number(text, |share| (1e-4..=0.5).contains(&share), "a share from 0.0001 to 0.5")
 }
 
-pub(crate) fn baseline(arguments: &BaselineArgs) -> Exit {
-    let done = match &arguments.action {
+pub(crate) fn baseline(arguments: &BaselineArgs) -> CommandResult {
+    match &arguments.action {
         BaselineAction::List { run, baselines } => list_baselines(run.as_deref(), baselines),
+        BaselineAction::Diff(arguments) => review(arguments, Action::Show),
         BaselineAction::Accept(arguments) => review(arguments, Action::Accept),
         BaselineAction::Review(arguments) => review(arguments, Action::Ask),
-        BaselineAction::Diff(arguments) => review(arguments, Action::Show),
-    };
-    done.unwrap_or_else(|error| stdio::reject(&error))
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -76,20 +76,19 @@ enum Action {
     Ask,
 }
 
-fn review(arguments: &ReviewArgs, action: Action) -> Result<Exit, CompareError> {
+fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
     let ReviewArgs { run, baselines, false_alarm_rate: rate } = arguments;
-    let record = &RunRecord::read(run)?;
+    let (record, rate) = (&RunRecord::read(run).or_invalid()?, *rate);
     if record.scenarios.is_empty() {
-        stdio::error("the run has no scenario");
-        return Ok(Exit::NothingToRun);
+        return Err(Failure::new(Exit::NothingToRun, &"the run has no scenario"));
     }
     let (mut invalid, mut verdicts) = (false, Vec::new());
     for scenario in &record.scenarios {
         let trials = read_scenario_trials(run, scenario);
         let old = Baseline::read(baselines, &scenario.file).map_err(CompareError::from);
         let reviewed = old.map_err(BaselineAcceptError::from).and_then(|old| {
-            let show = || print_difference(record, scenario, &trials, old.as_ref(), *rate);
-            let accept = || accept_scenario(record, scenario, &trials, old.as_ref(), baselines, *rate);
+            let show = || print_difference(record, scenario, &trials, old.as_ref(), rate);
+            let accept = || accept_scenario(record, scenario, &trials, old.as_ref(), baselines, rate);
             match action {
                 Action::Show => Ok(show()?),
                 Action::Accept => accept(),
@@ -214,14 +213,17 @@ fn format_features(features: &ResponseFeatures) -> String {
     known.collect::<Vec<_>>().join(", ")
 }
 
-fn list_baselines(run: Option<&Path>, baselines: &Path) -> Result<Exit, CompareError> {
+fn list_baselines(run: Option<&Path>, baselines: &Path) -> CommandResult {
     let mut names = Vec::new();
     match run {
-        Some(run) => names.extend(RunRecord::read(run)?.scenarios.into_iter().map(|scenario| scenario.file)),
+        Some(run) => {
+            let record = RunRecord::read(run).or_invalid()?;
+            names.extend(record.scenarios.into_iter().map(|scenario| scenario.file));
+        }
         None => collect_names(baselines, "", &mut names)?,
     }
     for name in &names {
-        let line = match Baseline::read(baselines, name)? {
+        let line = match Baseline::read(baselines, name).or_invalid()? {
             None => format!("– {name}: no baseline"),
             Some(baseline) => {
                 let learned = baseline.learned.as_ref().map(|learned| {
@@ -243,19 +245,18 @@ fn list_baselines(run: Option<&Path>, baselines: &Path) -> Result<Exit, CompareE
         stdio::show(&format!("{line}\n"));
     }
     if names.is_empty() {
-        stdio::error("there is no baseline");
-        return Ok(Exit::NothingToRun);
+        return Err(Failure::new(Exit::NothingToRun, &"there is no baseline"));
     }
     Ok(Exit::Passed)
 }
 
-fn collect_names(folder: &Path, prefix: &str, names: &mut Vec<String>) -> Result<(), CompareError> {
-    let refused = |source| CompareError::Io { path: folder.to_owned(), source };
-    let mut entries = fs::read_dir(folder).map_err(refused)?.collect::<Result<Vec<_>, _>>().map_err(refused)?;
+fn collect_names(folder: &Path, prefix: &str, names: &mut Vec<String>) -> Result<(), Failure> {
+    let entries = fs::read_dir(folder).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+    let mut entries = entries.or_invalid_at(folder)?;
     entries.sort_by_key(fs::DirEntry::file_name);
     for entry in entries {
         let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
-        if entry.file_type().map_err(refused)?.is_dir() {
+        if entry.file_type().or_invalid_at(folder)?.is_dir() {
             collect_names(&entry.path(), &format!("{name}/"), names)?;
         } else if entry.path().extension().is_some_and(|extension| extension == "toml") {
             names.push(name);

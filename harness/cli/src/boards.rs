@@ -1,7 +1,7 @@
 //! `platebench boards`: lists the boards of the inventory, or ends a quarantine.
 
-use crate::board_args::reject;
 use crate::exit::Exit;
+use crate::failure::CommandResult;
 use crate::options::OutputFormat;
 use crate::stdio;
 use clap::{Args, Subcommand};
@@ -40,28 +40,14 @@ enum BoardsAction {
     },
 }
 
-pub(crate) fn boards(arguments: &BoardsArgs) -> Exit {
-    let inventory = match Inventory::open(arguments.boards.as_deref()) {
-        Ok(inventory) => inventory,
-        Err(error) => return reject(&error),
-    };
+pub(crate) fn boards(arguments: &BoardsArgs) -> CommandResult {
+    let inventory = Inventory::open(arguments.boards.as_deref())?;
     if let Some(BoardsAction::Clear { name, reason }) = &arguments.action {
-        return match clear(&inventory, name, reason) {
-            Ok(()) => {
-                stdio::note(&format!("board {name} is free"));
-                Exit::Passed
-            }
-            Err(error) => reject(&error),
-        };
+        clear(&inventory, name, reason)?;
+        stdio::note(&format!("board {name} is free"));
+    } else {
+        let boards = list(&inventory)?;
+        stdio::show_as(arguments.format, &boards, || status_table(&boards).lines().join("\n") + "\n");
     }
-    match list(&inventory) {
-        Ok(boards) => {
-            match arguments.format {
-                OutputFormat::Human => stdio::show(&(status_table(&boards).lines().join("\n") + "\n")),
-                OutputFormat::Json => stdio::show_json(&boards),
-            }
-            Exit::Passed
-        }
-        Err(error) => reject(&error),
-    }
+    Ok(Exit::Passed)
 }

@@ -7,8 +7,9 @@ pub(crate) use arguments::CampaignArgs;
 
 use crate::board_args::{BoardArgs, release};
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure};
 use crate::options::{OutputFormat, job_count};
-use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use arguments::{CampaignCommand, EngineName, PlayArgs, RunArgs, SubmitArgs};
 use platebench_boards::RunEnd;
@@ -17,32 +18,26 @@ use platebench_campaign::{
     Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, Summary, confirm, merge, play_shard, play_worst,
     plays_worst, report, shards_of_run, status, worst_trials,
 };
-use platebench_rig::{CancelToken, RigError, RigSpec};
+use platebench_rig::{CancelToken, RigSpec};
 use progress::{PlayEvent, Progress};
 use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> Exit {
-    let result = match &arguments.command {
+pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> CommandResult {
+    match &arguments.command {
         CampaignCommand::Run(arguments) => run(arguments, quiet),
-        CampaignCommand::Plan(arguments) => load(&arguments.file)
-            .and_then(|campaign| plan(&campaign, &arguments.out, &arguments.rig, arguments.shards))
-            .map(|plan| {
-                stdio::note(&format!("{} trials in {} shards: {}", plan.trials, plan.shards, arguments.out.display()));
-                Exit::Passed
-            }),
+        CampaignCommand::Plan(arguments) => {
+            let plan = plan(&Campaign::load(&arguments.file)?, &arguments.out, &arguments.rig, arguments.shards)?;
+            stdio::note(&format!("{} trials in {} shards: {}", plan.trials, plan.shards, arguments.out.display()));
+            Ok(Exit::Passed)
+        }
         CampaignCommand::Play(arguments) => play_one(arguments, quiet),
         CampaignCommand::Merge(arguments) => merge_folder(&arguments.folder, arguments.jobs, quiet, arguments.format),
         CampaignCommand::Submit(arguments) => submit(arguments, quiet),
         CampaignCommand::Status(arguments) => show_status(&arguments.folder),
-    };
-    result.unwrap_or_else(|error| reject(&error))
-}
-
-fn load(file: &Path) -> Result<Campaign, CampaignError> {
-    Campaign::load(file).map_err(CampaignError::Files)
+    }
 }
 
 fn plan(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Plan, CampaignError> {
@@ -55,45 +50,31 @@ fn plan(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Resul
     Ok(plan)
 }
 
-fn run(arguments: &RunArgs, quiet: bool) -> Result<Exit, CampaignError> {
-    let campaign = Arc::new(load(&arguments.file)?);
-    let rig = match arguments.board.find_rig() {
-        Ok(rig) => rig.unwrap_or_else(|| arguments.rig.clone()),
-        Err(exit) => return Ok(exit),
-    };
+fn run(arguments: &RunArgs, quiet: bool) -> CommandResult {
+    let campaign = Arc::new(Campaign::load(&arguments.file)?);
+    let rig = arguments.board.find_rig()?.unwrap_or_else(|| arguments.rig.clone());
     let planned = Plan::exists(&arguments.out).then(|| Plan::read(&arguments.out)).transpose()?;
     let shards = planned.map_or_else(|| shards_of_run(&campaign), |plan| plan.shards);
     let plan = plan(&campaign, &arguments.out, &rig, shards)?;
     let shards = (1..=plan.shards).collect();
     let context = (plan.clone(), Arc::clone(&campaign));
-    if let Some(exit) = play_on_board(&arguments.board, &arguments.out, context, shards, &rig, arguments.jobs, quiet)? {
-        return Ok(exit);
-    }
+    play_on_board(&arguments.board, &arguments.out, context, shards, &rig, arguments.jobs, quiet)?;
     merge_and_show(&arguments.out, (plan, campaign), Ok(()), arguments.jobs, quiet, arguments.format)
 }
 
-fn play_one(arguments: &PlayArgs, quiet: bool) -> Result<Exit, CampaignError> {
+fn play_one(arguments: &PlayArgs, quiet: bool) -> CommandResult {
     let (plan, campaign) = Plan::open(&arguments.folder)?;
-    let planned = || plan.rig.parse().map_err(|_| CampaignError::NoPlan(arguments.folder.clone()));
-    let rig = match arguments.board.find_rig() {
-        Ok(rig) => rig.or_else(|| arguments.rig.clone()).map_or_else(planned, Ok)?,
-        Err(exit) => return Ok(exit),
+    let rig = match arguments.board.find_rig()?.or_else(|| arguments.rig.clone()) {
+        Some(rig) => rig,
+        None => plan_rig(&plan, &arguments.folder)?,
     };
     plan.check_bench(&rig)?;
-    let context = (plan, Arc::new(campaign));
-    let played = play_on_board(
-        &arguments.board,
-        &arguments.folder,
-        context,
-        vec![arguments.shard],
-        &rig,
-        arguments.jobs,
-        quiet,
-    )?;
-    Ok(played.unwrap_or(Exit::Passed))
+    let (context, shards) = ((plan, Arc::new(campaign)), vec![arguments.shard]);
+    play_on_board(&arguments.board, &arguments.folder, context, shards, &rig, arguments.jobs, quiet)?;
+    Ok(Exit::Passed)
 }
 
-fn submit(arguments: &SubmitArgs, quiet: bool) -> Result<Exit, CampaignError> {
+fn submit(arguments: &SubmitArgs, quiet: bool) -> CommandResult {
     let plan = Plan::read(&arguments.folder)?;
     let engine = match arguments.on {
         EngineName::Slurm => Engine::Slurm,
@@ -110,17 +91,17 @@ fn submit(arguments: &SubmitArgs, quiet: bool) -> Result<Exit, CampaignError> {
     match Command::new(program).args(words).status() {
         Ok(status) if status.success() => merge_folder(&arguments.folder, None, quiet, OutputFormat::Human),
         Ok(status) => {
-            stdio::error(&format!("{program} ended with {status}; `campaign status` lists the missing shards"));
-            Ok(Exit::Unreachable)
+            let message = format!("{program} ended with {status}; `campaign status` lists the missing shards");
+            Err(Failure::new(Exit::Unreachable, &message))
         }
         Err(error) => {
-            stdio::error(&format!("{program}: {error}; expected the program of the engine"));
-            Ok(Exit::Unreachable)
+            let message = format!("{program}: {error}; expected the program of the engine");
+            Err(Failure::new(Exit::Unreachable, &message))
         }
     }
 }
 
-fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFormat) -> Result<Exit, CampaignError> {
+fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFormat) -> CommandResult {
     let (plan, campaign) = Plan::open(folder)?;
     let rig = plan_rig(&plan, folder)?;
     // The shards may have been played elsewhere.
@@ -141,33 +122,27 @@ fn merge_and_show(
     jobs: Option<u16>,
     quiet: bool,
     format: OutputFormat,
-) -> Result<Exit, CampaignError> {
+) -> CommandResult {
     let mut agreement = None;
     if campaign.confirm.is_some() {
         let config = PlayConfig::new(RigSpec::Hosted, job_count(jobs));
         let (folder, plan, campaign) = (folder.to_owned(), plan.clone(), Arc::clone(&campaign));
-        let cancel = config.cancel.clone();
-        let work = move |events: &mut EventSender<_, PlayEvent>| {
-            confirm(&folder, &plan, &campaign, &config, &mut |event| events.send(PlayEvent::Trial(event)))
-        };
-        match run_campaign_work(&cancel, work, Progress::new(0, quiet))? {
-            Ok(found) => agreement = found,
-            Err(exit) => return Ok(exit),
-        }
+        agreement = run_campaign_work(config, Progress::new(0, quiet), move |config, events| {
+            confirm(&folder, &plan, &campaign, config, &mut |event| events.send(PlayEvent::Trial(event)))
+        })??;
     }
     let summary = merge(folder, &plan, &campaign, agreement)?;
     let config = PlayConfig::new(plan_rig(&plan, folder)?, job_count(jobs));
     let (trials, out, played) = (worst_trials(&summary)?, folder.to_owned(), Arc::clone(&campaign));
-    let cancel = config.cancel.clone();
-    let work = move |_: &mut EventSender<_, PlayEvent>| play_worst(&out, &played, &trials, &config);
-    let links = match bench.and_then(|()| run_campaign_work(&cancel, work, Progress::new(0, true))) {
-        Ok(Ok(links)) => links,
-        Ok(Err(exit)) => return Ok(exit),
-        Err(error) => {
-            stdio::note(&format!("no responses of the worst trials: {error}"));
-            ResponseLinks::new()
-        }
+    let work = move |config: &PlayConfig, _: &mut EventSender<PlayEvent>| play_worst(&out, &played, &trials, config);
+    let links = match bench {
+        Ok(()) => run_campaign_work(config, Progress::new(0, true), work)?,
+        Err(error) => Err(error),
     };
+    let links = links.unwrap_or_else(|error| {
+        stdio::note(&format!("no responses of the worst trials: {error}"));
+        ResponseLinks::new()
+    });
     report::write(folder, &summary, &links)?;
     Ok(show(&summary, folder, format))
 }
@@ -181,84 +156,68 @@ fn play_on_board(
     rig: &RigSpec,
     jobs: Option<u16>,
     quiet: bool,
-) -> Result<Option<Exit>, CampaignError> {
-    let reservation = match board.reserve("campaign") {
-        Ok(reservation) => reservation,
-        Err(exit) => return Ok(Some(exit)),
-    };
+) -> Result<(), Failure> {
+    let reservation = board.reserve("campaign")?;
     let unconfirmed = Arc::new(AtomicBool::new(false));
-    let jobs = if board.allows_parallel_links(rig) { jobs } else { Some(1) };
-    let played = play(folder, context, shards, rig, jobs, quiet, &unconfirmed);
-    let end = if unconfirmed.load(Ordering::Relaxed) || matches!(played, Err(CampaignError::Lost(_))) {
+    let jobs = if board.allows_parallel_links(rig) { job_count(jobs) } else { 1 };
+    let config = PlayConfig { unconfirmed: Arc::clone(&unconfirmed), ..PlayConfig::new(rig.clone(), jobs) };
+    let played = play(folder, context, shards, config, quiet);
+    let end = if unconfirmed.load(Ordering::Relaxed) || matches!(played, Ok(Err(CampaignError::Lost(_)))) {
         RunEnd::unconfirmed()
     } else {
         RunEnd::untouched()
     };
-    let released = release(reservation, end, Exit::Passed);
-    if released == Exit::Passed { played } else { Ok(Some(released)) }
+    release(reservation, end)?;
+    played??;
+    Ok(())
 }
 
-/// `Some` if a signal ended it.
 fn play(
     folder: &Path,
     (plan, campaign): (Plan, Arc<Campaign>),
     shards: Vec<u32>,
-    rig: &RigSpec,
-    jobs: Option<u16>,
+    config: PlayConfig,
     quiet: bool,
-    unconfirmed: &Arc<AtomicBool>,
-) -> Result<Option<Exit>, CampaignError> {
+) -> Result<Result<(), CampaignError>, Failure> {
     let total: u64 = shards.iter().map(|shard| plan.trials_of(*shard)).map(|trials| trials.end - trials.start).sum();
-    let config = PlayConfig { unconfirmed: Arc::clone(unconfirmed), ..PlayConfig::new(rig.clone(), job_count(jobs)) };
-    let cancel = config.cancel.clone();
     let folder = folder.to_owned();
-    let work = move |events: &mut EventSender<_, PlayEvent>| {
+    run_campaign_work(config, Progress::new(total, quiet), move |config, events| {
         shards.into_iter().try_for_each(|shard| {
             let trials = plan.trials_of(shard);
             let count = trials.end.saturating_sub(trials.start);
             let mut on_trial = |event| events.send(PlayEvent::Trial(event));
-            if !play_shard(&folder, &plan, &campaign, shard, &config, &mut on_trial)? {
+            if !play_shard(&folder, &plan, &campaign, shard, config, &mut on_trial)? {
                 events.send(PlayEvent::Skipped(count));
             }
             Ok(())
         })
-    };
-    Ok(run_campaign_work(&cancel, work, Progress::new(total, quiet))?.err())
+    })
 }
 
-/// Sends the progress of a campaign's work, and its result at the end.
-type CampaignSender<R> = EventSender<Result<R, CampaignError>, PlayEvent>;
-
-/// The result, or the exit code if a signal ended the work.
+/// The result of `work`; fails if a signal ended it.
 fn run_campaign_work<R: Send + 'static>(
-    cancel: &CancelToken,
-    work: impl FnOnce(&mut CampaignSender<R>) -> Result<R, CampaignError> + Send + 'static,
+    config: PlayConfig,
     mut progress: Progress,
-) -> Result<Result<R, Exit>, CampaignError> {
-    match run_until_signal(cancel, None, work, |event| progress.add(event)) {
-        Ok(WorkResult::Finished(Ok(result), None)) => Ok(Ok(result)),
-        Ok(WorkResult::Finished(_, Some(signal)) | WorkResult::Abandoned(signal)) => {
+    work: impl FnOnce(&PlayConfig, &mut EventSender<PlayEvent>) -> R + Send + 'static,
+) -> Result<R, Failure> {
+    let work = move |cancel: &CancelToken, events: &mut EventSender<PlayEvent>| {
+        Ok::<R, Failure>(work(&PlayConfig { cancel: cancel.clone(), ..config }, events))
+    };
+    let result = unless_signalled(run_until_signal(None, work, |event| progress.add(event)));
+    result.inspect_err(|failure| {
+        if failure.is_signal() {
             stdio::note("stopped; complete shards are kept, the same command continues");
-            Ok(Err(Exit::Signal(signal)))
         }
-        Ok(WorkResult::Finished(Err(error), None)) => Err(error),
-        Err(error) => {
-            stdio::error(&error.to_string());
-            Ok(Err(Exit::Inconclusive))
-        }
-    }
+    })
 }
 
 fn show(summary: &Summary<'_>, folder: &Path, format: OutputFormat) -> Exit {
-    match format {
-        OutputFormat::Human => stdio::show(&summary.text()),
-        OutputFormat::Json => stdio::show_json(&summary.json()),
-    }
+    stdio::show_as(format, &summary.json(), || summary.text());
     stdio::note(&format!("report: {}", folder.join(report::REPORT_FILE).display()));
     Exit::of_verdict(summary.verdict())
 }
 
-fn show_status(folder: &Path) -> Result<Exit, CampaignError> {
+fn show_status(folder: &Path) -> CommandResult {
     let (plan, campaign) = Plan::open(folder)?;
     let status = status(folder, &plan, &campaign)?;
     let (whole, missing) = (status.whole.len(), status.missing.len());
@@ -282,17 +241,16 @@ fn show_status(folder: &Path) -> Result<Exit, CampaignError> {
     Ok(Exit::Inconclusive)
 }
 
-fn reject(error: &CampaignError) -> Exit {
-    if let CampaignError::Files(faults) = error {
-        return stdio::reject_files(faults);
-    }
-    stdio::error(&error.to_string());
-    match error {
-        CampaignError::Connect(error) if error.is_invalid_input() => Exit::Invalid,
-        CampaignError::Rig(RigError::ConfigurationRejected(_)) => Exit::Invalid,
-        CampaignError::Connect(_) | CampaignError::Rig(_) | CampaignError::Lost(_) => Exit::Unreachable,
-        CampaignError::Run(error) => Exit::of_error(error),
-        CampaignError::Cancelled => Exit::Inconclusive,
-        _ => Exit::Invalid,
+impl From<CampaignError> for Failure {
+    fn from(error: CampaignError) -> Self {
+        match error {
+            CampaignError::Files(faults) => faults.into(),
+            CampaignError::Connect(error) => error.into(),
+            CampaignError::Rig(error) => error.into(),
+            CampaignError::Run(error) => error.into(),
+            CampaignError::Lost(_) => Self::new(Exit::Unreachable, &error),
+            CampaignError::Cancelled => Self::new(Exit::Inconclusive, &error),
+            error => Self::invalid(&error),
+        }
     }
 }

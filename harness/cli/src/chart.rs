@@ -1,14 +1,16 @@
 //! `platebench chart`: measures speed against accuracy and writes one page.
 
-use crate::chart_page::{WriteError, create_folder, write_page};
+use crate::chart_page::write_page;
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::stdio;
 use clap::Args;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use platebench_rig::RigSpec;
-use platebench_scenario::{Diagnostic, Scenario, find};
+use platebench_scenario::{Scenario, find};
 use platebench_study::charts::{ChartError, ladder, laws, load_law_scenarios, precision, scenes};
+use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The cost is their median.
@@ -63,55 +65,18 @@ pub(crate) enum ChartKind {
     Ladder,
 }
 
-#[derive(Debug, thiserror::Error)]
-enum ChartsError {
-    #[error("invalid scenario")]
-    Scenarios(Vec<Diagnostic>),
-    #[error("no scenario was found")]
-    NoScenario,
-    #[error(transparent)]
-    Chart(#[from] ChartError),
-    #[error(transparent)]
-    Write(#[from] WriteError),
-}
-
-impl ChartsError {
-    fn report(self) -> Exit {
-        match self {
-            Self::Scenarios(diagnostics) => {
-                diagnostics.iter().for_each(stdio::diagnostic);
-                Exit::Invalid
-            }
-            Self::Chart(ChartError::Scenario(diagnostic)) => stdio::reject_file(&diagnostic),
-            Self::Chart(error @ ChartError::Lost { .. }) => {
-                stdio::error(&error.to_string());
-                Exit::Unreachable
-            }
-            Self::Chart(ChartError::Run(error)) => {
-                stdio::error(&error.to_string());
-                Exit::of_error(&error)
-            }
-            Self::NoScenario => {
-                stdio::error(&self.to_string());
-                Exit::NothingToRun
-            }
-            error @ (Self::Chart(_) | Self::Write(_)) => stdio::reject(&error),
+impl From<ChartError> for Failure {
+    fn from(error: ChartError) -> Self {
+        match error {
+            ChartError::Scenario(fault) => fault.into(),
+            ChartError::Run(error) => error.into(),
+            ChartError::Lost { .. } => Self::new(Exit::Unreachable, &error),
+            error => Self::invalid(&error),
         }
     }
 }
 
-pub(crate) fn chart(arguments: &ChartArgs) -> Exit {
-    match write_charts(arguments) {
-        Ok((summary, page)) => {
-            stdio::show(&summary);
-            stdio::note(&format!("page: {}", page.display()));
-            Exit::Passed
-        }
-        Err(error) => error.report(),
-    }
-}
-
-fn write_charts(arguments: &ChartArgs) -> Result<(String, PathBuf), ChartsError> {
+pub(crate) fn chart(arguments: &ChartArgs) -> CommandResult {
     let is_selected = |kind| arguments.only.is_empty() || arguments.only.contains(&kind);
     let default = DEFAULT_SCENARIOS.map(|file| arguments.scenes.join(file));
     let methods = is_selected(ChartKind::Methods).then(|| find_scenarios(arguments, &default)).transpose()?;
@@ -125,7 +90,7 @@ fn write_charts(arguments: &ChartArgs) -> Result<(String, PathBuf), ChartsError>
         is_selected(ChartKind::Laws).then(|| load_law_scenarios(&arguments.scenes, arguments.quick)).transpose()?;
     let now = || Timestamp::now().to_zoned(TimeZone::UTC).strftime("%Y%m%dT%H%M%SZ").to_string();
     let folder = arguments.out.clone().unwrap_or_else(|| Path::new("charts").join(now()));
-    create_folder(&folder)?;
+    fs::create_dir_all(&folder).or_invalid_at(&folder)?;
     let rounds = if arguments.quick { 1 } else { COST_ROUNDS };
     let mut sections = Vec::new();
     if let Some(scenarios) = methods {
@@ -143,15 +108,20 @@ fn write_charts(arguments: &ChartArgs) -> Result<(String, PathBuf), ChartsError>
     let (version, os, arch) = (env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH);
     let intro = format!("platebench {version} on {os} {arch}");
     let page = write_page(&folder, "charts.html", "Speed against accuracy", intro, &sections)?;
-    let texts = sections.iter().map(|section| format!("{}\n\n{}\n", section.title, section.summary));
-    let summary = texts.collect::<Vec<_>>().concat();
-    Ok((summary, page))
+    for section in &sections {
+        stdio::show(&format!("{}\n\n{}\n", section.title, section.summary));
+    }
+    stdio::note(&format!("page: {}", page.display()));
+    Ok(Exit::Passed)
 }
 
-fn find_scenarios(arguments: &ChartArgs, default: &[PathBuf]) -> Result<Vec<Scenario>, ChartsError> {
+fn find_scenarios(arguments: &ChartArgs, default: &[PathBuf]) -> Result<Vec<Scenario>, Failure> {
     let named = if arguments.scenarios.is_empty() { default } else { &arguments.scenarios };
-    let found = find(named).map_err(ChartsError::Scenarios)?;
-    if found.scenarios.is_empty() { Err(ChartsError::NoScenario) } else { Ok(found.scenarios) }
+    let scenarios = find(named)?.scenarios;
+    if scenarios.is_empty() {
+        return Err(Failure::new(Exit::NothingToRun, &"no scenario was found"));
+    }
+    Ok(scenarios)
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use crate::config::Config;
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure};
 use crate::options::{OutputFormat, SCENARIOS};
 use crate::selection::TagFilter;
 use crate::stdio;
@@ -11,6 +12,7 @@ use platebench_boards::Inventory;
 #[cfg(feature = "export")]
 use platebench_campaign::Campaign;
 use platebench_explore::Envelope;
+use platebench_report::format::count;
 use platebench_runner::law;
 use platebench_scenario::{
     Diagnostic, FileKind, list_files, load, load_with_all_errors, read_requirements, unjudged_changes,
@@ -89,7 +91,7 @@ fn is_selected(tags: &TagFilter, path: &Path, name: &str) -> bool {
 }
 
 /// `definition` is the command line, which checks settings.
-pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> Exit {
+pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResult {
     let (mut files, mut faults) = list_files(&arguments.scenarios);
     if !arguments.tags.is_empty() {
         files.retain(|(path, name)| is_selected(&arguments.tags, path, name));
@@ -124,11 +126,10 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> Exit {
     faults.iter().for_each(stdio::diagnostic);
     if !faults.is_empty() {
         stdio::note(&format!("{} in {}", count(faults.len(), "fault"), count(files.len(), "file")));
-        return Exit::Invalid;
+        return Ok(Exit::Invalid);
     }
     if files.is_empty() {
-        stdio::error("there is nothing to check");
-        return Exit::NothingToRun;
+        return Err(Failure::new(Exit::NothingToRun, &"there is nothing to check"));
     }
     for warning in &warnings {
         stdio::note(&format!("warning: {warning}"));
@@ -141,9 +142,5 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> Exit {
     if arguments.format == OutputFormat::Human {
         stdio::show(&format!("no faults in {}\n", counts.join(", ")));
     }
-    Exit::Passed
-}
-
-fn count(number: usize, noun: &str) -> String {
-    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
+    Ok(Exit::Passed)
 }

@@ -19,14 +19,17 @@ pub(crate) struct ClockRequest<'a> {
     pub(crate) wire_time: bool,
 }
 
-impl ClockRequest<'_> {
+impl<'a> ClockRequest<'a> {
+    /// For an emulated plate.
+    pub(crate) fn new(rig: &'a RigSpec, clock: Option<ClockArg>) -> Self {
+        let (pacing, plate_mode) = (PacingArg::Bench, PlateModeArg::Emulated);
+        Self { rig, clock, time_scale: 1.0, pacing, plate_mode, wire_time: false }
+    }
+
     /// Errors: why the options contradict each other.
     pub(crate) fn resolve(&self) -> Result<Clock, &'static str> {
         let Self { time_scale, wire_time, .. } = *self;
-        let pacing = match self.pacing {
-            PacingArg::Bench => Pacing::Bench,
-            PacingArg::Target => Pacing::Target,
-        };
+        let pacing = Pacing::from(self.pacing);
         if self.plate_mode == PlateModeArg::Real {
             return self.resolve_real_plate();
         }

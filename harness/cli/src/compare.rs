@@ -1,6 +1,7 @@
 //! `platebench compare`: compares responses with other responses or with baselines.
 
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat};
 use crate::stdio;
 use clap::Args;
@@ -51,17 +52,25 @@ struct ComparisonOutput {
     drawing: Option<PathBuf>,
 }
 
-pub(crate) fn compare(arguments: &CompareArgs) -> Exit {
-    match compare_all(arguments) {
-        Ok(comparisons) => {
-            let exit = print_comparisons(&comparisons, arguments.format);
-            if exit == Exit::Inconclusive && has_no_baseline(arguments) {
-                stdio::note(&first_run_note(arguments));
-                return Exit::Passed;
-            }
-            exit
-        }
-        Err(error) => stdio::reject(&error),
+pub(crate) fn compare(arguments: &CompareArgs) -> CommandResult {
+    let comparisons = compare_all(arguments).or_invalid()?;
+    stdio::show_as(arguments.format, &comparisons, || comparisons.iter().map(ComparisonOutput::text).collect());
+    if comparisons.is_empty() {
+        return Err(Failure::new(Exit::NothingToRun, &"there is nothing to compare"));
+    }
+    let exit = Exit::of_verdict(Verdict::combine(comparisons.iter().map(|one| one.comparison.verdict)));
+    if exit == Exit::Inconclusive && has_no_baseline(arguments) {
+        stdio::note(&first_run_note(arguments));
+        return Ok(Exit::Passed);
+    }
+    Ok(exit)
+}
+
+impl ComparisonOutput {
+    fn text(&self) -> String {
+        let mut lines = comparison::lines(&self.scenario, &self.comparison);
+        lines.extend(self.drawing.iter().map(|path| format!("  drawing: {}", path.display())));
+        lines.join("\n") + "\n"
     }
 }
 
@@ -77,24 +86,6 @@ fn first_run_note(arguments: &CompareArgs) -> String {
         "there is no golden trace in {baselines} yet, so nothing was compared. To create them: play the scenarios, \
          `platebench baseline review {run}`, and commit {baselines}"
     )
-}
-
-fn print_comparisons(comparisons: &[ComparisonOutput], format: OutputFormat) -> Exit {
-    match format {
-        OutputFormat::Human => {
-            for one in comparisons {
-                let mut lines = comparison::lines(&one.scenario, &one.comparison);
-                lines.extend(one.drawing.iter().map(|path| format!("  drawing: {}", path.display())));
-                stdio::show(&(lines.join("\n") + "\n"));
-            }
-        }
-        OutputFormat::Json => stdio::show_json(&comparisons),
-    }
-    if comparisons.is_empty() {
-        stdio::error("there is nothing to compare");
-        return Exit::NothingToRun;
-    }
-    Exit::of_verdict(Verdict::combine(comparisons.iter().map(|one| one.comparison.verdict)))
 }
 
 fn compare_all(arguments: &CompareArgs) -> Result<Vec<ComparisonOutput>, CompareError> {

@@ -73,30 +73,22 @@ struct Setting {
     variable: Option<&'static str>,
     key: &'static str,
     /// Empty: every command that has the option.
-    commands: &'static [&'static str],
+    commands: CommandNames,
     /// Relative to the file.
     is_path: bool,
 }
 
-const fn setting(
-    id: &'static str,
-    variable: &'static str,
-    key: &'static str,
-    commands: &'static [&'static str],
-) -> Setting {
+type CommandNames = &'static [&'static str];
+
+const fn setting(id: &'static str, variable: &'static str, key: &'static str, commands: CommandNames) -> Setting {
     Setting { id, variable: Some(variable), key, commands, is_path: false }
 }
 
-const fn path(
-    id: &'static str,
-    variable: &'static str,
-    key: &'static str,
-    commands: &'static [&'static str],
-) -> Setting {
-    Setting { id, variable: Some(variable), key, commands, is_path: true }
+const fn path(id: &'static str, variable: &'static str, key: &'static str, commands: CommandNames) -> Setting {
+    Setting { is_path: true, ..setting(id, variable, key, commands) }
 }
 
-const RUN: &[&str] = &["run"];
+const RUN: CommandNames = &["run"];
 
 const SETTINGS: [Setting; 14] = [
     setting("rig", "PLATEBENCH_RIG", "rig", &[]),

@@ -1,9 +1,10 @@
 //! `platebench coverage`: shows which lines of the firmware the scenarios execute.
 
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{SCENARIOS, job_count, parse_percent};
 use crate::selection::{TagFilter, find_scenarios};
-use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
 use platebench_firmware_analysis::{
@@ -12,7 +13,6 @@ use platebench_firmware_analysis::{
 use platebench_rig::{CancelToken, RigSpec};
 use platebench_trace::write_atomically;
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
@@ -49,63 +49,41 @@ pub(crate) struct CoverageArgs {
     out: Option<PathBuf>,
 }
 
-pub(crate) fn coverage(arguments: &CoverageArgs) -> Exit {
-    let scenarios = match find_scenarios(&arguments.scenarios, &arguments.tags, |_| true) {
-        Ok(scenarios) => scenarios,
-        Err(exit) => return exit,
-    };
-    let cancel = CancelToken::default();
+pub(crate) fn coverage(arguments: &CoverageArgs) -> CommandResult {
+    let scenarios = find_scenarios(&arguments.scenarios, &arguments.tags, |_| true)?;
     let (rig, only, jobs) = (arguments.rig.clone(), arguments.only.clone(), job_count(arguments.jobs));
-    let work_cancel = cancel.clone();
-    let work = move |_: &mut EventSender<_, ()>| {
+    let work = move |cancel: &CancelToken, _: &mut EventSender<()>| {
         let suite = Suite::new(&rig, scenarios)?;
-        let config = CoverageConfig { suite, jobs, only, cancel: work_cancel };
+        let config = CoverageConfig { suite, jobs, only, cancel: cancel.clone() };
         measure_coverage(&config).map(|coverage| (coverage, config.suite.not_applicable))
     };
-    let (coverage, not_applicable) = match analysis_result(run_until_signal(&cancel, None, work, |()| {})) {
-        Ok(result) => result,
-        Err(exit) => return exit,
-    };
+    let (coverage, not_applicable) = unless_signalled(run_until_signal(None, work, |()| {}))?;
     for reason in &not_applicable {
         stdio::note(&format!("not applicable: {reason}"));
     }
     let text = coverage_text::summary(&coverage);
-    if let Err((path, error)) = write_files(arguments, &coverage, &text) {
-        return stdio::reject(&format!("{}: {error}", path.display()));
-    }
+    write_files(arguments, &coverage, &text)?;
     stdio::show(&text);
     let is_met = arguments.at_least.is_none_or(|limit| coverage.line_ratio().percent() >= limit);
-    if is_met { Exit::Passed } else { Exit::Failed }
+    Ok(if is_met { Exit::Passed } else { Exit::Failed })
 }
 
-fn write_files(arguments: &CoverageArgs, coverage: &Coverage, text: &str) -> Result<(), (PathBuf, io::Error)> {
+fn write_files(arguments: &CoverageArgs, coverage: &Coverage, text: &str) -> Result<(), Failure> {
     let tracefile = lcov::tracefile(coverage);
-    let write =
-        |path: &Path, text: &str| write_atomically(path, text.as_bytes()).map_err(|error| (path.to_owned(), error));
+    let write = |path: &Path, text: &str| write_atomically(path, text.as_bytes()).or_invalid_at(path);
     if let Some(path) = &arguments.lcov {
         write(path, &tracefile)?;
     }
     if let Some(folder) = &arguments.out {
-        fs::create_dir_all(folder).map_err(|error| (folder.clone(), error))?;
+        fs::create_dir_all(folder).or_invalid_at(folder)?;
         write(&folder.join("lcov.info"), &tracefile)?;
         write(&folder.join("coverage.txt"), text)?;
     }
     Ok(())
 }
 
-/// The result of an analysis that a signal may end.
-pub(crate) fn analysis_result<T>(result: io::Result<WorkResult<Result<T, AnalysisError>>>) -> Result<T, Exit> {
-    match result {
-        Ok(WorkResult::Finished(Ok(result), None)) => Ok(result),
-        Ok(WorkResult::Finished(_, Some(signal)) | WorkResult::Abandoned(signal)) => Err(Exit::Signal(signal)),
-        Ok(WorkResult::Finished(Err(error), None)) if error.is_invalid_input() => Err(stdio::reject(&error)),
-        Ok(WorkResult::Finished(Err(error), None)) => {
-            stdio::error(&error.to_string());
-            Err(Exit::Inconclusive)
-        }
-        Err(error) => {
-            stdio::error(&error.to_string());
-            Err(Exit::Inconclusive)
-        }
+impl From<AnalysisError> for Failure {
+    fn from(error: AnalysisError) -> Self {
+        Self::new(if error.is_invalid_input() { Exit::Invalid } else { Exit::Inconclusive }, &error)
     }
 }

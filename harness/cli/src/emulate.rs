@@ -2,15 +2,16 @@
 
 use crate::board_args::{BoardArgs, release};
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{PacingArg, law_names, parse_seconds};
-use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
 use crate::{live, stdio};
 use clap::Args;
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 use platebench_boards::RunEnd;
 use platebench_live::{INTERRUPT, LiveView, RunDescription, ScenarioDescription, ViewEvent, ViewSender, watch_keys};
 use platebench_plate::Time;
-use platebench_rig::{BoxedLink, FaultInjector, PtyLink, RigSpec, Session};
+use platebench_rig::{BoxedLink, FaultInjector, PtyLink, RigSpec, Session, check_baud};
 use platebench_runner::real_time::{Consumer, EmulationEnd, emulate_plate as play};
 use platebench_runner::trial::TrialSpec;
 use platebench_runner::{CancelToken, LiveTap, ManualControl, ManualInputs, TimeBase};
@@ -46,7 +47,7 @@ pub(crate) struct EmulateArgs {
     pacing: PacingArg,
     /// End after this time, s
     #[arg(long, value_name = "S", value_parser = parse_seconds)]
-    seconds: Option<f64>,
+    seconds: Option<Duration>,
     /// Live view in the terminal; ignored without a terminal
     #[arg(long)]
     live: bool,
@@ -63,37 +64,21 @@ const LIVE_KEYS: &str = "f/F finger -/+, t/T plate -/+, s/S setpoint -/+, r rele
 const KEYS: &str =
     "keys: f/F finger -/+ 0.25 N, t/T plate -/+ 1 K, s/S setpoint -/+ 0.1 µm, r release and cool down, q quit";
 
-pub(crate) fn emulate(arguments: &EmulateArgs) -> Exit {
-    let scenario = match load(&arguments.scenario, &arguments.scenario.display().to_string()) {
-        Ok(scenario) => scenario,
-        Err(fault) => return stdio::reject_file(&fault),
-    };
+pub(crate) fn emulate(arguments: &EmulateArgs) -> CommandResult {
+    let scenario = load(&arguments.scenario, &arguments.scenario.display().to_string())?;
     let name = arguments.law.as_ref().unwrap_or(&scenario.controller.law);
-    let Some(law) = LawId::from_name(name) else {
-        return stdio::reject(&format!("unknown law `{name}`"));
+    let law = LawId::from_name(name).ok_or_else(|| format!("unknown law `{name}`")).or_invalid()?;
+    let named = match arguments.board.find_rig()? {
+        Some(rig @ RigSpec::Serial { .. }) => rig.to_string(),
+        Some(rig) => {
+            return Err(Failure::invalid(&format!("the board has the rig {rig}, expected serial:PORT[@BAUD]")));
+        }
+        None => arguments.port.clone().unwrap_or_default(),
     };
-    let named = match arguments.board.find_rig() {
-        Ok(Some(rig @ RigSpec::Serial { .. })) => rig.to_string(),
-        Ok(Some(rig)) => return stdio::reject(&format!("the board has the rig {rig}, expected serial:PORT[@BAUD]")),
-        Ok(None) => arguments.port.clone().unwrap_or_default(),
-        Err(exit) => return exit,
-    };
-    let port = match ControllerPort::parse(&named) {
-        Ok(port) => port,
-        Err(error) => return stdio::reject(&error),
-    };
-    let time_base = TimeBase {
-        time_scale: 1.0,
-        pacing: match arguments.pacing {
-            PacingArg::Bench => platebench_runner::Pacing::Bench,
-            PacingArg::Target => platebench_runner::Pacing::Target,
-        },
-    };
-    if let Some(Err(error)) = port
-        .baud()
-        .map(|baud| platebench_rig::check_baud(baud, time_base.wall_duration(scenario.controller.period), 1.0))
-    {
-        return stdio::reject(&error);
+    let port = ControllerPort::parse(&named).or_invalid()?;
+    let time_base = TimeBase { time_scale: 1.0, pacing: arguments.pacing.into() };
+    if let Some(baud) = port.baud() {
+        check_baud(baud, time_base.wall_duration(scenario.controller.period), 1.0).or_invalid()?;
     }
     let description = RunDescription {
         command: "emulate",
@@ -105,10 +90,7 @@ pub(crate) fn emulate(arguments: &EmulateArgs) -> Exit {
     };
     let (view, live_tap) = if arguments.live { live::open_view(description) } else { Default::default() };
     let view_sender = view.as_ref().map(LiveView::sender);
-    let reservation = match arguments.board.reserve("emulate") {
-        Ok(reservation) => reservation,
-        Err(exit) => return exit,
-    };
+    let reservation = arguments.board.reserve("emulate")?;
     let unconfirmed = Arc::new(AtomicBool::new(false));
     let plate = PlateServer {
         scenario: without_end(scenario),
@@ -118,30 +100,19 @@ pub(crate) fn emulate(arguments: &EmulateArgs) -> Exit {
         live_tap,
         unconfirmed: Arc::clone(&unconfirmed),
     };
-    let cancel = CancelToken::default();
-    let end = arguments.seconds.map(Duration::from_secs_f64);
-    let work = {
-        let cancel = cancel.clone();
-        move |_: &mut EventSender<_, ()>| {
-            let exit = plate.serve(&port, &cancel);
-            cancel.cancel();
-            exit
-        }
+    let serve = move |cancel: &CancelToken, _: &mut EventSender<()>| {
+        let served = plate.serve(&port, cancel);
+        cancel.cancel();
+        served
     };
     let raw = view.is_none().then(RawTerminalMode::enter);
-    let ended = run_until_signal(&cancel, end, work, |()| {});
+    let ended = run_until_signal(arguments.seconds, serve, |()| {});
     drop((view, raw));
     let is_abandoned = !matches!(ended, Ok(WorkResult::Finished(..)));
     let is_unconfirmed = is_abandoned || unconfirmed.load(Ordering::Relaxed);
-    let exit = match ended {
-        Ok(WorkResult::Finished(exit, None)) => exit,
-        Ok(WorkResult::Finished(_, Some(number)) | WorkResult::Abandoned(number)) => Exit::Signal(number),
-        Err(error) => {
-            stdio::error(&error.to_string());
-            Exit::Inconclusive
-        }
-    };
-    release(reservation, if is_unconfirmed { RunEnd::unconfirmed() } else { RunEnd::untouched() }, exit)
+    let exit = unless_signalled(ended).map_or_else(Failure::report, |()| Exit::Passed);
+    release(reservation, if is_unconfirmed { RunEnd::unconfirmed() } else { RunEnd::untouched() })?;
+    Ok(exit)
 }
 
 struct RawTerminalMode;
@@ -186,24 +157,17 @@ impl ControllerPort {
         }
     }
 
-    /// Reports an error and returns the exit code.
-    fn open(&self, view_sender: Option<&ViewSender>) -> Result<BoxedLink, Exit> {
-        let refused = |error: &dyn std::fmt::Display, exit| {
-            stdio::error(&error.to_string());
-            exit
-        };
+    fn open(&self, view_sender: Option<&ViewSender>) -> Result<BoxedLink, Failure> {
         match self {
             Self::PseudoTerminal => {
-                let terminal = PtyLink::open().map_err(|error| refused(&error, Exit::Unreachable))?;
+                let terminal = PtyLink::open().map_err(|error| Failure::new(Exit::Unreachable, &error))?;
                 match view_sender {
                     Some(sender) => sender.send(ViewEvent::RigLocation(terminal.path().to_owned())),
                     None => stdio::show(&format!("port: {}\n", terminal.path())),
                 }
                 Ok(Box::new(terminal))
             }
-            Self::Serial(rig) => rig.connect_real_time().map_err(|error| {
-                refused(&error, if error.is_invalid_input() { Exit::Invalid } else { Exit::Unreachable })
-            }),
+            Self::Serial(rig) => Ok(rig.connect_real_time()?),
         }
     }
 }
@@ -219,12 +183,9 @@ struct PlateServer {
 }
 
 impl PlateServer {
-    fn serve(&self, port: &ControllerPort, cancel: &CancelToken) -> Exit {
+    fn serve(&self, port: &ControllerPort, cancel: &CancelToken) -> Result<(), Failure> {
         let control = Arc::new(ManualControl::default());
-        let mut link = match port.open(self.view_sender.as_ref()) {
-            Ok(link) => link,
-            Err(exit) => return exit,
-        };
+        let mut link = port.open(self.view_sender.as_ref())?;
         if stdin().is_terminal() {
             let inputs = ManualInputs { setpoint_um: self.scenario.setpoint.range().1, ..ManualInputs::default() };
             let (control, cancel) = (Arc::clone(&control), cancel.clone());
@@ -265,7 +226,7 @@ impl PlateServer {
             }
             self.unconfirmed.store(!session.close(), Ordering::Relaxed);
         }
-        Exit::Passed
+        Ok(())
     }
 }
 

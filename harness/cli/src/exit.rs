@@ -1,8 +1,6 @@
 //! Defines the exit codes.
 
 use platebench_record::{RunRecord, Verdict};
-use platebench_rig::RigError;
-use platebench_runner::RunError;
 use std::process::ExitCode;
 
 /// If several apply: invalid, then unreachable, then failed, then inconclusive.
@@ -53,22 +51,6 @@ impl Exit {
             Self::NothingToRun => 4,
             Self::Unreachable => 5,
             Self::Signal(number) => 128 + number,
-        }
-    }
-
-    /// A run without a record.
-    pub(crate) fn of_error(error: &RunError) -> Self {
-        match error {
-            // The firmware rejects a scenario or plate that it cannot control.
-            RunError::Scenario(_)
-            | RunError::Folder(_)
-            | RunError::Trace(_)
-            | RunError::NoTargetPacing(_)
-            | RunError::NoRealPlate(_)
-            | RunError::Rig(RigError::ConfigurationRejected(_)) => Self::Invalid,
-            RunError::Connect(error) if error.is_invalid_input() => Self::Invalid,
-            RunError::Connect(_) | RunError::Rig(_) | RunError::DifferentController { .. } => Self::Unreachable,
-            RunError::Internal(_) | RunError::Cancelled => Self::Inconclusive,
         }
     }
 }

@@ -3,8 +3,9 @@
 mod budget;
 
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{OutputFormat, job_count, law_names};
-use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
 use crate::stdio;
 use budget::parse_duration;
 use clap::Args;
@@ -67,61 +68,39 @@ pub(crate) struct ExploreArgs {
     format: OutputFormat,
 }
 
-pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> Exit {
-    let session = match prepare(arguments) {
-        Ok(session) => session,
-        Err(exit) => return exit,
-    };
-    let folder = match RunFolder::create(arguments.out.as_deref()) {
-        Ok(folder) => folder,
-        Err(error) => return stdio::reject(&error),
-    };
+pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> CommandResult {
+    let session = prepare(arguments)?;
+    let folder = RunFolder::create(arguments.out.as_deref()).or_invalid()?;
     let path = folder.path().to_owned();
-    let cancel = CancelToken::default();
-    let work_cancel = cancel.clone();
-    let work = move |events: &mut EventSender<_, ProgressEvent>| {
-        session.run(&work_cancel, &path, &mut |event| events.send(event))
+    let work = move |cancel: &CancelToken, events: &mut EventSender<ProgressEvent>| {
+        session.run(cancel, &path, &mut |event| events.send(event))
     };
     let mut last = Duration::ZERO;
-    let result = run_until_signal(&cancel, None, work, |event| {
+    let ended = run_until_signal(None, work, |event| {
         // A line every ten seconds shows in a log that the work continues.
         if !quiet && event.elapsed >= last + Duration::from_secs(10) {
             last = event.elapsed;
             stdio::note(&event.to_string());
         }
     });
-    let (report, signal) = match result {
+    let (report, signal) = match ended {
         Ok(WorkResult::Finished(Ok(report), signal)) => (report, signal),
-        Ok(WorkResult::Finished(Err(_), Some(signal)) | WorkResult::Abandoned(signal)) => {
+        ended => {
             folder.remove_if_empty();
-            return Exit::Signal(signal);
-        }
-        Ok(WorkResult::Finished(Err(error), None)) => {
-            folder.remove_if_empty();
-            stdio::error(&error.to_string());
-            return exit_of_error(&error);
-        }
-        Err(error) => {
-            stdio::error(&error.to_string());
-            return Exit::Inconclusive;
+            (unless_signalled(ended)?, None)
         }
     };
-    match arguments.format {
-        OutputFormat::Human => stdio::show(&text::summary(&report)),
-        OutputFormat::Json => stdio::show_json(&report),
-    }
+    stdio::show_as(arguments.format, &report, || text::summary(&report));
     stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
     stdio::note(&format!("report: {}", folder.path().join(page::FILE).display()));
-    signal.map_or_else(|| Exit::of_verdict(report.verdict), Exit::Signal)
+    Ok(signal.map_or_else(|| Exit::of_verdict(report.verdict), Exit::Signal))
 }
 
-fn prepare(arguments: &ExploreArgs) -> Result<ExploreSession, Exit> {
-    let envelope = Envelope::load(&arguments.envelope).map_err(|faults| stdio::reject_files(&faults))?;
-    arguments.rig.check().map_err(|fault| stdio::reject(&fault))?;
-    let has_regressions = arguments.regressions.is_dir();
-    let regressions = if has_regressions {
-        let found = find(std::slice::from_ref(&arguments.regressions));
-        found.map_err(|faults| stdio::reject_files(&faults))?.scenarios
+fn prepare(arguments: &ExploreArgs) -> Result<ExploreSession, Failure> {
+    let envelope = Envelope::load(&arguments.envelope)?;
+    arguments.rig.check().or_invalid()?;
+    let regressions = if arguments.regressions.is_dir() {
+        find(std::slice::from_ref(&arguments.regressions))?.scenarios
     } else {
         Vec::new()
     };
@@ -142,17 +121,20 @@ fn prepare(arguments: &ExploreArgs) -> Result<ExploreSession, Exit> {
     })
 }
 
-fn exit_of_error(error: &ExploreError) -> Exit {
-    match error {
-        ExploreError::Connect(error) if error.is_invalid_input() => Exit::Invalid,
-        ExploreError::Rig(platebench_rig::RigError::ConfigurationRejected(_))
-        | ExploreError::LawNotAnnounced(_)
-        | ExploreError::LawWithoutProperties(_)
-        | ExploreError::Io { .. }
-        | ExploreError::Report(_) => Exit::Invalid,
-        ExploreError::Connect(_) | ExploreError::Rig(_) | ExploreError::Lost(_) => Exit::Unreachable,
-        ExploreError::Generated(_) | ExploreError::Strategy(_) | ExploreError::Cancelled | ExploreError::Internal => {
-            Exit::Inconclusive
+impl From<ExploreError> for Failure {
+    fn from(error: ExploreError) -> Self {
+        match error {
+            ExploreError::Connect(error) => error.into(),
+            ExploreError::Rig(error) => error.into(),
+            ExploreError::Lost(_) => Self::new(Exit::Unreachable, &error),
+            ExploreError::LawNotAnnounced(_)
+            | ExploreError::LawWithoutProperties(_)
+            | ExploreError::Io { .. }
+            | ExploreError::Report(_) => Self::invalid(&error),
+            ExploreError::Generated(_)
+            | ExploreError::Strategy(_)
+            | ExploreError::Cancelled
+            | ExploreError::Internal => Self::new(Exit::Inconclusive, &error),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! `platebench export`: exports the traces of a stored run to other programs.
 
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_export::ExportError;
@@ -42,20 +43,13 @@ enum ExportFormatArg {
     Mcap,
 }
 
-pub(crate) fn export(arguments: &ExportArgs) -> Exit {
-    let record = match RunRecord::read(&arguments.run) {
-        Ok(record) if record.complete => Ok(record),
+pub(crate) fn export(arguments: &ExportArgs) -> CommandResult {
+    let mut record = RunRecord::read(&arguments.run).or_invalid()?;
+    if !record.complete {
         // The record of an interrupted run lacks its last trials.
-        Ok(_) => rejudge(&arguments.run, None),
-        Err(error) => Err(error.into()),
-    };
-    let record = match record {
-        Ok(record) => record,
-        Err(error) => return stdio::reject_stored_run(&error),
-    };
-    if let Some(refused) = changed_trace(&record, arguments) {
-        return stdio::reject(&refused);
+        record = rejudge(&arguments.run, None)?;
     }
+    check_traces(&record, arguments)?;
     let format = match arguments.format {
         ExportFormatArg::Parquet => platebench_export::ExportFormat::Parquet,
         ExportFormatArg::Mf4 => platebench_export::ExportFormat::Mf4,
@@ -63,27 +57,31 @@ pub(crate) fn export(arguments: &ExportArgs) -> Exit {
         ExportFormatArg::Mcap => platebench_export::ExportFormat::Mcap,
     };
     let out = arguments.out.clone().unwrap_or_else(|| arguments.run.join("export"));
-    match platebench_export::export(&record, &arguments.run, &arguments.scenarios, format, &out) {
-        Ok(exported) => {
-            for file in exported.files {
-                stdio::show(&format!("{}\n", file.display()));
-            }
-            if !record.complete || exported.incomplete_trials > 0 {
-                stdio::note("the run was interrupted; exported are its complete trials");
-            }
-            Exit::Passed
-        }
-        Err(error) => {
-            stdio::error(&error.to_string());
-            if matches!(error, ExportError::NoCompleteTrial(_)) { Exit::NothingToRun } else { Exit::Invalid }
-        }
+    let exported = platebench_export::export(&record, &arguments.run, &arguments.scenarios, format, &out)?;
+    for file in exported.files {
+        stdio::show(&format!("{}\n", file.display()));
+    }
+    if !record.complete || exported.incomplete_trials > 0 {
+        stdio::note("the run was interrupted; exported are its complete trials");
+    }
+    Ok(Exit::Passed)
+}
+
+impl From<ExportError> for Failure {
+    fn from(error: ExportError) -> Self {
+        let is_empty = matches!(error, ExportError::NoCompleteTrial(_));
+        Self::new(if is_empty { Exit::NothingToRun } else { Exit::Invalid }, &error)
     }
 }
 
-/// The first one that was modified after the run. `export` reports missing ones.
-fn changed_trace(record: &RunRecord, arguments: &ExportArgs) -> Option<RejudgeError> {
-    let chosen = platebench_export::select_scenarios(record, &arguments.scenarios).ok()?;
-    let trials = chosen.into_iter().flat_map(|scenario| &scenario.trials);
-    let refusals = trials.filter_map(|trial| check_trace(&arguments.run, trial).err());
-    refusals.into_iter().find(|refusal| matches!(refusal, RejudgeError::Modified { .. }))
+/// Fails for the first trace that was modified after the run. `export` reports missing ones.
+fn check_traces(record: &RunRecord, arguments: &ExportArgs) -> Result<(), Failure> {
+    for scenario in platebench_export::select_scenarios(record, &arguments.scenarios)? {
+        for trial in &scenario.trials {
+            if let Err(error @ RejudgeError::Modified { .. }) = check_trace(&arguments.run, trial) {
+                return Err(error.into());
+            }
+        }
+    }
+    Ok(())
 }

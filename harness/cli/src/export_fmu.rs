@@ -1,11 +1,13 @@
 //! `platebench export-fmu`: exports a plate as a co-simulation unit.
 
 use crate::exit::Exit;
-use crate::{plate_file, stdio};
+use crate::failure::{CommandResult, OrInvalid};
+use crate::stdio;
 use clap::Args;
-use platebench_fmi::FmuError;
-use platebench_plate::Plate;
-use std::path::{Path, PathBuf};
+use platebench_fmi::find_library;
+use platebench_scenario::load::load_plate;
+use platebench_scenario::read_text;
+use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -24,25 +26,15 @@ pub(crate) struct ExportFmuArgs {
     library: Option<PathBuf>,
 }
 
-pub(crate) fn export_fmu(arguments: &ExportFmuArgs) -> Exit {
-    let (plate, text) = match plate_file::read_with_text(&arguments.plate) {
-        Ok(read) => read,
-        Err(fault) => return stdio::reject_file(&fault),
-    };
-    match write(&plate, &text, arguments) {
-        Ok(()) => {
-            stdio::show(&format!("{}\n", arguments.out.display()));
-            Exit::Passed
-        }
-        Err(error) => stdio::reject(&error),
-    }
-}
-
-fn write(plate: &Plate, text: &str, arguments: &ExportFmuArgs) -> Result<(), FmuError> {
+pub(crate) fn export_fmu(arguments: &ExportFmuArgs) -> CommandResult {
+    let plate = load_plate(&arguments.plate)?;
+    let text = read_text(&arguments.plate)?;
     let library = match &arguments.library {
         Some(library) => library.clone(),
-        None => platebench_fmi::find_library(&std::env::current_exe().unwrap_or_default())?,
+        None => find_library(&std::env::current_exe().unwrap_or_default()).or_invalid()?,
     };
     let title = arguments.plate.file_stem().unwrap_or_default().to_string_lossy();
-    platebench_fmi::write(plate, text, &title, &library, Path::new(&arguments.out))
+    platebench_fmi::write(&plate, &text, &title, &library, &arguments.out).or_invalid()?;
+    stdio::show(&format!("{}\n", arguments.out.display()));
+    Ok(Exit::Passed)
 }

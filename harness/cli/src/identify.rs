@@ -2,24 +2,24 @@
 
 use crate::board_args::BoardSelection;
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{OutputFormat, parse_number};
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_boards::Board;
 use platebench_identify::{
-    ColumnMapping, DirectFit, ExternalCsvError, Identification, ParameterUncertainty, PlateFileDetails, Recording,
-    RecordingError, external_csv, parameter_uncertainties, plate_file, tables, uncertainty_table,
+    ColumnMapping, DirectFit, Identification, IdentificationTable, ParameterUncertainty, PlateFileDetails, Recording,
+    external_csv, parameter_uncertainties, plate_file, tables, uncertainty_table,
 };
 use platebench_report::ReportError;
 use platebench_report::chart::FitChart;
+use platebench_report::format::count;
 use platebench_report::page::{BlockPage, PageBlock};
 use platebench_report::text::Table;
-use platebench_scenario::Diagnostic;
-use platebench_trace::{TraceError, write_atomically, write_new};
-use platebench_uncertainty::{Budget, EvaluationError, known_quantities};
+use platebench_trace::{write_atomically, write_new};
+use platebench_uncertainty::{Budget, known_quantities};
 use serde::Serialize;
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 
 const MAX_DRAWN_RECORDINGS: usize = 12;
@@ -98,28 +98,6 @@ fn parse_temperature(text: &str) -> Result<f64, String> {
     parse_number(text, |value| value.is_finite() && value > -273.15, "a temperature above -273.15")
 }
 
-#[derive(Debug, thiserror::Error)]
-enum IdentifyError {
-    #[error(transparent)]
-    Trace(#[from] TraceError),
-    #[error(transparent)]
-    Telemetry(#[from] ExternalCsvError),
-    #[error("{}: {source}", path.display())]
-    Unusable { path: PathBuf, source: RecordingError },
-    #[error("{0}")]
-    Together(RecordingError),
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: io::Error },
-    #[error("{} exists already, expected another name", .0.display())]
-    Taken(PathBuf),
-    #[error(transparent)]
-    Report(#[from] ReportError),
-    #[error("the budget is not valid")]
-    Budget(Vec<Diagnostic>),
-    #[error("{0}")]
-    Evaluation(EvaluationError),
-}
-
 #[derive(Serialize)]
 struct IdentifyOutput<'a> {
     #[serde(flatten)]
@@ -128,58 +106,41 @@ struct IdentifyOutput<'a> {
     uncertainties: &'a [ParameterUncertainty],
 }
 
-pub(crate) fn identify(arguments: &IdentifyArgs) -> Exit {
-    match identify_plate(arguments) {
-        Ok(exit) => exit,
-        Err(IdentifyError::Budget(faults)) => stdio::reject_files(&faults),
-        Err(error) => stdio::reject(&error),
-    }
-}
-
-fn identify_plate(arguments: &IdentifyArgs) -> Result<Exit, IdentifyError> {
-    let board = match arguments.board.find() {
-        Ok(board) => board,
-        Err(exit) => return Ok(exit),
-    };
+pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
+    let board = arguments.board.find()?;
     let mut files = Vec::new();
     for path in &arguments.recordings {
         collect_tables(path, &mut files)?;
     }
     if files.is_empty() {
-        stdio::error("there is no recording");
-        return Ok(Exit::NothingToRun);
+        return Err(Failure::new(Exit::NothingToRun, &"there is no recording"));
     }
     if let Some(path) = arguments.out.as_ref().filter(|path| path.exists()) {
-        return Err(IdentifyError::Taken(path.clone()));
+        return Err(Failure::invalid(&format!("{} exists already, expected another name", path.display())));
     }
     let recordings = files.iter().map(|file| read_recording(file, arguments)).collect::<Result<Vec<_>, _>>()?;
-    let (found, fits) =
-        platebench_identify::identify(&recordings, arguments.slope_hz_per_k).map_err(IdentifyError::Together)?;
+    let (found, fits) = platebench_identify::identify(&recordings, arguments.slope_hz_per_k).or_invalid()?;
     let mut tables = tables(&found);
-    let budget = arguments.budget.as_deref().map(|path| Budget::load(path, &known_quantities()));
-    let budget = budget.transpose().map_err(IdentifyError::Budget)?;
+    let budget = arguments.budget.as_deref().map(|path| Budget::load(path, &known_quantities())).transpose()?;
     let uncertainties = budget.map(|budget| parameter_uncertainties(&found, &budget)).transpose();
-    let uncertainties = uncertainties.map_err(IdentifyError::Evaluation)?.unwrap_or_default();
+    let uncertainties = uncertainties.or_invalid()?.unwrap_or_default();
     if !uncertainties.is_empty() {
         tables.push(uncertainty_table(&uncertainties));
     }
-    match arguments.format {
-        OutputFormat::Human => {
-            stdio::show(&tables.iter().map(|table| table.markdown() + "\n").collect::<Vec<_>>().concat());
-        }
-        OutputFormat::Json => stdio::show_json(&IdentifyOutput { found: &found, uncertainties: &uncertainties }),
-    }
+    stdio::show_as(arguments.format, &IdentifyOutput { found: &found, uncertainties: &uncertainties }, || {
+        markdown(&tables)
+    });
     if let Some(path) = &arguments.page {
-        write_file(path, &write_page(path, arguments, &tables, &recordings, &found, &fits)?)?;
+        let page = render_page(path, arguments, &tables, &recordings, &found, &fits)?;
+        write_atomically(path, page.as_bytes()).or_invalid_at(path)?;
     }
     found.doubts.iter().for_each(|doubt| stdio::error(&format!("doubtful: {doubt}")));
     let exit = if found.doubts.is_empty() { Exit::Passed } else { Exit::Inconclusive };
     let Some(path) = &arguments.out else { return Ok(exit) };
     if exit != Exit::Passed && !arguments.even_if_doubtful {
-        stdio::error(
-            "no plate file: the identification is doubtful; --even-if-doubtful writes it with the reasons in it",
-        );
-        return Ok(exit);
+        let message =
+            "no plate file: the identification is doubtful; --even-if-doubtful writes it with the reasons in it";
+        return Err(Failure::new(exit, &message));
     }
     let details = PlateFileDetails {
         name: arguments.name.clone(),
@@ -188,37 +149,32 @@ fn identify_plate(arguments: &IdentifyArgs) -> Result<Exit, IdentifyError> {
         limit_vpp: arguments.drive_limit_vpp,
         slope_hz_per_k: arguments.slope_hz_per_k,
     };
-    if let Some(text) = plate_file(&found, &details) {
-        write_new(path, text.as_bytes()).map_err(|source| IdentifyError::Io { path: path.clone(), source })?;
-        stdio::note(&format!("plate file: {}", path.display()));
-        if details.limit_vpp.is_none() {
-            stdio::note(
-                "its drive limit is the highest recorded drive; --drive-limit-vpp VPP sets the amplifier's limit",
-            );
-        }
-        return Ok(exit);
+    let Some(text) = plate_file(&found, &details) else {
+        let message = "no plate file: the recordings do not determine gain, time constant and resonance of the free \
+                       plate at a known temperature";
+        return Err(Failure::new(Exit::Inconclusive, &message));
+    };
+    write_new(path, text.as_bytes()).or_invalid_at(path)?;
+    stdio::note(&format!("plate file: {}", path.display()));
+    if details.limit_vpp.is_none() {
+        stdio::note("its drive limit is the highest recorded drive; --drive-limit-vpp VPP sets the amplifier's limit");
     }
-    stdio::error(
-        "no plate file: the recordings do not determine gain, time constant and resonance of the free plate at a known \
-         temperature",
-    );
-    Ok(Exit::Inconclusive)
+    Ok(exit)
+}
+
+fn markdown(tables: &[IdentificationTable]) -> String {
+    tables.iter().map(|table| table.markdown() + "\n").collect()
 }
 
 fn describe_source(arguments: &IdentifyArgs, recordings: &[Recording], board: Option<&Board>) -> String {
-    let count = recordings.len();
+    let recordings = count(recordings.len(), "recording");
     let names: Vec<String> = arguments.recordings.iter().map(|path| path.display().to_string()).collect();
     let board = board.map_or_else(String::new, |board| format!("; {}", board.describe_instruments()));
-    format!("platebench identify, {count} recording{}: {}{board}", if count == 1 { "" } else { "s" }, names.join(", "))
-}
-
-fn write_file(path: &Path, text: &str) -> Result<(), IdentifyError> {
-    write_atomically(path, text.as_bytes()).map_err(|source| IdentifyError::Io { path: path.to_owned(), source })
+    format!("platebench identify, {recordings}: {}{board}", names.join(", "))
 }
 
 /// Adds the tables below `path`, sorted by name, or the file `path`.
-fn collect_tables(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), IdentifyError> {
-    let refused = |source| IdentifyError::Io { path: path.to_owned(), source };
+fn collect_tables(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> {
     if !path.is_dir() {
         files.push(path.to_owned());
         return Ok(());
@@ -226,10 +182,11 @@ fn collect_tables(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), IdentifyE
     // A run folder also holds copies of its inputs.
     let traces = path.join("traces");
     let folder = if traces.is_dir() { traces } else { path.to_owned() };
-    let mut entries = fs::read_dir(folder).and_then(Iterator::collect::<Result<Vec<_>, _>>).map_err(refused)?;
+    let mut entries = fs::read_dir(folder).and_then(Iterator::collect::<Result<Vec<_>, _>>).or_invalid_at(path)?;
     entries.sort_by_key(fs::DirEntry::path);
     for entry in entries {
-        let (path, is_link) = (entry.path(), entry.file_type().map_err(refused)?.is_symlink());
+        let is_link = entry.file_type().or_invalid_at(path)?.is_symlink();
+        let path = entry.path();
         if path.is_dir() && !is_link || path.extension().is_some_and(|extension| extension == "csv") {
             collect_tables(&path, files)?;
         }
@@ -237,33 +194,31 @@ fn collect_tables(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), IdentifyE
     Ok(())
 }
 
-fn read_recording(path: &Path, arguments: &IdentifyArgs) -> Result<Recording, IdentifyError> {
+fn read_recording(path: &Path, arguments: &IdentifyArgs) -> Result<Recording, Failure> {
     let name = path.display().to_string();
     if let Some(columns) = &arguments.columns {
-        let file = fs::File::open(path).map_err(|source| IdentifyError::Io { path: path.to_owned(), source })?;
-        return Ok(external_csv::read(&name, file, columns)?);
+        let file = fs::File::open(path).or_invalid_at(path)?;
+        return external_csv::read(&name, file, columns).or_invalid();
     }
     let signal = match arguments.signal {
         SignalSource::Sensed => platebench_identify::SampleSource::Sensed,
         SignalSource::True => platebench_identify::SampleSource::True,
     };
-    let rows = platebench_trace::read_trace(path)?;
-    Recording::from_trace(name, &rows, signal)
-        .map_err(|source| IdentifyError::Unusable { path: path.to_owned(), source })
+    let rows = platebench_trace::read_trace(path).or_invalid()?;
+    Recording::from_trace(name, &rows, signal).or_invalid_at(path)
 }
 
-fn write_page(
+fn render_page(
     path: &Path,
     arguments: &IdentifyArgs,
-    tables: &[platebench_identify::IdentificationTable],
+    tables: &[IdentificationTable],
     recordings: &[Recording],
     found: &Identification,
     fits: &[DirectFit],
-) -> Result<String, IdentifyError> {
+) -> Result<String, Failure> {
     let title = format!("Identification: {}", arguments.name);
     if path.extension().is_some_and(|extension| extension == "md") {
-        let body: String = tables.iter().map(|table| table.markdown() + "\n").collect();
-        return Ok(format!("# {title}\n\n{body}"));
+        return Ok(format!("# {title}\n\n{}", markdown(tables)));
     }
     let fitted =
         found.recordings.iter().filter_map(|whole| recordings.iter().find(|each| each.name == whole.recording));
@@ -285,6 +240,6 @@ fn write_page(
     }
     blocks.push(PageBlock::Heading("Measured (dashed) and fitted response".to_owned()));
     let drawings = curves.iter().map(|curve| Ok((curve.svg()?, curve.title.clone())));
-    blocks.push(PageBlock::Drawings(drawings.collect::<Result<_, ReportError>>()?));
+    blocks.push(PageBlock::Drawings(drawings.collect::<Result<_, ReportError>>().or_invalid()?));
     Ok(BlockPage { title, intro: String::new(), blocks }.html())
 }

@@ -1,6 +1,7 @@
 //! `platebench judge`: judges the traces of a stored run again.
 
 use crate::exit::Exit;
+use crate::failure::CommandResult;
 use crate::options::OutputFormat;
 use crate::stdio;
 use clap::Args;
@@ -25,16 +26,13 @@ pub(crate) struct JudgeArgs {
     format: OutputFormat,
 }
 
-pub(crate) fn judge(arguments: &JudgeArgs, detail: Detail) -> Exit {
-    let record = match rejudge(&arguments.run, arguments.scenario.as_deref()) {
-        Ok(record) => record,
-        Err(error) => return stdio::reject_stored_run(&error),
-    };
+pub(crate) fn judge(arguments: &JudgeArgs, detail: Detail) -> CommandResult {
+    let record = rejudge(&arguments.run, arguments.scenario.as_deref())?;
     stdio::record(&record, arguments.format, detail);
     if arguments.scenario.is_none() {
         note_changed_verdicts(arguments, &record);
     }
-    Exit::of_record(&record)
+    Ok(Exit::of_record(&record))
 }
 
 fn note_changed_verdicts(arguments: &JudgeArgs, again: &RunRecord) {

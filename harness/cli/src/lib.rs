@@ -33,6 +33,7 @@ mod explore;
 mod export;
 #[cfg(feature = "export")]
 mod export_fmu;
+mod failure;
 mod identify;
 mod judge;
 mod live;
@@ -44,7 +45,6 @@ mod mutate;
 mod new;
 mod options;
 mod outputs;
-mod plate_file;
 mod program;
 mod prompt;
 mod replay;

@@ -1,10 +1,10 @@
 //! `platebench man`: prints or writes manual pages.
 
 use crate::exit::Exit;
+use crate::failure::{CommandResult, OrInvalid};
 use crate::stdio;
 use clap::{Args, Command};
 use std::fs;
-use std::io;
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -20,22 +20,14 @@ pub(crate) struct ManArgs {
     out: Option<PathBuf>,
 }
 
-pub(crate) fn man(arguments: &ManArgs, definition: Command) -> Exit {
-    let written = match &arguments.out {
-        Some(folder) => fs::create_dir_all(folder)
-            .and_then(|()| clap_mangen::generate_to(definition, folder))
-            .map_err(|error| format!("{}: {error}", folder.display())),
-        None => print_manual(definition).map_err(|error| error.to_string()),
-    };
-    match written {
-        Ok(()) => Exit::Passed,
-        Err(error) => stdio::reject(&error),
+pub(crate) fn man(arguments: &ManArgs, definition: Command) -> CommandResult {
+    if let Some(folder) = &arguments.out {
+        fs::create_dir_all(folder).or_invalid_at(folder)?;
+        clap_mangen::generate_to(definition, folder).or_invalid_at(folder)?;
+    } else {
+        let mut page = Vec::new();
+        clap_mangen::Man::new(definition).render(&mut page).or_invalid()?;
+        stdio::show(&String::from_utf8_lossy(&page));
     }
-}
-
-fn print_manual(definition: Command) -> io::Result<()> {
-    let mut page = Vec::new();
-    clap_mangen::Man::new(definition).render(&mut page)?;
-    stdio::show(&String::from_utf8_lossy(&page));
-    Ok(())
+    Ok(Exit::Passed)
 }

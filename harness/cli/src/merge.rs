@@ -1,6 +1,7 @@
 //! `platebench merge`: joins the runs of shards and boards into one run folder.
 
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat};
 use crate::stdio;
 use clap::Args;
@@ -30,37 +31,26 @@ pub(crate) struct MergeArgs {
     format: OutputFormat,
 }
 
-pub(crate) fn merge(arguments: &MergeArgs, detail: Detail) -> Exit {
-    let folder = match RunFolder::create(Some(&arguments.out)) {
-        Ok(folder) => folder,
-        Err(error) => return stdio::reject(&error),
-    };
-    let record = match merge_runs(&arguments.runs, &folder) {
-        Ok(record) => record,
-        Err(error) => {
-            folder.remove_if_empty();
-            return match &error {
-                MergeError::Stored(error) => stdio::reject_stored_run(error),
-                error => stdio::reject(error),
-            };
+pub(crate) fn merge(arguments: &MergeArgs, detail: Detail) -> CommandResult {
+    let folder = RunFolder::create(Some(&arguments.out)).or_invalid()?;
+    let record = merge_runs(&arguments.runs, &folder).map_err(|error| {
+        folder.remove_if_empty();
+        match error {
+            MergeError::Stored(error) => error.into(),
+            error => Failure::invalid(&error),
         }
-    };
-    match arguments.format {
-        OutputFormat::Human => {
-            stdio::record(&record, arguments.format, detail);
-            show_boards(&record);
-        }
-        OutputFormat::Json => stdio::show_json(&record),
+    })?;
+    stdio::record(&record, arguments.format, detail);
+    if arguments.format == OutputFormat::Human {
+        show_boards(&record);
     }
     let page = folder.path().join(page::FILE);
     let written = junit::write(&record, &folder.path().join(junit::FILE))
         .and_then(|()| ReportPage::new(&record, folder.path()).with_baselines(Path::new(BASELINES)).write(&page))
         .and_then(|()| traceability::write(&record, folder.path()));
     stdio::note(&format!("report: {}", page.display()));
-    match written {
-        Ok(()) => Exit::of_record(&record),
-        Err(error) => stdio::reject(&error),
-    }
+    written.or_invalid()?;
+    Ok(Exit::of_record(&record))
 }
 
 fn show_boards(record: &RunRecord) {

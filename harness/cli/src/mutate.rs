@@ -1,10 +1,10 @@
 //! `platebench mutate`: changes the firmware's machine code and checks whether the scenarios notice.
 
-use crate::coverage::analysis_result;
 use crate::exit::Exit;
+use crate::failure::{CommandResult, OrInvalid};
 use crate::options::{SCENARIOS, job_count, law_names, parse_percent};
 use crate::selection::{TagFilter, find_scenarios};
-use crate::shutdown::{EventSender, run_until_signal};
+use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
 use platebench_firmware_analysis::mutation::{MutantFilter, mutation_json, summary};
@@ -65,43 +65,33 @@ pub(crate) struct MutateArgs {
     out: Option<PathBuf>,
 }
 
-pub(crate) fn mutate(arguments: &MutateArgs, quiet: bool) -> Exit {
+pub(crate) fn mutate(arguments: &MutateArgs, quiet: bool) -> CommandResult {
     let has_law = |scenario: &Scenario| arguments.law.as_ref().is_none_or(|law| scenario.controller.law == *law);
-    let scenarios = match find_scenarios(&arguments.scenarios, &arguments.tags, has_law) {
-        Ok(scenarios) => scenarios,
-        Err(exit) => return exit,
-    };
-    let cancel = CancelToken::default();
-    let rig = arguments.rig.clone();
+    let scenarios = find_scenarios(&arguments.scenarios, &arguments.tags, has_law)?;
+    let (rig, jobs) = (arguments.rig.clone(), job_count(arguments.jobs));
     let filter = MutantFilter { functions: arguments.function.clone(), files: arguments.file.clone() };
     let (sample, until_width, seed) =
         (arguments.sample.map(|count| count as usize), arguments.until_width, arguments.seed);
-    let (jobs, work_cancel) = (job_count(arguments.jobs), cancel.clone());
-    let work = move |events: &mut EventSender<_, ()>| {
+    let work = move |cancel: &CancelToken, events: &mut EventSender<()>| {
         let suite = Suite::new(&rig, scenarios)?;
-        let config = MutationConfig { suite, filter, sample, until_width, seed, jobs, cancel: work_cancel };
+        let config = MutationConfig { suite, filter, sample, until_width, seed, jobs, cancel: cancel.clone() };
         measure_mutation(&config, &mut |_| events.send(()))
     };
     let mut tested = 0;
-    let result = run_until_signal(&cancel, None, work, |()| {
+    let ended = run_until_signal(None, work, |()| {
         tested += 1;
         if !quiet && tested % PROGRESS_INTERVAL == 0 {
             stdio::note(&format!("{tested} mutants"));
         }
     });
-    let report = match analysis_result(result) {
-        Ok(report) => report,
-        Err(exit) => return exit,
-    };
+    let report = unless_signalled(ended)?;
     let text = summary(&report);
-    if let Some(folder) = &arguments.out
-        && let Err(error) = write_report(&report, &text, folder)
-    {
-        return stdio::reject(&format!("{}: {error}", folder.display()));
+    if let Some(folder) = &arguments.out {
+        write_report(&report, &text, folder).or_invalid_at(folder)?;
     }
     stdio::show(&text);
     let is_met = arguments.at_least.is_none_or(|limit| report.score().percent() >= limit);
-    if is_met { Exit::Passed } else { Exit::Failed }
+    Ok(if is_met { Exit::Passed } else { Exit::Failed })
 }
 
 fn write_report(report: &MutationReport, text: &str, folder: &Path) -> io::Result<()> {

@@ -1,6 +1,7 @@
 //! `platebench new`: writes a commented scenario that runs unchanged.
 
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::law_names;
 use crate::schema::SchemaKind;
 use crate::stdio;
@@ -39,40 +40,24 @@ pub(crate) struct NewArgs {
     law: String,
 }
 
-#[derive(Debug, thiserror::Error)]
-enum NewError {
-    #[error("{0:?}, expected a name for a file, without control characters")]
-    Name(String),
-    #[error("{} exists already, expected another name", .0.display())]
-    Taken(PathBuf),
-    #[error("the schema cannot be written as JSON: {0}")]
-    Schema(serde_json::Error),
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: io::Error },
-}
-
-pub(crate) fn new(arguments: &NewArgs) -> Exit {
-    match write_files(Path::new(""), &arguments.name, &arguments.law) {
-        Ok(files) => {
-            let [scenario, ..] = &files[..] else { return Exit::Passed };
-            for file in &files {
-                stdio::show(&format!("{}\n", file.display()));
-            }
-            stdio::note(&format!("next: platebench run {}", scenario.display()));
-            Exit::Passed
-        }
-        Err(error) => stdio::reject(&error),
+pub(crate) fn new(arguments: &NewArgs) -> CommandResult {
+    let files = write_files(Path::new(""), &arguments.name, &arguments.law)?;
+    for file in &files {
+        stdio::show(&format!("{}\n", file.display()));
     }
+    if let Some(scenario) = files.first() {
+        stdio::note(&format!("next: platebench run {}", scenario.display()));
+    }
+    Ok(Exit::Passed)
 }
 
 /// Returns the paths, the scenario first.
-fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, NewError> {
+fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, Failure> {
     let path = scenario_path(folder, name)?;
     let home = path.parent().unwrap_or(Path::new("")).to_owned();
     let title = path.file_stem().unwrap_or_default().to_string_lossy().replace(['-', '_'], " ");
     // `..` needs an existing folder.
-    fs::create_dir_all(if home.as_os_str().is_empty() { Path::new(".") } else { &home })
-        .map_err(|source| NewError::Io { path: home.clone(), source })?;
+    fs::create_dir_all(if home.as_os_str().is_empty() { Path::new(".") } else { &home }).or_invalid_at(&home)?;
     let ups = (0..MAX_FOLDERS_UP).map(|count| "../".repeat(count));
     let up = ups.clone().find(|up| home.join(up).join(PLATE_FILE).is_file());
     let root = up.clone().unwrap_or_default();
@@ -95,14 +80,14 @@ fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, New
     for (file, kind) in schemas {
         // Editors read it; one of another version stays.
         if !home.join(&file).exists() {
-            files.push(write_new_file(home.join(&file), &kind.to_text().map_err(NewError::Schema)?)?);
+            files.push(write_new_file(home.join(&file), &kind.to_text().or_invalid()?)?);
         }
     }
     Ok(files)
 }
 
-fn scenario_path(folder: &Path, name: &str) -> Result<PathBuf, NewError> {
-    let wrong = || NewError::Name(name.to_owned());
+fn scenario_path(folder: &Path, name: &str) -> Result<PathBuf, Failure> {
+    let wrong = || Failure::invalid(&format!("{name:?}, expected a name for a file, without control characters"));
     let stem = Path::new(name).file_name().ok_or_else(wrong)?.to_string_lossy().into_owned();
     if name.contains(char::is_control) || name.ends_with('/') || stem.trim_end_matches(".toml").trim().is_empty() {
         return Err(wrong());
@@ -117,15 +102,15 @@ fn scenario_path(folder: &Path, name: &str) -> Result<PathBuf, NewError> {
     Ok(if bare && scenarios.is_dir() { scenarios.join(file) } else { folder.join(file) })
 }
 
-fn write_new_file(path: PathBuf, text: &str) -> Result<PathBuf, NewError> {
-    let io = |source| NewError::Io { path: path.clone(), source };
+fn write_new_file(path: PathBuf, text: &str) -> Result<PathBuf, Failure> {
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        fs::create_dir_all(folder).map_err(io)?;
+        fs::create_dir_all(folder).or_invalid_at(&path)?;
     }
     match write_new(&path, text.as_bytes()) {
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Err(NewError::Taken(path)),
-        Err(error) => Err(io(error)),
-        Ok(()) => Ok(path),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+            Err(Failure::invalid(&format!("{} exists already, expected another name", path.display())))
+        }
+        written => written.or_invalid_at(&path).map(|()| path),
     }
 }
 

@@ -3,8 +3,10 @@
 use clap::ValueEnum;
 use clap::builder::PossibleValuesParser;
 use platebench_record::KeepTraces;
+use platebench_runner::Pacing;
 use platebench_wire::LawId;
 use std::num::NonZero;
+use std::time::Duration;
 
 pub(crate) const SCENARIOS: &str = "scenarios";
 pub(crate) const BASELINES: &str = "scenarios/baselines";
@@ -42,6 +44,15 @@ pub(crate) enum PacingArg {
     Target,
 }
 
+impl From<PacingArg> for Pacing {
+    fn from(pacing: PacingArg) -> Self {
+        match pacing {
+            PacingArg::Bench => Self::Bench,
+            PacingArg::Target => Self::Target,
+        }
+    }
+}
+
 pub(crate) fn law_names() -> PossibleValuesParser {
     PossibleValuesParser::new(LawId::ALL.map(LawId::name))
 }
@@ -69,8 +80,9 @@ pub(crate) fn parse_percent(text: &str) -> Result<f64, String> {
     parse_number(text, |percent| (0.0..=100.0).contains(&percent), "a number from 0 to 100")
 }
 
-pub(crate) fn parse_seconds(text: &str) -> Result<f64, String> {
+pub(crate) fn parse_seconds(text: &str) -> Result<Duration, String> {
     parse_number(text, |seconds| (0.0..=1e7).contains(&seconds), "a number of seconds from 0 to 1e7")
+        .map(Duration::from_secs_f64)
 }
 
 pub(crate) fn job_count(jobs: Option<u16>) -> usize {

@@ -4,6 +4,7 @@ use crate::args::{Arguments, Command};
 use crate::build_info;
 use crate::config::{self, Config};
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::{
     accept, args, baseline, boards, check, compare, completions, emulate, explore, identify, judge, logging, man,
     merge, new, replay, report, run, schema, soak, stdio, trust,
@@ -25,29 +26,30 @@ pub fn command() -> clap::Command {
 pub fn main() -> ExitCode {
     std::panic::set_hook(Box::new(|panic| tracing::error!("{panic}")));
     build_info::tool().set_running();
-    let (arguments, config) = match args::parse() {
-        Ok(parsed) => parsed,
-        Err(faults) => {
-            faults.iter().for_each(stdio::diagnostic);
-            return Exit::Invalid.into();
+    match start() {
+        // A panic is a fault of the bench and decides nothing about the controller.
+        Ok(arguments) => {
+            let result = std::panic::catch_unwind(|| dispatch(&arguments)).unwrap_or_else(|_| {
+                let message = "internal fault of the bench; run again with -v and report what it prints";
+                Err(Failure::new(Exit::Inconclusive, &message))
+            });
+            stdio::checked_exit(result.unwrap_or_else(Failure::report)).into()
         }
-    };
-    if let Err(fault) = logging::start(&arguments.logging) {
-        stdio::error(&fault);
-        return Exit::Invalid.into();
+        Err(failure) => failure.report().into(),
     }
+}
+
+/// Parses the command line and starts the log.
+fn start() -> Result<Arguments, Failure> {
+    let (arguments, config) = args::parse()?;
+    logging::start(&arguments.logging).or_invalid()?;
     if let Some(path) = &config.path {
         tracing::info!(path = %path.display(), "settings");
     }
-    // A panic is a fault of the bench and decides nothing about the controller.
-    let exit = std::panic::catch_unwind(|| dispatch(&arguments)).unwrap_or_else(|_| {
-        stdio::error("internal fault of the bench; run again with -v and report what it prints");
-        Exit::Inconclusive
-    });
-    stdio::checked_exit(exit).into()
+    Ok(arguments)
 }
 
-fn dispatch(arguments: &Arguments) -> Exit {
+fn dispatch(arguments: &Arguments) -> CommandResult {
     let (quiet, detail) = (arguments.logging.quiet, arguments.logging.detail());
     // Without `platebench.toml`, whose values belong to this folder only.
     let definition = || config::with_settings(command(), &Config::default());
@@ -85,7 +87,7 @@ fn dispatch(arguments: &Arguments) -> Exit {
         Command::New(arguments) => new::new(arguments),
         Command::Check(arguments) => check::check(arguments, &command()),
         Command::Schema(arguments) => schema::schema(arguments),
-        Command::Completions(arguments) => completions::completions(arguments, definition()),
+        Command::Completions(arguments) => Ok(completions::completions(arguments, definition())),
         Command::Man(arguments) => man::man(arguments, definition()),
     }
 }

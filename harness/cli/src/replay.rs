@@ -1,15 +1,15 @@
 //! `platebench replay`: sends recorded samples to another firmware and compares its commands.
 
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{OutputFormat, law_names};
-use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
 use platebench_identify::ColumnMapping;
 use platebench_record::Verdict;
 use platebench_report::text::replay::text;
 use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
-use platebench_runner::RunError;
 use platebench_runner::replay::{ReplayError, ReplayInput, read_recorded_trace, read_telemetry_table, replay as play};
 use platebench_verdict::replay::ReplayResult;
 use std::path::PathBuf;
@@ -49,35 +49,17 @@ pub(crate) struct ReplayArgs {
     format: OutputFormat,
 }
 
-pub(crate) fn replay(arguments: &ReplayArgs) -> Exit {
-    if let Err(error) = arguments.rig.check() {
-        return stdio::reject(&error);
-    }
-    let input = match read_input(arguments) {
-        Ok(input) => input.with_law(arguments.law.as_deref()),
-        Err(error) => return report_error(&error),
+pub(crate) fn replay(arguments: &ReplayArgs) -> CommandResult {
+    arguments.rig.check().or_invalid()?;
+    let input = read_input(arguments)?.with_law(arguments.law.as_deref());
+    let rig = arguments.rig.clone();
+    let work = move |cancel: &CancelToken, _: &mut EventSender<()>| {
+        let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
+        play(&input, &rig.to_string(), rig.has_own_clock(), &|| rig.connect_with(&options), cancel)
     };
-    let cancel = CancelToken::default();
-    let (rig, work_cancel) = (arguments.rig.clone(), cancel.clone());
-    let work = move |_: &mut EventSender<_, ()>| {
-        let options = ConnectOptions { cancel: work_cancel.clone(), ..ConnectOptions::default() };
-        play(&input, &rig.to_string(), rig.has_own_clock(), &|| rig.connect_with(&options), &work_cancel)
-    };
-    match run_until_signal(&cancel, None, work, |()| {}) {
-        Ok(WorkResult::Finished(_, Some(signal)) | WorkResult::Abandoned(signal)) => Exit::Signal(signal),
-        Ok(WorkResult::Finished(Ok(result), None)) => {
-            match arguments.format {
-                OutputFormat::Human => stdio::show(&text(&result)),
-                OutputFormat::Json => stdio::show_json(&result),
-            }
-            exit_of(&result)
-        }
-        Ok(WorkResult::Finished(Err(error), None)) => report_error(&error),
-        Err(error) => {
-            stdio::error(&error.to_string());
-            Exit::Inconclusive
-        }
-    }
+    let result = unless_signalled(run_until_signal(None, work, |()| {}))?;
+    stdio::show_as(arguments.format, &result, || text(&result));
+    Ok(exit_of(&result))
 }
 
 fn read_input(arguments: &ReplayArgs) -> Result<ReplayInput, ReplayError> {
@@ -92,17 +74,14 @@ fn exit_of(result: &ReplayResult) -> Exit {
     if result.rig_lost || is_unsafe { Exit::Unreachable } else { Exit::of_verdict(result.verdict) }
 }
 
-fn report_error(error: &ReplayError) -> Exit {
-    match error {
-        ReplayError::Scenario(diagnostic) | ReplayError::Run(RunError::Scenario(diagnostic)) => {
-            return stdio::reject_file(diagnostic);
+impl From<ReplayError> for Failure {
+    fn from(error: ReplayError) -> Self {
+        match error {
+            ReplayError::Scenario(fault) => fault.into(),
+            ReplayError::Run(error) => error.into(),
+            ReplayError::Stored(error) => error.into(),
+            ReplayError::NotApplicable(_) => Self::new(Exit::NothingToRun, &error),
+            error => Self::invalid(&error),
         }
-        ReplayError::Stored(error) => return stdio::reject_stored_run(error),
-        error => stdio::error(&error.to_string()),
-    }
-    match error {
-        ReplayError::Run(error) => Exit::of_error(error),
-        ReplayError::NotApplicable(_) => Exit::NothingToRun,
-        _ => Exit::Invalid,
     }
 }

@@ -1,6 +1,7 @@
 //! `platebench report`: renders the report of a stored run, or of two runs side by side.
 
 use crate::exit::Exit;
+use crate::failure::{CommandResult, OrInvalid};
 use crate::options::BASELINES;
 use crate::{soak, stdio};
 use clap::Args;
@@ -28,22 +29,14 @@ pub(crate) struct ReportArgs {
     baselines: PathBuf,
 }
 
-pub(crate) fn report(arguments: &ReportArgs) -> Exit {
-    if arguments.against.is_none() && arguments.run.join(SOAK_FILE).exists() {
-        return match SoakRecord::read(&arguments.run) {
-            Ok(record) => soak::write_page(&record, &arguments.run),
-            Err(error) => stdio::reject(&format!("{}: {error}", arguments.run.join(SOAK_FILE).display())),
-        };
+pub(crate) fn report(arguments: &ReportArgs) -> CommandResult {
+    let soak_file = arguments.run.join(SOAK_FILE);
+    if arguments.against.is_none() && soak_file.exists() {
+        return soak::write_page(&SoakRecord::read(&arguments.run).or_invalid_at(&soak_file)?, &arguments.run);
     }
-    let both = || {
-        let record = read_record(&arguments.run)?;
-        let other = arguments.against.as_deref().map(|folder| read_record(folder).map(|other| (folder, other)));
-        Ok((record, other.transpose()?))
-    };
-    let (record, other) = match both() {
-        Ok(records) => records,
-        Err(error) => return stdio::reject_stored_run(&error),
-    };
+    let record = read_record(&arguments.run)?;
+    let other = arguments.against.as_deref().map(|folder| read_record(folder).map(|other| (folder, other)));
+    let other = other.transpose()?;
     let page = ReportPage::new(&record, &arguments.run).with_baselines(&arguments.baselines).with_earlier_runs();
     let page = page.without_changed_traces(|folder, trial| {
         matches!(check_trace(folder, trial), Err(RejudgeError::Modified { .. }))
@@ -53,13 +46,9 @@ pub(crate) fn report(arguments: &ReportArgs) -> Exit {
         None => (page, page::FILE),
     };
     let path = arguments.run.join(name);
-    match page.write(&path).and_then(|()| traceability::write(&record, &arguments.run)) {
-        Ok(()) => {
-            stdio::show(&format!("{}\n", path.display()));
-            Exit::Passed
-        }
-        Err(error) => stdio::reject(&error),
-    }
+    page.write(&path).and_then(|()| traceability::write(&record, &arguments.run)).or_invalid()?;
+    stdio::show(&format!("{}\n", path.display()));
+    Ok(Exit::Passed)
 }
 
 /// Judges the traces of an interrupted run first, unless one of them was changed.

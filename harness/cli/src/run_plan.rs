@@ -48,13 +48,12 @@ pub(crate) fn run_plan(
     mut sinks: EventSinks<'_>,
     connect_options: ConnectOptions,
 ) -> Result<RunRecord, (RunError, Option<u8>)> {
-    let cancel = CancelToken::default();
     let trials_with_rows = if sinks.rows.is_some() { MAX_TRIALS } else { 0 };
-    let (folder, run_cancel) = (folder.clone(), cancel.clone());
-    let connect_options = ConnectOptions { cancel: cancel.clone(), ..connect_options };
-    let run = move |events: &mut EventSender<_, Event>| {
+    let folder = folder.clone();
+    let run = move |cancel: &CancelToken, events: &mut EventSender<Event>| {
+        let connect_options = ConnectOptions { cancel: cancel.clone(), ..connect_options };
         let hooks = RunHooks {
-            cancel: run_cancel,
+            cancel: cancel.clone(),
             operator: &operator,
             live_tap,
             on_event: Box::new(|event| events.send(event)),
@@ -62,7 +61,7 @@ pub(crate) fn run_plan(
         };
         platebench_runner::run(&plan, &folder, &|| plan.clock.connect(&rig, &connect_options), hooks)
     };
-    let result = run_until_signal(&cancel, None, run, |event| sinks.send(event));
+    let result = run_until_signal(None, run, |event| sinks.send(event));
     sinks.progress.finish();
     match result {
         Ok(WorkResult::Finished(result, signal)) => result.map_err(|error| (error, signal)),

@@ -2,6 +2,7 @@
 
 use crate::config::RawConfig;
 use crate::exit::Exit;
+use crate::failure::{CommandResult, OrInvalid};
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_acceptance::plan::plan_schema;
@@ -104,24 +105,17 @@ impl SchemaKind {
     }
 }
 
-pub(crate) fn schema(arguments: &SchemaArgs) -> Exit {
-    let done = match &arguments.out {
-        None => arguments.kind.to_text().map(|text| stdio::show(&text)).map_err(|error| error.to_string()),
-        Some(folder) => {
-            let made = fs::create_dir_all(folder).map_err(|error| format!("{}: {error}", folder.display()));
-            made.and_then(|()| {
-                SchemaKind::value_variants().iter().try_for_each(|kind| {
-                    let path = folder.join(kind.file_name());
-                    let text = kind.to_text().map_err(|error| error.to_string())?;
-                    write_atomically(&path, text.as_bytes()).map_err(|error| format!("{}: {error}", path.display()))
-                })
-            })
-        }
+pub(crate) fn schema(arguments: &SchemaArgs) -> CommandResult {
+    let Some(folder) = &arguments.out else {
+        stdio::show(&arguments.kind.to_text().or_invalid()?);
+        return Ok(Exit::Passed);
     };
-    match done {
-        Ok(()) => Exit::Passed,
-        Err(error) => stdio::reject(&error),
+    fs::create_dir_all(folder).or_invalid_at(folder)?;
+    for kind in SchemaKind::value_variants() {
+        let path = folder.join(kind.file_name());
+        write_atomically(&path, kind.to_text().or_invalid()?.as_bytes()).or_invalid_at(&path)?;
     }
+    Ok(Exit::Passed)
 }
 
 #[cfg(test)]

@@ -1,35 +1,39 @@
 //! Finds the scenarios of a command and selects them by their tags.
 
 use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::stdio;
 use clap::Args;
 use platebench_scenario::{FoundScenarios, Scenario, find, suggestion};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-/// Reports and returns true if no scenario was found, or a named folder is empty.
-pub(crate) fn report_if_empty(found: &FoundScenarios) -> bool {
+/// Fails if no scenario was found, or a named folder is empty.
+pub(crate) fn check_not_empty(found: &FoundScenarios) -> Result<(), Failure> {
     if found.scenarios.is_empty() {
-        stdio::error("there is nothing to run");
-        return true;
+        return Err(nothing_to_run());
     }
     for folder in &found.empty_folders {
         stdio::error(&format!("{}: there is nothing to run below it", folder.display()));
     }
-    !found.empty_folders.is_empty()
+    if found.empty_folders.is_empty() { Ok(()) } else { Err(Exit::NothingToRun.into()) }
 }
 
-/// The scenarios at `paths`, files and folders, that `tags` and `keep` select: at least one. Otherwise reports every
-/// fault and returns the exit code.
+pub(crate) fn nothing_to_run() -> Failure {
+    Failure::new(Exit::NothingToRun, &"there is nothing to run")
+}
+
+/// The scenarios at `paths`, files and folders, that `tags` and `keep` select: at least one.
 pub(crate) fn find_scenarios(
     paths: &[PathBuf],
     tags: &TagFilter,
     keep: impl Fn(&Scenario) -> bool,
-) -> Result<Vec<Scenario>, Exit> {
-    let mut found = find(paths).map_err(|faults| stdio::reject_files(&faults))?;
+) -> Result<Vec<Scenario>, Failure> {
+    let mut found = find(paths)?;
     tags.retain(&mut found.scenarios);
     found.scenarios.retain(keep);
-    if report_if_empty(&found) { Err(Exit::NothingToRun) } else { Ok(found.scenarios) }
+    check_not_empty(&found)?;
+    Ok(found.scenarios)
 }
 
 /// Tags of scenarios.

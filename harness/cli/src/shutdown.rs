@@ -8,6 +8,7 @@
 //! ```
 
 use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::stdio;
 use crossterm::terminal::disable_raw_mode;
 use platebench_runner::CancelToken;
@@ -162,26 +163,20 @@ pub(crate) enum WorkResult<T> {
     Abandoned(u8),
 }
 
-enum Message<T, E> {
-    Event(E),
-    Done(T),
-}
-
-pub(crate) struct EventSender<T, E> {
-    sender: SyncSender<Message<T, E>>,
+pub(crate) struct EventSender<E> {
+    sender: SyncSender<E>,
     cancel: CancelToken,
     cancelled: Option<Instant>,
 }
 
-impl<T, E> EventSender<T, E> {
+impl<E> EventSender<E> {
     /// Sends `event`. Drops it if the receiver is gone, or still full after cancellation.
-    pub(crate) fn send(&mut self, event: E) {
-        let mut message = Message::Event(event);
-        while let Err(TrySendError::Full(back)) = self.sender.try_send(message) {
+    pub(crate) fn send(&mut self, mut event: E) {
+        while let Err(TrySendError::Full(back)) = self.sender.try_send(event) {
             if self.cancel.is_cancelled() && self.cancelled.get_or_insert_with(Instant::now).elapsed() > DRAIN_TIMEOUT {
                 return;
             }
-            message = back;
+            event = back;
             thread::sleep(RETRY_INTERVAL);
         }
     }
@@ -190,29 +185,28 @@ impl<T, E> EventSender<T, E> {
 /// Runs `work` on its own thread until it returns. A signal, or the end of `max_duration`, cancels
 /// it. `on_event` receives its events on this thread. Fails if `work` panics.
 pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
-    cancel: &CancelToken,
     max_duration: Option<Duration>,
-    work: impl FnOnce(&mut EventSender<T, E>) -> T + Send + 'static,
+    work: impl FnOnce(&CancelToken, &mut EventSender<E>) -> T + Send + 'static,
     mut on_event: impl FnMut(E),
 ) -> io::Result<WorkResult<T>> {
     listen()?;
-    let (sender, messages) = sync_channel(MAX_QUEUED_EVENTS);
-    let busy = BusyGuard::new(cancel);
-    let mut events = EventSender { sender: sender.clone(), cancel: cancel.clone(), cancelled: None };
+    let cancel = CancelToken::default();
+    let (sender, events) = sync_channel(MAX_QUEUED_EVENTS);
+    let busy = BusyGuard::new(&cancel);
+    let mut sender = EventSender { sender, cancel: cancel.clone(), cancelled: None };
     let worker = thread::Builder::new().name("work".to_owned()).spawn(move || {
-        let result = work(&mut events);
+        let result = work(&sender.cancel.clone(), &mut sender);
         drop(busy);
-        let _ = sender.send(Message::Done(result));
+        result
     })?;
     let started = Instant::now();
     loop {
-        match messages.recv_timeout(POLL_INTERVAL) {
-            Ok(Message::Event(event)) => on_event(event),
-            Ok(Message::Done(result)) => return Ok(WorkResult::Finished(result, received_signal())),
+        match events.recv_timeout(POLL_INTERVAL) {
+            Ok(event) => on_event(event),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => {
-                let _ = worker.join();
-                return Err(io::Error::other("a thread of the bench panicked"));
+                let result = worker.join().map_err(|_| io::Error::other("a thread of the bench panicked"))?;
+                return Ok(WorkResult::Finished(result, received_signal()));
             }
         }
         if let Some(number) = State::lock().insistent {
@@ -221,5 +215,14 @@ pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
         if max_duration.is_some_and(|longest| started.elapsed() > longest) {
             cancel.cancel();
         }
+    }
+}
+
+/// The result of work that does not count after a signal.
+pub(crate) fn unless_signalled<T, F: Into<Failure>>(ended: io::Result<WorkResult<Result<T, F>>>) -> Result<T, Failure> {
+    match ended {
+        Ok(WorkResult::Finished(result, None)) => result.map_err(Into::into),
+        Ok(WorkResult::Finished(_, Some(signal)) | WorkResult::Abandoned(signal)) => Err(Exit::Signal(signal).into()),
+        Err(error) => Err(Failure::new(Exit::Inconclusive, &error)),
     }
 }

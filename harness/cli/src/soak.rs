@@ -3,7 +3,8 @@
 use crate::board_args::{BoardArgs, release};
 use crate::clock::{ClockRequest, check_line_speed};
 use crate::exit::Exit;
-use crate::options::{ClockArg, PacingArg, PlateModeArg, SCENARIOS, law_names, parse_number};
+use crate::failure::{CommandResult, Failure, OrInvalid};
+use crate::options::{ClockArg, SCENARIOS, law_names, parse_number};
 use crate::selection::{TagFilter, find_scenarios};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
@@ -52,75 +53,48 @@ fn parse_hours(text: &str) -> Result<Duration, String> {
     Ok(Duration::from_secs_f64(hours * 3_600.0))
 }
 
-pub(crate) fn soak(arguments: &SoakArgs) -> Exit {
-    play_on_board(arguments).unwrap_or_else(|exit| exit)
-}
-
-fn play_on_board(arguments: &SoakArgs) -> Result<Exit, Exit> {
-    let board = arguments.board.selection.find()?.ok_or_else(|| stdio::reject(&"--board NAME is missing"))?;
-    board.rig.check().map_err(|error| stdio::reject(&error))?;
-    let request = ClockRequest {
-        rig: &board.rig,
-        clock: arguments.clock,
-        time_scale: 1.0,
-        pacing: PacingArg::Bench,
-        plate_mode: PlateModeArg::Emulated,
-        wire_time: false,
-    };
-    let clock = request.resolve().map_err(|fault| stdio::reject(&fault))?;
+pub(crate) fn soak(arguments: &SoakArgs) -> CommandResult {
+    let board = arguments.board.selection.find()?.ok_or("--board NAME is missing").or_invalid()?;
+    board.rig.check().or_invalid()?;
+    let clock = ClockRequest::new(&board.rig, arguments.clock).resolve().or_invalid()?;
     let mut scenarios = find_scenarios(&arguments.scenarios, &TagFilter::default(), |_| true)?;
     let (law, name) = (arguments.law.clone(), Some(board.name.clone()));
     let overrides = Overrides { law, board: name, ..Overrides::default() };
     for scenario in &mut scenarios {
         rejudge::apply_overrides(&overrides, scenario);
     }
-    check_line_speed(&board.rig, clock, &scenarios).map_err(|fault| stdio::reject(&fault))?;
-    let plan = RunPlan {
-        scenarios,
-        jobs: 1,
-        clock,
-        own_clock: board.rig.has_own_clock(),
-        rig: board.rig.to_string(),
-        overrides,
-    };
+    check_line_speed(&board.rig, clock, &scenarios).or_invalid()?;
+    let plan = RunPlan::new(&board.rig, clock, 1, scenarios, overrides);
     let (duration, fail_fast) = (arguments.hours, arguments.fail_fast);
     let config = SoakConfig { plan, board: board.name.clone(), duration, fail_fast };
     let reservation = arguments.board.reserve("soak")?;
-    let cancel = CancelToken::default();
-    let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
-    let (out, rig, soak_cancel) = (arguments.out.clone(), board.rig.clone(), cancel.clone());
-    let work = move |_: &mut EventSender<_, ()>| {
-        play(&config, &out, &|| config.plan.clock.connect(&rig, &options), &soak_cancel)
+    let (out, rig) = (arguments.out.clone(), board.rig.clone());
+    let work = move |cancel: &CancelToken, _: &mut EventSender<()>| {
+        let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
+        play(&config, &out, &|| config.plan.clock.connect(&rig, &options), cancel)
     };
-    let (result, signal) = match run_until_signal(&cancel, None, work, |()| {}) {
+    let (result, signal) = match run_until_signal(None, work, |()| {}) {
         Ok(WorkResult::Finished(result, signal)) => (result, signal),
         Ok(WorkResult::Abandoned(signal)) => {
-            return Ok(release(reservation, RunEnd::unconfirmed(), Exit::Signal(signal)));
+            release(reservation, RunEnd::unconfirmed())?;
+            return Ok(Exit::Signal(signal));
         }
         Err(error) => (Err(RunError::Internal(error.to_string())), None),
     };
     let (end, exit) = match result {
         Ok(SoakResult { record, board, error }) => {
             stdio::show(&format!("{}\n", record.table().lines().join("\n")));
-            let written = write_page(&record, &arguments.out);
-            let exit = error.as_ref().map_or_else(
-                || exit_of(&record),
-                |error| {
-                    stdio::error(&error.to_string());
-                    Exit::of_error(error)
-                },
-            );
-            (board, if written == Exit::Passed { exit } else { written })
+            let written = write_page(&record, &arguments.out).err().map(Failure::report);
+            let exit = error.map_or_else(|| exit_of(&record), |error| Failure::from(error).report());
+            (board, written.unwrap_or(exit))
         }
         Err(error) => {
-            stdio::error(&error.to_string());
-            (
-                RunEnd::of_runs_below(&arguments.out, reservation.as_ref().map_or("", |board| board.started())),
-                Exit::of_error(&error),
-            )
+            let started = reservation.as_ref().map_or("", |board| board.started());
+            (RunEnd::of_runs_below(&arguments.out, started), Failure::from(error).report())
         }
     };
-    Ok(release(reservation, end, signal.map_or(exit, Exit::Signal)))
+    release(reservation, end)?;
+    Ok(signal.map_or(exit, Exit::Signal))
 }
 
 fn exit_of(record: &SoakRecord) -> Exit {
@@ -128,7 +102,7 @@ fn exit_of(record: &SoakRecord) -> Exit {
 }
 
 /// Also of a soak that still runs.
-pub(crate) fn write_page(record: &SoakRecord, folder: &Path) -> Exit {
+pub(crate) fn write_page(record: &SoakRecord, folder: &Path) -> CommandResult {
     let path = folder.join(page::FILE);
     let state = record.end.map_or("not ended", |end| match end {
         SoakEnd::Time => "ended after its time",
@@ -147,11 +121,7 @@ pub(crate) fn write_page(record: &SoakRecord, folder: &Path) -> Exit {
     );
     let kept = record.kept.iter().chain(&record.newest).map(|run| PageBlock::File(format!("{run}/run.json")));
     let blocks = std::iter::once(PageBlock::Table(record.table())).chain(kept).collect();
-    match (BlockPage { title: format!("Soak of {}", record.board), intro, blocks }).write(&path) {
-        Ok(()) => {
-            stdio::note(&format!("report: {}", path.display()));
-            Exit::Passed
-        }
-        Err(error) => stdio::reject(&error),
-    }
+    BlockPage { title: format!("Soak of {}", record.board), intro, blocks }.write(&path).or_invalid()?;
+    stdio::note(&format!("report: {}", path.display()));
+    Ok(Exit::Passed)
 }

@@ -1,18 +1,18 @@
 //! `platebench stability`: predicts and measures where methods and loops become unstable.
 
-use crate::chart_page::{WriteError, create_folder, write_page};
+use crate::chart_page::write_page;
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{job_count, law_names, parse_number};
-use crate::plate_file;
 use crate::stdio;
 use clap::Args;
 use platebench_record::RunRecord;
 use platebench_report::chart::RigDelay;
-use platebench_scenario::Diagnostic;
-use platebench_study::charts::ChartError;
+use platebench_scenario::load::{load_plate, require_no_effects};
 use platebench_study::charts::stability::{build_chart, rig_delay};
 use platebench_study::loops::StudyConfig;
 use platebench_wire::LawId;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 const HIGHEST_DELAY_US: f64 = 12e3;
@@ -50,32 +50,15 @@ fn parse_delay_us(text: &str) -> Result<f64, String> {
     parse_number(text, |delay| (0.0..=HIGHEST_DELAY_US).contains(&delay), &expected)
 }
 
-#[derive(Debug, thiserror::Error)]
-enum StabilityError {
-    #[error("invalid plate file")]
-    Plate(Box<Diagnostic>),
-    #[error("{}: {reason}", path.display())]
-    Run { path: PathBuf, reason: String },
-    #[error(transparent)]
-    Chart(#[from] ChartError),
-    #[error(transparent)]
-    Write(#[from] WriteError),
+pub(crate) fn stability(arguments: &StabilityArgs) -> CommandResult {
+    stdio::show(&analyse(arguments)?);
+    Ok(Exit::Passed)
 }
 
-pub(crate) fn stability(arguments: &StabilityArgs) -> Exit {
-    match analyse(arguments) {
-        Ok(text) => {
-            stdio::show(&text);
-            Exit::Passed
-        }
-        Err(StabilityError::Plate(fault)) => stdio::reject_file(&fault),
-        Err(error) => stdio::reject(&error),
-    }
-}
-
-fn analyse(arguments: &StabilityArgs) -> Result<String, StabilityError> {
-    let plate = plate_file::read_without_effects(&arguments.plate, "stability")
-        .map_err(|fault| StabilityError::Plate(Box::new(fault)))?;
+/// Returns the table.
+fn analyse(arguments: &StabilityArgs) -> Result<String, Failure> {
+    let plate = load_plate(&arguments.plate)?;
+    require_no_effects(&arguments.plate, &plate, "stability")?;
     let rig = match (&arguments.run, arguments.measured_delay_us) {
         (Some(run), _) => Some(delay_of_run(run)?),
         (None, Some(delay)) => Some(RigDelay { typical_ms: delay * 1e-3, longest_ms: delay * 1e-3 }),
@@ -91,24 +74,20 @@ fn analyse(arguments: &StabilityArgs) -> Result<String, StabilityError> {
     };
     let section = build_chart(&config, rig)?;
     if let Some(folder) = &arguments.out {
-        create_folder(folder)?;
+        fs::create_dir_all(folder).or_invalid_at(folder)?;
         write_page(folder, "stability.html", section.title, String::new(), std::slice::from_ref(&section))?;
     }
     Ok(section.summary)
 }
 
-fn delay_of_run(run: &Path) -> Result<RigDelay, StabilityError> {
-    let refused = |reason: String| StabilityError::Run { path: run.to_owned(), reason };
-    let record = RunRecord::read(run).map_err(|error| refused(error.to_string()))?;
-    let delay = rig_delay(&record).ok_or_else(|| refused("no trial has a loop delay".to_owned()))?;
+fn delay_of_run(run: &Path) -> Result<RigDelay, Failure> {
+    let record = RunRecord::read(run).or_invalid_at(run)?;
+    let delay = rig_delay(&record).ok_or("no trial has a loop delay").or_invalid_at(run)?;
     let [typical, longest] = [delay.typical_ms * 1e3, delay.longest_ms * 1e3];
-    if (0.0..=HIGHEST_DELAY_US).contains(&longest) && (0.0..=longest).contains(&typical) {
-        Ok(delay)
-    } else {
-        Err(refused(format!(
-            "its longest loop delay of {longest} µs is not in the range from 0 to {HIGHEST_DELAY_US} µs"
-        )))
-    }
+    let is_in_range = (0.0..=HIGHEST_DELAY_US).contains(&longest) && (0.0..=longest).contains(&typical);
+    let wrong =
+        || format!("its longest loop delay of {longest} µs is not in the range from 0 to {HIGHEST_DELAY_US} µs");
+    is_in_range.then_some(delay).ok_or_else(wrong).or_invalid_at(run)
 }
 
 #[cfg(test)]

@@ -6,12 +6,10 @@ use crate::options::OutputFormat;
 use platebench_record::RunRecord;
 use platebench_report::text::{printable, printable_lines};
 use platebench_report::{Detail, Style, console};
-use platebench_runner::RejudgeError;
 use platebench_scenario::Diagnostic;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use serde::Serialize;
-use std::fmt::Display;
 use std::io::{self, Write, stderr, stdout};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::OnceLock;
@@ -76,18 +74,6 @@ fn harmless(message: &str) -> String {
     lines.collect::<Vec<_>>().join("\n")
 }
 
-pub(crate) fn reject(error: &dyn Display) -> Exit {
-    self::error(&error.to_string());
-    Exit::Invalid
-}
-
-pub(crate) fn reject_stored_run(error: &RejudgeError) -> Exit {
-    match error {
-        RejudgeError::Scenario(diagnostic) => reject_file(diagnostic),
-        error => reject(error),
-    }
-}
-
 pub(crate) fn note(message: &str) {
     let _ = writeln!(stderr().lock(), "{}", harmless(message));
 }
@@ -104,16 +90,6 @@ fn printable_diagnostic(diagnostic: &Diagnostic) -> Diagnostic {
     printed
 }
 
-pub(crate) fn reject_file(fault: &Diagnostic) -> Exit {
-    diagnostic(fault);
-    Exit::Invalid
-}
-
-pub(crate) fn reject_files(faults: &[Diagnostic]) -> Exit {
-    faults.iter().for_each(diagnostic);
-    Exit::Invalid
-}
-
 pub(crate) fn show_json(value: &impl Serialize) {
     match serde_json::to_string_pretty(value) {
         Ok(text) => show(&format!("{text}\n")),
@@ -121,12 +97,17 @@ pub(crate) fn show_json(value: &impl Serialize) {
     }
 }
 
+/// A text for people, or `value` as JSON.
+pub(crate) fn show_as(format: OutputFormat, value: &impl Serialize, text: impl FnOnce() -> String) {
+    match format {
+        OutputFormat::Human => show(&text()),
+        OutputFormat::Json => show_json(value),
+    }
+}
+
 pub(crate) fn record(record: &RunRecord, format: OutputFormat, detail: Detail) {
     let style = Style { colour: color::applies_to(&stdout()) };
-    match format {
-        OutputFormat::Human => show(&console::run_text(record, style, detail)),
-        OutputFormat::Json => show_json(record),
-    }
+    show_as(format, record, || console::run_text(record, style, detail));
 }
 
 pub(crate) fn record_to_stderr(record: &RunRecord, detail: Detail) {

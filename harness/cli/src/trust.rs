@@ -1,6 +1,7 @@
 //! `platebench trust`: measures the error rates of a set of scenarios.
 
 use crate::exit::Exit;
+use crate::failure::{CommandResult, OrInvalid};
 use crate::options::{OutputFormat, SCENARIOS, job_count};
 use crate::selection::{TagFilter, find_scenarios};
 use crate::stdio;
@@ -9,7 +10,6 @@ use platebench_explore::Envelope;
 use platebench_explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
 use platebench_record::Verdict;
 use platebench_rig::CancelToken;
-use platebench_scenario::Diagnostic;
 use platebench_trace::write_atomically;
 use platebench_trust::{TrustConfig, TrustReport, catalogue, clean_variants, format, measure};
 use std::fs;
@@ -55,58 +55,35 @@ pub(crate) struct TrustArgs {
     out: Option<PathBuf>,
 }
 
-pub(crate) fn trust(arguments: &TrustArgs) -> Exit {
-    let scenarios = match find_scenarios(&arguments.scenarios, &arguments.tags, |_| true) {
-        Ok(scenarios) => scenarios,
-        Err(exit) => return exit,
-    };
+pub(crate) fn trust(arguments: &TrustArgs) -> CommandResult {
     let config = TrustConfig {
-        scenarios,
+        scenarios: find_scenarios(&arguments.scenarios, &arguments.tags, |_| true)?,
         mutants: catalogue(),
         variants: clean_variants(),
         clean_runs: arguments.clean,
         seed: arguments.seed,
         jobs: job_count(arguments.jobs),
     };
-    let exploration = match arguments.scenes.map(|scenes| exploration_config(arguments, scenes)).transpose() {
-        Ok(exploration) => exploration,
-        Err(faults) => return stdio::reject_files(&faults),
-    };
-    let report = match measure(&config) {
-        Ok(report) => report,
-        Err(error) => return stdio::reject(&error),
-    };
-    let exploration = match exploration.map(|config| kill_rate(&config, &CancelToken::never())).transpose() {
-        Ok(exploration) => exploration,
-        Err(error) => return stdio::reject(&error),
-    };
-    if let Some(folder) = &arguments.out
-        && let Err(error) = write_report(&report, exploration.as_ref(), folder)
-    {
-        return stdio::reject(&format!("{}: {error}", folder.display()));
-    }
-    match arguments.format {
-        OutputFormat::Human => {
-            stdio::show(&format::summary(&report));
-            if let Some(exploration) = &exploration {
-                stdio::show(&exploration.summary(&report));
-            }
-        }
-        OutputFormat::Json => stdio::show_json(&report),
-    }
-    let blames = exploration.is_some_and(|exploration| !exploration.alarms.is_empty());
-    Exit::of_verdict(if blames { Verdict::Fail } else { report.verdict })
-}
-
-fn exploration_config(arguments: &TrustArgs, scenes: u64) -> Result<KillRateConfig, Vec<Diagnostic>> {
-    Ok(KillRateConfig {
-        envelope: Envelope::load(&arguments.envelope)?,
+    let envelope = arguments.scenes.map(|_| Envelope::load(&arguments.envelope)).transpose()?;
+    let report = measure(&config).or_invalid()?;
+    let exploration = arguments.scenes.zip(envelope).map(|(scenes, envelope)| KillRateConfig {
+        envelope,
         mutants: catalogue(),
         variants: clean_variants(),
         scenes,
         seed: arguments.seed,
         jobs: job_count(arguments.jobs),
-    })
+    });
+    let exploration = exploration.map(|config| kill_rate(&config, &CancelToken::never())).transpose().or_invalid()?;
+    if let Some(folder) = &arguments.out {
+        write_report(&report, exploration.as_ref(), folder).or_invalid_at(folder)?;
+    }
+    stdio::show_as(arguments.format, &report, || {
+        let explored = exploration.as_ref().map(|exploration| exploration.summary(&report));
+        format::summary(&report) + &explored.unwrap_or_default()
+    });
+    let blames = exploration.is_some_and(|exploration| !exploration.alarms.is_empty());
+    Ok(Exit::of_verdict(if blames { Verdict::Fail } else { report.verdict }))
 }
 
 fn write_report(report: &TrustReport, exploration: Option<&KillRateReport>, folder: &Path) -> io::Result<()> {

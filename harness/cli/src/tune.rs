@@ -7,11 +7,12 @@ mod write;
 pub(crate) use arguments::TuneArgs;
 
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::OutputFormat;
-use crate::plate_file;
 use crate::stdio;
 use platebench_plate::Tier;
 use platebench_rig::RigSpec;
+use platebench_scenario::load::{load_plate, require_no_effects};
 use platebench_study::loops::tuning::design::TuningTarget;
 use platebench_study::loops::tuning::spread::PlateSpread;
 use platebench_study::loops::tuning::verification::{VerificationStep, shortest_decimal};
@@ -21,35 +22,17 @@ use serde_json::json;
 use verify::{RigVerification, VerificationConfig, verify_on_rig};
 use write::write_gains;
 
-pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
-    let board = match arguments.board.selection.find() {
-        Ok(board) => board,
-        Err(exit) => return exit,
-    };
-    let named = arguments.plate.as_ref().or_else(|| board.as_ref()?.plate.as_ref());
-    let Some(path) = named else {
-        return stdio::reject(&"the board has no plate, expected --plate FILE, or plate in boards.toml");
-    };
+pub(crate) fn tune(arguments: &TuneArgs) -> CommandResult {
+    let board = arguments.board.selection.find()?;
+    let path = arguments.plate.as_ref().or_else(|| board.as_ref()?.plate.as_ref());
+    let path = path.ok_or("the board has no plate, expected --plate FILE, or plate in boards.toml").or_invalid()?;
     let send = arguments.send.as_ref().or_else(|| board.as_ref().map(|board| &board.rig));
-    let plate = match plate_file::read_without_effects(path, "tune") {
-        Ok(plate) => plate,
-        Err(fault) => return stdio::reject_file(&fault),
-    };
-    let target = match arguments.target(&plate) {
-        Ok(target) => target,
-        Err(message) => return stdio::reject(&message),
-    };
-    if let Some(Err(error)) = send.map(RigSpec::check) {
-        return stdio::reject(&error);
-    }
-    let spread = match arguments.spread(path, &plate) {
-        Ok(spread) => spread,
-        Err(fault) => return stdio::reject_file(&fault),
-    };
-    let tuning = match design(&target, arguments.discretisation(), &spread) {
-        Ok(tuning) => tuning,
-        Err(error) => return stdio::reject(&error),
-    };
+    let plate = load_plate(path)?;
+    require_no_effects(path, &plate, "tune")?;
+    let target = arguments.target(&plate).or_invalid()?;
+    send.map(RigSpec::check).transpose().or_invalid()?;
+    let spread = arguments.spread(path, &plate)?;
+    let tuning = design(&target, arguments.discretisation(), &spread).or_invalid()?;
     if arguments.format == OutputFormat::Human {
         stdio::show(&format::format_tuning(&target, &spread, &tuning));
     }
@@ -59,7 +42,7 @@ pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
         if let Some(scenario) = &arguments.write {
             match write_gains(scenario, &target, gains) {
                 Ok(message) => stdio::note(&message),
-                Err(fault) => exit = stdio::reject_file(&fault),
+                Err(fault) => exit = Failure::from(fault).report(),
             }
         }
         if let (Some(rig), Exit::Passed) = (send, exit) {
@@ -71,7 +54,7 @@ pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
             };
             (exit, verification) = match verify_on_rig(rig, &config) {
                 Ok(done) => (done.exit, Some(done)),
-                Err(exit) => (exit, None),
+                Err(failure) => (failure.report(), None),
             };
         }
     } else if arguments.write.is_some() || send.is_some() {
@@ -81,7 +64,7 @@ pub(crate) fn tune(arguments: &TuneArgs) -> Exit {
         OutputFormat::Human => verification.iter().for_each(|done| stdio::show(&comparison_table(&tuning, done))),
         OutputFormat::Json => show_json(&target, &spread, arguments.law(), &tuning, verification.as_ref()),
     }
-    exit
+    Ok(exit)
 }
 
 fn comparison_table(tuning: &TuningResult, measured: &RigVerification) -> String {

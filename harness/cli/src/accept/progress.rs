@@ -4,6 +4,7 @@ use crate::live::SessionView;
 use crate::stdio;
 use platebench_acceptance::SessionObserver;
 use platebench_acceptance::session_record::{StepKind, StepRecord};
+use platebench_report::format::count;
 use platebench_report::{Progress, ProgressKind};
 use platebench_runner::{Event, LiveTap, RunPlan};
 
@@ -64,8 +65,11 @@ impl SessionObserver for SessionProgress {
             Event::ScenarioFinished(record) if self.is_self_test => {
                 progress.finish();
                 self.progress = Some(Progress::new(self.kind));
-                let (trials, s) = (record.trials.len(), if record.trials.len() == 1 { "" } else { "s" });
-                self.print(&format!("  {} measured in {trials} trial{s}, not judged", record.file));
+                self.print(&format!(
+                    "  {} measured in {}, not judged",
+                    record.file,
+                    count(record.trials.len(), "trial")
+                ));
             }
             event => progress.show(event),
         }

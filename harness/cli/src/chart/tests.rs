@@ -2,7 +2,6 @@
 
 use super::*;
 use std::collections::BTreeSet;
-use std::fs;
 
 fn scenario(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name)
@@ -37,9 +36,13 @@ fn parse_csv(csv: &str) -> Vec<Vec<String>> {
 fn run_chart(only: ChartKind, named: &[PathBuf], csv: &str) -> (tempfile::TempDir, Vec<Vec<String>>) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("new");
-    assert_eq!(chart(&arguments(only, named, &out)), Exit::Passed);
+    assert_eq!(chart(&arguments(only, named, &out)), Ok(Exit::Passed));
     let rows = parse_csv(&fs::read_to_string(out.join(csv)).unwrap());
     (folder, rows)
+}
+
+fn exit_of(arguments: &ChartArgs) -> Exit {
+    chart(arguments).unwrap_or_else(Failure::report)
 }
 
 fn parse_number(text: &str) -> f64 {
@@ -96,7 +99,7 @@ fn rejects_a_scenario_without_a_setpoint() {
     }
     let file = folder.path().join("still.toml");
     fs::write(&file, still).unwrap();
-    assert_eq!(chart(&arguments(ChartKind::Methods, &[file], &folder.path().join("new"))), Exit::Invalid);
+    assert_eq!(exit_of(&arguments(ChartKind::Methods, &[file], &folder.path().join("new"))), Exit::Invalid);
 }
 
 #[test]
@@ -104,11 +107,11 @@ fn rejects_missing_files_and_empty_folders() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("new");
     for which in [ChartKind::Methods, ChartKind::Scenes] {
-        assert_eq!(chart(&arguments(which, &[scenario("no-such.toml")], &out)), Exit::Invalid);
+        assert_eq!(exit_of(&arguments(which, &[scenario("no-such.toml")], &out)), Exit::Invalid);
     }
     let nowhere = ChartArgs { scenes: scenario("no-such"), ..arguments(ChartKind::Laws, &[], &out) };
-    assert_eq!(chart(&nowhere), Exit::Invalid);
-    assert_eq!(chart(&arguments(ChartKind::Scenes, &[folder.path().to_owned()], &out)), Exit::NothingToRun);
+    assert_eq!(exit_of(&nowhere), Exit::Invalid);
+    assert_eq!(exit_of(&arguments(ChartKind::Scenes, &[folder.path().to_owned()], &out)), Exit::NothingToRun);
     assert!(!out.exists(), "nothing was drawn");
 }
 

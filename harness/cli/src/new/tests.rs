@@ -1,4 +1,4 @@
-use super::{NewError, PLATE, PLATE_FILE, PLATE_SCHEMA_FILE, SCHEMA_FILE, write_files};
+use super::{Failure, PLATE, PLATE_FILE, PLATE_SCHEMA_FILE, SCHEMA_FILE, write_files};
 use platebench_scenario::load_with_all_errors;
 use platebench_wire::LawId;
 use rstest::rstest;
@@ -40,11 +40,10 @@ fn nothing_is_ever_overwritten() {
     fs::create_dir(folder.path().join("plates")).unwrap();
     fs::write(folder.path().join(PLATE_FILE), "mine").unwrap();
     fs::write(folder.path().join("taken.toml"), "mine, too").unwrap();
-    assert!(matches!(
-        write_files(folder.path(), "taken", "dq-pi"),
-        Err(NewError::Taken(path)) if path.ends_with("taken.toml")
-    ));
-    assert_eq!(fs::read_to_string(folder.path().join("taken.toml")).unwrap(), "mine, too");
+    let taken = folder.path().join("taken.toml");
+    let message = format!("{} exists already, expected another name", taken.display());
+    assert_eq!(write_files(folder.path(), "taken", "dq-pi"), Err(Failure::invalid(&message)));
+    assert_eq!(fs::read_to_string(taken).unwrap(), "mine, too");
     assert_eq!(write_files(folder.path(), "free", "dq-pi").unwrap()[0], folder.path().join("free.toml"));
     assert_eq!(fs::read_to_string(folder.path().join(PLATE_FILE)).unwrap(), "mine");
 }
@@ -79,7 +78,8 @@ fn it_goes_to_the_scenarios_and_finds_their_plate(#[case] name: &str, #[case] fi
 #[case("two\nlines")]
 fn what_is_no_name_is_refused(#[case] name: &str) {
     let folder = tempdir().unwrap();
-    assert!(matches!(write_files(folder.path(), name, "dq-pi"), Err(NewError::Name(_))));
+    let message = format!("{name:?}, expected a name for a file, without control characters");
+    assert_eq!(write_files(folder.path(), name, "dq-pi"), Err(Failure::invalid(&message)));
     assert_eq!(fs::read_dir(folder.path()).map(Iterator::count).unwrap_or_default(), 0);
 }
 

@@ -4,6 +4,7 @@ use super::arguments::RunArgs;
 use crate::board_args::release;
 use crate::clock::check_line_speed;
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat, job_count};
 use crate::outputs::{self, ScenarioLocations};
 use crate::prompt::TerminalOperator;
@@ -12,6 +13,7 @@ use crate::{live, stdio};
 use platebench_boards::RunEnd;
 use platebench_record::{RunFolder, RunRecord, Verdict};
 use platebench_report::events::EventWriter;
+use platebench_report::format::count;
 use platebench_report::page::KeptRows;
 use platebench_report::{Detail, Progress, ProgressKind, junit, page, traceability};
 use platebench_rig::{ConnectOptions, DebugPort, RigSpec};
@@ -20,16 +22,16 @@ use platebench_scenario::{Diagnostic, Scenario};
 use std::path::Path;
 use tracing::info;
 
-/// Before anything is played. Reports a contradiction.
-pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Exit> {
-    let clock = arguments.clock().resolve().map_err(|fault| stdio::reject(&fault))?;
-    arguments.rig.check().map_err(|fault| stdio::reject(&fault))?;
+/// Before anything is played. Fails for a contradiction.
+pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Failure> {
+    let clock = arguments.clock().resolve().or_invalid()?;
+    arguments.rig.check().or_invalid()?;
     if arguments.gdb.is_some()
         && (!matches!(arguments.rig, RigSpec::Emulated(_)) || !matches!(clock, Clock::Lockstep { .. }))
     {
-        return Err(stdio::reject(&"--gdb: expected --rig emulated[:ELF] and --clock lockstep"));
+        return Err(Failure::invalid(&"--gdb: expected --rig emulated[:ELF] and --clock lockstep"));
     }
-    arguments.outputs.check(arguments.format).map_err(|fault| stdio::reject(&fault))?;
+    arguments.outputs.check(arguments.format).or_invalid()?;
     Ok(clock)
 }
 
@@ -51,12 +53,12 @@ pub(super) fn prepare_scenarios(
 /// Writes the JSON event stream of `--format json`, and ends it.
 pub(super) fn with_events(
     arguments: &RunArgs,
-    play: impl FnOnce(&mut Option<EventWriter>) -> Result<(Exit, RunRecord), Exit>,
+    play: impl FnOnce(&mut Option<EventWriter>) -> Result<(Exit, RunRecord), Failure>,
 ) -> Exit {
     let mut events = (arguments.format == OutputFormat::Json).then(|| EventWriter::new(stdio::CheckedStdout));
     let (exit, record) = match play(&mut events) {
         Ok((exit, record)) => (exit, Some(record)),
-        Err(exit) => (exit, None),
+        Err(failure) => (failure.report(), None),
     };
     if let Some(events) = &mut events {
         let error = record.is_none().then(|| outputs::exit_reason(exit));
@@ -65,16 +67,16 @@ pub(super) fn with_events(
     exit
 }
 
-/// Reports why a run has no record, and returns the exit code.
+/// Fails if the run has no record.
 pub(super) fn play(
     arguments: &RunArgs,
     clock: Clock,
     scenarios: Vec<Scenario>,
     detail: Detail,
     events: &mut Option<EventWriter>,
-) -> Result<(Exit, RunRecord), Exit> {
-    check_line_speed(&arguments.rig, clock, &scenarios).map_err(|fault| stdio::reject(&fault))?;
-    let debug_port = arguments.gdb.map(DebugPort::bind).transpose().map_err(|fault| stdio::reject(&fault))?;
+) -> Result<(Exit, RunRecord), Failure> {
+    check_line_speed(&arguments.rig, clock, &scenarios).or_invalid()?;
+    let debug_port = arguments.gdb.map(DebugPort::bind).transpose().or_invalid()?;
     if let Some(port) = &debug_port {
         stdio::note(&format!("the chip waits for a debugger: target remote :{}", port.number()));
     }
@@ -84,7 +86,7 @@ pub(super) fn play(
         Some(folder) => RunFolder::create(Some(folder)),
         None => RunFolder::create_below(&arguments.runs),
     };
-    let folder = folder.map_err(|fault| stdio::reject(&fault))?;
+    let folder = folder.or_invalid()?;
     let reservation = arguments.board.reserve("run").inspect_err(|_| {
         folder.remove_if_empty();
     })?;
@@ -95,14 +97,7 @@ pub(super) fn play(
         None if !matches!(clock, Clock::Lockstep { .. }) => 1,
         jobs => job_count(jobs),
     };
-    let plan = RunPlan {
-        scenarios,
-        jobs,
-        clock,
-        own_clock: arguments.rig.has_own_clock(),
-        rig: arguments.rig.to_string(),
-        overrides: arguments.overrides(),
-    };
+    let plan = RunPlan::new(&arguments.rig, clock, jobs, scenarios, arguments.overrides());
     info!(folder = %folder.path().display(), scenarios = plan.scenarios.len(), jobs = plan.jobs, "run starts");
     if arguments.live && is_real {
         stdio::note("no live view with --plate-mode real: the prompts use the terminal");
@@ -133,18 +128,23 @@ pub(super) fn play(
     let played = run_plan(plan, &folder, arguments.rig.clone(), operator, live_tap, sinks, connect_options);
     drop(view);
     let end = RunEnd::of_run(played.as_ref().map_err(|(error, _)| error), folder.path());
-    let released = release(reservation, end, Exit::Passed);
+    let released = release(reservation, end);
     match played {
-        Ok(_) if released != Exit::Passed => Err(released),
         Ok(record) => {
-            if arguments.format == OutputFormat::Json {
-                note_not_applicable(&record);
+            released?;
+            let skipped = record.not_applicable.len();
+            if arguments.format == OutputFormat::Json && skipped > 0 {
+                let (scenarios, is) = (count(skipped, "scenario"), if skipped == 1 { "is" } else { "are" });
+                stdio::note(&format!("{scenarios} {is} not applicable to this controller"));
             }
-            Ok((write_reports(&record, rows, &folder, arguments, &locations, detail), record))
+            Ok((write_reports(&record, rows, &folder, arguments, &locations, detail)?, record))
         }
         Err((error, signal)) => {
-            report_run_error(&error, &folder);
-            Err(signal.map_or_else(|| Exit::of_error(&error), Exit::Signal))
+            if let Err(failure) = released {
+                failure.report();
+            }
+            let exit = report_run_error(error, &folder);
+            Err(signal.map_or(exit, Exit::Signal).into())
         }
     }
 }
@@ -156,7 +156,7 @@ fn write_reports(
     arguments: &RunArgs,
     locations: &ScenarioLocations,
     detail: Detail,
-) -> Exit {
+) -> CommandResult {
     let page = folder.path().join(page::FILE);
     let written = junit::write(record, &folder.path().join(junit::FILE))
         .and_then(|()| {
@@ -180,33 +180,21 @@ fn write_reports(
         stdio::note(&format!("report: {}", page.display()));
     }
     warn_if_not_safe(record);
-    match written {
-        Ok(()) => Exit::of_record(record),
-        Err(error) => stdio::reject(&error),
-    }
+    written.or_invalid()?;
+    Ok(Exit::of_record(record))
 }
 
-fn report_run_error(error: &RunError, folder: &RunFolder) {
-    match error {
-        RunError::Scenario(diagnostic) => stdio::diagnostic(diagnostic),
-        error => stdio::error(&error.to_string()),
-    }
+fn report_run_error(error: RunError, folder: &RunFolder) -> Exit {
+    let exit = Failure::from(error).report();
     if folder.remove_if_empty() {
-        return;
+        return exit;
     }
     stdio::note(&format!("run folder: {}", folder.path().display()));
     if let Ok(record) = RunRecord::read(folder.path()) {
         stdio::note(&format!("`platebench report {}` shows the complete trials", folder.path().display()));
         warn_if_not_safe(&record);
     }
-}
-
-fn note_not_applicable(record: &RunRecord) {
-    match record.not_applicable.len() {
-        0 => {}
-        1 => stdio::note("1 scenario is not applicable to this controller"),
-        count => stdio::note(&format!("{count} scenarios are not applicable to this controller")),
-    }
+    exit
 }
 
 fn warn_if_not_safe(record: &RunRecord) {

@@ -4,14 +4,15 @@
 use super::arguments::RunArgs;
 use super::play;
 use crate::exit::Exit;
+use crate::failure::{CommandResult, Failure};
 use crate::shutdown;
 use crate::stdio;
 use platebench_report::Detail;
+use platebench_report::format::count;
 use platebench_runner::Clock;
 use platebench_scenario::{Diagnostic, Scenario, find, input, list_files};
 use std::collections::BTreeMap;
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant, SystemTime};
@@ -27,21 +28,12 @@ type FileContent = (PathBuf, Vec<u8>);
 /// By the scenario's own file.
 type PlayedInputs = BTreeMap<PathBuf, Vec<FileContent>>;
 
-pub(super) fn watch(arguments: &RunArgs, clock: Clock, detail: Detail) -> Exit {
+pub(super) fn watch(arguments: &RunArgs, clock: Clock, detail: Detail) -> CommandResult {
     if arguments.out.is_some() {
-        return stdio::reject(&"--watch makes many runs, expected --runs FOLDER instead of --out");
+        return Err(Failure::invalid(&"--watch makes many runs, expected --runs FOLDER instead of --out"));
     }
-    match watch_loop(arguments, clock, detail) {
-        Ok(exit) => exit,
-        Err(error) => {
-            stdio::error(&format!("signals are not available: {error}"));
-            Exit::Inconclusive
-        }
-    }
-}
-
-fn watch_loop(arguments: &RunArgs, clock: Clock, detail: Detail) -> io::Result<Exit> {
-    shutdown::listen()?;
+    shutdown::listen()
+        .map_err(|error| Failure::new(Exit::Inconclusive, &format!("signals are not available: {error}")))?;
     let mut played = PlayedInputs::new();
     let mut inputs = Vec::new();
     let mut reported = Vec::new();
@@ -67,8 +59,7 @@ fn watch_loop(arguments: &RunArgs, clock: Clock, detail: Detail) -> io::Result<E
                 if !changed.is_empty() {
                     let _ =
                         play::with_events(arguments, |events| play::play(arguments, clock, changed, detail, events));
-                    let s = if played.len() == 1 { "" } else { "s" };
-                    stdio::note(&format!("watching {} scenario{s}; Ctrl-C ends", played.len()));
+                    stdio::note(&format!("watching {}; Ctrl-C ends", count(played.len(), "scenario")));
                 }
             }
         }

@@ -3,7 +3,6 @@
 use super::*;
 use platebench_study::integration::StepLimit;
 use platebench_study::integration::stability::step_limits;
-use std::fs;
 
 fn arguments(out: Option<&Path>) -> StabilityArgs {
     StabilityArgs {
@@ -35,7 +34,7 @@ fn the_largest_steps_of_methods_are_next_to_theory() {
     assert!(row("Störmer-Verlet", "carrier").contains("3.142 points per period"), "{text}");
     assert!(row("exact", "modal").contains("no limit   no limit"), "{text}");
     assert!(text.find("Methods").unwrap() < text.find("Loops").unwrap(), "{text}");
-    let rows = step_limits(&crate::plate_file::read_without_effects(&arguments(None).plate, "stability").unwrap());
+    let rows = step_limits(&load_plate(&arguments(None).plate).unwrap());
     let csv = fs::read_to_string(out.join("methods.csv")).unwrap();
     assert_eq!(csv.lines().count(), 1 + rows.len());
     for row in &rows {

@@ -2,12 +2,11 @@
 
 use crate::board_args::BoardArgs;
 use crate::options::{OutputFormat, parse_number};
-use crate::plate_file;
 use clap::builder::PossibleValuesParser;
 use clap::{ArgGroup, Args};
 use platebench_plate::{Plate, Uncertainty};
 use platebench_rig::RigSpec;
-use platebench_scenario::Diagnostic;
+use platebench_scenario::{Diagnostic, read_text};
 use platebench_study::loops::Discretisation;
 use platebench_study::loops::tuning::design::TuningTarget;
 use platebench_study::loops::tuning::spread::PlateSpread;
@@ -162,14 +161,13 @@ impl TuneArgs {
     /// From the command line, else from the plate file, else from the paper.
     pub(super) fn spread(&self, path: &Path, plate: &Plate) -> Result<PlateSpread, Diagnostic> {
         let choose = |given: Option<f64>, key: &str, of: fn(&Uncertainty) -> Option<f64>| match of(&plate.uncertainty) {
-            Some(known) if given.is_none() && known > MAX_SPREAD_PERCENT => Err(plate_file::diagnostic_at(
-                path,
-                &format!("uncertainty.{key}"),
-                format!(
+            Some(known) if given.is_none() && known > MAX_SPREAD_PERCENT => {
+                let message = format!(
                     "`uncertainty.{key}` is {known}, expected at most {MAX_SPREAD_PERCENT}: \
                      identify the plate better, or set a spread on the command line"
-                ),
-            )),
+                );
+                Err(Diagnostic::at_key(path, &read_text(path)?, &format!("uncertainty.{key}"), message))
+            }
             known => Ok(given.or(known).or(of(&PAPER_SPREAD)).unwrap_or_default()),
         };
         Ok(PlateSpread {

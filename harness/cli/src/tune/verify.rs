@@ -3,6 +3,7 @@
 use crate::board_args::{BoardArgs, release};
 use crate::clock::default_clock;
 use crate::exit::Exit;
+use crate::failure::{Failure, OrInvalid};
 use crate::options::ClockArg;
 use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
@@ -14,7 +15,6 @@ use platebench_runner::{Clock, LiveTap, Pacing, RunError, RunPlan, TimeBase, con
 use platebench_scenario::Scenario;
 use platebench_study::loops::tuning::verification::{VerificationStep, gains_match, step_scenario};
 use platebench_wire::{Gains, LawId};
-use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -36,24 +36,16 @@ pub(super) struct RigVerification {
     pub(super) exit: Exit,
 }
 
-/// Reports an error and returns the exit code.
-pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> Result<RigVerification, Exit> {
+pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> Result<RigVerification, Failure> {
     let reservation = config.board.reserve("tune")?;
     let mut end = RunEnd::untouched();
-    let verified = play_step(rig, config, &mut end);
-    match release(reservation, end, Exit::Passed) {
-        Exit::Passed => verified,
-        exit => Err(exit),
-    }
+    let verified = play_step(rig, config, &mut end).map_err(Failure::report);
+    release(reservation, end)?;
+    Ok(verified?)
 }
 
 /// `end` becomes the state of the board.
-fn play_step(rig: &RigSpec, config: &VerificationConfig<'_>, end: &mut RunEnd) -> Result<RigVerification, Exit> {
-    let invalid = |error: &dyn Display| stdio::reject(error);
-    let run_error = |error: RunError| {
-        stdio::error(&error.to_string());
-        Exit::of_error(&error)
-    };
+fn play_step(rig: &RigSpec, config: &VerificationConfig<'_>, end: &mut RunEnd) -> Result<RigVerification, Failure> {
     let step = VerificationStep { real_time: default_clock(rig) == ClockArg::RealTime, ..config.step };
     let clock = if step.real_time {
         Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench })
@@ -62,23 +54,17 @@ fn play_step(rig: &RigSpec, config: &VerificationConfig<'_>, end: &mut RunEnd) -
     };
     if let (true, Some(baud)) = (step.real_time, rig.baud()) {
         let period = Duration::from_micros(u64::from(step.target.period_us));
-        check_baud(baud, period, 1.0).map_err(|error| invalid(&error))?;
+        check_baud(baud, period, 1.0).or_invalid()?;
     }
-    let inputs = tempfile::tempdir().map_err(|error| invalid(&error))?;
-    let scenario = step_scenario(inputs.path(), config.plate, &step).map_err(|error| invalid(&error))?;
-    let (firmware, accepted) = configure_rig(rig, step.law, &scenario, clock, end).map_err(run_error)?;
+    let inputs = tempfile::tempdir().or_invalid()?;
+    let scenario = step_scenario(inputs.path(), config.plate, &step).or_invalid()?;
+    let (firmware, accepted) = configure_rig(rig, step.law, &scenario, clock, end)?;
     if !gains_match(accepted, step.gains) {
-        return Err(invalid(&format!("{firmware} reports other gains than those sent: {accepted:?}")));
+        return Err(Failure::invalid(&format!("{firmware} reports other gains than those sent: {accepted:?}")));
     }
-    let folder = RunFolder::create(config.out).map_err(|error| invalid(&error))?;
-    let plan = RunPlan {
-        scenarios: vec![scenario],
-        jobs: 1,
-        clock,
-        own_clock: rig.has_own_clock(),
-        rig: rig.to_string(),
-        overrides: Overrides { board: config.board.selection.board.clone(), ..Overrides::default() },
-    };
+    let folder = RunFolder::create(config.out).or_invalid()?;
+    let overrides = Overrides { board: config.board.selection.board.clone(), ..Overrides::default() };
+    let plan = RunPlan::new(rig, clock, 1, vec![scenario], overrides);
     let played = run_plan(
         plan,
         &folder,
@@ -90,7 +76,10 @@ fn play_step(rig: &RigSpec, config: &VerificationConfig<'_>, end: &mut RunEnd) -
     );
     let of_run = RunEnd::of_run(played.as_ref().map_err(|(error, _)| error), folder.path());
     *end = RunEnd { quarantine: end.quarantine.take().or(of_run.quarantine), ..of_run };
-    let record = played.map_err(|(error, signal)| signal.map_or_else(|| run_error(error), Exit::Signal))?;
+    let record = played.map_err(|(error, signal)| match signal {
+        Some(signal) => Exit::Signal(signal).into(),
+        None => Failure::from(error),
+    })?;
     let trial: Option<&TrialRecord> = record.scenarios.first().and_then(|scenario| scenario.trials.first());
     let metric = |name: &str| trial.and_then(|trial| trial.metrics.get(name)?.as_f64());
     Ok(RigVerification {
