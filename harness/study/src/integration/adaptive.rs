@@ -3,12 +3,10 @@
 #[cfg(feature = "solvers")]
 mod differential_equations_crate;
 
-use crate::integration::failure::MethodFailure;
+use crate::integration::failure::{MAX_STEPS, MethodFailure};
 use crate::integration::problem::Problem;
 use ode_solvers::dop_shared::IntegrationError;
 use ode_solvers::{Dop853, Dopri5, OutputType, SVector, System};
-
-const MAX_STEPS: u32 = 100_000;
 
 /// Runs a solver of `ode_solvers`, whose solvers have no common trait. The constants are those of
 /// the crate: stabilisation β, smallest and largest change of the step. Output at every step,

@@ -1,7 +1,6 @@
 //! Adapts `differential-equations`.
 
-use super::MAX_STEPS;
-use crate::integration::failure::MethodFailure;
+use crate::integration::failure::{MAX_STEPS, MethodFailure};
 use crate::integration::problem::Problem;
 use differential_equations::control::ControlFlag;
 use differential_equations::error::Error;
