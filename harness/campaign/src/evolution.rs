@@ -141,7 +141,7 @@ impl Rates {
     fn new(dimensions: usize) -> Self {
         let n = dimensions as f64;
         let size = 4 + (3.0 * n.ln()).floor() as usize;
-        let raw = |rank: usize| ((size as f64 + 1.0) / 2.0).ln() - (rank as f64).ln();
+        let raw = |rank: usize| f64::midpoint(size as f64, 1.0).ln() - (rank as f64).ln();
         let mut weights: Vec<f64> = (1..=size).map(raw).collect();
         let (selected, others) = weights.split_at_mut(size / 2);
         let selected_mass = effective_mass(selected);

@@ -29,7 +29,7 @@ impl ChartSection {
 
     /// For the console.
     pub(crate) fn indented(table: &Table) -> String {
-        table.lines().iter().map(|line| format!("  {line}\n")).collect()
+        table.lines().iter().flat_map(|line| ["  ", line, "\n"]).collect()
     }
 }
 
