@@ -129,8 +129,7 @@ fn observed_scatter(scenario: &ScenarioRecord, number: usize, value: f64) -> Opt
     let metric = expectation.metric;
     let earlier = scenario.expectations.iter().take(number).filter(|other| other.metric == metric).count();
     let name = if earlier == 0 { metric.to_string() } else { format!("{metric}[{}]", earlier + 1) };
-    let values: Vec<f64> =
-        counted().filter_map(|trial| trial.metrics.get(&name).and_then(serde_json::Value::as_f64)).collect();
+    let values: Vec<f64> = counted().filter_map(|trial| trial.metrics.number(&name)).collect();
     match expectation.statistic {
         Statistic::Mean => TypeA::of_mean(&values),
         Statistic::Worst | Statistic::Quantile | Statistic::Deviation => TypeA::of_single(&values),

@@ -22,14 +22,14 @@ pub(crate) fn differences(merge: &MergeRecord, scenarios: &[ScenarioRecord]) -> 
     for (original, played) in boards {
         let [(reference, first), others @ ..] = &played[..] else { continue };
         for (board, scenario) in others.iter().filter(|(board, _)| board != reference) {
-            let metrics = first.trials.first().into_iter().flat_map(|trial| trial.metrics.keys());
-            for metric in metrics {
+            let metrics = first.trials.first().into_iter().flat_map(|trial| trial.metrics.iter());
+            for (metric, _) in metrics {
                 let (Some(expected), Some(other)) = (summary(first, metric), summary(scenario, metric)) else {
                     continue;
                 };
                 found.push(BoardDifference {
                     scenario: original.to_owned(),
-                    metric: metric.clone(),
+                    metric: metric.to_owned(),
                     board: (*board).to_owned(),
                     reference: (*reference).to_owned(),
                     difference: other.mean - expected.mean,
@@ -45,6 +45,6 @@ pub(crate) fn differences(merge: &MergeRecord, scenarios: &[ScenarioRecord]) -> 
 /// Summary of the trials that count.
 fn summary(scenario: &ScenarioRecord, metric: &str) -> Option<SampleSummary> {
     let counted = scenario.trials.iter().filter(|trial| trial.cause.is_none());
-    let values: Vec<f64> = counted.filter_map(|trial| trial.metrics.get(metric)?.as_f64()).collect();
+    let values: Vec<f64> = counted.filter_map(|trial| trial.metrics.number(metric)).collect();
     SampleSummary::of(&values)
 }

@@ -123,9 +123,9 @@ impl SoakRecord {
             scenario.failed += u64::from(played.verdict == Verdict::Fail);
             scenario.inconclusive += u64::from(played.verdict == Verdict::Inconclusive);
             let counted = played.trials.iter().filter(|trial| trial.cause.is_none());
-            for (metric, value) in counted.flat_map(|trial| &trial.metrics) {
-                let Some(value) = value.as_f64() else { continue };
-                let known = scenario.metrics.entry(metric.clone());
+            for (metric, value) in counted.flat_map(|trial| trial.metrics.iter()) {
+                let Some(value) = value else { continue };
+                let known = scenario.metrics.entry(metric.to_owned());
                 known.and_modify(|known| known.add(value)).or_insert_with(|| RunningStatistics::of(value));
             }
         }

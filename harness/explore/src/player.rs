@@ -142,7 +142,7 @@ impl Drop for Player<'_> {
 fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
     let judgement = judge(scenario, trials);
     let mut result = SceneResult::default();
-    let violations = trials.iter().flat_map(|trial| &trial.telemetry.violations);
+    let violations = trials.iter().flat_map(|trial| &trial.violations);
     result.failures.extend(violations.map(protocol_failure));
     let breaks_protocol = !result.failures.is_empty();
     for record in &judgement.expectations {

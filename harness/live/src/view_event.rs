@@ -16,7 +16,7 @@ impl ViewEvent {
         match event {
             Event::ScenarioStarted { .. } => None,
             Event::TrialFinished { .. } => Some(Self::TrialFinished),
-            Event::ScenarioFinished(record) => Some(Self::ScenarioFinished(record.verdict)),
+            Event::ScenarioFinished(scenario) => Some(Self::ScenarioFinished(scenario.verdict)),
         }
     }
 }

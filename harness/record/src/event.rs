@@ -1,7 +1,9 @@
 //! Names what happens during a run; sinks receive the events in order.
 
+use crate::expectation_record::ExpectationRecord;
 use crate::run_record::ScenarioRecord;
 use crate::trial_record::TrialRecord;
+use crate::verdict::Verdict;
 use platebench_trace::Row;
 
 #[derive(Debug, Clone)]
@@ -19,5 +21,30 @@ pub enum Event {
         rows: Vec<Row>,
     },
     /// All trials of a scenario ended and are judged.
-    ScenarioFinished(Box<ScenarioRecord>),
+    ScenarioFinished(Box<FinishedScenario>),
+}
+
+/// A judged scenario without its trials, which may be many.
+#[derive(Debug, Clone)]
+pub struct FinishedScenario {
+    /// Below the scenario folder.
+    pub file: String,
+    pub title: String,
+    pub law: String,
+    pub verdict: Verdict,
+    pub trial_count: usize,
+    pub expectations: Vec<ExpectationRecord>,
+}
+
+impl From<&ScenarioRecord> for FinishedScenario {
+    fn from(record: &ScenarioRecord) -> Self {
+        Self {
+            file: record.file.clone(),
+            title: record.title.clone(),
+            law: record.law.clone(),
+            verdict: record.verdict,
+            trial_count: record.trials.len(),
+            expectations: record.expectations.clone(),
+        }
+    }
 }

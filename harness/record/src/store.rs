@@ -8,12 +8,13 @@ use serde::de::{DeserializeOwned, Error, IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
 use std::fs;
-use std::io::{self, BufReader, Write};
+use std::io::{self, BufReader, BufWriter, Write};
 use std::path::{Component, Path, PathBuf};
 
 pub const RECORD_FILE: &str = "run.json";
 /// A record of 10⁶ trials has some 600 MB.
 const MAX_RECORD_BYTES: u64 = 1 << 30;
+const WRITE_BUFFER_BYTES: usize = 64 << 10;
 const MAX_EARLIER_RUNS: usize = 20;
 
 #[derive(Debug, thiserror::Error)]
@@ -35,10 +36,12 @@ pub enum RecordError {
 impl RunRecord {
     /// Replaces the record in `folder` atomically.
     pub fn write(&self, folder: &Path) -> io::Result<()> {
-        let mut text = serde_json::to_string_pretty(self)?;
-        text.push('\n');
         let mut file = AtomicFile::create(&folder.join(RECORD_FILE))?;
-        file.write_all(text.as_bytes())?;
+        let mut writer = BufWriter::with_capacity(WRITE_BUFFER_BYTES, &mut file);
+        serde_json::to_writer_pretty(&mut writer, self)?;
+        writer.write_all(b"\n")?;
+        writer.flush()?;
+        drop(writer);
         // A sync after every scenario would delay the run.
         if self.complete { file.commit() } else { file.commit_without_sync() }
     }

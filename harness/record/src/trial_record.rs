@@ -1,5 +1,6 @@
 //! Records a trial.
 
+use crate::metric_values::MetricValues;
 use crate::real_plate::RealPlateRecord;
 use crate::reason::{self, TrialReason};
 use crate::timing::TimingRecord;
@@ -7,7 +8,6 @@ use crate::verdict::Cause;
 use crate::violation::Violation;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -21,7 +21,7 @@ pub struct TrialRecord {
     #[serde(default)]
     pub sha256: Option<String>,
     /// By metric; `null` without a number. Further expectations of a metric have the suffix `[n]`.
-    pub metrics: Map<String, Value>,
+    pub metrics: MetricValues,
     #[serde(default)]
     pub telemetry: Telemetry,
     /// What made the trial not count.
@@ -54,9 +54,9 @@ pub struct Telemetry {
     #[serde(default)]
     pub ended: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub timing: Option<TimingRecord>,
+    pub timing: Option<Box<TimingRecord>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub real_plate: Option<RealPlateRecord>,
+    pub real_plate: Option<Box<RealPlateRecord>>,
     /// The controller's first report why it stopped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stopped: Option<String>,

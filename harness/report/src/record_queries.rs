@@ -1,7 +1,6 @@
 //! Finds keys, trials and missed expectations in a record.
 
 use platebench_record::{Cause, ExpectationRecord, Limit, RunRecord, ScenarioRecord, Statistic, TrialRecord, Verdict};
-use serde_json::Value;
 
 /// The metric, with `[n]` for its n-th expectation.
 pub(crate) fn metric_key(scenario: &ScenarioRecord, index: usize) -> String {
@@ -23,12 +22,12 @@ pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Optio
 pub(crate) fn deciding_trial(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
     let expectation = scenario.expectations.get(index)?;
     let key = metric_key(scenario, index);
-    let number = |trial: &TrialRecord| trial.metrics.get(&key).and_then(Value::as_f64);
+    let number = |trial: &TrialRecord| trial.metrics.number(&key);
     let decided = match (expectation.cause, expectation.value) {
         (Some(cause @ (Cause::Rig | Cause::Bench)), _) => {
             scenario.trials.iter().find(|trial| trial.cause == Some(cause))
         }
-        (_, None) => scenario.trials.iter().find(|trial| trial.metrics.get(&key).is_some_and(Value::is_null)),
+        (_, None) => scenario.trials.iter().find(|trial| trial.metrics.get(&key) == Some(None)),
         (_, value) if expectation.statistic == Statistic::Worst => {
             scenario.trials.iter().find(|trial| trial.cause.is_none() && number(trial) == value)
         }
@@ -141,8 +140,7 @@ pub(crate) fn open_loop_counterpart(record: &RunRecord, scenario: &ScenarioRecor
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_record::{Evidence, Metric, MetricDefinition, Telemetry};
-    use serde_json::{Map, json};
+    use platebench_record::{Evidence, Metric, MetricDefinition, MetricValues, Telemetry};
 
     #[test]
     fn behind_a_mean_stands_the_trial_that_is_farthest_off() {
@@ -164,18 +162,21 @@ mod tests {
             definition: MetricDefinition::default(),
             evidence: Evidence::default(),
         };
-        let metrics = |value: f64| Map::from_iter([("static_error_percent".to_owned(), json!(value))]);
-        let trial_of = |index, value| TrialRecord {
-            index,
-            seed: 1,
-            trace: String::new(),
-            metrics: metrics(value),
-            cause: None,
-            reason: None,
-            sha256: None,
-            telemetry: Telemetry::default(),
-            diverged_at_s: None,
-            wall_ms: None,
+        let trial_of = |index, value| {
+            let mut metrics = MetricValues::default();
+            metrics.set("static_error_percent", Some(value));
+            TrialRecord {
+                index,
+                seed: 1,
+                trace: String::new(),
+                metrics,
+                cause: None,
+                reason: None,
+                sha256: None,
+                telemetry: Telemetry::default(),
+                diverged_at_s: None,
+                wall_ms: None,
+            }
         };
         let mut scenario = ScenarioRecord {
             file: "a.toml".to_owned(),

@@ -90,7 +90,7 @@ fn play_at(period_us: u32) -> Result<TimingRecord, Box<dyn Error>> {
     if safe > 0 {
         println!("at {period_us} µs the controller stopped: {}\n", result.telemetry.stopped.unwrap_or_default());
     }
-    result.telemetry.timing.ok_or_else(|| "no timing".into())
+    result.telemetry.timing.map(|timing| *timing).ok_or_else(|| "no timing".into())
 }
 
 fn scenario(period_us: u32) -> Result<Scenario, Box<dyn Error>> {

@@ -119,7 +119,7 @@ mod tests {
     fn telemetry(delay_us: f64) -> Telemetry {
         let delay = Quantiles { p50: delay_us, p99: delay_us, p999: delay_us, max: delay_us };
         let timing = TimingRecord { loop_delay_us: Some(delay), ..TimingRecord::default() };
-        Telemetry { timing: Some(timing), ..Telemetry::default() }
+        Telemetry { timing: Some(Box::new(timing)), ..Telemetry::default() }
     }
 
     fn excuse(played_law: LawId, delay_us: f64) -> Option<Cause> {

@@ -59,7 +59,7 @@ pub(crate) fn play<L: Link>(
     let telemetry = Telemetry {
         ended: link_error.as_ref().map(ToString::to_string),
         stopped: stop_reason.map(str::to_owned),
-        real_plate: Some(real_plate),
+        real_plate: Some(Box::new(real_plate)),
         ..Telemetry::default()
     };
     Ok(Some(TrialResult { trace_rows, telemetry, link_error }))

@@ -7,7 +7,7 @@ use crate::worker::CompletedTrial;
 use platebench_plate::Tier;
 use platebench_record::{Exclusion, Overrides, RecordError};
 use platebench_record::{FolderError, sha256, sha256_of_file, trace_path};
-use platebench_record::{KeepTraces, RunRecord, ScenarioRecord, Telemetry, TrialRecord};
+use platebench_record::{KeepTraces, RunRecord, ScenarioRecord, TrialRecord};
 use platebench_scenario::{Diagnostic, Expectation, Scenario, Variation, load, load_copies};
 use platebench_trace::{Row, TraceError, read_trace};
 use platebench_verdict::{SequentialDecision, TrialMeasures, judge, judge_sequentially, trial_record};
@@ -312,7 +312,7 @@ fn rejudge_trial(
     let telemetry = then.map(|then| then.telemetry.clone()).unwrap_or_default();
     let law = configure::law(scenario)?;
     let measures = measure_trial(scenario, law, index, &rows, &telemetry);
-    let mut record = trial_record(scenario, &measures, trace, None);
+    let mut record = trial_record(scenario, &measures, telemetry, trace, None);
     if let Some(then) = then {
         record.sha256.clone_from(&then.sha256);
         record.wall_ms = then.wall_ms;
@@ -326,7 +326,8 @@ fn incomplete_trial(scenario: &Scenario, index: u32) -> TrialMeasures {
         seed: Variation::of_trial(scenario, index).seed,
         measures: Vec::new(),
         excuses: Vec::new(),
-        telemetry: Telemetry::default(),
+        ended: None,
+        violations: Vec::new(),
         divergence: None,
         exclusion: Some(Exclusion::CutOff),
         is_real_plate: false,

@@ -9,7 +9,9 @@ use crate::trend;
 use crate::worker::{
     CompletedTrial, Progress, RigSession, RunContext, TrialTask, WorkQueue, close_session, result_channel, trial_tasks,
 };
-use platebench_record::{Event, Firmware, FolderError, Host, InputRecord, KeepTraces, RigRecord, RunFolder, RunRecord};
+use platebench_record::{
+    Event, FinishedScenario, Firmware, FolderError, Host, InputRecord, KeepTraces, RigRecord, RunFolder, RunRecord,
+};
 use platebench_record::{NotApplicable, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex};
 use platebench_rig::{ChipFaultError, FaultInjector, Link};
 use platebench_scenario::{Metric, Scenario};
@@ -257,7 +259,7 @@ fn play_scenarios(
                         if plan.overrides.fail_fast && scenario_record.verdict == Verdict::Fail {
                             run.stop.store(true, Ordering::Relaxed);
                         }
-                        let finished = Box::new(scenario_record.clone());
+                        let finished = Box::new(FinishedScenario::from(&*scenario_record));
                         file.mark_changed();
                         on_event(Event::ScenarioFinished(finished));
                     }
@@ -289,7 +291,7 @@ fn judge_unfinished(
     for ((scenario, progress), record) in unfinished.filter(|(_, record)| record.expectations.is_empty()) {
         complete_record(record, judge(scenario, &progress.measures), progress.records);
         if !record.trials.is_empty() {
-            on_event(Event::ScenarioFinished(Box::new(record.clone())));
+            on_event(Event::ScenarioFinished(Box::new(FinishedScenario::from(&*record))));
         }
     }
 }

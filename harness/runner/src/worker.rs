@@ -242,7 +242,7 @@ impl WorkQueue<'_> {
         let hash = is_stored.then(|| write_trace(&path, &played.trace_rows)).transpose()?;
         let wall_ms = started.elapsed().as_secs_f64() * 1e3;
         debug!(rows = played.trace_rows.len(), wall_ms, measures = ?measures.measures, "trial measured");
-        let mut record = trial_record(scenario, &measures, trace, Some(wall_ms));
+        let mut record = trial_record(scenario, &measures, played.telemetry, trace, Some(wall_ms));
         record.sha256 = hash.as_ref().map(|hash| to_hex(hash));
         if let Some(lost) = played.link_error {
             error!(error = %lost, "controller lost");

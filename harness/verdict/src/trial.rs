@@ -5,10 +5,10 @@ use crate::exclusion::find_exclusion;
 use crate::feasibility::infeasibility_excuse;
 use crate::metrics::{self, Measure};
 use crate::real_plate;
-use platebench_record::{Divergence, Exclusion, Excuse, Telemetry, TrialReason, TrialRecord};
+use platebench_record::{Divergence, Exclusion, Excuse, MetricValues, Telemetry, TrialReason, TrialRecord, Violation};
 use platebench_scenario::{Expectation, Metric, Scenario, Variation};
 use platebench_trace::{Flags, Row};
-use serde_json::{Map, json};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 /// Everything about a trial that verdicts depend on.
@@ -20,7 +20,9 @@ pub struct TrialMeasures {
     /// One per expectation of the scenario.
     pub measures: Vec<Measure>,
     pub excuses: Vec<Option<Excuse>>,
-    pub telemetry: Telemetry,
+    /// How the controller was lost, in the rig's words.
+    pub ended: Option<String>,
+    pub violations: Vec<Violation>,
     /// Explains a failure.
     pub divergence: Option<Divergence>,
     pub exclusion: Option<Exclusion>,
@@ -45,10 +47,11 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
         seed: variation.seed,
         measures: expectations.iter().map(|expectation| metrics::measure(expectation, rows, telemetry)).collect(),
         excuses: excuses.collect(),
-        telemetry: telemetry.clone(),
+        ended: telemetry.ended.clone(),
+        violations: telemetry.violations.clone(),
         divergence: detect_divergence(scenario, rows, telemetry),
         exclusion: if is_real_plate {
-            real_plate::find_exclusion(scenario, rows, telemetry.real_plate.as_ref())
+            real_plate::find_exclusion(scenario, rows, telemetry.real_plate.as_deref())
         } else {
             find_exclusion(scenario, rows, telemetry)
         },
@@ -62,8 +65,8 @@ impl TrialMeasures {
     pub fn margin(&self, expectations: &[Expectation]) -> f64 {
         let is_broken = self.exclusion.is_some()
             || self.divergence.is_some()
-            || self.telemetry.ended.is_some()
-            || !self.telemetry.violations.is_empty();
+            || self.ended.is_some()
+            || !self.violations.is_empty();
         if is_broken {
             return f64::NEG_INFINITY;
         }
@@ -77,9 +80,16 @@ impl TrialMeasures {
     }
 }
 
-pub fn trial_record(scenario: &Scenario, trial: &TrialMeasures, trace: String, wall_ms: Option<f64>) -> TrialRecord {
+/// `trial` is the measures of `telemetry` and of the rows in `trace`.
+pub fn trial_record(
+    scenario: &Scenario,
+    trial: &TrialMeasures,
+    telemetry: Telemetry,
+    trace: String,
+    wall_ms: Option<f64>,
+) -> TrialRecord {
     let mut counts: BTreeMap<Metric, u32> = BTreeMap::new();
-    let mut by_name = Map::new();
+    let mut values = MetricValues::with_capacity(scenario.expectations.len());
     for (expectation, measure) in scenario.expectations.iter().zip(&trial.measures) {
         let metric = expectation.metric;
         // A single trial cannot be compared.
@@ -88,21 +98,21 @@ pub fn trial_record(scenario: &Scenario, trial: &TrialMeasures, trace: String, w
         }
         let count = counts.entry(metric).or_default();
         *count += 1;
-        let name = if *count == 1 { metric.to_string() } else { format!("{metric}[{count}]") };
+        let name = if *count == 1 { Cow::Borrowed(metric.name()) } else { Cow::Owned(format!("{metric}[{count}]")) };
         let value = measure.value().map(|value| if metric == Metric::StaticError { value.abs() } else { value });
-        by_name.insert(name, json!(value));
+        values.set(name, value);
     }
     let excluded = trial.exclusion.clone().map(TrialReason::Excluded);
-    let ended = || trial.telemetry.ended.clone().map(TrialReason::Ended);
+    let ended = || trial.ended.clone().map(TrialReason::Ended);
     let diverged = || trial.divergence.map(TrialReason::Diverged);
-    let violation = trial.telemetry.violations.first().copied().map(TrialReason::Violation);
+    let violation = trial.violations.first().copied().map(TrialReason::Violation);
     TrialRecord {
         index: trial.index,
         seed: trial.seed,
         trace,
         sha256: None,
-        metrics: by_name,
-        telemetry: trial.telemetry.clone(),
+        metrics: values,
+        telemetry,
         cause: trial.exclusion.as_ref().filter(|_| violation.is_none()).map(Exclusion::cause),
         reason: violation.or(excluded).or_else(ended).or_else(diverged),
         diverged_at_s: trial.divergence.map(|divergence| divergence.at_s),

@@ -62,13 +62,13 @@ impl SessionObserver for SessionProgress {
         let Some(progress) = &mut self.progress else { return };
         match event {
             // The self-test measures the bench, so the scenario's verdict does not count.
-            Event::ScenarioFinished(record) if self.is_self_test => {
+            Event::ScenarioFinished(scenario) if self.is_self_test => {
                 progress.finish();
                 self.progress = Some(Progress::new(self.kind));
                 self.print(&format!(
                     "  {} measured in {}, not judged",
-                    record.file,
-                    count(record.trials.len(), "trial")
+                    scenario.file,
+                    count(scenario.trial_count, "trial")
                 ));
             }
             event => progress.show(event),

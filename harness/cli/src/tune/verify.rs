@@ -81,7 +81,7 @@ fn play_step(rig: &RigSpec, config: &VerificationConfig<'_>, end: &mut RunEnd) -
         None => Failure::from(error),
     })?;
     let trial: Option<&TrialRecord> = record.scenarios.first().and_then(|scenario| scenario.trials.first());
-    let metric = |name: &str| trial.and_then(|trial| trial.metrics.get(name)?.as_f64());
+    let metric = |name: &str| trial.and_then(|trial| trial.metrics.number(name));
     Ok(RigVerification {
         rig: rig.to_string(),
         firmware,

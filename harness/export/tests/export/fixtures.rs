@@ -1,9 +1,8 @@
 //! Writes a run folder.
 
-use platebench_record::{ClockKind, FORMAT, Firmware, Host, InputRecord, Overrides, RigRecord, Tool};
+use platebench_record::{ClockKind, FORMAT, Firmware, Host, InputRecord, MetricValues, Overrides, RigRecord, Tool};
 use platebench_record::{RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict};
 use platebench_trace::{Flags, Row, TraceWriter};
-use serde_json::Map;
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -60,7 +59,7 @@ pub(crate) fn write_trial(folder: &Path, scenario: &str, index: u32, rows: &[Row
         seed: u64::MAX - u64::from(index),
         trace,
         sha256: Some("0".repeat(64)),
-        metrics: Map::new(),
+        metrics: MetricValues::default(),
         telemetry: Telemetry::default(),
         cause: None,
         reason: None,

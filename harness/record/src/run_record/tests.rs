@@ -72,7 +72,7 @@ fn record() -> RunRecord {
         index: 0,
         seed: u64::MAX,
         trace: "traces/paper/fig13-closed-loop/000.csv".to_owned(),
-        metrics: metrics.as_object().unwrap().clone(),
+        metrics: serde_json::from_value(metrics).unwrap(),
         cause: Some(Cause::Bench),
         reason: Some(TrialReason::Excluded(Exclusion::LateBench { count: 1, first_ms: 3.0 })),
         sha256: None,

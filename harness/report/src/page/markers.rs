@@ -2,7 +2,6 @@
 
 use crate::{format, record_queries};
 use platebench_record::{ExpectationRecord, Limit, Metric, MetricDefinition, ScenarioRecord, TrialRecord, Verdict};
-use serde_json::Value;
 
 /// Metrics measured from `from_ms`, with labels for "reached" and "not reached".
 const ELAPSED_METRICS: [(Metric, &str, &str); 2] = [
@@ -48,7 +47,7 @@ pub(crate) fn settling(scenario: &ScenarioRecord, trial: &TrialRecord, index: us
     else {
         return Settling::Unknown;
     };
-    match trial.metrics.get(&record_queries::metric_key(scenario, index)).map(Value::as_f64) {
+    match trial.metrics.get(&record_queries::metric_key(scenario, index)) {
         None => Settling::Unknown,
         Some(None) => Settling::Never,
         Some(Some(after_ms)) => settling_start_ms(&expectation.definition, steps_ms)
@@ -107,7 +106,7 @@ fn elapsed_marker(
 ) -> Option<TimeMarker> {
     let expectation = scenario.expectations.get(index)?;
     let from_ms = expectation.definition.from_ms?;
-    let after_ms = trial.metrics.get(&record_queries::metric_key(scenario, index)).map(Value::as_f64)?;
+    let after_ms = trial.metrics.get(&record_queries::metric_key(scenario, index))?;
     let text = after_ms
         .map_or_else(|| not_reached.to_owned(), |after_ms| format!("{reached} {} ms", format::number(after_ms)));
     Some(TimeMarker {

@@ -13,7 +13,6 @@ use crate::text::timing;
 use crate::{format, record_queries};
 use maud::{Markup, html};
 use platebench_record::{ExpectationRecord, Metric, ScenarioRecord, Statistic, TrialRecord, Verdict};
-use serde_json::Value;
 
 /// A longer table would slow the page down.
 const MAX_LISTED_TRIALS: usize = 200;
@@ -210,19 +209,18 @@ fn unreadable_traces(data: &TraceData) -> Markup {
 fn trials_table(scenario: &ScenarioRecord) -> Markup {
     let metrics: Vec<String> = (0..scenario.expectations.len())
         .map(|index| record_queries::metric_key(scenario, index))
-        .filter(|key| scenario.trials.iter().any(|trial| trial.metrics.contains_key(key)))
+        .filter(|key| scenario.trials.iter().any(|trial| trial.metrics.get(key).is_some()))
         .collect();
     let metric_columns: Vec<String> = metrics.iter().map(|metric| format!("#{metric}")).collect();
     let columns = ["#Trial", "#Seed"].into_iter().chain(metric_columns.iter().map(String::as_str));
     let columns: Vec<&str> = columns.chain(["Trace", "Remark"]).collect();
-    let number = |value: Option<&Value>| value.and_then(Value::as_f64).map(format::number);
     let (count, shown) = (scenario.trials.len(), scenario.trials.len().min(MAX_LISTED_TRIALS));
     let rows = html! {
         @for trial in scenario.trials.iter().take(shown) {
             tr {
                 th.number scope="row" { (trial.index) }
                 td.number { (trial.seed) }
-                @for metric in &metrics { td.number { (with_unit(number(trial.metrics.get(metric)), "")) } }
+                @for metric in &metrics { td.number { (with_unit(trial.metrics.number(metric).map(format::number), "")) } }
                 td.file { (trace_link(trial)) }
                 td {
                     @if let Some(cause) = trial.cause { strong { (cause) } }

@@ -247,7 +247,7 @@ fn whole_window(rows: &[Row]) -> TimeWindow {
 fn response_window(scenario: &ScenarioRecord, settling: Settling, whole: TimeWindow) -> Option<TimeWindow> {
     let Settling::At { instant_ms, after_ms } = settling else { return None };
     let step_ms = instant_ms - after_ms;
-    let times = scenario.trials.iter().filter_map(|trial| trial.metrics.get(Metric::SettlingTime.name())?.as_f64());
+    let times = scenario.trials.iter().filter_map(|trial| trial.metrics.number(Metric::SettlingTime.name()));
     let longest_ms = times.fold(after_ms, f64::max);
     let span_ms = (4.0 * longest_ms).max(5.0);
     let from_ms = (step_ms - 0.1 * span_ms).max(whole.from_ms);

@@ -86,7 +86,7 @@ impl EventWriter {
                 title: &scenario.title,
                 law: &scenario.law,
                 verdict: scenario.verdict,
-                trials: scenario.trials.len(),
+                trials: scenario.trial_count,
                 expectations: &scenario.expectations,
             },
         });

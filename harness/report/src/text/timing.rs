@@ -5,7 +5,7 @@ use platebench_record::{ScenarioRecord, TimingRecord};
 /// Worst of each quantity over trials, sums of counts; `None` in lockstep.
 pub(crate) fn summary(scenario: &ScenarioRecord) -> Option<String> {
     let trials: Vec<&TimingRecord> =
-        scenario.trials.iter().filter_map(|trial| trial.telemetry.timing.as_ref()).collect();
+        scenario.trials.iter().filter_map(|trial| trial.telemetry.timing.as_deref()).collect();
     let first = trials.first()?;
     let worst = |figure: fn(&TimingRecord) -> f64| trials.iter().map(|timing| figure(timing)).fold(0.0, f64::max);
     let count = |figure: fn(&TimingRecord) -> u64| trials.iter().map(|timing| figure(timing)).sum::<u64>();

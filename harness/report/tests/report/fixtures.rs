@@ -2,8 +2,8 @@
 
 use platebench_record::{
     BestResponse, Cause, ClockKind, CostTrend, EarlierCost, Evidence, Exclusion, Excuse, ExpectationRecord, FORMAT,
-    Firmware, Host, InputRecord, Limit, Metric, MetricDefinition, MissingValue, NotApplicable, Overrides, Reason,
-    RigRecord, RunRecord, ScenarioRecord, Statistic, StepCost, Telemetry, TightestStep, Tool, TrialFinding,
+    Firmware, Host, InputRecord, Limit, Metric, MetricDefinition, MetricValues, MissingValue, NotApplicable, Overrides,
+    Reason, RigRecord, RunRecord, ScenarioRecord, Statistic, StepCost, Telemetry, TightestStep, Tool, TrialFinding,
     TrialReason, TrialRecord, Verdict,
 };
 use platebench_verdict::golden::{Baseline, BaselineBuild, GoldenTubes, ResponseFeatures};
@@ -141,13 +141,21 @@ pub(crate) fn inconclusive_expectation(
     ExpectationRecord { verdict: Verdict::Inconclusive, cause: Some(cause), reason: Some(reason), ..expectation }
 }
 
+pub(crate) fn metric_values(values: &[(&str, Value)]) -> MetricValues {
+    let mut metrics = MetricValues::default();
+    for (name, value) in values {
+        metrics.set((*name).to_owned(), value.as_f64());
+    }
+    metrics
+}
+
 pub(crate) fn trial(file: &str, index: u32, metrics: &[(&str, Value)]) -> TrialRecord {
     let name = file.strip_suffix(".toml").unwrap();
     TrialRecord {
         index,
         seed: 7 + u64::from(index),
         trace: format!("traces/{name}/{index:03}.csv"),
-        metrics: metrics.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect(),
+        metrics: metric_values(metrics),
         cause: None,
         reason: None,
         sha256: Some("00".repeat(32)),
@@ -338,7 +346,7 @@ pub(crate) fn run_with_traces(folder: &Path) -> RunRecord {
     write_trials(&mut closed, folder, 30, Response::default(), 0.01);
     let mut open = scenario("paper/fig13-open-loop.toml", "Step of 2 µm at resonance, open loop", "open-loop", vec![]);
     write_trials(&mut open, folder, 30, Response { time_constant_ms: 1.88, ..Response::default() }, 0.02);
-    let times = open.trials.iter().map(|trial| trial.metrics["settling_time_ms"].as_f64().unwrap());
+    let times = open.trials.iter().map(|trial| trial.metrics.number("settling_time_ms").unwrap());
     let worst = times.fold(0.0, f64::max);
     open.expectations = vec![failed_expectation(settling(worst, 5.0), outside(2, worst, 2.0))];
     open.verdict = Verdict::Fail;

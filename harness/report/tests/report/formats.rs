@@ -132,7 +132,7 @@ fn every_event_is_one_flushed_line() {
     let (file, trial) = (scenario.file.clone(), Box::new(scenario.trials[0].clone()));
     events.event(&Event::ScenarioStarted { file: file.clone(), trials: 1 });
     events.event(&Event::TrialFinished { file, trial, rows: Vec::new() });
-    events.event(&Event::ScenarioFinished(Box::new(scenario.clone())));
+    events.event(&Event::ScenarioFinished(Box::new(scenario.into())));
     events.run_finished(Some(&record), None, 1);
     events.run_finished(None, Some("nothing to run"), 4);
     let (bytes, flushes) = log.0.lock().unwrap().clone();

@@ -71,13 +71,13 @@ fn file(write: impl FnOnce(&std::path::Path)) -> String {
 }))]
 #[case::events(|record: &RunRecord| written(|out| {
     let mut events = EventWriter::new(out);
-    events.event(&Event::ScenarioFinished(Box::new(record.scenarios[1].clone())));
+    events.event(&Event::ScenarioFinished(Box::new((&record.scenarios[1]).into())));
     events.run_finished(None, Some(HOSTILE), 2);
 }))]
 #[case::progress(|record: &RunRecord| written(|out| {
     let mut progress = Progress::to_writer(out);
     progress.show(&Event::ScenarioStarted { file: HOSTILE.to_owned(), trials: 1 });
-    progress.show(&Event::ScenarioFinished(Box::new(record.scenarios[1].clone())));
+    progress.show(&Event::ScenarioFinished(Box::new((&record.scenarios[1]).into())));
 }))]
 fn no_text_acts_on_a_terminal_a_ci_system_or_a_spreadsheet(#[case] render: fn(&RunRecord) -> String) {
     let text = render(&hostile_run());

@@ -5,7 +5,7 @@ use crate::page::{legend_texts, plot_data, write_page};
 use crate::page_text::section;
 use platebench_record::ScenarioRecord;
 use rstest::rstest;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 /// 0 ms to 60 ms lie at x = 264 to 2184.
 fn marks(drawing: &str, ink: &str) -> Vec<f64> {
@@ -62,7 +62,7 @@ fn marks_start_end_and_deadline(
     expectation.definition.from_ms = Some(40.0);
     let mut tap = fixtures::scenario("tap.toml", "A tap", "dq-pi", vec![expectation]);
     fixtures::write_trials(&mut tap, folder.path(), 1, Response::default(), 0.0);
-    tap.trials[0].metrics = Map::from_iter([(metric.to_owned(), value)]);
+    tap.trials[0].metrics = fixtures::metric_values(&[(metric, value)]);
     let page = write_page(&fixtures::run(vec![tap.clone()]), folder.path());
     let drawn = section(&page, "scenario-0");
     let title = ["Amplitude |W|", "Drive"][panel];
@@ -100,7 +100,7 @@ fn marks_the_deadline_of_a_settling_time() {
     };
     let [settled, until] = ["trial 0 settled after 1.948 ms", "settling_time_ms ≤ 2 ms: until 3 ms"].map(str::to_owned);
     assert_eq!(marked(&closed), [(settled.clone(), 1.0), (settled, 2.948), (until.clone(), 3.0)]);
-    closed.trials[0].metrics["settling_time_ms"] = Value::Null;
+    closed.trials[0].metrics.set("settling_time_ms", None);
     assert_eq!(marked(&closed), [("trial 0 does not settle".to_owned(), 1.0), (until, 3.0)]);
 }
 
@@ -118,7 +118,7 @@ fn marks_recoveries_that_did_not_pass_or_else_the_first() {
         let mut tap = fixtures::scenario("tap.toml", "Taps", "dq-pi", expectations.collect());
         fixtures::write_trials(&mut tap, folder.path(), 1, Response::default(), 0.0);
         let keys = ["recovery_time_ms", "recovery_time_ms[2]", "recovery_time_ms[3]"];
-        tap.trials[0].metrics = keys.into_iter().map(|key| (key.to_owned(), json!(3.0))).collect();
+        tap.trials[0].metrics = fixtures::metric_values(&keys.map(|key| (key, json!(3.0))));
         let page = write_page(&fixtures::run(vec![tap]), folder.path());
         let until = panel_marks(&plot_data(&page)[0], 0).into_iter().filter(|(key, _)| key.contains("until"));
         until.map(|(_, at_ms)| at_ms).collect::<Vec<_>>()

@@ -117,7 +117,7 @@ fn reads_the_trial_that_decided_beyond_the_limit() {
     let mut open = open_loop();
     let slow = Response { time_constant_ms: 1.88, ..Response::default() };
     fixtures::write_trials(&mut open, folder.path(), 40, slow, 0.01);
-    open.trials[35].metrics["settling_time_ms"] = json!(5.632);
+    open.trials[35].metrics.set("settling_time_ms", Some(5.632));
     let page = write_page(&fixtures::run(vec![open]), folder.path());
     let open = scenario_section(&page, 0);
     assert!(open.contains("5 % to 95 % of 31 trials"));
@@ -268,7 +268,7 @@ fn lists_changed_traces_instead_of_drawing_them() {
     let slow = Response { time_constant_ms: 1.88, ..Response::default() };
     fixtures::write_trials(&mut open, folder.path(), 40, slow, 0.01);
     fixtures::write_trials(&mut closed, folder.path(), 1, Response::default(), 0.0);
-    open.trials[0].metrics["settling_time_ms"] = json!(5.632);
+    open.trials[0].metrics.set("settling_time_ms", Some(5.632));
     let record = fixtures::run(vec![open, closed]);
     let render = |record: &RunRecord, is_changed: IsTraceChanged| {
         let path = folder.path().join(page::FILE);

@@ -37,7 +37,7 @@ fn table(trials: impl IntoIterator<Item = Option<TimingRecord>>) -> String {
     scenario.trials = trials
         .into_iter()
         .map(|timing| TrialRecord {
-            telemetry: Telemetry { timing, ..Telemetry::default() },
+            telemetry: Telemetry { timing: timing.map(Box::new), ..Telemetry::default() },
             ..fixtures::trial("paper/a.toml", 0, &[])
         })
         .collect();

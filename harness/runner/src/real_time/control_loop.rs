@@ -358,7 +358,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             not_finite,
             loop_delay_us: timing.loop_delay_us.map(|quantiles| quantiles.max),
             rig_delay_us: timing.loop_delay_us.map(|_| self.timing.longest_rig_delay.as_secs_f64() * 1e6),
-            timing: Some(timing),
+            timing: Some(Box::new(timing)),
             ..self.controller.telemetry(self.session, lost.as_ref())
         };
         Some((telemetry, lost))

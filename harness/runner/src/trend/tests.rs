@@ -11,7 +11,7 @@ fn scenario(law: &str, input: &str, worst: &[f64]) -> ScenarioRecord {
         seed: index as u64 + 1,
         trace: String::new(),
         sha256: None,
-        metrics: serde_json::Map::new(),
+        metrics: platebench_record::MetricValues::default(),
         telemetry: Telemetry {
             instructions_mean: Some(0.9 * worst),
             instructions_worst: Some(worst),

@@ -33,7 +33,7 @@ impl ExpectationJudge<'_> {
             Aggregation::Each => self.judge_each_trial(),
             _ => self.judge_over_trials(),
         });
-        let violations = |trial: &TrialMeasures| Some((trial.index, *trial.telemetry.violations.first()?));
+        let violations = |trial: &TrialMeasures| Some((trial.index, *trial.violations.first()?));
         if let Some((trial, violation)) = self.trials.iter().find_map(violations) {
             outcome = outcome.fail(Reason::Violation { trial, violation });
         }
@@ -121,12 +121,8 @@ impl ExpectationJudge<'_> {
         let has_value = !matches!(measure, Measure::Missing(_) | Measure::Undefined(_));
         let value = self.value_interval(measure).filter(|_| has_value).map(|[_, high]| high);
         let outcome = Outcome { value, ..Outcome::pass(statistic) };
-        let reason = |divergence, finding| Reason::Trial {
-            trial: trial.index,
-            divergence,
-            finding,
-            ended: trial.telemetry.ended.clone(),
-        };
+        let reason =
+            |divergence, finding| Reason::Trial { trial: trial.index, divergence, finding, ended: trial.ended.clone() };
         let fail = |outcome: Outcome, finding| outcome.fail(reason(trial.divergence, finding));
         let undecided = |outcome: Outcome, finding| outcome.inconclusive(Cause::Evidence, reason(None, finding));
         let is_interval = matches!(measure, Measure::Interval(_));

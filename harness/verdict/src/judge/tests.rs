@@ -76,7 +76,8 @@ fn varied_scenario(expect: &str, trials: u32) -> Scenario {
 
 fn trial_measures(index: u32, measures: &[Measure]) -> TrialMeasures {
     TrialMeasures {
-        telemetry: Telemetry::default(),
+        ended: None,
+        violations: Vec::new(),
         index,
         seed: u64::from(index) + 1,
         measures: measures.to_vec(),

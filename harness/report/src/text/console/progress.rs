@@ -101,7 +101,7 @@ impl Progress {
             }
             (Sink::Lines(out), Event::ScenarioFinished(scenario)) => {
                 let (sign, verdict) = (format::sign(scenario.verdict), scenario.verdict);
-                let trials = format::count(scenario.trials.len(), "trial");
+                let trials = format::count(scenario.trial_count, "trial");
                 write_line(out.as_mut(), &format!("{sign} {}: {verdict}, {trials}", printable(&scenario.file)));
             }
             (Sink::Lines(_), Event::TrialFinished { .. }) | (Sink::Quiet, _) => {}

@@ -80,13 +80,13 @@ fn a_violation_fails_a_trial() {
     let violation = Violation { kind: ViolationKind::WrongSequence, at_s: 0.012, count: 2, worst: None, limit: None };
     let mut trials = trials_with_values(&[1.9; 3]);
     assert_eq!(verdict_and_cause(&scenario, &trials), PASS);
-    trials[1].telemetry.violations = vec![violation];
+    trials[1].violations = vec![violation];
     assert_eq!(verdict_and_cause(&scenario, &trials), FAIL);
     trials[1].exclusion = Some(Exclusion::NoAnswer { at_ms: 12.0 });
     trials[1].excuses = vec![Some(TOO_WEAK)];
     let record = judge_single_expectation(&scenario, &trials);
     assert_eq!((record.verdict, record.reason), (Verdict::Fail, Some(Reason::Violation { trial: 1, violation })));
-    let trial = trial_record(&scenario, &trials[1], String::new(), None);
+    let trial = trial_record(&scenario, &trials[1], Telemetry::default(), String::new(), None);
     assert_eq!(trial.reason, Some(TrialReason::Violation(violation)));
 }
 

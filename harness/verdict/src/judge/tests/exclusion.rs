@@ -50,7 +50,7 @@ fn a_trial_with_lost_rows_does_not_count() {
     let rows = trace_rows(&scenario, |_| 2.0);
     let cause = |lost_rows| {
         let timing = platebench_record::TimingRecord { lost_rows, ..Default::default() };
-        let telemetry = Telemetry { timing: Some(timing), ..Telemetry::default() };
+        let telemetry = Telemetry { timing: Some(Box::new(timing)), ..Telemetry::default() };
         measure(&scenario, 0, &rows, &telemetry).exclusion.as_ref().map(Exclusion::cause)
     };
     assert_eq!((cause(0), cause(1)), (None, Some(Cause::Bench)));
@@ -74,7 +74,7 @@ fn excludes_a_pacing_target_with_a_wrong_clock(
         target_clock_error_ppm: Some(5_000.0),
         ..Default::default()
     };
-    let telemetry = Telemetry { timing: Some(timing), ..Telemetry::default() };
+    let telemetry = Telemetry { timing: Some(Box::new(timing)), ..Telemetry::default() };
     let trial = measure(&scenario, 0, &trace_rows(&scenario, |_| 2.0), &telemetry);
     assert_eq!(trial.exclusion.as_ref().map(Exclusion::cause), expected);
 }

@@ -6,7 +6,9 @@ use super::*;
 fn a_divergence_is_recorded_with_its_trial() {
     let scenario = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 1);
     let mut trial = trial_measures(0, &[Measure::Missing(MissingValue::NeverSettles)]);
-    let record = |trial: &TrialMeasures| trial_record(&scenario, trial, "traces/s/000.csv".to_owned(), None);
+    let record = |trial: &TrialMeasures| {
+        trial_record(&scenario, trial, Telemetry::default(), "traces/s/000.csv".to_owned(), None)
+    };
     assert!(!serde_json::to_string(&record(&trial)).unwrap().contains("diverged"));
     trial.divergence = Some(Divergence { at_s: 0.003, is_non_finite: false });
     let text = serde_json::to_string(&record(&trial)).unwrap();
@@ -54,7 +56,8 @@ fn numbers_repeated_metrics_from_the_second() {
         Measure::Value(99.5),
         Measure::Value(4.0),
     ];
-    let record = trial_record(&scenario, &trial_measures(0, &measures), "traces/s/000.csv".to_owned(), None);
+    let trial = trial_measures(0, &measures);
+    let record = trial_record(&scenario, &trial, Telemetry::default(), "traces/s/000.csv".to_owned(), None);
     let text = serde_json::to_string(&record.metrics).unwrap();
     assert_eq!(
         text,
