@@ -40,7 +40,7 @@ fn the_largest_steps_of_methods_are_next_to_theory() {
     for row in &rows {
         assert!(row.deviation().is_none_or(|share| share.abs() < 0.02), "{row:?}");
         assert_eq!(matches!(row.measured, StepLimit::Step(_)), matches!(row.predicted, StepLimit::Step(_)), "{row:?}");
-        assert!(csv.contains(&row.problem), "{row:?}");
+        assert!(csv.contains(row.problem), "{row:?}");
     }
     let page = fs::read_to_string(out.join("stability.html")).unwrap();
     assert!(page.find("The largest stable step").unwrap() < page.find("Boundaries and margins").unwrap());
