@@ -2,6 +2,7 @@
 
 use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
 use crate::target_error::TargetError;
+use std::ops::DerefMut;
 use std::time::{Duration, Instant};
 
 pub type BoxedLink = Box<dyn Link>;
@@ -74,47 +75,41 @@ pub trait Link: Send {
     }
 }
 
-macro_rules! forward_link {
-    ($type:ty) => {
-        impl<L: Link + ?Sized> Link for $type {
-            fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-                (**self).exchange(now, bytes, answer)
-            }
+/// A pointer to a link is a link.
+impl<P: DerefMut<Target: Link> + Send> Link for P {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        (**self).exchange(now, bytes, answer)
+    }
 
-            fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-                (**self).advance_to(now, received)
-            }
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        (**self).advance_to(now, received)
+    }
 
-            fn restart(&mut self) -> Result<bool, LinkError> {
-                (**self).restart()
-            }
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        (**self).restart()
+    }
 
-            fn continue_trial(&mut self) {
-                (**self).continue_trial();
-            }
+    fn continue_trial(&mut self) {
+        (**self).continue_trial();
+    }
 
-            fn instruction_count(&self) -> Option<u64> {
-                (**self).instruction_count()
-            }
+    fn instruction_count(&self) -> Option<u64> {
+        (**self).instruction_count()
+    }
 
-            fn firmware_output(&self) -> Option<String> {
-                (**self).firmware_output()
-            }
+    fn firmware_output(&self) -> Option<String> {
+        (**self).firmware_output()
+    }
 
-            fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
-                (**self).set_chip_faults(plan)
-            }
+    fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
+        (**self).set_chip_faults(plan)
+    }
 
-            fn amplifier_enabled(&mut self) -> Option<bool> {
-                (**self).amplifier_enabled()
-            }
+    fn amplifier_enabled(&mut self) -> Option<bool> {
+        (**self).amplifier_enabled()
+    }
 
-            fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
-                (**self).real_time_line()
-            }
-        }
-    };
+    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
+        (**self).real_time_line()
+    }
 }
-
-forward_link!(&mut L);
-forward_link!(Box<L>);
