@@ -4,7 +4,6 @@ use crate::options::{ClockArg, PacingArg, PlateModeArg};
 use platebench_rig::{RigSpec, check_baud};
 use platebench_runner::{Clock, Pacing, TimeBase};
 use platebench_scenario::Scenario;
-use std::time::Duration;
 
 pub(crate) fn default_clock(rig: &RigSpec) -> ClockArg {
     if rig.is_line() { ClockArg::RealTime } else { ClockArg::Lockstep }
@@ -79,8 +78,8 @@ pub(crate) fn check_line_speed(rig: &RigSpec, clock: Clock, scenarios: &[Scenari
         Clock::RealPlate => 1.0,
     };
     for scenario in scenarios {
-        let period = Duration::from_nanos(scenario.controller.period.as_nanos());
-        check_baud(baud, period, time_scale).map_err(|error| format!("{}: {error}", scenario.file))?;
+        check_baud(baud, scenario.controller.period.into(), time_scale)
+            .map_err(|error| format!("{}: {error}", scenario.file))?;
     }
     Ok(())
 }

@@ -153,15 +153,15 @@ impl<'a> ControllerLog<'a> {
         let mut time = now;
         let setpoint_um = self.scenario.setpoint.range().1.max(SETPOINT_AFTER_SAFE_UM) as f32;
         let sample = Sample { setpoint_um, wd_um: 0.0, wq_um: 0.0, ..last };
-        if session.send_sample(Duration::from_nanos(now.as_nanos()), &sample).is_err() {
+        if session.send_sample(now.into(), &sample).is_err() {
             return;
         }
         for _ in 0..WATCHED_PERIODS {
             if own_clock {
-                thread::sleep(Duration::from_nanos(period.as_nanos()));
+                thread::sleep(period.into());
             }
             time = time + period;
-            if session.advance_to(Duration::from_nanos(time.as_nanos())).is_err() {
+            if session.advance_to(time.into()).is_err() {
                 break;
             }
         }
@@ -177,8 +177,7 @@ impl<'a> ControllerLog<'a> {
         session: &mut Session<FaultInjector<L>>,
         now: Time,
     ) {
-        let watched = self.scenario.controller.period.times(WATCHED_PERIODS);
-        let until = Instant::now() + Duration::from_nanos(watched.as_nanos());
+        let until = Instant::now() + Duration::from(self.scenario.controller.period.times(WATCHED_PERIODS));
         while Instant::now() < until && matches!(session.receive(until), Ok(Some(_))) {}
         self.checks.set_count(ViolationKind::DriveAfterSafe, session.drives_after_safe(), now);
     }

@@ -27,14 +27,14 @@ pub(crate) fn chip_fault_plan(scenario: &Scenario, index: u32) -> ChipFaultPlan 
     let mut faults: Vec<_> =
         planned.map(|(stream, fault)| chip_fault(fault, seed, stream, scenario.duration)).collect();
     faults.sort_by_key(|fault| fault.at);
-    ChipFaultPlan { faults, answer_timeout: span(scenario.controller.period).max(MIN_CHIP_ANSWER_TIMEOUT) }
+    ChipFaultPlan { faults, answer_timeout: Duration::from(scenario.controller.period).max(MIN_CHIP_ANSWER_TIMEOUT) }
 }
 
 fn chip_fault(fault: &ChipFault, seed: u64, stream: u64, duration: Time) -> RigChipFault {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(stream);
     let (instant, draw) = (random.next_u64(), random.next_u64());
-    let at = fault.at.map_or_else(|| Duration::from_nanos(instant % duration.as_nanos().max(1)), span);
+    let at = fault.at.map_or_else(|| Duration::from_nanos(instant % duration.as_nanos().max(1)), Duration::from);
     let kind = match &fault.kind {
         ChipFaultKind::BitFlip { target, bit } => {
             let draw = bit.map_or(draw, u64::from);
@@ -71,7 +71,7 @@ pub fn wire_fault_kind(kind: FaultKind) -> WireFaultKind {
         FaultKind::Drop => WireFaultKind::Drop,
         FaultKind::Flip => WireFaultKind::Flip,
         FaultKind::Duplicate => WireFaultKind::Duplicate,
-        FaultKind::Delay(delay) => WireFaultKind::Delay(span(delay)),
+        FaultKind::Delay(delay) => WireFaultKind::Delay(delay.into()),
         FaultKind::Truncate => WireFaultKind::Truncate,
         FaultKind::Babble => WireFaultKind::Babble,
         FaultKind::Disconnect => WireFaultKind::Disconnect,
@@ -80,15 +80,11 @@ pub fn wire_fault_kind(kind: FaultKind) -> WireFaultKind {
     }
 }
 
-fn span(time: Time) -> Duration {
-    Duration::from_nanos(time.as_nanos())
-}
-
 fn wire_fault(fault: &Fault, seed: u64) -> WireFault {
     WireFault {
         kind: wire_fault_kind(fault.kind),
-        from: span(fault.from),
-        until: fault.until.map(span),
+        from: fault.from.into(),
+        until: fault.until.map(Duration::from),
         direction: match fault.direction {
             Direction::ToController => Way::ToController,
             Direction::FromController => Way::FromController,

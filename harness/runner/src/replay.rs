@@ -95,7 +95,7 @@ impl Player<'_> {
 
     /// `None` if no reply arrives.
     fn exchange(&mut self, sample: &Sample) -> Result<Option<ReplayCommand>, RigError> {
-        let now = Duration::from_nanos(self.last.as_nanos());
+        let now = Duration::from(self.last);
         self.controller.record_sample();
         let reply = match self.session.send_sample(now, sample)? {
             Some(reply) => Some(reply.command),

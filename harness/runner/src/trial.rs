@@ -207,7 +207,7 @@ impl<'a, L: Link> Trial<'a, L> {
             self.last_sample_sent = Instant::now();
         }
         self.controller.record_sample();
-        let reply = self.session.send_sample(to_duration(now), &sample);
+        let reply = self.session.send_sample(now.into(), &sample);
         self.record_delivered_sample();
         self.plant.report_counts(0, self.session.rejected_frames());
         let mut flags = Flags::CONTROL;
@@ -237,7 +237,7 @@ impl<'a, L: Link> Trial<'a, L> {
 
     /// Late commands act from the instant of their reception.
     fn receive_late_commands(&mut self, now: Time) {
-        let received = self.session.advance_to(to_duration(now));
+        let received = self.session.advance_to(now.into());
         self.record_delivered_sample();
         match received {
             Ok(Some(command)) => {
@@ -286,7 +286,7 @@ impl<'a, L: Link> Trial<'a, L> {
     fn reconfigure(&mut self, now: Time) {
         let Some(configure) = self.controller.reconfiguration(now) else { return };
         let configure = self.with_watchdog(configure);
-        match self.session.reconfigure(to_duration(now), &configure) {
+        match self.session.reconfigure(now.into(), &configure) {
             Ok(gains) => self.controller.record_configuration(&configure, Some(&gains), now),
             Err(error) => self.end_on_link_error(error),
         }
@@ -332,7 +332,7 @@ impl<'a, L: Link> Trial<'a, L> {
     }
 
     fn follows_chip_fault(&self, time: Time) -> bool {
-        self.chip_faults.faults.first().is_some_and(|fault| fault.at <= to_duration(time))
+        self.chip_faults.faults.first().is_some_and(|fault| fault.at <= Duration::from(time))
     }
 
     fn has_ended(&self) -> bool {
@@ -392,8 +392,4 @@ impl<'a, L: Link> Trial<'a, L> {
             link_error: self.link_error,
         }
     }
-}
-
-fn to_duration(time: Time) -> Duration {
-    Duration::from_nanos(time.as_nanos())
 }

@@ -150,7 +150,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
     fn next_instant(&self, now: Instant) -> Instant {
         let trial = self.trial_time(now);
         let point = self.scenario.setpoint.next_point_after(trial).filter(|_| self.telemetry.time().is_some());
-        let to_point = point.map_or(CANCEL_POLL_INTERVAL, |point| Duration::from_nanos(point.since(trial).as_nanos()));
+        let to_point = point.map_or(CANCEL_POLL_INTERVAL, |point| point.since(trial).into());
         now + to_point.min(CANCEL_POLL_INTERVAL)
     }
 

@@ -268,8 +268,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         let instant = self.plate_time(received.received_at).max(self.plant.time()).min(self.duration);
         self.plant.advance_through(instant);
         if let Some(sampled) = sampled {
-            let delay = instant.since(sampled);
-            self.timing.loop_delay.record(Duration::from_nanos(delay.as_nanos()));
+            self.timing.loop_delay.record(instant.since(sampled).into());
             let wall_delay = received.received_at.saturating_duration_since(self.wall_instant(sampled));
             self.timing.longest_rig_delay = self.timing.longest_rig_delay.max(wall_delay);
             let bench = self.wall_instant(sampled).saturating_duration_since(self.start);
