@@ -5,9 +5,10 @@ use crate::delay_attribution::measure_trial;
 use crate::run::empty_record;
 use crate::worker::CompletedTrial;
 use platebench_plate::Tier;
-use platebench_record::{Exclusion, Overrides, RecordError};
-use platebench_record::{FolderError, sha256, sha256_of_file, trace_path};
-use platebench_record::{KeepTraces, RunRecord, ScenarioRecord, TrialRecord};
+use platebench_record::{
+    Exclusion, FolderError, KeepTraces, Overrides, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord,
+    sha256, sha256_of_file, trace_path,
+};
 use platebench_scenario::{Diagnostic, Expectation, Scenario, Variation, load, load_copies};
 use platebench_trace::{Row, TraceError, read_trace};
 use platebench_verdict::{SequentialDecision, TrialMeasures, judge, judge_sequentially, trial_record};
@@ -176,28 +177,26 @@ fn replacement_expectations(
 }
 
 pub(crate) fn load_stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Result<Scenario, RejudgeError> {
+    let incomplete = |what: &str| {
+        let message = format!("the record of {} {what}", stored.file);
+        RejudgeError::from(Diagnostic::for_file(&folder.join(RECORD_FILE), message))
+    };
     if stored.inputs.is_empty() {
-        let message = format!("the record of {} names no inputs", stored.file);
-        return Err(Diagnostic::for_file(&folder.join(platebench_record::RECORD_FILE), message).into());
+        return Err(incomplete("names no inputs"));
     }
     let copies: Vec<_> = stored.inputs.iter().map(|input| folder.join(&input.file)).collect();
     let mut scenario = load_copies(&copies, &stored.file)?;
     if scenario.inputs.len() != stored.inputs.len() {
-        let message = format!("the record of {} does not name all inputs", stored.file);
-        return Err(Diagnostic::for_file(&folder.join(platebench_record::RECORD_FILE), message).into());
+        return Err(incomplete("does not name all inputs"));
     }
     for ((now, then), copy) in scenario.inputs.iter().zip(&stored.inputs).zip(&copies) {
-        check_hash(copy, &now.bytes, &then.sha256)?;
+        check_hash(copy, sha256(&now.bytes), &then.sha256)?;
     }
     scenario.requirement_texts.clone_from(&stored.requirement_texts);
     Ok(scenario)
 }
 
-fn check_hash(path: &Path, bytes: &[u8], expected: &str) -> Result<(), RejudgeError> {
-    check_equal(path, sha256(bytes), expected)
-}
-
-fn check_equal(path: &Path, found: String, expected: &str) -> Result<(), RejudgeError> {
+fn check_hash(path: &Path, found: String, expected: &str) -> Result<(), RejudgeError> {
     if found == expected {
         return Ok(());
     }
@@ -215,7 +214,7 @@ pub fn check_trace(folder: &Path, trial: &TrialRecord) -> Result<(), RejudgeErro
     let Some(expected) = trial.sha256.as_deref() else { return Ok(()) };
     let path = folder.join(&trial.trace);
     let found = sha256_of_file(&path).map_err(|source| FolderError::Io { path: path.clone(), source })?;
-    check_equal(&path, found, expected)
+    check_hash(&path, found, expected)
 }
 
 /// Stops at the look that decides, as in the run.
@@ -324,13 +323,8 @@ fn incomplete_trial(scenario: &Scenario, index: u32) -> TrialMeasures {
     TrialMeasures {
         index,
         seed: Variation::of_trial(scenario, index).seed,
-        measures: Vec::new(),
-        excuses: Vec::new(),
-        ended: None,
-        violations: Vec::new(),
-        divergence: None,
         exclusion: Some(Exclusion::CutOff),
-        is_real_plate: false,
+        ..TrialMeasures::default()
     }
 }
 
