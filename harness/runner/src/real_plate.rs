@@ -7,7 +7,7 @@ mod telemetry_rows;
 
 use crate::abort::TrialAbort;
 use crate::operator::{Answer, Operator, Question, QuestionKind};
-use crate::row_queue::RowQueue;
+use crate::row_queue::{RowQueue, watch_rows};
 use crate::trial::{TrialResult, TrialSpec};
 use platebench_plate::Time;
 use platebench_record::{OperatorRequest, RealPlateRecord, Telemetry};
@@ -16,7 +16,6 @@ use platebench_scenario::Scenario;
 use platebench_trace::Row;
 use platebench_verdict::real_plate::{needs_operator, operator_exclusion, scene_changes};
 use prompts::Prompts;
-use rtrb::Consumer;
 use std::panic::resume_unwind;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -37,13 +36,16 @@ pub(crate) fn play<L: Link>(
     // A real plate can break, so no faults.
     session.link_mut().set_faults(&[]);
     let (queue, consumer) = RowQueue::new();
+    let is_attended = needs_operator(scenario) && preparation.not_done.is_none();
+    let mut prompts = Prompts::from_scenario(scenario);
     let (trace_rows, result) = thread::scope(|scope| {
         let telemetry_loop = scope.spawn(|| TelemetryLoop::new(session, spec, queue).run(cancel));
-        let rows = collect_and_prompt(consumer, scenario, &preparation, operator);
-        match telemetry_loop.join() {
-            Ok(result) => (rows, result),
-            Err(panic) => resume_unwind(panic),
-        }
+        let rows = watch_rows(consumer, Vec::new(), POLL_INTERVAL, |rows| {
+            if is_attended {
+                prompt(rows, scenario, &mut prompts, operator);
+            }
+        });
+        (rows, telemetry_loop.join().unwrap_or_else(|panic| resume_unwind(panic)))
     });
     let TelemetryLoopResult { abort, stop_reason, real_plate } = result;
     let link_error = match abort {
@@ -136,33 +138,13 @@ fn confirm_actions(
     Some(preparation)
 }
 
-/// Runs until the queue's producer is dropped.
-fn collect_and_prompt(
-    mut consumer: Consumer<Row>,
-    scenario: &Scenario,
-    preparation: &Preparation,
-    operator: &dyn Operator,
-) -> Vec<Row> {
-    let mut rows = Vec::new();
-    let attended = needs_operator(scenario) && preparation.not_done.is_none();
-    let mut prompts = Prompts::from_scenario(scenario);
-    loop {
-        // Checked before the queue is emptied, so that the last rows are not missed.
-        let is_over = consumer.is_abandoned();
-        while let Ok(row) = consumer.pop() {
-            rows.push(row);
-        }
-        if let Some(row) = rows.last().filter(|_| attended) {
-            let now = Time::from_seconds(row.t_s).unwrap_or(Time::ZERO);
-            while let Some((action, seconds)) = prompts.next_due(now) {
-                operator.announce(action, seconds);
-            }
-            let force = Some(row.finger_force_n).filter(|force| !force.is_nan());
-            operator.show_force(now, scenario.conditions.at(now).finger_force_n, force);
-        }
-        if is_over {
-            return rows;
-        }
-        thread::sleep(POLL_INTERVAL);
+/// Shows the operator the next actions and the force that `rows` end with.
+fn prompt(rows: &[Row], scenario: &Scenario, prompts: &mut Prompts, operator: &dyn Operator) {
+    let Some(row) = rows.last() else { return };
+    let now = Time::from_seconds(row.t_s).unwrap_or(Time::ZERO);
+    while let Some((action, seconds)) = prompts.next_due(now) {
+        operator.announce(action, seconds);
     }
+    let force = Some(row.finger_force_n).filter(|force| !force.is_nan());
+    operator.show_force(now, scenario.conditions.at(now).finger_force_n, force);
 }

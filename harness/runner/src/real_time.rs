@@ -96,14 +96,10 @@ fn run_loop<L: Link, T>(
             real_time.finish(abort, &scheduling)
         });
         let consumed = consume(consumer);
-        match real_time.join() {
-            Ok(mut end) => {
-                if let Some(timing) = end.as_mut().and_then(|(telemetry, _)| telemetry.timing.as_mut()) {
-                    timing.steal_ms = steal_before.ms_until(StealTime::now());
-                }
-                (consumed, end)
-            }
-            Err(panic) => resume_unwind(panic),
+        let mut end = real_time.join().unwrap_or_else(|panic| resume_unwind(panic));
+        if let Some(timing) = end.as_mut().and_then(|(telemetry, _)| telemetry.timing.as_mut()) {
+            timing.steal_ms = steal_before.ms_until(StealTime::now());
         }
+        (consumed, end)
     })
 }

@@ -38,18 +38,28 @@ impl RowSink for RowQueue {
 }
 
 /// Runs until the producer is dropped; allocates `expected` rows first.
-pub(crate) fn collect_rows(mut consumer: Consumer<Row>, expected: usize) -> Vec<Row> {
-    let mut rows = Vec::with_capacity(expected);
+pub(crate) fn collect_rows(consumer: Consumer<Row>, expected: usize) -> Vec<Row> {
+    watch_rows(consumer, Vec::with_capacity(expected), POLL_INTERVAL, |_| {})
+}
+
+/// Runs until the producer is dropped; adds to `rows`. Calls `watch` with all rows after each poll.
+pub(crate) fn watch_rows(
+    mut consumer: Consumer<Row>,
+    mut rows: Vec<Row>,
+    interval: Duration,
+    mut watch: impl FnMut(&[Row]),
+) -> Vec<Row> {
     loop {
         // Checked before the queue is emptied, so that the last rows are not missed.
         let is_over = consumer.is_abandoned();
         while let Ok(row) = consumer.pop() {
             rows.push(row);
         }
+        watch(&rows);
         if is_over {
             return rows;
         }
-        thread::sleep(POLL_INTERVAL);
+        thread::sleep(interval);
     }
 }
 
