@@ -36,17 +36,26 @@ pub fn find_file_above(folder: &Path, name: &str) -> Option<PathBuf> {
     Some(if path.parent() == Some(folder) { PathBuf::from(name) } else { path })
 }
 
+#[derive(Default)]
 struct Search<'a> {
     excluded: &'a [&'a str],
     /// Canonical; a link may lead back to a folder.
     visited: BTreeSet<PathBuf>,
     copies: BTreeSet<PathBuf>,
+    empty_folders: Vec<PathBuf>,
     faults: Vec<Diagnostic>,
+}
+
+struct FoundFile {
+    path: PathBuf,
+    name: String,
+    /// True if the file or its own folder is an argument.
+    is_named: bool,
 }
 
 impl<'a> Search<'a> {
     fn new(excluded: &'a [&'a str]) -> Self {
-        Self { excluded, visited: BTreeSet::new(), copies: BTreeSet::new(), faults: Vec::new() }
+        Self { excluded, ..Self::default() }
     }
 }
 
@@ -54,29 +63,14 @@ impl<'a> Search<'a> {
 /// meant to pass: it is loaded only if it or its own folder is named.
 pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     let mut search = Search::new(&NON_SCENARIO_FOLDERS);
-    let mut files: BTreeMap<PathBuf, (PathBuf, String, bool)> = BTreeMap::new();
-    let mut empty = Vec::new();
-    for argument in arguments {
-        search.visited.clear();
-        let mut below = search.files_below(argument);
-        below.retain(|path| path == argument || FileKind::detect(path) == FileKind::Scenario);
-        if below.is_empty() {
-            empty.push(argument.clone());
-        }
-        for path in below {
-            let own = path == *argument || path.parent() == Some(argument.as_path());
-            let canonical = canonical(&path);
-            let name = record_name(&canonical, argument);
-            let entry = files.entry(canonical).or_insert((path, name, own));
-            entry.2 |= own;
-        }
-    }
-    let Search { copies, mut faults, .. } = search;
+    let is_scenario = |path: &Path| FileKind::detect(path) == FileKind::Scenario;
+    let files = search.files(arguments, is_scenario);
+    let Search { copies, empty_folders, mut faults, .. } = search;
     let copies = copies.into_iter().collect();
-    let mut found = FoundScenarios { scenarios: Vec::new(), skipped: Vec::new(), empty_folders: empty, copies };
-    for (path, name, own) in files.into_values() {
+    let mut found = FoundScenarios { scenarios: Vec::new(), skipped: Vec::new(), empty_folders, copies };
+    for FoundFile { path, name, is_named } in files {
         match load_with_all_errors(&path, &name) {
-            Ok(scenario) if (scenario.expected_exit.is_some() || !scenario.chip_faults.is_empty()) && !own => {
+            Ok(scenario) if (scenario.expected_exit.is_some() || !scenario.chip_faults.is_empty()) && !is_named => {
                 found.skipped.push(name);
             }
             Ok(scenario) => found.scenarios.push(scenario),
@@ -100,16 +94,8 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
 /// inputs of run folders; and the errors of unreadable folders.
 pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
     let mut search = Search::new(&GENERATED_FOLDERS);
-    let mut files = BTreeMap::new();
-    for argument in arguments {
-        search.visited.clear();
-        for path in search.files_below(argument) {
-            let canonical = canonical(&path);
-            let name = record_name(&canonical, argument);
-            files.entry(canonical).or_insert((path, name));
-        }
-    }
-    (files.into_values().collect(), search.faults)
+    let files = search.files(arguments, |_| true);
+    (files.into_iter().map(|file| (file.path, file.name)).collect(), search.faults)
 }
 
 fn canonical(path: &Path) -> PathBuf {
@@ -118,6 +104,26 @@ fn canonical(path: &Path) -> PathBuf {
 }
 
 impl Search<'_> {
+    /// Returns the named files and the wanted files below the named folders, each once.
+    fn files(&mut self, arguments: &[PathBuf], is_wanted: impl Fn(&Path) -> bool) -> Vec<FoundFile> {
+        let mut files: BTreeMap<PathBuf, FoundFile> = BTreeMap::new();
+        for argument in arguments {
+            self.visited.clear();
+            let mut below = self.files_below(argument);
+            below.retain(|path| path == argument || is_wanted(path));
+            if below.is_empty() {
+                self.empty_folders.push(argument.clone());
+            }
+            for path in below {
+                let is_named = path == *argument || path.parent() == Some(argument.as_path());
+                let canonical = canonical(&path);
+                let name = record_name(&canonical, argument);
+                files.entry(canonical).or_insert(FoundFile { path, name, is_named: false }).is_named |= is_named;
+            }
+        }
+        files.into_values().collect()
+    }
+
     fn files_below(&mut self, argument: &Path) -> Vec<PathBuf> {
         if argument == Path::new(input::STANDARD_STREAM) || !argument.is_dir() {
             return vec![argument.to_owned()];
