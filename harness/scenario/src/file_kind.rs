@@ -19,6 +19,16 @@ pub enum FileKind {
     Requirements,
 }
 
+/// The first kind with one of its keys in a file is the kind of the file.
+const KEYS: [(FileKind, &[&str]); 6] = [
+    (FileKind::Scenario, &["profile", "expect", "controller"]),
+    (FileKind::Plan, &["requirement", "ask", "bench"]),
+    (FileKind::Boards, &["board"]),
+    (FileKind::Envelope, &["range"]),
+    (FileKind::Campaign, &["vary", "scenario", "plan"]),
+    (FileKind::Plate, &["mode", "drive", "sensor"]),
+];
+
 impl FileKind {
     /// A file that cannot be read counts as a scenario, whose reader reports the error.
     pub fn detect(path: &Path) -> Self {
@@ -30,22 +40,9 @@ impl FileKind {
         }
         let text = input::read(path).map(|content| String::from_utf8_lossy(&content).into_owned()).unwrap_or_default();
         let (document, _) = DeTable::parse_recoverable(&text);
-        let has = |keys: &[&str]| keys.iter().any(|key| document.get_ref().contains_key(*key));
-        if has(&["profile", "expect", "controller"]) {
-            Self::Scenario
-        } else if has(&["requirement", "ask", "bench"]) {
-            Self::Plan
-        } else if has(&["board"]) {
-            Self::Boards
-        } else if has(&["range"]) {
-            Self::Envelope
-        } else if has(&["vary", "scenario", "plan"]) {
-            Self::Campaign
-        } else if has(&["mode", "drive", "sensor"]) {
-            Self::Plate
-        } else {
-            Self::Scenario
-        }
+        let has = |key: &&str| document.get_ref().contains_key(*key);
+        let kind = KEYS.iter().find(|(_, keys)| keys.iter().any(has));
+        kind.map_or(Self::Scenario, |(kind, _)| *kind)
     }
 
     pub const fn name(self) -> &'static str {
