@@ -20,7 +20,7 @@ use crate::parse::{parse, with_truncation_note};
 use crate::raw::RawScenario;
 use crate::requirements::requirement_texts;
 use crate::scenario::Scenario;
-use checker::{Checker, Diagnostics};
+use checker::Checker;
 use std::path::{Path, PathBuf};
 
 /// Records call the scenario at `path` `file`. Returns the first error of its files.
@@ -60,19 +60,14 @@ fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Ve
         // Relative names start at the scenario.
         *named = std::path::absolute(copy).unwrap_or_else(|_| copy.clone());
     }
-    let mut faults = Diagnostics::default();
-    match (Checker { path, text: &text, prefix: String::new(), plates: &[] }.scenario(raw, file, &mut faults), faults.0)
-    {
-        (Some(mut scenario), faults) if faults.is_empty() => {
-            // The record of a run has the texts; above its copies there is no file of the scenario.
-            if copies.is_empty() {
-                let used = scenario.expectations.iter().filter_map(|expectation| expectation.requirement.as_deref());
-                scenario.requirement_texts = requirement_texts(path, used)?;
-            }
-            Ok(scenario)
-        }
-        (_, faults) => Err(with_truncation_note(path, faults)),
+    let checker = Checker { path, text: &text, prefix: String::new(), plates: &[] };
+    let mut scenario = checker.check(raw, file).map_err(|faults| with_truncation_note(path, faults))?;
+    // The record of a run has the texts; above its copies there is no file of the scenario.
+    if copies.is_empty() {
+        let used = scenario.expectations.iter().filter_map(|expectation| expectation.requirement.as_deref());
+        scenario.requirement_texts = requirement_texts(path, used)?;
     }
+    Ok(scenario)
 }
 
 #[cfg(test)]

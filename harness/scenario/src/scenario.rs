@@ -132,6 +132,11 @@ impl Scenario {
         self.controller.design_plate.as_ref().unwrap_or(&self.plate)
     }
 
+    pub(crate) fn models() -> [&'static str; 5] {
+        let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
+        [AUTO_MODEL, linear, envelope, modal, carrier]
+    }
+
     /// The tier that `model` names on a plate: `auto` is the exact one. `None` if the name is
     /// unknown.
     pub fn tier_for(model: &str, plate: &Plate) -> Option<Tier> {

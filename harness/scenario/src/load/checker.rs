@@ -19,7 +19,7 @@ pub(super) struct KnownPlate {
 pub(super) struct Checker<'a> {
     pub(super) path: &'a Path,
     pub(super) text: &'a str,
-    /// Table of the checked keys, with a dot at its end: `between.0.`; empty for the whole file.
+    /// Table of the checked keys, with a dot at its end: `between.0.`, `fault.0.`; empty for the whole file.
     pub(super) prefix: String,
     pub(super) plates: &'a [KnownPlate],
 }
@@ -52,7 +52,12 @@ impl Diagnostics {
     }
 }
 
-impl Checker<'_> {
+impl<'a> Checker<'a> {
+    /// Returns a checker of the keys in the table `name`.
+    pub(super) fn table(&self, name: &str) -> Checker<'a> {
+        Checker { prefix: format!("{}{name}.", self.prefix), ..*self }
+    }
+
     pub(super) fn diagnostic(&self, key: &str, message: impl Into<String>) -> Diagnostic {
         Diagnostic::at_key(self.path, self.text, &format!("{}{key}", self.prefix), message)
     }
@@ -61,13 +66,31 @@ impl Checker<'_> {
         Err(self.diagnostic(key, message))
     }
 
-    pub(super) fn require(&self, holds: bool, key: &str, message: impl FnOnce() -> String) -> Result<(), Diagnostic> {
+    pub(super) fn require<M: Into<String>>(
+        &self,
+        holds: bool,
+        key: &str,
+        message: impl FnOnce() -> M,
+    ) -> Result<(), Diagnostic> {
         if holds { Ok(()) } else { self.error(key, message()) }
+    }
+
+    /// `options`: name, whether it is given, whether it applies to `subject`.
+    pub(super) fn check_options(&self, subject: &str, options: &[(&str, bool, bool)]) -> Result<(), Diagnostic> {
+        match options.iter().find(|(_, is_given, applies)| *is_given && !applies) {
+            Some((name, ..)) => self.error(name, format!("`{name}` does not apply to {subject}")),
+            None => Ok(()),
+        }
     }
 
     pub(super) fn positive(&self, key: &str, value: f64) -> Result<f64, Diagnostic> {
         self.require(value.is_finite() && value > 0.0, key, || format!("{value}, expected a finite number above 0"))?;
         Ok(value)
+    }
+
+    pub(super) fn one_line(&self, key: &str, text: &str) -> Result<(), Diagnostic> {
+        let is_one_line = !text.trim().is_empty() && !text.contains(char::is_control);
+        self.require(is_one_line, key, || format!("{text:?}, expected one line of text"))
     }
 
     /// Values for the controller are carried in single precision.

@@ -31,27 +31,21 @@ impl Checker<'_> {
         let start_frequency_hz = plate
             .map(|plate| design_plate.as_ref().unwrap_or(plate))
             .and_then(|plate| faults.record_error(self.start_frequency(raw, plate)));
-        let mut optional = |key: &str, value: Option<f64>| {
-            let checked = |value| self.f32_range(key, self.positive(key, value)?);
-            faults.record_error(value.map(checked).transpose())
+        let optional = |key: &str, value: Option<f64>| {
+            value.map(|value| self.f32_range(key, self.positive(key, value)?)).transpose()
         };
-        let range = optional("controller.frequency_range_hz", raw.frequency_range_hz);
-        let slew = optional("controller.frequency_slew_hz", raw.frequency_slew_hz);
         let key = "controller.frequency_range_hz";
+        let range = faults.record_error(optional(key, raw.frequency_range_hz));
+        let slew = faults.record_error(optional("controller.frequency_slew_hz", raw.frequency_slew_hz));
         if let (Some(Some(range)), Some(start_frequency_hz)) = (range, start_frequency_hz) {
             faults.record_error(self.require(range < start_frequency_hz, key, || {
                 format!("{range} Hz, expected less than the start frequency of {start_frequency_hz:.1} Hz")
             }));
         }
         let law = raw.law.clone().unwrap_or_else(|| DEFAULT_LAW.to_owned());
-        faults.record_error(
-            self.require(!law.trim().is_empty(), "controller.law", || {
-                "an empty name, expected a control law".to_owned()
-            }),
-        );
-        let key = "controller.response_time_ms";
-        let checked = |value| self.f32_range(key, self.positive(key, value)?);
-        let response_time_ms = faults.record_error(raw.response_time_ms.map(checked).transpose());
+        let is_named = !law.trim().is_empty();
+        faults.record_error(self.require(is_named, "controller.law", || "an empty name, expected a control law"));
+        let response_time_ms = faults.record_error(optional("controller.response_time_ms", raw.response_time_ms));
         let gains = faults.record_error(raw.gains.map(|gains| self.gains(gains)).transpose());
         let ([loop_delay, loop_delay_jitter], design_delay) = delays?;
         Some(Controller {

@@ -45,16 +45,14 @@ impl Checker<'_> {
 
     pub(super) fn expectation(
         &self,
-        index: usize,
         raw: &RawExpectation,
         name: String,
         trial: &TrialContext<'_>,
     ) -> Result<Expectation, Diagnostic> {
-        let key = |name: &str| format!("expect.{index}.{name}");
         let Some(metric) = Metric::from_name(&raw.metric) else {
-            return self.unknown_name(&key("metric"), "unknown metric ", &raw.metric, Metric::NAMES);
+            return self.unknown_name("metric", "unknown metric ", &raw.metric, Metric::NAMES);
         };
-        for (name, given, used) in [
+        let options = [
             ("band_percent", raw.band_percent.is_some(), metric.has_band()),
             ("from_ms", raw.from_ms.is_some(), metric.has_from_ms()),
             ("until_ms", raw.until_ms.is_some(), metric.has_from_ms()),
@@ -63,52 +61,41 @@ impl Checker<'_> {
             ("tolerance_percent", raw.tolerance_percent.is_some(), raw.about.is_some() && metric.has_over()),
             ("over", raw.over.is_some(), metric.has_over()),
             ("quantile", raw.quantile.is_some(), raw.over.as_deref() == Some("quantile")),
-        ] {
-            self.require(used || !given, &key(name), || {
-                format!("`{name}` does not apply to this expectation of {metric}")
-            })?;
-        }
-        self.require(raw.paper.is_none_or(f64::is_finite), &key("paper"), || "expected a finite number".to_owned())?;
+        ];
+        self.check_options(&format!("this expectation of {metric}"), &options)?;
+        self.require(raw.paper.is_none_or(f64::is_finite), "paper", || "expected a finite number")?;
         let band_percent = raw.band_percent.unwrap_or(DEFAULT_BAND_PERCENT);
-        self.require(band_percent > 0.0 && band_percent < 100.0, &key("band_percent"), || {
+        self.require(band_percent > 0.0 && band_percent < 100.0, "band_percent", || {
             format!("{band_percent} %, expected above 0 and below 100")
         })?;
         let confidence = raw.confidence.unwrap_or(DEFAULT_CONFIDENCE);
-        self.require((0.5..1.0).contains(&confidence), &key("confidence"), || {
+        self.require((0.5..1.0).contains(&confidence), "confidence", || {
             format!("{confidence}, expected 0.5 or more and below 1")
         })?;
-        let one_line = !name.trim().is_empty() && !name.contains(char::is_control);
-        self.require(one_line, &key("name"), || format!("{name:?}, expected one line of text"))?;
+        self.one_line("name", &name)?;
         let column = raw.signal.as_deref().unwrap_or("amplitude_um");
-        let signal =
-            self.find_by_name(&key("signal"), "unknown signal ", column, SIGNALS.map(|signal| (signal, signal)))?;
-        let (after, windows) = self.windows(&key, raw, metric, trial)?;
+        let signal = self.find_by_name("signal", "unknown signal ", column, SIGNALS.map(|signal| (signal, signal)))?;
+        let (after, windows) = self.windows(raw, metric, trial)?;
         let tolerance_percent = raw.tolerance_percent.unwrap_or(DEFAULT_TOLERANCE_PERCENT);
         Ok(Expectation {
             name,
             windows,
             after,
             metric,
-            limit: self.limit(&key, raw, metric, tolerance_percent)?,
+            limit: self.limit(raw, metric, tolerance_percent)?,
             tolerance_percent,
             paper: raw.paper,
             requirement: raw.requirement.clone(),
             confidence,
-            aggregation: self.over(&key, raw, metric)?,
+            aggregation: self.over(raw, metric)?,
             band_percent,
             from: raw.from_ms.and_then(Time::from_ms),
             signal,
         })
     }
 
-    fn limit(
-        &self,
-        key: &impl Fn(&str) -> String,
-        raw: &RawExpectation,
-        metric: Metric,
-        tolerance_percent: f64,
-    ) -> Result<Limit, Diagnostic> {
-        self.require(tolerance_percent.is_finite() && tolerance_percent > 0.0, &key("tolerance_percent"), || {
+    fn limit(&self, raw: &RawExpectation, metric: Metric, tolerance_percent: f64) -> Result<Limit, Diagnostic> {
+        self.require(tolerance_percent.is_finite() && tolerance_percent > 0.0, "tolerance_percent", || {
             format!("{tolerance_percent} %, expected a finite number above 0")
         })?;
         let given = [
@@ -122,43 +109,32 @@ impl Checker<'_> {
             (Some(only), None) => only,
             (first, second) => {
                 let at = second.or(first).map_or("at_most", |(name, _)| name);
-                return self.error(&key(at), "expected exactly one of `at_most`, `at_least`, `within`, `about`");
+                return self.error(at, "expected exactly one of `at_most`, `at_least`, `within`, `about`");
             }
         };
         let numbers = match limit {
             Limit::AtMost(value) | Limit::AtLeast(value) | Limit::About(value) => [value, value],
             Limit::Within(low, high) => [low, high],
         };
-        self.require(numbers.iter().all(|value| value.is_finite()), &key(name), || {
-            "expected finite numbers".to_owned()
-        })?;
-        self.require(numbers[0] <= numbers[1], &key(name), || {
-            "expected [low, high] with low not above high".to_owned()
-        })?;
+        self.require(numbers.iter().all(|value| value.is_finite()), name, || "expected finite numbers")?;
+        self.require(numbers[0] <= numbers[1], name, || "expected [low, high] with low not above high")?;
         // A tolerance in percent of 0 would be 0.
         let about_nothing = matches!(limit, Limit::About(value) if value <= 0.0);
-        self.require(!about_nothing, &key(name), || "expected a value above 0 to agree with".to_owned())?;
+        self.require(!about_nothing, name, || "expected a value above 0 to agree with")?;
         let (smallest, largest) = metric.value_range();
         let (low, high) = limit.range(tolerance_percent);
         let always = || match largest {
             f64::INFINITY => format!("{metric} is always {smallest} or more"),
             _ => format!("{metric} is always from {smallest} to {largest}"),
         };
-        self.require(low <= largest && smallest <= high, &key(name), || {
-            format!("{}: this can never be met", always())
-        })?;
-        self.require(smallest < low || high < largest, &key(name), || format!("{}: this can never fail", always()))?;
+        self.require(low <= largest && smallest <= high, name, || format!("{}: this can never be met", always()))?;
+        self.require(smallest < low || high < largest, name, || format!("{}: this can never fail", always()))?;
         Ok(limit)
     }
 
-    fn over(
-        &self,
-        key: &impl Fn(&str) -> String,
-        raw: &RawExpectation,
-        metric: Metric,
-    ) -> Result<Aggregation, Diagnostic> {
+    fn over(&self, raw: &RawExpectation, metric: Metric) -> Result<Aggregation, Diagnostic> {
         let quantile = raw.quantile.unwrap_or(DEFAULT_QUANTILE);
-        self.require(quantile > 0.0 && quantile < 1.0, &key("quantile"), || {
+        self.require(quantile > 0.0 && quantile < 1.0, "quantile", || {
             format!("{quantile}, expected above 0 and below 1")
         })?;
         match raw.over.as_deref() {
@@ -166,7 +142,7 @@ impl Checker<'_> {
             Some("each") => Ok(Aggregation::Each),
             Some("mean") => Ok(Aggregation::Mean),
             Some("quantile") => Ok(Aggregation::Quantile(quantile)),
-            Some(name) => self.unknown_name(&key("over"), "", name, &Aggregation::NAMES),
+            Some(name) => self.unknown_name("over", "", name, &Aggregation::NAMES),
         }
     }
 }

@@ -29,31 +29,34 @@ fn windows_at_setpoint_zero(window: Window, trial: &TrialContext<'_>) -> Vec<Win
 impl Checker<'_> {
     pub(super) fn windows(
         &self,
-        key: &impl Fn(&str) -> String,
         raw: &RawExpectation,
         metric: Metric,
         trial: &TrialContext<'_>,
     ) -> Result<(Option<ChangingProfile>, Vec<Window>), Diagnostic> {
         let bounded = raw.from_ms.is_some() || raw.until_ms.is_some();
-        self.require(raw.after.is_none() || !bounded, &key("after"), || {
-            "`after` with `from_ms` or `until_ms`, expected only one of both".to_owned()
-        })?;
-        self.require(raw.window_ms.is_none() || !(bounded || raw.after.is_some()), &key("window_ms"), || {
-            "`window_ms` with `from_ms`, `until_ms` or `after`, expected only one of both".to_owned()
-        })?;
+        self.require(
+            raw.after.is_none() || !bounded,
+            "after",
+            || "`after` with `from_ms` or `until_ms`, expected only one of both",
+        )?;
+        self.require(
+            raw.window_ms.is_none() || !(bounded || raw.after.is_some()),
+            "window_ms",
+            || "`window_ms` with `from_ms`, `until_ms` or `after`, expected only one of both",
+        )?;
         let needs_window = matches!(metric, Metric::PeakDeviation | Metric::RecoveryTime);
-        self.require(bounded || raw.after.is_some() || !needs_window, &key("metric"), || {
+        self.require(bounded || raw.after.is_some() || !needs_window, "metric", || {
             format!("{metric} without a window, expected `from_ms`, `until_ms` or `after`")
         })?;
         if let Some(name) = &raw.after {
-            let profile = self.changing_profile(key, name, metric)?;
-            let windows = self.windows_after(&key("after"), profile, metric, trial)?;
+            let profile = self.changing_profile(name, metric)?;
+            let windows = self.windows_after("after", profile, metric, trial)?;
             return Ok((Some(profile), windows));
         }
-        let window = self.bounded_window(key, raw, metric, trial)?;
+        let window = self.bounded_window(raw, metric, trial)?;
         if metric == Metric::RestDrive {
             let windows = windows_at_setpoint_zero(window, trial);
-            self.require(!windows.is_empty(), &key("metric"), || {
+            self.require(!windows.is_empty(), "metric", || {
                 format!("the setpoint is never 0 for longer than {}, expected a rest", trial.response_delay)
             })?;
             return Ok((None, windows));
@@ -61,15 +64,10 @@ impl Checker<'_> {
         Ok((None, vec![window]))
     }
 
-    fn changing_profile(
-        &self,
-        key: &impl Fn(&str) -> String,
-        name: &str,
-        metric: Metric,
-    ) -> Result<ChangingProfile, Diagnostic> {
+    fn changing_profile(&self, name: &str, metric: Metric) -> Result<ChangingProfile, Diagnostic> {
         let all = ChangingProfile::ALL.map(|profile| (profile.name(), profile));
-        let profile = self.find_by_name(&key("after"), "unknown profile ", name, all)?;
-        self.require(metric.has_after(profile), &key("after"), || {
+        let profile = self.find_by_name("after", "unknown profile ", name, all)?;
+        self.require(metric.has_after(profile), "after", || {
             format!("`after = \"{name}\"` does not apply to {metric}")
         })?;
         Ok(profile)
@@ -107,19 +105,18 @@ impl Checker<'_> {
 
     fn bounded_window(
         &self,
-        key: &impl Fn(&str) -> String,
         raw: &RawExpectation,
         metric: Metric,
         trial: &TrialContext<'_>,
     ) -> Result<Window, Diagnostic> {
         let duration = trial.duration;
-        let time = |name: &str, ms: Option<f64>| ms.map(|ms| self.time_from_ms(&key(name), ms)).transpose();
+        let time = |name: &str, ms: Option<f64>| ms.map(|ms| self.time_from_ms(name, ms)).transpose();
         let (from, until) = (time("from_ms", raw.from_ms)?, time("until_ms", raw.until_ms)?);
-        self.require(from.is_none_or(|from| from < duration), &key("from_ms"), || {
+        self.require(from.is_none_or(|from| from < duration), "from_ms", || {
             format!("{} ms, expected before the scenario's end at {duration}", raw.from_ms.unwrap_or_default())
         })?;
         let start = from.unwrap_or(Time::ZERO);
-        self.require(until.is_none_or(|until| start < until && until <= duration), &key("until_ms"), || {
+        self.require(until.is_none_or(|until| start < until && until <= duration), "until_ms", || {
             format!(
                 "{} ms, expected after {start} and at most the scenario's end at {duration}",
                 raw.until_ms.unwrap_or_default()
@@ -131,20 +128,20 @@ impl Checker<'_> {
             // Without a step there is nothing to measure, which the verdict states.
             let response = trial.changes.response_window(from).unwrap_or(window);
             window = Window { from: response.from, to: until.unwrap_or(response.to) };
-            self.require(window.from < window.to, &key("until_ms"), || {
+            self.require(window.from < window.to, "until_ms", || {
                 format!("{}, expected after the setpoint step at {}", window.to, window.from)
             })?;
         } else if metric == Metric::ShutdownTime {
-            self.require(from.is_some(), &key("from_ms"), || {
+            self.require(from.is_some(), "from_ms", || {
                 format!("{metric} without `from_ms`, expected the instant of the disturbance")
             })?;
             window.to = window.to.min(reconfiguration_time(trial.faults, start, duration));
         } else if metric.has_window_ms() {
-            let name = key(if bounded { "from_ms" } else { "window_ms" });
+            let key = if bounded { "from_ms" } else { "window_ms" };
             if !bounded {
-                window = self.mean_window(&name, raw.window_ms, duration)?;
+                window = self.mean_window(key, raw.window_ms, duration)?;
             }
-            self.steady_window(&name, window, metric, trial.setpoint)?;
+            self.steady_window(key, window, metric, trial.setpoint)?;
         }
         Ok(window)
     }

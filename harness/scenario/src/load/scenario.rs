@@ -22,10 +22,15 @@ const MAX_ROWS: f64 = 2e6;
 const MAX_EXPECTATIONS: usize = 2_000;
 
 impl Checker<'_> {
-    pub(super) fn scenario(&self, raw: RawScenario, file: &str, faults: &mut Diagnostics) -> Option<Scenario> {
+    pub(super) fn check(&self, raw: RawScenario, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
+        let mut faults = Diagnostics::default();
+        let scenario = self.scenario(raw, file, &mut faults);
+        scenario.filter(|_| faults.0.is_empty()).ok_or(faults.0)
+    }
+
+    fn scenario(&self, raw: RawScenario, file: &str, faults: &mut Diagnostics) -> Option<Scenario> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
-        let one_line = !raw.title.trim().is_empty() && !raw.title.contains(char::is_control);
-        faults.record_error(self.require(one_line, "title", || format!("{:?}, expected one line of text", raw.title)));
+        faults.record_error(self.one_line("title", &raw.title));
         let mut inputs = vec![InputFile { path: self.path.to_owned(), bytes: self.text.as_bytes().to_vec() }];
         let trials = faults.record_error(self.trials(&raw.trials));
         let spread = trials.map(|trials| trials.spread);
@@ -39,9 +44,11 @@ impl Checker<'_> {
         faults.record_error(self.require(raw.expect.len() <= MAX_EXPECTATIONS, "expect", || {
             format!("{} [[expect]], expected at most {MAX_EXPECTATIONS}", raw.expect.len())
         }));
-        faults.record_error(self.require(!raw.expect.is_empty(), "expect", || {
-            "no [[expect]], expected at least one: a scenario that expects nothing cannot fail".to_owned()
-        }));
+        faults.record_error(self.require(
+            !raw.expect.is_empty(),
+            "expect",
+            || "no [[expect]], expected at least one: a scenario that expects nothing cannot fail",
+        ));
         let model = raw.model.as_deref().unwrap_or(AUTO_MODEL);
         let tier = plate.as_ref().and_then(|plate| faults.record_error(self.tier(model, plate)));
         let expected_exit = faults.record_error(self.expected_exit(raw.expected_exit));
@@ -52,13 +59,15 @@ impl Checker<'_> {
             return None;
         };
         let count = faults.0.len();
+        let table = |list: &str, index: usize| self.table(&format!("{list}.{index}"));
         let (of_chip, of_line): (Vec<_>, Vec<_>) = (0..)
             .zip(&raw.fault)
             .partition(|(_, fault): &(usize, &RawFault)| ChipFaultKind::NAMES.contains(&fault.kind.as_str()));
         let mut line_faults =
-            of_line.into_iter().map(|(index, fault)| self.fault(index, fault, duration, controller.period));
+            of_line.into_iter().map(|(index, fault)| table("fault", index).fault(fault, duration, controller.period));
         let line_faults = faults.record_errors(&mut line_faults);
-        let mut chip_faults = of_chip.into_iter().map(|(index, fault)| self.chip_fault(index, fault, duration));
+        let mut chip_faults =
+            of_chip.into_iter().map(|(index, fault)| table("fault", index).chip_fault(fault, duration));
         let chip_faults = faults.record_errors(&mut chip_faults);
         let changes =
             ProfileChanges::new(&setpoint, &conditions.finger_force_n, &conditions.temperature_offset_k, duration);
@@ -67,7 +76,7 @@ impl Checker<'_> {
         let names = expectation_names(&raw.expect);
         let mut expected = (0..)
             .zip(raw.expect.iter().zip(names))
-            .map(|(index, (expect, name))| self.expectation(index, expect, name, &trial));
+            .map(|(index, (expect, name))| table("expect", index).expectation(expect, name, &trial));
         let expected = faults.record_errors(&mut expected);
         faults.record_error(self.check_names(&raw.expect, &expected));
         if faults.0.len() > count {
@@ -123,8 +132,7 @@ impl Checker<'_> {
                 Some(message) => self.error("model", message),
             };
         }
-        let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
-        self.unknown_name("model", "unknown model ", model, &[AUTO_MODEL, linear, envelope, modal, carrier])
+        self.unknown_name("model", "unknown model ", model, &Scenario::models())
     }
 
     fn expected_exit(&self, raw: Option<i64>) -> Result<Option<u8>, Diagnostic> {

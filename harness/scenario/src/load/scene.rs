@@ -79,7 +79,7 @@ impl Checker<'_> {
             format!("{} scenes, expected at most {MAX_BETWEEN}", raw.len())
         }));
         let mut between = |(index, raw): (usize, &RawBetween)| {
-            let checker = Checker { prefix: format!("between.{index}."), ..*self };
+            let checker = self.table(&format!("between.{index}"));
             let plate = match &raw.plate {
                 Some(file) => checker.plate("plate", &folder.join(file), inputs, faults)?,
                 None => scenario.plate.clone(),

@@ -1,6 +1,6 @@
 //! Loads a scenario with changed values, without files for each change.
 
-use super::checker::{Checker, Diagnostics, KnownPlate};
+use super::checker::{Checker, KnownPlate};
 use super::plate::{check_plate, load_plate};
 use crate::diagnostic::Diagnostic;
 use crate::raw::RawScenario;
@@ -88,12 +88,7 @@ impl ScenarioTemplate {
         }
         let raw = RawScenario::deserialize(tables.scenario.clone())
             .map_err(|error| vec![Diagnostic::from_toml(&self.path, &self.text, &error)])?;
-        let mut faults = Diagnostics::default();
-        let checker = Checker { path: &self.path, text: &self.text, prefix: String::new(), plates: &known };
-        match (checker.scenario(raw, &self.file, &mut faults), faults.0) {
-            (Some(scenario), faults) if faults.is_empty() => Ok(scenario),
-            (_, faults) => Err(faults),
-        }
+        Checker { path: &self.path, text: &self.text, prefix: String::new(), plates: &known }.check(raw, &self.file)
     }
 
     fn changed_plate(&self, table: &Table) -> Result<KnownPlate, Vec<Diagnostic>> {
@@ -112,9 +107,8 @@ impl ScenarioTemplate {
 
 /// Replaces the value at a dotted key, whose numbers are elements of lists. Missing tables are created.
 fn set(table: &mut Table, key: &str, value: Value) -> Result<(), String> {
-    let (name, rest) = key.split_once('.').map_or((key, None), |(name, rest)| (name, Some(rest)));
-    let Some(rest) = rest else {
-        table.insert(name.to_owned(), value);
+    let Some((name, rest)) = key.split_once('.') else {
+        table.insert(key.to_owned(), value);
         return Ok(());
     };
     let next = table.entry(name).or_insert_with(|| Value::Table(Table::new()));
