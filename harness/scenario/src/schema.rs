@@ -8,12 +8,12 @@ use crate::chip_fault::ChipFaultKind;
 use crate::expect::{Aggregation, Metric, SIGNALS};
 use crate::fault::{Direction, FaultKind};
 use crate::raw::RawScenario;
-use crate::scenario::AUTO_MODEL;
+use crate::scenario::Scenario;
 use crate::window::ChangingProfile;
 use platebench_plate::RawPlate;
-use platebench_plate::Tier;
 use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde_json::json;
 
 /// The schema of a file that serde reads as `T`. Optional keys are not required; TOML has no
 /// `null`.
@@ -89,12 +89,11 @@ fn name_schema(names: &[&str]) -> Schema {
 }
 
 pub(crate) fn models(_: &mut SchemaGenerator) -> Schema {
-    let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
-    name_schema(&[AUTO_MODEL, linear, envelope, modal, carrier])
+    name_schema(&Scenario::models())
 }
 
 pub(crate) fn kinds(_: &mut SchemaGenerator) -> Schema {
-    json_schema!({ "type": "string", "enum": FaultKind::all_names() })
+    name_schema(&FaultKind::all_names())
 }
 
 pub(crate) fn directions(_: &mut SchemaGenerator) -> Schema {
@@ -117,22 +116,21 @@ pub(crate) fn signals(_: &mut SchemaGenerator) -> Schema {
     name_schema(&SIGNALS)
 }
 
+/// Rule: if `key` is given and meets `condition`, `then` applies.
+fn rule(key: &str, condition: &serde_json::Value, then: &Schema) -> Schema {
+    json_schema!({ "if": { "required": [key], "properties": { (key): condition } }, "then": then })
+}
+
 /// Rule: if `key` is none of `names`, none of `rejected` may be present.
 fn only_for_rule<'a>(key: &str, names: impl Iterator<Item = &'a str>, rejected: &[&str]) -> Schema {
     let names: Vec<_> = names.collect();
     let rejected: serde_json::Map<_, _> = rejected.iter().map(|name| ((*name).to_owned(), false.into())).collect();
-    json_schema!({
-        "if": { "required": [key], "properties": { (key): { "not": { "enum": names } } } },
-        "then": { "properties": rejected },
-    })
+    rule(key, &json!({ "not": { "enum": names } }), &json_schema!({ "properties": rejected }))
 }
 
 /// Rule: if `key` is `name`, `needed` must be present.
 fn required_for_rule(key: &str, name: &str, needed: &str) -> Schema {
-    json_schema!({
-        "if": { "required": [key], "properties": { (key): { "const": name } } },
-        "then": { "required": [needed], "properties": { (needed): true } },
-    })
+    rule(key, &json!({ "const": name }), &required(needed))
 }
 
 /// Validators in strict mode refuse a required key that is not among the properties.
@@ -143,10 +141,7 @@ fn required(key: &str) -> Schema {
 /// Metrics without a default window.
 fn required_one_for_rule(metric: Metric) -> Schema {
     let keys = ["from_ms", "until_ms", "after"].map(required);
-    json_schema!({
-        "if": { "required": ["metric"], "properties": { "metric": { "const": metric.name() } } },
-        "then": { "anyOf": keys },
-    })
+    rule("metric", &json!({ "const": metric.name() }), &json_schema!({ "anyOf": keys }))
 }
 
 fn has_any_after(metric: Metric) -> bool {
@@ -160,6 +155,7 @@ fn add_rules(schema: &mut Schema, rules: Vec<Schema>) {
 pub(crate) fn expectations(schema: &mut Schema) {
     let named =
         |has: fn(Metric) -> bool| Metric::ALL.iter().filter(move |metric| has(**metric)).map(|metric| metric.name());
+    let limits = ["at_most", "at_least", "within", "about"].map(required);
     add_rules(
         schema,
         vec![
@@ -180,12 +176,7 @@ pub(crate) fn expectations(schema: &mut Schema) {
             required_for_rule("metric", Metric::ShutdownTime.name(), "from_ms"),
             only_for_rule("over", std::iter::once("quantile"), &["quantile"]),
             json_schema!({ "dependentRequired": { "tolerance_percent": ["about"], "quantile": ["over"] } }),
-            json_schema!({ "oneOf": [
-                required("at_most"),
-                required("at_least"),
-                required("within"),
-                required("about"),
-            ] }),
+            json_schema!({ "oneOf": limits }),
         ],
     );
 }
@@ -200,10 +191,7 @@ pub(crate) fn faults(schema: &mut Schema) {
         only_for_rule("kind", but(&["disconnect"]), &["every"]),
         required_for_rule("kind", "delay", "delay_ms"),
         required_for_rule("kind", "scale", "factor"),
-        json_schema!({
-            "if": { "required": ["reconfigure"], "properties": { "reconfigure": { "const": true } } },
-            "then": required("until_ms"),
-        }),
+        rule("reconfigure", &json!({ "const": true }), &required("until_ms")),
     ];
     all.extend(but(&["disconnect"]).map(|kind| required_for_rule("kind", kind, "until_ms")));
     all.extend(but(&[]).map(|kind| required_for_rule("kind", kind, "from_ms")));
