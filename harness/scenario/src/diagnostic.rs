@@ -4,6 +4,7 @@ use annotate_snippets::{AnnotationKind, Level, Renderer, Snippet};
 use std::fmt;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 const SERDE_WORDS: [(&str, &str); 6] = [
@@ -138,22 +139,15 @@ fn unit_symbol(unit: &str) -> &str {
 
 fn span_of_key(source: &str, key: &str) -> Range<usize> {
     let Ok(document) = DeTable::parse(source) else { return 0..0 };
-    let mut span = 0..0;
     let mut names = key.split('.');
-    let first = names.next().unwrap_or_default();
-    let Some(mut value) = document.get_ref().get(first) else { return span };
-    span = value.span();
-    for name in names {
-        let next = match value.get_ref() {
+    let first = names.next().and_then(|name| document.get_ref().get(name));
+    let values = std::iter::successors(first, |value| {
+        let name = names.next()?;
+        match value.get_ref() {
             DeValue::Table(table) => table.get(name),
             DeValue::Array(array) => name.parse::<usize>().ok().and_then(|index| array.get(index)),
             _ => None,
-        };
-        match next {
-            Some(next) => value = next,
-            None => break,
         }
-        span = value.span();
-    }
-    span
+    });
+    values.last().map_or(0..0, Spanned::span)
 }

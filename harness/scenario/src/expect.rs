@@ -226,9 +226,7 @@ impl Limit {
             }
         }
     }
-}
 
-impl Limit {
     /// Signed distance of `value` to the limit over the limit's scale; negative if it is broken.
     /// The scale is the limit, half the range or the tolerance, and 1 unit if that is 0.
     pub fn margin(self, value: f64, tolerance_percent: f64) -> f64 {
