@@ -31,24 +31,24 @@ pub struct TrustConfig {
     pub jobs: usize,
 }
 
-pub fn measure(order: &TrustConfig) -> Result<TrustReport, TrustError> {
-    let (suite, faults) = (&order.scenarios, &order.mutants);
+pub fn measure(config: &TrustConfig) -> Result<TrustReport, TrustError> {
+    let (suite, faults) = (&config.scenarios, &config.mutants);
     let references =
-        run_suite(order.jobs, suite, &ReferenceController::ALL, |reference| ("reference", reference.link()))?;
+        run_suite(config.jobs, suite, &ReferenceController::ALL, |reference| ("reference", reference.link()))?;
     let of_reference =
         |reference: ReferenceController| references.get(reference as usize).map_or(&[][..], Vec::as_slice);
-    let played = run_suite(order.jobs, suite, faults, |entry| (entry.name, entry.link()))?;
+    let played = run_suite(config.jobs, suite, faults, |entry| (entry.name, entry.link()))?;
     let results = faults.iter().zip(&played);
     let outcomes: Vec<MutantResult> =
         results.map(|(entry, judged)| mutant_result(entry, suite, judged, of_reference(entry.reference))).collect();
     let mut alarms = suite_alarms("reference", suite, of_reference(ReferenceController::Firmware));
     let by_firmware: Vec<FailedExpectation> = alarms.iter().map(|alarm| alarm.cell.clone()).collect();
-    let variants = run_suite(order.jobs, suite, &order.variants, |variant| (variant.name, variant.link()))?;
-    for (variant, judged) in order.variants.iter().zip(&variants) {
+    let variants = run_suite(config.jobs, suite, &config.variants, |variant| (variant.name, variant.link()))?;
+    for (variant, judged) in config.variants.iter().zip(&variants) {
         let own = suite_alarms(variant.name, suite, judged).into_iter();
         alarms.extend(own.filter(|alarm| !by_firmware.contains(&alarm.cell)));
     }
-    let clean = measure_false_alarms(order, alarms)?;
+    let clean = measure_false_alarms(config, alarms)?;
     let caught = outcomes.iter().filter(|fault| fault.outcome == MutantOutcome::Caught).count();
     let passes = caught == faults.len() && !faults.is_empty() && clean.alarms.is_empty();
     Ok(TrustReport {
@@ -132,15 +132,15 @@ fn failures<'a>(
 }
 
 /// Adds those of the clean runs to `alarms`.
-fn measure_false_alarms(order: &TrustConfig, mut alarms: Vec<FalseAlarm>) -> Result<FalseAlarmResult, TrustError> {
+fn measure_false_alarms(config: &TrustConfig, mut alarms: Vec<FalseAlarm>) -> Result<FalseAlarmResult, TrustError> {
     let varied: Vec<(&Scenario, Scenario)> =
-        order.scenarios.iter().filter_map(|scenario| Some((scenario, with_plate_spread(scenario)?))).collect();
-    let runs: Vec<u32> = if varied.is_empty() { Vec::new() } else { (0..order.clean_runs).collect() };
-    let judged = collect_in_parallel(order.jobs, &runs, |&run| {
+        config.scenarios.iter().filter_map(|scenario| Some((scenario, with_plate_spread(scenario)?))).collect();
+    let runs: Vec<u32> = if varied.is_empty() { Vec::new() } else { (0..config.clean_runs).collect() };
+    let judged = collect_in_parallel(config.jobs, &runs, |&run| {
         let Some(scenario) = varied.get(run as usize % varied.len().max(1)) else { return Err(TrustError::Internal) };
         let (scenario, varied) = scenario;
         let mut scene = varied.clone();
-        scene.trials.seed = order.seed.wrapping_add(u64::from(run).wrapping_mul(SEEDS_PER_RUN));
+        scene.trials.seed = config.seed.wrapping_add(u64::from(run).wrapping_mul(SEEDS_PER_RUN));
         let judged = play_as(scenario, &scene, "reference", ReferenceController::Firmware.link())?;
         let cells: Vec<FailedExpectation> = failures(scenario, &judged).map(|(_, cell)| cell).collect();
         Ok((scene.trials.seed, judged.judgement.verdict, cells))
@@ -158,7 +158,7 @@ fn measure_false_alarms(order: &TrustConfig, mut alarms: Vec<FalseAlarm>) -> Res
         false_alarm_rate: Rate::new(count(Verdict::Fail), judged.len()),
         inconclusive: count(Verdict::Inconclusive) as u32,
         scenarios: varied.len() as u32,
-        seed: order.seed,
+        seed: config.seed,
         alarms,
     })
 }
