@@ -134,8 +134,8 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         let page = render_page(path, arguments, &tables, &recordings, &found, &fits)?;
         write_atomically(path, page.as_bytes()).or_invalid_at(path)?;
     }
-    found.doubts.iter().for_each(|doubt| stdio::error(&format!("doubtful: {doubt}")));
-    let exit = if found.doubts.is_empty() { Exit::Passed } else { Exit::Inconclusive };
+    found.inconsistencies.iter().for_each(|inconsistency| stdio::error(&format!("doubtful: {inconsistency}")));
+    let exit = if found.inconsistencies.is_empty() { Exit::Passed } else { Exit::Inconclusive };
     let Some(path) = &arguments.out else { return Ok(exit) };
     if exit != Exit::Passed && !arguments.even_if_doubtful {
         let message =

@@ -1,10 +1,12 @@
 //! Identifies the plate from all recordings together.
 
-use crate::doubt::{Doubt, doubtful_parameters, doubtful_recordings, is_coloured, is_explained_by_chance};
 use crate::effect::{EffectFit, IdentifiedHeating, IdentifiedSecondMode, pool_heating, pool_second_modes};
 use crate::effect_fit::fit_effect;
 use crate::estimate::{Estimate, FREEDOM_OF_KNOWN_ERRORS, WhitenessTest};
 use crate::fit::{DirectFit, fit_direct};
+use crate::inconsistency::{
+    Inconsistency, implausible_parameters, inconsistent_recordings, is_coloured, is_explained_by_chance,
+};
 use crate::recording::{Recording, RecordingError};
 use crate::steps::{FrequencyStep, VoltageStep, frequency_steps, frequency_time_constant, voltage_steps};
 use nalgebra::{DMatrix, DVector};
@@ -61,7 +63,8 @@ pub struct Identification {
     /// Standard deviation of the residuals on each component.
     pub noise_um: f64,
     pub highest_vpp: f64,
-    pub doubts: Vec<Doubt>,
+    #[serde(rename = "doubts")]
+    pub inconsistencies: Vec<Inconsistency>,
 }
 
 /// Returns the fits in the order of [`Identification::recordings`]. Without a known slope of the
@@ -131,11 +134,11 @@ pub fn identify(
         highest_vpp: highest.fold(0.0, f64::max),
         voltage_steps: voltage.into_iter().flatten().collect(),
         frequency_steps: frequency.into_iter().flatten().collect(),
-        doubts: Vec::new(),
+        inconsistencies: Vec::new(),
     };
-    identification.doubts = [
-        doubtful_recordings(&fitted),
-        doubtful_parameters(
+    identification.inconsistencies = [
+        inconsistent_recordings(&fitted),
+        implausible_parameters(
             identification.resonance_hz,
             identification.time_constant_s,
             identification.gain_change_percent,

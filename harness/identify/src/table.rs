@@ -1,9 +1,9 @@
 //! Formats the identification as tables, compared with the paper, and as a plate file.
 
-use crate::doubt::is_explained_by_chance;
 use crate::effect::IdentifiedHeating;
 use crate::estimate::Estimate;
 use crate::identification::Identification;
+use crate::inconsistency::is_explained_by_chance;
 use crate::steps::{FrequencyStep, VoltageStep};
 use std::fmt::Write as _;
 
@@ -299,8 +299,11 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
         format!("{key} = {value:.decimals$}    # 95 %: {low:.decimals$} to {high:.decimals$}\n")
     };
     let quoted = |text: &str| text.replace('\\', "\\\\").replace('"', "\\\"").replace(char::is_control, " ");
-    let doubts = found.doubts.iter().map(|doubt| format!("# DOUBTFUL: {}\n", doubt.to_string().replace('\n', " ")));
-    let mut text = doubts.collect::<String>();
+    let inconsistencies = found
+        .inconsistencies
+        .iter()
+        .map(|inconsistency| format!("# DOUBTFUL: {}\n", inconsistency.to_string().replace('\n', " ")));
+    let mut text = inconsistencies.collect::<String>();
     let _ = writeln!(text, "name = \"{}\"\nsource = \"{}\"\n\n[mode]", quoted(&named.name), quoted(&named.source));
     text += &line("resonance_hz", found.resonance_hz?, 1.0, 3);
     let _ = writeln!(text, "reference_temperature_c = {:?}", named.reference_temperature_c);
@@ -336,7 +339,7 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
         named.limit_vpp.map_or((found.highest_vpp, "    # highest drive of the recordings"), |limit| (limit, ""));
     let _ = writeln!(text, "\n[drive]\nlimit_vpp = {limit:?}{comment}");
     let _ = writeln!(text, "\n[sensor]\nnoise_um_rms = {:.6}    # of the residuals", found.noise_um);
-    let floor = if found.doubts.is_empty() {
+    let floor = if found.inconsistencies.is_empty() {
         String::new()
     } else {
         format!("    # doubtful: at least {DOUBTFUL_PERCENT:.0} %, and the intervals above do not cover")
@@ -372,7 +375,7 @@ fn heating_lines(found: &Identification, named: &PlateFileDetails, heating: Iden
 /// Percent, rounded up. A doubtful identification has at least [`DOUBTFUL_PERCENT`], because the
 /// formula for one plate with white noise is not valid.
 fn uncertainty_percent(found: &Identification, estimate: Estimate) -> f64 {
-    let floor = if found.doubts.is_empty() { 0.0 } else { DOUBTFUL_PERCENT };
+    let floor = if found.inconsistencies.is_empty() { 0.0 } else { DOUBTFUL_PERCENT };
     reach_percent(estimate).max(floor)
 }
 

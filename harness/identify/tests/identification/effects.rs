@@ -38,7 +38,7 @@ fn finds_a_second_mode_and_writes_it() {
     assert!((mode.resonance_hz.value - 32_607.6).abs() < 5.0, "{mode:?}");
     assert!((mode.time_constant_s.value / 1.5e-3 - 1.0).abs() < 0.05, "{mode:?}");
     assert!((mode.gain_um_per_vpp.value / 0.0021 - 1.0).abs() < 0.05, "{mode:?}");
-    assert!(found.heating.is_none() && found.doubts.is_empty(), "{:?}", found.doubts);
+    assert!(found.heating.is_none() && found.inconsistencies.is_empty(), "{:?}", found.inconsistencies);
     assert!((found.gain_um_per_vpp.unwrap().value / plate.gain - 1.0).abs() < 0.01);
     assert!((found.resonance_hz.unwrap().value - 32_307.6).abs() < 1.0);
     assert!(fits.iter().all(|fit| fit.effect.is_some()));
@@ -59,7 +59,7 @@ fn finds_self_heating_and_writes_it() {
     let shift = heating.rise_k_per_um2 * plate.omega0_per_k / TAU;
     assert!((node.shift_hz_per_um2.value / shift - 1.0).abs() < 0.05, "{node:?}, expected {shift}");
     assert!((node.time_constant_s.value / 0.15 - 1.0).abs() < 0.05, "{node:?}");
-    assert!(found.second_mode.is_none() && found.doubts.is_empty(), "{:?}", found.doubts);
+    assert!(found.second_mode.is_none() && found.inconsistencies.is_empty(), "{:?}", found.inconsistencies);
     let written = written_plate(&found, Some(-9.638)).heating.unwrap();
     assert!((written.rise_k_per_um2 / 0.8 - 1.0).abs() < 0.05);
     assert_eq!(written_plate(&found, None).heating, None);

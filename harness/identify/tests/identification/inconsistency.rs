@@ -1,7 +1,9 @@
 //! Checks that recordings that no single plate can produce are doubtful, and clean ones are not.
 
 use crate::simulation::details;
-use platebench_identify::{Doubt, Identification, RecordedInput, RecordedSample, Recording, identify, plate_file};
+use platebench_identify::{
+    Identification, Inconsistency, RecordedInput, RecordedSample, Recording, identify, plate_file,
+};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Sensor, State, Tier};
 use rstest::rstest;
 
@@ -64,27 +66,31 @@ fn identified(defect: Defect) -> Identification {
 #[test]
 fn a_clean_capture_is_not_doubtful() {
     let found = identified(Defect::default());
-    assert_eq!(found.doubts, []);
+    assert_eq!(found.inconsistencies, []);
     assert!(found.gain_um_per_vpp.unwrap().contains(GAIN) && found.time_constant_s.unwrap().contains(1.0 / SIGMA0));
 }
 
 #[rstest]
 #[case::clipped(Defect { clip_um: Some(2.0), ..Defect::default() },
-    |doubt: &Doubt| matches!(doubt, Doubt::Clipped { component: "Wd", .. }))]
-#[case::swapped(Defect { swapped: true, ..Defect::default() }, |doubt: &Doubt| matches!(doubt, Doubt::Swapped { .. }))]
+    |found: &Inconsistency| matches!(found, Inconsistency::Clipped { component: "Wd", .. }))]
+#[case::swapped(Defect { swapped: true, ..Defect::default() },
+    |found: &Inconsistency| matches!(found, Inconsistency::Swapped { .. }))]
 #[case::seconds_for_milliseconds(Defect { time_factor: Some(1e3), ..Defect::default() },
-    |doubt: &Doubt| matches!(doubt, Doubt::QualityFactor { .. } | Doubt::Residuals { .. }))]
+    |found: &Inconsistency| matches!(found, Inconsistency::QualityFactor { .. } | Inconsistency::Residuals { .. }))]
 #[case::damping_grows_with_the_amplitude(Defect { damping_per_um: 0.05, ..Defect::default() },
-    |doubt: &Doubt| matches!(doubt, Doubt::Residuals { .. }))]
+    |found: &Inconsistency| matches!(found, Inconsistency::Residuals { .. }))]
 #[case::resonance_drifts(Defect { drift: -120.0, ..Defect::default() },
-    |doubt: &Doubt| matches!(doubt, Doubt::Residuals { .. }))]
-fn a_capture_that_no_single_plate_produces_is_doubtful(#[case] defect: Defect, #[case] expected: fn(&Doubt) -> bool) {
+    |found: &Inconsistency| matches!(found, Inconsistency::Residuals { .. }))]
+fn a_capture_that_no_single_plate_produces_is_doubtful(
+    #[case] defect: Defect,
+    #[case] expected: fn(&Inconsistency) -> bool,
+) {
     let found = identified(defect);
-    assert!(found.doubts.iter().any(expected), "{:?}", found.doubts);
+    assert!(found.inconsistencies.iter().any(expected), "{:?}", found.inconsistencies);
 }
 
 #[test]
-fn a_doubtful_plate_file_states_the_doubt_and_has_wider_intervals() {
+fn a_doubtful_plate_file_states_the_reasons_and_has_wider_intervals() {
     let found = identified(Defect { damping_per_um: 0.05, ..Defect::default() });
     let text = plate_file(&found, &details("plate")).unwrap();
     assert!(text.starts_with("# DOUBTFUL: 3 of 3 recordings have residuals that are not white"), "{text}");

@@ -1,4 +1,4 @@
-//! Finds reasons to doubt an identification: recordings that no single plate can produce.
+//! Finds recordings that no single plate can produce, and parameters that no plate has.
 
 use crate::estimate::Estimate;
 use crate::fit::{DirectFit, fit_direct};
@@ -21,10 +21,10 @@ const QUALITY: [f64; 2] = [5.0, 20_000.0];
 /// Change of K1 over the drives, percent, that still counts as linear.
 const LINEAR_PERCENT: f64 = 2.0;
 
-/// A reason to doubt the identified parameters.
+/// A reason why the identified parameters are doubtful.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
-pub enum Doubt {
+pub enum Inconsistency {
     /// Residuals are not white: the plate changed in a way that the model does not have.
     Residuals {
         /// Recordings.
@@ -39,7 +39,6 @@ pub enum Doubt {
         samples: usize,
     },
     Swapped {
-        /// The recording.
         recording: String,
     },
     QualityFactor {
@@ -52,7 +51,7 @@ pub enum Doubt {
     },
 }
 
-impl fmt::Display for Doubt {
+impl fmt::Display for Inconsistency {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Residuals { rejected, tested } => write!(
@@ -79,38 +78,40 @@ impl fmt::Display for Doubt {
     }
 }
 
-pub(crate) fn doubtful_recordings(fitted: &[(&Recording, DirectFit)]) -> Vec<Doubt> {
-    let mut doubts: Vec<Doubt> = fitted.iter().flat_map(|(recording, _)| find_clipping(recording)).collect();
+pub(crate) fn inconsistent_recordings(fitted: &[(&Recording, DirectFit)]) -> Vec<Inconsistency> {
+    let mut inconsistencies: Vec<Inconsistency> =
+        fitted.iter().flat_map(|(recording, _)| find_clipping(recording)).collect();
     let coloured: Vec<_> = fitted.iter().filter(|(recording, fit)| is_coloured(recording, fit)).collect();
     let tested = fitted.iter().filter(|(_, fit)| fit.whiteness.is_some()).count();
     if !coloured.is_empty() && !is_explained_by_chance(coloured.len(), tested) {
-        doubts.push(Doubt::Residuals { rejected: coloured.len(), tested });
+        inconsistencies.push(Inconsistency::Residuals { rejected: coloured.len(), tested });
         let swapped = coloured.iter().filter(|(recording, fit)| fits_better_with_exchanged_components(recording, fit));
-        doubts.extend(swapped.map(|(recording, _)| Doubt::Swapped { recording: recording.name.clone() }));
+        inconsistencies
+            .extend(swapped.map(|(recording, _)| Inconsistency::Swapped { recording: recording.name.clone() }));
     }
-    doubts
+    inconsistencies
 }
 
 /// Resonance in Hz, time constant in s, change of K1 in percent.
-pub(crate) fn doubtful_parameters(
+pub(crate) fn implausible_parameters(
     resonance_hz: Option<Estimate>,
     time_constant_s: Option<Estimate>,
     gain_change_percent: Option<Estimate>,
-) -> Vec<Doubt> {
-    let mut doubts = Vec::new();
+) -> Vec<Inconsistency> {
+    let mut inconsistencies = Vec::new();
     if let (Some(resonance), Some(tau)) = (resonance_hz, time_constant_s) {
         let value = PI * resonance.value * tau.value;
         if !(QUALITY[0]..=QUALITY[1]).contains(&value) {
-            doubts.push(Doubt::QualityFactor { value });
+            inconsistencies.push(Inconsistency::QualityFactor { value });
         }
     }
     if let Some(change) = gain_change_percent
         && change.value.abs() > LINEAR_PERCENT
         && !change.contains(0.0)
     {
-        doubts.push(Doubt::NotLinear { change_percent: change.value });
+        inconsistencies.push(Inconsistency::NotLinear { change_percent: change.value });
     }
-    doubts
+    inconsistencies
 }
 
 pub(crate) fn is_coloured(recording: &Recording, fit: &DirectFit) -> bool {
@@ -118,10 +119,10 @@ pub(crate) fn is_coloured(recording: &Recording, fit: &DirectFit) -> bool {
     fit.whiteness.is_some_and(|white| white.is_rejected()) && fit.noise_um > ROUNDING * largest
 }
 
-fn find_clipping(recording: &Recording) -> Vec<Doubt> {
+fn find_clipping(recording: &Recording) -> Vec<Inconsistency> {
     type Component = fn(&Complex64) -> f64;
     let components: [(&str, Component); 2] = [("Wd", |w| w.re), ("Wq", |w| w.im)];
-    let mut doubts = Vec::new();
+    let mut inconsistencies = Vec::new();
     for (component, value) in components {
         let values: Vec<f64> = recording.outputs.iter().map(|output| value(&output.w)).collect();
         let low = values.iter().copied().fold(f64::INFINITY, f64::min);
@@ -131,11 +132,16 @@ fn find_clipping(recording: &Recording) -> Vec<Doubt> {
             // A plate at rest is at 0, and a constant column is not clipped.
             let enough = samples >= MIN_CLIPPED && samples as f64 > CLIPPED_SHARE * values.len() as f64;
             if limit_um != 0.0 && low < high && enough {
-                doubts.push(Doubt::Clipped { recording: recording.name.clone(), component, limit_um, samples });
+                inconsistencies.push(Inconsistency::Clipped {
+                    recording: recording.name.clone(),
+                    component,
+                    limit_um,
+                    samples,
+                });
             }
         }
     }
-    doubts
+    inconsistencies
 }
 
 fn fits_better_with_exchanged_components(recording: &Recording, fit: &DirectFit) -> bool {
