@@ -12,7 +12,7 @@ mod timing;
 use crate::hosted::HostedLink;
 use crate::link::{Link, LinkError};
 use builder::{Script, Variation};
-use comparison::{Comparison, Difference, Doubt, ReceivedPackets};
+use comparison::{Comparison, Difference, OtherCause, ReceivedPackets};
 use platebench_wire::{Configure, Identity};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -67,12 +67,12 @@ pub fn protocol_differences(
         let mut difference = None;
         for _ in 0..ATTEMPTS {
             difference = player.play(script, &varied)?;
-            if difference.as_ref().is_none_or(|difference| difference.doubt.is_none()) {
+            if difference.as_ref().is_none_or(|difference| difference.other_cause.is_none()) {
                 break;
             }
         }
         // Without a stall the silence is the controller's.
-        let is_certain = |difference: &Difference| difference.doubt != Some(Doubt::Stall);
+        let is_certain = |difference: &Difference| difference.other_cause != Some(OtherCause::Stall);
         let difference = difference.filter(is_certain);
         differences.extend(difference.map(|difference| format!("{}: {}", script.name, difference.text)));
     }
@@ -129,10 +129,11 @@ impl Player<'_> {
             let expected: Vec<_> = expected.iter().map(|bytes| ReceivedPackets::new(bytes, request)).collect();
             let received = ReceivedPackets::new(&received, request);
             let silence = exchange.wait.max(self.period)..=longest;
-            if let Err(Difference { text, doubt }) = comparison.compare(&received, &expected, silence) {
+            if let Err(Difference { text, other_cause }) = comparison.compare(&received, &expected, silence) {
                 // A stall ends with another answer, not without one.
-                let doubt = if is_stalled && doubt != Some(Doubt::NoAnswer) { Some(Doubt::Stall) } else { doubt };
-                return Ok(Some(Difference { text: format!("exchange {}: {text}", number + 1), doubt }));
+                let is_stall = is_stalled && other_cause != Some(OtherCause::NoAnswer);
+                let other_cause = if is_stall { Some(OtherCause::Stall) } else { other_cause };
+                return Ok(Some(Difference { text: format!("exchange {}: {text}", number + 1), other_cause }));
             }
         }
         Ok(None)

@@ -10,14 +10,14 @@ use std::time::Duration;
 
 /// Relative difference of reported gains from configured ones.
 const GAIN_TOLERANCE: f32 = 1e-5;
-/// Relative difference of the gains that a `dq-pi` law designs from those of this page's design.
+/// Relative difference of the gains of a `dq-pi` law from those of the design in `docs/wire-protocol.md`.
 const DESIGN_TOLERANCE: f32 = 0.12;
-/// Designs that report such gains are the design of the page.
+/// Gains that differ by less are those of the design in `docs/wire-protocol.md`.
 const SAME_DESIGN: f32 = 1e-4;
 /// Tolerance of a running command, if the gains are those of the reference: drive relative to its limit, frequency
 /// relative to its range. Single precision needs less.
 pub(super) const SAME_GAINS_TOLERANCE: f64 = 1e-3;
-/// Tolerance for a law's own design: gains with an error of 10 % change a drive by about so much of its limit.
+/// Tolerance for a law's own design: gains with an error of 10 % change a drive by about this share of its limit.
 const OTHER_DESIGN_TOLERANCE: f64 = 0.15;
 /// Share of the tolerance by which the commands of a reference with the components or gains of a variation may differ.
 const ROUNDING_SHARE: f64 = 0.25;
@@ -30,11 +30,12 @@ const CLOCK_TOLERANCE: f64 = 0.1;
 
 pub(super) struct Difference {
     pub(super) text: String,
-    pub(super) doubt: Option<Doubt>,
+    pub(super) other_cause: Option<OtherCause>,
 }
 
+/// A possible cause of a difference other than the controller.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Doubt {
+pub(super) enum OtherCause {
     /// The line may have lost an answer, or delivered it late.
     NoAnswer,
     /// The host may have sent the ticks late.
@@ -77,7 +78,7 @@ pub(super) struct Comparison<'a> {
     configuration: Option<Configure>,
     has_other_design: bool,
     /// True if a variation of the reference differs.
-    is_doubtful: bool,
+    is_ambiguous: bool,
     /// The last running commands of target and reference.
     running: Option<[Command; 2]>,
     /// The same if they came in the exchange before.
@@ -91,7 +92,7 @@ impl<'a> Comparison<'a> {
             identity,
             configuration: None,
             has_other_design: false,
-            is_doubtful: false,
+            is_ambiguous: false,
             running: None,
             previous: None,
             ticks: TickComparison::default(),
@@ -123,26 +124,26 @@ impl<'a> Comparison<'a> {
         let previous = self.previous.take();
         let late = silence.end().saturating_sub(*silence.start());
         if let Some(text) = self.ticks.add(&received.ticks, reference.ticks.len(), late) {
-            return Err(Difference { text, doubt: Some(Doubt::LateTicks) });
+            return Err(Difference { text, other_cause: Some(OtherCause::LateTicks) });
         }
         if let Some(drift) = self.ticks.drift() {
             let text = format!("ticks drift by {drift:.1?} from their periods");
-            return Err(Difference { text, doubt: Some(Doubt::LateTicks) });
+            return Err(Difference { text, other_cause: Some(OtherCause::LateTicks) });
         }
         for (position, expected) in reference.answers.iter().enumerate() {
             let Some(answer) = received.answers.get(position) else {
                 let text = format!("no answer, expected {}", show(expected));
-                return Err(Difference { text, doubt: Some(Doubt::NoAnswer) });
+                return Err(Difference { text, other_cause: Some(OtherCause::NoAnswer) });
             };
             self.observe_design(answer, expected);
             for (number, other) in varied.iter().enumerate() {
-                self.is_doubtful |=
+                self.is_ambiguous |=
                     other.answers.get(position).is_none_or(|other| self.is_far(expected, other, number));
             }
             if !self.is_equal(answer, expected) {
                 let text = format!("{}, expected {}", show(answer), show(expected));
-                let doubt = (answer.sequence != expected.sequence).then_some(Doubt::NoAnswer);
-                return Err(Difference { text, doubt });
+                let other_cause = (answer.sequence != expected.sequence).then_some(OtherCause::NoAnswer);
+                return Err(Difference { text, other_cause });
             }
             if let (Message::Command(answer), Message::Command(expected)) = (&answer.message, &expected.message)
                 && expected.state == ControllerState::Running
@@ -214,10 +215,10 @@ impl<'a> Comparison<'a> {
 
     fn is_equal_command(&self, answer: &Command, expected: &Command) -> bool {
         if (answer.state, answer.cause) != (expected.state, expected.cause) {
-            return self.is_doubtful && expected.state == ControllerState::Running;
+            return self.is_ambiguous && expected.state == ControllerState::Running;
         }
         if expected.state == ControllerState::Running {
-            return self.is_doubtful || self.distance(answer, expected) <= self.tolerance();
+            return self.is_ambiguous || self.distance(answer, expected) <= self.tolerance();
         }
         let expected_mhz = match &self.running {
             // The last one is that of the controller itself.
@@ -236,7 +237,7 @@ impl<'a> Comparison<'a> {
 }
 
 fn differs<T>(text: String) -> Result<T, Difference> {
-    Err(Difference { text, doubt: None })
+    Err(Difference { text, other_cause: None })
 }
 
 /// Compares the time stamps of commands of target and reference before and after a long silence.
