@@ -121,10 +121,10 @@ impl RunRecord {
     pub fn update_verdict(&mut self) {
         let combined = Verdict::combine(self.scenarios.iter().map(|scenario| scenario.verdict));
         let misses_shards = self.merge.as_ref().is_some_and(|merge| !merge.missing_shards.is_empty());
-        let is_doubtful = !self.complete || misses_shards || self.safe_confirmed == Some(false);
+        let is_inconclusive = !self.complete || misses_shards || self.safe_confirmed == Some(false);
         self.verdict = if self.overrides.require_all && !self.not_applicable.is_empty() {
             Verdict::Fail
-        } else if combined == Verdict::Pass && is_doubtful {
+        } else if combined == Verdict::Pass && is_inconclusive {
             Verdict::Inconclusive
         } else {
             combined
