@@ -22,8 +22,8 @@ pub(crate) fn describe_run(command: &'static str, keys: &'static str, plan: &Run
 
 /// Without a terminal prints a note and returns none.
 pub(crate) fn open_view(description: RunDescription) -> (Option<LiveView>, LiveTap) {
-    let (live_tap, viewer) = LiveTap::new();
-    match LiveView::open(description, viewer) {
+    let (live_tap, tap_reader) = LiveTap::new();
+    match LiveView::open(description, tap_reader) {
         Ok(view) => (Some(view), live_tap),
         Err(why) => {
             stdio::note(&format!("no live view: {why}"));

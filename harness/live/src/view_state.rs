@@ -28,9 +28,9 @@ pub(crate) struct ViewState {
 }
 
 impl ViewState {
-    pub(crate) fn new(subject: RunDescription) -> Self {
+    pub(crate) fn new(run: RunDescription) -> Self {
         Self {
-            run: subject,
+            run,
             newest_trial: None,
             newest_row: None,
             history: SignalHistory::new(1.0, 1.0),

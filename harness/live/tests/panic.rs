@@ -24,8 +24,8 @@ fn panics_on_purpose() {
         key_help: "",
         scenarios: Vec::new(),
     };
-    let (_watch, viewer) = LiveTap::new();
-    let _view = LiveView::open(subject, viewer).unwrap();
+    let (_live_tap, tap_reader) = LiveTap::new();
+    let _view = LiveView::open(subject, tap_reader).unwrap();
     panic!("{MESSAGE}");
 }
 

@@ -141,9 +141,9 @@ impl LiveTap {
     fn with_capacity(capacity: usize) -> (Self, TapReader) {
         let (producer, consumer) = RingBuffer::new(capacity);
         let counters = Arc::new(AtomicTapCounts::default());
-        let viewer = TapReader { consumer, counters: Arc::clone(&counters) };
+        let tap_reader = TapReader { consumer, counters: Arc::clone(&counters) };
         let tap = TapWriter { producer, counters, scenario: 0, trial: 0, rejected_frames: 0 };
-        (Self(Some(Arc::new(Mutex::new(Some(tap))))), viewer)
+        (Self(Some(Arc::new(Mutex::new(Some(tap))))), tap_reader)
     }
 
     /// Has no writer if another trial holds it. Locks: do not call it in a trial's loop.

@@ -154,13 +154,13 @@ pub(super) fn draw_counts(frame: &mut Frame<'_>, area: Rect, state: &ViewState) 
 }
 
 pub(super) fn draw_finished(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
-    let (ended, subject) = (&state.finished, &state.run);
+    let (ended, run) = (&state.finished, &state.run);
     if state.current_trial().is_some_and(|(scenario, _)| scenario.duration_s.is_none()) {
         return;
     }
     let judged = ended.passed + ended.failed + ended.inconclusive;
     let mut spans = vec![
-        Span::raw(format!(" {judged} of {} scenarios judged: ", subject.scenarios.len())),
+        Span::raw(format!(" {judged} of {} scenarios judged: ", run.scenarios.len())),
         Span::styled(format!("{} pass", ended.passed), Style::new().fg(Color::Green)),
         Span::raw(", "),
         Span::styled(format!("{} fail", ended.failed), Style::new().fg(Color::Red)),
@@ -168,8 +168,8 @@ pub(super) fn draw_finished(frame: &mut Frame<'_>, area: Rect, state: &ViewState
         Span::styled(format!("{} inconclusive", ended.inconclusive), Style::new().fg(Color::Yellow)),
         Span::raw(format!("   trials {}", ended.trials)),
     ];
-    if subject.jobs > 1 {
-        spans.push(Span::raw(format!("   one of {} at once is shown", subject.jobs)));
+    if run.jobs > 1 {
+        spans.push(Span::raw(format!("   one of {} at once is shown", run.jobs)));
     }
     frame.render_widget(Line::from(spans), area);
 }

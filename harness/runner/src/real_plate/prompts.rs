@@ -145,12 +145,12 @@ mod tests {
         assert_eq!(initial_prompts(&scenario), ["bring the plate to 33 °C (+9 K)", "leave the plate untouched"]);
         let mut prompts = Prompts::from_scenario(&scenario);
         assert_eq!(prompts.next_due(ms(499.0)), None);
-        let mut said = Vec::new();
+        let mut announced = Vec::new();
         for at in [500.0, 501.0, 2_400.0, 2_500.0, 9_000.0] {
             while let Some((_, left)) = prompts.next_due(ms(at)) {
-                said.push((at, left));
+                announced.push((at, left));
             }
         }
-        assert_eq!(said, [(500.0, 2), (2_400.0, 1), (2_500.0, 0)]);
+        assert_eq!(announced, [(500.0, 2), (2_400.0, 1), (2_500.0, 0)]);
     }
 }

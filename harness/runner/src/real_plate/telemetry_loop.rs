@@ -20,14 +20,14 @@ use platebench_trace::Flags;
 use platebench_wire::{Command, Configure, ControllerState, LawId, Message, Setpoint, StateCause};
 use std::time::{Duration, Instant};
 
-/// Without a setpoint for so long, the controller goes to 0 V.
+/// Without a setpoint for this time, the controller goes to 0 V.
 const WATCHDOG_TIMEOUT_MS: u16 = 250;
 /// A constant setpoint is repeated after this time.
 const KEEP_ALIVE_INTERVAL: Duration = Duration::from_millis(50);
 /// A later repetition is an overrun of the bench.
 const LATE_SETPOINT: Duration = Duration::from_millis(200);
 const ACKNOWLEDGE_TIMEOUT: Duration = Duration::from_millis(100);
-/// Without telemetry for so long, the controller is lost.
+/// Without telemetry for this time, the controller is lost.
 const SILENCE_TIMEOUT: Duration = Duration::from_millis(500);
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
@@ -64,12 +64,12 @@ pub(super) struct TelemetryLoop<'a, L: Link> {
 }
 
 impl<'a, L: Link> TelemetryLoop<'a, L> {
-    pub(super) fn new(session: &'a mut Session<FaultInjector<L>>, order: &TrialSpec<'a>, queue: RowQueue) -> Self {
-        let scenario = order.scenario;
+    pub(super) fn new(session: &'a mut Session<FaultInjector<L>>, spec: &TrialSpec<'a>, queue: RowQueue) -> Self {
+        let scenario = spec.scenario;
         Self {
             session,
             scenario,
-            law: order.law,
+            law: spec.law,
             telemetry: TelemetryRows::new(scenario.controller.period.wrapping_micros(), scenario.plate.drive_limit_vpp),
             queue,
             next_flags: Flags::empty(),

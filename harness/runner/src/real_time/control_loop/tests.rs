@@ -21,9 +21,9 @@ impl Link for UncountedLink {
         outcome
     }
 
-    fn advance_to(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
         let mut outcome = Ok(());
-        opt_out(|| outcome = self.0.advance_to(now, said));
+        opt_out(|| outcome = self.0.advance_to(now, received));
         outcome
     }
 
@@ -43,28 +43,28 @@ fn count_allocations<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     pacing: Pacing,
 ) -> (AllocationInfo, u64) {
-    let (watch, mut viewer) = LiveTap::new();
-    let mut lent = watch.acquire(0, 0);
+    let (live_tap, mut tap_reader) = LiveTap::new();
+    let mut guard = live_tap.acquire(0, 0);
     let law = crate::configure::law(scenario).unwrap();
-    let order = TrialSpec { own_clock: true, ..TrialSpec::new(scenario, law, 0) };
-    let pace = TimeBase { time_scale: 1.0, pacing };
+    let spec = TrialSpec { own_clock: true, ..TrialSpec::new(scenario, law, 0) };
+    let time_base = TimeBase { time_scale: 1.0, pacing };
     let (queue, consumer) = RowQueue::new();
     let collector = thread::spawn(|| collect_rows(consumer, 0));
-    let stage = PlantSimulation::new(scenario, 0, queue, lent.tap());
+    let plant = PlantSimulation::new(scenario, 0, queue, guard.tap());
     session.link_mut().set_faults(&wire_faults(scenario, 0));
-    let configuration = pace.with_target_timing(configure(scenario, law));
+    let configuration = time_base.with_target_timing(configure(scenario, law));
     session.start_line().unwrap();
     let gains = session.start_trial(&configuration).unwrap();
-    let mut live = RealTimeLoop::new(session, &order, pace, stage, None);
+    let mut control_loop = RealTimeLoop::new(session, &spec, time_base, plant, None);
     let mut outcome = Ok(());
     let cancel = CancelToken::never();
-    let allocated = measure(|| outcome = live.run(&configuration, &gains, &cancel));
-    assert!(outcome.is_ok(), "it came to its end");
-    let periods = live.timing.counts.periods;
-    drop(live);
+    let allocated = measure(|| outcome = control_loop.run(&configuration, &gains, &cancel));
+    assert!(outcome.is_ok(), "the trial did not end normally");
+    let periods = control_loop.timing.counts.periods;
+    drop(control_loop);
     let rows = collector.join().unwrap();
     assert!(rows.len() as u64 > periods);
-    let seen = std::iter::from_fn(|| viewer.next_row()).map(|sight| sight.row).collect::<Vec<_>>();
+    let seen = std::iter::from_fn(|| tap_reader.next_row()).map(|tap_row| tap_row.row).collect::<Vec<_>>();
     assert!(!seen.is_empty() && rows.starts_with(&seen), "the live view gets the rows of the record");
     (allocated, periods)
 }
@@ -123,9 +123,9 @@ fn the_loop_allocates_nothing_over_a_terminal() {
     let mut terminal = PtyLink::open().unwrap();
     let port = SerialLink::open(Path::new(terminal.path()), 1_000_000).unwrap();
     let board = thread::spawn(|| run_controller(port));
-    // A busy machine lets the first calls go unheard.
-    let called = (0..100).find_map(|_| Session::open(FaultInjector::new(&mut terminal)).ok().map(|_| ()));
-    assert!(called.is_some(), "the controller does not send its identity");
+    // On a busy machine the controller may miss the first requests.
+    let opened = (0..100).find_map(|_| Session::open(FaultInjector::new(&mut terminal)).ok().map(|_| ()));
+    assert!(opened.is_some(), "the controller does not send its identity");
     let mut session = Session::open(FaultInjector::new(terminal)).unwrap();
     assert_no_allocations("paper/fig13-closed-loop.toml", &mut session, Pacing::Bench);
     drop(session);
@@ -151,8 +151,8 @@ impl Link for SilentAtLastSample {
         took
     }
 
-    fn advance_to(&mut self, now: Duration, said: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.inner.advance_to(now, said)
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.inner.advance_to(now, received)
     }
 
     fn restart(&mut self) -> Result<bool, LinkError> {
@@ -165,13 +165,13 @@ fn a_last_sample_without_an_answer_is_a_missing_answer() {
     let scenario = scenario("paper/fig13-closed-loop.toml");
     let link = SilentAtLastSample { inner: HostedLink::new(), last_us: 59_000 };
     let mut session = Session::open(FaultInjector::new(WallClockLink::new(link))).unwrap();
-    let order = TrialSpec { own_clock: true, ..TrialSpec::new(&scenario, LawId::DqPi, 0) };
-    let pace = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
-    let played = crate::real_time::play(&mut session, &order, pace, &CancelToken::never(), None).unwrap();
-    let last = played.trace_rows.last().unwrap();
-    let timing = played.telemetry.timing.unwrap();
+    let spec = TrialSpec { own_clock: true, ..TrialSpec::new(&scenario, LawId::DqPi, 0) };
+    let time_base = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
+    let result = crate::real_time::play(&mut session, &spec, time_base, &CancelToken::never(), None).unwrap();
+    let last = result.trace_rows.last().unwrap();
+    let timing = result.telemetry.timing.unwrap();
     // A host that stalls may skip it; then its instant is an overrun.
     let is_marked = last.flags.contains(Flags::LINK_LOST) || timing.skipped > 0;
-    assert!(is_marked && played.link_error.is_none(), "{last:?} {timing:?}");
+    assert!(is_marked && result.link_error.is_none(), "{last:?} {timing:?}");
     assert!(timing.missed_replies > 0 || timing.skipped > 0, "{timing:?}");
 }
