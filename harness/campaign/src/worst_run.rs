@@ -66,16 +66,11 @@ pub fn play_worst(
     }
     let files = trials.iter().map(|trial| scenario_files::file_name(trial.number));
     let scenarios = files.map(|file| load(&scenario_folder.join(&file), &file)).collect::<Result<Vec<_>, _>>();
+    let scenarios = scenarios.map_err(|fault| CampaignError::Files(vec![fault]))?;
     let clock = Clock::Lockstep { wire_time: false };
     let keep_traces = if trials.len() > MAX_TRACES { KeepTraces::None } else { KeepTraces::All };
-    let plan = RunPlan {
-        scenarios: scenarios.map_err(|fault| CampaignError::Files(vec![fault]))?,
-        jobs: config.jobs,
-        clock,
-        own_clock: config.rig.has_own_clock(),
-        rig: config.rig.to_string(),
-        overrides: Overrides { keep_traces, ..Overrides::default() },
-    };
+    let overrides = Overrides { keep_traces, ..Overrides::default() };
+    let plan = RunPlan::new(&config.rig, clock, config.jobs, scenarios, overrides);
     let run_folder = RunFolder::create(Some(&scenario_folder.join(RUN)))?;
     let options = ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
     let mut rows = KeptRows::default();

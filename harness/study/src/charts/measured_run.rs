@@ -20,14 +20,7 @@ impl MeasuredRun {
     pub(crate) fn play(scenarios: Vec<Scenario>, rig: &RigSpec, clock: Clock) -> Result<Self, ChartError> {
         let temporary = tempfile::tempdir()?;
         let folder = RunFolder::create(Some(&temporary.path().join("run")))?;
-        let plan = RunPlan {
-            scenarios,
-            jobs: 1,
-            clock,
-            own_clock: rig.has_own_clock(),
-            rig: rig.to_string(),
-            overrides: Overrides::default(),
-        };
+        let plan = RunPlan::new(rig, clock, 1, scenarios, Overrides::default());
         let connect = || clock.connect(rig, &ConnectOptions::default());
         let started = process_cpu_time();
         let record = run(&plan, &folder, &connect, RunHooks::default())?;
