@@ -129,7 +129,7 @@ impl From<ExploreError> for Failure {
             ExploreError::Lost(_) => Self::new(Exit::Unreachable, &error),
             ExploreError::LawNotAnnounced(_)
             | ExploreError::LawWithoutProperties(_)
-            | ExploreError::Io { .. }
+            | ExploreError::File(_)
             | ExploreError::Report(_) => Self::invalid(&error),
             ExploreError::Generated(_)
             | ExploreError::Strategy(_)

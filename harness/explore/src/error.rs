@@ -2,8 +2,7 @@
 
 use platebench_rig::{ConnectError, RigError};
 use platebench_scenario::Diagnostic;
-use std::io;
-use std::path::PathBuf;
+use platebench_trace::FileError;
 
 #[derive(Debug, thiserror::Error)]
 pub enum ExploreError {
@@ -22,8 +21,8 @@ pub enum ExploreError {
     Generated(Box<Diagnostic>),
     #[error("internal error: the bench generated no scene; report this message with the seed: {0}")]
     Strategy(String),
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    File(#[from] FileError),
     /// The controller was lost in several scenes in a row.
     #[error("the controller was lost in {0} scenes in a row")]
     Lost(u32),
@@ -32,11 +31,4 @@ pub enum ExploreError {
     /// A worker ended early.
     #[error("internal error: a worker thread ended early; please report it")]
     Internal,
-}
-
-impl ExploreError {
-    pub(crate) fn io(path: impl Into<PathBuf>) -> impl FnOnce(io::Error) -> Self {
-        let path = path.into();
-        move |source| Self::Io { path, source }
-    }
 }

@@ -5,6 +5,7 @@ use crate::explore::{ExploreConfig, FailedScene};
 use crate::properties::Property;
 use crate::scenario_file::ScenarioWriter;
 use crate::shrink::MinimalScene;
+use platebench_trace::AtPath;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -28,8 +29,8 @@ pub fn write(
         comment: &comment,
         plate_prefix: &format!("{name}-"),
     };
-    fs::create_dir_all(folder).map_err(ExploreError::io(folder))?;
-    writer.text(&minimal.scene, &minimal.demands).write(folder, &name).map_err(ExploreError::io(folder))?;
+    fs::create_dir_all(folder).at(folder)?;
+    writer.text(&minimal.scene, &minimal.demands).write(folder, &name).at(folder)?;
     Ok(folder.join(format!("{name}.toml")))
 }
 

@@ -13,7 +13,7 @@ use crate::shrink::Shrinker;
 use platebench_plate::Time;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, FaultInjector, RigSpec, Session};
 use platebench_scenario::{Scenario, load};
-use platebench_trace::write_atomically;
+use platebench_trace::{AtPath, write_atomically};
 use platebench_wire::{Identity, LawId, capabilities};
 use std::fmt;
 use std::fs;
@@ -96,7 +96,7 @@ impl ExploreSession {
         }
         let text = serde_json::to_string_pretty(&report).unwrap_or_default();
         let path = folder.join(report::FILE);
-        write_atomically(&path, text.as_bytes()).map_err(ExploreError::io(path))?;
+        write_atomically(&path, text.as_bytes()).at(&path)?;
         page(&report).write(&folder.join(page::FILE))?;
         Ok(report)
     }
@@ -155,7 +155,7 @@ impl ExploreSession {
             value: original.and_then(|failure| failure.value),
             limit: original.and_then(|failure| failure.limit),
             original: config.scene_text(&tree.current(), &title).scenario,
-            minimal: fs::read_to_string(&path).map_err(ExploreError::io(&path))?,
+            minimal: fs::read_to_string(&path).at(&path)?,
             minimal_value: minimal.failure.value,
             minimal_limit: minimal.failure.limit,
             file: path.display().to_string(),

@@ -3,6 +3,7 @@
 use crate::error::ExploreError;
 use crate::scenario_file::ScenarioText;
 use platebench_scenario::{Scenario, load};
+use platebench_trace::AtPath;
 use std::collections::BTreeMap;
 use std::fs;
 use tempfile::TempDir;
@@ -18,9 +19,9 @@ pub(crate) struct Staging {
 
 impl Staging {
     pub(crate) fn new() -> Result<Self, ExploreError> {
-        let folder = tempfile::tempdir().map_err(ExploreError::io(std::env::temp_dir()))?;
+        let folder = tempfile::tempdir().at(&std::env::temp_dir())?;
         let plates = folder.path().join("plates");
-        fs::create_dir(&plates).map_err(ExploreError::io(plates))?;
+        fs::create_dir(&plates).at(&plates)?;
         Ok(Self { folder, plates: BTreeMap::new() })
     }
 
@@ -28,12 +29,12 @@ impl Staging {
         for (name, content) in &text.plates {
             if self.plates.get(name) != Some(content) {
                 let path = self.folder.path().join(name);
-                fs::write(&path, content).map_err(ExploreError::io(path))?;
+                fs::write(&path, content).at(&path)?;
                 self.plates.insert(name.clone(), content.clone());
             }
         }
         let path = self.folder.path().join(FILE);
-        fs::write(&path, &text.scenario).map_err(ExploreError::io(&path))?;
+        fs::write(&path, &text.scenario).at(&path)?;
         load(&path, FILE).map_err(|fault| ExploreError::Generated(Box::new(fault)))
     }
 }
