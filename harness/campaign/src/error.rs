@@ -6,7 +6,7 @@ use platebench_report::ReportError;
 use platebench_rig::{ConnectError, RigError};
 use platebench_runner::RunError;
 use platebench_scenario::Diagnostic;
-use std::io;
+use platebench_trace::FileError;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, thiserror::Error)]
@@ -14,8 +14,8 @@ pub enum CampaignError {
     /// The campaign file or its scenario is wrong.
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Files(Vec<Diagnostic>),
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    File(#[from] FileError),
     #[error("{}: {source}", path.display())]
     Write { path: PathBuf, source: ParquetError },
     #[error(transparent)]
@@ -69,11 +69,6 @@ pub enum CampaignError {
 }
 
 impl CampaignError {
-    pub(crate) fn io(path: impl AsRef<Path>) -> impl FnOnce(io::Error) -> Self {
-        let path = path.as_ref().to_owned();
-        |source| Self::Io { path, source }
-    }
-
     pub(crate) fn write(path: &Path) -> impl Fn(ParquetError) -> Self + use<> {
         let path = path.to_owned();
         move |source| Self::Write { path: path.clone(), source }

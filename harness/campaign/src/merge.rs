@@ -8,7 +8,7 @@ use crate::plan::Plan;
 use crate::results::ResultsWriter;
 use crate::scenario_files;
 use crate::summary::{SUMMARY_FILE, Summary};
-use platebench_trace::write_atomically;
+use platebench_trace::{AtPath, write_atomically};
 use std::path::Path;
 
 const COUNTEREXAMPLES: &str = "counterexamples";
@@ -36,7 +36,7 @@ pub fn merge<'a>(
     results.commit()?;
     let path = folder.join(SUMMARY_FILE);
     let text = serde_json::to_string_pretty(&summary.json()).unwrap_or_default();
-    write_atomically(&path, format!("{text}\n").as_bytes()).map_err(CampaignError::io(&path))?;
+    write_atomically(&path, format!("{text}\n").as_bytes()).at(&path)?;
     let failing = summary.failing.iter().map(|row| row.trial_in(campaign)).collect::<Result<Vec<_>, _>>()?;
     scenario_files::write(&folder.join(COUNTEREXAMPLES), campaign, &failing)?;
     Ok(summary)

@@ -17,7 +17,7 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
 use platebench_record::sha256;
-use platebench_trace::{AtomicFile, read_regular_file, write_atomically};
+use platebench_trace::{AtPath, AtomicFile, read_regular_file, write_atomically};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -87,7 +87,7 @@ impl PartWriter {
         {
             place.copy_from_slice(digest.as_bytes());
         }
-        write_atomically(&self.path, &bytes).map_err(CampaignError::io(&self.path))
+        Ok(write_atomically(&self.path, &bytes).at(&self.path)?)
     }
 }
 
@@ -129,7 +129,7 @@ impl PartReader {
     pub(crate) fn open(folder: &Path, plan: &Plan, campaign: &Campaign, shard: u32) -> Result<Self, CampaignError> {
         let path = plan.part_path(folder, shard);
         let damaged = |why| CampaignError::Damaged { path: path.clone(), why };
-        let mut bytes = read_regular_file(&path, MAX_PART_BYTES).map_err(CampaignError::io(&path))?;
+        let mut bytes = read_regular_file(&path, MAX_PART_BYTES).at(&path)?;
         let place = digest_place(&bytes).ok_or_else(|| damaged("it has no checksum"))?;
         let digest = bytes.get_mut(place..place + NO_DIGEST.len()).ok_or_else(|| damaged("it has no checksum"))?;
         let stored = String::from_utf8_lossy(digest).into_owned();
@@ -138,7 +138,7 @@ impl PartReader {
             return Err(damaged("its checksum does not hold"));
         }
         drop(bytes);
-        let file = std::fs::File::open(&path).map_err(CampaignError::io(&path))?;
+        let file = std::fs::File::open(&path).at(&path)?;
         let reader = SerializedFileReader::new(file).map_err(|_| damaged("not a Parquet file"))?;
         let metadata = reader.metadata().file_metadata();
         let value = |key: &str| {
@@ -190,9 +190,9 @@ impl PartReader {
 
 /// Writes a file in pieces and gives it its name at the end.
 pub(crate) fn create(path: &Path) -> Result<AtomicFile, CampaignError> {
-    AtomicFile::create(path).map_err(CampaignError::io(path))
+    Ok(AtomicFile::create(path).at(path)?)
 }
 
 pub(crate) fn finish(mut file: AtomicFile, path: &Path) -> Result<(), CampaignError> {
-    file.flush().and_then(|()| file.commit()).map_err(CampaignError::io(path))
+    Ok(file.flush().and_then(|()| file.commit()).at(path)?)
 }

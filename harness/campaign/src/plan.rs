@@ -4,7 +4,7 @@ use crate::campaign::{Campaign, Method};
 use crate::error::CampaignError;
 use platebench_record::{sha256, sha256_of_file, to_hex};
 use platebench_rig::{BUILT_IN_IMAGE, FaultInjector, RigSpec, Session, printable_name};
-use platebench_trace::{read_text_file, write_atomically};
+use platebench_trace::{AtPath, read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::io;
@@ -60,7 +60,7 @@ struct PinnedInput {
 impl Plan {
     /// `folder` is the campaign folder; it may not exist yet.
     pub fn new(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Self, CampaignError> {
-        let relative = |path: &Path| relative_path(path, folder).map_err(CampaignError::io(path));
+        let relative = |path: &Path| relative_path(path, folder).at(path);
         let own = PinnedInput { path: relative(&campaign.path)?, sha256: sha256(campaign.text.as_bytes()) };
         let of_scenario = campaign.template.inputs().iter();
         let of_scenario = of_scenario
@@ -101,8 +101,8 @@ impl Plan {
             Err(error) => return Err(error),
         }
         let parts = folder.join(PARTS);
-        fs::create_dir_all(&parts).map_err(CampaignError::io(&parts))?;
-        write_atomically(&path, self.text().as_bytes()).map_err(CampaignError::io(&path))
+        fs::create_dir_all(&parts).at(&parts)?;
+        Ok(write_atomically(&path, self.text().as_bytes()).at(&path)?)
     }
 
     pub fn exists(folder: &Path) -> bool {
@@ -114,7 +114,7 @@ impl Plan {
         if !Self::exists(folder) {
             return Err(CampaignError::NoPlan(folder.to_owned()));
         }
-        let text = read_text_file(&path, MAX_PLAN_BYTES).map_err(CampaignError::io(&path))?;
+        let text = read_text_file(&path, MAX_PLAN_BYTES).at(&path)?;
         let plan: Result<Self, _> = serde_json::from_str(&text);
         let damaged = |why| CampaignError::Damaged { path: path.clone(), why };
         let plan = plan.map_err(|_| damaged("not a plan of this version"))?;
@@ -130,7 +130,7 @@ impl Plan {
         let plan = Self::read(folder)?;
         for input in &plan.inputs {
             let path = folder.join(&input.path);
-            let digest = sha256_of_file(&path).map_err(CampaignError::io(&path))?;
+            let digest = sha256_of_file(&path).at(&path)?;
             if digest != input.sha256 {
                 return Err(CampaignError::ChangedInput(path));
             }
@@ -182,12 +182,12 @@ fn relative_path(path: &Path, folder: &Path) -> io::Result<PathBuf> {
 }
 
 fn bench_digest() -> Result<String, CampaignError> {
-    let path = std::env::current_exe().map_err(CampaignError::io("the bench's own program"))?;
-    sha256_of_file(&path).map_err(CampaignError::io(&path))
+    let path = std::env::current_exe().at(Path::new("the bench's own program"))?;
+    Ok(sha256_of_file(&path).at(&path)?)
 }
 
 pub(crate) fn firmware_digest(rig: &RigSpec) -> Result<String, CampaignError> {
-    let read = |path: &Path| fs::read(path).map_err(CampaignError::io(path));
+    let read = |path: &Path| fs::read(path).at(path);
     let content = match rig {
         RigSpec::Emulated(None) => BUILT_IN_IMAGE.to_vec(),
         RigSpec::Emulated(Some(path)) => read(path)?,

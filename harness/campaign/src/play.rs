@@ -10,7 +10,7 @@ use platebench_record::Verdict;
 use platebench_rig::{BoxedLink, CancelToken, ConnectOptions, FaultInjector, RigError, RigSpec, Session};
 use platebench_runner::law;
 use platebench_runner::trial::{self, TrialSpec};
-use platebench_trace::Row as TraceRow;
+use platebench_trace::{AtPath, Row as TraceRow};
 use platebench_verdict::measure;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -66,7 +66,7 @@ pub fn play_shard(
         }
     }
     let parts = path.parent().unwrap_or(folder);
-    std::fs::create_dir_all(parts).map_err(CampaignError::io(parts))?;
+    std::fs::create_dir_all(parts).at(parts)?;
     let mut part = PartWriter::new(path, plan, campaign, shard)?;
     play(campaign, &Source::Numbers(plan.trials_of(shard)), config, &mut |row| {
         on_trial(TrialEvent { is_failure: row.verdict == Verdict::Fail });

@@ -13,9 +13,9 @@ use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::Type;
 use platebench_export::parquet_column::{write_column, write_optional_column};
 use platebench_report::format;
-use platebench_trace::AtomicFile;
+use platebench_trace::{AtPath, AtomicFile};
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -60,9 +60,9 @@ impl<'a> ResultsWriter<'a> {
     pub(crate) fn new(folder: &Path, campaign: &'a Campaign) -> Result<Self, CampaignError> {
         let [csv_path, parquet_path] = [CSV_FILE, PARQUET_FILE].map(|name| folder.join(name));
         let mut csv = csv::Writer::from_writer(BufWriter::new(create(&csv_path)?));
-        csv.write_record(columns(campaign)).map_err(|error| CampaignError::io(&csv_path)(error.into()))?;
+        csv.write_record(columns(campaign)).map_err(io::Error::from).at(&csv_path)?;
         let parquet_file = create(&parquet_path)?;
-        let file = parquet_file.file().try_clone().map_err(CampaignError::io(&parquet_path))?;
+        let file = parquet_file.file().try_clone().at(&parquet_path)?;
         let properties = WriterProperties::builder()
             .set_compression(Compression::SNAPPY)
             .set_created_by(format!("platebench {}", env!("CARGO_PKG_VERSION")))
@@ -90,7 +90,7 @@ impl<'a> ResultsWriter<'a> {
         }
         fields.push(row.verdict.to_string());
         fields.push(row.cause.map(|cause| cause.to_string()).unwrap_or_default());
-        self.csv.write_record(fields).map_err(|error| CampaignError::io(&self.csv_path)(error.into()))
+        Ok(self.csv.write_record(fields).map_err(io::Error::from).at(&self.csv_path)?)
     }
 
     fn write_group(&mut self) -> Result<(), CampaignError> {
@@ -110,8 +110,8 @@ impl<'a> ResultsWriter<'a> {
         }
         self.parquet.close().map_err(CampaignError::write(&self.parquet_path))?;
         finish(self.parquet_file, &self.parquet_path)?;
-        let buffer = self.csv.into_inner().map_err(|error| CampaignError::io(&self.csv_path)(error.into_error()))?;
-        let file = buffer.into_inner().map_err(|error| CampaignError::io(&self.csv_path)(error.into_error()))?;
+        let buffer = self.csv.into_inner().map_err(csv::IntoInnerError::into_error).at(&self.csv_path)?;
+        let file = buffer.into_inner().map_err(io::IntoInnerError::into_error).at(&self.csv_path)?;
         finish(file, &self.csv_path)
     }
 }

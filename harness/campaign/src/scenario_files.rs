@@ -3,9 +3,10 @@
 use crate::campaign::Campaign;
 use crate::draw::Trial;
 use crate::error::CampaignError;
-use platebench_trace::write_atomically;
+use platebench_trace::{AtPath, write_atomically};
 use std::collections::BTreeMap;
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
@@ -19,14 +20,14 @@ pub(crate) fn file_name(trial: u64) -> String {
 /// Replaces the folder, or removes it if there are no trials.
 pub(crate) fn write(folder: &Path, campaign: &Campaign, trials: &[Trial]) -> Result<(), CampaignError> {
     if folder.exists() {
-        fs::remove_dir_all(folder).map_err(CampaignError::io(folder))?;
+        fs::remove_dir_all(folder).at(folder)?;
     }
     if trials.is_empty() {
         return Ok(());
     }
     for name in [PLATES, PROFILES] {
         let path = folder.join(name);
-        fs::create_dir_all(&path).map_err(CampaignError::io(path))?;
+        fs::create_dir_all(&path).at(&path)?;
     }
     let mut copies = Copies { folder, source: source_folder(campaign), names: BTreeMap::new() };
     trials.iter().try_for_each(|trial| write_trial(folder, campaign, trial, &mut copies))?;
@@ -70,8 +71,8 @@ fn write_trial(
 }
 
 fn write_toml(path: &Path, table: &Table, comment: &str) -> Result<(), CampaignError> {
-    let text = toml::to_string(table).map_err(|error| CampaignError::io(path)(std::io::Error::other(error)))?;
-    write_atomically(path, format!("{comment}{text}").as_bytes()).map_err(CampaignError::io(path))
+    let text = toml::to_string(table).map_err(io::Error::other).at(path)?;
+    Ok(write_atomically(path, format!("{comment}{text}").as_bytes()).at(path)?)
 }
 
 /// Copies of the named files next to the scenarios.
@@ -91,9 +92,9 @@ impl Copies<'_> {
             let file = source.file_name().unwrap_or_default().to_string_lossy();
             // Two folders may have files of one name.
             let copy = format!("{below}/{}-{file}", self.names.len());
-            let content = fs::read(&source).map_err(CampaignError::io(&source))?;
+            let content = fs::read(&source).at(&source)?;
             let path = self.folder.join(&copy);
-            write_atomically(&path, &content).map_err(CampaignError::io(&path))?;
+            write_atomically(&path, &content).at(&path)?;
             self.names.insert(named.clone(), copy);
         }
         if let Some(copy) = self.names.get(named) {

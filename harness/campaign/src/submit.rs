@@ -2,6 +2,7 @@
 
 use crate::error::CampaignError;
 use crate::plan::Plan;
+use platebench_trace::AtPath;
 use std::path::Path;
 
 /// Starts and restarts shards.
@@ -13,8 +14,8 @@ pub enum Engine {
 
 /// The command of the engine, then the merge. Words of each command are separate.
 pub fn submission(engine: Engine, plan: &Plan, folder: &Path) -> Result<[Vec<String>; 2], CampaignError> {
-    let program = std::env::current_exe().map_err(CampaignError::io("the bench's own program"))?;
-    let folder = std::path::absolute(folder).map_err(CampaignError::io(folder))?;
+    let program = std::env::current_exe().at(Path::new("the bench's own program"))?;
+    let folder = std::path::absolute(folder).at(folder)?;
     let [program, folder] = [&program, &folder].map(|path| path.to_string_lossy().into_owned());
     let quoted = |word: &str| shlex::try_quote(word).map_or_else(|_| word.to_owned(), std::borrow::Cow::into_owned);
     let play =
