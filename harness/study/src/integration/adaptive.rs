@@ -1,7 +1,10 @@
-//! Adapts the published crates with adaptive steps. Those that only the chart compares need the feature `solvers`.
+//! Adapts the published crates with adaptive steps. Those that only the chart compares need the
+//! feature `solvers` or `diffsol`.
 
 #[cfg(feature = "solvers")]
 mod differential_equations_crate;
+#[cfg(feature = "diffsol")]
+mod diffsol_crate;
 
 use crate::integration::failure::{MAX_STEPS, MethodFailure};
 use crate::integration::problem::Problem;
@@ -54,6 +57,18 @@ pub enum AdaptiveMethod {
     #[cfg(feature = "solvers")]
     #[strum(serialize = "differential-equations RKV98")]
     DeVerner98,
+    /// Backward differentiation formulas of order 1 to 5 of `diffsol`.
+    #[cfg(feature = "diffsol")]
+    #[strum(serialize = "diffsol BDF")]
+    DiffsolBdf,
+    /// Diagonally implicit Runge-Kutta method of order 4 of `diffsol`.
+    #[cfg(feature = "diffsol")]
+    #[strum(serialize = "diffsol ESDIRK34")]
+    DiffsolEsdirk34,
+    /// Tsitouras 5(4), explicit, of `diffsol`.
+    #[cfg(feature = "diffsol")]
+    #[strum(serialize = "diffsol TSIT45")]
+    DiffsolTsit45,
 }
 
 impl AdaptiveMethod {
@@ -74,6 +89,12 @@ impl AdaptiveMethod {
             Self::DeDop853 => differential_equations_crate::dop853(problem, x, seconds, tolerance),
             #[cfg(feature = "solvers")]
             Self::DeVerner98 => differential_equations_crate::verner98(problem, x, seconds, tolerance),
+            #[cfg(feature = "diffsol")]
+            Self::DiffsolBdf => diffsol_crate::bdf(problem, x, seconds, tolerance),
+            #[cfg(feature = "diffsol")]
+            Self::DiffsolEsdirk34 => diffsol_crate::esdirk34(problem, x, seconds, tolerance),
+            #[cfg(feature = "diffsol")]
+            Self::DiffsolTsit45 => diffsol_crate::tsit45(problem, x, seconds, tolerance),
         }
     }
 }

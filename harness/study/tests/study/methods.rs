@@ -182,6 +182,21 @@ fn optional_crates_reach_their_tolerance(
     reaches_its_tolerance(frame, method);
 }
 
+/// Methods of low order: thousands of small steps accumulate more than the tolerance.
+#[cfg(feature = "diffsol")]
+#[rstest]
+fn a_tighter_tolerance_reduces_the_error_of_diffsol(
+    #[values(EquationForm::Envelope, EquationForm::Modal, EquationForm::Carrier)] frame: EquationForm,
+    #[values(AdaptiveMethod::DiffsolBdf, AdaptiveMethod::DiffsolEsdirk34, AdaptiveMethod::DiffsolTsit45)]
+    method: AdaptiveMethod,
+) {
+    let passage = replay_from_rest(&constant_scene(), 3);
+    let truth = passage.exact_samples(frame);
+    let error = |tolerance| integration_error(&passage, frame, IntegrationMethod::Adaptive(method), tolerance, &truth);
+    let [coarse, fine] = [1e-7, 1e-10].map(error);
+    assert!(fine < 0.1 * coarse && fine < 1e-5, "{coarse:e} {fine:e}");
+}
+
 #[test]
 fn closed_form_and_integrator_agree_on_a_varying_mode() {
     let passage = replay_from_rest(&varying_scene(), 3);
