@@ -24,7 +24,7 @@ pub enum CampaignError {
     NoPlan(PathBuf),
     #[error("{}: damaged or edited, {why}", path.display())]
     Damaged { path: PathBuf, why: &'static str },
-    #[error("{}: belongs to another plan or shard", .0.display())]
+    #[error("{}: belongs to another plan or shard; expected a part of this campaign folder", .0.display())]
     Foreign(PathBuf),
     #[error(
         "{}: another campaign is planned here, or the same with other files, program or firmware; \

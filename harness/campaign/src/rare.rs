@@ -13,10 +13,8 @@ mod estimates;
 pub(crate) mod importance;
 pub(crate) mod subset;
 
+pub(crate) use estimates::Score;
 pub use estimates::{ChainEstimate, CombinedEstimate, RareMethod};
-
-/// Source of trials. `None` if the trials are used up, or the campaign was cancelled.
-pub(crate) type Score<'a> = dyn FnMut(&[f64]) -> Option<f64> + 'a;
 
 /// Uses `trials` scores. `None` if they are too few for an estimate.
 pub(crate) fn estimate(dimensions: usize, seed: u64, trials: u64, score: &mut Score<'_>) -> Option<ChainEstimate> {

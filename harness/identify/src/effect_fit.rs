@@ -28,7 +28,8 @@ enum EffectKind {
     Heating,
 }
 
-/// `[ln K1, ln τ, resonance, Re W, Im W]`, then `[ln τ2, resonance, gain/K1]` or `[s, ln τ_h]`.
+/// Its parameters: `[ln K1, ln τ, resonance, Re W, Im W]`, then `[ln τ2, resonance, gain/K1]` of a second mode or
+/// `[s, ln τ_h]` of self-heating.
 struct EffectModel<'a> {
     recording: &'a Recording,
     kind: EffectKind,

@@ -66,6 +66,6 @@ pub enum ChipFaultError {
     Unsupported,
     #[error("the firmware image has no variable `{0}` with a size; list them with `nm --size-sort --demangle`")]
     NoVariable(String),
-    #[error("{length} bytes at {start:#010x} are not RAM of the emulated STM32F427")]
+    #[error("the fault needs {length} bytes at {start:#010x}, which are not RAM of the emulated STM32F427")]
     NoRam { start: u32, length: u32 },
 }

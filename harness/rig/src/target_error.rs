@@ -17,7 +17,7 @@ pub enum TargetError {
         /// Place of the processor when the bench noticed.
         place: CodeLocation,
     },
-    #[error("the emulated STM32F427 has no model of an access by the firmware: {0}")]
+    #[error("the emulated STM32F427 does not support this access by the firmware: {0}")]
     Unsupported(UnsupportedAccess),
     #[error("no answer {waited_us} µs after the message arrived; the processor is at {place}")]
     Silent {

@@ -2,7 +2,7 @@
 //!
 //! R. Rackwitz and B. Fiessler, *Computers and Structures* 9, 1978, pp. 489-494, with halved steps.
 
-use super::Score;
+use super::estimates::Score;
 
 /// Step of the difference quotients; a larger one averages noise.
 const DIFFERENCE: f64 = 0.1;

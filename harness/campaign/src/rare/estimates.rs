@@ -6,6 +6,9 @@ use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 /// From this number of chains on, their spread is the standard error.
 const MIN_CHAINS_FOR_SPREAD: usize = 8;
 
+/// Source of trials. `None` if the trials are used up, or the campaign was cancelled.
+pub(crate) type Score<'a> = dyn FnMut(&[f64]) -> Option<f64> + 'a;
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RareMethod {

@@ -1,7 +1,7 @@
 //! Estimates by importance sampling with a standard normal distribution around the design point.
 
-use super::Score;
 use super::design_point::dot;
+use super::estimates::Score;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 

@@ -3,7 +3,7 @@
 //! S.-K. Au and J. L. Beck, *Probabilistic Engineering Mechanics* 16, 2001, pp. 263-277; the Markov chains by
 //! conditional sampling with an adapted correlation: I. Papaioannou and others, same journal 41, 2015, pp. 89-103.
 
-use super::Score;
+use super::estimates::Score;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal, StandardUniform};
 

@@ -43,9 +43,9 @@ pub fn plan_looks(count: u32, max_count: u32) -> Vec<Look> {
     (1..).zip(sizes).map(look).collect()
 }
 
-/// `ln(1 + (e − 1) t)` for the share `t` of the trials, of Pocock's type. It spends early, so that
-/// a clear run ends after `count` trials; O'Brien and Fleming's function would hardly end any
-/// early. K. K. G. Lan and D. L. DeMets, *Biometrika* 70, 1983, pp. 659-663.
+/// Share of the error probability that is spent after the share `t` of the trials: `ln(1 + (e − 1) t)`, of Pocock's
+/// type. It spends early, so a clear run ends at its first look; with O'Brien and Fleming's function hardly any would.
+/// K. K. G. Lan and D. L. DeMets, *Biometrika* 70, 1983, pp. 659-663.
 fn spent_error_share(t: f64) -> f64 {
     if t >= 1.0 { 1.0 } else { ((std::f64::consts::E - 1.0) * t).ln_1p() }
 }

@@ -58,7 +58,7 @@ fn write_not_applicable(text: &mut String, record: &RunRecord, in_full: bool) {
     }
 }
 
-/// In short: the laws whose cost changed, or else the law with the highest cost.
+/// Unless `in_full`: the laws whose cost changed, or else the law with the highest cost.
 fn write_cost(text: &mut String, trends: &[CostTrend], in_full: bool) {
     let changed = |trend: &&CostTrend| in_full || cost::describe_change(trend).is_some();
     let mut listed: Vec<_> = trends.iter().filter(changed).collect();
