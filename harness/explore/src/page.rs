@@ -104,8 +104,9 @@ fn fields(rows: &[(String, Vec<u64>)]) -> String {
     let columns = rows.iter().map(|(_, counts)| counts.len()).max().unwrap_or(0);
     let (width, height) = (NAMES + columns * FIELD, rows.len() * FIELD);
     let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
-         font-family=\"sans-serif\" font-size=\"13\"><rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>"
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
+         height=\"{height}\" font-family=\"sans-serif\" font-size=\"13\">\
+         <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>"
     );
     for (row, (name, counts)) in rows.iter().enumerate() {
         let largest = counts.iter().copied().max().unwrap_or(0).max(1) as f64;

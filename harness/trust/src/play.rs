@@ -33,8 +33,8 @@ pub fn play(scenario: &Scenario, controller: &str, link: BoxedLink) -> Result<Pl
 }
 
 /// Plays trials of `variant`, which differs from `scenario` only in the spread of its trials, and judges them by
-/// `scenario`. Fails if the controller does not answer or rejects the scenario. A trial that loses its link is no error:
-/// it is judged.
+/// `scenario`. Fails if the controller does not answer or rejects the scenario. A trial that loses its link is judged
+/// like any other.
 pub fn play_as(
     scenario: &Scenario,
     variant: &Scenario,

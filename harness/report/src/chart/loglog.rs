@@ -1,7 +1,8 @@
 //! Draws lines of points on two logarithmic axes.
 
 use super::svg::{
-    Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, decades, format_power_of_ten, length, svg_document, text_style,
+    COLOURS, Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, count_factor, decades, format_power_of_ten, length,
+    svg_document, text_style,
 };
 use crate::error::ReportError;
 use plotters::prelude::*;
@@ -10,6 +11,8 @@ use std::ops::Range;
 
 const SIZE: (i32, i32) = (720, 430);
 const LEGEND_WIDTH: i32 = 236;
+const LEGEND_TOP: i32 = 72;
+/// Less if the legend has too many lines.
 const LEGEND_LINE_HEIGHT: i32 = 24;
 const MAX_LABELS: usize = 9;
 
@@ -79,7 +82,8 @@ impl LogLogChart {
             let colour = Role::Series(number).colour();
             let radius = length(if series.is_highlighted { 7.0 } else { 4.0 });
             chart.draw_series([PathElement::new(series.points.clone(), colour)])?;
-            chart.draw_series(series.points.iter().map(|point| Circle::new(*point, radius, colour.filled())))?;
+            let fill = if repeats_a_colour(number) { colour.stroke_width(1) } else { colour.filled() };
+            chart.draw_series(series.points.iter().map(|point| Circle::new(*point, radius, fill)))?;
             chart.draw_series(series.failed.iter().map(|y| Cross::new((edge, *y), length(5.0), colour)))?;
         }
         drop(chart);
@@ -91,18 +95,25 @@ impl LogLogChart {
         canvas.text(Role::Title, HPos::Left, (14, 20), &self.title)?;
         canvas.text(Role::Text, HPos::Left, (14, 44), &self.y_label)?;
         canvas.text(Role::Text, HPos::Right, (SIZE.0 - LEGEND_WIDTH, SIZE.1 - 10), &self.x_label)?;
-        let mut y = 72;
+        let lines = self.series.len() + usize::from(has_failed) + usize::from(self.vertical_line.is_some());
+        let line_height = LEGEND_LINE_HEIGHT.min((SIZE.1 - LEGEND_TOP) / count_factor(lines.max(1)));
+        let mut y = LEGEND_TOP;
         for (number, series) in self.series.iter().enumerate() {
             let role = Role::Series(number);
+            let (centre, radius) = ((left + 11, y), if series.is_highlighted { 6.0 } else { 4.0 });
             canvas.line(role, [(left, y), (left + 22, y)])?;
-            canvas.circle(role, (left + 11, y), if series.is_highlighted { 6.0 } else { 4.0 })?;
+            if repeats_a_colour(number) {
+                canvas.ring(role, centre, radius)?;
+            } else {
+                canvas.circle(role, centre, radius)?;
+            }
             canvas.text(Role::Text, HPos::Left, (left + 30, y), &series.name)?;
-            y += LEGEND_LINE_HEIGHT;
+            y += line_height;
         }
         if has_failed {
             canvas.cross(Role::Axis, (left + 11, y), 5.0)?;
             canvas.text(Role::Text, HPos::Left, (left + 30, y), &self.failed_label)?;
-            y += LEGEND_LINE_HEIGHT;
+            y += line_height;
         }
         if let Some((_, name)) = &self.vertical_line {
             canvas.line(Role::Mark, [(left, y), (left + 22, y)])?;
@@ -110,6 +121,11 @@ impl LogLogChart {
         }
         Ok(())
     }
+}
+
+/// Such a series has rings instead of dots.
+fn repeats_a_colour(number: usize) -> bool {
+    number >= COLOURS
 }
 
 #[cfg(test)]
@@ -138,6 +154,19 @@ mod tests {
     #[test]
     fn draws_lines_crosses_and_legend() {
         insta::assert_snapshot!(chart().svg().unwrap().replace("><", ">\n<"));
+    }
+
+    #[test]
+    fn a_long_legend_fits_and_repeated_colours_are_rings() {
+        let nameless = chart().series.remove(1);
+        let series = (1..=17).map(|number| LogLogSeries { name: number.to_string(), ..nameless.clone() }).collect();
+        let svg = LogLogChart { series, vertical_line: None, ..chart() }.svg().unwrap();
+        let circles: Vec<&str> = svg.split("<circle").skip(1).filter_map(|rest| rest.split('>').next()).collect();
+        let count = |class: &str| circles.iter().filter(|circle| circle.contains(class)).count();
+        assert_eq!((count("class=\"f-series"), count("class=\"s-series")), (10, 7));
+        let lowest =
+            svg.split(" cy=\"").skip(1).map(|rest| rest.split('"').next().unwrap().parse::<i32>().unwrap()).max();
+        assert!(lowest.unwrap() < (SIZE.1 - LEGEND_LINE_HEIGHT / 2) * UNITS_PER_PIXEL, "{lowest:?}");
     }
 
     #[test]

@@ -57,7 +57,7 @@ pub(crate) enum Role {
 }
 
 /// A higher number begins again with the first colour.
-const COLOURS: usize = 10;
+pub(crate) const COLOURS: usize = 10;
 
 impl Role {
     /// Drawings put `s-` before it for a stroke and `f-` for a filling.

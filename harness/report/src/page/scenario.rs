@@ -220,7 +220,9 @@ fn trials_table(scenario: &ScenarioRecord) -> Markup {
             tr {
                 th.number scope="row" { (trial.index) }
                 td.number { (trial.seed) }
-                @for metric in &metrics { td.number { (with_unit(trial.metrics.number(metric).map(format::number), "")) } }
+                @for metric in &metrics {
+                    td.number { (with_unit(trial.metrics.number(metric).map(format::number), "")) }
+                }
                 td.file { (trace_link(trial)) }
                 td {
                     @if let Some(cause) = trial.cause { strong { (cause) } }

@@ -46,7 +46,7 @@ fn planted_fault(number: u8) -> platebench_wire::Sample {
     "instruction bus error, at 0x30000000", "called from", "planted_faults::jump_into_nothing",
 ])]
 #[case::unmodelled_peripheral(9, &[
-    "has no model", "TIM6.ARR written, address 0x4000102c", "planted_faults::unmodelled_peripheral",
+    "does not support this access", "TIM6.ARR written, address 0x4000102c", "planted_faults::unmodelled_peripheral",
 ])]
 #[case::hole_between_peripherals(10, &[
     "data bus error", "planted_faults::hole_between_peripherals", "address 0x40002400 (nothing answers there)",
