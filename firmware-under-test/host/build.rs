@@ -14,7 +14,7 @@ fn main() -> Result<(), Box<dyn error::Error>> {
     for file in source_hash::files(root)? {
         println!("cargo:rerun-if-changed=../{file}");
     }
-    // A new file changes its folder.
+    // A new file changes its folder, not a listed file.
     for package in ["controller", "stm32f4", "wire"] {
         println!("cargo:rerun-if-changed=../{package}/src");
     }

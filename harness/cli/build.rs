@@ -10,7 +10,8 @@ fn git(arguments: &[&str]) -> Option<String> {
     (!text.is_empty()).then_some(text)
 }
 
-/// `OUT_DIR` is `<target>/<profile>/build/<package>/out`; `PROFILE` is `release` for every profile derived from it.
+/// Reads the name from `OUT_DIR`, which is `<target>/<profile>/build/<package>/out`. The variable `PROFILE` is
+/// `release` for every profile that inherits from `release`.
 fn profile() -> Option<String> {
     let out = PathBuf::from(env::var_os("OUT_DIR")?);
     Some(out.ancestors().nth(3)?.file_name()?.to_string_lossy().into_owned())
@@ -19,7 +20,7 @@ fn profile() -> Option<String> {
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-env-changed=PLATEBENCH_COMMIT");
-    // A package of the sources has no repository: its builder sets the variable.
+    // A source package has no Git repository, so its builder sets the variable.
     let commit = env::var("PLATEBENCH_COMMIT").ok().or_else(|| git(&["rev-parse", "HEAD"]));
     for file in ["HEAD", "logs/HEAD"] {
         if let Some(path) = git(&["rev-parse", "--git-path", file]).filter(|path| Path::new(path).exists()) {

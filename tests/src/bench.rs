@@ -1,5 +1,3 @@
-//! Starts the bench for tests.
-
 use std::process::ExitCode;
 
 fn main() -> ExitCode {

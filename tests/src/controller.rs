@@ -1,5 +1,3 @@
-//! Starts the host controller for tests.
-
 use std::process::ExitCode;
 
 fn main() -> ExitCode {

@@ -1,8 +1,8 @@
 //! Simulates a board with its own plate behind a serial line, for tests of `--plate-mode real`.
 //!
-//! Usage: `real-plate-under-test PORT [KEY=VALUE]...`. Its timer is virtual: a period that a busy
-//! machine missed is computed later, without a gap. The plate is the paper's. N counts the periods
-//! of a trial from 0:
+//! Usage: `real-plate-under-test PORT [KEY=VALUE]...`. The timer of the board is virtual, so a period that a busy
+//! machine missed is computed later, without a gap. The plate is the paper's. N is the number of a period in a trial,
+//! from 0.
 //!
 //! | key | effect |
 //! |---|---|
@@ -62,7 +62,7 @@ fn spawn_reader(mut line: File) -> Receiver<Vec<u8>> {
     receiver
 }
 
-/// A full queue drops frames, like a UART.
+/// If the queue is full, frames are dropped, as by a UART.
 fn spawn_writer(mut line: File) -> SyncSender<Vec<u8>> {
     let (sender, frames) = sync_channel::<Vec<u8>>(MAX_QUEUED_FRAMES);
     thread::spawn(move || {
@@ -263,7 +263,7 @@ impl SimulatedBoard {
         if self.option("stop") == Some(period) {
             self.machine.sample(&Sample { wd_um: f32::NAN, ..sample }, now_us);
         } else if trial.last_setpoint.elapsed() >= watchdog {
-            // The state machine knows samples instead of setpoints.
+            // The state machine expects samples, not setpoints, so a late time stands for missing setpoints.
             if let Some(command) = self.machine.tick(now_us.wrapping_add(u32::MAX / 2)) {
                 self.send(trial.last_sequence, Message::Command(command));
             }

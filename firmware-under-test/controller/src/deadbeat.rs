@@ -1,4 +1,4 @@
-//! Implements `deadbeat`: identifies the plate, steers to the setpoint, holds with two PI loops.
+//! Implements `deadbeat`: identifies the plate, steers to the setpoint, and holds it with two PI loops.
 //!
 //! ```text
 //!          setpoint             one sample later                 as predicted, on the setpoint
@@ -9,26 +9,22 @@
 //!                                                   the setpoint steps, or a sample far from its prediction
 //! ```
 //!
-//! *Derived*, not published for this plate; after Kalman's idea to bring a state to rest in a
-//! finite number of periods. N/m is a constant of the plate, so only λ = −σ − jΔω is unknown, and
-//! one complex sample gives it ([`crate::envelope`]).
+//! *Derived*, not published for this plate, after Kalman's idea to bring a state to rest in a finite number of periods.
+//! N/m is a constant of the plate, so one complex sample gives the only unknown, λ = −σ − jΔω ([`crate::envelope`]).
 //!
-//! * **First period.** The finger is unknown. The drive brings the untouched plate nearly to the
-//!   setpoint; a finger or a detuning only lowers the amplitude.
-//! * **Steering.** λ follows from the last drive and its sample; then V and ω bring W to the real
-//!   setpoint at the end of the period. At the slew limit |W| comes before its angle.
-//! * **Holding.** PI loops matched to the zero-order hold, for the plant of their own integrals:
-//!   σ = bV/W, the excitation is the resonance. They start with the integrals of the steady state.
-//! * **Prediction.** If noise does not explain the error of a prediction, either the plate has
-//!   changed and is identified again, or the drive acts late: the law adopts a loop delay of up to
-//!   nine tenths of a period if it explains the last two samples. After four misses in a row, it
-//!   uses its PI loops for twenty periods and raises [`flags::PREDICTION_MISSED`].
-//! * **Configured delay.** It applies from the first drive on; high damping in the first sample is
-//!   then a heavy finger.
+//! * **Learning.** The finger is unknown. The drive brings the untouched plate nearly to the setpoint; a finger or a
+//!   detuning only lowers the amplitude.
+//! * **Steering.** λ follows from the last drive and its sample. V and ω then bring W to the setpoint, with Wq = 0, at
+//!   the end of the period. At the slew limit |W| has priority over its angle.
+//! * **Holding.** The PI loops are matched to the zero-order hold for the plant of their own integrals: σ = bV/W, and
+//!   the resonance is the excitation frequency. They start with the integrals of the steady state.
+//! * **Prediction.** If noise does not explain the error of a prediction, either the plate has changed and is
+//!   identified again, or the drive acts late and the law adopts the loop delay that explains the last two samples.
+//!   After four misses in a row it uses its PI loops for twenty periods and raises [`flags::PREDICTION_MISSED`].
+//! * **Configured delay.** It applies from the first drive on. High damping in the first sample is then a heavy finger.
 //!
-//! The number of instructions of a step is bounded. In exponentials of [`crate::envelope`] (about
-//! 100 multiplications and additions): 1 while holding, at most 14 while steering, 19 with a delay;
-//! 100 more in a step that searches the delay, at most once per period.
+//! A step needs a bounded number of exponentials of [`crate::envelope`], each about 100 multiplications and additions:
+//! 1 while holding, at most 14 while steering, 19 with a delay, and 100 more in a step that searches the delay.
 
 use crate::envelope::{Complex, Drive, DriveBounds, EnvelopeModel, PlateMode};
 use crate::law::{Actuation, Law, Measurement};
@@ -36,34 +32,34 @@ use crate::loops::{self, Excitation};
 use crate::pi::{Pi, Tracking};
 use platebench_wire::{Configure, Gains, flags};
 
-/// Share of the setpoint: a plate with 8 % more gain stays within the 5 % band.
+/// Fraction of the setpoint. A plate with 8 % more gain then stays within the 5 % band.
 const FIRST_TARGET_SHARE: f32 = 0.97;
-/// Share of the setpoint, or of the last amplitude if that is more: half a percent of noise causes a third of it.
+/// Fraction of the larger of setpoint and last amplitude. Noise of 0.5 % causes an error of a third of it.
 const PREDICTION_TOLERANCE: f32 = 0.08;
-/// A larger relative change is steered to, a smaller one is left to the PI loops.
+/// Relative change. The law steers to a setpoint that changes by more; the PI loops follow a smaller change.
 const SETPOINT_STEP: f32 = 0.02;
-/// Share of the setpoint.
+/// Fraction of the setpoint.
 const ARRIVAL_BAND: f32 = 0.03;
-/// Share of the setpoint: the largest amplitude of a plate at rest.
+/// Largest amplitude of a plate at rest, as a fraction of the setpoint.
 const REST_BAND: f32 = 0.1;
-/// The PI loops take over after these periods with a drive, for example at the drive limit.
+/// After this number of periods with a drive, for example at the drive limit, the PI loops take over.
 const MAX_STEERING_PERIODS: u8 = 12;
-/// The PI loops take over after these drives.
+/// After this number of drives that aim at the setpoint, the PI loops take over.
 const MAX_ATTEMPTS: u8 = 3;
-/// A missed prediction adds this to the score, every other one subtracts one.
+/// A missed prediction adds this weight to the score, every other prediction subtracts 1.
 const MISSED_WEIGHT: u8 = 2;
-/// Score that starts the fallback: four in a row. A start with an unknown delay misses one or two.
+/// Four missed predictions in a row start the fallback. A start with an unknown delay misses one or two.
 const FALLBACK_MISS_SCORE: u8 = 8;
 const FALLBACK_PERIODS: u8 = 20;
-/// First sample's damping, relative to the untouched plate, above which a delay is assumed: 2.25 N.
+/// Largest σ/σ0 in the first sample that a finger explains (2.25 N). Above it, a delay is assumed.
 const MAX_FINGER_DAMPING: f32 = 2.5;
-/// Upper end of the search for the loop delay.
+/// Largest loop delay that the law searches, as a fraction of the period.
 const MAX_DELAY_SHARE: f32 = 0.9;
-/// With a configured delay, a first sample after less drive is skipped: with a third of the period,
-/// 0.5 % of noise causes 15 % of overshoot.
+/// With a configured delay, the law skips a first sample after a drive that acted for less than this fraction of a
+/// period. After a third of a period, noise of 0.5 % causes 15 % of overshoot.
 const MIN_ACTING_SHARE: f32 = 0.45;
 const DELAY_ITERATIONS: u32 = 6;
-/// As in `dq-pi`.
+/// Limit of |Wq/Wd| as in `dq-pi`.
 const LARGEST_RATIO: f32 = 2.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,8 +74,7 @@ enum Phase {
 struct Steering {
     periods: u8,
     attempts: u8,
-    /// The law, not a disturbance, started the motion: only then can a missed prediction be a
-    /// delay.
+    /// True if the law, not a disturbance, started the motion. Only then can a delay explain a missed prediction.
     is_commanded: bool,
 }
 
@@ -95,7 +90,7 @@ pub struct Deadbeat {
     period: f32,
     limit_vpp: f32,
     fixed_gains: bool,
-    /// Pole of the holding loops per period.
+    /// Closed-loop pole of the holding loops, per period.
     holding_pole: f32,
     amplitude: Pi,
     frequency: Pi,
@@ -104,11 +99,10 @@ pub struct Deadbeat {
     mode: PlateMode,
     /// From sampling to actuation, s.
     delay: f32,
-    /// Only a missed prediction changes a configured delay, not the first sample.
+    /// True if the delay is configured. Then only a missed prediction changes it, not the first sample.
     is_delay_given: bool,
-    /// The latest first.
+    /// Samples and drives, the latest first.
     samples: [Complex; 2],
-    /// The latest first.
     drives: [Drive; 3],
     expected: Complex,
     setpoint: f32,
@@ -181,7 +175,7 @@ impl Deadbeat {
         Actuation { drive_vpp: drive.vpp, frequency_offset_hz: self.excitation.offset_hz(), flags }
     }
 
-    /// Of the prediction of a sample, µm.
+    /// Allowed error of a prediction, µm.
     fn tolerance(&self, setpoint: f32) -> f32 {
         PREDICTION_TOLERANCE * self.samples[0].norm().max(setpoint)
     }
@@ -228,7 +222,7 @@ impl Deadbeat {
         self.is_delay_given && self.drives[1].vpp == 0.0 && self.period - self.delay < MIN_ACTING_SHARE * self.period
     }
 
-    /// More damping than a heavy finger's means that the drive acted late.
+    /// If the damping is above that of a heavy finger, the drive acted late.
     fn learn_from_first_sample(&mut self, w: Complex) {
         let untouched = self.mode;
         self.mode = self.identify_mode(w);
@@ -249,7 +243,7 @@ impl Deadbeat {
         let off = |w: Complex| (w.norm() - setpoint).abs().max(w.im.abs());
         let arrived = off(w) < ARRIVAL_BAND * setpoint;
         let Steering { periods, attempts, is_commanded } = steering;
-        // A drive at a limit, whose prediction was off the setpoint, is no attempt.
+        // A drive at a limit is no attempt, because its prediction was off the setpoint.
         let attempts = attempts + u8::from(missed || off(self.expected) < ARRIVAL_BAND * setpoint);
         let gives_up = attempts >= MAX_ATTEMPTS || periods >= MAX_STEERING_PERIODS;
         if missed
@@ -263,7 +257,7 @@ impl Deadbeat {
         if arrived || gives_up {
             return self.start_holding(setpoint);
         }
-        // A plate that decays to a lower setpoint is on its way.
+        // Periods at 0 V do not count, because the plate decays to a lower setpoint.
         let periods = periods + u8::from(self.drives[0].vpp > 0.0);
         Phase::Steering(Steering { periods, attempts, is_commanded })
     }
@@ -281,7 +275,7 @@ impl Deadbeat {
             self.envelope.propagate(mode, begins, self.drives[0], self.period - delay)
         };
         let explains = |delay: f32| (predicted(delay) - w).norm() < 0.5 * self.tolerance(setpoint);
-        // No delay, but a finger above `MAX_FINGER_DAMPING`.
+        // A delay of 0 explains the samples, so the cause is a finger above `MAX_FINGER_DAMPING`.
         if explains(0.0) {
             return Some(0.0);
         }

@@ -1,4 +1,4 @@
-//! Answers the bytes of the line with bytes.
+//! Decodes the bytes from the line, runs the state machine and encodes the answers.
 
 use crate::pacer::Pacer;
 use crate::state_machine::StateMachine;
@@ -17,13 +17,13 @@ pub struct Device {
 }
 
 impl Device {
-    /// Without [`capabilities::TARGET_PACED`] in `identity` it rejects target pacing.
+    /// The device rejects target pacing if `identity` lacks [`capabilities::TARGET_PACED`].
     pub fn new(identity: Identity) -> Self {
         let (reader, machine) = (FrameReader::new(), StateMachine::new());
         Self { identity, reader, machine, last_sequence: None, compute_us: 0, pacer: None }
     }
 
-    /// `now_us` is on the target's clock. Calls `send` once for each frame of the answer.
+    /// `now_us` is the time on the target's clock. Calls `send` once for each frame of the answer.
     pub fn receive(&mut self, mut bytes: &[u8], now_us: u32, mut send: impl FnMut(&[u8])) {
         while let Some(frame) = self.reader.read(&mut bytes) {
             let packet = frame.ok().and_then(|body| Packet::decode(body).ok());
@@ -53,17 +53,16 @@ impl Device {
         self.machine.period_us()
     }
 
-    /// On the target's clock, if the target paces the control.
+    /// Time of the next tick on the target's clock; `None` unless the target paces the control.
     pub fn next_tick_us(&self) -> Option<u32> {
         self.pacer.as_ref().map(Pacer::next_us)
     }
 
-    /// For a board with its own amplifier.
     pub fn output(&self) -> &Command {
         self.machine.output()
     }
 
-    /// Of the last call of [`Device::receive`]; the next command reports it.
+    /// Duration of the last call of [`Device::receive`], which the next command reports.
     pub fn set_compute_us(&mut self, compute_us: u16) {
         self.compute_us = compute_us;
     }
@@ -73,13 +72,13 @@ impl Device {
             Message::Hello => Message::Identity(self.identity),
             Message::Configure(configure) => Message::Configured(self.configure(configure, now_us)),
             Message::Sample(sample) => {
-                // The line repeated a frame: repeat the answer without a control step.
+                // The line repeated a frame. The answer is repeated too, without a control step.
                 let repeated = self.last_sequence.replace(packet.sequence) == Some(packet.sequence);
                 let command = if repeated { *self.machine.output() } else { self.machine.sample(sample, now_us) };
                 Message::Command(Command { compute_us: self.compute_us, ..command })
             }
             Message::Safe => Message::Command(self.machine.enter_safe(now_us)),
-            // `Setpoint` needs an own plate. Only a target sends the others: the line echoes.
+            // `Setpoint` requires an own plate. Only a target sends the others, so they are an echo of the line.
             Message::Setpoint(_)
             | Message::Identity(_)
             | Message::Configured(_)

@@ -1,20 +1,17 @@
-//! Implements `dq-pi`, `dq-pi-fixed` and `dq-pi-euler`: two PI loops in the d-q frame (section V of
-//! the paper).
+//! Implements `dq-pi`, `dq-pi-fixed` and `dq-pi-euler`: two PI loops in the d-q frame (section V of the paper).
 //!
-//! Amplitude: the drive from `Wd_ref − Wd`, plant K1/(1 + τp) (equation 13). Frequency: ω from
-//! `Wq/Wd → 0`, plant −τ/(1 + τp) (equation 19); the minus sign turns the loop's error `0 − Wq/Wd`
-//! into `+Wq/Wd`.
+//! Amplitude loop: the drive from `Wd_ref − Wd`, plant K1/(1 + τp) (equation 13). Frequency loop: ω from `Wq/Wd → 0`,
+//! plant −τ/(1 + τp) (equation 19). The minus sign turns the loop's error `0 − Wq/Wd` into `+Wq/Wd`.
 //!
-//! The paper designs its gains once, for the untouched plate: `dq-pi-euler` and `dq-pi-fixed`. A
-//! finger moves the plate's pole away from the controller's zero and leaves a slow residue: 9 ms
-//! under 2 N. `dq-pi` uses the same design for the present damping (*derived*). The last drive and
-//! sample give λ ([`crate::envelope`]), and its σ gives both plants, K = b/σ and τ = 1/σ. Two
-//! periods in a row must agree on a change of more than a quarter, and the smaller change counts:
-//! after one sample a finger and a late drive look the same. Configured gains are not scheduled.
+//! The paper, `dq-pi-euler` and `dq-pi-fixed` design the gains once, for the untouched plate. A finger moves the
+//! plate's pole away from the controller's zero, which leaves a slow residue (9 ms under 2 N). `dq-pi` uses the same
+//! design for the present damping (*derived*). The last drive and sample give λ ([`crate::envelope`]), and its σ gives
+//! both plants, K = b/σ and τ = 1/σ. Two periods in a row must agree on a large change, and the smaller change counts,
+//! because after one sample a finger and a late drive look the same. Configured gains are constant.
 //!
-//! A configured loop delay is compensated (O. J. M. Smith's predictor, with the plate's state):
-//! both loops use W at the time when their drive begins to act, predicted from λ and the previous
-//! drive. λ follows from the samples, so the prediction leaves no static error for any b.
+//! The law compensates a configured loop delay (O. J. M. Smith's predictor, with the plate's state). Both loops use W
+//! at the time at which their drive begins to act, predicted from λ and the previous drive. λ follows from the samples,
+//! so the prediction leaves no static error for any b.
 //!
 //! A step needs 4 exponentials of [`crate::envelope`], 9 with a loop delay.
 
@@ -23,16 +20,16 @@ use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, AmplitudeLoop, FrequencyLoop};
 use platebench_wire::{Configure, Gains, LawId, flags};
 
-/// Fraction of the setpoint: near rest `Wq/Wd` is noise.
+/// Fraction of the setpoint. For a smaller Wd, near rest, `Wq/Wd` is noise.
 const SMALLEST_WD: f32 = 0.1;
-/// 63°, a detuning of two half bandwidths: beyond it the ratio gives only the direction.
+/// A phase of 63°, at a detuning of two half bandwidths. Beyond it, the ratio gives only the direction.
 const LARGEST_RATIO: f32 = 2.0;
 
-/// A larger relative change of the damping is another plate; a smaller one is tracked.
+/// A larger relative change of the damping means another plate; a smaller one is tracked.
 const PLATE_CHANGE_SHARE: f32 = 0.25;
-/// If the first drive after a start acted for a smaller share of the period, λ is noise.
+/// If the first drive after a start acted for a smaller fraction of the period, λ is noise.
 const MIN_ACTING_SHARE: f32 = 0.25;
-/// Share of a new σ in the tracked one.
+/// Fraction of a change that tracking adopts in each period.
 const TRACKING_SHARE: f32 = 0.125;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,7 +39,7 @@ pub struct DqPi {
     schedule: Option<GainSchedule>,
 }
 
-/// Of `dq-pi` only.
+/// Only `dq-pi` has a schedule.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct GainSchedule {
     envelope: EnvelopeModel,
@@ -51,7 +48,7 @@ struct GainSchedule {
     pole: f32,
     /// 1/s.
     sigma: f32,
-    /// rad/s above the start frequency.
+    /// Relative to the start frequency, rad/s.
     resonance: f32,
     /// Large change of σ that only the last period shows.
     suspected_change: f32,
@@ -83,11 +80,11 @@ impl GainSchedule {
     }
 
     fn is_sample_too_early(&self) -> bool {
-        // At rest, noise causes some drive.
+        // Not 0, because noise causes some drive at rest.
         self.drives[1].vpp < 0.1 * self.drives[0].vpp && self.period - self.delay < MIN_ACTING_SHARE * self.period
     }
 
-    /// Returns true if the damping changed at once.
+    /// Returns true if the damping changed by more than the law tracks.
     fn learn(&mut self, w: Complex) -> bool {
         let mode = PlateMode { sigma: self.sigma, resonance: self.drives[0].offset };
         let drives = [(self.drives[1], self.delay), (self.drives[0], self.period - self.delay)];
@@ -116,7 +113,7 @@ impl GainSchedule {
             if change.abs() > PLATE_CHANGE_SHARE * self.envelope.sigma { change } else { TRACKING_SHARE * change };
     }
 
-    /// At the time when the next drive begins to act.
+    /// W at the time at which the next drive begins to act.
     fn predict(&self, measurement: &Measurement) -> Measurement {
         let w = Complex::new(measurement.wd_um, measurement.wq_um);
         let mode = PlateMode { sigma: self.sigma, resonance: self.resonance };

@@ -1,14 +1,13 @@
 //! Models the plate's envelope for the laws: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0`.
 //!
-//! Only λ is unknown: a finger changes σ, a temperature changes the resonance, and b is a constant
-//! of the plate (N/m). Over an interval h of constant drive
+//! Only λ is unknown. A finger changes σ, the temperature changes the resonance, and b is a constant of the plate
+//! (N/m). Over an interval h of constant drive
 //!
 //! `W(h) = e^z W(0) + b V h φ(z)`, `z = λh`, `φ(z) = (e^z − 1)/z`.
 //!
-//! [`EnvelopeModel::identify`] solves it for λ, [`EnvelopeModel::steer`] for V and ω. The
-//! exponential is a polynomial with a fixed number of doublings, so the instructions do not depend
-//! on argument or target; `sinf` and `cosf` of `libm` calculate in f64, which a Cortex-M4F must
-//! emulate.
+//! [`EnvelopeModel::identify`] solves it for λ, [`EnvelopeModel::steer`] for V and ω. The exponential is a polynomial
+//! with a fixed number of doublings, so the number of instructions does not depend on the argument. `sinf` and `cosf`
+//! of `libm` are not used: they calculate in f64, which a Cortex-M4F must emulate.
 
 use crate::design::PiGains;
 use core::ops::{Add, Mul, Sub};
@@ -43,7 +42,7 @@ impl Complex {
         libm::sqrtf(self.norm_squared())
     }
 
-    /// `self / other`, 0 if that is not finite.
+    /// `self / other`; 0 if the quotient is not finite.
     fn divided_by(self, other: Self) -> Self {
         let quotient = self.times_conjugate(other).scaled(1.0 / other.norm_squared());
         if quotient.re.is_finite() && quotient.im.is_finite() { quotient } else { Self::default() }
@@ -108,9 +107,9 @@ impl Exponentials {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PlateMode {
-    /// σ.
+    /// σ, 1/s.
     pub(crate) sigma: f32,
-    /// rad/s above the start frequency.
+    /// Relative to the start frequency, rad/s.
     pub(crate) resonance: f32,
 }
 
@@ -123,7 +122,7 @@ impl PlateMode {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Drive {
     pub(crate) vpp: f32,
-    /// rad/s above the start frequency.
+    /// Relative to the start frequency, rad/s.
     pub(crate) offset: f32,
 }
 
@@ -141,16 +140,16 @@ pub(crate) struct DriveBounds {
     pub(crate) highest_offset: f32,
 }
 
-/// Convergence is quadratic: four iterations from a start within a factor of two.
+/// Convergence is quadratic, so four iterations suffice from a start within a factor of two.
 const ITERATIONS: u32 = 4;
-/// Range of σ as a multiple of the nominal one, and its inverse: four times is a finger of 4.5 N.
+/// Bounds of σ: the untouched plate's σ times and divided by this factor. A finger of 4.5 N has a factor of 4.
 const LARGEST_DAMPING: f32 = 6.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct EnvelopeModel {
     /// b, µm/s per Vpp.
     pub(crate) force: f32,
-    /// Untouched plate, 1/s.
+    /// σ of the untouched plate, 1/s.
     pub(crate) sigma: f32,
     /// Largest distance of the resonance from the start frequency, rad/s.
     range: f32,
@@ -161,7 +160,7 @@ impl EnvelopeModel {
     /// `gain` in µm per Vpp, `time_constant` and `period` in s, `range` in rad/s.
     pub(crate) fn new(gain: f32, time_constant: f32, range: f32, period: f32) -> Self {
         let sigma = 1.0 / time_constant;
-        // Worst case: excitation and resonance at opposite ends of the range.
+        // In the worst case, excitation and resonance are at opposite ends of the range.
         let largest = Complex::new(LARGEST_DAMPING * sigma, 2.0 * range).norm() * period;
         let doublings = (0..15).find(|&count| largest <= 0.5 * (1_u32 << count) as f32).unwrap_or(15);
         Self { force: gain * sigma, sigma, range, doublings }
@@ -189,7 +188,7 @@ impl EnvelopeModel {
         if seconds > 0.0 { self.propagate_with_derivative(mode, (w, Complex::default()), drive, seconds).0 } else { w }
     }
 
-    /// From two samples and the two drives between them: Newton's method from `mode`.
+    /// Newton's method from `mode`, with two samples and the two drives (and their durations in s) between them.
     pub(crate) fn identify(
         &self,
         mode: PlateMode,
@@ -202,7 +201,7 @@ impl EnvelopeModel {
             let next = self.newton_step(mode, before, drives, after);
             let is_final = next == mode;
             mode = next;
-            // Further iterations would give the same mode. A board calculates them: its time is constant.
+            // Further iterations give the same mode. A board executes them, so that the time of a step is constant.
             if cfg!(not(target_os = "none")) && is_final {
                 break;
             }
@@ -221,7 +220,7 @@ impl EnvelopeModel {
         self.clamped(PlateMode { sigma: mode.sigma - step.re, resonance: mode.resonance + step.im })
     }
 
-    /// Static gains b/σ (equation 13) and 1/σ (equation 19).
+    /// The static gains of the plants are b/σ (equation 13) and 1/σ (equation 19).
     pub(crate) fn matched_gains(&self, sigma: f32, closed_loop_pole: f32, period: f32) -> (PiGains, PiGains) {
         let plant_pole = libm::expf(-sigma * period);
         let gains = |gain| PiGains::from_poles(gain, plant_pole, closed_loop_pole);
@@ -235,7 +234,7 @@ impl EnvelopeModel {
         }
     }
 
-    /// Brings W to the real `target` within `seconds`; at `bounds` first |W|, then its angle.
+    /// Brings W to the real `target` within `seconds`. If `bounds` prevent this, |W| has priority over its angle.
     pub(crate) fn steer(
         &self,
         mode: PlateMode,
@@ -271,7 +270,7 @@ impl EnvelopeModel {
     }
 }
 
-/// The larger root V of `|free + push·V| = target`; negative if |free| is already larger.
+/// The larger root V of `|free + push·V| = target`; negative if |free| already exceeds `target`.
 fn drive_to(free: Complex, push: Complex, target: f32) -> f32 {
     let squared = push.norm_squared();
     let along = free.times_conjugate(push).re;

@@ -1,16 +1,14 @@
-//! Implements `frequency-only`: constant voltage, the frequency adjusts the amplitude (\[8\]
-//! and \[9\] of the paper).
+//! Implements `frequency-only`: at constant voltage, the frequency adjusts the amplitude (\[8\], \[9\] of the paper).
 //!
-//! Resonance is not guaranteed. Assumed beyond the paper:
+//! The plate is not necessarily at resonance. Assumptions beyond the paper:
 //!
-//! * The excitation stays above the start frequency, which is assumed to be the resonance: below
-//!   the resonance the loop's sign is wrong and it diverges.
-//! * The voltage is half of the limit while the setpoint is positive: 450 Vpp reach from 1.0 µm at
-//!   the end of a range of 250 Hz to 3.1 µm at the resonance of the untouched plate.
-//! * A new setpoint starts at the detuning `Δω = √((K1 V / setpoint)² − 1)/τ` of the nominal plate.
-//!   Then an integral controller acts on the relative error of |W|. Its gain is
-//!   `1 − e^(−3 Ts/t_r)` times the inverse slope of the resonance curve,
-//!   `d ln|W|/dΔω = −τ x/(1 + x²)` with `x = τΔω`.
+//! * The excitation stays above the start frequency, which is assumed to be the resonance. Below the resonance the
+//!   loop's sign is wrong and it diverges.
+//! * The voltage is half of the limit while the setpoint is positive. On the untouched plate, 450 Vpp reach from 1.0 µm
+//!   at the end of a range of 250 Hz to 3.1 µm at resonance.
+//! * A new setpoint starts at the detuning `Δω = √((K1 V / setpoint)² − 1)/τ` of the nominal plate. Then an integral
+//!   controller acts on the relative error of |W|. Its gain is `1 − e^(−3 Ts/t_r)` times the inverse slope of the
+//!   resonance curve, `d ln|W|/dΔω = −τ x/(1 + x²)` with `x = τΔω`.
 
 use crate::design::{FREQUENCY_ONLY_DRIVE_SHARE, PiGains, inverse_slope};
 use crate::law::{Actuation, Law, Measurement};
@@ -21,14 +19,14 @@ use platebench_wire::{Configure, Gains, flags};
 pub struct FrequencyOnly {
     excitation: Excitation,
     drive_vpp: f32,
-    /// Of the nominal plate at resonance.
+    /// Amplitude of the nominal plate at resonance.
     highest_um: f32,
     time_constant_s: f32,
     gain: Gain,
     setpoint_um: f32,
 }
 
-/// Share of the error to remove per period, or the configured gain in rad/s per unit.
+/// Fraction of the error to remove per period, or the configured gain in rad/s per unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Gain {
     Designed { share: f32 },
@@ -44,7 +42,7 @@ impl FrequencyOnly {
             (Gain::Given { rad_per_unit }, rad_per_unit)
         } else {
             let share = 1.0 - loops::closed_loop_pole(configure);
-            // Reported for one half bandwidth, at the steepest slope.
+            // Reported at a detuning of one half bandwidth, at which the slope is steepest.
             (Gain::Designed { share }, share * inverse_slope(1.0, configure.time_constant_s))
         };
         let law = Self {
@@ -67,7 +65,7 @@ impl FrequencyOnly {
             return Actuation { drive_vpp: 0.0, frequency_offset_hz, flags: flags::FREQUENCY_HELD };
         }
         let ratio = self.highest_um / setpoint_um;
-        // τΔω at which the nominal plate has the setpoint.
+        // τΔω at which the nominal plate vibrates with the setpoint.
         let nominal = libm::sqrtf((ratio * ratio - 1.0).max(0.0));
         let flags = if setpoint_um == self.setpoint_um {
             let error = 1.0 - measurement.amplitude_um() / setpoint_um;

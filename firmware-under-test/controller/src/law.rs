@@ -9,12 +9,12 @@ use crate::pll::Pll;
 use crate::voltage_only::VoltageOnly;
 use platebench_wire::{Configure, Gains, LawId, Rejection};
 
-/// At a control instant; peak to peak.
+/// Sample at a control instant, peak to peak.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measurement {
     pub setpoint_um: f32,
     pub wd_um: f32,
-    /// Zero at resonance.
+    /// Quadrature component; 0 at resonance.
     pub wq_um: f32,
 }
 
@@ -28,12 +28,11 @@ impl Measurement {
     }
 }
 
-/// Until the next control instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Actuation {
-    /// Within 0 and the limit.
+    /// From 0 to the drive limit.
     pub drive_vpp: f32,
-    /// Above the start frequency.
+    /// Relative to the start frequency.
     pub frequency_offset_hz: f32,
     pub flags: u8,
 }
@@ -56,8 +55,7 @@ pub enum Law {
 }
 
 impl Law {
-    /// Designs the law of `configure` at rest. Fails with [`Rejection::Value`] if a number or a
-    /// gain is not finite or not positive, or if the loop delay exceeds the period.
+    /// Designs the law at rest. Fails with [`Rejection::Value`] if a number is not finite or out of range.
     pub fn design(configure: &Configure) -> Result<(Self, Gains), Rejection> {
         let positive = [
             configure.gain_um_per_vpp,

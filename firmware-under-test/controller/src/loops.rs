@@ -5,12 +5,12 @@ use crate::pi::{Pi, Tracking};
 use core::f32::consts::TAU;
 use platebench_wire::{Configure, Gains, flags};
 
-/// At the upper limit, full tracking settles 16 % above the shortest possible time at 400 Vpp, and
-/// none overshoots by 14 % at 340 Vpp. With 0.6 the response settles within 10 % of that time from
-/// 300 to 416 Vpp and overshoots by less than 4 %. At 0 V only damping brakes; tracking is full.
+/// At the drive limit, full tracking settles 16 % above the shortest possible time at 400 Vpp, and no tracking
+/// overshoots by 14 % at 340 Vpp. With 0.6 the response settles within 10 % of the shortest time from 300 to 416 Vpp
+/// and overshoots by less than 4 %. At 0 V only damping reduces the amplitude, so tracking is full.
 pub(crate) const AMPLITUDE_TRACKING: Tracking = Tracking { low: 1.0, high: 0.6 };
 
-/// Amplitude (plant K1/(1 + τp), equation 13), then frequency (plant −τ/(1 + τp), equation 19).
+/// Gains of the amplitude loop (plant K1/(1 + τp), equation 13) and of the frequency loop (−τ/(1 + τp), equation 19).
 pub(crate) fn loop_gains(configure: &Configure) -> (PiGains, PiGains) {
     let period = period_s(configure);
     let (gain, tau) = (configure.gain_um_per_vpp, configure.time_constant_s);
@@ -26,12 +26,11 @@ pub(crate) fn period_s(configure: &Configure) -> f32 {
     configure.period_us as f32 * 1e-6
 }
 
-/// Zero if unknown.
+/// 0 if the delay is unknown.
 pub(crate) fn loop_delay_s(configure: &Configure) -> f32 {
     configure.loop_delay_us as f32 * 1e-6
 }
 
-/// Of the configuration, or the law's default.
 pub(crate) fn response_time_s(configure: &Configure) -> f32 {
     if configure.response_time_s > 0.0 {
         configure.response_time_s
@@ -65,14 +64,14 @@ impl AmplitudeLoop {
         Self { pi: Pi::new(gains, AMPLITUDE_TRACKING), limit_vpp: configure.drive_limit_vpp }
     }
 
-    /// Also returns [`flags::SATURATED`] at the limit. `error_um` is setpoint − amplitude.
+    /// Returns the drive and, at the limit, [`flags::SATURATED`]. `error_um` is setpoint − amplitude.
     pub(crate) fn step(&mut self, error_um: f32) -> (f32, u8) {
         let drive_vpp = self.pi.step(error_um, 0.0, self.limit_vpp);
         (drive_vpp, if drive_vpp >= self.limit_vpp { flags::SATURATED } else { 0 })
     }
 }
 
-/// Relative to the start frequency, rad/s.
+/// Excitation frequency relative to the start frequency, rad/s.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Excitation {
     range: f32,
@@ -89,7 +88,7 @@ impl Excitation {
         ((self.offset - self.slew).max(-self.range), (self.offset + self.slew).min(self.range))
     }
 
-    /// Keeps range and slew limit; returns [`flags::FREQUENCY_LIMITED`] at a limit.
+    /// Respects range and slew limit; returns [`flags::FREQUENCY_LIMITED`] at a limit.
     pub(crate) fn move_to(&mut self, offset_rad: f32) -> u8 {
         let (low, high) = self.offset_limits();
         self.offset = offset_rad.clamp(low, high);

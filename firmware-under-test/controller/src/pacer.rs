@@ -2,10 +2,10 @@
 
 use platebench_wire::{Configure, ControllerState, Message, Packet, Tick};
 
-/// Ticks end if no sample answers them for this long after the configuration, µs.
+/// The target stops sending ticks if no sample arrives within this time after the configuration.
 const FIRST_SAMPLE_TIMEOUT_US: u32 = 1_000_000;
 
-/// Periods count from the configuration, so late calls do not accumulate.
+/// Periods are counted from the configuration, so delays of calls do not accumulate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Pacer {
     period_us: u32,
@@ -32,7 +32,7 @@ impl Pacer {
         }
     }
 
-    /// Skips missed periods: their samples would be too late.
+    /// Skips missed periods, because their samples would be too late.
     pub(crate) fn tick(&mut self, now_us: u32) -> Option<Packet> {
         let elapsed_us = now_us.wrapping_sub(self.period_start_us);
         let periods = elapsed_us.checked_div(self.period_us)?;

@@ -15,19 +15,18 @@
 use crate::law::{Actuation, Law, Measurement};
 use platebench_wire::{Command, Configure, Configured, ControllerState, Rejection, Sample, StateCause};
 
-/// In periods, if the configuration has none.
 pub const DEFAULT_WATCHDOG_PERIODS: u32 = 5;
 
-/// A rejected frame adds this to the score, a sample subtracts one. The limit is reached after five
+/// A rejected frame adds this weight to the score, a sample subtracts 1. The score reaches its limit after five
 /// rejected frames in a row, or if every second frame is rejected for about twenty periods.
 const REJECTED_FRAME_WEIGHT: u8 = 2;
 const MAX_REJECTED_FRAME_SCORE: u8 = 10;
 
-/// Times are the target's clock in µs and may wrap.
+/// Times are µs on the target's clock and may wrap.
 #[derive(Debug, Clone, Copy)]
 pub struct StateMachine {
     mode: MachineState,
-    /// Of this trial; also the answer to a repeated sample.
+    /// The last command of this trial. It also answers a repeated sample.
     last_command: Command,
 }
 
@@ -149,7 +148,7 @@ impl StateMachine {
         self.last_command
     }
 
-    /// At the limit returns the command with 0 V.
+    /// Returns the command with 0 V if the score reaches its limit.
     pub fn count_rejected_frame(&mut self, now_us: u32) -> Option<Command> {
         let MachineState::Running(run) = &mut self.mode else { return None };
         run.rejected_frame_score = run.rejected_frame_score.saturating_add(REJECTED_FRAME_WEIGHT);
@@ -160,7 +159,7 @@ impl StateMachine {
         Some(self.enter_fault(StateCause::LineNoise))
     }
 
-    /// When the watchdog expires, returns the command with 0 V.
+    /// Returns the command with 0 V if the watchdog has expired.
     pub fn tick(&mut self, now_us: u32) -> Option<Command> {
         match self.mode {
             MachineState::Running(run) if run.is_watchdog_expired(now_us) => {
@@ -189,7 +188,6 @@ impl StateMachine {
 }
 
 impl ActiveConfiguration {
-    /// `None` if the actuation is not finite.
     fn frequency_mhz(&self, actuation: &Actuation) -> Option<u32> {
         if !actuation.is_finite() {
             return None;

@@ -9,7 +9,7 @@ pub(crate) struct Arguments {
     pub(crate) port: String,
     pub(crate) baud: u32,
     pub(crate) log: Option<String>,
-    /// Number that a chip would report.
+    /// Reported in place of a chip's unique number.
     pub(crate) unique: [u8; 12],
 }
 
@@ -23,7 +23,7 @@ pub(crate) enum UsageError {
     Unknown(String),
     #[error("`{0}` needs a value")]
     NoValue(String),
-    #[error("invalid number `{0}`, expected 24 hexadecimal digits")]
+    #[error("invalid value `{0}` of --unique, expected 24 hexadecimal digits")]
     Unique(String),
     #[error("invalid baud rate `{0}`, expected a positive integer")]
     Baud(String),

@@ -1,6 +1,6 @@
 //! Starts clocks, microsecond counter, alarm, tick and watchdog. Every wait is bounded.
 //!
-//! Crystal and PLL at 168 MHz; otherwise internal oscillator and PLL at 168 MHz; otherwise internal
+//! The clock is crystal and PLL at 168 MHz, otherwise internal oscillator and PLL at 168 MHz, otherwise internal
 //! oscillator at 16 MHz. The baud rate divides all three.
 
 use cortex_m::peripheral::SYST;
@@ -18,7 +18,7 @@ const INTERNAL_MHZ: u32 = 16;
 
 const CHANNEL_1: u32 = 1 << 1;
 
-/// Bound of every wait. A crystal starts within a few ms; a round takes at least 6 cycles.
+/// Bound of every wait. A round takes at least 6 cycles; a crystal starts within a few ms.
 const ROUNDS: u32 = 30_000;
 
 #[derive(Clone, Copy)]
@@ -50,7 +50,7 @@ pub(crate) fn start(p: &pac::Peripherals) -> Clocks {
             }
             ready
         });
-        // 1 MHz into the PLL, times 336, halved: 168 MHz. Q = 7: 48 MHz.
+        // The PLL multiplies 1 MHz by 336 and halves it: 168 MHz. Q = 7 gives 48 MHz.
         let source = u32::from(crystal_mhz.is_some()) << 22;
         rcc.pllcfgr().write(|w| w.bits(crystal_mhz.unwrap_or(INTERNAL_MHZ) | 336 << 6 | source | 7 << 24));
         rcc.cr().modify(|_, w| w.pllon().set_bit());
@@ -90,7 +90,7 @@ pub(crate) fn now_us(p: &pac::Peripherals) -> u32 {
     p.TIM2.cnt().read().bits()
 }
 
-/// The first compare channel of the counter, so that interrupt delays do not shift the periods.
+/// Alarm of the microsecond counter's first compare channel, so that interrupt delays do not shift the periods.
 pub(crate) struct Alarm {
     at_us: Option<u32>,
 }
@@ -103,7 +103,7 @@ impl Alarm {
         Self { at_us: None }
     }
 
-    /// Off if `at_us` is `None`. Returns false if `at_us` is already past: the alarm will not fire.
+    /// `None` switches the alarm off. Returns false if `at_us` has already passed, since the alarm will not fire.
     #[must_use]
     pub(crate) fn set(&mut self, p: &pac::Peripherals, at_us: Option<u32>) -> bool {
         if self.at_us == at_us {
@@ -111,8 +111,7 @@ impl Alarm {
         }
         self.at_us = at_us;
         let timer = &p.TIM2;
-        // SAFETY: compare value, flag and enable of the first channel, whose output is off; RM0090
-        // 18.4.
+        // SAFETY: compare value, flag and enable of the first channel, whose output is off; RM0090 18.4.
         unsafe {
             timer.dier().write(|w| w.bits(0));
             let Some(at_us) = at_us else { return true };
@@ -130,9 +129,9 @@ impl Alarm {
     }
 }
 
-/// Starts the independent watchdog: LSI / 4, 32 counts, 4 ms (2.7 to 7.5 ms over the oscillator's
-/// tolerance): a stopped main loop holds the drive no longer than five periods of 1 ms. It cannot be
-/// stopped; a debugger that halts the core pauses it.
+/// Starts the independent watchdog: LSI / 4, 32 counts, 4 ms (2.7 to 7.5 ms over the oscillator's tolerance). With 4
+/// ms, a stopped main loop holds the drive for less than five periods of 1 ms. The watchdog cannot be stopped; a
+/// debugger that halts the core pauses it.
 pub(crate) fn start_watchdog(p: &pac::Peripherals) {
     // SAFETY: RM0090, 21.3 and 32.16.4.
     unsafe {
@@ -142,7 +141,7 @@ pub(crate) fn start_watchdog(p: &pac::Peripherals) {
     set_watchdog(p, 0, 32);
 }
 
-/// LSI / 64, 256 counts, 0.5 s (0.35 to 0.96 s): after a trap, at 0 V, a debugger has time to read.
+/// LSI / 64, 256 counts, 0.5 s (0.35 to 0.96 s). A debugger then has time to read after a trap, at 0 V.
 pub(crate) fn lengthen_watchdog(p: &pac::Peripherals) {
     set_watchdog(p, 4, 256);
 }

@@ -27,7 +27,7 @@ impl SampleWatcher {
     }
 }
 
-// The report shows the function's name. Differing constants prevent the linker from merging two.
+// The fault report shows the function's name. Different constants keep the linker from merging two functions.
 fn trigger(which: u8) {
     match which {
         1 => unaligned_access(),

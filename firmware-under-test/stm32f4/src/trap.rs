@@ -1,7 +1,7 @@
-//! Handles panic and `HardFault`: 0 V, then a fault report on the line, then the watchdog's reset.
+//! Handles a panic and a `HardFault`: 0 V, then a fault report on the line, then the watchdog's reset.
 //!
-//! The report survives the reset. A panic has no faulting instruction: its `pc` is the caller of
-//! the handler, its `address` that of the panic's `core::panic::Location` in the image.
+//! The report survives the reset. A panic has no faulting instruction, so its `pc` is the caller of the handler and its
+//! `address` is that of the panic's `core::panic::Location` in the image.
 
 use crate::{clock, line, output};
 use core::arch::global_asm;
@@ -28,7 +28,7 @@ unsafe impl Sync for SavedReport {}
 #[unsafe(link_section = ".uninit.trap")]
 static SAVED: SavedReport = SavedReport(UnsafeCell::new(MaybeUninit::uninit()));
 
-/// The stack of the fault handler: the normal one may have overflowed.
+/// The fault handler has its own stack, because the normal one may have overflowed.
 #[repr(C, align(8))]
 struct FaultStack(UnsafeCell<[u8; FAULT_STACK_BYTES]>);
 // SAFETY: only the fault handler uses it, and it never returns.
@@ -36,15 +36,14 @@ unsafe impl Sync for FaultStack {}
 const FAULT_STACK_BYTES: usize = 2_048;
 static FAULT_STACK: FaultStack = FaultStack(UnsafeCell::new([0; FAULT_STACK_BYTES]));
 
-/// Unaligned access does not trap: the compiler uses it.
+/// Unaligned access does not trap, because the compiler uses it.
 pub(crate) fn enable_division_trap(scb: &mut SCB) {
     // SAFETY: DIV_0_TRP.
     unsafe { scb.ccr.modify(|ccr| ccr | 1 << 4) };
 }
 
 pub(crate) fn report_before_reset(p: &pac::Peripherals) -> Option<FaultReport> {
-    // SAFETY: any bits are a valid array of numbers; volatile, since the program has not
-    // initialised it.
+    // SAFETY: any bits are a valid array of numbers; volatile, since the program has not initialised it.
     let [mark, pc, lr, cfsr, address] = unsafe { SAVED.0.get().cast::<[u32; 5]>().read_volatile() };
     // SAFETY: as above.
     unsafe { SAVED.0.get().cast::<u32>().write_volatile(0) };
@@ -55,7 +54,7 @@ pub(crate) fn report_before_reset(p: &pac::Peripherals) -> Option<FaultReport> {
     Some(if mark == MARK { FaultReport { pc, lr, cfsr, address, ..unknown } } else { unknown })
 }
 
-// The stack may be the cause: the handler switches to its own stack before its first push.
+// The normal stack may be the cause, so the handler switches to its own stack before its first push.
 global_asm!(
     ".section .HardFault.user, \"ax\"",
     ".global HardFault",
@@ -72,7 +71,7 @@ global_asm!(
     "b {handler}",
     ".ltorg",
     ".size HardFault, . - HardFault",
-    // cortex-m-rt's linker script asks for this name.
+    // The linker script of cortex-m-rt requires this name.
     ".global HardFaultTrampoline",
     ".equ HardFaultTrampoline, HardFault",
     spare = sym FAULT_STACK,

@@ -3,15 +3,12 @@
 use crate::field::{Field, MessageError, Reader, Writer, layout};
 use crate::identity::LawId;
 
+/// The amplitude gains are in Vpp/µm and Vpp/(µm·s), the frequency gains in rad/s and rad/s² per unit of Wq/Wd.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gains {
-    /// Vpp per µm.
     pub amplitude_kp: f32,
-    /// Vpp per µm and second.
     pub amplitude_ki: f32,
-    /// rad/s per unit of Wq/Wd.
     pub frequency_kp: f32,
-    /// rad/s per unit of Wq/Wd and second.
     pub frequency_ki: f32,
 }
 layout!(Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki });
@@ -23,25 +20,23 @@ impl Gains {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Configure {
     pub law: LawId,
-    /// True: the target sends a [`Tick`](crate::Tick) in each period and the bench answers with a
-    /// sample. False: the bench's samples pace the control.
+    /// If true, the target sends a [`Tick`](crate::Tick) in each period and the bench answers with a sample. If false,
+    /// the bench's samples pace the control.
     pub paced_by_target: bool,
-    /// True: the target drives its own plate. The bench sends [`Setpoint`](crate::Setpoint) instead
-    /// of samples and receives [`Telemetry`](crate::Telemetry). Requires
-    /// [`OWN_PLATE`](crate::capabilities::OWN_PLATE).
+    /// If true, the target drives its own plate, receives [`Setpoint`](crate::Setpoint) instead of samples and sends
+    /// [`Telemetry`](crate::Telemetry). Requires [`OWN_PLATE`](crate::capabilities::OWN_PLATE).
     pub drives_own_plate: bool,
-    /// Time without a sample or setpoint until the drive goes to 0 V; zero: five periods.
+    /// Time without a sample or setpoint after which the drive goes to 0 V; 0 means five periods.
     pub watchdog_timeout_ms: u16,
     pub period_us: u32,
-    /// From sampling to actuation; zero if unknown. Only a target with
-    /// [`LOOP_DELAY`](crate::capabilities::LOOP_DELAY) accepts a value above zero.
+    /// From sampling to actuation; 0 if unknown. Other values require [`LOOP_DELAY`](crate::capabilities::LOOP_DELAY).
     pub loop_delay_us: u32,
     pub start_frequency_mhz: u32,
     /// K1.
     pub gain_um_per_vpp: f32,
     /// τ.
     pub time_constant_s: f32,
-    /// 5 % response time (equation 24); zero for the law's default.
+    /// 5 % response time (equation 24); 0 means the law's default.
     pub response_time_s: f32,
     pub drive_limit_vpp: f32,
     /// Largest distance from the start frequency.
@@ -54,7 +49,7 @@ pub struct Configure {
 /// Bits of the second byte of a configuration.
 const HAS_GAINS: u8 = 1;
 const PACED_BY_TARGET: u8 = 2;
-/// Four more bytes at the end.
+/// The loop delay follows in four more bytes at the end of the body.
 const HAS_LOOP_DELAY: u8 = 4;
 const DRIVES_OWN_PLATE: u8 = 8;
 

@@ -2,15 +2,13 @@
 
 use crate::field::{Field, MessageError, Reader, Writer, layout};
 
+/// Setpoint and in-phase and quadrature component of the plate at a control instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
-    /// On the bench's clock; wraps.
+    /// Time on the bench's clock; wraps.
     pub time_us: u32,
-    /// Peak to peak.
     pub setpoint_um: f32,
-    /// In-phase component.
     pub wd_um: f32,
-    /// Quadrature component.
     pub wq_um: f32,
 }
 layout!(Sample { time_us, setpoint_um, wd_um, wq_um });
@@ -78,7 +76,7 @@ pub struct Command {
     pub cause: StateCause,
     /// Four bits, see [`flags`].
     pub flags: u8,
-    /// Of the previous control step; zero if not measured.
+    /// Duration of the previous control step; 0 if not measured.
     pub compute_us: u16,
 }
 
@@ -145,7 +143,6 @@ pub struct Telemetry {
     pub force_n: Option<f32>,
     pub state: ControllerState,
     pub cause: StateCause,
-    /// Four bits, see [`flags`].
     pub flags: u8,
 }
 

@@ -1,22 +1,22 @@
 //! Frames a body as `COBS(body ‖ CRC-32(body)) ‖ 0x00` and reads such frames.
 //!
-//! COBS removes every zero from the frame for one more byte. A zero on the line therefore always
-//! ends a frame, and a reader that starts in the middle is synchronised after one delimiter. The
-//! CRC is CRC-32/ISO-HDLC (Ethernet, zlib), little-endian, over the body alone.
+//! COBS removes every zero from the frame and adds one byte. A zero on the line therefore always ends a frame, and a
+//! reader that starts in the middle is synchronised after one delimiter. The CRC is CRC-32/ISO-HDLC (Ethernet, zlib),
+//! little-endian, over the body alone.
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
-/// Without the CRC.
+/// Bytes of the largest body, without the CRC.
 pub const MAX_BODY: usize = 64;
 /// Body, CRC, one COBS byte, delimiter.
 pub const MAX_ENCODED: usize = MAX_BODY + CRC_BYTES + 2;
 
 const CRC_BYTES: usize = 4;
-/// 1 KiB on a board; 16 KiB on a PC, where it checks 16 bytes at once.
+/// A board has tables of 1 KiB; a PC has 16 KiB and checks 16 bytes at once.
 const TABLES: usize = if cfg!(target_os = "none") { 1 } else { 16 };
 static CHECKSUM: Crc<u32, Table<TABLES>> = Crc::<u32, Table<TABLES>>::new(&CRC_32_ISO_HDLC);
 
-/// None of the frame's content may be used.
+/// The content of a frame with an error must not be used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FrameError {
     InvalidCobs,
@@ -69,8 +69,7 @@ impl FrameReader {
         Self { buffer: [0; MAX_ENCODED], length: 0, overlong: false }
     }
 
-    /// Takes `bytes` up to the first delimiter that ends a frame. Returns the frame's body, or why
-    /// the frame was rejected; `None` if `bytes` end before that.
+    /// Takes `bytes` up to the end of the first frame. Returns the frame's body or error, `None` if no frame ends.
     pub fn read(&mut self, bytes: &mut &[u8]) -> Option<Result<&[u8], FrameError>> {
         loop {
             let Some(delimiter) = bytes.iter().position(|&byte| byte == 0) else {
@@ -118,8 +117,8 @@ impl FrameReader {
     }
 }
 
-/// COBS in place: each zero becomes the distance to the next zero or to the end; the first byte is a
-/// zero. [`MAX_ENCODED`] is below 255, so a distance always fits.
+/// Applies COBS in place. Each zero becomes the distance to the next zero or to the end; the first byte is a zero.
+/// [`MAX_ENCODED`] is below 255, so a distance always fits.
 fn stuff(frame: &mut [u8]) {
     let mut next = frame.len();
     for (index, byte) in frame.iter_mut().enumerate().rev() {
@@ -130,7 +129,7 @@ fn stuff(frame: &mut [u8]) {
     }
 }
 
-/// The inverse of [`stuff`], of bytes without a zero.
+/// Inverts [`stuff`] for bytes without a zero.
 fn unstuff(frame: &mut [u8]) -> Result<(), FrameError> {
     let mut next = 0;
     while let Some(byte) = frame.get_mut(next) {

@@ -2,23 +2,23 @@
 
 use crate::field::{Field, MessageError, Reader, Writer, layout};
 
-/// The numbers are part of the protocol, the names those of scenario files and `--law`.
+/// The numbers are part of the protocol. The names are those of scenario files and `--law`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum LawId {
     OpenLoop = 0,
-    /// Two PI loops, equation 24 matched to the zero-order hold and to the plate's damping.
+    /// Two PI loops; equation 24 matched to the zero-order hold and to the plate's damping.
     DqPi = 1,
-    /// Two PI loops, equation 24 as printed with a forward-Euler integral.
+    /// Two PI loops; equation 24 as printed, with a forward-Euler integral.
     DqPiEuler = 2,
     VoltageOnly = 3,
-    /// Constant drive, the frequency adjusts the amplitude.
+    /// At constant drive, the frequency adjusts the amplitude.
     FrequencyOnly = 4,
     BangBang = 5,
     Pll = 6,
-    /// Identifies the plate in one period, steers to the setpoint in the next, then PI loops.
+    /// Identifies the plate in one period, steers to the setpoint in the next, then holds it with PI loops.
     Deadbeat = 7,
-    /// As `DqPi`, always with the gains of the untouched plate.
+    /// `DqPi` with the constant gains of the untouched plate.
     DqPiFixed = 8,
 }
 
@@ -65,15 +65,11 @@ impl Field for LawId {
     }
 }
 
-/// Bits of [`Identity::capabilities`].
+/// Bits of [`Identity::capabilities`] for `paced_by_target`, `compute_us`, `loop_delay_us` and `drives_own_plate`.
 pub mod capabilities {
-    /// See [`Configure::paced_by_target`](crate::Configure::paced_by_target).
     pub const TARGET_PACED: u8 = 1;
-    /// See [`Command::compute_us`](crate::Command::compute_us).
     pub const COMPUTE_TIME: u8 = 2;
-    /// See [`Configure::loop_delay_us`](crate::Configure::loop_delay_us).
     pub const LOOP_DELAY: u8 = 4;
-    /// See [`Configure::drives_own_plate`](crate::Configure::drives_own_plate).
     pub const OWN_PLATE: u8 = 8;
 }
 
@@ -89,7 +85,7 @@ pub struct Identity {
     pub build: [u8; 8],
     /// `DBGMCU_IDCODE` on an STM32; zero for a program on a computer.
     pub chip: u32,
-    /// Zero for a program on a computer.
+    /// Number of the chip; zero for a program on a computer, unless its option `--unique` sets it.
     pub unique: [u8; 12],
     /// ASCII, padded with zeros.
     pub name: [u8; 16],

@@ -1,8 +1,8 @@
 //! Encodes and decodes a message with its sequence number.
 //!
-//! Every body starts with two bytes: version (upper four bits) and kind (lower four bits), then the
-//! sequence number. An answer repeats the sequence number of its request. All numbers are
-//! little-endian, floats are IEEE 754 binary32, amplitudes and voltages are peak to peak.
+//! Every body starts with two bytes: version (upper four bits) and kind (lower four bits), then the sequence number. An
+//! answer repeats the sequence number of its request. All numbers are little-endian, floats are IEEE 754 binary32,
+//! amplitudes and voltages are peak to peak.
 //!
 //! | kind | message | from | body bytes |
 //! |---|---|---|---|
@@ -24,13 +24,12 @@ use crate::field::{MessageError, Reader, Writer};
 use crate::frame::EncodedFrame;
 use crate::identity::Identity;
 
-/// In the upper four bits of every body's first byte.
+/// Upper four bits of the first byte of every body.
 pub const VERSION: u8 = 1;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Packet {
-    /// The bench increments it per message, wrapping; answers repeat it. Ticks and telemetry have
-    /// their own counters.
+    /// The bench increments it per message, modulo 256; answers repeat it. Ticks and telemetry have their own counters.
     pub sequence: u8,
     pub message: Message,
 }
@@ -39,7 +38,7 @@ pub struct Packet {
 pub enum Message {
     Hello,
     Identity(Identity),
-    /// Starts a trial; leaves `Fault` and `Safe`.
+    /// Starts a trial and ends the states `Fault` and `Safe`.
     Configure(Configure),
     Configured(Configured),
     Sample(Sample),
@@ -48,11 +47,11 @@ pub enum Message {
     Safe,
     /// The processor crashed; sent once, with the drive already at 0 V.
     Fault(FaultReport),
-    /// Starts a period that the target paces; own sequence numbers.
+    /// Starts a period that the target paces.
     Tick(Tick),
     /// For a target that drives its own plate. The answer is a `Command`.
     Setpoint(Setpoint),
-    /// One period of the target's own plate; own sequence numbers.
+    /// One period of the target's own plate.
     Telemetry(Telemetry),
 }
 
@@ -73,7 +72,7 @@ impl Message {
         }
     }
 
-    /// The target sends it without a request, with a sequence number of its own.
+    /// True if the target sends the message without a request, with its own sequence number.
     pub const fn is_unsolicited(&self) -> bool {
         matches!(self, Self::Tick(_) | Self::Telemetry(_))
     }

@@ -7,7 +7,7 @@ use platebench_record::Verdict;
 use platebench_rig::RigSpec;
 use platebench_runner::{Answer, CancelToken, Operator, Question, QuestionKind};
 
-/// Ends the session if a rig that may drive a plate is not confirmed before the first scenario.
+/// A question before the first scenario fails after a no, and without an answer if the rig may drive a plate.
 pub(crate) fn ask_operator(
     ask: &Ask,
     rig: &RigSpec,

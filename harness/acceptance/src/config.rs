@@ -1,4 +1,4 @@
-//! Describes a session: plan, rig, record folder, and who observes it.
+//! Describes a session: plan, rig, record folder, operator and observer.
 
 use crate::plan::Plan;
 use crate::session_record::{SessionDetails, StepRecord};
@@ -14,11 +14,11 @@ pub struct SessionConfig {
     pub clock: Clock,
     pub jobs: usize,
     pub out: PathBuf,
-    /// If true, the folder must hold a session to resume.
+    /// If true, `out` must contain a session to resume.
     pub resume: bool,
     pub details: SessionDetails,
     pub signing_key: Option<SecretKey>,
-    /// Instruments whose invalid calibration does not stop the session.
+    /// Names of instruments whose invalid calibration does not stop the session.
     pub waived_calibrations: Vec<String>,
 }
 
@@ -32,6 +32,5 @@ pub trait SessionObserver {
     fn step_started(&mut self, step: &StepRecord);
     fn step_ended(&mut self, step: &StepRecord);
     fn run_event(&mut self, event: &Event);
-    /// Called before a run starts.
     fn live_tap(&mut self, plan: &RunPlan) -> LiveTap;
 }

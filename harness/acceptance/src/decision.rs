@@ -9,11 +9,10 @@ use platebench_record::{InputRecord, ScenarioRecord, Statistic, Verdict, sha256}
 use platebench_scenario::Limit;
 use platebench_uncertainty::{Budget, CombinedUncertainty, Conformity, DecisionRule, Instrument, TypeA, decide};
 
-/// `[decision]` of a plan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanDecision {
     pub rule: DecisionRule,
-    /// Largest expanded uncertainty, percent of the tolerance; only for [`DecisionRule::SharedRisk`].
+    /// Largest expanded uncertainty in percent of the tolerance, only for [`DecisionRule::SharedRisk`].
     pub largest_percent: f64,
     pub budget: Budget,
 }
@@ -55,8 +54,7 @@ impl PlanDecision {
         })
     }
 
-    /// Adds the uncertainty of expectation `number`; a pass that the rule does not allow becomes
-    /// inconclusive.
+    /// Adds the uncertainty of expectation `number`. A pass that the rule does not allow becomes inconclusive.
     pub(crate) fn apply(&self, scenario: &ScenarioRecord, number: usize, evidence: &mut EvidenceRecord) {
         let Some((expectation, value)) = scenario.expectations.get(number).and_then(|each| Some((each, each.value?)))
         else {
@@ -70,7 +68,7 @@ impl PlanDecision {
                 return;
             }
         };
-        // A plan with a rule that needs it has no `about`.
+        // The range of `about` needs a tolerance. The plan accepts `about` only with a rule that ignores the range.
         let (range, tolerance) = (expectation.limit.range(0.0), tolerance_of(expectation.limit));
         let conformity = decide(self.rule, value, &combined, range, tolerance, self.largest_percent);
         match conformity {
@@ -102,14 +100,14 @@ fn restrict(evidence: &mut EvidenceRecord, reason: String) {
     }
 }
 
-/// Probability that the true value is outside the limits, if only the measurement is known.
+/// Probability that the true value is outside the limits, from the measurement alone.
 fn outside_probability(combined: &CombinedUncertainty, value: f64, (low, high): (f64, f64)) -> f64 {
     let above = if high.is_finite() { combined.probability_above(value, high) } else { 0.0 };
     let below = if low.is_finite() { 1.0 - combined.probability_above(value, low) } else { 0.0 };
     (above + below).min(1.0)
 }
 
-/// The scale of [`Limit::margin`].
+/// The scale by which [`Limit::margin`] divides.
 fn tolerance_of(limit: Limit) -> f64 {
     let scale = match limit {
         Limit::AtMost(limit) | Limit::AtLeast(limit) | Limit::About(limit) => limit.abs(),
@@ -118,14 +116,13 @@ fn tolerance_of(limit: Limit) -> f64 {
     if scale == 0.0 { 1.0 } else { scale }
 }
 
-/// Repeatability of the value of expectation `number`, from the trials that count.
 fn observed_scatter(scenario: &ScenarioRecord, number: usize, value: f64) -> Option<TypeA> {
     let expectation = scenario.expectations.get(number)?;
     let counted = || scenario.trials.iter().filter(|trial| trial.cause.is_none());
     if expectation.statistic == Statistic::Deviation {
         return TypeA::of_stated_deviation(value, counted().count());
     }
-    // The record of a trial numbers further expectations of a metric.
+    // In the record of a trial, the second expectation of a metric has the key `metric[2]`.
     let metric = expectation.metric;
     let earlier = scenario.expectations.iter().take(number).filter(|other| other.metric == metric).count();
     let name = if earlier == 0 { metric.to_string() } else { format!("{metric}[{}]", earlier + 1) };

@@ -12,16 +12,13 @@ pub enum AcceptError {
     Plan(Vec<Diagnostic>),
     #[error(transparent)]
     File(#[from] FileError),
-    #[error(
-        "{what} is {now}, but the session was started with {then}; a record contains only one, expected a new --out \
-         FOLDER"
-    )]
+    #[error("{what} is {now}, but the session was started with {then}; start a new session with another --out FOLDER")]
     Changed { what: String, then: String, now: String },
     #[error("{} contains a finished session, expected a new folder", .0.display())]
     Finished(PathBuf),
     #[error("{} contains other files than an acceptance session, expected a new folder", .0.display())]
     FolderNotEmpty(PathBuf),
-    #[error("{} is being written by another session", .0.display())]
+    #[error("another session is writing {}; wait until it ends, or name another folder", .0.display())]
     InUse(PathBuf),
     #[error("{}: contains no session, expected a folder that `platebench accept` wrote", .0.display())]
     NoSession(PathBuf),
@@ -30,15 +27,10 @@ pub enum AcceptError {
     #[error("{}: not the expected ed25519 key in PEM: {message}", path.display())]
     Key { path: PathBuf, message: String },
     #[error(
-        "{instrument}: its calibration of {calibrated} was valid until {due}; expected a valid calibration, or \
-         --waive-calibration NAME, which the record states"
+        "{instrument}: its calibration is valid from {calibrated} to {due}, but not today; calibrate the instrument, \
+         or waive this with --waive-calibration NAME, which the record states"
     )]
-    InvalidCalibration {
-        /// Name and serial number.
-        instrument: String,
-        calibrated: String,
-        due: String,
-    },
+    InvalidCalibration { instrument: String, calibrated: String, due: String },
     #[error("--waive-calibration {0}: the budget has no instrument with this name")]
     UnknownInstrument(String),
     #[error(transparent)]
@@ -55,11 +47,7 @@ pub enum AcceptError {
         "stopped at \"{question}\": no answer, and {rig} may drive a plate; answer at a terminal, or \
          confirm beforehand with --yes"
     )]
-    Unanswered {
-        question: String,
-        /// As on the command line.
-        rig: String,
-    },
+    Unanswered { question: String, rig: String },
     #[error("the session was cancelled")]
     Cancelled,
 }

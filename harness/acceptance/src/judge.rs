@@ -6,7 +6,7 @@ use platebench_record::{ExpectationRecord, RunRecord, Verdict};
 use platebench_report::format;
 use platebench_scenario::Requirement;
 
-/// `runs` are those of the scenario steps, by their identifier.
+/// `runs` contains the identifier and the run of each scenario step.
 pub(crate) fn judge_requirements(
     requirements: &[Requirement],
     steps: &[StepRecord],
@@ -16,7 +16,7 @@ pub(crate) fn judge_requirements(
     let decided: Vec<RequirementRecord> =
         requirements.iter().map(|requirement| requirement_record(requirement, runs, decision)).collect();
     let over_requirements = decided.iter().map(|requirement| requirement.verdict);
-    // Expectations without a requirement count too.
+    // The verdicts of runs include expectations without a requirement.
     let over_runs = runs.iter().map(|(_, run)| run.verdict);
     let over_steps = steps.iter().map(|step| if step.done { step.verdict } else { Some(Verdict::Inconclusive) });
     let verdict = Verdict::combine(over_requirements.chain(over_runs).chain(over_steps.flatten()));

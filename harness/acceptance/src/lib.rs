@@ -1,7 +1,4 @@
-//! Conducts an acceptance session: plan, operator, board, and a sealed, signed record.
-//!
-//! `platebench-runner` plays scenarios, `platebench-verdict` judges them, and the command line owns
-//! the terminal.
+//! Conducts an acceptance session with plan, operator and board, and writes a sealed, signed record.
 
 mod ask;
 pub mod config;

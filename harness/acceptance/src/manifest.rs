@@ -1,5 +1,4 @@
-//! Lists SHA-256 of every file of a record except the manifest and its signature. `sha256sum -c`
-//! accepts the format.
+//! Lists the SHA-256 of every file of a record except the manifest and its signature, in the format of `sha256sum -c`.
 
 use crate::error::AcceptError;
 use crate::session_record::write_file;
@@ -21,9 +20,9 @@ pub enum Difference {
     Changed(String),
     #[error("{0}: missing, the manifest names it")]
     Missing(String),
-    #[error("{0}: added, or its line was taken out of the manifest")]
+    #[error("{0}: added, or its line was removed from the manifest")]
     Added(String),
-    #[error("{0}: neither a file nor a folder, or its name is not UTF-8, or it is more than 32 folders deep")]
+    #[error("{0}: expected a file or a folder with a UTF-8 name, at most 32 folders deep")]
     NotAFile(String),
     #[error("{0}: cannot be read: {1}")]
     Unreadable(String, String),
@@ -43,7 +42,7 @@ pub(crate) fn write(folder: &Path) -> Result<(), AcceptError> {
     let mut text = String::new();
     for name in &found.files {
         if name.contains(['\\', '\n', '\r']) {
-            let message = "a file name that sha256sum escapes, expected none with \\ or a line break";
+            let message = "sha256sum escapes this name, expected a name without \\ and line breaks";
             return Err(FileError { path: folder.join(name), source: io::Error::other(message) }.into());
         }
         let path = folder.join(name);
@@ -82,7 +81,7 @@ pub(crate) fn check(folder: &Path, text: &str) -> Vec<Difference> {
     differences
 }
 
-/// Hash and name of a line; `None` if the name leaves the record.
+/// Returns hash and name; `None` if the line is invalid or the name is outside the record.
 fn parse_line(line: &str) -> Option<(&str, &str)> {
     let (hash, name) = line.strip_suffix('\n')?.split_once("  ")?;
     let is_hash = hash.len() == 64 && hash.bytes().all(|digit| matches!(digit, b'0'..=b'9' | b'a'..=b'f'));

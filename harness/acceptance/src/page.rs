@@ -44,7 +44,11 @@ fn badge(verdict: Verdict) -> Markup {
 fn summary(session: &SessionRecord) -> String {
     let of = |wanted| session.requirements.iter().filter(|requirement| requirement.verdict == wanted).count();
     let (failed, open) = (of(Verdict::Fail), of(Verdict::Inconclusive));
-    format!("{} of {} requirements hold, {failed} failed, {open} open", of(Verdict::Pass), session.requirements.len())
+    format!(
+        "{} of {} requirements passed, {failed} failed, {open} inconclusive",
+        of(Verdict::Pass),
+        session.requirements.len()
+    )
 }
 
 fn people_section(session: &SessionRecord) -> Markup {
@@ -57,7 +61,6 @@ fn people_section(session: &SessionRecord) -> Markup {
         || "unknown".to_owned(),
         |found| format!("{}; chip {}, number {}", session.rig, found.firmware.chip, found.unique),
     );
-    // A simulated rig has no chip.
     let board = if session.no_board_notice().is_some() { format!("none ({})", session.rig) } else { board };
     let facts = [
         ("Operator", stated(&session.details.operator)),
@@ -186,7 +189,6 @@ fn evidence(session: &SessionRecord) -> Markup {
     }
 }
 
-/// Expanded uncertainty, factor and degrees of freedom.
 fn uncertainty_line(evidence: &EvidenceRecord) -> Option<String> {
     let combined = &evidence.uncertainty.as_ref()?.combined;
     let freedom = combined.degrees_of_freedom.map_or_else(|| "∞".to_owned(), |freedom| format!("{freedom:.1}"));

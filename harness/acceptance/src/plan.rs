@@ -1,6 +1,4 @@
 //! Reads the plan of a session: requirements, scenarios, questions.
-//!
-//! A plan has the text of each requirement; expectations of scenarios refer to its identifier.
 
 use crate::decision::PlanDecision;
 use platebench_scenario::{Diagnostic, Limit, Requirement, Scenario, find, parse_bytes, parse_file, schema};
@@ -10,7 +8,7 @@ use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// As for `run --trials`.
+/// The same limit as that of `run --trials`.
 const MAX_REPETITIONS: u32 = 100_000;
 const MAX_CLEAN_RUNS: u32 = 1_000_000;
 
@@ -22,7 +20,7 @@ struct RawPlan {
     /// Title, one line.
     #[schemars(length(min = 1))]
     title: String,
-    /// Trials of each scenario instead of its own count.
+    /// Trials of each scenario, instead of the number in its file.
     #[serde(default = "thirty")]
     #[schemars(range(min = 1, max = MAX_REPETITIONS))]
     repetitions: u32,
@@ -40,7 +38,7 @@ struct RawPlan {
     /// Demands on the bench.
     #[serde(default)]
     bench: BenchDemands,
-    /// Decision rule; without it the uncertainty of measurement is not considered.
+    /// Decision rule. Without it, verdicts do not consider the uncertainty of measurement.
     decision: Option<RawDecision>,
 }
 
@@ -52,7 +50,7 @@ struct RawDecision {
     rule: DecisionRule,
     /// Budget file, relative to the plan.
     budget: PathBuf,
-    /// Largest expanded uncertainty, percent of the tolerance; for shared-risk only.
+    /// Largest expanded uncertainty in percent of the tolerance, only for shared-risk.
     #[schemars(range(min = 0.1, max = 100.0))]
     largest_uncertainty_percent: Option<f64>,
 }
@@ -66,7 +64,7 @@ const fn thirty() -> u32 {
 struct RawPlannedScenario {
     /// Scenario file, relative to the plan.
     file: PathBuf,
-    /// Its trials; the plan's by default.
+    /// Trials of this scenario, by default as many as the plan states.
     #[schemars(range(min = 1, max = MAX_REPETITIONS))]
     repetitions: Option<u32>,
 }
@@ -93,12 +91,12 @@ pub struct Ask {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum AnswerKind {
-    /// Yes or no. Without a yes the session does not pass, nor start if the rig may drive a plate.
+    /// Yes or no. Without a yes the session does not pass.
     #[default]
     Confirm,
     /// A line of text, which is only recorded.
     Text,
-    /// A number, which is only recorded; another answer is asked again.
+    /// A number, which is only recorded. The question is repeated until the answer is a number.
     Number,
 }
 
@@ -106,7 +104,7 @@ pub enum AnswerKind {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum QuestionTime {
-    /// Before the first scenario. A no stops the session; so does no answer if the rig may drive a plate.
+    /// Before the first scenario. A no stops the session. A missing answer stops it if the rig may drive a plate.
     #[default]
     Before,
     /// After the last scenario. A no prevents a pass.
@@ -117,13 +115,13 @@ pub enum QuestionTime {
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct BenchDemands {
-    /// Trials of the shortest scenario in real time with the hosted controller; they measure lateness.
+    /// Trials of the shortest scenario in real time with the hosted controller, which measure lateness.
     #[schemars(range(min = 1, max = 1_000))]
     pub timing_trials: u32,
-    /// Clean runs of the scenarios; none may be a false alarm.
+    /// Runs of the scenarios with correct controllers. None may fail.
     #[schemars(range(min = 1, max = MAX_CLEAN_RUNS))]
     pub clean_runs: u32,
-    /// Required kill rate of all scenarios together: its lower bound at 95 %, percent.
+    /// Smallest allowed kill rate of all scenarios together, percent. The lower 95 % bound must reach it.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub least_kill_rate_percent: f64,
 }
@@ -140,7 +138,6 @@ pub struct PlannedScenario {
     pub repetitions: u32,
 }
 
-/// A plan whose scenarios are loaded and checked.
 #[derive(Debug, Clone)]
 pub struct Plan {
     pub bytes: Vec<u8>,
@@ -204,7 +201,6 @@ impl RawDecision {
     }
 }
 
-/// Requirements and decision of a recorded plan, with the budget at `budget`.
 pub(crate) fn read_recorded_plan(
     path: &Path,
     bytes: Vec<u8>,
@@ -218,7 +214,7 @@ pub(crate) fn read_recorded_plan(
     Ok((raw.requirement, decision))
 }
 
-/// A rule that needs the uncertainty needs a budget for each expectation of a requirement.
+/// Unless the rule is `simple`, each expectation of a requirement needs a budget and must not be `about`.
 fn decision_diagnostics(
     path: &Path,
     text: &str,
@@ -241,7 +237,7 @@ fn decision_diagnostics(
             let metric = expectation.metric;
             if decision.budget.quantity(metric.name()).is_none() {
                 let message = format!(
-                    "the rule {} needs a [[budget]] for {metric}, which {} demands",
+                    "the rule {} needs a [[budget]] for {metric}, which {} expects",
                     decision.rule, scenario.file
                 );
                 faults.push(Diagnostic::at_key(path, text, "decision.budget", message));
@@ -300,7 +296,6 @@ impl PlanChecker<'_> {
         }
     }
 
-    /// `entries`: identifier and text of each.
     fn check_entries<'b>(
         &mut self,
         list: &str,
@@ -314,7 +309,8 @@ impl PlanChecker<'_> {
                 self.report(&format!("{list}.{number}.{text_key}"), format!("empty, expected a {text_key}"));
             }
             if !is_valid_name(id) || !known.insert(id) {
-                let message = format!("`{id}`, expected letters, digits and -, each {id_word} once");
+                let message =
+                    format!("`{id}`, expected letters, digits and -, and another {id_word} in each [[{list}]]");
                 self.report(&format!("{list}.{number}.id"), message);
             }
         }
@@ -328,7 +324,7 @@ impl PlanChecker<'_> {
             }
             (DecisionRule::SharedRisk, Some(percent)) => self.check_range(key, percent, [0.1, 100.0]),
             (DecisionRule::Simple | DecisionRule::Guarded, Some(_)) => {
-                self.report(key, format!("only for shared-risk, the rule is {}", decision.rule));
+                self.report(key, format!("this limit is only for shared-risk, but the rule is {}", decision.rule));
             }
             _ => {}
         }

@@ -1,5 +1,4 @@
-//! Tests the bench: timing, repeatability, and how well the plan's scenarios catch faulty
-//! controllers.
+//! Tests the bench: timing, repeatability, and how well the plan's scenarios catch faulty controllers.
 
 use crate::config::SessionHooks;
 use crate::error::AcceptError;
@@ -23,8 +22,7 @@ const SEED: u64 = 31_415;
 const TRUST_FILE: &str = "trust.json";
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Plays the shortest scenario to the hosted controller: twice in lockstep, which must give the
-/// same bytes, and then in real time.
+/// Plays the shortest scenario to the hosted controller, twice in lockstep to compare the traces, then in real time.
 pub(crate) fn run_self_test(
     plan: &Plan,
     real_time: bool,
@@ -48,11 +46,11 @@ pub(crate) fn run_self_test(
     let timed = ScenarioRun { trials: plan.bench.timing_trials, clock, ..lockstep };
     let result = self_test_record(&timed.play(&folder.join("real-time"), hooks)?, scenario, repeats);
     let SelfTestRecord { periods, overruns, lateness_us: Quantiles { p50, p99, max, .. }, .. } = result;
-    let same = if repeats { "the same bytes twice" } else { "different bytes the second time" };
+    let same = if repeats { "equal traces" } else { "different traces" };
     let relevance = if real_time { "" } else { " (not relevant to a session in lockstep)" };
     step.reason = Some(format!(
-        "{same} in lockstep; in real time {overruns} of {periods} control instants too late{relevance}, lateness \
-         {p50:.0} µs in the median, {p99:.0} µs at 99 %, {max:.0} µs at most"
+        "two lockstep runs gave {same}; in real time the bench was too late for {overruns} of {periods} control \
+         instants{relevance}, lateness {p50:.0} µs median, {p99:.0} µs at 99 %, {max:.0} µs maximum"
     ));
     let punctual = !real_time || (periods > 0 && overruns == 0);
     step.verdict = Some(if repeats && punctual { Verdict::Pass } else { Verdict::Inconclusive });
@@ -103,7 +101,7 @@ pub(crate) fn measure_trust(
         seed: SEED,
         jobs: thread::available_parallelism().map_or(1, std::num::NonZero::get),
     };
-    // It drives no plate, so a cancelled session abandons it; it ends with the program.
+    // The measurement drives no plate, so a cancelled session does not wait for its thread. It ends with the program.
     let measurement = thread::spawn(move || platebench_trust::measure(&config));
     while !measurement.is_finished() {
         if cancel.is_cancelled() {
@@ -145,7 +143,7 @@ pub(crate) fn measure_trust(
     Ok(())
 }
 
-/// Percent; NaN without trials.
+/// NaN without trials.
 fn lower_bound_percent(rate: Rate) -> f64 {
     rate.bounds.map_or(f64::NAN, |[low, _]| low * 100.0)
 }

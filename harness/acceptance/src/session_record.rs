@@ -16,16 +16,14 @@ pub const FILE: &str = "session.json";
 pub(crate) const PLAN: &str = "plan.toml";
 pub(crate) const BUDGET: &str = "budget.toml";
 pub(crate) const STEPS: &str = "steps";
-/// Readers reject others.
 pub const FORMAT: u32 = 1;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SessionRecord {
     pub format: u32,
-    /// Over requirements, scenarios, self-test and confirmations; `inconclusive` until the session
-    /// is complete.
+    /// Combined verdict of requirements, scenarios, self-test and confirmations; `inconclusive` until all are judged.
     pub verdict: Verdict,
-    /// True if every step has ended and is judged.
+    /// True if every step has ended and the session is judged.
     pub complete: bool,
     pub title: String,
     #[serde(flatten)]
@@ -33,22 +31,21 @@ pub struct SessionRecord {
     /// UTC, RFC 3339, like all times of a record.
     pub started: String,
     pub finished: Option<String>,
-    /// Times at which the session was resumed.
     pub resumed: Vec<String>,
     pub bench: BenchRecord,
-    /// As on the command line.
+    /// The rig as on the command line.
     pub rig: String,
     pub clock: ClockRecord,
-    /// `null` until the controller was identified.
+    /// `null` until the first step has identified the controller.
     pub firmware: Option<FirmwareRecord>,
     pub plan: InputRecord,
-    /// `None` if the plan has no decision rule: the uncertainty of measurement is not considered.
+    /// `None` if the plan has no decision rule. The uncertainty of measurement is then not considered.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub decision: Option<DecisionRecord>,
-    /// Scenarios with their plates and profiles, in order.
+    /// Scenarios, each followed by its plate and profiles, in the order of the plan.
     pub inputs: Vec<InputRecord>,
     pub steps: Vec<StepRecord>,
-    /// Empty until all is judged.
+    /// Empty until the session is judged.
     pub requirements: Vec<RequirementRecord>,
     pub signature: Option<SignatureRecord>,
 }
@@ -82,9 +79,9 @@ pub struct ClockRecord {
 pub struct FirmwareRecord {
     #[serde(flatten)]
     pub firmware: Firmware,
-    /// Hexadecimal; zero for a program.
+    /// Number of the chip, hexadecimal; zero for a program.
     pub unique: String,
-    /// Hexadecimal; `null` if the rig has its own image.
+    /// Hexadecimal; `null` if the bench does not load the image.
     pub image_sha256: Option<String>,
 }
 
@@ -100,19 +97,19 @@ pub enum StepKind {
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StepRecord {
-    /// Number and name; also its folder below `steps`.
+    /// Number and name, such as `03-self-test`; also the name of the step's folder below `steps`.
     pub id: String,
     pub title: String,
     pub kind: StepKind,
-    /// A step that has ended is not repeated.
+    /// True if the step has ended. A resumed session does not repeat it.
     pub done: bool,
     pub verdict: Option<Verdict>,
-    /// Why it does not pass, or its result.
+    /// Result of the step, or why it did not pass.
     pub reason: Option<String>,
     pub attempts: Vec<Attempt>,
-    /// The controller was lost or did not confirm 0 V.
+    /// True if the controller was lost or did not confirm 0 V.
     pub lost: bool,
-    /// Hexadecimal.
+    /// SHA-256 of the step's `run.json`, hexadecimal.
     pub run_sha256: Option<String>,
     pub answer: Option<AnswerRecord>,
     pub self_test: Option<SelfTestRecord>,
@@ -122,9 +119,9 @@ pub struct StepRecord {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Attempt {
     pub started: String,
-    /// `null` if it was cut off.
+    /// `null` if the bench stopped during the attempt.
     pub ended: Option<String>,
-    /// Why the attempt did not count.
+    /// Error that ended the attempt, which then does not count.
     pub broken_off: Option<String>,
 }
 
@@ -139,12 +136,11 @@ pub struct AnswerRecord {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SelfTestRecord {
     pub scenario: String,
-    /// Two lockstep runs of the hosted controller gave the same bytes.
+    /// True if two lockstep runs of the hosted controller gave equal traces.
     pub repeats: bool,
     pub periods: u64,
-    /// Control instants at which the bench was too late.
     pub overruns: u64,
-    /// Lateness of samples, µs; each quantile of the worst trial.
+    /// Lateness of samples, µs. Each quantile is that of its worst trial.
     pub lateness_us: Quantiles,
     pub scheduling: String,
 }
@@ -152,7 +148,7 @@ pub struct SelfTestRecord {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TrustRecord {
     pub faults: u32,
-    /// For a right reason.
+    /// Number of faults that were caught for a right reason.
     pub caught: u32,
     pub survived: Vec<String>,
     pub clean_runs: u32,
@@ -163,9 +159,7 @@ pub struct TrustRecord {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DecisionRecord {
     pub rule: DecisionRule,
-    /// Title of the budget.
     pub title: String,
-    /// Share of values within the expanded uncertainty.
     pub coverage: f64,
     pub instruments: Vec<InstrumentRecord>,
     pub budget: InputRecord,
@@ -177,9 +171,8 @@ pub struct InstrumentRecord {
     pub serial: String,
     pub certificate: Option<String>,
     pub calibrated: String,
-    /// Last day on which the calibration is valid.
     pub due: String,
-    /// The calibration was not valid at the start; the operator waived it by name.
+    /// True if the calibration was not valid at the start and the operator waived it.
     pub waived: bool,
 }
 
@@ -198,7 +191,7 @@ pub struct EvidenceUncertainty {
 pub struct RequirementRecord {
     pub id: String,
     pub text: String,
-    /// Over its evidence; `inconclusive` without any.
+    /// Combined verdict of the evidence; `inconclusive` without evidence.
     pub verdict: Verdict,
     pub evidence: Vec<EvidenceRecord>,
 }
@@ -209,7 +202,7 @@ pub struct EvidenceRecord {
     pub scenario: String,
     pub metric: String,
     pub demanded: String,
-    /// `null` without a number.
+    /// Measured value with its unit; `null` if there is no value.
     pub found: Option<String>,
     pub verdict: Verdict,
     pub reason: Option<String>,
@@ -219,7 +212,6 @@ pub struct EvidenceRecord {
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SignatureRecord {
-    /// `ed25519`
     pub algorithm: String,
     /// In PEM, as `openssl pkey -pubout` writes it.
     pub public_key: String,
@@ -261,7 +253,7 @@ impl SessionRecord {
         let content = |message: String| AcceptError::InvalidRecord { path: path.clone(), message };
         let head: FormatVersion = serde_json::from_slice(&bytes).map_err(|error| content(error.to_string()))?;
         if head.format != FORMAT {
-            return Err(content(format!("format {}, expected {FORMAT}", head.format)));
+            return Err(content(format!("the record has format {}, expected {FORMAT}", head.format)));
         }
         serde_json::from_slice(&bytes).map_err(|error| content(error.to_string()))
     }
@@ -284,18 +276,16 @@ impl SessionRecord {
     }
 }
 
-/// Writes a file of the record as a whole.
 pub(crate) fn write_file(folder: &Path, name: &str, content: &[u8]) -> Result<(), FileError> {
     let path = folder.join(name);
     write_atomically(&path, content).at(&path)
 }
 
-/// UTC, RFC 3339 to the second.
 pub(crate) fn utc_timestamp() -> String {
     Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
 }
 
-/// A foreign program may drive a plate too.
+/// True for `exec:` too, because a foreign program may drive a plate.
 pub(crate) const fn may_have_board(rig: &RigSpec) -> bool {
     match rig {
         RigSpec::Hosted | RigSpec::Emulated(_) => false,

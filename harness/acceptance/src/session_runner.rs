@@ -5,7 +5,7 @@
 //!            └── each step: started (written) → done (written, with its files) ──┘
 //! ```
 //!
-//! A resumed session repeats the step that was interrupted, never a step that is done.
+//! A resumed session repeats the interrupted step, never a step that is done.
 
 use crate::ask::ask_operator;
 use crate::config::{SessionConfig, SessionHooks};
@@ -33,13 +33,12 @@ use std::io;
 use std::path::Path;
 use tracing::info;
 
-/// Starts the session, or resumes it if it was interrupted. After an error the record holds the
-/// steps that are done, and the same call resumes the session.
+/// Starts the session, or resumes it after an error or an interruption.
 pub fn play_session(config: &SessionConfig, hooks: &mut SessionHooks<'_>) -> Result<SessionRecord, AcceptError> {
     let mut session = SessionRunner::open(config, hooks)?;
     let actions = step_actions(&config.plan);
     if session.record.steps.len() != actions.len() {
-        let message = format!("{} steps, expected {}", session.record.steps.len(), actions.len());
+        let message = format!("the record has {} steps, the plan {}", session.record.steps.len(), actions.len());
         return Err(AcceptError::InvalidRecord { path: config.out.join(FILE), message });
     }
     let is_open = session.record.steps.iter().any(|step| !step.done);
@@ -58,7 +57,7 @@ pub fn play_session(config: &SessionConfig, hooks: &mut SessionHooks<'_>) -> Res
     session.judge_and_seal()
 }
 
-/// The folder is locked against other sessions.
+/// Locks the folder of the record against other sessions.
 struct SessionRunner<'a> {
     config: &'a SessionConfig,
     record: SessionRecord,
@@ -125,7 +124,7 @@ impl<'a> SessionRunner<'a> {
         }
         let attempts = step.attempts.clone();
         if let Some(stored) = self.record.steps.get_mut(index) {
-            // An attempt that failed leaves nothing but its own entry.
+            // A failed attempt changes only the list of attempts.
             if result.is_ok() { *stored = step } else { stored.attempts = attempts }
         }
         self.record.write(&self.config.out)?;
@@ -250,7 +249,7 @@ impl<'a> SessionRunner<'a> {
     }
 }
 
-/// `new` is the record of a session that starts now.
+/// `new` is the record that a session would have if it started now.
 fn resume(config: &SessionConfig, new: &SessionRecord) -> Result<SessionRecord, AcceptError> {
     let folder = &config.out;
     let mut record = SessionRecord::read(folder)?;
@@ -268,11 +267,10 @@ fn resume(config: &SessionConfig, new: &SessionRecord) -> Result<SessionRecord, 
     Ok(record)
 }
 
-/// Only for details that the command line did not give.
 fn ask_details(mut record: SessionRecord, hooks: &SessionHooks<'_>) -> SessionRecord {
     for (detail, text) in [
         (&mut record.details.operator, "Who is the operator?"),
-        (&mut record.details.place, "Where is this?"),
+        (&mut record.details.place, "Where does the session take place?"),
         (&mut record.details.notes, "Notes?"),
     ] {
         if detail.is_none() {

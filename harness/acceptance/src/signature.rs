@@ -1,7 +1,5 @@
-//! Signs and checks the manifest: `manifest.sha256.sig`.
-//!
-//! The signature is ed25519 over the manifest, 64 raw bytes; keys are in PEM as OpenSSL writes
-//! them. `openssl pkeyutl -verify -rawin` checks a signature too.
+//! Signs the manifest (ed25519, 64 raw bytes in `manifest.sha256.sig`) and checks the signature. Keys have the PEM
+//! formats of OpenSSL (PKCS #8, SPKI). `openssl pkeyutl -verify -rawin` checks a signature too.
 
 use crate::error::AcceptError;
 use ed25519_dalek::pkcs8::spki::der::pem::{LineEnding, decode_label};
@@ -21,7 +19,6 @@ pub struct SecretKey(SigningKey);
 pub struct PublicKey(VerifyingKey);
 
 impl SecretKey {
-    /// From PKCS #8 in PEM.
     pub fn read(path: &Path) -> Result<Self, AcceptError> {
         let text = fs::read_to_string(path).at(path)?;
         SigningKey::from_pkcs8_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
@@ -43,7 +40,6 @@ impl std::fmt::Debug for SecretKey {
 }
 
 impl PublicKey {
-    /// From SPKI in PEM.
     pub fn read(path: &Path) -> Result<Self, AcceptError> {
         let text = fs::read_to_string(path).at(path)?;
         VerifyingKey::from_public_key_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
@@ -53,12 +49,11 @@ impl PublicKey {
         VerifyingKey::from_public_key_pem(text).ok().map(Self)
     }
 
-    /// Empty if the key cannot be encoded.
     pub(crate) fn to_pem(&self) -> String {
         self.0.to_public_key_pem(LineEnding::LF).unwrap_or_default()
     }
 
-    /// SHA-256 of the 32 bytes, hexadecimal.
+    /// SHA-256 of the 32 bytes of the key, hexadecimal.
     pub fn fingerprint(&self) -> String {
         sha256(self.0.as_bytes())
     }

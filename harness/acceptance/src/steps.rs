@@ -22,7 +22,6 @@ pub(crate) fn step_actions(plan: &Plan) -> Vec<StepAction<'_>> {
     actions
 }
 
-/// Before the session starts.
 pub(crate) fn step_records(plan: &Plan) -> Vec<StepRecord> {
     let describe = |action: StepAction<'_>| match action {
         StepAction::Identity => ("identity".to_owned(), "Board and firmware".to_owned(), StepKind::Identity),

@@ -1,8 +1,6 @@
-//! Verifies a sealed record.
-//!
-//! Compares the files with the manifest, the manifest with its signature, and the verdicts with the
-//! traces, which are judged again. Without a signature, a changed file with a new manifest is found
-//! only by a verdict that the traces contradict.
+//! Compares the files of a sealed record with its manifest, the manifest with its signature, and the verdicts with the
+//! traces, which are judged again. Without a signature, a changed file with a new manifest is found only if it
+//! contradicts the traces.
 
 use crate::error::AcceptError;
 use crate::judge::judge_requirements;
@@ -16,7 +14,6 @@ use platebench_runner::{RejudgeError, rejudge};
 use std::fs;
 use std::path::Path;
 
-/// A difference from the sealed record; each names its file.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Finding {
     #[error(transparent)]
@@ -34,7 +31,7 @@ pub enum Finding {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Signer {
     Unsigned,
-    /// The key in the record itself, by its fingerprint.
+    /// Fingerprint of the key that the record itself contains.
     RecordKey(String),
     GivenKey,
 }
@@ -44,9 +41,8 @@ pub struct Verification {
     pub findings: Vec<Finding>,
     pub session: Option<SessionRecord>,
     pub signer: Signer,
-    /// Hexadecimal.
     pub manifest_sha256: Option<String>,
-    /// In the manifest.
+    /// Number of files in the manifest.
     pub files: usize,
 }
 
@@ -99,7 +95,7 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, Ac
     Ok(found)
 }
 
-/// `named` is the key in the session.
+/// `named` is the key in the session record, `given` the key of the caller.
 fn check_signature(
     manifest: &[u8],
     signature: Option<&[u8]>,
@@ -107,16 +103,18 @@ fn check_signature(
     given: Option<&PublicKey>,
 ) -> Result<Signer, Finding> {
     match (signature, given, named) {
-        (None, Some(_), _) => Err(Finding::NoSignature("expected one by the given key")),
-        (None, None, Some(_)) => Err(Finding::NoSignature("session.json names a key")),
+        (None, Some(_), _) => Err(Finding::NoSignature("expected a signature with the given key")),
+        (None, None, Some(_)) => Err(Finding::NoSignature("although session.json contains a key")),
         (None, None, None) => Ok(Signer::Unsigned),
         (Some(signature), Some(given), _) if given.verifies(manifest, signature) => Ok(Signer::GivenKey),
-        (Some(_), Some(_), _) => Err(Finding::WrongSignature("expected one by the given key over this manifest")),
-        (Some(_), None, None) => Err(Finding::WrongSignature("session.json names no key")),
+        (Some(_), Some(_), _) => {
+            Err(Finding::WrongSignature("expected a signature of this manifest with the given key"))
+        }
+        (Some(_), None, None) => Err(Finding::WrongSignature("session.json contains no key for it")),
         (Some(signature), None, Some(named)) => PublicKey::from_pem(&named.public_key)
             .filter(|named| named.verifies(manifest, signature))
             .map(|named| Signer::RecordKey(named.fingerprint()))
-            .ok_or(Finding::WrongSignature("expected one by the key in session.json over this manifest")),
+            .ok_or(Finding::WrongSignature("expected a signature of this manifest with the key in session.json")),
     }
 }
 
@@ -140,22 +138,23 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
                         (stored.verdict, &stored.expectations) != (again.verdict, &again.expectations)
                     });
                 if differs {
-                    findings.push(contradiction(&file, "the traces, judged again, give other verdicts".to_owned()));
+                    findings.push(contradiction(&file, "its verdicts differ from those of the traces".to_owned()));
                 }
                 if step.verdict != Some(again.verdict) {
                     let stored = step.verdict.map_or("nothing", platebench_record::Verdict::name);
-                    let message = format!("step {} has verdict {stored}, its traces give {}", step.id, again.verdict);
+                    let message =
+                        format!("step {} has verdict {stored}, but its traces give {}", step.id, again.verdict);
                     findings.push(contradiction(FILE, message));
                 }
                 let used = again.scenarios.iter().flat_map(|scenario| &scenario.inputs);
                 for input in used.filter(|input| session.inputs.iter().all(|known| known.sha256 != input.sha256)) {
-                    let message = format!("{} is not an input of the session", input.file);
+                    let message = format!("the run used {}, which is not an input of the session", input.file);
                     findings.push(contradiction(&file, message));
                 }
                 runs.push((step.id.clone(), again));
             }
             Err(error) => {
-                let message = format!("its traces cannot be judged again: {error}");
+                let message = format!("the traces of this run cannot be judged again: {error}");
                 findings.push(contradiction(&file, message));
             }
         }
@@ -164,7 +163,7 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
     let plan = fs::read(&path).ok().filter(|bytes| sha256(bytes) == session.plan.sha256);
     let read = |bytes: Vec<u8>| plan::read_recorded_plan(&path, bytes, &folder.join(BUDGET)).ok();
     let Some((requirements, decision)) = plan.and_then(read) else {
-        findings.push(contradiction(PLAN, "not the plan of the session".to_owned()));
+        findings.push(contradiction(PLAN, "this is not the plan of the session".to_owned()));
         return findings;
     };
     let [used, stated] = [
@@ -172,7 +171,7 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
         session.decision.as_ref().map(|decision| (decision.rule, decision.budget.sha256.clone())),
     ];
     if used != stated {
-        findings.push(contradiction(FILE, "decision rule or budget differ from plan and budget.toml".to_owned()));
+        findings.push(contradiction(FILE, "decision rule or budget differs from plan.toml and budget.toml".to_owned()));
     }
     let (decided, verdict) = judge_requirements(&requirements, &session.steps, &runs, decision.as_ref());
     for again in &decided {
@@ -181,19 +180,19 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
             stored => {
                 let verdict = stored.map_or("none", |stored| stored.verdict.name());
                 let message = if verdict == again.verdict.name() {
-                    format!("{}: text or evidence differs from plan and traces", again.id)
+                    format!("text or evidence of {} differs from plan and traces", again.id)
                 } else {
-                    format!("{} has verdict {verdict}, its evidence gives {}", again.id, again.verdict)
+                    format!("{} has verdict {verdict}, but its evidence gives {}", again.id, again.verdict)
                 };
                 findings.push(contradiction(FILE, message));
             }
         }
     }
     if session.requirements.len() > decided.len() {
-        findings.push(contradiction(FILE, "requirements that are not in the plan".to_owned()));
+        findings.push(contradiction(FILE, "the record has requirements that are not in the plan".to_owned()));
     }
     if session.verdict != verdict {
-        let message = format!("the session has verdict {}, its evidence gives {verdict}", session.verdict);
+        let message = format!("the session has verdict {}, but its evidence gives {verdict}", session.verdict);
         findings.push(contradiction(FILE, message));
     }
     findings

@@ -5,10 +5,10 @@ use platebench_verdict::statistics::SampleSummary;
 use std::collections::BTreeMap;
 
 const CONFIDENCE: f64 = 0.95;
-/// Each end of the interval is a one-sided bound.
+/// Confidence of each end of the interval as a one-sided bound.
 const ONE_SIDED: f64 = f64::midpoint(1.0, CONFIDENCE);
 
-/// Each board against the first one that played the scenario.
+/// Compares each board with the first board that played the scenario.
 pub(crate) fn differences(merge: &MergeRecord, scenarios: &[ScenarioRecord]) -> Vec<BoardDifference> {
     let mut boards: BTreeMap<&str, Vec<(&str, &ScenarioRecord)>> = BTreeMap::new();
     for run in &merge.runs {
@@ -42,7 +42,6 @@ pub(crate) fn differences(merge: &MergeRecord, scenarios: &[ScenarioRecord]) -> 
     found
 }
 
-/// Summary of the trials that count.
 fn summary(scenario: &ScenarioRecord, metric: &str) -> Option<SampleSummary> {
     let counted = scenario.trials.iter().filter(|trial| trial.cause.is_none());
     let values: Vec<f64> = counted.filter_map(|trial| trial.metrics.number(metric)).collect();

@@ -8,7 +8,6 @@ use std::fs::{self, File};
 use std::io;
 use std::path::PathBuf;
 
-/// Paths of a board below the state folder.
 #[derive(Debug, Clone)]
 pub(crate) struct BoardFiles {
     pub(crate) state: PathBuf,
@@ -17,7 +16,7 @@ pub(crate) struct BoardFiles {
 }
 
 impl BoardFiles {
-    /// Creates the folder.
+    /// Creates the state folder.
     pub(crate) fn new(inventory: &Inventory, board: &Board) -> Result<Self, BoardError> {
         let folder = inventory.state_folder();
         fs::create_dir_all(&folder).at(&folder)?;
@@ -33,7 +32,6 @@ impl BoardFiles {
         })
     }
 
-    /// Returns the holder if a lock is taken.
     pub(crate) fn lock(&self) -> Result<Result<BoardLock, LockHolder>, BoardError> {
         let mut files = Vec::new();
         for path in &self.locks {
@@ -47,7 +45,6 @@ impl BoardFiles {
     }
 }
 
-/// Released by the kernel when the process ends.
 #[derive(Debug)]
 pub(crate) struct BoardLock {
     _files: Vec<File>,

@@ -9,25 +9,22 @@ use std::path::PathBuf;
 pub enum BoardError {
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Inventory(Vec<Diagnostic>),
-    #[error("no boards.toml in this folder or above it, expected one, or --boards FILE")]
+    #[error("no boards.toml in this folder or a folder above it, expected this file or --boards FILE")]
     NoInventory,
     #[error("{}: no board `{name}`, expected one of {known}", path.display())]
-    Unknown {
-        path: PathBuf,
-        name: String,
-        /// Names of the inventory.
-        known: String,
-    },
-    /// File or folder of the state.
+    Unknown { path: PathBuf, name: String, known: String },
     #[error(transparent)]
     File(#[from] FileError),
-    #[error("{}: {source}; expected the state that platebench wrote", path.display())]
+    #[error(
+        "{}: the stored state of the board is damaged: {source}; expected the content that platebench wrote",
+        path.display()
+    )]
     State { path: PathBuf, source: serde_json::Error },
     #[error("board {name} is held by {holder}{since}; --wait SECONDS waits for it")]
     Held {
         name: String,
         holder: LockHolder,
-        /// With a leading space, or empty.
+        /// Text with a leading space, or empty.
         since: String,
     },
     #[error(
@@ -37,7 +34,7 @@ pub enum BoardError {
     Quarantined { name: String, since: String, reason: String },
     #[error("board {name} is not in quarantine")]
     NotQuarantined { name: String },
-    #[error("the reason is empty, expected what was checked")]
+    #[error("--reason is empty, expected a text that states what was checked on the board")]
     NoReason,
     #[error("board {name}: the chip has the number {found}, boards.toml has {expected}; nothing was configured")]
     WrongChip { name: String, found: String, expected: String },

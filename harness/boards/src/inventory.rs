@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize, Serializer};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// The nearest one applies, from the working directory upwards.
 pub const INVENTORY_FILE: &str = "boards.toml";
 /// Hexadecimal digits of `Identity::unique`.
 const CHIP_ID_DIGITS: usize = 24;
@@ -36,10 +35,10 @@ struct RawBoard {
     rig: String,
     /// Computer that the board is connected to.
     host: Option<String>,
-    /// Number of the chip, 24 hexadecimal digits; a board with another one is refused before any voltage.
+    /// Number of the chip, 24 hexadecimal digits. A board with another chip is rejected before it gets a voltage.
     #[schemars(regex(pattern = "^[0-9A-Fa-f]{24}$"))]
     chip_id: Option<String>,
-    /// Serial number of the debug probe; two boards with the same probe are never in use at once.
+    /// Serial number of the debug probe. Two boards with the same probe are never in use at the same time.
     #[schemars(length(min = 1))]
     probe_serial: Option<String>,
     /// Amplifier.
@@ -83,7 +82,6 @@ fn serialize_rig<S: Serializer>(rig: &RigSpec, serializer: S) -> Result<S::Ok, S
 }
 
 impl Board {
-    /// One line: board, amplifier, sensor with its calibration.
     pub fn describe_instruments(&self) -> String {
         let mut text = format!("board {}", self.name);
         let amplifier = self.amplifier.iter().map(|amplifier| format!(", amplifier {amplifier}"));
@@ -122,7 +120,6 @@ impl Inventory {
         Self::read(&path).map_err(BoardError::Inventory)
     }
 
-    /// Errors: every fault of the file.
     pub fn read(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawInventory>(path)?;
         let mut faults = Vec::new();
@@ -153,7 +150,7 @@ impl Inventory {
         })
     }
 
-    /// Folder of locks and states, next to the file: `boards.state` for `boards.toml`.
+    /// Folder of locks and states, for example `boards.state` next to `boards.toml`.
     pub(crate) fn state_folder(&self) -> PathBuf {
         self.path.with_extension("state")
     }

@@ -20,7 +20,10 @@ pub enum MergeError {
     Folder(#[from] FolderError),
     #[error("{}: is a joined run, expected the runs that it was made of", .0.display())]
     AlreadyMerged(PathBuf),
-    #[error("{}: {what} is {found}, {expected} in {}, expected equal ones", run.display(), first.display())]
+    #[error(
+        "{}: {what} is {found}, but {expected} in {}; only runs with the same value can be joined",
+        run.display(), first.display()
+    )]
     Different { run: PathBuf, first: PathBuf, what: &'static str, found: String, expected: String },
     #[error(
         "{}: trial {trial} of {scenario} on {board} (seed {seed}) is also in {}, expected each trial once",
@@ -32,13 +35,12 @@ pub enum MergeError {
 struct StoredRun {
     folder: PathBuf,
     record: RunRecord,
-    /// Board, or kind of the rig.
+    /// Name of the board, or kind of the rig if the run has no board.
     board: String,
-    /// Folder of its scenarios; a board with two runs of a scenario has two.
+    /// Folder of its scenarios in the joined run. Two runs of a scenario on one board have two folders.
     place: String,
 }
 
-/// Writes the joined record, its inputs and traces into `out`.
 pub fn merge_runs(folders: &[PathBuf], out: &RunFolder) -> Result<RunRecord, MergeError> {
     let runs = read_runs(folders)?;
     check_trials(&runs)?;
@@ -115,7 +117,7 @@ fn read_runs(folders: &[PathBuf]) -> Result<Vec<StoredRun>, MergeError> {
     Ok(runs)
 }
 
-/// The name of the board, with a number if an earlier run has one of the scenarios there.
+/// Name of the board, with a number if an earlier run has one of the scenarios in this folder.
 fn free_place(runs: &[StoredRun], board: &str, record: &RunRecord) -> String {
     let is_used = |place: &str| {
         let there = runs.iter().filter(|run| run.place == place).flat_map(|run| &run.record.scenarios);
@@ -148,7 +150,7 @@ fn check_trials(runs: &[StoredRun]) -> Result<(), MergeError> {
     Ok(())
 }
 
-/// Boards that played different shards of the same N share one set of shards; otherwise each board has its own.
+/// If boards played different shards of the same N, they share one set of shards. Otherwise each board has its own set.
 fn missing_shards(runs: &[StoredRun]) -> Vec<MissingShard> {
     let mut present: BTreeMap<usize, BTreeMap<&str, BTreeSet<usize>>> = BTreeMap::new();
     for run in runs {
@@ -205,7 +207,7 @@ fn joined_head(runs: &[StoredRun], out: &RunFolder) -> RunRecord {
     }
 }
 
-/// Copies inputs and traces, whose hashes must be those of the record.
+/// Copies inputs and traces. Fails if the hash of a trace is not that of the record.
 fn copy_scenario(
     run: &StoredRun,
     scenario: &ScenarioRecord,

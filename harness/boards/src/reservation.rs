@@ -17,7 +17,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
-/// Another command reads the state of the board under its lock for a moment.
+/// Shortest wait, because another command holds the lock for a moment to read the board's state.
 const MIN_WAIT: Duration = Duration::from_millis(500);
 
 /// If it is dropped before [`Reservation::finish`], the board is in quarantine.
@@ -30,8 +30,7 @@ pub struct Reservation {
 }
 
 impl Reservation {
-    /// Waits at most `wait` for the holder, which is passed to `on_wait` once. Checks the chip, then
-    /// marks the board as in use.
+    /// Waits at most `wait` for the holder and reports it to `on_wait` once. Checks the chip, then marks the board.
     pub fn new(
         inventory: &Inventory,
         name: &str,
@@ -63,12 +62,12 @@ impl Reservation {
         &self.board
     }
 
-    /// When the board was marked, UTC, RFC 3339.
+    /// Time of the mark, UTC, RFC 3339.
     pub fn started(&self) -> &str {
         &self.started
     }
 
-    /// Removes the mark; puts the board into quarantine if `end` states a reason.
+    /// Removes the mark. Puts the board into quarantine if `end` states a reason.
     pub fn finish(self, end: RunEnd) -> Result<(), BoardError> {
         let mut state = StoredState::read(&self.files.state)?;
         state.in_use = None;
@@ -111,7 +110,7 @@ fn wait_for_lock(
     }
 }
 
-/// Only asks for the identity; dropping the session asks for 0 V.
+/// Reads only the identity. The drop of the session requests 0 V.
 fn check_chip(board: &Board) -> Result<(), BoardError> {
     let Some(expected) = &board.chip_id else { return Ok(()) };
     let options = ConnectOptions { cancel: CancelToken::never(), ..ConnectOptions::default() };

@@ -10,7 +10,6 @@ const NOT_CONFIRMED: &str = "the controller did not confirm 0 V";
 /// Depth of the runs of an acceptance session below its folder.
 const MAX_DEPTH: usize = 4;
 
-/// How a command left the board.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RunEnd {
     /// Why no further run may start.
@@ -62,7 +61,7 @@ impl RunEnd {
         end
     }
 
-    /// The end of all runs in and below `folder` that started at `since` or later; `last_run` is the newest.
+    /// Combines all runs in and below `folder` that started at `since` or later. `last_run` is the newest of them.
     pub fn of_runs_below(folder: &Path, since: &str) -> Self {
         let mut end = Self::untouched();
         end.add_runs_below(folder, since, MAX_DEPTH);

@@ -14,14 +14,12 @@ const RUNS: &str = "runs";
 const MAX_KEPT_FAILURES: usize = 20;
 
 pub struct SoakConfig {
-    /// With all scenarios and their overrides.
     pub plan: RunPlan,
     pub board: String,
     pub duration: Duration,
     pub fail_fast: bool,
 }
 
-/// How the soak left the board, and what ended it early.
 #[derive(Debug)]
 pub struct SoakResult {
     pub record: SoakRecord,
@@ -100,7 +98,7 @@ fn end_after(
     }
 }
 
-/// One scenario; its seeds continue after those of the round before.
+/// Contains one scenario. Its seeds follow those of the round before.
 fn plan_of(plan: &RunPlan, scenario: &Scenario, round: u64) -> RunPlan {
     let trials = u64::from(scenario.trials.max_count.max(scenario.trials.count));
     let seed = scenario.trials.seed.wrapping_add(round.wrapping_mul(trials));

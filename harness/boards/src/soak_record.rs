@@ -13,7 +13,6 @@ pub const SOAK_FILE: &str = "soak.json";
 const FORMAT: u32 = 1;
 const MAX_BYTES: u64 = 1 << 26;
 
-/// The content of `soak.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SoakRecord {
     format: u32,
@@ -23,13 +22,12 @@ pub struct SoakRecord {
     pub updated: String,
     /// The most severe verdict of all runs.
     pub verdict: Verdict,
-    /// Absent while it runs, and if it was killed.
+    /// Absent while the soak runs, and after it was killed.
     pub end: Option<SoakEnd>,
     pub runs: u64,
     /// True if the controller confirmed 0 V after each run.
     pub safe_confirmed: bool,
     pub scenarios: BTreeMap<String, SoakScenario>,
-    /// Folder of the newest run.
     pub newest: Option<String>,
     /// Folders of the first runs that did not pass.
     pub kept: Vec<String>,

@@ -11,18 +11,16 @@ use std::path::{Path, PathBuf};
 const FORMAT: u32 = 1;
 const MAX_STATE_BYTES: u64 = 1 << 20;
 
-/// The content of a state file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct StoredState {
     format: u32,
-    /// Present from before the first voltage until 0 V was confirmed.
+    /// Present from before the first voltage until the controller has confirmed 0 V.
     pub(crate) in_use: Option<InUse>,
     pub(crate) quarantine: Option<Quarantine>,
     pub(crate) last_run: Option<LastRun>,
     pub(crate) cleared: Option<Clearance>,
 }
 
-/// A mark of a process.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct InUse {
     pub(crate) since: String,
@@ -51,7 +49,6 @@ pub(crate) struct Clearance {
     at: String,
     user: Option<String>,
     reason: String,
-    /// The quarantine that ended.
     quarantine: Quarantine,
 }
 
@@ -79,7 +76,7 @@ impl StoredState {
         Ok(write_atomically(path, format!("{text}\n").as_bytes()).at(path)?)
     }
 
-    /// `in_use` counts as a quarantine: its process is gone and did not confirm 0 V.
+    /// If no process holds the lock, a mark `in_use` counts as a quarantine, because 0 V was not confirmed.
     pub(crate) fn quarantine_without_holder(&self) -> Option<Quarantine> {
         let lost = |mark: &InUse| Quarantine {
             since: mark.since.clone(),

@@ -36,7 +36,7 @@ pub fn list(inventory: &Inventory) -> Result<Vec<BoardStatus>, BoardError> {
 fn status(inventory: &Inventory, board: &Board) -> Result<BoardStatus, BoardError> {
     let files = BoardFiles::new(inventory, board)?;
     let lock = files.lock()?;
-    // After the attempt: the mark cannot be of a process that has ended since.
+    // Read after the attempt to lock, so that the mark is not that of a process that has ended since.
     let stored = StoredState::read(&files.state)?;
     let state = match (&lock, stored.quarantine_without_holder()) {
         (Err(holder), _) => BoardState::Held {
@@ -52,7 +52,7 @@ fn status(inventory: &Inventory, board: &Board) -> Result<BoardStatus, BoardErro
 }
 
 pub fn status_table(boards: &[BoardStatus]) -> Table {
-    let mut table = Table::new(["board", "state", "since", "by, or why", "last run", "verdict"]);
+    let mut table = Table::new(["board", "state", "since", "holder or reason", "last run", "verdict"]);
     for status in boards {
         let (state, since, why) = match &status.state {
             BoardState::Free => ("free", None, String::new()),
@@ -78,7 +78,7 @@ pub fn status_table(boards: &[BoardStatus]) -> Table {
     table
 }
 
-/// Ends the quarantine of a board that nothing holds.
+/// Ends a quarantine. Fails if a process holds the board.
 pub fn clear(inventory: &Inventory, name: &str, reason: &str) -> Result<(), BoardError> {
     if reason.trim().is_empty() {
         return Err(BoardError::NoReason);

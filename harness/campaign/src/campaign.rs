@@ -17,9 +17,8 @@ use toml::{Spanned, Table, Value};
 const MAX_TRIALS: u64 = 10_000_000_000;
 const MAX_CELLS: u64 = 1_000_000;
 const DEFAULT_CONFIDENCE: f64 = 0.95;
-/// Values of a long list that are checked before the campaign starts.
+/// Largest number of listed values that are checked before the campaign starts.
 const MAX_CHECKED_VALUES: usize = 100;
-/// Parts of a scenario that do not change a trial.
 const FIXED_KEYS: [&str; 7] = ["title", "source", "tags", "trials", "between", "expected_exit", "plate"];
 
 /// A campaign file.
@@ -31,8 +30,8 @@ pub struct RawCampaign {
     title: String,
     /// Scenario file, relative to this file.
     scenario: PathBuf,
-    /// Varied values by their path in the scenario, or `plate.` and their path in its plate file; the first one varies
-    /// slowest.
+    /// Distribution of each varied value. A key is a path in the scenario, or `plate.` and a path in its plate file.
+    /// The first key varies slowest.
     vary: BTreeMap<String, RawDistribution>,
     /// Correlated normal values.
     #[serde(default)]
@@ -44,20 +43,19 @@ pub struct RawCampaign {
     judge: RawJudge,
 }
 
-/// `[plan]`
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawPlan {
     /// How the values of a trial are chosen.
     method: Method,
-    /// Number of trials, per cell of a grid.
+    /// Number of trials. For `grid`: number per combination of listed values.
     #[schemars(range(min = 1))]
     trials: i64,
-    /// Seed; trial i has this seed + i.
+    /// Seed of the campaign. The seed of trial i is this number + i.
     #[serde(default = "one")]
     #[schemars(range(min = 0))]
     seed: i64,
-    /// Rig on which some trials of the hosted rig are played again: the failing, the worst and a random 1 %.
+    /// Rig that replays some trials of the hosted rig: the failing ones, the worst ones and a random 1 %.
     #[schemars(regex(pattern = "^emulated(:.+)?$"))]
     confirm: Option<String>,
 }
@@ -66,19 +64,17 @@ const fn one() -> i64 {
     1
 }
 
-/// `[judge]`
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RawJudge {
-    /// Largest share of failing trials; without it one failing trial fails.
+    /// Largest allowed share of failing trials. Without it, one failing trial fails the campaign.
     #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 1))]
     at_most: Option<f64>,
-    /// Confidence of each end of an interval.
+    /// One-sided confidence of each end of an interval.
     #[schemars(range(min = 0.5), extend("exclusiveMaximum" = 1))]
     confidence: Option<f64>,
 }
 
-/// How the values of a trial are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
@@ -90,16 +86,16 @@ pub enum Method {
     Sobol,
     /// Search for the worst case over the whole range of every value.
     Search,
-    /// Probability of rare failures.
+    /// Estimate of the probability of rare failures.
     Rare,
 }
 
-/// Trials of one search. A campaign runs several searches, because they find more than one long search.
+/// Trials of one search. Several short searches find more failures than one long search.
 const SEARCH_CHAIN_TRIALS: u64 = 256;
 const RARE_CHAIN_TRIALS: u64 = 2_048;
 
 impl Method {
-    /// Number of consecutive trials that depend on each other, a chain; 1 if trials are independent.
+    /// Length of a chain, which is a sequence of dependent trials; 1 if trials are independent.
     pub const fn chain_trials(self) -> u64 {
         match self {
             Self::Grid | Self::Random | Self::Sobol => 1,
@@ -114,17 +110,15 @@ pub struct Campaign {
     pub path: PathBuf,
     pub text: String,
     pub title: String,
-    /// In the order of the file.
+    /// In the order of the campaign file.
     pub variables: Vec<Variable>,
     pub method: Method,
     pub trials: u64,
     pub trials_per_cell: u64,
-    /// Number of combinations of listed values; 0 without listed values.
+    /// Number of combinations of listed values; 0 for a search or without listed values.
     pub cells: u64,
     pub seed: u64,
-    /// Rig on which some trials are played again.
     pub confirm: Option<RigSpec>,
-    /// Largest share of failing trials.
     pub at_most: Option<f64>,
     pub confidence: f64,
     pub(crate) correlation: Option<Correlation>,
@@ -137,7 +131,7 @@ struct Checker<'a> {
 }
 
 impl Campaign {
-    /// Errors: every wrong key, else every wrong value.
+    /// The errors are all wrong keys or, if all keys are right, all wrong values.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawCampaign>(path)?;
         let checker = Checker { path, text: &text };
@@ -184,7 +178,6 @@ impl Campaign {
         })
     }
 
-    /// The tables of a trial with these values.
     pub fn tables(&self, seed: u64, values: &[f64]) -> Result<ScenarioTables, String> {
         let changes = self
             .variables
@@ -204,7 +197,7 @@ impl Campaign {
     }
 }
 
-/// A campaign plays single trials and judges each one alone.
+/// Removes what concerns several trials, because a campaign judges each trial alone.
 fn prepare(scenario: &mut Table) {
     scenario.remove("trials");
     scenario.remove("expected_exit");
@@ -228,7 +221,7 @@ impl Checker<'_> {
         Diagnostic::at_span(self.path, self.text, self.span_of_variable(key), format!("`{key}`: {}", message.into()))
     }
 
-    /// A varied key contains dots.
+    /// [`Diagnostic::at_key`] cannot find a varied key, because the key contains dots.
     fn span_of_variable(&self, key: &str) -> Range<usize> {
         let document = DeTable::parse(self.text).ok();
         let vary = document.as_ref().and_then(|document| document.get_ref().get("vary"));
@@ -250,7 +243,6 @@ impl Checker<'_> {
         faults
     }
 
-    /// In the order of the file.
     fn variables(&self, raw: BTreeMap<String, RawDistribution>, faults: &mut Vec<Diagnostic>) -> Vec<Variable> {
         if raw.is_empty() {
             faults.push(self.fault("vary", "no varied value, expected at least one"));
@@ -274,7 +266,6 @@ impl Checker<'_> {
         variables
     }
 
-    /// An ELF is relative to the campaign file.
     fn confirming_rig(&self, plan: &RawPlan) -> Result<Option<RigSpec>, Diagnostic> {
         let Some(text) = &plan.confirm else { return Ok(None) };
         match text.parse() {
@@ -293,7 +284,7 @@ impl Checker<'_> {
         }
     }
 
-    /// A rare failure needs a density.
+    /// The method `rare` needs continuous distributions.
     fn rare_fault(&self, variables: &[Variable]) -> Option<Diagnostic> {
         let listed = variables.iter().find(|variable| variable.distribution.choices().is_some())?;
         Some(
@@ -313,7 +304,6 @@ impl Checker<'_> {
         })
     }
 
-    /// The first value that the scenario refuses.
     fn value_fault(&self, template: &ScenarioTemplate, variable: &Variable) -> Option<Diagnostic> {
         let values = variable.distribution.required_values();
         let step = values.len().div_ceil(MAX_CHECKED_VALUES).max(1);
@@ -338,13 +328,13 @@ impl Checker<'_> {
             if names(&scenario) != names(&template.scenario)
                 || !scenario.inputs.iter().all(|input| is_pinned(&input.path))
             {
-                return with_value("changes a file or the name of an expectation, expected a number or a choice");
+                return with_value("the value changes a file or the name of an expectation; vary another key");
             }
         }
         None
     }
 
-    /// Trials in all, and cells.
+    /// Number of all trials, and number of cells.
     fn counts(&self, plan: &RawPlan, variables: &[Variable]) -> Result<[u64; 2], Diagnostic> {
         let lists = variables.iter().filter_map(|variable| variable.distribution.choices());
         let cells = lists.clone().try_fold(1_u64, |cells, list| cells.checked_mul(list.len() as u64));
@@ -356,7 +346,7 @@ impl Checker<'_> {
             let message = "a grid without `steps` or `each`, expected at least one of them, or method `random`";
             return Err(self.fault("plan.method", message));
         }
-        // Trials of a search are no sample of a cell.
+        // The trials of a search are not random, so their share of failures in a cell has no meaning.
         let cells = if has_lists && plan.method != Method::Search { cells } else { 0 };
         let planned = u64::try_from(plan.trials).ok().filter(|trials| *trials > 0);
         let trials = planned.and_then(|trials| trials.checked_mul(if plan.method == Method::Grid { cells } else { 1 }));

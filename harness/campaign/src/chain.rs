@@ -1,7 +1,6 @@
-//! Runs chains of trials: each point depends on the scores of earlier ones.
+//! Runs chains of trials, in which the values of a trial depend on the scores of earlier trials.
 //!
-//! A chain depends on the campaign and its number alone. Its scores determine its points, so that a merge repeats the
-//! decisions of a chain from the scores in its part.
+//! The campaign, the number of the chain and the scores determine a chain. A merge repeats it from the stored scores.
 
 use crate::campaign::{Campaign, Method};
 use crate::draw::Trial;
@@ -10,11 +9,11 @@ use crate::rare::{self, ChainEstimate};
 use crate::search::search;
 use std::ops::Range;
 
-/// Steps towards the middle of the range until the scenario accepts a point.
+/// Largest number of steps by which a refused point moves towards the middle of the range.
 const MAX_STEPS: u32 = 12;
 
 impl Campaign {
-    /// Calls `score` for each point of a chain, until it returns `None`.
+    /// Calls `score` for each point until `score` returns `None`. Only `rare` returns an estimate.
     pub(crate) fn run_chain(
         &self,
         trials: &Range<u64>,
@@ -30,7 +29,7 @@ impl Campaign {
         None
     }
 
-    /// A point is a share of the range in a search, and a standard normal score otherwise.
+    /// `point` contains standard normal scores for `rare`, and positions in the ranges from 0 to 1 for `search`.
     pub(crate) fn chain_trial(&self, number: u64, point: &[f64]) -> Result<Trial, CampaignError> {
         if self.method == Method::Rare {
             let scores = self.correlation.as_ref().map(|correlation| correlation.apply(point));

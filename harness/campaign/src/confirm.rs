@@ -1,7 +1,7 @@
-//! Chooses screened trials for a replay on the emulated firmware, and compares the verdicts.
+//! Replays some trials of the hosted rig (the screen) on the emulated firmware and compares the verdicts.
 //!
-//! Three groups: the failing trials, those with the smallest margins, and a random sample. The choice depends on the
-//! plan's seed and the numbers of the trials, not on the order of play.
+//! There are three groups: failing trials, trials with the smallest margins, and a random sample. The choice depends on
+//! the seed of the campaign and the numbers of the trials, not on the order of play.
 
 use crate::campaign::Campaign;
 use crate::error::CampaignError;
@@ -19,20 +19,19 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Replayed failing trials, and replayed trials of the random sample.
+/// Largest number of replayed trials in the group of failing trials and in the random sample.
 const MAX_REPLAYED: usize = 10_000;
 /// One in this many trials belongs to the random sample.
 const SAMPLED_ONE_IN: u64 = 100;
-/// Trials in the list of different verdicts.
+/// Largest number of trials in [`Agreement::differences`].
 const MAX_LISTED: usize = 20;
-/// No trial has this stream: trial i has `u64::MAX − i`.
+/// Random stream of the choice. No trial has it, because trial i has the stream `u64::MAX − i`.
 const STREAM: u64 = 0xC0F1;
 
 /// Keeps the rows with the smallest keys.
 #[derive(Debug, Default)]
 struct Subset {
     rows: BTreeMap<(u64, u64), Row>,
-    /// Rows that qualified.
     candidates: u64,
 }
 
@@ -49,7 +48,6 @@ impl Subset {
     }
 }
 
-/// The screened trials to replay.
 #[derive(Debug, Default)]
 struct Selection {
     failing: Subset,
@@ -58,7 +56,6 @@ struct Selection {
 }
 
 impl Selection {
-    /// Rows come in any order.
     fn add(&mut self, seed: u64, row: &Row) {
         let key = key(seed, row.trial);
         if row.verdict == Verdict::Fail {
@@ -103,7 +100,7 @@ pub fn confirm(
     Ok(Some(Agreement { rig: rig.to_string(), firmware: firmware_digest(rig)?, ..agreement }))
 }
 
-/// Uniform over all numbers of 64 bits; independent of the values of the trial.
+/// Random number of a trial, uniform over all numbers of 64 bits and independent of the trial's values.
 fn key(seed: u64, trial: u64) -> u64 {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(STREAM);
@@ -111,27 +108,25 @@ fn key(seed: u64, trial: u64) -> u64 {
     random.next_u64()
 }
 
-/// Replayed trials of a group.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroupAgreement {
     pub name: &'static str,
-    /// Trials that qualified; more than `tally.trials` if the group has the largest size.
+    /// Number of trials that belong to the group. `tally.trials` of them were replayed.
     pub candidates: u64,
-    /// `failures`: the verdicts differ; `inconclusive`: exactly one of them is inconclusive.
+    /// `inconclusive` counts trials with exactly one inconclusive verdict, `failures` the other different verdicts.
     pub tally: Tally,
 }
 
-/// A trial with two verdicts.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Difference {
     pub trial: u64,
     pub screened: Verdict,
     pub emulated: Verdict,
-    /// Screened, emulated.
+    /// On the hosted rig and on the emulated firmware.
     pub margins: [f64; 2],
 }
 
-/// Verdicts of the screen and of the emulated firmware.
+/// Comparison of the hosted rig with the emulated firmware.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Agreement {
     pub rig: String,
@@ -140,16 +135,15 @@ pub struct Agreement {
     pub groups: Vec<GroupAgreement>,
     /// Replayed trials, each counted once.
     pub replayed: usize,
-    /// First ones by number.
+    /// The first 20 by number of the trial.
     pub differences: Vec<Difference>,
-    /// Replayed trials that fail on the emulated firmware alone.
+    /// Number of trials that pass on the hosted rig and fail on the emulated firmware.
     pub missed_failures: u64,
-    /// Largest difference of two finite margins of one trial.
     pub largest_margin_difference: f64,
 }
 
 impl Agreement {
-    /// `replays` has one row per row of the selection, in the same order. `None` otherwise.
+    /// `None` if `replays` do not have the rows of the selection in the same order.
     fn new(selection: &Selection, replays: &[Row]) -> Option<Self> {
         let screened = selection.rows();
         let is_same = screened.len() == replays.len()
@@ -222,16 +216,16 @@ impl Agreement {
         for GroupAgreement { name, candidates, tally } in &self.groups {
             let _ = write!(
                 text,
-                "  {name}: {} of {} verdicts differ, {} undecided",
+                "  {name} trials: {} of {} verdicts differ, {} inconclusive on one rig only",
                 tally.failures, tally.trials, tally.inconclusive
             );
-            // The worst trials are no sample of others.
+            // The worst trials are not a random sample.
             if let Some([low, high]) = tally.interval(confidence).filter(|_| *name != "worst") {
                 let [low, high] = [low, high].map(|share| share * 100.0);
-                let _ = write!(text, "; {low:.4} % to {high:.4} %, each end at {} %", confidence * 100.0);
+                let _ = write!(text, "; {low:.4} % to {high:.4} %, each end at {} % confidence", confidence * 100.0);
             }
             if *candidates > tally.trials {
-                let _ = write!(text, "; a random {} of {candidates}", tally.trials);
+                let _ = write!(text, "; {} of {candidates} were drawn at random", tally.trials);
             }
             text += "\n";
         }

@@ -3,26 +3,24 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// `[[correlate]]`
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct RawCorrelation {
     /// Two keys of `[vary]` with a `normal` or `lognormal` distribution.
     keys: [String; 2],
-    /// Correlation of both; of the logarithm for `lognormal`.
+    /// Correlation coefficient of the two values; of the logarithm for `lognormal`.
     #[schemars(extend("exclusiveMinimum" = -1, "exclusiveMaximum" = 1))]
     coefficient: f64,
 }
 
-/// Lower triangle L of the matrix of correlations `R = L Lᵀ`.
+/// Lower triangle L (Cholesky factor) of the correlation matrix `R = L Lᵀ`.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Correlation {
     triangle: Vec<Vec<f64>>,
 }
 
 impl Correlation {
-    /// `None` without correlations. The keys of all values, and whether they are normal. The error says what was
-    /// expected.
+    /// `variables` are the keys of all varied values and whether each is normal. `None` if `raw` is empty.
     pub(crate) fn new(raw: &[RawCorrelation], variables: &[(&str, bool)]) -> Result<Option<Self>, String> {
         if raw.is_empty() {
             return Ok(None);
@@ -38,7 +36,7 @@ impl Correlation {
             let (one, other) = (place(one)?, place(other)?);
             if one == other || coefficient.abs() >= 1.0 || coefficient.is_nan() {
                 return Err(format!(
-                    "coefficient {coefficient}, expected two different keys and -1 to 1, without the ends"
+                    "coefficient {coefficient}, expected two different keys and a coefficient above -1 and below 1"
                 ));
             }
             for (row, column) in [(one, other), (other, one)] {
@@ -51,14 +49,13 @@ impl Correlation {
         cholesky(&matrix).map(|triangle| Some(Self { triangle })).ok_or_else(error)
     }
 
-    /// Correlates independent standard normal scores.
+    /// Returns `L · scores`; `scores` are independent standard normal numbers.
     pub(crate) fn apply(&self, scores: &[f64]) -> Vec<f64> {
         let row = |row: &Vec<f64>| row.iter().zip(scores).map(|(factor, score)| factor * score).sum();
         self.triangle.iter().map(row).collect()
     }
 }
 
-/// `None` if the matrix is not positive definite.
 fn cholesky(matrix: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
     let mut triangle: Vec<Vec<f64>> = Vec::new();
     for row in matrix {

@@ -9,7 +9,6 @@ use toml::Value;
 
 const MAX_STEPS: u32 = 1_000_000;
 
-/// A listed value.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "expected a number, a text, true or false")]
 pub enum Choice {
@@ -55,29 +54,27 @@ impl fmt::Display for Choice {
     }
 }
 
-/// Distribution of a value, unchecked.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum RawDistribution {
     /// Listed values.
     Each(#[schemars(length(min = 1))] Vec<Choice>),
-    /// First value, last value, number of values.
+    /// Equally spaced values: first value, last value, number of values.
     Steps(f64, f64, u32),
-    /// Smallest and largest value.
+    /// Uniform distribution: smallest and largest value.
     Uniform([f64; 2]),
-    /// A normal distribution.
+    /// Normal distribution.
     Normal(RawNormal),
-    /// A distribution whose logarithm is normal; mean and standard deviation are those of the value.
+    /// Lognormal distribution. Mean and standard deviation are those of the value, not of its logarithm.
     Lognormal(RawNormal),
 }
 
-/// `normal` and `lognormal`
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawNormal {
     /// Mean.
     mean: f64,
-    /// Standard deviation; this or `sd_percent`.
+    /// Standard deviation. Exactly one of `sd` and `sd_percent` is required.
     #[schemars(extend("exclusiveMinimum" = 0))]
     sd: Option<f64>,
     /// Standard deviation, percent of the mean.
@@ -89,34 +86,32 @@ pub struct RawNormal {
 
 #[derive(Debug, Clone, PartialEq)]
 pub enum Distribution {
-    /// At least one value.
     Choices(Vec<Choice>),
     Uniform([f64; 2]),
     Normal(NormalDistribution),
 }
 
-/// A normal distribution of a value, or of its logarithm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NormalDistribution {
     mean: f64,
     sd: f64,
     truncate: Option<[f64; 2]>,
-    /// Mean, standard deviation and range are those of the logarithm.
+    /// True if the other fields describe the logarithm of the value.
     is_logarithm: bool,
 }
 
 impl RawDistribution {
-    /// The error says what was expected.
+    /// The error is a message for the user.
     pub fn check(self) -> Result<Distribution, String> {
         match self {
             Self::Each(values) if values.is_empty() => Err("each = [], expected at least one value".to_owned()),
             Self::Each(values) => {
                 let is_uniform = values.iter().all(Choice::is_number) || !values.iter().any(Choice::is_number);
                 if !is_uniform {
-                    return Err("each mixes numbers and others, expected values of one type".to_owned());
+                    return Err("`each` mixes numbers with other values, expected values of one type".to_owned());
                 }
                 if values.iter().any(|value| value.number().is_some_and(|number| !number.is_finite())) {
-                    return Err("each has a value that is not finite".to_owned());
+                    return Err("`each` has a value that is not finite, expected finite numbers".to_owned());
                 }
                 Ok(Distribution::Choices(values))
             }
@@ -127,7 +122,7 @@ impl RawDistribution {
                         "steps = [{from}, {to}, {count}], expected [from, to, how many] with 2 to {MAX_STEPS} values"
                     ));
                 }
-                // Both ends are exact.
+                // The first and the last value have no rounding error.
                 let value = |index: u32| match index {
                     0 => from,
                     _ if index + 1 == count => to,
@@ -151,7 +146,7 @@ impl RawNormal {
         let sd = match (self.sd, self.sd_percent) {
             (Some(sd), None) => sd,
             (None, Some(percent)) => self.mean.abs() * percent / 100.0,
-            _ => return Err("normal, expected exactly one of sd and sd_percent".to_owned()),
+            _ => return Err("expected exactly one of `sd` and `sd_percent`".to_owned()),
         };
         if !(self.mean.is_finite() && sd.is_finite() && sd > 0.0) {
             return Err(format!("normal with mean {} and sd {sd}, expected finite numbers and sd above 0", self.mean));
@@ -159,13 +154,15 @@ impl RawNormal {
         if let Some([low, high]) = self.truncate {
             let share = below((high - self.mean) / sd) - below((low - self.mean) / sd);
             if !(low < high && share > 1e-6) {
-                return Err(format!("truncate = [{low}, {high}], expected a range that contains values of the normal"));
+                return Err(format!(
+                    "truncate = [{low}, {high}], expected [low, high] with a part of the distribution"
+                ));
             }
         }
         Ok(NormalDistribution { mean: self.mean, sd, truncate: self.truncate, is_logarithm: false })
     }
 
-    /// `σ² = ln(1 + (sd/mean)²)`, `µ = ln mean − σ²/2`
+    /// The logarithm has `σ² = ln(1 + (sd/mean)²)` and `µ = ln mean − σ²/2`.
     fn check_lognormal(&self) -> Result<NormalDistribution, String> {
         let NormalDistribution { mean, sd, .. } = (Self { truncate: None, ..self.clone() }).check()?;
         if mean <= 0.0 || self.truncate.is_some_and(|[low, _]| low <= 0.0) {
@@ -182,7 +179,7 @@ impl RawNormal {
     }
 }
 
-/// Half the range that a search covers, in standard deviations.
+/// A search covers this number of standard deviations on both sides of the mean.
 const SEARCH_DEVIATIONS: f64 = 4.0;
 
 /// Φ(z)
@@ -214,7 +211,6 @@ impl NormalDistribution {
         quantile(((below(score(value)) - from) / (to - from)).clamp(f64::EPSILON, 1.0 - f64::EPSILON))
     }
 
-    /// Within the range.
     fn value(&self, normal: f64) -> f64 {
         let normal = self.truncate.map_or(normal, |[low, high]| normal.clamp(low, high));
         if self.is_logarithm { normal.exp() } else { normal }
@@ -222,7 +218,7 @@ impl NormalDistribution {
 }
 
 impl Distribution {
-    /// The value at `u` in (0, 1); the number of the choice for [`Self::Choices`].
+    /// Quantile at `u` in (0, 1). For [`Self::Choices`] it is the index of the choice.
     pub fn at(&self, u: f64) -> f64 {
         match self {
             Self::Choices(values) => (u * values.len() as f64).floor().min(values.len() as f64 - 1.0),
@@ -231,17 +227,17 @@ impl Distribution {
         }
     }
 
-    /// The value at the standard normal score `z`.
+    /// Quantile at Φ(`z`).
     pub fn at_score(&self, z: f64) -> f64 {
         if let Self::Normal(normal) = self { normal.at_score(z) } else { self.at(below(z)) }
     }
 
-    /// The standard normal score of a normal value; 0 for others.
+    /// Standard normal score of `value`; 0 if the distribution is not normal.
     pub(crate) fn score(&self, value: f64) -> f64 {
         if let Self::Normal(normal) = self { normal.score(value) } else { 0.0 }
     }
 
-    /// The value at `share` of the range that a search covers.
+    /// `share` is a position in the range that a search covers, from 0 to 1.
     pub fn at_share_of_range(&self, share: f64) -> f64 {
         match self {
             Self::Choices(_) => self.at(share),
@@ -250,12 +246,11 @@ impl Distribution {
         }
     }
 
-    /// True if a value that the scenario refuses is drawn again.
+    /// True for `normal` and `lognormal`.
     pub const fn is_normal(&self) -> bool {
         matches!(self, Self::Normal(_))
     }
 
-    /// As a value of a scenario.
     pub fn value(&self, drawn: f64) -> Value {
         match self {
             Self::Choices(values) => values.get(drawn as usize).map_or(Value::Float(f64::NAN), Value::from),
@@ -263,7 +258,6 @@ impl Distribution {
         }
     }
 
-    /// As a number of a result; `None` for a text.
     pub fn number(&self, drawn: f64) -> Option<f64> {
         match self {
             Self::Choices(values) => values.get(drawn as usize)?.number(),
@@ -282,7 +276,7 @@ impl Distribution {
         if let Self::Choices(values) = self { Some(values) } else { None }
     }
 
-    /// Values that must be valid for the quantity; others may be drawn again.
+    /// Values that the scenario must accept before the campaign starts.
     pub fn required_values(&self) -> Vec<Value> {
         match self {
             Self::Choices(values) => values.iter().map(Value::from).collect(),

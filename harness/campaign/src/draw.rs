@@ -1,4 +1,4 @@
-//! Draws the values of a trial. They depend on the campaign and the number of the trial alone.
+//! Draws the values of a trial. They depend only on the campaign and the number of the trial.
 
 use crate::campaign::{Campaign, Method};
 use crate::correlation::Correlation;
@@ -11,18 +11,16 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution as _, Open01};
 
-/// Attempts to draw values that the scenario accepts.
 const MAX_ATTEMPTS: u32 = 100;
-/// The crate has points for 16 bits; each further block of a sequence has another scrambling.
+/// Number of points in a sequence of `sobol_burley`. Each further block of trials uses another scrambling.
 const SOBOL_BLOCK: u64 = 1 << 16;
 
 #[derive(Debug)]
 pub struct Trial {
     pub number: u64,
     pub seed: u64,
-    /// In the order of the variables; the number of the choice for listed values.
+    /// One number per variable. For listed values it is the index of the chosen value, from 0.
     pub values: Vec<f64>,
-    /// Draws that the scenario refused.
     pub redraws: u32,
     pub tables: ScenarioTables,
     pub scenario: Scenario,
@@ -33,12 +31,12 @@ impl Campaign {
         self.seed + trial
     }
 
-    /// A normal draw outside the domain of its quantity is drawn again.
+    /// Draws normal values again while the scenario refuses them, up to 100 draws in all.
     pub fn trial(&self, number: u64) -> Result<Trial, CampaignError> {
         let is_redrawn = self.variables.iter().any(|variable| variable.distribution.is_normal());
         let attempts = if is_redrawn { MAX_ATTEMPTS } else { 1 };
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
-        // Streams 0 and 1 of a seed belong to noise and spread.
+        // Streams 0 and 1 of a seed are those of the sensor noise and of the spread between trials.
         random.set_stream(u64::MAX - number);
         let mut values = Vec::new();
         let mut refused = CampaignError::Cancelled;
@@ -52,7 +50,6 @@ impl Campaign {
         Err(refused)
     }
 
-    /// The trial with these values. Fails if the scenario refuses them.
     pub(crate) fn trial_with(&self, number: u64, values: Vec<f64>, redraws: u32) -> Result<Trial, CampaignError> {
         let seed = self.seed_of(number);
         let refuse = |message: &str| Diagnostic::for_file(&self.path, message);
@@ -72,14 +69,13 @@ impl Campaign {
         Err(CampaignError::Trial { trial: number, values, fault: Box::new(fault) })
     }
 
-    /// Number and values of a trial, one line.
     pub(crate) fn title_of(&self, trial: &Trial) -> String {
         let values = self.variables.iter().zip(&trial.values);
         let values = values.map(|(variable, value)| format!("{} {}", variable.short_name(), variable.text(*value)));
         format!("Trial {}: {}", trial.number, values.collect::<Vec<_>>().join(", "))
     }
 
-    /// A further attempt draws the normal values alone.
+    /// If `attempt` is above 0, only normal values are drawn; the others are those in `before`.
     fn draw(&self, trial: u64, attempt: u32, before: &[f64], random: &mut ChaCha8Rng) -> Vec<f64> {
         let mut place = self.cell_of(trial);
         let mut choices = vec![0; self.variables.len()];
@@ -104,7 +100,6 @@ impl Campaign {
         self.correlation.as_ref().map_or_else(|| values.clone(), |correlation| self.correlate(correlation, &values))
     }
 
-    /// Values that are not normal stay exactly as they are.
     fn correlate(&self, correlation: &Correlation, values: &[f64]) -> Vec<f64> {
         let variables = || self.variables.iter().zip(values);
         let scores: Vec<f64> = variables().map(|(variable, value)| variable.distribution.score(*value)).collect();
@@ -115,12 +110,11 @@ impl Campaign {
         variables().zip(correlated).map(value).collect()
     }
 
-    /// The number of the cell in a grid.
     fn cell_of(&self, trial: u64) -> u64 {
         if self.method == Method::Grid { trial / self.trials_per_cell } else { 0 }
     }
 
-    /// The cell of drawn values: the combination of listed values, the first key slowest.
+    /// Number of the cell, which is a combination of listed values. The first variable varies slowest.
     pub fn cell(&self, values: &[f64]) -> usize {
         self.variables.iter().zip(values).fold(0, |cell, (variable, value)| match variable.distribution.choices() {
             Some(list) => cell * list.len() + *value as usize,
@@ -132,7 +126,7 @@ impl Campaign {
         let block = (trial / SOBOL_BLOCK) as u32;
         let seed = (self.seed as u32) ^ ((self.seed >> 32) as u32) ^ block.wrapping_mul(0x9E37_79B9);
         let point = sobol_burley::sample((trial % SOBOL_BLOCK) as u32, dimension as u32, seed);
-        // The centre of an interval of 2⁻²⁴: never 0.
+        // Points are multiples of 2⁻²⁴. The centre of such an interval is never 0.
         f64::from(point) + 0.5 / f64::from(1 << 24)
     }
 }

@@ -20,9 +20,12 @@ pub enum CampaignError {
     Write { path: PathBuf, source: ParquetError },
     #[error(transparent)]
     Report(#[from] ReportError),
-    #[error("{}: no plan.json, expected a folder of `platebench campaign plan`", .0.display())]
+    #[error("{}: contains no plan.json, expected a folder that `platebench campaign plan` wrote", .0.display())]
     NoPlan(PathBuf),
-    #[error("{}: damaged or edited, {why}", path.display())]
+    #[error(
+        "{}: the file is damaged or was edited ({why}); restore it, or plan or play the campaign again",
+        path.display()
+    )]
     Damaged { path: PathBuf, why: &'static str },
     #[error("{}: belongs to another plan or shard; expected a part of this campaign folder", .0.display())]
     Foreign(PathBuf),
@@ -62,9 +65,9 @@ pub enum CampaignError {
     Run(#[from] RunError),
     #[error(transparent)]
     Folder(#[from] FolderError),
-    #[error("the controller was lost in {0} trials in a row")]
+    #[error("the connection to the controller failed in {0} consecutive trials; check the controller and its line")]
     Lost(u32),
-    #[error("cancelled")]
+    #[error("the campaign was cancelled")]
     Cancelled,
 }
 

@@ -1,13 +1,12 @@
-//! Moves a normal distribution towards the best of its samples: one CMA-ES with negative weights.
+//! Moves a normal distribution towards the best of its samples, with CMA-ES and negative weights.
 //!
-//! N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772, appendix A; names of its
-//! quantities are in parentheses.
+//! N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772, appendix A. Comments contain its symbols.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
-/// Largest ratio of two eigenvalues of C; beyond it rounding decides the directions.
+/// Largest ratio of two eigenvalues of C. With a larger ratio, rounding errors determine the directions.
 const MAX_CONDITION: f64 = 1e14;
 
 /// N(mean, step² C) with C = B D² Bᵀ.
@@ -36,7 +35,6 @@ pub(crate) struct Candidate {
 }
 
 impl Evolution {
-    /// Starts with C = I.
     pub(crate) fn new(mean: Vec<f64>, step: f64) -> Self {
         let dimensions = mean.len();
         Self {
@@ -52,7 +50,7 @@ impl Evolution {
         }
     }
 
-    /// Candidates per generation (λ).
+    /// Candidates per generation, λ.
     pub(crate) fn generation_size(&self) -> usize {
         self.rates.weights.len()
     }
@@ -65,7 +63,7 @@ impl Evolution {
     }
 
     /// Adapts the distribution to a whole generation, best candidate first. Returns false if C is no longer positive
-    /// definite within the precision of its numbers; start another search then.
+    /// definite in double precision. The caller must then start a new search.
     pub(crate) fn update(&mut self, ranked: &[Candidate]) -> bool {
         let Rates { weights, selected_mass, .. } = &self.rates;
         let (for_path, for_one, for_many) = (self.rates.path, self.rates.rank_one, self.rates.rank_many);
@@ -85,7 +83,7 @@ impl Evolution {
         let path_length = self.step_path.norm();
         self.step *= (for_step / damping * (path_length / mean_length - 1.0)).exp();
 
-        // A long path means a step that is still too small: C then waits for the step (h_σ = 0).
+        // A long path shows that the step is still too small. Then the path of C does not grow (h_σ = 0).
         self.generation += 1;
         let settled = (1.0 - (1.0 - for_step).powi(2 * self.generation)).sqrt();
         let is_short = path_length / settled < (1.4 + 2.0 / (n + 1.0)) * mean_length;
@@ -97,7 +95,7 @@ impl Evolution {
         self.covariance.ger(for_one, &self.covariance_path, &self.covariance_path, 1.0);
         for (candidate, weight) in ranked.iter().zip(weights) {
             let direction = &candidate.direction;
-            // A negative weight is scaled by the length, so that C stays positive definite.
+            // A negative weight is multiplied by n/|C^(−½) direction|², so that C stays positive definite.
             let scale = if *weight < 0.0 { n / (&self.inverse_root * direction).norm_squared() } else { 1.0 };
             self.covariance.ger(for_many * weight * scale, direction, direction, 1.0);
         }
@@ -121,9 +119,9 @@ impl Evolution {
 
 /// Default weights and learning rates of the tutorial, table 1.
 struct Rates {
-    /// Per rank, best first; those of the worse half are negative (w).
+    /// w, best rank first. The weights of the worse half are negative.
     weights: Vec<f64>,
-    /// Variance-effective number of selected candidates (`μ_eff`).
+    /// Variance-effective number of selected candidates, `μ_eff`.
     selected_mass: f64,
     /// `c_σ`
     step: f64,
@@ -188,7 +186,6 @@ mod tests {
     use rand_chacha::rand_core::SeedableRng;
     use rstest::rstest;
 
-    /// Plays generations until the best score is below `target`; the number of scores.
     fn scores_until(target: f64, dimensions: usize, seed: u64, score: impl Fn(&[f64]) -> f64) -> usize {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut evolution = Evolution::new(vec![0.5; dimensions], 0.3);
@@ -213,7 +210,6 @@ mod tests {
         (0..).zip(point).map(|(axis, x)| 1e6_f64.powf(f64::from(axis) / last) * x * x).sum()
     }
 
-    /// A curved valley to (1, 1, …).
     fn rosenbrock(point: &[f64]) -> f64 {
         point.windows(2).map(|x| 100.0 * (x[1] - x[0] * x[0]).powi(2) + (1.0 - x[0]).powi(2)).sum()
     }

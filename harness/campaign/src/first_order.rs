@@ -1,27 +1,25 @@
 //! Estimates first-order Sobol indices from trials that were not designed for them.
 //!
-//! The index of X is Var(E(Y|X))/Var(Y). Bins of equally many trials by X stand for its values. The share of the
-//! variance between the bins, less what bins without relation to Y would have, is ε² of T. L. Kelley, *Proceedings
-//! of the National Academy of Sciences* 21, 1935, pp. 554-559. Total indices need groups of trials that share
-//! values.
+//! The index of X is Var(E(Y|X))/Var(Y). The trials are sorted by X into bins of equal size, and E(Y|X) is the mean of
+//! a bin. The share of the variance between the bins, corrected for bins without relation to Y, is ε² of T. L. Kelley,
+//! *Proceedings of the National Academy of Sciences* 21, 1935, pp. 554-559. Total indices are not estimated, because
+//! they need groups of trials that share values.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Fewer trials have no interval.
 const MIN_TRIALS: usize = 64;
 const MAX_BINS: usize = 64;
 const RESAMPLES: usize = 400;
 
-/// Sums of a bin.
 #[derive(Debug, Clone, Copy, Default)]
 struct Bin {
     count: f64,
     sum: f64,
 }
 
-/// The index and its interval, each end one-sided at `confidence` (bootstrap). `ranks` are those of X, from 1.
-/// `None` with too few trials or without variation.
+/// Index and bootstrap interval, each end one-sided at `confidence`. `ranks` are the ranks of X from 1, `outputs` the
+/// values of Y. `None` if the trials are too few or Y is constant.
 pub(crate) fn first_order(ranks: &[f64], outputs: &[f64], confidence: f64, seed: u64) -> Option<(f64, [f64; 2])> {
     let count = ranks.len().min(outputs.len());
     if count < MIN_TRIALS {
@@ -41,17 +39,17 @@ pub(crate) fn first_order(ranks: &[f64], outputs: &[f64], confidence: f64, seed:
         let drawn = (0..count).map(|_| (u64::from(random.next_u32()) * count as u64) >> 32);
         let resample = drawn.filter_map(|place| trials.get(place as usize)).copied();
         let again = share_between(bins, resample)?;
-        // The resampled trials have `share`: its excess is corrected in the same way.
+        // The resamples are drawn from the trials, whose index without correction is `share`.
         deviations.push(1.0 - (count - 1) as f64 / (count - bins) as f64 * (1.0 - again) - share);
     }
     deviations.sort_by(f64::total_cmp);
     let at = |part: f64| deviations.get((part * (RESAMPLES - 1) as f64).round() as usize).copied();
-    // Basic bootstrap: an estimate is off by as much as its resamples are, with the other sign.
+    // Basic bootstrap: the index deviates from the true one as a resample deviates from `share`.
     let [low, high] = [index - at(confidence)?, index - at(1.0 - confidence)?];
     Some((index.clamp(0.0, 1.0), [low.clamp(0.0, 1.0), high.clamp(0.0, 1.0)]))
 }
 
-/// Share of the variance between the bins.
+/// Share of the variance of Y between the bins. `None` if Y is constant.
 fn share_between(bins: usize, trials: impl Iterator<Item = (usize, f64)>) -> Option<f64> {
     let mut sums = vec![Bin::default(); bins];
     let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);

@@ -1,16 +1,9 @@
-//! Plays a scenario with many values: sweeps and Monte Carlo, in shards that any engine may start.
+//! Plays one scenario with many values (sweep, Monte Carlo, search) and judges the share of failing trials.
 //!
-//! * [`campaign`]: the campaign file. [`distribution`]: distributions of its values. [`draw`]: trial i.
-//! * `chain`: trials that depend on the ones before: `search` and `rare`. `correlation`: correlated normals.
-//! * [`outcome`]: what chains found.
-//! * [`sample`]: quantiles and sensitivities. [`sequential`]: decisions before the last trial.
-//! * [`confirm`](mod@confirm): replays some trials on the emulated firmware.
-//! * [`submit`]: commands of engines for many machines.
-//! * [`plan`]: what a campaign folder pins. [`play`]: plays a shard. [`row`], `part`: its results.
-//! * [`merge()`]: joins the parts to `results`, [`summary`] and counterexamples (`scenario_files`).
-//! * [`worst_run`]: plays the worst trials again for their responses. [`report`]: page with `maps`.
-//!
-//! Engines of other projects start and restart shards; this crate has no scheduler and no network.
+//! A [`campaign`] file names the scenario, its varied values and the number of trials. [`draw`] computes the values of
+//! trial i. A [`plan`] divides the trials into shards, which several machines can play. Each shard writes its results
+//! to a file, the part, and [`merge()`] joins the parts. With the methods `search` and `rare`, trials form chains, in
+//! which a trial depends on earlier results. This crate has no job scheduler and no network; see [`submit`].
 
 pub mod campaign;
 mod chain;

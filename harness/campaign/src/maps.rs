@@ -1,4 +1,4 @@
-//! Draws maps of the cells of a campaign.
+//! Draws maps of the results in the cells, which are the combinations of listed values.
 
 use crate::error::CampaignError;
 use crate::results::{CSV_FILE, unit_of_key};
@@ -10,12 +10,12 @@ use platebench_report::chart::{HeatAxis, HeatFigure, HeatPanel};
 use platebench_report::format;
 use platebench_report::page::{AreaLink, LinkedDrawing, PageBlock};
 
-/// Bounds of the page's size.
+/// Larger maps would make the page too large.
 const MAX_PANELS: usize = 12;
 const MAX_PANEL_CELLS: usize = 10_000;
 const MAX_VALUE_MAPS: usize = 6;
 
-/// Listed values as axes of the maps, and the others as panels.
+/// The variables on the axes of each map. Each combination of the other listed values has its own panel.
 struct Layout<'a> {
     x: &'a Variable,
     y: Option<&'a Variable>,
@@ -23,7 +23,7 @@ struct Layout<'a> {
 }
 
 impl<'a> Layout<'a> {
-    /// The last two keys with numbers are the axes: they vary fastest.
+    /// The axes are the last two variables with listed numbers, because these vary fastest.
     fn new(summary: &'a Summary<'_>) -> Option<Self> {
         let lists = || summary.campaign.variables.iter().filter(|variable| variable.distribution.choices().is_some());
         let long = |variable: &&Variable| length(variable) > 1;
@@ -38,7 +38,6 @@ fn length(variable: &Variable) -> usize {
     variable.distribution.choices().map_or(1, <[_]>::len)
 }
 
-/// A cell opens the response of its worst trial.
 pub(crate) fn blocks(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Vec<PageBlock>, CampaignError> {
     let Some(layout) = Layout::new(summary) else { return Ok(Vec::new()) };
     let cells_per_panel = summary.cells.len() / layout.panels.max(1);
@@ -74,9 +73,8 @@ pub(crate) fn blocks(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Vec
     Ok(blocks)
 }
 
-/// Positions of the cells.
 struct Places {
-    /// Panels without values.
+    /// Titles and axes, without values.
     panels: Vec<HeatPanel>,
     /// Panel, column and row of each cell.
     cells: Vec<(usize, usize, usize)>,
@@ -140,7 +138,6 @@ impl Places {
     }
 }
 
-/// Name and value of the selected variables in a cell.
 fn choice_texts(summary: &Summary<'_>, cell: usize, is_selected: impl Fn(&Variable) -> bool) -> Vec<String> {
     let choices = summary.cell_choices(cell).into_iter().filter(|(variable, _)| is_selected(variable));
     choices.map(|(variable, choice)| format!("{} {}", variable.short_name(), variable.text(choice as f64))).collect()

@@ -1,4 +1,4 @@
-//! Joins the parts of a campaign to its results.
+//! Joins the parts of a campaign: writes its results, its summary and its counterexamples.
 
 use crate::campaign::Campaign;
 use crate::confirm::Agreement;
@@ -13,7 +13,7 @@ use std::path::Path;
 
 const COUNTEREXAMPLES: &str = "counterexamples";
 
-/// Writes results, summary and counterexamples. A damaged part leaves earlier results as they are.
+/// If a part is damaged, the results of an earlier merge stay unchanged.
 pub fn merge<'a>(
     folder: &Path,
     plan: &Plan,
@@ -46,7 +46,7 @@ pub fn merge<'a>(
 pub struct Status {
     pub whole: Vec<u32>,
     pub missing: Vec<u32>,
-    /// Damaged or of another plan, with the reason.
+    /// Shards whose part is damaged or belongs to another plan, with the error message.
     pub unusable: Vec<(u32, String)>,
 }
 

@@ -1,4 +1,4 @@
-//! Collects what the chains of a campaign found.
+//! Collects the results of the chains of `search` and `rare`.
 
 use crate::campaign::{Campaign, Method};
 use crate::rare::{ChainEstimate, CombinedEstimate, RareMethod};
@@ -7,15 +7,13 @@ use platebench_record::Verdict;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 
-/// Chains of `search` and `rare`; rows come in the order of their trials.
+/// The caller adds rows in the order of their trials.
 #[derive(Debug, Default)]
 pub struct ChainOutcome {
-    /// Scores of the current chain.
     scores: Vec<f64>,
     pub estimates: Vec<ChainEstimate>,
-    /// Chains with too few trials for an estimate.
     pub without_estimate: u64,
-    /// Trials of a search up to the first failing one.
+    /// Number of trials of a search up to and including the first failing one.
     first_failure: Option<u64>,
     trials: u64,
 }
@@ -38,7 +36,7 @@ impl ChainOutcome {
         }
     }
 
-    /// The scores determine the decisions of the chain.
+    /// Repeats the decisions of the chain, which depend only on its scores.
     fn end_chain(&mut self, campaign: &Campaign, trials: std::ops::Range<u64>) {
         let mut scores = std::mem::take(&mut self.scores).into_iter();
         match campaign.run_chain(&trials, &mut |_| scores.next()) {
@@ -47,12 +45,11 @@ impl ChainOutcome {
         }
     }
 
-    /// `None` without estimates.
     pub fn combine_chains(&self) -> Option<CombinedEstimate> {
         (!self.estimates.is_empty()).then(|| CombinedEstimate::new(&self.estimates))
     }
 
-    /// Pass and fail as for any share; a chain without an estimate excludes a pass.
+    /// A chain without an estimate excludes a pass.
     pub(crate) fn rare_verdict(&self, at_most: Option<f64>, confidence: f64) -> Verdict {
         let Some(combined) = self.combine_chains() else { return Verdict::Inconclusive };
         let [low, high] = combined.interval(confidence);
@@ -64,7 +61,7 @@ impl ChainOutcome {
         }
     }
 
-    /// Counts of the methods, with the first reason for each.
+    /// Each method with the number of its chains and the reason of the first of them.
     fn methods(&self) -> Vec<(RareMethod, u64, &str)> {
         let mut methods: Vec<(RareMethod, u64, &str)> = Vec::new();
         for estimate in &self.estimates {
@@ -80,7 +77,6 @@ impl ChainOutcome {
         json!({
             "counterexample": worst.map(|row| format!("counterexamples/{}.toml", row.trial)),
             "margin": worst.map(Row::margin).filter(|margin| margin.is_finite()),
-            // Up to the first failing trial, or all.
             "trials": self.first_failure.unwrap_or(self.trials),
         })
     }
@@ -117,11 +113,11 @@ impl ChainOutcome {
 
     pub(crate) fn rare_text(&self, confidence: f64) -> String {
         let Some(combined) = self.combine_chains() else {
-            return "no estimate: the trials of a chain are too few\n".to_owned();
+            return "the probability of failure has no estimate, because the chains have too few trials\n".to_owned();
         };
         let [low, high] = combined.interval(confidence);
         let mut text = format!(
-            "probability of failure {:.3e}, {low:.3e} to {high:.3e}, each end at {} %; \
+            "probability of failure {:.3e}, {low:.3e} to {high:.3e}, each end at {} % confidence; \
              coefficient of variation {:.3}\n",
             combined.probability,
             confidence * 100.0,

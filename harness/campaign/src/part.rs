@@ -1,7 +1,7 @@
-//! Writes and reads the results of a shard.
+//! Writes and reads parts, the files with the results of one shard each.
 //!
-//! A part is a Parquet file of numbers, one row group per [`GROUP_ROWS`] trials. Its metadata name the plan and the
-//! shard, and contain the SHA-256 of the file itself with zeros in place of the digest.
+//! A part is a Parquet file of numbers. Its metadata contain the SHA-256 of the plan, the number of the shard and the
+//! SHA-256 of the file itself, which is computed with 64 characters `0` in place of the digest.
 
 use crate::campaign::Campaign;
 use crate::error::CampaignError;
@@ -22,13 +22,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Trials in memory per row group.
 const GROUP_ROWS: usize = 4096;
 const DIGEST_KEY: &str = "file_sha256";
 const NO_DIGEST: [u8; 64] = [b'0'; 64];
 const MAX_PART_BYTES: u64 = 8 << 30;
 
-/// Collects the rows of a shard in a file that gets its name when it is complete.
+/// Collects the rows of a shard in memory. [`Self::commit`] writes the file.
 pub(crate) struct PartWriter {
     path: PathBuf,
     columns: usize,
@@ -53,7 +52,7 @@ impl PartWriter {
         Ok(Self { path, columns, rows: Vec::with_capacity(GROUP_ROWS), writer })
     }
 
-    /// Rows come in the order of their trials.
+    /// The caller adds rows in the order of their trials.
     pub(crate) fn push(&mut self, row: Row) -> Result<(), CampaignError> {
         self.rows.push(row);
         if self.rows.len() == GROUP_ROWS { self.write_group() } else { Ok(()) }
@@ -105,7 +104,7 @@ fn schema(columns: usize) -> Result<Type, ParquetError> {
     Type::group_type_builder("part").with_fields(fields).build()
 }
 
-/// The value follows its key and a length of one byte (Thrift's compact protocol) or two.
+/// Position of the digest. It follows its key and a length of one or two bytes (Thrift's compact protocol).
 fn digest_place(bytes: &[u8]) -> Option<usize> {
     let key = DIGEST_KEY.as_bytes();
     let key_at = bytes.windows(key.len()).rposition(|window| window == key)?;
@@ -115,7 +114,7 @@ fn digest_place(bytes: &[u8]) -> Option<usize> {
     Some(key_at + key.len() + skipped)
 }
 
-/// The rows of a part, without those in memory of other groups.
+/// Reads a part with one row group in memory at a time.
 pub(crate) struct PartReader {
     path: PathBuf,
     reader: SerializedFileReader<std::fs::File>,
@@ -130,16 +129,16 @@ impl PartReader {
         let path = plan.part_path(folder, shard);
         let damaged = |why| CampaignError::Damaged { path: path.clone(), why };
         let mut bytes = read_regular_file(&path, MAX_PART_BYTES).at(&path)?;
-        let place = digest_place(&bytes).ok_or_else(|| damaged("it has no checksum"))?;
-        let digest = bytes.get_mut(place..place + NO_DIGEST.len()).ok_or_else(|| damaged("it has no checksum"))?;
+        let place = digest_place(&bytes).ok_or_else(|| damaged("it contains no SHA-256"))?;
+        let digest = bytes.get_mut(place..place + NO_DIGEST.len()).ok_or_else(|| damaged("it contains no SHA-256"))?;
         let stored = String::from_utf8_lossy(digest).into_owned();
         digest.copy_from_slice(&NO_DIGEST);
         if sha256(&bytes) != stored {
-            return Err(damaged("its checksum does not hold"));
+            return Err(damaged("its SHA-256 does not match its content"));
         }
         drop(bytes);
         let file = std::fs::File::open(&path).at(&path)?;
-        let reader = SerializedFileReader::new(file).map_err(|_| damaged("not a Parquet file"))?;
+        let reader = SerializedFileReader::new(file).map_err(|_| damaged("it is not a Parquet file"))?;
         let metadata = reader.metadata().file_metadata();
         let value = |key: &str| {
             let pairs = metadata.key_value_metadata()?;
@@ -154,12 +153,11 @@ impl PartReader {
             return Err(CampaignError::Foreign(path));
         }
         if !is_complete {
-            return Err(damaged("it does not have the rows of its shard"));
+            return Err(damaged("its rows or columns are not those of its shard"));
         }
         Ok(Self { reader, columns, variables: campaign.variables.len(), first: trials.start, path })
     }
 
-    /// Calls `each` for every row in the order of the trials.
     pub(crate) fn rows(&self, each: &mut dyn FnMut(Row) -> Result<(), CampaignError>) -> Result<(), CampaignError> {
         let mut trial = self.first;
         let unreadable = || CampaignError::Damaged { path: self.path.clone(), why: "its rows cannot be read" };
@@ -188,7 +186,6 @@ impl PartReader {
     }
 }
 
-/// Writes a file in pieces and gives it its name at the end.
 pub(crate) fn create(path: &Path) -> Result<AtomicFile, CampaignError> {
     Ok(AtomicFile::create(path).at(path)?)
 }

@@ -1,4 +1,4 @@
-//! Plans a campaign: pins every input, the firmware and the bench.
+//! Divides a campaign into shards and records the SHA-256 of every input, the firmware and the bench program.
 
 use crate::campaign::{Campaign, Method};
 use crate::error::CampaignError;
@@ -16,37 +16,36 @@ const PARTS: &str = "parts";
 const FORMAT: u32 = 1;
 const MAX_PLAN_BYTES: u64 = 1 << 20;
 pub const MAX_SHARDS: u32 = 1_000_000;
-/// A restart repeats at most one shard per machine.
+/// Small, because after an interruption each machine repeats at most one shard.
 const TRIALS_PER_SHARD: u64 = 2_000;
-/// Several cores play chains of one shard.
+/// Several, because the cores of a machine play the chains of one shard at the same time.
 const CHAINS_PER_SHARD: u64 = 8;
 const MAX_RUN_SHARDS: u64 = 1_000;
 
-/// Number of shards for one machine.
+/// Number of shards if one machine plays the whole campaign.
 pub fn shards_of_run(campaign: &Campaign) -> u32 {
     let chain = campaign.chain_trials();
     let size = if chain == 1 { TRIALS_PER_SHARD } else { CHAINS_PER_SHARD * chain };
     u32::try_from(campaign.trials.div_ceil(size).min(MAX_RUN_SHARDS)).unwrap_or(1)
 }
 
-/// `plan.json`
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
     format: u32,
     pub title: String,
-    /// Paths are relative to the campaign folder.
+    /// Relative to the campaign folder, like the paths of the inputs.
     campaign: PathBuf,
     pub method: Method,
     pub trials: u64,
     pub shards: u32,
     pub rig: String,
-    /// SHA-256 of the program that planned.
+    /// SHA-256 of the platebench program that wrote the plan.
     bench: String,
     /// SHA-256 of the firmware image, or of the controller's identity and program.
     firmware: String,
     inputs: Vec<PinnedInput>,
-    /// SHA-256 of this file with an empty text here.
+    /// SHA-256 of `plan.json` with an empty text in this field.
     pub sha256: String,
 }
 
@@ -58,7 +57,7 @@ struct PinnedInput {
 }
 
 impl Plan {
-    /// `folder` is the campaign folder; it may not exist yet.
+    /// `folder` is the campaign folder. It need not exist.
     pub fn new(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Self, CampaignError> {
         let relative = |path: &Path| relative_path(path, folder).at(path);
         let own = PinnedInput { path: relative(&campaign.path)?, sha256: sha256(campaign.text.as_bytes()) };
@@ -91,7 +90,7 @@ impl Plan {
         sha256(Self { sha256: String::new(), ..self.clone() }.text().as_bytes())
     }
 
-    /// Writes the plan, unless the folder has it. Fails if the folder has another one.
+    /// Does nothing if the folder contains this plan. Fails if the folder contains another plan.
     pub fn write(&self, folder: &Path) -> Result<(), CampaignError> {
         let path = folder.join(PLAN_FILE);
         match Self::read(folder) {
@@ -117,15 +116,15 @@ impl Plan {
         let text = read_text_file(&path, MAX_PLAN_BYTES).at(&path)?;
         let plan: Result<Self, _> = serde_json::from_str(&text);
         let damaged = |why| CampaignError::Damaged { path: path.clone(), why };
-        let plan = plan.map_err(|_| damaged("not a plan of this version"))?;
+        let plan = plan.map_err(|_| damaged("it is not a plan of this platebench version"))?;
         if plan.digest() != plan.sha256 || plan.text() != text {
-            return Err(damaged("its checksum does not hold"));
+            return Err(damaged("its SHA-256 does not match its content"));
         }
         let is_known = plan.format == FORMAT && (1..=MAX_SHARDS).contains(&plan.shards);
-        if is_known { Ok(plan) } else { Err(damaged("not a plan of this version")) }
+        if is_known { Ok(plan) } else { Err(damaged("it is not a plan of this platebench version")) }
     }
 
-    /// Reads the plan and the campaign. Fails if an input has changed since.
+    /// Fails if an input has changed since the plan was written.
     pub fn open(folder: &Path) -> Result<(Self, Campaign), CampaignError> {
         let plan = Self::read(folder)?;
         for input in &plan.inputs {
@@ -139,7 +138,7 @@ impl Plan {
         Ok((plan, campaign))
     }
 
-    /// Fails if this program or the firmware is not the planned one.
+    /// Fails if this program or the firmware does not have the SHA-256 in the plan.
     pub fn check_bench(&self, rig: &RigSpec) -> Result<(), CampaignError> {
         let bench = bench_digest()?;
         if bench != self.bench {
@@ -153,7 +152,7 @@ impl Plan {
         Ok(())
     }
 
-    /// Trials of a shard, which is counted from 1: whole chains.
+    /// Trials of a shard, in whole chains. The first shard is 1.
     pub fn trials_of(&self, shard: u32) -> Range<u64> {
         let chain = self.method.chain_trials();
         let chains = self.trials.div_ceil(chain);
@@ -169,7 +168,7 @@ impl Plan {
     }
 }
 
-/// The folder may not exist yet. Links are resolved, because `..` behind a link leads elsewhere.
+/// `folder` need not exist. Symbolic links are resolved, because `..` after a link leads to another folder.
 fn relative_path(path: &Path, folder: &Path) -> io::Result<PathBuf> {
     let path = path.canonicalize()?;
     let existing = std::path::absolute(folder)?;

@@ -1,4 +1,4 @@
-//! Plays the trials of a shard on several workers, in memory.
+//! Plays the trials of a shard on several workers. Traces stay in memory.
 
 use crate::campaign::Campaign;
 use crate::draw::Trial;
@@ -21,16 +21,15 @@ use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::thread;
 
 const MAX_LOSSES: u32 = 5;
-/// Results that wait for an earlier trial or for the disk.
+/// Number of results that workers can send before they wait for the writer.
 const RESULT_QUEUE: usize = 256;
 
 #[derive(Debug, Clone)]
 pub struct PlayConfig {
     pub rig: RigSpec,
-    /// Number of workers, each with its own controller.
     pub jobs: usize,
     pub cancel: CancelToken,
-    /// Set if a controller did not confirm 0 V.
+    /// Becomes true if a controller did not confirm 0 V.
     pub unconfirmed: Arc<AtomicBool>,
 }
 
@@ -45,7 +44,7 @@ pub struct TrialEvent {
     pub is_failure: bool,
 }
 
-/// Plays a shard, unless its part is whole. A damaged part is replaced. False if the part was whole.
+/// Returns false without playing if the part is complete. Replaces a damaged part.
 pub fn play_shard(
     folder: &Path,
     plan: &Plan,
@@ -76,7 +75,7 @@ pub fn play_shard(
     Ok(true)
 }
 
-/// Plays the values of these rows again. Results are in the same order; their number is their place.
+/// Plays the trials of `rows` again. Result i belongs to row i and has the trial number i.
 pub(crate) fn replay(
     campaign: &Campaign,
     rows: &[&Row],
@@ -93,9 +92,9 @@ pub(crate) fn replay(
 }
 
 enum Source<'a> {
-    /// Drawn by the number of the trial.
+    /// Draws the values of these trial numbers.
     Numbers(Range<u64>),
-    /// The trials of these rows; a trial has the number of its place.
+    /// Takes the values of these rows. The number of a trial is the index of its row.
     Rows(&'a [&'a Row]),
 }
 
@@ -108,7 +107,6 @@ impl Source<'_> {
     }
 }
 
-/// Calls `on_row` in the order of the trials.
 fn play(
     campaign: &Campaign,
     source: &Source<'_>,
@@ -131,13 +129,13 @@ fn play(
         }
         drop(sender);
         let outcome = collect(trials.start, &results, on_row);
-        // Workers end at their next trial.
+        // No trial is left, so each worker ends after its current trial.
         next.store(trials.end, Ordering::Relaxed);
         drop(results);
         outcome
     });
     let played = outcome?;
-    // A worker without a result was cancelled or panicked.
+    // If a trial has no result, the campaign was cancelled or a worker panicked.
     if config.cancel.is_cancelled() || played < trials.end { Err(CampaignError::Cancelled) } else { Ok(()) }
 }
 
@@ -189,7 +187,7 @@ impl Worker<'_> {
         self.close_session();
     }
 
-    /// False if it was cancelled, or an error was sent.
+    /// Returns false if the worker must end after a cancellation or an error.
     fn play_one(&mut self, number: u64, results: &SyncSender<Result<Row, CampaignError>>) -> bool {
         let trial = match self.source {
             Source::Numbers(_) => self.campaign.trial(number),
@@ -205,7 +203,6 @@ impl Worker<'_> {
         results.send(row).is_ok() && is_row
     }
 
-    /// False if it was cancelled, or an error was sent.
     fn play_chain(&mut self, trials: &Range<u64>, results: &SyncSender<Result<Row, CampaignError>>) -> bool {
         let campaign = self.campaign;
         let mut number = trials.start;
@@ -227,7 +224,7 @@ impl Worker<'_> {
         self.config.unconfirmed.fetch_or(!session.close(), Ordering::Relaxed);
     }
 
-    /// `None` if it was cancelled.
+    /// `None` if the trial was cancelled.
     fn play(&mut self, trial: &Trial) -> Result<Option<Row>, CampaignError> {
         let law = law(&trial.scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
         let open = match &mut self.session {
@@ -254,7 +251,7 @@ impl Worker<'_> {
     }
 }
 
-/// Mean distance from the setpoint in the last third, relative to the setpoint.
+/// Mean distance of the amplitude from the setpoint in the last third of the trial, relative to the setpoint.
 fn final_distance(rows: &[TraceRow]) -> f64 {
     let last = rows.get(rows.len() * 2 / 3..).unwrap_or_default();
     let sum = |of: fn(&TraceRow) -> f64| last.iter().map(of).sum::<f64>();

@@ -1,7 +1,7 @@
 //! Estimates the probability of rare failures from a chain of trials, in standard normal space.
 //!
-//! A trial with score g(u) fails if g ≤ 0. FORM searches the design point, the failing point with the smallest norm β.
-//! Importance sampling around it is used if it is the only one; otherwise subset simulation.
+//! A trial with score g(u) fails if g ≤ 0. FORM (first-order reliability method) searches the design point, the failing
+//! point with the smallest norm β. If it is the only one, importance sampling is used, otherwise subset simulation.
 
 use crate::distribution::below;
 use rand_chacha::ChaCha8Rng;
@@ -16,7 +16,7 @@ pub(crate) mod subset;
 pub(crate) use estimates::Score;
 pub use estimates::{ChainEstimate, CombinedEstimate, RareMethod};
 
-/// Uses `trials` scores. `None` if they are too few for an estimate.
+/// Calls `score` `trials` times. `None` if the trials are too few for an estimate.
 pub(crate) fn estimate(dimensions: usize, seed: u64, trials: u64, score: &mut Score<'_>) -> Option<ChainEstimate> {
     let used = Cell::new(0);
     let mut counted = |point: &[f64]| {
@@ -27,12 +27,11 @@ pub(crate) fn estimate(dimensions: usize, seed: u64, trials: u64, score: &mut Sc
         score(point)
     };
     let estimate = estimate_from(dimensions, seed, trials, &used, &mut counted);
-    // Every chain has this many scores, even if no method needs them.
+    // A part needs a row for every trial, even if no method uses the score.
     while counted(&vec![0.0; dimensions]).is_some() {}
     estimate
 }
 
-/// `used`: how many of the `trials` have been played.
 fn estimate_from(
     dimensions: usize,
     seed: u64,

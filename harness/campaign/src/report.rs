@@ -14,7 +14,6 @@ use std::path::Path;
 
 pub const REPORT_FILE: &str = "report.html";
 
-/// A trial with a link opens its response.
 pub fn write(folder: &Path, summary: &Summary<'_>, links: &ResponseLinks) -> Result<(), CampaignError> {
     let mut blocks = vec![PageBlock::Preformatted(summary.text())];
     blocks.extend(maps::blocks(summary, links)?);

@@ -21,7 +21,7 @@ use std::sync::Arc;
 
 pub const CSV_FILE: &str = "results.csv";
 pub const PARQUET_FILE: &str = "results.parquet";
-/// Rows in memory. Row groups do not depend on shards.
+/// Row groups do not depend on shards, so that the number of shards does not change the file.
 const GROUP_ROWS: usize = 16_384;
 const UNIT_SUFFIXES: [(&str, &str); 12] = [
     ("_n", "N"),
@@ -38,14 +38,13 @@ const UNIT_SUFFIXES: [(&str, &str); 12] = [
     ("_hz_per_n", "Hz/N"),
 ];
 
-/// The unit in the last name of a key that has one; empty without a unit.
+/// Unit according to the suffix of the last name with `_` in the key; empty without a unit.
 pub fn unit_of_key(key: &str) -> &'static str {
     let named = key.split('.').rev().find(|name| name.contains('_')).unwrap_or_default();
     let fitting = UNIT_SUFFIXES.iter().filter(|(suffix, _)| named.ends_with(suffix));
     fitting.max_by_key(|(suffix, _)| suffix.len()).map_or("", |(_, unit)| unit)
 }
 
-/// Writes both files at once, in the order of the trials.
 pub(crate) struct ResultsWriter<'a> {
     campaign: &'a Campaign,
     rows: Vec<Row>,
@@ -103,7 +102,6 @@ impl<'a> ResultsWriter<'a> {
         write().map_err(CampaignError::write(&self.parquet_path))
     }
 
-    /// Gives both files their names.
     pub(crate) fn commit(mut self) -> Result<(), CampaignError> {
         if !self.rows.is_empty() {
             self.write_group()?;

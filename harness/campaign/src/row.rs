@@ -8,9 +8,9 @@ use platebench_verdict::{Judgement, TrialMeasures, judge};
 
 const VERDICTS: [Verdict; 3] = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
 pub(crate) const CAUSES: [Cause; 4] = [Cause::Rig, Cause::Bench, Cause::Infeasible, Cause::Evidence];
-/// Verdict, cause, redraws, score.
+/// Columns for verdict, cause, redraws and score.
 const FIXED_COLUMNS: usize = 4;
-/// Score of a trial without a value, less the distance from its setpoint. Only the order of scores matters.
+/// Score of a trial without a finite margin, minus its distance from the setpoint. Only the order of scores matters.
 const NO_VALUE_SCORE: f64 = -1e3;
 const MAX_DISTANCE: f64 = 1e3;
 const SMALLEST_SCORE: f64 = 1e-12;
@@ -18,21 +18,21 @@ const SMALLEST_SCORE: f64 = 1e-12;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
     pub trial: u64,
-    /// Varied values; the number of the choice for listed values.
+    /// As [`Trial::values`].
     pub draws: Vec<f64>,
-    /// By expectation; NaN without a value.
+    /// One per expectation; NaN without a value.
     pub values: Vec<f64>,
-    /// By expectation; negative infinity without a value.
+    /// One per expectation; negative infinity without a value.
     pub margins: Vec<f64>,
     pub verdict: Verdict,
     pub cause: Option<Cause>,
     pub redraws: u32,
-    /// The smallest margin, finite; not above 0 exactly if the trial fails.
+    /// The smallest margin as a finite number. Negative if the trial fails, otherwise positive.
     pub score: f64,
 }
 
 impl Row {
-    /// `distance`: from the setpoint at the end, relative to it.
+    /// `distance` from the setpoint at the end of the trial, relative to the setpoint.
     pub(crate) fn new(trial: &Trial, measures: TrialMeasures, distance: f64) -> Self {
         let Judgement { verdict, expectations } = judge(&trial.scenario, &[measures]);
         let undecided = expectations.iter().filter(|expectation| expectation.verdict == Verdict::Inconclusive);
@@ -68,7 +68,6 @@ impl Row {
         variables + 2 * expectations + FIXED_COLUMNS
     }
 
-    /// One number per column of a part.
     pub(crate) fn encode(&self) -> impl Iterator<Item = f64> {
         let verdict = VERDICTS.iter().position(|verdict| *verdict == self.verdict).unwrap_or_default();
         let cause = CAUSES.iter().position(|cause| Some(*cause) == self.cause).map_or(0, |position| position + 1);
@@ -76,7 +75,6 @@ impl Row {
         self.draws.iter().chain(&self.values).chain(&self.margins).copied().chain(fixed)
     }
 
-    /// `None` if the numbers are not those of a row.
     pub(crate) fn decode(trial: u64, columns: &[f64], variables: usize) -> Option<Self> {
         let expectations = columns.len().checked_sub(variables + FIXED_COLUMNS)? / 2;
         let (draws, rest) = columns.split_at_checked(variables)?;
@@ -101,7 +99,6 @@ mod tests {
     use super::*;
 
     impl Row {
-        /// A trial without values.
         pub(crate) fn example(trial: u64, verdict: Verdict, margin: f64) -> Self {
             let (draws, values, margins) = (vec![trial as f64], Vec::new(), vec![margin]);
             Self { trial, draws, values, margins, verdict, cause: None, redraws: 0, score: margin }

@@ -9,23 +9,21 @@ use serde_json::{Value, json};
 use statrs::distribution::{ContinuousCDF, Normal};
 use std::fmt::Write as _;
 
-/// Trials in memory: the first ones by number, for every order of play.
+/// Limits the memory. The trials with the lowest numbers are used, whatever the order of play is.
 const MAX_TRIALS: usize = 50_000;
 const SHARES: [f64; 3] = [0.05, 0.5, 0.95];
-/// A correlation needs more trials than that.
 const MIN_TRIALS: usize = 10;
 
-/// Values of the first trials, by column.
 #[derive(Debug, Default)]
 pub struct Sample {
-    /// By variable; NaN for values that are not numbers.
+    /// One column per variable; NaN for a value that is not a number.
     draws: Vec<Vec<f64>>,
-    /// By expectation; infinite without a value.
+    /// One column per expectation; infinite for a trial without a value.
     values: Vec<Vec<f64>>,
     scores: Vec<f64>,
 }
 
-/// Quantile of an expectation's values. Ends are infinite if the trials are too few.
+/// Quantile of an expectation's values. An end of the interval is infinite if the trials are too few.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Quantile {
     pub expectation: String,
@@ -40,7 +38,7 @@ pub struct Sensitivity {
     pub key: String,
     pub correlation: f64,
     pub interval: [f64; 2],
-    /// First-order Sobol index of the margin's rank, and its interval. For `sobol` and `random`.
+    /// First-order Sobol index of the margin's rank, and its interval; for the methods `sobol` and `random` only.
     pub first_order: Option<(f64, [f64; 2])>,
 }
 
@@ -70,7 +68,7 @@ impl Sample {
         columns.flat_map(|column| SHARES.map(|share| quantile(column, share))).flatten().collect()
     }
 
-    /// Strongest first. Without values that are not numbers or never vary.
+    /// Strongest correlation first. Leaves out variables that are not numbers or never vary.
     pub fn sensitivities(&self, campaign: &Campaign) -> Vec<Sensitivity> {
         let scores = ranks(&self.scores);
         let sensitivity = |(variable, draws): (&crate::variable::Variable, &Vec<f64>)| {
@@ -87,7 +85,6 @@ impl Sample {
         found
     }
 
-    /// JSON has no infinite number: `null`.
     pub(crate) fn json(&self, campaign: &Campaign) -> Value {
         let sensitivities = self.sensitivities(campaign).into_iter().map(|sensitivity| {
             json!({ "key": sensitivity.key, "rank_correlation": sensitivity.correlation,
@@ -117,7 +114,7 @@ impl Sample {
     }
 }
 
-/// Equal values share their mean rank.
+/// Ranks from 1. Equal values share their mean rank.
 fn ranks(values: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..values.len()).collect();
     let value = |index: &usize| values.get(*index).copied().unwrap_or(f64::NAN);
@@ -136,7 +133,7 @@ fn ranks(values: &[f64]) -> Vec<f64> {
     ranks
 }
 
-/// `None` without variation.
+/// Pearson's correlation of two lists of ranks. `None` if all ranks of a list are equal.
 fn correlation(one: &[f64], other: &[f64]) -> Option<f64> {
     let mean = f64::midpoint(one.len() as f64, 1.0);
     let sum = |one: &[f64], other: &[f64]| -> f64 {
@@ -146,8 +143,8 @@ fn correlation(one: &[f64], other: &[f64]) -> Option<f64> {
     (scale > 0.0).then(|| sum(one, other) / scale)
 }
 
-/// Fisher's transformation with the variance `(1 + r²/2)/(n − 3)`; D. G. Bonett and T. A. Wright, *Psychometrika* 65,
-/// 2000, pp. 23-28.
+/// Interval by Fisher's transformation with the variance `(1 + r²/2)/(n − 3)`; D. G. Bonett and T. A. Wright,
+/// *Psychometrika* 65, 2000, pp. 23-28.
 fn bounds(correlation: f64, count: usize, confidence: f64) -> [f64; 2] {
     let error = ((1.0 + correlation * correlation / 2.0) / (count as f64 - 3.0)).sqrt();
     let reach = Normal::standard().inverse_cdf(confidence) * error;

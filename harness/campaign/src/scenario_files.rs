@@ -32,7 +32,7 @@ pub(crate) fn write(folder: &Path, campaign: &Campaign, trials: &[Trial]) -> Res
     let mut copies = Copies { folder, source: source_folder(campaign), names: BTreeMap::new() };
     trials.iter().try_for_each(|trial| write_trial(folder, campaign, trial, &mut copies))?;
     let profiles = folder.join(PROFILES);
-    // Fails if a profile has been copied.
+    // Removes the folder only if it is empty.
     let _ = fs::remove_dir(profiles);
     Ok(())
 }
@@ -75,22 +75,21 @@ fn write_toml(path: &Path, table: &Table, comment: &str) -> Result<(), CampaignE
     Ok(write_atomically(path, format!("{comment}{text}").as_bytes()).at(path)?)
 }
 
-/// Copies of the named files next to the scenarios.
 struct Copies<'a> {
     folder: &'a Path,
     source: PathBuf,
-    /// By the name in the scenario.
+    /// Path of the copy, by the path in the scenario.
     names: BTreeMap<String, String>,
 }
 
 impl Copies<'_> {
-    /// Copies the file that `key` names, once, and renames it in the table.
+    /// Copies the file that `key` names, if no copy exists, and changes its path in the table.
     fn copy(&mut self, table: &mut Table, key: &str, below: &str) -> Result<(), CampaignError> {
         let Some(Value::String(named)) = table.get_mut(key) else { return Ok(()) };
         if !self.names.contains_key(named) {
             let source = self.source.join(&*named);
             let file = source.file_name().unwrap_or_default().to_string_lossy();
-            // Two folders may have files of one name.
+            // Files in two folders may have the same name.
             let copy = format!("{below}/{}-{file}", self.names.len());
             let content = fs::read(&source).at(&source)?;
             let path = self.folder.join(&copy);

@@ -1,7 +1,7 @@
 //! Searches the worst case of a chain of trials with CMA-ES.
 //!
-//! N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772. The strategy ranks scores, so that only
-//! their order matters. Points beyond the range are moved to its border: worst cases are often there.
+//! N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772. Only the order of the scores matters. Points
+//! beyond the range move to its border, because worst cases are often at the border.
 
 use crate::evolution::{Candidate, Evolution};
 use rand_chacha::ChaCha8Rng;
@@ -10,7 +10,7 @@ use rand_distr::{Distribution as _, StandardUniform};
 
 /// Standard deviation of the first generation, relative to the range.
 const FIRST_STEP: f64 = 0.35;
-/// A search whose distribution is narrower is over; another one starts.
+/// If the distribution is narrower than this share of the range, a new search starts.
 const MIN_STEP: f64 = 1e-3;
 /// Best scores of two generations that differ less count as equal.
 const EQUAL_SCORES: f64 = 1e-12;
@@ -21,7 +21,6 @@ pub(crate) fn search(dimensions: usize, seed: u64, score: &mut dyn FnMut(&[f64])
         return;
     }
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    // The first search starts in the centre of the range, others start anywhere.
     let mut start = vec![0.5; dimensions];
     while descend(start, &mut random, score).is_some() {
         start = (0..dimensions).map(|_| StandardUniform.sample(&mut random)).collect();

@@ -1,7 +1,7 @@
-//! Decides on the prefix of trial numbers, before all trials are played.
+//! Decides from the first n trials by number, before all trials are played.
 //!
-//! Trials that end first are a biased sample: a trial that settles late may take longer. So a decision counts trials
-//! 0 to n − 1 for planned n, in any order of their ends. Each look spends a share of the error.
+//! The trials that end first are a biased sample, because a trial that settles late may take longer. Therefore a
+//! decision waits for all trials 0 to n − 1, for planned n. Each look spends a part of the error probability.
 
 use crate::row::Row;
 use crate::tally::Tally;
@@ -29,7 +29,7 @@ impl SequentialDecision {
         Self { at_most, confidence, looks, next, tally: Tally::new(0), decision: None }
     }
 
-    /// Ignores a trial behind a missing one.
+    /// Ignores all trials after a missing one.
     pub(crate) fn add(&mut self, row: &Row) {
         let (Some(_), Some(look)) = (self.at_most, self.next) else { return };
         if row.trial != self.tally.trials || self.decision.is_some() {

@@ -1,18 +1,18 @@
-//! Writes the commands that play all shards of a campaign on an engine for many machines.
+//! Writes the commands with which a job scheduler plays all shards of a campaign on many machines.
 
 use crate::error::CampaignError;
 use crate::plan::Plan;
 use platebench_trace::AtPath;
 use std::path::Path;
 
-/// Starts and restarts shards.
+/// Job scheduler that starts and restarts shards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Engine {
     Slurm,
     HyperQueue,
 }
 
-/// The command of the engine, then the merge. Words of each command are separate.
+/// Words of two commands. The first starts all shards, the second merges their results.
 pub fn submission(engine: Engine, plan: &Plan, folder: &Path) -> Result<[Vec<String>; 2], CampaignError> {
     let program = std::env::current_exe().at(Path::new("the bench's own program"))?;
     let folder = std::path::absolute(folder).at(folder)?;
@@ -29,7 +29,7 @@ pub fn submission(engine: Engine, plan: &Plan, folder: &Path) -> Result<[Vec<Str
     Ok([array, words(&[&program, "campaign", "merge", &folder])])
 }
 
-/// As a line of a shell.
+/// Quotes the words for a shell.
 pub fn command_line(words: &[String]) -> String {
     shlex::try_join(words.iter().map(|word| &**word)).unwrap_or_else(|_| words.join(" "))
 }

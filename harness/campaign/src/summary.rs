@@ -17,23 +17,20 @@ pub const SUMMARY_FILE: &str = "summary.json";
 #[derive(Debug)]
 pub struct Summary<'a> {
     pub campaign: &'a Campaign,
-    /// Shards without a part.
     pub missing: Vec<u32>,
     pub overall: Tally,
-    /// One per combination of listed values.
+    /// One tally per combination of listed values.
     pub cells: Vec<Tally>,
     pub redraws: u64,
     /// Smallest margin first.
     pub worst: Vec<Row>,
-    /// Failing trials, smallest margin first.
     pub failing: Vec<Row>,
     causes: [u64; 4],
-    /// Result of the chains of `search` and `rare`.
+    /// For the methods `search` and `rare`.
     pub chains: ChainOutcome,
-    /// Result of the other methods.
+    /// For the other methods.
     pub sample: Sample,
     pub sequential: SequentialDecision,
-    /// Comparison of the trials that were replayed on the rig of `plan.confirm`.
     pub agreement: Option<Agreement>,
 }
 
@@ -64,7 +61,7 @@ impl<'a> Summary<'a> {
         } else {
             self.sample.add(self.campaign, row);
         }
-        // Trials of a grid are no sample in the order of their numbers.
+        // The first trials of a grid are not a random sample.
         if self.campaign.method == Method::Random {
             self.sequential.add(row);
         }
@@ -88,7 +85,7 @@ impl<'a> Summary<'a> {
         match (self.screened_verdict(), self.campaign.at_most) {
             (verdict, _) if missed == 0 => verdict,
             (_, None) => Verdict::Fail,
-            // The screen counts too few failures.
+            // The hosted rig missed a failure, so its pass is not reliable.
             (Verdict::Pass, Some(_)) => Verdict::Inconclusive,
             (verdict, Some(_)) => verdict,
         }
@@ -101,7 +98,7 @@ impl<'a> Summary<'a> {
         let Campaign { method, at_most, confidence, .. } = *self.campaign;
         let is_decided = self.overall.inconclusive == 0;
         match method {
-            // A search proves failures; without any it proves no share.
+            // A search without a failure does not bound the share of failing trials.
             Method::Search if self.overall.failures > 0 => Verdict::Fail,
             Method::Search if at_most.is_some() || !is_decided => Verdict::Inconclusive,
             Method::Search => Verdict::Pass,
@@ -113,7 +110,7 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// Interval of the share of failing trials. `None` for a search, whose trials are no sample.
+    /// Interval of the share of failing trials. `None` for a search, whose trials are not a random sample.
     fn interval(&self) -> Option<[f64; 2]> {
         let confidence = self.campaign.confidence;
         match self.campaign.method {
@@ -127,7 +124,8 @@ impl<'a> Summary<'a> {
         tally.verdict(self.campaign.at_most, self.campaign.confidence)
     }
 
-    /// Cause of an inconclusive verdict: the most frequent cause of inconclusive trials, else too few trials.
+    /// Cause of an inconclusive verdict: the most frequent cause of inconclusive trials, or [`Cause::Evidence`] if no
+    /// trial is inconclusive or a shard is missing.
     pub fn cause(&self) -> Option<Cause> {
         if self.verdict() != Verdict::Inconclusive {
             return None;
@@ -150,7 +148,6 @@ impl<'a> Summary<'a> {
         let cells = self.cells.iter().enumerate().map(|(number, cell)| {
             let mut entry = add_counts(json!({ "values": self.cell_values(number) }), cell);
             if cell.trials > 0 {
-                // JSON has no infinite number.
                 let margin = Some(cell.smallest_margin).filter(|margin| margin.is_finite());
                 entry["smallest_margin"] = json!(margin);
                 entry["worst_trial"] = json!(cell.worst_trial);
@@ -191,7 +188,7 @@ impl<'a> Summary<'a> {
         summary
     }
 
-    /// The variables with listed values, and the number of the value in a cell.
+    /// Each variable with listed values, and the index of its value in the cell.
     pub fn cell_choices(&self, cell: usize) -> Vec<(&Variable, usize)> {
         let mut place = cell;
         let mut choices = Vec::new();
@@ -205,7 +202,6 @@ impl<'a> Summary<'a> {
         choices
     }
 
-    /// By key, as the campaign file lists them.
     fn cell_values(&self, cell: usize) -> Value {
         let values = self.cell_choices(cell).into_iter();
         let values =
@@ -213,7 +209,6 @@ impl<'a> Summary<'a> {
         Value::Object(values.collect())
     }
 
-    /// A few lines for the console.
     pub fn text(&self) -> String {
         let Tally { trials, failures, inconclusive, .. } = self.overall;
         let mut text = format!("{}: {}", self.campaign.title, self.verdict());
@@ -226,7 +221,8 @@ impl<'a> Summary<'a> {
         if let Some([low, high]) = self.interval().filter(|_| is_sample) {
             let [low, high] = [low, high].map(|share| share * 100.0);
             let confidence = self.campaign.confidence * 100.0;
-            let _ = write!(text, "; {low:.4} % to {high:.4} % of all fail, each end at {confidence} %");
+            let _ =
+                write!(text, "; {low:.4} % to {high:.4} % of all trials fail, each end at {confidence} % confidence");
         }
         if let Some(demanded) = self.campaign.at_most {
             let _ = write!(text, ", at most {} % demanded", demanded * 100.0);
@@ -238,7 +234,7 @@ impl<'a> Summary<'a> {
             Method::Grid | Method::Random | Method::Sobol => {
                 text += &self.sample.text(self.campaign);
                 if let Some((trials, verdict)) = self.sequential.decision() {
-                    let _ = writeln!(text, "the first {trials} trials alone decide: {verdict}");
+                    let _ = writeln!(text, "the first {trials} trials alone give the verdict {verdict}");
                 }
             }
         }
@@ -246,7 +242,7 @@ impl<'a> Summary<'a> {
             text += &agreement.text(self.campaign.confidence);
         }
         if self.redraws > 0 {
-            let _ = writeln!(text, "{} draws outside the domain of their quantity were drawn again", self.redraws);
+            let _ = writeln!(text, "the scenario refused {} draws, which were repeated", self.redraws);
         }
         if !self.missing.is_empty() {
             let shards: Vec<_> = self.missing.iter().map(ToString::to_string).collect();

@@ -4,7 +4,7 @@ use crate::row::Row;
 use platebench_record::Verdict;
 use platebench_verdict::statistics::proportion::clopper_pearson;
 
-/// Trials in the report and in the folder of counterexamples.
+/// Number of trials in the table of the report and in the folder of counterexamples.
 pub const MAX_WORST: usize = 20;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -13,9 +13,8 @@ pub struct Tally {
     pub failures: u64,
     pub inconclusive: u64,
     pub smallest_margin: f64,
-    /// The trial with it.
     pub worst_trial: u64,
-    /// Sum and number of the values, by expectation.
+    /// Sum and number of the values of each expectation.
     pub values: Vec<(f64, u64)>,
 }
 
@@ -37,12 +36,11 @@ impl Tally {
         }
     }
 
-    /// Mean of an expectation's values.
     pub fn mean(&self, expectation: usize) -> Option<f64> {
         self.values.get(expectation).filter(|(_, count)| *count > 0).map(|(sum, count)| sum / *count as f64)
     }
 
-    /// Each end is one-sided at `confidence`. An inconclusive trial may have failed or not.
+    /// Share of failing trials. Each end is one-sided at `confidence`; the upper end also counts inconclusive trials.
     pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let count = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);
         let bounds = |failures: u64| clopper_pearson(count(failures), count(self.trials), confidence);
@@ -64,7 +62,7 @@ impl Tally {
     }
 }
 
-/// Adds `row` if it is among the worst. If margins are equal, the earlier trial is worse.
+/// Adds `row` if it is among the worst. If margins are equal, the row that was added first is worse.
 pub(crate) fn keep_worst(worst: &mut Vec<Row>, row: &Row) {
     let place = worst.partition_point(|kept| kept.margin() <= row.margin());
     if place < MAX_WORST {

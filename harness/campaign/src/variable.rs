@@ -13,7 +13,6 @@ impl Variable {
         self.distribution.choices().is_none_or(|list| list.iter().all(Choice::is_number))
     }
 
-    /// The last part of the key.
     pub fn short_name(&self) -> &str {
         self.key.rsplit('.').next().unwrap_or_default()
     }

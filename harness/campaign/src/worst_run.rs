@@ -19,12 +19,12 @@ use std::path::Path;
 
 const FOLDER: &str = "worst";
 const RUN: &str = "run";
-/// About 4 MB of report.
+/// The report of this many trials has about 4 MB.
 const MAX_TRIALS: usize = 500;
 /// If more trials are played, no trace is stored.
 const MAX_TRACES: usize = 2 * MAX_WORST;
 
-/// Page that shows the response of a trial, relative to the campaign folder; by the number of the trial.
+/// Link to the response of a trial, relative to the campaign folder, by the number of the trial.
 pub type ResponseLinks = BTreeMap<u64, String>;
 
 /// The trials with the smallest margins, those that fail, and the worst trial of each cell; the worst first.
@@ -35,7 +35,7 @@ pub fn worst_trials(summary: &Summary<'_>) -> Result<Vec<Trial>, CampaignError> 
         trials.insert(row.trial, (row.margin(), Some(row)));
     }
     for cell in summary.cells.iter().filter(|cell| cell.trials > 0) {
-        // Trials of chains are not in cells.
+        // A campaign with cells has no chains, so the number of the trial determines its values.
         trials.entry(cell.worst_trial).or_insert((cell.smallest_margin, None));
     }
     let mut trials: Vec<_> = trials.into_iter().collect();

@@ -160,7 +160,6 @@ fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, fo
     }
 }
 
-/// False if the folder holds no session that can continue.
 fn is_resumable(error: &AcceptError) -> bool {
     !matches!(
         error,

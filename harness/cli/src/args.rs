@@ -113,7 +113,7 @@ pub(crate) enum Command {
     Man(man::ManArgs),
 }
 
-/// Ends the process on wrong usage and after help. Errors: the faults of `platebench.toml`.
+/// Ends the process on wrong usage and after it has printed help. Fails with the faults of `platebench.toml`.
 pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     let words = std::env::args_os().map(|word| word.to_string_lossy().into_owned());
     let definition =
@@ -126,14 +126,14 @@ pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
         Ok(config) => (config, Vec::new()),
         Err(faults) => (Config::default(), faults),
     };
-    // Help and wrong usage come first, so that a faulty file does not hide them.
+    // Help and reports of wrong usage come first, so that a faulty `platebench.toml` does not hide them.
     let matches = config::with_settings(definition, &config).try_get_matches().unwrap_or_else(|error| {
         if let Some(variable) = variable_of(&error) {
             crate::stdio::note(&format!("the value comes from the environment variable {variable}"));
         }
         if let Some(feature) = missing_feature(&error) {
             crate::stdio::note(&format!(
-                "this bench was built without the feature `{feature}`, which has this command"
+                "this bench was built without the Cargo feature `{feature}`, which this command needs"
             ));
         }
         error.exit()
@@ -144,7 +144,7 @@ pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     if needs_config && !faults.is_empty() { Err(faults) } else { Ok((arguments, config)) }
 }
 
-/// The cargo feature of a command that this build does not contain.
+/// Returns the Cargo feature that the unknown command needs, if this build lacks it.
 fn missing_feature(error: &clap::Error) -> Option<&'static str> {
     let Some(ContextValue::String(command)) = error.get(ContextKind::InvalidSubcommand) else { return None };
     let (feature, is_built) = match &**command {

@@ -129,7 +129,6 @@ fn print_difference(
     };
     let compared = compare_with_tubes(&old.golden, trials)?;
     let mut lines = comparison::lines(&scenario.file, &compared);
-    // Without a new baseline, prints only the comparison.
     if let Ok(new) = build_baseline(record, scenario, trials, Some(old), rate) {
         lines.extend(describe_changes(old, &new));
     }
@@ -137,7 +136,7 @@ fn print_difference(
     Ok(compared.verdict)
 }
 
-/// Prints a drawing of every signal that leaves its tube, in the first trial that does.
+/// Prints a drawing of every signal that leaves its tube, for the first trial in which one does.
 fn print_drawings(trials: &ScenarioTrials, old: Option<&Baseline>) -> Result<(), CompareError> {
     let Some(old) = old else { return Ok(()) };
     for trial in &trials.trials {

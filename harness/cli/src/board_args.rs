@@ -21,7 +21,6 @@ pub(crate) struct BoardSelection {
     pub(crate) boards: Option<PathBuf>,
 }
 
-/// For commands that connect to the board.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct BoardArgs {
     #[command(flatten)]
@@ -40,17 +39,16 @@ impl BoardSelection {
 }
 
 impl BoardArgs {
-    /// `None` without `--board`.
     pub(crate) fn find_rig(&self) -> Result<Option<RigSpec>, Failure> {
         self.selection.find().map(|board| board.map(|board| board.rig))
     }
 
-    /// False for a board, which carries one trial at a time.
+    /// False with `--board`, because a board plays one trial at a time.
     pub(crate) fn allows_parallel_links(&self, rig: &RigSpec) -> bool {
         self.selection.board.is_none() && rig.allows_parallel_links()
     }
 
-    /// `None` without `--board`. From then on signals do not end the program.
+    /// Returns `None` without `--board`. With a board, signals no longer end the process from then on.
     pub(crate) fn reserve(&self, command: &str) -> Result<Option<Reservation>, Failure> {
         let Some(name) = &self.selection.board else { return Ok(None) };
         shutdown::listen().or_invalid()?;
@@ -61,7 +59,7 @@ impl BoardArgs {
     }
 }
 
-/// Fails if the state cannot be written; then the board stays marked.
+/// Fails if the state of the board cannot be written. Then the board stays marked as in use.
 pub(crate) fn release(reservation: Option<Reservation>, end: RunEnd) -> Result<(), Failure> {
     let Some(reservation) = reservation else { return Ok(()) };
     if let Some(reason) = &end.quarantine {

@@ -95,7 +95,7 @@ fn submit(arguments: &SubmitArgs, quiet: bool) -> CommandResult {
             Err(Failure::new(Exit::Unreachable, &message))
         }
         Err(error) => {
-            let message = format!("{program}: {error}; expected the program of the engine");
+            let message = format!("{program} cannot be started: {error}; install it or use another engine with --on");
             Err(Failure::new(Exit::Unreachable, &message))
         }
     }
@@ -104,7 +104,7 @@ fn submit(arguments: &SubmitArgs, quiet: bool) -> CommandResult {
 fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFormat) -> CommandResult {
     let (plan, campaign) = Plan::open(folder)?;
     let rig = plan_rig(&plan, folder)?;
-    // The shards may have been played elsewhere.
+    // Another machine may have played the shards, so only the worst trials need the planned bench on this one.
     let bench = if plays_worst(&rig) { plan.check_bench(&rig) } else { Ok(()) };
     merge_and_show(folder, (plan, Arc::new(campaign)), bench, jobs, quiet, format)
 }
@@ -113,8 +113,8 @@ fn plan_rig(plan: &Plan, folder: &Path) -> Result<RigSpec, CampaignError> {
     plan.rig.parse().map_err(|_| CampaignError::NoPlan(folder.to_owned()))
 }
 
-/// Plays trials again: before the merge those of `plan.confirm`, after it the worst, if `bench` and firmware are those
-/// of the plan.
+/// Before the merge, plays the trials of `plan.confirm` again. After it, plays the worst trials again, unless `bench`
+/// is the error that bench or firmware differ from the planned ones.
 fn merge_and_show(
     folder: &Path,
     (plan, campaign): (Plan, Arc<Campaign>),
@@ -147,7 +147,6 @@ fn merge_and_show(
     Ok(show(&summary, folder, format))
 }
 
-/// As [`play`], with the board reserved.
 fn play_on_board(
     board: &BoardArgs,
     folder: &Path,
@@ -194,7 +193,7 @@ fn play(
     })
 }
 
-/// The result of `work`; fails if a signal ended it.
+/// Fails if a signal ended the work.
 fn run_campaign_work<R: Send + 'static>(
     config: PlayConfig,
     mut progress: Progress,

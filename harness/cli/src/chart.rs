@@ -13,9 +13,9 @@ use platebench_study::charts::{ChartError, ladder, laws, load_law_scenarios, pre
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The cost is their median.
+/// Number of measurements of a cost. Their median counts.
 const COST_ROUNDS: u32 = 3;
-/// For methods: at resonance; detuned by 545 rad/s; the same under 2 N; a finger comes down.
+/// For methods. The scenarios are at resonance, detuned by 545 rad/s, detuned under 2 N, and with a moving finger.
 const DEFAULT_SCENARIOS: [&str; 4] = [
     "paper/fig13-closed-loop.toml",
     "paper/fig14-closed-loop.toml",
@@ -45,7 +45,7 @@ pub(crate) struct ChartArgs {
     /// Only this chart; may be repeated
     #[arg(long, value_name = "CHART", value_enum)]
     pub(crate) only: Vec<ChartKind>,
-    /// Further rung of the ladder, in lockstep and in real time; may be repeated
+    /// Rig to add to the ladder chart, in lockstep and in real time; may be repeated
     #[arg(long = "rig", value_name = "RIG")]
     pub(crate) rigs: Vec<RigSpec>,
     /// Folder of the default scenarios, with paper/ and laws/

@@ -49,7 +49,7 @@ struct CheckResult<'a> {
     warnings: Vec<FaultLocation<'a>>,
 }
 
-/// `line` and `column` count from 1; absent if the file was not read.
+/// `line` and `column` count from 1. They are absent if the file was not read.
 #[derive(Serialize)]
 struct FaultLocation<'a> {
     file: &'a Path,
@@ -84,7 +84,7 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
     }
 }
 
-/// With tags only scenarios are checked. The tags of a faulty one are not known.
+/// With tags only scenarios are checked. A faulty scenario is checked too, because its tags are not known.
 fn is_selected(tags: &TagFilter, path: &Path, name: &str) -> bool {
     FileKind::detect(path) == FileKind::Scenario
         && load_with_all_errors(path, name).map_or(true, |scenario| tags.selects(&scenario))
@@ -108,7 +108,7 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
     let mut names = BTreeMap::new();
     for ((path, name), _) in files.iter().zip(&kinds).filter(|(_, kind)| **kind == FileKind::Scenario) {
         if let Some(other) = names.insert(name, path) {
-            let message = format!("has the name {name} in records, and so has {}", other.display());
+            let message = format!("has the name {name} in records, like {}; rename one of them", other.display());
             faults.push(Diagnostic::for_file(path, message));
         }
     }

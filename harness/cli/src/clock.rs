@@ -19,13 +19,11 @@ pub(crate) struct ClockRequest<'a> {
 }
 
 impl<'a> ClockRequest<'a> {
-    /// For an emulated plate.
     pub(crate) fn new(rig: &'a RigSpec, clock: Option<ClockArg>) -> Self {
         let (pacing, plate_mode) = (PacingArg::Bench, PlateModeArg::Emulated);
         Self { rig, clock, time_scale: 1.0, pacing, plate_mode, wire_time: false }
     }
 
-    /// Errors: why the options contradict each other.
     pub(crate) fn resolve(&self) -> Result<Clock, &'static str> {
         let Self { time_scale, wire_time, .. } = *self;
         let pacing = Pacing::from(self.pacing);
@@ -42,7 +40,7 @@ impl<'a> ClockRequest<'a> {
                      serial port, --rig probe:CHIP,port=PORT[@BAUD]")
             }
             ClockArg::RealTime if wire_time => {
-                Err("--wire-time is for --clock lockstep; in real time every microsecond acts anyway")
+                Err("--wire-time is for --clock lockstep; in real time line and computing time delay the loop anyway")
             }
             ClockArg::RealTime if time_scale != 1.0 && pacing == Pacing::Target => {
                 Err("--time-scale needs --pacing bench: a controller's own timer cannot be slowed down")
@@ -68,13 +66,13 @@ impl<'a> ClockRequest<'a> {
     }
 }
 
-/// Refuses a line that is too slow in real time; in lockstep the plate waits for it.
+/// Fails if the line is too slow for real time. In lockstep the plate waits for the line.
 pub(crate) fn check_line_speed(rig: &RigSpec, clock: Clock, scenarios: &[Scenario]) -> Result<(), String> {
     let Some(baud) = rig.baud() else { return Ok(()) };
     let time_scale = match clock {
         Clock::Lockstep { .. } => return Ok(()),
         Clock::RealTime(time_base) => time_base.time_scale,
-        // Telemetry takes 43 bytes a period, a sample and its command 48.
+        // Telemetry of a real plate takes 43 bytes per period, less than a sample and its command with 48 bytes.
         Clock::RealPlate => 1.0,
     };
     for scenario in scenarios {

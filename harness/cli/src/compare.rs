@@ -27,7 +27,8 @@ pub(crate) struct CompareArgs {
     /// A trace or a run folder
     #[arg(value_name = "TRACE|RUN")]
     subject: PathBuf,
-    /// The reference: a trace, a run folder, the .toml file of a baseline, or `baseline` for the scenarios' own
+    /// The reference: a trace, a run folder, the .toml file of a baseline, or `baseline` for the baseline of each
+    /// scenario
     #[arg(long, value_name = "TRACE|RUN|baseline")]
     against: String,
     /// Folder of the baselines
@@ -48,7 +49,6 @@ struct ComparisonOutput {
     scenario: String,
     #[serde(flatten)]
     comparison: TubeComparison,
-    /// Drawing of the largest deviation.
     drawing: Option<PathBuf>,
 }
 
@@ -74,7 +74,7 @@ impl ComparisonOutput {
     }
 }
 
-/// True before the first baseline was accepted: nothing could differ.
+/// True if the first baseline has not been accepted yet. Then nothing can differ.
 fn has_no_baseline(arguments: &CompareArgs) -> bool {
     let is_empty = fs::read_dir(&arguments.baselines).map_or(true, |mut entries| entries.next().is_none());
     arguments.against == BASELINE_KEYWORD && is_empty
@@ -108,7 +108,7 @@ fn compare_all(arguments: &CompareArgs) -> Result<Vec<ComparisonOutput>, Compare
     Ok(comparisons)
 }
 
-/// Names what the comparison omits: fewer trials pass more easily.
+/// Reports the trials that only the reference has, because fewer trials pass more easily.
 fn note_missing(arguments: &CompareArgs, subject: &[ScenarioTrials]) -> Result<(), CompareError> {
     let against = Path::new(&arguments.against);
     if arguments.against == BASELINE_KEYWORD || !is_run_folder(&arguments.subject) || !is_run_folder(against) {
@@ -119,7 +119,7 @@ fn note_missing(arguments: &CompareArgs, subject: &[ScenarioTrials]) -> Result<(
         let [trials, others] = [own.map_or(0, |own| own.trials.len() + own.excluded.len()), other.trials.len()];
         if trials < others {
             let (file, against) = (&other.file, against.display());
-            stdio::note(&format!("{file}: {trials} of the {others} trials that {against} has"));
+            stdio::note(&format!("{file}: the run has only {trials} of the {others} trials of {against}"));
         }
     }
     Ok(())
@@ -144,7 +144,7 @@ fn draw_worst(
             return Ok(None);
         }
     };
-    // The path of a trace may lead out of the folder.
+    // The path of a trace may lead out of `folder`.
     let name = if Path::new(&scenario.name).is_absolute() || scenario.name.contains("..") {
         Path::new(&scenario.name).file_name().map(PathBuf::from).unwrap_or_default()
     } else {

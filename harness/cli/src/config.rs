@@ -1,7 +1,7 @@
 //! Takes options from the environment and from `platebench.toml`.
 //!
-//! Order: flags, environment, file, built-in default. clap applies it: a setting's variable becomes
-//! the `env` of its option, its value in the file the default.
+//! Precedence: command line, environment, file, built-in default. clap applies it, because the variable of a setting
+//! becomes the `env` of the option, and the value in the file becomes the default.
 
 use clap::Command;
 use platebench_scenario::{Diagnostic, find_file_above, parse, parse_file};
@@ -9,10 +9,11 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// The nearest one applies, from the working directory upwards.
+/// Name of the file. The nearest one from the working directory upwards applies.
 pub(crate) use platebench_scenario::SETTINGS_FILE as FILE;
 
-/// The keys of `platebench.toml` and their types. [`SETTINGS`] reads the values by key.
+/// Keys of `platebench.toml`.
+// The type only checks the keys and the types of their values. `SETTINGS` reads the values.
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct RawConfig {
@@ -41,7 +42,6 @@ pub(crate) struct RawConfig {
     run: RawRun,
 }
 
-/// `[run]`
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 struct RawRun {
@@ -67,14 +67,14 @@ struct RawRun {
 }
 
 struct Setting {
-    /// Field in the arguments of its command.
+    /// Name of the field in the arguments of the command.
     id: &'static str,
-    /// Lists have none.
+    /// Environment variable. A list has none.
     variable: Option<&'static str>,
     key: &'static str,
-    /// Empty: every command that has the option.
+    /// Commands that use the setting. If empty, every command that has the option.
     commands: CommandNames,
-    /// Relative to the file.
+    /// A relative path is relative to the folder of the file.
     is_path: bool,
 }
 
@@ -114,12 +114,11 @@ pub(crate) struct Config {
 }
 
 impl Config {
-    /// Searches from `folder`, the working directory, upwards.
     pub(crate) fn find_above(folder: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
         find_file_above(folder, FILE).map_or_else(|| Ok(Self::default()), |path| Self::read(&path, definition))
     }
 
-    /// `definition` checks the values. Errors: every fault of the file.
+    /// `definition` is the command line, which checks the values. Fails with every fault of the file.
     pub(crate) fn read(path: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
         let (text, _) = parse_file::<RawConfig>(path)?;
         let document: toml::Table = parse(path, &text)?;
@@ -145,7 +144,7 @@ impl Config {
 }
 
 impl Setting {
-    /// Parses `text` as the option's value of `platebench run`. Errors: clap's message.
+    /// Parses `text` as the value of the option of `platebench run`. Fails with the message of clap.
     fn check(&self, text: &str, definition: &Command) -> Result<(), String> {
         if self.is_path {
             return if text.is_empty() { Err("empty, expected a path".to_owned()) } else { Ok(()) };
@@ -167,7 +166,7 @@ impl Setting {
     }
 }
 
-/// As words of the command line.
+/// Returns the value of `key` as words of the command line.
 fn value_at(document: &toml::Table, key: &str) -> Option<Vec<String>> {
     let word = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let value = match key.split_once('.') {
@@ -187,7 +186,7 @@ fn subcommand_names(command: &Command) -> Vec<String> {
     command.get_subcommands().map(|command| command.get_name().to_owned()).collect()
 }
 
-/// `name` is the name of the top-level command.
+/// `name` is the name of the top-level command, also if `command` is its subcommand.
 fn with_settings_of(command: Command, name: &str, config: &Config) -> Command {
     let command = SETTINGS.iter().fold(command, |command, setting| {
         if !setting.applies_to(&command, name) {

@@ -36,7 +36,7 @@ pub(crate) struct EmulateArgs {
     port: Option<String>,
     #[command(flatten)]
     board: BoardArgs,
-    /// Plate, controller and profile; the last values hold after its end
+    /// Plate, controller and profile; after the end of the profile its last values hold
     #[arg(long, value_name = "FILE", default_value = "scenarios/paper/fig13-closed-loop.toml")]
     scenario: PathBuf,
     /// Control law to configure
@@ -53,12 +53,12 @@ pub(crate) struct EmulateArgs {
     live: bool,
 }
 
-/// Between two greetings, and between two attempts to open a port that disappeared.
+/// Time between two attempts to reach a controller, or to open a port that disappeared.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
-/// Between two status lines: on a terminal, elsewhere.
+/// Time between two status lines on a terminal, and in other outputs.
 const STATUS_INTERVALS: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(1)];
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
-/// 100 days: the operator ends the emulation, not the scenario.
+/// 100 days, because the operator ends the emulation and not the scenario.
 const UNLIMITED_DURATION: Time = Time::from_nanos(100 * 24 * 3_600_000_000_000);
 const LIVE_KEYS: &str = "f/F finger -/+, t/T plate -/+, s/S setpoint -/+, r release and cool, q quit";
 const KEYS: &str =
@@ -178,7 +178,7 @@ struct PlateServer {
     time_base: TimeBase,
     view_sender: Option<ViewSender>,
     live_tap: LiveTap,
-    /// The last controller did not confirm 0 V.
+    /// True if the last controller did not confirm 0 V.
     unconfirmed: Arc<AtomicBool>,
 }
 
@@ -192,7 +192,7 @@ impl PlateServer {
             if self.view_sender.is_none() {
                 print_on_stderr(KEYS);
             }
-            // Never joined: a terminal that hung up blocks it until the program ends.
+            // The thread is never joined, because a terminal that hung up blocks it until the program ends.
             thread::spawn(move || handle_keys(inputs, &control, &cancel));
         }
         print_on_stderr("waiting for a controller");
@@ -295,7 +295,7 @@ fn handle_keys(mut inputs: ManualInputs, control: &ManualControl, cancel: &Cance
     watch_keys(
         || cancel.is_cancelled(),
         |key| match key {
-            // In raw mode Ctrl-C is a key.
+            // In raw mode Ctrl-C arrives as a key, not as a signal.
             'q' | INTERRUPT => cancel.cancel(),
             letter if apply_key(&mut inputs, letter) => control.set(inputs),
             _ => {}
@@ -303,12 +303,11 @@ fn handle_keys(mut inputs: ManualInputs, control: &ManualControl, cancel: &Cance
     );
 }
 
-/// The status line has no line end. Raw mode needs the carriage returns.
+/// Clears the status line first, which has no line end. Raw mode needs the carriage returns.
 fn print_on_stderr(text: &str) {
     stdio::note(&if stdin().is_terminal() { format!("\r\u{1b}[K{text}\r") } else { text.to_owned() });
 }
 
-/// Returns false if the key has no function.
 fn apply_key(inputs: &mut ManualInputs, letter: char) -> bool {
     match letter {
         'f' => inputs.finger_force_n = (inputs.finger_force_n - 0.25).max(0.0),

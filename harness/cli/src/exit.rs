@@ -1,24 +1,17 @@
-//! Defines the exit codes.
-
 use platebench_record::{RunRecord, Verdict};
 use std::process::ExitCode;
 
-/// If several apply: invalid, then unreachable, then failed, then inconclusive.
+/// Exit code of the program. If several apply, the first of invalid, unreachable, failed, inconclusive counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Exit {
-    /// 0
     Passed,
-    /// 1
     Failed,
-    /// 2: wrong usage or invalid input.
+    /// Wrong usage or invalid input.
     Invalid,
-    /// 3: nothing failed but something is inconclusive.
     Inconclusive,
-    /// 4
     NothingToRun,
-    /// 5: the rig could not be reached or was lost.
+    /// The rig could not be reached or was lost.
     Unreachable,
-    /// 128 + the number of the signal.
     Signal(u8),
 }
 

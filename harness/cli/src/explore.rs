@@ -20,7 +20,6 @@ use std::time::Duration;
 
 const DEFAULT_LAW: LawId = LawId::DqPi;
 
-/// `platebench explore`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -54,7 +53,7 @@ pub(crate) struct ExploreArgs {
     /// Scenes that are played at once; default: one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
-    /// Compares every command with this project's implementation of the law on the PC
+    /// Compare every command with this project's implementation of the law on the PC
     #[arg(long, value_name = "RIG", value_parser = ["hosted"])]
     reference: Option<String>,
     /// The run folder; default: a new folder below runs/

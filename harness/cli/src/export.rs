@@ -62,7 +62,7 @@ pub(crate) fn export(arguments: &ExportArgs) -> CommandResult {
         stdio::show(&format!("{}\n", file.display()));
     }
     if !record.complete || exported.incomplete_trials > 0 {
-        stdio::note("the run was interrupted; exported are its complete trials");
+        stdio::note("the run was interrupted; only its complete trials were exported");
     }
     Ok(Exit::Passed)
 }
@@ -74,7 +74,7 @@ impl From<ExportError> for Failure {
     }
 }
 
-/// Fails for the first trace that was modified after the run. `export` reports missing ones.
+/// Fails if a trace was modified after the run. `platebench_export::export` reports missing traces.
 fn check_traces(record: &RunRecord, arguments: &ExportArgs) -> Result<(), Failure> {
     for scenario in platebench_export::select_scenarios(record, &arguments.scenarios)? {
         for trial in &scenario.trials {

@@ -1,4 +1,4 @@
-//! Ends a command early: with a report on standard error and an exit code.
+//! Ends a command early, with a report on standard error and an exit code.
 
 use crate::exit::Exit;
 use crate::stdio;
@@ -8,10 +8,9 @@ use platebench_scenario::Diagnostic;
 use std::fmt::Display;
 use std::path::Path;
 
-/// The exit code of a command, or why it ended early.
 pub(crate) type CommandResult = Result<Exit, Failure>;
 
-/// The program reports it after the command has returned.
+/// Reason why a command ended early. The program reports it after the command has returned.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Failure {
     exit: Exit,
@@ -20,7 +19,7 @@ pub(crate) struct Failure {
 
 #[derive(Debug, PartialEq)]
 enum Report {
-    /// Standard error has it already.
+    /// Standard error contains the report already.
     Done,
     Message(String),
     Faults(Vec<Diagnostic>),
@@ -31,7 +30,6 @@ impl Failure {
         Self { exit, report: Report::Message(message.to_string()) }
     }
 
-    /// Wrong usage or invalid input.
     pub(crate) fn invalid(message: &impl Display) -> Self {
         Self::new(Exit::Invalid, message)
     }
@@ -50,7 +48,6 @@ impl Failure {
     }
 }
 
-/// The command has reported the reason.
 impl From<Exit> for Failure {
     fn from(exit: Exit) -> Self {
         Self { exit, report: Report::Done }
@@ -113,7 +110,6 @@ impl From<RejudgeError> for Failure {
     }
 }
 
-/// For errors that mean wrong usage or invalid input.
 pub(crate) trait OrInvalid<T> {
     fn or_invalid(self) -> Result<T, Failure>;
 

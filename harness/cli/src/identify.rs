@@ -157,7 +157,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
     write_new(path, text.as_bytes()).or_invalid_at(path)?;
     stdio::note(&format!("plate file: {}", path.display()));
     if details.limit_vpp.is_none() {
-        stdio::note("its drive limit is the highest recorded drive; --drive-limit-vpp VPP sets the amplifier's limit");
+        stdio::note("the drive limit is the highest recorded drive; --drive-limit-vpp VPP sets the amplifier's limit");
     }
     Ok(exit)
 }
@@ -173,7 +173,7 @@ fn describe_source(arguments: &IdentifyArgs, recordings: &[Recording], board: Op
     format!("platebench identify, {recordings}: {}{board}", names.join(", "))
 }
 
-/// Adds the tables below `path`, sorted by name, or the file `path`.
+/// Adds the tables below the folder `path`, sorted by name, or the file `path` itself.
 fn collect_tables(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> {
     if !path.is_dir() {
         files.push(path.to_owned());

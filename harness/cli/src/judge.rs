@@ -38,7 +38,7 @@ pub(crate) fn judge(arguments: &JudgeArgs, detail: Detail) -> CommandResult {
 fn note_changed_verdicts(arguments: &JudgeArgs, again: &RunRecord) {
     let Ok(stored) = RunRecord::read(&arguments.run) else { return };
     if !stored.complete {
-        stdio::note("the run was interrupted; judged are its complete trials");
+        stdio::note("the run was interrupted; only its complete trials were judged");
         return;
     }
     for (then, now) in stored.scenarios.iter().zip(&again.scenarios) {

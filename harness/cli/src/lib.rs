@@ -1,5 +1,5 @@
 //! Defines the command line: arguments, wiring and exit codes. The other crates decide and measure.
-//! A library so that the whole-bench tests can build the same program.
+//! The crate is a library so that the tests of the whole bench can build the same program.
 
 #![cfg_attr(
     not(all(feature = "emulated", feature = "export", feature = "live", feature = "study")),

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 pub(crate) const KEYS: &str = "q or Ctrl-C ends the run, with the plate at 0 V";
 
-const SESSION_KEYS: &str = "Ctrl-C ends the session, with the plate at 0 V; --resume goes on with it";
+const SESSION_KEYS: &str = "Ctrl-C ends the session, with the plate at 0 V; --resume continues it";
 
 pub(crate) fn describe_run(command: &'static str, keys: &'static str, plan: &RunPlan) -> RunDescription {
     RunDescription {
@@ -20,7 +20,7 @@ pub(crate) fn describe_run(command: &'static str, keys: &'static str, plan: &Run
     }
 }
 
-/// Without a terminal prints a note and returns none.
+/// Without a terminal, prints a note and returns no view.
 pub(crate) fn open_view(description: RunDescription) -> (Option<LiveView>, LiveTap) {
     let (live_tap, tap_reader) = LiveTap::new();
     match LiveView::open(description, tap_reader) {
@@ -32,7 +32,7 @@ pub(crate) fn open_view(description: RunDescription) -> (Option<LiveView>, LiveT
     }
 }
 
-/// Open while a scenario is played.
+/// Live view of a session. It is open while a scenario is played.
 #[derive(Debug, Clone)]
 pub(crate) struct SessionView(Option<Arc<Mutex<Option<LiveView>>>>);
 

@@ -14,7 +14,6 @@ use tracing_subscriber::{Layer, fmt, registry};
 const VARIABLE: &str = "PLATEBENCH_LOG";
 const EXPECTED: &str = "expected a filter such as `debug` or `platebench_rig=trace,warn`";
 
-/// Options of the log.
 #[derive(Debug, Args)]
 pub(crate) struct LoggingArgs {
     /// Print more: -v a table for each scenario and a log of the steps, -vv details, -vvv everything
@@ -49,7 +48,6 @@ pub(crate) enum LogFormat {
     Json,
 }
 
-/// The filter is `PLATEBENCH_LOG`, or else the level of -v and -q.
 pub(crate) fn start(arguments: &LoggingArgs) -> Result<(), String> {
     let level = match (arguments.quiet, arguments.verbose) {
         (true, _) => LevelFilter::ERROR,
@@ -63,14 +61,14 @@ pub(crate) fn start(arguments: &LoggingArgs) -> Result<(), String> {
         Err(VarError::NotPresent) => Targets::new().with_default(level),
         Err(VarError::NotUnicode(_)) => return Err(format!("{VARIABLE}: not UTF-8, {EXPECTED}")),
     };
-    // The thread of the controller logs too: a slow reader must not delay it.
-    // Internal errors are off: the report of a closed terminal would panic.
+    // The thread of the controller logs too, and a slow reader must not delay it.
+    // Internal errors are not reported, because the report of a closed terminal would panic.
     let lines = fmt::layer().with_writer(|| NonBlockingStderr).log_internal_errors(false);
     let lines = match arguments.log_format {
         LogFormat::Human => lines.with_ansi(color::applies_to(&stderr())).boxed(),
         LogFormat::Json => lines.json().boxed(),
     };
-    // A second start, as in a test, changes nothing.
+    // A second start, for example in a test, changes nothing.
     let _ = registry().with(filter).with(lines).try_init();
     Ok(())
 }

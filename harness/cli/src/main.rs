@@ -1,5 +1,3 @@
-//! Starts the program.
-
 use std::process::ExitCode;
 
 fn main() -> ExitCode {

@@ -16,7 +16,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Mutants per line of progress, which shows in a log that the work continues.
+/// Mutants per line of progress. The lines show in a log that the work continues.
 const PROGRESS_INTERVAL: usize = 50;
 
 #[derive(Debug, Args)]
@@ -81,7 +81,7 @@ pub(crate) fn mutate(arguments: &MutateArgs, quiet: bool) -> CommandResult {
     let ended = run_until_signal(None, work, |()| {
         tested += 1;
         if !quiet && tested % PROGRESS_INTERVAL == 0 {
-            stdio::note(&format!("{tested} mutants"));
+            stdio::note(&format!("{tested} mutants tested"));
         }
     });
     let report = unless_signalled(ended)?;

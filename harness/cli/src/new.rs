@@ -12,14 +12,13 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// For folders without a plate.
 const PLATE: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
 const PLATE_FILE: &str = "plates/aluminium-198x138.toml";
 const SCHEMA_FILE: &str = "schema/scenario.json";
 const PLATE_SCHEMA_FILE: &str = "schema/plate.json";
 const SCENARIOS: &str = "scenarios";
 const TEMPLATE: &str = include_str!("new/scenario.toml");
-/// The plate is searched this many folders upwards.
+/// The plate file is searched in this number of folders, from the folder of the scenario upwards.
 const MAX_FOLDERS_UP: usize = 4;
 
 #[derive(Debug, Args)]
@@ -51,12 +50,12 @@ pub(crate) fn new(arguments: &NewArgs) -> CommandResult {
     Ok(Exit::Passed)
 }
 
-/// Returns the paths, the scenario first.
+/// Returns the paths of the written files, the scenario first.
 fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, Failure> {
     let path = scenario_path(folder, name)?;
     let home = path.parent().unwrap_or(Path::new("")).to_owned();
     let title = path.file_stem().unwrap_or_default().to_string_lossy().replace(['-', '_'], " ");
-    // `..` needs an existing folder.
+    // The search for the plate uses `..`, which needs an existing folder.
     fs::create_dir_all(if home.as_os_str().is_empty() { Path::new(".") } else { &home }).or_invalid_at(&home)?;
     let ups = (0..MAX_FOLDERS_UP).map(|count| "../".repeat(count));
     let up = ups.clone().find(|up| home.join(up).join(PLATE_FILE).is_file());
@@ -67,7 +66,7 @@ fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, Fai
         .replace("{law}", law)
         .replace("{laws}", &LawId::ALL.map(LawId::name).join(", "))
         .replace("{expect}", expectations_of_law(law))
-        // Last: the title may contain a placeholder.
+        // The title is last, because it may contain a placeholder.
         .replace("{title}", &toml::Value::from(title).to_string());
     let mut files = vec![write_new_file(path, &format!("#:schema {schema}\n{text}"))?];
     if up.is_none() {
@@ -78,7 +77,7 @@ fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, Fai
         schemas.push((PLATE_SCHEMA_FILE.to_owned(), SchemaKind::Plate));
     }
     for (file, kind) in schemas {
-        // Editors read it; one of another version stays.
+        // Editors read the schema. An existing one, perhaps of another version, is kept.
         if !home.join(&file).exists() {
             files.push(write_new_file(home.join(&file), &kind.to_text().or_invalid()?)?);
         }
@@ -87,7 +86,7 @@ fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, Fai
 }
 
 fn scenario_path(folder: &Path, name: &str) -> Result<PathBuf, Failure> {
-    let wrong = || Failure::invalid(&format!("{name:?}, expected a name for a file, without control characters"));
+    let wrong = || Failure::invalid(&format!("{name:?} is not a file name, expected one without control characters"));
     let stem = Path::new(name).file_name().ok_or_else(wrong)?.to_string_lossy().into_owned();
     if name.contains(char::is_control) || name.ends_with('/') || stem.trim_end_matches(".toml").trim().is_empty() {
         return Err(wrong());

@@ -23,7 +23,7 @@ pub(crate) enum OutputFormat {
 pub(crate) enum ClockArg {
     /// The plate waits while a sample travels and the controller computes
     Lockstep,
-    /// Every microsecond acts
+    /// The plate moves on while a sample travels and the controller computes
     RealTime,
 }
 
@@ -38,9 +38,9 @@ pub(crate) enum PlateModeArg {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PacingArg {
-    /// The bench: a sample triggers a control step
+    /// The bench has the timer, and each sample triggers a control step
     Bench,
-    /// The controller: it requests each sample
+    /// The controller has the timer and requests each sample
     Target,
 }
 

@@ -15,7 +15,6 @@ use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Files and annotations.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct Outputs {
     /// Write a summary in Markdown to FILE; `-` is standard output
@@ -59,7 +58,7 @@ fn is_stdout(file: &Path) -> bool {
 }
 
 impl Outputs {
-    /// Checks the outputs before the run.
+    /// Fails if two outputs use standard output, or a file cannot be written to its path.
     pub(crate) fn check(&self, format: OutputFormat) -> Result<(), String> {
         let to_stdout = [&self.summary, &self.tap].into_iter().flatten().filter(|file| is_stdout(file)).count();
         if to_stdout + usize::from(format == OutputFormat::Json) > 1 {
@@ -72,7 +71,7 @@ impl Outputs {
                 return Err(format!("{option} {}: there is no folder {}", file.display(), folder.display()));
             }
             if file.is_dir() {
-                return Err(format!("{option} {}: a folder, expected a file to write", file.display()));
+                return Err(format!("{option} {}: this is a folder, expected a file to write", file.display()));
             }
         }
         Ok(())
@@ -108,7 +107,7 @@ impl Outputs {
         if github {
             let commands =
                 annotations::workflow_commands(record, &|scenario, index| locations.location_of(scenario, index));
-            // GitHub reads both streams; standard output may be JSON.
+            // GitHub reads both streams, and standard output may contain JSON.
             let _ = std::io::stderr().lock().write_all(commands.as_bytes());
             if let Some(file) = env::var_os("GITHUB_STEP_SUMMARY").filter(|file| !file.is_empty()) {
                 markdown::append(record, Path::new(&file))?;
@@ -130,7 +129,7 @@ impl ScenarioLocations {
         Self(read.collect())
     }
 
-    /// The line of the expectation, or the first line of the scenario.
+    /// Returns the line of the expectation `index`, or without `index` the first line of the scenario.
     fn location_of(&self, scenario: &ScenarioRecord, index: Option<usize>) -> Option<SourceLocation> {
         let (_, path, source) = self.0.iter().find(|(file, ..)| *file == scenario.file)?;
         let line = index.map_or(1, |index| {
@@ -140,7 +139,7 @@ impl ScenarioLocations {
     }
 }
 
-/// Relative to the checkout, or to the working directory.
+/// Returns the path relative to the checkout on GitHub, or else to the working directory.
 fn repository_path(path: &Path) -> String {
     let whole = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let roots = [env::var_os("GITHUB_WORKSPACE").map(PathBuf::from), env::current_dir().ok()];

@@ -18,7 +18,7 @@ use crate::{coverage, mutate};
 use clap::CommandFactory;
 use std::process::ExitCode;
 
-/// For the generated reference and the documentation tests.
+/// Returns the command line for the generated reference and the documentation tests.
 pub fn command() -> clap::Command {
     Arguments::command()
 }
@@ -39,7 +39,6 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// Parses the command line and starts the log.
 fn start() -> Result<Arguments, Failure> {
     let (arguments, config) = args::parse()?;
     logging::start(&arguments.logging).or_invalid()?;
@@ -51,7 +50,7 @@ fn start() -> Result<Arguments, Failure> {
 
 fn dispatch(arguments: &Arguments) -> CommandResult {
     let (quiet, detail) = (arguments.logging.quiet, arguments.logging.detail());
-    // Without `platebench.toml`, whose values belong to this folder only.
+    // Completions and manual pages do not contain values of `platebench.toml`, which apply to this folder only.
     let definition = || config::with_settings(command(), &Config::default());
     match &arguments.command {
         Command::Run(arguments) => run::run(arguments, detail),

@@ -1,8 +1,8 @@
-//! Asks the operator: questions on standard error, answers on standard input.
+//! Asks the operator questions on standard error and reads the answers from standard input.
 //!
-//! At a real plate a terminal shows the force as a live bar; elsewhere each prompt and answer is a
-//! line: empty for done, `n` for not done. Without an operator (`--yes`, or the end of standard
-//! input) what needs a person stays inconclusive. Session questions are asked only at a terminal.
+//! With a real plate, a terminal also shows the force as a bar. Each answer is a line; for an action, an empty line
+//! means done and `n` means not done. Without an operator (`--yes`, or the end of standard input) everything that
+//! needs one stays inconclusive. The questions of a session are asked only at a terminal.
 
 use crate::stdio::{self, NonBlockingStderr};
 use platebench_plate::Time;
@@ -13,12 +13,12 @@ use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// An operator who does not do an action within this time is absent.
+/// If an action is not confirmed within this time, the operator counts as absent.
 const ACTION_TIMEOUT: Duration = Duration::from_mins(15);
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 const REDRAW_INTERVAL: Duration = Duration::from_millis(100);
-/// Cells of the bar, and the least force that fills it, N.
 const BAR_CELLS: usize = 30;
+/// Smallest force at the right end of the bar, N.
 const BAR_FULL_N: f64 = 3.0;
 
 pub(crate) struct TerminalOperator {
@@ -30,20 +30,20 @@ pub(crate) struct TerminalOperator {
 
 #[derive(Default)]
 struct PromptState {
-    /// Lines of standard input; read from the first question on.
+    /// Lines of standard input. `None` before the first question.
     lines: Option<Receiver<String>>,
     next_action: String,
     last_drawn: Option<Instant>,
 }
 
 impl TerminalOperator {
-    /// Absent unless `asks`.
+    /// Without `asks`, the operator counts as absent.
     pub(crate) fn at_plate(asks: bool) -> Self {
         let shows_bar = asks && stderr().is_terminal();
         Self { is_interactive: asks, assume_yes: false, shows_bar, state: Mutex::default() }
     }
 
-    /// `assume_yes` confirms everything and asks nothing.
+    /// With `assume_yes` nothing is asked, and every question with yes or no is answered with yes.
     pub(crate) fn in_session(assume_yes: bool) -> Self {
         let is_interactive = !assume_yes && stdin().is_terminal();
         Self { is_interactive, assume_yes, shows_bar: false, state: Mutex::default() }
@@ -56,7 +56,7 @@ impl TerminalOperator {
     }
 }
 
-/// The channel closes with standard input. The thread ends with the process.
+/// The channel closes at the end of standard input. The reading thread ends with the process.
 fn read_stdin_lines() -> Receiver<String> {
     let (sender, receiver) = channel();
     thread::spawn(move || {
@@ -155,7 +155,7 @@ impl Operator for TerminalOperator {
     }
 }
 
-/// Reads a line until it is one of `choices` or its first letter; `None` at the end of the input.
+/// Asks until the answer is one of `choices` or the first letter of one. Returns `None` at the end of the input.
 pub(crate) fn ask_choice(choices: &[&'static str]) -> Option<&'static str> {
     let mut lines = stdin().lock().lines().map_while(Result::ok);
     loop {
@@ -168,7 +168,7 @@ pub(crate) fn ask_choice(choices: &[&'static str]) -> Option<&'static str> {
     }
 }
 
-/// `None` if a confirmation is neither yes nor no, or a number is none.
+/// Returns `None` if `line` is neither yes nor no for a confirmation, or not a finite number for a number.
 fn parse_answer(kind: QuestionKind, line: &str) -> Option<String> {
     let answer = match (kind, line.to_lowercase().as_str()) {
         (QuestionKind::Text, _) => line,
@@ -184,7 +184,6 @@ fn parse_answer(kind: QuestionKind, line: &str) -> Option<String> {
     Some(answer.to_owned())
 }
 
-/// The force as a bar, with a mark at the demanded force.
 fn bar(demanded_n: f64, measured_n: Option<f64>) -> String {
     let Some(force) = measured_n else { return format!("{demanded_n:.2} N demanded, not measured") };
     let full = BAR_FULL_N.max(1.25 * demanded_n);

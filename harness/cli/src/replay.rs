@@ -38,7 +38,7 @@ pub(crate) struct ReplayArgs {
     /// Control law; default: the recorded one, or the scenario's
     #[arg(long, value_name = "NAME", value_parser = law_names())]
     law: Option<String>,
-    /// Configures the controller as this scenario says; default: the scenario of the run folder
+    /// Configure the controller from this scenario; default: the scenario of the run folder
     #[arg(long, value_name = "FILE")]
     scenario: Option<PathBuf>,
     /// Read the recording as a foreign table with these columns; needs --scenario

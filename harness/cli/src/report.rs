@@ -51,7 +51,7 @@ pub(crate) fn report(arguments: &ReportArgs) -> CommandResult {
     Ok(Exit::Passed)
 }
 
-/// Judges the traces of an interrupted run first, unless one of them was changed.
+/// If the run was interrupted, judges its traces first, unless one of them was changed or not kept.
 fn read_record(folder: &Path) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
     if record.complete {

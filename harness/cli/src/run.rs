@@ -38,7 +38,7 @@ pub(crate) fn run(arguments: &RunArgs, detail: Detail) -> CommandResult {
     }))
 }
 
-/// At least one.
+/// Fails if no scenario is selected.
 fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Vec<Scenario>, Failure> {
     let found = find(&arguments.scenarios).map_err(|faults| {
         let exit = Failure::from(faults).report();

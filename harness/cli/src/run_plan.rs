@@ -14,7 +14,7 @@ pub(crate) struct EventSinks<'a> {
     pub(crate) progress: Progress,
     pub(crate) view: Option<&'a LiveView>,
     pub(crate) events: Option<&'a mut EventWriter>,
-    /// For the report.
+    /// Trace rows that the report draws.
     pub(crate) rows: Option<&'a mut KeptRows>,
 }
 
@@ -38,7 +38,7 @@ impl EventSinks<'_> {
     }
 }
 
-/// Errors: the reason for an early end, with the signal that caused it.
+/// If the run ends early, returns the error and the signal that caused it.
 pub(crate) fn run_plan(
     plan: RunPlan,
     folder: &RunFolder,

@@ -1,4 +1,4 @@
-//! `platebench schema`: prints or writes JSON Schemas: of input files for editors, of results for programs.
+//! `platebench schema`: prints or writes the JSON Schemas of input files (for editors) and of results (for programs).
 
 use crate::config::RawConfig;
 use crate::exit::Exit;
@@ -60,7 +60,7 @@ pub(crate) enum SchemaKind {
 }
 
 impl SchemaKind {
-    /// With an identifier, by which validators and other schemas refer to it.
+    /// Adds an identifier, by which validators and other schemas refer to the schema.
     fn schema(self) -> schemars::Schema {
         let mut named = serde_json::Map::new();
         let schema = self.content().to_value();

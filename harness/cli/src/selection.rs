@@ -8,7 +8,6 @@ use platebench_scenario::{FoundScenarios, Scenario, find, suggestion};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-/// Fails if no scenario was found, or a named folder is empty.
 pub(crate) fn check_not_empty(found: &FoundScenarios) -> Result<(), Failure> {
     if found.scenarios.is_empty() {
         return Err(nothing_to_run());
@@ -23,7 +22,7 @@ pub(crate) fn nothing_to_run() -> Failure {
     Failure::new(Exit::NothingToRun, &"there is nothing to run")
 }
 
-/// The scenarios at `paths`, files and folders, that `tags` and `keep` select: at least one.
+/// Loads the scenarios of the files and folders `paths` that `tags` and `keep` select. Fails if none is left.
 pub(crate) fn find_scenarios(
     paths: &[PathBuf],
     tags: &TagFilter,
@@ -36,10 +35,9 @@ pub(crate) fn find_scenarios(
     Ok(found.scenarios)
 }
 
-/// Tags of scenarios.
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct TagFilter {
-    /// Only scenarios with this tag; given again: with any of them
+    /// Only scenarios with this tag; if given again, scenarios with any of the tags
     #[arg(long = "tag", value_name = "TAG")]
     tags: Vec<String>,
     /// No scenarios with this tag, also if --tag selects them; may be given again
@@ -57,7 +55,6 @@ impl TagFilter {
         (self.tags.is_empty() || has_any(&self.tags)) && !has_any(&self.excluded)
     }
 
-    /// Drops the other scenarios and reports tags that no scenario has.
     pub(crate) fn retain(&self, scenarios: &mut Vec<Scenario>) {
         if self.is_empty() {
             return;

@@ -1,6 +1,6 @@
 //! Runs work that a signal can end, with one listener for all signals.
 //!
-//! The listener is a thread with the program's only async runtime. It starts with the first work:
+//! The listener is a thread with the program's only async runtime. It passes through these states:
 //!
 //! ```text
 //! listening --signal--> cancelled --a signal after SHUTDOWN_TIMEOUT--> abandoned: the program ends without the work
@@ -24,17 +24,17 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 const HANG_UP: u8 = 1;
 /// Terminal closed, Ctrl-C, Ctrl-\, SIGABRT, SIGTERM, SIGXCPU (`ulimit -t`).
 const TERMINATION_SIGNALS: [u8; 6] = [HANG_UP, 2, 3, 6, 15, 24];
-/// SIGXFSZ (`ulimit -f`): if it is caught, the write fails instead of the program.
+/// SIGXFSZ (`ulimit -f`). If the program catches this signal, the write fails instead of the program.
 const FILE_SIZE: u8 = 25;
-/// Time that work has to end. A closing terminal sends two signals; only a later one abandons it.
+/// Only a signal later than this after the first one abandons the work, because a closing terminal sends two signals.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(3);
-/// Time that a reader of the output has after a signal.
+/// If nothing reads the output for this time after a signal, the process ends.
 const OUTPUT_TIMEOUT: Duration = Duration::from_secs(1);
-/// While work may drive a plate: longer than a controller needs to confirm 0 V.
+/// The same while the work may drive a plate. It is longer than a controller needs to confirm 0 V.
 const OUTPUT_TIMEOUT_WHILE_BUSY: Duration = Duration::from_secs(10);
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 const MAX_QUEUED_EVENTS: usize = 64;
-/// Time that a full event queue has after cancellation.
+/// After cancellation, events are dropped if their queue stays full for this time.
 const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 const RETRY_INTERVAL: Duration = Duration::from_millis(1);
 
@@ -68,7 +68,7 @@ pub(crate) fn received_signal() -> Option<u8> {
     State::lock().first.map(|(number, _)| number)
 }
 
-/// Once. From then on the signals do not end the program.
+/// Starts the listener on the first call. From then on signals do not end the process by themselves.
 pub(crate) fn listen() -> io::Result<()> {
     static STARTED: OnceLock<Result<(), String>> = OnceLock::new();
     let started = STARTED.get_or_init(|| {
@@ -157,9 +157,8 @@ impl Drop for BusyGuard {
 }
 
 pub(crate) enum WorkResult<T> {
-    /// A signal may have cancelled the work.
+    /// The result, and the signal that was received before the end, if any.
     Finished(T, Option<u8>),
-    /// The program ends without the work, because of this signal.
     Abandoned(u8),
 }
 
@@ -182,8 +181,8 @@ impl<E> EventSender<E> {
     }
 }
 
-/// Runs `work` on its own thread until it returns. A signal, or the end of `max_duration`, cancels
-/// it. `on_event` receives its events on this thread. Fails if `work` panics.
+/// Runs `work` on its own thread until it returns. A signal or the end of `max_duration` cancels the work. `on_event`
+/// receives the events of the work on the calling thread. Fails if `work` panics.
 pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
     max_duration: Option<Duration>,
     work: impl FnOnce(&CancelToken, &mut EventSender<E>) -> T + Send + 'static,
@@ -218,7 +217,6 @@ pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
     }
 }
 
-/// The result of work that does not count after a signal.
 pub(crate) fn unless_signalled<T, F: Into<Failure>>(ended: io::Result<WorkResult<Result<T, F>>>) -> Result<T, Failure> {
     match ended {
         Ok(WorkResult::Finished(result, None)) => result.map_err(Into::into),

@@ -55,7 +55,6 @@ pub(crate) fn stability(arguments: &StabilityArgs) -> CommandResult {
     Ok(Exit::Passed)
 }
 
-/// Returns the table.
 fn analyse(arguments: &StabilityArgs) -> Result<String, Failure> {
     let plate = load_plate(&arguments.plate)?;
     require_no_effects(&arguments.plate, &plate, "stability")?;

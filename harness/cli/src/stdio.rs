@@ -1,4 +1,4 @@
-//! Writes to standard output and standard error. A reader that closed its end is not an error.
+//! Writes to standard output and standard error. It is not an error if the reader has closed its end.
 
 use crate::color;
 use crate::exit::Exit;
@@ -15,14 +15,14 @@ use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// The first one on standard output, unless the reader closed its end.
+/// First error on standard output.
 static WRITE_ERROR: OnceLock<String> = OnceLock::new();
 /// True if the last log line was dropped because nothing read standard error.
 static LOG_BLOCKED: AtomicBool = AtomicBool::new(false);
-/// After a dropped line the next ones do not wait.
+/// Longest time that a log line waits for a reader. After a dropped line the next lines do not wait.
 const LOG_TIMEOUT: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 const NO_WAIT: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
-/// `PIPE_BUF`: what a writable pipe takes in one write, bytes.
+/// `PIPE_BUF`: number of bytes that a writable pipe accepts in one write.
 const MAX_ATOMIC_WRITE: usize = 4096;
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -55,7 +55,6 @@ pub(crate) fn show(text: &str) {
     let _ = CheckedStdout.write_all(text.as_bytes()).and_then(|()| CheckedStdout.flush());
 }
 
-/// 2 if standard output is incomplete.
 pub(crate) fn checked_exit(exit: Exit) -> Exit {
     let Some(why) = WRITE_ERROR.get() else { return exit };
     error(&format!("standard output is incomplete: {why}"));
@@ -66,7 +65,7 @@ pub(crate) fn error(message: &str) {
     let _ = writeln!(stderr().lock(), "error: {}", harmless(message));
 }
 
-/// No control characters, no line that begins with `::`: a command for GitHub Actions.
+/// Escapes control characters, and lines that begin with `::`, because GitHub Actions reads them as commands.
 fn harmless(message: &str) -> String {
     let message = printable_lines(message);
     let is_command = |line: &str| line.trim_start().starts_with("::");
@@ -97,7 +96,6 @@ pub(crate) fn show_json(value: &impl Serialize) {
     }
 }
 
-/// A text for people, or `value` as JSON.
 pub(crate) fn show_as(format: OutputFormat, value: &impl Serialize, text: impl FnOnce() -> String) {
     match format {
         OutputFormat::Human => show(&text()),
@@ -119,12 +117,12 @@ pub(crate) fn is_read() -> bool {
     is_writable(stdout().as_fd(), NO_WAIT) && is_writable(stderr().as_fd(), NO_WAIT)
 }
 
-/// An error counts as writable.
+/// An error of `poll` counts as writable.
 fn is_writable(output: BorrowedFd<'_>, timeout: Timespec) -> bool {
     poll(&mut [PollFd::new(&output, PollFlags::OUT)], Some(&timeout)).map_or(true, |ready| ready > 0)
 }
 
-/// For threads that must not wait: drops bytes that nothing reads.
+/// Standard error for threads that must not wait. Bytes are dropped if nothing reads them.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct NonBlockingStderr;
 
@@ -137,7 +135,7 @@ impl Write for NonBlockingStderr {
         if !is_read {
             return Ok(bytes.len());
         }
-        // Without the lock of standard error, which a blocked thread may hold.
+        // Does not take the lock of standard error, because a blocked thread may hold it.
         rustix::io::write(error.as_fd(), bytes.get(..MAX_ATOMIC_WRITE).unwrap_or(bytes)).map_err(io::Error::from)
     }
 

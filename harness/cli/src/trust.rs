@@ -32,7 +32,7 @@ pub(crate) struct TrustArgs {
     scenarios: Vec<PathBuf>,
     #[command(flatten)]
     tags: TagFilter,
-    /// Clean runs: one scenario each, in turn, with its own plate and noise
+    /// Number of clean runs; each plays one scenario, in turn, with its own plate and noise
     #[arg(long, value_name = "N", default_value_t = 3_000)]
     clean: u32,
     /// Seed of the first clean run

@@ -1,14 +1,13 @@
-//! Builds a course from steps and ramps.
+//! Builds the course of a force or a temperature over time from steps and ramps.
 
 use crate::scene::Course;
 
-/// Duration of a step in a course with ramps, µs: a course has one shape.
+/// A course with ramps is linear between its points, so a step in it becomes a ramp of this duration, µs.
 const EDGE_US: u32 = 10;
 
-/// Moves in order of time.
 pub(crate) struct CourseBuilder {
     start: i32,
-    /// Start and end, µs, and the value at the end.
+    /// Start and end, µs, and the value at the end, in order of time.
     moves: Vec<(u32, u32, i32)>,
 }
 
@@ -21,7 +20,7 @@ impl CourseBuilder {
         self.moves.last().map_or(self.start, |(_, _, value)| *value)
     }
 
-    /// Steps to `value`; at 0 it is the value from the start on.
+    /// A step at 0 µs sets the start value.
     pub(crate) fn step(&mut self, at_us: u32, value: i32) {
         if at_us == 0 {
             self.start = value;
@@ -30,7 +29,7 @@ impl CourseBuilder {
         }
     }
 
-    /// Ramps to `value`; returns the end of the ramp.
+    /// Returns the end of the ramp, µs.
     pub(crate) fn ramp(&mut self, at_us: u32, duration_us: u32, value: i32) -> u32 {
         if value == self.last() {
             return at_us;

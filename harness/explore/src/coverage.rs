@@ -7,7 +7,6 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
-/// Intervals of a range.
 const BINS: usize = 10;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::VariantArray, strum::IntoStaticStr)]
@@ -67,7 +66,7 @@ pub struct RangeCoverage {
 pub struct Coverage {
     ranges: BTreeMap<&'static str, RangeCoverage>,
     pairs: BTreeMap<(ChangeKind, ChangeKind), u64>,
-    /// Scenes by number of earlier trials.
+    /// Number of scenes by number of earlier trials.
     pub histories: BTreeMap<usize, u64>,
 }
 

@@ -1,6 +1,4 @@
-//! Draws scenes as small whole numbers, so that shrinking leads to simple scenes.
-//!
-//! Every number is an offset from a usual value; 0 is the simplest one.
+//! Draws scenes as whole numbers. Each is an offset from a usual value, so that shrinking to 0 gives simple scenes.
 
 use crate::envelope::Envelope;
 use crate::event_kind::EventKind;
@@ -12,14 +10,14 @@ use proptest::prelude::{BoxedStrategy, Just, Strategy, any};
 use proptest::{bool as flags, prop_oneof};
 use std::ops::RangeInclusive;
 
-/// A value relative to those before it.
+/// A value relative to the usual value or to earlier values of its quantity.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Target {
     /// Offset from the usual value, in grid steps.
     At(i32),
     /// Offset from the last value, in small steps.
     Near(i32),
-    /// The value of this many values before.
+    /// The value this many values before the last one.
     Back(usize),
     Least,
     Most,
@@ -27,13 +25,13 @@ pub(crate) enum Target {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Gap {
-    /// Above the smallest quiet time, in tenths of a ms.
+    /// The smallest quiet time plus this, 0.1 ms.
     Quiet(u32),
-    /// Tenths of a ms.
+    /// This time, 0.1 ms.
     Short(u32),
-    /// Above the smallest long quiet time, in ms.
+    /// The smallest long quiet time plus this, ms.
     Long(u32),
-    /// Until 100 ms or 1 s after the start, this many control periods earlier or later.
+    /// Until 100 ms or 1 s after the start of the trial, plus this number of control periods.
     Counter(i32),
 }
 
@@ -46,7 +44,7 @@ pub(crate) struct EventDraw {
     pub(crate) level: Target,
     pub(crate) force: Target,
     pub(crate) temperature: Target,
-    /// Share of the range of rates, logarithmic, percent from the fastest.
+    /// Position in the logarithmic range of rates, percent: 0 is the fastest.
     pub(crate) slowness: u32,
     pub(crate) steps: u32,
 }
@@ -54,10 +52,10 @@ pub(crate) struct EventDraw {
 #[derive(Debug, Clone)]
 pub(crate) struct ConfigurationDraw {
     pub(crate) law: usize,
-    /// Offset from 1 ms, in grid steps.
+    /// Offset from the usual period, in grid steps.
     pub(crate) period: i32,
     pub(crate) delay: u32,
-    /// Below the largest limit, in grid steps.
+    /// Distance below the largest drive limit, in grid steps.
     pub(crate) limit: u32,
     pub(crate) noise: u32,
     pub(crate) nominal_gain: i32,
@@ -75,20 +73,19 @@ pub(crate) struct TrialDraw {
     pub(crate) temperature: Target,
     pub(crate) events: Vec<EventDraw>,
     pub(crate) tail: Gap,
-    /// Frequency of a sine, in grid steps.
+    /// Frequency of the sine, in grid steps.
     pub(crate) sine: u32,
 }
 
 #[derive(Debug, Clone)]
 pub(crate) struct SceneDraw {
-    /// Each with its own configuration, if not that of the judged trial.
+    /// A trial without its own configuration has that of the judged trial.
     pub(crate) earlier: Vec<(Option<ConfigurationDraw>, TrialDraw)>,
     pub(crate) configuration: ConfigurationDraw,
     pub(crate) judged: TrialDraw,
     pub(crate) faults: Vec<LineFaultDraw>,
 }
 
-/// Step widths of the grids.
 pub(crate) const LEVEL_STEP_UM: f64 = 0.005;
 pub(crate) const FORCE_STEP_N: f64 = 0.05;
 pub(crate) const TEMPERATURE_STEP_K: f64 = 0.25;
@@ -97,20 +94,19 @@ pub(crate) const LIMIT_STEP_VPP: f64 = 10.0;
 pub(crate) const NOISE_STEP_UM: f64 = 0.0005;
 pub(crate) const DEVIATION_STEP_PERCENT: f64 = 0.5;
 pub(crate) const DETUNING_STEP_HZ: f64 = 1.0;
-/// Usual values: offset 0 of the grids.
 pub(crate) const USUAL_LEVEL_UM: f64 = 1.0;
 pub(crate) const USUAL_PERIOD_MS: f64 = 1.0;
 pub(crate) const MAX_LAWS: usize = 8;
 
-/// The grid steps of `range` around `usual`, which is moved into the range.
+/// Offsets from `usual` that stay in the range, in grid steps. `usual` is first moved into the range.
 pub(crate) fn grid([low, high]: [f64; 2], usual: f64, step: f64) -> RangeInclusive<i32> {
     let usual = usual.clamp(low, high);
-    // Rounding must not lose the end of the range.
+    // 1e-9 keeps the end of the range if the quotient is rounded down.
     let steps = |distance: f64| (distance / step + 1e-9).floor() as i32;
     -steps(usual - low)..=steps(high - usual)
 }
 
-/// Uniform on the grid, or at one of its ends, or at the usual value.
+/// Uniform on the grid, or at one of its ends, or 0 with the weight `usual`.
 fn spread(grid: RangeInclusive<i32>, usual: u32) -> BoxedStrategy<i32> {
     let (low, high) = (*grid.start(), *grid.end());
     prop_oneof![usual => Just(0), 6 => grid, 1 => Just(low), 1 => Just(high)].boxed()
@@ -230,7 +226,7 @@ fn trial(envelope: &Envelope, kinds: &[EventKind], events: [u32; 2], is_long: bo
     let [fewest, most] = events.map(|count| count as usize);
     let fixed = kinds.iter().map(|kind| event(envelope, Just(*kind).boxed(), is_long)).collect::<Vec<_>>();
     let further = fewest.saturating_sub(fixed.len())..=most.saturating_sub(fixed.len());
-    // Each event of the stratum may be removed while shrinking.
+    // Each event of the stratum is drawn, but shrinking may remove it.
     let fixed: Vec<_> = fixed.into_iter().map(|event| (flags::weighted(1.0), event)).collect();
     let fields = (
         spread(grid(range.start_frequency_offset_hz, 0.0, DETUNING_STEP_HZ), 4),

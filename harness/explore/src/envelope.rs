@@ -22,7 +22,6 @@ pub struct RawEnvelope {
     count: Counts,
 }
 
-/// `[range]`
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Ranges {
@@ -32,49 +31,48 @@ pub struct Ranges {
     pub finger_force_n: [f64; 2],
     /// Rate of a force ramp, N/s.
     pub force_rate_n_per_s: [f64; 2],
-    /// Kelvin above the plate's reference temperature.
+    /// Temperature above the plate's reference temperature, K.
     pub temperature_offset_k: [f64; 2],
     /// Rate of a temperature ramp, K/s.
     pub temperature_rate_k_per_s: [f64; 2],
-    /// Excitation frequency at the start of a trial minus the resonance there, Hz.
+    /// Excitation frequency minus resonance at the start of a trial, Hz.
     pub start_frequency_offset_hz: [f64; 2],
     /// Limit of the amplifier, Vpp.
     pub drive_limit_vpp: [f64; 2],
     /// Control period, ms.
     pub period_ms: [f64; 2],
-    /// Loop delay, control periods; configured in the law.
+    /// Loop delay, control periods. The law is configured with it.
     pub loop_delay_periods: [f64; 2],
     /// Sensor noise of each component, µm.
     pub noise_um_rms: [f64; 2],
-    /// Gain of the plate relative to the plate file, percent; configured as well.
+    /// Change of the plate's gain from the plate file, percent. The law is configured with it.
     pub plate_gain_percent: [f64; 2],
-    /// Time constant of the plate relative to the plate file, percent; configured as well.
+    /// Change of the plate's time constant from the plate file, percent. The law is configured with it.
     pub plate_time_constant_percent: [f64; 2],
-    /// Gain of the played plate relative to the configured one, percent.
+    /// Deviation of the played plate's gain from the configured gain, percent.
     pub gain_deviation_percent: [f64; 2],
-    /// Time constant of the played plate relative to the configured one, percent.
+    /// Deviation of the played plate's time constant from the configured one, percent.
     pub time_constant_deviation_percent: [f64; 2],
     /// Configured response time, ms.
     pub response_time_ms: [f64; 2],
-    /// Configured gains relative to the law's own design, percent.
+    /// Configured gains, percent of the gains of the law's own design.
     pub configured_gains_percent: [f64; 2],
-    /// Largest deviation of the excitation from its start, Hz.
+    /// Configured limit: deviation of the excitation frequency from the start frequency, Hz.
     pub frequency_range_hz: [f64; 2],
-    /// Largest change of the excitation per period, Hz.
+    /// Configured limit: change of the excitation frequency per control period, Hz.
     pub frequency_slew_hz: [f64; 2],
-    /// Time between changes, ms.
+    /// Time between two changes of setpoint, force or temperature, ms.
     pub quiet_ms: [f64; 2],
-    /// Time of a long hold or rest, ms.
+    /// Time of a long hold or rest between two changes, ms.
     pub long_quiet_ms: [f64; 2],
 }
 
-/// `[count]`
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Counts {
-    /// Events of a trial.
+    /// Number of events of a trial.
     pub events: [u32; 2],
-    /// Trials before the judged one, in a scene with a history.
+    /// Number of trials before the judged one, in scenes with earlier trials.
     pub earlier_trials: [u32; 2],
 }
 
@@ -82,7 +80,6 @@ pub struct Counts {
 pub struct Envelope {
     pub path: PathBuf,
     pub title: String,
-    /// The configured plate.
     pub plate: Plate,
     pub range: Ranges,
     pub count: Counts,
@@ -90,14 +87,13 @@ pub struct Envelope {
     pub digest: [u8; 32],
 }
 
-/// Bounds of a range: smallest, largest, and their unit.
+/// Smallest and largest allowed value, and their unit.
 type Bounds = (f64, f64, &'static str);
 
 const MAX_EVENTS: u32 = 20;
 const MAX_EARLIER_TRIALS: u32 = 4;
 
 impl Ranges {
-    /// Every range with the bounds that its ends must keep.
     fn with_bounds(&self) -> [(&'static str, [f64; 2], Bounds); 20] {
         [
             ("setpoint_um", self.setpoint_um, (0.01, 100.0, "µm")),
@@ -125,7 +121,7 @@ impl Ranges {
 }
 
 impl Envelope {
-    /// Errors: every wrong key, else every wrong value.
+    /// The errors are all wrong keys or, if all keys are right, all wrong values.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawEnvelope>(path)?;
         let mut faults = raw.faults(path, &text);
@@ -156,7 +152,7 @@ impl RawEnvelope {
         let one_line = !self.title.trim().is_empty() && !self.title.contains(char::is_control);
         require(one_line, "title".to_owned(), &|| format!("{:?}, expected one line of text", self.title));
         for (key, [low, high], (least, most, unit)) in self.range.with_bounds() {
-            // A NaN fails the first comparison.
+            // With NaN the first comparison is false.
             let inside = least <= low && high <= most;
             require(inside && low <= high, format!("range.{key}"), &|| {
                 format!("[{low}, {high}], expected [low, high] with low not above high, from {least} to {most} {unit}")

@@ -1,4 +1,4 @@
-//! Defines why an exploration ends early.
+//! Defines the errors of an exploration.
 
 use platebench_rig::{ConnectError, RigError};
 use platebench_scenario::Diagnostic;
@@ -10,25 +10,22 @@ pub enum ExploreError {
     Report(#[from] platebench_report::ReportError),
     #[error(transparent)]
     Connect(#[from] ConnectError),
-    /// The controller does not answer, or rejects a configuration of the envelope.
     #[error(transparent)]
     Rig(#[from] RigError),
     #[error("the controller does not announce the law {0}, expected --law with one of its laws")]
     LawNotAnnounced(&'static str),
-    #[error("{0} has no declared properties, expected dq-pi, dq-pi-fixed or deadbeat")]
+    #[error("the law {0} has no declared properties, expected --law dq-pi, dq-pi-fixed or deadbeat")]
     LawWithoutProperties(&'static str),
-    #[error("internal error: the bench generated an invalid scenario; report this message with the seed: {0}")]
+    #[error("internal error: the bench generated an invalid scenario ({0}); report this message and the seed")]
     Generated(Box<Diagnostic>),
-    #[error("internal error: the bench generated no scene; report this message with the seed: {0}")]
+    #[error("internal error: the bench generated no scene ({0}); report this message and the seed")]
     Strategy(String),
     #[error(transparent)]
     File(#[from] FileError),
-    /// The controller was lost in several scenes in a row.
-    #[error("the controller was lost in {0} scenes in a row")]
+    #[error("the connection to the controller failed in {0} consecutive trials; check the controller and its line")]
     Lost(u32),
     #[error("the exploration was cancelled")]
     Cancelled,
-    /// A worker ended early.
     #[error("internal error: a worker thread ended early; please report it")]
     Internal,
 }

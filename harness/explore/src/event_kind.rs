@@ -3,7 +3,7 @@
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum EventKind {
     Step,
-    /// The setpoint goes in several steps.
+    /// The setpoint changes in several steps.
     Staircase,
     /// The setpoint is 0 for some time.
     Rest,

@@ -19,9 +19,8 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Earlier scenes of a controller that may explain a failure.
+/// Largest number of earlier scenes of the same controller that are stored with a failed scene.
 const MAX_HISTORY: usize = 8;
-/// Undecided scenes that the result names.
 const MAX_UNDECIDED: usize = 10;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,15 +37,14 @@ pub struct ExploreConfig {
     /// Laws that earlier trials may use.
     pub laws: Vec<LawId>,
     pub budget: Budget,
-    /// Ends after this number of failing scenes.
+    /// The exploration ends after this number of failing scenes.
     pub max_failed: u64,
-    /// Number of workers, each with its own controller.
     pub jobs: usize,
-    /// True if the controller's clock runs while the plate waits.
+    /// True if the controller's clock runs while the simulated plate waits.
     pub own_clock: bool,
     /// True if every command is compared with the hosted reference.
     pub compares_reference: bool,
-    /// Scenarios that earlier explorations wrote; played first.
+    /// Scenarios of earlier explorations, which are played first.
     pub regressions: Vec<Scenario>,
 }
 
@@ -88,7 +86,7 @@ impl FailedScene {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct UndecidedScene {
     pub scene: u64,
-    /// The cause (`rig`, `bench`) and its reason.
+    /// Text with the cause (`rig` or `bench`) and the reason.
     pub cause: String,
 }
 
@@ -102,7 +100,7 @@ pub struct FailedRegression {
 pub struct PropertyTally {
     pub windows: u64,
     pub violations: u64,
-    /// Smallest distance from the limit, relative to the limit; not finite (in JSON `null`) if a value is missing.
+    /// Smallest distance from the limit, relative to the limit. Not finite (JSON: `null`) if a value is missing.
     pub smallest_margin: f64,
     pub tightest_scene: u64,
 }
@@ -118,17 +116,14 @@ impl Default for PropertyTally {
 pub struct Exploration {
     pub scenes: u64,
     pub undecided: u64,
-    /// The first ones in the order of play.
+    /// At most ten, in the order of play.
     pub undecided_scenes: Vec<UndecidedScene>,
     pub properties: BTreeMap<Property, PropertyTally>,
-    /// Failed scenes by number.
     pub failed: Vec<FailedScene>,
-    /// Regression scenarios that were played.
     pub regressions: usize,
     pub failed_regressions: Vec<FailedRegression>,
     pub coverage: Coverage,
     pub elapsed: Duration,
-    /// True if a signal ended it before its budget.
     pub is_interrupted: bool,
 }
 
@@ -161,8 +156,7 @@ impl Exploration {
     }
 }
 
-/// Plays regressions and scenes. `on_scene` receives the number of scenes and failed scenes so far.
-/// A violated property is no error, neither is a signal.
+/// `on_scene` receives the numbers of played and of failed scenes. A violated property or a signal is no error.
 pub fn explore(
     config: &ExploreConfig,
     connect: &Connect<'_>,
@@ -212,7 +206,7 @@ fn play_regressions(
 ) -> Result<(), ExploreError> {
     let mut player = Player::new(connect, config.own_clock, cancel);
     for scenario in &config.regressions {
-        // As under `run`, the first trial meets a controller without a history.
+        // Each scenario starts with a new controller, as in `platebench run`.
         player.renew();
         let Some(result) = player.play(scenario)? else { return Ok(()) };
         exploration.regressions += 1;
@@ -251,7 +245,7 @@ impl WorkerState<'_> {
 
     fn run_worker(&self, results: &mpsc::Sender<Result<PlayedScene, ExploreError>>) {
         if let Err(error) = self.play_scenes(results) {
-            // The receiver ends after the last worker.
+            // Cannot fail, because the receiver ends after the last worker.
             let _ = results.send(Err(error));
         }
     }

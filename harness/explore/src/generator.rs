@@ -18,15 +18,15 @@ use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use sha2::{Digest, Sha256};
 use std::f64::consts::TAU;
 
-/// Largest share of the drive limit that a setpoint needs in steady state; more is not feasible with a control reserve.
+/// Largest share of the drive limit that a setpoint may need in steady state. The rest is a reserve for control.
 pub(crate) const MAX_STEADY_DRIVE: f64 = 0.8;
-/// The same for a trial that may stay at the limit.
+/// As [`MAX_STEADY_DRIVE`], for an overloaded trial, whose drive may stay at the limit.
 const MAX_OVERLOAD: f64 = 2.0;
 /// Small steps of a setpoint (nm), a force (0.01 N) and a temperature (0.01 K).
 const NEAR_STEPS: [i32; 3] = [5, 2, 10];
-/// Counters of time that programs may have, µs.
+/// Times at which a time counter in a controller may overflow, µs.
 const COUNTERS_US: [u32; 2] = [100_000, 1_000_000];
-/// Length of the steps of a staircase, control periods in tenths.
+/// Shortest time between two steps of a staircase, 0.1 control periods.
 const STAIR_TENTHS: u32 = 7;
 const SINE_STEP_TENTHS: u32 = 20;
 
@@ -34,13 +34,10 @@ const SINE_STEP_TENTHS: u32 = 20;
 pub struct Generator<'a> {
     pub envelope: &'a Envelope,
     pub seed: u64,
-    /// Law of the judged trials.
     pub law: LawId,
-    /// Laws that earlier trials may have.
     pub laws: &'a [LawId],
 }
 
-/// A scene that can become simpler.
 pub struct SceneTree<'a> {
     generator: Generator<'a>,
     stratum: Stratum,
@@ -52,12 +49,12 @@ impl SceneTree<'_> {
         self.generator.build(&self.stratum, &self.tree.current())
     }
 
-    /// Makes the scene simpler; false if it cannot be.
+    /// Returns false if the scene cannot become simpler.
     pub fn simplify(&mut self) -> bool {
         self.tree.simplify()
     }
 
-    /// Reverts the last simplification in part; false if it cannot be.
+    /// Reverts a part of the last simplification. Returns false if that is not possible.
     pub fn complicate(&mut self) -> bool {
         self.tree.complicate()
     }
@@ -101,7 +98,7 @@ impl<'a> Generator<'a> {
             (true, true) => 4,
             (true, false) => 1,
         };
-        // A scenario file contains seeds up to 2^63.
+        // A seed in a scenario file is less than 2^63.
         let script_seed = stratum.scripts.map(|index| index.wrapping_add(self.seed) & (u64::MAX >> 1));
         Scene { earlier, judged, count, script_seed }
     }
@@ -128,7 +125,7 @@ impl<'a> Generator<'a> {
         }
     }
 
-    /// `least_tail`: control periods after the last event; a trial that is not judged may end while the response rises.
+    /// `least_tail`: smallest number of control periods after the last event; small in trials that are not judged.
     fn trial(&self, configuration: Configuration, draw: &TrialDraw, stratum: &Stratum, least_tail: u32) -> SceneTrial {
         let Configuration { period_us, delay_us, plate, tuning } = configuration;
         let mut timeline = Timeline::new(self, configuration, draw);
@@ -175,7 +172,7 @@ impl<'a> Generator<'a> {
         let [low, high] = course.range();
         let amplitude = if high > low { (high - low) / 2.0 } else { 0.25 };
         let mean = f64::midpoint(low, high).max(amplitude);
-        // The steepest slope keeps the largest rate.
+        // The steepest slope of the sine does not exceed the largest rate.
         let highest_tenths = (full_rate / (TAU * amplitude) * 10.0) as u32;
         let frequency_tenths = (10 + draw.sine * SINE_STEP_TENTHS).min(highest_tenths).max(1);
         let [mean, amplitude] = [mean, amplitude].map(|value| (value * 100.0).round() as i32);
@@ -339,10 +336,10 @@ impl<'a> Timeline<'a> {
     }
 }
 
-/// Longest ramp, µs; a slower one ends earlier at a higher rate.
+/// Longest ramp, µs. A slower ramp has a higher rate, so that it takes this time.
 const MAX_RAMP_US: f64 = 100_000.0;
 
-/// Duration of a ramp in whole tenths of a ms. The slowness is logarithmic, in percent.
+/// Duration of a ramp, µs, a multiple of 0.1 ms. `slowness` as in [`EventDraw`].
 fn ramp_us(from: i32, to: i32, [slowest, fastest]: [f64; 2], slowness: u32) -> u32 {
     let rate = fastest * (slowest / fastest).powf(f64::from(slowness) / 100.0);
     let us = f64::from((to - from).abs()) / 100.0 / rate * 1e6;

@@ -1,4 +1,4 @@
-//! Measures the exploration itself: which mutants it finds, and how often it blames a correct controller.
+//! Measures the exploration itself: which mutants it finds, and how many false alarms it raises.
 
 use crate::envelope::Envelope;
 use crate::error::ExploreError;
@@ -13,7 +13,7 @@ use platebench_trust::{CleanVariant, MutantSpec};
 use platebench_wire::LawId;
 use serde::Serialize;
 
-/// Each mutant gets scenes until one fails, and each correct controller gets all of them.
+/// A mutant plays scenes until one fails. A correct controller plays all scenes.
 #[derive(Debug, Clone)]
 pub struct KillRateConfig {
     pub envelope: Envelope,
@@ -24,7 +24,6 @@ pub struct KillRateConfig {
     pub jobs: usize,
 }
 
-/// `exploration.json`
 #[derive(Debug, Clone, Serialize)]
 pub struct KillRateReport {
     pub format: u32,
@@ -51,7 +50,7 @@ pub struct FoundScene {
 
 #[derive(Debug, Clone, Serialize)]
 pub struct SceneAlarm {
-    /// `reference` or a clean variant.
+    /// `reference` or the name of a clean variant.
     pub controller: &'static str,
     pub law: &'static str,
     pub scene: u64,
@@ -60,7 +59,7 @@ pub struct SceneAlarm {
     pub limit: Option<f64>,
 }
 
-/// Explores every mutant and every correct controller; the firmware itself with every explored law.
+/// Explores all mutants and clean variants with `dq-pi`, and the firmware itself with every explored law.
 pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRateReport, ExploreError> {
     let mut mutants = Vec::with_capacity(config.mutants.len());
     for mutant in &config.mutants {
@@ -71,7 +70,6 @@ pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRa
     for law in LawProperties::explored_laws() {
         let firmware = (!config.variants.is_empty()).then_some(("reference", None));
         let variants = config.variants.iter().map(|variant| (variant.name, Some(variant)));
-        // The variants change dq-pi.
         let variants = variants.filter(|_| law == LawId::DqPi);
         for (controller, variant) in firmware.into_iter().chain(variants) {
             let link = || variant.map_or_else(|| -> BoxedLink { Box::new(HostedLink::new()) }, CleanVariant::link);
@@ -108,7 +106,7 @@ fn first_failure(result: &Exploration) -> Option<FoundScene> {
 }
 
 impl KillRateReport {
-    /// As text; `suite` is the result of the scenarios alone.
+    /// `suite` is the result of the scenarios without exploration.
     pub fn summary(&self, suite: &TrustReport) -> String {
         let caught =
             |name: &str| suite.faults.iter().any(|fault| fault.name == name && fault.outcome == MutantOutcome::Caught);
@@ -116,12 +114,12 @@ impl KillRateReport {
         let survivors: Vec<_> =
             self.mutants.iter().filter(|mutant| mutant.found.is_none()).map(|mutant| mutant.name).collect();
         let mut lines = vec![
-            format!("exploration, {} scenes each: {}", self.scenes, format_rate(self.kill_rate)),
-            format!("scenarios or exploration: {}", format_rate(Rate::new(both, self.mutants.len()))),
-            format!("false alarms of exploration, scenes: {}", format_rate(self.false_alarm_rate)),
+            format!("mutants that exploration finds in {} scenes: {}", self.scenes, format_rate(self.kill_rate)),
+            format!("mutants that scenarios or exploration find: {}", format_rate(Rate::new(both, self.mutants.len()))),
+            format!("scenes with a false alarm: {}", format_rate(self.false_alarm_rate)),
         ];
         if !survivors.is_empty() {
-            lines.insert(1, format!("survived exploration: {}", survivors.join(", ")));
+            lines.insert(1, format!("mutants that survive exploration: {}", survivors.join(", ")));
         }
         lines.extend(self.alarms.iter().map(|alarm| {
             let SceneAlarm { controller, law, scene, property, value, limit } = alarm;
@@ -149,7 +147,7 @@ impl KillRateConfig {
             max_failed,
             jobs: self.jobs,
             own_clock: false,
-            // A correct law with other gains differs from the reference.
+            // Clean variants may have other gains, so their commands differ from the reference.
             compares_reference: false,
             regressions: Vec::new(),
         };

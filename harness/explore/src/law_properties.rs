@@ -1,18 +1,17 @@
-//! Declares what each law promises. Limits differ between laws by these properties only.
+//! Declares the properties of each law (`docs/laws.md`). Limits differ between laws only by these properties.
 
 use platebench_wire::LawId;
 
-/// Declared properties of a law, see `docs/laws.md`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LawProperties {
-    /// The gains follow the damping; otherwise they are those of the untouched plate.
+    /// True if the gains follow the damping. Otherwise they are those of the plate without a finger.
     pub adapts_to_damping: bool,
-    /// It compensates a configured loop delay; otherwise it is explored without a loop delay.
+    /// True if the law compensates a configured loop delay. Otherwise it is explored without a loop delay.
     pub compensates_delay: bool,
-    /// It computes the drives after a step: from rest with the configured plate, and if they miss, it searches for a
-    /// loop delay.
+    /// True if the law computes the drives after a step in advance, at rest from the configured plate. If the amplitude
+    /// then misses the setpoint, the law searches for a loop delay.
     pub steers: bool,
-    /// Time constant with which it tracks a small change of the damping, control periods.
+    /// Time constant with which the law tracks a small change of the damping, control periods.
     pub tracking_periods: f64,
 }
 

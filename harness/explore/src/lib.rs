@@ -1,17 +1,9 @@
-//! Explores an operating envelope: generates scenes, plays them, checks properties, shrinks what fails.
+//! Explores an operating envelope: generates scenes, plays them, checks properties and shrinks failing scenes.
 //!
-//! * [`mod@envelope`]: the ranges from which scenes are drawn.
-//! * `draw`, `event_kind`, `stratum`, `course`: numbers of a scene. [`generator`]: scene i from envelope, seed and i.
-//! * [`mod@tuning`], [`line_fault`]: settings of the law and faults of the line in a scene.
-//! * [`scene`]: a scene. [`scenario_file`]: the same as scenario file.
-//! * `windows`, `limits`, [`law_properties`], [`properties`]: what every scene must meet.
-//! * [`player`]: plays and judges a scene. [`mod@explore`]: plays many on several workers.
-//! * [`mod@shrink`]: makes a failing scene minimal. [`regression`]: writes it as a scenario.
-//! * [`mod@session`]: all of this. [`coverage`], [`report`], [`text`], [`mod@page`]: the result.
-//!
-//! [`mod@kill_rate`] measures the exploration with mutants and correct variants.
-//!
-//! `docs/exploration.md` derives the limits.
+//! A [`scene`] is a judged trial with the trials before it. [`generator`] makes scene i from the envelope, the seed and
+//! i. [`properties`] contains the demands on every scene; `docs/exploration.md` derives their limits. [`mod@explore`]
+//! plays scenes on several workers, [`mod@shrink`] makes a failing scene minimal, and [`regression`] writes it as a
+//! scenario. [`mod@session`] does all of this. [`mod@kill_rate`] measures which mutants an exploration finds.
 
 mod course;
 pub mod coverage;

@@ -1,7 +1,4 @@
-//! Derives limits from the plate, the drive limit, the period and the delay. `docs/exploration.md` contains the
-//! derivations and the measured margins.
-//!
-//! Times are in s.
+//! Computes limits from plate, drive limit, period and delay, as `docs/exploration.md` derives them. Times are in s.
 
 use crate::law_properties::LawProperties;
 use crate::scene::SceneTrial;
@@ -11,14 +8,14 @@ use std::f64::consts::TAU;
 
 /// Half width of the settled band, relative to the setpoint.
 pub(crate) const BAND: f64 = 0.05;
-/// The requirement: 5 % within 2 ms.
+/// The requirement is 5 % within 2 ms.
 const REQUIRED_S: f64 = 2e-3;
 /// Factor on the shortest time that the drive limit allows.
 const FLOOR_FACTOR: f64 = 1.5;
-/// Time constant of the slowest holding loop, s: its design reaches 5 % in 3 ms.
+/// Time constant of the slowest holding loop, s. Its design reaches 5 % in 3 ms.
 const HOLD_TIME_CONSTANT_S: f64 = 1e-3;
 
-/// A larger relative change of the damping is adopted at once, after two periods.
+/// A law adopts a larger relative change of the damping at once, after two control periods.
 const MAX_MISMATCH: f64 = 0.3;
 
 pub(crate) struct Limits<'a> {
@@ -33,9 +30,9 @@ pub(crate) struct Limits<'a> {
 /// What the law knows about damping and resonance when a setpoint steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Knowledge {
-    /// Both are as in the steady state before.
+    /// Damping and resonance are those of the last steady state.
     Settled,
-    /// First drive of the trial, or they changed since.
+    /// The trial starts, or damping or resonance changed after the last steady state.
     Unknown,
 }
 
@@ -70,13 +67,13 @@ impl<'a> Limits<'a> {
         f64::from(time_us.div_ceil(period) * period - time_us) * 1e-6
     }
 
-    /// Largest magnitude of a pole of the loop per period, under `mode`.
+    /// Largest magnitude of a pole of the closed loop, per control period.
     fn pole(&self, mode: &Mode) -> f64 {
         let designed = (-self.period_s / HOLD_TIME_CONSTANT_S).exp();
         if self.properties.adapts_to_damping {
             return designed;
         }
-        // Matched to the untouched plate: (z − 1)(z − a) + g (z − a0) = 0.
+        // With the gains for the plate without a finger, the poles solve (z − 1)(z − a) + g (z − a0) = 0.
         let (nominal, actual) = (self.design.sigma0, mode.sigma);
         let [a0, a] = [nominal, actual].map(|sigma| (-sigma * self.period_s).exp());
         let gain = mode.envelope_constant / actual;
@@ -87,12 +84,12 @@ impl<'a> Limits<'a> {
         (half + root).norm().max((half - root).norm()).clamp(designed, 0.999)
     }
 
-    /// Time in which the loop reduces an error to `share` of it, in whole periods.
+    /// Time in which the loop reduces an error to `share` of its value, rounded up to whole periods.
     fn decay(&self, mode: &Mode, share: f64) -> f64 {
         (share.ln() / self.pole(mode).ln()).ceil() * self.period_s
     }
 
-    /// Shortest time from `from` to within 5 % of `to` µm: with the drive at its limit, or at 0 V.
+    /// Shortest time from `from` µm to within 5 % of `to` µm, with the drive at its limit or at 0 V.
     pub(crate) fn floor(&self, mode: &Mode, from: f64, to: f64) -> f64 {
         let strongest = self.limit_vpp() / mode.drive_for(1.0);
         let (low, high) = (to * (1.0 - BAND), to * (1.0 + BAND));
@@ -118,22 +115,22 @@ impl<'a> Limits<'a> {
         self.wait(time_us) + self.delay_s + controlled
     }
 
-    /// Time after a change until the rest of its effect is far below the limits of a steady state.
+    /// Time after a change until its remaining effect is far below the limits of a steady state.
     pub(crate) fn steady(&self, time_us: u32, from: f64, to: f64) -> f64 {
         let mode = self.mode(time_us);
         self.settling(time_us, from, to, Knowledge::Unknown) + self.decay(&mode, 1.0 / 250.0)
     }
 
-    /// Share of an error that is left when it is `band` of the setpoint: the error is a share of the step.
+    /// The error `band · to` as a share of the height of the step, at most `band`.
     fn share(from: f64, to: f64, band: f64) -> f64 {
         band * (to / (from - to).abs()).min(1.0)
     }
 
-    /// Time in which plate and integral of the drive decay to less than a thousandth at
-    /// setpoint 0. The integral follows the plate of the design, which may be the untouched one.
+    /// Time at setpoint 0 in which the amplitude and the integral of the drive decay to less than a thousandth. The
+    /// integral decays with the configured plate.
     pub(crate) fn decay_at_rest(&self, time_us: u32) -> f64 {
         let open = 8.0 / self.design.sigma0 + 2.0 * self.period_s + self.delay_s;
-        // Fixed gains under a finger: the drive comes back, and the loop decays with its slow mode.
+        // With fixed gains under a finger the drive rises again, and the loop decays with its slow pole.
         let closed = if self.properties.adapts_to_damping { 0.0 } else { self.decay(&self.mode(time_us), 1e-3) };
         open + closed
     }
@@ -145,29 +142,29 @@ impl<'a> Limits<'a> {
         heaviest / (self.design.gain * (1.0 - kept))
     }
 
-    /// Relative error of the damping that the law starts with.
+    /// Relative error of the damping in the law at the start of the trial.
     pub(crate) fn initial_mismatch(&self) -> f64 {
         let plate = self.trial.plate;
         let deviation = f64::from(plate.gain_permille.abs() + plate.time_constant_permille.abs()) * 1e-3;
         self.bounded_mismatch(deviation + (self.mode(0).sigma / self.design.sigma0 - 1.0).abs())
     }
 
-    /// What a change of the force adds to it.
+    /// Relative error of the damping that a change of the force adds.
     pub(crate) fn mismatch_of(&self, from_us: u32, to_us: u32) -> f64 {
         let [before, after] = [from_us.saturating_sub(1), to_us].map(|at| self.mode(at).sigma);
         let ramp = f64::from(to_us - from_us) * 1e-6 / (self.period_s * self.properties.tracking_periods.max(1.0));
-        // A ramp is tracked while it lasts.
+        // The law already tracks the damping during a ramp.
         let lag = if ramp > 0.0 { (1.0 - (-ramp).exp()) / ramp } else { 1.0 };
         self.bounded_mismatch((after / before - 1.0).abs() * lag)
     }
 
-    /// Relative change of the damping, as far as the law adopts it at once.
+    /// Relative change of the damping, at most [`MAX_MISMATCH`]; 0 with fixed gains.
     pub(crate) fn change_of_damping(&self, from_us: u32, to_us: u32) -> f64 {
         let [before, after] = [from_us.saturating_sub(1), to_us].map(|at| self.mode(at).sigma);
         self.bounded_mismatch((after / before - 1.0).abs())
     }
 
-    /// The law starts with the start frequency as resonance.
+    /// At the start a law takes the start frequency for the resonance.
     pub(crate) fn initial_detuning_hz(&self) -> f64 {
         (self.mode(0).omega0 / TAU - f64::from(self.trial.start_frequency_tenths) / 10.0).abs()
     }
@@ -178,7 +175,7 @@ impl<'a> Limits<'a> {
     }
 
     fn bounded_mismatch(&self, mismatch: f64) -> f64 {
-        // Fixed gains have a slow pole instead.
+        // With fixed gains the slow pole contains the effect.
         if self.properties.adapts_to_damping { mismatch.min(MAX_MISMATCH) } else { 0.0 }
     }
 
@@ -187,8 +184,7 @@ impl<'a> Limits<'a> {
         (-f64::from(time_us) * 1e-6 / (self.period_s * self.properties.tracking_periods.max(1.0))).exp()
     }
 
-    /// Largest relative change of |W| in the time `time` at a constant drive, if damping and resonance change from
-    /// `before` to `after` at its start.
+    /// Largest relative change of |W| within `time` at constant drive, after the mode changes from `before` to `after`.
     pub(crate) fn effect(before: &Mode, after: &Mode, time: f64) -> f64 {
         let rate = Complex64::new(-after.sigma, after.omega0 - before.omega0);
         // W' = λ W + σ_before, W(0) = 1.

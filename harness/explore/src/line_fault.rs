@@ -14,11 +14,11 @@ pub struct LineFault {
     /// Start of the window, µs; a control instant.
     pub from_us: u32,
     pub until_us: u32,
-    /// The n-th, 2n-th, … message of a direction in the window.
+    /// The fault applies to each n-th message of the direction in the window.
     pub every: u32,
 }
 
-/// Before the trial is known.
+/// A fault whose times are relative to a trial.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LineFaultDraw {
     kind: FaultKind,
@@ -28,27 +28,27 @@ pub(crate) struct LineFaultDraw {
     /// Share of the trial before the fault, percent.
     at: u32,
     every: u32,
-    /// Control periods.
+    /// Length of the window, control periods.
     length: u32,
 }
 
-/// Rejected frames add two to the controller's counter, samples subtract one, and at ten it stops
-/// (docs/wire-protocol.md): every second frame reaches that in the 18th control period, every third never.
+/// A rejected frame adds 2 to the controller's error counter, a sample subtracts 1, and the controller stops at 10
+/// (docs/wire-protocol.md). It stops in the 18th period if every second frame is damaged, and never if every third is.
 const UNTIL_STOP: std::ops::RangeInclusive<u32> = 14..=24;
 const LONG_WINDOW: std::ops::RangeInclusive<u32> = 3..=24;
-/// Consecutive messages whose flipped bits cannot stop the controller, even if each splits its frame in two.
+/// Number of consecutive damaged messages that cannot stop the controller, even if each splits its frame in two.
 const FEW_FLIPS: u32 = 2;
-/// Control periods between two faults that lose messages: together they must not trigger the watchdog.
+/// Control periods between two faults that lose messages, so that both together do not trigger the watchdog.
 const PERIODS_BETWEEN: u32 = 5;
-/// A controller that stopped is configured again and runs at the end of the trial.
+/// Time in which a stopped controller is configured again, so that it runs at the end of the trial.
 const MIN_PERIODS_AFTER: u32 = 8;
-/// Periods after a fault until limits apply again: the law first measures damping and resonance again.
+/// Control periods after a fault until limits apply, because the law must measure damping and resonance again.
 const RECOVERY_PERIODS: u32 = 60;
 
 impl LineFaultDraw {
     pub(crate) fn strategy() -> BoxedStrategy<Self> {
         let kind = prop_oneof![
-            // One more would trigger the watchdog.
+            // A fourth lost message would trigger the watchdog.
             6 => (Just(FaultKind::Drop), Just(1), 1..=3_u32),
             2 => (Just(FaultKind::Drop), 2..=3_u32, LONG_WINDOW),
             4 => (Just(FaultKind::Duplicate), 1..=2_u32, 2..=8_u32),
@@ -58,7 +58,7 @@ impl LineFaultDraw {
             1 => (Just(FaultKind::Truncate), Just(1), Just(1)),
             1 => (Just(FaultKind::Truncate), Just(3), LONG_WINDOW),
             2 => (Just(FaultKind::Delay(Time::ZERO)), Just(1), 1..=4_u32),
-            // Stops the controller by noise or by its watchdog.
+            // Noise or the watchdog stops the controller.
             2 => (Just(FaultKind::Babble), Just(1), 3..=4_u32),
             2 => (Just(FaultKind::Disconnect), Just(1), 6..=9_u32),
         ];
@@ -93,7 +93,7 @@ impl LineFaultDraw {
 }
 
 impl LineFault {
-    /// From when on the limits of quiet windows apply again, µs.
+    /// Instant from which limits apply again, µs.
     pub(crate) const fn recovered_us(&self, period_us: u32) -> u32 {
         self.until_us + RECOVERY_PERIODS * period_us
     }
@@ -119,12 +119,11 @@ impl LineFault {
         are_apart || [self.kind, other.kind].contains(&FaultKind::Duplicate)
     }
 
-    /// Control periods without an answer: those of the fault and those until a repeated configuration.
+    /// Largest number of control periods without an answer: the window, and the time until the repeated configuration.
     pub(crate) const fn longest_silence(&self, period_us: u32) -> u32 {
         (self.until_us - self.from_us) / period_us + 3
     }
 
-    /// `[[fault]]`
     pub(crate) fn write(&self, text: &mut String) -> std::fmt::Result {
         let [from_ms, until_ms] = [self.from_us, self.until_us].map(|us| f64::from(us) / 1e3);
         let kind = wire_fault_kind(self.kind).name();

@@ -8,9 +8,8 @@ use std::fmt::Write as _;
 
 pub const FILE: &str = "report.html";
 
-/// Edge of a field of a drawing, px.
+/// Edge of a field in a drawing, and space for names, px.
 const FIELD: usize = 22;
-/// Space for names in a drawing, px.
 const NAMES: usize = 210;
 
 pub fn page(report: &ExploreReport) -> BlockPage {
@@ -21,8 +20,8 @@ pub fn page(report: &ExploreReport) -> BlockPage {
     }
     blocks.push(PageBlock::Heading("Coverage".to_owned()));
     blocks.push(PageBlock::Text(
-        "How many values of each quantity lie in each tenth of its range, and how often a change followed another. \
-         A darker field has more; an empty field was not played."
+        "The drawings show how many values of each quantity lie in each tenth of its range, and how often one change \
+         followed another. A darker field has a higher count; an empty field has the count 0."
             .to_owned(),
     ));
     blocks.push(PageBlock::Drawings(drawings(&report.coverage)));
@@ -51,18 +50,18 @@ pub(crate) fn properties(report: &ExploreReport) -> Table {
 
 fn violation_blocks(violation: &ViolationReport) -> [PageBlock; 6] {
     let measured = |value, limit| format!("measured {}, limit {}", format_value(value, 6), format_value(limit, 6));
-    let reproduced = if violation.is_reproduced { "" } else { " It did not fail again with a new controller." };
+    let reproduced = if violation.is_reproduced { "" } else { " The scene did not fail again with a new controller." };
     [
         PageBlock::Heading(format!("Violated: {}", violation.property)),
         PageBlock::Text(format!(
-            "Minimal scene, {}.{reproduced} It is {}.",
+            "Minimal scene, {}.{reproduced} Its file is {}.",
             measured(violation.minimal_value, violation.minimal_limit),
             violation.file
         )),
         PageBlock::Preformatted(violation.minimal.clone()),
         PageBlock::Text(format!("Original scene {}, {}.", violation.scene, measured(violation.value, violation.limit))),
         PageBlock::Preformatted(violation.original.clone()),
-        PageBlock::Text(format!("{} replays made it minimal.", violation.replays)),
+        PageBlock::Text(format!("The search for the minimal scene took {} replays.", violation.replays)),
     ]
 }
 
@@ -99,7 +98,7 @@ fn drawings(coverage: &CoverageReport) -> Vec<(String, String)> {
     ]
 }
 
-/// Rows of fields; the opacity is the count relative to the largest of the row.
+/// Draws a row of fields per name. The opacity is the count relative to the largest count of the row.
 fn fields(rows: &[(String, Vec<u64>)]) -> String {
     let columns = rows.iter().map(|(_, counts)| counts.len()).max().unwrap_or(0);
     let (width, height) = (NAMES + columns * FIELD, rows.len() * FIELD);

@@ -17,25 +17,25 @@ pub struct Failure {
     pub property: Property,
     /// Name of the expectation; the violation's text for [`Property::Protocol`].
     pub name: String,
-    /// The measured value; `None` if there is none, as if a response never settles.
+    /// `None` without a measured value, for example if a response never settles.
     pub value: Option<f64>,
-    /// The limit; `None` for [`Property::Protocol`].
+    /// `None` for [`Property::Protocol`].
     pub limit: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WindowResult {
     pub property: Property,
-    /// Distance of the value from the limit, relative to the limit; `None` if it was not decided.
+    /// Distance of the value from the limit, relative to the limit. `None` if the verdict is inconclusive.
     pub margin: Option<f64>,
 }
 
 #[derive(Debug, Clone, Default)]
 pub struct SceneResult {
-    /// Violated properties, most severe first.
+    /// Violations of the protocol come first.
     pub failures: Vec<Failure>,
     pub windows: Vec<WindowResult>,
-    /// Cause and reason why the rig or the bench left the scene undecided.
+    /// If the rig or the bench prevented a verdict, a text with this cause (`rig` or `bench`) and the reason.
     pub undecided: Option<String>,
 }
 
@@ -45,13 +45,12 @@ impl SceneResult {
     }
 }
 
-/// Each property once.
 pub(crate) fn violated(failures: &[Failure]) -> Vec<Property> {
     let properties: BTreeSet<_> = failures.iter().map(|failure| failure.property).collect();
     properties.into_iter().collect()
 }
 
-/// Scenes of a controller before the next one starts, in turn: many meet a young controller, some an old one.
+/// One controller plays 20 scenes and the next one 200, so that many scenes meet a new controller and some an old one.
 const SCENES_PER_CONTROLLER: [u32; 2] = [20, 200];
 
 const MAX_LOSSES: u32 = 5;
@@ -73,7 +72,7 @@ impl<'a> Player<'a> {
         Self { connect, own_clock, cancel, session: None, scenes: 0, controllers: 0, losses: 0 }
     }
 
-    /// Closes the controller; the next scene meets a new one.
+    /// Closes the controller. The next scene starts a new one.
     pub fn renew(&mut self) {
         if let Some(session) = self.session.take() {
             session.close();
@@ -81,13 +80,11 @@ impl<'a> Player<'a> {
         self.scenes = 0;
     }
 
-    /// True if the last scene was the first of its controller.
     pub(crate) fn is_young(&self) -> bool {
         self.scenes <= 1
     }
 
-    /// Plays and judges a scenario. `None` if it was cancelled.
-    /// Fails if the controller cannot be reached or rejects a configuration.
+    /// `None` after a cancellation. Fails if the controller cannot be reached, is lost or rejects a configuration.
     pub fn play(&mut self, scenario: &Scenario) -> Result<Option<SceneResult>, ExploreError> {
         if self.scenes >= SCENES_PER_CONTROLLER[self.controllers % 2] {
             self.renew();

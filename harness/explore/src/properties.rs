@@ -17,13 +17,9 @@ use std::fmt;
 #[serde(rename_all = "kebab-case")]
 #[strum(const_into_str, serialize_all = "kebab-case")]
 pub enum Property {
-    /// A setpoint step settles in time.
     Settling,
-    /// A setpoint step does not overshoot.
     Overshoot,
-    /// No static error in a quiet window.
     StaticError,
-    /// No ripple in a quiet window.
     Ripple,
     /// The excitation is at the resonance at the end of a quiet window.
     Frequency,
@@ -31,15 +27,14 @@ pub enum Property {
     RestDrive,
     /// A disturbance moves the amplitude only as far as it must.
     Deviation,
-    /// The amplitude recovers from a change in time.
     Recovery,
-    /// Trials differ in history and time stamp only and respond alike.
+    /// Trials that differ only in history and time stamps have the same response.
     SameResponse,
     /// The rules of the protocol, checked in every trial.
     Protocol,
-    /// The commands are those of the reference.
+    /// The commands equal those of the hosted reference.
     Reference,
-    /// The answers to scripts of messages are those of the reference.
+    /// The answers to scripts of messages equal those of the hosted reference.
     Answers,
 }
 
@@ -66,7 +61,7 @@ impl Property {
         })
     }
 
-    /// The property of an expectation's name, which may end with a number.
+    /// `name` is the name of an expectation, which may end with a number.
     pub fn of_name(name: &str) -> Option<Self> {
         let name = name.split_once(' ').map_or(name, |(name, _)| name);
         Self::ALL.iter().copied().find(|property| property.name() == name)
@@ -91,36 +86,35 @@ pub struct Demand {
     pub band_percent: Option<f64>,
 }
 
-/// Drive at rest, Vpp: the remainder of the integral, which decays with the plate.
+/// Largest drive at setpoint 0, Vpp. It is the remainder of the integral, which decays with the plate.
 const REST_DRIVE_VPP: f64 = 0.5;
-/// Standard deviations of noise that a value may add.
+/// Number of standard deviations by which noise may change a value.
 const NOISE_SIGMAS: f64 = 6.0;
 /// Shortest steady window, control periods.
 const STEADY_PERIODS: u32 = 4;
 const STATIC_ERROR_PERCENT: f64 = 0.2;
 const RIPPLE_PERCENT: f64 = 0.25;
-/// Shares of a wrong damping in static error and ripple while the law tracks it.
+/// Static error and ripple per relative error of the damping, while the law tracks the damping.
 const STATIC_OF_MISMATCH: f64 = 0.5;
 const RIPPLE_OF_MISMATCH: f64 = 1.0;
 const FREQUENCY_ERROR_HZ: f64 = 0.5;
-/// Share of a change of the resonance that is left while the law tracks it.
+/// Frequency error per change of the resonance, while the law tracks the resonance.
 const FREQUENCY_OF_MOVE: f64 = 0.5;
 const OVERSHOOT_PERCENT: f64 = 10.0;
 const UNKNOWN_OVERSHOOT_PERCENT: f64 = 30.0;
-/// Overshoot beyond a step that is independent of its height, percent of the setpoint.
+/// Part of the overshoot that does not depend on the height of the step, percent of the setpoint.
 const OVERSHOOT_OF_SETPOINT_PERCENT: f64 = 1.0;
-/// Factor on the effect of a disturbance within one period and the delay.
+/// Factor on the effect of a disturbance before the loop reacts.
 const DEVIATION_FACTOR: f64 = 2.0;
 /// Control periods after a step within which a law that steers mistakes a change of the damping for a late drive.
 const STEERING_PERIODS: u32 = 6;
 /// Time constant of the slowest holding loop, µs.
 const CLOSED_LOOP_US: u32 = 1_000;
-/// Share of a change of the damping in |W| when the law adopts it.
+/// Relative change of |W| per relative change of the damping, when the law adopts the new damping.
 const DEVIATION_OF_MISMATCH: f64 = 0.2;
 const DEVIATION_PERCENT: f64 = 1.0;
 
-/// Drive in percent of its limit, or frequency in percent of its range: f32 and f64 agree to a
-/// hundredth of it.
+/// Percent of the drive limit or of the frequency range. The rounding of f32 causes about a hundredth of this.
 const REFERENCE_DIFFERENCE_PERCENT: f64 = 0.1;
 
 /// Demands that commands and answers in the judged trial of `scene` equal those of the reference.
@@ -141,7 +135,7 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     let trial = &scene.judged;
     let Some(properties) = LawProperties::of(trial.law) else { return Vec::new() };
     let limits = Limits::new(trial, base, properties);
-    // The limits are those of the law's own design.
+    // The limits hold only for the law's own design.
     if trial.tuning != Tuning::default() {
         return Vec::new();
     }
@@ -186,7 +180,7 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
             moved_hz *= limits.tracking_remainder(window.quiet_us());
         }
         was_steady = window.quiet_us() >= judge.steady_us();
-        // At rest nothing is learned.
+        // At rest the law measures neither damping nor resonance.
         is_known |= was_steady && is_driven;
     }
     let recovered_us = trial.faults.iter().map(|fault| fault.recovered_us(trial.period_us)).max().unwrap_or(0);
@@ -235,7 +229,7 @@ impl WindowJudge<'_> {
         let Window { change, until_us } = self.window;
         let (before, after) = self.levels();
         if after == 0.0 {
-            // The drive loop goes on from the amplitude before, so the drive may come back while the plate decays.
+            // The drive loop continues at setpoint 0, so the drive may rise again while the plate decays.
             let from_us = change.to_us + self.steady_us();
             if from_us + STEADY_PERIODS * self.trial.period_us <= until_us {
                 let noise_vpp = NOISE_SIGMAS * self.limits.noise_um() * self.limits.strongest_gain();
@@ -254,7 +248,7 @@ impl WindowJudge<'_> {
         self.add_steady_state(demands, after);
     }
 
-    /// Several standard deviations of noise, percent of the setpoint.
+    /// [`NOISE_SIGMAS`] standard deviations of the noise, percent of the setpoint.
     fn noise_percent(&self, setpoint: f64) -> f64 {
         NOISE_SIGMAS * self.limits.noise_um() / setpoint * 100.0
     }
@@ -279,7 +273,6 @@ impl WindowJudge<'_> {
             demands.push(self.demand(Property::Settling, change.to_us, until_us, allowed * 1e3));
         }
         if self.window.quiet_us() > 2 * self.trial.period_us {
-            // At rest a sample contains no information about the plate.
             let is_known = self.is_known && before > 0.0;
             let of_step = if is_known { OVERSHOOT_PERCENT } else { UNKNOWN_OVERSHOOT_PERCENT };
             let of_mismatch = STATIC_OF_MISMATCH * self.mismatch * 100.0;

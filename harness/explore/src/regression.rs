@@ -9,7 +9,7 @@ use platebench_trace::AtPath;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Writes `minimal` below `folder` and returns its path. `rig` is the rig as named on the command line.
+/// Returns the path of the scenario. `rig` is the rig as named on the command line.
 pub fn write(
     folder: &Path,
     config: &ExploreConfig,

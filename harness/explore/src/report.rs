@@ -9,15 +9,13 @@ use platebench_verdict::statistics::proportion::clopper_pearson;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Confidence of the bound on the share of failing scenes.
 const CONFIDENCE: f64 = 0.95;
 pub const FILE: &str = "explore.json";
 
 #[derive(Debug, Clone, Serialize)]
 pub struct ExploreReport {
     pub format: u32,
-    /// `fail` if a property was violated, otherwise `inconclusive` if the rig left a scene undecided or a signal ended
-    /// the exploration.
+    /// `fail` after a violation, otherwise `inconclusive` if a scene is undecided or a signal ended the exploration.
     pub verdict: Verdict,
     /// True if a signal ended the exploration. Failing scenes are then not made minimal.
     pub is_interrupted: bool,
@@ -30,14 +28,12 @@ pub struct ExploreReport {
     pub scenes: u64,
     pub failed: u64,
     pub undecided: u64,
-    /// At most ten.
     pub undecided_scenes: Vec<UndecidedScene>,
     /// Duration of the exploration without shrinking, s.
     pub elapsed_s: f64,
     /// Bounds of the share of failing scenes under the generator's distribution, each one-sided at 95 %.
     pub failing_share: Option<[f64; 2]>,
     pub properties: Vec<PropertyReport>,
-    /// Regression scenarios that were played first.
     pub regressions: usize,
     pub failed_regressions: Vec<FailedRegression>,
     /// One per violated property, at most three.
@@ -73,9 +69,7 @@ pub struct ViolationReport {
 #[derive(Debug, Clone, Serialize)]
 pub struct CoverageReport {
     pub ranges: Vec<RangeCoverage>,
-    /// How often the second change followed the first.
     pub pairs: Vec<PairCoverage>,
-    /// Scenes by number of earlier trials.
     pub histories: BTreeMap<usize, u64>,
 }
 
@@ -87,7 +81,7 @@ pub struct PairCoverage {
 }
 
 impl ExploreReport {
-    /// The report of an exploration, without violations.
+    /// `violations` is empty.
     pub fn new(config: &ExploreConfig, exploration: &Exploration, rig: &str, firmware: &str) -> Self {
         let failed = exploration.failed.len() as u64;
         let has_failed = failed > 0 || !exploration.failed_regressions.is_empty();
@@ -135,21 +129,22 @@ impl ExploreReport {
         }
     }
 
-    /// One or two sentences.
     pub fn conclusion(&self) -> String {
         let Self { failed, scenes, .. } = self;
         let interrupted = if self.is_interrupted { " A signal ended the exploration." } else { "" };
         match (failed, self.failing_share) {
             (0, Some([_, most])) => {
                 let percent = most * 100.0;
-                format!("No property violated: fewer than {percent:.3} % of all scenes fail, at 95 %.{interrupted}")
+                format!(
+                    "No property was violated. At 95 % confidence fewer than {percent:.3} % of all scenes \
+                     fail.{interrupted}"
+                )
             }
             _ => format!("{failed} of {scenes} scenes violate a property.{interrupted}"),
         }
     }
 }
 
-/// For a page or a text.
 pub(crate) fn format_value(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(|| "no value".to_owned(), |value| format!("{value:.decimals$}"))
 }

@@ -12,8 +12,8 @@ use std::io;
 use std::path::Path;
 
 const TRACE_STEP_MS: f64 = 0.1;
-/// Largest difference of two trials that differ in history or time stamps only, µm: some tens of the resolution of
-/// the wire at the largest setpoints.
+/// Largest difference between two trials that differ only in history or time stamps, µm. It is some tens of times the
+/// resolution of the wire at the largest setpoints.
 pub(crate) const SAME_RESPONSE_UM: f64 = 1e-5;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -47,7 +47,6 @@ pub struct ScenarioWriter<'a> {
 }
 
 impl ScenarioWriter<'_> {
-    /// The text of `scene` with `demands` on its judged trial.
     pub fn text(&self, scene: &Scene, demands: &[Demand]) -> ScenarioText {
         let mut plates = BTreeMap::new();
         let mut text = String::new();
@@ -106,7 +105,7 @@ impl ScenarioWriter<'_> {
             writeln!(text, "\n[[expect]]\nname = {name:?}\nmetric = \"trial_difference_um\"")?;
             writeln!(text, "at_most = {SAME_RESPONSE_UM:?}")?;
         } else if demands.is_empty() {
-            // Every scenario expects something; the rules of the protocol come with every trial.
+            // A scenario needs an expectation. The rules of the protocol are checked in every trial.
             writeln!(text, "\n[[expect]]\nname = {:?}", Property::Protocol.name())?;
             let planned: u32 = trial.faults.iter().map(|fault| fault.longest_silence(trial.period_us)).sum();
             writeln!(text, "metric = \"missed_replies\"\nwithin = [0.0, {:?}]", f64::from(planned))?;
@@ -153,7 +152,7 @@ impl ScenarioWriter<'_> {
 
     fn plate_text(&self, choice: PlateChoice) -> String {
         let plate = choice.apply(self.base);
-        // A product in double precision has more digits.
+        // Removes the rounding errors of products.
         let rounded = |value| rounded(value, 9);
         let time_constant_ms = rounded(1e3 / plate.sigma0);
         let curve: Vec<_> =
@@ -178,7 +177,6 @@ impl ScenarioWriter<'_> {
 }
 
 impl Scene {
-    /// True if the scenario compares its trials with each other.
     pub fn compares_trials(&self) -> bool {
         let SceneTrial { faults, period_us, plate, .. } = &self.judged;
         let stops_alike = !faults.iter().any(|fault| fault.may_stop_differently(*period_us));

@@ -1,7 +1,6 @@
-//! Defines a scene: trials on one controller; the last one is judged.
+//! Defines a scene: one or several plays of a judged trial, with other trials in between, on one controller.
 //!
-//! Times are whole microseconds and values whole multiples of a small unit, so that scenario files contain short
-//! numbers.
+//! Times and values are whole multiples of a small unit, so that scenario files contain short numbers.
 
 use crate::line_fault::LineFault;
 use crate::tuning::Tuning;
@@ -11,22 +10,22 @@ use std::f64::consts::TAU;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
-    /// Trials between two trials of [`Self::judged`]; not judged.
+    /// Trials between two plays of the judged trial.
     pub earlier: Vec<SceneTrial>,
     pub judged: SceneTrial,
-    /// How often the judged trial is played; each further time starts at another time stamp.
+    /// Number of plays of the judged trial. Each starts at another time stamp.
     pub count: u32,
-    /// Seed of the scripts of messages before a judged trial; none without scripts.
+    /// Seed of the scripts of messages before the judged trial. `None`: no scripts.
     pub script_seed: Option<u64>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneTrial {
     pub law: LawId,
-    /// Differences of the plate from the envelope's.
+    /// Differences from the plate of the envelope.
     pub plate: PlateChoice,
     pub period_us: u32,
-    /// Loop delay, also configured in the law, µs.
+    /// Loop delay, µs. The law is configured with it.
     pub delay_us: u32,
     /// Excitation frequency at the start, 0.1 Hz.
     pub start_frequency_tenths: u32,
@@ -38,7 +37,7 @@ pub struct SceneTrial {
     /// Temperature offset, 0.01 K.
     pub temperature: Course,
     pub tuning: Tuning,
-    /// Faults of the judged trial only.
+    /// Empty in trials that are not judged.
     pub faults: Vec<LineFault>,
 }
 
@@ -46,13 +45,13 @@ pub struct SceneTrial {
 pub struct PlateChoice {
     pub limit_vpp: u32,
     pub noise_pm: u32,
-    /// Gain relative to the envelope's plate, 0.1 %; the controller is configured with it too.
+    /// Change of the gain from the plate of the envelope, 0.1 %. The controller is configured with it.
     pub nominal_gain_permille: i32,
-    /// Time constant relative to the envelope's plate, 0.1 %; the controller is configured with it too.
+    /// Change of the time constant from the plate of the envelope, 0.1 %. The controller is configured with it.
     pub nominal_time_constant_permille: i32,
-    /// Gain relative to the configured one, 0.1 %.
+    /// Deviation of the gain from the configured gain, 0.1 %.
     pub gain_permille: i32,
-    /// Time constant relative to the configured one, 0.1 %.
+    /// Deviation of the time constant from the configured one, 0.1 %.
     pub time_constant_permille: i32,
 }
 
@@ -63,7 +62,6 @@ impl PlateChoice {
         Self { gain_permille: 0, time_constant_permille: 0, ..self }
     }
 
-    /// `base` with these differences.
     pub fn apply(self, base: &Plate) -> Plate {
         let factor = |permille: i32| 1.0 + f64::from(permille) * 1e-3;
         Plate {
@@ -76,7 +74,7 @@ impl PlateChoice {
     }
 }
 
-/// A force or temperature over time, in hundredths of its unit.
+/// A force or temperature over time. The unit of all values is 0.01 N or 0.01 K.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Course {
     /// Instants, µs, and values that hold until the next one. The first instant is 0.
@@ -88,7 +86,7 @@ pub enum Course {
 }
 
 impl Course {
-    /// The value at `time_us`; a step counts from its instant on.
+    /// In N or K. At the instant of a step it is the value after the step.
     pub fn at(&self, time_us: u32) -> f64 {
         match self {
             Self::Hold(points) => {
@@ -125,7 +123,7 @@ impl Course {
         }
     }
 
-    /// Intervals in which it moves, µs; both ends of a step are equal.
+    /// Intervals in which the value changes, µs. Both ends of a step are equal.
     pub fn moves(&self) -> Vec<[u32; 2]> {
         match self {
             Self::Hold(points) => {
@@ -146,13 +144,12 @@ impl Course {
 }
 
 impl SceneTrial {
-    /// The setpoint, µm.
+    /// In µm.
     pub fn setpoint_at(&self, time_us: u32) -> f64 {
         let index = self.setpoint.partition_point(|(at, _)| *at <= time_us).saturating_sub(1);
         self.setpoint.get(index).map_or(0.0, |(_, level)| f64::from(*level) / 1e3)
     }
 
-    /// The mode of the played plate.
     pub fn mode_at(&self, base: &Plate, time_us: u32) -> Mode {
         let conditions = platebench_plate::Conditions {
             temperature_offset_k: self.temperature.at(time_us),

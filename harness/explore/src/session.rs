@@ -1,4 +1,4 @@
-//! Runs a whole exploration: plays, shrinks, writes regressions and the result.
+//! Runs a whole exploration: plays scenes, shrinks failing scenes, writes regressions and the result.
 
 use crate::envelope::Envelope;
 use crate::error::ExploreError;
@@ -20,14 +20,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Limit of the wall time in which failing scenes are reduced, for all properties together.
+/// Largest wall time for shrinking, for all properties together.
 const SHRINK_TIME: Duration = Duration::from_mins(1);
-/// More failing scenes show nothing new.
+/// More failing scenes add little information.
 const ENOUGH_FAILURES: u64 = 10;
-/// Properties for which a minimal scene is written.
 const MAX_MINIMAL: usize = 3;
 
-/// The exploration that the user requests.
 #[derive(Debug, Clone)]
 pub struct ExploreSession {
     pub envelope: Envelope,
@@ -36,16 +34,13 @@ pub struct ExploreSession {
     pub seed: u64,
     pub budget: Budget,
     pub jobs: usize,
-    /// True if every command is compared with the hosted reference.
     pub compares_reference: bool,
     pub regressions: Vec<Scenario>,
-    /// Folder of minimal scenes.
     pub regression_folder: PathBuf,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ProgressEvent {
-    /// Since its start.
     pub elapsed: Duration,
     pub scenes: u64,
     pub failed: u64,
@@ -59,8 +54,7 @@ impl fmt::Display for ProgressEvent {
 }
 
 impl ExploreSession {
-    /// Explores, shrinks and writes `explore.json` and `report.html` to `folder`.
-    /// A violated property is no error.
+    /// Writes `explore.json` and `report.html` to `folder`. A violated property is no error.
     pub fn run(
         self,
         cancel: &CancelToken,
@@ -141,7 +135,7 @@ impl ExploreSession {
         let minimal = Shrinker::new(config, &mut player, time)?.shrink(failed, property)?;
         let rig = self.rig.to_string();
         let path = regression::write(&self.regression_folder, config, &rig, failed, &minimal)?;
-        // The file itself must fail, played as `run` plays it.
+        // Checks that the written file fails if `platebench run` plays it.
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let scenario = load(&path, &name).map_err(|fault| ExploreError::Generated(Box::new(fault)))?;
         player.renew();
@@ -165,7 +159,7 @@ impl ExploreSession {
     }
 }
 
-/// Without scenes that need a capability that the controller does not announce.
+/// Removes loop delays from the envelope if the controller does not announce that capability.
 fn envelope_for(envelope: &Envelope, identity: &Identity) -> Envelope {
     let mut reduced = envelope.clone();
     if !identity.has_capability(capabilities::LOOP_DELAY) {

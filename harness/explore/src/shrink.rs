@@ -16,7 +16,7 @@ const MAX_EARLIER: usize = 16;
 #[derive(Debug, Clone)]
 pub struct MinimalScene {
     pub scene: Scene,
-    /// The violated demands; none for a property without expectation.
+    /// The violated demands; empty for a property without expectation.
     pub demands: Vec<Demand>,
     pub failure: Failure,
     /// False if the scene did not fail again with a new controller; it is then not minimal.
@@ -34,13 +34,12 @@ pub struct Shrinker<'a, 'p> {
 }
 
 impl<'a, 'p> Shrinker<'a, 'p> {
-    /// A shrinker with `time` from now on.
-    /// Fails without a temporary folder.
+    /// The search may take `time` from now on. Fails if no temporary folder can be created.
     pub fn new(config: &'a ExploreConfig, player: &'a mut Player<'p>, time: Duration) -> Result<Self, ExploreError> {
         Ok(Self { config, player, deadline: Instant::now() + time, staging: Staging::new()?, replays: 0 })
     }
 
-    /// The smallest scene that violates the property as `failed` does.
+    /// Searches the smallest scene that violates the property.
     pub fn shrink(&mut self, failed: &FailedScene, property: Property) -> Result<MinimalScene, ExploreError> {
         self.replays = 0;
         let generator = self.config.generator();
@@ -81,7 +80,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         Ok(MinimalScene { scene, demands, failure, is_reproduced: true, replays: self.replays })
     }
 
-    /// The scene as it fails with a new controller: alone, or after the trials of scenes before it.
+    /// The scene that fails with a new controller, alone or after trials of earlier scenes. `None` if it does not fail.
     #[expect(clippy::type_complexity, reason = "history, scene and failure belong together here only")]
     fn reproduce(
         &mut self,
@@ -107,7 +106,6 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         Ok(None)
     }
 
-    /// Removes trials of the history that the failure does not need.
     fn remove_earlier(
         &mut self,
         scene: Scene,
@@ -132,7 +130,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         Ok((best.0.earlier.clone(), best))
     }
 
-    /// Tries changes that the numbers of the draw do not offer: rounder values, fewer points, an earlier end.
+    /// Tries changes that shrinking of the drawn numbers cannot make: rounder values, fewer points, an earlier end.
     fn simplify_directly(&mut self, best: &mut (Scene, Failure), property: Property) -> Result<(), ExploreError> {
         let mut has_changed = true;
         while has_changed && !self.is_over() {
@@ -161,7 +159,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         self.replays >= MAX_REPLAYS || Instant::now() >= self.deadline
     }
 
-    /// Plays `scene` with a new controller; its failure of `property`.
+    /// Plays `scene` with a new controller. `None` if it does not violate `property`.
     fn replay(&mut self, scene: &Scene, property: Property) -> Result<Option<Failure>, ExploreError> {
         self.replays += 1;
         let scenario = self.staging.load(&self.config.scene_text(scene, "Replay"))?;
@@ -171,7 +169,6 @@ impl<'a, 'p> Shrinker<'a, 'p> {
     }
 }
 
-/// Variants of `scene` that are simpler in one respect.
 fn simpler_scenes(scene: &Scene, end_us: Option<u32>) -> Vec<Scene> {
     let mut scenes = Vec::new();
     if scene.script_seed.is_some() {
@@ -213,7 +210,7 @@ fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
     for index in 0..trial.setpoint.len().saturating_sub(1) {
         let mut setpoint = trial.setpoint.clone();
         let (at, _) = setpoint.remove(index);
-        // The next level comes in the place of the removed one.
+        // The next level takes the instant of the removed one.
         if let Some(next) = setpoint.get_mut(index) {
             next.0 = at;
         }
@@ -255,7 +252,6 @@ fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
     trials
 }
 
-/// The trial up to `end_us`.
 fn cut(trial: &SceneTrial, end_us: u32) -> SceneTrial {
     let mut cut = SceneTrial { duration_us: end_us, ..trial.clone() };
     cut.faults.retain(|fault| fault.until_us < end_us);

@@ -10,10 +10,8 @@ use tempfile::TempDir;
 
 const FILE: &str = "scene.toml";
 
-/// A folder for one scenario at a time.
 pub(crate) struct Staging {
     folder: TempDir,
-    /// Plate files in the folder, with their text.
     plates: BTreeMap<String, String>,
 }
 

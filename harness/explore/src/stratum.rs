@@ -2,7 +2,7 @@
 
 use crate::event_kind::EventKind;
 
-/// What the number of a scene fixes. Everything else is drawn.
+/// The properties of a scene that its number determines. All others are drawn.
 #[derive(Debug, Clone, PartialEq)]
 #[allow(clippy::struct_excessive_bools, reason = "independent choices")]
 pub(crate) struct Stratum {
@@ -10,7 +10,7 @@ pub(crate) struct Stratum {
     pub(crate) period: u64,
     /// 0: largest; 1: smallest; otherwise drawn.
     pub(crate) limit: u64,
-    /// The first two events.
+    /// Kinds of the first two events.
     pub(crate) kinds: Vec<EventKind>,
     pub(crate) has_history: bool,
     pub(crate) has_noise: bool,
@@ -19,14 +19,13 @@ pub(crate) struct Stratum {
     pub(crate) has_fault: bool,
     /// The drive limit does not suffice for every setpoint.
     pub(crate) is_overloaded: bool,
-    /// The same for the trials before.
+    /// As `is_overloaded`, for the earlier trials.
     pub(crate) is_overloaded_before: bool,
     pub(crate) is_long: bool,
-    /// Force or temperature follows a sine.
     pub(crate) sine: Option<SineOf>,
-    /// The time stamps of further trials pass the ends of their counters.
+    /// Time stamps in later plays of the trial pass 2^16 ms, 2^31 µs and 2^32 µs.
     pub(crate) shifts_time: bool,
-    /// Number of the scene if scripts of messages come before the trial; they take as long as a hundred scenes.
+    /// Number of the scene, if scripts of messages precede the trial. They take as long as a hundred scenes.
     pub(crate) scripts: Option<u64>,
 }
 
@@ -36,17 +35,14 @@ pub(crate) enum SineOf {
     Temperature,
 }
 
-/// All pairs of kinds.
 const PAIRS: u64 = (EventKind::ALL.len() * EventKind::ALL.len()) as u64;
-/// Without a common divisor with [`PAIRS`]: neighbouring scenes differ in both kinds.
+/// Has no common divisor with [`PAIRS`], so that 64 scenes contain all pairs. Consecutive scenes differ in both kinds.
 const PAIR_STRIDE: u64 = 37;
-/// One scene of this many is long.
 const LONG_EVERY: u64 = 41;
 const SINE_EVERY: u64 = 17;
 const SCRIPTS_EVERY: u64 = 512;
 
 impl Stratum {
-    /// The stratum of scene `index`.
     pub(crate) fn of(index: u64) -> Self {
         let pair = index.wrapping_mul(PAIR_STRIDE) % PAIRS;
         let kinds = EventKind::ALL.len() as u64;
@@ -72,7 +68,7 @@ impl Stratum {
         }
     }
 
-    /// Configurations of earlier trials.
+    /// The stratum for the configuration of an earlier trial.
     pub(crate) fn any_configuration(&self) -> Self {
         Self { period: u64::MAX, limit: u64::MAX, is_tuned: true, ..self.clone() }
     }

@@ -1,4 +1,4 @@
-//! Renders the result as text.
+//! Renders the result of an exploration as text.
 
 use crate::explore::UndecidedScene;
 use crate::page::properties;
@@ -27,9 +27,13 @@ fn write_summary(text: &mut String, report: &ExploreReport) -> std::fmt::Result 
     }
     for violation in &report.violations {
         let [value, limit] = [violation.minimal_value, violation.minimal_limit].map(|value| format_value(value, 6));
-        writeln!(text, "{} violated: {value}, limit {limit}; minimal scene: {}", violation.property, violation.file)?;
+        writeln!(
+            text,
+            "property {} violated: value {value}, limit {limit}; minimal scene: {}",
+            violation.property, violation.file
+        )?;
         if !violation.is_reproduced {
-            writeln!(text, "  it did not fail again with a new controller")?;
+            writeln!(text, "  this scene did not fail again with a new controller")?;
         }
     }
     writeln!(text, "{}", report.conclusion())

@@ -1,4 +1,4 @@
-//! Defines settings of a configuration other than plate, period and delay.
+//! Defines the settings of a configuration other than plate, period and delay.
 
 use crate::envelope::Ranges;
 use platebench_controller::design::{PiGains, default_response_time_s};
@@ -7,20 +7,20 @@ use platebench_wire::LawId;
 use proptest::option;
 use proptest::prelude::{BoxedStrategy, Just, Strategy};
 
-/// `None`: the law's or the scenario's default.
+/// `None` is the default of the law or of the scenario.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Tuning {
     /// Design value of the response time, 0.1 ms.
     pub response_tenths: Option<u32>,
     /// Gains of the amplitude loop and the frequency loop relative to the law's own design, percent.
     pub gains_percent: Option<[u32; 2]>,
-    /// 0.1 Hz.
+    /// Largest deviation of the excitation frequency from the start frequency, 0.1 Hz.
     pub range_tenths: Option<u32>,
-    /// Per period, 0.1 Hz.
+    /// Largest change of the excitation frequency per control period, 0.1 Hz.
     pub slew_tenths: Option<u32>,
 }
 
-/// Share of scenes of the stratum that have one of the settings.
+/// Probability of each setting in a scene of the stratum.
 const SHARE: f64 = 0.4;
 
 impl Tuning {
@@ -72,7 +72,7 @@ impl Tuning {
     }
 }
 
-/// One more significant digit than `decimals`.
+/// Rounds to `decimals` + 1 significant digits.
 pub(crate) fn rounded(value: f64, decimals: usize) -> f64 {
     format!("{value:.decimals$e}").parse().unwrap_or(value)
 }

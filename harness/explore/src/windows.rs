@@ -20,7 +20,6 @@ pub(crate) struct Window {
 }
 
 impl Window {
-    /// Length of the time without a change, µs.
     pub(crate) const fn quiet_us(&self) -> u32 {
         self.until_us.saturating_sub(self.change.to_us)
     }
@@ -57,7 +56,6 @@ fn changes(trial: &SceneTrial) -> Vec<Change> {
     merged
 }
 
-/// The windows of `trial` in order of time.
 pub(crate) fn windows(trial: &SceneTrial) -> Vec<Window> {
     let changes = changes(trial);
     let ends = changes.iter().skip(1).map(|next| next.from_us).chain([trial.duration_us]);

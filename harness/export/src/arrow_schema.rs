@@ -1,7 +1,6 @@
-//! Encodes the columns as an Arrow schema, which Parquet stores as `ARROW:schema`: the only place for metadata of a
-//! column.
+//! Encodes the columns as an Arrow schema. Parquet stores it as `ARROW:schema` and has no other metadata of columns.
 //!
-//! Source: Arrow columnar format, `Schema.fbs` and `Message.fbs`; slots are numbered in the order of the fields there.
+//! Source: Arrow columnar format, `Schema.fbs` and `Message.fbs`. Slots are numbered in the order of the fields there.
 
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use base64::Engine;
@@ -71,7 +70,7 @@ pub(crate) fn encode() -> String {
     builder.finish(message, None);
     let data = builder.finished_data();
     let length = data.len().next_multiple_of(ALIGNMENT);
-    // An encapsulated message: continuation marker, length with padding, message.
+    // An encapsulated message consists of continuation marker, padded length and message.
     let mut bytes = u32::MAX.to_le_bytes().to_vec();
     bytes.extend((length as u32).to_le_bytes());
     bytes.extend(data);

@@ -1,5 +1,4 @@
-//! Lists the columns of a row, named as in the trace. Each flag is a column, so that programs can
-//! filter by it.
+//! Lists the columns of a row, named as in the trace. Each flag is a column, so that programs can filter by it.
 
 use platebench_trace::{Flags, Row};
 
@@ -8,9 +7,9 @@ pub struct Number {
     pub name: &'static str,
     pub unit: &'static str,
     pub meaning: &'static str,
-    /// NaN if unknown.
+    /// Reads the number from a row; NaN if it is unknown.
     pub of: fn(&Row) -> f64,
-    /// For a real plate.
+    /// True if the number is unknown for a real plate.
     pub can_be_unknown: bool,
 }
 
@@ -22,7 +21,7 @@ impl Number {
 
 #[derive(Debug, Clone, Copy)]
 pub struct FlagColumn {
-    /// As in the trace, with `_` instead of `-`.
+    /// Name of the flag in the trace, with `_` instead of `-`.
     pub name: &'static str,
     pub meaning: &'static str,
     pub flag: Flags,
@@ -43,7 +42,7 @@ macro_rules! number {
     };
 }
 
-/// Time first. Amplitudes and voltages are peak to peak.
+/// Time is the first column. Amplitudes and voltages are peak to peak.
 pub const NUMBER_COLUMNS: [Number; 13] = [
     number!(t_s, "s", "time since the start of the trial"),
     number!(setpoint_um, "µm", "setpoint of the amplitude"),

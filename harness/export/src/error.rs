@@ -4,7 +4,7 @@ use platebench_trace::{FileError, TraceError};
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-/// Why a run could not be exported. Files that were complete before remain.
+/// Files that were complete before the error remain.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
     #[error(transparent)]
@@ -12,32 +12,15 @@ pub enum ExportError {
     #[error(transparent)]
     File(#[from] FileError),
     #[error("{}: {source}", path.display())]
-    Format {
-        path: PathBuf,
-        /// From the library of the format.
-        source: Box<dyn Error + Send + Sync>,
-    },
+    Format { path: PathBuf, source: Box<dyn Error + Send + Sync> },
     #[error("{} exists, expected a new file; name another folder with --out", .0.display())]
     FileExists(PathBuf),
     #[error("the run has no scenario `{requested}`, expected one of {known}")]
-    NoSuchScenario {
-        requested: String,
-        /// All scenarios of the run, separated by commas.
-        known: String,
-    },
+    NoSuchScenario { requested: String, known: String },
     #[error("{}: `{named}` is not a file below the run folder", record.display())]
-    OutsideRunFolder {
-        record: PathBuf,
-        /// The path in the record.
-        named: String,
-    },
+    OutsideRunFolder { record: PathBuf, named: String },
     #[error("{}: `started` is {text}, expected a time like 2026-03-02T09:30:00Z: {source}", record.display())]
-    InvalidStartTime {
-        record: PathBuf,
-        /// The start time in the record.
-        text: String,
-        source: jiff::Error,
-    },
+    InvalidStartTime { record: PathBuf, text: String, source: jiff::Error },
     #[error("{}: no complete trial, expected at least one", .0.display())]
     NoCompleteTrial(PathBuf),
 }

@@ -10,25 +10,21 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ExportFormat {
-    /// Apache Parquet: a file per scenario.
     Parquet,
-    /// ASAM MDF 4.10: a file per trial.
     Mf4,
-    /// CSV: one tidy table of the whole run, and a description of its columns.
     Csv,
-    /// MCAP with JSON messages: a file per scenario, a topic per trial.
     Mcap,
 }
 
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct ExportResult {
     pub files: Vec<PathBuf>,
-    /// Trials without a complete trace, which are skipped.
+    /// Number of trials that were skipped, because they have no complete trace.
     pub incomplete_trials: usize,
 }
 
-/// Exports the named scenarios (with or without `.toml`) to `out`; all if `scenarios` is empty.
-/// Unknown names, existing files and a run without a complete trial are found before any write.
+/// Exports the named scenarios (with or without `.toml`) to the folder `out`, or all if `scenarios` is empty. Checks
+/// names, existing files and complete trials before it writes a file.
 pub fn export(
     run: &RunRecord,
     folder: &Path,
@@ -96,7 +92,6 @@ pub fn export(
 
 type WriteScenario = fn(&ExportScenario<'_>, &File, &Path) -> Result<(), ExportError>;
 
-/// The path is for messages.
 type WriteFile<'a> = dyn Fn(&File, &Path) -> Result<(), ExportError> + 'a;
 
 fn write_new_file(path: &Path, write: &WriteFile<'_>) -> Result<(), ExportError> {
@@ -105,14 +100,14 @@ fn write_new_file(path: &Path, write: &WriteFile<'_>) -> Result<(), ExportError>
     }
     let file = AtomicFile::create(path).at(path)?;
     write(file.file(), path)?;
-    // Another process may have written it meanwhile.
+    // Another process may have written the file in the meantime.
     if path.exists() {
         return Err(ExportError::FileExists(path.to_owned()));
     }
     Ok(file.commit_without_sync().at(path)?)
 }
 
-/// The requested scenarios in the order of the run; all if `requested` is empty.
+/// Returns the requested scenarios in the order of the run, or all if `requested` is empty.
 pub fn select_scenarios<'a>(run: &'a RunRecord, requested: &[String]) -> Result<Vec<&'a ScenarioRecord>, ExportError> {
     let bare = |name: &str| name.strip_suffix(".toml").unwrap_or(name).to_owned();
     let known: Vec<String> = run.scenarios.iter().map(|scenario| bare(&scenario.file)).collect();

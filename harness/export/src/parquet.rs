@@ -1,8 +1,7 @@
 //! Writes Parquet: a table per scenario with all trials.
 //!
-//! The key-value metadata contain units as `unit.<column>`, meanings as `meaning.<column>`, the
-//! scenario, and the Arrow schema, whose columns contain `unit` and `meaning`. One row group of at most
-//! [`ROW_GROUP_ROWS`] rows is in memory.
+//! The key-value metadata contain units as `unit.<column>`, meanings as `meaning.<column>`, the scenario, and the Arrow
+//! schema, whose columns contain `unit` and `meaning`. Memory holds one row group of at most [`ROW_GROUP_ROWS`] rows.
 
 use crate::arrow_schema;
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
@@ -21,7 +20,7 @@ use std::fs::File;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Rows of a row group: some 8 MB of numbers.
+/// About 8 MB of numbers.
 const ROW_GROUP_ROWS: usize = 65_536;
 
 pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Result<(), ExportError> {
@@ -80,7 +79,6 @@ fn schema() -> Result<TypePtr, ParquetError> {
     Type::group_type_builder("trace").with_fields(fields).build().map(Arc::new)
 }
 
-/// `rows`: number and seed of the trial, and the row.
 fn write_group(
     rows: &[(u32, u64, Row)],
     scenario: &str,

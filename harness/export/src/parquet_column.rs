@@ -5,7 +5,6 @@ use parquet::errors::ParquetError;
 use parquet::file::writer::SerializedRowGroupWriter;
 use std::io::Write;
 
-/// Every row has a value.
 pub fn write_column<T: DataType>(
     group: &mut SerializedRowGroupWriter<'_, impl Write + Send>,
     values: &[T::T],
@@ -22,7 +21,7 @@ pub fn write_optional_column<T: DataType>(
     write::<T>(group, &values.into_iter().flatten().collect::<Vec<_>>(), Some(&levels))
 }
 
-/// `levels` are 1 for rows with a value, else 0.
+/// A level is 1 for a row with a value, else 0.
 fn write<T: DataType>(
     group: &mut SerializedRowGroupWriter<'_, impl Write + Send>,
     values: &[T::T],

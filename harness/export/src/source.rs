@@ -20,14 +20,13 @@ impl ExportTrial {
     }
 }
 
-/// A scenario with at least one complete trial.
 #[derive(Debug)]
 pub(crate) struct ExportScenario<'a> {
     pub(crate) run: &'a RunRecord,
     pub(crate) scenario: &'a ScenarioRecord,
-    /// The scenario's file without extension: `paper/fig13-closed-loop`.
+    /// Scenario file without extension, such as `paper/fig13-closed-loop`.
     pub(crate) name: &'a str,
-    /// When the run started, ns since 1970 UTC.
+    /// Start of the run, ns since 1970 UTC.
     pub(crate) started_ns: u64,
     pub(crate) trials: Vec<ExportTrial>,
 }
@@ -53,7 +52,7 @@ impl<'a> ExportScenario<'a> {
                 return Err(outside(&trial.trace));
             }
             let trace = folder.join(&trial.trace);
-            // A trial without a hash was cut off. A hash without a file is an error of the reader.
+            // A trial without hash and file was cut off. If only the file is missing, reading it fails later.
             if trial.sha256.is_none() && !trace.exists() {
                 cut_off += 1;
             } else {
@@ -63,7 +62,6 @@ impl<'a> ExportScenario<'a> {
         Ok((Self { run, scenario, name, started_ns, trials }, cut_off))
     }
 
-    /// The same in every format.
     pub(crate) fn metadata(&self) -> Vec<(&'static str, String)> {
         let (run, scenario) = (self.run, self.scenario);
         let firmware = run.rig.firmware.as_ref().map(|firmware| format!("{} {}", firmware.name, firmware.version));

@@ -1,5 +1,5 @@
-//! Writes CSV: one tidy table of the whole run, and a description of its columns by the W3C's
-//! "Metadata Vocabulary for Tabular Data".
+//! Writes CSV: one tidy table of the whole run, and a description of its columns by the W3C's "Metadata Vocabulary for
+//! Tabular Data".
 
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
@@ -13,15 +13,14 @@ use std::path::{Path, PathBuf};
 
 pub(crate) const FILE: &str = "traces.csv";
 
-/// The name is specified by the W3C.
+/// The W3C specifies the suffix.
 pub(crate) fn description_path(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push("-metadata.json");
     PathBuf::from(name)
 }
 
-/// One row. Numbers are written in the shortest form that parses to the same double; unknown
-/// numbers are empty.
+/// Numbers have the shortest form that parses to the same double. Unknown numbers are empty.
 #[derive(Serialize)]
 struct TableRow<'a> {
     scenario: &'a str,

@@ -6,7 +6,7 @@ use platebench_rig::Symbols;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-/// Code elsewhere, such as functions in RAM, is not recorded.
+/// Addresses of the analysed code. Functions in RAM are not analysed.
 const FLASH: Range<u64> = 0x0800_0000..0x0820_0000;
 
 #[derive(Debug, Clone)]
@@ -17,10 +17,10 @@ pub struct CodeFunction {
 
 #[derive(Debug)]
 pub struct CodeMap {
-    /// By first address, without overlap.
+    /// Sorted by address, without overlap.
     pub functions: Vec<CodeFunction>,
     pub instructions: BTreeMap<u32, Instruction>,
-    /// First instruction of every basic block: control enters a block only here.
+    /// Addresses of the first instructions of all basic blocks. Control enters a block only there.
     pub leaders: BTreeSet<u32>,
     sections: Vec<(u32, Vec<u8>)>,
 }
@@ -63,7 +63,7 @@ impl CodeMap {
         map
     }
 
-    /// Up to `length` bytes.
+    /// Returns fewer bytes at the end of a section.
     pub fn bytes(&self, address: u32, length: usize) -> Option<&[u8]> {
         self.sections.iter().find_map(|(start, bytes)| {
             let from = address.checked_sub(*start)? as usize;
@@ -80,7 +80,6 @@ impl CodeMap {
         self.functions.get(until.checked_sub(1)?).filter(|function| function.range.contains(&address))
     }
 
-    /// First instruction of the basic block.
     pub fn leader_of(&self, address: u32) -> u32 {
         self.leaders.range(..=address).next_back().copied().unwrap_or(address)
     }
@@ -102,7 +101,7 @@ impl CodeMap {
             leaders.extend(targets);
             leaders.insert(instruction.end());
         }
-        // Tables of addresses: pointers to functions, and targets of `switch`.
+        // Odd words may be addresses of functions or targets of `switch`.
         let words =
             self.sections.iter().flat_map(|(_, bytes)| bytes.chunks_exact(4)).filter_map(|word| word.first_chunk());
         leaders.extend(words.map(|word| u32::from_le_bytes(*word)).filter(|word| word % 2 == 1).map(|word| word - 1));
@@ -126,7 +125,7 @@ fn functions(symbols: &Symbols) -> Vec<CodeFunction> {
     for function in symbols.functions().iter().filter(|function| FLASH.contains(&function.address)) {
         let range = function.address as u32..function.end as u32;
         match functions.last_mut() {
-            // A second name, or a label within.
+            // The symbol is a second name of the function or a label in it.
             Some(last) if range.start < last.range.end => {}
             _ => functions.push(CodeFunction { name: function.name.clone(), range }),
         }
@@ -144,7 +143,7 @@ fn mapping_symbols(file: &object::File<'_>) -> BTreeMap<u32, bool> {
     symbols.collect()
 }
 
-/// The address after the data at `address`; `None` in code.
+/// Address after the data at `address`. `None` if there is code at `address`.
 fn data_end(mapping: &BTreeMap<u32, bool>, address: u32) -> Option<u32> {
     let is_data = mapping.range(..=address).next_back().is_some_and(|(_, is_data)| *is_data);
     let code = mapping.range(address + 1..).find(|(_, is_data)| !**is_data);

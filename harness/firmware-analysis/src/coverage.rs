@@ -18,12 +18,11 @@ use std::time::{Duration, Instant};
 pub struct CoverageConfig {
     pub suite: Suite,
     pub jobs: usize,
-    /// Only source files whose path contains one of these; all of the firmware's own files if it is empty.
+    /// Parts of the paths of the selected source files. If empty, all of the firmware's own files are selected.
     pub only: Vec<String>,
     pub cancel: CancelToken,
 }
 
-/// By path as in the debug information.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Coverage {
     pub files: BTreeMap<String, FileCoverage>,
@@ -40,7 +39,7 @@ pub struct FileCoverage {
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
 pub struct LineCoverage {
     pub executed: bool,
-    /// A function of the control step contains it.
+    /// True if a function that ran in a control step contains the line.
     pub on_control_path: bool,
 }
 
@@ -49,7 +48,7 @@ pub struct FunctionCoverage {
     /// First line with code.
     pub line: u32,
     pub executed: bool,
-    /// An instruction of it ran while the firmware answered a sample.
+    /// True if one of its instructions ran while the firmware answered a sample.
     pub in_control_step: bool,
 }
 
@@ -140,7 +139,6 @@ pub(crate) fn is_standard_library(file: &str) -> bool {
     ["/rustc/", "library/core/", "library/alloc/", "library/compiler-builtins/"].iter().any(|part| file.contains(part))
 }
 
-/// Plays the suite and records what it executes.
 pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisError> {
     let (symbols, map) = config.suite.code()?;
     let baselines = play_baselines(&config.suite, &map, config.jobs, &config.cancel)?;
@@ -151,24 +149,23 @@ pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisErr
     }
 }
 
-/// A scenario with the unchanged firmware.
+/// Result of a scenario with the unchanged firmware.
 pub(crate) struct Baseline {
     /// As in [`platebench_rig::EmulatedLink::executed_instructions`].
     pub(crate) executed: BTreeMap<u32, bool>,
     pub(crate) duration: Duration,
     pub(crate) commands: u64,
-    /// Fails without a mutant, as it should: it detects nothing.
+    /// True if the scenario fails as expected without a mutant. It then cannot detect a mutant.
     pub(crate) fails: bool,
 }
 
-/// In the order of the suite.
 pub(crate) fn play_baselines(
     suite: &Suite,
     map: &CodeMap,
     jobs: usize,
     cancel: &CancelToken,
 ) -> Result<Vec<Baseline>, AnalysisError> {
-    // The longest come first: no worker ends long after the others.
+    // The longest scenarios come first, so that no worker ends long after the others.
     let mut order: Vec<(usize, &(Scenario, LawId))> = suite.scenarios.iter().enumerate().collect();
     order.sort_by_key(|(_, (scenario, _))| Reverse(scenario.duration.as_nanos() * u64::from(scenario.trials.count)));
     let work = |session: &mut Option<BoardSession>, (number, (scenario, law)): &(usize, &(Scenario, LawId))| {
@@ -197,7 +194,6 @@ pub(crate) fn executed_by_all(baselines: &[Baseline]) -> BTreeMap<u32, bool> {
     executed
 }
 
-/// Fails if the scenario fails and should not.
 fn check_baseline(scenario: &Scenario, outcome: &Outcome) -> Result<(), AnalysisError> {
     match &outcome.detection {
         Some(detection) if outcome.verdict == Verdict::Fail && scenario.expected_exit.is_none_or(|exit| exit == 0) => {

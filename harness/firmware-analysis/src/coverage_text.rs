@@ -3,7 +3,6 @@
 use crate::coverage::{Coverage, Ratio};
 use std::fmt::{self, Write};
 
-/// Per file its share, then the lines of the control path that never ran.
 pub fn summary(coverage: &Coverage) -> String {
     let mut text = String::new();
     let _ = write_summary(&mut text, coverage);
@@ -43,7 +42,7 @@ fn write_summary(text: &mut String, coverage: &Coverage) -> fmt::Result {
     )
 }
 
-/// `3, 7-9`
+/// Formats as `3, 7-9`.
 fn ranges(lines: &[u32]) -> String {
     let mut ranges: Vec<(u32, u32)> = Vec::new();
     for &line in lines {

@@ -1,4 +1,4 @@
-//! Defines what ends an analysis.
+//! Defines the errors that end an analysis.
 
 use platebench_rig::{EmulatedError, RigError};
 use platebench_scenario::Diagnostic;

@@ -6,7 +6,7 @@ use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A shorter path may name another file.
+/// Fewest components of a path, because a shorter path may name another file.
 const MIN_COMPONENTS: usize = 3;
 
 pub(crate) struct SourceMap<'a> {
@@ -19,7 +19,6 @@ impl<'a> SourceMap<'a> {
         Self { symbols, resolved: RefCell::default() }
     }
 
-    /// As [`Symbols::frames`].
     pub(crate) fn frames(&self, address: u32) -> Vec<SourceFrame> {
         let mut frames = self.symbols.frames(address);
         let mut resolved = self.resolved.borrow_mut();
@@ -35,7 +34,7 @@ impl<'a> SourceMap<'a> {
     }
 }
 
-/// Compilers that map path prefixes put the build folder in front of a path that is already relative to another one.
+/// Removes leading folders until the file exists, because compilers may put the build folder in front of another path.
 fn resolve(file: &str) -> String {
     let mut rest = file;
     loop {

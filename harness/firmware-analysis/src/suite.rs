@@ -27,24 +27,23 @@ pub struct Suite {
     pub not_applicable: Vec<String>,
 }
 
-/// The verdict of a scenario, and how the suite would notice.
 #[derive(Debug, Clone)]
 pub(crate) struct Outcome {
     pub(crate) verdict: Verdict,
     pub(crate) detection: Option<Detection>,
     pub(crate) closest_margin: Option<Margin>,
-    /// Hash of every drive and frequency of the trials.
+    /// Hash over all drives and frequencies of the trials.
     pub(crate) commands: u64,
 }
 
 #[derive(Debug, Clone)]
 pub(crate) struct Detection {
     pub(crate) reason: String,
-    /// The emulator is in an unknown state.
+    /// True if the emulator failed and is in an unknown state.
     pub(crate) emulator_failed: bool,
 }
 
-/// Distance of a value to its limit over the limit's scale.
+/// Distance of a metric from its limit, divided by the scale of the limit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Margin {
     pub scenario: String,
@@ -53,7 +52,6 @@ pub struct Margin {
 }
 
 impl Suite {
-    /// Asks the firmware which scenarios it can play.
     pub fn new(rig: &RigSpec, scenarios: Vec<Scenario>) -> Result<Self, AnalysisError> {
         let RigSpec::Emulated(elf) = rig else { return Err(AnalysisError::NotEmulated(rig.to_string())) };
         let mut suite = Self { elf: elf.clone(), scenarios: Vec::new(), not_applicable: Vec::new() };
@@ -81,7 +79,7 @@ impl Suite {
         if map.functions.is_empty() { Err(AnalysisError::NoFunctions) } else { Ok((symbols, map)) }
     }
 
-    /// The board of a worker, which starts with its first use.
+    /// Returns the emulated board of a worker. Starts the board at its first use.
     pub(crate) fn open<'a>(
         &self,
         session: &'a mut Option<BoardSession>,
@@ -98,7 +96,7 @@ impl Suite {
     }
 }
 
-/// Plays trials until the verdict is decided or the controller is lost. `None` if it was cancelled.
+/// Plays trials until the verdict is decided or the controller is lost. `None` if `cancel` was cancelled.
 pub(crate) fn play(
     session: &mut BoardSession,
     scenario: &Scenario,
@@ -145,7 +143,7 @@ impl From<Detection> for Outcome {
     }
 }
 
-/// A trial that fails, or ends the run, independently of its metrics.
+/// Detects a lost controller or a violation, which fail a trial independently of its metrics.
 fn detection(result: &trial::TrialResult) -> Option<Detection> {
     if let Some(error) = &result.link_error {
         let emulator_failed = matches!(

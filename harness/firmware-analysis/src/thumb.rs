@@ -10,17 +10,15 @@ pub struct Instruction {
     pub second: Option<u16>,
 }
 
-/// Where control continues.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Flow {
     Next,
-    /// A condition decides between the target and the next instruction.
     Conditional(u32),
     Jump(u32),
     Call(Option<u32>),
-    /// A table follows, with entries of this many bytes.
+    /// A table of targets with entries of this many bytes follows.
     Table(u32),
-    /// To an address in a register or on the stack.
+    /// Control continues at an address in a register or on the stack.
     Elsewhere,
 }
 
@@ -42,7 +40,7 @@ impl Instruction {
         halfwords.into_iter().flatten().flat_map(u16::to_le_bytes).collect()
     }
 
-    /// Value of the program counter that the instruction reads.
+    /// Value of the program counter as the instruction reads it.
     pub(crate) fn pc(&self) -> u32 {
         self.address.wrapping_add(4)
     }
@@ -106,13 +104,13 @@ impl Instruction {
     }
 }
 
-/// An `IT` instruction: its first condition and mask; `None` for hints, which share the encoding.
+/// First condition and mask of an `IT` instruction. `None` for others, also for hints, which share the encoding.
 pub(crate) fn it_condition(instruction: &Instruction) -> Option<(u16, u16)> {
     let is_it = instruction.first & 0xFF00 == 0xBF00 && instruction.first & 0xF != 0;
     is_it.then_some((instruction.first >> 4 & 0xF, instruction.first & 0xF))
 }
 
-/// Instructions that an `IT` with this mask makes conditional.
+/// Number of instructions that an `IT` with this mask makes conditional.
 pub(crate) fn it_length(mask: u16) -> u32 {
     4 - mask.trailing_zeros().min(3)
 }

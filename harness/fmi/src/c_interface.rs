@@ -1,6 +1,6 @@
 //! Implements the C interface of FMI 3.0 for co-simulation. Source: `fmi3FunctionTypes.h` of the standard.
 //!
-//! Variables are real numbers, so functions for other types and for event mode report an error.
+//! All variables are real numbers. Functions for other types and for event mode return an error.
 
 #![allow(unsafe_code, non_snake_case, unreachable_pub, reason = "the C interface of the standard")]
 #![allow(clippy::missing_safety_doc, reason = "the standard states what a caller must guarantee")]
@@ -88,7 +88,7 @@ pub unsafe extern "C" fn fmi3InstantiateCoSimulation(
         (Some(INSTANTIATION_TOKEN), Some(folder)) => {
             Instance::from_resources(Path::new(folder)).map_err(|error| error.to_string())
         }
-        (Some(INSTANTIATION_TOKEN), None) => Err("no path of the FMU's resources".to_owned()),
+        (Some(INSTANTIATION_TOKEN), None) => Err("the caller gave no path of the FMU's resources".to_owned()),
         (other, _) => Err(format!("instantiation token {other:?}, expected {INSTANTIATION_TOKEN:?}")),
     };
     match created {
@@ -104,7 +104,7 @@ pub unsafe extern "C" fn fmi3InstantiateCoSimulation(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fmi3FreeInstance(instance: *mut c_void) {
     if !instance.is_null() {
-        // SAFETY: made by `Box::into_raw` and freed once, as the standard requires.
+        // SAFETY: `Box::into_raw` made the pointer, and the standard requires that it is freed once.
         drop(unsafe { Box::from_raw(instance.cast::<Component>()) });
     }
 }
@@ -191,14 +191,14 @@ pub unsafe extern "C" fn fmi3DoStep(
     // SAFETY: the caller passes an instance.
     let Some(component) = (unsafe { component(instance) }) else { return ERROR };
     for flag in [event_handling_needed, terminate, early_return] {
-        // SAFETY: null or a flag of the caller.
+        // SAFETY: the pointer is null or points to a flag of the caller.
         if let Some(flag) = unsafe { flag.as_mut() } {
             *flag = false;
         }
     }
     let result = component.instance.step(from, step);
     let status = component.report(result);
-    // SAFETY: null or a number of the caller.
+    // SAFETY: the pointer is null or points to a number of the caller.
     if let (Some(last_time), Ok(time)) = (unsafe { last_time.as_mut() }, component.instance.value(0)) {
         *last_time = time;
     }
@@ -213,7 +213,7 @@ pub unsafe extern "C" fn fmi3GetFMUState(instance: *mut c_void, state: *mut *mut
     if place.is_null() {
         *place = Box::into_raw(Box::new(component.instance.clone())).cast();
     } else {
-        // SAFETY: a state that this function made.
+        // SAFETY: this function made the state.
         unsafe { *place.cast::<Instance>() = component.instance.clone() };
     }
     OK
@@ -231,19 +231,18 @@ pub unsafe extern "C" fn fmi3SetFMUState(instance: *mut c_void, state: *mut c_vo
 
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fmi3FreeFMUState(_instance: *mut c_void, state: *mut *mut c_void) -> c_int {
-    // SAFETY: a place for a pointer, or null.
+    // SAFETY: the caller passes null or a place for a pointer.
     if let Some(place) = unsafe { state.as_mut() }
         && !place.is_null()
     {
-        // SAFETY: made by `Box::into_raw` in `fmi3GetFMUState`.
+        // SAFETY: `Box::into_raw` in `fmi3GetFMUState` made the pointer.
         drop(unsafe { Box::from_raw(place.cast::<Instance>()) });
         *place = ptr::null_mut();
     }
     OK
 }
 
-/// Functions that only return a status. In the C convention of Linux the caller owns the arguments, so none is
-/// declared.
+/// Functions that only return a status. They declare no arguments, which the caller owns in the C convention of Linux.
 macro_rules! status_functions {
     ($status:expr => $($name:ident)*) => {
         $(

@@ -5,12 +5,11 @@ use platebench_plate::Plate;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
-/// Name of the shared library in the FMU.
 pub(crate) const MODEL_IDENTIFIER: &str = "platebench_fmi";
-/// The library refuses a description with another token.
+/// The library rejects a description with another token.
 pub(crate) const INSTANTIATION_TOKEN: &str = "platebench-plate-1";
 
-/// Name, factor to the base unit, base unit.
+/// Name of each unit, factor to its SI base units, and their exponents.
 const UNITS: [(&str, f64, &str); 6] = [
     ("V", 1.0, "kg=\"1\" m=\"2\" s=\"-3\" A=\"-1\""),
     ("Hz", 1.0, "s=\"-1\""),

@@ -10,7 +10,6 @@ use std::path::{Path, PathBuf};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-/// The shared library that cargo builds with this crate.
 const LIBRARY_FILE: &str = "libplatebench_fmi.so";
 
 #[derive(Debug, thiserror::Error)]
@@ -26,7 +25,7 @@ pub enum FmuError {
     Io { path: PathBuf, source: io::Error },
     #[error("{} is not a shared library of Linux (ELF)", .0.display())]
     NotALibrary(PathBuf),
-    #[error("this FMU would be for {0}, expected x86_64 or aarch64")]
+    #[error("an FMU needs a computer with x86_64 or aarch64, this one has {0}")]
     Architecture(&'static str),
     #[error("{} exists already, expected another name", .0.display())]
     FileExists(PathBuf),
@@ -34,7 +33,7 @@ pub enum FmuError {
     Archive { path: PathBuf, source: zip::result::ZipError },
 }
 
-/// Searches the folder of `program`: an installed file, cargo's `deps`, or `../lib/platebench`.
+/// Searches the folder of `program`, its `deps` (built by cargo), and `../lib/platebench` (installed).
 pub fn find_library(program: &Path) -> Result<PathBuf, FmuError> {
     let folder = program.parent().unwrap_or(Path::new("."));
     let folders = [folder.to_owned(), folder.join("deps"), folder.join("../lib/platebench")];
@@ -52,7 +51,7 @@ const fn platform() -> Option<&'static str> {
     }
 }
 
-/// `plate_text` is the file of `plate`. Overwrites no file.
+/// `plate_text` is the content of the plate file. Fails if `out` exists.
 pub fn write(plate: &Plate, plate_text: &str, title: &str, library: &Path, out: &Path) -> Result<(), FmuError> {
     let io = |path: &Path| {
         let path = path.to_owned();

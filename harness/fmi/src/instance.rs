@@ -1,5 +1,5 @@
-//! Simulates a plate between communication points. Inputs are constant during a step, so the closed form is exact
-//! for every step size.
+//! Simulates a plate between communication points. Inputs are constant during a step, so the closed form is exact for
+//! every step size.
 
 use crate::variables::{INPUTS, OUTPUTS, TIME_REFERENCE};
 use platebench_plate::{ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, RawPlate, Tier, Time};
@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 use std::fs;
 use std::path::Path;
 
-/// The plate file in the folder `resources` of the FMU.
+/// Plate file in the folder `resources` of the FMU.
 pub(crate) const PLATE_FILE: &str = "plate.toml";
 
 #[derive(Debug, thiserror::Error)]
@@ -18,15 +18,16 @@ pub enum InstanceError {
     Parse(#[from] toml::de::Error),
     #[error("{PLATE_FILE} of the FMU: {0}")]
     Plate(#[from] platebench_plate::PlateError),
-    #[error("value reference {0} is none of this FMU's variables that this function serves")]
+    #[error("the FMU has no variable with the value reference {0} for this function; see modelDescription.xml")]
     NoVariable(u32),
     #[error("{name} is {value}, expected {expected}")]
     Input { name: &'static str, value: f64, expected: &'static str },
-    #[error("a step from {from} s by {step} s, expected to begin at {at} s and not to go back")]
+    #[error(
+        "the step begins at {from} s and is {step} s long, expected a step that begins at {at} s and is not negative"
+    )]
     Step { from: f64, step: f64, at: f64 },
 }
 
-/// A plate with its inputs; starts at rest.
 #[derive(Debug, Clone)]
 pub struct Instance {
     plate: Plate,

@@ -1,4 +1,4 @@
-//! Defines what a recording may show besides one mode.
+//! Defines the effects that a fit may find besides one mode.
 
 use crate::estimate::Estimate;
 use serde::Serialize;
@@ -8,7 +8,6 @@ use serde::Serialize;
 const MAX_STRENGTH_ERROR: f64 = 0.2;
 const MAX_TIME_CONSTANT_ERROR: f64 = 0.5;
 
-/// What a recording shows besides one mode.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum EffectFit {
     SecondMode(IdentifiedSecondMode),
@@ -16,7 +15,6 @@ pub enum EffectFit {
 }
 
 impl EffectFit {
-    /// True if the errors are small enough to exclude a chance fit.
     pub(crate) fn is_determined(&self) -> bool {
         let (strength, time_constant) = match self {
             Self::SecondMode(mode) => (&mode.gain_um_per_vpp, &mode.time_constant_s),
@@ -27,7 +25,6 @@ impl EffectFit {
     }
 }
 
-/// The second mode of the plate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct IdentifiedSecondMode {
     pub resonance_hz: Estimate,
@@ -35,15 +32,13 @@ pub struct IdentifiedSecondMode {
     pub gain_um_per_vpp: Estimate,
 }
 
-/// The thermal node of the plate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct IdentifiedHeating {
-    /// In the steady state.
+    /// Shift of the resonance in the steady state.
     pub shift_hz_per_um2: Estimate,
     pub time_constant_s: Estimate,
 }
 
-/// Means over the recordings that show a second mode.
 pub(crate) fn pool_second_modes(effects: &[EffectFit]) -> Option<IdentifiedSecondMode> {
     let [resonance_hz, time_constant_s, gain_um_per_vpp] = pool(effects, |effect| match effect {
         EffectFit::SecondMode(mode) => Some([mode.resonance_hz, mode.time_constant_s, mode.gain_um_per_vpp]),
@@ -52,7 +47,6 @@ pub(crate) fn pool_second_modes(effects: &[EffectFit]) -> Option<IdentifiedSecon
     Some(IdentifiedSecondMode { resonance_hz, time_constant_s, gain_um_per_vpp })
 }
 
-/// Means over the recordings that show self-heating.
 pub(crate) fn pool_heating(effects: &[EffectFit]) -> Option<IdentifiedHeating> {
     let [shift_hz_per_um2, time_constant_s] = pool(effects, |effect| match effect {
         EffectFit::Heating(heating) => Some([heating.shift_hz_per_um2, heating.time_constant_s]),

@@ -1,8 +1,8 @@
 //! Fits a second mode or self-heating to a recording that one mode does not explain.
 //!
-//! The model of `fit.rs` with more parameters, for a recording under one temperature and force. Both modes have the
-//! same drive, and W is their sum. Self-heating: `T' = (|W|² − T)/τ_h` in µm² and `ω0 + s T`; T is 0 at the first
-//! sample, and the mode is frozen at the middle of each interval between samples or inputs.
+//! The model is that of `fit.rs` with more parameters, for a recording under one temperature and force. Both modes
+//! have the same drive, and W is their sum. Self-heating gives the resonance `ω0 + s T` with `T' = (|W|² − T)/τ_h`, T
+//! in µm², 0 at the first sample. Each interval between samples or inputs uses the mode at its middle.
 
 use crate::effect::{EffectFit, IdentifiedHeating, IdentifiedSecondMode};
 use crate::estimate::{Estimate, WhitenessTest};
@@ -12,13 +12,13 @@ use nalgebra::{DMatrix, DVector};
 use platebench_plate::{Complex64, Drive, Flow, Mode, State, Tier};
 use std::f64::consts::TAU;
 
-/// A longer interval is divided, s: |W|² and T are then straight lines.
+/// A longer interval is divided. |W|² and T are nearly linear in the parts.
 const LONGEST_PIECE_S: f64 = 1e-3;
-/// rad/s per µm²
+/// Unit of the parameter s, rad/s per µm².
 const SHIFT_UNIT: f64 = 10.0;
-/// Below half of the sampling frequency of 1 kHz, with room for the detuning.
+/// Start values, below half of the sampling frequency of 1 kHz with a reserve for the detuning.
 const SECOND_MODE_DISTANCES_HZ: [f64; 10] = [-420.0, -300.0, -200.0, -120.0, -60.0, 60.0, 120.0, 200.0, 300.0, 420.0];
-/// As a share of K1.
+/// Start values as a share of K1.
 const SECOND_GAINS: [f64; 2] = [0.1, -0.1];
 const HEATING_TIME_CONSTANTS_S: [f64; 3] = [0.05, 0.3, 2.0];
 
@@ -28,12 +28,11 @@ enum EffectKind {
     Heating,
 }
 
-/// Its parameters: `[ln K1, ln τ, resonance, Re W, Im W]`, then `[ln τ2, resonance, gain/K1]` of a second mode or
+/// The parameters are `[ln K1, ln τ, resonance, Re W, Im W]`, then `[ln τ2, resonance, gain/K1]` of a second mode or
 /// `[s, ln τ_h]` of self-heating.
 struct EffectModel<'a> {
     recording: &'a Recording,
     kind: EffectKind,
-    /// Mean excitation frequency, rad/s.
     mean_omega: f64,
 }
 
@@ -112,7 +111,7 @@ impl EffectModel<'_> {
         })
     }
 
-    /// The first mode is the one with the larger gain: start parameters with the modes exchanged, if they are not so.
+    /// Start parameters with the modes exchanged if the second mode has the larger gain.
     fn exchange_modes(&self, theta: &DVector<f64>) -> Option<DVector<f64>> {
         if self.kind != EffectKind::SecondMode || theta[7].abs() <= 1.0 {
             return None;
@@ -122,7 +121,6 @@ impl EffectModel<'_> {
         Some(DVector::from_vec([&[gain, theta[5], theta[6], theta[3], theta[4]][..], &more].concat()))
     }
 
-    /// `None` if the recording does not determine the effect.
     fn fit(&self, one_mode: &DirectFit) -> Option<DirectFit> {
         let samples = 2 * self.recording.outputs.len();
         let residuals = |theta: &DVector<f64>| self.residuals(theta);
@@ -174,8 +172,8 @@ impl EffectModel<'_> {
     }
 }
 
-/// A fit with a second mode or self-heating whose residuals `is_explained` accepts; the one with the smaller
-/// residuals. `None` under several temperatures or forces.
+/// Returns the fit with the smaller residuals of those that `is_explained` accepts, with a second mode or
+/// self-heating. `None` if there is no such fit, or under several temperatures or forces.
 pub(crate) fn fit_effect(
     recording: &Recording,
     one_mode: &DirectFit,

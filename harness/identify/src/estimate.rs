@@ -3,7 +3,6 @@
 use serde::Serialize;
 use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
 
-/// Confidence of every interval here.
 pub const CONFIDENCE: f64 = 0.95;
 pub(crate) const FREEDOM_OF_KNOWN_ERRORS: f64 = 1e4;
 
@@ -21,7 +20,6 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// `freedom`: degrees of freedom of the error.
     pub fn new(value: f64, error: f64, freedom: f64) -> Self {
         let reach = quantile(freedom) * error;
         Self { value, error, low: value - reach, high: value + reach, freedom }
@@ -49,7 +47,7 @@ impl Estimate {
         (self.low..=self.high).contains(&truth)
     }
 
-    /// Estimates of one quantity with independent errors, weighted by their precision.
+    /// Mean of estimates of one quantity with independent errors, weighted by their precision.
     pub(crate) fn combine_independent(estimates: &[Self]) -> Option<Self> {
         if let [] | [_] = estimates {
             return estimates.first().copied();
@@ -60,7 +58,7 @@ impl Estimate {
         Some(Self::new(value, sum.sqrt().recip(), FREEDOM_OF_KNOWN_ERRORS))
     }
 
-    /// Estimates of one recording count as one.
+    /// Each estimate has the name of its recording. Estimates of one recording count as one.
     pub fn pool_by_recording(estimates: &[(String, Self)]) -> Option<Self> {
         let mut sorted = estimates.to_vec();
         sorted.sort_by(|a, b| a.0.cmp(&b.0));
@@ -69,7 +67,7 @@ impl Estimate {
         Self::pool(&groups.filter_map(own).collect::<Vec<_>>())
     }
 
-    /// Mean, with the error from the scatter or from the estimates' errors, the larger one.
+    /// Mean. Its error is the larger one of the error from the scatter and the error from the estimates' errors.
     pub fn pool(estimates: &[Self]) -> Option<Self> {
         let (first, count) = (*estimates.first()?, estimates.len() as f64);
         if estimates.len() == 1 {
@@ -86,7 +84,7 @@ fn quantile(freedom: f64) -> f64 {
     StudentsT::new(0.0, 1.0, freedom.max(1.0)).map_or(f64::INFINITY, |t| t.inverse_cdf(f64::midpoint(1.0, CONFIDENCE)))
 }
 
-/// The test of Ljung and Box for white residuals.
+/// Ljung-Box test for white residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct WhitenessTest {
     /// `Q = n(n+2) Σ ρ²/(n−k)` over all lags and both components.
@@ -98,9 +96,8 @@ pub struct WhitenessTest {
 }
 
 impl WhitenessTest {
-    /// Tests at lags up to 10 or a fifth of the length; `None` below ten residuals or for zeros.
-    /// G. M. Ljung, G. E. P. Box, Biometrika 65, 1978. The degrees of freedom are not reduced:
-    /// the model's response does not depend on past outputs.
+    /// Tests lags up to 10 or a fifth of the length. `None` for fewer than ten or constant residuals. The model has no
+    /// past outputs, so the freedom is not reduced (G. M. Ljung, G. E. P. Box, Biometrika 65, 1978).
     pub fn ljung_box(components: &[Vec<f64>]) -> Option<Self> {
         let mut whole = Self { statistic: 0.0, freedom: 0, p_value: 1.0 };
         for residuals in components {
@@ -121,7 +118,6 @@ impl WhitenessTest {
         Some(whole)
     }
 
-    /// At the level of 1 %.
     pub fn is_rejected(&self) -> bool {
         self.p_value < 0.01
     }

@@ -18,9 +18,9 @@ enum ColumnRole {
     Setpoint,
 }
 
-/// Units with their factors to s, Vpp, rad/s, µm, K and N; the first is the default.
+/// Units with their factors to s, Vpp, rad/s, µm, K and N. The first one is the default.
 type Units = &'static [(&'static str, f64)];
-/// Name, role, units, required.
+/// Name, role, units, and whether the column is required.
 const ROLES: [(&str, ColumnRole, Units, bool); 8] = [
     ("time", ColumnRole::Time, &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)], true),
     ("drive", ColumnRole::Drive, &[("Vpp", 1.0), ("V", 2.0)], true),
@@ -34,9 +34,9 @@ const ROLES: [(&str, ColumnRole, Units, bool); 8] = [
 
 /// `time=NAME[:UNIT],drive=…,frequency=…,wd=…,wq=…[,temperature=…][,force=…][,setpoint=…]`
 ///
-/// Units: time s, ms, us · drive Vpp, V (amplitude: half of it) · frequency Hz, kHz, rad/s · wd and
-/// wq um, nm, m, peak to peak · temperature K above the reference · force N · setpoint as wd.
-/// The first is the default. Drive and frequency of a row act from its time on; Wd and Wq are sampled at it.
+/// Units are time s, ms, us · drive Vpp, V (amplitude, half of Vpp) · frequency Hz, kHz, rad/s · wd and wq um, nm, m,
+/// peak to peak · temperature K above the reference · force N · setpoint as wd. The first one is the default. Drive
+/// and frequency of a row act from its time on. Wd and Wq are sampled at this time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnMapping(Vec<(ColumnRole, String, f64)>);
 
@@ -72,20 +72,14 @@ impl FromStr for ColumnMapping {
 #[derive(Debug, thiserror::Error)]
 pub enum ExternalCsvError {
     #[error("{name}:{line}: {message}")]
-    Content {
-        name: String,
-        line: u64,
-        /// The column, its content and the expected values.
-        message: String,
-    },
+    Content { name: String, line: u64, message: String },
     #[error("{0}: {1}")]
     Unusable(String, RecordingError),
 }
 
-/// One row of a table, in the units of the bench.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TelemetryRow {
-    /// Seconds.
+    /// s.
     pub t: f64,
     pub vpp: f64,
     /// rad/s.
@@ -93,7 +87,6 @@ pub struct TelemetryRow {
     /// Wd and Wq, µm.
     pub w: Complex64,
     pub conditions: Conditions,
-    /// `None` without such a column.
     pub setpoint_um: Option<f64>,
 }
 

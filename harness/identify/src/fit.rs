@@ -1,15 +1,13 @@
-//! Fits the exact response of the mode to all samples: the direct fit.
+//! Fits the exact response of the mode to all samples (the direct fit).
 //!
-//! The model is the modal tier with piecewise constant drive, frequency, temperature and force.
-//! Parameters: K1, one time constant per force, one resonance per temperature and force, the
-//! instant of each change of force, and W at the first sample. Noise is an error of the output: the
-//! estimates are unbiased to first order, and the residuals of the right model are white.
-//! Levenberg-Marquardt on logarithms of positive parameters; intervals from the curvature at the
-//! minimum and the power of the residuals.
+//! The model is the modal tier with piecewise constant drive, frequency, temperature and force. Its parameters are K1,
+//! one time constant per force, one resonance per temperature and force, the instant of each change of force, and W at
+//! the first sample. Noise is an error of the output, so the estimates are unbiased to first order, and the residuals
+//! of the right model are white. Levenberg-Marquardt minimises them over logarithms of positive parameters. Intervals
+//! follow from the curvature at the minimum and the power of the residuals.
 //!
-//! A finger touches between two rows, and the table has the new force from the next row on. The
-//! instant is known to one period, and an error of it is an error of τ: ΔW(1 − e^(−δ/τ)) in the
-//! first sample.
+//! A finger touches between two rows, and the table has the new force from the next row on. Therefore the instant is
+//! known only to one period. Its error δ changes the first sample by `ΔW(1 − e^(−δ/τ))` and biases τ.
 
 use crate::arx::{ArxMethod, arx};
 use crate::effect::EffectFit;
@@ -21,33 +19,32 @@ use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, State, Tier};
 const MAX_ITERATIONS: usize = 80;
 const CONVERGENCE_TOLERANCE: f64 = 1e-10;
 const DIFFERENCE_STEP: f64 = 1e-6;
-/// Relative to the mean excitation frequency, rad/s.
+/// Unit of the resonance parameters, which are relative to the mean excitation frequency, rad/s.
 pub(crate) const OMEGA_UNIT: f64 = 500.0;
-/// Largest relative error of K1 or τ of an estimate that counts.
+/// Largest relative error of K1 or τ. A fit with a larger one fails.
 const MAX_RELATIVE_ERROR: f64 = 0.5;
-/// Fits with instants of touch: each takes the weight of a period from the noise of the previous.
+/// Number of fits with instants of touch. Each takes its `touch_weight` from the noise of the previous fit.
 const TOUCH_FITS: usize = 2;
-/// Below rounding; without it an instant without effect is singular in a recording without noise.
+/// Lower limit of `touch_weight`, below rounding. Otherwise an instant without effect makes a noise-free fit singular.
 const SMALLEST_NOISE_UM: f64 = 1e-12;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct DirectFit {
     /// K1 at the lowest force, µm/Vpp.
     pub gain: Estimate,
-    /// Per force in N, lowest first: τ in s.
+    /// Force in N, lowest first, and τ in s.
     pub time_constants: Vec<(f64, Estimate)>,
-    /// Per force in N: σ/σ at the lowest force.
+    /// Force in N, and σ relative to that at the lowest force.
     pub damping: Vec<(f64, Estimate)>,
-    /// Per temperature and force: ω0 in rad/s.
+    /// ω0 in rad/s for each temperature and force.
     pub resonances: Vec<(Conditions, Estimate)>,
-    /// (rad/s)²: an error of τ moves all resonances that are excited off resonance.
+    /// In (rad/s)². An error of τ moves all resonances that are excited off resonance.
     pub resonance_covariance: DMatrix<f64>,
     /// Standard deviation of the residuals on each component.
     pub noise_um: f64,
     pub whiteness: Option<WhitenessTest>,
     /// W of the model at each sample.
     pub curve: Vec<Complex64>,
-    /// A second mode or self-heating, if the recording shows it.
     pub effect: Option<EffectFit>,
 }
 
@@ -57,13 +54,11 @@ impl DirectFit {
     }
 }
 
-/// Temperature or force takes another level.
 struct LevelChange {
-    /// By the table, s.
+    /// Time in the table, s.
     t: f64,
-    /// Index of the conditions from then on.
     conditions: usize,
-    /// Number of the parameter of its instant; `None` without a change of force.
+    /// Number of the touch. `None` if the force does not change.
     touch: Option<usize>,
 }
 
@@ -73,13 +68,11 @@ struct ParameterLayout<'a> {
     changes: Vec<LevelChange>,
     touches: usize,
     period: f64,
-    /// µm per period: standard deviation of an instant of touch, as a residual. 0: instants as in
-    /// the table.
+    /// Converts an instant of touch in periods to a residual in µm. 0 keeps the instants of the table.
     touch_weight: f64,
     /// Lowest first, N.
     forces: Vec<f64>,
     force_index: Vec<usize>,
-    /// rad/s
     mean_omega: f64,
 }
 
@@ -116,7 +109,7 @@ impl<'a> ParameterLayout<'a> {
         }
     }
 
-    /// `[ln K1, ln τ …, resonance …, Re W, Im W, instant of touch in periods …]`
+    /// The parameters are `[ln K1, ln τ …, resonance …, Re W, Im W, instant of touch in periods …]`.
     fn parameter_count(&self) -> usize {
         self.touch_index(if self.touch_weight > 0.0 { self.touches } else { 0 })
     }
@@ -251,7 +244,7 @@ pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
     })
 }
 
-/// `(τ in s, Δω in rad/s)`: first order of Wd at resonance, and two around the paper's plate.
+/// Start values `(τ in s, Δω in rad/s)`: a first-order fit of Wd at resonance, and two around the paper's plate.
 fn start_points(recording: &Recording) -> Vec<(f64, f64)> {
     let wd: Vec<f64> = recording.outputs.iter().map(|output| output.w.re).collect();
     let drive: Vec<f64> = recording.inputs_at_samples().iter().map(|input| input.vpp).collect();
@@ -273,7 +266,7 @@ fn jacobian(
     DMatrix::from_columns(&(0..theta.len()).map(column).collect::<Vec<_>>())
 }
 
-/// Covariance of the parameters, for residuals with the variance 1. `None` if they are not determined.
+/// Covariance of the parameters for residuals of variance 1. `None` if the parameters are not determined.
 pub(crate) fn covariance_of(
     residuals: &impl Fn(&DVector<f64>) -> DVector<f64>,
     theta: &DVector<f64>,
@@ -282,7 +275,7 @@ pub(crate) fn covariance_of(
     (jacobian.transpose() * &jacobian).cholesky().map(|factor| factor.inverse())
 }
 
-/// The method of Levenberg and Marquardt. Returns the parameters and the sum of squares of the residuals `of` them.
+/// Levenberg-Marquardt. Returns the parameters and the sum of squares of the residuals `of` them.
 pub(crate) fn minimise(
     of: &impl Fn(&DVector<f64>) -> DVector<f64>,
     mut theta: DVector<f64>,

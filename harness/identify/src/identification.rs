@@ -18,13 +18,12 @@ use std::f64::consts::TAU;
 pub struct RecordingFit {
     pub recording: String,
     pub samples: usize,
-    /// At the lowest force.
+    /// At the lowest force, like `time_constant_s`.
     pub gain_um_per_vpp: Estimate,
-    /// At the lowest force.
     pub time_constant_s: Estimate,
-    /// Under the first temperature and force.
+    /// Under the first temperature and force of the recording.
     pub resonance_hz: Estimate,
-    /// First excitation frequency above that resonance.
+    /// First excitation frequency above `resonance_hz`.
     pub detuning_hz: Estimate,
     pub noise_um: f64,
     pub whiteness: Option<WhitenessTest>,
@@ -33,43 +32,37 @@ pub struct RecordingFit {
 /// The identified plate. Parameters that the recordings do not determine are `None` or empty.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Identification {
-    /// Table I; `frequency_steps`: Table II.
     pub voltage_steps: Vec<VoltageStep>,
     pub frequency_steps: Vec<FrequencyStep>,
     pub recordings: Vec<RecordingFit>,
     pub undetermined: Vec<String>,
-    /// By direct fits, without a finger.
+    /// By direct fits without a finger, like `time_constant_s`.
     pub gain_um_per_vpp: Option<Estimate>,
-    /// By direct fits, without a finger.
     pub time_constant_s: Option<Estimate>,
-    /// K2 by ARX with instruments.
+    /// K2 by ARX with instrumental variables.
     pub frequency_gain_s: Option<Estimate>,
     /// τ2 by direct fits of the steps of the frequency.
     pub frequency_time_constant_s: Option<Estimate>,
     /// At the reference temperature.
     pub resonance_hz: Option<Estimate>,
     pub slope_hz_per_k: Option<Estimate>,
-    /// Per force in N: σ/σ0.
+    /// Force in N and σ/σ0.
     pub damping_ratio: Vec<(f64, Estimate)>,
     pub shift_hz_per_n: Option<Estimate>,
-    /// K1 from the lowest to the highest drive.
+    /// Change of K1 from the lowest to the highest drive.
     pub gain_change_percent: Option<Estimate>,
-    /// If recordings show it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub second_mode: Option<IdentifiedSecondMode>,
-    /// If recordings show it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heating: Option<IdentifiedHeating>,
-    /// Standard deviation of the residuals on each component.
     pub noise_um: f64,
     pub highest_vpp: f64,
     #[serde(rename = "doubts")]
     pub inconsistencies: Vec<Inconsistency>,
 }
 
-/// Returns the fits in the order of [`Identification::recordings`]. Without a known slope of the
-/// resonance, temperature steps count as frequency steps only if the recordings determine it.
-/// Fails if no recording determines the parameters.
+/// Returns the fits in the order of [`Identification::recordings`]. Temperature steps count as frequency steps only if
+/// the slope of the resonance is given or follows from recordings. Fails if no recording determines the parameters.
 pub fn identify(
     recordings: &[Recording],
     slope_hz_per_k: Option<f64>,
@@ -148,8 +141,8 @@ pub fn identify(
     Ok((identification, fitted.into_iter().map(|(_, fit)| fit).collect()))
 }
 
-/// If more recordings than chance explains have residuals that are not white, replaces their fits by those with a
-/// second mode or self-heating that make them white.
+/// Replaces fits whose residuals are not white by fits with a second mode or self-heating whose residuals are white.
+/// Keeps the fits if chance explains their number.
 fn with_effects(mut fitted: Vec<(&Recording, DirectFit)>) -> Vec<(&Recording, DirectFit)> {
     let coloured = fitted.iter().filter(|(recording, fit)| is_coloured(recording, fit)).count();
     let tested = fitted.iter().filter(|(_, fit)| fit.whiteness.is_some()).count();
@@ -182,7 +175,6 @@ fn summarise_fit(recording: &Recording, fit: &DirectFit) -> Option<RecordingFit>
 /// Resonance at the reference temperature, rad/s, and its slope, rad/s per K.
 type TemperatureLine = (Estimate, Option<Estimate>);
 
-/// Without a slope for a single temperature.
 fn temperature_line(fit: &DirectFit) -> Option<TemperatureLine> {
     let force = fit.time_constants.first()?.0;
     let untouched = |conditions: &Conditions| conditions.finger_force_n == force;
@@ -191,7 +183,7 @@ fn temperature_line(fit: &DirectFit) -> Option<TemperatureLine> {
     line.map(|(start, slope)| (start, Some(slope))).or_else(only)
 }
 
-/// rad/s per newton, at the temperature of the first conditions.
+/// Slope of the resonance in rad/s per newton, at the temperature of the first conditions.
 fn force_slope(fit: &DirectFit) -> Option<Estimate> {
     let warm = fit.resonances.first()?.0.temperature_offset_k;
     let line = fit_resonance_line(fit, |conditions| {
@@ -200,7 +192,7 @@ fn force_slope(fit: &DirectFit) -> Option<Estimate> {
     line.map(|(_, slope)| slope)
 }
 
-/// Over all recordings with an untouched plate, by rising force.
+/// σ/σ0 over all recordings with an untouched plate, by rising force.
 fn damping_ratios(fitted: &[(&Recording, DirectFit)]) -> Vec<(f64, Estimate)> {
     let untouched = fitted
         .iter()
@@ -215,7 +207,7 @@ fn damping_ratios(fitted: &[(&Recording, DirectFit)]) -> Vec<(f64, Estimate)> {
     groups.filter_map(pool).collect()
 }
 
-/// Percent of the mean; `None` below three levels.
+/// Percent of the mean. `None` for fewer than three steps.
 fn gain_change_percent(steps: &[VoltageStep]) -> Option<Estimate> {
     let points: Vec<_> = steps.iter().filter_map(|step| Some((step.vpp, step.direct?[0]))).collect();
     let drives = points.iter().map(|point| point.0);
@@ -237,15 +229,15 @@ fn fit_resonance_line(fit: &DirectFit, abscissa: impl Fn(&Conditions) -> Option<
     fit_line(&points, &fit.resonance_covariance.select_rows(&numbers).select_columns(&numbers))
 }
 
-/// Generalised least squares: value at 0, and slope. The errors grow if the points scatter more
-/// than their covariance. `None` if all have the same abscissa.
+/// Fits a line by generalised least squares. Returns its value at 0 and its slope. The errors grow if the points
+/// scatter more than their covariance. `None` if all points have the same abscissa.
 fn fit_line(points: &[(f64, f64)], covariance: &DMatrix<f64>) -> Option<(Estimate, Estimate)> {
     let first = points.first()?;
     if points.iter().all(|point| point.0 == first.0) {
         return None;
     }
     let places = DMatrix::from_fn(points.len(), 2, |row, column| if column == 0 { 1.0 } else { points[row].0 });
-    // Subtracts the common part of the values to keep digits.
+    // Subtracts the first value to keep digits.
     let values = DVector::from_iterator(points.len(), points.iter().map(|point| point.1 - first.1));
     let factor = covariance.clone().cholesky()?;
     let known = (places.transpose() * factor.solve(&places)).try_inverse()?;

@@ -10,24 +10,24 @@ use std::f64::consts::PI;
 use std::fmt;
 
 const LEVEL: f64 = 0.01;
-/// Share of the largest |W|. Smaller residuals are rounding: the wire carries single precision.
+/// Smaller residuals, as a share of the largest |W|, are rounding, because the wire carries single precision.
 const ROUNDING: f64 = 1e-5;
-/// A value that is the largest or smallest in more than this share of samples is clipped.
+/// A component is clipped if more than this share of its samples is the largest or the smallest value.
 const CLIPPED_SHARE: f64 = 0.02;
-/// Smallest number of samples at a limit other than 0.
+/// Fewer samples at a limit are not clipping.
 const MIN_CLIPPED: usize = 5;
-/// A hand on rubber to a bell in vacuum.
+/// Quality factors from a strongly damped plate to a nearly undamped one.
 const QUALITY: [f64; 2] = [5.0, 20_000.0];
-/// Change of K1 over the drives, percent, that still counts as linear.
+/// Largest change of K1 over the drives of a linear plate.
 const LINEAR_PERCENT: f64 = 2.0;
 
 /// A reason why the identified parameters are doubtful.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum Inconsistency {
-    /// Residuals are not white: the plate changed in a way that the model does not have.
+    /// The residuals are not white. The plate changed in a way that the model does not include.
     Residuals {
-        /// Recordings.
+        /// Number of recordings.
         rejected: usize,
         tested: usize,
     },
@@ -42,11 +42,10 @@ pub enum Inconsistency {
         recording: String,
     },
     QualityFactor {
-        /// Its value, π · resonance · τ.
+        /// π · resonance · τ.
         value: f64,
     },
     NotLinear {
-        /// From the lowest to the highest drive.
         change_percent: f64,
     },
 }
@@ -63,7 +62,7 @@ impl fmt::Display for Inconsistency {
                 write!(formatter, "{recording}: {component} is clipped at {limit_um} µm in {samples} samples")
             }
             Self::Swapped { recording } => {
-                write!(formatter, "{recording}: fits better with Wd and Wq exchanged; check the columns")
+                write!(formatter, "{recording}: the model fits better with Wd and Wq exchanged; check the columns")
             }
             Self::QualityFactor { value } => write!(
                 formatter,
@@ -92,7 +91,6 @@ pub(crate) fn inconsistent_recordings(fitted: &[(&Recording, DirectFit)]) -> Vec
     inconsistencies
 }
 
-/// Resonance in Hz, time constant in s, change of K1 in percent.
 pub(crate) fn implausible_parameters(
     resonance_hz: Option<Estimate>,
     time_constant_s: Option<Estimate>,
@@ -150,10 +148,10 @@ fn fits_better_with_exchanged_components(recording: &Recording, fit: &DirectFit)
     fit_direct(&exchanged).is_ok_and(|other| other.noise_um < 0.5 * fit.noise_um)
 }
 
-/// True if a probability above 1 % explains the rejections of white residuals in independent tests.
+/// True if so many rejections of white residuals have a probability above 1 % in independent tests.
 pub(crate) fn is_explained_by_chance(rejected: usize, tests: usize) -> bool {
     let Some(fewer) = (rejected as u64).checked_sub(1) else { return true };
-    // A probability of 1 % is rounded.
+    // The computed probability of 1 % has a rounding error.
     Binomial::new(LEVEL, tests as u64).is_ok_and(|count| count.sf(fewer) > LEVEL * (1.0 + 1e-9))
 }
 

@@ -15,8 +15,7 @@ pub struct ParameterUncertainty {
     pub combined: CombinedUncertainty,
 }
 
-/// The standard error of the fit is the repeatability of a budget that states none. Parameters
-/// without a budget or without an estimate are left out.
+/// Takes the repeatability from the fit if the budget states none. Omits parameters without a budget or an estimate.
 pub fn parameter_uncertainties(
     found: &Identification,
     budget: &Budget,

@@ -24,7 +24,7 @@ pub struct RecordedSample {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SampleSource {
-    /// Samples of the controller, with noise.
+    /// Samples that the controller received, with noise.
     Sensed,
     True,
 }
@@ -40,13 +40,13 @@ pub enum RecordingError {
     #[error("the time of sample {0} is not later than the time before it")]
     NotInOrder(usize),
     #[error(
-        "temperature or force changes: more than {MOST_CONDITIONS} levels, or one of fewer than {FEWEST_HELD} samples; \
-         expected each to be constant for some 10 ms"
+        "temperature and force have more than {MOST_CONDITIONS} levels, or a level has fewer than {FEWEST_HELD} \
+         samples; expected each level to be constant for at least 10 ms"
     )]
     VaryingConditions,
     #[error(
         "the response does not determine gain, time constant and resonance; \
-         expected steps of the drive or the frequency, each held for some 10 ms"
+         expected steps of the drive or the frequency, each held for at least 10 ms"
     )]
     Undetermined,
 }
@@ -55,9 +55,9 @@ pub enum RecordingError {
 const FEWEST: usize = 8;
 /// 100 s at 1 kHz.
 const MOST: usize = 100_000;
-/// More levels of temperature and force are a ramp.
+/// More levels of temperature and force count as a ramp.
 const MOST_CONDITIONS: usize = 64;
-/// A level with fewer samples is passed through, not held.
+/// A level with fewer samples counts as part of a ramp.
 const FEWEST_HELD: usize = 5;
 const SAME_TEMPERATURE_K: f64 = 0.05;
 const SAME_FORCE_N: f64 = 0.02;
@@ -65,14 +65,14 @@ const SAME_FORCE_N: f64 = 0.02;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
     pub name: String,
-    /// Changes of the inputs, in order; the first not after the first output.
+    /// Changes of the inputs in order. The first one is not after the first output.
     pub inputs: Vec<RecordedInput>,
     pub outputs: Vec<RecordedSample>,
     pub conditions: Vec<Conditions>,
 }
 
 impl Recording {
-    /// Drops inputs without a change, and unifies close temperatures and forces.
+    /// Drops inputs that repeat the previous one, and unifies close temperatures and forces.
     pub fn new(name: String, inputs: Vec<RecordedInput>, outputs: Vec<RecordedSample>) -> Result<Self, RecordingError> {
         if outputs.len() < FEWEST {
             return Err(RecordingError::TooShort(outputs.len()));
@@ -130,14 +130,14 @@ impl Recording {
         Self::new(name, rows.iter().map(input).collect(), rows.iter().filter(arrived).map(output).collect())
     }
 
-    /// Median spacing, s.
+    /// Median spacing of the outputs, s.
     pub fn period(&self) -> f64 {
         let mut spacings: Vec<f64> = self.outputs.windows(2).map(|pair| pair[1].t - pair[0].t).collect();
         spacings.sort_by(f64::total_cmp);
         spacings.get(spacings.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// The input from each output's instant on.
+    /// The input that acts from the instant of each output on.
     pub fn inputs_at_samples(&self) -> Vec<RecordedInput> {
         let at = |t: f64| self.inputs.partition_point(|input| input.t <= t).saturating_sub(1);
         self.outputs.iter().filter_map(|output| self.inputs.get(at(output.t)).copied()).collect()

@@ -7,17 +7,17 @@ use crate::recording::{RecordedInput, Recording};
 use serde::Serialize;
 
 const MIN_SAMPLES: usize = 6;
-/// Drives within this share of the largest one are the same.
+/// Drives that differ by at most this share of the largest drive are equal.
 const SAME_DRIVE: f64 = 0.01;
-/// Smallest step of the drive as a share of the largest drive; smaller changes are made by a loop.
+/// Smallest step as a share of the largest drive. Smaller changes are made by a control loop.
 const SMALLEST_STEP: f64 = 0.05;
-/// Wd alone is of first order only near the resonance: |τΔω| at most this.
+/// Largest |τΔω| of a voltage step. At a larger one Wd alone is not of first order.
 const MAX_TAU_DETUNING: f64 = 0.1;
 /// Wd counts as constant if it deviates by less than this share.
 const HELD_BAND: f64 = 0.1;
-/// The loop has started when the deviation of Wd is below this share,
+/// The loop has started when Wd deviates by less than this share.
 const STARTED_BAND: f64 = 0.03;
-/// or below this many standard deviations of the noise.
+/// Both bands are at least this many standard deviations of the noise.
 const NOISE_BAND: f64 = 4.0;
 const SAME_DETUNING: f64 = 1.0;
 
@@ -30,7 +30,7 @@ pub struct VoltageStep {
     pub vpp: f64,
     /// Mean of Wd over the last third of the step: a point of Fig. 7.
     pub settled_um: f64,
-    /// K1 in µm/Vpp and τ1 in s, ARX by least squares; `None` without a stable first order.
+    /// K1 in µm/Vpp and τ1 in s by ARX with least squares. `None` without a stable first order.
     pub least_squares: Option<[Estimate; 2]>,
     pub instruments: Option<[Estimate; 2]>,
     pub direct: Option<[Estimate; 2]>,
@@ -41,22 +41,22 @@ pub struct VoltageStep {
 pub struct FrequencyStep {
     pub recording: String,
     pub t: f64,
-    /// By the resonance of the direct fit of the recording, rad/s.
+    /// rad/s, relative to the resonance of the recording's direct fit.
     pub from_detuning: f64,
     pub detuning: f64,
     /// Largest deviation of Wd from its mean, percent (Fig. 10).
     pub wd_percent: f64,
-    /// K2 in s and τ2 in s, ARX by least squares.
+    /// K2 in s and τ2 in s by ARX with least squares.
     pub least_squares: Option<[Estimate; 2]>,
     pub instruments: Option<[Estimate; 2]>,
-    /// τ in s by the direct fit; its gain is K2 = τ (equation 19).
+    /// τ in s by the direct fit. The gain K2 equals τ (equation 19).
     pub direct: Option<Estimate>,
-    /// Samples of both levels: first, and one past the last.
+    /// First sample of both levels, and one past the last.
     #[serde(skip)]
     window: (usize, usize),
 }
 
-/// Intervals whose input is the `same` as at their start: first sample, and one past the last.
+/// Intervals in which each input is the `same` as the first one, as first sample and one past the last.
 fn constant_intervals(
     acting: &[RecordedInput],
     same: impl Fn(&RecordedInput, &RecordedInput) -> bool,
@@ -99,7 +99,7 @@ pub fn voltage_steps(recording: &Recording, whole: &DirectFit) -> Vec<VoltageSte
         {
             continue;
         }
-        // The sample at the step is the state before it.
+        // The sample at the instant of the step is from before the step.
         let (first, last) = (start.saturating_sub(1), (end + 1).min(acting.len()));
         let Ok(part) = recording.slice(first, last) else { continue };
         let wd: Vec<f64> = part.outputs.iter().map(|output| output.w.re).collect();
@@ -126,9 +126,8 @@ fn estimate_pair(arx: &ArxModel) -> Option<[Estimate; 2]> {
     Some([*arx.gains.first()?, arx.time_constant])
 }
 
-/// Steps of the detuning while a loop keeps Wd constant. `slope` of the resonance in rad/s per K.
-/// A step of the resonance by `−Δ` equals a step of the frequency by `+Δ`: only Δω matters
-/// (equations 11 and 18).
+/// Steps of the detuning while a loop keeps Wd constant. `slope` is that of the resonance in rad/s per K. A step of
+/// the resonance by `−Δ` equals a step of the frequency by `+Δ`, because only Δω matters (equations 11 and 18).
 pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f64>) -> Vec<FrequencyStep> {
     let acting = recording.inputs_at_samples();
     let Some((reference, resonance)) = whole.resonances.first() else { return Vec::new() };
@@ -177,7 +176,7 @@ pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f
         }
         let length = end - first;
         let ratio: Vec<f64> = part.outputs.iter().take(length + 1).map(|output| output.w.im / output.w.re).collect();
-        // The gain of Wq/Wd from Δω is −K2.
+        // The gain from Δω to Wq/Wd is −K2.
         let input: Vec<f64> = part.inputs_at_samples().iter().map(|input| detuning(from) - detuning(input)).collect();
         let ones = vec![1.0; input.len()];
         let by = |method| {
@@ -198,8 +197,8 @@ pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f
     steps
 }
 
-/// τ2 in s: the direct fit of all steps of one recording. Neighbouring steps share a level, so
-/// their own estimates are not independent: steps without a gap are one fit.
+/// τ2 in s by direct fits of all steps of one recording. Neighbouring steps share a level, so separate fits would not
+/// be independent. Steps without a gap are one fit.
 pub fn frequency_time_constant(recording: &Recording, steps: &[FrequencyStep]) -> Option<Estimate> {
     let mut parts: Vec<(usize, usize)> = Vec::new();
     for step in steps {

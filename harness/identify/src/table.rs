@@ -48,7 +48,7 @@ impl IdentificationTable {
     }
 }
 
-/// As `1.88 ± 0.02`: half the interval; a dash without an estimate.
+/// Formats value and half the interval as `1.88 ± 0.02`. A dash stands for a missing estimate.
 fn format_estimate(estimate: Option<Estimate>, factor: f64, decimals: usize) -> String {
     estimate.map_or("–".to_owned(), |estimate| {
         let estimate = estimate.scaled(factor);
@@ -56,7 +56,7 @@ fn format_estimate(estimate: Option<Estimate>, factor: f64, decimals: usize) -> 
     })
 }
 
-/// Percent of the mean over steps; empty below two.
+/// Standard deviation in percent of the mean. Empty for fewer than two values.
 fn format_scatter(values: &[f64]) -> String {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
@@ -68,9 +68,7 @@ fn format_scatter(values: &[f64]) -> String {
     }
 }
 
-/// Tables without a row are omitted.
 pub fn tables(found: &Identification) -> Vec<IdentificationTable> {
-    // The result is first.
     let all = [plate_table(found), voltage_table(found), frequency_table(found), residuals_table(found)];
     all.into_iter().filter(|table| !table.rows.is_empty()).collect()
 }
@@ -163,7 +161,7 @@ fn frequency_table(found: &Identification) -> IdentificationTable {
     let mut steps: Vec<&FrequencyStep> = found.frequency_steps.iter().collect();
     steps.sort_by(|a, b| b.detuning.total_cmp(&a.detuning));
     let mut rows: Vec<(String, String, &[&FrequencyStep])> = Vec::new();
-    // Steps that differ by less than a quarter are one row.
+    // Steps whose detuning differs by less than a quarter of a step are one row.
     for group in steps.chunk_by(|a, b| (a.detuning - b.detuning).abs() < 0.25 * (a.detuning - a.from_detuning).abs()) {
         let count = group.len() as f64;
         let mean = |of: &dyn Fn(&FrequencyStep) -> f64| group.iter().map(|step| of(step)).sum::<f64>() / count;
@@ -268,12 +266,12 @@ fn residuals_table(found: &Identification) -> IdentificationTable {
     let tested = found.recordings.iter().filter(|whole| whole.whiteness.is_some()).count();
     if coloured > 0 {
         let meaning = if is_explained_by_chance(coloured, tested) {
-            "chance explains as many."
+            "chance explains this number."
         } else {
-            "more than chance explains; the plate changed in a way that the model does not have, and the intervals are \
-             too narrow."
+            "chance does not explain this number. The plate changed in a way that the model does not include, and the \
+             intervals are too narrow."
         };
-        table.notes.push(format!("{coloured} of {tested} residuals are not white at 1 %: {meaning}"));
+        table.notes.push(format!("The residuals of {coloured} of {tested} recordings are not white at 1 %: {meaning}"));
     }
     table.notes.extend(
         found.undetermined.iter().map(|name| format!("{name} does not determine the parameters and was left out.")),
@@ -287,12 +285,12 @@ pub struct PlateFileDetails {
     pub name: String,
     pub source: String,
     pub reference_temperature_c: f64,
-    /// `None` for the highest drive of the recordings.
+    /// `None` stands for the highest drive of the recordings.
     pub limit_vpp: Option<f64>,
     pub slope_hz_per_k: Option<f64>,
 }
 
-/// Intervals are comments and `[uncertainty]`; `None` without gain, time constant or resonance.
+/// Intervals are comments and `[uncertainty]`. `None` without gain, time constant or resonance.
 pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<String> {
     let line = |key: &str, estimate: Estimate, factor: f64, decimals: usize| {
         let Estimate { value, low, high, .. } = estimate.scaled(factor);
@@ -342,7 +340,7 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
     let floor = if found.inconsistencies.is_empty() {
         String::new()
     } else {
-        format!("    # doubtful: at least {DOUBTFUL_PERCENT:.0} %, and the intervals above do not cover")
+        format!("    # doubtful: at least {DOUBTFUL_PERCENT:.0} %, and the intervals above are too narrow")
     };
     let _ = writeln!(
         text,
@@ -353,7 +351,7 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
     Some(text)
 }
 
-/// The shift per µm² over the shift per kelvin is the rise; without a slope it is a comment.
+/// The rise is the shift per µm² divided by the shift per kelvin. Without a slope `[heating]` is a comment.
 fn heating_lines(found: &Identification, named: &PlateFileDetails, heating: IdentifiedHeating) -> String {
     let slope = found.slope_hz_per_k.map(|slope| slope.value).or(named.slope_hz_per_k).unwrap_or(0.0);
     let (shift, seconds) = (heating.shift_hz_per_um2, heating.time_constant_s);
@@ -372,8 +370,7 @@ fn heating_lines(found: &Identification, named: &PlateFileDetails, heating: Iden
     )
 }
 
-/// Percent, rounded up. A doubtful identification has at least [`DOUBTFUL_PERCENT`], because the
-/// formula for one plate with white noise is not valid.
+/// At least [`DOUBTFUL_PERCENT`] if doubtful, because the interval is valid only for one plate with white noise.
 fn uncertainty_percent(found: &Identification, estimate: Estimate) -> f64 {
     let floor = if found.inconsistencies.is_empty() { 0.0 } else { DOUBTFUL_PERCENT };
     reach_percent(estimate).max(floor)
@@ -382,7 +379,7 @@ fn uncertainty_percent(found: &Identification, estimate: Estimate) -> f64 {
 /// Covers a damping that changes by 5 % per µm up to 4 µm.
 const DOUBTFUL_PERCENT: f64 = 25.0;
 
-/// Percent of the value, rounded up to the printed digits.
+/// Larger half of the interval in percent of the value, rounded up to the printed digits.
 fn reach_percent(Estimate { value, low, high, .. }: Estimate) -> f64 {
     ((high - value).max(value - low) / value * 1e4).ceil() / 100.0
 }

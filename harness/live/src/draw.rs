@@ -1,15 +1,4 @@
-//! Draws the state of the view. Colour only repeats what the text says; crossterm respects `NO_COLOR`.
-//!
-//! ```text
-//!   80 × 24 and up                       140 × 36 and up
-//!   command, scenario, trial, time       command, scenario, trial, time
-//!   title, rig, state                    title, rig, state
-//!   ┌ |W|, band ─────────┐┌ now ────┐    ┌ |W|, band ┐┌ Wd, Wq ───┐┌ now ────┐
-//!   └────────────────────┘│         │    └───────────┘└───────────┘├ lateness┤
-//!   ┌ Wd, Wq ────────────┐├ lateness┤    ┌ drive ────┐┌ frequency ┐├ messages┤
-//!   └────────────────────┘└─────────┘    └───────────┘└───────────┘└─────────┘
-//!   counts, scenarios, last message, keys
-//! ```
+//! Draws the state of the view in two layouts, which `draw/snapshots` shows. Colour only repeats what the text says.
 
 mod charts;
 mod panels;
@@ -21,7 +10,7 @@ use ratatui::text::Line;
 use ratatui::widgets::Paragraph;
 
 const MIN_SIZE: [u16; 2] = [80, 24];
-/// From this size on every signal has its own chart.
+/// From this size on, every signal has its own chart.
 const LARGE_SIZE: [u16; 2] = [140, 36];
 const PANEL_WIDTH: u16 = 31;
 const LARGE_PANEL_WIDTH: u16 = 44;

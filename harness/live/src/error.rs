@@ -2,11 +2,10 @@
 
 use std::io;
 
-/// Largest terminal in cells: a frame is in memory twice, and a terminal may claim any size.
+/// Largest terminal in cells. A frame is in memory twice, and a terminal may report any size.
 #[cfg(feature = "screen")]
 pub(crate) const MAX_CELLS: u32 = 1 << 20;
 
-/// Reason why the view cannot open. The run continues without it.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveViewError {
     #[cfg(not(feature = "screen"))]
@@ -18,11 +17,7 @@ pub enum LiveViewError {
     Dumb,
     #[cfg(feature = "screen")]
     #[error("the terminal reports {columns} x {rows} cells, expected at most {MAX_CELLS} in total")]
-    Size {
-        columns: u16,
-        /// Size of the terminal in cells.
-        rows: u16,
-    },
+    Size { columns: u16, rows: u16 },
     #[error("the program runs in the background of its terminal")]
     Background,
     #[error(transparent)]

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 const KEY_POLL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Ctrl-C in a raw terminal. In the view Ctrl-C is a signal.
+/// Ctrl-C if the terminal is raw. During a live view, Ctrl-C is a signal instead.
 pub const INTERRUPT: char = '\u{3}';
 
 /// Returns at once if standard input is not a terminal.

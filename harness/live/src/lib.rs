@@ -5,10 +5,7 @@
 //!   standard error ── pipe ── StderrCapture ────────┘
 //! ```
 //!
-//! `view_state` and `signal_history` decimate the trial to the resolution of a screen; `draw` knows
-//! no terminal; the thread of [`view`] never blocks the run.
-//!
-//! This crate judges and records nothing. If it cannot draw, the run continues without it.
+//! The thread of [`view`] never blocks the run. If the view cannot draw, the run continues without it.
 
 #![cfg_attr(not(feature = "screen"), allow(dead_code))]
 

@@ -2,18 +2,17 @@
 
 use platebench_scenario::Scenario;
 
-/// Half width of the band in percent if no expectation has one: the paper's response time.
+/// Half width of the band in percent if no expectation has a band. The paper uses it for the response time.
 const BAND_PERCENT: f64 = 5.0;
-/// Longest part of a trial that the view draws: the last seconds.
+/// The view draws at most this last part of a trial.
 const MAX_WINDOW_S: f64 = 10.0;
 
 #[derive(Debug, Clone)]
 pub struct RunDescription {
     pub command: &'static str,
     pub rig: String,
-    /// In lockstep there is no lateness.
     pub lockstep: bool,
-    /// The view shows one of these parallel trials.
+    /// Number of parallel trials, of which the view shows one.
     pub jobs: usize,
     pub key_help: &'static str,
     pub scenarios: Vec<ScenarioDescription>,
@@ -25,7 +24,6 @@ pub struct ScenarioDescription {
     pub title: String,
     pub law: String,
     pub duration_s: Option<f64>,
-    /// Sequential judging may add more.
     pub trials: u32,
     pub spacing_s: f64,
     pub band_percent: f64,

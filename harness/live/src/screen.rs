@@ -15,12 +15,11 @@ use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// For a terminal that accepts no output.
+/// Longest wait for a terminal that accepts no output.
 const WRITE_TIMEOUT: Timespec = Timespec { tv_sec: 0, tv_nsec: 300_000_000 };
 /// Disables a control character (`_POSIX_VDISABLE` on Linux).
 const DISABLED: u8 = 0;
 
-/// The terminal in the alternate screen, until this is dropped.
 #[derive(Debug)]
 pub(crate) struct Screen {
     terminal: File,
@@ -48,12 +47,12 @@ impl Screen {
         Ok(screen)
     }
 
-    /// A second handle that does not share the lock of standard output.
+    /// Opens a second handle that does not share the lock of standard output.
     fn open_terminal() -> io::Result<File> {
         Ok(File::from(stdout().as_fd().try_clone_to_owned()?))
     }
 
-    /// Sets `gone` if the terminal accepts no more output.
+    /// The writer sets `gone` if the terminal accepts no more output.
     pub(crate) fn frame_writer(gone: Arc<AtomicBool>) -> io::Result<FrameWriter> {
         Ok(FrameWriter { terminal: Self::open_terminal()?, is_gone: gone })
     }
@@ -64,8 +63,7 @@ impl Screen {
     }
 }
 
-/// Writes frames and never fails. On a failed write ratatui's `drop` prints to standard error,
-/// and that panics if standard error is the same terminal.
+/// Never fails, because ratatui's `drop` prints a failed write to standard error, which panics on the same terminal.
 #[derive(Debug)]
 pub(crate) struct FrameWriter {
     terminal: File,
@@ -92,7 +90,7 @@ impl Write for FrameWriter {
     }
 }
 
-/// Single keys without echo; Ctrl-C still interrupts; Ctrl-Z, Ctrl-\ and Ctrl-S are off.
+/// Delivers single keys without echo. Ctrl-C still interrupts. Ctrl-Z, Ctrl-\ and Ctrl-S have no effect.
 fn with_single_keys(saved: &Termios) -> Termios {
     let mut modes = saved.clone();
     modes.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);

@@ -3,9 +3,9 @@
 use platebench_trace::Row;
 use std::collections::VecDeque;
 
-/// Slices per window: two dots per character of the widest chart.
+/// Time slices per window, two for each character of the widest chart.
 const SLICES: f64 = 512.0;
-/// Rows further apart than this many row distances leave a gap in the curve.
+/// The curve has a gap if two rows are further apart than this many row distances.
 const GAP_SPACINGS: f64 = 3.5;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,7 +35,6 @@ struct HistorySlice {
 #[derive(Debug)]
 pub(crate) struct SignalHistory {
     window_s: f64,
-    /// A longer distance between two slices is a gap.
     gap_s: f64,
     slices: VecDeque<HistorySlice>,
 }
@@ -51,7 +50,7 @@ impl SignalHistory {
         self.window_s / SLICES
     }
 
-    /// The row must not be older than the last one. Ignores rows without a finite time.
+    /// The row must not be older than the last one. Ignores a row with a number that is not finite.
     pub(crate) fn push(&mut self, row: &Row) {
         let values = signal_values(row);
         if !row.t_s.is_finite() || values.iter().any(|value| !value.is_finite()) {

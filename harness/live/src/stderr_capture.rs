@@ -12,7 +12,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 
-/// Older lines are dropped and counted.
 const MAX_LINES: usize = 500;
 const MAX_LINE_BYTES: usize = 4096;
 const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
@@ -79,7 +78,7 @@ pub(crate) struct StderrCapture {
 }
 
 impl StderrCapture {
-    /// `None` if standard error is not a terminal; it then stays as it is.
+    /// `None` if standard error is not a terminal. It then stays unchanged.
     pub(crate) fn start() -> io::Result<Option<Self>> {
         if !stderr().is_terminal() {
             return Ok(None);
@@ -102,7 +101,7 @@ impl StderrCapture {
     }
 }
 
-/// Stops after the capture although a child may still hold the pipe.
+/// Ends after the capture even if a child process still holds the pipe.
 fn read_pipe(mut pipe: File, kept: &Mutex<CapturedLines>, over: &AtomicBool) {
     let mut bytes = [0; 4096];
     loop {

@@ -22,9 +22,9 @@ use std::time::{Duration, Instant};
 
 const FRAME_INTERVAL: Duration = Duration::from_millis(50);
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
-/// Bounds the rows per poll: in lockstep rows may arrive as fast as they are read.
+/// Needed because in lockstep rows may arrive as fast as the view reads them.
 const MAX_ROWS_PER_POLL: usize = 1 << 15;
-/// One frame fits, so each frame is one write.
+/// A whole frame fits, so each frame is one write.
 const FRAME_CAPACITY: usize = 1 << 16;
 const LAST_FRAME_TIMEOUT: Duration = Duration::from_millis(500);
 const MAX_MESSAGES: usize = 64;
@@ -35,13 +35,13 @@ enum ViewMessage {
     End,
 }
 
-/// The view; `drop` ends it and restores the terminal.
+/// The drop ends the view and restores the terminal.
 #[derive(Debug)]
 pub struct LiveView {
-    // Fields drop in this order: frames, screen, standard error.
+    // The order of the fields is the order of their drops: frames, screen, standard error.
     messages: Sender<ViewMessage>,
     finished: Receiver<()>,
-    /// Set if the terminal is gone or restored: no frames and keys any more.
+    /// Set if the terminal is gone or restored. The view then draws no frame and reads no key.
     is_stopped: Arc<AtomicBool>,
     screen: Option<Screen>,
     _stderr_capture: Option<StderrCapture>,
@@ -70,9 +70,9 @@ impl LiveView {
             is_stopped: Arc::clone(&is_stopped),
         };
         thread::Builder::new().name("view".to_owned()).spawn(move || {
-            // Dropped on a panic too, so `LiveView::drop` does not wait.
+            // A panic drops it too, so that `LiveView::drop` does not wait.
             let _end = end;
-            // An error means that the terminal is gone; its hang-up signal ends the run.
+            // An error means that the terminal is gone. The hang-up signal of the terminal ends the run.
             let _ = view_thread.run(&mut terminal);
         })?;
         Ok(Self {
@@ -96,7 +96,7 @@ impl LiveView {
     /// Makes the key q end the program like Ctrl-C.
     pub fn quit_on_q(&self) {
         let is_stopped = Arc::clone(&self.is_stopped);
-        // Not joined: `poll` may never return after a hang-up.
+        // The thread is not joined, because `poll` may never return after a hang-up.
         thread::spawn(move || {
             watch_keys(
                 || is_stopped.load(Ordering::Relaxed),
@@ -123,7 +123,7 @@ impl Drop for LiveView {
     fn drop(&mut self) {
         // Other senders may still exist, so closing the channel is not enough.
         let _ = self.messages.send(ViewMessage::End);
-        // Both results mean: restore the terminal now.
+        // The terminal is restored after the last frame or after the time-out.
         let _ = self.finished.recv_timeout(LAST_FRAME_TIMEOUT);
         self.is_stopped.store(true, Ordering::Relaxed);
         self.screen.take();

@@ -3,7 +3,6 @@
 use platebench_record::Verdict;
 use platebench_runner::Event;
 
-/// Rows arrive through the tap.
 #[derive(Debug)]
 pub enum ViewEvent {
     RigLocation(String),

@@ -40,7 +40,7 @@ impl ViewState {
         }
     }
 
-    /// Another trial, or a time that runs backwards, starts a new history.
+    /// A row of another trial, or with an earlier time, starts a new history.
     pub(crate) fn add_row(&mut self, tap_row: &TapRow) {
         let playing = Some((tap_row.scenario, tap_row.trial));
         let is_new = self.newest_trial != playing || self.newest_row.is_none_or(|newest| newest.t_s > tap_row.row.t_s);

@@ -35,7 +35,7 @@ impl ViewSender {
     }
 }
 
-/// As that of the view.
+/// Exists because the view with a screen has a `Drop` too.
 impl Drop for LiveView {
     fn drop(&mut self) {
         match *self {}

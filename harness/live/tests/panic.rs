@@ -1,5 +1,3 @@
-//! Checks that a panic restores the terminal.
-
 use platebench_live::{LiveView, RunDescription};
 use platebench_runner::LiveTap;
 use rustix::fs::{Mode, OFlags, open};

@@ -6,7 +6,7 @@ use platebench_scenario::Diagnostic;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// An error that stops the whole suite, for any filter: a partial suite could pass by mistake.
+/// Stops the whole suite for any filter, because a partial suite could pass by mistake.
 #[derive(Debug, thiserror::Error)]
 pub enum SuiteError {
     #[error("{0}")]
@@ -14,7 +14,6 @@ pub enum SuiteError {
     /// The rig is not part of this build, or its command is invalid.
     #[error(transparent)]
     Connect(ConnectError),
-    /// All faults of all files.
     #[error("{}", render_all(.0))]
     Scenarios(Vec<Diagnostic>),
     #[error("there is nothing to run below {}", .0.display())]
@@ -22,7 +21,7 @@ pub enum SuiteError {
 }
 
 impl SuiteError {
-    /// As of `platebench run`: 2 for invalid input, 4 without scenarios.
+    /// As for `platebench run`, 2 for invalid input and 4 without scenarios.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Rig(_) | Self::Connect(_) | Self::Scenarios(_) => 2,

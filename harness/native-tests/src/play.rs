@@ -21,7 +21,7 @@ pub(crate) struct TestContext {
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TestFailure {
     #[error(
-        "it ends with {}, expected {}\n\n{table}\nrun folder: {}",
+        "the scenario ends with {}, expected {}\n\n{table}\nrun folder: {}",
         describe_exit_code(*code),
         describe_exit_code(*expected),
         folder.display()
@@ -67,7 +67,7 @@ impl TestContext {
         Err(TestFailure::Verdict { code, expected, table, folder })
     }
 
-    /// Runs into a temporary folder and then replaces `folder`, which so contains one run only.
+    /// Runs into a temporary folder, which then replaces `folder`, so that `folder` contains only one run.
     fn run_and_replace(&self, plan: &RunPlan, folder: &Path) -> Result<RunRecord, TestFailure> {
         let parent = folder.parent().unwrap_or(&self.out);
         fs::create_dir_all(parent).map_err(folder_error(parent))?;

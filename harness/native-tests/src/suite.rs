@@ -20,8 +20,8 @@ pub struct Suite {
 }
 
 impl Suite {
-    /// Takes the scenarios below `scenarios`, or one file. Run folders are created below `out`.
-    /// Relative paths start in the folder of the package, as in every Cargo test.
+    /// `scenarios` is a folder or one file. Run folders are created below `out`. Relative paths start in the folder of
+    /// the package, as in every Cargo test.
     pub fn new(scenarios: impl Into<PathBuf>, out: impl Into<PathBuf>) -> Self {
         Self { scenarios: scenarios.into(), out: out.into(), rig: "emulated".to_owned() }
     }
@@ -33,8 +33,7 @@ impl Suite {
         self
     }
 
-    /// Exit codes: 0 all tests passed; 101 a test failed; 2 a scenario or the rig is invalid; 4 no
-    /// scenario.
+    /// Exit codes: 0 if all tests passed, 101 if a test failed, 2 for an invalid scenario or rig, 4 without scenarios.
     pub fn run(mut self) -> ExitCode {
         if let Ok(rig) = std::env::var(RIG_VARIABLE) {
             self.rig = rig;
@@ -91,7 +90,7 @@ struct SuiteTests {
 fn load_limit_scenario(folder: &Path, name: &str) -> Result<Scenario, Vec<Diagnostic>> {
     let missing = || vec![Diagnostic::for_file(folder, format!("{name} was deleted during the search"))];
     let canonical = std::fs::canonicalize(folder).map_err(|_| missing())?;
-    // A name is a path below the folder or below a parent of it.
+    // A name is a path below the folder or below one of its parents.
     let path = canonical.ancestors().map(|folder| folder.join(name)).find(|path| path.is_file()).ok_or_else(missing)?;
     let mut scenario = find(&[path])?.scenarios.pop().ok_or_else(missing)?;
     name.clone_into(&mut scenario.file);

@@ -1,8 +1,8 @@
 //! Counts the instructions of a step and compares them with `counts.toml`; `ci/counts` runs it.
 //!
-//! Callgrind counts do not depend on clock or load. Runs of 200 and 400 steps are subtracted, which
-//! excludes start and end. Counts are compared only for the same compiler, C library, Valgrind and
-//! vector instructions; otherwise a message is printed.
+//! Callgrind counts do not depend on clock or load. The difference of a run with 400 steps and one with 200 excludes
+//! start and end. Counts are compared only for the same compiler, C library, Valgrind and vector instructions;
+//! otherwise a message is printed.
 
 #![allow(clippy::format_push_string, reason = "twenty lines, once")]
 
@@ -144,7 +144,7 @@ fn check() -> Result<(), String> {
             .map(|name| format!("{name} is in counts.toml but is no step")),
     );
     if !comparable {
-        println!("counts: NOT COMPARED: counts.toml is of the other tools listed above; update: ci/counts --update");
+        println!("counts: NOT COMPARED: counts.toml is from other tools (see above); update: ci/counts --update");
         return Ok(());
     }
     if wrong.is_empty() { Ok(()) } else { Err(wrong.join("\ncounts: ") + "\nif this is intended: ci/counts --update") }

@@ -1,28 +1,26 @@
-//! Models the amplifier between a command and the plate: converter, dead time, slew rate,
-//! bandwidth, offset. All act on the drive's amplitude.
+//! Models the amplifier between a command and the plate: converter, dead time, slew rate, bandwidth, offset. The dead
+//! time delays amplitude and frequency; the other effects act on the amplitude.
 //!
-//! Without limits the output v equals the input u. With the bandwidth p and the slew rate S,
-//! `v' = p (u − v)`, limited to `|v'| ≤ S`: a ramp while `|u − v| > S/p`, then an exponential. u is
-//! constant between commands, so v is known in closed form, `c + s t + a e^{−pt}`, up to the end of
-//! the ramp. The ramp ends on a whole nanosecond; the rest of v, below S · 1 ns, becomes a step,
-//! which is an error of the impulse of at most S · (1 ns)²/2.
+//! Without limits the output v equals the input u. With the bandwidth p and the slew rate S, `v' = p (u − v)` with
+//! `|v'| ≤ S`, so v is a ramp while `|u − v| > S/p` and then an exponential. u is constant between commands, so each
+//! part has the closed form `c + s t + a e^{−pt}`. The ramp ends on a whole nanosecond. The remaining change of v,
+//! below S · 1 ns, becomes a step. The integral of v then has an error of at most S · (1 ns)²/2.
 
 use crate::plate_error::{PlateError, check, finite, positive};
 use crate::raw_plate::RawDrive;
 use crate::time::Time;
 use std::f64::consts::TAU;
 
-/// Longest dead time and latency, µs.
+/// Largest dead time of the amplifier and latency of the sensor, µs.
 pub(crate) const MAX_DELAY_US: f64 = 1e5;
 
-/// Relative to the input, Vpp. A smaller distance is set to 0, see `flow.rs`.
+/// Vpp. A smaller distance between output and input is set to 0, see `flow.rs`.
 const NEGLIGIBLE_VPP: f64 = 1e-150;
 
 /// Converter of the drive's amplitude: 2^bits codes from 0 to `range_vpp`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DriveConverter {
     pub bits: u32,
-    /// Output of the highest code.
     pub range_vpp: f64,
 }
 
@@ -32,7 +30,6 @@ impl DriveConverter {
     }
 }
 
-/// The default has no limits.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Amplifier {
     pub converter: Option<DriveConverter>,
@@ -44,14 +41,12 @@ pub struct Amplifier {
     pub offset_vpp: f64,
 }
 
-/// Output of the amplifier: `constant + slope t + decaying e^{−rate t}`, Vpp.
+/// Output of the amplifier, `constant + slope t + decaying e^{−rate t}`: Vpp, Vpp/s for `slope` and 1/s for `rate`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Forcing {
     pub(crate) constant: f64,
-    /// Vpp/s.
     pub(crate) slope: f64,
     pub(crate) decaying: f64,
-    /// 1/s.
     pub(crate) rate: f64,
 }
 
@@ -60,7 +55,7 @@ impl Forcing {
         self.constant + self.slope * seconds + self.decaying * (-self.rate * seconds).exp()
     }
 
-    /// The same output with its time from `seconds` on.
+    /// The same output with its time origin moved to `seconds`.
     pub(crate) fn from(&self, seconds: f64) -> Self {
         Self {
             constant: self.constant + self.slope * seconds,
@@ -94,15 +89,14 @@ impl Amplifier {
         })
     }
 
-    /// The converter's output for a command, Vpp.
     pub(crate) fn converter_output(&self, vpp: f64) -> f64 {
         let Some(converter) = &self.converter else { return vpp };
         let step = converter.step_vpp();
         (vpp.clamp(0.0, converter.range_vpp) / step).round() * step
     }
 
-    /// Output from an amplitude `vpp`, without offset, towards `input`, and the time until another
-    /// segment follows.
+    /// Output that starts at the amplitude `vpp`, without offset, and moves towards `input`. Also returns the duration
+    /// of this segment if another one follows.
     pub(crate) fn segment(&self, vpp: f64, input: f64) -> (Forcing, Option<Time>) {
         let distance = input - vpp;
         let settled = Forcing { constant: input + self.offset_vpp, ..Forcing::default() };
@@ -144,7 +138,6 @@ fn drive_converter(raw: &RawDrive) -> Result<Option<DriveConverter>, PlateError>
 mod tests {
     use super::*;
 
-    /// Output after `seconds`, segment by segment.
     fn output(amplifier: &Amplifier, mut vpp: f64, input: f64, seconds: f64) -> f64 {
         let mut left = Time::from_seconds(seconds).unwrap();
         loop {

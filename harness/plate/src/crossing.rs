@@ -3,9 +3,9 @@
 use crate::flow::State;
 use crate::time::Time;
 
-/// Spacing of the search: about 15 points per period of the fast pole.
+/// Spacing of the search for crossings, about 15 points per period of the fast pole.
 const SCAN_STEP_NS: u64 = 1_000;
-/// More than the rounding of a state.
+/// Larger than the rounding error of a state.
 const ROUNDING_UM: f64 = 1e-9;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -25,12 +25,11 @@ impl BandSignal {
     }
 }
 
+/// A band from `low` to `high` µm. Both edges are inside.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BandMonitor {
     pub signal: BandSignal,
-    /// µm; the edge is inside.
     pub low: f64,
-    /// µm; the edge is inside.
     pub high: f64,
 }
 
@@ -47,15 +46,15 @@ impl BandMonitor {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Crossing {
-    /// The first nanosecond on the other side.
+    /// The first nanosecond on the other side of the edge.
     pub time: Time,
     pub state: State,
-    /// 1 ns before `time`.
+    /// State 1 ns before `time`.
     pub before: State,
 }
 
-/// Appends to `found`. The state is `from` at `start` and `after(t)` t seconds later. W changes by
-/// less than d µm in the `seconds_within(t, d)` seconds after t: the search skips them.
+/// Appends the crossings between `start` and `end` to `found`. The state is `from` at `start` and `after(t)` t seconds
+/// later. From t on, W changes by less than d µm during `seconds_within(t, d)` seconds, so the search skips them.
 pub(crate) fn find_crossings(
     monitor: &BandMonitor,
     after: &impl Fn(f64) -> State,
@@ -73,7 +72,7 @@ pub(crate) fn find_crossings(
     let mut inside = monitor.contains(from);
     loop {
         let seconds = seconds_within(seconds_at(low), monitor.distance(&state) - ROUNDING_UM);
-        // Whole steps, so that the points of the search do not depend on the bound.
+        // Skip whole steps, so that the points of the search do not depend on the bound.
         low = low.saturating_add((seconds * 1e9) as u64 / SCAN_STEP_NS * SCAN_STEP_NS);
         if low >= end {
             return;
@@ -128,7 +127,6 @@ mod tests {
             let state = match tier {
                 Tier::Linear => State { w: w.re * Complex64::new(1.0, 0.4), u: 0.4.into() },
                 Tier::Envelope => State { w, u: Complex64::ZERO },
-                // Both poles are free.
                 Tier::Modal | Tier::Carrier => State { w, u: Complex64::I * drive.omega * fast * w },
             };
             let monitor = BandMonitor { signal, low, high: low + width };

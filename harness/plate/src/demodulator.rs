@@ -1,14 +1,12 @@
-//! Models the sensor's electronics in the carrier tier: a sampling converter and a lock-in
-//! demodulator.
+//! Models the sensor's electronics in the carrier tier: a sampling converter and a lock-in demodulator.
 //!
-//! The converter samples `y = Re(W e^{jθ})` at multiples of its own period, clips and rounds it.
-//! The demodulator multiplies each sample by `2 e^{−jθ}` with the excitation's phase and returns
-//! the mean of these products over the last N carrier periods: W, delayed by half of that window.
-//! Before the start the plate is at rest.
+//! The converter samples `y = Re(W e^{jθ})` at multiples of its own period, clips and rounds it. The demodulator
+//! multiplies each sample by `2 e^{−jθ}` with the excitation's phase and returns the mean of these products over the
+//! last N carrier periods. This mean is W, delayed by half of the window. Before the start the plate is at rest.
 //!
-//! The window is N periods of the present excitation, L samples. If L is not an integer, the oldest
-//! sample has a fractional weight. At most `πN/2L²` of |W| then remains of the product at twice the
-//! carrier; a window of whole samples would leave up to `1/2L`.
+//! The window is N periods of the present excitation, L samples. If L is not an integer, the oldest sample has a
+//! fractional weight. The component at twice the carrier frequency is then at most `πN/2L²` of |W|; with a window of
+//! whole samples it would be up to `1/2L`.
 
 use crate::lockin::{Lockin, MAX_WINDOW_SAMPLES};
 use crate::phase::Phase;
@@ -16,10 +14,9 @@ use crate::time::Time;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
-/// Samples between direct evaluations. In between the waveform advances by complex multiplication,
-/// with an error of about 2e-16 per sample.
+/// Samples between direct evaluations. In between, complex multiplication causes an error of about 2e-16 per sample.
 const REFRESH_INTERVAL: u32 = 64;
-/// µm; smaller components are set to zero, see `flow.rs`.
+/// µm; smaller components are set to 0, see `flow.rs`.
 const NEGLIGIBLE: f64 = 1e-150;
 
 #[derive(Debug, Clone)]
@@ -28,7 +25,7 @@ pub struct Demodulator {
     /// Converter period, ns times 2⁶⁴.
     period: u128,
     spacing: f64,
-    /// Sample k is k periods after the start.
+    /// Number of the next sample. Sample k is k converter periods after the start.
     next: u64,
     /// `2 y e^{−jθ}` of the last samples, the oldest at `oldest`.
     products: Box<[Complex64]>,
@@ -41,7 +38,7 @@ struct Wave<const N: usize> {
     carrier: Complex64,
 }
 
-/// Amplitude in µm and pole in 1/s of a part of W.
+/// Amplitude in µm and pole in 1/s of a term of W.
 type Term = (Complex64, Complex64);
 
 impl<const N: usize> Wave<N> {
@@ -60,7 +57,7 @@ impl<const N: usize> Wave<N> {
 }
 
 impl Demodulator {
-    /// The window grows with the carrier's period, down to `omega`/2 rad/s. Only this allocates.
+    /// Allocates a buffer for excitation frequencies down to `omega`/2 rad/s. No other function allocates.
     pub fn new(lockin: Lockin, omega: f64) -> Self {
         let longest = 2.0 * f64::from(lockin.periods) * lockin.converter_hz * TAU / omega;
         let period = 1e9 / lockin.converter_hz;
@@ -78,8 +75,8 @@ impl Demodulator {
         self.next
     }
 
-    /// Takes the samples up to and including `end`. W is `rest + Σ amplitude e^{pole t}` from
-    /// `start` on, where the phase is `phase`.
+    /// Takes the samples up to and including `end`. From `start` on, W is `rest + Σ amplitude e^{pole t}`. `phase` is
+    /// the phase at `start`.
     pub fn advance<const N: usize>(
         &mut self,
         rest: Complex64,
@@ -126,10 +123,10 @@ impl Demodulator {
         }
     }
 
-    /// W while the excitation is `omega` rad/s, µm.
+    /// Demodulated W for an excitation of `omega` rad/s, µm.
     pub fn read(&self, omega: f64) -> Complex64 {
         let window = f64::from(self.lockin.periods) * self.lockin.converter_hz * TAU / omega.abs();
-        // At ω = 0 the window is as long as the buffer; it has at least one sample.
+        // At ω = 0 the window is as long as the buffer. It has at least one sample.
         let window = if window.is_nan() { 1.0 } else { window.clamp(1.0, (self.products.len() - 1) as f64) };
         let whole = window as usize;
         let (newer, older) = self.products.split_at(self.oldest.min(self.products.len()));

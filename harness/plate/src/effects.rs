@@ -1,5 +1,4 @@
-//! Holds the state of the optional effects of a plate file: second mode, amplifier, self-heating,
-//! and the sensor's latency and drift.
+//! Holds the state of a plate's optional effects: second mode, amplifier, self-heating, sensor latency and drift.
 
 use crate::flow::State;
 use crate::mode::Drive;
@@ -12,20 +11,18 @@ use std::collections::VecDeque;
 #[derive(Debug, Clone)]
 pub(crate) struct Effects {
     pub(crate) states: PerMode<State>,
-    /// Commanded last.
+    /// The last command, which may not have reached the amplifier.
     pub(crate) commanded: Drive,
-    /// Commands that have not reached the amplifier, with the time at which they do.
+    /// Commands that have not reached the amplifier, each with the time of its arrival.
     pending: VecDeque<(Time, Drive)>,
     /// Output of the amplifier without its offset.
     pub(crate) output_vpp: f64,
-    /// Self-heating, K.
     pub(crate) heat_k: f64,
     pub(crate) history: Option<MotionHistory>,
     gain_drift_per_s: f64,
 }
 
 impl Effects {
-    /// `None` for a plate without effects.
     pub(crate) fn new(plate: &Plate) -> Option<Box<Self>> {
         plate.first_effect()?;
         let latency = plate.sensor_latency;
@@ -40,8 +37,7 @@ impl Effects {
         }))
     }
 
-    /// Returns the drive if it acts at once. Before the first command nothing was driven, so that
-    /// one acts at once.
+    /// Returns `drive` if it acts now, otherwise stores it for the dead time. The first command acts at once.
     pub(crate) fn command(&mut self, drive: Drive, now: Time, dead_time: Time) -> Option<Drive> {
         let is_first = self.commanded == Drive::default();
         self.commanded = drive;
@@ -65,7 +61,7 @@ impl Effects {
         self.pending.pop_front().map(|(_, drive)| drive)
     }
 
-    /// The reading at `now`, if the sensor without latency reads `w`.
+    /// Reading at `now` with latency and drift. Without them the sensor would read `w`.
     pub(crate) fn sensor_reading(&self, w: Complex64, now: Time) -> Complex64 {
         let w = self.history.as_ref().map_or(w, |history| history.read(now));
         w * (1.0 + self.gain_drift_per_s * now.seconds())

@@ -1,19 +1,16 @@
 //! Propagates the plate exactly while drive, frequency, damping and resonance are constant.
 //!
-//! With `y = Re(W e^{jθ})`, `θ' = ω` and the voltage on the q axis, equation 1 reads `y'' + 2σy' +
-//! ω0²y = (N/m) Re(jV e^{jθ})`.
+//! With `y = Re(W e^{jθ})`, `θ' = ω` and the voltage on the q axis, equation 1 is
+//! `y'' + 2σy' + ω0²y = (N/m) Re(jV e^{jθ})`.
 //!
-//! * **modal**: states `W` and `U = W' + jωW`, so that `y' = Re(U e^{jθ})`. U, not W', is
-//!   continuous when ω steps. Two poles `s± = −σ ± j√(ω0² − σ²)` around the steady state `W∞ =
-//!   (N/m) jV / (ω0² − ω² + 2jσω)`.
+//! * **modal**: the states are `W` and `U = W' + jωW`, so that `y' = Re(U e^{jθ})`. U, not W', is continuous when ω
+//!   steps. The two poles are `s± = −σ ± j√(ω0² − σ²)`, the steady state is `W∞ = (N/m) jV / (ω0² − ω² + 2jσω)`.
 //! * **carrier**: the same W and U; [`crate::Plant`] adds the phase of the carrier.
-//! * **envelope**: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0`: the approximation for ω ≈ ω0
-//!   without the pole `s−`, which is about 64 kHz away in this frame (equations 11 and 18 without
-//!   their linearisation).
-//! * **linear**: `Wd' = −σWd + bV` and, for the ratio `r = Wq/Wd`, `r' = −σr − Δω`: equations 13
-//!   and 19, static gains `K1 σ0/σ` and `−1/σ`, both with the time constant 1/σ. The ratio is a
-//!   separate state, because it must be defined while Wd is 0: it starts at 0 and follows the
-//!   detuning with or without vibration.
+//! * **envelope**: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0`. This approximation for ω ≈ ω0 omits the pole `s−`,
+//!   which is about 64 kHz away in this frame (equations 11 and 18 without their linearisation).
+//! * **linear**: `Wd' = −σWd + bV` and, for the ratio `r = Wq/Wd`, `r' = −σr − Δω`. These are equations 13 and 19 with
+//!   the static gains `K1 σ0/σ` and `−1/σ` and the time constant 1/σ. The ratio is a separate state, because it must be
+//!   defined while Wd is 0. It starts at 0 and follows the detuning with or without vibration.
 
 use crate::mode::{Drive, Mode};
 use crate::tier::Tier;
@@ -21,15 +18,15 @@ use num_complex::Complex64;
 
 const J: Complex64 = Complex64::I;
 
-/// µm or µm/s. Smaller components are set to zero: subnormal arithmetic is many times slower.
+/// µm or µm/s. Smaller components are set to 0, because subnormal arithmetic is many times slower.
 const NEGLIGIBLE: f64 = 1e-150;
 
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct State {
     /// `W = Wd + jWq`, µm.
     pub w: Complex64,
-    /// `U = W' + jωW`, µm/s; zero in the envelope tier. In the linear tier the real part is the
-    /// ratio Wq/Wd, and `w` is `Wd (1 + j Wq/Wd)`.
+    /// `U = W' + jωW`, µm/s; 0 in the envelope tier. In the linear tier its real part is the ratio Wq/Wd, and `w` is
+    /// `Wd (1 + j Wq/Wd)`.
     pub u: Complex64,
 }
 
@@ -60,7 +57,6 @@ pub(crate) struct ExcursionBound {
 }
 
 impl ExcursionBound {
-    /// Bound of the sum of two motions.
     pub(crate) fn plus(&self, other: &Self) -> Self {
         Self {
             speed: self.speed + other.speed,
@@ -69,13 +65,13 @@ impl ExcursionBound {
         }
     }
 
-    /// Seconds in which W changes by less than `distance`, µm; may be negative, infinite or NaN.
+    /// Time in s during which W changes by less than `distance` µm; may be negative, infinite or NaN.
     pub(crate) fn seconds_within(&self, distance: f64) -> f64 {
         ((distance - self.ripple) / self.speed).max(distance / (self.speed + self.ripple_speed))
     }
 }
 
-/// Motion of the plate after an instant, while mode and drive are constant.
+/// Motion of the plate while mode and drive are constant.
 #[derive(Debug, Clone, Copy)]
 pub struct Flow {
     steady_state: Complex64,
@@ -85,11 +81,11 @@ pub struct Flow {
 
 #[derive(Debug, Clone, Copy)]
 enum SecondTerm {
-    /// For the envelope.
+    /// Envelope tier.
     None,
-    /// Fast pole, and ω.
+    /// Modal and carrier tier: fast pole, and ω.
     FastPole(ExponentialTerm, f64),
-    /// Ratio of the linear tier; the slow term is that of Wd.
+    /// Linear tier: ratio Wq/Wd. The slow pole is that of Wd.
     Ratio { rest: f64, amplitude: f64 },
 }
 
@@ -178,9 +174,9 @@ impl Flow {
         state.flush_negligible()
     }
 
-    /// Holds from any instant of the flow on.
+    /// The bound is valid from any instant on.
     pub(crate) fn excursion_bound(&self) -> ExcursionBound {
-        // One root instead of two calls of `hypot`, which took a tenth of a trial.
+        // One root instead of two calls of `hypot`, which took a tenth of a trial's time.
         let speed = |term: &ExponentialTerm| (term.amplitude.norm_sqr() * term.pole.norm_sqr()).sqrt();
         let slow = speed(&self.slow_pole);
         match &self.second_term {
@@ -200,7 +196,7 @@ impl Flow {
         }
     }
 
-    /// W as `rest + Σ amplitude e^{pole t}`, µm and 1/s, in every tier.
+    /// W as `rest + Σ amplitude e^{pole t}` in every tier: `rest` and pairs (amplitude in µm, pole in 1/s).
     pub(crate) fn terms(&self) -> (Complex64, [(Complex64, Complex64); 2]) {
         let slow = (self.slow_pole.amplitude, self.slow_pole.pole);
         let other = match &self.second_term {

@@ -1,21 +1,20 @@
-//! Reads input files of limited size; refuses pipes and devices, which may never end. `-` is standard input.
+//! Reads input files of limited size. Refuses pipes and devices, which may never end. `-` is standard input.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 use std::sync::OnceLock;
 
-/// A profile of 10⁶ points needs less.
+/// A CSV profile of 10⁶ points is smaller.
 const MAX_BYTES: u64 = 64 << 20;
-/// The path of standard input and output; `./-` is a file of this name.
+/// Path that means standard input or output. `./-` is a file of this name.
 pub const STANDARD_STREAM: &str = "-";
-/// Name of standard input in records and as a copy.
+/// File name of standard input in records and in copies of the input.
 pub const STANDARD_INPUT_NAME: &str = "stdin.toml";
-/// A file is read more than once, standard input can only be read once.
+/// Content of standard input. Callers read an input more than once, but the stream can be read only once.
 static STDIN: OnceLock<Result<Vec<u8>, ErrorKind>> = OnceLock::new();
 
-/// Fails with `InvalidInput` for a pipe, a device or a socket, which is not opened, and with
-/// `FileTooLarge` above 64 MiB.
+/// Fails with `InvalidInput` for a pipe, device or socket, which is not opened, and with `FileTooLarge` above 64 MiB.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     if path == Path::new(STANDARD_STREAM) {
         let content = STDIN.get_or_init(|| read_limited(io::stdin().lock()).map_err(|error| error.kind()));

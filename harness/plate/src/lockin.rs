@@ -3,16 +3,16 @@
 use crate::plate_error::{PlateError, check, positive};
 use crate::raw_plate::RawSensor;
 
-/// At the plate's resonance.
+/// Largest window of the lock-in at the plate's resonance.
 pub(crate) const MAX_WINDOW_SAMPLES: f64 = 1e6;
-/// 1.5 · 2⁵²: adding it drops the fraction; rounds to nearest, halves to even.
+/// 1.5 · 2⁵². Adding and subtracting it rounds to the nearest integer, ties to even.
 const WHOLE: f64 = 6_755_399_441_055_744.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ConverterResolution {
-    /// Sign included, 2 to 32.
+    /// 2 to 32, including the sign bit.
     pub bits: u32,
-    /// The largest amplitude that is not clipped, peak to peak.
+    /// Largest peak-to-peak amplitude that is not clipped.
     pub range_um: f64,
 }
 
@@ -32,14 +32,13 @@ impl ConverterResolution {
         }
     }
 
-    /// Clips `y` and rounds it to the nearest step, µm.
     pub(crate) fn convert(&self, y: f64) -> f64 {
         let (step, codes) = (self.step_um(), f64::from(1_u32 << (self.bits - 1)));
         let code = (y / step).clamp(-codes, codes - 1.0);
         ((code + WHOLE) - WHOLE) * step
     }
 
-    /// µm: 2^bits codes over twice the range.
+    /// Quantisation step, µm. The 2^bits codes cover twice the range.
     pub fn step_um(&self) -> f64 {
         self.range_um / f64::from(1_u32 << (self.bits - 1))
     }

@@ -4,7 +4,7 @@ use crate::plate::Plate;
 
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Conditions {
-    /// Above the reference temperature.
+    /// Temperature minus the plate's reference temperature.
     pub temperature_offset_k: f64,
     pub finger_force_n: f64,
 }
@@ -15,13 +15,13 @@ pub struct Mode {
     pub sigma: f64,
     /// Undamped resonance ω0, rad/s.
     pub omega0: f64,
-    /// The plant's constant N/m, µm/s² per Vpp.
+    /// Constant N/m of the plate, µm/s² per Vpp.
     pub force_constant: f64,
-    /// `b = K1 σ0`, µm/s per Vpp: the constant of the envelope.
+    /// Constant of the envelope, `b = K1 σ0`, µm/s per Vpp.
     pub envelope_constant: f64,
 }
 
-/// Output of the amplifier, constant between two actuations.
+/// Excitation of the plate, constant between two actuations.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Drive {
     pub vpp: f64,
@@ -42,7 +42,7 @@ impl Plate {
         }
     }
 
-    /// The second mode: damping and resonance change in the proportion of the first mode's.
+    /// Damping and resonance of the second mode change in proportion to those of the first mode.
     pub fn second_mode(&self, conditions: &Conditions) -> Option<Mode> {
         self.second_mode.map(|second| {
             let first = self.mode(conditions);
@@ -55,7 +55,7 @@ impl Plate {
         })
     }
 
-    /// `low` and `high` in N.
+    /// Largest σ for forces from `low` to `high` N, 1/s.
     pub(crate) fn max_sigma(&self, (low, high): (f64, f64)) -> f64 {
         let bends = self.damping_ratio.iter().map(|point| point[0]).filter(|force| (low..=high).contains(force));
         self.sigma0 * bends.chain([low, high]).map(|force| self.damping_ratio_at(force)).fold(0.0_f64, f64::max)
@@ -63,18 +63,17 @@ impl Plate {
 }
 
 impl Mode {
-    /// True if the mode oscillates: 0 < σ < ω0.
     pub fn is_resonant(&self) -> bool {
         self.sigma > 0.0 && self.omega0 > self.sigma
     }
 
-    /// Holds `amplitude` µm at resonance: `V = W σ / b`, Vpp.
+    /// Drive that holds `amplitude` µm at resonance: `V = W σ / b`, Vpp.
     pub fn drive_for(&self, amplitude: f64) -> f64 {
         amplitude * self.sigma / self.envelope_constant
     }
 
-    /// Shortest time in s from rest to `share` of `setpoint` µm with at most `limit` Vpp at
-    /// resonance: `−ln(1 − share·setpoint/W∞)/σ`. `None` if the limit is too low.
+    /// Shortest time in s from rest to `share · setpoint` µm at resonance: `−ln(1 − share·setpoint/W∞)/σ`, with W∞ the
+    /// amplitude at `limit` Vpp. `None` if the limit is too low.
     pub fn min_rise_time(&self, setpoint: f64, share: f64, limit: f64) -> Option<f64> {
         let missing = 1.0 - share * self.drive_for(setpoint) / limit;
         (missing > 0.0).then(|| -missing.ln() / self.sigma)

@@ -1,4 +1,4 @@
-//! Adds up the modes of a plate over one step, and keeps the last steps for a sensor with latency.
+//! Adds up the modes of a plate over a step. Keeps past steps for a sensor with latency.
 
 use crate::amplifier::Forcing;
 use crate::flow::{ExcursionBound, State};
@@ -9,13 +9,13 @@ use crate::varying::VaryingFlow;
 use num_complex::Complex64;
 use std::collections::VecDeque;
 
-/// Rest, and slow pole, fast pole and amplifier of both modes.
+/// Steady state, and slow pole, fast pole and amplifier of each of two modes.
 const TERMS: usize = 7;
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum ModeMotion {
     Constant(ForcedFlow),
-    /// Under the constant part of the drive, and the rest of the drive.
+    /// The response to the constant part of the drive, and the drive.
     Varying(VaryingFlow, Forcing),
 }
 
@@ -35,7 +35,6 @@ impl ModeMotion {
     }
 }
 
-/// A value for each mode.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct PerMode<T> {
     pub(crate) first: T,
@@ -47,7 +46,7 @@ impl<T: Copy> PerMode<T> {
         PerMode { first: of(self.first), second: self.second.map(of) }
     }
 
-    /// Without a second mode if `other` has none.
+    /// The result has a second mode only if both arguments have one.
     pub(crate) fn zip<U: Copy>(self, other: PerMode<U>) -> PerMode<(T, U)> {
         PerMode { first: (self.first, other.first), second: self.second.zip(other.second) }
     }
@@ -62,7 +61,7 @@ impl PerMode<State> {
 
 pub(crate) type Motion = PerMode<ModeMotion>;
 
-/// Both modes frozen.
+/// Motion with constant modes.
 pub(crate) type FrozenMotion = PerMode<ForcedFlow>;
 
 impl Motion {
@@ -81,7 +80,7 @@ impl FrozenMotion {
         self.second.map_or(first, |second| first.plus(&second.excursion_bound()))
     }
 
-    /// W as `Σ amplitude e^{pole t}`, µm and 1/s; the first pole is 0.
+    /// Pairs (amplitude in µm, pole in 1/s) of `W = Σ amplitude e^{pole t}`. The first pole is 0.
     pub(crate) fn terms(&self) -> [(Complex64, Complex64); TERMS] {
         let (rest, [slow, fast, amplifier]) = self.first.terms();
         let (second_rest, second) = self.second.map_or_else(Default::default, |flow| flow.terms());
@@ -91,11 +90,10 @@ impl FrozenMotion {
     }
 }
 
-/// The motions of the last `latency`.
 #[derive(Debug, Clone)]
 pub(crate) struct MotionHistory {
     latency: Time,
-    /// With the time at which each starts.
+    /// Each motion of the last `latency`, with its start time.
     motions: VecDeque<(Time, Motion)>,
 }
 
@@ -111,7 +109,7 @@ impl MotionHistory {
         self.motions.push_back((start, *motion));
     }
 
-    /// W at `now` minus the latency; at rest before the start.
+    /// W at `now` minus the latency; 0 before the start of the trial.
     pub(crate) fn read(&self, now: Time) -> Complex64 {
         if now < self.latency {
             return Complex64::ZERO;

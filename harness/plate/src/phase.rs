@@ -1,16 +1,15 @@
 //! Accumulates the carrier's phase θ over intervals without an error that grows.
 //!
-//! θ is in turns, a fixed-point fraction of 128 bits that wraps; ω is in turns per nanosecond in
-//! the same format. Time is an integer of nanoseconds, so an interval adds an integer product: no
-//! interval rounds, and intervals may be split anywhere. The only error is the rounding of ω to
-//! 2⁻¹²⁸ turns/ns: below 1e-22 turns in 104 days, the range of [`Time`]. A sum of `ω Δt` in
-//! doubles, wrapped after each interval, has an error of 2e-7 rad after 1e9 periods.
+//! θ is in turns, as a fixed-point fraction of 128 bits that wraps. ω is in turns per nanosecond in the same format.
+//! Time is an integer of nanoseconds, so an interval adds an integer product. No interval rounds, and intervals may be
+//! split anywhere. The only error is the rounding of ω to 2⁻¹²⁸ turns/ns, which is below 1e-22 turns in 104 days, the
+//! range of [`Time`]. A sum of `ω Δt` in f64, wrapped after each interval, has an error of 2e-7 rad after 1e9 periods.
 
 use crate::time::Time;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
-/// `2¹⁶⁰ / (2π 10⁹)`, rounded: turns per nanosecond at 1 rad/s.
+/// Turns per nanosecond at 1 rad/s, times 2¹⁶⁰: `2¹⁶⁰ / (2π 10⁹)`, rounded.
 const TURNS_PER_RADIAN: u128 = 0xaefe_2247_4831_3b7d_3bb6_a907_47cd_2459;
 
 /// θ in turns, times 2¹²⁸.
@@ -27,7 +26,7 @@ impl Phase {
         Self(self.0.wrapping_add(rate.0.wrapping_mul(span.as_nanos() as u128)))
     }
 
-    /// θ between −π and π, to the last bit of a double.
+    /// θ between −π and π, exact to the last bit of an f64.
     pub const fn radians(self) -> f64 {
         const TURN: f64 = 18_446_744_073_709_551_616.0;
         ((self.0 >> 64) as u64).cast_signed() as f64 * (TAU / TURN)
@@ -40,8 +39,8 @@ impl Phase {
 }
 
 impl PhaseRate {
-    /// `omega` in rad/s, exact to 2⁻¹²⁸ turns/ns. Zero if ω is NaN, infinite or above 2⁸⁵ rad/s:
-    /// a double cannot resolve a turn there.
+    /// Rate of `omega` rad/s, exact to 2⁻¹²⁸ turns/ns. 0 for NaN, infinity and above 2⁸⁵ rad/s: f64 resolves no turn
+    /// there.
     pub const fn from_omega(omega: f64) -> Self {
         const MANTISSA: u64 = (1 << 52) - 1;
         let bits = omega.abs().to_bits();

@@ -1,4 +1,4 @@
-//! Advances a plate through its profiles and under its drive.
+//! Advances a plate in time under its drive, its temperature profile and its force profile.
 
 use crate::crossing::{BandMonitor, Crossing};
 
@@ -16,22 +16,21 @@ use crate::varying::VaryingFlow;
 use num_complex::Complex64;
 use std::f64::consts::PI;
 
-/// Allowed error of a varying mode relative to its resonance amplitude (`docs/mathematics.md`).
+/// Allowed error of a varying mode relative to its amplitude at resonance (`docs/mathematics.md`).
 ///
-/// Two terms of the Magnus series (`varying.rs`) leave the error `λ'² bV h⁵/240` for a pole λ with
-/// the rate λ'. It decays with σ, so the total is at most `λ'² h⁴/240 · bV/σ`. A mode that is
-/// frozen at the midpoint leaves the first commutator, `|λ'| h²/12 · bV/σ`.
+/// For a pole λ with the rate λ', two terms of the Magnus series (`varying.rs`) leave the error `λ'² bV h⁵/240` in a
+/// substep h. This error decays with σ, so the total is at most `λ'² h⁴/240 · bV/σ`. A mode that is frozen at its
+/// midpoint leaves the first commutator, `|λ'| h²/12 · bV/σ`.
 pub(crate) const VARYING_ERROR: f64 = 1e-7;
 /// Shortest substep, s. A profile that needs shorter ones lasts only microseconds.
 const MIN_SUBSTEP: f64 = 1e-7;
-/// Largest rate of a pole for `varying.rs`, as a share of Ω³/ω0 (Ω: frequency of the free
-/// oscillation): its transformation requires a slow change; a faster mode is frozen per substep.
-/// About 1e6 rad/s² for the paper's plate, 1 N in 0.35 ms.
+/// Largest rate of a pole for `varying.rs`, as a fraction of Ω³/ω0 (Ω: frequency of the free oscillation). The
+/// equations there require a slow change; a faster mode is frozen per substep. For the paper's plate the limit is about
+/// 1e6 rad/s² or 1 N in 0.35 ms.
 const SLOW_POLE_SHARE: f64 = 1.0 / 40_000.0;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct ConditionProfiles {
-    /// Above the reference temperature.
     pub temperature_offset_k: Profile,
     pub finger_force_n: Profile,
 }
@@ -44,7 +43,6 @@ impl ConditionProfiles {
         }
     }
 
-    /// The next point of either profile.
     pub fn next_point_after(&self, time: Time) -> Option<Time> {
         let points = [&self.temperature_offset_k, &self.finger_force_n].map(|profile| profile.next_point_after(time));
         points.into_iter().flatten().min()
@@ -55,17 +53,16 @@ impl ConditionProfiles {
     }
 }
 
-/// An interval in which neither a profile nor the damping curve under the force jumps or bends.
+/// Interval in which neither a profile nor the damping curve jumps or bends.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SmoothInterval {
     pub(crate) end: Time,
-    /// Bound on |λ'|, rad/s².
+    /// Upper bound on |λ'|, rad/s².
     pub(crate) rate: f64,
-    /// At the interval's start; constant if `rate` is 0.
+    /// Mode at the start of the interval; constant if `rate` is 0.
     mode: Mode,
 }
 
-/// A plate with its state, drive and profiles.
 #[derive(Debug, Clone)]
 pub struct Plant {
     pub(crate) plate: Plate,
@@ -73,20 +70,20 @@ pub struct Plant {
     tier: Tier,
     pub(crate) time: Time,
     pub(crate) state: State,
-    /// At the amplifier's input.
+    /// Drive at the amplifier's input.
     pub(crate) drive: Drive,
     pub(crate) phase: Phase,
     pub(crate) rate: PhaseRate,
     pub(crate) demodulator: Option<Demodulator>,
-    /// The largest |λ'| for [`VaryingFlow`], rad/s².
+    /// Largest |λ'| for [`VaryingFlow`], rad/s².
     pub(crate) max_pole_rate: f64,
     interval: Option<SmoothInterval>,
-    /// `None` if the plate file has none, and in the tiers `linear` and `envelope`, which omit them.
+    /// `None` for a plate without optional effects, and in the tiers `linear` and `envelope`.
     effects: Option<Box<Effects>>,
 }
 
 impl Plant {
-    /// At rest and without drive. In the carrier tier the sensor is the plate's demodulator.
+    /// The plate is at rest and without drive. In the carrier tier its sensor is the demodulator, if it has one.
     pub fn new(plate: Plate, scene: ConditionProfiles, tier: Tier) -> Self {
         let lockin = plate.lockin.filter(|_| tier == Tier::Carrier);
         Self {
@@ -113,7 +110,6 @@ impl Plant {
         self.state
     }
 
-    /// The carrier's θ, in every tier.
     pub fn phase(&self) -> Phase {
         self.phase
     }
@@ -123,19 +119,17 @@ impl Plant {
         (self.state.w * self.phase.rotation()).re
     }
 
-    /// µm: W itself, or the demodulator's mean over the last carrier periods; with the sensor's
-    /// latency and drift.
+    /// W or the demodulator's output, with the sensor's latency and drift, µm.
     pub fn sensor_reading(&self) -> Complex64 {
         let w = self.demodulator.as_ref().map_or(self.state.w, |demodulator| demodulator.read(self.drive.omega));
         self.effects.as_ref().map_or(w, |effects| effects.sensor_reading(w, self.time))
     }
 
-    /// Commanded last; the amplifier's output may differ.
+    /// The last commanded drive; the amplifier's output may differ.
     pub fn drive(&self) -> Drive {
         self.effects.as_ref().map_or(self.drive, |effects| effects.commanded)
     }
 
-    /// Temperature above the profile's, by self-heating, K.
     pub fn self_heating_k(&self) -> f64 {
         self.effects.as_ref().map_or(0.0, |effects| effects.heat_k)
     }
@@ -148,7 +142,7 @@ impl Plant {
         self.scene.at(time)
     }
 
-    /// The first mode, with the present self-heating.
+    /// The first mode with the present self-heating.
     pub fn mode_at(&self, time: Time) -> Mode {
         let mut conditions = self.scene.at(time);
         if let Some(effects) = &self.effects {
@@ -169,7 +163,7 @@ impl Plant {
         self.interval = None;
     }
 
-    /// W, U and θ are continuous.
+    /// W, U and θ do not jump.
     pub fn set_drive(&mut self, drive: Drive) {
         if self.effects.is_some() {
             self.set_drive_with_effects(drive);
@@ -200,8 +194,7 @@ impl Plant {
         self.drive = drive;
     }
 
-    /// An earlier `end` changes nothing. Appends to `crossings` in order of time; an excursion
-    /// shorter than 1 µs may be missed.
+    /// No effect if `end` has passed. Appends to `crossings` in order of time; may miss an excursion shorter than 1 µs.
     pub fn advance(&mut self, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
         if self.effects.is_some() {
             return self.advance_with_effects(end, monitors, crossings);
@@ -216,14 +209,14 @@ impl Plant {
             let frequency = self.scene.angular_frequency();
             let fast = interval.rate > self.max_pole_rate || frequency > self.plate.omega0 / 10.0;
             let longest = if fast {
-                // Shorter than a turn of the fast pole, else the substeps would excite it.
+                // A substep is shorter than a turn of the fast pole, otherwise the substeps would excite this pole.
                 let rate = interval.rate * 1.0_f64.hypot(frequency / (2.0 * self.plate.sigma0));
                 max_frozen_substep(rate).min(0.75 * PI / self.plate.omega0)
             } else {
                 self.max_varying_substep(interval.rate, frequency, self.pole_norm(frequency))
             };
             for end in split_interval(self.time, interval_end, longest) {
-                // A step of less than 3 ns does not contain three instants.
+                // A parabola needs three instants, which less than 3 ns do not contain.
                 if fast || (end - self.time).as_nanos() < 3 {
                     let mode = self.mode_at(self.time.midpoint(end));
                     self.advance_frozen(&mode, end, monitors, crossings);
@@ -249,7 +242,7 @@ impl Plant {
         interval
     }
 
-    /// |λ|, 1/s; needed for profiles with a frequency only.
+    /// |λ|, 1/s; 0 if no profile is a sine, because only the error bound of a sine needs |λ|.
     fn pole_norm(&self, frequency: f64) -> f64 {
         if frequency == 0.0 {
             return 0.0;
@@ -258,9 +251,8 @@ impl Plant {
         mode.sigma.hypot(mode.omega0 - self.drive.omega)
     }
 
-    /// Longest substep in s for a pole λ of norm `pole` with the rate `rate`, rad/s², on a profile of frequency ν =
-    /// `frequency`, rad/s. The error is of fourth order: `h⁴ |λ'| (|λ'|/240 + ν|λ|/720 + ν²/240 +
-    /// ν³/2880σ) bV/σ`.
+    /// Longest substep in s for a pole λ of norm `pole`, 1/s, and rate `rate`, rad/s², if a profile has the frequency ν
+    /// = `frequency`, rad/s. The error is `h⁴ |λ'| (|λ'|/240 + ν|λ|/720 + ν²/240 + ν³/2880σ) bV/σ`.
     pub(crate) fn max_varying_substep(&self, rate: f64, frequency: f64, pole: f64) -> f64 {
         let mut sum = rate;
         if frequency > 0.0 {
@@ -269,7 +261,7 @@ impl Plant {
         (240.0 * VARYING_ERROR / (rate * sum)).sqrt().sqrt()
     }
 
-    /// Bound on |λ'| up to the next point of a profile, rad/s².
+    /// Upper bound on |λ'| until the next point of a profile, rad/s².
     fn pole_rate_bound(&self) -> f64 {
         let plate = &self.plate;
         let [warming, pressing] = [&self.scene.temperature_offset_k, &self.scene.finger_force_n]
@@ -282,7 +274,7 @@ impl Plant {
     }
 
     fn next_bend(&self) -> Option<Time> {
-        // The last segment is extended, so its end is no bend.
+        // The last segment is extended, so its end is not a bend.
         let (_, bends) = self.plate.damping_ratio.split_last()?;
         bends.iter().filter_map(|[force, _]| self.scene.finger_force_n.next_crossing(*force, self.time)).min()
     }
@@ -305,20 +297,20 @@ impl Plant {
     /// The demodulator advances in pieces of at most `longest` s.
     fn advance_varying(&mut self, end: Time, longest: f64, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
         let start = self.time;
-        // A held profile may jump at the end itself.
+        // A `hold` profile may jump at `end` itself.
         let last = end - Time::from_nanos(1);
         let [middle, last] = [start.midpoint(last), last].map(|time| ((time - start).seconds(), self.mode_at(time)));
         let varying = VaryingFlow::new(self.tier, &self.mode_at(start), middle, last, &self.drive, &self.state);
         let seconds = (end - start).seconds();
         if !monitors.is_empty() {
-            // This bound holds from the start on only.
+            // This bound is valid only from the start of the interval.
             let reach = varying.max_excursion(seconds);
             let seconds_within = |from, distance| if from == 0.0 && reach < distance { seconds } else { 0.0 };
             self.find_crossings(end, |seconds| varying.after(seconds), seconds_within, monitors, crossings);
         }
         if let Some(mut demodulator) = self.demodulator.take() {
-            // The demodulator advances by exponentials. Each piece starts at the plate's exact
-            // state, so errors do not accumulate.
+            // The demodulator requires exponentials, so each piece has a frozen mode. Each piece starts at the plate's
+            // exact state, so errors do not accumulate.
             let mut from = start;
             for to in split_interval(start, end, longest) {
                 let (mode, state) = (self.mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
@@ -362,7 +354,7 @@ impl Plant {
     }
 }
 
-/// The largest |λ'| that is slow against the oscillation in every condition of `scene`, rad/s².
+/// Largest |λ'| that [`VaryingFlow`] accepts under every condition of `scene`, rad/s²; see [`SLOW_POLE_SHARE`].
 fn max_slow_pole_rate(plate: &Plate, scene: &ConditionProfiles) -> f64 {
     let largest = |profile: &Profile| profile.range().0.abs().max(profile.range().1.abs());
     let shift = plate.omega0_per_k.abs() * largest(&scene.temperature_offset_k)
@@ -373,19 +365,19 @@ fn max_slow_pole_rate(plate: &Plate, scene: &ConditionProfiles) -> f64 {
     SLOW_POLE_SHARE * squared * squared.sqrt() / plate.omega0
 }
 
-/// Longest substep in s for a mode frozen at its midpoint while the pole changes at `rate` rad/s².
+/// Longest substep in s for a mode that is frozen at its midpoint while the pole changes at `rate` rad/s².
 #[inline]
 pub(crate) fn max_frozen_substep(rate: f64) -> f64 {
     (12.0 * VARYING_ERROR / rate).sqrt().max(MIN_SUBSTEP)
 }
 
-/// The ends of equal pieces of at most `longest` s, from `start` to `end`.
+/// Splits the time from `start` to `end` into equal pieces of at most `longest` s. Yields the end of each piece.
 #[inline]
 pub(crate) fn split_interval(start: Time, end: Time, longest: f64) -> impl Iterator<Item = Time> {
     let span = end - start;
     let pieces = ((span.seconds() / longest).ceil().max(1.0) as u64).min(span.as_nanos());
     (1..=pieces).map(move |piece| {
-        // The last end is exact; it is usually the only one and needs no division of 128 bits.
+        // The last end is exactly `end`. Usually it is the only one, and then no 128-bit division is needed.
         if piece == pieces {
             end
         } else {

@@ -1,9 +1,9 @@
-//! Advances a plate with a second mode, an amplifier, self-heating or a sensor with latency.
+//! Advances a plate with optional effects: second mode, amplifier, self-heating, sensor latency.
 //!
-//! A step ends at commands, at points of the profiles and at the end of the amplifier's ramp. With constant modes a
-//! step is exact for any length. If the conditions change or the plate warms up, the modes follow a parabola as in
-//! `varying.rs`. The warming uses the closed form of |W|², with its ripple, for the modes of the middle of the step.
-//! Constant modes change |W|² by a share of up to `|λ'|h²/8`; Simpson's rule integrates this difference.
+//! A step ends at each command, at each point of a profile and at the end of the amplifier's ramp. With constant modes
+//! a step of any length is exact. If the conditions or the self-heating change the modes, each follows a parabola as in
+//! `varying.rs`. The self-heating is first computed from the closed form of |W|², including its ripple, for constant
+//! modes at the middle of the step. The error of |W|², up to a fraction `|λ'|h²/8`, is corrected by Simpson's rule.
 
 use crate::amplifier::Forcing;
 use crate::crossing::{BandMonitor, Crossing};
@@ -17,17 +17,16 @@ use crate::varying::VaryingFlow;
 use num_complex::Complex64;
 use std::f64::consts::PI;
 
-/// Half the substep of `plant.rs` has a sixteenth of its error.
+/// Step as a fraction of the substep of `plant.rs`. The error has order four, so it is a sixteenth.
 const STEP_SHARE: f64 = 0.5;
-/// A step with self-heating is shorter than this share of 1/|λ|, so that T is a parabola.
+/// Upper limit of a step with self-heating, as a fraction of 1/|λ|. The temperature is then nearly a parabola.
 const HEATING_STEP_SHARE: f64 = 0.25;
 
-/// One step of both modes.
 struct Step {
     motion: Motion,
-    /// If the modes are constant.
+    /// `Some` if the modes are constant.
     frozen: Option<FrozenMotion>,
-    /// Self-heating in the middle and at the end, K.
+    /// Self-heating at the middle and at the end of the step, K.
     heat_k: [f64; 2],
 }
 
@@ -72,11 +71,11 @@ impl Plant {
         PerMode { first: self.plate.mode(&conditions), second: self.plate.second_mode(&conditions) }
     }
 
-    /// Bound on |λ'| of both modes, rad/s²; `rate` is that of the first mode's profiles.
+    /// Upper bound on |λ'| of both modes, rad/s². `rate` is the bound for the first mode without self-heating.
     fn effects_rate(&self, effects: &Effects, rate: f64) -> f64 {
         let plate = &self.plate;
         let heating = plate.heating.map_or(0.0, |heating| {
-            // The amplitude rises by at most b V t per mode; a step is below 1 ms or a time constant.
+            // The amplitude rises by at most b V t per mode. Steps are assumed to be below 1 ms or a time constant.
             let second = plate.second_mode.map_or(0.0, |second| second.gain.abs());
             let rise = (plate.gain + second) * (plate.drive_limit_vpp + plate.amplifier.offset_vpp.abs());
             let largest = self.state.w.norm() + rise.min(rise * plate.sigma0 * 1e-3);
@@ -89,7 +88,7 @@ impl Plant {
         scale * (rate + heating)
     }
 
-    /// Longest step of `varying.rs`, s. A ramp of the drive over at least a step adds `|λ||λ'|h³/240`.
+    /// Longest step for `varying.rs`, s. A ramp of the drive that lasts at least a step adds the error `|λ||λ'|h³/240`.
     fn longest_step(&self, effects: &Effects, forcing: &Forcing, rate: f64, frequency: f64) -> f64 {
         let modes = self.modes_at(self.time, effects.heat_k);
         let poles = modes.map(|mode| mode.sigma.hypot(mode.omega0 - self.drive.omega));
@@ -111,7 +110,7 @@ impl Plant {
         let mut heat_k = [effects.heat_k; 2];
         let mut frozen = frozen_with(effects.heat_k);
         if let Some(heating) = &self.plate.heating {
-            // The second pass uses the temperature of the first.
+            // The second pass uses the modes at the temperature from the first pass.
             for _ in 0..2 {
                 let terms = frozen.terms();
                 heat_k = [(middle - start).seconds(), seconds].map(|t| heating.after(effects.heat_k, &terms, t));
@@ -122,7 +121,7 @@ impl Plant {
             return Step { motion: frozen.map(ModeMotion::Constant), frozen: Some(frozen), heat_k };
         }
         let varying_with = |heat_k: [f64; 2]| {
-            // A held profile may jump at the end itself.
+            // A `hold` profile may jump at `end` itself.
             let last = end - Time::from_nanos(1);
             let instants = [(start, effects.heat_k), (middle, heat_k[0]), (last, heat_k[1])];
             let [first, second, third] = instants.map(|(time, heat)| self.modes_at(time, heat));
@@ -141,7 +140,7 @@ impl Plant {
                     [&motion, &frozen].map(|motion| motion.after(share * seconds).sum().w.norm_sqr());
                 moving - frozen
             };
-            // Simpson's rule from the start, where both are equal, to the middle and to the end.
+            // Simpson's rule from the start, where the error is 0, to the middle and to the end.
             let [quarter, half, whole] = [0.25, 0.5, 1.0].map(error);
             let scale = heating.rate * heating.rise_k_per_um2 * seconds / 6.0;
             heat_k[0] += scale / 2.0 * (4.0 * quarter + half);
@@ -197,7 +196,6 @@ impl Plant {
         self.finish_step(end, effects.states.sum());
     }
 
-    /// W, U and θ are continuous.
     pub(crate) fn command_drive(&mut self, effects: &mut Effects, drive: Drive) {
         if let Some(drive) = effects.command(drive, self.time, self.plate.amplifier.dead_time) {
             self.apply_drive(drive);

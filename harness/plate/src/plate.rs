@@ -13,28 +13,28 @@ use std::f64::consts::TAU;
 pub struct Plate {
     pub name: String,
     pub source: String,
-    /// At the reference temperature, rad/s.
+    /// Resonance ω0 at the reference temperature, rad/s.
     pub omega0: f64,
     pub reference_temperature_c: f64,
     /// rad/s per kelvin.
     pub omega0_per_k: f64,
-    /// Damping σ = d/2m = 1/τ untouched, 1/s.
+    /// Damping σ = d/2m = 1/τ of the untouched plate, 1/s.
     pub sigma0: f64,
-    /// Gain K1 at resonance, untouched, µm/Vpp (equation 13).
+    /// Gain K1 of the untouched plate at resonance, µm/Vpp (equation 13).
     pub gain: f64,
-    /// Points [force N, σ/σ0], at least one, forces rising, ratios positive.
+    /// At least one point [force in N, σ/σ0]. Forces increase, ratios are positive.
     pub damping_ratio: Vec<[f64; 2]>,
     /// rad/s per newton.
     pub omega0_per_n: f64,
     pub drive_limit_vpp: f64,
-    /// Noise on each sensed component.
+    /// Standard deviation of the noise on each of Wd and Wq.
     pub noise_um_rms: f64,
-    /// `None` if W is sensed without delay. Only for the carrier tier.
+    /// `None` if the sensor measures W directly. Only the carrier tier uses the lock-in.
     pub lockin: Option<Lockin>,
-    /// Resolution of each sensed component, for a sensor without lock-in.
+    /// Resolution of Wd and Wq if the sensor has a converter but no lock-in.
     pub resolution: Option<ConverterResolution>,
     pub sensor_latency: Time,
-    /// Change of the sensor's gain, as a share per second.
+    /// Change of the sensor's gain per second, as a fraction of the gain.
     pub sensor_gain_drift_per_s: f64,
     pub second_mode: Option<SecondMode>,
     pub amplifier: Amplifier,
@@ -42,7 +42,7 @@ pub struct Plate {
     pub uncertainty: Uncertainty,
 }
 
-/// Half widths of the intervals of 95 %, percent; `None` if unknown.
+/// Half widths of the 95 % intervals, percent of the value; `None` if unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Uncertainty {
     pub gain_percent: Option<f64>,
@@ -61,20 +61,20 @@ fn uncertainty(raw: &RawUncertainty) -> Result<Uncertainty, PlateError> {
 }
 
 impl RawPlate {
-    /// A ramp is no exponential: the converter's samples and the warming have no closed form for it.
+    /// A slew rate makes the drive a ramp, under which lock-in samples and self-heating have no closed form.
     fn check_combinations(&self) -> Result<(), PlateError> {
         const SLEW_RATE: &str = "drive.slew_rate_vpp_per_ms";
         let slew_rate = self.drive.slew_rate_vpp_per_ms;
         let value = slew_rate.unwrap_or_default();
         let has_lockin = self.sensor.demodulator_periods.is_some();
-        check(slew_rate.is_none() || !has_lockin, SLEW_RATE, &value, "no `sensor.demodulator_periods` with it")?;
-        check(slew_rate.is_none() || self.heating.is_none(), SLEW_RATE, &value, "no `[heating]` with it")?;
+        check(slew_rate.is_none() || !has_lockin, SLEW_RATE, &value, "a plate without `sensor.demodulator_periods`")?;
+        check(slew_rate.is_none() || self.heating.is_none(), SLEW_RATE, &value, "a plate without `[heating]`")?;
         let latency_us = self.sensor.latency_us;
         check(
             latency_us == 0.0 || !has_lockin,
             "sensor.latency_us",
             &latency_us,
-            "no `demodulator_periods` with it: the demodulator has its own latency",
+            "0 with `demodulator_periods`, because the demodulator has its own latency",
         )
     }
 
@@ -141,13 +141,12 @@ fn damping_curve(points: Vec<[f64; 2]>) -> Result<Vec<[f64; 2]>, PlateError> {
 }
 
 impl Plate {
-    /// N/m, µm/s² per Vpp: `K1 · 2σ0 · ω0` (equation 8); independent of finger and temperature.
+    /// `N/m = K1 · 2σ0 · ω0` (equation 8), µm/s² per Vpp. A finger and the temperature do not change it.
     pub fn force_constant(&self) -> f64 {
         self.gain * 2.0 * self.sigma0 * self.omega0
     }
 
-    /// The first key of the plate file that needs more than one mode with an ideal amplifier and sensor;
-    /// the models `linear` and `envelope` cannot simulate it.
+    /// Key of the plate file's first optional effect. The models `linear` and `envelope` cannot simulate these effects.
     pub fn first_effect(&self) -> Option<&'static str> {
         let Amplifier { converter, dead_time, pole, slew_rate, offset_vpp } = self.amplifier;
         let effects = [
@@ -169,7 +168,6 @@ impl Plate {
         slopes.fold(0.0, |steepest, slope| slope.abs().max(steepest))
     }
 
-    /// σ/σ0 under a finger force in N.
     pub fn damping_ratio_at(&self, force_n: f64) -> f64 {
         let points = &self.damping_ratio;
         let [first, .., _] = points[..] else {
@@ -178,7 +176,7 @@ impl Plate {
         if force_n <= first[0] {
             return first[1];
         }
-        // The segment that contains the force; the last one is extended.
+        // The segment that contains the force. The last segment is extended.
         let segment = points.windows(2).find(|pair| force_n <= pair[1][0]).or_else(|| points.windows(2).last());
         segment.map_or(first[1], |pair| {
             let slope = (pair[1][1] - pair[0][1]) / (pair[1][0] - pair[0][0]);
@@ -214,7 +212,7 @@ mod tests {
     #[case("time_constant_ms = 1.88", "time_constant_ms = -1.88", "mode.time_constant_ms")]
     #[case("time_constant_ms = 1.88", "time_constant_ms = 0.0", "mode.time_constant_ms")]
     #[case("time_constant_ms = 1.88", "time_constant_ms = inf", "mode.time_constant_ms")]
-    // Q = π f τ: 1 at 9.853 µs.
+    // Q = π f τ is 1 at 9.853 µs.
     #[case("time_constant_ms = 1.88", "time_constant_ms = 0.00985", "mode.time_constant_ms")]
     #[case("gain_um_per_vpp = 0.00698", "gain_um_per_vpp = inf", "mode.gain_um_per_vpp")]
     #[case("reference_temperature_c = 24.0", "reference_temperature_c = -274.0", "mode.reference_temperature_c")]

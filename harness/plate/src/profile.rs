@@ -5,15 +5,15 @@ use std::f64::consts::{PI, TAU};
 
 #[derive(Debug, Clone, PartialEq)]
 pub enum Profile {
-    /// Each value holds from its instant to the next point; the first one from the start.
+    /// Each value holds from its point to the next one. The first value also holds before its point.
     Hold(Vec<(Time, f64)>),
-    /// Straight lines between the points.
+    /// Linear between the points, constant before the first and after the last.
     Linear(Vec<(Time, f64)>),
     /// `mean + amplitude sin(omega t + phase)`
     Sine {
         mean: f64,
         amplitude: f64,
-        /// rad/s; `phase` is rad.
+        /// rad/s; `phase` is in rad.
         omega: f64,
         phase: f64,
     },
@@ -24,7 +24,7 @@ impl Profile {
         Self::Hold(vec![(Time::ZERO, value)])
     }
 
-    /// The value at `time`; at a point of `hold` the new one.
+    /// At a point of [`Self::Hold`] the new value already holds.
     pub fn at(&self, time: Time) -> f64 {
         match self {
             Self::Hold(points) => {
@@ -55,7 +55,7 @@ impl Profile {
         }
     }
 
-    /// Bound on the slope per second between `from` and the next point.
+    /// Upper bound on |slope| between `from` and the next point, per second.
     pub fn max_slope_after(&self, from: Time) -> f64 {
         match self {
             Self::Hold(_) => 0.0,
@@ -66,7 +66,7 @@ impl Profile {
         }
     }
 
-    /// rad/s; 0 if not a sine.
+    /// rad/s; 0 if the profile does not oscillate.
     pub fn angular_frequency(&self) -> f64 {
         match self {
             Self::Sine { amplitude, omega, .. } if *amplitude != 0.0 => *omega,
@@ -74,7 +74,7 @@ impl Profile {
         }
     }
 
-    /// The first nanosecond after `after` and before the next point at which `value` is passed.
+    /// First nanosecond after `after` at which the profile passes `value`; `None` if not before the next point.
     pub fn next_crossing(&self, value: f64, after: Time) -> Option<Time> {
         match self {
             Self::Hold(_) => None,
@@ -89,7 +89,7 @@ impl Profile {
             }
             Self::Sine { mean, amplitude, omega, phase } => {
                 let angle = ((value - mean) / amplitude).asin();
-                // Rising and falling passage; NaN if the sine does not reach `value`.
+                // The rising and the falling passage; NaN if the sine does not reach `value`.
                 let passages = [angle, PI - angle].map(|angle| {
                     let turns = ((omega * after.seconds() + phase - angle) / TAU).floor();
                     let instants = [turns, turns + 1.0, turns + 2.0].map(|turns| (angle + turns * TAU - phase) / omega);

@@ -3,8 +3,7 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// The wire carries the frequency in mHz in 32 bits, at most 4.3 MHz; this leaves room for a range
-/// above the resonance.
+/// The protocol carries at most 4.3 MHz (32 bits, mHz). This limit leaves room for a range above the resonance.
 pub(crate) const HIGHEST_RESONANCE_HZ: f64 = 2.5e6;
 
 /// The plate file, unchecked.
@@ -41,15 +40,15 @@ pub struct RawMode {
     /// Resonance at the reference temperature, Hz.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = HIGHEST_RESONANCE_HZ))]
     pub resonance_hz: f64,
-    /// Reference of temperature offsets, °C.
+    /// Temperature at an offset of 0 K, °C.
     #[schemars(extend("exclusiveMinimum" = -273.15))]
     pub reference_temperature_c: f64,
     /// Change of the resonance per kelvin, Hz.
     pub resonance_slope_hz_per_k: f64,
-    /// τ = 1/σ untouched, ms.
+    /// Time constant τ = 1/σ of the untouched plate, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub time_constant_ms: f64,
-    /// K1 at resonance, untouched, µm/Vpp.
+    /// Gain K1 of the untouched plate at resonance, µm/Vpp.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub gain_um_per_vpp: f64,
 }
@@ -62,23 +61,23 @@ pub struct RawSecondMode {
     /// Resonance at the reference temperature, Hz.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = HIGHEST_RESONANCE_HZ))]
     pub resonance_hz: f64,
-    /// τ = 1/σ untouched, ms.
+    /// Time constant τ = 1/σ of the untouched plate, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub time_constant_ms: f64,
-    /// Gain at its own resonance, untouched, µm/Vpp; not 0. Negative if the sensor measures this mode
+    /// Gain of the untouched plate at this mode's resonance, µm/Vpp; not 0. Negative if the sensor measures this mode
     /// with the opposite sign.
     pub gain_um_per_vpp: f64,
 }
 
-/// `[heating]`: a thermal node of first order, `time_constant_s · T' = rise_k_per_um2 · |W|² − T`. T adds to
-/// the temperature offset.
+/// `[heating]`: the vibration warms the plate by T, `time_constant_s · T' = rise_k_per_um2 · |W|² − T`. T adds to the
+/// temperature offset.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawHeating {
-    /// Rise in the steady state per square of the amplitude, K/µm².
+    /// Temperature rise in the steady state per square of the amplitude, K/µm².
     #[schemars(range(min = 0.0))]
     pub rise_k_per_um2: f64,
-    /// Time constant of the node, s.
+    /// Time constant of the temperature rise, s.
     #[schemars(range(min = 0.01))]
     pub time_constant_s: f64,
 }
@@ -87,7 +86,7 @@ pub struct RawHeating {
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawFinger {
-    /// Points [force N, σ/σ0], linear in between; the last segment is extended.
+    /// Points [force in N, σ/σ0], linear in between; the last segment is extended to any force.
     #[serde(default = "unit_damping")]
     #[schemars(length(min = 1))]
     pub damping_ratio: Vec<[f64; 2]>,
@@ -117,7 +116,7 @@ pub struct RawDrive {
     /// Highest drive of the amplifier, Vpp.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub limit_vpp: f64,
-    /// Bits of the converter that sets the amplitude; without it drives are not rounded.
+    /// Bits of the converter that sets the drive's amplitude. Drives are not rounded without this key.
     #[schemars(range(min = 2, max = 32))]
     pub converter_bits: Option<i64>,
     /// Amplitude of the converter's highest code, at least `limit_vpp`, Vpp.
@@ -129,7 +128,7 @@ pub struct RawDrive {
     /// Largest change of the drive's amplitude, Vpp/ms; unlimited by default.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub slew_rate_vpp_per_ms: Option<f64>,
-    /// Time until a command, amplitude and frequency, reaches the amplifier, µs.
+    /// Delay of a command (amplitude and frequency) on its way to the amplifier, µs.
     #[serde(default)]
     #[schemars(range(min = 0.0, max = 1e5))]
     pub dead_time_us: f64,
@@ -152,15 +151,15 @@ pub struct RawSensor {
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub noise_um_rms: f64,
-    /// Carrier periods over which the lock-in demodulator averages; without it W is sensed
-    /// directly. This and the next key require the model `carrier`.
+    /// Number of carrier periods over which the lock-in demodulator averages. Without this key the sensor measures W
+    /// directly. This key and `converter_hz` require the model `carrier`.
     #[schemars(range(min = 1, max = 10_000))]
     pub demodulator_periods: Option<i64>,
-    /// Samples per second of the converter.
+    /// Sampling rate of the converter, Hz.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e9))]
     pub converter_hz: Option<f64>,
-    /// Bits of the converter, sign included; without it nothing is rounded. It converts the waveform if
-    /// `demodulator_periods` is given, otherwise each demodulated component.
+    /// Bits of the converter, including the sign. Nothing is rounded without this key. The converter converts the
+    /// waveform if `demodulator_periods` is given, otherwise each demodulated component.
     #[schemars(range(min = 2, max = 32))]
     pub converter_bits: Option<i64>,
     /// The largest amplitude that the converter does not clip, µm.

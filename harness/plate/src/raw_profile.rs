@@ -40,9 +40,9 @@ pub enum RawShape {
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawSine {
-    /// Mean.
+    /// Mean, in the unit of the profile.
     mean: f64,
-    /// Amplitude.
+    /// Amplitude, in the unit of the profile.
     amplitude: f64,
     /// Frequency in plate time, Hz.
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -63,17 +63,9 @@ pub enum ProfileError {
         value: f64,
     },
     #[error("point {index}: time {t_ms} ms is not between 0 and 9.0e9 ms")]
-    Time {
-        /// Counted from 1.
-        index: usize,
-        t_ms: f64,
-    },
+    Time { index: usize, t_ms: f64 },
     #[error("point {index}: time {t_ms} ms is not after the previous point; times must increase")]
-    Unordered {
-        /// Counted from 1.
-        index: usize,
-        t_ms: f64,
-    },
+    Unordered { index: usize, t_ms: f64 },
     #[error("a sine requires finite numbers and a frequency_hz above 0")]
     Sine,
     #[error("{}: {source}", path.display())]
@@ -81,7 +73,6 @@ pub enum ProfileError {
 }
 
 impl RawProfile {
-    /// The profile's file in `folder`, if any.
     pub fn file(&self, folder: &Path) -> Option<PathBuf> {
         match self {
             Self::Shape(RawShape::Csv(path)) => Some(folder.join(path)),
@@ -89,7 +80,6 @@ impl RawProfile {
         }
     }
 
-    /// The file name as written, if any.
     pub fn file_name_mut(&mut self) -> Option<&mut PathBuf> {
         match self {
             Self::Shape(RawShape::Csv(path)) => Some(path),
@@ -97,7 +87,7 @@ impl RawProfile {
         }
     }
 
-    /// File names are relative to `folder`. Errors: the first invalid point.
+    /// A CSV file name is relative to `folder`. Fails at the first invalid point.
     pub fn check(&self, folder: &Path) -> Result<Profile, ProfileError> {
         match self {
             Self::Number(value) => points(&[[0.0, *value]]).map(Profile::Hold),

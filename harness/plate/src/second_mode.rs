@@ -4,14 +4,14 @@ use crate::plate_error::{PlateError, check, finite, positive};
 use crate::raw_plate::{HIGHEST_RESONANCE_HZ, RawSecondMode};
 use std::f64::consts::TAU;
 
-/// The waveform is the sum of both modes: each obeys equation 1 with its own constants.
+/// The waveform is the sum of both modes. Each obeys equation 1 with its own constants.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SecondMode {
-    /// At the reference temperature, rad/s.
+    /// Resonance at the reference temperature, rad/s.
     pub omega0: f64,
-    /// Untouched, 1/s.
+    /// Damping of the untouched plate, 1/s.
     pub sigma0: f64,
-    /// At its resonance, untouched, µm/Vpp; negative for the opposite sign at the sensor.
+    /// Gain of the untouched plate at this mode's resonance, µm/Vpp; negative if the sensor measures the opposite sign.
     pub gain: f64,
 }
 

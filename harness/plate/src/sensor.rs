@@ -10,18 +10,17 @@ use rand_distr::{Distribution, StandardNormal};
 pub struct Sensor {
     gain: f64,
     noise_um_rms: f64,
-    /// `None` if the components are neither rounded nor clipped.
     resolution: Option<ConverterResolution>,
     random: ChaCha8Rng,
 }
 
 impl Sensor {
-    /// Returns `gain · W` plus noise of standard deviation `noise_um_rms` on each component.
+    /// The sensor measures `gain · W` plus noise of standard deviation `noise_um_rms` on each component.
     pub fn new(gain: f64, noise_um_rms: f64, seed: u64) -> Self {
         Self { gain, noise_um_rms, resolution: None, random: ChaCha8Rng::seed_from_u64(seed) }
     }
 
-    /// Converts each component, noise included.
+    /// Rounds and clips each component after the noise is added.
     #[must_use]
     pub fn with_resolution(self, resolution: Option<ConverterResolution>) -> Self {
         Self { resolution, ..self }
@@ -37,7 +36,7 @@ impl Sensor {
 
     fn noise(&mut self) -> Complex64 {
         if self.noise_um_rms == 0.0 {
-            // −0 keeps every bit of a sum.
+            // Adding −0 changes no bit of a sum.
             return Complex64::new(-0.0, -0.0);
         }
         let mut noise = || -> f64 { StandardNormal.sample(&mut self.random) };

@@ -2,17 +2,17 @@
 
 use crate::plate::Plate;
 
-/// Model of the plate. `docs/mathematics.md` states the terms that each omits and its error.
+/// The key `model` of a scenario. `docs/mathematics.md` states the terms that each tier omits, and its error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub enum Tier {
     /// Equations 13 and 19: Wd from V and Wq/Wd from Δω, two decoupled first-order systems.
     Linear,
-    /// First order in complex W: only the slow pole.
+    /// First order in complex W, with the slow pole only.
     Envelope,
     /// Second order, exact for one mode.
     #[default]
     Modal,
-    /// The modal plate with carrier, converter and demodulator; same W and U, bit for bit.
+    /// The modal plate with carrier, converter and demodulator. W and U are the same, bit for bit.
     Carrier,
 }
 
@@ -32,12 +32,10 @@ impl Tier {
         Self::ALL.into_iter().find(|tier| tier.name() == name)
     }
 
-    /// The exact tier for `plate`: carrier if it has a demodulator, otherwise modal.
     pub const fn exact_for(plate: &Plate) -> Self {
         if plate.lockin.is_some() { Self::Carrier } else { Self::Modal }
     }
 
-    /// True if W has both poles and U is part of the state.
     pub const fn has_both_poles(self) -> bool {
         matches!(self, Self::Modal | Self::Carrier)
     }

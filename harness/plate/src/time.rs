@@ -4,11 +4,11 @@ use std::fmt;
 use std::ops::{Add, Sub};
 use std::time::Duration;
 
-/// Nanoseconds since the start of a trial, or a span of them.
+/// Time since the start of a trial, or a time span, in ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct Time(u64);
 
-/// Largest instant: up to 104 days a double represents every nanosecond.
+/// 104 days. Up to this time an f64 represents every nanosecond.
 const LARGEST_NS: u64 = 1 << 53;
 
 impl Time {
@@ -37,7 +37,7 @@ impl Time {
         self.0
     }
 
-    /// Rounded down, modulo 2³²: the time stamp of the wire protocol.
+    /// Time stamp of the protocol: whole µs, modulo 2³².
     pub const fn wrapping_micros(self) -> u32 {
         (self.0 / 1000) as u32
     }
@@ -66,7 +66,7 @@ impl Time {
         Self(self.0.saturating_mul(count))
     }
 
-    /// The largest time for a span of zero.
+    /// The largest time if `self` is zero.
     #[must_use]
     pub const fn next_multiple_after(self, instant: Self) -> Self {
         match instant.0.checked_div(self.0) {

@@ -1,20 +1,20 @@
-//! Propagates the plate while its mode changes: a finger presses, the plate warms up.
+//! Propagates the plate while a finger or the temperature changes its mode.
 //!
-//! Damping and resonance follow a parabola each over a step. Every tier is transformed to scalar
-//! equations `x' = λ(t)x + g(t)`, one per pole, and each is solved by the first two terms of its
-//! Magnus series (Blanes, Casas, Oteo, Ros, "The Magnus expansion and some of its applications",
-//! Physics Reports 470, 2009). With λ the mean over the step t, λ' its slope and `E = e^{λt}`,
+//! Over a step, damping and resonance each follow a parabola. Every tier is transformed to scalar equations
+//! `x' = λ(t)x + g(t)`, one per pole. Each is solved by the first two terms of its Magnus series (Blanes, Casas, Oteo,
+//! Ros, "The Magnus expansion and some of its applications", Physics Reports 470, 2009). With λ the mean over the step
+//! t, λ' its slope and `E = e^{λt}`,
 //!
 //! `x(t) = E x + g ((E − 1)/λ + λ' G)`, `G = (λt/2 (E + 1) − (E − 1))/λ³ = t³/12 + …`.
 //!
-//! The free motion is exact to this order, the forced one up to `λ'² t⁵/240 · g`. A forcing `g +
-//! g's` about the middle of the step adds `−g'λ G`. A forcing `g e^{−rt}` is the constant g for
-//! `x e^{rt}`, whose pole is `λ + r`.
+//! The free motion is exact to this order, the forced motion up to `λ'² t⁵/240 · g`. A force `g + g's`, with the time s
+//! from the middle of the step, adds `−g'λ G`. Under a force `g e^{−rt}`, the variable `x e^{rt}` has the constant
+//! force g and the pole `λ + r`.
 //!
-//! The transformation of Liouville and Green (Olver, "Asymptotics and Special Functions", chapter
-//! 6) decouples the poles of the second-order plate: with `Ω² = ω0² − σ² − σ' + ¾(ω0'/ω0)² −
-//! ω0''/2ω0` and `v = U + (σ + Ω'/2Ω)W`, each of the amplitudes `√Ω (W ∓ jv/Ω)/2` has one of the
-//! poles `−σ ± jΩ − jω`, and no step excites the fast one. `docs/mathematics.md` derives the error.
+//! The transformation of Liouville and Green (Olver, "Asymptotics and Special Functions", chapter 6) decouples the
+//! poles of the second-order plate. With `Ω² = ω0² − σ² − σ' + ¾(ω0'/ω0)² − ω0''/2ω0` and `v = U + (σ + Ω'/2Ω)W`, each
+//! of the amplitudes `√Ω (W ∓ jv/Ω)/2` has one of the poles `−σ ± jΩ − jω`, so no step excites the fast pole.
+//! `docs/mathematics.md` derives the error.
 
 use crate::amplifier::Forcing;
 use crate::flow::State;
@@ -24,7 +24,7 @@ use num_complex::Complex64;
 
 const J: Complex64 = Complex64::I;
 
-/// A parameter over a step: `start + slope t + bend t²`.
+/// A parameter at the time t of a step: `start + slope t + curvature t²`.
 #[derive(Debug, Clone, Copy)]
 struct Parabola {
     start: f64,
@@ -33,7 +33,7 @@ struct Parabola {
 }
 
 impl Parabola {
-    /// The parabola through `first` at 0 and two later points (time in s, value).
+    /// The parabola through `first` at 0 s and two later points (time in s, value).
     fn through(first: f64, (middle_at, middle): (f64, f64), (last_at, last): (f64, f64)) -> Self {
         let slope = (middle - first) / middle_at;
         let bend = ((last - first) / last_at - slope) / (last_at - middle_at);
@@ -62,7 +62,7 @@ impl Parabola {
     }
 }
 
-/// Frequency Ω of the oscillation in rad/s, and its slope in rad/s².
+/// Frequency Ω of the free oscillation in rad/s, and its slope Ω' in rad/s².
 #[derive(Debug, Clone, Copy)]
 struct Oscillation {
     omega: f64,
@@ -71,7 +71,7 @@ struct Oscillation {
     shear: f64,
 }
 
-/// E, `(E − 1)/λ` and G of one pole.
+/// E, `(E − 1)/λ` and G of the module's equations for one pole.
 #[derive(Debug, Clone, Copy)]
 struct PoleStep {
     free: Complex64,
@@ -85,7 +85,7 @@ impl PoleStep {
         let free = x.exp();
         let rise = free - 1.0;
         let commutator = if x.norm_sqr() < 0.1 {
-            // The closed form cancels here; the series omits 3e-6 of the correction.
+            // The closed form loses digits for small x. The series omits 3e-6 of the correction.
             t.powi(3) * (((x / 2016.0 + 1.0 / 360.0) * x + 1.0 / 80.0) * x * x + x / 24.0 + 1.0 / 12.0)
         } else {
             (x / 2.0 * (free + 1.0) - rise) / (pole * pole * pole)
@@ -93,7 +93,7 @@ impl PoleStep {
         Self { free, forced: rise / pole, commutator }
     }
 
-    /// Response to `e^{−rate t}`: that of the pole `λ + rate` to 1, times `e^{−rate t}`.
+    /// Response to `e^{−rate t}`: the response of the pole `λ + rate` to 1, times `e^{−rate t}`.
     fn decaying(pole: Complex64, rate: f64, t: f64) -> Self {
         let shifted = pole + rate;
         let (free, decay) = ((pole * t).exp(), (-rate * t).exp());
@@ -108,13 +108,13 @@ impl PoleStep {
     }
 }
 
-/// Response of a pole with the rate `pole_slope` to a ramp and to a decaying drive, per unit of force; the force
-/// changes by `−force_slope` per second.
+/// Response of a pole with the rate `pole_slope` to the ramp and to the decaying part of the drive, per unit of force.
+/// The force changes by the fraction `−force_slope` per second.
 fn forced_part(forcing: &Forcing, pole: Complex64, pole_slope: Complex64, force_slope: f64, t: f64) -> Complex64 {
     let Forcing { slope: ramp, decaying, rate, .. } = *forcing;
     let passage = PoleStep::new(pole, t);
     let total = pole_slope + pole * force_slope;
-    // The ramp's mean, and its slope about the middle.
+    // Response to the ramp's mean, and to its slope about the middle of the step.
     let ramp = ramp * t / 2.0 * (passage.forced + total * passage.commutator) - ramp * pole * passage.commutator;
     let decay = PoleStep::decaying(pole, rate, t);
     let total = pole_slope + (pole + rate) * force_slope;
@@ -133,7 +133,7 @@ pub(crate) struct VaryingFlow {
 }
 
 impl VaryingFlow {
-    /// The mode is `first` at 0 and `middle`, `last` at their times in s.
+    /// The mode is `first` at 0 s; `middle` and `last` are pairs (time in s, mode).
     pub(crate) fn new(
         tier: Tier,
         first: &Mode,
@@ -164,7 +164,7 @@ impl VaryingFlow {
         state.flush_negligible()
     }
 
-    /// Upper bound on the change of W, µm: its initial speed, and the effect of the changing pole.
+    /// Upper bound on the change of W, µm, from its initial speed and from the change of the pole.
     pub(crate) fn max_excursion(&self, seconds: f64) -> f64 {
         let State { w, u } = self.state;
         let force = self.envelope_constant * self.drive.vpp;
@@ -186,7 +186,7 @@ impl VaryingFlow {
                 let pole = Complex64::new(-damping, now.omega - self.drive.omega);
                 let slow_reach = seconds * ((pole * slow + force).norm() + swing * (slow.norm() + force / now.omega));
                 let fast_reach = 2.0 * (fast.norm() + force / (now.omega + self.drive.omega));
-                // 1 % because Ω changes while it scales both.
+                // The factor adds 1 %, because Ω changes while it scales both terms.
                 1.01 * (slow_reach + fast_reach) + swing / now.omega * w.norm()
             }
         }
@@ -235,8 +235,8 @@ impl VaryingFlow {
         State { w, u: J * (end.omega * scale) * (slow - fast) - end.shear * w }
     }
 
-    /// Response of the modal plate at rest to a ramp and to a decaying drive; adds to [`Self::after`] of the constant
-    /// part.
+    /// Response of the modal plate at rest to the ramp and to the decaying part of the drive. [`Self::after`] is the
+    /// response to the constant part.
     pub(crate) fn response_to(&self, forcing: &Forcing, t: f64) -> State {
         let (start, middle, end) = (self.oscillation(0.0), self.oscillation(t / 2.0), self.oscillation(t));
         let omega = (start.omega + 4.0 * middle.omega + end.omega) / 6.0;

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// An interval; an end is `None` if it is infinite, because JSON has no infinity.
+/// An infinite end is `null`, because JSON has no infinity.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Bounds {
     pub low: Option<f64>,

@@ -3,7 +3,6 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Changes up to this size are not reported, percent.
 const MIN_CHANGE_PERCENT: f64 = 1.0;
 
 /// Speed of the emulated board: one instruction per cycle of 168 MHz.
@@ -13,12 +12,11 @@ const INSTRUCTIONS_PER_MS: f64 = 168_000.0;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TightestStep {
     pub instructions: f64,
-    /// Control period of its scenario.
     pub period_ms: f64,
 }
 
 impl TightestStep {
-    /// Share of the instructions that fit into the period at 168 MHz and one per cycle.
+    /// Share of the control period that the step takes on the emulated board.
     pub fn share(&self) -> f64 {
         self.instructions / (INSTRUCTIONS_PER_MS * self.period_ms)
     }
@@ -41,18 +39,18 @@ pub struct CostTrend {
     /// `null` in records of earlier versions.
     #[serde(default)]
     pub tightest: Option<TightestStep>,
-    /// Runs of the same trials on the same kind of rig and firmware: newest first, reference last.
+    /// Runs on the same kind of rig and firmware, newest first. The reference that came with the bench is last.
     pub earlier: Vec<EarlierCost>,
 }
 
-/// Cost in an earlier run. Only equal trials are compared: same law, inputs and seed.
+/// Cost in an earlier run, over the trials with the same law, inputs and seed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EarlierCost {
     /// The run folder's name; `null` for the reference that came with the bench.
     pub run: Option<String>,
     pub started: Option<String>,
     pub build: String,
-    /// Number of trials in both runs.
+    /// Number of trials that both runs have.
     pub trials: usize,
     pub then: StepCost,
     pub now: StepCost,
@@ -60,17 +58,16 @@ pub struct EarlierCost {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CostChange<'a> {
-    /// The compared quantity: `worst` or `mean`.
     pub statistic: &'static str,
     pub now: f64,
     pub then: f64,
-    /// From then to now, percent; positive if it costs more.
+    /// Change from `then` to `now`, percent; positive if a step costs more now.
     pub percent: f64,
     pub earlier: &'a EarlierCost,
 }
 
 impl CostTrend {
-    /// The newest earlier run of another build, so that a second run of a build hides no change.
+    /// The newest earlier run of another build, so that a second run of the same build does not hide a change.
     pub fn comparison_run(&self) -> Option<&EarlierCost> {
         self.earlier.iter().find(|earlier| earlier.build != self.build).or_else(|| self.earlier.first())
     }
@@ -80,7 +77,7 @@ impl CostTrend {
         let against = self.comparison_run()?;
         let EarlierCost { now, then, .. } = against;
         [("worst", now.worst, then.worst), ("mean", now.mean, then.mean)].into_iter().find_map(|(what, now, then)| {
-            // Without a division, whole numbers compare exactly.
+            // Whole numbers compare exactly without a division.
             let is_significant = (now - then).abs() * 100.0 > then * MIN_CHANGE_PERCENT;
             is_significant.then(|| CostChange {
                 statistic: what,

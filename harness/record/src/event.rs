@@ -1,4 +1,4 @@
-//! Names what happens during a run; sinks receive the events in order.
+//! Defines the events of a run. Sinks receive them in order.
 
 use crate::expectation_record::ExpectationRecord;
 use crate::run_record::ScenarioRecord;
@@ -9,25 +9,23 @@ use platebench_trace::Row;
 #[derive(Debug, Clone)]
 pub enum Event {
     ScenarioStarted {
-        /// Below the scenario folder.
+        /// Path below the scenario folder.
         file: String,
         trials: u32,
     },
     TrialFinished {
         file: String,
-        /// Its trace is complete.
+        /// The trace of this trial is complete.
         trial: Box<TrialRecord>,
-        /// Rows of the first trials of each scenario, if the receiver wants them.
+        /// Filled for the first trials of each scenario if the receiver wants rows, otherwise empty.
         rows: Vec<Row>,
     },
-    /// All trials of a scenario ended and are judged.
     ScenarioFinished(Box<FinishedScenario>),
 }
 
 /// A judged scenario without its trials, which may be many.
 #[derive(Debug, Clone)]
 pub struct FinishedScenario {
-    /// Below the scenario folder.
     pub file: String,
     pub title: String,
     pub law: String,

@@ -5,21 +5,14 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Why a trial does not count. Instants are ms after the start of the trial.
+/// Instants are in ms after the start of the trial.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum Exclusion {
     #[error("no answer at {at_ms} ms")]
-    NoAnswer {
-        /// Control instant.
-        at_ms: f64,
-    },
+    NoAnswer { at_ms: f64 },
     #[error("the bench was too late {count}×, first at {first_ms} ms")]
-    LateBench {
-        count: usize,
-        /// The first late instant.
-        first_ms: f64,
-    },
+    LateBench { count: usize, first_ms: f64 },
     /// The controller's timer is off by more than an oscillator can be.
     #[error("the controller's clock differs by {:+.0} % from the bench's: \
         its periods are not the scenario's", ppm / 1e4)]
@@ -27,81 +20,39 @@ pub enum Exclusion {
         /// Positive if the controller's clock is fast, parts per million.
         ppm: f64,
     },
-    /// The queue between loop and trace was full.
     #[error("{count} rows were lost between control loop and trace")]
-    LostRows {
-        /// Number of rows.
-        count: u64,
-    },
+    LostRows { count: u64 },
     #[error("the trace starts at {at_ms} ms")]
-    LateStart {
-        /// First row.
-        at_ms: f64,
-    },
+    LateStart { at_ms: f64 },
     #[error("no rows between {from_ms} and {to_ms} ms, expected one every {step_ms} ms")]
-    Gap {
-        from_ms: f64,
-        to_ms: f64,
-        /// Largest distance of rows.
-        step_ms: f64,
-    },
+    Gap { from_ms: f64, to_ms: f64, step_ms: f64 },
     #[error("the trace ends at {at_ms} ms instead of {duration_ms} ms")]
-    EarlyEnd {
-        at_ms: f64,
-        /// Duration of the trial.
-        duration_ms: f64,
-    },
+    EarlyEnd { at_ms: f64, duration_ms: f64 },
     #[error("the run was cut off before this trial was complete")]
     CutOff,
-    /// The trace was removed from the run folder.
     #[error("its trace is missing")]
     MissingTrace,
-    /// Real plate: a setpoint was sent too late.
     #[error("the bench was too late with a setpoint at {at_ms} ms")]
-    LateSetpoint {
-        /// Planned instant.
-        at_ms: f64,
-    },
-    /// Real plate: the controller did not acknowledge a setpoint.
+    LateSetpoint { at_ms: f64 },
     #[error("a setpoint was not acknowledged by {at_ms} ms")]
-    Unacknowledged {
-        /// When the bench gave up.
-        at_ms: f64,
-    },
+    Unacknowledged { at_ms: f64 },
     #[error("the telemetry starts at {at_ms} ms")]
-    LateTelemetry {
-        /// First row.
-        at_ms: f64,
-    },
+    LateTelemetry { at_ms: f64 },
     #[error("no telemetry between {from_ms} and {to_ms} ms")]
-    TelemetryGap {
-        from_ms: f64,
-        /// Row after the gap.
-        to_ms: f64,
-    },
+    TelemetryGap { from_ms: f64, to_ms: f64 },
     #[error("the telemetry ends at {at_ms} ms instead of {duration_ms} ms")]
-    EarlyTelemetryEnd {
-        at_ms: f64,
-        /// Duration of the trial.
-        duration_ms: f64,
-    },
+    EarlyTelemetryEnd { at_ms: f64, duration_ms: f64 },
     #[error("the controller held a setpoint of {held_um} µm at {at_ms} ms, expected {}", range(*sent_um))]
     WrongSetpoint {
         held_um: f64,
         at_ms: f64,
-        /// Smallest and largest that was sent, µm.
+        /// Smallest and largest setpoint of the scenario around this instant, µm.
         sent_um: [f64; 2],
     },
     #[error("{why}")]
-    ConditionsNotMade {
-        /// Real plate; reported by the prompt.
-        why: String,
-    },
+    ConditionsNotMade { why: String },
     #[error("finger or temperature change within a trial of {duration_ms} ms, which no person can do")]
-    TooFastForOperator {
-        /// Duration of the trial.
-        duration_ms: f64,
-    },
+    TooFastForOperator { duration_ms: f64 },
     #[error("it is not known whether finger and temperature were those of the scenario")]
     UnknownConditions,
     #[error(
@@ -111,7 +62,7 @@ pub enum Exclusion {
     WrongForce {
         force_n: f64,
         at_ms: f64,
-        /// Smallest and largest of the scenario around that instant, N.
+        /// Smallest and largest force of the scenario around this instant, N.
         expected_n: [f64; 2],
         wrong_rows: usize,
         rows: usize,

@@ -8,7 +8,6 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use thiserror::Error;
 
-/// Why a missed expectation is not the controller's failure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum Excuse {
@@ -17,37 +16,22 @@ pub enum Excuse {
          the amplifier gives {limit_vpp:.0} Vpp: at best {best}"
     )]
     SetpointOutOfReach {
-        /// At resonance.
+        /// Drive that holds the setpoint at resonance.
         needed_vpp: f64,
         limit_vpp: f64,
         best: BestResponse,
     },
     #[error("saturated: from 0 to {limit_vpp:.0} Vpp no controller does better than {best}")]
-    DriveLimited {
-        limit_vpp: f64,
-        /// What the best possible controller reaches.
-        best: BestResponse,
-    },
+    DriveLimited { limit_vpp: f64, best: BestResponse },
     #[error("the drive was at its limit at {at_ms} ms; whether this plate can be driven better is not known")]
-    SaturatedRealPlate {
-        /// When for the first time.
-        at_ms: f64,
-    },
-    /// The law itself misses the limit at this rig's loop delay, and meets it without.
+    SaturatedRealPlate { at_ms: f64 },
     #[error(
         "trial {trial}: at this rig's loop delay of {typical_us:.0} µs (longest {longest_us:.0} µs) the law itself \
          gets {}, without it {}; a slower --time-scale makes the delay smaller",
         value(*delayed),
         value(*undelayed)
     )]
-    LoopDelay {
-        trial: u32,
-        typical_us: f64,
-        longest_us: f64,
-        delayed: Option<f64>,
-        /// Value of the metric without delay.
-        undelayed: Option<f64>,
-    },
+    LoopDelay { trial: u32, typical_us: f64, longest_us: f64, delayed: Option<f64>, undelayed: Option<f64> },
     #[error("in real time the loop delay includes line and bench, not the controller alone")]
     RealTimeDelay,
 }
@@ -71,7 +55,7 @@ fn value(value: Option<f64>) -> String {
 #[serde(rename_all = "snake_case")]
 pub enum BestResponse {
     Value(Metric, f64),
-    /// Window mean, percent of the setpoint.
+    /// Mean over the window, percent of the setpoint.
     Mean(f64),
     Missing(MissingValue),
 }

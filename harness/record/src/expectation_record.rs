@@ -9,20 +9,20 @@ use serde::{Deserialize, Serialize};
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ExpectationRecord {
-    /// The key `name`, otherwise the metric, `metric 2`, `metric 3`. It does not depend on the limit.
+    /// Unique name of the expectation in the scenario. It does not depend on the limit.
     pub name: String,
     pub metric: Metric,
     pub verdict: Verdict,
-    /// The value that decided, see `statistic`; `None` if the deciding trial has no number.
+    /// Value of `statistic`; `null` if the deciding trial has no number.
     pub value: Option<f64>,
     pub statistic: Statistic,
     pub limit: Limit,
-    /// Distance of the value to the limit over the limit's scale, see [`Limit::margin`].
+    /// Distance of `value` to the limit, divided by the limit's scale, see [`Limit::margin`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub margin: Option<f64>,
-    /// [`Statistic::Worst`]: smallest and largest over trials; otherwise bounds at `confidence`.
+    /// Smallest and largest value over trials if `statistic` is `worst`, otherwise the bounds at `confidence`.
     pub interval: Option<[f64; 2]>,
-    /// Confidence of each bound or of the failure rate; `None` if nothing is random.
+    /// Confidence of each bound or of the failure rate; `null` if nothing is random.
     pub confidence: Option<f64>,
     pub cause: Option<Cause>,
     #[serde(flatten, with = "reason::file_keys")]
@@ -30,7 +30,7 @@ pub struct ExpectationRecord {
     pub reason: Option<Reason>,
     pub paper: Option<f64>,
     pub requirement: Option<String>,
-    /// The judged windows, ms; the worst one decides.
+    /// Start and end of each judged window, ms. The worst window decides.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub windows_ms: Vec<[f64; 2]>,
     #[serde(flatten)]
@@ -44,18 +44,15 @@ pub struct ExpectationRecord {
 pub enum Statistic {
     Worst,
     Mean,
-    /// A quantile over trials, see [`Evidence::quantile`].
     Quantile,
     Deviation,
 }
 
-/// Options of a scenario that define a metric.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct MetricDefinition {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub from_ms: Option<f64>,
-    /// Half width of the band around the setpoint, percent of the setpoint.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub band_percent: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -99,16 +96,16 @@ pub struct Evidence {
     pub failure_rate: Option<[f64; 2]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub quantile: Option<f64>,
-    /// Probability, for normal data, to tell the expected deviation from its half or double.
+    /// Probability of detecting half or double of the expected deviation, for normal data.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub power: Option<f64>,
-    /// Number of the planned look that decided, and number of planned looks.
+    /// Number of the look (evaluation of the trials so far) that decided, and number of planned looks.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub look: Option<[u32; 2]>,
-    /// All of this as a sentence.
+    /// The evidence as a sentence.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub says: Option<String>,
-    /// The observer that measured, if it was not the true motion of the plate.
+    /// Sensor that measured, if the true motion of the plate is not known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub observed: Option<String>,
 }

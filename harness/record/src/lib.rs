@@ -1,4 +1,4 @@
-//! Holds what a run leaves: its record, its events and its folder.
+//! Defines the record, the events and the folder of a run.
 
 mod bounds;
 mod cost;

@@ -16,12 +16,10 @@ pub struct MergeRecord {
     pub differences: Vec<BoardDifference>,
 }
 
-/// A run before it was joined.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MergedRun {
-    /// Name of the board, or kind of the rig.
+    /// Name of the board; kind of the rig if the run names no board.
     pub board: String,
-    /// Run folder.
     pub folder: String,
     pub started: String,
     pub verdict: Verdict,
@@ -35,16 +33,16 @@ pub struct MergedRun {
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct MergedScenario {
-    /// As in `scenarios` of the joined run.
+    /// Name of the scenario in the joined run.
     pub file: String,
-    /// As in the run before.
+    /// Name of the scenario in its own run.
     pub original: String,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct MissingShard {
     pub board: String,
-    /// From 1.
+    /// Counted from 1.
     pub shard: usize,
     pub shards: usize,
 }
@@ -57,13 +55,12 @@ pub struct BoardDifference {
     pub board: String,
     pub reference: String,
     pub difference: f64,
-    /// Two-sided; absent with one trial on one of the boards.
+    /// Two-sided; `null` if one of the boards has only one trial.
     pub interval: Option<[f64; 2]>,
     pub confidence: f64,
 }
 
 impl MergeRecord {
-    /// Overrides of the run that played the scenario `file`.
     pub fn overrides_of(&self, file: &str) -> Option<&Overrides> {
         let run = self.runs.iter().find(|run| run.scenarios.iter().any(|scenario| scenario.file == file))?;
         Some(&run.overrides)

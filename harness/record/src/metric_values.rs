@@ -1,6 +1,4 @@
-//! Stores the metrics of a trial by name.
-//!
-//! A run may have 10⁵ trials, so an entry has no copy of the name of its metric.
+//! Stores the metrics of a trial by name without copies of their names, because a run may have 10⁵ trials.
 
 use platebench_scenario::Metric;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
@@ -10,7 +8,7 @@ use serde_json::{Map, Value};
 use std::borrow::Cow;
 use std::fmt;
 
-/// In the order of the expectations; `None` without a number.
+/// Value of each metric in the order of the expectations; `None` if the trial has no number.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct MetricValues(Vec<(Cow<'static, str>, Option<f64>)>);
 
@@ -27,12 +25,11 @@ impl MetricValues {
         }
     }
 
-    /// `Some(None)` if the trial has no number for it.
+    /// `Some(None)` if the trial has no number for this metric.
     pub fn get(&self, name: &str) -> Option<Option<f64>> {
         self.iter().find(|(known, _)| *known == name).map(|(_, value)| value)
     }
 
-    /// `None` without a number too.
     pub fn number(&self, name: &str) -> Option<f64> {
         self.get(name).flatten()
     }

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Why a trial has no value of a metric, if that is the controller's failure.
+/// Why a trial has no value of a metric, if the controller is responsible.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum MissingValue {
@@ -12,26 +12,22 @@ pub enum MissingValue {
     NeverSettles,
     #[error("never stays inside the band again")]
     NeverRecovers,
-    /// Shutdown: the controller was at rest during the whole window.
-    #[error("never ran")]
+    #[error("the controller never ran")]
     NeverRan,
-    /// Shutdown: the drive was 0 V before the controller had to stop.
-    #[error("never drove")]
+    #[error("the drive was always 0 V")]
     NeverDrove,
-    /// Shutdown: the drive is above 0 V, or the controller runs, at the end of the window.
-    #[error("does not come to rest at 0 V")]
+    #[error("the controller does not stop at 0 V")]
     NotAtRest,
-    /// Shutdown: the controller stopped before the window began.
-    #[error("stopped before")]
+    #[error("the controller stopped before the window began")]
     StoppedBefore,
-    #[error("ends with the controller not running")]
+    #[error("the controller does not run at the end")]
     NotRunning,
     #[error("the drive command was NaN or infinite; 0 V was applied")]
     NonFiniteDrive,
 }
 
 impl MissingValue {
-    /// True if the event that the metric times did not happen.
+    /// True if the metric is the time of an event that did not happen.
     pub const fn is_not_reached(self) -> bool {
         matches!(self, Self::NeverSettles | Self::NeverRecovers | Self::NotAtRest)
     }
@@ -45,14 +41,13 @@ pub enum UndefinedValue {
     EmptyTrace,
     #[error("the setpoint never steps")]
     NoSetpointStep,
-    /// A band is relative to the setpoint.
     #[error("a setpoint of 0 has no band")]
     NoBand,
     #[error("no setpoint to recover to")]
     NoSetpointToRecoverTo,
     #[error("no setpoint to deviate from")]
     NoSetpointToDeviateFrom,
-    #[error("the setpoint returns to its start value")]
+    #[error("the setpoint returns to its start value, so the step has no height")]
     NoNetStep,
     #[error("Wd is 0 at the end")]
     NoInPhaseComponent,
@@ -62,13 +57,13 @@ pub enum UndefinedValue {
     ZeroSetpoint,
     #[error("no rows in the window")]
     EmptyWindow,
-    #[error("the rig does not report it")]
+    #[error("the rig does not report this metric")]
     NotReported,
     #[error("the true resonance of a real plate is not known")]
     UnknownResonance,
     #[error("the instant at which a person's hand disturbs a real plate is not known")]
     UnknownDisturbance,
-    #[error("the bench is not in the loop of a real plate")]
+    #[error("the bench is not in the control loop of a real plate and cannot measure this")]
     NotInLoop,
     #[error("a controller that drives a real plate does not report its instructions")]
     UncountedInstructions,

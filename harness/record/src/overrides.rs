@@ -8,7 +8,7 @@ pub struct Overrides {
     pub law: Option<String>,
     pub trials: Option<u32>,
     pub seed: Option<u64>,
-    /// `--model`: the name of a tier or `auto`.
+    /// `--model`: name of a tier, or `auto`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
     /// `--require-all`: a scenario that is not applicable fails the run.
@@ -19,24 +19,22 @@ pub struct Overrides {
     pub fail_fast: bool,
     #[serde(default, skip_serializing_if = "KeepTraces::keeps_all")]
     pub keep_traces: KeepTraces,
-    /// `--board`: its name in boards.toml.
+    /// `--board`: name of the board in boards.toml.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board: Option<String>,
-    /// `--shard`: number from 1, and how many.
+    /// `--shard`: number of the shard, counted from 1, and number of shards.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shard: Option<[usize; 2]>,
 }
 
-/// `--keep-traces`
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum KeepTraces {
     #[default]
     All,
-    /// Trials are judged in memory.
+    /// Keeps no trace. Trials are judged in memory.
     None,
-    /// Trials in which a metric misses its limit or has no value, that broke a rule, diverged, lost the link or do not
-    /// count. Limits over several trials have no effect.
+    /// Trials that miss a limit of one trial, lack a value, break the protocol, diverge, lose the link or are excluded.
     Failing,
     /// This many trials of each scenario, those with the smallest margins.
     Worst(u32),

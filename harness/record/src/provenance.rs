@@ -5,15 +5,14 @@ use serde::{Deserialize, Serialize};
 use std::fs;
 use std::sync::OnceLock;
 
-/// Set once by the program, because only its own crate is compiled again for a new commit.
+/// The program sets it, because a new commit recompiles only the program's crate.
 static RUNNING: OnceLock<Tool> = OnceLock::new();
 
-/// The build of the bench.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Tool {
     pub name: String,
     pub version: String,
-    /// Commit of the checkout that was built; changes that were not committed do not show.
+    /// Commit of the built checkout. Changes that were not committed do not show.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub commit: Option<String>,
     /// Cargo profile.
@@ -25,12 +24,12 @@ pub struct Tool {
 }
 
 impl Tool {
-    /// The first call decides.
+    /// Only the first call has an effect.
     pub fn set_running(self) {
         RUNNING.get_or_init(|| self);
     }
 
-    /// Without a call of [`Tool::set_running`], name and version only.
+    /// Only name and version if [`Tool::set_running`] was not called.
     pub fn running() -> Self {
         let unnamed =
             || Self { name: "platebench".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned(), ..Self::default() };
@@ -38,15 +37,13 @@ impl Tool {
     }
 }
 
-/// The computer.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Host {
     pub os: String,
     pub arch: String,
-    /// Model name of the first processor, if the kernel tells it.
+    /// Model name of the first processor, if the kernel reports it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cpu: Option<String>,
-    /// Release of the kernel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub kernel: Option<String>,
     /// Frequency governor of the first processor; absent in most virtual machines.

@@ -4,12 +4,11 @@ use crate::timing::Quantiles;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Messages of a controller that drives its own plate, and actions of the operator.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct RealPlateRecord {
     /// Control periods that the controller reported.
     pub periods: u64,
-    /// Control periods between them without a report.
+    /// Control periods without a report between them.
     pub missing: u64,
     pub setpoints: u64,
     pub unacknowledged: u64,
@@ -17,8 +16,7 @@ pub struct RealPlateRecord {
     pub acknowledged_us: Option<Quantiles>,
     pub rejected_frames: u64,
     pub lost_rows: u64,
-    /// Deviation of the controller's clock from the bench's, positive if fast, and its standard
-    /// error, parts per million.
+    /// Deviation of the controller's clock from the bench's, positive if fast, and its standard error; ppm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clock_ppm: Option<[f64; 2]>,
     pub force_measured: bool,

@@ -11,11 +11,10 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use thiserror::Error;
 
-/// When and how a trial diverged.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Divergence {
     pub at_s: f64,
-    /// True if a NaN or infinite drive command began it.
+    /// True if a NaN or infinite drive command caused the divergence.
     pub is_non_finite: bool,
 }
 
@@ -32,7 +31,7 @@ impl fmt::Display for Divergence {
 pub enum TrialReason {
     #[error(transparent)]
     Excluded(Exclusion),
-    /// How the controller was lost, in the rig's words.
+    /// The rig's message about the loss of the controller.
     #[error("{0}")]
     Ended(String),
     #[error("{0}")]
@@ -41,39 +40,26 @@ pub enum TrialReason {
     Violation(Violation),
 }
 
-/// What a single trial shows.
+/// Why one trial did not meet an expectation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum TrialFinding {
-    /// No value, which is the controller's failure.
     #[error(transparent)]
     Missing(MissingValue),
     #[error(transparent)]
     Undefined(UndefinedValue),
     #[error("{}, expected {limit}", format_value(*value))]
     Outside {
-        /// `None` if it is infinite.
+        /// `null` if it is infinite.
         value: Option<f64>,
         limit: Limit,
     },
     #[error("{bounds}, expected {limit}")]
-    IntervalOutside {
-        /// Contains the true value.
-        bounds: Bounds,
-        limit: Limit,
-    },
-    #[error("{bounds} by its samples, which does not decide {limit}")]
-    CoarseSamples {
-        /// Contains the limit because samples are too coarse.
-        bounds: Bounds,
-        limit: Limit,
-    },
-    #[error("{bounds} with the bench's own error, which does not decide {limit}")]
-    SimulationError {
-        /// Contains the limit because of the simulation's own error.
-        bounds: Bounds,
-        limit: Limit,
-    },
+    IntervalOutside { bounds: Bounds, limit: Limit },
+    #[error("{bounds}, because the signal is known at control instants only; this does not decide {limit}")]
+    CoarseSamples { bounds: Bounds, limit: Limit },
+    #[error("{bounds} including the error of the simulation, which does not decide {limit}")]
+    SimulationError { bounds: Bounds, limit: Limit },
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -97,28 +83,20 @@ impl fmt::Display for DivergedTrials {
 #[serde(rename_all = "snake_case")]
 pub enum WideBoundsCause {
     #[error("a bound of the {} quantile needs {needed} trials, {trials} were run", percent(*share))]
-    TooFewForQuantile {
-        share: f64,
-        /// For order statistics.
-        needed: u32,
-        trials: usize,
-    },
-    /// Bounds come from resampling.
+    TooFewForQuantile { share: f64, needed: u32, trials: usize },
     #[error("the trials are not normally distributed")]
     NotNormal,
 }
 
-/// Why an expectation did not pass.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Reason {
-    /// One trial decided.
     Trial {
         trial: u32,
-        /// Present if it failed because it diverged.
+        /// Present if the trial failed because it diverged.
         divergence: Option<Divergence>,
         finding: TrialFinding,
-        /// How the controller was lost, in the rig's words.
+        /// The rig's message about the loss of the controller.
         ended: Option<String>,
     },
     Violation {
@@ -129,7 +107,6 @@ pub enum Reason {
         trial: u32,
         exclusion: Exclusion,
     },
-    /// The failure is not the controller's.
     Excused(Excuse),
     NotPlayed {
         played: usize,
@@ -139,7 +116,7 @@ pub enum Reason {
         counted: usize,
         needed: usize,
     },
-    /// The statistic over trials breaks the limit; `value` is `None` if it is infinite.
+    /// The statistic over trials breaks the limit. `value` is `null` if it is infinite.
     Outside {
         value: Option<f64>,
         bounds: Bounds,
@@ -153,18 +130,16 @@ pub enum Reason {
         limit: Limit,
         cause: Option<WideBoundsCause>,
     },
-    /// All trials gave the same value, so they show no repeatability.
     NoVariation {
         trials: usize,
     },
-    /// The deviation over trials differs from the expected one.
     Disagrees {
         value: f64,
         bounds: Bounds,
         expected: f64,
         diverged: Option<DivergedTrials>,
     },
-    /// The interval is too wide to tell the expected deviation from its half or double.
+    /// The interval is too wide to exclude half and double of `expected`.
     Indistinct {
         trials: usize,
         value: f64,
@@ -198,18 +173,18 @@ impl fmt::Display for Reason {
             }
             Self::Undecided { trials, bounds, limit, cause } => {
                 let cause = cause.map_or_else(String::new, |cause| format!(": {cause}"));
-                write!(formatter, "by {trials} trials it is {bounds}, which does not decide {limit}{cause}")
+                write!(formatter, "{trials} trials show a value {bounds}, which does not decide {limit}{cause}")
             }
             Self::NoVariation { trials } => {
                 write!(formatter, "all {trials} trials gave the same value, which shows no repeatability")
             }
             Self::Disagrees { value, bounds, expected, diverged } => {
-                write!(formatter, "{value:.4}, {bounds}: does not agree with {expected}{}", suffix(diverged))
+                write!(formatter, "{value:.4}, {bounds}, which excludes the expected {expected}{}", suffix(diverged))
             }
             Self::Indistinct { trials, value, bounds, expected } => write!(
                 formatter,
-                "by {trials} trials it is {value:.4}, {bounds}, which does not distinguish {expected} from its half \
-                 or double"
+                "{trials} trials show {value:.4}, {bounds}, which does not exclude half or double of the expected \
+                 {expected}"
             ),
         }
     }
@@ -225,7 +200,7 @@ pub fn percent(share: f64) -> String {
     if percent > 0.0 && percent < 0.01 { format!("{percent:.1e} %") } else { format!("{percent:.2} %") }
 }
 
-/// Writes a reason twice: `reason` is a sentence for people, `reason_code` is what readers parse.
+/// Writes a reason twice: `reason` is a sentence for people, `reason_code` is for programs.
 pub(crate) mod file_keys {
     use super::{Deserialize, Deserializer, JsonSchema, Serialize, Serializer, fmt};
 
@@ -241,7 +216,6 @@ pub(crate) mod file_keys {
         reason_code: Option<R>,
     }
 
-    /// The schema of both keys.
     #[derive(JsonSchema)]
     #[allow(dead_code, reason = "only its schema is used")]
     pub(crate) struct Keys<R> {

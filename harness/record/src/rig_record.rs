@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RigRecord {
-    /// As named on the command line.
+    /// Name of the rig, as on the command line.
     pub name: String,
-    /// The firmware's own identification; `None` if it never answered.
+    /// `null` if the firmware never identified itself.
     #[serde(default)]
     pub firmware: Option<Firmware>,
 }

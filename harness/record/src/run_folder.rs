@@ -31,7 +31,7 @@ pub enum FolderError {
 pub struct RunFolder {
     path: PathBuf,
     started: Timestamp,
-    /// The open folder, locked until the run ends; other processes cannot create a run in it.
+    /// The open folder. It is locked until the run ends, so that no other process creates a run in it.
     _lock: Arc<File>,
 }
 
@@ -47,7 +47,7 @@ impl RunFolder {
         let path = path.map_or_else(|| Path::new("runs").join(generate_name(started)), Path::to_owned);
         fs::create_dir_all(&path).map_err(io_error(&path))?;
         let lock = File::open(&path).map_err(io_error(&path))?;
-        // A file system without locks returns another error.
+        // Any other error means a file system without locks.
         if matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
             return Err(FolderError::InUse(path));
         }
@@ -66,12 +66,11 @@ impl RunFolder {
         &self.path
     }
 
-    /// Removes the folder if it is empty; returns true if it did.
     pub fn remove_if_empty(&self) -> bool {
         fs::remove_dir(&self.path).is_ok()
     }
 
-    /// When it was created, UTC, RFC 3339 to the second.
+    /// Time of creation, UTC, RFC 3339 to the second.
     pub fn started(&self) -> String {
         self.started.strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
     }
@@ -81,7 +80,7 @@ impl RunFolder {
         fs::create_dir_all(&folder).map_err(io_error(&folder))
     }
 
-    /// Copies every input of every scenario, with their relative paths; returns them by scenario.
+    /// Copies all inputs with their relative paths. Returns them by scenario.
     pub fn store_inputs(&self, scenarios: &[Scenario]) -> Result<Vec<Vec<InputRecord>>, FolderError> {
         // Paths in a scenario from standard input are relative to the current folder.
         let place = |input: &InputFile| match input.path.to_str() {
@@ -107,7 +106,7 @@ impl RunFolder {
     }
 }
 
-/// Path of a trial's trace relative to the run folder, with `/`.
+/// Relative to the run folder, with `/`.
 pub fn trace_path(scenario: &str, index: u32) -> String {
     format!("{TRACES}/{scenario}/{index:03}.csv")
 }

@@ -1,4 +1,4 @@
-//! Records a run: the types of `run.json`.
+//! Defines the content of `run.json`.
 
 use crate::cost::CostTrend;
 use crate::exclusion::Exclusion;
@@ -16,37 +16,36 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 
-/// Version of the format; readers reject others.
+/// Version of `run.json`. Readers reject other versions.
 pub const FORMAT: u32 = 1;
 
-/// The content of `run.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunRecord {
     pub format: u32,
     pub verdict: Verdict,
-    /// False during the run, and if it was killed.
+    /// False during the run, and if the run was killed.
     pub complete: bool,
     pub tool: Tool,
-    /// When it started, UTC, RFC 3339.
+    /// Start of the run, UTC, RFC 3339.
     pub started: String,
     pub rig: RigRecord,
     pub clock: ClockKind,
     pub overrides: Overrides,
     pub host: Host,
-    /// True if every controller confirmed 0 V at the end; `None` during the run or if killed.
+    /// True if every controller confirmed 0 V at the end; absent during the run or if it was killed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub safe_confirmed: Option<bool>,
-    /// Wall-clock time of the run, ms; `None` during the run or if killed.
+    /// Wall-clock time of the run, ms; absent during the run or if it was killed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wall_ms: Option<f64>,
     pub scenarios: Vec<ScenarioRecord>,
-    /// Scenarios that need what the controller does not announce; they change no verdict.
+    /// Scenarios that need a law or a capability that the controller does not announce. They change no verdict.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_applicable: Vec<NotApplicable>,
     /// Instructions per control step by law, if the rig counts them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cost: Vec<CostTrend>,
-    /// The runs that were joined, of `platebench merge`.
+    /// The runs that `platebench merge` joined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub merge: Option<MergeRecord>,
 }
@@ -56,7 +55,7 @@ pub struct RunRecord {
 pub enum ClockKind {
     /// The plate waited for the controller.
     Lockstep,
-    /// The plate did not wait.
+    /// The plate did not wait for the controller.
     RealTime,
     /// The controller drove a plate of its own.
     RealPlate,
@@ -82,13 +81,12 @@ impl fmt::Display for ClockKind {
 pub struct NotApplicable {
     pub file: String,
     pub title: String,
-    /// What the controller does not announce.
     pub reason: String,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScenarioRecord {
-    /// Its file below the scenario folder.
+    /// Path below the scenario folder.
     pub file: String,
     pub title: String,
     pub source: Option<String>,
@@ -103,7 +101,7 @@ pub struct ScenarioRecord {
     /// Every input file; the first is the scenario.
     pub inputs: Vec<InputRecord>,
     pub expectations: Vec<ExpectationRecord>,
-    /// Texts of its requirements by identifier, from `requirements.toml`.
+    /// Texts by identifier, from `requirements.toml`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub requirement_texts: BTreeMap<String, String>,
     pub trials: Vec<TrialRecord>,
@@ -111,13 +109,13 @@ pub struct ScenarioRecord {
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct InputRecord {
-    /// Its copy, relative to the run folder.
+    /// Path of the copy, relative to the run folder.
     pub file: String,
     pub sha256: String,
 }
 
 impl RunRecord {
-    /// Combines all scenarios. A pass needs a complete run and confirmed 0 V.
+    /// Combines the verdicts of all scenarios. A pass also needs a complete run, all shards and confirmed 0 V.
     pub fn update_verdict(&mut self) {
         let combined = Verdict::combine(self.scenarios.iter().map(|scenario| scenario.verdict));
         let misses_shards = self.merge.as_ref().is_some_and(|merge| !merge.missing_shards.is_empty());

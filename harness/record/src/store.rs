@@ -23,12 +23,8 @@ pub enum RecordError {
     Io { path: PathBuf, source: io::Error },
     #[error("{}:{}:{}: {source}", path.display(), source.line(), source.column())]
     Content { path: PathBuf, source: serde_json::Error },
-    #[error("{}: format {found}, expected {FORMAT}", path.display())]
-    Format {
-        path: PathBuf,
-        /// Version in the file.
-        found: u32,
-    },
+    #[error("{}: the record has format {found}, expected {FORMAT}", path.display())]
+    Format { path: PathBuf, found: u32 },
     #[error("{}: {what} `{found}`, expected a path below the run folder", path.display())]
     OutsidePath { path: PathBuf, what: &'static str, found: String },
 }
@@ -68,8 +64,7 @@ impl RunRecord {
         paths.into_iter().find(|(_, path)| is_outside(path))
     }
 
-    /// Runs in neighbouring folders that started no later, newest first, at most 20, with folder.
-    /// Unreadable records are passed to `skipped`.
+    /// Up to 20 earlier runs in neighbouring folders, with folder names, newest first. `skipped` gets faulty records.
     pub fn earlier_runs<T: DeserializeOwned>(
         &self,
         folder: &Path,
@@ -82,7 +77,7 @@ impl RunRecord {
             .filter(|path| *path != own && path.join(RECORD_FILE).exists())
             .filter_map(|path| {
                 let started = read_started(&path).inspect_err(|error| skipped(&path, error)).ok()?;
-                // RFC 3339 in UTC sorts as text. Short runs follow each other within a second.
+                // RFC 3339 in UTC sorts as text. Short runs may start in the same second.
                 (started <= self.started).then_some((started, path))
             })
             .collect();
@@ -96,7 +91,6 @@ impl RunRecord {
     }
 }
 
-/// A run without its trials.
 #[derive(Debug, Clone, Deserialize)]
 pub struct RunSummary {
     pub started: String,
@@ -111,7 +105,7 @@ pub struct ScenarioSummary {
     pub expectations: Vec<ExpectationRecord>,
 }
 
-/// The keys that decide whether a record is read. They are at its start, where reading ends.
+/// The keys that decide whether a record is read. They are at its start, and reading stops after them.
 #[derive(Default)]
 struct Head {
     format: Option<u32>,

@@ -4,7 +4,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Pass, fail or inconclusive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
@@ -14,7 +13,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// One failure fails all; one inconclusive verdict or an empty list makes it inconclusive.
+    /// One failure fails all. Otherwise one inconclusive verdict or an empty list is inconclusive.
     pub fn combine(verdicts: impl IntoIterator<Item = Self>) -> Self {
         verdicts
             .into_iter()
@@ -41,7 +40,7 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// What made a verdict inconclusive.
+/// Why a verdict is inconclusive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Cause {
@@ -51,7 +50,7 @@ pub enum Cause {
     Bench,
     /// No controller can meet the demand.
     Infeasible,
-    /// Too few trials for the stated confidence.
+    /// Too few trials for the confidence, or missing traces.
     Evidence,
 }
 

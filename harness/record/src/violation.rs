@@ -1,19 +1,19 @@
-//! Names breaches of the protocol, which fail a trial independently of its expectations.
+//! Defines violations of the protocol, which fail a trial independently of its expectations.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// All breaches of one kind in a trial.
+/// All violations of one kind in a trial.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Violation {
     pub kind: ViolationKind,
     pub at_s: f64,
     pub count: u64,
-    /// The worst commanded value in the kind's unit; `null` if it has none or was not finite.
+    /// Worst commanded value, Vpp or Hz; absent if the kind has no value or the value was not finite.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub worst: Option<f64>,
-    /// The limit that the value breached, in the same unit.
+    /// Limit in the unit of `worst`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit: Option<f64>,
 }
@@ -21,25 +21,17 @@ pub struct Violation {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ViolationKind {
-    /// A drive above the configured limit, Vpp.
     DriveAboveLimit,
-    /// A drive below 0 Vpp.
     DriveBelowZero,
     /// A frequency outside the configured range, Hz from the start frequency.
     FrequencyOutOfRange,
     /// A change of frequency above the configured slew, Hz per period.
     FrequencySlew,
-    /// A reply with a sequence number that the bench has not sent.
     WrongSequence,
-    /// A second reply to one sample.
     SecondReply,
-    /// A configuration answered with other gains, or with gains that are not finite.
     WrongConfiguration,
-    /// A drive above 0 V after the controller confirmed 0 V, Vpp.
     DriveAfterSafe,
-    /// A running state or a drive in the answer to the request for 0 V.
     IgnoredSafe,
-    /// A command whose time stamp is before that of the command before it.
     ClockBackwards,
 }
 

@@ -1,4 +1,4 @@
-//! Draws SVG with classes instead of colours, for light, dark and paper. Knows no metric.
+//! Draws charts as SVG with classes instead of colours, for light, dark and paper.
 
 pub(crate) mod colours;
 mod exceedance;

@@ -9,11 +9,11 @@ pub enum ReportError {
     File(#[from] FileError),
     #[error("{}: {source}", path.display())]
     Junit { path: PathBuf, source: quick_junit::SerializeError },
-    #[error("the drawing of {title}: {source}")]
+    #[error("cannot draw {title}: {source}")]
     Plot { title: String, source: Box<dyn std::error::Error + Send + Sync> },
 }
 
-/// Replaces a file as a whole; writes into anything else, such as a pipe.
+/// Replaces a file atomically. Writes directly into anything else, such as a pipe.
 pub(crate) fn write_file(path: &Path, text: &str) -> Result<(), ReportError> {
     let is_special = std::fs::metadata(path).is_ok_and(|metadata| !metadata.is_file());
     let written = if is_special { std::fs::write(path, text) } else { write_atomically(path, text.as_bytes()) };

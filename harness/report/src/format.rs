@@ -63,12 +63,10 @@ pub(crate) fn overrides(record: &RunRecord) -> Option<String> {
     (!changed.is_empty()).then(|| changed.join(", "))
 }
 
-/// `1 trial`, `30 trials`.
 pub fn count(number: usize, one: &str) -> String {
     if number == 1 { format!("1 {one}") } else { format!("{number} {one}s") }
 }
 
-/// A sign that distinguishes verdicts without colour.
 pub const fn sign(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Pass => "✓",
@@ -89,12 +87,11 @@ pub(crate) fn number(value: f64) -> String {
     significant_digits(value, 4)
 }
 
-/// The size of a change: two significant digits below 10, else three.
+/// Size of a change in percent, with two significant digits below 10, else three.
 pub(crate) fn percent(value: f64) -> String {
     significant_digits(value.abs(), if value.abs() < 10.0 { 2 } else { 3 })
 }
 
-/// `340 ms`, `2.5 s`, `12 min 5 s`.
 pub(crate) fn duration(ms: f64) -> String {
     match ms / 1e3 {
         seconds if seconds < 1.0 => format!("{ms:.0} ms"),
@@ -137,7 +134,6 @@ pub fn value(expectation: &ExpectationRecord) -> Option<String> {
         .or_else(|| Some(number(value)))
 }
 
-/// The limit: `≤ 2`, `≥ 2`, `1 … 2` or `≈ 2`.
 pub fn limit(expectation: &ExpectationRecord) -> String {
     limit_text(expectation.limit)
 }
@@ -158,7 +154,7 @@ pub(crate) fn limit_ends(limit: Limit) -> Vec<f64> {
     }
 }
 
-/// As many windows are counted instead of listed.
+/// From this number on, windows are counted instead of listed.
 const COUNTED_WINDOWS: usize = 4;
 
 /// The judged windows: `1 … 60 ms`, `1 … 10, 30 … 40 ms` or `12 windows, 1 … 190 ms`.
@@ -166,7 +162,6 @@ pub(crate) fn windows(expectation: &ExpectationRecord) -> Option<String> {
     window_list(&expectation.windows_ms)
 }
 
-/// `window 1 … 60 ms`, or `12 windows, 1 … 190 ms`.
 pub(crate) fn in_window(expectation: &ExpectationRecord) -> Option<String> {
     let list = windows(expectation)?;
     Some(if expectation.windows_ms.len() < COUNTED_WINDOWS { format!("window {list}") } else { list })
@@ -223,7 +218,7 @@ pub(crate) fn statistic(expectation: &ExpectationRecord) -> String {
     name.to_owned()
 }
 
-/// `1.9 … 1.96 (95 %)`. The range of worst and best trial has no confidence.
+/// `1.9 … 1.96 (95 %)`. The range from best to worst trial has no confidence.
 pub(crate) fn interval(expectation: &ExpectationRecord) -> Option<String> {
     let [low, high] = expectation.interval?;
     let confidence = expectation
@@ -235,7 +230,7 @@ pub(crate) fn interval(expectation: &ExpectationRecord) -> Option<String> {
 
 pub(crate) fn evidence(expectation: &ExpectationRecord) -> Option<String> {
     let evidence = &expectation.evidence;
-    let look = evidence.look.map(|[number, of]| format!("judged at look {number} of {of}"));
+    let look = evidence.look.map(|[number, of]| format!("decided at evaluation {number} of {of}"));
     let parts: Vec<String> = evidence.says.iter().cloned().chain(look).collect();
     (!parts.is_empty()).then(|| parts.join("; "))
 }

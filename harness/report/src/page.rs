@@ -1,4 +1,4 @@
-//! Writes pages: HTML in one file that loads nothing.
+//! Writes HTML pages, each in one file that loads no other.
 
 mod block_page;
 mod boards;

@@ -2,7 +2,7 @@
 
 use platebench_record::{Cause, ExpectationRecord, Limit, RunRecord, ScenarioRecord, Statistic, TrialRecord, Verdict};
 
-/// The metric, with `[n]` for its n-th expectation.
+/// Key in the metrics of a trial. The first expectation of a metric has its name, the second has the suffix `[2]`.
 pub(crate) fn metric_key(scenario: &ScenarioRecord, index: usize) -> String {
     let Some(expectation) = scenario.expectations.get(index) else { return String::new() };
     let before = scenario.expectations.iter().take(index);
@@ -12,7 +12,6 @@ pub(crate) fn metric_key(scenario: &ScenarioRecord, index: usize) -> String {
     }
 }
 
-/// The trial that decided, or else the first; `None` if the expectation passed.
 pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
     scenario.expectations.get(index).filter(|found| found.verdict != Verdict::Pass)?;
     deciding_trial(scenario, index)
@@ -44,12 +43,10 @@ fn with_verdict(scenario: &ScenarioRecord, verdict: Verdict) -> impl Iterator<It
     all.filter(move |(_, found)| found.verdict == verdict).map(|(index, _)| index)
 }
 
-/// Failures first.
 pub(crate) fn indices_not_passed(scenario: &ScenarioRecord) -> impl Iterator<Item = usize> {
     with_verdict(scenario, Verdict::Fail).chain(with_verdict(scenario, Verdict::Inconclusive))
 }
 
-/// The failures of all scenarios first.
 pub(crate) fn expectations_not_passed(record: &RunRecord) -> Vec<(&ScenarioRecord, usize)> {
     let of = |verdict: Verdict| {
         let scenarios = record.scenarios.iter();
@@ -58,7 +55,6 @@ pub(crate) fn expectations_not_passed(record: &RunRecord) -> Vec<(&ScenarioRecor
     of(Verdict::Fail).chain(of(Verdict::Inconclusive)).collect()
 }
 
-/// The passed expectation with the smallest margin, if its limit leaves one.
 pub(crate) fn smallest_margin(record: &RunRecord) -> Option<(&ScenarioRecord, &ExpectationRecord, f64)> {
     smallest_margins(record).first().map(|(_, scenario, expectation, margin)| (*scenario, *expectation, *margin))
 }
@@ -74,14 +70,13 @@ pub(crate) fn smallest_margins(record: &RunRecord) -> Vec<(usize, &ScenarioRecor
     rated
 }
 
-/// The expectation with the smallest margin, if its limit leaves one.
 pub(crate) fn closest_expectation(scenario: &ScenarioRecord) -> Option<usize> {
     let rated = scenario.expectations.iter().enumerate().filter(|(_, found)| allows_margin(found));
     let rated = rated.filter_map(|(index, found)| Some((index, found.margin?)));
     rated.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(index, _)| index)
 }
 
-/// False for `overruns ≤ 0` or `missed_replies 5 … 5`: a single value meets the limit.
+/// False if only one value can meet the limit, as for `overruns ≤ 0` or `missed_replies 5 … 5`.
 fn allows_margin(expectation: &ExpectationRecord) -> bool {
     let (least, most) = expectation.metric.value_range();
     match expectation.limit {
@@ -92,7 +87,7 @@ fn allows_margin(expectation: &ExpectationRecord) -> bool {
     }
 }
 
-/// The slowest of several scenarios, with the sum of its trials, ms.
+/// The slowest scenario, with the wall time of its trials in ms. `None` for a single scenario.
 pub(crate) fn slowest_scenario(record: &RunRecord) -> Option<(&ScenarioRecord, f64)> {
     let wall_ms = |scenario: &ScenarioRecord| scenario.trials.iter().filter_map(|trial| trial.wall_ms).sum::<f64>();
     let timed = record.scenarios.iter().map(|scenario| (scenario, wall_ms(scenario)));
@@ -130,7 +125,7 @@ pub(crate) fn scenario_inconclusive_reason(scenario: &ScenarioRecord) -> Option<
     }
 }
 
-/// `X-open-loop` for `X-closed-loop`.
+/// Index of the scenario `X-open-loop` for a scenario `X-closed-loop`.
 pub(crate) fn open_loop_counterpart(record: &RunRecord, scenario: &ScenarioRecord) -> Option<usize> {
     let bare = |file: &str| file.strip_suffix(".toml").unwrap_or(file).to_owned();
     let wanted = format!("{}-open-loop", bare(&scenario.file).strip_suffix("-closed-loop")?);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Ends a run early, from any thread. Clones share the state.
+/// Clones share one state.
 #[derive(Debug, Clone, Default)]
 pub struct CancelToken(Arc<AtomicBool>);
 
@@ -12,7 +12,7 @@ impl CancelToken {
         Self::default()
     }
 
-    /// Drives trials in progress to 0 V and drops them.
+    /// The bench then takes trials in progress to 0 V and discards them.
     pub fn cancel(&self) {
         self.0.store(true, Ordering::Relaxed);
     }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 #[derive(Debug, Clone, PartialEq)]
 pub enum ChipFaultKind {
-    /// `draw` selects the bit, modulo the number of bits.
+    /// `draw` modulo the number of bits selects the bit.
     FlipRam {
         start: u32,
         length: u32,
@@ -14,7 +14,7 @@ pub enum ChipFaultKind {
         name: String,
         draw: u64,
     },
-    /// Numbered as by a debugger: r0 to r12, sp, lr, pc.
+    /// `number` is that of GDB: r0 to r12, sp, lr, pc.
     FlipRegister {
         number: usize,
         draw: u64,
@@ -46,17 +46,16 @@ impl ChipFaultKind {
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChipFault {
-    /// Counts from the start of the trial.
+    /// Time since the start of the trial.
     pub at: Duration,
     pub kind: ChipFaultKind,
 }
 
-/// Faults of one trial.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ChipFaultPlan {
     /// In order of time.
     pub faults: Vec<ChipFault>,
-    /// The plate does not wait longer for an answer.
+    /// The plate waits at most this long for an answer.
     pub answer_timeout: Duration,
 }
 

@@ -4,7 +4,7 @@ use platebench_wire::{Command, ControllerState};
 
 #[derive(Debug)]
 pub(crate) struct CommandAudit {
-    /// By sequence number: drive (as bits, because NaN differs from itself) and frequency.
+    /// Drive and frequency of the reply to each sequence number. The drive is in bits, because NaN differs from itself.
     replies: [Option<(u32, u32)>; 256],
     /// True from the confirmation of 0 V to the next configuration.
     is_safe: bool,
@@ -32,7 +32,6 @@ impl CommandAudit {
         *self = Self::new();
     }
 
-    /// True if the reply confirms 0 V.
     pub(crate) fn record_safe_reply(&mut self, command: &Command) -> bool {
         self.is_safe = command.state == ControllerState::Safe && command.drive_vpp == 0.0;
         let drives_on = command.state == ControllerState::Running || command.drive_vpp != 0.0;
@@ -44,7 +43,6 @@ impl CommandAudit {
         self.is_safe = false;
     }
 
-    /// Forgets the reply to the earlier message with the number of the message that is sent now.
     pub(crate) fn record_sent(&mut self, sequence: u8) {
         if let Some(reply) = self.replies.get_mut(usize::from(sequence)) {
             *reply = None;
@@ -52,15 +50,14 @@ impl CommandAudit {
     }
 
     pub(crate) fn record_command(&mut self, last_sent: u8, sequence: u8, command: &Command) {
-        // Counts only the reply to the newest message: a late reply to an earlier one has an older number and may have
-        // a drive.
+        // A late reply to an earlier message has an older number, may have a drive and does not count.
         if self.is_safe && sequence == last_sent && command.drive_vpp != 0.0 {
             self.drives_after_safe += 1;
         }
         if command.state != ControllerState::Running {
             return;
         }
-        // A number ahead of the last one that was sent; half of the range is behind it.
+        // Half of the numbers count as older than the last sent one; the others have not been sent yet.
         if last_sent.wrapping_sub(sequence) > u8::MAX / 2 {
             self.wrong_sequences += 1;
             return;

@@ -1,7 +1,5 @@
-//! Compares the commands of a target with those of the hosted reference for the same bytes.
-//!
-//! The reference receives what the target receives, so both laws act on the same samples: their
-//! difference does not grow through the plate.
+//! Compares the commands of a target with those of the hosted reference for the same bytes. Both laws act on the same
+//! samples, so that a difference of their commands does not grow through the plate.
 
 use crate::hosted::HostedLink;
 use crate::link::{Link, LinkError};
@@ -19,12 +17,11 @@ impl<L: Link> ComparedLink<L> {
         Self { link, comparison: None }
     }
 
-    /// Starts a new comparison, or ends it. Call it before the trial's configuration.
+    /// Starts a new comparison if `is_compared` is true, else ends it. Call it before the trial's configuration.
     pub(crate) fn compare_with_reference(&mut self, is_compared: bool) {
         self.comparison = is_compared.then(Box::default);
     }
 
-    /// See [`crate::FaultInjector::reference_difference_percent`].
     pub(crate) fn reference_difference_percent(&self) -> Option<f64> {
         self.comparison.as_ref()?.largest_percent
     }
@@ -61,7 +58,6 @@ struct Comparison {
     to_target: PacketReader,
     from_target: PacketReader,
     configuration: Option<Configure>,
-    /// Commands of the reference by sequence number.
     expected: [Option<Command>; 256],
     last_request: u8,
     largest_percent: Option<f64>,
@@ -101,8 +97,8 @@ impl Comparison {
         Ok(())
     }
 
-    /// A command of one that runs while the other has stopped is a difference of 100 %, unless the
-    /// watchdog stopped it: its clock is the target's own.
+    /// The difference is 100 % if only one of the two runs. A stop by the watchdog does not count, because clocks
+    /// differ.
     fn compare(&mut self, answer: &[u8]) {
         let is_running = |command: &Command| command.state == ControllerState::Running;
         let is_watchdog = |command: &Command| command.cause == StateCause::SampleTimeout;
@@ -113,7 +109,7 @@ impl Comparison {
             let percent = match (is_running(&command), is_running(&expected)) {
                 (true, true) => Some(difference_percent(&command, &expected, &configuration)),
                 (false, false) => None,
-                // A late command has the number of an earlier sample.
+                // A late command has the number of an earlier sample; its state may be old.
                 _ if sequence != self.last_request => None,
                 _ => (!is_watchdog(&command) && !is_watchdog(&expected)).then_some(100.0),
             };
@@ -124,13 +120,13 @@ impl Comparison {
     }
 }
 
-/// A drive that is not finite is a fault of its own and gives no difference.
+/// A drive that is not finite adds no difference, because it is a fault of its own.
 fn difference_percent(command: &Command, expected: &Command, configuration: &Configure) -> f64 {
     let [drive, frequency] = command_difference(command, expected, configuration);
     100.0 * if drive.is_finite() { drive.max(frequency) } else { frequency }
 }
 
-/// Difference of the drive over its limit and of the frequency over its range.
+/// Difference of the drives relative to the drive limit, and of the frequencies relative to the frequency range.
 pub(crate) fn command_difference(one: &Command, other: &Command, configuration: &Configure) -> [f64; 2] {
     let drive = (f64::from(one.drive_vpp) - f64::from(other.drive_vpp)).abs();
     let frequency_hz = f64::from(one.frequency_mhz.abs_diff(other.frequency_mhz)) * 1e-3;

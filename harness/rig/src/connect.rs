@@ -99,7 +99,7 @@ impl RigSpec {
         }
     }
 
-    /// `None` for a link whose rate does not matter, such as a pseudo-terminal, or is not known.
+    /// Bits per second; `None` if the rig has no baud rate, as a pseudo-terminal, or the bench does not know it.
     pub fn baud(&self) -> Option<u32> {
         match self {
             Self::Serial { baud, .. } | Self::Rfc2217 { baud, .. } | Self::Probe { port: Some(_), baud, .. } => {
@@ -109,7 +109,7 @@ impl RigSpec {
         }
     }
 
-    /// `None` for the bench's image and for other rigs.
+    /// Path of the ELF; `None` for the built-in image and for rigs without an image.
     pub fn image(&self) -> Option<&Path> {
         match self {
             Self::Emulated(elf) | Self::Probe { elf, .. } => elf.as_deref(),
@@ -124,8 +124,7 @@ impl RigSpec {
         }
     }
 
-    /// The controller's clock runs on while the plate waits: in lockstep it needs a longer sample
-    /// time-out.
+    /// True if the controller's clock runs while the plate waits. In lockstep it then needs a longer watchdog timeout.
     pub fn has_own_clock(&self) -> bool {
         match self {
             Self::Hosted | Self::Emulated(_) => false,
@@ -133,12 +132,12 @@ impl RigSpec {
         }
     }
 
-    /// True for a controller on a line whose time runs on.
+    /// True if the bytes travel over a serial line or a network.
     pub fn is_line(&self) -> bool {
         matches!(self, Self::Serial { .. } | Self::Tcp(_) | Self::Rfc2217 { .. } | Self::Probe { port: Some(_), .. })
     }
 
-    /// RTT is polled through a probe and takes some milliseconds per message.
+    /// False for RTT, because the probe polls it and takes some milliseconds per message.
     pub fn supports_real_time(&self) -> bool {
         !matches!(self, Self::Probe { port: None, .. })
     }

@@ -7,11 +7,11 @@ use std::time::Duration;
 
 #[derive(Debug, Clone)]
 pub struct ConnectOptions {
-    /// In lockstep over a serial line, counted from the last byte of the request.
+    /// Longest wait for an answer in lockstep over a line, from the last byte of the request on.
     pub reply_timeout: Duration,
-    /// Ends the wait for a program that does not answer its handshake.
+    /// Ends the waits for a program's handshake and for a debugger.
     pub cancel: CancelToken,
-    /// The first emulated chip waits for a debugger there.
+    /// The first emulated chip waits on this port for a debugger.
     pub debug_port: Option<DebugPort>,
 }
 

@@ -1,5 +1,4 @@
-//! Reports a crash of the firmware: fault status registers, place and callers. Registers: ARMv7-M
-//! Architecture Reference Manual, B1.5 and B3.2.
+//! Reports a crash of the firmware. ARMv7-M Architecture Reference Manual, B1.5 and B3.2, describes the registers.
 
 mod backtrace;
 
@@ -15,13 +14,13 @@ const HFSR: u64 = 0xE000_ED2C;
 const MMFAR: u64 = 0xE000_ED34;
 const BFAR: u64 = 0xE000_ED38;
 
-/// Bits of CFSR: MMFAR or BFAR holds an address.
+/// Bits of CFSR that mark a valid address in MMFAR or BFAR.
 const MMFAR_VALID: u32 = 1 << 7;
 const BFAR_VALID: u32 = 1 << 15;
-/// Bits of CFSR: the processor could not push its registers.
+/// Bits of CFSR that are set if the processor could not push its registers.
 const STACKING_FAILED: u32 = 1 << 12 | 1 << 4;
 
-/// Bits of CFSR. B3.2.15.
+/// Bits of CFSR (B3.2.15).
 const CAUSES: [(u32, &str); 17] = [
     (0, "instruction access violation"),
     (1, "data access violation"),
@@ -41,7 +40,7 @@ const CAUSES: [(u32, &str); 17] = [
     (24, "unaligned access"),
     (25, "division by zero"),
 ];
-/// Bits of HFSR that have no bit in CFSR. B3.2.16.
+/// Bits of HFSR for causes that CFSR does not contain (B3.2.16).
 const HARD_CAUSES: [(u32, &str); 2] = [(1, "vector table not readable"), (31, "breakpoint without a debugger")];
 
 const EXCEPTIONS: [(u32, &str); 5] =
@@ -77,7 +76,6 @@ impl FaultStatus {
         set(&CAUSES, self.cfsr).chain(set(&HARD_CAUSES, self.hfsr)).collect()
     }
 
-    /// The processor could not push its registers, so there is no exception frame.
     pub fn is_stacking_failure(&self) -> bool {
         self.cfsr & STACKING_FAILED != 0
     }
@@ -85,7 +83,7 @@ impl FaultStatus {
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CrashReport {
-    /// `HardFault`, `BusFault`, …, `lockup` or `panic`.
+    /// Name such as `HardFault`, `lockup` or `panic`.
     pub exception: &'static str,
     pub status: FaultStatus,
     /// The failed instruction, or the innermost known call.
@@ -97,7 +95,7 @@ pub struct CrashReport {
     pub sp: u32,
     /// Time since power-on, if the rig knows it.
     pub at_us: Option<u64>,
-    /// The watchdog reset the chip during the reading; place and callers are missing.
+    /// True if the watchdog reset the chip while the bench read it. Place and callers are then missing.
     pub watchdog_reset: bool,
 }
 

@@ -7,7 +7,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// The bench does not wait longer for the debugger's connection.
 const CONNECT_TIMEOUT: Duration = Duration::from_mins(5);
 pub(crate) const POLL: Duration = Duration::from_millis(50);
 
@@ -29,7 +28,7 @@ impl From<io::Error> for DebuggerError {
     }
 }
 
-/// A port for one debugger of one emulated chip; clones share it.
+/// Port for one debugger of one emulated chip. Clones share the port.
 #[derive(Debug, Clone)]
 pub struct DebugPort {
     number: u16,

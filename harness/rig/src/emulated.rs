@@ -1,17 +1,9 @@
-//! Runs a firmware image on an emulated STM32F427 in this process, in virtual time.
-//!
-//! USART2 (PA2, PA3) runs at the firmware's baud rate, and a command takes effect with its last
-//! stop bit: the delay contains the wire both ways, the idle line that ends a frame, and the
-//! computing time. While the firmware sleeps, time jumps. Every trial begins with a power-on: equal
-//! trials give equal bytes.
-//!
-//! ```text
-//!   EmulatedLink   trial time to virtual time, handshake, time-outs   this file
-//!      └ Machine   event loop, board, memory, crashes                 machine, board, bus, memory, post_mortem
-//! ```
-//!
-//! An access without a model ends the trial, as do traps, lock-ups, resets and silence. Each
-//! instruction takes 1/168 µs: a real processor waits for its flash and its pipeline.
+//! Runs a firmware image on an emulated STM32F427 in this process, in virtual time. USART2 (PA2, PA3) runs at the
+//! firmware's baud rate. A command takes effect with its last stop bit, so that the loop delay contains both
+//! transmissions, the idle line after a frame, and the computing time. While the firmware sleeps, virtual time jumps to
+//! the next event. Every trial begins with a power-on, so that equal trials give equal bytes. An access without a model
+//! ends the trial, as do traps, lock-ups, resets and missing answers. Each instruction takes 1/168 µs; a real processor
+//! also waits for its flash and its pipeline.
 
 mod board;
 mod bus;
@@ -58,9 +50,9 @@ use std::time::{Duration, Instant};
 const NS_PER_MS: u64 = 1_000_000;
 const BITS_PER_BYTE: u64 = 10;
 
-/// Counts from the last bit of the request.
+/// Longest time from the last bit of the request to the answer.
 const ANSWER_TIMEOUT_NS: u64 = 20 * NS_PER_MS;
-/// Applies to a message that needs no answer.
+/// Longest wait after a message that needs no answer.
 const OPTIONAL_ANSWER_TIMEOUT_NS: u64 = NS_PER_MS / 5;
 const HANDSHAKE_INTERVAL_NS: u64 = 10 * NS_PER_MS;
 const HANDSHAKE_TIMEOUT_NS: u64 = 1_000 * NS_PER_MS;
@@ -74,14 +66,14 @@ pub struct EmulatedLink {
     target: Box<Machine>,
     debugger: Option<Debugger>,
     trial_start_ns: u64,
-    /// 0 before the firmware's first frame.
+    /// Transmission time of one byte; 0 before the firmware's first frame.
     byte_ns: u64,
     received: Vec<ReceivedByte>,
     pending_requests: PendingRequests,
     instructions: Option<u64>,
     target_error: Option<TargetError>,
     chip_faults: ChipFaults,
-    /// The handshake is over: faults of the chip may act.
+    /// True after the handshake, when faults of the chip may act.
     has_started: bool,
 }
 
@@ -90,12 +82,11 @@ impl EmulatedLink {
         Self::new(BUILT_IN_IMAGE, EmulatedOptions::default())
     }
 
-    /// Runs the firmware in the file `elf`, at any baud rate.
     pub fn open(elf: &Path) -> Result<Self, EmulatedError> {
         Self::new(&options::read_image(elf)?, EmulatedOptions::default())
     }
 
-    /// Lets the debugger that connects to `port` control the chip; `elf`: `None` for the bench's image.
+    /// Lets the debugger that connects to `port` control the chip. `elf` is `None` for the built-in image.
     pub fn open_with_debugger(
         elf: Option<&Path>,
         port: &DebugPort,
@@ -109,7 +100,6 @@ impl EmulatedLink {
         Self::start_with(elf, options, None)
     }
 
-    /// With a port, waits for a debugger first; the chip then stands before its first instruction.
     fn start_with(
         elf: &[u8],
         options: EmulatedOptions,
@@ -151,17 +141,17 @@ impl EmulatedLink {
         self.target.watch(addresses);
     }
 
-    /// Recorded instructions that ran; true if the firmware answered a sample then.
+    /// Recorded instructions that ran, by address. The value is true if one ran while the firmware answered a sample.
     pub fn executed_instructions(&self) -> &BTreeMap<u32, bool> {
         self.target.executed_instructions()
     }
 
-    /// Changes the firmware in flash until it is changed again. False without memory at `address`.
+    /// Overwrites the firmware in flash, also for later trials. Returns false if there is no memory at `address`.
     pub fn patch(&mut self, address: u32, bytes: &[u8]) -> bool {
         self.target.patch(address, bytes)
     }
 
-    /// Powers on and shakes hands. Time zero is a whole millisecond soon after.
+    /// Powers on and performs the handshake. The trial then starts at a whole millisecond of virtual time.
     fn start(&mut self) -> Result<(), TargetError> {
         self.target_error = None;
         self.target.set_control_step(false);
@@ -206,7 +196,7 @@ impl EmulatedLink {
         self.byte_ns = (last.at_ns - first.at_ns + gaps / 2).checked_div(gaps).unwrap_or(0);
     }
 
-    /// Like [`Machine::run`]; faults of the chip act at their instants.
+    /// Like [`Machine::run`], with faults of the chip at their instants.
     fn run_target(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         while self.has_started
             && let Some(at) = self.chip_faults.next()
@@ -223,7 +213,7 @@ impl EmulatedLink {
         self.run_machine(until_ns)
     }
 
-    /// Like [`Machine::run`]; a debugger may stop the chip, also before an error ends the trial.
+    /// Like [`Machine::run`], but a debugger may stop the chip, also before an error ends the trial.
     fn run_machine(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         let mut stop = None;
         loop {
@@ -250,8 +240,7 @@ impl EmulatedLink {
         Ok(())
     }
 
-    /// Runs to the end of the answer, to `until_ns`, or to the end of a frame that has begun by
-    /// then. Returns the end of the answer's last stop bit.
+    /// Runs to the answer's end or `until_ns`, and completes a begun frame. Returns the end of the last stop bit, ns.
     fn run_until_answer(&mut self, mut until_ns: u64) -> Result<Option<u64>, TargetError> {
         let mut read = self.received.len();
         let mut extended = false;
@@ -283,8 +272,8 @@ impl EmulatedLink {
             .saturating_add(u64::try_from(self.chip_faults.chip_time(now).as_nanos()).unwrap_or(u64::MAX))
     }
 
-    /// Runs to the trial's instant `now`. If the last answer took longer than a period, moves the
-    /// rest of the trial: the plate waits for the firmware.
+    /// Runs to the trial time `now`. Moves the rest of the trial if the firmware is late, because the plate waits for
+    /// it.
     fn catch_up(&mut self, now: Duration) -> Result<(), TargetError> {
         let wanted = self.virtual_ns(now);
         let ahead = self.target.now_ns().saturating_sub(wanted);
@@ -348,7 +337,7 @@ impl Link for EmulatedLink {
     }
 
     fn restart(&mut self) -> Result<bool, LinkError> {
-        // A failed emulator may have an invalid state.
+        // A failed emulator may have an invalid state and is not restarted.
         if let Some(error @ TargetError::Emulator(_)) = &self.target_error {
             return Err(LinkError::Target(Box::new(error.clone())));
         }

@@ -1,13 +1,7 @@
-//! Starts a controller program with its serial line on a pseudo-terminal.
-//!
-//! ```text
-//!   bench ── master ═ pseudo-terminal ═ slave ── program, which opens {port} like /dev/ttyUSB0
-//! ```
-//!
-//! The program gets its own process group: Ctrl-C reaches only the bench, which then requests 0 V.
-//! Its standard output goes to the bench's standard error, because the bench's output may be JSON.
-//! It ends in bounded steps: hang-up, SIGTERM, SIGKILL. If the bench is killed, the line hangs up
-//! and the program's own watchdog acts.
+//! Starts a controller program, which opens its serial line, a pseudo-terminal, as `{port}`. The program runs in its
+//! own process group, so that Ctrl-C reaches only the bench, which then requests 0 V. The program's output goes to the
+//! bench's standard error, because the bench's output may be JSON. To end the program, the bench hangs up the line,
+//! then sends SIGTERM, then SIGKILL. If the bench is killed, the line hangs up and the program's own watchdog acts.
 
 use crate::cancel::CancelToken;
 use crate::connect_options::ConnectOptions;
@@ -22,33 +16,25 @@ use tracing::debug;
 
 const PORT_PLACEHOLDER: &str = "{port}";
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
-/// A program that flushes its port at the start loses the first ones.
+/// Interval of the repeated hello, because a program that flushes its port at the start loses the first ones.
 const HANDSHAKE_INTERVAL: Duration = Duration::from_millis(100);
-/// The line may hang up a moment before the end of its program is visible.
+/// Longest wait for the program's exit after a hang-up, because the kernel may report the hang-up first.
 const EXIT_DETECTION_TIMEOUT: Duration = Duration::from_millis(50);
 
 #[derive(Debug, thiserror::Error)]
 pub enum ExecError {
-    #[error("`{0}` cannot be split into words: a quote is not closed, or a backslash ends it")]
+    #[error("`{0}` cannot be split into words; close its quotes and escape a backslash at its end")]
     Quoting(String),
     #[error("`{0}` names no program")]
     Empty(String),
     #[error("`{0}` has no {{port}}, the placeholder for the path of the controller's serial port")]
     NoPortPlaceholder(String),
     #[error("cannot start `{program}`: {error}")]
-    Start {
-        /// Name or path.
-        program: String,
-        error: std::io::Error,
-    },
+    Start { program: String, error: std::io::Error },
     #[error("cannot open a pseudo-terminal: {0}")]
     Terminal(std::io::Error),
     #[error("`{program}` {how} before the handshake")]
-    Exited {
-        program: String,
-        /// Exit status or signal.
-        how: String,
-    },
+    Exited { program: String, how: String },
     #[error("`{program}` runs, but did not answer the handshake on {port} within {} s", HANDSHAKE_TIMEOUT.as_secs())]
     Silent { program: String, port: String },
     #[error("cancelled while waiting for the handshake of `{0}`")]
@@ -61,7 +47,7 @@ pub enum ExecError {
 pub(crate) struct CommandLine(Vec<String>);
 
 impl CommandLine {
-    /// Splits `command` like a shell; expands nothing.
+    /// Splits `command` into words like a shell, but expands no variables or patterns.
     pub(crate) fn parse(command: &str) -> Result<Self, ExecError> {
         let words = shlex::split(command).ok_or_else(|| ExecError::Quoting(command.to_owned()))?;
         if words.first().is_none_or(String::is_empty) {
@@ -84,7 +70,7 @@ impl CommandLine {
 
 #[derive(Debug)]
 pub struct ExecLink {
-    // Declared before `program`: fields are dropped in this order, so the line hangs up first.
+    // Declared before `program`, because fields are dropped in this order and the line must hang up first.
     port: Port<OwnedFd>,
     program: Program,
 }
@@ -94,7 +80,7 @@ impl ExecLink {
         Self::start_with(command, &ConnectOptions::default())
     }
 
-    /// Passes the path of the port for `{port}` and waits for the handshake.
+    /// Replaces `{port}` by the path of the pseudo-terminal, starts the program and waits for the handshake.
     pub fn start_with(command: &str, options: &ConnectOptions) -> Result<Self, ExecError> {
         let words = CommandLine::parse(command)?;
         let (master, slave, name) = open_pseudo_terminal().map_err(|error| ExecError::Terminal(error.into()))?;
@@ -131,7 +117,7 @@ impl ExecLink {
             if let Some(how) = self.program.wait_for_exit(Duration::ZERO) {
                 return Err(ExecError::Exited { program: self.program.name().to_owned(), how });
             }
-            // An echo or noise ends the exchange early.
+            // An echo or noise can end the exchange before the interval is over.
             std::thread::sleep(HANDSHAKE_INTERVAL.saturating_sub(asked.elapsed()));
         }
         Err(ExecError::Silent { program: self.program.name().to_owned(), port: name.to_owned() })

@@ -1,15 +1,7 @@
-//! Injects planned line faults: loses, damages, repeats, delays and floods messages.
-//!
-//! ```text
-//!   FaultInjector  both directions in time order, over a link in lockstep   injector.rs
-//!      ├ the same over a link in real time                                  real_time.rs
-//!      └ ActiveFaults  the effect of the faults on one message              inject.rs, packet.rs
-//! ```
-//!
-//! Faults affect samples and commands only: handshake, configuration and `Safe` pass, so that no
-//! fault prevents 0 V. Instants and seeds determine them: equal trials get equal faults. In
-//! lockstep a lost sample still advances the target, so that its time-out acts. A line keeps the
-//! order: messages behind a delayed one wait. Effects for users: `docs/scenarios.md`.
+//! Loses, damages, repeats, delays or floods samples and commands as planned. The handshake, the configuration and
+//! `Safe` always pass, so that no fault prevents 0 V. Equal trials get equal faults, because only instants and seeds
+//! determine them. In lockstep, a lost sample still advances the target's time, so that its watchdog acts. The line
+//! keeps the order, so messages after a delayed one wait. `docs/scenarios.md` describes the effects.
 
 mod inject;
 mod injector;

@@ -10,7 +10,6 @@ pub struct HostedLink {
     device: Device,
     /// Start of the trial on the device's clock.
     trial_start: Duration,
-    /// The device's clock.
     now: Duration,
 }
 
@@ -25,7 +24,7 @@ impl HostedLink {
         Self { device: Device::new(identity()), trial_start: Duration::ZERO, now: Duration::ZERO }
     }
 
-    /// The device's clock at the trial's instant `now`, µs; wraps, as on the board.
+    /// Device's clock at the trial time `now`, µs; wraps as on the board.
     fn device_us(&mut self, now: Duration) -> u32 {
         self.now = self.trial_start + now;
         self.now.as_micros() as u32

@@ -1,7 +1,6 @@
-//! Reads a terminal on a separate thread and passes the bytes on with their arrival.
-//!
-//! A read of a terminal waits for a kernel thread of normal priority, also if no byte has arrived (`flush_work` in
-//! Linux, `drivers/tty/tty_buffer.c`). A loop with real-time priority would wait with it.
+//! Reads a terminal on a separate thread and passes on the bytes with their arrival. A read of a terminal waits for a
+//! kernel thread of normal priority, even if no byte has arrived (`flush_work` in Linux, `drivers/tty/tty_buffer.c`). A
+//! control loop with real-time priority must not wait for that thread.
 
 use crate::link::LinkError;
 use crate::tty::{Tty, poll_until};
@@ -18,7 +17,7 @@ const CHUNK_BYTES: usize = 256;
 const CHUNKS: usize = 256;
 /// The thread ends at most this time after the drop of the reader.
 const STOP_INTERVAL: Duration = Duration::from_millis(20);
-/// Wait of the thread if the loop does not take the bytes.
+/// The thread sleeps for this time if the queue is full.
 const FULL_WAIT: Duration = Duration::from_millis(1);
 
 #[derive(Debug)]
@@ -31,16 +30,15 @@ struct Chunk {
 #[derive(Debug)]
 pub(crate) struct LineReader {
     chunks: Consumer<Chunk>,
-    /// Readable after a chunk was added.
+    /// Event that is readable after the thread has added a chunk.
     arrived: Arc<OwnedFd>,
     is_stopped: Arc<AtomicBool>,
-    /// Returns why the line ended.
     thread: Option<JoinHandle<Option<LinkError>>>,
     end: Option<String>,
 }
 
 impl LineReader {
-    /// The thread inherits the scheduling class of the calling one.
+    /// The thread inherits the scheduling class of the caller.
     pub(crate) fn start(line: Box<dyn Tty>) -> io::Result<Self> {
         let (producer, chunks) = RingBuffer::new(CHUNKS);
         let arrived = Arc::new(eventfd(0, EventfdFlags::NONBLOCK | EventfdFlags::CLOEXEC)?);
@@ -50,11 +48,10 @@ impl LineReader {
         Ok(Self { chunks, arrived, is_stopped, thread: Some(thread), end: None })
     }
 
-    /// Appends bytes that arrive by `until` and returns their arrival; `None` on time-out. Takes waiting bytes even
-    /// if `until` is past. Calls the kernel only to sleep.
+    /// See [`RealTimeLine::receive`](crate::link::RealTimeLine::receive). Calls the kernel only to sleep.
     pub(crate) fn read(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
         loop {
-            // Read first: the last chunks come before the end.
+            // Read before the queue, because the last chunks precede the end.
             let is_ended = self.chunks.is_abandoned();
             if let Ok(chunk) = self.chunks.pop() {
                 bytes.extend_from_slice(chunk.bytes.get(..chunk.count).unwrap_or_default());
@@ -67,7 +64,7 @@ impl LineReader {
                 return Ok(None);
             }
             poll_until(&self.arrived, PollFlags::IN, until).map_err(crate::tty::disconnected)?;
-            // Fails if nothing arrived.
+            // Clears the event; fails if there is none.
             let _ = rustix::io::read(&*self.arrived, &mut [0; 8]);
         }
     }
@@ -76,7 +73,7 @@ impl LineReader {
         let thread = &mut self.thread;
         self.end.get_or_insert_with(|| match thread.take().and_then(|thread| thread.join().ok()).flatten() {
             Some(LinkError::Disconnected(reason)) => reason,
-            _ => "the reading thread has ended".to_owned(),
+            _ => "the thread that reads the line has ended".to_owned(),
         })
     }
 }
@@ -101,7 +98,7 @@ impl Worker {
     fn run(mut self) -> Result<(), LinkError> {
         let result = self.read_until_stopped();
         let Self { producer, arrived, .. } = self;
-        // The other side sees the end after it wakes.
+        // The loop must see the end of the queue when it wakes.
         drop(producer);
         wake(&arrived);
         result
@@ -115,7 +112,7 @@ impl Worker {
                 continue;
             }
             let Some(count) = self.line.read(&mut bytes, Instant::now() + STOP_INTERVAL)? else { continue };
-            // Never full: this thread alone adds.
+            // The push cannot fail, because only this thread adds chunks.
             let _ = self.producer.push(Chunk { at: Instant::now(), count, bytes });
             wake(&self.arrived);
         }
@@ -124,7 +121,7 @@ impl Worker {
 }
 
 fn wake(arrived: &OwnedFd) {
-    // Fails only if the loop has not read 2⁶⁴ − 2 wakes.
+    // Fails only if 2⁶⁴ − 2 wakes are unread.
     let _ = rustix::io::write(arrived, &1_u64.to_ne_bytes());
 }
 

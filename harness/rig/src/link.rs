@@ -1,4 +1,4 @@
-//! Defines the interface of every rig: bytes to a target and back.
+//! Defines the interface of every rig, which transports bytes to a target and back.
 
 use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
 use crate::target_error::TargetError;
@@ -11,41 +11,40 @@ pub type BoxedLink = Box<dyn Link>;
 pub enum LinkError {
     #[error("the link to the controller is lost: {0}")]
     Disconnected(String),
-    /// The firmware crashed, or the emulator cannot go on with it.
     #[error("{0}")]
     Target(Box<TargetError>),
 }
 
-/// One thread sends and receives.
+/// A line on which one thread sends and receives.
 pub trait RealTimeLine: Send {
-    /// Call it before a trial, on the thread of its loop: a thread that reads the line inherits the scheduling class.
+    /// Call it before a trial on the thread of its loop, because the reading thread inherits the scheduling class.
     fn start(&mut self) -> Result<(), LinkError> {
         Ok(())
     }
 
-    /// Returns at once. Drops what a full line does not take.
+    /// Returns at once. Drops the bytes that a full line does not accept.
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
 
-    /// Appends bytes that arrive by `until` and returns their arrival; `None` on time-out. Takes
-    /// waiting bytes even if `until` is past. Does not allocate if `bytes` has capacity.
+    /// Appends bytes that arrive by `until` and returns their arrival; `None` on time-out. Takes bytes that already
+    /// wait even if `until` is past. Does not allocate if `bytes` has capacity.
     fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError>;
 }
 
-/// The fault injector wraps another link. Instants count from the trial's start.
+/// In all methods, `now` is the time since the start of the trial.
 pub trait Link: Send {
-    /// Sends `bytes` and appends the answer, up to its end or the time-out; silence is no error.
-    /// Returns the delay on the target's clock; zero for a transparent link.
+    /// Sends `bytes` and appends the answer, up to its end or the time-out; a missing answer is no error. Returns the
+    /// time from the request to the end of the answer; zero without an answer and on the hosted rig.
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError>;
 
-    /// Advances the target's time to `now` and appends the bytes that it sends until then.
+    /// Advances the target's time to `now` and appends the bytes that the target sends until then.
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError>;
 
-    /// Restarts the target as after power-on, and the trial's time. False if the link cannot.
+    /// Restarts the target as after power-on and sets the trial's time to zero. Returns false if the link cannot.
     fn restart(&mut self) -> Result<bool, LinkError> {
         Ok(false)
     }
 
-    /// Starts the time of another trial without a restart: the next `now` is zero again.
+    /// Starts another trial without a restart of the target. The next `now` counts from zero.
     fn continue_trial(&mut self) {}
 
     /// Instructions from the first bit of the last [`Link::exchange`] to the last bit of its answer.
@@ -53,29 +52,27 @@ pub trait Link: Send {
         None
     }
 
-    /// Text that the firmware wrote for people in this trial. `None` without any, or if the rig does not see it.
+    /// Text that the firmware wrote over RTT in this trial. `None` if it wrote none or the rig cannot read it.
     fn firmware_output(&self) -> Option<String> {
         None
     }
 
-    /// Applies to the next trial, from its restart on. Call it before the trial's configuration.
+    /// Sets the faults that act from the next restart on. Call it before the trial's configuration.
     fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
         if plan.faults.is_empty() { Ok(()) } else { Err(ChipFaultError::Unsupported) }
     }
 
-    /// Level of the amplifier enable (PB0). `None` if the rig does not see it, or the firmware never set it.
+    /// True if the amplifier enable (PB0) is high. `None` if the rig cannot read it, or it was not high in this trial.
     fn amplifier_enabled(&mut self) -> Option<bool> {
         None
     }
 
-    /// Samples of a trial go either over this or over [`Link::exchange`]; handshake, configuration
-    /// and `Safe` may always use the latter.
+    /// Line for a trial's samples in real time, if the link has one. Other messages may use [`Link::exchange`].
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
         None
     }
 }
 
-/// A pointer to a link is a link.
 impl<P: DerefMut<Target: Link> + Send> Link for P {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         (**self).exchange(now, bytes, answer)

@@ -1,6 +1,5 @@
 //! Connects to a serial port behind a network: a terminal server, ser2net or a labgrid exporter.
-//!
-//! `tcp:` transports bytes as they are; the server sets the port. `rfc2217:` is Telnet with the option to set it.
+//! `tcp:` transports bytes unchanged, and the server sets the port. `rfc2217:` is Telnet, and the bench sets the port.
 
 mod error;
 mod rfc2217;
@@ -28,7 +27,6 @@ pub(crate) fn connect_rfc2217(address: &str, baud: u32) -> Result<Port<Rfc2217>,
     Ok(Port::new(Rfc2217::start(connect(address, deadline)?, address, baud, deadline)?))
 }
 
-/// Non-blocking, without delay of small packets.
 fn connect(address: &str, deadline: Instant) -> Result<OwnedFd, NetworkError> {
     let timed_out = || NetworkError::TimedOut { address: address.to_owned() };
     let failed = |error| NetworkError::Connect { address: address.to_owned(), error };
@@ -52,7 +50,7 @@ fn connect(address: &str, deadline: Instant) -> Result<OwnedFd, NetworkError> {
     })
 }
 
-/// On another thread, because the resolver of the C library has no time-out of its own.
+/// Runs on another thread, because the resolver of the C library has no time-out.
 fn resolve(address: &str, deadline: Instant) -> Result<Vec<SocketAddr>, NetworkError> {
     let (sender, receiver) = mpsc::channel();
     let name = address.to_owned();

@@ -6,7 +6,7 @@ use platebench_wire::{ControllerState, Message, PacketReader};
 pub(crate) struct PendingRequests {
     requests: PacketReader,
     answers: PacketReader,
-    /// `None` if the last request needs no answer.
+    /// Sequence number of the awaited answer; `None` if the last message needs no answer.
     expected: Option<u8>,
     request: Request,
 }
@@ -21,7 +21,7 @@ pub(crate) enum Request {
 }
 
 impl PendingRequests {
-    /// Returns what the last whole message in `bytes` asks for.
+    /// Returns the request in the last complete message of `bytes`.
     pub(crate) fn send(&mut self, bytes: &[u8]) -> Request {
         (self.expected, self.request) = (None, Request::None);
         for packet in self.requests.packets(bytes).flatten() {
@@ -36,11 +36,11 @@ impl PendingRequests {
         self.request
     }
 
-    /// True if `byte` ends the answer, or a message that shows that no answer will come: a fault report, or a command
-    /// of a running controller with a number that was not sent yet. Ticks and telemetry have their own numbers.
+    /// True if `byte` ends the answer, or a message after which no answer will come. This is a fault report, or a
+    /// command of a running controller with a number that was not sent yet. Ticks and telemetry have their own numbers.
     pub(crate) fn is_answered_by(&mut self, byte: u8) -> bool {
         let (Some(Ok(packet)), Some(expected)) = (self.answers.push(byte), self.expected) else { return false };
-        // Half of the numbers are behind the expected one: late answers.
+        // Half of the numbers count as older than the expected one, because answers may be late.
         let is_ahead = (1..=u8::MAX / 2).contains(&packet.sequence.wrapping_sub(expected));
         match packet.message {
             Message::Fault(_) => true,

@@ -7,25 +7,23 @@ use crate::tty::{Tty, disconnected};
 use rustix::fd::OwnedFd;
 use std::time::{Duration, Instant};
 
-/// Counts from the last byte of a hello, a configuration or a sample. Longer than a busy computer
-/// usually needs to run the controller's process.
+/// Longest time from a hello, a configuration or a sample to the answer. A busy computer usually needs less.
 pub const DEFAULT_REPLY_TIMEOUT: Duration = Duration::from_millis(500);
-/// Applies to other answers, and to a reply after one that did not come.
+/// Longest wait for other answers, and for the next answer after a missing one.
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
-/// Applies to a message that needs no answer.
+/// Longest wait after a message that needs no answer.
 const OPTIONAL_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
-/// Time without progress.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 const READ_CHUNK_BYTES: usize = 512;
 
 #[derive(Debug)]
 pub struct Port<T> {
-    // Declared before `terminal`: its handle closes first, so the line hangs up with the port.
+    // Declared before `terminal`, so that the reader's handle is closed first and the line hangs up with the port.
     reader: Option<LineReader>,
     terminal: T,
     pending_requests: PendingRequests,
     reply_timeout: Duration,
-    /// True from a missed reply to the next answer.
+    /// True from a missing answer to the next answer.
     is_silent: bool,
 }
 
@@ -53,12 +51,12 @@ impl<T: Tty> Port<T> {
         self
     }
 
-    /// Uses the short wait until the first answer, because the controller is still starting.
+    /// Uses `ANSWER_TIMEOUT` until the first answer, because the controller is still starting.
     pub(crate) fn expect_silence(&mut self) {
         self.is_silent = true;
     }
 
-    /// A silent controller costs the long wait once.
+    /// Only the first missing answer costs the complete `reply_timeout`.
     fn answer_timeout(&self, request: Request) -> Duration {
         match request {
             Request::None => OPTIONAL_ANSWER_TIMEOUT,
@@ -127,7 +125,7 @@ impl<T: Tty> Link for Port<T> {
 }
 
 impl<T: Tty> RealTimeLine for Port<T> {
-    /// From now on a separate thread reads.
+    /// After this call, a separate thread reads the terminal.
     fn start(&mut self) -> Result<(), LinkError> {
         if self.reader.is_none()
             && let Some(line) = self.terminal.for_reading()

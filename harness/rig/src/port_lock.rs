@@ -1,5 +1,4 @@
-//! Locks a port or a board with `flock`: the kernel releases it when the process ends, also after a crash.
-//! `/proc/locks` names the holder.
+//! Locks a port or a board with `flock`. The kernel releases the lock when the process ends, also after a crash.
 
 use rustix::fd::AsFd;
 use rustix::fs::{FlockOperation, Stat, flock, fstat, major, minor, stat};
@@ -10,7 +9,7 @@ use std::path::Path;
 
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct LockHolder {
-    /// Number and command line, if visible to this process.
+    /// Number and command line of the process; `None` if this user cannot see it.
     process: Option<(u32, String)>,
 }
 
@@ -24,7 +23,7 @@ impl fmt::Display for LockHolder {
     }
 }
 
-/// Returns the holder if another process has the lock. Closing the file releases it.
+/// Returns the holder if another process has the lock. Closing `file` releases the lock.
 pub fn lock(file: impl AsFd) -> rustix::io::Result<Option<LockHolder>> {
     match flock(&file, FlockOperation::NonBlockingLockExclusive) {
         Ok(()) => Ok(None),
@@ -49,8 +48,8 @@ impl LockHolder {
     }
 }
 
-/// Lines such as `1: FLOCK  ADVISORY  WRITE 9494 fe:00:10021135 0 EOF`: number, device in
-/// hexadecimal, inode. Lines of waiting processes begin with an arrow.
+/// A line is `1: FLOCK  ADVISORY  WRITE 9494 fe:00:10021135 0 EOF` with the process number, the device in hexadecimal
+/// and the inode. Lines of waiting processes contain an arrow.
 fn parse_holder(locks: &str, (major, minor): (u32, u32), inode: u64) -> Option<u32> {
     let file = format!("{major:02x}:{minor:02x}:{inode}");
     locks.lines().find_map(|line| match line.split_whitespace().collect::<Vec<_>>()[..] {

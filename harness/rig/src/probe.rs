@@ -1,11 +1,6 @@
 //! Connects to a board on a debug probe: `--rig probe:CHIP[@VID:PID[:SERIAL]][,elf=ELF][,port=PORT[@BAUD]]`.
-//!
-//! ```text
-//!   ProbeSetup ─▶ AttachedBoard ─▶ flash ─▶ restart ─▶ RttLink, or PortLink: serial port and probe
-//!                     │ each call runs on the probe's thread and has a time-out
-//!                     └─▶ read_crash: registers, symbols, callers     shut_down: 0 V, reset, release
-//! ```
-//! Enables no vector catch and leaves the watchdog running: a processor that is stopped at the
+//! Flashes and restarts the board, then opens an [`RttLink`] or a [`PortLink`]. Each call runs on the probe's thread
+//! and has a time-out. No vector catch is enabled and the watchdog runs on, because a processor that is halted at the
 //! entry of its fault handler cannot take the drive to 0 V.
 
 mod attached_board;

@@ -9,10 +9,10 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tracing::{debug, warn};
 
-/// Applies after the hang-up, and again after SIGTERM.
+/// Longest wait for the program's exit after the hang-up, and again after SIGTERM.
 const EXIT_GRACE: Duration = Duration::from_millis(500);
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
-/// Environment variable that marks the program and all that it starts.
+/// Environment variable that marks the program and all processes that it starts.
 const MARKER: &str = "PLATEBENCH_PROGRAM";
 
 /// Dropping it ends its process group.
@@ -44,7 +44,7 @@ impl Program {
         Pid::from_child(&self.child)
     }
 
-    /// Returns exit status or signal. Keeps the zombie, which reserves its number and group.
+    /// Returns a description of the exit; `None` on time-out. Keeps the zombie, which reserves its number and group.
     pub(crate) fn wait_for_exit(&self, timeout: Duration) -> Option<String> {
         let deadline = Instant::now() + timeout;
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
@@ -58,7 +58,6 @@ impl Program {
         }
     }
 
-    /// Finds processes that the program started and that have left its group.
     fn processes_outside_group(&self) -> Vec<u32> {
         let marker = format!("{MARKER}={}", self.marker).into_bytes();
         let numbers = fs::read_dir("/proc").into_iter().flatten().flatten();
@@ -101,7 +100,7 @@ impl Drop for Program {
         if ended.is_none() {
             warn!(program = self.name, "the program still runs after SIGTERM: sending SIGKILL");
         }
-        // This also ends the rest of the group.
+        // SIGKILL also ends the other processes of the group.
         self.signal(Signal::KILL);
         let left = self.processes_outside_group();
         if !left.is_empty() {
@@ -112,7 +111,7 @@ impl Drop for Program {
         if let Some(how) = ended.or_else(|| self.wait_for_exit(EXIT_GRACE)) {
             debug!(program = self.name, how, status = ?self.child.wait(), "program ended");
         } else {
-            // Blocked in the kernel: waiting for it could block the bench.
+            // The process is blocked in the kernel. A wait for its end could block the bench, too.
             warn!(
                 program = self.name,
                 pid = self.child.id(),

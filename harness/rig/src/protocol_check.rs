@@ -1,5 +1,5 @@
-//! Checks the rules of the protocol that no plate shows: plays scripts of messages and compares each answer with that
-//! of the hosted reference (docs/wire-protocol.md).
+//! Checks rules of the wire protocol (docs/wire-protocol.md) that a closed loop with a plate does not reach. Plays
+//! scripts of messages and compares each answer with that of the hosted controller, the reference.
 
 mod builder;
 mod comparison;
@@ -17,28 +17,27 @@ use platebench_wire::{Configure, Identity};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Further references. If their commands differ from those of the reference, no command is compared until the next
-/// configuration: rounding decides, or a design that is 5 % off.
+/// Further references. If their commands differ from those of the reference, rounding or a design error of 5 % decides
+/// the command, and no command is compared until the next configuration.
 const VARIATIONS: [Variation; 4] = [
     Variation { components: ROUNDING, gain: 1.0 },
     Variation { components: -ROUNDING, gain: 1.0 },
     Variation { components: 0.0, gain: 1.05 },
     Variation { components: 0.0, gain: 0.95 },
 ];
-/// Some tens of the resolution of single precision.
+/// Relative change of Wd and Wq, some tens of times the resolution of single precision.
 const ROUNDING: f32 = 2e-6;
-/// A script with a lost answer or a stall of the host is played again.
+/// A script is repeated after a lost answer or a stall of the host.
 const ATTEMPTS: usize = 3;
-/// Watchdog timeout of scripts that do not test the watchdog. On an emulated line the frames of an exchange take
-/// milliseconds.
+/// For scripts that do not test the watchdog. On an emulated line, an exchange takes milliseconds.
 const MIN_WATCHDOG_MS: u16 = 1_000;
-/// Target and reference advance in steps: a reference sends at most one tick in each.
+/// Target and reference advance in steps of this length, in which the reference sends at most one tick.
 const STEP: Duration = Duration::from_millis(3);
 
-/// Plays every script on `link`, which stays in any state without a drive or with another configuration; samples have
-/// no plate. `base` gives law, watchdog timeout and plate. `own_clock` is true if the controller's clock runs while the
-/// bench waits. `seed` selects the random samples. Returns one sentence per script whose answers differ from the
-/// reference. Fails if the link is lost.
+/// Plays every script on `link`; the samples do not come from a plate. The controller may then have stopped or have
+/// another configuration. `base` contains the law, the watchdog timeout and the plate. `own_clock` is true if the
+/// controller's clock runs while the bench waits. `seed` selects the random samples. Returns one sentence for each
+/// script whose answers differ from those of the reference. Fails if the link is lost.
 pub fn protocol_differences(
     link: &mut dyn Link,
     identity: &Identity,
@@ -71,7 +70,7 @@ pub fn protocol_differences(
                 break;
             }
         }
-        // Without a stall the silence is the controller's.
+        // After a stall of the host, the host may have caused the difference.
         let is_certain = |difference: &Difference| difference.other_cause != Some(OtherCause::Stall);
         let difference = difference.filter(is_certain);
         differences.extend(difference.map(|difference| format!("{}: {}", script.name, difference.text)));
@@ -113,7 +112,7 @@ impl Player<'_> {
                 }
             }
             if number == 0 {
-                // Late answers to the script before.
+                // Discards late answers to the previous script.
                 received.clear();
             }
             let since_request = last_request;
@@ -130,7 +129,7 @@ impl Player<'_> {
             let received = ReceivedPackets::new(&received, request);
             let silence = exchange.wait.max(self.period)..=longest;
             if let Err(Difference { text, other_cause }) = comparison.compare(&received, &expected, silence) {
-                // A stall ends with another answer, not without one.
+                // A stall of the host changes an answer, but does not suppress it.
                 let is_stall = is_stalled && other_cause != Some(OtherCause::NoAnswer);
                 let other_cause = if is_stall { Some(OtherCause::Stall) } else { other_cause };
                 return Ok(Some(Difference { text: format!("exchange {}: {text}", number + 1), other_cause }));
@@ -149,7 +148,6 @@ mod tests {
     use platebench_wire::{Command, ControllerState, Gains, Message, Packet, StateCause};
     use rstest::rstest;
 
-    /// Changes the answers of the reference, or loses them.
     struct ChangedAnswers<F> {
         device: HostedLink,
         exchanges: usize,
@@ -298,7 +296,7 @@ mod tests {
                 command.target_time_us /= 2;
             }
         });
-        assert!(found.iter().any(|text| text.contains("its clock advanced by")), "{found:?}");
+        assert!(found.iter().any(|text| text.contains("the controller's clock advanced by")), "{found:?}");
     }
 
     #[rstest]

@@ -15,7 +15,7 @@ pub(crate) fn open_pseudo_terminal() -> rustix::io::Result<(Port<OwnedFd>, Owned
     grantpt(&master)?;
     unlockpt(&master)?;
     let name = ptsname(&master, Vec::new())?;
-    // Stays open until the controller has opened it: a line without another end counts as hung up.
+    // The bench keeps this end open, because a line whose other end was never opened counts as hung up.
     let slave = rustix::fs::open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
     let mut settings = tcgetattr(&slave)?;
     settings.make_raw();
@@ -23,12 +23,12 @@ pub(crate) fn open_pseudo_terminal() -> rustix::io::Result<(Port<OwnedFd>, Owned
     Ok((Port::from_fd(master)?, slave, name.to_string_lossy().into_owned()))
 }
 
-/// A controller is started by hand: without one the line is silent, not lost.
+/// Link to a controller that the user starts. Without a controller, the line is silent, not lost.
 #[derive(Debug)]
 pub struct PtyLink {
     port: Port<OwnedFd>,
     path: String,
-    /// Keeps the line up between two controllers.
+    /// Keeps the line open while no controller has opened it.
     _other_end: OwnedFd,
 }
 
@@ -38,7 +38,6 @@ impl PtyLink {
         Ok(Self { port, path, _other_end: other_end })
     }
 
-    /// The controller opens it as its serial port.
     pub fn path(&self) -> &str {
         &self.path
     }

@@ -11,13 +11,9 @@ pub enum RigError {
         "no {expected} from the controller; is it running, and does it speak version {} of the protocol?",
         platebench_wire::VERSION
     )]
-    NoAnswer {
-        /// Names the missing message.
-        expected: &'static str,
-    },
+    NoAnswer { expected: &'static str },
     #[error("this rig cannot be used in real time")]
     NoRealTime,
-    /// The target lost its configuration.
     #[error("the controller was restarted in the middle of a trial")]
     Restarted,
     #[error("the controller answered with a sequence number that the bench has not sent")]

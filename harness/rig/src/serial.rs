@@ -9,40 +9,29 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use tracing::{debug, info};
 
-/// Rate of the bench's firmware.
+/// Baud rate of the bench's firmware.
 pub const DEFAULT_BAUD: u32 = 1_000_000;
 
 #[derive(Debug, thiserror::Error)]
 pub enum SerialError {
     #[error("cannot open {}: {error}", port.display())]
-    Open {
-        port: PathBuf,
-        /// Often a missing file or a missing permission.
-        error: std::io::Error,
-    },
+    Open { port: PathBuf, error: std::io::Error },
     #[error("{} is in use by {holder}", port.display())]
-    InUse {
-        port: PathBuf,
-        /// Unknown if its process is not visible to this user.
-        holder: LockHolder,
-    },
+    InUse { port: PathBuf, holder: LockHolder },
     #[error("{} is not a serial port", port.display())]
-    NotATerminal {
-        /// Exists, but is another kind of file.
-        port: PathBuf,
-    },
+    NotATerminal { port: PathBuf },
     #[error("{} cannot be set to {baud} baud: {error}", port.display())]
     Settings { port: PathBuf, baud: u32, error: std::io::Error },
 }
 
-/// Uses 8N1 without flow control; locked against other processes.
+/// 8N1 without flow control, locked against other processes.
 pub type SerialLink = Port<TTYPort>;
 
 impl SerialLink {
-    /// Discards the bytes that the port holds.
+    /// Discards bytes that the port has received earlier.
     pub fn open(path: &Path, baud: u32) -> Result<Self, SerialError> {
         check_free(path)?;
-        // Exclusive: sets TIOCEXCL and `flock`.
+        // `TTYPort::open` sets TIOCEXCL and `flock`, so that no other process can open the port.
         let port = TTYPort::open(&serialport::new(path.to_string_lossy(), baud)).map_err(|error| {
             let port = path.to_owned();
             match port_lock::holder_of(path) {
@@ -52,13 +41,13 @@ impl SerialLink {
         })?;
         set_low_latency(path);
         if let Err(error) = port.clear(ClearBuffer::All) {
-            debug!(port = %path.display(), %error, "bytes from before are not discarded");
+            debug!(port = %path.display(), %error, "earlier bytes in the port are not discarded");
         }
         Ok(Self::new(port))
     }
 }
 
-/// Runs before any setting of the port changes.
+/// Must run before the bench changes a setting of the port.
 fn check_free(path: &Path) -> Result<(), SerialError> {
     let port = || path.to_owned();
     let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;

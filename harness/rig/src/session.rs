@@ -12,9 +12,8 @@ use tracing::{debug, trace, warn};
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reply {
     pub command: Command,
-    /// Delay on the link's clock.
+    /// Time from the request to the answer, see [`Link::exchange`].
     pub delay: Duration,
-    /// Instructions of the target for this command, if the link counts them.
     pub instructions: Option<u64>,
 }
 
@@ -30,7 +29,7 @@ const RECEIVE_CAPACITY: usize = 8 * 1024;
 /// One lost frame must not prevent the confirmation of 0 V.
 const SAFE_ATTEMPTS: u32 = 3;
 
-/// A session with one controller. Dropping it requests 0 V.
+/// Dropping it requests 0 V.
 #[derive(Debug)]
 pub struct Session<L: Link> {
     link: L,
@@ -38,13 +37,12 @@ pub struct Session<L: Link> {
     identity: Identity,
     sequence: u8,
     last_command_sequence: u8,
-    /// Came with the answer to something else, not yet returned to the caller.
+    /// Command that arrived during another request and that the caller has not received yet.
     pending_command: Option<(u8, Command)>,
     now: Duration,
     bytes: Vec<u8>,
-    /// How many of `bytes` are decoded.
     consumed: usize,
-    /// In real time: arrival of the last byte of `bytes`.
+    /// Arrival of the last byte of `bytes`, only in real time.
     received_at: Instant,
     has_identity: bool,
     is_closed: bool,
@@ -116,7 +114,7 @@ impl<L: Link> Session<L> {
         self.configure_trial(configure)
     }
 
-    /// Starts a trial; `continues` keeps the target and its history.
+    /// Starts a trial. If `continues` is true, the target is not restarted and keeps its history.
     pub fn begin_trial(&mut self, configure: &Configure, continues: bool) -> Result<Gains, RigError> {
         if !continues {
             return self.start_trial(configure);
@@ -132,7 +130,7 @@ impl<L: Link> Session<L> {
         Ok(gains)
     }
 
-    /// Goes to 0 V; the new design acts from the next sample on. A stopped controller runs again.
+    /// The controller goes to 0 V and uses the new configuration from the next sample on, also if it had stopped.
     pub fn reconfigure(&mut self, now: Duration, configure: &Configure) -> Result<Gains, RigError> {
         self.now = now;
         self.audit.record_configuration();
@@ -146,7 +144,7 @@ impl<L: Link> Session<L> {
         }
     }
 
-    /// `None` if no answer arrives: the last command stays in force.
+    /// `None` if no answer arrives. The plate then keeps the last command.
     pub fn send_sample(&mut self, now: Duration, sample: &Sample) -> Result<Option<Reply>, RigError> {
         self.now = now;
         match self.request(Message::Sample(*sample))? {
@@ -158,18 +156,18 @@ impl<L: Link> Session<L> {
         }
     }
 
-    /// Messages sent after the one that the last command answered.
+    /// Number of messages sent after the one that the last command answered.
     pub fn newer_messages(&self) -> u8 {
         self.sequence.wrapping_sub(self.last_command_sequence)
     }
 
-    /// True if the answer came in time or late.
+    /// A late answer counts, too.
     pub fn last_sample_answered(&self) -> bool {
         self.newer_messages() == 0
     }
 
-    /// Advances without a sample. Returns the last command since the previous call: a late answer,
-    /// or a stop of the controller. Ignores commands older than those returned before.
+    /// Advances the target's time without a sample. Returns the newest command since the previous call, which is a late
+    /// answer or reports a stop of the controller. Ignores commands older than those returned before.
     pub fn advance_to(&mut self, now: Duration) -> Result<Option<Command>, RigError> {
         self.now = now;
         self.discard_consumed();
@@ -199,7 +197,7 @@ impl<L: Link> Session<L> {
         false
     }
 
-    /// True if the target confirmed 0 V.
+    /// Requests 0 V. Returns true if the controller confirmed it.
     pub fn close(mut self) -> bool {
         self.is_closed = true;
         self.request_safe_state()
@@ -209,7 +207,7 @@ impl<L: Link> Session<L> {
         self.link.real_time_line().is_some()
     }
 
-    /// Call it before a trial in real time, on the thread of its loop.
+    /// Call it before a trial in real time, on the thread of the trial loop.
     pub fn start_line(&mut self) -> Result<(), RigError> {
         Ok(self.link.real_time_line().ok_or(RigError::NoRealTime)?.start()?)
     }
@@ -235,7 +233,7 @@ impl<L: Link> Session<L> {
             let line = self.link.real_time_line().ok_or(RigError::NoRealTime)?;
             let Some(arrived) = line.receive(until, &mut self.bytes)? else { return Ok(None) };
             self.received_at = arrived;
-            // Ends the wait although more bytes arrive without end.
+            // Ends the wait even if bytes arrive without a pause.
             is_over = arrived >= until;
         }
     }
@@ -244,8 +242,8 @@ impl<L: Link> Session<L> {
         self.rejected_frames
     }
 
-    /// Commands whose drive or frequency differs from an earlier answer to the same sample. A
-    /// repeated frame does not count, nor does a stop that repeats the number of the last command.
+    /// Number of commands whose drive or frequency differs from an earlier answer to the same sample. Repeated frames
+    /// do not count, nor do stops that are reported under the number of the last command.
     pub fn contradictions(&self) -> u64 {
         self.audit.contradictions
     }
@@ -254,29 +252,28 @@ impl<L: Link> Session<L> {
         self.audit.second_replies
     }
 
-    /// Counts since the controller confirmed 0 V.
+    /// Number of commands with a drive after the controller confirmed 0 V.
     pub fn drives_after_safe(&self) -> u64 {
         self.audit.drives_after_safe
     }
 
-    /// Replies with a sequence number that was not sent yet.
+    /// Number of replies with a sequence number that was not sent yet.
     pub fn wrong_sequences(&self) -> u64 {
         self.audit.wrong_sequences
     }
 
-    /// Requests for 0 V answered with a running state or a drive.
+    /// Number of requests for 0 V that were answered with the state *running* or with a drive.
     pub fn ignored_safe_requests(&self) -> u64 {
         self.audit.ignored_safe_requests
     }
 
-    /// Forgets the answer to the earlier message with this number.
+    /// Numbers wrap, so the audit forgets the answer to the earlier message with this number.
     fn next_sequence(&mut self) -> u8 {
         self.sequence = self.sequence.wrapping_add(1);
         self.audit.record_sent(self.sequence);
         self.sequence
     }
 
-    /// `None` if no answer arrives.
     fn request(&mut self, message: Message) -> Result<Option<(Message, Duration)>, RigError> {
         let sequence = self.next_sequence();
         self.discard_consumed();
@@ -341,7 +338,7 @@ impl<L: Link> Session<L> {
     }
 }
 
-/// In printable ASCII, because a terminal might interpret other bytes.
+/// Replaces all but printable ASCII, because a terminal might interpret other bytes.
 pub fn printable_name(identity: &Identity) -> String {
     let name = identity.name.split(|&byte| byte == 0).next().unwrap_or_default();
     let printable = |&byte: &u8| matches!(byte, b' '..=b'~');
@@ -355,7 +352,7 @@ struct CommandFilter {
 }
 
 impl CommandFilter {
-    /// Accepts a command later than the last one, and a stop that repeats its number.
+    /// Returns a command that is newer than the last one, or that reports a stop under the number of the last one.
     fn new_command(self, packet: &Packet) -> Option<(u8, Command)> {
         let Message::Command(command) = packet.message else { return None };
         let [age, known] = [packet.sequence, self.last_command].map(|number| self.last_sent.wrapping_sub(number));

@@ -7,17 +7,16 @@ use std::str::FromStr;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum RigSpec {
     Hosted,
-    /// Uses the image of the bench by default.
+    /// Path of the ELF; `None` for the built-in image.
     Emulated(Option<PathBuf>),
-    /// A command that starts a controller program on a pseudo-terminal.
     Exec(String),
     Serial {
         port: String,
         baud: Option<u32>,
     },
-    /// `HOST:PORT` of a server that transports bytes as they are.
+    /// `HOST:PORT` of a server that transports bytes unchanged.
     Tcp(String),
-    /// A server that also sets its serial port, over Telnet.
+    /// A server whose serial port the bench sets over Telnet (RFC 2217).
     Rfc2217 {
         /// `HOST:PORT`
         address: String,
@@ -26,9 +25,8 @@ pub enum RigSpec {
     Probe {
         /// `CHIP[@VID:PID[:SERIAL]]`, see `probe::ProbeSpec`.
         board: String,
-        /// Uses the image of the bench by default.
         elf: Option<PathBuf>,
-        /// Without a serial port, RTT through the probe.
+        /// `None` for RTT through the probe.
         port: Option<String>,
         baud: Option<u32>,
     },
@@ -87,7 +85,7 @@ fn parse_port(text: &str) -> Result<(String, Option<u32>), &'static str> {
 
 /// An IPv6 address is in brackets.
 fn parse_address(text: &str) -> Result<String, &'static str> {
-    let wrong = "expected HOST:PORT with a port from 1 to 65535";
+    let wrong = "the address is not HOST:PORT with a port from 1 to 65535";
     let (host, port) = text.rsplit_once(':').ok_or(wrong)?;
     let is_bracketed = host.starts_with('[') && host.ends_with(']');
     let is_host = !host.is_empty() && (is_bracketed || !host.contains(':')) && !host.contains(char::is_whitespace);

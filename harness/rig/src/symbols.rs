@@ -1,4 +1,4 @@
-//! Finds function and source line of an address in a firmware image. Read only after a crash.
+//! Finds the function and the source line of an address in a firmware image.
 
 use addr2line::Context;
 use gimli::{Dwarf, EndianArcSlice, RunTimeEndian, SectionId};
@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 type DebugSlice = EndianArcSlice<RunTimeEndian>;
 
-/// Compilers merge identical functions, which then have several names.
+/// Largest number of names of a function. Compilers merge identical functions, which then have several names.
 const MAX_ALIASES: usize = 8;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -39,7 +39,7 @@ pub struct Function {
     pub name: String,
 }
 
-/// A function that an instruction belongs to, and the line there.
+/// A function that contains an instruction, and the line of the instruction.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SourceFrame {
     pub function: String,
@@ -59,7 +59,7 @@ pub struct Symbols {
 }
 
 impl Symbols {
-    /// Without symbols, places are addresses only.
+    /// If `elf` has no symbols, locations contain only addresses.
     pub fn read(elf: &[u8]) -> Self {
         let file = object::File::parse(elf).ok();
         let file = file.as_ref();
@@ -79,7 +79,7 @@ impl Symbols {
         self.all.iter().find(|(other, _)| other == name).map(|&(_, address)| address)
     }
 
-    /// Address and size in bytes of the variable `name`: mangled, demangled, or its last part.
+    /// Address and size in bytes of a variable. `name` is mangled, demangled, or the last part of the demangled name.
     pub(crate) fn variable(elf: &[u8], name: &str) -> Option<(u32, u32)> {
         let file = object::File::parse(elf).ok()?;
         let named = |symbol: &object::Symbol<'_, '_>| {
@@ -115,8 +115,7 @@ impl Symbols {
         &self.functions
     }
 
-    /// The functions that were inlined at `address`, innermost first, then the function itself. Empty without debug
-    /// information.
+    /// Functions inlined at `address`, innermost first, then the function itself. Empty without debug information.
     pub fn frames(&self, address: u32) -> Vec<SourceFrame> {
         let Some(lines) = &self.lines else { return Vec::new() };
         let Ok(mut frames) = lines.find_frames(u64::from(address)).skip_all_loads() else { return Vec::new() };
@@ -132,13 +131,12 @@ impl Symbols {
         found
     }
 
-    /// Names the innermost inlined function, too.
+    /// The symbol also names the innermost inlined function.
     pub(crate) fn locate(&self, address: u32) -> CodeLocation {
         let mut symbol = self.function(u64::from(address)).map(|function| function.name.clone());
-        // Functions that the linker removed stay in the line table at address 0: a line is not
-        // valid outside of known functions.
+        // The line table keeps removed functions at address 0, so that a line outside known functions is invalid.
         let mut frames = if symbol.is_some() || self.functions.is_empty() { self.frames(address) } else { Vec::new() };
-        // The innermost line outside the standard library: the reader's own code.
+        // The innermost line outside the standard library is in the firmware's own code.
         let mut lines = frames.iter().filter_map(|frame| frame.line.as_ref());
         let line = lines.clone().find(|line| !line.file.contains("/library/")).or_else(|| lines.next());
         let line = line.map(|line| format!("{}:{}", line.file, line.line));
@@ -152,7 +150,7 @@ impl Symbols {
     }
 }
 
-/// One without a size, as from assemblers, ends at the next one.
+/// A function without a size, as from an assembler, ends at the next function.
 fn functions(named: &[(String, object::Symbol<'_, '_>)]) -> Vec<Function> {
     let defined = named.iter().filter(|(_, symbol)| symbol.kind() == SymbolKind::Text && symbol.is_definition());
     let function = |(name, symbol): &(String, object::Symbol<'_, '_>)| {

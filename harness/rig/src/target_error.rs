@@ -11,31 +11,17 @@ pub enum TargetError {
     #[error("the processor locked up at {0}")]
     Lockup(CodeLocation),
     #[error("the target reset itself ({cause}) {at_us} µs after power-on; it was at {place}")]
-    Reset {
-        cause: String,
-        at_us: u64,
-        /// Place of the processor when the bench noticed.
-        place: CodeLocation,
-    },
+    Reset { cause: String, at_us: u64, place: CodeLocation },
     #[error("the emulated STM32F427 does not support this access by the firmware: {0}")]
     Unsupported(UnsupportedAccess),
-    #[error("no answer {waited_us} µs after the message arrived; the processor is at {place}")]
-    Silent {
-        /// Counts on the target's clock.
-        waited_us: u64,
-        place: CodeLocation,
-    },
+    #[error("the firmware did not answer within {waited_us} µs after the message arrived; the processor is at {place}")]
+    Silent { waited_us: u64, place: CodeLocation },
     #[error(
         "the firmware did not answer the handshake on USART2 (PA2, PA3) within {waited_ms} ms after power-on; \
          it uses {}, and the processor is at {place}",
         if instances.is_empty() { "no peripheral".to_owned() } else { instances.join(", ") }
     )]
-    NoHandshake {
-        /// Counts on the target's clock.
-        waited_ms: u64,
-        instances: Vec<&'static str>,
-        place: CodeLocation,
-    },
+    NoHandshake { waited_ms: u64, instances: Vec<&'static str>, place: CodeLocation },
     #[error("the emulator failed: {0}")]
     Emulator(String),
 }

@@ -1,6 +1,5 @@
-//! Reads and writes an open terminal: a serial port, or the bench's end of a pseudo-terminal.
-//! End of file, `EIO`, a broken pipe and a hang-up all become [`LinkError::Disconnected`]. A
-//! successful write does not prove that the other side is there.
+//! Reads and writes an open serial port, pseudo-terminal or network connection. End of file, `EIO`, a broken pipe and a
+//! hang-up become [`LinkError::Disconnected`]. A successful write does not prove that the other side is there.
 
 use crate::link::LinkError;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -14,10 +13,10 @@ pub trait Tty: Send {
     /// `None` if no bytes arrive by `until`.
     fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError>;
 
-    /// Writes as much as fits; `None` if nothing fits by `until`.
+    /// Writes as many bytes as fit and returns their number; `None` if none fits by `until`.
     fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError>;
 
-    /// Another handle of the line, for a thread that reads. `None` if a read changes more than the line.
+    /// Second handle of the line, for a reading thread. `None` if a read also changes the state of `self`.
     fn for_reading(&self) -> Option<Box<dyn Tty>> {
         None
     }
@@ -41,7 +40,7 @@ impl Tty for OwnedFd {
     }
 }
 
-/// Repeats a non-blocking `transfer`; `None` after `until`.
+/// Repeats the non-blocking `transfer` until it succeeds; `None` after `until`.
 fn retry_until(
     file: &OwnedFd,
     events: PollFlags,
@@ -60,7 +59,7 @@ fn retry_until(
     }
 }
 
-/// True if there may be events: the next read or write finds out.
+/// True if there may be an event. The next read or write shows whether there is one.
 pub(crate) fn poll_until(file: &OwnedFd, events: PollFlags, instant: Instant) -> rustix::io::Result<bool> {
     let left = instant.saturating_duration_since(Instant::now());
     let left =

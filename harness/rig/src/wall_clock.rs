@@ -1,7 +1,6 @@
-//! Runs a link in virtual time by the wall clock.
-//! The target's only clock is its argument `now`, the wall time since the trial began. An answer
-//! arrives after the inner link's delay. While the bench waits, the target's time advances in small
-//! steps to the end of the wait or to its next message; only then the thread sleeps.
+//! Runs a link with virtual time in real time. The `now` of the inner link is the wall time since the start of the
+//! trial. An answer arrives after the inner link's delay. While the bench waits, the target's time advances in small
+//! steps to the end of the wait or to the target's next message. Then the thread sleeps until this instant.
 
 use crate::link::{Link, LinkError, RealTimeLine};
 use std::collections::VecDeque;
@@ -35,7 +34,6 @@ impl<L: Link> WallClockLink<L> {
         }
     }
 
-    /// Never moves back.
     fn elapsed(&mut self) -> Duration {
         self.target_time = self.target_time.max(self.trial_start.elapsed());
         self.target_time
@@ -105,19 +103,18 @@ impl<L: Link> RealTimeLine for WallClockLink<L> {
         let since = self.target_time;
         let now = self.elapsed();
         if now > since {
-            // Its unsolicited messages up to now arrive before its answer.
+            // Unsolicited messages of the target up to now arrive before its answer.
             self.link.advance_to(now, &mut self.received)?;
             self.queue_received(now);
         }
         let delay = self.link.exchange(now, bytes, &mut self.received)?;
-        // An earlier message waits until the target listens again.
+        // The next message reaches the target only after this answer.
         self.target_time = now + delay;
         self.queue_received(self.target_time);
         Ok(())
     }
 
     fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
-        // Takes bytes that have arrived, even if `until` is past.
         let until = until.max(Instant::now());
         self.advance_target(until.saturating_duration_since(self.trial_start))?;
         let Some(&(at, count)) = self.in_flight.front().filter(|(at, _)| *at <= until) else {

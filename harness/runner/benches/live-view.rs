@@ -1,5 +1,5 @@
-//! Measures the cost of a live view for the loop, for the table of `docs/live-view.md`. Variants
-//! alternate within one run and processor time is measured: ratios also hold on a busy computer.
+//! Measures how a live view slows down the trial loop, for the table of `docs/live-view.md`. Variants alternate and
+//! processor time is measured, so the ratios also hold on a busy computer.
 
 use platebench_rig::{FaultInjector, HostedLink, Session};
 use platebench_runner::live_tap::{TapGuard, TapReader};
@@ -38,7 +38,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         let cancel = CancelToken::default();
         // The first round also fills the queue of the stalled tap.
         for round in 0..=ROUNDS {
-            // Every variant is first equally often.
             for place in 0..VARIANTS.len() {
                 let variant = (place + round) % VARIANTS.len();
                 let (Some(tap), Some(times)) = (taps.get_mut(variant), spent.get_mut(variant)) else { continue };

@@ -1,6 +1,5 @@
-//! Compares the lateness of the real-time clock with the computer's limits, for
-//! `docs/real-time.md`. With a path as argument the program is the controller on that port; with
-//! `--echo` it echoes.
+//! Compares the lateness of the real-time loop with the limits of the computer, for `docs/real-time.md`. With a port as
+//! argument, the program is the controller on this port. With `--echo` and a port, it returns all bytes.
 
 mod real_time {
     pub(crate) mod exchange;

@@ -1,4 +1,4 @@
-//! Defines why a trial on the wall clock, or a replay, ended early.
+//! Defines why a trial in real time, a trial on a real plate or a replay ended early.
 
 use platebench_rig::RigError;
 

@@ -12,7 +12,7 @@ pub enum BaselineAcceptError {
     Compare(#[from] CompareError),
     #[error(transparent)]
     Learn(#[from] LearnError),
-    #[error("no trial")]
+    #[error("the run contains no trial of this scenario; accept another run")]
     NoTrial,
     #[error("the run was cut off; accept a complete run")]
     Incomplete,
@@ -44,7 +44,7 @@ pub fn build_baseline(
 ) -> Result<Baseline, BaselineAcceptError> {
     let trials = stored.trials.iter().map(StoredTrial::rows).collect::<Result<Vec<_>, _>>()?;
     let Some(first) = trials.first() else { return Err(BaselineAcceptError::NoTrial) };
-    // The longest gap between rows is the trace step, in whole nanoseconds.
+    // The trace step is the longest time between two rows, in whole nanoseconds.
     let gaps = first.iter().zip(first.iter().skip(1)).map(|(left, right)| right.t_s - left.t_s);
     let step_ms = (gaps.fold(0.0, f64::max) * 1e9).round() / 1e6;
     let differ = trials.iter().any(|rows| rows != first);
@@ -54,7 +54,7 @@ pub fn build_baseline(
     } else {
         (GoldenTubes::from_trial(first, step_ms).ok_or(BaselineAcceptError::NoTrial)?, None)
     };
-    // Tolerances in the old file may have been edited.
+    // Keeps the tolerances of the old baseline, because a person may have edited them.
     for tube in &mut golden.tubes {
         if let Some(kept) = old.and_then(|old| old.golden.tubes.iter().find(|old| old.signal == tube.signal)) {
             tube.tolerance = kept.tolerance;

@@ -1,4 +1,4 @@
-//! Checks every command against the configured limits, before it is clipped. Does not allocate.
+//! Checks every command against the configured limits before the bench clips its drive. Does not allocate.
 
 use crate::configure::start_frequency_mhz;
 use platebench_plate::Time;
@@ -6,9 +6,9 @@ use platebench_record::{Violation, ViolationKind};
 use platebench_scenario::Scenario;
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId};
 
-/// f32 rounds 32 kHz to 2 mHz, and the wire rounds to 1 mHz; a difference has two errors.
+/// In f32, 32 kHz has a resolution of 2 mHz. The wire rounds to 1 mHz. A difference has both errors twice.
 const FREQUENCY_TOLERANCE_HZ: f64 = 5e-3;
-/// The wire carries gains as f32.
+/// Relative tolerance, because the wire carries gains as f32.
 const GAIN_TOLERANCE: f32 = 1e-5;
 
 #[derive(Debug)]
@@ -17,9 +17,9 @@ pub(crate) struct CommandChecks {
     start_hz: f64,
     range_hz: f64,
     slew_hz: f64,
-    /// `None` after a stop, after which the frequency may start at any value.
+    /// `None` after a stop of the controller, because the frequency may then start at any value.
     last_hz: Option<f64>,
-    /// Faults may deliver an earlier command again or stop the clock.
+    /// False if the scenario has faults, because they may repeat an earlier command or stop the controller's clock.
     checks_clock: bool,
     last_us: Option<u32>,
     violations: [Option<Violation>; ViolationKind::COUNT],
@@ -40,7 +40,7 @@ impl CommandChecks {
         }
     }
 
-    /// The command answers at most `samples` samples.
+    /// `samples` is the largest number of samples that the command answers. Each allows one step of the frequency.
     pub(crate) fn check_command(&mut self, command: &Command, samples: u32, now: Time) {
         let drive = command.drive_vpp;
         if drive.is_finite() && drive > self.drive_limit_vpp {
@@ -72,7 +72,7 @@ impl CommandChecks {
         }
     }
 
-    /// A gain of 0 means that the law does not use it; the `dq-pi` laws use all.
+    /// A law reports 0 for a gain that it does not use. The `dq-pi` laws use all gains.
     pub(crate) fn check_gains(&mut self, configure: &Configure, gains: &Gains, now: Time) {
         let values = |gains: &Gains| [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
         let uses_all = matches!(configure.law, LawId::DqPi | LawId::DqPiFixed | LawId::DqPiEuler);
@@ -90,7 +90,6 @@ impl CommandChecks {
         self.last_hz = Some(self.start_hz);
     }
 
-    /// Sets the number of breaches that the session counts.
     pub(crate) fn set_count(&mut self, kind: ViolationKind, count: u64, now: Time) {
         if count > 0 {
             let first = Violation { kind, at_s: now.seconds(), count, worst: None, limit: None };

@@ -9,15 +9,13 @@ use std::path::Path;
 pub const BASELINE_KEYWORD: &str = "baseline";
 
 pub enum Reference {
-    /// Compares all trials with the same tubes.
     SameTubes(Box<GoldenTubes>),
-    /// Compares with the trial of the same index.
     PerTrial(Vec<StoredTrial>),
     Nothing,
 }
 
 impl Reference {
-    /// `against`: [`BASELINE_KEYWORD`], the TOML file of a baseline, a trace or a run folder.
+    /// `against` is [`BASELINE_KEYWORD`], the TOML file of a baseline, a trace or a run folder.
     pub fn find(
         subject: &Path,
         against: &str,
@@ -64,7 +62,7 @@ impl Reference {
         match self {
             Self::SameTubes(golden) => compare_with_tubes(golden, scenario),
             Self::PerTrial(others) => compare_trial_by_trial(others, scenario),
-            Self::Nothing => Ok(empty_comparison("no reference of this name")),
+            Self::Nothing => Ok(empty_comparison("no reference response found for this scenario")),
         }
     }
 }
@@ -78,7 +76,6 @@ fn empty_comparison(why: &str) -> TubeComparison {
     TubeComparison { verdict: Verdict::Inconclusive, trials: 0, outside: 0, worst: None, reason: Some(why.to_owned()) }
 }
 
-/// With the same seed, plate and noise are the same.
 fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
     let mut all = empty_comparison("no trial to compare");
     let mut verdicts = Vec::new();
@@ -113,9 +110,9 @@ fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> 
     Ok(all)
 }
 
-/// A pass is inconclusive if a trial does not count.
+/// Returns an inconclusive verdict instead of a pass if a trial does not count.
 pub fn compare_with_tubes(golden: &GoldenTubes, scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
-    // One trace is in memory at a time.
+    // Reads one trace at a time to bound memory.
     let mut failed = None;
     let readable = scenario.trials.iter().map_while(|trial| match trial.rows() {
         Ok(rows) => Some((trial.index, rows)),

@@ -1,4 +1,4 @@
-//! Translates a scenario's controller into the wire's configuration.
+//! Translates the controller section of a scenario into the message `Configure`.
 
 use platebench_plate::Time;
 use platebench_scenario::{Diagnostic, Scenario, suggestion};
@@ -40,7 +40,6 @@ pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
     }
 }
 
-/// `None` if the controller can play the scenario.
 pub fn missing_capability(scenario: &Scenario, law: LawId, identity: &Identity) -> Option<String> {
     if !identity.has_law(law) {
         return Some(format!("the controller does not announce the law {}", law.name()));

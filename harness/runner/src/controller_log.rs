@@ -12,11 +12,11 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tracing::warn;
 
-/// Enough for the controller's watchdog, which takes five periods, and for several repetitions.
+/// Missed replies in a row after which a controller is lost. Its watchdog expires after five control periods.
 pub(crate) const MAX_MISSED_REPLIES: u32 = 20;
-/// The bench watches the controller after it confirmed 0 V.
+/// Control periods in which the bench watches the controller after its confirmation of 0 V.
 const WATCHED_PERIODS: u64 = 10;
-/// Every law drives the plate from rest to a setpoint of this size.
+/// Large enough that every running law drives a resting plate.
 const SETPOINT_AFTER_SAFE_UM: f64 = 1.0;
 
 #[derive(Debug)]
@@ -24,7 +24,6 @@ pub(crate) struct ControllerLog<'a> {
     scenario: &'a Scenario,
     law: LawId,
     missed_replies: u32,
-    /// `None` while the controller runs.
     stopped_at: Option<Time>,
     stop_cause: Option<StateCause>,
     samples: u32,
@@ -51,7 +50,7 @@ impl<'a> ControllerLog<'a> {
         self.samples += 1;
     }
 
-    /// `newer_samples` were sent after the answered one; the next command may answer all of them.
+    /// `newer_samples` is the number of samples that the bench sent after the answered one.
     pub(crate) fn record_command(&mut self, command: &Command, newer_samples: u8, now: Time) {
         self.missed_replies = 0;
         let samples = std::mem::replace(&mut self.samples, newer_samples.into());
@@ -88,7 +87,7 @@ impl<'a> ControllerLog<'a> {
         configure(self.scenario, self.law)
     }
 
-    /// Repeats the configuration after a fault that stopped the controller.
+    /// Returns the configuration to send again if the fault that stopped the controller is over.
     pub(crate) fn reconfiguration(&self, now: Time) -> Option<Configure> {
         let stopped = self.stopped_at?;
         needs_reconfiguration(self.scenario, stopped, now).then(|| self.configuration())
@@ -101,7 +100,7 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    /// A planned duplicate repeats a reply, but does not change it.
+    /// A planned fault `duplicate` excuses a repeated reply, but not a contradictory one.
     pub(crate) fn record_session<L: Link>(&mut self, session: &Session<FaultInjector<L>>, now: Time) {
         self.checks.set_count(ViolationKind::WrongSequence, session.wrong_sequences(), now);
         let is_planned = self.scenario.faults.iter().any(|fault| fault.kind == FaultKind::Duplicate);
@@ -113,8 +112,7 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    /// Plays the scripts of the protocol if the scenario expects them. The configuration that follows ends what they
-    /// leave behind.
+    /// Plays the protocol scripts if the scenario expects them. They may leave the controller in any state.
     pub(crate) fn check_protocol<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,
@@ -140,8 +138,7 @@ impl<'a> ControllerLog<'a> {
         self.checks.set_count(ViolationKind::IgnoredSafe, session.ignored_safe_requests(), now);
     }
 
-    /// Sends one more sample at rest, at the time of `last`; it must not end the state. A controller
-    /// with its own clock is watched in wall time.
+    /// Sends one more sample, of a resting plate, with the time stamp of `last`. The controller must stay at 0 V.
     pub(crate) fn watch_after_safe<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,
@@ -196,7 +193,7 @@ impl<'a> ControllerLog<'a> {
     }
 }
 
-/// A failed controller fails a trial. A dead line only leaves it undecided.
+/// True if the error fails the trial. Other errors, such as a dead line, make the trial inconclusive.
 pub(crate) fn is_controller_failure(error: &RigError) -> bool {
     match error {
         RigError::Trapped(_) | RigError::WrongSequence | RigError::Link(LinkError::Target(_)) => true,

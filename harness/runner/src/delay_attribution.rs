@@ -1,5 +1,4 @@
-//! Excuses expectations that the rig's delay makes impossible: those that the simulated law meets
-//! without the rig's delay and misses with it.
+//! Excuses an expectation if the simulated law meets it without the rig's delay and misses it with this delay.
 
 use crate::real_time::Pacing;
 use crate::trial;
@@ -27,7 +26,7 @@ pub(crate) fn measure_trial(
         return measures;
     }
     let simulate = |delay| simulate_trial(scenario, law, index, delay);
-    // The scenario's own loop delay acts in lockstep only.
+    // In real time, the scenario's own loop delay does not act.
     let without = simulate(Time::ZERO);
     let with = [typical, longest].map(simulate);
     for number in missed {
@@ -56,16 +55,16 @@ pub(crate) fn measure_trial(
     measures
 }
 
-/// Typical and longest delay in real time. In lockstep, delay is part of the experiment.
+/// Median and longest loop delay in real time. `None` in lockstep, where delay is part of the experiment.
 fn rig_delay(telemetry: &Telemetry) -> Option<(Time, Time)> {
     let timing = telemetry.timing.as_ref()?;
     let delay = timing.loop_delay_us?;
-    // With target pacing, late sampling is not measured but has the same effect.
+    // With target pacing, the measured delay excludes the lateness of the sample, which has the same effect.
     let late = if timing.pacing == Pacing::Target.name() { timing.lateness_us.max } else { 0.0 };
     Some((Time::from_ms(delay.p50 / 1e3)?, Time::from_ms((delay.max + late) / 1e3)?))
 }
 
-/// The loop delay includes line and bench.
+/// Excuses a missed limit of the loop delay, because line and bench add to this delay in real time.
 fn excuse_loop_delay(scenario: &Scenario, measures: &mut TrialMeasures) {
     let both = scenario.expectations.iter().zip(&measures.measures);
     for ((expectation, measure), excuse) in both.zip(&mut measures.excuses) {
@@ -86,13 +85,12 @@ fn missed_expectations<'a>(scenario: &'a Scenario, measures: &'a TrialMeasures) 
 }
 
 fn is_met(expectation: &Expectation, measure: &Measure) -> bool {
-    // The static error has a sign.
     let signed = expectation.metric == Metric::StaticError;
     let value = measure.value().map(|value| if signed { value.abs() } else { value });
     value.is_some_and(|value| expectation.holds(value))
 }
 
-/// Uses the firmware's law and a constant loop delay. `None` if that fails.
+/// Plays the trial with the hosted firmware and a constant loop delay. `None` if the firmware does not answer.
 fn simulate_trial(scenario: &Scenario, law: LawId, index: u32, delay: Time) -> Option<TrialMeasures> {
     let mut delayed = scenario.clone();
     delayed.controller.loop_delay = delay;

@@ -1,5 +1,4 @@
-//! Finds the longest constant loop delay at which a law still settles, in lockstep with the nominal
-//! plate, without noise and link.
+//! Finds the longest constant loop delay at which a law still settles on a plate without noise and without a link.
 
 use crate::configure::configure;
 use platebench_controller::StateMachine;
@@ -10,15 +9,15 @@ use std::collections::VecDeque;
 use std::f64::consts::TAU;
 
 const MAX_PERIODS: f64 = 3.0;
-/// Step as a share of a period, then bisections.
+/// Step of the search in control periods. `BISECTIONS` then refine the boundary.
 const SCAN_STEP: f64 = 0.25;
 const BISECTIONS: u32 = 8;
-/// A stable loop has settled by then; the last periods are checked.
+/// Length of a trial in control periods. A stable loop settles before its last `WINDOW_PERIODS`.
 const TRIAL_PERIODS: u32 = 400;
 const WINDOW_PERIODS: u32 = 40;
-/// Half width, as a share of the setpoint.
+/// Half width of the settling band as a share of the setpoint.
 const BAND: f64 = 0.05;
-/// In setpoints.
+/// Relative deviation from the setpoint at which the response counts as diverged.
 const DIVERGED: f64 = 10.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,12 +44,12 @@ pub struct DelayedLoop {
     plant: Plant,
     setpoint: f64,
     period: Time,
-    /// The time from which each drive acts, in order.
+    /// Drives with the time from which each acts, earliest first.
     pending: VecDeque<(Time, Drive)>,
 }
 
 impl DelayedLoop {
-    /// The plate rests; setpoint in µm. `None` if the firmware rejects `configure`.
+    /// Starts with a resting plate. `setpoint` is in µm. `None` if the controller rejects `configure`.
     pub fn new(
         configure: &Configure,
         plate: &Plate,
@@ -74,8 +73,8 @@ impl DelayedLoop {
         self.setpoint
     }
 
-    /// Returns W at the period's start, µm. `perturbation` is added to both measured components.
-    /// `None` if the controller stopped or W is not finite.
+    /// Returns W at the start of the control period, µm. Adds `perturbation` in µm to both measured components. `None`
+    /// if the controller stopped or W is not finite.
     pub fn step(&mut self, delay: Time, perturbation: f64) -> Option<Complex64> {
         let (now, w) = (self.plant.time(), self.plant.state().w);
         let sensed = self.plant.sensor_reading();
@@ -105,7 +104,7 @@ impl DelayedLoop {
         Some(w)
     }
 
-    /// |W| must reach 5 % of the setpoint and stay there.
+    /// True if |W| stays within `BAND` of the setpoint in the last `WINDOW_PERIODS`.
     fn settles(mut self, delay: Time) -> bool {
         (0..TRIAL_PERIODS).all(|number| {
             let is_early = number < TRIAL_PERIODS - WINDOW_PERIODS;
@@ -114,8 +113,7 @@ impl DelayedLoop {
         })
     }
 
-    /// The first control instant from which |W| stays in the band until `end` s, in s; `None` if it does
-    /// not stay there for the last quarter.
+    /// Control instant in s from which |W| stays within `BAND` until `end` s. `None` if none precedes the last quarter.
     pub fn settling_time(mut self, delay: Time, end: f64) -> Option<f64> {
         let period = self.period.seconds();
         let periods = (end / period).ceil() as u32;
@@ -130,7 +128,6 @@ impl DelayedLoop {
         settled.filter(|number| *number <= periods - periods / 4).map(|number| f64::from(number) * period)
     }
 
-    /// Searches up to `longest` s.
     pub fn settling_boundary(&self, longest: f64) -> DelayBoundary {
         search_boundary(self.period.seconds(), longest, |delay| self.clone().settles(delay))
     }

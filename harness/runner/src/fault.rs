@@ -1,4 +1,4 @@
-//! Translates a scenario's faults into the rig's.
+//! Translates the faults of a scenario into faults of the rig.
 
 use platebench_plate::Time;
 use platebench_rig::chip_fault::{ChipFault as RigChipFault, ChipFaultKind as RigChipFaultKind, ChipFaultPlan};
@@ -13,14 +13,14 @@ pub(crate) fn wire_faults(scenario: &Scenario, index: u32) -> Vec<WireFault> {
     scenario.faults.iter().map(|fault| wire_fault(fault, seed)).collect()
 }
 
-/// Periods without a sample until the controller stops, and without a command until the plate is at 0 V.
+/// Control periods without a sample until the controller stops, or without a command until the bench applies 0 V.
 pub(crate) const WATCHDOG_PERIODS: u64 = 5;
-/// Streams below belong to sensor noise, plate spread and faults of the line.
+/// Random streams below this number belong to sensor noise, plate spread and faults of the line.
 const FIRST_CHIP_STREAM: u64 = 1 << 32;
-/// Sample and command take 0.5 ms at 1 Mbaud.
+/// A sample and its command take 0.5 ms at 1 Mbaud.
 const MIN_CHIP_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
 
-/// Instants and bits that the scenario leaves open come from the trial's seed.
+/// Draws the instants and bits that the scenario does not state from the trial's seed.
 pub(crate) fn chip_fault_plan(scenario: &Scenario, index: u32) -> ChipFaultPlan {
     let seed = Variation::of_trial(scenario, index).seed;
     let planned = (FIRST_CHIP_STREAM..).zip(&scenario.chip_faults);

@@ -1,6 +1,4 @@
-//! Plays scenarios to a controller.
-//!
-//! Reports belong to `platebench-report`, exit codes to the command line.
+//! Plays scenarios to a controller, in lockstep, in real time or on a real plate, and stores the results.
 
 mod abort;
 pub mod baseline;

@@ -1,21 +1,14 @@
 //! Passes the rows of a trial to a live view, which may miss rows but no counts.
 //!
-//! ```text
-//!   loop ── row ─┬─ record: a Vec, or the queue of `row_queue`
-//!                └─ TapWriter ── bounded queue without locks ── TapReader
-//! ```
-//!
-//! The loop neither waits nor allocates for a reader: a full queue counts and drops the row. The
-//! record does not pass through here, so a live view cannot change it.
+//! The trial loop neither waits nor allocates for a reader. If the queue is full, the tap counts the row and drops it.
 
 use platebench_trace::{Flags, Row};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Half a second of the densest default trace in real time: 4 MB.
+/// Holds 0.5 s of the densest default trace in real time and takes 4 MB.
 const CAPACITY: usize = 1 << 15;
-/// Number of classes of [`TapCounts::lateness`].
 pub const LATENESS_CLASSES: usize = 16;
 
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -25,19 +18,16 @@ pub struct TapRow {
     pub row: Row,
 }
 
-/// Counts all trials that the tap followed.
+/// Sums over all trials that the tap has followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct TapCounts {
     pub rows: u64,
-    /// Rows that did not fit into the queue.
     pub dropped_rows: u64,
-    /// Control instants at which the bench was too late.
     pub overruns: u64,
     /// Samples without a reply at the next control instant.
     pub missed_replies: u64,
-    /// Frames with a wrong checksum or form.
     pub rejected_frames: u64,
-    /// Classes below 1 µs, below 2 µs, then powers of two; the last class is open.
+    /// Control instants by lateness. Class n is below 2^n µs, and the last class has no upper limit.
     pub lateness: [u64; LATENESS_CLASSES],
 }
 
@@ -51,13 +41,13 @@ struct AtomicTapCounts {
     lateness: [AtomicU64; LATENESS_CLASSES],
 }
 
-/// Needs no locked instruction: only one thread writes.
+/// Needs no locked processor instruction, because only one thread writes.
 fn add_unshared(counter: &AtomicU64, count: u64) {
     counter.store(counter.load(Ordering::Relaxed).wrapping_add(count), Ordering::Relaxed);
 }
 
 fn lateness_class(lateness_us: f64) -> usize {
-    // The bit length is the power of two above. Negative values and NaN become 0.
+    // The bit length is the exponent of the next power of two. Negative values and NaN become 0.
     let bits = u64::BITS - (lateness_us as u64).leading_zeros();
     (bits as usize).min(LATENESS_CLASSES - 1)
 }
@@ -76,7 +66,6 @@ impl TapWriter {
         (self.scenario, self.trial, self.rejected_frames) = (scenario, trial, 0);
     }
 
-    /// A full queue counts the row as dropped. Neither waits nor allocates.
     pub(crate) fn push(&mut self, row: &Row) {
         let counters = &*self.counters;
         add_unshared(&counters.rows, 1);
@@ -129,7 +118,7 @@ impl TapReader {
     }
 }
 
-/// Follows one trial at a time: the next that starts while none is followed. Default: none.
+/// Follows one trial at a time, then the next trial that starts. The default follows no trial.
 #[derive(Debug, Clone, Default)]
 pub struct LiveTap(Option<Arc<Mutex<Option<TapWriter>>>>);
 
@@ -146,7 +135,7 @@ impl LiveTap {
         (Self(Some(Arc::new(Mutex::new(Some(tap))))), tap_reader)
     }
 
-    /// Has no writer if another trial holds it. Locks: do not call it in a trial's loop.
+    /// The guard has no writer if another trial holds it. Takes a lock, so a trial's loop must not call it.
     pub fn acquire(&self, scenario: usize, trial: u32) -> TapGuard<'_> {
         let slot = self.0.as_deref();
         let mut tap = slot.and_then(|slot| slot.lock().unwrap_or_else(PoisonError::into_inner).take());

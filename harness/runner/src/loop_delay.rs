@@ -5,10 +5,10 @@ use platebench_scenario::{Scenario, Variation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Streams 0 and 1 of a seed belong to noise and spread.
+/// Random streams 0 and 1 of a seed belong to sensor noise and plate spread.
 const JITTER_STREAM: u64 = 2;
 
-/// Uniform from the scenario's delay to that plus its jitter.
+/// Uniformly distributed from the scenario's loop delay to the sum of loop delay and jitter.
 #[derive(Debug)]
 pub(crate) struct LoopDelay {
     smallest: Time,

@@ -11,19 +11,17 @@ pub struct Question<'a> {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum QuestionKind {
-    /// `yes` once the action is done.
+    /// The operator answers `yes` after the action.
     Action,
     Confirm,
     Text,
-    /// A finite number.
     Number,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Answer {
-    /// `yes`, `no` or a text.
     Terminal(String),
-    /// An option of the command line stands for `yes`.
+    /// An option on the command line answered `yes`.
     CommandLine(String),
     /// No operator is present, none answered in time, or the question was cancelled.
     Absent,
@@ -44,19 +42,18 @@ impl Answer {
 
 /// Only [`Operator::ask`] may wait.
 pub trait Operator: Sync {
-    /// Waits until `cancel`, or for a bounded time.
+    /// Waits for the answer until `cancel` is cancelled, or for a bounded time.
     fn ask(&self, question: Question<'_>, cancel: &CancelToken) -> Answer;
 
-    /// 0 s means now.
+    /// `seconds` is the time until the action. 0 means now.
     fn announce(&self, _action: &str, _seconds: u32) {}
 
-    /// Forces in N; `now` is trial time.
     fn show_force(&self, _now: Time, _demanded_n: f64, _measured_n: Option<f64>) {}
 
     fn trial_ended(&self) {}
 }
 
-/// Expectations that need a person stay inconclusive.
+/// Expectations that need an operator become inconclusive.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct NoOperator;
 

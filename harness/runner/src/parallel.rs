@@ -1,4 +1,4 @@
-//! Works on tasks with several threads.
+//! Runs tasks on several threads.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -6,9 +6,8 @@ use std::sync::mpsc;
 use std::thread;
 use tracing::subscriber::{NoSubscriber, with_default};
 
-/// Calls `work` for each task on `jobs` threads, each with its own state, and passes the results in the order of the
-/// tasks to `receive` until that returns false. Ends at the first error. Suppresses log messages: in such
-/// experiments, lost controllers and damaged frames are intended.
+/// Calls `work` for each task on `jobs` threads, each with its own state. Passes the results to `receive` in the order
+/// of the tasks until it returns false. Ends at the first error. Suppresses log messages, because faults are intended.
 pub fn in_parallel<S: Default, T: Sync, R: Send, E: Send>(
     jobs: usize,
     tasks: &[T],
@@ -49,7 +48,6 @@ pub fn in_parallel<S: Default, T: Sync, R: Send, E: Send>(
     })
 }
 
-/// Like [`in_parallel`], without a state; returns all results.
 pub fn collect_in_parallel<T: Sync, R: Send, E: Send>(
     jobs: usize,
     tasks: &[T],

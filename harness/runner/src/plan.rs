@@ -8,16 +8,15 @@ use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, RigEr
 use platebench_scenario::{Diagnostic, Scenario};
 use platebench_trace::TraceError;
 
-/// Called once per worker, and again after a controller was lost.
+/// Connects to the controller, once per worker and again after the controller was lost.
 pub type LinkFactory<'a> = dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync + 'a;
 
 #[derive(Debug, Clone)]
 pub struct RunPlan {
-    /// With the overrides applied.
+    /// Already contain the overrides.
     pub scenarios: Vec<Scenario>,
     pub jobs: usize,
     pub clock: Clock,
-    /// The controller's clock runs while the plate waits.
     pub own_clock: bool,
     pub rig: String,
     pub overrides: Overrides,
@@ -31,14 +30,11 @@ impl RunPlan {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Clock {
-    /// The plate waits while a sample travels and the controller computes.
     Lockstep {
-        /// The rig's wire and computing time acts as loop delay.
+        /// True if the rig's wire time and computing time act as loop delay.
         wire_time: bool,
     },
-    /// The plate follows the wall clock.
     RealTime(TimeBase),
-    /// The controller drives a real plate by its own clock.
     RealPlate,
 }
 
@@ -67,12 +63,8 @@ pub enum RunError {
     Connect(#[from] ConnectError),
     #[error(transparent)]
     Rig(#[from] RigError),
-    #[error("{found} answers now, the run began with {expected}: expected the same controller until its end")]
-    DifferentController {
-        /// Name and number of the controller that answered.
-        found: String,
-        expected: String,
-    },
+    #[error("the controller is now {found}, but was {expected} when the run began; keep the same controller connected")]
+    DifferentController { found: String, expected: String },
     #[error("{0} does not announce that it can pace itself, expected --pacing bench")]
     NoTargetPacing(String),
     #[error("{0} does not announce that it drives its own plate, expected --plate-mode emulated")]
@@ -87,14 +79,12 @@ pub enum RunError {
     Internal(String),
 }
 
-/// Default: no operator, no live view, no events.
 pub struct RunHooks<'a> {
     pub cancel: CancelToken,
     pub operator: &'a dyn Operator,
-    /// Receives the rows of one trial at a time.
     pub live_tap: LiveTap,
     pub on_event: Box<dyn FnMut(Event) + 'a>,
-    /// First trials of each scenario whose events contain the rows.
+    /// Number of trials of each scenario, from the first on, whose events contain the rows.
     pub trials_with_rows: usize,
 }
 

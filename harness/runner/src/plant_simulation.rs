@@ -1,7 +1,4 @@
-//! Simulates the plate, sensor and drive of a trial and writes its rows, for both clocks.
-//!
-//! The plant divides an interval in which a profile varies; otherwise nothing changes between
-//! events.
+//! Simulates plate, sensor and drive of a trial and writes its rows, in lockstep and in real time.
 
 use crate::configure::start_frequency_mhz;
 use crate::live_tap::TapWriter;
@@ -13,7 +10,7 @@ use platebench_trace::{Flags, Row};
 use platebench_wire::{Command, ControllerState as Mode, Sample};
 use std::f64::consts::TAU;
 
-/// The wire carries the limit as f32.
+/// Share of the drive limit from which the drive is saturated. The wire rounds the limit to f32.
 pub(crate) const SATURATION_THRESHOLD: f64 = 1.0 - 1e-6;
 
 pub(crate) trait RowSink {
@@ -27,7 +24,7 @@ impl RowSink for Vec<Row> {
     }
 }
 
-/// One row per trace step and some per control instant.
+/// Estimated from one row per trace step and two per control period.
 pub(crate) fn expected_rows(scenario: &Scenario) -> usize {
     let of = |span: Time| (scenario.duration.seconds() / span.seconds()) as usize;
     of(scenario.trace_step) + 2 * of(scenario.controller.period) + 64
@@ -45,9 +42,8 @@ pub(crate) struct PlantSimulation<'a, R> {
     plant: Plant,
     sensor: Sensor,
     sink: R,
-    /// A live view gets the same rows, if it has room.
     tap: Option<&'a mut TapWriter>,
-    /// Further events of its instant change it.
+    /// Further events at the same instant still change this row.
     pending_row: Option<Row>,
     crossings: Vec<Crossing>,
     bands: Vec<BandMonitor>,
@@ -100,7 +96,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         self.sink
     }
 
-    /// Replaces the scenario's profiles. Allocates.
+    /// Holds these inputs instead of the scenario's profiles. Allocates.
     pub(crate) fn set_manual_inputs(&mut self, held: &ManualInputs) {
         let ManualInputs { setpoint_um, temperature_offset_k, finger_force_n } = *held;
         self.manual_setpoint_um = Some(setpoint_um);
@@ -155,8 +151,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         points.into_iter().flatten().fold(step, Time::min)
     }
 
-    /// Adds a row before and after each crossing of an expectation's band. No scheduled row may lie
-    /// between.
+    /// Adds a row before and after each crossing of an expectation's band. No scheduled row may lie before `end`.
     pub(crate) fn advance(&mut self, end: Time) {
         self.update_bands();
         self.plant.advance(end, &self.bands, &mut self.crossings);
@@ -164,7 +159,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         for crossing in crossings.drain(..) {
             let last = Time::from_nanos(crossing.time.as_nanos().saturating_sub(1));
             for (time, state) in [(last, crossing.before), (crossing.time, crossing.state)] {
-                // The interval's ends have their own rows.
+                // Both ends of the interval have their own rows.
                 if self.pending_row.is_none_or(|last| last.t_s < time.seconds()) && time < end {
                     self.push(time, &state, 0.0, Flags::empty());
                 }
@@ -173,7 +168,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         self.crossings = crossings;
     }
 
-    /// Includes every scheduled row before `end`.
+    /// Adds every scheduled row before `end`.
     pub(crate) fn advance_through(&mut self, end: Time) {
         let end = end.min(self.scenario.duration);
         while self.time() < end {
@@ -190,7 +185,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         self.sensed = sensed.map(|value| f64::from(to_wire(value.into())));
     }
 
-    /// Extends the last row if it has the same instant.
+    /// Changes the last row instead if it has the same instant.
     pub(crate) fn push_row(&mut self, lateness_us: f64, flags: Flags) {
         let (now, state) = (self.time(), self.plant.state());
         self.push(now, &state, lateness_us, flags);
@@ -201,7 +196,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         let conditions = self.plant.conditions_at(time);
         let resonance_hz = self.plant.mode_at(time).omega0 / TAU;
         if !state.is_finite() || !resonance_hz.is_finite() {
-            // A defect of the bench: the trace ends here, and the judge refuses it.
+            // The bench has a defect. The trace ends here, and the judge rejects the trial.
             return;
         }
         let saturated = drive.vpp >= self.scenario.plate.drive_limit_vpp * SATURATION_THRESHOLD;
@@ -223,7 +218,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
             flags: also.into_iter().filter(|(holds, _)| *holds).fold(flags, |flags, (_, flag)| flags | flag),
         };
         match &mut self.pending_row {
-            // Events at one instant: the final state, and the flags of all.
+            // The row of an instant has the state after its last event and the flags of all its events.
             Some(last) if last.t_s == row.t_s => {
                 let happened = last.flags & (Flags::CONTROL | Flags::OVERRUN | Flags::LINK_LOST);
                 *last = Row { lateness_us: row.lateness_us.max(last.lateness_us), flags: row.flags | happened, ..row };
@@ -275,7 +270,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     }
 }
 
-/// 0 or just before 2^16 ms, 2^31 µs or 2^32 µs: counters of these widths overflow in the trial.
+/// 0 or just before 2^16 ms, 2^31 µs or 2^32 µs, so that counters of these widths overflow in the trial.
 fn clock_start_us(scenario: &Scenario, index: u32) -> u32 {
     let before_us = (scenario.duration.wrapping_micros() / 2).min(20_000);
     match index % 4 {
@@ -286,13 +281,13 @@ fn clock_start_us(scenario: &Scenario, index: u32) -> u32 {
     }
 }
 
-/// The wire carries f32.
+/// Clamps to the range of f32, which the wire carries.
 fn to_wire(value: f64) -> f32 {
     value.clamp(f32::MIN.into(), f32::MAX.into()) as f32
 }
 
 impl PlantSimulation<'_, Vec<Row>> {
-    /// Without the row of this instant.
+    /// Excludes the row of this instant, which is not written yet.
     pub(crate) fn row_count(&self) -> usize {
         self.sink.len() + usize::from(self.pending_row.is_some())
     }

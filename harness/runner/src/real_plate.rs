@@ -1,5 +1,5 @@
-//! Plays one trial on a real plate: the controller drives it by its own sensor and timer; the bench
-//! sends setpoints, prompts the operator and records telemetry.
+//! Plays one trial on a real plate. The controller drives the plate with its own sensor and timer. The bench sends
+//! setpoints, prompts the operator and records telemetry.
 
 mod prompts;
 mod telemetry_loop;
@@ -24,7 +24,7 @@ use telemetry_loop::{TelemetryLoop, TelemetryLoopResult};
 const COUNTDOWN_S: u32 = 3;
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// `None` if it was cancelled. Fails if the controller was lost before its first telemetry.
+/// `None` if the trial was cancelled. Fails if the controller was lost before its first telemetry.
 pub(crate) fn play<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -33,7 +33,7 @@ pub(crate) fn play<L: Link>(
 ) -> Result<Option<TrialResult>, RigError> {
     let scenario = spec.scenario;
     let Some(preparation) = prepare_plate(scenario, operator, cancel) else { return Ok(None) };
-    // A real plate can break, so no faults.
+    // Injects no faults, because a real plate can break.
     session.link_mut().set_faults(&[]);
     let (queue, consumer) = RowQueue::new();
     let is_attended = needs_operator(scenario) && preparation.not_done.is_none();
@@ -74,7 +74,7 @@ struct Preparation {
 }
 
 impl Preparation {
-    /// True if the action was done. `None` if the run was cancelled.
+    /// Returns true if the operator did the action, and `None` if the run was cancelled.
     fn request(&mut self, action: String, operator: &dyn Operator, cancel: &CancelToken) -> Option<bool> {
         let answer = operator.ask(Question { text: &action, kind: QuestionKind::Action }, cancel);
         if answer == Answer::Absent && cancel.is_cancelled() {
@@ -84,14 +84,13 @@ impl Preparation {
         self.not_done = match answer {
             _ if done => None,
             Answer::Absent => Some(format!("no operator was present for an action of the scenario: {action}")),
-            Answer::Terminal(_) | Answer::CommandLine(_) => Some(format!("the operator did not do it: {action}")),
+            Answer::Terminal(_) | Answer::CommandLine(_) => Some(format!("not done by the operator: {action}")),
         };
         self.requests.push(OperatorRequest { what: action, done });
         Some(done)
     }
 }
 
-/// `None` if the run was cancelled.
 fn prepare_plate(scenario: &Scenario, operator: &dyn Operator, cancel: &CancelToken) -> Option<Preparation> {
     let mut preparation = Preparation::default();
     if !needs_operator(scenario) {
@@ -138,7 +137,6 @@ fn confirm_actions(
     Some(preparation)
 }
 
-/// Shows the operator the next actions and the force that `rows` end with.
 fn prompt(rows: &[Row], scenario: &Scenario, prompts: &mut Prompts, operator: &dyn Operator) {
     let Some(row) = rows.last() else { return };
     let now = Time::from_seconds(row.t_s).unwrap_or(Time::ZERO);

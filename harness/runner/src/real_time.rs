@@ -1,8 +1,7 @@
-//! Plays one trial in real time: delays of bench, line and controller act on the plate.
+//! Plays one trial in real time, so that delays of bench, line and controller act on the plate.
 //!
-//! The loop has its own thread; it neither allocates nor logs. The plate moves exactly to the
-//! instant of every event: it is sampled at the deadline, however late the sample leaves, and
-//! driven anew when a command arrives. Lateness acts as loop delay and nothing else.
+//! The loop has its own thread and neither allocates nor logs. A sample contains the plate's state at the control
+//! instant, even if it leaves late. A command acts when it arrives. So lateness acts only as loop delay.
 
 mod control_loop;
 mod manual_control;
@@ -29,8 +28,7 @@ use platebench_trace::Row;
 use std::panic::resume_unwind;
 use std::thread;
 
-/// Blocks the calling thread, which only collects rows. `None` if it was cancelled. The rig must
-/// support real time.
+/// Blocks the calling thread, which only collects rows. The rig must support real time. `None` if it was cancelled.
 pub fn play<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -43,8 +41,7 @@ pub fn play<L: Link>(
     end.map(|(telemetry, link_error)| TrialResult { trace_rows, telemetry, link_error })
 }
 
-/// Runs until `cancel`, a lost controller or a stop. `manual` replaces the scenario's profiles once
-/// it is used.
+/// Runs until `cancel`, a lost controller or its stop. The first change of `manual` replaces the scenario's profiles.
 pub fn emulate_plate<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -66,11 +63,10 @@ pub fn emulate_plate<L: Link>(
 pub enum EmulationEnd {
     Cancelled,
     Lost(RigError),
-    /// Reported reason; the controller waits for a configuration.
+    /// The controller reported this reason and waits for a configuration.
     Stopped(Option<String>),
 }
 
-/// The second result is `None` if it was cancelled.
 fn run_loop<L: Link, T>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -87,7 +83,7 @@ fn run_loop<L: Link, T>(
     thread::scope(|scope| {
         let real_time = scope.spawn(move || {
             let scheduling = ThreadScheduling::request();
-            // A self-pacing target ticks from its configuration on, so this comes last.
+            // Comes last, because a target that paces itself ticks from its configuration on.
             let configuration = time_base.with_target_timing(configure(spec.scenario, spec.law));
             let started = session.start_line().and_then(|()| session.begin_trial(&configuration, spec.continues));
             let started = started.map_err(TrialAbort::Lost);

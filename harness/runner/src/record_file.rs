@@ -1,14 +1,11 @@
-//! Writes the record of a run under way, so that a killed run keeps what was judged.
-//!
-//! A write takes as long as the record, so the time between two grows with it: all writes together
-//! take at most a twentieth of the run.
+//! Writes `run.json` during a run, so that a killed run keeps the judged scenarios. Writes take at most 5 % of a run.
 
 use platebench_record::{FolderError, RunFolder, RunRecord};
 use std::time::{Duration, Instant};
 
 const MIN_INTERVAL: Duration = Duration::from_millis(100);
 const INTERVAL_PER_WRITE: u32 = 20;
-/// A limit of the wait, not of the run.
+/// Wait without a change. It bounds one wait of the caller, not the run.
 const NO_CHANGE: Duration = Duration::from_hours(1);
 
 #[derive(Debug)]
@@ -36,7 +33,6 @@ impl<'a> RecordFile<'a> {
         self.has_changed = true;
     }
 
-    /// Until the next write.
     pub(crate) fn time_left(&self) -> Duration {
         if self.has_changed { self.next.saturating_duration_since(Instant::now()) } else { NO_CHANGE }
     }

@@ -15,7 +15,7 @@ use platebench_verdict::{SequentialDecision, TrialMeasures, judge, judge_sequent
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Equals the limit of the command line.
+/// Equals the limit of the option `--trials`.
 const MAX_TRIALS: u32 = 100_000;
 
 #[derive(Debug, thiserror::Error)]
@@ -29,18 +29,9 @@ pub enum RejudgeError {
     #[error(transparent)]
     Folder(#[from] FolderError),
     #[error("{}: {what} differs from the scenario that was played; only expectations may differ", path.display())]
-    DifferentExperiment {
-        path: PathBuf,
-        /// Names the part that differs.
-        what: &'static str,
-    },
+    DifferentExperiment { path: PathBuf, what: &'static str },
     #[error("{}: SHA-256 {found}, expected {expected}: not the file that the run was made with", path.display())]
-    Modified {
-        path: PathBuf,
-        /// Hash of the present file.
-        found: String,
-        expected: String,
-    },
+    Modified { path: PathBuf, found: String, expected: String },
     #[error(
         "{}: the amplitude at {t_s} s is {amplitude_um} µm, its components give {expected_um} µm; \
          the trace was changed",
@@ -54,15 +45,10 @@ pub enum RejudgeError {
         expected_um: f64,
     },
     #[error("{}: trial {second} has the trace of trial {first}, expected one trace per trial", path.display())]
-    SameTrace {
-        /// Trace of the second trial.
-        path: PathBuf,
-        first: u32,
-        second: u32,
-    },
+    SameTrace { path: PathBuf, first: u32, second: u32 },
     #[error("{}: the run did not keep all traces (--keep-traces), expected a run with all of them", .0.display())]
     NotKept(PathBuf),
-    #[error("{}: none of the run's scenarios has this name ({known})", path.display())]
+    #[error("{}: no scenario of the run has this file name, expected one of {known}", path.display())]
     NoSuchScenario { path: PathBuf, known: String },
 }
 
@@ -72,8 +58,8 @@ impl From<Diagnostic> for RejudgeError {
     }
 }
 
-/// `replacement` replaces the expectations of the scenario with its name. A trial without a trace
-/// was interrupted and makes its scenario inconclusive.
+/// The scenario file `replacement` replaces the expectations of the scenario with the same file name. A trial without
+/// a trace was interrupted and makes its scenario inconclusive.
 pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
     if record.overrides.keep_traces != KeepTraces::All {
@@ -83,11 +69,11 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
         replacement.map(|path| Ok::<_, RejudgeError>((path, matching_scenario(&record, path)?))).transpose()?;
     let mut scenarios = Vec::with_capacity(record.scenarios.len());
     for (number, stored) in record.scenarios.iter().enumerate() {
-        // Joined runs may have different ones.
+        // Each part of a joined run may have its own overrides.
         let own = record.merge.as_ref().and_then(|merge| merge.overrides_of(&stored.file));
         let overrides = own.unwrap_or(&record.overrides);
         let mut scenario = load_stored_scenario(folder, stored)?;
-        // Uses the run's model, because today another one might be chosen.
+        // Uses the run's model, because the bench might choose another one today.
         let tier = Tier::from_name(&stored.model).unwrap_or(scenario.tier);
         if let Some((path, _)) = replaced.filter(|(_, chosen)| *chosen == number) {
             scenario.expectations = replacement_expectations(path, &scenario, tier, overrides)?;
@@ -121,7 +107,7 @@ pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
     }
 }
 
-/// Fails if a model of the command line omits effects of a scenario's plate.
+/// Fails if the model of the overrides omits an effect of a scenario's plate.
 pub fn check_overrides(overrides: &Overrides, scenarios: &[Scenario]) -> Result<(), Box<Diagnostic>> {
     let Some(model) = &overrides.model else { return Ok(()) };
     for scenario in scenarios {
@@ -146,7 +132,7 @@ fn matching_scenario(record: &RunRecord, path: &Path) -> Result<usize, RejudgeEr
     }
 }
 
-/// The scenario at `path` must otherwise equal the one that was played.
+/// Except for its expectations, the scenario at `path` must equal the played one.
 fn replacement_expectations(
     path: &Path,
     played: &Scenario,
@@ -217,7 +203,7 @@ pub fn check_trace(folder: &Path, trial: &TrialRecord) -> Result<(), RejudgeErro
     check_hash(&path, found, expected)
 }
 
-/// Stops at the look that decides, as in the run.
+/// Stops at the interim look that decides, as the run did.
 fn rejudge_scenario(
     folder: &Path,
     scenario: &Scenario,
@@ -236,7 +222,7 @@ fn rejudge_scenario(
                     measures.push(done.measures);
                     records.push(done.record);
                 }
-                // `--fail-fast`: the run is complete without this trial.
+                // With `--fail-fast`, a run is complete without this trial.
                 None if complete && stored.trials.iter().all(|trial| trial.index != index) => ends_early = true,
                 None => measures.push(incomplete_trial(scenario, index)),
             }
@@ -244,7 +230,7 @@ fn rejudge_scenario(
         if ends_early {
             break;
         }
-        // A complete run has all its trials.
+        // A complete run has no further trials.
         if complete && records.len() == played {
             measures.truncate(played);
             break;
@@ -258,7 +244,7 @@ fn rejudge_scenario(
     Ok(record)
 }
 
-/// Only trials that nothing random distinguishes may be equal.
+/// Only trials of a deterministic scenario may have equal traces.
 fn check_distinct_traces(folder: &Path, scenario: &Scenario, stored: &ScenarioRecord) -> Result<(), RejudgeError> {
     let mut known: BTreeMap<&str, u32> = BTreeMap::new();
     for trial in &stored.trials {
@@ -274,7 +260,7 @@ fn check_distinct_traces(folder: &Path, scenario: &Scenario, stored: &ScenarioRe
 }
 
 fn check_amplitude(path: &Path, rows: &[Row]) -> Result<(), RejudgeError> {
-    // Computed from the components; a text round trip changes nothing.
+    // The bench computes the amplitude from the components, and the text of a trace is exact.
     const RELATIVE_ERROR: f64 = 1e-9;
     const ABSOLUTE_ERROR_UM: f64 = 1e-12;
     let expected = |row: &Row| row.wd_um.hypot(row.wq_um);

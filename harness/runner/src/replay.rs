@@ -1,4 +1,4 @@
-//! Replays recorded samples to a controller. Open loop: no plate reacts to its commands.
+//! Replays recorded samples to a controller in open loop: no plate reacts to its commands.
 
 mod error;
 mod input;
@@ -23,7 +23,7 @@ use platebench_verdict::replay::{Replay, ReplayCommand, ReplayResult, ReplayStep
 use platebench_wire::{Command, Configure, ControllerState, LawId, Sample};
 use std::time::Duration;
 
-/// `own_clock`: the controller's clock runs while the bench waits.
+/// `own_clock` is true if the controller's clock runs while the bench waits.
 pub fn replay(
     input: &ReplayInput,
     rig: &str,
@@ -66,7 +66,7 @@ struct Player<'a> {
 }
 
 impl Player<'_> {
-    /// The session requests 0 V if this ends early.
+    /// If this ends early, the drop of the session requests 0 V.
     fn play(
         &mut self,
         steps: &[ReplayStep],
@@ -93,7 +93,6 @@ impl Player<'_> {
         Ok(())
     }
 
-    /// `None` if no reply arrives.
     fn exchange(&mut self, sample: &Sample) -> Result<Option<ReplayCommand>, RigError> {
         let now = Duration::from(self.last);
         self.controller.record_sample();
@@ -119,7 +118,7 @@ impl Player<'_> {
         Ok(Some(self.within_range(&command)))
     }
 
-    /// A trace contains the drive after the amplifier's range.
+    /// Clips the drive to the amplifier's range, as in a trace.
     fn within_range(&self, command: &Command) -> ReplayCommand {
         let drive = f64::from(command.drive_vpp);
         let drive_vpp =

@@ -11,7 +11,7 @@ pub(crate) struct ReplyStats {
     late_replies: u64,
     longest_delay: Time,
     longest_rig_delay: Duration,
-    /// Sum and maximum per control step.
+    /// Sum over all control steps and maximum of one step.
     instructions: Option<(u64, u64)>,
 }
 

@@ -6,7 +6,7 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use std::thread;
 use std::time::Duration;
 
-/// More than 1 s of the densest default trace at 1 kHz.
+/// Holds more than 1 s of the densest default trace at 1 kHz.
 const CAPACITY: usize = 1 << 15;
 /// Filling the queue takes hundreds of times longer.
 const POLL_INTERVAL: Duration = Duration::from_millis(2);
@@ -37,12 +37,12 @@ impl RowSink for RowQueue {
     }
 }
 
-/// Runs until the producer is dropped; allocates `expected` rows first.
+/// Runs until the producer is dropped. Allocates `expected` rows at the start.
 pub(crate) fn collect_rows(consumer: Consumer<Row>, expected: usize) -> Vec<Row> {
     watch_rows(consumer, Vec::with_capacity(expected), POLL_INTERVAL, |_| {})
 }
 
-/// Runs until the producer is dropped; adds to `rows`. Calls `watch` with all rows after each poll.
+/// Adds to `rows` until the producer is dropped. Calls `watch` with all rows after each poll.
 pub(crate) fn watch_rows(
     mut consumer: Consumer<Row>,
     mut rows: Vec<Row>,

@@ -27,8 +27,7 @@ use std::thread;
 use std::time::Instant;
 use tracing::info;
 
-/// Returns the record, which is also in `folder`. After an error, complete trials can still be
-/// judged.
+/// Also writes the record into `folder`. After an error, `platebench judge` can still judge the complete trials.
 pub fn run(
     plan: &RunPlan,
     folder: &RunFolder,
@@ -134,7 +133,6 @@ fn missing_chip_faults(
     }
 }
 
-/// Splits off the scenarios that need what the clock does not allow or `identity` does not announce.
 fn select_applicable(
     plan: &RunPlan,
     laws: Vec<LawId>,
@@ -148,7 +146,7 @@ fn select_applicable(
         let is_compared =
             scenario.expects(Metric::ReferenceDifference) || scenario.expects(Metric::ProtocolDifferences);
         let missing = (is_compared && !matches!(plan.clock, Clock::Lockstep { .. }))
-            .then(|| "the comparison with the reference needs the clock lockstep".to_owned())
+            .then(|| "the metrics that compare the controller with the reference need the clock lockstep".to_owned())
             .or(missing_chip_faults(plan, scenario, session)?)
             .or_else(|| configure::missing_capability(scenario, law, &identity))
             .or_else(|| between.find_map(|(scene, law)| configure::missing_capability(scene, law, &identity)));
@@ -166,7 +164,7 @@ fn select_applicable(
     Ok((selected, selected_laws, not_applicable))
 }
 
-/// In order of completion; the next look needs `goal` trials.
+/// Trials in order of completion. The next interim look needs `goal` trials.
 struct ScenarioProgress {
     measures: Vec<TrialMeasures>,
     records: Vec<TrialRecord>,
@@ -196,11 +194,11 @@ fn play_scenarios(
         let keeps_controller = plan.scenarios.get(number).is_some_and(Scenario::keeps_controller);
         trial_tasks(number, keeps_controller, trials)
     };
-    // All scenarios play up to their first look; then the undecided ones continue.
+    // First all scenarios are played up to their first look. Then the undecided scenarios continue.
     let mut tasks: Vec<TrialTask> =
         (0..).zip(&progress).flat_map(|(number, progress)| tasks_of(number, 0..progress.goal)).collect();
     while !tasks.is_empty() && !run.stop.load(Ordering::Relaxed) {
-        // The longest trials come first: no worker ends long after the others.
+        // The longest trials come first, so that no worker ends long after the others.
         tasks.sort_by_key(|task| Reverse(plan.scenarios.get(task.scenario).map(|scenario| scenario.duration)));
         let batch = std::mem::take(&mut tasks);
         let work = WorkQueue { run, tasks: &batch, next: AtomicUsize::new(0) };
@@ -280,7 +278,7 @@ fn play_scenarios(
     Ok(())
 }
 
-/// Judges the scenarios that were stopped before their deciding look, by the trials that they have.
+/// Judges the scenarios that `--fail-fast` stopped early by their played trials.
 fn judge_unfinished(
     plan: &RunPlan,
     progress: Vec<ScenarioProgress>,
@@ -303,8 +301,7 @@ pub(crate) fn complete_record(record: &mut ScenarioRecord, judgement: Judgement,
     record.trials = trials;
 }
 
-/// Removes the traces of all trials except the `count` with the smallest margins; of equal margins
-/// the earlier trial stays.
+/// Keeps only the traces of the `count` trials with the smallest margins. Of equal margins, the earlier trial counts.
 fn keep_worst(
     folder: &RunFolder,
     scenario: &Scenario,

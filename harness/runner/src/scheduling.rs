@@ -9,10 +9,10 @@ use thread_priority::{ThreadPriority, ThreadPriorityValue};
 /// Below the kernel's interrupt threads, which run at 50 and serve the line.
 const RT_PRIORITY: u8 = 45;
 
-/// Lasts until the thread ends.
+/// The scheduling class lasts until the thread ends, locked memory until the drop.
 #[derive(Debug, Clone)]
 pub(crate) struct ThreadScheduling {
-    /// The scheduling class, and why it is not a better one.
+    /// Scheduling class, with the reason if it is not `SCHED_FIFO`.
     pub(crate) scheduling: String,
     pub(crate) memory_locked: bool,
 }

@@ -11,14 +11,13 @@ impl StealTime {
         Self(std::fs::read_to_string("/proc/stat").ok().and_then(|text| steal_ticks(&text)))
     }
 
-    /// Resolution: one tick, usually 10 ms.
+    /// The resolution is one clock tick, usually 10 ms.
     pub(crate) fn ms_until(self, later: Self) -> Option<f64> {
         let ticks = later.0?.checked_sub(self.0?)?;
         Some(ticks as f64 * 1e3 / clock_ticks_per_second() as f64)
     }
 }
 
-/// The eighth number of the line `cpu`.
 fn steal_ticks(stat: &str) -> Option<u64> {
     stat.lines().find_map(|line| line.strip_prefix("cpu "))?.split_whitespace().nth(7)?.parse().ok()
 }

@@ -1,4 +1,4 @@
-//! Lists the stored trials of a run; reads rows trial by trial to bound memory.
+//! Lists the stored trials of a run. Reads rows trial by trial to bound memory.
 
 use crate::rejudge::{RejudgeError, read_trial_rows};
 use platebench_record::{RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord};
@@ -22,15 +22,11 @@ pub enum CompareError {
     #[error("{}: {count} scenarios, expected a run of one scenario as the reference of a trace", path.display())]
     SeveralScenarios { path: PathBuf, count: usize },
     #[error("{}: {source}", path.display())]
-    Io {
-        /// File or folder.
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Io { path: PathBuf, source: std::io::Error },
 }
 
 pub struct ScenarioTrials {
-    /// File of the scenario or of the trace.
+    /// Scenario file as in `run.json`, or path of the trace if [`read_trials`] read a single trace.
     pub name: String,
     pub trials: Vec<StoredTrial>,
     pub excluded: Vec<String>,

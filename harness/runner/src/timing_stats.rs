@@ -4,7 +4,7 @@ use hdrhistogram::Histogram;
 use platebench_record::{Quantiles, TimingRecord};
 use std::time::Duration;
 
-/// Three significant digits up to 1 min.
+/// The histogram has three significant digits up to 1 min.
 const MAX_DURATION_NS: u64 = 60_000_000_000;
 
 pub(crate) struct DurationHistogram(Histogram<u64>);
@@ -32,8 +32,8 @@ impl DurationHistogram {
     }
 }
 
-/// Least squares over the instants of samples. Occasional delays widen the standard error; a line
-/// that slows down steadily looks like drift.
+/// Fits the drift of the target's clock by least squares over the samples. Occasional delays increase the standard
+/// error. A delay that grows steadily looks like drift.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ClockDrift {
     last_target_us: Option<u32>,
@@ -47,7 +47,7 @@ pub(crate) struct ClockDrift {
 }
 
 impl ClockDrift {
-    /// `target_us` wraps.
+    /// `target_us` is the target's counter, which wraps.
     pub(crate) fn record(&mut self, bench: Duration, target_us: u32) {
         let step = self.last_target_us.replace(target_us).map_or(0, |last| target_us.wrapping_sub(last));
         self.target_us += f64::from(step);
@@ -62,7 +62,7 @@ impl ClockDrift {
         self.square_ahead += from_ahead * (ahead - self.mean_ahead);
     }
 
-    /// Drift and standard error, ppm; positive if the target is fast. `None` below three pairs.
+    /// Drift and its standard error, ppm. Positive if the target is fast. `None` for fewer than three samples.
     pub(crate) fn ppm(&self) -> Option<(f64, f64)> {
         if self.count < 3.0 || self.square_bench <= 0.0 {
             return None;
@@ -75,7 +75,7 @@ impl ClockDrift {
 
 #[derive(Default)]
 pub(crate) struct TimingStats {
-    /// Only its counts; [`TimingStats::timing`] adds the rest.
+    /// Contains only the counts. [`TimingStats::timing`] adds the other values.
     pub(crate) counts: TimingRecord,
     pub(crate) lateness: DurationHistogram,
     /// In plate time.
@@ -115,7 +115,6 @@ mod tests {
         assert!((spans.quantiles_us().unwrap().max / 60e6 - 1.0).abs() < 2e-3, "values beyond the range are clamped");
     }
 
-    /// `jitter_us` delays every second sample.
     fn drift(offset_us: f64, ppm: f64, jitter_us: f64, count: u32) -> ClockDrift {
         let mut drift = ClockDrift::default();
         for number in 0..count {

@@ -1,7 +1,6 @@
 //! Compares instructions per control step with earlier runs and with the shipped image.
 //!
-//! The count depends on the plate's motion by a percent or two: compares only equal trials (law,
-//! inputs, seed) of the same kind of rig and firmware.
+//! The plate's motion changes the count by 1 to 2 %, so only equal trials on the same kind of rig are compared.
 
 use platebench_record::sha256;
 use platebench_record::{CostTrend, EarlierCost, RecordError, RigRecord, StepCost};
@@ -11,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use tracing::{info, warn};
 
-/// `ci/cost --update` writes it.
+/// `ci/cost --update` writes this file.
 const REFERENCE: &str = include_str!("../../../firmware-under-test/images/cost.toml");
 const EMULATED: &str = "emulated";
 
@@ -41,7 +40,7 @@ pub fn inputs_digest(scenario: &ScenarioRecord) -> String {
     sha256(digests.join("\n").as_bytes())
 }
 
-/// By law, in the order of its first scenario.
+/// One trend per law, in the order of the first scenario of each law.
 pub(crate) fn cost_trends(record: &RunRecord, folder: &Path) -> Vec<CostTrend> {
     let here = trial_costs(record);
     if here.is_empty() {
@@ -99,7 +98,7 @@ fn law_trend(law: &str, record: &RunRecord, here: &Costs, earlier: &[(EarlierRun
     Some(CostTrend { tightest: tightest_step(&law, record), law, build, cost, earlier: earlier.collect() })
 }
 
-/// The periods of scenarios differ, so this is not always the step with the most instructions.
+/// Step with the largest share of its control period. A step with more instructions may have a longer period.
 fn tightest_step(law: &str, record: &RunRecord) -> Option<TightestStep> {
     let of_law = record.scenarios.iter().filter(|scenario| scenario.law == law);
     let steps = of_law.flat_map(|scenario| {
@@ -109,7 +108,6 @@ fn tightest_step(law: &str, record: &RunRecord) -> Option<TightestStep> {
     steps.max_by(|a, b| a.share().total_cmp(&b.share()))
 }
 
-/// Average of the means, maximum of the worst.
 fn average_cost(costs: impl ExactSizeIterator<Item = StepCost>) -> Option<StepCost> {
     let count = costs.len() as f64;
     let sum = costs.reduce(|a, b| StepCost { mean: a.mean + b.mean, worst: a.worst.max(b.worst) })?;

@@ -1,5 +1,5 @@
-//! Plays one trial in lockstep: the plate waits while a sample travels, the controller computes and
-//! the command returns. Order at one instant: control instant, actuation, row.
+//! Plays one trial in lockstep: the plate waits while a sample travels, the controller computes and the command
+//! returns. At one instant the order is sample, actuation, row.
 
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_failure};
 use crate::fault::{WATCHDOG_PERIODS, chip_fault_plan, planned_stops, wire_faults};
@@ -18,12 +18,10 @@ use std::collections::VecDeque;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// A controller with its own clock gets samples at the bench's pace: its watchdog outlasts a stall
-/// of the host.
+/// Watchdog of a controller with its own clock. It is longer than a stall of the host, because the bench sets the pace.
 pub(crate) const OWN_CLOCK_WATCHDOG_TIMEOUT_MS: u16 = 10_000;
-/// Applies to a trial with a planned silence that should trigger the watchdog.
+/// Shorter watchdog for a trial with a planned silence that must trigger it.
 const SILENCE_WATCHDOG_TIMEOUT_MS: u16 = 1_000;
-/// The bench waits for this time after the watchdog's time-out.
 const WATCHDOG_MARGIN: Duration = Duration::from_millis(100);
 
 #[derive(Debug, Clone, Copy)]
@@ -31,16 +29,14 @@ pub struct TrialSpec<'a> {
     pub scenario: &'a Scenario,
     pub law: LawId,
     pub index: u32,
-    /// The rig's wire and computing time acts as loop delay.
     pub wire_time: bool,
-    /// The controller's clock runs while the plate waits.
+    /// True if the controller's clock runs while the plate waits.
     pub own_clock: bool,
-    /// True if the target keeps its state from the trial before instead of a restart.
+    /// True if the target continues from the trial before without a restart.
     pub continues: bool,
 }
 
 impl<'a> TrialSpec<'a> {
-    /// In lockstep with a transparent line, after a restart of the target.
     pub const fn new(scenario: &'a Scenario, law: LawId, index: u32) -> Self {
         Self { scenario, law, index, wire_time: false, own_clock: false, continues: false }
     }
@@ -50,11 +46,11 @@ impl<'a> TrialSpec<'a> {
 pub struct TrialResult {
     pub trace_rows: Vec<Row>,
     pub telemetry: Telemetry,
-    /// The plate then rests at 0 V.
+    /// After this error, the rest of the trial has 0 V.
     pub link_error: Option<RigError>,
 }
 
-/// `None` if it was cancelled.
+/// `None` if the trial was cancelled.
 pub fn play<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -71,7 +67,7 @@ pub fn play<L: Link>(
     Some(trial.finish())
 }
 
-/// Fails if the firmware does not answer before the trial.
+/// Fails if the hosted firmware does not answer before the trial.
 pub fn play_hosted(scenario: &Scenario, law: LawId, index: u32) -> Result<TrialResult, RigError> {
     let mut session = Session::open(FaultInjector::new(HostedLink::new()))?;
     let spec = TrialSpec::new(scenario, law, index);
@@ -97,14 +93,13 @@ struct Trial<'a, L: Link> {
     plant: PlantSimulation<'a, Vec<Row>>,
     next_control: Time,
     pending: VecDeque<PendingActuation>,
-    /// Control instant and row of the last sample without an answer.
+    /// Control instant and row index of the last sample if it has no reply yet.
     unanswered: Option<(Time, usize)>,
     last_sample_sent: Instant,
     watchdog_timeout_ms: u16,
-    /// Instants at which a planned silence triggers the watchdog, last one first.
     planned_stops: Vec<Time>,
     link_error: Option<RigError>,
-    /// How a planned fault of the chip stopped the controller; the rest of the trial has 0 V.
+    /// Error with which a planned fault of the chip stopped the controller. The rest of the trial has 0 V.
     chip_stop: Option<RigError>,
 }
 
@@ -162,7 +157,7 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// True at the scenario's end.
+    /// Returns true at the end of the scenario.
     fn step(&mut self) -> bool {
         let now = self.plant.time();
         let mut flags = Flags::empty();
@@ -235,7 +230,7 @@ impl<'a, L: Link> Trial<'a, L> {
         flags
     }
 
-    /// Late commands act from the instant of their reception.
+    /// A late command acts one loop delay after its reception.
     fn receive_late_commands(&mut self, now: Time) {
         let received = self.session.advance_to(now.into());
         self.record_delivered_sample();
@@ -265,7 +260,7 @@ impl<'a, L: Link> Trial<'a, L> {
         if self.follows_chip_fault(sampled + self.scenario.controller.period) {
             self.controller.record_missed_reply();
             let is_silent = u64::from(self.controller.missed_replies()) >= WATCHDOG_PERIODS;
-            // Without the firmware's amplifier enable the amplifier of the bench decides.
+            // If the firmware has no signal that enables the amplifier, the bench applies 0 V.
             if is_silent && !self.has_ended() && self.session.link_mut().amplifier_enabled().is_none() {
                 self.end_on_link_error(RigError::NoAnswer { expected: "command" });
             }
@@ -282,7 +277,7 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// A line operator does the same after a fault that stopped the controller.
+    /// Sends the configuration again after a fault that stopped the controller, as an operator would.
     fn reconfigure(&mut self, now: Time) {
         let Some(configure) = self.controller.reconfiguration(now) else { return };
         let configure = self.with_watchdog(configure);
@@ -292,25 +287,24 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// Waits the wall time that triggers the watchdog, while the plate waits.
+    /// Waits in wall time until the watchdog has stopped the controller. The plate waits meanwhile.
     fn wait_for_planned_stop(&mut self, now: Time) {
         if self.planned_stops.pop_if(|stop| *stop <= now).is_some() && !self.controller.is_stopped() {
             let timeout = Duration::from_millis(self.watchdog_timeout_ms.into()) + WATCHDOG_MARGIN;
             thread::sleep(timeout.saturating_sub(self.last_sample_sent.elapsed()));
             self.receive_late_commands(now);
-            // The pause is not a stall of the host.
+            // This wait must not count as a stall of the host.
             self.last_sample_sent = Instant::now();
         }
     }
 
-    /// A fault may have changed the sample.
     fn record_delivered_sample(&mut self) {
         if let Some(sample) = self.session.link().delivered_sample() {
             self.plant.set_delivered_sample(sample);
         }
     }
 
-    /// Plays the rest at 0 V. A planned fault of the chip may stop the controller.
+    /// Plays the rest of the trial at 0 V. A planned fault of the chip explains the error.
     fn end_on_link_error(&mut self, error: RigError) {
         self.pending.clear();
         self.plant.stop_drive();
@@ -339,7 +333,7 @@ impl<'a, L: Link> Trial<'a, L> {
         self.link_error.is_some() || self.chip_stop.is_some()
     }
 
-    /// The emulated board answers again after a power-on: the next trial and the request for 0 V need it.
+    /// Restarts the emulated board, because the request for 0 V and the next trial need a board that answers.
     fn restart_after_chip_faults(&mut self) -> Result<(), RigError> {
         let link = self.session.link_mut();
         if !self.chip_faults.faults.is_empty() && link.set_chip_faults(&ChipFaultPlan::default()).is_ok() {

@@ -24,7 +24,7 @@ use std::sync::mpsc;
 use std::time::Instant;
 use tracing::{debug, error, info_span};
 
-/// Results that workers need not wait for.
+/// Number of results that workers can send without a wait.
 const RESULT_QUEUE: usize = 256;
 
 pub(crate) type RigSession = platebench_rig::Session<FaultInjector<BoxedLink>>;
@@ -33,7 +33,7 @@ pub(crate) type RigSession = platebench_rig::Session<FaultInjector<BoxedLink>>;
 pub(crate) struct RunContext<'a> {
     pub(crate) plan: &'a RunPlan,
     pub(crate) laws: &'a [LawId],
-    /// By scenario: longest loop delay at which its law settles.
+    /// Longest loop delay at which the law settles, by scenario.
     pub(crate) delay_boundaries: &'a [OnceLock<Option<Time>>],
     pub(crate) folder: &'a RunFolder,
     pub(crate) connect: &'a LinkFactory<'a>,
@@ -42,9 +42,8 @@ pub(crate) struct RunContext<'a> {
     pub(crate) operator: &'a dyn Operator,
     pub(crate) live_tap: &'a LiveTap,
     pub(crate) trials_with_rows: usize,
-    /// Set if a controller did not confirm 0 V.
     pub(crate) safe_unconfirmed: &'a AtomicBool,
-    /// Set once no further trial may start; trials under way end normally.
+    /// Set once no further trial may start. Trials in progress end normally.
     pub(crate) stop: &'a AtomicBool,
 }
 
@@ -78,7 +77,6 @@ pub(crate) struct CompletedTrial {
 }
 
 pub(crate) enum Progress {
-    /// A worker can start a trial.
     Ready,
     Started(usize),
     Completed(usize, Box<CompletedTrial>),
@@ -86,7 +84,7 @@ pub(crate) enum Progress {
 
 pub(crate) type ResultSender = mpsc::SyncSender<Result<Progress, RunError>>;
 
-/// Without capacity a sender waits until everything that it sent before is handled.
+/// With `fail_fast` the channel has no capacity, so a sender waits until its earlier results are handled.
 pub(crate) fn result_channel(fail_fast: bool) -> (ResultSender, mpsc::Receiver<Result<Progress, RunError>>) {
     mpsc::sync_channel(if fail_fast { 0 } else { RESULT_QUEUE })
 }
@@ -138,7 +136,7 @@ impl WorkQueue<'_> {
         };
         let is_over = result.is_err();
         if is_over {
-            // Before the other workers end.
+            // Requests 0 V before the error ends the other workers.
             close_session(session, self.run.safe_unconfirmed);
         }
         results.send(result).is_ok() && !is_over
@@ -162,9 +160,7 @@ impl WorkQueue<'_> {
         }
     }
 
-    /// Plays the scenes before a further trial and returns what they violate. `None` if they were cancelled.
-    ///
-    /// A controller that is lost here is lost for the trial too.
+    /// Plays the scenes before a further trial and returns their violations. `None` if they were cancelled.
     fn play_between(
         &self,
         session: &mut RigSession,
@@ -184,7 +180,7 @@ impl WorkQueue<'_> {
         Ok(Some(violations))
     }
 
-    /// A new link to the controller that the record names.
+    /// Connects again. Fails if the controller is not that of the record.
     fn connect_session(&self) -> Result<RigSession, RunError> {
         let session = RigSession::open(FaultInjector::new((self.run.connect)()?))?;
         let (found, expected) = (*session.identity(), self.run.identity);
@@ -195,7 +191,6 @@ impl WorkQueue<'_> {
         Err(RunError::DifferentController { found: controller_name(&found), expected: controller_name(&expected) })
     }
 
-    /// `None` if it was cancelled.
     fn play_trial(
         &self,
         session: &mut Option<RigSession>,
@@ -208,7 +203,7 @@ impl WorkQueue<'_> {
         let _span = info_span!("trial", scenario = %scenario.file, index).entered();
         let started = Instant::now();
         if !scenario.between.is_empty() && index == 0 {
-            // The first trial meets a controller without a history.
+            // The first trial needs a controller without a history.
             close_session(session, self.run.safe_unconfirmed);
         }
         let open = match session {
@@ -254,7 +249,6 @@ impl WorkQueue<'_> {
     }
 }
 
-/// Returns the hash of the file.
 fn write_trace(path: &Path, rows: &[Row]) -> Result<[u8; 32], TraceError> {
     let mut writer = TraceWriter::create(path)?;
     rows.iter().try_for_each(|row| writer.write(row))?;

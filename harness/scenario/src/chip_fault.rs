@@ -2,19 +2,14 @@
 
 use platebench_plate::Time;
 
+/// `ClockDrift` is in parts per million, positive if the clocks are fast. Without a `bit`, the trial's seed draws one.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ChipFaultKind {
-    /// Inverts one bit; `bit` counts from the target's start. `None`: drawn from the trial's seed.
     BitFlip { target: BitFlipTarget, bit: Option<u32> },
-    /// The reset pin is low for an instant. RAM keeps its content.
     Reset,
-    /// The supply is off for an instant. RAM loses its content.
     PowerCut,
-    /// The chip's clocks are faster than the plate's time by this many parts per million.
     ClockDrift(f64),
-    /// Masks interrupts and loops for ever.
     Hang,
-    /// Every read of the register at `address` returns `value`; writes have no effect.
     Stuck { address: u32, value: u32 },
 }
 
@@ -28,16 +23,15 @@ pub enum BitFlipTarget {
         start: u32,
         length: u32,
     },
-    /// An ELF symbol, as the image names it or demangled.
+    /// Name of an ELF symbol, mangled or demangled.
     Variable(String),
-    /// 0 to 12 for r0 to r12, then sp, lr and pc.
+    /// 0 to 12 are r0 to r12, 13 is sp, 14 is lr, 15 is pc.
     Register(usize),
 }
 
 impl BitFlipTarget {
     pub const EXPECTED: &'static str = "\"ram:0x20000000+4096\", \"variable:NAME\" or \"register:r4\"";
 
-    /// `None` if `text` is none of the forms of [`Self::EXPECTED`].
     pub fn parse(text: &str) -> Option<Self> {
         let (kind, name) = text.split_once(':')?;
         match kind {
@@ -61,7 +55,6 @@ impl BitFlipTarget {
     }
 }
 
-/// Decimal, or hexadecimal after `0x`.
 pub(crate) fn parse_address(text: &str) -> Option<u32> {
     text.strip_prefix("0x").map_or_else(|| text.parse().ok(), |digits| u32::from_str_radix(digits, 16).ok())
 }
@@ -69,12 +62,11 @@ pub(crate) fn parse_address(text: &str) -> Option<u32> {
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChipFault {
     pub kind: ChipFaultKind,
-    /// `None`: a random instant of the trial, drawn from its seed.
+    /// `None`: drawn from the trial's seed.
     pub at: Option<Time>,
 }
 
 impl ChipFault {
-    /// True if its instant or its bit comes from the trial's seed.
     pub const fn is_random(&self) -> bool {
         self.at.is_none() || matches!(self.kind, ChipFaultKind::BitFlip { bit: None, .. })
     }

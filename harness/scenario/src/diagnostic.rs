@@ -19,7 +19,7 @@ const SERDE_WORDS: [(&str, &str); 6] = [
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnostic {
     pub path: PathBuf,
-    /// Empty if unreadable.
+    /// Empty if the file cannot be read.
     source: String,
     span: Range<usize>,
     pub message: String,
@@ -34,8 +34,7 @@ impl Diagnostic {
         Self { path: path.to_owned(), source: source.to_owned(), span, message: message.into() }
     }
 
-    /// `key` is dotted, with array elements by number: `expect.0.metric`. Points at the nearest
-    /// parent if the key is missing.
+    /// `key` is a dotted path such as `expect.0.metric`. If it is missing, the diagnostic points at its nearest parent.
     pub fn at_key(path: &Path, source: &str, key: &str, message: impl Into<String>) -> Self {
         Self::at_span(path, source, span_of_key(source, key), message)
     }
@@ -55,7 +54,7 @@ impl Diagnostic {
         Self::at_span(path, source, span, format!("{message}{hint}"))
     }
 
-    /// Both counted from 1, columns in characters.
+    /// Line and column, counted from 1. A column is a character.
     pub fn position(&self) -> (usize, usize) {
         let before = self.source.get(..self.span.start).unwrap_or_default();
         let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
@@ -63,7 +62,7 @@ impl Diagnostic {
         (before.matches('\n').count() + 1, column)
     }
 
-    /// [`Self::position`], if the file was read.
+    /// `None` if the file was not read.
     pub fn location(&self) -> Option<(usize, usize)> {
         (!self.source.is_empty()).then(|| self.position())
     }
@@ -74,7 +73,7 @@ impl Diagnostic {
             return format!("error: {path}: {}", self.message);
         }
         let renderer = if colour { Renderer::styled() } else { Renderer::plain() };
-        // The renderer draws neither an empty span nor half a character.
+        // The renderer cannot draw an empty span or a part of a character.
         let boundary = |from: usize| (from..=self.source.len()).find(|at| self.source.is_char_boundary(*at));
         let end = self.span.end.max(self.span.start + 1);
         let span = self.span.start..boundary(end).unwrap_or(self.source.len());

@@ -23,7 +23,7 @@ use std::fmt;
 )]
 #[strum(const_into_str, serialize_all = "snake_case")]
 pub enum Metric {
-    /// From the setpoint step to the last entry into the band.
+    /// Time from the setpoint step to the last entry into the band.
     #[strum(serialize = "settling_time_ms")]
     SettlingTime,
     /// |mean over the window − setpoint| / setpoint.
@@ -35,37 +35,37 @@ pub enum Metric {
     /// Largest excess over the setpoint, relative to the step.
     #[strum(serialize = "overshoot_percent")]
     Overshoot,
-    /// Largest distance from the setpoint once the band was entered.
+    /// Largest distance from the setpoint in the window, relative to the setpoint.
     #[strum(serialize = "peak_deviation_percent")]
     PeakDeviation,
-    /// From a disturbance to the last entry into the band.
+    /// Time from a disturbance to the last entry into the band.
     #[strum(serialize = "recovery_time_ms")]
     RecoveryTime,
-    /// |excitation − resonance| at the end.
+    /// |excitation frequency − resonance| at the end of the window.
     #[strum(serialize = "frequency_error_hz")]
     FrequencyError,
-    /// |Wq/Wd| at the end.
+    /// |Wq/Wd| at the end of the window.
     QuadratureRatio,
-    /// |W| at the end.
+    /// |W| at the end of the window.
     #[strum(serialize = "final_amplitude_um")]
     FinalAmplitude,
-    /// Highest drive.
+    /// Largest drive in the window.
     #[strum(serialize = "drive_peak_vpp")]
     DrivePeak,
-    /// Share of time at the limit of the amplifier.
+    /// Share of the time with the drive at the limit of the amplifier.
     #[strum(serialize = "saturated_percent")]
     Saturated,
-    /// Sampling to actuation.
+    /// Longest time from sampling to actuation in the trial.
     #[strum(serialize = "loop_delay_us")]
     LoopDelay,
-    /// Instructions per sample on the target, worst of the trial.
+    /// Largest number of instructions per control step in the trial.
     InstructionsPerStep,
-    /// Control instants at which the bench was too late.
+    /// Number of control instants at which the bench was too late.
     Overruns,
-    /// From a disturbance to 0 V.
+    /// Time from a disturbance to 0 V.
     #[strum(serialize = "shutdown_time_ms")]
     ShutdownTime,
-    /// Control instants without an answer.
+    /// Number of control instants without an answer.
     MissedReplies,
     /// Largest minus smallest value of the signal over the window, relative to the setpoint.
     RipplePercent,
@@ -78,11 +78,11 @@ pub enum Metric {
     /// Largest difference of the signal from the first trial at the same control instant.
     #[strum(serialize = "trial_difference_um")]
     TrialDifference,
-    /// Largest difference of a command from that of the reference for the same samples: drive over
-    /// its limit or frequency over its range.
+    /// Largest difference between a command and that of the reference implementation for the same samples, as a share
+    /// of the drive limit or of the frequency range.
     #[strum(serialize = "reference_difference_percent")]
     ReferenceDifference,
-    /// Scripts of messages, played before the trial, with another answer than that of the reference.
+    /// Number of message scripts that the controller answers differently from the reference implementation.
     ProtocolDifferences,
 }
 
@@ -109,12 +109,11 @@ impl Metric {
         matches!(self, Self::SettlingTime | Self::RecoveryTime | Self::PeakDeviation)
     }
 
-    /// True if `window_ms` applies: the signal is averaged or compared over an interval.
     pub const fn has_window_ms(self) -> bool {
         matches!(self, Self::StaticError | Self::Repeatability | Self::RipplePercent | Self::Ripple)
     }
 
-    /// True if `from_ms` and `until_ms` apply; the other metrics cover the whole trial.
+    /// True if `from_ms` and `until_ms` apply. The other metrics cover the whole trial.
     pub const fn has_from_ms(self) -> bool {
         !matches!(
             self,
@@ -130,7 +129,6 @@ impl Metric {
         self.has_band() || matches!(self, Self::StaticError | Self::Repeatability | Self::RipplePercent)
     }
 
-    /// True if `after` applies to changes of `profile`.
     pub fn has_after(self, profile: ChangingProfile) -> bool {
         match self {
             Self::LoopDelay
@@ -146,12 +144,12 @@ impl Metric {
         }
     }
 
-    /// True if the statistic over trials can be chosen: the metric does not compare trials itself.
+    /// True if `over` applies. The other metrics already compare trials.
     pub const fn has_over(self) -> bool {
         !matches!(self, Self::Repeatability | Self::TrialDifference)
     }
 
-    /// True if the motion of the plate is judged, and not only the line or the controller's timing.
+    /// True if the metric judges the motion of the plate, not only the line or the controller's timing.
     pub const fn is_of_the_plate(self) -> bool {
         !matches!(
             self,
@@ -199,22 +197,18 @@ impl<'de> Deserialize<'de> for Metric {
     }
 }
 
-/// The required range of a metric.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Limit {
-    /// Not above.
     AtMost(f64),
-    /// Not below.
     AtLeast(f64),
-    /// Between both, inclusive.
     Within(f64, f64),
-    /// Within the tolerance of the expectation around a value.
+    /// Within the tolerance of the expectation around this value.
     About(f64),
 }
 
 impl Limit {
-    /// The smallest and the largest value that meet it; `tolerance_percent` is for [`Self::About`].
+    /// The smallest and the largest value that meet the limit. Only [`Self::About`] uses `tolerance_percent`.
     pub fn range(self, tolerance_percent: f64) -> (f64, f64) {
         match self {
             Self::AtMost(high) => (f64::NEG_INFINITY, high),
@@ -227,8 +221,8 @@ impl Limit {
         }
     }
 
-    /// Signed distance of `value` to the limit over the limit's scale; negative if it is broken.
-    /// The scale is the limit, half the range or the tolerance, and 1 unit if that is 0.
+    /// Distance of `value` to the limit, divided by the limit's scale; negative if `value` breaks the limit. The scale
+    /// is the limit itself, half the range or the tolerance; it is 1 if that is 0.
     pub fn margin(self, value: f64, tolerance_percent: f64) -> f64 {
         let over = |distance: f64, scale: f64| distance / if scale == 0.0 { 1.0 } else { scale.abs() };
         let (low, high) = self.range(tolerance_percent);
@@ -254,13 +248,10 @@ impl fmt::Display for Limit {
 /// The statistic over trials that is compared with the limit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Aggregation {
-    /// Every trial must meet the limit.
     Each,
-    /// The mean.
     Mean,
     /// The quantile at this share of the trials.
     Quantile(f64),
-    /// The standard deviation; only [`Metric::Repeatability`].
     StandardDeviation,
 }
 
@@ -278,7 +269,7 @@ impl Aggregation {
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct Expectation {
-    /// Unique in the scenario: the key `name`, else the metric, `metric 2`, `metric 3`.
+    /// Unique in the scenario. Default: the metric, numbered from its second expectation: `ripple_um 2`.
     pub name: String,
     pub metric: Metric,
     pub limit: Limit,
@@ -288,17 +279,15 @@ pub struct Expectation {
     pub requirement: Option<String>,
     pub confidence: f64,
     pub aggregation: Aggregation,
-    /// Half width around the setpoint.
     pub band_percent: f64,
-    /// At least one, in rising order; the worst decides. Of a mean: the intervals of the mean.
+    /// At least one, in rising order. The worst window decides. A mean is taken over each window.
     pub windows: Vec<Window>,
-    /// The profile whose changes start the windows, if the key `after` is given.
     pub after: Option<ChangingProfile>,
     pub from: Option<Time>,
     pub signal: &'static str,
 }
 
-/// Those that follow the setpoint.
+/// Columns of the trace that an expectation can judge.
 pub const SIGNALS: [&str; 5] = ["amplitude_um", "wd_um", "wq_um", "sensed_wd_um", "sensed_wq_um"];
 
 impl Expectation {
@@ -306,7 +295,7 @@ impl Expectation {
         self.limit.range(self.tolerance_percent)
     }
 
-    /// See [`Limit::margin`]; `None` if a deviation must agree with a value, which has no tolerance.
+    /// As [`Limit::margin`]. `None` for [`Limit::About`] of a standard deviation, which is a test without a tolerance.
     pub fn margin(&self, value: f64) -> Option<f64> {
         let is_agreement = self.aggregation == Aggregation::StandardDeviation && matches!(self.limit, Limit::About(_));
         (!is_agreement).then(|| self.limit.margin(value, self.tolerance_percent))
@@ -317,7 +306,7 @@ impl Expectation {
         (low..=high).contains(&value)
     }
 
-    /// Both edges are inclusive.
+    /// Lower and upper edge of the band. Both belong to the band.
     pub fn band(&self, setpoint: f64) -> (f64, f64) {
         let half = setpoint.abs() * self.band_percent / 100.0;
         (setpoint - half, setpoint + half)

@@ -9,12 +9,9 @@ pub enum FaultKind {
     Flip,
     Duplicate,
     Delay(Time),
-    /// The second half is lost, including the delimiter.
     Truncate,
-    /// Noise of four frames precedes the message.
     Babble,
     Disconnect,
-    /// The sensor keeps its reading from before the window.
     Freeze,
     Scale(f64),
 }
@@ -23,7 +20,6 @@ impl FaultKind {
     pub const NAMES: [&'static str; 9] =
         ["drop", "flip", "duplicate", "delay", "truncate", "babble", "disconnect", "freeze", "scale"];
 
-    /// With the faults of the chip.
     pub fn all_names() -> Vec<&'static str> {
         Self::NAMES.into_iter().chain(ChipFaultKind::NAMES).collect()
     }
@@ -39,11 +35,8 @@ impl FaultKind {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Direction {
-    /// Samples.
     ToController,
-    /// Commands.
     FromController,
-    /// Counted separately.
     #[default]
     Both,
 }
@@ -64,14 +57,12 @@ impl Direction {
 pub struct Fault {
     pub kind: FaultKind,
     pub from: Time,
-    /// Exclusive; `None` for a line that stays dead.
+    /// Exclusive. `None`: the line stays dead.
     pub until: Option<Time>,
     pub direction: Direction,
-    /// The n-th, 2n-th, … message of a direction in the window.
     pub every: u32,
-    /// `None` for the trial's.
+    /// `None`: the seed of the trial.
     pub seed: Option<u64>,
-    /// Configures a controller that stopped because of it again after the window.
     pub reconfigure: bool,
 }
 
@@ -80,9 +71,9 @@ impl Fault {
         self.from <= time && self.until.is_none_or(|until| time < until)
     }
 
-    /// True if the fault can cause a missing answer or a stop: in the window, one period after it
-    /// (a frame without a delimiter destroys the next one), and while delayed messages arrive. A
-    /// line that stays dead explains nothing: its controller is lost.
+    /// True if the fault can cause a missing answer or a stop at `time`: in its window, for one period after it (a
+    /// frame without a delimiter destroys the next one), and while delayed messages arrive. A line that stays dead
+    /// explains nothing, because its controller is lost.
     pub fn can_explain(&self, time: Time, period: Time) -> bool {
         let delay = match self.kind {
             FaultKind::Delay(delay) => delay,
@@ -91,7 +82,7 @@ impl Fault {
         self.until.is_some_and(|until| self.from <= time && time < until + period + delay)
     }
 
-    /// Like [`Self::can_explain`], and the fault loses messages or delays them by a period.
+    /// As [`Self::can_explain`], but only for faults that lose messages or delay them by a period.
     pub fn can_explain_silence(&self, time: Time, period: Time) -> bool {
         let loses = match self.kind {
             FaultKind::Drop | FaultKind::Flip | FaultKind::Truncate | FaultKind::Disconnect => true,
@@ -107,7 +98,7 @@ impl Fault {
             FaultKind::Drop | FaultKind::Disconnect => self.until.map(|until| until - self.from),
             _ => return false,
         };
-        // The last sample arrived one period before the window.
+        // The watchdog counts from the last sample, which arrived one period before the window.
         self.direction != Direction::FromController
             && self.every == 1
             && silent.is_none_or(|silent| silent + period >= timeout)

@@ -19,7 +19,7 @@ pub enum FileKind {
     Requirements,
 }
 
-/// The first kind with one of its keys in a file is the kind of the file.
+/// The first entry with a key that the file contains gives the kind of the file.
 const KEYS: [(FileKind, &[&str]); 6] = [
     (FileKind::Scenario, &["profile", "expect", "controller"]),
     (FileKind::Plan, &["requirement", "ask", "bench"]),

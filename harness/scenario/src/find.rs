@@ -9,14 +9,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Searched only if named; `identify` has scenarios that record a plate, `hardware` plates with assumed electronics.
+/// `find` skips these folders unless they are named. `identify` contains recordings, `hardware` assumed electronics.
 const NON_SCENARIO_FOLDERS: [&str; 5] = ["plates", "baselines", "plans", "identify", "hardware"];
 const GENERATED_FOLDERS: [&str; 1] = ["baselines"];
-/// A run folder has these entries; the scenarios in `inputs` are copies.
+/// A folder with `run.json` and `traces` is a run folder. The scenarios in its `inputs` are copies.
 const RUN_RECORD: &str = "run.json";
 const RUN_TRACES: &str = "traces";
 const RUN_INPUTS: &str = "inputs";
-/// The name of a scenario is its path below a folder of this name.
 const SCENARIOS_FOLDER: &str = "scenarios";
 
 #[derive(Debug)]
@@ -24,12 +23,11 @@ pub struct FoundScenarios {
     pub scenarios: Vec<Scenario>,
     pub skipped: Vec<String>,
     pub empty_folders: Vec<PathBuf>,
-    /// Folders in run folders, which are not searched.
+    /// Folders `inputs` of run folders, which are not searched.
     pub copies: Vec<PathBuf>,
 }
 
-/// The nearest file with this name, from `folder` upwards. A file in `folder`, the working
-/// directory, stays relative.
+/// The nearest file `name` in `folder` or above it; relative if `folder`, the working directory, contains it.
 pub fn find_file_above(folder: &Path, name: &str) -> Option<PathBuf> {
     let mut candidates = folder.ancestors().map(|ancestor| ancestor.join(name));
     let path = candidates.find(|path| path.symlink_metadata().is_ok())?;
@@ -39,7 +37,7 @@ pub fn find_file_above(folder: &Path, name: &str) -> Option<PathBuf> {
 #[derive(Default)]
 struct Search<'a> {
     excluded: &'a [&'a str],
-    /// Canonical; a link may lead back to a folder.
+    /// Canonical paths, because a symbolic link may lead back to a folder.
     visited: BTreeSet<PathBuf>,
     copies: BTreeSet<PathBuf>,
     empty_folders: Vec<PathBuf>,
@@ -59,8 +57,8 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Loads the named scenarios and those below the named folders. One with `expected_exit` is not
-/// meant to pass: it is loaded only if it or its own folder is named.
+/// Loads the named scenarios and those below the named folders. Skips a scenario with `expected_exit` or with a fault
+/// of the chip unless it or its own folder is named.
 pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     let mut search = Search::new(&NON_SCENARIO_FOLDERS);
     let is_scenario = |path: &Path| FileKind::detect(path) == FileKind::Scenario;
@@ -90,8 +88,8 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     if faults.is_empty() { Ok(found) } else { Err(faults) }
 }
 
-/// Named TOML files and those below named folders, with names in records, without baselines and
-/// inputs of run folders; and the errors of unreadable folders.
+/// Returns the named files and all TOML files below the named folders with their names in records, and the errors of
+/// unreadable folders. Skips baselines and the inputs of run folders.
 pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
     let mut search = Search::new(&GENERATED_FOLDERS);
     let files = search.files(arguments, |_| true);
@@ -104,7 +102,6 @@ fn canonical(path: &Path) -> PathBuf {
 }
 
 impl Search<'_> {
-    /// Returns the named files and the wanted files below the named folders, each once.
     fn files(&mut self, arguments: &[PathBuf], is_wanted: impl Fn(&Path) -> bool) -> Vec<FoundFile> {
         let mut files: BTreeMap<PathBuf, FoundFile> = BTreeMap::new();
         for argument in arguments {
@@ -160,7 +157,7 @@ impl Search<'_> {
     }
 }
 
-/// Any other `run.json` must not hide scenarios.
+/// Reads the record, because any other `run.json` must not hide scenarios.
 fn is_run_folder(folder: &Path) -> bool {
     let parses = |text: Vec<u8>| {
         serde_json::from_slice::<serde_json::Value>(&text).is_ok_and(|record| record.get("scenarios").is_some())

@@ -1,4 +1,4 @@
-//! Checks scenario files: raw to [`Scenario`], with a pointer to every wrong value.
+//! Checks raw scenario files, converts them to [`Scenario`] and points at every wrong value.
 
 mod checker;
 mod chip_fault;
@@ -23,18 +23,17 @@ use crate::scenario::Scenario;
 use checker::Checker;
 use std::path::{Path, PathBuf};
 
-/// Records call the scenario at `path` `file`. Returns the first error of its files.
+/// `file` is the name of the scenario in records. Returns the first error of its files.
 pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
     load_with_all_errors(path, file).map_err(|faults| first_diagnostic(path, faults))
 }
 
-/// Like [`load()`], with every error that does not depend on another one, and the first of each
-/// `[[fault]]` and `[[expect]]`.
+/// As [`load()`], but with every error that does not depend on another one, one per `[[fault]]` and `[[expect]]`.
 pub fn load_with_all_errors(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
     load_from(path, file, &[])
 }
 
-/// Like [`load_with_all_errors`], for changed values; `edit` changes the scenario's own table first.
+/// Loads a scenario whose values can be replaced. `edit` changes the scenario's own table first.
 pub fn load_template(
     path: &Path,
     file: &str,
@@ -45,7 +44,9 @@ pub fn load_template(
 
 /// Loads a scenario from copies of its inputs, in the order of [`Scenario::inputs`].
 pub fn load_copies(copies: &[PathBuf], file: &str) -> Result<Scenario, Diagnostic> {
-    let [path, named @ ..] = copies else { return Err(Diagnostic::for_file(Path::new(file), "has no copy")) };
+    let [path, named @ ..] = copies else {
+        return Err(Diagnostic::for_file(Path::new(file), "the run folder contains no copy of this scenario"));
+    };
     load_from(path, file, named).map_err(|faults| first_diagnostic(path, faults))
 }
 
@@ -57,12 +58,12 @@ fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Ve
     let text = crate::text::read_text(path).map_err(|fault| vec![fault])?;
     let mut raw: RawScenario = parse(path, &text)?;
     for (named, copy) in raw.files().zip(copies) {
-        // Relative names start at the scenario.
+        // A relative path would start at the scenario.
         *named = std::path::absolute(copy).unwrap_or_else(|_| copy.clone());
     }
     let checker = Checker { path, text: &text, prefix: String::new(), plates: &[] };
     let mut scenario = checker.check(raw, file).map_err(|faults| with_truncation_note(path, faults))?;
-    // The record of a run has the texts; above its copies there is no file of the scenario.
+    // No `requirements.toml` is above the copies. The record of the run contains the texts.
     if copies.is_empty() {
         let used = scenario.expectations.iter().filter_map(|expectation| expectation.requirement.as_deref());
         scenario.requirement_texts = requirement_texts(path, used)?;

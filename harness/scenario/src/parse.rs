@@ -11,22 +11,21 @@ use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 /// Each reported error takes another pass over the whole file.
 pub(crate) const MAX_DIAGNOSTICS: usize = 50;
 
-/// Returns the text too. Errors as for [`parse`], or the file cannot be read.
+/// Also returns the text. Errors as for [`parse`], or the file cannot be read.
 pub fn parse_file<T: DeserializeOwned>(path: &Path) -> Result<(String, T), Vec<Diagnostic>> {
     let text = read_text(path).map_err(|fault| vec![fault])?;
     let raw = parse(path, &text)?;
     Ok((text, raw))
 }
 
-/// For the content of a file that was read; otherwise like [`parse_file`].
+/// As [`parse_file`], but for the content of a file that was already read.
 pub fn parse_bytes<T: DeserializeOwned>(path: &Path, bytes: Vec<u8>) -> Result<(String, T), Vec<Diagnostic>> {
     let text = decode_text(path, bytes).map_err(|fault| vec![fault])?;
     let raw = parse(path, &text)?;
     Ok((text, raw))
 }
 
-/// Errors: all syntax errors; if none, all unknown keys and wrong types in the order of the file,
-/// then all missing keys.
+/// Errors: all syntax errors, otherwise all unknown keys and wrong types in their order, then all missing keys.
 pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
     let (document, errors) = DeTable::parse_recoverable(text);
     let mut faults: Vec<_> =
@@ -34,7 +33,7 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
     if !faults.is_empty() {
         return Err(with_truncation_note(path, faults));
     }
-    // serde stops at the first error: it is removed and the rest read again.
+    // serde stops at the first error, so the wrong element is removed and the rest is read again.
     let mut rest = document;
     let mut holes: Vec<Range<usize>> = Vec::new();
     loop {
@@ -44,7 +43,7 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
             Err(error) => error,
         };
         let span = error.span().unwrap_or(0..0);
-        // A removed key is missing now, which is no error of the file.
+        // A key that was removed here is not missing in the file.
         let is_hole = error.message().starts_with("missing field") && holes.contains(&span);
         if !is_hole {
             faults.push(Diagnostic::from_toml(path, text, &error));
@@ -54,7 +53,7 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
             break;
         }
     }
-    // A misspelt key further down may explain a missing one.
+    // Missing keys come last, because a misspelt key may explain them.
     faults.sort_by_key(|fault| (fault.message.starts_with("missing key"), fault.position()));
     Err(with_truncation_note(path, faults))
 }
@@ -66,7 +65,7 @@ pub(crate) fn with_truncation_note(path: &Path, mut faults: Vec<Diagnostic>) -> 
     faults
 }
 
-/// `own` is the span of `table`; true if there was an element at `span`.
+/// Removes the element at `span`. Returns false if there is none. `own` is the span of `table`.
 fn remove_span(
     table: &mut DeTable<'_>,
     own: &Range<usize>,
@@ -95,7 +94,7 @@ fn remove_span_in_value(value: &mut Spanned<DeValue<'_>>, span: &Range<usize>, h
     }
 }
 
-/// A list of numbers is removed as a whole. A list of tables has the span of its first table.
+/// A list of numbers is removed as a whole. A list of tables has the span of its first table and does not match.
 fn matches_span(value: &Spanned<DeValue<'_>>, span: &Range<usize>) -> bool {
     let own = value.span();
     match value.get_ref() {

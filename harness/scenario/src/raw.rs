@@ -7,7 +7,6 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::PathBuf;
 
-/// A scenario file.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawScenario {
@@ -24,14 +23,14 @@ pub struct RawScenario {
     /// Words to select scenarios by.
     #[serde(default)]
     pub tags: Vec<String>,
-    /// Largest spacing of trace rows, ms.
+    /// Largest time between two rows of the trace, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub trace_step_ms: Option<f64>,
     /// Model of the plate; `auto` by default.
     #[serde(default)]
     #[schemars(schema_with = "crate::schema::models")]
     pub model: Option<String>,
-    /// For scenarios of a known limit: the exit code that they must end with.
+    /// Exit code that a scenario of a known limit must end with.
     #[schemars(extend("enum" = [1, 3, 5]))]
     pub expected_exit: Option<i64>,
     /// The controller and its timing.
@@ -45,7 +44,7 @@ pub struct RawScenario {
     /// Planned faults of line and sensor.
     #[serde(default)]
     pub fault: Vec<RawFault>,
-    /// Scenes that the same controller plays before every trial but the first; not judged.
+    /// Scenes that the same controller plays before every trial but the first. They are not judged.
     #[serde(default)]
     #[schemars(length(max = MAX_BETWEEN))]
     pub between: Vec<RawBetween>,
@@ -56,7 +55,7 @@ pub struct RawScenario {
 }
 
 impl RawScenario {
-    /// The named files, in the order in which they are read.
+    /// The files that the scenario names, in the order in which they are read.
     pub(crate) fn files(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let own = scene_files(Some(&mut self.plate), &mut self.controller, &mut self.profile);
         let between = self.between.iter_mut();
@@ -77,13 +76,12 @@ fn scene_files<'a>(
     plates.chain(profiles.filter_map(RawProfile::file_name_mut))
 }
 
-/// `[[between]]`
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawBetween {
-    /// Plate file, relative to this file; default: the plate of the scenario.
+    /// Plate file, relative to this file. Default: the plate of the scenario.
     pub plate: Option<PathBuf>,
-    /// Length, ms.
+    /// Length of the scene, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub duration_ms: f64,
     /// The controller and its timing, independent of the scenario's.
@@ -93,7 +91,6 @@ pub struct RawBetween {
     pub profile: RawProfiles,
 }
 
-/// `[controller]`
 #[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RawController {
@@ -106,10 +103,10 @@ pub struct RawController {
     /// Excitation frequency at the start, Hz.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub start_frequency_hz: Option<f64>,
-    /// Sampling to actuation, ms.
+    /// Time from sampling to actuation, ms.
     #[schemars(range(min = 0.0))]
     pub loop_delay_ms: f64,
-    /// Largest additional loop delay, ms; drawn uniformly from 0 to this for each period, from the trial's seed.
+    /// Largest additional loop delay, ms. Each period draws one, uniformly from 0 to this value, by the trial's seed.
     #[schemars(range(min = 0.0))]
     pub loop_delay_jitter_ms: f64,
     /// Loop delay that the law is designed for, ms.
@@ -118,7 +115,7 @@ pub struct RawController {
     /// Design value of the 5 % response time, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub response_time_ms: Option<f64>,
-    /// Largest deviation of the excitation frequency from its start, Hz.
+    /// Largest distance of the excitation frequency from the start frequency, Hz.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub frequency_range_hz: Option<f64>,
     /// Largest change of the excitation frequency per period, Hz.
@@ -126,17 +123,16 @@ pub struct RawController {
     pub frequency_slew_hz: Option<f64>,
     /// Gains instead of the law's own design.
     pub gains: Option<Gains>,
-    /// Plate file that the controller is configured for, relative to this file; default: the plate of the scenario.
+    /// Plate file that the controller is configured for, relative to this file. Default: the plate of the scenario.
     pub design_plate: Option<PathBuf>,
 }
 
-/// `[profile]`
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawProfiles {
     /// Setpoint of the amplitude, µm.
     pub setpoint_um: RawProfile,
-    /// Kelvin above the plate's reference temperature.
+    /// Temperature above the plate's reference temperature, K.
     #[serde(default = "zero")]
     pub temperature_offset_k: RawProfile,
     /// Normal force of the finger, N.
@@ -148,7 +144,6 @@ fn zero() -> RawProfile {
     RawProfile::Number(0.0)
 }
 
-/// `[trials]`
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RawTrials {
@@ -158,7 +153,7 @@ pub struct RawTrials {
     /// Largest number of trials, if a verdict needs more.
     #[schemars(range(min = 1, max = MAX_TRIALS))]
     pub max_count: Option<i64>,
-    /// Seed of the first trial; each further one has the next number.
+    /// Seed of the first trial. Each further trial has the next number.
     #[schemars(range(min = 0))]
     pub seed: i64,
     /// Differences between trials.
@@ -171,7 +166,6 @@ impl Default for RawTrials {
     }
 }
 
-/// `[[fault]]`
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(transform = crate::schema::faults)]
@@ -179,28 +173,28 @@ pub struct RawFault {
     /// Kind of fault.
     #[schemars(schema_with = "crate::schema::kinds")]
     pub kind: String,
-    /// Start of the window, ms.
+    /// Start of the window in which the fault acts, ms.
     #[schemars(range(min = 0.0))]
     pub from_ms: Option<f64>,
-    /// End of the window, exclusive, ms.
+    /// End of the window in which the fault acts, exclusive, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub until_ms: Option<f64>,
-    /// Direction of the messages that it acts on.
+    /// Direction of the messages that the fault acts on.
     #[serde(default)]
     #[schemars(schema_with = "crate::schema::directions")]
     pub direction: Option<String>,
-    /// It acts on every n-th message of a direction.
+    /// The fault acts on every n-th message of each direction.
     #[schemars(range(min = 1, max = u32::MAX))]
     pub every: Option<i64>,
     /// Delay of a message, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub delay_ms: Option<f64>,
-    /// Factor on the sensed components.
+    /// Factor on the sensed components Wd and Wq.
     pub factor: Option<f64>,
     /// Seed of random effects.
     #[schemars(range(min = 0))]
     pub seed: Option<i64>,
-    /// Configure a controller that stopped because of it again after the window.
+    /// Configures the controller again after the window if the fault stopped it.
     #[serde(default)]
     pub reconfigure: bool,
     /// Instant of a fault of the chip, ms.
@@ -211,17 +205,16 @@ pub struct RawFault {
     pub random: bool,
     /// Place of a fault of the chip: `ram:START+LENGTH`, `variable:NAME`, `register:NAME` or `peripheral:ADDRESS`.
     pub target: Option<String>,
-    /// The flipped bit, from the start of the target; default: drawn from the trial's seed.
+    /// Number of the flipped bit from the start of the target. Default: drawn from the trial's seed.
     #[schemars(range(min = 0))]
     pub bit: Option<i64>,
-    /// What every read of a stuck register returns.
+    /// Value that every read of a stuck register returns.
     #[schemars(range(min = 0, max = u32::MAX))]
     pub value: Option<i64>,
-    /// How much faster the chip's clocks are, parts per million.
+    /// Frequency error of the chip's clocks, positive if fast, parts per million.
     pub ppm: Option<f64>,
 }
 
-/// `[[expect]]`
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(transform = crate::schema::expectations)]
@@ -229,13 +222,13 @@ pub struct RawExpectation {
     /// The measured quantity.
     #[schemars(schema_with = "crate::schema::metrics")]
     pub metric: String,
-    /// Name in reports, unique in the file; default: the metric, then `metric 2`, `metric 3`.
+    /// Name in reports, unique in the file. Default: the metric, numbered from its second expectation: `ripple_um 2`.
     pub name: Option<String>,
     /// Upper limit.
     pub at_most: Option<f64>,
     /// Lower limit.
     pub at_least: Option<f64>,
-    /// Both limits.
+    /// Lower and upper limit.
     pub within: Option<[f64; 2]>,
     /// Expected value.
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -254,36 +247,33 @@ pub struct RawExpectation {
     #[serde(default)]
     #[schemars(schema_with = "crate::schema::overs")]
     pub over: Option<String>,
-    /// Share of the trials for `over = "quantile"`.
+    /// Quantile as a share of the trials, for `over = "quantile"`.
     #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 1))]
     pub quantile: Option<f64>,
-    /// Half width of the band around the setpoint, percent.
+    /// Half width of the band around the setpoint, percent of the setpoint.
     #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 100))]
     pub band_percent: Option<f64>,
     /// Start of the judged window, ms.
     #[schemars(range(min = 0.0))]
     pub from_ms: Option<f64>,
-    /// End of the judged window, ms; default: end of the trial, or the next step of the setpoint.
+    /// End of the judged window, ms. Default: the end of the trial, or the next step of the setpoint.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub until_ms: Option<f64>,
-    /// Judge after each change of this profile, up to the next change of any profile.
+    /// Judges after each change of this profile, until the next change of any profile.
     #[serde(default)]
     #[schemars(schema_with = "crate::schema::changing_profiles")]
     pub after: Option<String>,
-    /// Window of a mean: its length at the end, or its two ends, ms.
+    /// Window of a mean or a ripple, ms. Either its length at the end of the trial, or its start and end.
     pub window_ms: Option<RawWindow>,
-    /// Judged column.
+    /// Column of the trace that is judged.
     #[serde(default)]
     #[schemars(schema_with = "crate::schema::signals")]
     pub signal: Option<String>,
 }
 
-/// `window_ms`
 #[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "expected a length in ms, counted back from the end, or [from_ms, to_ms]")]
 pub enum RawWindow {
-    /// Its length at the end of the trial, ms.
     Last(#[schemars(extend("exclusiveMinimum" = 0))] f64),
-    /// Start and end, ms.
     Between([f64; 2]),
 }

@@ -9,14 +9,13 @@ use std::path::{Path, PathBuf};
 
 pub const REQUIREMENTS_FILE: &str = "requirements.toml";
 
-/// A requirement.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Requirement {
     /// Identifier, as in the expectations of scenarios.
     #[schemars(regex(pattern = "^[A-Za-z0-9-]+$"))]
     pub id: String,
-    /// Its text.
+    /// Text of the requirement.
     #[schemars(length(min = 1))]
     pub text: String,
 }
@@ -28,7 +27,7 @@ struct RawRequirements {
     requirement: Vec<Requirement>,
 }
 
-/// All requirements of a file; each identifier once, no empty text.
+/// Fails if an identifier is empty or occurs twice, or if a text is empty.
 pub fn read_requirements(path: &Path) -> Result<Vec<Requirement>, Vec<Diagnostic>> {
     let (text, raw) = parse_file::<RawRequirements>(path)?;
     let mut known = BTreeSet::new();
@@ -47,7 +46,7 @@ pub fn read_requirements(path: &Path) -> Result<Vec<Requirement>, Vec<Diagnostic
     if faults.is_empty() { Ok(raw.requirement) } else { Err(faults) }
 }
 
-/// Texts of the identifiers in `used`; none without a file above `scenario`.
+/// Returns the texts of the identifiers in `used`. Empty if no folder above `scenario` contains the file.
 pub(crate) fn requirement_texts<'a>(
     scenario: &Path,
     used: impl Iterator<Item = &'a str>,

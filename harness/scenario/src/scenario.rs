@@ -1,4 +1,4 @@
-//! Defines a checked scenario.
+//! Defines a checked scenario. `raw.rs` describes its keys.
 
 use crate::bounds::MAX_SPREAD_PERCENT;
 use crate::chip_fault::ChipFault;
@@ -21,7 +21,7 @@ pub struct InputFile {
 
 #[derive(Debug, Clone)]
 pub struct Scenario {
-    /// The file's name below the scenario folder, with `/`: `paper/fig13-closed-loop.toml`.
+    /// Path below the scenario folder with `/`, for example `paper/fig13-closed-loop.toml`.
     pub file: String,
     /// The scenario file is the first.
     pub inputs: Vec<InputFile>,
@@ -32,20 +32,18 @@ pub struct Scenario {
     pub tier: Tier,
     pub duration: Time,
     pub trace_step: Time,
-    /// Only a scenario of a known limit has one.
     pub expected_exit: Option<u8>,
     pub controller: Controller,
-    /// µm.
+    /// In µm.
     pub setpoint: Profile,
     pub conditions: ConditionProfiles,
     pub trials: Trials,
     pub faults: Vec<Fault>,
     pub chip_faults: Vec<ChipFault>,
-    /// Scenes, without expectations, that the same controller plays before every trial but the first.
     pub between: Vec<Self>,
     /// At least one.
     pub expectations: Vec<Expectation>,
-    /// Texts of the requirements of the expectations, by identifier, if a `requirements.toml` has them.
+    /// Texts from `requirements.toml` by the identifier of the requirement.
     pub requirement_texts: BTreeMap<String, String>,
 }
 
@@ -56,22 +54,17 @@ pub struct Controller {
     pub period: Time,
     pub start_frequency_hz: f64,
     pub loop_delay: Time,
-    /// Largest additional delay of a period.
     pub loop_delay_jitter: Time,
-    /// Delay that the law is designed for, whole microseconds, at most one period.
+    /// Loop delay that the law is designed for, whole microseconds, at most one period.
     pub design_delay: Time,
-    /// For 5 %; `None` for the law's own.
+    /// 5 % response time of the design. `None`: the law's own.
     pub response_time_ms: Option<f64>,
-    /// Bound around the start frequency.
     pub frequency_range_hz: f64,
-    /// Bound per period.
     pub frequency_slew_hz: f64,
     pub gains: Option<Gains>,
-    /// The plate that the controller is configured for, if it is not the played one.
     pub design_plate: Option<Plate>,
 }
 
-/// `[controller.gains]`: gains of both loops.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Gains {
@@ -88,13 +81,12 @@ pub struct Gains {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Trials {
     pub count: u32,
-    /// If a verdict needs more.
     pub max_count: u32,
     pub seed: u64,
     pub spread: Spread,
 }
 
-/// `[trials.spread]`: standard deviations from trial to trial.
+/// Standard deviations from trial to trial.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Spread {
@@ -113,12 +105,12 @@ pub struct Spread {
 }
 
 impl Scenario {
-    /// Without the extension, as in the run folder.
+    /// [`Self::file`] without its extension. The folder of its traces has this name.
     pub fn name(&self) -> &str {
         self.file.strip_suffix(".toml").unwrap_or(&self.file)
     }
 
-    /// True if the history of the controller is part of the experiment: one controller plays all trials in order.
+    /// True if one controller plays all trials in order, because its history is part of the experiment.
     pub fn keeps_controller(&self) -> bool {
         !self.between.is_empty() || self.expects(Metric::TrialDifference)
     }
@@ -127,7 +119,6 @@ impl Scenario {
         self.expectations.iter().any(|expectation| expectation.metric == metric)
     }
 
-    /// The plate that the controller is configured for.
     pub fn design_plate(&self) -> &Plate {
         self.controller.design_plate.as_ref().unwrap_or(&self.plate)
     }
@@ -137,13 +128,12 @@ impl Scenario {
         [AUTO_MODEL, linear, envelope, modal, carrier]
     }
 
-    /// The tier that `model` names on a plate: `auto` is the exact one. `None` if the name is
-    /// unknown.
+    /// Tier with the name `model`; `auto` is the exact one for `plate`. `None` if the name is unknown.
     pub fn tier_for(model: &str, plate: &Plate) -> Option<Tier> {
         if model == AUTO_MODEL { Some(Tier::exact_for(plate)) } else { Tier::from_name(model) }
     }
 
-    /// Why `tier` cannot simulate `plate`.
+    /// Message if `tier` would omit an effect of `plate`.
     pub fn omitted_effect(tier: Tier, plate: &Plate) -> Option<String> {
         let effect = plate.first_effect().filter(|_| !tier.has_both_poles())?;
         let [auto, modal, carrier] = [AUTO_MODEL, Tier::Modal.name(), Tier::Carrier.name()];

@@ -1,8 +1,7 @@
 //! Derives JSON Schemas of the input files from the raw types.
 //!
-//! A schema rejects unknown and missing keys, wrong types, unknown names, numbers outside fixed
-//! bounds, and options that do not apply to a metric or a fault. Only [`crate::load()`] checks what
-//! depends on other values, such as a window that ends after the trial.
+//! A schema rejects unknown and missing keys, wrong types, unknown names, numbers outside fixed bounds, and options
+//! that do not apply. Only [`crate::load()`] checks relations, such as a window that ends after the trial.
 
 use crate::chip_fault::ChipFaultKind;
 use crate::expect::{Aggregation, Metric, SIGNALS};
@@ -15,8 +14,7 @@ use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::json;
 
-/// The schema of a file that serde reads as `T`. Optional keys are not required; TOML has no
-/// `null`.
+/// Schema of a TOML file that serde reads as `T`. An optional key may be absent; TOML has no `null`.
 pub fn schema_of<T: JsonSchema>(title: &str) -> Schema {
     let mut schema = schemars::generate::SchemaSettings::draft2020_12().into_generator().into_root_schema_for::<T>();
     schema.insert("title".to_owned(), title.into());
@@ -24,7 +22,7 @@ pub fn schema_of<T: JsonSchema>(title: &str) -> Schema {
     schema
 }
 
-/// The schema of a JSON document that serde writes from `T`. Readers must accept further keys.
+/// Schema of a JSON document that serde writes from `T`. Readers must accept further keys.
 pub fn schema_of_json<T: JsonSchema>(title: &str) -> Schema {
     let settings = schemars::generate::SchemaSettings::draft2020_12().for_serialize();
     let mut schema = settings.into_generator().into_root_schema_for::<T>();
@@ -33,7 +31,7 @@ pub fn schema_of_json<T: JsonSchema>(title: &str) -> Schema {
     schema
 }
 
-/// Formats describe the size of a number in memory; validators in strict mode refuse them.
+/// A `format` describes the size of a number in memory. Validators in strict mode refuse it.
 fn remove_formats(schema: &mut Schema) {
     schema.remove("format");
     transform_subschemas(&mut remove_formats, schema);
@@ -41,7 +39,7 @@ fn remove_formats(schema: &mut Schema) {
 
 pub fn scenario_schema() -> Schema {
     let mut schema = schema_of::<RawScenario>("platebench scenario");
-    // `load` rejects a scenario without expectations with a reason.
+    // serde accepts a missing `expect`, so that `load` can reject it with its own message.
     if let Some(required) = schema.get_mut("required").and_then(|required| required.as_array_mut()) {
         required.push("expect".into());
     }
@@ -52,7 +50,6 @@ pub fn plate_schema() -> Schema {
     schema_of::<RawPlate>("platebench plate")
 }
 
-/// Removes parts that do not apply to TOML.
 #[derive(Debug, Clone)]
 struct TomlTransform;
 
@@ -116,29 +113,28 @@ pub(crate) fn signals(_: &mut SchemaGenerator) -> Schema {
     name_schema(&SIGNALS)
 }
 
-/// Rule: if `key` is given and meets `condition`, `then` applies.
+/// If `key` is present and meets `condition`, `then` applies.
 fn rule(key: &str, condition: &serde_json::Value, then: &Schema) -> Schema {
     json_schema!({ "if": { "required": [key], "properties": { (key): condition } }, "then": then })
 }
 
-/// Rule: if `key` is none of `names`, none of `rejected` may be present.
+/// If `key` is none of `names`, none of `rejected` may be present.
 fn only_for_rule<'a>(key: &str, names: impl Iterator<Item = &'a str>, rejected: &[&str]) -> Schema {
     let names: Vec<_> = names.collect();
     let rejected: serde_json::Map<_, _> = rejected.iter().map(|name| ((*name).to_owned(), false.into())).collect();
     rule(key, &json!({ "not": { "enum": names } }), &json_schema!({ "properties": rejected }))
 }
 
-/// Rule: if `key` is `name`, `needed` must be present.
 fn required_for_rule(key: &str, name: &str, needed: &str) -> Schema {
     rule(key, &json!({ "const": name }), &required(needed))
 }
 
-/// Validators in strict mode refuse a required key that is not among the properties.
+/// `properties` contains the key, because validators in strict mode refuse a required key without a property.
 fn required(key: &str) -> Schema {
     json_schema!({ "required": [key], "properties": { (key): true } })
 }
 
-/// Metrics without a default window.
+/// Rule for a metric without a default window.
 fn required_one_for_rule(metric: Metric) -> Schema {
     let keys = ["from_ms", "until_ms", "after"].map(required);
     rule("metric", &json!({ "const": metric.name() }), &json_schema!({ "anyOf": keys }))

@@ -19,7 +19,7 @@ pub fn read_text(path: &Path) -> Result<String, Diagnostic> {
 
 pub(crate) fn decode_text(path: &Path, bytes: Vec<u8>) -> Result<String, Diagnostic> {
     String::from_utf8(bytes).map_err(|error| {
-        // Before the first invalid byte, the replaced text has the same bytes.
+        // Both texts are equal up to the first invalid byte, so `start` is valid in both.
         let start = error.utf8_error().valid_up_to();
         let replaced = String::from_utf8_lossy(error.as_bytes());
         let span = start..start + char::REPLACEMENT_CHARACTER.len_utf8();

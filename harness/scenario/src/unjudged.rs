@@ -5,10 +5,10 @@ use crate::scenario::Scenario;
 use crate::window::{ChangingProfile, ProfileChanges, Window};
 use platebench_plate::Time;
 
-/// In a message; the rest is counted.
+/// A message lists this many changes and counts the others.
 const MAX_TIMES: usize = 5;
 
-/// Changes of force and temperature outside all windows of expectations about the plate.
+/// Warns of changes of force and temperature outside all windows of expectations about the plate.
 pub fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
     let conditions = &scenario.conditions;
     let changes = ProfileChanges::new(
@@ -45,7 +45,6 @@ pub fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
     profiles.into_iter().filter_map(warning).collect()
 }
 
-/// In rising order.
 fn judged_intervals(scenario: &Scenario) -> Vec<Window> {
     let plate = scenario.expectations.iter().filter(|expectation| expectation.metric.is_of_the_plate());
     let mut windows: Vec<Window> = plate.flat_map(|expectation| expectation.windows.iter().copied()).collect();

@@ -6,9 +6,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Not the stream of the sensor's noise, so that each can be switched off alone.
+/// Differs from the stream of the sensor's noise, so that one can be switched off without the other.
 const SPREAD_STREAM: u64 = 1;
-/// A permitted spread never reaches this deviation of a factor from 1.
+/// Largest deviation of a factor from 1. The largest permitted spread of 20 % reaches it at 4.5 standard deviations.
 const MAX_DEVIATION: f64 = 0.9;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,7 +18,6 @@ pub struct Variation {
     pub gain: f64,
     /// Factor on τ.
     pub time_constant: f64,
-    /// Factor on the sensor's readings.
     pub sensor_gain: f64,
     pub temperature_k: f64,
 }
@@ -46,7 +45,6 @@ impl Variation {
         Plate { gain: nominal.gain * self.gain, sigma0: nominal.sigma0 / self.time_constant, ..nominal.clone() }
     }
 
-    /// At rest at the start of the scenario.
     pub fn plant(&self, scenario: &Scenario) -> Plant {
         let scene = ConditionProfiles {
             temperature_offset_k: shift_profile(&scenario.conditions.temperature_offset_k, self.temperature_k),

@@ -10,12 +10,12 @@ pub struct Window {
 }
 
 impl Window {
-    /// True if `time` is inside; the end is not.
+    /// True from `from` on and before `to`.
     pub fn contains(&self, time: Time) -> bool {
         self.from <= time && time < self.to
     }
 
-    /// A mean is taken over it.
+    /// Default window of a mean.
     #[must_use]
     pub fn last_third(self) -> Self {
         Self { from: self.from + Time::from_nanos((self.to - self.from).as_nanos() / 3 * 2), to: self.to }
@@ -43,15 +43,14 @@ impl ChangingProfile {
 
 #[derive(Debug, Clone)]
 pub(crate) struct ProfileChanges {
-    /// Changes of setpoint, force and temperature, before the end of the trial, in rising order.
+    /// Instants before the end of the trial at which setpoint, force and temperature change, in rising order.
     starts: [Vec<Time>; 3],
-    /// Changes of all profiles.
     all: Vec<Time>,
     duration: Time,
 }
 
 impl ProfileChanges {
-    /// The plate starts at rest: an initial setpoint is a change, force or temperature is not.
+    /// The plate starts at rest. Therefore an initial setpoint is a change; an initial force or temperature is not.
     pub(crate) fn new(setpoint: &Profile, force: &Profile, temperature: &Profile, duration: Time) -> Self {
         let starts = [(setpoint, true), (force, false), (temperature, false)].map(|(profile, from_rest)| {
             let mut starts = change_starts(profile, from_rest);
@@ -81,7 +80,7 @@ impl ProfileChanges {
         })
     }
 
-    /// From the last setpoint change up to `from`, else the first, to the next or the trial's end.
+    /// From the last setpoint change up to `from` (otherwise the first one) to the next one or the end of the trial.
     pub(crate) fn response_window(&self, from: Option<Time>) -> Option<Window> {
         let starts = self.starts(ChangingProfile::Setpoint);
         let passed = from.map_or(0, |from| starts.partition_point(|start| *start <= from));
@@ -91,7 +90,7 @@ impl ProfileChanges {
     }
 }
 
-/// Connected segments of a `linear` profile that are not constant are one change; so is a sine.
+/// Connected segments of a `linear` profile that are not constant are one change. A sine is one change.
 fn change_starts(profile: &Profile, from_rest: bool) -> Vec<Time> {
     let at_start = from_rest && profile.at(Time::ZERO) != 0.0;
     let mut starts = if at_start { vec![Time::ZERO] } else { Vec::new() };

@@ -1,5 +1,4 @@
-//! Measures and draws speed against accuracy, and where loops become unstable. Each chart returns
-//! blocks of a page and files as text.
+//! Draws charts of cost and error of methods, models and laws, and of stability limits, as page blocks and files.
 
 pub mod ladder;
 mod law_results;

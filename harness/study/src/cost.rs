@@ -8,12 +8,12 @@ pub(crate) fn thread_cpu_time() -> Duration {
     cpu_time(ClockId::ThreadCPUTime)
 }
 
-/// With the children that ended; those in steps of a clock tick.
+/// Adds the processor time of child processes that ended, with the resolution of a clock tick.
 pub(crate) fn process_cpu_time() -> Duration {
     cpu_time(ClockId::ProcessCPUTime) + children_cpu_time().unwrap_or_default()
 }
 
-/// `cutime` and `cstime` of proc(5): fields 16 and 17, after the name in parentheses.
+/// Sums `cutime` and `cstime`, fields 16 and 17 of proc(5). The name in parentheses may contain spaces.
 fn children_cpu_time() -> Option<Duration> {
     let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
     let (_, fields) = stat.rsplit_once(')')?;
@@ -26,7 +26,7 @@ fn cpu_time(clock: ClockId) -> Duration {
     Duration::new(now.tv_sec.unsigned_abs(), now.tv_nsec.unsigned_abs() as u32)
 }
 
-/// The median; NaN without values.
+/// NaN if `values` is empty.
 pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let middle = values.len() / 2;

@@ -1,5 +1,4 @@
-//! Applies general integration methods to the plate's equations, to compare them with the exact
-//! propagation. Only charts and their tests use them.
+//! Integrates the plate's equations with general methods, which only charts and their tests use.
 
 pub mod adaptive;
 pub mod failure;

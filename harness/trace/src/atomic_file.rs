@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 const TEMPORARY_SUFFIX: &str = ".part";
 
-/// Gets its name once it is whole; removed if it is dropped before.
+/// The file gets its name at the commit. A drop before the commit removes the file.
 #[derive(Debug)]
 pub struct AtomicFile {
     file: File,
@@ -15,7 +15,6 @@ pub struct AtomicFile {
     path: PathBuf,
 }
 
-/// After the rename there is nothing to remove.
 #[derive(Debug)]
 struct TemporaryPath(PathBuf);
 
@@ -26,7 +25,7 @@ impl Drop for TemporaryPath {
 }
 
 impl AtomicFile {
-    /// Starts the file that replaces `path`. Its folder must exist.
+    /// The folder of `path` must exist.
     pub fn create(path: &Path) -> io::Result<Self> {
         let mut temporary = path.to_owned().into_os_string();
         temporary.push(TEMPORARY_SUFFIX);
@@ -39,14 +38,14 @@ impl AtomicFile {
         &self.file
     }
 
-    /// Gives the file its name and brings both to the disk.
+    /// Gives the file its name and waits until content and name are on the disk.
     pub fn commit(self) -> io::Result<()> {
         self.file.sync_all()?;
         fs::rename(&self.temporary.0, &self.path)?;
         self.path.parent().map_or(Ok(()), sync)
     }
 
-    /// Does not wait for the disk: after a kill the file is whole, after a power cut it may not be.
+    /// Does not wait for the disk. After a kill the file is complete, after a power cut it may be incomplete.
     pub fn commit_without_sync(self) -> io::Result<()> {
         fs::rename(&self.temporary.0, &self.path)
     }
@@ -62,14 +61,14 @@ impl Write for AtomicFile {
     }
 }
 
-/// If this fails, the earlier file is still there.
+/// After an error, the earlier file still exists.
 pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
     let mut file = AtomicFile::create(path)?;
     file.write_all(content)?;
     file.commit()
 }
 
-/// Fails with [`io::ErrorKind::AlreadyExists`] if the file exists; removes it after a failed write.
+/// Fails with [`io::ErrorKind::AlreadyExists`] if the file exists. Removes the new file after a failed write.
 pub fn write_new(path: &Path, content: &[u8]) -> io::Result<()> {
     let mut file = File::create_new(path)?;
     file.write_all(content).and_then(|()| file.sync_all()).inspect_err(|_| {
@@ -77,7 +76,7 @@ pub fn write_new(path: &Path, content: &[u8]) -> io::Result<()> {
     })
 }
 
-/// Brings everything below `folder`, and its own entry, to the disk.
+/// Waits until everything below `folder`, and the entry of `folder` itself, is on the disk.
 pub fn sync_tree(folder: &Path) -> Result<(), FileError> {
     for entry in fs::read_dir(folder).at(folder)? {
         let entry = entry.at(folder)?;

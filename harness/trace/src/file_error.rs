@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {source}", path.display())]
 pub struct FileError {
-    /// A file or a folder.
     pub path: PathBuf,
     pub source: io::Error,
 }

@@ -3,18 +3,17 @@
 bitflags::bitflags! {
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
     pub struct Flags: u8 {
-        /// The controller received this state.
+        /// The row is a control instant. The controller received this state as a sample.
         const CONTROL = 1;
         /// The drive is at the amplifier's limit.
         const SATURATED = 1 << 1;
         /// The bench was too late for this instant.
         const OVERRUN = 1 << 2;
-        /// The last drive remains.
+        /// A reply is missing, and the last drive remains.
         const LINK_LOST = 1 << 3;
-        /// The drive is 0 V.
+        /// The controller has stopped, and the drive is 0 V.
         const SAFE = 1 << 4;
-        /// From a real plate: `wd_um`, `wq_um` and `amplitude_um` come from its sensor, and
-        /// quantities that are not measured are empty.
+        /// The row is of a real plate: the amplitudes come from its sensor, and unmeasured quantities are empty.
         const SENSED = 1 << 5;
     }
 }
@@ -33,7 +32,7 @@ impl Flags {
         NAMES.iter().filter(move |(flag, _)| self.contains(*flag)).map(|(_, name)| *name)
     }
 
-    /// Errors: the unknown name.
+    /// The error is the unknown name.
     pub(crate) fn parse(text: &str) -> Result<Self, &str> {
         text.split('|').filter(|name| !name.is_empty()).try_fold(Self::empty(), |flags, name| {
             NAMES.iter().find(|(_, known)| *known == name).map(|(flag, _)| flags | *flag).ok_or(name)
@@ -69,14 +68,13 @@ macro_rules! define_row {
 
 // Names and order of the columns in a file.
 define_row! {
-    /// Since the start of the trial.
+    /// Time since the start of the trial.
     t_s,
     setpoint_um,
-    /// In-phase component of the plate's vibration.
+    /// In-phase component of W.
     wd_um,
-    /// Quadrature component.
+    /// Quadrature component of W.
     wq_um,
-    /// |W|.
     amplitude_um,
     drive_vpp,
     frequency_hz,

@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// 4 GiB, some 10⁷ rows.
+/// 4 GiB, about 10⁷ rows.
 const MAX_BYTES: u64 = 4 << 30;
 const BUFFER_BYTES: usize = 64 << 10;
 /// 13 numbers of at most 24 characters, every flag, separators.
@@ -32,9 +32,8 @@ pub enum TraceError {
 pub struct TraceWriter {
     file: AtomicFile,
     hash: Sha256,
-    /// Not yet in the file.
     buffer: Vec<u8>,
-    /// Text of the last row's numbers: most numbers repeat.
+    /// Numbers of the last row as text, because most numbers repeat.
     cells: [Cell; NUMBERS],
     path: PathBuf,
 }
@@ -46,7 +45,7 @@ struct Cell {
 }
 
 impl Cell {
-    /// NaN is an empty field.
+    /// The text of NaN is an empty field.
     fn new() -> Self {
         Self { value: f64::NAN, text: String::new() }
     }
@@ -68,7 +67,7 @@ impl Cell {
 }
 
 impl TraceWriter {
-    /// Starts the trace at `path`. Its folder must exist.
+    /// The folder of `path` must exist.
     pub fn create(path: &Path) -> Result<Self, TraceError> {
         let file = AtomicFile::create(path).map_err(|source| TraceError::Io { path: path.to_owned(), source })?;
         let mut buffer = Vec::with_capacity(BUFFER_BYTES + MAX_ROW_BYTES);
@@ -102,14 +101,13 @@ impl TraceWriter {
     /// Gives the trace its final name and returns its SHA-256.
     pub fn finish(mut self) -> Result<[u8; 32], TraceError> {
         self.flush()?;
-        // The record holds the hash of every trace, so a power cut does not go unnoticed.
+        // `run.json` holds the hash of every trace, which reveals a trace that a power cut damaged.
         self.file.commit_without_sync().map_err(|source| TraceError::Io { path: self.path, source })?;
         Ok(self.hash.finalize().into())
     }
 }
 
-/// Reads and checks the rows one by one, so memory does not grow with the trace. A trace without
-/// rows gives one error. The iterator ends after an error.
+/// Reads one row at a time, so memory does not grow. Ends after an error. A trace without rows gives one error.
 #[derive(Debug)]
 pub struct TraceReader {
     reader: csv::Reader<io::Take<File>>,
@@ -181,7 +179,7 @@ impl TraceReader {
             match text.parse() {
                 Ok(value) if f64::is_finite(value) => *number = value,
                 _ => {
-                    return Err(self.content_error(line, format!("`{column}` is {text}, expected a finite number")));
+                    return Err(self.content_error(line, format!("`{column}` is `{text}`, expected a finite number")));
                 }
             }
         }
@@ -208,8 +206,7 @@ impl Iterator for TraceReader {
     }
 }
 
-/// Fails unless there is a row, times do not decrease and every number is finite. Unknown
-/// quantities of a real plate are empty.
+/// Fails unless there is a row, times do not decrease and every number is finite. Unmeasured quantities become NaN.
 pub fn read_trace(path: &Path) -> Result<Vec<Row>, TraceError> {
     TraceReader::open(path)?.collect()
 }
@@ -222,7 +219,6 @@ mod tests {
     use std::fs;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    /// A new path for each call.
     fn temp_path() -> PathBuf {
         static COUNT: AtomicUsize = AtomicUsize::new(0);
         let number = COUNT.fetch_add(1, Ordering::Relaxed);
@@ -307,7 +303,6 @@ mod tests {
         assert!(read_error(&format!("{header}\n0,0,0,0,0,0,0,NaN,0,0,0,0,0,sensed\n")).contains("is NaN, expected"));
     }
 
-    /// Stored traces have this text.
     fn csv_line(numbers: [f64; NUMBERS]) -> String {
         let mut writer = csv::Writer::from_writer(Vec::new());
         writer.serialize(numbers).unwrap();

@@ -6,7 +6,6 @@ use std::fmt::{self, Write};
 
 const MAX_LISTED: usize = 6;
 
-/// As text: both rates, surviving mutants and false alarms.
 pub fn summary(report: &TrustReport) -> String {
     let mut text = String::new();
     let _ = write_summary(&mut text, report);
@@ -15,7 +14,7 @@ pub fn summary(report: &TrustReport) -> String {
 
 fn write_summary(text: &mut String, report: &TrustReport) -> fmt::Result {
     for scenario in &report.scenarios {
-        writeln!(text, "{:>3} of {}  {}", scenario.kill_rate.seen, scenario.kill_rate.count, scenario.file)?;
+        writeln!(text, "{:>3} of {} mutants: {}", scenario.kill_rate.seen, scenario.kill_rate.count, scenario.file)?;
     }
     writeln!(text)?;
     for fault in &report.faults {
@@ -41,7 +40,7 @@ fn write_summary(text: &mut String, report: &TrustReport) -> fmt::Result {
     writeln!(text, "kill rate: {}", format_rate(report.kill_rate))?;
     writeln!(
         text,
-        "false alarms: {}; {} inconclusive; {} scenarios, from seed {}",
+        "false alarms: {}; {} inconclusive clean runs; {} scenarios, first seed {}",
         format_rate(clean.false_alarm_rate),
         clean.inconclusive,
         clean.scenarios,
@@ -49,7 +48,7 @@ fn write_summary(text: &mut String, report: &TrustReport) -> fmt::Result {
     )
 }
 
-/// `33 of 33, 100 % (each bound at 95 %: at least 91.32 %, at most 100 %)`
+/// For example `33 of 33, 100 % (each bound at 95 %: at least 91.32 %, at most 100 %)`.
 pub fn format_rate(rate: Rate) -> String {
     let Rate { seen, count, bounds } = rate;
     match bounds {
@@ -63,7 +62,6 @@ pub fn format_rate(rate: Rate) -> String {
     }
 }
 
-/// As Markdown: metrics per mutant and mutants per scenario.
 pub fn matrix(report: &TrustReport) -> String {
     let mut text = String::new();
     let _ = write_matrix(&mut text, report);

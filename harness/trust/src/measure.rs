@@ -18,7 +18,7 @@ const TIME_CONSTANT_PERCENT: f64 = 0.3;
 const TEMPERATURE_K: f64 = 0.05;
 /// Distance of the seeds of two runs, so that their trials differ.
 const SEEDS_PER_RUN: u64 = 100_000;
-/// Longest scenario in clean runs, s: one of a minute costs as much as a thousand others.
+/// Clean runs exclude longer scenarios. One minute costs as much as a thousand others.
 const MAX_CLEAN_DURATION_S: f64 = 2.0;
 
 #[derive(Debug, Clone)]
@@ -62,7 +62,6 @@ pub fn measure(config: &TrustConfig) -> Result<TrustReport, TrustError> {
     })
 }
 
-/// What `controller` fails in the unmodified suite.
 fn suite_alarms(controller: &str, suite: &[Scenario], results: &[PlayResult]) -> Vec<FalseAlarm> {
     let alarms = suite.iter().zip(results).flat_map(|(scenario, result)| {
         let alarm =
@@ -131,7 +130,6 @@ fn failures<'a>(
     by_metric.chain(result.violations.iter().map(violation))
 }
 
-/// Adds those of the clean runs to `alarms`.
 fn measure_false_alarms(config: &TrustConfig, mut alarms: Vec<FalseAlarm>) -> Result<FalseAlarmResult, TrustError> {
     let varied: Vec<(&Scenario, Scenario)> =
         config.scenarios.iter().filter_map(|scenario| Some((scenario, with_plate_spread(scenario)?))).collect();
@@ -163,8 +161,7 @@ fn measure_false_alarms(config: &TrustConfig, mut alarms: Vec<FalseAlarm>) -> Re
     })
 }
 
-/// The scenario with a plate that varies between trials; `None` if clean runs exclude it. Open-loop
-/// scenarios judge the plate, not the controller.
+/// The scenario with a varying plate. `None` if it is too long, or open-loop, because it then judges the plate.
 fn with_plate_spread(scenario: &Scenario) -> Option<Scenario> {
     if scenario.controller.law == "open-loop" || scenario.duration.seconds() > MAX_CLEAN_DURATION_S {
         return None;
@@ -181,7 +178,7 @@ fn with_plate_spread(scenario: &Scenario) -> Option<Scenario> {
     Some(varied)
 }
 
-/// Returns a row per controller.
+/// Returns one row per controller.
 fn run_suite<T: Sync>(
     jobs: usize,
     suite: &[Scenario],

@@ -15,7 +15,7 @@ pub trait Mutant: Send {
         }
     }
 
-    /// Changes a message to the bench. By default only commands in state `Running` are changed.
+    /// Changes a message to the bench. By default calls `on_command` only in state `Running`.
     fn on_send(&mut self, packet: &mut Packet) {
         match &mut packet.message {
             Message::Configured(Configured { outcome: Ok(gains) }) => self.on_configured(gains),
@@ -32,12 +32,12 @@ pub trait Mutant: Send {
 
     fn on_command(&mut self, _command: &mut Command) {}
 
-    /// Replaces an undecodable frame, delimiter included; `None` drops it.
+    /// Replaces a frame that cannot be decoded, delimiter included. `None` drops the frame.
     fn on_unreadable_frame(&mut self, frame: &[u8]) -> Option<Vec<u8>> {
         Some(frame.to_vec())
     }
 
-    /// A packet that the controller receives before the sample with this sequence number.
+    /// Returns a packet that the controller receives before the sample with this sequence number.
     fn before_sample(&mut self, _sequence: u8) -> Option<Packet> {
         None
     }
@@ -51,10 +51,10 @@ pub trait Mutant: Send {
     }
 }
 
-/// Longest run of bytes without a delimiter that is stored before it is passed on.
+/// Bytes without a delimiter are passed on at this length.
 const MAX_UNDELIMITED_BYTES: usize = 4096;
 
-/// Changes the messages to and from `inner`. In lockstep only.
+/// Works in lockstep only.
 pub struct MutantController<L> {
     inner: L,
     build: fn() -> Box<dyn Mutant>,
@@ -62,7 +62,7 @@ pub struct MutantController<L> {
     received: Vec<u8>,
     reader: PacketReader,
     scratch: Vec<u8>,
-    /// Packets to the bench in order, with their time of arrival.
+    /// In order, with their time of arrival.
     outgoing: VecDeque<(Duration, Packet)>,
 }
 

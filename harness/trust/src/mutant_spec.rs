@@ -31,14 +31,12 @@ impl ReferenceController {
 pub struct MutantSpec {
     pub name: &'static str,
     pub description: &'static str,
-    /// Metrics that should detect it, besides the difference from the reference; a failure of
-    /// another metric is the wrong reason.
+    /// Metrics that should detect the mutant, besides those in `REFERENCE`. Other metrics are the wrong reason.
     pub detecting_metrics: &'static [Metric],
     pub detecting_violations: &'static [ViolationKind],
-    /// Detects it by one of these metrics or violations.
+    /// One of these metrics or violations detects the mutant in this scenario.
     pub witness_scenario: &'static str,
     pub reference: ReferenceController,
-    /// Called for each trial.
     pub build: fn() -> Box<dyn Mutant>,
 }
 

@@ -9,7 +9,6 @@ use platebench_verdict::{Judgement, SequentialDecision, judge_sequentially, meas
 use platebench_wire::LawId;
 use std::collections::BTreeSet;
 
-/// Why there is no verdict.
 #[derive(Debug, thiserror::Error)]
 pub enum TrustError {
     #[error("{file}: unknown law `{law}`")]

@@ -10,10 +10,9 @@ pub const CONFIDENCE: f64 = 0.95;
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TrustReport {
     pub format: u32,
-    /// `pass` if no mutant survived and no clean run failed, otherwise `fail`.
+    /// `pass` if every mutant is caught for the right reason and there is no false alarm, otherwise `fail`.
     pub verdict: Verdict,
     pub confidence: f64,
-    /// Only mutants that are caught for the right reason count.
     pub kill_rate: Rate,
     pub scenarios: Vec<ScenarioRate>,
     pub faults: Vec<MutantResult>,
@@ -24,7 +23,7 @@ pub struct TrustReport {
 pub struct Rate {
     pub seen: u32,
     pub count: u32,
-    /// Bounds of the probability by Clopper and Pearson; `null` without tries.
+    /// Bounds of the probability by Clopper and Pearson. `null` if `count` is 0.
     pub bounds: Option<[f64; 2]>,
 }
 
@@ -38,7 +37,7 @@ impl Rate {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScenarioRate {
     pub file: String,
-    /// For the right reason.
+    /// Mutants that the scenario catches for the right reason.
     pub kill_rate: Rate,
 }
 
@@ -48,14 +47,13 @@ pub struct MutantResult {
     pub mistake: String,
     pub should_be_caught_by: Vec<String>,
     pub outcome: MutantOutcome,
-    /// Failed expectations on these metrics that the reference passes.
+    /// Failed expectations and violations that should catch the mutant. The reference passes them.
     pub right: Vec<FailedExpectation>,
     /// Other failed expectations that the reference passes.
     pub wrong: Vec<FailedExpectation>,
 }
 
 impl MutantResult {
-    /// For the right reason.
     pub(crate) fn is_caught_by(&self, scenario: &str) -> bool {
         self.right.iter().any(|cell| cell.scenario == scenario)
     }
@@ -64,9 +62,8 @@ impl MutantResult {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MutantOutcome {
-    /// A metric that should detect it failed.
     Caught,
-    /// Only other metrics failed; counted as a survivor.
+    /// Counts as a survivor.
     WrongReason,
     Survived,
 }
@@ -74,14 +71,14 @@ pub enum MutantOutcome {
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct FailedExpectation {
     pub scenario: String,
-    /// From 1.
+    /// Number of the expectation from 1, or 0 for a violation of the protocol.
     pub expectation: usize,
     pub metric: String,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FalseAlarmResult {
-    /// Failed runs. A run is one scenario with its own plate and noise.
+    /// Rate of failed clean runs. A run is one scenario with its own plate and noise.
     pub false_alarm_rate: Rate,
     pub inconclusive: u32,
     pub scenarios: u32,
@@ -92,9 +89,9 @@ pub struct FalseAlarmResult {
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FalseAlarm {
-    /// The controller: `reference` or a clean variant.
+    /// `reference` or the name of a clean variant.
     pub controller: String,
-    /// From 0; `null` for the unmodified suite.
+    /// Number of the clean run from 0. `null` for the unmodified suite.
     pub run: Option<u32>,
     pub seed: u64,
     pub cell: FailedExpectation,

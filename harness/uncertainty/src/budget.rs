@@ -4,13 +4,10 @@ use jiff::civil::Date;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Source of an uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ComponentKind {
-    /// Gain of the vibration sensor.
     SensorGain,
-    /// Offset of the vibration sensor.
     SensorOffset,
     /// Steps and nonlinearity of the converters.
     Converter,
@@ -22,25 +19,25 @@ pub enum ComponentKind {
     Timing,
     /// Error of the bench's own model and arithmetic.
     Bench,
-    /// Scatter of repeated trials; without a magnitude it comes from the trials themselves.
+    /// Scatter of repeated trials. Without a magnitude in the budget it is computed from the trials.
     Repeatability,
 }
 
-/// Distribution of a component.
+/// Distribution of a component. The half width a gives the standard uncertainty u (JCGM 100:2008, 4.3).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Distribution {
     Normal,
-    /// Uniform within ± `half_width`: u = a/√3.
+    /// u = a/√3.
     Rectangular,
     /// u = a/√6.
     Triangular,
-    /// Arcsine, of a sinusoidal influence: u = a/√2.
+    /// Arcsine distribution of a sinusoidal influence, u = a/√2.
     UShaped,
 }
 
 impl Distribution {
-    /// Standard uncertainty of a half width of 1 (JCGM 100:2008, 4.3); `None` for the normal one.
+    /// `None` for a normal distribution, which has no half width.
     pub fn standard_of_half_width(self) -> Option<f64> {
         match self {
             Self::Normal => None,
@@ -71,11 +68,10 @@ impl Instrument {
 pub struct Component {
     pub kind: ComponentKind,
     pub distribution: Distribution,
-    /// Standard uncertainty in the quantity's unit, or in percent of its value; `None` if it comes
-    /// from the observations.
+    /// Standard uncertainty in the unit of the quantity or in percent of its value. `None` if the trials give it.
     pub standard: Option<f64>,
     pub is_percent_of_value: bool,
-    /// Infinite if not stated.
+    /// Infinite if the budget does not state them.
     pub degrees_of_freedom: f64,
     pub source: String,
     pub date: Date,
@@ -84,7 +80,7 @@ pub struct Component {
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct QuantityBudget {
-    /// A metric, or a parameter of the plate.
+    /// Name of a metric or of a plate parameter.
     pub quantity: String,
     pub components: Vec<Component>,
 }
@@ -93,7 +89,7 @@ pub struct QuantityBudget {
 pub struct Budget {
     pub bytes: Vec<u8>,
     pub title: String,
-    /// Share of values within the expanded uncertainty.
+    /// Share of values within the expanded uncertainty, 0 to 1.
     pub coverage: f64,
     pub instruments: Vec<Instrument>,
     pub quantities: Vec<QuantityBudget>,
@@ -104,7 +100,6 @@ impl Budget {
         self.quantities.iter().find(|budget| budget.quantity == name)
     }
 
-    /// Instruments whose calibration is not valid on `day`.
     pub fn expired_on(&self, day: Date) -> impl Iterator<Item = &Instrument> {
         self.instruments.iter().filter(move |instrument| !instrument.is_valid_on(day))
     }

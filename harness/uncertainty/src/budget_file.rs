@@ -11,7 +11,7 @@ use std::path::Path;
 #[serde(deny_unknown_fields)]
 struct RawBudget {
     title: String,
-    /// Of expanded uncertainties, percent.
+    /// Share of values within an expanded uncertainty, percent.
     #[serde(default = "default_coverage")]
     coverage_percent: f64,
     #[serde(default)]
@@ -65,16 +65,16 @@ const fn default_sensitivity() -> f64 {
     1.0
 }
 
-/// Parameters of a plate that `identify` finds.
+/// Plate parameters that `platebench identify` estimates.
 const PLATE_QUANTITIES: [&str; 4] = ["gain_um_per_vpp", "time_constant_s", "resonance_hz", "slope_hz_per_k"];
 
-/// Metrics of scenarios and parameters of a plate.
+/// Names that a budget file accepts as `quantity`.
 pub fn known_quantities() -> Vec<&'static str> {
     Metric::NAMES.iter().copied().chain(PLATE_QUANTITIES).collect()
 }
 
 impl Budget {
-    /// `quantities`: the known names.
+    /// `quantities` are the accepted names. Returns all faults of the file.
     pub fn load(path: &Path, quantities: &[&str]) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawBudget>(path)?;
         let mut checker = BudgetChecker { path, text: &text, quantities, faults: Vec::new() };
@@ -108,7 +108,10 @@ impl BudgetChecker<'_> {
         let mut known = BTreeSet::new();
         for (number, instrument) in instruments.iter().enumerate() {
             if !known.insert(&instrument.name) {
-                self.report(&format!("instrument.{number}.name"), format!("`{}` is named twice", instrument.name));
+                self.report(
+                    &format!("instrument.{number}.name"),
+                    format!("two instruments have the name `{}`", instrument.name),
+                );
             }
         }
         let mut seen = BTreeSet::new();
@@ -140,7 +143,7 @@ impl BudgetChecker<'_> {
         }
     }
 
-    /// 1 January 1970 after a fault.
+    /// Reports an invalid date and returns 1 January 1970 instead.
     fn date(&mut self, key: &str, text: &str) -> Date {
         text.parse().unwrap_or_else(|_| {
             self.report(key, format!("`{text}`, expected a date, such as \"2026-03-01\""));
@@ -156,7 +159,10 @@ impl BudgetChecker<'_> {
         let calibrated = self.date(&key("calibrated"), &raw.calibrated);
         let due = self.date(&key("due"), &raw.due);
         if due < calibrated && self.faults.len() == faults {
-            self.report(&key("due"), format!("{due}, expected a day after the calibration of {calibrated}"));
+            self.report(
+                &key("due"),
+                format!("{due} is before the calibration on {calibrated}; expected the last day on which it is valid"),
+            );
         }
         Instrument { name: raw.name, serial: raw.serial, certificate: raw.certificate, calibrated, due }
     }
@@ -182,7 +188,10 @@ impl BudgetChecker<'_> {
         }
         if let Some(factor) = raw.coverage_factor {
             if raw.expanded.is_none() {
-                self.report(&at("coverage_factor"), "only for `expanded`".to_owned());
+                self.report(
+                    &at("coverage_factor"),
+                    "a coverage factor belongs to `expanded`, which is missing".to_owned(),
+                );
             } else if !(0.5..=10.0).contains(&factor) {
                 self.report(&at("coverage_factor"), format!("{factor}, expected 0.5 to 10"));
             }
@@ -211,7 +220,8 @@ impl BudgetChecker<'_> {
             }
             (None, None, Some(expanded), None) => Some(expanded / raw.coverage_factor.unwrap_or(2.0)),
             (None, None, Some(_), Some(_)) => {
-                let message = "only for a normal distribution, expected `half_width` or `standard`".to_owned();
+                let message =
+                    "`expanded` is only for a normal distribution, expected `half_width` or `standard`".to_owned();
                 self.report(&format!("{key}.expanded"), message);
                 None
             }

@@ -1,16 +1,16 @@
-//! Combines the components of a quantity: `u² = Σ uᵢ²`, effective degrees of freedom
-//! `ν = u⁴ / Σ uᵢ⁴/νᵢ` (Welch and Satterthwaite; JCGM 100:2008, G.4), expanded uncertainty
-//! `U = t_ν((1 + p)/2) u`. Sensitivities are part of uᵢ; components are independent.
+//! Combines the independent components uᵢ of a quantity, which include their sensitivities, to `u² = Σ uᵢ²`.
+//! The effective degrees of freedom are `ν = u⁴ / Σ uᵢ⁴/νᵢ` (Welch and Satterthwaite; JCGM 100:2008, G.4), the expanded
+//! uncertainty for a coverage p is `U = t_ν((1 + p)/2) u`.
 
 use crate::budget::{ComponentKind, Distribution, QuantityBudget};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 use std::fmt;
 
-/// Above this Student's t equals the normal distribution to 1e-8.
+/// From this number of degrees of freedom on, Student's t equals the normal distribution to 1e-8.
 const MAX_FREEDOM: f64 = 1e7;
 
-/// Evaluated from observations (JCGM 100:2008, 4.2).
+/// Standard uncertainty that was evaluated from observations (JCGM 100:2008, 4.2).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TypeA {
     pub standard: f64,
@@ -18,13 +18,13 @@ pub struct TypeA {
 }
 
 impl TypeA {
-    /// Uncertainty of the mean of `values`; `None` for fewer than two.
+    /// Standard uncertainty of the mean of `values`. `None` for fewer than two values.
     pub fn of_mean(values: &[f64]) -> Option<Self> {
         let single = Self::of_single(values)?;
         Some(Self { standard: single.standard / (values.len() as f64).sqrt(), ..single })
     }
 
-    /// Uncertainty of one value, from the scatter of all; `None` for fewer than two.
+    /// Standard uncertainty of one value, from the scatter of all `values`. `None` for fewer than two values.
     pub fn of_single(values: &[f64]) -> Option<Self> {
         let count = values.len() as f64;
         let mean = values.iter().sum::<f64>() / count;
@@ -33,7 +33,7 @@ impl TypeA {
         (values.len() > 1).then(|| Self { standard: (squares / degrees_of_freedom).sqrt(), degrees_of_freedom })
     }
 
-    /// Uncertainty of a standard deviation over `count` values, for normal data: `s/√(2(n − 1))`; `None` below two.
+    /// Standard uncertainty `s/√(2(n − 1))` of a deviation s over n normal values. `None` for fewer than two values.
     pub fn of_stated_deviation(deviation: f64, count: usize) -> Option<Self> {
         let degrees_of_freedom = count.checked_sub(1).filter(|freedom| *freedom > 0)? as f64;
         Some(Self { standard: deviation / (2.0 * degrees_of_freedom).sqrt(), degrees_of_freedom })
@@ -44,7 +44,7 @@ impl TypeA {
 pub struct Contribution {
     pub kind: ComponentKind,
     pub distribution: Distribution,
-    /// In the quantity's unit.
+    /// Standard uncertainty in the unit of the quantity.
     pub standard: f64,
     /// `null` if unlimited.
     pub degrees_of_freedom: Option<f64>,
@@ -56,9 +56,8 @@ pub struct Contribution {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CombinedUncertainty {
     pub standard: f64,
-    /// Effective; `null` if unlimited.
+    /// Effective degrees of freedom; `null` if unlimited.
     pub degrees_of_freedom: Option<f64>,
-    /// Share of values within the expanded uncertainty.
     pub coverage: f64,
     pub coverage_factor: f64,
     pub expanded: f64,
@@ -67,23 +66,23 @@ pub struct CombinedUncertainty {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EvaluationError {
-    /// The budget takes the repeatability from observations, and there are fewer than two.
     NoRepeatability,
-    /// The value is not finite.
     NoValue,
 }
 
 impl fmt::Display for EvaluationError {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str(match self {
-            Self::NoRepeatability => "the budget takes the repeatability from trials, expected two or more",
-            Self::NoValue => "there is no value for the budget",
+            Self::NoRepeatability => {
+                "the budget takes the repeatability from the trials, which needs two or more trials"
+            }
+            Self::NoValue => "the value is not a finite number, so it has no uncertainty",
         })
     }
 }
 
 impl QuantityBudget {
-    /// `observed`: repeatability of `value`, used if the budget does not state it.
+    /// `observed` is the repeatability of `value` from trials; it is used if the budget does not state one.
     pub fn combine(
         &self,
         value: f64,

@@ -9,11 +9,11 @@ use std::fmt;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum DecisionRule {
-    /// The value decides; the uncertainty is stated only.
+    /// The value must meet the limit. The record states the uncertainty, which changes no verdict.
     Simple,
-    /// The value must keep a guard band to the limit: a false acceptance has a probability below 2.5 %.
+    /// The value must meet the limit with a guard band. A false acceptance then has a probability below 2.5 %.
     Guarded,
-    /// The value decides if the expanded uncertainty is small enough; both parties share the risk.
+    /// The value must meet the limit, and the expanded uncertainty must be small enough. Both parties share the risk.
     SharedRisk,
 }
 
@@ -33,8 +33,7 @@ impl fmt::Display for DecisionRule {
     }
 }
 
-/// One-sided, at the limit: that of k = 2 for a normal error, so that a value at the limit is
-/// accepted in less than 2.5 % of cases although Welch-Satterthwaite is an approximation.
+/// One-sided, of a normal error at k = 2. It is smaller than 2.5 %, because Welch-Satterthwaite is an approximation.
 pub const GUARD_PROBABILITY: f64 = 0.022_75;
 
 /// Result of a decision rule for a value that meets its limits.
@@ -42,19 +41,19 @@ pub const GUARD_PROBABILITY: f64 = 0.022_75;
 #[serde(rename_all = "kebab-case")]
 pub enum Conformity {
     Accepted,
-    /// The value keeps less than the guard band.
+    /// The value is closer to the limit than the guard band.
     WithinGuardBand {
         guard_band: f64,
     },
-    /// The expanded uncertainty exceeds this share of the tolerance, in percent.
+    /// The expanded uncertainty is `share_percent` of the tolerance, more than the allowed `largest_percent`.
     TooUncertain {
         share_percent: f64,
         largest_percent: f64,
     },
 }
 
-/// `range`: smallest and largest conforming value, `tolerance`: the scale of the limit,
-/// `largest_percent`: of the tolerance, for [`DecisionRule::SharedRisk`]. Only for values in range.
+/// `value` must be in `range`, the smallest and the largest conforming value. For [`DecisionRule::SharedRisk`] the
+/// expanded uncertainty may be `largest_percent` of `tolerance`, the scale of the limit.
 pub fn decide(
     rule: DecisionRule,
     value: f64,
@@ -67,7 +66,7 @@ pub fn decide(
         DecisionRule::Simple => Conformity::Accepted,
         DecisionRule::Guarded => {
             let guard_band = uncertainty.one_sided_reach(GUARD_PROBABILITY);
-            // NaN is not inside.
+            // False for NaN.
             let is_inside = range.0 + guard_band <= value && value <= range.1 - guard_band;
             if is_inside { Conformity::Accepted } else { Conformity::WithinGuardBand { guard_band } }
         }

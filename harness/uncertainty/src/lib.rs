@@ -1,7 +1,5 @@
-//! Combines measurement uncertainties after GUM (JCGM 100:2008) and decides on conformity with them
-//! (JCGM 106:2012, ILAC-G8:09/2019).
-//!
-//! Knows neither runs nor plates: numbers and a budget file in, numbers out.
+//! Combines measurement uncertainties (GUM, JCGM 100:2008) and decides on conformity with them (JCGM 106:2012,
+//! ILAC-G8:09/2019).
 
 mod budget;
 mod budget_file;

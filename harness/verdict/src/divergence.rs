@@ -1,26 +1,24 @@
-//! Detects a loop that does not converge (`docs/verdicts.md`); it is the reason of a failure only.
+//! Detects a loop that does not converge (`docs/verdicts.md`). A divergence explains a failure and never causes one.
 //!
-//! An unstable loop does not grow without bound: drive and frequency slew are limited, and an
-//! oscillation remains. A loop diverges if, after the last event of the trial, the amplitude keeps
-//! leaving the band around the setpoint to both sides and this swing does not decay. The rig
-//! reports a NaN or infinite drive command, because a trace cannot contain it.
+//! Drive and frequency slew are limited, so an unstable loop keeps oscillating but does not grow without bound. A loop
+//! diverges if, after the last event of the trial, the amplitude keeps leaving the band around the setpoint to both
+//! sides and this swing does not decay. A trace cannot contain a NaN or infinite drive command; the rig reports it.
 
 use platebench_plate::Time;
 use platebench_record::{Divergence, Telemetry};
 use platebench_scenario::Scenario;
 use platebench_trace::{Flags, Row};
 
-/// In units of the setpoint.
+/// Share of the setpoint.
 const BAND_HALF_WIDTH: f64 = 0.05;
-/// A swing within this many deviations of the sensor's noise may be noise: 10⁵ samples reach 4.5, and
-/// a settled loop amplifies it.
+/// A swing of fewer standard deviations of noise may be noise: 10⁵ samples reach 4.5, and a settled loop amplifies it.
 const NOISE_DEVIATIONS: f64 = 25.0;
-/// In each third of the time after the last event.
+/// Control periods in each third of the time after the last event.
 const MIN_PERIODS: f64 = 10.0;
 const MIN_SIDE_CHANGES: u32 = 3;
-/// Share that a swing keeps from one third to the next: it would need some hundred thirds to decay.
+/// A swing that keeps this share from one third to the next would need some hundred thirds to decay.
 const MIN_DECAY_RATIO: f64 = 0.98;
-/// If the drive switches between 0 V and its limit in both thirds, because clipping varies.
+/// Applies if the drive switches between 0 V and its limit in both thirds, because the effect of clipping varies.
 const MIN_DECAY_RATIO_AT_LIMITS: f64 = 0.9;
 const CONVERGED_PERIODS: f64 = 10.0;
 const LIMIT_SHARE: f64 = 1.0 - 1e-6;
@@ -70,7 +68,7 @@ pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
     diverged.then(|| final_band_exit_s(held, reach, CONVERGED_PERIODS * period))
 }
 
-/// From there setpoint and conditions are constant, the controller runs and answers, no fault acts.
+/// Index of the first row of the final part: constant setpoint and conditions, a controller that answers, no fault.
 fn row_after_last_event(scenario: &Scenario, rows: &[Row]) -> usize {
     let moved = |pair: &[Row]| match pair {
         [left, right] => {
@@ -91,7 +89,7 @@ fn row_after_last_event(scenario: &Scenario, rows: &[Row]) -> usize {
     rows.iter().rposition(disturbed).map_or(0, |index| index + 1).max(rested)
 }
 
-/// From beyond `reach` on one side of 0 to beyond it on the other.
+/// Counts changes from beyond `reach` on one side of 0 to beyond it on the other side.
 fn count_side_changes(rows: &[Row], reach: f64, signal: &dyn Fn(&Row) -> f64) -> u32 {
     let mut side = 0.0;
     let mut changes = 0;
@@ -131,7 +129,7 @@ fn switches_between_limits(rows: &[Row], limit: f64) -> bool {
     changes >= MIN_SIDE_CHANGES
 }
 
-/// After the last stay in the band of at least `stay` seconds, or after the first entry.
+/// Time at which the signal left the band after its last stay of at least `stay` seconds, or after its first entry.
 fn final_band_exit_s(rows: &[Row], reach: f64, stay: f64) -> f64 {
     let start = rows.first().map_or(0.0, |row| row.t_s);
     let mut left = None;

@@ -5,14 +5,14 @@ use platebench_record::{Exclusion, Telemetry};
 use platebench_scenario::{Metric, Scenario};
 use platebench_trace::{Flags, Row};
 
-/// An oscillator on the chip is off by 1 %; a wrongly configured timer is off by a factor.
+/// An oscillator on the chip is off by up to 1 %, a wrongly configured timer by a factor.
 const CLOCK_TOLERANCE_PPM: f64 = 20_000.0;
-/// One stall of the computer at either end of a trial.
+/// Tolerates one stall of the computer at the start or at the end of a trial.
 const STALL_S: f64 = 0.05;
 /// Instants are whole nanoseconds.
 const INSTANT_ROUNDING_S: f64 = 0.5e-9;
 
-/// Rounded to 1 ns.
+/// Converts seconds to milliseconds, rounded to 1 ns.
 pub(crate) fn rounded_ms(t_s: f64) -> f64 {
     (t_s * 1e9).round() / 1e6
 }
@@ -28,7 +28,6 @@ pub(crate) fn find_exclusion(scenario: &Scenario, rows: &[Row], telemetry: &Tele
         .or_else(|| incomplete_trace(scenario, rows))
 }
 
-/// A missing answer, unless a planned fault explains it.
 fn unplanned_silence(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
     let is_planned = |row: &&Row| Time::from_seconds(row.t_s).is_some_and(|time| scenario.explains_silence(time));
     let mut flagged = rows.iter().filter(|row| row.flags.contains(Flags::LINK_LOST));

@@ -1,8 +1,8 @@
 //! Decides whether any controller could meet a demand within the amplifier's limits.
 //!
-//! An ideal controller plays the trial again: at resonance, it brings the amplitude to the setpoint
-//! as fast as the amplifier allows. Its amplitude follows the exact envelope `W' = −σ W + b V`,
-//! with V at the limit while W must rise and 0 while it must fall.
+//! An ideal controller plays the trial again. It is always at resonance and brings the amplitude to the setpoint as
+//! fast as the amplifier allows. The amplitude follows the exact envelope `W' = −σ W + b V`; V is the limit while W
+//! must rise and 0 while it must fall.
 
 use crate::metrics::{self, Measure};
 use platebench_plate::{Plant, Time};
@@ -20,8 +20,8 @@ pub(crate) fn infeasibility_excuse(
     if !is_drive_limited(expectation.metric) || matches!(expectation.signal, "wq_um" | "sensed_wq_um") {
         return None;
     }
-    // The ideal response is that of one mode. Another mode or an offset may add to it; bandwidth,
-    // slew rate, dead time and latency only slow a loop down, so the ideal one stays a bound.
+    // The ideal response has one mode. Another mode or an offset may add to it, so nothing is excused. Bandwidth, slew
+    // rate, dead time and latency only slow a loop down, so the ideal response stays a bound.
     if scenario.plate.second_mode.is_some() || scenario.plate.amplifier.offset_vpp != 0.0 {
         return None;
     }
@@ -43,8 +43,7 @@ pub(crate) fn infeasibility_excuse(
     })
 }
 
-/// The drive was at its limit, or at 0 V with a setpoint below an earlier level. Without either the ideal response need
-/// not be simulated.
+/// Without a drive at its limit, or at 0 V with a setpoint below an earlier level, no simulation is necessary.
 fn may_be_limited(rows: &[Row]) -> bool {
     let mut highest = rows.first().map_or(0.0, |row| row.amplitude_um);
     rows.iter().any(|row| {
@@ -61,7 +60,7 @@ fn unreachable_best(expectation: &Expectation, best: Measure) -> Option<BestResp
     match (metric, best) {
         (_, Measure::Missing(missing)) => Some(BestResponse::Missing(missing)),
         (_, Measure::Undefined(_) | Measure::Samples(_)) => None,
-        // A mean below the setpoint is limited by the drive.
+        // A mean below the setpoint shows that the drive is too weak.
         (Metric::Repeatability, Measure::Value(percent)) => {
             (percent < 100.0 - RATIO_TOLERANCE_PERCENT).then_some(BestResponse::Mean(percent))
         }
@@ -92,9 +91,9 @@ const RATIO_TOLERANCE_PERCENT: f64 = 1e-6;
 
 struct IdealResponse {
     rows: Vec<Row>,
-    /// The amplitude must fall faster than the plate decays, and the drive was at 0 V.
+    /// True if the amplitude must fall faster than the plate decays while the drive was at 0 V.
     falls_with_drive_off: bool,
-    /// At resonance.
+    /// Largest drive that holds the setpoint at resonance.
     required_drive_vpp: f64,
 }
 

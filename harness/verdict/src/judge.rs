@@ -1,8 +1,8 @@
 //! Judges the expectations of a scenario by its trials.
 //!
-//! A scenario with `max_count` is judged after `count` trials, after twice as many and so on. The
-//! looks depend on the scenario alone, and a decision depends on the trials up to its look: a
-//! stored run is judged as live, for any order of play.
+//! A look is an evaluation of the trials so far. A scenario with `max_count` has looks after `count` trials, after
+//! twice as many and so on. The looks depend on the scenario alone, and a decision depends on the trials up to its
+//! look. Therefore a stored run gets the same verdict as the live run, for any order of play.
 
 mod expectation_judge;
 mod outcome;
@@ -23,10 +23,10 @@ pub struct Judgement {
 
 #[derive(Debug, Clone, PartialEq)]
 pub enum SequentialDecision {
-    /// More trials do not change it.
+    /// More trials cannot change the judgement.
     Stop(Judgement),
     Continue {
-        /// At the next look, including those already played.
+        /// Number of trials at the next look, including those already played.
         trials: u32,
     },
 }

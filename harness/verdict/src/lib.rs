@@ -1,7 +1,6 @@
-//! Judges trials: from traces to verdicts (`docs/verdicts.md`).
+//! Judges trials, from traces to verdicts (`docs/verdicts.md`).
 //!
-//! A verdict depends on the scenario, the stored traces and the stored telemetry only: neither on a
-//! clock nor on the order of execution.
+//! A verdict depends only on scenario, stored traces and stored telemetry, not on a clock or on the order of execution.
 
 mod bisection;
 mod divergence;

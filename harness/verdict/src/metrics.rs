@@ -1,9 +1,8 @@
 //! Measures one trial from its trace.
 //!
-//! The runner adds a row on either side of every crossing of an expected band. Between rows the
-//! plate's signals count as linear, which changes a settling time by less than 1 ns (some µs for a
-//! band that the run did not know). The controller's samples are known at control instants only: a
-//! time measured from them is an interval.
+//! The runner adds a row on either side of every crossing of an expected band. The plate's signals count as linear
+//! between rows, which changes a settling time by less than 1 ns, or some µs for a band that the run did not know. The
+//! controller's samples are known at control instants only, so a time measured from them is an interval.
 
 mod band;
 mod measure;
@@ -21,8 +20,8 @@ use platebench_trace::{Flags, Row};
 use signal::MetricSignal;
 use window::{flagged_share, ripple_um, window_mean_ratio, window_rows, window_rows_with_previous};
 
-/// The worst window decides. [`Metric::Repeatability`] gives the window mean in percent of the
-/// setpoint. A trial with a command that its trace cannot show has no number.
+/// The worst window decides. [`Metric::Repeatability`] gives the window mean in percent of the setpoint. A trial with a
+/// NaN or infinite drive command has no number.
 pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let measure = measure_trace(expectation, rows, telemetry);
     let has_number = !matches!(measure, Measure::Missing(_) | Measure::Undefined(_));
@@ -34,8 +33,7 @@ pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -
 
 fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let Some(last) = rows.last() else { return Measure::Undefined(UndefinedValue::EmptyTrace) };
-    // Only these two may credit a stop (at rest nothing overshoots), and only one that the
-    // controller made: if it was lost, the bench applied the 0 V.
+    // A stop fails all other metrics, because nothing overshoots at rest. After a loss, the bench applied the 0 V.
     let allows_stop = matches!(expectation.metric, Metric::ShutdownTime | Metric::MissedReplies);
     if last.flags.contains(Flags::SAFE) && !(allows_stop && telemetry.ended.is_none()) {
         return Measure::Missing(MissingValue::NotRunning);
@@ -53,7 +51,7 @@ fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry)
     worst.map_or(Measure::Undefined(UndefinedValue::EmptyWindow), |(_, measure)| measure)
 }
 
-/// Value by its distance from the limit, undefined, value that breaks the limit, missing.
+/// Rank and distance from the limit. Ranks: good value, undefined, value that breaks the limit, missing.
 fn severity(expectation: &Expectation, measure: &Measure) -> (u8, f64) {
     let (lowest, highest) = expectation.range();
     match measure {
@@ -127,7 +125,7 @@ fn measure_window(
     Ok(Measure::Value(value))
 }
 
-/// A real plate's controller reports only what it knows.
+/// Metrics that the controller of a real plate cannot report.
 const fn unknown_on_a_real_plate(metric: Metric) -> Option<UndefinedValue> {
     match metric {
         Metric::FrequencyError => Some(UndefinedValue::UnknownResonance),

@@ -1,7 +1,7 @@
 //! Decides whether a trial on a real plate counts.
 //!
-//! The rows contain what the controller reports about itself. A trial counts if all of it was
-//! received, the controller held the setpoints that it was sent, and a person made the conditions.
+//! The rows contain what the controller reports about itself. A trial counts if all reports were received, the
+//! controller held the setpoints that it was sent, and a person made the conditions.
 
 use crate::exclusion::{lost_rows, rounded_ms, wrong_clock};
 use crate::feasibility::is_drive_limited;
@@ -10,14 +10,14 @@ use platebench_record::{Exclusion, Excuse, RealPlateRecord};
 use platebench_scenario::{Expectation, Scenario};
 use platebench_trace::{Flags, Row};
 
-/// The earlier setpoint may be in force as long.
+/// The previous setpoint may stay in force for this time.
 const MAX_SETPOINT_DELAY: Time = Time::from_nanos(100_000_000);
 /// The wire carries setpoints as f32.
 const SETPOINT_TOLERANCE: f64 = 1e-6;
 pub const OPERATOR_TIME_TOLERANCE: Time = Time::from_nanos(1_000_000_000);
 /// A person cannot act on time in a shorter trial.
 pub const MIN_DURATION_FOR_OPERATOR: Time = Time::from_nanos(2_000_000_000);
-/// Tolerance of a hand.
+/// A hand cannot hold a force more exactly.
 const FORCE_TOLERANCE_N: f64 = 0.3;
 const FORCE_TOLERANCE_SHARE: f64 = 0.2;
 const MAX_WRONG_FORCE_SHARE: f64 = 0.05;
@@ -120,7 +120,7 @@ fn wrong_conditions(scenario: &Scenario, rows: &[Row], record: Option<&RealPlate
     })
 }
 
-/// From `within` before `t_s` to `within` after it.
+/// Smallest and largest value from `within` before `t_s` to `within` after it.
 fn range_around(profile: &Profile, t_s: f64, within: Time) -> [f64; 2] {
     if let Profile::Sine { .. } = profile {
         let (low, high) = profile.range();
@@ -130,7 +130,7 @@ fn range_around(profile: &Profile, t_s: f64, within: Time) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
 }
 
-/// At the points from `within` before `t_s` to `within` after it, and at both ends.
+/// Values at the points from `within` before `t_s` to `within` after it, and at both ends.
 fn values_around(profile: &Profile, t_s: f64, within: Time) -> Vec<f64> {
     let time = Time::from_seconds(t_s).unwrap_or(Time::ZERO);
     let (from, to) = (time.since(within), time + within);

@@ -1,6 +1,4 @@
 //! Compares the commands of a controller with recorded ones, sample by sample, within a tolerance tube.
-//!
-//! Open loop: the recorded samples do not react to the commands.
 
 use crate::tube::{Exceedance, Tube, TubePoint, TubeSignal};
 use platebench_record::{Telemetry, Verdict, Violation};
@@ -54,7 +52,7 @@ pub struct Recording {
     pub end: Option<RecordingEnd>,
 }
 
-/// Over all compared samples.
+/// Largest difference of one signal over all compared samples.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CommandDifference {
     pub signal: &'static str,
@@ -62,24 +60,24 @@ pub struct CommandDifference {
     /// `null` if the controller commanded NaN or an infinite value.
     pub largest: f64,
     pub at_ms: f64,
-    /// The worst one outside the tube.
+    /// The worst difference outside the tube.
     pub exceedance: Option<Exceedance>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ReplayResult {
     pub verdict: Verdict,
-    /// Always true: the samples are recorded and do not react to the commands.
+    /// Always true, because the recorded samples do not react to the commands.
     pub open_loop: bool,
     pub recording: String,
     pub rig: String,
     pub firmware: String,
     pub law: String,
-    /// Samples sent.
+    /// Number of samples that were sent.
     pub samples: usize,
-    /// Samples with a recorded command and a reply.
+    /// Number of samples with a recorded command and a reply.
     pub compared: usize,
-    /// Compared commands that are equal bit for bit.
+    /// Number of compared commands that are equal bit for bit.
     pub identical: usize,
     pub differences: Vec<CommandDifference>,
     pub missed_replies: usize,
@@ -88,7 +86,7 @@ pub struct ReplayResult {
     pub stopped: Option<String>,
     /// Why the session ended early.
     pub ended: Option<String>,
-    /// The rig ended the session, not the controller.
+    /// True if the rig, not the controller, ended the session.
     pub rig_lost: bool,
     pub recording_end: Option<RecordingEnd>,
     pub safe_confirmed: bool,

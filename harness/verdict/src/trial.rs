@@ -14,19 +14,18 @@ use std::collections::BTreeMap;
 /// Everything about a trial that verdicts depend on.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TrialMeasures {
-    /// Counted from 0.
     pub index: u32,
     pub seed: u64,
-    /// One per expectation of the scenario.
+    /// One per expectation of the scenario, as for `excuses`.
     pub measures: Vec<Measure>,
     pub excuses: Vec<Option<Excuse>>,
-    /// How the controller was lost, in the rig's words.
+    /// The rig's message about the loss of the controller.
     pub ended: Option<String>,
     pub violations: Vec<Violation>,
-    /// Explains a failure.
+    /// Explains a failure and never causes one.
     pub divergence: Option<Divergence>,
     pub exclusion: Option<Exclusion>,
-    /// True for a real plate, which only the controller's own sensor measures.
+    /// True for a real plate, whose motion only the controller's own sensor measures.
     pub is_real_plate: bool,
 }
 
@@ -60,8 +59,8 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
 }
 
 impl TrialMeasures {
-    /// Smallest margin of all expectations that one trial can meet; negative if the trial misses a
-    /// limit, minus infinity if it has no value, broke a rule, diverged or does not count.
+    /// Smallest margin of the expectations that apply to one trial. Negative if the trial misses a limit; minus
+    /// infinity if it lacks a value, violates the protocol, diverges, loses the controller or does not count.
     pub fn margin(&self, expectations: &[Expectation]) -> f64 {
         let is_broken = self.exclusion.is_some()
             || self.divergence.is_some()
@@ -80,7 +79,7 @@ impl TrialMeasures {
     }
 }
 
-/// `trial` is the measures of `telemetry` and of the rows in `trace`.
+/// `trial` must be measured from `telemetry` and from the rows in `trace`.
 pub fn trial_record(
     scenario: &Scenario,
     trial: &TrialMeasures,
@@ -92,7 +91,7 @@ pub fn trial_record(
     let mut values = MetricValues::with_capacity(scenario.expectations.len());
     for (expectation, measure) in scenario.expectations.iter().zip(&trial.measures) {
         let metric = expectation.metric;
-        // A single trial cannot be compared.
+        // These metrics compare trials, so one trial has no value.
         if !metric.has_over() {
             continue;
         }

@@ -1,8 +1,8 @@
 //! Compares a response with a golden curve and its tolerance.
 //!
-//! Row by row, a step that is slightly later would fail by its whole height. Therefore the response
-//! must be within the tolerance of the golden curve at some time within the tolerance in time, at
-//! every instant of the golden grid. Curves are linear between points.
+//! A comparison row by row would fail a slightly later step by its whole height. Therefore, at every instant of the
+//! golden grid, the response must be within the tolerance of the golden curve at some time within the tolerance in
+//! time. Curves are linear between points.
 
 use platebench_trace::Row;
 use serde::{Deserialize, Serialize};
@@ -61,7 +61,7 @@ impl TubeSignal {
 pub struct TubePoint {
     pub t_ms: f64,
     pub value: f64,
-    /// Learned, in addition to the tolerance; 0 without learning.
+    /// Learned addition to the tolerance; 0 without learning.
     pub width: f64,
 }
 
@@ -80,12 +80,12 @@ pub struct Exceedance {
     pub value: f64,
     pub golden: f64,
     pub distance: f64,
-    /// Half the height of the tube there.
+    /// Half the height of the tube at this instant.
     pub allowed: f64,
 }
 
 impl Exceedance {
-    /// Deviation in units of the allowed one: above 1.
+    /// Deviation divided by the allowed one; above 1.
     pub fn ratio(&self) -> f64 {
         1.0 + self.distance / self.allowed
     }
@@ -101,7 +101,7 @@ impl Tube {
         (self.points.first().map_or(0.0, |point| point.t_ms), self.points.last().map_or(0.0, |point| point.t_ms))
     }
 
-    /// Constant beyond the ends.
+    /// The curve is constant beyond its ends.
     pub fn point_at(&self, t_ms: f64) -> TubePoint {
         let next = self.points.partition_point(|point| point.t_ms <= t_ms);
         let ends = (next.checked_sub(1).and_then(|index| self.points.get(index)), self.points.get(next));
@@ -116,18 +116,18 @@ impl Tube {
         }
     }
 
-    /// Without the tolerance in time.
+    /// Excludes the tolerance in time.
     pub fn half_height(&self, point: TubePoint) -> f64 {
         self.tolerance.absolute + self.tolerance.relative * point.value.abs() + point.width
     }
 
-    /// Over the tolerance in time.
+    /// Lower and upper edge over the tolerance in time.
     pub fn edges(&self, t_ms: f64) -> [f64; 2] {
         let (from, to) = (t_ms - self.tolerance.time_ms, t_ms + self.tolerance.time_ms);
         let start = self.points.partition_point(|point| point.t_ms <= from);
         let end = self.points.partition_point(|point| point.t_ms < to);
         let inside = self.points.get(start..end).unwrap_or_default().iter().copied();
-        // On a line between two points the extreme edges are at one of them.
+        // Edges are linear between points, so the extreme edges are at one of them.
         let around = inside.chain([self.point_at(from), self.point_at(t_ms), self.point_at(to)]);
         around.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], point| {
             let half = self.half_height(point);
@@ -142,7 +142,7 @@ impl Tube {
         (0..=steps).map(move |index| from + index as f64 * step).chain(self.points.iter().map(|point| point.t_ms))
     }
 
-    /// `response` is (ms, value) in order of time; `None` if it is inside.
+    /// `response` contains (ms, value) in order of time. `None` if it is inside.
     pub fn worst_exceedance(&self, response: &[(f64, f64)], step_ms: Option<f64>) -> Option<Exceedance> {
         let outside = self.comparison_instants(step_ms).filter_map(|t_ms| {
             let value = value_at(response, t_ms)?;

@@ -1,8 +1,6 @@
-//! Defines the configuration of the paper's plate.
-
 use platebench_wire::{Configure, LawId};
 
-/// The bench paces; the sample time-out has its default.
+/// Configuration for the paper's plate, with the timer of the bench and the default watchdog timeout.
 pub const CONFIGURE: Configure = Configure {
     law: LawId::DqPi,
     paced_by_target: false,

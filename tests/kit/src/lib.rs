@@ -1,6 +1,6 @@
 //! Provides fixtures for the tests of several crates: plate, configuration, scenarios.
 //!
-//! Not for unit tests of `wire` and `scenario`, which would see two versions of their types.
+//! Unit tests of `wire` and `scenario` cannot use it, because they would see two versions of their types.
 
 mod configuration;
 mod identity;

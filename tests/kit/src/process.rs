@@ -22,6 +22,6 @@ impl Drop for ChildGuard {
 pub fn skip_without(what: &str) {
     let required = env::var(REQUIRE_ALL).is_ok_and(|value| value == "1");
     assert!(!required, "{what} is missing and {REQUIRE_ALL}=1: ci/install-test-tools");
-    // Standard error that the test harness does not capture.
+    // Unlike `eprintln!`, the test harness does not capture this.
     let _ = writeln!(std::io::stderr(), "NOT TESTED: {what} is missing (ci/install-test-tools)");
 }

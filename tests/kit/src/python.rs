@@ -1,15 +1,13 @@
-//! Finds a Python interpreter for the example controller.
-
 use crate::process::skip_without;
 use std::process::{Command, Stdio};
 
 /// Distributions may install pyserial for another Python than the first one on the path.
 const PYTHONS: [&str; 2] = ["python3", "/usr/bin/python3"];
 
-/// `None`, with a message, if there is no such Python.
+/// Returns a Python for the example controller, or `None` and prints a message if there is none.
 ///
 /// # Panics
-/// If there is none and `PLATEBENCH_REQUIRE_ALL=1`.
+/// If there is no such Python and `PLATEBENCH_REQUIRE_ALL=1`.
 pub fn python_with_pyserial() -> Option<&'static str> {
     let has_serial = |python: &&str| {
         let mut command = Command::new(python);

@@ -37,10 +37,10 @@ pub fn load_scenario(name: &str) -> Scenario {
     load(&scenario_path(name), name).unwrap_or_else(|fault| panic!("{}", fault.render(false)))
 }
 
-/// In memory: a run needs the files of [`write_scenario`].
+/// Loads a scenario in memory. A run needs files, see [`write_scenario`].
 ///
 /// # Panics
-/// If one of the two is invalid.
+/// If the scenario or the plate is invalid.
 #[must_use]
 #[track_caller]
 pub fn parse_scenario(text: &str, plate: &str) -> Scenario {
@@ -50,7 +50,7 @@ pub fn parse_scenario(text: &str, plate: &str) -> Scenario {
 /// Writes `s.toml` and `plate.toml` into `folder` and loads the scenario.
 ///
 /// # Panics
-/// If one of the two is invalid.
+/// If the scenario or the plate is invalid.
 #[must_use]
 #[track_caller]
 pub fn write_scenario(folder: &Path, text: &str, plate: &str) -> Scenario {

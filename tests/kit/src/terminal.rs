@@ -1,11 +1,9 @@
-//! Opens pseudo-terminals.
-
 #![allow(clippy::unwrap_used, reason = "a failed fixture fails the test")]
 
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use std::fs::File;
 
-/// The master end, and the path of the other end.
+/// Returns the master end of a new pseudo-terminal and the path of the other end.
 ///
 /// # Panics
 /// If the system has no pseudo-terminal left.

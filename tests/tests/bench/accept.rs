@@ -50,7 +50,7 @@ fn session_folder() -> TestFolder {
 
 const SESSION: [&str; 7] = ["accept", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
 const RESUME: [&str; 7] = ["accept", "--plan", "plan.toml", "--resume", "record", "--yes", "--rig"];
-/// A board that does not answer.
+/// Rig without a controller.
 const ABSENT: &str = "exec:false {port}";
 
 #[track_caller]
@@ -165,7 +165,7 @@ fn an_unmet_kill_rate_does_not_pass() {
 #[rstest]
 #[case::unknown_key("title =", "titel =", "plan.toml:1:1")]
 #[case::no_repetition("repetitions = 3", "repetitions = 0", "expected 1 to 100000")]
-#[case::twice("[[ask]]", "[[requirement]]\nid = \"R-1\"\ntext = \"Again.\"\n[[ask]]", "each identifier once")]
+#[case::twice("[[ask]]", "[[requirement]]\nid = \"R-1\"\ntext = \"Again.\"\n[[ask]]", "another identifier in each")]
 #[case::empty_text("It settles.", " ", "empty, expected a text")]
 #[case::unknown_requirement("\"R-1\"", "\"R-9\"", "the plan has no requirement `R-1`")]
 #[case::missing("s.toml", "no.toml", "no.toml")]
@@ -234,7 +234,7 @@ const CONTINUE: &str = "continue with the same command and --resume record";
 fn a_session_does_not_resume_with_another_input(#[case] file: &str, #[case] message: &str) {
     let folder = interrupted_session();
     folder.write(file, &(folder.read(file) + "\n# another\n"));
-    resume(&folder, &[ABSENT]).assert_exit(2).assert_output(&[message, "a record contains only one"]);
+    resume(&folder, &[ABSENT]).assert_exit(2).assert_output(&[message, "start a new session"]);
 }
 
 #[test]

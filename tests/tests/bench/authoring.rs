@@ -133,7 +133,7 @@ fn an_invalid_environment_variable_is_named(#[case] variable: &str, #[case] opti
         bench_command(folder.path()).args(arguments).env(variable, value).output().unwrap().into()
     };
     call(&["run"]).assert_exit(2).assert_output(&[option, variable]);
-    // A flag on the command line is not blamed on the environment.
+    // If the flag is on the command line, the message does not name the environment variable.
     call(&["run", &format!("{option}={value}")]).assert_exit(2).assert_output_without(variable);
 }
 
@@ -167,7 +167,7 @@ fn scenarios_of_runs(folder: &Path) -> Vec<Vec<String>> {
         .filter_map(|entry| {
             let text = fs::read_to_string(entry.path().join("run.json")).ok()?;
             let record: Value = serde_json::from_str(&text).ok()?;
-            // The last file that a run writes.
+            // This is the last file that a run writes.
             let written = fs::metadata(entry.path().join("traceability.csv")).ok()?.modified().ok()?;
             let names = record["scenarios"].as_array()?.iter();
             Some((written, names.map(|scenario| scenario["file"].as_str().unwrap().to_owned()).collect()))

@@ -18,7 +18,7 @@ use std::process::{Command, Stdio};
 const HEALTHY: [&str; 5] = ["b1", "b2", "b3", "b4", "b5"];
 /// A healthy board whose first worker is killed.
 const KILLED: &str = "b6";
-/// Its program runs and never answers.
+/// A board whose program runs and never answers.
 const DEAD: &str = "dead";
 const WRONG_CHIP: &str = "wrong";
 const SHARDS: [&str; 2] = ["1/2", "2/2"];
@@ -28,7 +28,6 @@ fn boards() -> impl Iterator<Item = &'static str> {
     HEALTHY.into_iter().chain([KILLED, DEAD, WRONG_CHIP])
 }
 
-/// Eight boards and `count` scenarios.
 fn lab(count: usize) -> TestFolder {
     let folder = TestFolder::new();
     for number in 1..=count {
@@ -54,7 +53,6 @@ fn lab(count: usize) -> TestFolder {
     folder
 }
 
-/// An acceptance plan for the first scenario.
 fn write_plan(folder: &TestFolder) {
     folder.replace("scenarios/s1.toml", "at_most = 2.0", "at_most = 2.0\nrequirement = \"R-1\"");
     folder.write(
@@ -76,7 +74,7 @@ fn start_session(folder: &TestFolder, board: &str) -> ChildGuard {
     start_bench(folder.path(), session.into_iter().chain(LOCKSTEP))
 }
 
-/// A shell reads `line` as it would at a prompt. The programs of the pages are in its path.
+/// Runs `line` in a shell, as at a prompt. The path contains the programs that the pages use.
 pub(crate) fn start_line(folder: &Path, line: &str, variables: &[(&str, &str)]) -> ChildGuard {
     let programs = folder.join("bin");
     if !programs.exists() {
@@ -93,8 +91,8 @@ pub(crate) fn start_line(folder: &Path, line: &str, variables: &[(&str, &str)]) 
     ChildGuard(shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap())
 }
 
-/// The first bench that uses the board for a run is killed by the board's own program. No controller follows: another
-/// bench may already have the pseudo-terminal of the killed one.
+/// Makes the program of the board kill the first bench that uses the board for a run. No controller follows, because
+/// another bench may already have the pseudo-terminal of the killed one.
 fn kill_first_bench(folder: &TestFolder) {
     let script = format!(
         "if grep -q '\"process\"' boards.state/{KILLED}.json && mkdir killed; \

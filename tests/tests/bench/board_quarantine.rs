@@ -8,7 +8,6 @@ use std::process::Command;
 const LEFT: usize = 0;
 const RIGHT: usize = 1;
 
-/// A board `left` with `rig`, a hosted board `right`, and a scenario that settles.
 fn lab(rig: &str) -> TestFolder {
     let folder = TestFolder::with_step(SETTLING);
     folder.write(

@@ -14,7 +14,6 @@ fn rig(rig: &str) -> String {
     format!("rig = \"{rig}\"")
 }
 
-/// A board `left` and a scenario that settles.
 fn lab(keys: &str) -> TestFolder {
     let folder = TestFolder::with_step(SETTLING);
     folder.write("boards.toml", &inventory(&[("left", keys.to_owned())]));

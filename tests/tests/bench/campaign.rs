@@ -1,5 +1,3 @@
-//! Tests `platebench campaign`.
-
 use crate::test_folder::{bench_command, run_bench, start_bench, workspace_root};
 use rstest::rstest;
 use serde_json::Value;
@@ -19,7 +17,6 @@ const VARY: &str = "title = \"Tolerance\"\nscenario = \"step.toml\"\n[vary]\n\
     \"plate.mode.gain_um_per_vpp\" = { normal = { mean = 0.00698, sd_percent = 2.0 } }\n\
     \"controller.loop_delay_ms\" = { uniform = [0.0, 0.1] }\n";
 
-/// A folder with `step.toml` and `campaign.toml`.
 pub(crate) fn folder(plan: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
@@ -64,7 +61,7 @@ fn results_do_not_depend_on_shards_and_jobs(#[case] plan_text: &str) {
     let mut exits = Vec::new();
     for (out, shards, jobs) in [("a", 1, 1), ("b", 7, 2), ("c", 64, 1)] {
         plan(folder, out, shards);
-        // From the last shard to the first.
+        // The order must not matter, so the last shard is first.
         (1..=shards).rev().for_each(|shard| play(folder, out, shard, jobs));
         exits.push(run_bench(folder, ["campaign", "merge", out]).exit);
         merged.push(results(folder, out));
@@ -259,7 +256,7 @@ fn some_trials_are_confirmed_on_the_emulated_firmware() {
     assert_eq!(summary(folder, "a").get("confirm"), None, "a shard is missing");
     play(folder, "a", 3, 1);
     let merged = run_bench(folder, ["campaign", "merge", "a", "--jobs", "1"]);
-    merged.assert_stdout(&["trials replayed on emulated", "random: 0 of "]);
+    merged.assert_stdout(&["trials replayed on emulated", "random trials: 0 of "]);
     let result = summary(folder, "a");
     let confirmed = &result["confirm"];
     let failures = result["overall"]["failures"].as_u64().unwrap();
@@ -312,7 +309,7 @@ fn submitted_commands_play_every_shard(#[case] on: &str, #[case] program: &str, 
     plan(folder, "a folder", 3);
     let printed = run_bench(folder, ["campaign", "submit", "a folder", "--on", on]);
     printed.assert_exit(0).assert_stdout(&[program, "--array=1-3", task, "campaign merge"]);
-    // The engine is replaced by a program that starts the last word for each task.
+    // A program replaces the engine and runs the last word of the command line for each task.
     let tools = folder.join("tools");
     fs::create_dir(&tools).unwrap();
     let engine = format!(
@@ -356,7 +353,7 @@ fn jitter_follows_the_seed_of_the_trial() {
         fs::remove_dir_all(folder.join("run")).unwrap();
         let rows = trace.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>()).collect::<Vec<_>>();
         let changes = rows.windows(2).filter(|pair| pair[0][5] != pair[1][5]);
-        // Nanoseconds since the control instant.
+        // Time since the control instant, ns.
         let delay = |pair: &[Vec<&str>]| (pair[1][0].parse::<f64>().unwrap() * 1e9).round() as i64 % 1_000_000;
         changes.map(delay).collect::<Vec<_>>()
     };

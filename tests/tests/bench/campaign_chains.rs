@@ -7,7 +7,6 @@ use serde_json::Value;
 use std::fs;
 use tempfile::TempDir;
 
-/// A campaign of two plate values and a law, in a folder with `step.toml`.
 fn folder_with(vary: &str, plan: &str) -> TempDir {
     let folder = folder("");
     let text = format!("title = \"x\"\nscenario = \"step.toml\"\n[vary]\n{vary}{plan}");

@@ -13,7 +13,6 @@ use std::time::Duration;
 
 const KILLS: usize = 3;
 
-/// Kills a process `campaign play`, if there is one.
 fn kill_a_shard(folder: &Path, random: usize) -> bool {
     let is_shard = |process: &String| {
         let words = fs::read_to_string(format!("/proc/{process}/cmdline")).unwrap_or_default();
@@ -49,9 +48,9 @@ pub(crate) fn assert_same_bytes(engine: &str, begin: &str, start: &dyn Fn(&Path,
     assert!(results(folder, "c") == results(folder, "alone"), "the results depend on killed shards");
 }
 
-/// Controller and node of a Slurm cluster on this machine, for this user.
+/// A Slurm cluster of one controller and one node on this machine, for this user.
 struct Slurm {
-    /// They end before their folder is removed.
+    /// The first field, so that the daemons end before their folder is removed.
     daemons: Vec<ChildGuard>,
     folder: tempfile::TempDir,
 }
@@ -113,6 +112,6 @@ fn shards_killed_on_slurm_resume_to_the_same_bytes() {
     let Some(slurm) = Slurm::start() else { return };
     let config = slurm.config();
     let start = |folder: &Path, line: &str| start_line(folder, line, &[("SLURM_CONF", config.as_str())]);
-    // 128 and the signal.
+    // 128 plus the number of SIGKILL.
     assert_same_bytes("slurm", "sbatch", &start, 137);
 }

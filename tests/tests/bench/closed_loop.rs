@@ -52,7 +52,7 @@ fn equation_24_as_printed_tolerates_its_delay_budget(#[case] delay_ms: f64, #[ca
     let controller = format!("law = \"dq-pi-euler\"\nloop_delay_ms = {delay_ms}");
     let text = step_scenario("aluminium-198x138", &controller, "", SETTLING)
         .replace("duration_ms = 60.0", "duration_ms = 900.0");
-    // The drive limit makes a limit cycle of an unstable loop, which may end inside the band.
+    // With the drive limit, an unstable loop ends in a limit cycle, which may be inside the band.
     assert_eq!(TestFolder::new().first_value(&text).is_some_and(|ms| ms < 300.0), settles);
 }
 
@@ -62,7 +62,7 @@ fn value_with_drive_limit(limit_vpp: f64, expect: &str) -> f64 {
     folder.first_value(&step_text(expect)).unwrap()
 }
 
-/// `t = −τ ln(1 − 0.95 W_ref / (K1 Vmax))`
+/// Time to 95 % of the setpoint at the drive limit, ms: `t = −τ ln(1 − 0.95 W_ref / (K1 Vmax))`
 fn time_floor_ms(limit_vpp: f64) -> f64 {
     -1.88 * (1.0 - 0.95 * 2.0 / (0.00698 * limit_vpp)).ln()
 }

@@ -17,7 +17,6 @@ fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
-/// Breaks in the control step, reads the integral, steps, and lets the chip run.
 fn debug(elf: &Path, port: u16) -> String {
     let commands = [
         "set pagination off",

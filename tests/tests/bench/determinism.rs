@@ -36,7 +36,7 @@ fn traces_do_not_depend_on_the_number_of_jobs() {
     assert_eq!(one.len(), 9);
     assert_eq!(one, run(&folder, "seven", &["--jobs", "7"]));
     assert_eq!(one, run(&folder, "again", &["--jobs", "1"]));
-    // The comparison can fail: another seed gives other traces, and trials differ.
+    // To show that the comparison can fail: another seed gives other traces, and trials differ.
     let other = run(&folder, "other", &["--seed", "2"]);
     assert_eq!(one[1], other[0], "the seed of a trial is the scenario's plus its index");
     assert_ne!(one[0], other[0]);

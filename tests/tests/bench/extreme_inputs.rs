@@ -104,7 +104,7 @@ fn an_impossible_plate_is_reported_with_its_line(
     folder.run_hosted("run").assert_exit(2).assert_stderr(&[place, message]);
 }
 
-/// One cycle of the carrier is 30.95 µs; the wire carries whole microseconds.
+/// One cycle of the carrier is 30.95 µs, but the wire carries whole microseconds.
 #[test]
 fn rejects_a_period_between_two_microseconds() {
     let folder = extreme_folder("", "period_ms = 0.030952", UNCHANGED);

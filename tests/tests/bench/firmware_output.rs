@@ -7,7 +7,7 @@ use platebench_test_kit::skip_without;
 use std::fs;
 use std::process::Command;
 
-/// A ring that is smaller than the text of a trial.
+/// The ring is smaller than the text of a trial.
 const RTT: &str = r#"
 #include <string.h>
 struct channel { const char *name; char *buffer; uint32_t size; volatile uint32_t written, read; uint32_t flags; };
@@ -61,7 +61,7 @@ fn text_by_rtt_is_in_the_record_of_its_trial() {
         let page = fs::read_to_string(out.join("report.html")).unwrap();
         (trials.into_iter().map(|trial| trial.telemetry.firmware_output.unwrap()).collect::<Vec<_>>(), page)
     };
-    // A sample at each end of 60 periods.
+    // 60 periods have a sample at each of their ends.
     let expected = format!("started\n{}", "step\n".repeat(61));
     let (texts, page) = play("scenarios/paper/fig13-closed-loop.toml", "2", "short");
     assert_eq!(texts, [expected.clone(), expected.clone()]);

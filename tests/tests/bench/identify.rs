@@ -55,13 +55,12 @@ fn identified_tables_match_the_paper() {
         };
         let (gains, taus) = (steps("voltage_steps", &here, 0), steps("voltage_steps", &here, 1));
         assert_eq!((gains.len(), taus.len()), (30, 30), "{vpp} Vpp");
-        // The deviation of 30 values is within 26 % of the true one at 95 %; drawn: 5 % of K1, 6 %
-        // of τ1.
+        // The scenarios vary K1 by 5 % and τ1 by 6 %. The deviation of 30 values is within 26 % of that at 95 %.
         assert!((0.03..0.07).contains(&relative_deviation(&gains)), "{vpp} Vpp: K1 {}", relative_deviation(&gains));
         assert!((0.036..0.084).contains(&relative_deviation(&taus)), "{vpp} Vpp: τ1 {}", relative_deviation(&taus));
     }
     let value = |key: &str| identified[key]["value"].as_f64().unwrap();
-    // Means over 30 plates, three standard errors: 2.7 % of K1, 3.3 % of τ.
+    // Three standard errors of the means over 30 plates are 2.7 % of K1 and 3.3 % of τ.
     assert!((value("gain_um_per_vpp") / 0.006_98 - 1.0).abs() < 0.027, "{}", value("gain_um_per_vpp"));
     assert!((value("time_constant_s") / 1.88e-3 - 1.0).abs() < 0.033, "{}", value("time_constant_s"));
     assert!((value("frequency_gain_s") / 1.88e-3 - 1.0).abs() < 0.033, "{}", value("frequency_gain_s"));

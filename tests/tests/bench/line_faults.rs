@@ -49,7 +49,7 @@ fn the_fault_suite_passes_with_any_number_of_jobs() {
 
 #[test]
 fn a_slew_over_late_replies_is_no_violation() {
-    // Two replies arrive as one command: deadbeat moves to a distant resonance in two steps of at most the slew.
+    // Deadbeat approaches a distant resonance in steps of at most the slew. Two late replies act as one command.
     let heat = "temperature_offset_k = { hold = [[0.0, 0.0], [24.8, 5.0]] }";
     let text = step_scenario("aluminium-198x138", "law = \"deadbeat\"", heat, MISSED);
     let fault = "[[fault]]\nkind = \"delay\"\ndelay_ms = 1.01\ndirection = \"from-controller\"\n\
@@ -153,7 +153,7 @@ fn a_command_late_within_its_period_is_not_missed() {
     assert_eq!(times_with_flag_ms(&rows, Flags::LINK_LOST), [0.0; 0]);
     assert_eq!(rows.iter().find(|row| row.drive_vpp > 0.0).unwrap().t_s, 0.000_312_5);
     assert_eq!(telemetry(&record).loop_delay_us, Some(312.5));
-    // Equal to a loop delay of the same length.
+    // The fault acts like a loop delay of the same length.
     let delayed = step_scenario("aluminium-198x138", "loop_delay_ms = 0.3125", "", MISSED);
     let (_, expected) = TestFolder::new().run_scenario(&delayed);
     let drives = |rows: &[Row]| rows.iter().map(|row| (row.t_s, row.drive_vpp, row.wd_um)).collect::<Vec<_>>();

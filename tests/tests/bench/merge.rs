@@ -1,12 +1,9 @@
-//! Tests the joining of shards and boards.
-
 use crate::test_folder::{TestFolder, controller_rig, step_scenario};
 
 fn noisy(expect: &str) -> String {
     step_scenario("aluminium-198x138-noisy", "", "", expect) + "[trials]\ncount = 5\n"
 }
 
-/// Two scenarios and three boards of emulated controllers.
 fn lab() -> TestFolder {
     let folder = TestFolder::with_scenario(&noisy("metric = \"final_amplitude_um\"\nat_least = 0.5"));
     folder.write_scenario("t.toml", &noisy("metric = \"overshoot_percent\"\nat_most = 60.0"));

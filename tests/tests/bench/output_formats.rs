@@ -193,7 +193,7 @@ fn complete_trials_of_a_killed_run_are_exported() {
     folder
         .bench(["export", "run", "--format", "csv"])
         .assert_exit(0)
-        .assert_stderr(&["the run was interrupted; exported are its complete trials"]);
+        .assert_stderr(&["the run was interrupted; only its complete trials were exported"]);
     let table = folder.read("run/export/traces.csv");
     assert_eq!(table.lines().count(), folder.read(TRACE).lines().count());
     assert!(table.lines().skip(1).all(|line| line.starts_with("s,0,")));

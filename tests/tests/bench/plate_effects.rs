@@ -7,7 +7,6 @@ fn shipped(path: &str) -> PathBuf {
     workspace_root().join("scenarios").join(path)
 }
 
-/// Line of `key` in a shipped file, from 1.
 fn line_of(path: &str, key: &str) -> usize {
     let text = std::fs::read_to_string(shipped(path)).unwrap();
     text.lines().position(|line| line.starts_with(key)).unwrap() + 1

@@ -22,7 +22,7 @@ fn output(output: Output) -> (i32, String) {
     (output.status.code().unwrap_or(-1), String::from_utf8_lossy(&text).into_owned())
 }
 
-/// Without a second build of the program.
+/// Does not build the program a second time.
 fn build_wheel(folder: &Path) -> PathBuf {
     let dist = folder.join("dist");
     call(Command::new(workspace_root().join("ci/wheel")).arg(PROGRAM).arg(&dist));
@@ -31,7 +31,7 @@ fn build_wheel(folder: &Path) -> PathBuf {
     wheel.clone()
 }
 
-/// A fresh environment with the wheel; pandas, polars and pytest come from the readers.
+/// Creates an environment with the wheel. It uses pandas, polars and pytest of `target/test-readers`.
 fn environment(folder: &Path) -> PathBuf {
     let venv = folder.join("venv");
     call(Command::new(format!("{READERS}/bin/python")).args(["-m", "venv", "--without-pip"]).arg(&venv));

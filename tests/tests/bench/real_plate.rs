@@ -9,7 +9,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-/// On a busy machine a trial may not count.
+/// On a busy machine a trial may be excluded, so it is repeated.
 const ATTEMPTS: u32 = 5;
 
 const EXPECT: &str = "[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 3.0\n\
@@ -168,7 +168,7 @@ fn without_an_operator_manual_steps_are_inconclusive(#[case] more: &[&str]) {
 
 type OperatorRun = (i32, Vec<String>);
 
-/// `act` gets each prompt and the file with force in N and offset in K.
+/// `act` receives each prompt and the path of the file with the force in N and the temperature offset in K.
 fn run_with_operator(folder: &TestFolder, mut act: impl FnMut(&str, &Path)) -> (OperatorRun, RunRecord) {
     let _ = fs::remove_dir_all(folder.join("run"));
     let conditions = folder.join("conditions");
@@ -268,7 +268,7 @@ fn a_signal_puts_the_real_plate_at_0_v(#[case] name: &str, #[case] expected: i32
 fn after_a_killed_bench_the_board_s_watchdog_acts() {
     let folder = plate_folder(60_000.0, STEP, EXPECT);
     let (mut bench, log) = running_board(&folder);
-    // Stopped, not ended, so that the line stays open.
+    // The bench is stopped and not ended, so that the line stays open.
     bench.signal("STOP");
     wait_until("the board drives without setpoints", || log_text(&log).trim_end().ends_with("Fault 0"));
     bench.kill();

@@ -32,7 +32,7 @@ fn run_real_time(arguments: &[&str]) -> (TestFolder, RunRecord) {
     let folder = TestFolder::with_step(EXPECT);
     let output = folder.bench(["run", "--clock", "real-time", "--out", "run"].iter().chain(arguments));
     let record = folder.record("run");
-    // A late bench may make it inconclusive, never failed.
+    // A late bench may make the verdict inconclusive, never a failure.
     assert_ne!(record.verdict, Verdict::Fail, "{}", output.stdout);
     output.assert_exit(if record.verdict == Verdict::Pass { 0 } else { 3 });
     assert_eq!(record.clock, ClockKind::RealTime);

@@ -43,7 +43,7 @@ fn the_same_law_repeats_every_command_bit_for_bit() {
     assert!(text.contains("open loop: the samples are recorded"), "{text}");
 }
 
-/// With a delay the command acts after its sample; with 0.4 ms and jitter, at a random time.
+/// With a delay the command acts after its sample. With jitter the delay is random.
 #[rstest]
 #[case::delay("loop_delay_ms = 0.4\n", 60)]
 #[case::jitter("loop_delay_ms = 0.2\nloop_delay_jitter_ms = 0.3\n", 60)]
@@ -57,7 +57,7 @@ fn finds_the_command_of_a_delayed_loop(#[case] keys: &str, #[case] compared: u64
 fn another_law_or_other_gains_fail() {
     let folder = step_recording();
     let result = replay_json(&folder, "hosted", &["--law", "voltage-only"], 1);
-    // The fixed frequency leaves the tube, the drive does not.
+    // The fixed frequency leaves the tube, but the drive does not.
     assert!(!result["differences"][1]["exceedance"].is_null(), "{result}");
     let gains = "[controller.gains]\namplitude_kp = 60.0\namplitude_ki = 90000.0\nfrequency_kp = 100.0\n\
                  frequency_ki = 9e4\n[profile]";
@@ -88,7 +88,7 @@ fn a_changed_or_truncated_trace_is_rejected() {
 fn a_rig_that_is_absent_or_dies_ends_with_5() {
     let folder = step_recording();
     folder.bench(["replay", TRACE, "--rig", "exec:false {port}"]).assert_exit(5);
-    // The controller is killed while it answers: the longest recording outlasts it.
+    // The recording is long enough that the controller is killed before its end.
     let long = step_text(SETTLING).replace("duration_ms = 60.0", "duration_ms = 60000.0");
     let folder = recorded(&long);
     let rig = controller_rig(None).replacen("exec:", "exec:timeout -s KILL 0.4 ", 1);
@@ -105,7 +105,6 @@ fn stops_where_a_planned_fault_acts() {
     assert_eq!(result["recording_end"]["fault"]["at_s"], 0.04);
 }
 
-/// The telemetry of a real plate, with units of its own.
 #[test]
 fn replays_a_table_of_telemetry() {
     let folder = step_recording();

@@ -21,10 +21,10 @@ fn the_report_has_the_texts_of_requirements() {
     assert!(!folder.read("without/report.html").contains("<dt>R-1"));
     folder.write("scenarios/requirements.toml", &format!("[[requirement]]\nid = \"R-1\"\ntext = \"{TEXT}\"\n"));
     folder.bench(["run", "--rig", "hosted", "--out", "run"]).assert_exit(0);
-    // In the scenario and in the table of requirements.
+    // The text is in the scenario and in the table of requirements.
     assert_eq!(folder.read("run/report.html").matches(TEXT).count(), 2);
     assert_eq!(folder.record("run").scenarios[0].requirement_texts["R-1"], TEXT);
-    // The record has the texts: the file may change later.
+    // The record contains the texts, because the file may change later.
     fs::remove_file(folder.join("scenarios/requirements.toml")).unwrap();
     folder.bench(["judge", "run"]).assert_exit(0);
     folder.bench(["report", "run"]).assert_exit(0);
@@ -50,7 +50,7 @@ fn plan_and_list_have_the_same_texts() {
     }
 }
 
-/// docs/report.md reads this report.
+/// docs/report.md explains this report.
 #[test]
 fn the_report_of_three_taps_leads_to_the_cause() {
     let folder = TestFolder::new();
@@ -64,7 +64,7 @@ fn the_report_of_three_taps_leads_to_the_cause() {
     {
         assert!(page.contains(text), "{text}");
     }
-    // The overshoot after the third tap is none of the first step.
+    // The overshoot after the third tap does not belong to the first step.
     assert!(!page.contains("The settling time passes, but"));
     let rows = platebench_trace::read_trace(&folder.join("run/traces/three-taps/000.csv")).unwrap();
     let last = rows.last().unwrap();

@@ -1,6 +1,6 @@
 //! Tests faults of the wire in real time, and a port that two benches open.
 //!
-//! Results that depend on the load are asserted only of runs without overruns.
+//! Results that depend on the load of the machine are asserted only for runs without overruns.
 
 use crate::test_folder::{TestFolder, controller_rig, run_bench, start_bench, wait_until, workspace_root};
 use platebench_record::{RunRecord, Telemetry, Verdict};
@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 const STOPPED: Option<&str> = Some("no sample for five periods");
 
-/// The run has a tenth of real time.
+/// The run has a time scale of 0.1.
 fn run_with_line_fault(name: &str, out: &str) -> (RunRecord, Vec<Row>) {
     let folder = tempfile::tempdir().unwrap();
     let scenario = workspace_root().join(format!("scenarios/faults/{name}.toml"));
@@ -61,7 +61,7 @@ fn wire_faults_act_on_a_live_line(
             assert!((samples..=timing.missed_replies + 1).contains(&timing.lost_replies), "{timing:?}");
             assert!(telemetry.stopped.is_some() || reason.is_none());
         }
-        // Further missed replies may stop the controller.
+        // Further missed replies may have stopped the controller.
         if timing.overruns == 0 && timing.missed_replies <= count {
             assert_eq!(telemetry.stopped.as_deref(), reason);
             assert_eq!(rows.last().unwrap().drive_vpp > 0.0, runs_at_the_end, "configured again or not");

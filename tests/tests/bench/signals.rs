@@ -72,7 +72,7 @@ fn a_blocked_output_does_not_block_the_exit() {
     let mut bench = bench_command(folder.path());
     bench.args(["run", "--rig", "hosted", "--format", "json", "--out", "run"]).env("PLATEBENCH_LOG", "trace");
     let mut bench = ChildGuard(bench.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
-    // The event of a trial has some 500 bytes, and a pipe takes 64 KiB.
+    // The event of a trial has about 500 bytes, and a pipe takes 64 KiB.
     wait_until("too few complete trials", || complete_trace_count(&folder) >= 400);
     bench.signal("TERM");
     bench.wait_for_exit(&[143]);
@@ -85,7 +85,7 @@ fn a_file_size_limit_is_a_reported_error() {
     start_by_shell(&folder, "ulimit -f 20").finish().assert_exit(2).assert_stderr(&["File too large"]);
 }
 
-/// Above 10 s, the watchdog timeout that the bench sends to a controller with its own clock.
+/// Longer than 10 s, which is the watchdog timeout that the bench sends to a controller with its own clock.
 const SUSPENSION: Duration = Duration::from_millis(11_500);
 
 #[test]
@@ -112,7 +112,7 @@ fn a_killed_run_can_still_be_judged_and_reported() {
     folder
         .bench(["judge", "run"])
         .assert_exit(3)
-        .assert_stderr(&["the run was interrupted; judged are its complete trials"]);
+        .assert_stderr(&["the run was interrupted; only its complete trials were judged"]);
     folder.bench(["report", "run"]).assert_exit(0);
     assert!(folder.read("run/report.html").contains("</html>"));
 }

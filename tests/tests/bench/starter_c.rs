@@ -76,7 +76,7 @@ fn hexadecimal(bytes: &[u8], separator: &str) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(separator)
 }
 
-/// Heading and frame of each vector.
+/// Returns heading and frame of each test vector.
 fn documented_vectors() -> Vec<(String, Vec<u8>)> {
     let page = std::fs::read_to_string(workspace_root().join("docs/wire-protocol.md")).unwrap();
     let (mut vectors, mut heading) = (Vec::new(), String::new());
@@ -91,7 +91,7 @@ fn documented_vectors() -> Vec<(String, Vec<u8>)> {
     vectors
 }
 
-/// As `tests/wire.c` prints it, from the bench's own decoder.
+/// Formats the result of the bench's decoder as `tests/wire.c` prints it.
 fn expected_line(stream: &[u8]) -> String {
     let (mut reader, mut line) = (FrameReader::new(), String::new());
     for &byte in stream {
@@ -145,14 +145,14 @@ fn configure_words(configure: &Configure) -> Vec<u32> {
     words
 }
 
-/// Each vector, and each with one bit or byte changed, inserted or removed.
+/// Returns streams with `frame` intact, and with one bit or byte changed, inserted or removed.
 fn damaged_streams(frame: &[u8]) -> Vec<Vec<u8>> {
     let mut streams = vec![frame.to_vec(), [frame, frame].concat(), [&[0, 0], frame].concat()];
     for at in 0..frame.len() {
         for bit in 0..8 {
             let mut flipped = frame.to_vec();
             flipped[at] ^= 1 << bit;
-            // A valid frame follows: the reader must be synchronised again.
+            // The reader must be synchronised again for the valid frame that follows.
             streams.push([&flipped, frame].concat());
         }
         let without = [&frame[..at], &frame[at + 1..], frame].concat();
@@ -164,7 +164,7 @@ fn damaged_streams(frame: &[u8]) -> Vec<Vec<u8>> {
     streams
 }
 
-/// Intact frames with one byte of the body changed: versions, kinds, laws, bits and lengths.
+/// Returns frames with a correct CRC and one changed byte of the body: versions, kinds, laws, bits and lengths.
 fn invalid_bodies(frame: &[u8]) -> Vec<Vec<u8>> {
     let mut reader = FrameReader::new();
     let body = reader.read(&mut &*frame).unwrap().unwrap().to_vec();

@@ -38,7 +38,7 @@ pub(crate) fn run_bench<A: AsRef<OsStr>>(folder: &Path, arguments: impl IntoIter
     bench_command(folder).args(arguments).output().unwrap().into()
 }
 
-/// The program has no input; only standard error is kept.
+/// The program has no input, and only its standard error is kept.
 pub(crate) fn start_bench<A: AsRef<OsStr>>(folder: &Path, arguments: impl IntoIterator<Item = A>) -> ChildGuard {
     let mut bench = bench_command(folder);
     bench.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
@@ -290,7 +290,6 @@ impl TestFolder {
         read_trace(&self.join(run).join(&trial.trace)).unwrap()
     }
 
-    /// Removes the word "control" from the first trace.
     #[track_caller]
     pub(crate) fn tamper_with_trace(&self) {
         self.replace("run/traces/s/000.csv", "control", "");

@@ -9,7 +9,7 @@ use platebench_wire::LawId;
 use std::fmt::Write as _;
 use std::fs;
 
-/// A step of a long scenario costs as much as one of a short scenario.
+/// Longer scenarios are skipped, because their control steps cost as much as those of a short one.
 const LONGEST_S: f64 = 1.0;
 
 #[test]

@@ -11,7 +11,7 @@ enum TomlKind {
     Scenario,
     Plate,
     Plan,
-    /// Part of a file, or a file of another program.
+    /// A part of a file, or a file of another program.
     Other,
 }
 
@@ -39,7 +39,7 @@ fn example_folder() -> TempDir {
 fn check_toml(text: &str) -> Result<TomlKind, String> {
     let table: toml::Table = match text.parse() {
         Ok(table) => table,
-        // A list of possible values of a key, one per line.
+        // The block may list possible values of a key, one per line.
         Err(error) => {
             let values = text.lines().all(|line| format!("value = {line}").parse::<toml::Table>().is_ok());
             return if values { Ok(TomlKind::Other) } else { Err(error.to_string()) };
@@ -80,7 +80,7 @@ fn check_plate(plate: &Path, folder: &Path) -> Result<(), String> {
 fn every_toml_block_loads() {
     let mut found = Vec::new();
     let mut faults = Vec::new();
-    // The tutorial has its own test: one of its files is invalid on purpose.
+    // The tutorial has its own test, because one of its files is invalid on purpose.
     for page in read_pages().into_iter().filter(|page| !page.file.ends_with("docs/tutorial.md")) {
         for block in page.blocks.iter().filter(|block| block.language == "toml") {
             match check_toml(&block.text) {
@@ -114,7 +114,7 @@ fn finds_blocks_that_do_not_load() {
     assert!(check_toml("{ a = 1 }\n] 2\n").is_err());
 }
 
-/// Rejects bare names of commands, alternatives, options in brackets and placeholders.
+/// False for bare names of commands, alternatives, options in brackets and placeholders.
 fn is_own_command(text: &str) -> bool {
     let words = text.split_whitespace().count();
     let own = text.starts_with("cargo ") || text.starts_with("platebench ");

@@ -94,7 +94,7 @@ fn cargo_fault(arguments: &[String]) -> Option<String> {
     })
 }
 
-/// Only for a path of the project.
+/// Returns a message if `word` is a path of the project that does not exist.
 pub(crate) fn missing_path(word: &str, folder: &Path) -> Option<String> {
     let path = word.split_once("./").map_or(word, |(before, rest)| if before.is_empty() { rest } else { word });
     if !PROJECT_FOLDERS.iter().any(|folder| path.starts_with(folder)) {

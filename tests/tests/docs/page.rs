@@ -9,7 +9,7 @@ pub(crate) use platebench_test_kit::workspace_root;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Block {
-    /// Word after the fence; `indented` without a fence.
+    /// Word after the fence, or `indented` if the block has no fence.
     pub(crate) language: String,
     pub(crate) text: String,
     pub(crate) line: usize,
@@ -75,7 +75,7 @@ impl DocumentPage {
     }
 }
 
-/// As GitHub: lower case, no punctuation, hyphens for spaces; a repeated title gets a number.
+/// The same rules as on GitHub: lower case, no punctuation, hyphens for spaces; a repeated title gets a number.
 fn anchor(title: &str, counts: &mut BTreeMap<String, usize>) -> String {
     let kept = title.trim().to_lowercase().replace(' ', "-");
     let name: String = kept.chars().filter(|c| c.is_alphanumeric() || matches!(c, '-' | '_')).collect();

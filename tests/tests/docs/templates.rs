@@ -38,7 +38,7 @@ fn yaml_follows_the_schemas_of_the_services() {
     assert!(!check("github-actions", &broken).0, "the schema is checked");
 }
 
-/// Value of `${{ inputs.NAME }}` by default.
+/// Replaces `${{ inputs.NAME }}` by the default of the input.
 fn with_defaults(text: &str, inputs: &Value) -> String {
     match text.strip_prefix("${{ inputs.").and_then(|rest| rest.strip_suffix(" }}")) {
         Some(name) => inputs[name]["default"].as_str().unwrap().to_owned(),

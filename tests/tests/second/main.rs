@@ -13,10 +13,10 @@ use platebench_wire::{Command, LawId, Message, Packet, PacketReader};
 use qemu::Qemu;
 use recorded_trials::{RecordedExchange, RecordedTrial};
 
-/// Far less than the receive ring of the image holds.
+/// The receive ring of the image can store far more.
 const EXCHANGES_PER_WRITE: usize = 64;
 
-/// The clock of QEMU is that of the samples, so every byte must agree.
+/// QEMU takes its time from the samples, so every byte must agree.
 fn compare_with_qemu(qemu: &mut Qemu, trial: &RecordedTrial) -> Result<(), String> {
     for part in trial.exchanges.chunks(EXCHANGES_PER_WRITE) {
         let requests: Vec<u8> = part.iter().flat_map(|exchange| exchange.request.clone()).collect();
@@ -34,7 +34,7 @@ fn compare_with_qemu(qemu: &mut Qemu, trial: &RecordedTrial) -> Result<(), Strin
     Ok(())
 }
 
-/// Does not compare times of the board's own clock.
+/// Does not compare the times, which are those of the board's own clock.
 fn compare_with_emulated(emulated: &mut EmulatedLink, trial: &RecordedTrial) -> Result<(), String> {
     emulated.restart().unwrap();
     for exchange in &trial.exchanges {
@@ -51,7 +51,7 @@ fn packets(bytes: &[u8]) -> Vec<Packet> {
     PacketReader::new().packets(bytes).map(Result::unwrap).collect()
 }
 
-/// Frames without the target's times. Frames, because equal floats may differ in their bits.
+/// Returns frames without the times of the target. It returns no messages, because equal floats may differ in bits.
 fn without_times(bytes: &[u8]) -> Vec<Vec<u8>> {
     let timeless = packets(bytes).into_iter().map(|packet| match packet.message {
         Message::Command(command) => {

@@ -25,7 +25,7 @@ pub(crate) struct Qemu {
 }
 
 impl Qemu {
-    /// `None`, with a message, if QEMU is neither installed nor required.
+    /// Returns `None` and prints a message if QEMU is neither installed nor required.
     pub(crate) fn start_if_installed() -> Option<Self> {
         match Command::new(PROGRAM).arg("--version").stdin(Stdio::null()).output() {
             Ok(_) => Some(Self::start().unwrap()),

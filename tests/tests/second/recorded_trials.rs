@@ -145,7 +145,7 @@ fn random_configure(law: LawId, random: &mut ChaCha8Rng) -> Configure {
 
 fn random_sample(random: &mut ChaCha8Rng, time_us: u32) -> Sample {
     let setpoint_um = if one_in(random, 32) { 0.0 } else { uniform(random, 0.0, 4.0) };
-    // Sometimes almost zero, a subnormal number, or a value of a broken sensor cable.
+    // Some values are almost zero, subnormal, or those of a broken sensor cable.
     let wd_um = match random.next_u32() % 32 {
         0 => 1e-9,
         1 => f32::from_bits(random.next_u32() % 0x80_0000),

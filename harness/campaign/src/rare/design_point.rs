@@ -1,19 +1,19 @@
-//! Searches the design point: the failing point closest to the centre, and whether there is a second one.
+//! Searches the design point, which is the failing point closest to the centre, and checks for a second one.
 //!
-//! R. Rackwitz and B. Fiessler, *Computers and Structures* 9, 1978, pp. 489-494, with halved steps.
+//! R. Rackwitz and B. Fiessler, *Computers and Structures* 9, 1978, pp. 489-494; a step to a larger |g| is halved.
 
 use super::estimates::Score;
 
-/// Step of the difference quotients; a larger one averages noise.
+/// Step of the difference quotients, in standard deviations. It is large to reduce the effect of noise.
 const DIFFERENCE: f64 = 0.1;
 const MAX_ITERATIONS: usize = 12;
 const MAX_HALVINGS: u32 = 4;
 /// Tolerance of the score at the design point, relative to the score at the centre.
 const SCORE_TOLERANCE: f64 = 0.02;
 const POINT_TOLERANCE: f64 = 0.15;
-/// Failures beyond have a probability below 10⁻¹⁴.
+/// Failures with a larger β have a probability below 10⁻¹⁴.
 const MAX_INDEX: f64 = 8.0;
-/// A second design point matters if its index is not larger by more.
+/// A second design point is ignored if its β is larger by at least this.
 const INDEX_MARGIN: f64 = 1.0;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -22,7 +22,7 @@ pub(crate) struct DesignPoint {
     pub(crate) reliability_index: f64,
 }
 
-/// The only design point, or why there is none. `None` if the trials are used up.
+/// The only design point, or the reason why there is not exactly one. `None` if the trials are used up.
 pub(crate) fn find(dimensions: usize, score: &mut Score<'_>) -> Option<Result<DesignPoint, &'static str>> {
     let centre = vec![0.0; dimensions];
     let at_centre = score(&centre)?;
@@ -33,7 +33,6 @@ pub(crate) fn find(dimensions: usize, score: &mut Score<'_>) -> Option<Result<De
         Ok(found) => found,
         Err(reason) => return Some(Err(reason)),
     };
-    // Failures on the other side of the centre.
     let mirrored: Vec<f64> = found.point.iter().map(|value| -value).collect();
     let reach = found.reliability_index * 1.1;
     let axes = (0..2 * dimensions).map(|number| {
@@ -85,7 +84,7 @@ fn descend(
         let mut next = toward(&point, &target, share);
         let mut at_next = score(&next)?;
         for _ in 0..MAX_HALVINGS {
-            // A trial without a value has no slope.
+            // A trial without a value has a score far below 0, from which no slope can be computed.
             if at_next.abs() <= value.abs().max(at_centre) {
                 break;
             }

@@ -1,12 +1,12 @@
-//! Defines the estimate of a chain and combines several.
+//! Defines the estimate of a chain, and combines the estimates of several chains.
 
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
-/// From this number of chains on, their spread is the standard error.
+/// With at least this many chains, their spread gives the standard error; with fewer, the chains' own errors do.
 const MIN_CHAINS_FOR_SPREAD: usize = 8;
 
-/// Source of trials. `None` if the trials are used up, or the campaign was cancelled.
+/// Plays a trial and returns its score. `None` if the trials are used up or the campaign was cancelled.
 pub(crate) type Score<'a> = dyn FnMut(&[f64]) -> Option<f64> + 'a;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -21,10 +21,9 @@ pub struct ChainEstimate {
     pub probability: f64,
     /// Infinite without a failing trial.
     pub coefficient_of_variation: f64,
-    /// Upper end if no trial of the last level failed.
+    /// Upper end of the interval if the coefficient of variation is infinite.
     pub ceiling: f64,
     pub method: RareMethod,
-    /// Why this method.
     pub reason: String,
     /// β, if FORM converged.
     pub reliability_index: Option<f64>,
@@ -35,15 +34,14 @@ pub struct ChainEstimate {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CombinedEstimate {
     pub probability: f64,
-    /// Infinite without a failing trial.
     pub coefficient_of_variation: f64,
     ceiling: f64,
-    /// Chains whose spread is known.
+    /// Number of chains if their spread gives the standard error.
     spread_over: Option<usize>,
 }
 
 impl CombinedEstimate {
-    /// `estimates` is not empty.
+    /// `estimates` must not be empty.
     pub fn new(estimates: &[ChainEstimate]) -> Self {
         let total: u64 = estimates.iter().map(|estimate| estimate.trials).sum();
         let weighted = |of: &dyn Fn(&ChainEstimate, f64) -> f64| -> f64 {
@@ -74,7 +72,7 @@ impl CombinedEstimate {
         }
     }
 
-    /// Each end is one-sided at `confidence`, for the logarithm of the probability.
+    /// Log-normal interval; each end is one-sided at `confidence`.
     pub fn interval(&self, confidence: f64) -> [f64; 2] {
         if !self.coefficient_of_variation.is_finite() {
             return [0.0, self.ceiling.min(1.0)];
@@ -82,7 +80,7 @@ impl CombinedEstimate {
         let student = self.spread_over.and_then(|chains| StudentsT::new(0.0, 1.0, chains as f64 - 1.0).ok());
         let quantile = student
             .map_or_else(|| Normal::standard().inverse_cdf(confidence), |student| student.inverse_cdf(confidence));
-        // A log-normal distribution with this coefficient of variation.
+        // σ of the logarithm, for a log-normal distribution with this coefficient of variation.
         let deviation = self.coefficient_of_variation.powi(2).ln_1p().sqrt();
         let factor = (quantile * deviation).exp();
         [self.probability / factor, (self.probability * factor).min(1.0)]

@@ -5,12 +5,12 @@ use super::estimates::Score;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
-/// Around half of all points fail if the limit is nearly flat.
+/// About half of these trials fail if the surface g = 0 is nearly flat at the design point.
 const PILOT_TRIALS: u32 = 40;
 const MIN_PILOT_FAILURES: u32 = 4;
 
-/// Probability and coefficient of variation from all remaining trials; or why the method does not fit.
-/// `None` if there are fewer trials than the pilot has.
+/// Probability and coefficient of variation from all remaining trials, or the reason why the method does not fit.
+/// `None` if fewer than [`PILOT_TRIALS`] trials remain.
 pub(crate) fn estimate(
     design_point: &[f64],
     random: &mut ChaCha8Rng,

@@ -1,24 +1,23 @@
-//! Estimates by subset simulation: a product of conditional probabilities of about 0.1 each.
+//! Estimates a probability by subset simulation, as a product of conditional probabilities of about 0.1.
 //!
-//! S.-K. Au and J. L. Beck, *Probabilistic Engineering Mechanics* 16, 2001, pp. 263-277; the Markov chains by
-//! conditional sampling with an adapted correlation: I. Papaioannou and others, same journal 41, 2015, pp. 89-103.
+//! S.-K. Au and J. L. Beck, *Probabilistic Engineering Mechanics* 16, 2001, pp. 263-277. Markov chains with adaptive
+//! conditional sampling are those of I. Papaioannou and others, same journal 41, 2015, pp. 89-103.
 
 use super::estimates::Score;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal, StandardUniform};
 
-/// Conditional probability of a level.
 const LEVEL_SHARE: f64 = 0.1;
 const MIN_LEVEL_TRIALS: usize = 50;
 const MAX_LEVELS: i32 = 15;
-/// Without an estimate of FORM: down to 10⁻⁶.
+/// Number of levels if FORM gives no estimate. It suffices for a probability of 10⁻⁶.
 const DEFAULT_LEVELS: f64 = 7.0;
 const TARGET_ACCEPTANCE: f64 = 0.44;
 
 pub(crate) struct SubsetPlan {
     pub(crate) dimensions: usize,
     pub(crate) trials: u64,
-    /// Decimal digits of the expected probability.
+    /// −log10 of the probability that FORM estimates.
     pub(crate) levels: Option<f64>,
 }
 
@@ -34,11 +33,11 @@ struct Sample {
     score: f64,
 }
 
-/// Markov chains of a level and their common threshold.
+/// Markov chains whose scores are at most `threshold`.
 struct Level {
     threshold: f64,
     chains: Vec<Vec<Sample>>,
-    /// Standard deviation of a step, 0 to 1.
+    /// Standard deviation of a step of the Markov chains, 0 to 1.
     deviation: f64,
 }
 
@@ -47,7 +46,7 @@ impl Level {
         self.chains.iter().map(Vec::len).sum()
     }
 
-    /// Share at or below the limit, and its relative standard error from the spread between chains.
+    /// Share of samples with a score up to `limit`, and its relative standard error from the spread between chains.
     fn share(&self, limit: f64) -> (f64, f64) {
         let hits = |chain: &Vec<Sample>| chain.iter().filter(|sample| sample.score <= limit).count() as f64;
         let total = self.samples() as f64;
@@ -56,7 +55,7 @@ impl Level {
         (share, spread.sqrt() / total / share)
     }
 
-    /// Adds one sample to each chain.
+    /// Adds one sample to each chain until the level has `end` samples.
     fn extend(&mut self, random: &mut ChaCha8Rng, score: &mut Score<'_>, end: usize) -> Option<()> {
         let mut accepted = 0.0_f64;
         let mut tried = 0.0_f64;
@@ -93,7 +92,7 @@ fn draw(dimensions: usize, random: &mut ChaCha8Rng, score: &mut Score<'_>) -> Op
     Some(Sample { point, score })
 }
 
-/// Uses all trials of the plan. `None` if there are too few for the first level, a threshold of the score.
+/// Uses all trials of the plan. `None` if they are too few for the first level.
 pub(crate) fn estimate(plan: &SubsetPlan, random: &mut ChaCha8Rng, score: &mut Score<'_>) -> Option<SubsetEstimate> {
     let budget = usize::try_from(plan.trials).unwrap_or(usize::MAX);
     let levels = plan.levels.map_or(DEFAULT_LEVELS, |digits| digits.max(1.0) + 0.5);
@@ -138,7 +137,7 @@ pub(crate) fn estimate(plan: &SubsetPlan, random: &mut ChaCha8Rng, score: &mut S
         variance += error * error;
         let mut seeds: Vec<Sample> =
             level.chains.into_iter().flatten().filter(|sample| sample.score <= threshold).collect();
-        // Neighbours in the list have different ancestors.
+        // Shuffles the seeds, because neighbours in the list come from the same chain.
         for last in (1..seeds.len()).rev() {
             let draw: f64 = StandardUniform.sample(random);
             seeds.swap(last, ((draw * (last + 1) as f64) as usize).min(last));

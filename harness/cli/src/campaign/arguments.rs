@@ -1,12 +1,9 @@
-//! Defines the arguments of `platebench campaign`.
-
 use crate::board_args::BoardArgs;
 use crate::options::OutputFormat;
 use clap::{Args, Subcommand, ValueEnum};
 use platebench_rig::RigSpec;
 use std::path::PathBuf;
 
-/// `platebench campaign`
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -113,7 +110,7 @@ pub(super) struct SubmitArgs {
     /// Engine that starts the shards
     #[arg(long, value_enum)]
     pub(super) on: EngineName,
-    /// Run the commands
+    /// Run the commands instead of printing them
     #[arg(long)]
     pub(super) run: bool,
 }

@@ -4,18 +4,15 @@ use crate::stdio;
 use platebench_campaign::TrialEvent;
 use std::time::{Duration, Instant};
 
-/// Between two lines of progress.
 const PROGRESS_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Progress of the shards.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum PlayEvent {
     Trial(TrialEvent),
-    /// The shard was complete before.
+    /// Number of trials of a shard that was already complete.
     Skipped(u64),
 }
 
-/// Prints a line every [`PROGRESS_INTERVAL`].
 pub(super) struct Progress {
     started: Instant,
     last: Instant,
@@ -27,7 +24,7 @@ pub(super) struct Progress {
 }
 
 impl Progress {
-    /// `total`: 0 if it is not known.
+    /// `total` is the number of trials, or 0 if it is not known.
     pub(super) fn new(total: u64, quiet: bool) -> Self {
         let now = Instant::now();
         Self { started: now, last: now, quiet, total, played: 0, skipped: 0, failures: 0 }

@@ -1,5 +1,3 @@
-//! Tests the command from its arguments to its files.
-
 use super::*;
 use std::collections::BTreeSet;
 

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 const MAX_HOURS: u64 = 24 * 30;
 
-/// `90`, `90s`, `10m` or `8h`.
+/// Accepts `90` (seconds), `90s`, `10m` or `8h`.
 pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
     let digits = text.trim_end_matches(|letter: char| !letter.is_ascii_digit());
     let factor = match text.get(digits.len()..) {

@@ -78,7 +78,7 @@ fn it_goes_to_the_scenarios_and_finds_their_plate(#[case] name: &str, #[case] fi
 #[case("two\nlines")]
 fn what_is_no_name_is_refused(#[case] name: &str) {
     let folder = tempdir().unwrap();
-    let message = format!("{name:?}, expected a name for a file, without control characters");
+    let message = format!("{name:?} is not a file name, expected one without control characters");
     assert_eq!(write_files(folder.path(), name, "dq-pi"), Err(Failure::invalid(&message)));
     assert_eq!(fs::read_dir(folder.path()).map(Iterator::count).unwrap_or_default(), 0);
 }

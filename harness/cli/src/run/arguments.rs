@@ -1,5 +1,3 @@
-//! Defines the arguments of `platebench run`.
-
 use crate::board_args::BoardArgs;
 use crate::clock::ClockRequest;
 use crate::options::{
@@ -56,13 +54,13 @@ pub(crate) struct RunArgs {
     /// Let the emulated line and computing time act on the plate as loop delay
     #[arg(long)]
     pub(crate) wire_time: bool,
-    /// Lockstep over a line: time for a reply, ms; then it counts as missed
+    /// Lockstep over a line: time to wait for a reply before it counts as missed, ms
     #[arg(long, value_name = "MS", default_value = "500", value_parser = parse_reply_timeout)]
     pub(crate) reply_timeout: Duration,
     /// Which plate is driven
     #[arg(long, value_enum, default_value_t = PlateModeArg::Emulated, value_name = "MODE")]
     pub(crate) plate_mode: PlateModeArg,
-    /// Ask no operator: with --plate-mode real, what needs a person stays inconclusive
+    /// Ask no operator; with --plate-mode real, everything that needs one stays inconclusive
     #[arg(long)]
     pub(crate) yes: bool,
     /// The run folder; default: a new folder below --runs
@@ -84,7 +82,8 @@ pub(crate) struct RunArgs {
     /// Trials that run at once; default: one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(crate) jobs: Option<u16>,
-    /// Emulated rig: wait for a debugger on this port of the local host; it controls the chip while the plate waits
+    /// Emulated rig: wait for a debugger on this port of the local host; the debugger controls the chip while the
+    /// plate waits
     #[arg(long, value_name = "PORT", conflicts_with_all = ["watch", "jobs", "board", "list"])]
     pub(crate) gdb: Option<u16>,
     /// Run the K-th of N parts of the scenarios
@@ -156,7 +155,7 @@ pub(crate) struct Shard {
 }
 
 impl Shard {
-    /// `index` counts from 0.
+    /// `index` is the position of a scenario in the list, from 0.
     pub(crate) fn contains(self, index: usize) -> bool {
         index % self.count == self.number - 1
     }

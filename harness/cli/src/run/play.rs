@@ -22,7 +22,7 @@ use platebench_scenario::{Diagnostic, Scenario};
 use std::path::Path;
 use tracing::info;
 
-/// Before anything is played. Fails for a contradiction.
+/// Fails if the options contradict each other.
 pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Failure> {
     let clock = arguments.clock().resolve().or_invalid()?;
     arguments.rig.check().or_invalid()?;
@@ -50,7 +50,7 @@ pub(super) fn prepare_scenarios(
     Ok(scenarios)
 }
 
-/// Writes the JSON event stream of `--format json`, and ends it.
+/// Calls `play` with the event stream of `--format json`, if requested, and ends the stream.
 pub(super) fn with_events(
     arguments: &RunArgs,
     play: impl FnOnce(&mut Option<EventWriter>) -> Result<(Exit, RunRecord), Failure>,
@@ -67,7 +67,7 @@ pub(super) fn with_events(
     exit
 }
 
-/// Fails if the run has no record.
+/// Fails if the run ends without a record.
 pub(super) fn play(
     arguments: &RunArgs,
     clock: Clock,
@@ -78,7 +78,7 @@ pub(super) fn play(
     check_line_speed(&arguments.rig, clock, &scenarios).or_invalid()?;
     let debug_port = arguments.gdb.map(DebugPort::bind).transpose().or_invalid()?;
     if let Some(port) = &debug_port {
-        stdio::note(&format!("the chip waits for a debugger: target remote :{}", port.number()));
+        stdio::note(&format!("the chip waits for a debugger; connect GDB with `target remote :{}`", port.number()));
     }
     let connect_options =
         ConnectOptions { reply_timeout: arguments.reply_timeout, debug_port, ..ConnectOptions::default() };
@@ -91,7 +91,7 @@ pub(super) fn play(
         folder.remove_if_empty();
     })?;
     let is_real = clock == Clock::RealPlate;
-    // A serial line and a board carry one trial. In real time only --jobs lets work compete with the loop.
+    // A line or a board plays one trial at a time. In real time only --jobs allows several, which disturb each other.
     let jobs = match arguments.jobs {
         _ if !arguments.board.allows_parallel_links(&arguments.rig) || is_real || arguments.gdb.is_some() => 1,
         None if !matches!(clock, Clock::Lockstep { .. }) => 1,
@@ -100,7 +100,7 @@ pub(super) fn play(
     let plan = RunPlan::new(&arguments.rig, clock, jobs, scenarios, arguments.overrides());
     info!(folder = %folder.path().display(), scenarios = plan.scenarios.len(), jobs = plan.jobs, "run starts");
     if arguments.live && is_real {
-        stdio::note("no live view with --plate-mode real: the prompts use the terminal");
+        stdio::note("no live view with --plate-mode real, because the prompts use the terminal");
     }
     let opened = (arguments.live && !is_real).then(|| live::open_view(live::describe_run("run", live::KEYS, &plan)));
     let (view, live_tap) = opened.unwrap_or_default();
@@ -116,7 +116,7 @@ pub(super) fn play(
     let operator = TerminalOperator::at_plate(is_real && !arguments.yes);
     let progress = match ProgressKind::detect() {
         _ if detail == Detail::Failures || view.is_some() => ProgressKind::Quiet,
-        // Prompts and a bar would overwrite each other.
+        // Prompts and a progress bar would overwrite each other.
         _ if is_real => ProgressKind::Lines,
         ProgressKind::Lines => ProgressKind::Quiet,
         kind => kind,

@@ -1,5 +1,5 @@
-//! Runs scenarios again when the content of file, plate, profiles or firmware changes.
-//! Polls time and length of each file, which works on every file system.
+//! Runs a scenario again when the content of its file, its plate, its profiles or the firmware image changes.
+//! Polls modification time and length of each file, which works on every file system.
 
 use super::arguments::RunArgs;
 use super::play;
@@ -18,14 +18,14 @@ use std::thread::sleep;
 use std::time::{Duration, Instant, SystemTime};
 
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
-/// Editors write in several steps: a change counts once two polls agree, or after this time.
+/// Editors write a file in several steps, so a change counts when two polls agree, or after this time.
 const MAX_SETTLE_TIME: Duration = Duration::from_secs(2);
-/// For files with a fault: the missing file may be outside the polled ones.
+/// Time until the next attempt to load a faulty scenario, because a file that it lacks may not be polled.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 type FileStamps = BTreeMap<PathBuf, Option<(SystemTime, u64)>>;
 type FileContent = (PathBuf, Vec<u8>);
-/// By the scenario's own file.
+/// Inputs of the last run of each scenario, by the scenario's own file.
 type PlayedInputs = BTreeMap<PathBuf, Vec<FileContent>>;
 
 pub(super) fn watch(arguments: &RunArgs, clock: Clock, detail: Detail) -> CommandResult {
@@ -81,7 +81,7 @@ fn read_firmware(arguments: &RunArgs) -> Result<Option<FileContent>, Diagnostic>
     arguments.rig.image().map(read).transpose()
 }
 
-/// Updates `played`.
+/// Returns the scenarios whose inputs or firmware differ from `played`, and updates `played`.
 fn changed_scenarios(
     scenarios: Vec<Scenario>,
     firmware: Option<&FileContent>,
@@ -110,7 +110,8 @@ fn file_stamps(arguments: &RunArgs, inputs: &[PathBuf]) -> FileStamps {
     files.chain(arguments.rig.image().map(Path::to_owned)).map(stamped).collect()
 }
 
-/// Waits for a signal, or until `now` differs from `before` and is stable.
+/// Waits for a signal and returns its number, or waits until `now` differs from `before` and is stable. With `retry`
+/// also returns after [`RETRY_INTERVAL`].
 fn wait_for_change(before: &FileStamps, now: impl Fn() -> FileStamps, retry: bool) -> Option<u8> {
     let started = Instant::now();
     let mut last = before.clone();

@@ -1,5 +1,3 @@
-//! Tests the command from its arguments to its files.
-
 use super::*;
 use platebench_study::integration::StepLimit;
 use platebench_study::integration::stability::step_limits;

@@ -16,10 +16,10 @@ use std::path::{Path, PathBuf};
 /// Laws with the gains of equation 24.
 pub(super) const LAWS: [LawId; 3] = [LawId::DqPi, LawId::DqPiFixed, LawId::DqPiEuler];
 const MAX_TIME_MS: f64 = 1_000.0;
-/// A shorter period is shorter than one cycle of the plate.
+/// A much shorter control period would be below one cycle of the plate, which is 31 µs for the plate of the paper.
 const MIN_PERIOD_US: f64 = 20.0;
 const MAX_RESPONSE_PERIODS: f64 = 1_000.0;
-/// The design searches from the response time upwards, in steps relative to it.
+/// The search first evaluates equation 24 for the response time itself, and a value near 0 would give extreme gains.
 const MIN_RESPONSE_PERIODS: f64 = 1e-3;
 const MAX_DELAY_PERIODS: f64 = 20.0;
 const MAX_SPREAD_PERCENT: f64 = 50.0;
@@ -77,7 +77,8 @@ pub(crate) struct TuneArgs {
     /// Write the gains into [controller.gains] of this scenario, if the target is met
     #[arg(long, value_name = "SCENARIO")]
     pub(super) write: Option<PathBuf>,
-    /// Configure this rig with the gains, if the target is met, and play one step: predicted and measured response
+    /// If the target is met, configure this rig with the gains, play one step, and compare the predicted with the
+    /// measured response
     #[arg(long, value_name = "RIG")]
     pub(super) send: Option<RigSpec>,
     #[command(flatten)]
@@ -115,7 +116,7 @@ fn parse_percent(text: &str) -> Result<f64, String> {
 }
 
 impl TuneArgs {
-    /// In whole microseconds. Errors: period, response time and delay do not fit together.
+    /// Control period in whole microseconds. Fails if period, response time and delay do not fit together.
     fn period_us(&self) -> Result<u32, String> {
         let micros = self.period_ms * 1e3;
         if (micros - micros.round()).abs() > 1e-6 || micros < MIN_PERIOD_US {
@@ -158,7 +159,7 @@ impl TuneArgs {
         }
     }
 
-    /// From the command line, else from the plate file, else from the paper.
+    /// Takes each value from the command line, else from the plate file, else from the paper.
     pub(super) fn spread(&self, path: &Path, plate: &Plate) -> Result<PlateSpread, Diagnostic> {
         let choose = |given: Option<f64>, key: &str, of: fn(&Uncertainty) -> Option<f64>| match of(&plate.uncertainty) {
             Some(known) if given.is_none() && known > MAX_SPREAD_PERCENT => {

@@ -44,7 +44,7 @@ pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> R
     Ok(verified?)
 }
 
-/// `end` becomes the state of the board.
+/// Sets `end` to the state in which the board is left.
 fn play_step(rig: &RigSpec, config: &VerificationConfig<'_>, end: &mut RunEnd) -> Result<RigVerification, Failure> {
     let step = VerificationStep { real_time: default_clock(rig) == ClockArg::RealTime, ..config.step };
     let clock = if step.real_time {
@@ -93,7 +93,7 @@ fn play_step(rig: &RigSpec, config: &VerificationConfig<'_>, end: &mut RunEnd) -
     })
 }
 
-/// Returns the firmware's name and the gains that it reports. Leaves the rig at 0 V.
+/// Returns the name of the firmware and the gains that the firmware reports. Leaves the rig at 0 V.
 fn configure_rig(
     rig: &RigSpec,
     law: LawId,

@@ -12,12 +12,12 @@ use std::path::Path;
 use tempfile::NamedTempFile;
 use toml_edit::{DocumentMut, Item, Table, TableLike, Value};
 
-/// Returns a message for the user. Rejects another plate, period or kind of law, or a design delay;
-/// then the file is unchanged.
+/// Returns a message for the user. Fails, and leaves the file unchanged, if plate, period or kind of law differ from
+/// those of the gains, or the law has a design delay.
 pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) -> Result<String, Diagnostic> {
     let refuse = |message: String| Diagnostic::for_file(path, message);
     let cannot_write = |error: std::io::Error| refuse(format!("cannot be written: {error}"));
-    // A symbolic link stays; its target is replaced.
+    // A symbolic link is kept, and its target is replaced.
     let file = fs::canonicalize(path).map_err(|error| refuse(format!("cannot be read: {error}")))?;
     let name = path.display().to_string();
     let scenario = load(&file, &name)?;
@@ -25,7 +25,7 @@ pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) 
         return Err(scenario.diagnostic("plate", "differs from the tuned plate, so the gains do not fit"));
     }
     if scenario.controller.period.wrapping_micros() != target.period_us {
-        let message = format!("the gains are for a period of {} µs, expected the same", target.period_us);
+        let message = format!("differs from the period of the gains, expected {} µs", target.period_us);
         return Err(scenario.diagnostic("controller.period_ms", message));
     }
     let law = LawId::from_name(&scenario.controller.law);
@@ -53,7 +53,7 @@ pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) 
     let keys = ["amplitude_kp", "amplitude_ki", "frequency_kp", "frequency_ki"];
     let pairs = keys.into_iter().zip(wanted.map(shortest_decimal));
     set_gains(&mut document, pairs).ok_or_else(|| refuse("`controller` is not a table".to_owned()))?;
-    // In the same folder, so that relative paths resolve and the rename is atomic.
+    // The new file is in the same folder, so that relative paths resolve and the rename is atomic.
     let folder = file.parent().unwrap_or_else(|| Path::new("."));
     let mut edited_file = NamedTempFile::new_in(folder).map_err(cannot_write)?;
     edited_file.write_all(document.to_string().as_bytes()).map_err(cannot_write)?;
@@ -76,7 +76,6 @@ fn implicit_table() -> Item {
     Item::Table(table)
 }
 
-/// `None` if `controller` or its gains are not tables.
 fn set_gains<'a>(document: &mut DocumentMut, pairs: impl Iterator<Item = (&'a str, f64)>) -> Option<()> {
     let root = document.as_table_mut();
     let inline = root.get("controller").is_some_and(Item::is_value);

@@ -22,7 +22,6 @@ fn firmware() -> Result<BoxedLink, ConnectError> {
     Ok(Box::new(HostedLink::new()))
 }
 
-/// Controls levels between 1.2 and 1.7 µm to 2 % too much.
 struct WrongTableEntry;
 
 impl Mutant for WrongTableEntry {

@@ -1,7 +1,7 @@
 //! Writes the blocks of ASAM MDF 4.10; numbers are little-endian.
 //!
-//! A block has kind, length, links and data, and starts at a multiple of 8. A link is the position
-//! of another block, or 0; links to later blocks are written afterwards.
+//! A block has kind, length, links and data, and starts at a multiple of 8 bytes. A link is the position of another
+//! block, or 0. Links to later blocks are written after these blocks.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
@@ -9,7 +9,7 @@ use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 /// Kind, reserved, length, number of links.
 const BLOCK_HEADER_BYTES: u64 = 24;
 const LINK_BYTES: u64 = 8;
-/// The header block follows the identification.
+/// The header block follows the identification block of 64 bytes.
 const HEADER_POSITION: u64 = 64;
 
 #[derive(Debug, Clone, Copy)]
@@ -23,12 +23,12 @@ pub(super) enum ChannelKind {
     },
     Bit {
         byte: u32,
-        /// From the least significant bit.
+        /// 0 is the least significant bit.
         bit: u8,
     },
 }
 
-/// Positions of the texts of a channel.
+/// Name, unit and comment are the positions of text blocks, 0 for none.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Channel {
     pub(super) name: u64,
@@ -61,11 +61,11 @@ impl<'a> BlockWriter<'a> {
         Ok(blocks)
     }
 
-    /// Header and file history contain XML comments.
+    /// `comment` and `history` are XML.
     pub(super) fn write_header(&mut self, started_ns: u64, comment: &str, history: &str) -> io::Result<()> {
         let mut time = Vec::with_capacity(16);
         time.extend(started_ns.to_le_bytes());
-        // Minutes from UTC, of the zone and of daylight saving, both known.
+        // Offsets of time zone and daylight saving, minutes, which are 0 and valid.
         time.extend([0; 4]);
         time.push(0b10);
         let mut data = time.clone();
@@ -85,7 +85,7 @@ impl<'a> BlockWriter<'a> {
         self.write_string(*b"TX", text)
     }
 
-    /// A file has one group. Its records must follow.
+    /// Starts the only group of the file. Its records must follow.
     pub(super) fn start_group(
         &mut self,
         name: &str,
@@ -141,14 +141,14 @@ impl<'a> BlockWriter<'a> {
         self.file.flush()
     }
 
-    /// For text or XML; with a terminating zero.
+    /// Writes text or XML with a terminating zero.
     fn write_string(&mut self, kind: [u8; 2], text: &str) -> io::Result<u64> {
         let mut data: Vec<u8> = text.bytes().filter(|byte| *byte != 0).collect();
         data.resize((data.len() / 8 + 1) * 8, 0);
         self.write_block(kind, &[], &data)
     }
 
-    /// Writes a block and returns its position.
+    /// Returns the position of the block.
     fn write_block(&mut self, kind: [u8; 2], links: &[u64], data: &[u8]) -> io::Result<u64> {
         let padding = self.position.next_multiple_of(8) - self.position;
         self.write_bytes([0; 8].get(..padding as usize).unwrap_or_default())?;

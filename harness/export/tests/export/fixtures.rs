@@ -12,7 +12,6 @@ pub(crate) struct StoredRun {
     pub(crate) record: RunRecord,
 }
 
-/// Signed zeros, extreme numbers, numbers without a decimal form.
 const EDGE_VALUES: [f64; 8] = [0.0, -0.0, 0.1, -1.0 / 3.0, f64::MIN_POSITIVE, 5e-324, f64::MAX, -32_307.612_345_678_9];
 
 /// Rows that differ in every column; every fifth has unknown numbers.

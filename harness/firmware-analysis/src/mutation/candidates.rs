@@ -11,18 +11,16 @@ use platebench_rig::Symbols;
 use platebench_rig::symbols::SourceFrame;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Which instructions are changed.
 #[derive(Debug, Clone, Default)]
 pub struct MutantFilter {
-    /// Parts of names, also of inlined functions; if both lists are empty, the functions of the control step without
-    /// those that the compiler adds, such as `memcpy`.
+    /// Parts of names, also of inlined functions. If both lists are empty, the filter selects the functions of the
+    /// control step without those that the compiler adds, such as `memcpy`.
     pub functions: Vec<String>,
     /// Parts of paths.
     pub files: Vec<String>,
 }
 
-/// All mutants in the order of their addresses. `executed` as in
-/// [`platebench_rig::EmulatedLink::executed_instructions`].
+/// Sorted by address. `executed` is that of [`platebench_rig::EmulatedLink::executed_instructions`].
 pub fn all_mutants(
     map: &CodeMap,
     symbols: &Symbols,
@@ -75,7 +73,7 @@ impl MutantFilter {
 }
 
 struct Place {
-    /// No line of the project or its dependencies belongs to it.
+    /// True if no source line of the firmware or its dependencies belongs to the instruction.
     is_of_compiler: bool,
     /// The innermost function outside the standard library.
     function: String,

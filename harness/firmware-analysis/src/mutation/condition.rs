@@ -16,7 +16,7 @@ const ALWAYS: u16 = 14;
 
 type Code = (u16, Option<u16>);
 
-/// The condition decides something else: `EQ` and `NE`.
+/// Negates the condition, for example `EQ` to `NE`.
 pub(super) fn negate(instruction: &Instruction) -> Option<Code> {
     match (condition(instruction), instruction.second) {
         (Some(condition), _) => Some(with_condition(instruction, condition ^ 1)),
@@ -25,7 +25,7 @@ pub(super) fn negate(instruction: &Instruction) -> Option<Code> {
     }
 }
 
-/// The case of equality moves to the other side. After a comparison of floats, `MI` is `<` and `PL` is `≥`.
+/// Moves equality to the other side, for example `<` to `≤`. After a comparison of floats, `MI` is `<` and `PL` is `≥`.
 pub(super) fn shift_boundary(instruction: &Instruction, compares_floats: bool) -> Option<Code> {
     let shifted = match condition(instruction)? {
         GE => GT,
@@ -60,7 +60,7 @@ fn with_condition(instruction: &Instruction, condition: u16) -> Code {
         return (first & !0x03C0 | condition << 6, Some(second));
     }
     let Some((old, mask)) = it_condition(instruction) else { return (first & !0x0F00 | condition << 8, None) };
-    // The mask holds bit 0 of each further condition: the pattern of then and else stays.
+    // The mask holds bit 0 of each further condition. It changes too, so that the pattern of then and else stays.
     let last = mask & mask.wrapping_neg();
     let mask = if (old ^ condition) & 1 == 1 { !mask & 0xF & !(last | (last - 1)) | last } else { mask };
     (first & 0xFF00 | condition << 4 | mask, None)

@@ -7,17 +7,17 @@ use crate::thumb::{Flow, Instruction};
 
 const NOP: u16 = 0xBF00;
 const WIDE_NOP: (u16, Option<u16>) = (0xF3AF, Some(0x8000));
-/// Compilers place `MOVT` at most some instructions after its `MOVW`.
+/// Compilers place `MOVT` only a few instructions after its `MOVW`.
 const MAX_MOVT_DISTANCE: usize = 8;
 const SP: u16 = 13;
 const PC: u16 = 15;
 
 type Code = (u16, Option<u16>);
 
-/// What comes before an instruction.
+/// State that the instructions before leave.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Context {
-    /// The flags are those of a comparison of floats.
+    /// True if the processor's flags are those of a comparison of floats.
     pub(super) compares_floats: bool,
     pub(super) in_it_block: bool,
 }
@@ -67,7 +67,7 @@ fn arithmetic(instruction: &Instruction) -> Option<Code> {
     let first = instruction.first;
     let Some(second) = instruction.second else {
         return match first >> 11 {
-            // Without `ADDS Rd, Rn, #0`, which is a move.
+            // Excludes `ADDS Rd, Rn, #0`, which is a move.
             0b00011 if first & 0x05C0 != 0x0400 => Some((first ^ 0x0200, None)),
             0b00110 | 0b00111 => Some((first ^ 0x0800, None)),
             _ => None,
@@ -119,14 +119,14 @@ fn vmov_immediate(first: u16, second: u16) -> bool {
     first & 0xFFB0 == 0xEEB0 && second & 0x0FF0 == 0x0A00
 }
 
-/// Becomes `MOV.W Rd, Rn`.
+/// Replaces `SSAT` and `USAT` by `MOV.W Rd, Rn`.
 fn saturation(instruction: &Instruction) -> Option<Code> {
     let (first, second) = (instruction.first, instruction.second?);
     let is_unshifted = second & 0xF0C0 == 0 && first & 0x0020 == 0;
     (matches!(first & 0xFFF0, 0xF300 | 0xF380) && is_unshifted).then_some((0xEA4F, Some(second & 0x0F00 | first & 0xF)))
 }
 
-/// Without pushes and without forms that also change the base register.
+/// False for pushes and for forms that also change the base register.
 fn is_store(instruction: &Instruction) -> bool {
     let first = instruction.first;
     match instruction.second {
@@ -149,7 +149,7 @@ fn immediates(instruction: &Instruction) -> Vec<Code> {
         return if first & 0xF800 == 0x2000 { vec![(next, None)] } else { Vec::new() };
     };
     if vmov_immediate(first, second) {
-        // The sign, and the first bit of the fraction: 1 becomes 1.5.
+        // One change is the sign, the other the first bit of the fraction, so that 1 becomes 1.5.
         return vec![(first ^ 8, Some(second)), (first, Some(second ^ 8))];
     }
     let is_mov = first & 0xFBEF == 0xF04F || first & 0xFBF0 == 0xF240;
@@ -177,7 +177,6 @@ fn moved_immediate(instruction: &Instruction) -> Option<(u16, u16)> {
     }
 }
 
-/// The immediate value of `MOVW` and `MOVT`.
 const fn split_immediate(first: u16, second: u16) -> u16 {
     (first & 0xF) << 12 | (first >> 10 & 1) << 11 | (second >> 12 & 7) << 8 | second & 0xFF
 }
@@ -209,7 +208,7 @@ fn literals(map: &CodeMap, instruction: &Instruction) -> Vec<Change> {
         let Some(word) = map.word(address) else { return Vec::new() };
         let value = f32::from_bits(word);
         if value == 0.0 {
-            // The other zero has no effect.
+            // A zero with the other sign has no effect.
             return vec![change(address, 1.0_f32.to_bits())];
         }
         let other = if value.is_finite() { 2.0 * value } else { 1.0 };

@@ -25,9 +25,9 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 pub struct MutationConfig {
     pub suite: Suite,
     pub filter: MutantFilter,
-    /// Mutants to draw at random; `None`: all.
+    /// Number of mutants to draw at random. `None` tests all mutants.
     pub sample: Option<usize>,
-    /// Ends once the 95 % interval of the score is at most this wide, percentage points.
+    /// Ends once the 95 % interval of the score is at most this wide, in percentage points.
     pub until_width: Option<f64>,
     pub seed: u64,
     pub jobs: usize,
@@ -67,7 +67,7 @@ pub fn measure_mutation(
     Ok(MutationReport { results, population, scenarios })
 }
 
-/// Fisher and Yates.
+/// Algorithm of Fisher and Yates.
 fn shuffle(mutants: &mut [Mutant], seed: u64) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     for last in (1..mutants.len()).rev() {

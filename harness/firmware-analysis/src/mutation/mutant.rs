@@ -6,21 +6,20 @@ use std::fmt;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, strum::VariantArray, strum::IntoStaticStr)]
 #[strum(const_into_str, serialize_all = "snake_case")]
 pub enum Operator {
-    /// Addition and subtraction, multiplication and division, sign.
+    /// Exchanges addition and subtraction, or multiplication and division, or removes a change of sign.
     Arithmetic,
-    /// A condition and its negation.
     #[strum(serialize = "negated condition")]
     Condition,
-    /// `<` and `≤`, `>` and `≥`.
+    /// Exchanges `<` and `≤`, or `>` and `≥`.
     #[strum(serialize = "comparison off by one")]
     Boundary,
-    /// An immediate value, or a value in the literal pool.
+    /// Changes an immediate value or a value in the literal pool.
     Constant,
     #[strum(serialize = "removed call")]
     RemovedCall,
     #[strum(serialize = "removed store")]
     RemovedStore,
-    /// `SSAT`, `USAT`, and moves on the condition of a comparison of floats, as `clamp` compiles to.
+    /// Removes `SSAT`, `USAT`, and conditional moves after a comparison of floats, to which `clamp` compiles.
     #[strum(serialize = "removed saturation")]
     RemovedSaturation,
 }
@@ -39,7 +38,6 @@ impl fmt::Display for Operator {
     }
 }
 
-/// New bytes of an instruction or of a constant.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Change {
     pub(crate) operator: Operator,
@@ -52,15 +50,15 @@ pub struct Mutant {
     pub operator: Operator,
     /// The instruction whose effect changes.
     pub instruction: u32,
-    /// Address of `original`: the instruction, or its constant.
+    /// Address of `original`, which is the instruction or its constant.
     pub address: u32,
     pub original: Vec<u8>,
     pub bytes: Vec<u8>,
-    /// The instruction ran while the firmware answered a sample.
+    /// True if the instruction ran while the firmware answered a sample.
     pub in_control_step: bool,
     pub function: String,
     pub line: Option<SourceLine>,
-    /// Disassembly, or the value of a constant.
+    /// Disassembly or value of the constant.
     pub before: String,
     pub after: String,
 }

@@ -5,7 +5,7 @@ use crate::suite::Margin;
 use platebench_verdict::statistics::proportion::clopper_pearson;
 use std::time::Duration;
 
-/// Each end of the interval of the score has half of the error.
+/// Each end of the 95 % interval of the score has half of the error probability.
 const ONE_SIDED_CONFIDENCE: f64 = 0.975;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -16,7 +16,7 @@ pub enum Status {
     },
     Survived {
         closest: Option<Margin>,
-        /// Every drive and frequency is that of the unchanged firmware.
+        /// True if every drive and frequency is that of the unchanged firmware.
         same_commands: bool,
     },
     NoCoverage,
@@ -64,12 +64,12 @@ pub struct MutantResult {
 #[derive(Debug, Clone, PartialEq)]
 pub struct MutationReport {
     pub results: Vec<MutantResult>,
-    /// Mutants of the scope, also those that were not drawn.
+    /// Number of selected mutants, also of those that were not drawn.
     pub population: usize,
     pub scenarios: Vec<String>,
 }
 
-/// Detected mutants over valid ones; a mutant that the emulator cannot run is not valid.
+/// Detected mutants divided by valid mutants. A mutant that the emulator cannot run is not valid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Score {
     pub detected: u32,
@@ -89,7 +89,7 @@ impl Score {
         if self.valid == 0 { 100.0 } else { f64::from(self.detected) / f64::from(self.valid) * 100.0 }
     }
 
-    /// 95 %, in percent.
+    /// 95 % interval of the score in percent.
     pub fn interval(self) -> Option<[f64; 2]> {
         let bounds = clopper_pearson(self.detected, self.valid, ONE_SIDED_CONFIDENCE)?;
         Some(bounds.map(|bound| bound * 100.0))
@@ -105,12 +105,11 @@ impl MutationReport {
         self.score_if(|_| true)
     }
 
-    /// Without mutants that no scenario executes.
     pub fn score_of_executed(&self) -> Score {
         self.score_if(|result| result.status != Status::NoCoverage)
     }
 
-    /// Survivors, and those among them with the commands of the unchanged firmware.
+    /// Number of survivors, and of those with the commands of the unchanged firmware.
     pub fn survivors(&self) -> [usize; 2] {
         let same = self.results.iter().filter_map(|result| match result.status {
             Status::Survived { same_commands, .. } => Some(same_commands),
@@ -119,7 +118,6 @@ impl MutationReport {
         same.fold([0, 0], |[all, unchanged], same| [all + 1, unchanged + usize::from(same)])
     }
 
-    /// Score of the instructions that ran while the firmware answered a sample.
     pub fn score_of_control_step(&self) -> Score {
         self.score_if(|result| result.mutant.in_control_step)
     }

@@ -5,7 +5,7 @@ use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
-/// Percent; only colours of viewers.
+/// Scores in percent that only choose colours in viewers.
 const HIGH: u8 = 90;
 const LOW: u8 = 70;
 
@@ -78,7 +78,7 @@ fn language(file: &str) -> &'static str {
     }
 }
 
-/// Empty lines if the file is not here: viewers place mutants on lines.
+/// Returns empty lines if the file does not exist here, because viewers place mutants on lines.
 fn source(file: &str, mutants: &[Value]) -> String {
     fs::read_to_string(file).unwrap_or_else(|_| {
         let lines: BTreeSet<u64> =

@@ -4,7 +4,6 @@ use super::mutant::Operator;
 use super::result::{MutantResult, MutationReport, Score, Status};
 use std::fmt::{self, Write};
 
-/// Scores by operator, then every survivor.
 pub fn summary(report: &MutationReport) -> String {
     let mut text = String::new();
     let _ = write_summary(&mut text, report);
@@ -30,7 +29,7 @@ fn write_summary(text: &mut String, report: &MutationReport) -> fmt::Result {
     }
     for result in &report.results {
         if let Status::RuntimeError { reason, .. } = &result.status {
-            writeln!(text, "\nnot valid: {:#010x} {}: {reason}", result.mutant.instruction, result.mutant.after)?;
+            writeln!(text, "\nemulator failed: {:#010x} {}: {reason}", result.mutant.instruction, result.mutant.after)?;
         }
     }
     writeln!(text, "\n{} of {} mutants", report.results.len(), report.population)?;

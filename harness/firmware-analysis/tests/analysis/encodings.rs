@@ -1,5 +1,3 @@
-//! Compares every mutant of the shipped image with binutils.
-
 use crate::shipped_code;
 use platebench_firmware_analysis::mutation::{Disassembler, Mutant, MutantFilter, Operator, all_mutants};
 use platebench_test_kit::skip_without;
@@ -11,7 +9,6 @@ const OBJDUMP: &str = "arm-none-eabi-objdump";
 /// Bytes of an instruction with four `NOP` after it, which an `IT` may make conditional.
 const SLOT: usize = 12;
 
-/// Mnemonic and operands of each code.
 fn objdump(codes: &[&[u8]]) -> Vec<(String, String)> {
     let mut image = Vec::new();
     for code in codes {
@@ -135,7 +132,6 @@ fn constants_in_the_literal_pool_change_their_value() {
     }
 }
 
-/// The shipped image as binutils reads it.
 fn disassembly() -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("firmware.elf");

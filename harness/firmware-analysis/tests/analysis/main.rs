@@ -1,5 +1,3 @@
-//! Tests coverage and mutation on the shipped image.
-
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::missing_panics_doc)]
 
 mod coverage;

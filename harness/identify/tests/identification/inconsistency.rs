@@ -20,7 +20,6 @@ struct Defect {
     drift: f64,
     clip_um: Option<f64>,
     swapped: bool,
-    /// Factor of the time stamps.
     time_factor: Option<f64>,
 }
 

@@ -16,7 +16,6 @@ const FORCES_N: [f64; 4] = [0.0, 0.5, 1.5, 2.0];
 struct Draw {
     plate: Plate,
     seed: u64,
-    /// 0 to 1.
     phase: f64,
 }
 

@@ -8,7 +8,7 @@ use ratatui::style::{Color, Style};
 use ratatui::symbols::Marker;
 use ratatui::widgets::{Axis, Block, Chart, Dataset, GraphType};
 
-/// Band edges and resonance: one dash per three characters, so that the signal below stays visible.
+/// For limits and resonance. Has one dash per three characters, so that the signal below stays visible.
 const REFERENCE_MARKER: Marker = Marker::Custom('-');
 const SECOND_MARKER: Marker = Marker::Custom('o');
 
@@ -85,7 +85,7 @@ pub(super) fn draw_drive(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
 
 pub(super) fn draw_frequency(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
     let [lowest, highest] = state.history.range(&[LiveSignal::Frequency, LiveSignal::Resonance]).unwrap_or_default();
-    // At least 1 Hz: smaller differences do not matter.
+    // At least 1 Hz, because smaller differences do not matter.
     let margin = (0.1 * (highest - lowest)).max(1.0);
     let curves = [
         ChartCurve::of(state, LiveSignal::Frequency, Marker::Braille, Color::Cyan),

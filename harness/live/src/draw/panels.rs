@@ -72,7 +72,6 @@ pub(super) fn draw_newest_row(frame: &mut Frame<'_>, area: Rect, state: &ViewSta
     frame.render_widget(Paragraph::new(lines), inner);
 }
 
-/// Returns the area inside.
 fn draw_border(frame: &mut Frame<'_>, area: Rect, title: &str) -> Rect {
     let block = Block::bordered().title(title);
     let inner = block.inner(area);
@@ -109,7 +108,7 @@ pub(super) fn draw_lateness(frame: &mut Frame<'_>, area: Rect, state: &ViewState
     let lines: Vec<Line<'_>> = groups
         .into_iter()
         .map(|(label, count)| {
-            // `ceil`: a class with one count is visible.
+            // Rounds up, so that a class with one count is visible.
             let length = (count as f64 / most as f64 * room as f64).ceil() as usize;
             Line::raw(format!("{label:>9} {:<room$} {count:>9}", "█".repeat(length.min(room))))
         })
@@ -117,7 +116,7 @@ pub(super) fn draw_lateness(frame: &mut Frame<'_>, area: Rect, state: &ViewState
     frame.render_widget(Paragraph::new(lines), inner);
 }
 
-/// Merges neighbouring classes until there are at most `most`. The last class is open.
+/// Merges neighbouring classes until there are at most `most`. The last class has no upper limit.
 pub(super) fn group_lateness_classes(classes: &[u64; LATENESS_CLASSES], most: usize) -> Vec<(String, u64)> {
     let size = LATENESS_CLASSES.div_ceil(most.max(1));
     let micros = |class: usize| match 1_u64 << class {
@@ -169,7 +168,7 @@ pub(super) fn draw_finished(frame: &mut Frame<'_>, area: Rect, state: &ViewState
         Span::raw(format!("   trials {}", ended.trials)),
     ];
     if run.jobs > 1 {
-        spans.push(Span::raw(format!("   one of {} at once is shown", run.jobs)));
+        spans.push(Span::raw(format!("   shows 1 of {} parallel trials", run.jobs)));
     }
     frame.render_widget(Line::from(spans), area);
 }

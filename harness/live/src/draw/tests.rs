@@ -107,7 +107,6 @@ fn before_the_first_row() {
     assert_snapshot!(draw_on(&ViewState::new(run_description()), 80, 24).backend());
 }
 
-/// Every large enough screen must show these in full.
 const EXPECTED_WORDS: [&str; 14] = [
     "run   trial 4 of 30   paper/fig13-closed-loop.toml",
     "0.0450 of 0.06 s",

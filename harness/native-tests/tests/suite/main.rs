@@ -1,5 +1,3 @@
-//! Starts a suite like Cargo and nextest.
-
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a failed fixture fails the test")]
 
 use platebench_test_kit::PLATE;
@@ -97,7 +95,10 @@ fn a_failure_names_the_expectation_and_the_run_folder() {
     let (code, output) = project.run_tests(&[]);
     assert_eq!(code, 101, "{output}");
     assert!(output.contains("1 passed; 1 failed; 1 ignored"), "{output}");
-    assert!(output.contains("it ends with a failure (exit code 1), expected a pass (exit code 0)"), "{output}");
+    assert!(
+        output.contains("the scenario ends with a failure (exit code 1), expected a pass (exit code 0)"),
+        "{output}"
+    );
     assert!(output.contains("settling_time_ms") && output.contains("run folder: out/slow"), "{output}");
     assert!(project.run_folder("slow/report.html").exists());
 }
@@ -110,7 +111,8 @@ fn an_inconclusive_scenario_does_not_pass() {
     let (code, output) = project.run_tests(&[]);
     assert_eq!(code, 101, "{output}");
     assert!(
-        output.contains("it ends with an inconclusive verdict (exit code 3)") && output.contains("infeasible"),
+        output.contains("the scenario ends with an inconclusive verdict (exit code 3)")
+            && output.contains("infeasible"),
         "{output}"
     );
 }
@@ -124,7 +126,10 @@ fn a_limit_scenario_runs_on_request_and_ends_as_expected() {
     project.write_scenario("limits/slow.toml", "expected_exit = 1", 20.0);
     let (code, output) = project.run_tests(&["--include-ignored", "limits"]);
     assert_eq!(code, 101);
-    assert!(output.contains("it ends with a pass (exit code 0), expected a failure (exit code 1)"), "{output}");
+    assert!(
+        output.contains("the scenario ends with a pass (exit code 0), expected a failure (exit code 1)"),
+        "{output}"
+    );
     project.write_scenario("limits/slow.toml", "expected_exit = 3", 0.5);
     assert_eq!(project.run_tests(&["--include-ignored", "limits"]).0, 101);
 }

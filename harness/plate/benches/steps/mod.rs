@@ -79,7 +79,7 @@ fn plant(tier: Tier) -> Box<dyn FnMut()> {
     })
 }
 
-/// A force that rises and falls with 10 N/s, 0.1 s each.
+/// The force rises and falls by 10 N/s, for 0.1 s each.
 fn ramp(tier: Tier) -> Box<dyn FnMut()> {
     let points = (0..=100).map(|turn| (PERIOD.times(100 * turn), f64::from(turn % 2 == 1)));
     let scene = ConditionProfiles {

@@ -171,7 +171,6 @@ fn a_converter_gives_the_plate_its_nearest_step() {
     }
 }
 
-/// Converter and lock-in sample the sum of both modes.
 #[rstest]
 fn a_lock_in_reads_both_modes(#[values(false, true)] changing: bool) {
     let lockin = Some(Lockin { converter_hz: 4e6, periods: 8, resolution: None });

@@ -96,7 +96,6 @@ impl EffectsReference {
         Self { plate: plate.clone(), scene: scene.clone(), time: 0.0, theta: 0.0, x: Vector::zeros() }
     }
 
-    /// `input_vpp` is the amplifier's input.
     pub(crate) fn advance(&mut self, seconds: f64, input_vpp: f64, omega: f64) {
         let Self { plate, scene, time: start, theta, .. } = &*self;
         let equations =
@@ -125,7 +124,6 @@ impl EffectsReference {
         self.x[HEAT]
     }
 
-    /// y of both modes.
     pub(crate) fn waveform(&self) -> f64 {
         self.x[0] + self.x[4]
     }

@@ -22,7 +22,6 @@ pub(crate) fn constant_conditions() -> ConditionProfiles {
     conditions(0.0, 0.0)
 }
 
-/// K and N.
 pub(crate) fn conditions(offset_k: f64, force_n: f64) -> ConditionProfiles {
     ConditionProfiles { temperature_offset_k: Profile::constant(offset_k), finger_force_n: Profile::constant(force_n) }
 }

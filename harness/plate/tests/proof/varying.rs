@@ -168,7 +168,6 @@ fn a_force_that_shifts_the_resonance() {
     check("a shift of 400 rad/s/N at 200 Hz", 40, &plate, &scene, &mode);
 }
 
-/// The error has order four for both poles.
 #[test]
 fn half_the_substep_has_a_sixteenth_of_the_error() {
     let plate = paper_plate();

@@ -262,7 +262,7 @@ fn read_error(text: &str) -> RecordError {
 #[test]
 fn rejects_another_format() {
     assert!(matches!(read_error(r#"{"format": 2, "something": "else"}"#), RecordError::Format { found: 2, .. }));
-    assert!(read_error(r#"{"format": 0}"#).to_string().ends_with("run.json: format 0, expected 1"));
+    assert!(read_error(r#"{"format": 0}"#).to_string().ends_with("run.json: the record has format 0, expected 1"));
     assert!(matches!(read_error(r#"{"verdict": "pass"}"#), RecordError::Content { .. }));
     assert!(matches!(read_error(r#"{"format": -1}"#), RecordError::Content { .. }));
 }

@@ -7,11 +7,9 @@ use crate::format;
 use platebench_trace::Row;
 use platebench_verdict::tube::{Exceedance, Tube, TubeSignal, signal_response};
 
-/// Time that is drawn on either side of the exceedance, ms.
 const MARGIN_MS: f64 = 5.0;
 const EDGE_POINTS: u32 = 400;
 
-/// The tube, the golden curve and the trial around the exceedance.
 pub fn draw_exceedance(tube: &Tube, rows: &[Row], trial: u32, worst: &Exceedance) -> Result<String, ReportError> {
     let signal = TubeSignal::from_name(&tube.signal);
     let (first, last) = tube.span_ms();

@@ -14,29 +14,23 @@ const LEGEND_LINE_HEIGHT: i32 = 22;
 const CLASSES: usize = 10;
 const MAX_TICKS: usize = 6;
 
-/// One quantity of an axis: its values in order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeatAxis {
-    /// Name with unit.
     pub label: String,
-    /// At least one.
     pub values: Vec<String>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeatPanel {
-    /// May be empty.
     pub title: String,
     pub x: HeatAxis,
     pub y: HeatAxis,
-    /// By row (y) and then by column (x); `None` without a value.
+    /// By row (y) and then by column (x).
     pub values: Vec<Vec<Option<f64>>>,
 }
 
-/// Panels with one scale.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeatFigure {
-    /// Names the value and its unit.
     pub title: String,
     pub panels: Vec<HeatPanel>,
     /// True if small values are the bad ones.
@@ -44,7 +38,7 @@ pub struct HeatFigure {
 }
 
 impl HeatFigure {
-    /// Finite values only; an infinite one has the class of its end.
+    /// Range of the finite values. An infinite value has the first or the last class.
     fn scale(&self) -> (f64, f64) {
         let values = self.panels.iter().flat_map(|panel| panel.values.iter().flatten().copied().flatten());
         match extent(values.filter(|value| value.is_finite())) {
@@ -54,7 +48,6 @@ impl HeatFigure {
         }
     }
 
-    /// Columns and rows of panels.
     fn panel_grid(&self) -> (usize, usize) {
         let columns = self.panels.len().clamp(1, 2);
         (columns, self.panels.len().div_ceil(columns).max(1))
@@ -157,12 +150,11 @@ fn cell_corners(panel: &HeatPanel, column: usize, row: usize) -> [(i32, i32); 2]
     [(x(column), y(row)), (x(column + 1), y(row + 1))]
 }
 
-/// At most [`MAX_TICKS`] positions, the first one among them.
+/// At most [`MAX_TICKS`] positions, beginning with the first one.
 fn ticks(count: usize) -> impl Iterator<Item = usize> {
     (0..count).step_by(count.div_ceil(MAX_TICKS).max(1))
 }
 
-/// A text that fits next to an axis.
 fn short(text: Option<&String>) -> &str {
     let text = text.map_or("", |text| &**text);
     text.char_indices().nth(9).map_or(text, |(end, _)| text.get(..end).unwrap_or(text))

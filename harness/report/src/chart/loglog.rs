@@ -12,16 +12,15 @@ use std::ops::Range;
 const SIZE: (i32, i32) = (720, 430);
 const LEGEND_WIDTH: i32 = 236;
 const LEGEND_TOP: i32 = 72;
-/// Less if the legend has too many lines.
 const LEGEND_LINE_HEIGHT: i32 = 24;
 const MAX_LABELS: usize = 9;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct LogLogSeries {
     pub name: String,
-    /// Both above zero, in the order of the line.
+    /// Positive x and y, in the order of the line.
     pub points: Vec<(f64, f64)>,
-    /// y of each setting without a result, drawn as crosses at the right edge.
+    /// y of each setting without a result; drawn as a cross at the right edge.
     pub failed: Vec<f64>,
     pub is_highlighted: bool,
 }
@@ -33,7 +32,7 @@ pub struct LogLogChart {
     pub y_label: String,
     /// The first is in front.
     pub series: Vec<LogLogSeries>,
-    /// Drawn dashed.
+    /// x and name of a dashed line.
     pub vertical_line: Option<(f64, String)>,
     pub failed_label: String,
 }
@@ -123,7 +122,7 @@ impl LogLogChart {
     }
 }
 
-/// Such a series has rings instead of dots.
+/// A series that repeats a colour has rings instead of dots.
 fn repeats_a_colour(number: usize) -> bool {
     number >= COLOURS
 }

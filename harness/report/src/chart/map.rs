@@ -1,15 +1,14 @@
-//! Draws the settling time over control period and loop delay, with predicted and measured boundaries
-//! of stability.
+//! Draws the settling time over control period and loop delay, with predicted and measured boundaries of stability.
 
 use super::svg::{Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, count_factor, length, svg_document, text_style};
 use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 
-/// CSS pixels.
+/// Width and height, CSS pixels.
 const PANEL_SIZE: (i32, i32) = (330, 262);
 const LEGEND_LINE_HEIGHT: i32 = 22;
-/// Upper edges of the classes of settling time, ms; the last class does not settle.
+/// Upper edges of the classes of settling time, ms. A further class has longer times and responses that never settle.
 const CLASS_EDGES: [f64; 9] = [1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 15.0, 25.0, 40.0];
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,19 +17,17 @@ pub struct RigDelay {
     pub longest_ms: f64,
 }
 
-/// One law under one operating condition with one response time.
+/// One law, operating condition and response time. Periods and delays are ascending, evenly spaced and at least two.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapPanel {
     pub title: String,
-    /// Ascending, evenly spaced, at least two.
     pub periods_ms: Vec<f64>,
-    /// Ascending, evenly spaced, at least two.
     pub delays_ms: Vec<f64>,
-    /// Spectral radius by column and then by row.
+    /// Spectral radius by period and then by delay.
     pub radius: Vec<Vec<f64>>,
-    /// Likewise; `None` if it does not settle.
+    /// By period and then by delay; `None` if the response does not settle.
     pub settling_ms: Vec<Vec<Option<f64>>>,
-    /// Measured boundary: period and delay, ms.
+    /// Period and delay of the measured boundary of stability, ms.
     pub measured: Vec<(f64, f64)>,
 }
 
@@ -38,7 +35,6 @@ pub struct MapPanel {
 pub struct MapFigure {
     pub title: String,
     pub panels: Vec<MapPanel>,
-    /// At least one.
     pub columns: usize,
     pub rig: Option<RigDelay>,
 }
@@ -113,7 +109,7 @@ impl MapPanel {
         canvas.text(Role::Text, HPos::Right, (PANEL_SIZE.0 - 16, PANEL_SIZE.1 - 10), "period, ms")
     }
 
-    /// Per column the first delay with a spectral radius of 1, interpolated.
+    /// Interpolates for each period the smallest delay with a spectral radius of 1.
     fn stability_boundary(&self) -> Vec<Vec<(f64, f64)>> {
         let mut lines: Vec<Vec<(f64, f64)>> = vec![Vec::new()];
         for (period, radius) in self.periods_ms.iter().zip(&self.radius) {
@@ -152,13 +148,12 @@ impl MapAxis {
     }
 }
 
-/// The last class does not settle.
 fn settling_class(settling_ms: Option<f64>) -> usize {
     let edge = settling_ms.and_then(|ms| CLASS_EDGES.iter().position(|edge| ms < *edge));
     edge.unwrap_or(CLASS_EDGES.len())
 }
 
-/// Runs of rows in one class: class, first row, last row.
+/// Joins rows of the same class: class, first row, last row.
 fn class_runs(settling_ms: &[Option<f64>]) -> Vec<(usize, usize, usize)> {
     let mut runs: Vec<(usize, usize, usize)> = Vec::new();
     for (row, settling) in settling_ms.iter().enumerate() {

@@ -1,5 +1,4 @@
-//! Draws small multiples: one quantity over a few settings, one panel per row and column, one
-//! colour per series.
+//! Draws small multiples: one quantity over a few settings, one panel per row and column, one colour per series.
 
 use super::svg::{Canvas, DrawResult, Role, count_factor, logarithmic_extent, svg_document};
 use crate::error::ReportError;
@@ -15,36 +14,31 @@ const BOTTOM: i32 = 20;
 const LINE_HEIGHT: i32 = 20;
 const LEGEND_COLUMNS: usize = 5;
 const RADIUS: f64 = 2.6;
-/// Below the upper edge, for points without a value.
+/// Distance of points without a value from the upper edge.
 const NO_VALUE_HEIGHT: i32 = 7;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MultiplesPoint {
-    /// Index in `MultiplesChart::series`.
     pub series: usize,
-    /// Index in `MultiplesChart::settings`.
     pub setting: usize,
-    /// Above 0; without a value the point lies on the upper edge.
+    /// Above 0. Without a value the point lies on the upper edge.
     pub value: Option<f64>,
     pub is_hollow: bool,
 }
 
-/// Panels with one logarithmic scale.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MultiplesChart {
     pub title: String,
-    /// Quantity and unit of the vertical axis.
     pub value_label: String,
-    /// Quantity and unit of the settings.
     pub setting_label: String,
     pub settings: Vec<String>,
     pub series: Vec<String>,
     pub rows: Vec<String>,
     pub columns: Vec<String>,
-    /// Meaning of the upper edge, and of hollow points.
+    /// Meaning of the upper edge.
     pub edge_label: String,
     pub hollow_label: String,
-    /// By row and then by column.
+    /// Points by row and then by column.
     pub panels: Vec<Vec<Vec<MultiplesPoint>>>,
 }
 
@@ -71,7 +65,6 @@ impl MultiplesChart {
         })
     }
 
-    /// Range of all panels.
     fn scale(&self) -> (f64, f64) {
         let values = self.panels.iter().flatten().flatten().filter_map(|point| point.value);
         logarithmic_extent(values).map_or((0.5, 20.0), |(low, high)| (low / 1.3, high * 1.3))
@@ -104,7 +97,7 @@ impl MultiplesChart {
         for (setting, text) in self.settings.iter().enumerate() {
             canvas.text(Role::Text, HPos::Center, (centre(setting) as i32, bottom + 11), text)?;
         }
-        // Series are next to each other, so equal values do not hide each other.
+        // Points of different series are next to each other, so that equal values do not hide each other.
         let step = 0.8 * width / self.series.len().max(1) as f64;
         for point in points {
             let offset = (point.series as f64 - (self.series.len() as f64 - 1.0) / 2.0) * step;

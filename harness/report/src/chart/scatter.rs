@@ -43,11 +43,9 @@ const SHAPES: [&[(f64, f64)]; 5] = [
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScatterPoint {
-    /// Index in `ScatterChart::colours`.
     pub colour: usize,
-    /// Index in `ScatterPanel::shapes`.
     pub shape: usize,
-    /// The point lies at the right edge without a value.
+    /// Without a value the point lies at the right edge.
     pub x: Option<f64>,
     pub y: f64,
 }
@@ -55,7 +53,7 @@ pub struct ScatterPoint {
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScatterPanel {
     pub y_label: String,
-    /// Smallest y that is distinguished; smaller values lie on the lower edge.
+    /// Points with a smaller y lie on the lower edge.
     pub floor: f64,
     pub shapes: Vec<String>,
     pub points: Vec<ScatterPoint>,
@@ -133,7 +131,7 @@ impl ScatterChart {
             let label = format!("≤ {}", format_power_of_ten(panel.floor));
             canvas.text(Role::Text, HPos::Right, (MARGIN_LEFT - 8, MARGIN_TOP + PLOT_HEIGHT), &label)?;
         }
-        // Names of neighbouring limits are written at different heights.
+        // Names of neighbouring limits have different heights.
         let mut x_limits = panel.x_limits.clone();
         x_limits.sort_by(|a, b| a.0.total_cmp(&b.0));
         for (number, (x, name)) in x_limits.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Draws one line of marks per item on one logarithmic axis: values, the chosen one, the limit.
+//! Draws one line of marks per item on one logarithmic axis: values, the chosen value, the limit.
 
 use super::svg::{Canvas, DrawArea, DrawResult, Role, count_factor, decades, format_power_of_ten, svg_document};
 use crate::error::ReportError;
@@ -11,19 +11,18 @@ const MARGIN_TOP: i32 = 66;
 const MARGIN_BOTTOM: i32 = 60;
 const LINE_HEIGHT: i32 = 16;
 const LEGEND_Y: i32 = 44;
-/// Width at the left for values of exactly 0, in decades.
+/// Ratio of the first tick to the left edge: one decade is reserved for values of exactly 0.
 const ZERO_DECADES: f64 = 10.0;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct StripRow {
     pub name: String,
-    /// A stroke across the line.
+    /// Drawn as a stroke across the line.
     pub limit: Option<f64>,
-    /// Colour and value; 0 lies at the left edge.
+    /// Colour and value. 0 lies at the left edge.
     pub values: Vec<(usize, f64)>,
-    /// Has a ring.
+    /// The value with this colour has a ring.
     pub chosen_colour: usize,
-    /// At the right; may be empty.
     pub note: String,
 }
 
@@ -34,9 +33,7 @@ pub struct StripChart {
     /// Smallest value that is distinguished from 0.
     pub floor: f64,
     pub colours: Vec<String>,
-    /// Meaning of the ring.
     pub chosen_label: String,
-    /// Meaning of the stroke.
     pub limit_label: String,
     pub rows: Vec<StripRow>,
 }
@@ -78,7 +75,7 @@ impl StripChart {
                 let half = LINE_HEIGHT / 2 - 1;
                 canvas.rectangle(Role::Shape, [(column(limit) - 1, y - half), (column(limit) + 1, y + half)])?;
             }
-            // The first is the smallest and on top, so that all are visible at the same value.
+            // The first circle is the smallest and is drawn last, so that circles with the same value are all visible.
             for (colour, value) in row.values.iter().filter(|(_, value)| value.is_finite()).rev() {
                 let (at, role) = ((column(*value), y), Role::Series(*colour));
                 canvas.circle(role, at, 2.5 + f64::from(count_factor(*colour)))?;

@@ -1,5 +1,5 @@
-//! Draws with plotters and writes SVG with classes instead of colours. Plotters knows only
-//! colours: each [`Role`] draws in a code colour, which the finished SVG replaces by its class.
+//! Draws with plotters and writes SVG with classes instead of colours. Plotters supports only colours, so each [`Role`]
+//! has a code colour, which is replaced by the class of the role in the finished SVG.
 
 use super::colours;
 use crate::error::ReportError;
@@ -10,13 +10,13 @@ use std::error::Error;
 use std::ops::Range;
 use strum::IntoEnumIterator as _;
 
-/// Plotters puts points on whole numbers only.
+/// Plotters rounds positions to whole units, so a unit is smaller than a pixel.
 pub(crate) const UNITS_PER_PIXEL: i32 = 4;
 
 pub(crate) type DrawArea<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(crate) type DrawResult = Result<(), Box<dyn Error + Send + Sync>>;
 
-/// What an element is. The style sheet gives it colour, width and dashes.
+/// Meaning of an element. The style sheet gives it colour, width and dashes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::EnumIter, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub(crate) enum Role {
@@ -56,11 +56,11 @@ pub(crate) enum Role {
     Radius(usize),
 }
 
-/// A higher number begins again with the first colour.
+/// Higher numbers of series and radii begin again with the first colour.
 pub(crate) const COLOURS: usize = 10;
 
 impl Role {
-    /// Drawings put `s-` before it for a stroke and `f-` for a filling.
+    /// Name of the class without its prefix, which is `s-` for a stroke and `f-` for a filling.
     pub(crate) fn name(self) -> String {
         match self {
             Self::Series(number) => format!("series-{}", number % COLOURS),
@@ -77,7 +77,7 @@ impl Role {
         }
     }
 
-    /// The role behind green and blue of a code colour, four hexadecimal digits.
+    /// `code` contains green and blue of a code colour, four hexadecimal digits.
     fn from_code(code: &str) -> Option<Self> {
         let number = usize::from_str_radix(code.get(2..4)?, 16).ok()?;
         match code.get(..2)? {
@@ -88,7 +88,7 @@ impl Role {
     }
 }
 
-/// Draws `size` CSS pixels; returns the elements for an `svg` element with [`view_box`].
+/// Draws on an area in CSS pixels. Returns the content of an `svg` element with its [`view_box`].
 pub(crate) fn svg_elements(
     title: &str,
     (width, height): (i32, i32),
@@ -106,7 +106,7 @@ pub(crate) fn svg_elements(
     Ok(compact_elements(&svg))
 }
 
-/// Like [`svg_elements`], as a file with a background and the style of light and dark.
+/// Like [`svg_elements`], but returns a file with a background and the styles for light and dark.
 pub(crate) fn svg_document(
     title: &str,
     size: (i32, i32),
@@ -127,7 +127,7 @@ pub(crate) fn view_box((width, height): (i32, i32)) -> String {
     format!("0 0 {} {}", width * UNITS_PER_PIXEL, height * UNITS_PER_PIXEL)
 }
 
-/// An area that is drawn on in CSS pixels from its upper left corner.
+/// Positions are in CSS pixels from the upper left corner of the area.
 pub(crate) struct Canvas<'a, 'b>(pub(crate) &'a DrawArea<'b>);
 
 impl Canvas<'_, '_> {
@@ -156,7 +156,7 @@ impl Canvas<'_, '_> {
     }
 }
 
-/// CSS pixels to units of the drawing.
+/// Converts CSS pixels to units of the drawing.
 pub(crate) fn length(pixels: f64) -> i32 {
     (pixels * f64::from(UNITS_PER_PIXEL)).round() as i32
 }
@@ -165,7 +165,7 @@ fn units((x, y): (i32, i32)) -> (i32, i32) {
     (x * UNITS_PER_PIXEL, y * UNITS_PER_PIXEL)
 }
 
-/// Text of 12 px, centred vertically; `side` is the end that lies at the point.
+/// Text of 12 px, centred vertically. `side` is the end of the text that lies at its position.
 pub(crate) fn text_style(role: Role, side: HPos) -> TextStyle<'static> {
     let font = ("sans-serif", f64::from(12 * UNITS_PER_PIXEL)).into_font();
     let style = TextStyle::from(font).pos(Pos::new(side, VPos::Center));
@@ -179,26 +179,22 @@ pub(crate) fn count_factor(count: usize) -> i32 {
     i32::try_from(count).map_or(MAX_COUNT, |count| count.min(MAX_COUNT))
 }
 
-/// The smallest and the largest of the values; `None` without values.
 pub(crate) fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     values.map(|value| (value, value)).reduce(|(low, high), (value, _)| (low.min(value), high.max(value)))
 }
 
-/// [`extent`] of the values that a logarithmic axis can show.
 pub(crate) fn logarithmic_extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     extent(values.filter(|value| value.is_finite() && *value > 0.0))
 }
 
-/// The whole decades around the positive finite values.
 pub(crate) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
     let Some((low, high)) = logarithmic_extent(values) else { return 0.1..10.0 };
     let (from, to) = (low.log10().floor(), high.log10().ceil());
     10.0_f64.powf(from)..10.0_f64.powf(to.max(from + 1.0))
 }
 
-/// `10⁻³`
 pub(crate) fn format_power_of_ten(value: f64) -> String {
-    // Through a whole number: there is no −0.
+    // A whole number has no −0.
     let digits = (value.log10().round() as i64).to_string();
     let raised = |digit| match digit {
         '-' => '⁻',
@@ -230,7 +226,7 @@ fn compact_elements(svg: &str) -> String {
     body.replace(" \"/>", "\"/>").lines().map(|line| compact_element(line.trim())).collect()
 }
 
-/// Lines and areas as relative paths, texts without the font of the style sheet.
+/// Writes lines and areas as relative paths, and texts without their font, which the style sheet sets.
 fn compact_element(element: &str) -> String {
     let outline = element.strip_prefix("<polyline fill=\"none\" ").or_else(|| element.strip_prefix("<polygon "));
     if let Some((before, points)) = outline.and_then(|outline| outline.split_once("points=\""))
@@ -244,7 +240,7 @@ fn compact_element(element: &str) -> String {
     }
 }
 
-/// `x,y x,y` as the data of a path.
+/// Converts points `x,y x,y` to the data of a relative path.
 fn path_data(points: &str) -> String {
     let mut before = (0, 0);
     let mut data = String::new();

@@ -7,10 +7,10 @@ use crate::error::ReportError;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 
-/// CSS pixels.
+/// Width and height, CSS pixels.
 pub(crate) const SIZE: (i32, i32) = (560, 306);
 
-/// Height of the first mark's text in parts of the plot, and the distance to the next one's.
+/// Height of the text of the first mark and distance to the text of the next one, as shares of the plot.
 const LOWEST_TEXT: f64 = 0.12;
 const TEXT_HEIGHT: f64 = 0.1;
 
@@ -44,7 +44,7 @@ pub(crate) struct Mark {
     pub(crate) text: Option<String>,
 }
 
-/// From the back to the front.
+/// The fields are in drawing order, from the back to the front.
 #[derive(Debug, Clone)]
 pub(crate) struct TimeChart {
     pub(crate) window: TimeWindow,
@@ -55,7 +55,6 @@ pub(crate) struct TimeChart {
     pub(crate) areas: Vec<(Role, [Vec<CurvePoint>; 2])>,
     pub(crate) lines: Vec<(Role, Vec<CurvePoint>)>,
     pub(crate) marks: Vec<Mark>,
-    /// With their texts.
     pub(crate) points: Vec<(Role, CurvePoint, String)>,
 }
 

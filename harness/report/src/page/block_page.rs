@@ -17,12 +17,10 @@ const STYLE: &str = "figure{margin:1.5rem 0}figure img{max-width:100%;height:aut
 #[derive(Debug, Clone, PartialEq)]
 pub struct BlockPage {
     pub title: String,
-    /// May be empty.
     pub intro: String,
     pub blocks: Vec<PageBlock>,
 }
 
-/// A drawing with areas that open pages.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinkedDrawing {
     pub svg: String,
@@ -42,13 +40,12 @@ pub struct AreaLink {
 pub enum PageBlock {
     Heading(String),
     Text(String),
-    /// Text with its line feeds and columns.
     Preformatted(String),
-    /// Drawings side by side: an SVG file and its caption each.
+    /// SVG drawings side by side, each with its caption.
     Drawings(Vec<(String, String)>),
     LinkedDrawings(Vec<LinkedDrawing>),
     Table(Table),
-    /// A table, and for each row the page that its first cell opens.
+    /// The first cell of a row opens the page of the row, if there is one.
     LinkedTable(Table, Vec<Option<String>>),
     /// A link to a file in the page's folder.
     File(String),

@@ -1,4 +1,4 @@
-//! Draws boards against scenarios if runs were joined.
+//! Writes the section on the boards of joined runs.
 
 use super::elements::text_table;
 use crate::text::board_matrix::{difference_table, missing_shards, verdict_matrix};

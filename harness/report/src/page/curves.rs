@@ -4,7 +4,6 @@ use crate::chart::time_chart::{CurvePoint, TimeWindow};
 use platebench_trace::{Flags, Row};
 use platebench_verdict::metrics::setpoint_steps;
 
-/// A signal of a figure, by its column in the trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::VariantArray, strum::EnumString)]
 pub(crate) enum PlotSignal {
     #[strum(serialize = "amplitude_um")]
@@ -54,7 +53,7 @@ impl PlotSignal {
         }
     }
 
-    /// Applied values hold until the next row; the plate moves between rows.
+    /// True for values that hold until the next row. The plate moves between rows.
     pub(crate) fn is_zero_order_hold(self) -> bool {
         matches!(self, Self::Setpoint | Self::Drive | Self::Frequency)
     }
@@ -64,7 +63,7 @@ fn row_ms(row: &Row) -> f64 {
     row.t_s * 1e3
 }
 
-/// After `from_ms`, up to and including `to_ms`.
+/// Points after `from_ms`, up to and including `to_ms`.
 pub(crate) fn points_between(
     rows: &[Row],
     signal: PlotSignal,
@@ -80,13 +79,13 @@ pub(crate) fn points(rows: &[Row], signal: PlotSignal) -> impl Iterator<Item = C
     rows.iter().map(move |row| (row_ms(row), signal.value_in(row)))
 }
 
-/// `next` rows are not after `at_ms`. `None` outside the trace.
+/// `next` is the number of rows up to `at_ms`. `None` outside the trace.
 pub(crate) fn value_at(rows: &[Row], next: usize, signal: PlotSignal, at_ms: f64) -> Option<f64> {
     let point = |row: &Row| (row_ms(row), signal.value_in(row));
     interpolate_between(point(rows.get(next.checked_sub(1)?)?), rows.get(next).map(point), signal, at_ms)
 }
 
-/// How many rows are not after each instant, for ascending instants.
+/// Number of rows up to each of the ascending instants.
 pub(crate) fn rows_until(rows: &[Row], t_ms: &[f64]) -> Vec<usize> {
     let mut count = 0;
     let until = |t_ms: &f64| {
@@ -97,7 +96,6 @@ pub(crate) fn rows_until(rows: &[Row], t_ms: &[f64]) -> Vec<usize> {
     t_ms.iter().map(until).collect()
 }
 
-/// `None` outside the line.
 pub(crate) fn interpolate(points: &[CurvePoint], signal: PlotSignal, at_ms: f64) -> Option<f64> {
     let next = points.partition_point(|point| point.0 <= at_ms);
     interpolate_between(*points.get(next.checked_sub(1)?)?, points.get(next).copied(), signal, at_ms)
@@ -140,7 +138,6 @@ pub(crate) fn merge_windows(mut windows: Vec<TimeWindow>) -> Vec<TimeWindow> {
     result
 }
 
-/// As the judge defines them.
 pub(crate) fn setpoint_steps_ms(rows: &[Row]) -> Vec<f64> {
     setpoint_steps(rows).into_iter().filter_map(|step| rows.get(step).map(row_ms)).collect()
 }

@@ -8,7 +8,7 @@ use crate::error::ReportError;
 use crate::format;
 use maud::{Markup, PreEscaped, html};
 
-/// The first two figures of the first view, and all figures of the whole trial, the last view.
+/// Draws two figures of the first view, and all figures of the last view, which is the whole trial.
 pub(super) fn drawings(t_ms: &[f64], views: &[View], figures: &[Figure], limit: usize) -> Result<Markup, ReportError> {
     let [rest @ .., whole] = views else { return Ok(Markup::default()) };
     let shown = rest.first().map(|view| (view, 2)).into_iter().chain([(whole, figures.len())]);

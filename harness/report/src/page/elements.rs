@@ -10,12 +10,11 @@ pub fn verdict_badge(verdict: Verdict, text: &str) -> Markup {
     html! { span class={ "badge " (verdict) } { span aria-hidden="true" { (format::sign(verdict)) } " " (text) } }
 }
 
-/// Anchor of a scenario in `report.html`, by its index in the record.
+/// Anchor in `report.html` of the scenario with this index in the record.
 pub fn scenario_anchor(index: usize) -> String {
     format!("scenario-{index}")
 }
 
-/// With the index in the record: failed, inconclusive, passed.
 pub(super) fn sorted_by_verdict(record: &RunRecord) -> Vec<(usize, &ScenarioRecord)> {
     let mut scenarios: Vec<_> = record.scenarios.iter().enumerate().collect();
     scenarios.sort_by_key(|(_, scenario)| match scenario.verdict {
@@ -30,12 +29,11 @@ pub(super) fn file_link(path: &str) -> Markup {
     html! { @if !path.is_empty() { a href={ "./" (percent_encode_path(path)) } { (path) } } }
 }
 
-/// Nothing if the trace is not stored.
 pub(super) fn trace_link(trial: &TrialRecord) -> Markup {
     html! { @if trial.sha256.is_some() { (file_link(&trial.trace)) } }
 }
 
-/// A relative path as a URL without scheme, query and fragment.
+/// Encodes a relative path, so that no part of it is a scheme, a query or a fragment.
 fn percent_encode_path(path: &str) -> String {
     path.bytes().fold(String::with_capacity(path.len()), |mut url, byte| {
         if byte.is_ascii_alphanumeric() || b"-._~/".contains(&byte) {
@@ -47,10 +45,10 @@ fn percent_encode_path(path: &str) -> String {
     })
 }
 
-/// The number of names that a text lists in full.
+/// Longer lists name this many entries and count the others.
 pub(super) const MAX_NAMED: usize = 5;
 
-/// A table that scrolls sideways; a column that starts with `#` holds numbers.
+/// A column whose name starts with `#` contains numbers.
 pub(super) fn scroll_table(label: &str, class: &str, columns: &[&str], rows: &Markup) -> Markup {
     html! {
         div.scroll role="group" aria-label=(label) tabindex="0" {
@@ -69,7 +67,6 @@ pub(super) fn scroll_table(label: &str, class: &str, columns: &[&str], rows: &Ma
     }
 }
 
-/// The first cell of a row opens its link.
 pub(super) fn text_table(table: &Table, links: &[Option<String>]) -> Markup {
     html! {
         div.scroll role="group" aria-label="Table" tabindex="0" {

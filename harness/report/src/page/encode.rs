@@ -1,13 +1,13 @@
-//! Encodes curves in few characters, and JSON for a script element. A line has 65 535 steps
-//! between its extremes (error below 1e-5 of the range). Differences are base64 digits of five bits
-//! with sign and continuation bit, as in source maps (<https://tc39.es/ecma426/>); `!` is missing.
+//! Encodes curves in few characters, and JSON for a script element. Values are rounded to 65 535 steps between the
+//! extremes of the curve (error below 1e-5 of the range). Differences of neighbours are base64 digits of five bits with
+//! sign and continuation bit, as in source maps (<https://tc39.es/ecma426/>). `!` is a missing value.
 
 use serde_json::{Value, json};
 
 const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
 const QUANTISATION_STEPS: f64 = 65_535.0;
 
-/// Lowest value, height of a step, and the encoded differences.
+/// Returns the lowest value, the height of a step and the encoded differences.
 pub(crate) fn encode_values(values: impl IntoIterator<Item = Option<f64>>) -> Value {
     let values: Vec<Option<f64>> = values.into_iter().map(|value| value.filter(|value| value.is_finite())).collect();
     let known = || values.iter().flatten();
@@ -41,7 +41,7 @@ fn push_vlq(text: &mut String, difference: i64) {
     }
 }
 
-/// JSON that cannot end its script element, whatever its texts contain.
+/// Escapes `<`, `>` and `&`, so that no text ends the script element.
 pub(crate) fn embed_json(value: &Value) -> String {
     let text = value.to_string();
     text.replace('<', "\\u003c").replace('>', "\\u003e").replace('&', "\\u0026")

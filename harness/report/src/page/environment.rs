@@ -1,4 +1,4 @@
-//! Writes the section on the environment, which a repetition of the run needs.
+//! Writes the section on the environment, which is needed to repeat the run.
 
 use super::elements::scroll_table;
 use crate::format;
@@ -14,7 +14,7 @@ pub(super) fn section(record: &RunRecord) -> Markup {
         ("Tool", format!("{} {}", record.tool.name, record.tool.version)),
         ("Started", record.started.clone()),
         ("Rig", record.rig.name.clone()),
-        ("Firmware", firmware.unwrap_or_else(|| "unknown: it sent no identity".to_owned())),
+        ("Firmware", firmware.unwrap_or_else(|| "unknown, the controller sent no identity".to_owned())),
         ("Clock", record.clock.to_string()),
         ("Host", format!("{}, {}", record.host.os, record.host.arch)),
         ("Overridden", format::overrides(record).unwrap_or_else(|| "nothing".to_owned())),

@@ -12,7 +12,7 @@ pub(crate) struct Figure {
     pub(crate) unit: &'static str,
     pub(crate) from_zero: bool,
     pub(crate) min_span: f64,
-    /// A stimulus shares the time axis of the figure above it.
+    /// True for a stimulus, which shares the time axis of the figure above it.
     pub(crate) is_stimulus: bool,
     /// From the back to the front.
     pub(crate) layers: Vec<Layer>,
@@ -26,8 +26,8 @@ pub(crate) struct Layer {
     pub(crate) content: Content,
 }
 
-/// Stepped for a signal that holds its value; marks are instants in ms with an optional text, points
-/// have a value too.
+/// `is_stepped` is true for a signal that holds its value. Marks are instants in ms with an optional text, points are
+/// instants in ms with a value and a text.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Content {
     Lines { is_stepped: bool, lines: Vec<SampledLine> },
@@ -42,7 +42,7 @@ impl Layer {
         matches!(self.content, Content::Area { .. } | Content::Spans(_))
     }
 
-    /// Lines of all trials would make an SVG drawing too large.
+    /// False for the lines of all trials, which would make an SVG drawing too large.
     pub(crate) fn is_drawn(&self) -> bool {
         self.role != Role::Trial
     }
@@ -53,7 +53,6 @@ impl Figure {
         Self { title, unit, from_zero, min_span, is_stimulus: false, layers: Vec::new() }
     }
 
-    /// Adds the content unless it is empty.
     pub(crate) fn add(&mut self, role: Role, text: impl Into<String>, content: Content) {
         let has_values = |line: &SampledLine| line.iter().any(Option::is_some);
         let is_empty = match &content {
@@ -68,7 +67,7 @@ impl Figure {
         }
     }
 
-    /// Lines have at most some `limit` points; `t_ms` are the instants of the grid.
+    /// `t_ms` are the instants of the grid. A line has about `limit` points at most.
     pub(crate) fn chart(&self, t_ms: &[f64], window: TimeWindow, limit: usize) -> TimeChart {
         let points = |line: &SampledLine, is_stepped| line_points(t_ms, line, is_stepped, window, limit);
         let mut chart = TimeChart::new(window, (0.0, 1.0), self.unit);
@@ -111,7 +110,7 @@ impl Figure {
     }
 }
 
-/// Missing values are omitted; a stepped line has corners.
+/// Omits missing values and adds corners to a stepped line.
 fn line_points(
     t_ms: &[f64],
     line: &SampledLine,

@@ -1,4 +1,4 @@
-//! Writes the frame of every page, which loads nothing.
+//! Writes the HTML around the content of every page.
 
 use crate::chart::colours;
 use crate::text::escape::printable_lines;

@@ -10,7 +10,6 @@ use std::path::Path;
 
 #[derive(Debug, Clone)]
 pub(crate) struct GoldenCurves {
-    /// Name in legends.
     pub(crate) text: String,
     tubes: BTreeMap<PlotSignal, SampledTube>,
 }
@@ -21,10 +20,10 @@ pub(crate) struct SampledTube {
     pub(crate) edges: [Vec<Option<f64>>; 2],
 }
 
-/// Empty without a baseline, or inside its tubes.
+/// Empty without a baseline, or if the response stays inside the tubes.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct GoldenDifference {
-    /// The worst of each signal that leaves its tube.
+    /// The worst exceedance of each signal that leaves its tube.
     pub(crate) exceedances: Vec<Exceedance>,
     /// Feature, golden value, value of this run; only those that differ.
     pub(crate) features: Vec<(&'static str, Option<f64>, Option<f64>)>,

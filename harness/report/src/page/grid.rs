@@ -4,14 +4,14 @@ use super::curves::{self, PlotSignal};
 use crate::chart::time_chart::{CurvePoint, TimeWindow};
 use platebench_trace::Row;
 
-/// Ascending.
+/// Ascending instants at which all trials are sampled.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct TimeGrid {
     pub(crate) t_ms: Vec<f64>,
 }
 
 impl TimeGrid {
-    /// About `limit` instants, half of them in `response`; fewer if every row has its own.
+    /// About `limit` instants, half of them in `response`. Fewer if all instants of `rows` fit.
     pub(crate) fn new(rows: &[Row], whole: TimeWindow, response: Option<TimeWindow>, limit: usize) -> Self {
         let mut t_ms = Vec::new();
         match response {
@@ -41,7 +41,7 @@ impl TimeGrid {
     }
 }
 
-/// The rows of a trial and the instants of a grid; the search for each instant serves all signals.
+/// Rows of a trial at the instants of a grid. The search for each instant serves all signals.
 pub(crate) struct AlignedRows<'a> {
     t_ms: &'a [f64],
     rows: &'a [Row],
@@ -54,8 +54,8 @@ impl AlignedRows<'_> {
         instants.map(|(t_ms, next)| curves::value_at(self.rows, *next, signal, *t_ms)).collect()
     }
 
-    /// Keeps every peak: if the signal leaves the range of three neighbouring instants, the
-    /// first two hold its lowest and its highest value there, in order of time.
+    /// Keeps every peak. If the signal leaves the range of its values at three neighbouring instants, its lowest and
+    /// highest value replace the first two of them, in order of time.
     pub(crate) fn sample_peaks(&self, signal: PlotSignal) -> Vec<Option<f64>> {
         let mut line = self.sample(signal);
         for start in (0..line.len()).step_by(2) {
@@ -82,7 +82,7 @@ impl AlignedRows<'_> {
     }
 }
 
-/// Both ends and the rows between, or `limit` equidistant instants if those are more.
+/// Both ends and the instants of the rows between them, or `limit` equidistant instants if there are more rows.
 fn window_instants(rows: &[Row], window: TimeWindow, limit: usize) -> Vec<f64> {
     let limit = limit.max(4);
     let inside = curves::points_between(rows, PlotSignal::Setpoint, window.from_ms, window.to_ms).map(|(t_ms, _)| t_ms);
@@ -95,7 +95,7 @@ fn window_instants(rows: &[Row], window: TimeWindow, limit: usize) -> Vec<f64> {
     (0..limit).map(|index| window.from_ms + window.span_ms() * index as f64 / last).collect()
 }
 
-/// Linear between neighbours; `None` at instants with fewer than two trials.
+/// Interpolates linearly between trials. `None` at instants with fewer than two trials.
 pub(crate) fn percentiles(trials: &[&[Option<f64>]], shares: [f64; 3]) -> [Vec<Option<f64>>; 3] {
     let length = trials.iter().map(|trial| trial.len()).max().unwrap_or(0);
     let mut found: [Vec<Option<f64>>; 3] = std::array::from_fn(|_| Vec::with_capacity(length));

@@ -3,7 +3,7 @@
 use platebench_trace::Row;
 use std::collections::BTreeMap;
 
-/// About 56 MB. The report reads further traces from their files.
+/// About 56 MB. The report reads the other traces from their files.
 const MAX_ROWS: usize = 500_000;
 
 #[derive(Debug, Clone, Default)]

@@ -8,23 +8,21 @@ use platebench_trace::Row;
 
 const LAST_OUTSIDE: &str = "last outside the band";
 
-/// Limits of the window that decided.
+/// Limits of an expectation in the window that decided its verdict.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LimitMark {
-    /// `peak_deviation_percent ≤ 12 %`
     pub(crate) text: String,
     pub(crate) name: String,
     pub(crate) is_missed: bool,
-    /// The figure that shows it.
     pub(crate) signal: PlotSignal,
     pub(crate) window: TimeWindow,
     pub(crate) levels: Vec<Level>,
-    /// What `worst` is: `last outside the band`, `mean`.
+    /// Meaning of `worst`, such as `last outside the band` or `mean`.
     pub(crate) kind: &'static str,
     pub(crate) worst: Vec<WorstPoint>,
 }
 
-/// `share · base + offset`; without a base only the offset.
+/// Level `share · base + offset`; without a base only the offset.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Level {
     pub(crate) base: Option<PlotSignal>,
@@ -36,12 +34,11 @@ pub(crate) struct Level {
 pub(crate) struct WorstPoint {
     pub(crate) t_ms: f64,
     pub(crate) value: f64,
-    /// `1.107 µm at 302.5 ms`
     pub(crate) text: String,
 }
 
 impl LimitMark {
-    /// `None` if the metric has no place in a figure, or no window has one.
+    /// `None` if no figure shows the metric, or if no window has a result.
     pub(crate) fn find(expectation: &ExpectationRecord, is_missed: bool, rows: &[Row]) -> Option<Self> {
         let signal = shown_signal(expectation)?;
         let in_window = |window: TimeWindow| {
@@ -87,7 +84,7 @@ impl LimitMark {
             to_ms: to_ms.min(whole.to_ms),
         };
         let worst = self.worst.first()?;
-        // A settling or recovery time is the time up to its worst instant.
+        // A settling or recovery time ends at its worst instant.
         let to_ms = if self.kind == LAST_OUTSIDE { worst.t_ms } else { self.window.to_ms };
         let span_ms = to_ms - self.window.from_ms;
         let view = if span_ms <= 0.3 * whole.span_ms() {
@@ -104,7 +101,7 @@ impl LimitMark {
 struct WindowResult {
     value: f64,
     levels: Vec<Level>,
-    /// ms and the signal's unit.
+    /// Instants in ms, with values in the unit of the signal.
     points: Vec<(f64, f64)>,
 }
 
@@ -140,7 +137,7 @@ fn shown_signal(expectation: &ExpectationRecord) -> Option<PlotSignal> {
 }
 
 impl WindowResult {
-    /// `rows` are those of the window, `before` the last one before it.
+    /// `rows` are the rows of the window, `before` is the last row before it.
     fn of(expectation: &ExpectationRecord, signal: PlotSignal, before: Option<&Row>, rows: &[Row]) -> Option<Self> {
         let (first, last) = (rows.first()?, rows.last()?);
         let point = |row: &Row| (row.t_s * 1e3, signal.value_in(row));

@@ -9,14 +9,13 @@ const ELAPSED_METRICS: [(Metric, &str, &str); 2] = [
     (Metric::ShutdownTime, "stopped after", "does not stop"),
 ];
 
-/// Instants count from the start of the trial.
+/// All instants are in ms since the start of the trial.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct TimeMarker {
-    /// `settled after 1.949 ms`
     pub(crate) text: String,
     pub(crate) from_ms: Option<f64>,
     pub(crate) instant_ms: Option<f64>,
-    /// Latest allowed end, and the expectation.
+    /// Latest allowed end in ms, and text of the expectation.
     pub(crate) deadline: Option<(f64, String)>,
     pub(crate) is_on_drive: bool,
 }
@@ -26,14 +25,14 @@ pub(crate) enum Settling {
     Unknown,
     Never,
     At {
-        /// Since the start of the trial.
+        /// Time since the start of the trial.
         instant_ms: f64,
-        /// Since the setpoint step.
+        /// Time since the setpoint step.
         after_ms: f64,
     },
 }
 
-/// The first settling time that did not pass, else the first one, else the first with a band.
+/// Index of the first settling time that did not pass, else of the first one, else of the first metric with a band.
 pub(crate) fn settling_expectation(scenario: &ScenarioRecord) -> Option<usize> {
     let all = || scenario.expectations.iter().enumerate();
     let settling = || all().filter(|(_, found)| found.metric == Metric::SettlingTime);
@@ -61,7 +60,7 @@ fn settling_start_ms(definition: &MetricDefinition, steps_ms: &[f64]) -> Option<
     steps_ms.get(passed.saturating_sub(1)).copied()
 }
 
-/// Settling, and of every other metric the expectations that did not pass, or else the first.
+/// Markers of settling, and for each other metric of the expectations that did not pass, or else of the first one.
 pub(crate) fn time_markers(
     scenario: &ScenarioRecord,
     trial: &TrialRecord,
@@ -96,7 +95,7 @@ pub(crate) fn time_markers(
     found
 }
 
-/// `None` if the trial has no result or the expectation no start.
+/// `None` if the trial has no result or the expectation has no `from_ms`.
 fn elapsed_marker(
     scenario: &ScenarioRecord,
     trial: &TrialRecord,

@@ -9,10 +9,10 @@ use platebench_record::{RunRecord, ScenarioRecord, Verdict};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
-/// CSS pixels.
+/// Width and height, CSS pixels.
 const SPARKLINE: (f64, f64) = (88.0, 22.0);
 const SPARKLINE_POINTS: usize = 44;
-/// A longer bar shows no more than this margin.
+/// The bar is full at this margin (100 %) and above.
 const FULL_MARGIN: f64 = 1.0;
 
 /// `navigation.js` builds the filters from the attributes of the entries.
@@ -51,7 +51,6 @@ fn entry(index: usize, scenario: &ScenarioRecord, data: Option<&TraceData>) -> M
     }
 }
 
-/// |W| of the first trial.
 fn sparkline(data: &TraceData) -> Markup {
     let line = data.sampled_trials.first().and_then(|trial| trial.peak_lines.get(&PlotSignal::Amplitude));
     let (Some(line), Some(whole)) = (line, data.views.last().map(|view| view.window)) else { return Markup::default() };
@@ -59,7 +58,6 @@ fn sparkline(data: &TraceData) -> Markup {
     let known: Vec<(f64, f64)> = known.collect();
     let top = known.iter().map(|point| point.1).fold(f64::MIN_POSITIVE, f64::max);
     let (width, height) = SPARKLINE;
-    // The highest value of each part.
     let part = |t_ms: f64| ((t_ms - whole.from_ms) / whole.span_ms() * SPARKLINE_POINTS as f64).floor();
     let mut path = String::new();
     for points in known.chunk_by(|a, b| part(a.0) == part(b.0)) {
@@ -71,7 +69,6 @@ fn sparkline(data: &TraceData) -> Markup {
     html! { svg.spark viewBox={ "0 0 " (width) " " (height) } aria-hidden="true" { path d=(path) {} } }
 }
 
-/// Bar of the expectation with the smallest margin.
 pub(super) fn margin_bar(scenario: &ScenarioRecord) -> Markup {
     let closest = record_queries::closest_expectation(scenario).and_then(|index| scenario.expectations.get(index));
     let Some((closest, margin)) = closest.and_then(|found| Some((found, found.margin?))) else {

@@ -1,5 +1,5 @@
-// Plots of the report: uPlot draws; this unpacks the data and keeps the panels of a scenario together.
-// Content and names of a panel come with the data; nothing here knows a signal. If the script fails, the drawings are shown.
+// Draws the plots of the report with uPlot. The panels of a scenario show the same time.
+// The data contain names and content of each panel. If the script fails, the page shows the drawings.
 "use strict";
 (() => {
   const DIGITS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
@@ -15,7 +15,7 @@
     saturated: ["--amber", 0, [], 0.28], lost: ["--fail", 0, [], 0.16],
   };
 
-  // Lowest value, height of a step, differences of neighbours (see pack.rs).
+  // Decodes lowest value, height of a step and differences of neighbours (see encode.rs).
   function unpack([low, step, text]) {
     const values = [];
     let count = 0, rest = 0, shift = 0;
@@ -64,7 +64,6 @@
     return svg;
   }
 
-  // The panels of one scenario: they share their time.
   class Scenario {
     constructor(section, data, key) {
       this.section = section;
@@ -280,7 +279,7 @@
         plot.ctx.textAlign = right ? "left" : "right";
         plot.ctx.textBaseline = "middle";
         const place = [x + (right ? 9 : -9) * ratio, Math.max(top + 8 * ratio, Math.min(top + height - 8 * ratio, y))];
-        // A label below another one that is near.
+        // Moves a label below another label that is near.
         while (labels.some(([left, above]) => Math.abs(left - place[0]) < 220 * ratio && Math.abs(above - place[1]) < 15 * ratio)) place[1] += 15 * ratio;
         labels.push([...place]);
         plot.ctx.lineWidth = 4 * ratio;

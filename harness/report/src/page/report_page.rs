@@ -27,7 +27,6 @@ pub fn write(record: &RunRecord, folder: &Path) -> Result<(), ReportError> {
     ReportPage::new(record, folder).write(&folder.join(FILE))
 }
 
-/// The page of a run, with optional baselines, earlier runs and another run.
 #[derive(Debug, Clone)]
 pub struct ReportPage<'a> {
     record: &'a RunRecord,
@@ -39,7 +38,7 @@ pub struct ReportPage<'a> {
     rows: KeptRows,
 }
 
-/// Compares the trace of a trial in a run folder with its record.
+/// True if the trace in the run folder differs from the record of its trial.
 pub type IsTraceChanged = fn(&Path, &TrialRecord) -> bool;
 
 impl<'a> ReportPage<'a> {
@@ -54,13 +53,13 @@ impl<'a> ReportPage<'a> {
         Self { baselines: Some(folder), ..self }
     }
 
-    /// Adds trends and since when an expectation does not pass, from the runs in neighbouring folders.
+    /// Adds trends and the time of the last pass from the runs in neighbouring folders.
     #[must_use]
     pub fn with_earlier_runs(self) -> Self {
         Self { history: RunHistory { runs: Some(self.record.earlier_runs(self.folder, |_, _| ())) }, ..self }
     }
 
-    /// Draws these rows of the run instead of reading them.
+    /// Draws these rows instead of reading them from the traces.
     #[must_use]
     pub fn with_rows(self, rows: KeptRows) -> Self {
         Self { rows, ..self }
@@ -77,7 +76,7 @@ impl<'a> ReportPage<'a> {
         Self { other: Some((record, folder)), ..self }
     }
 
-    /// Lists traces and baselines that cannot be read.
+    /// The page lists traces and baselines that cannot be read; they are not an error.
     pub fn write(&self, path: &Path) -> Result<(), ReportError> {
         write_file(path, &self.html()?)
     }
@@ -174,7 +173,7 @@ impl<'a> ReportPage<'a> {
         indices.map(|index| self.history.trend(self.record, scenario, index)).collect()
     }
 
-    /// The trial that is drawn as a line here, or else the first.
+    /// Trial of the other run with the index of the trial that this page draws as a line, or else its first trial.
     fn other_run_trial(
         &self,
         scenario: &ScenarioRecord,

@@ -2,24 +2,23 @@
 
 const MAX_CURVE_CHARS: usize = 2_000_000;
 const MAX_DRAWN_POINTS: usize = 100_000;
-/// The page begins with scenarios that did not pass.
+/// Scenarios that did not pass have drawings first.
 const MAX_DRAWN_SCENARIOS: usize = 30;
-/// First trial, percentiles, tubes, profiles.
+/// Lines of a scenario besides overlaid trials, such as percentiles, tubes and profiles.
 const OTHER_LINES: usize = 34;
 const CHARS_PER_POINT: usize = 2;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct PlotResolution {
     pub(crate) instants: usize,
-    /// Trials with a line of their own.
     pub(crate) overlaid_trials: usize,
-    /// The others have no drawing for readers without scripts.
+    /// Scenarios with drawings for readers without scripts.
     pub(crate) drawn_scenarios: usize,
     pub(crate) line_points: usize,
 }
 
 impl PlotResolution {
-    /// `trials` is the largest number of a scenario.
+    /// `trials` is the largest number of trials of a scenario.
     pub(crate) fn of(scenarios: usize, trials: usize) -> Self {
         let scenarios = scenarios.max(1);
         let curves = MAX_CURVE_CHARS / scenarios / CHARS_PER_POINT;

@@ -1,4 +1,4 @@
-//! Writes the comparison of two runs: every expectation of either, with both values.
+//! Writes the comparison of two runs, with both values of every expectation.
 
 use super::elements::{scenario_anchor, scroll_table, verdict_badge};
 use crate::format;
@@ -19,7 +19,6 @@ impl<'a> OtherRun<'a> {
 }
 
 struct ExpectationPair<'a> {
-    /// In this run's record.
     scenario_index: Option<usize>,
     file: &'a str,
     name: &'a str,

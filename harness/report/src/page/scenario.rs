@@ -25,7 +25,6 @@ pub(super) struct ScenarioParts<'a> {
     pub(super) baseline_error: Option<String>,
     pub(super) line_points: usize,
     pub(super) has_drawings: bool,
-    /// Earlier values of each expectation.
     pub(super) trends: Vec<Vec<TrendPoint>>,
 }
 
@@ -157,7 +156,7 @@ fn requirement_texts(scenario: &ScenarioRecord) -> Markup {
     }
 }
 
-/// A fast response that overshoots may meet a settling time.
+/// A response can meet its settling time although it overshoots.
 fn overshoot_remark(scenario: &ScenarioRecord, data: &TraceData) -> Markup {
     let has_settled = scenario
         .expectations
@@ -243,7 +242,7 @@ fn trials_table(scenario: &ScenarioRecord) -> Markup {
     }
 }
 
-/// Output of the first trial with a remark, otherwise of the first one that has any.
+/// Shows the output of the first trial with a remark, or else of the first trial with output.
 fn firmware_output(scenario: &ScenarioRecord) -> Markup {
     let has_output = |trial: &&TrialRecord| trial.telemetry.firmware_output.is_some();
     let with_remark = scenario.trials.iter().filter(|trial| trial.reason.is_some()).find(has_output);

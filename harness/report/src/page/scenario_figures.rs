@@ -9,7 +9,7 @@ use crate::chart::svg::Role;
 use crate::format;
 use platebench_verdict::tube::Exceedance;
 
-/// Fewer trials show their range: they have no outer percentiles.
+/// With fewer trials the figures show the range, because 5 % of the trials is less than one.
 const MIN_PERCENTILE_TRIALS: usize = 20;
 
 #[derive(Debug, Default)]
@@ -19,7 +19,6 @@ pub(crate) struct ReferenceCurves<'a> {
     pub(crate) other: Option<(String, Role, &'a SampledTrial)>,
 }
 
-/// The figures in their order on the page; empty without a readable trace.
 pub(crate) fn scenario_figures(data: &TraceData, references: &ReferenceCurves<'_>, overlaid: usize) -> Vec<Figure> {
     if data.views.is_empty() {
         return Vec::new();
@@ -87,7 +86,7 @@ impl FigureBuilder<'_> {
         }
     }
 
-    /// Percentiles of many trials, the range of few; nothing if all trials are equal.
+    /// Adds percentiles of many trials or the range of few trials, but nothing if all trials are equal.
     fn add_spread(&self, figure: &mut Figure, signal: PlotSignal, role: Role, name: &str) {
         let lines = self.data.sampled_trials.iter().filter_map(|trial| trial.values.get(&signal).map(Vec::as_slice));
         let lines: Vec<&[Option<f64>]> = lines.collect();
@@ -151,7 +150,7 @@ impl FigureBuilder<'_> {
                 format::number(window.from_ms),
                 format::number(window.to_ms)
             );
-            // Shading everything would show nothing.
+            // A shaded window that covers most of the trial shows nothing.
             if limit.is_missed && !limit.window.covers_most_of(self.data.views.last().map(|view| view.window)) {
                 figure.add(Role::JudgedWindow, format!("window of {}", limit.name), Content::Spans(vec![window]));
             }
@@ -230,7 +229,7 @@ impl FigureBuilder<'_> {
         figure
     }
 
-    /// A profile of the scenario; `None` if it is zero throughout.
+    /// Figure of a profile of the scenario; `None` if the profile is zero throughout.
     fn stimulus(&self, signal: PlotSignal, title: &'static str) -> Option<Figure> {
         let mut values = self.data.sampled_trials.iter().filter_map(|trial| trial.peak_lines.get(&signal)).flatten();
         values.any(|value| value.is_some_and(|value| value != 0.0)).then(|| {

@@ -14,7 +14,7 @@ const PLOTS: &str = include_str!("plots.js");
 const NAVIGATION: &str = include_str!("navigation.js");
 const STYLE: &str = include_str!("plots.css");
 
-/// The page loads nothing, whatever its texts contain.
+/// Prevents the page from loading files, whatever its texts contain.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; \
                       base-uri 'none'; form-action 'none'";
 
@@ -37,7 +37,7 @@ pub(super) fn figure_data(title: &str, t_ms: &[f64], views: &[View], figures: &[
     html! { script.curves type="application/json" { (PreEscaped(embed_json(&data))) } }
 }
 
-/// For `plots.js`: layers are groups; series, bands, spans and marks have their group's number.
+/// Data of a figure for `plots.js`. A layer is a group; series, bands, spans, marks and points contain its number.
 fn panel(figure: &Figure) -> Value {
     let (mut series, mut bands, mut spans, mut marks, mut points) = (vec![], vec![], vec![], vec![], vec![]);
     for (group, layer) in figure.layers.iter().enumerate() {

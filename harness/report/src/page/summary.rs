@@ -93,7 +93,6 @@ fn changed_traces(index: usize, scenario: &ScenarioRecord, changed: &BTreeSet<St
     }
 }
 
-/// A scenario with everything in it that did not pass.
 fn not_passed_card(
     record: &RunRecord,
     place: usize,
@@ -127,7 +126,7 @@ fn not_passed_item(
     let Some(expectation) = scenario.expectations.get(index) else { return Markup::default() };
     let unit = format::unit(expectation.metric);
     let trial = record_queries::trial_to_inspect(scenario, index);
-    // A statistic over trials is no value of a single trial.
+    // A statistic over trials is not the value of one trial.
     let decided = trial.filter(|_| expectation.statistic == Statistic::Worst && scenario.trials.len() > 1);
     let decided = decided.map(|trial| trial.index);
     let limit = data.and_then(|data| data.limits.iter().find(|limit| limit.name == expectation.name));
@@ -168,7 +167,6 @@ fn requirement_text<'a>(scenario: &'a ScenarioRecord, expectation: &ExpectationR
     scenario.requirement_texts.get(expectation.requirement.as_ref()?).map(String::as_str)
 }
 
-/// The passed expectations with the smallest margins.
 pub(super) fn closest(record: &RunRecord) -> Markup {
     let found = record_queries::smallest_margins(record);
     let rows = html! {
@@ -200,7 +198,6 @@ pub(super) fn closest(record: &RunRecord) -> Markup {
     }
 }
 
-/// They change no verdict.
 pub(super) fn not_applicable(record: &RunRecord) -> Markup {
     html! {
         @if record.scenarios.is_empty() { p.notice { "The run has no scenarios." } }
@@ -215,7 +212,6 @@ pub(super) fn not_applicable(record: &RunRecord) -> Markup {
     }
 }
 
-/// A row per requirement; `traceability.csv` lists every expectation.
 pub(super) fn requirements(record: &RunRecord) -> Markup {
     let links = traceability::requirement_links(record);
     let all: usize = record.scenarios.iter().map(|scenario| scenario.expectations.len()).sum();

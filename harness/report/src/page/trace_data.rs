@@ -1,4 +1,4 @@
-//! Reads each trace of a scenario once and samples it. An unreadable trace is listed, no error.
+//! Reads each trace of a scenario once and samples it. Lists unreadable traces instead of failing.
 
 use super::curves::{self, PlotSignal};
 use super::golden::GoldenDifference;
@@ -16,29 +16,27 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Plus the one that decided a verdict.
+/// The page shows this many trials, and those that decided a verdict.
 pub const MAX_TRIALS: usize = 30;
 pub(crate) const TRACE_CHANGED: &str = "changed after the run";
-/// Further missed expectations are in the table only.
+/// The figures show no further missed expectations.
 const MAX_LIMITS: usize = 6;
 const MAX_OVERRUN_MARKS: usize = 200;
 
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TraceData {
-    /// Missed limits, the response if the trial is much longer, the whole trial; empty without a trace.
+    /// Missed limits, differences from the baseline, the response, and last the whole trial. Empty without a trace.
     pub(crate) views: Vec<View>,
     /// Limits of the expectations that did not pass, or else of the one with the smallest margin.
     pub(crate) limits: Vec<LimitMark>,
-    /// Drawn as a line.
+    /// Index of the trial that is drawn as a line.
     pub(crate) first_trial: u32,
-    /// Between the baseline and the first trial.
     pub(crate) golden: GoldenDifference,
-    /// Trials that decided missed expectations, with these, without the first trial.
+    /// Trials except the first that decided missed expectations, with the metrics of these expectations.
     pub(crate) deciding_trials: Vec<(u32, String)>,
     pub(crate) trial_count: usize,
-    /// Instants of the first trial.
     pub(crate) markers: Vec<TimeMarker>,
-    /// With the reason.
+    /// Traces that cannot be shown, each with the reason.
     pub(crate) unreadable: Vec<String>,
     pub(crate) band: Option<Band>,
     /// Overshoot of the first trial at its first setpoint step, until the finger or the next setpoint changes it.
@@ -51,7 +49,6 @@ pub(crate) struct TraceData {
     pub(crate) overruns: Vec<f64>,
 }
 
-/// A part of the trial that the page can show.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct View {
     pub(crate) name: String,
@@ -61,17 +58,17 @@ pub(crate) struct View {
 #[derive(Debug, Clone)]
 pub(crate) struct SampledTrial {
     pub(crate) index: u32,
-    /// With every peak.
+    /// Keeps every peak.
     pub(crate) peak_lines: BTreeMap<PlotSignal, Vec<Option<f64>>>,
-    /// Exactly at the instants.
+    /// Values exactly at the instants of the grid.
     pub(crate) values: BTreeMap<PlotSignal, Vec<Option<f64>>>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Band {
-    /// Half width, of the setpoint.
+    /// Half width in percent of the setpoint.
     pub(crate) percent: f64,
-    /// For a component of the vibration instead of |W|.
+    /// True if the band is for Wd or Wq instead of |W|.
     pub(crate) is_for_components: bool,
 }
 
@@ -103,7 +100,7 @@ impl TraceData {
                 && let Ok(rows) = read(trial)
             {
                 let is_missed = expectation.verdict != Verdict::Pass;
-                // Band and deadline of a time that passed are drawn anyway.
+                // The figures draw band and deadline of a passed settling or recovery time anyway.
                 if is_missed || !matches!(expectation.metric, Metric::SettlingTime | Metric::RecoveryTime) {
                     data.limits.extend(LimitMark::find(expectation, is_missed, &rows));
                 }
@@ -211,7 +208,7 @@ fn marked_expectations(scenario: &ScenarioRecord) -> Vec<(usize, &TrialRecord)> 
     shown.into_iter().filter_map(decided).collect()
 }
 
-/// Each once, with its missed metrics.
+/// Each trial occurs once, with its missed metrics.
 fn deciding_trials(scenario: &ScenarioRecord, shown: &[(usize, &TrialRecord)]) -> Vec<(u32, String)> {
     let mut found: Vec<(u32, String)> = Vec::new();
     for (index, trial) in shown {
@@ -227,7 +224,7 @@ fn deciding_trials(scenario: &ScenarioRecord, shown: &[(usize, &TrialRecord)]) -
     found
 }
 
-/// Up to the first change of the finger force after the setpoint's first step.
+/// Rows up to the first change of the finger force after the first setpoint step.
 fn rows_before_touch(rows: &[Row]) -> &[Row] {
     let is_step = |pair: &[Row]| matches!(pair, [a, b] if a.setpoint_um != b.setpoint_um);
     let is_touch = |pair: &[Row]| matches!(pair, [a, b] if (a.finger_force_n - b.finger_force_n).abs() > 0.0);
@@ -243,7 +240,7 @@ fn whole_window(rows: &[Row]) -> TimeWindow {
     TimeWindow { from_ms, to_ms: if to_ms > from_ms { to_ms } else { from_ms + 1.0 } }
 }
 
-/// Four settling times, if the trial is at least three times as long.
+/// Window of four settling times; `None` unless the trial is more than three times as long.
 fn response_window(scenario: &ScenarioRecord, settling: Settling, whole: TimeWindow) -> Option<TimeWindow> {
     let Settling::At { instant_ms, after_ms } = settling else { return None };
     let step_ms = instant_ms - after_ms;
@@ -255,7 +252,6 @@ fn response_window(scenario: &ScenarioRecord, settling: Settling, whole: TimeWin
     (after_ms > 0.0 && window.span_ms() * 3.0 < whole.span_ms()).then_some(window)
 }
 
-/// The reason without the path, which the list already has.
 fn trace_error_reason(error: &TraceError) -> String {
     match error {
         TraceError::Io { source, .. } => source.to_string(),

@@ -7,11 +7,11 @@ use crate::text::history::TrendPoint;
 use maud::{Markup, html};
 use platebench_record::ExpectationRecord;
 
-/// CSS pixels.
+/// Width and height, CSS pixels.
 const SIZE: (f64, f64) = (132.0, 34.0);
 const AIR: f64 = 5.0;
 
-/// `points` end with this run, oldest first. Nothing without an earlier run.
+/// `points` begin with the oldest run and end with this one. Draws nothing without an earlier run.
 pub(super) fn trend(expectation: &ExpectationRecord, points: &[TrendPoint]) -> Markup {
     let ends = format::limit_ends(expectation.limit);
     if points.len() < 2 {

@@ -1,10 +1,9 @@
-//! Shows boards against scenarios, and the differences between boards.
+//! Tabulates the verdicts of joined runs by scenario and board, and the differences between boards.
 
 use super::table::Table;
 use platebench_record::{MergeRecord, RunRecord, Verdict};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// `None` if the record is not of joined runs.
 pub fn verdict_matrix(record: &RunRecord) -> Option<Table> {
     let merge = record.merge.as_ref()?;
     let boards: BTreeSet<&str> = merge.runs.iter().map(|run| run.board.as_str()).collect();
@@ -45,7 +44,6 @@ pub fn difference_table(merge: &MergeRecord) -> Option<Table> {
     (!table.rows.is_empty()).then_some(table)
 }
 
-/// One line per shard.
 pub fn missing_shards(merge: &MergeRecord) -> Vec<String> {
     let line = |missing: &platebench_record::MissingShard| {
         format!("inconclusive: evidence: shard {}/{} of {} is missing", missing.shard, missing.shards, missing.board)

@@ -18,11 +18,10 @@ use std::io::{self, Write};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Detail {
-    /// What did not pass; nothing if everything passed.
+    /// Lists what did not pass; empty if everything passed.
     Failures,
     #[default]
     Summary,
-    /// A table for each scenario, and the summary.
     Tables,
 }
 
@@ -48,7 +47,7 @@ pub fn run_table(record: &RunRecord, style: Style) -> String {
     run_text(record, style, Detail::Tables)
 }
 
-/// A closed pipe is no error.
+/// Ignores a closed pipe.
 pub fn print(text: &str, out: &mut dyn Write) -> io::Result<()> {
     match writeln!(out, "{}", text.trim_end()).and_then(|()| out.flush()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),

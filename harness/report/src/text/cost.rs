@@ -5,8 +5,7 @@ use platebench_record::CostTrend;
 
 pub(crate) const SHIPPED_IMAGE: &str = "the image that comes with the bench";
 
-/// `3 332 worst (dq-pi), 2.0 % of a period of 1 ms at 168 MHz`; another step may need the largest
-/// share of a shorter period.
+/// `3 332 worst (dq-pi), 2.0 % of a period of 1 ms at 168 MHz`
 pub(crate) fn format_worst(trend: &CostTrend) -> String {
     let worst = format!("{} worst ({})", format_instructions(trend.cost.worst), trend.law);
     let Some(tightest) = trend.tightest else { return worst };

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-/// Shows control characters and characters that change the writing direction: `\u{1b}`.
+/// Writes control characters and characters that change the writing direction as escapes such as `\u{1b}`.
 pub fn printable(text: &str) -> Cow<'_, str> {
     escape(text, is_active)
 }
@@ -37,7 +37,7 @@ fn is_active(character: char) -> bool {
 
 const MAX_CELL_CHARS: usize = 400;
 
-/// No character is markup or ends the cell.
+/// Escapes markup and characters that end the cell, and shortens long texts.
 pub(crate) fn markdown_cell(text: &str) -> String {
     let mut cell = String::with_capacity(text.len());
     for character in text.chars().take(MAX_CELL_CHARS) {
@@ -58,7 +58,7 @@ pub(crate) fn markdown_cell(text: &str) -> String {
     cell
 }
 
-/// RFC 4180. A spreadsheet takes `=`, `+`, `-` or `@` in front as a formula: adds a `'`.
+/// RFC 4180. Writes a `'` before `=`, `+`, `-` and `@`, with which a formula begins in a spreadsheet.
 pub(crate) fn csv_field(text: &str) -> String {
     let text = printable(text);
     let is_formula = text.starts_with(['=', '+', '-', '@']) && text.parse::<f64>().is_err();
@@ -66,12 +66,11 @@ pub(crate) fn csv_field(text: &str) -> String {
     if text.contains([',', '"']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.into_owned() }
 }
 
-/// One line without directives.
+/// Returns one line without directives.
 pub(crate) fn tap_description(text: &str) -> String {
     printable(&text.replace('\\', "\\\\").replace('#', "\\#")).into_owned()
 }
 
-/// Line feeds stay.
 pub(crate) fn workflow_message(text: &str) -> String {
     printable_lines(text).replace('%', "%25").replace('\n', "%0A")
 }
@@ -80,7 +79,7 @@ pub(crate) fn workflow_property(text: &str) -> String {
     printable(text).replace('%', "%25").replace(':', "%3A").replace(',', "%2C")
 }
 
-/// One line; escapes the characters of [`printable`].
+/// Returns one line, with the same characters escaped as in [`printable`].
 pub(crate) fn json_line(value: &serde_json::Value) -> String {
     let text = value.to_string();
     if !text.contains(is_active) {

@@ -7,7 +7,6 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use std::io::Write;
 
-/// Readers refuse other versions.
 pub const FORMAT: u32 = 1;
 
 /// A line of the events of a run.
@@ -62,7 +61,7 @@ pub struct PlannedScenario<'a> {
     trials: u32,
 }
 
-/// A closed pipe is no error.
+/// Ignores a closed pipe.
 pub struct EventWriter {
     out: Box<dyn Write + Send>,
 }

@@ -1,4 +1,4 @@
-//! Finds since when an expectation does not pass, in runs on the same kind of rig and law.
+//! Finds since when an expectation does not pass, in earlier runs with the same kind of rig and the same law.
 
 use super::cost::short_build_id;
 use crate::format;
@@ -7,14 +7,12 @@ use platebench_record::{
     ExpectationRecord, MetricDefinition, RigRecord, RunRecord, RunSummary, ScenarioRecord, ScenarioSummary, Verdict,
 };
 
-/// The newest first, with the names of their folders.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct RunHistory {
-    /// `None` without a search.
+    /// Folder names and runs, the newest first. `None` if earlier runs were not searched.
     pub(crate) runs: Option<Vec<(String, RunSummary)>>,
 }
 
-/// An expectation in one run.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct TrendPoint {
     pub(crate) run: String,
@@ -30,7 +28,7 @@ struct EarlierExpectation<'a> {
 }
 
 impl RunHistory {
-    /// The newest first, and whether others played it on another rig or with another law.
+    /// Earlier results with the same kind of rig and law, the newest first. True if others differ in rig or law.
     fn comparable(
         &self,
         record: &RunRecord,
@@ -51,7 +49,7 @@ impl RunHistory {
         Some((known, elsewhere))
     }
 
-    /// Earlier values of the same expectation and this one, oldest first.
+    /// Earlier values of the same expectation, the oldest first, then the value of this run.
     pub(crate) fn trend(&self, record: &RunRecord, scenario: &ScenarioRecord, index: usize) -> Vec<TrendPoint> {
         let point = |run: &str, expectation: &ExpectationRecord| TrendPoint {
             run: run.to_owned(),
@@ -71,7 +69,7 @@ impl RunHistory {
         points
     }
 
-    /// A sentence; `None` without a search.
+    /// `None` if earlier runs were not searched.
     pub(crate) fn not_passed_since(
         &self,
         record: &RunRecord,
@@ -109,7 +107,6 @@ impl EarlierExpectation<'_> {
     }
 }
 
-/// An identical expectation, or else the one with the same name.
 fn matching_expectation<'a>(
     scenario: &ScenarioRecord,
     index: usize,
@@ -121,7 +118,7 @@ fn matching_expectation<'a>(
     namesake.filter(same).or_else(|| played.expectations.iter().find(same)).or(namesake)
 }
 
-/// Empty if it was the same.
+/// Describes how `then` differed; empty if it was the same.
 fn differences(now: &ExpectationRecord, then: &ExpectationRecord) -> Vec<String> {
     let unit = format::unit(now.metric);
     let mut texts = Vec::new();

@@ -1,10 +1,9 @@
 //! Writes `junit.xml`: a test suite per scenario, a test case per expectation.
 //!
-//! An inconclusive expectation is an `error`, because readers count `skipped` as harmless. A run or
-//! scenario that did not pass although its expectations did has one more case with an error.
-//! Jenkins' xunit schema (`tests/report/junit-10.xsd`) allows properties of suites only:
-//! requirements are `requirement.<name>` of the suite, other facts are lines in `system-out`.
-//! Times come from the record, so that equal records give equal files.
+//! An inconclusive expectation is an `error`, because readers count `skipped` as harmless. A run or scenario that did
+//! not pass although its expectations did has one more case with an error. The schema of Jenkins' xunit plugin
+//! (`tests/report/junit-10.xsd`) allows properties of suites only, so requirements are properties `requirement.<name>`
+//! of the suite, and other facts are lines in `system-out`. Times come from the record: equal records give equal files.
 
 use super::escape::printable;
 use crate::error::{ReportError, write_file};
@@ -19,7 +18,7 @@ pub const FILE: &str = "junit.xml";
 pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
     let text =
         junit_report(record).to_string().map_err(|source| ReportError::Junit { path: path.to_owned(), source })?;
-    // The schema has no attribute `skipped` of all suites.
+    // The schema allows no attribute `skipped` of the element `testsuites`.
     write_file(path, &text.replacen(&format!(" skipped=\"{}\"", record.not_applicable.len()), "", 1))
 }
 
@@ -36,7 +35,7 @@ fn junit_report(record: &RunRecord) -> Report {
     report
 }
 
-/// `file` and `timestamp` are attributes of a suite only, by Jenkins' schema.
+/// Jenkins' schema allows `file` and `timestamp` as attributes of a suite only.
 fn suite_of_file(file: &str, started: &str) -> TestSuite {
     let mut suite = TestSuite::new(printable(file).as_ref());
     suite.extra.insert("file".into(), printable(file).as_ref().into());
@@ -67,7 +66,7 @@ fn test_suite(scenario: &ScenarioRecord, started: &str) -> TestSuite {
         suite.set_time(time);
     }
     let count = scenario.expectations.len();
-    // Every expectation judges the same trials: equal shares add up to the scenario's time.
+    // All expectations judge the same trials, so each gets an equal share of the scenario's time.
     let share = time.zip(u32::try_from(count).ok()).and_then(|(time, count)| time.checked_div(count));
     suite.add_test_cases((0..count).filter_map(|index| test_case(scenario, index, share)));
     if let Some(reason) = record_queries::scenario_inconclusive_reason(scenario) {
@@ -113,7 +112,7 @@ fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>) ->
         if let Some(reason) = &expectation.reason {
             status.set_message(printable(&reason.to_string()).as_ref());
         }
-        // GitLab shows the body.
+        // GitLab shows this text.
         status.set_description(failure_text(expectation));
         status
     });

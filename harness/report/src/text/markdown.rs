@@ -1,6 +1,6 @@
 //! Writes a run as one page of Markdown.
 //!
-//! GitHub refuses a summary above 1 MiB: a table lists at most `MAX_ROWS` rows.
+//! GitHub rejects a summary above 1 MiB, so a table has at most `MAX_ROWS` rows.
 
 use super::escape::markdown_cell;
 use super::table::Table;
@@ -19,7 +19,6 @@ pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
     write_file(path, &render_page(record))
 }
 
-/// Creates the file if it does not exist.
 pub fn append(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
     let file = fs::OpenOptions::new().append(true).create(true).open(path);
     Ok(file.and_then(|mut file| file.write_all(format!("{}\n", render_page(record)).as_bytes())).at(path)?)
@@ -56,7 +55,6 @@ pub fn render_page(record: &RunRecord) -> String {
     text
 }
 
-/// Failures first.
 fn not_passed_table(record: &RunRecord) -> Table {
     let mut table = Table::new(["", "Scenario", "Expected", "Measured", "Requirement", "Reason", "Trace"]);
     for (scenario, index) in record_queries::expectations_not_passed(record).into_iter().take(MAX_ROWS) {
@@ -101,7 +99,7 @@ fn not_applicable_table(record: &RunRecord) -> Table {
     table
 }
 
-/// Adds the number of the rows of `all` that the table does not list.
+/// Adds how many of `all` rows the table does not contain.
 fn write_table(text: &mut String, table: &Table, all: usize) {
     *text += &table.markdown();
     if all > table.rows.len() {

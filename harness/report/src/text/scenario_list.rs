@@ -7,7 +7,6 @@ use platebench_scenario::{Aggregation, Expectation, Limit, Scenario};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 
-/// Readers refuse other versions.
 const FORMAT: u32 = 1;
 
 pub fn text(scenarios: &[Scenario]) -> String {

@@ -27,7 +27,6 @@ impl Table {
         cells.iter().map(line).collect()
     }
 
-    /// No text in a cell is markup.
     pub fn markdown(&self) -> String {
         let line = |row: &Vec<String>| {
             format!("| {} |\n", row.iter().map(|cell| markdown_cell(cell)).collect::<Vec<_>>().join(" | "))
@@ -36,7 +35,7 @@ impl Table {
         format!("{}|{}\n{rows}", line(&self.header), "---|".repeat(self.header.len()))
     }
 
-    /// RFC 4180; no text in a field is a formula.
+    /// RFC 4180. Escapes formulas.
     pub fn csv(&self) -> String {
         let line = |row: &Vec<String>| row.iter().map(|cell| csv_field(cell)).collect::<Vec<_>>().join(",") + "\n";
         std::iter::once(&self.header).chain(&self.rows).map(line).collect()

@@ -16,16 +16,15 @@ pub(crate) struct RequirementLink {
     pub(crate) scenario: String,
     pub(crate) scenario_index: usize,
     pub(crate) verdict: Verdict,
-    /// Rounded, with its unit.
+    /// Rounded, without its unit.
     pub(crate) value: String,
     pub(crate) exact: Option<f64>,
     pub(crate) unit: &'static str,
     pub(crate) interval: Option<[f64; 2]>,
-    /// Trace of the trial that decided, or of the first.
+    /// Trace of the trial that decided, or else of the first trial.
     pub(crate) trace: String,
 }
 
-/// Sorted by requirement, then in the order of the record.
 pub(crate) fn requirement_links(record: &RunRecord) -> Vec<RequirementLink> {
     let mut links = Vec::new();
     for (scenario_index, scenario) in record.scenarios.iter().enumerate() {

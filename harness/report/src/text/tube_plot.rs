@@ -7,10 +7,9 @@ use platebench_verdict::tube::{Exceedance, Tube, TubeSignal, signal_response};
 
 const COLUMNS: usize = 64;
 const ROWS: usize = 12;
-/// Time that is drawn on either side of the exceedance, ms.
 const MARGIN_MS: f64 = 5.0;
 
-/// Tube `.`, golden curve `-`, response `#`; the values of the edges are at the left.
+/// Draws the tube as `.`, the golden curve as `-` and the response as `#`.
 pub fn lines(tube: &Tube, rows: &[Row], worst: &Exceedance) -> Vec<String> {
     let (first, last) = tube.span_ms();
     let (from, to) = ((worst.t_ms - MARGIN_MS).max(first), (worst.t_ms + MARGIN_MS).min(last));

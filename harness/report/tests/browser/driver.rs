@@ -14,7 +14,6 @@ use ureq::Agent;
 
 const PROGRAM: &str = "chromedriver";
 
-/// Long enough for a busy machine.
 const DRIVER_TIMEOUT: Duration = Duration::from_mins(1);
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
@@ -120,7 +119,6 @@ impl Browser {
         self.post("url", &json!({ "url": format!("file://{}", page.display()) }));
     }
 
-    /// Awaits a promise.
     pub(crate) fn evaluate(&self, expression: &str) -> Value {
         let parameters = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
         let answer = self.devtools_command("Runtime.evaluate", &parameters);

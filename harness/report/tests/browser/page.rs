@@ -274,7 +274,6 @@ fn shows_drawings_if_the_library_fails() {
     assert!(!browser.console_messages().is_empty(), "the console has the reason");
 }
 
-/// Makes the picture in `docs/report.md`.
 #[test]
 #[ignore = "makes a picture of REPORT_PAGE for the documentation"]
 fn picture() {

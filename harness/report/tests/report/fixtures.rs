@@ -127,7 +127,6 @@ pub(crate) fn never_settles(trial: u32) -> Reason {
     Reason::Trial { trial, divergence: None, finding, ended: None }
 }
 
-/// With 400 Vpp.
 fn out_of_reach(settling_ms: f64) -> Reason {
     let best = BestResponse::Value(Metric::SettlingTime, settling_ms);
     Reason::Excused(Excuse::SetpointOutOfReach { needed_vpp: 668.0, limit_vpp: 400.0, best })

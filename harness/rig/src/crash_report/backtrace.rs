@@ -1,22 +1,21 @@
-//! Finds the exception frame and the callers on the stack of a stopped processor.
-//! A word on the stack counts as a return address if it is odd, lies in a function and follows a
-//! BL or BLX instruction. This needs no call frame information and works on an overflowed stack.
-//! A return address that an earlier call left behind looks the same.
+//! Finds the exception frame and the callers on the stack of a stopped processor. A word on the stack counts as a
+//! return address if it is odd, lies in a function and follows a BL or BLX instruction. This needs no call frame
+//! information and works on an overflowed stack. A return address that an earlier call left on the stack also counts.
 
 use crate::symbols::{CodeLocation, Symbols};
 
 const MAX_CALLERS: usize = 6;
 pub(crate) const MAX_STACK_WORDS: usize = 4_096;
-/// Link register values from here on are exception returns. B1.5.8.
+/// Values of the link register from this one on are exception returns (B1.5.8).
 const EXCEPTION_RETURN: u32 = 0xFFFF_FFE0;
-/// Bit of an exception return: the process stack was in use.
+/// Bit of an exception return that is set if the process stack was in use.
 const RETURN_TO_PSP: u32 = 1 << 2;
-/// Bit of the stacked program status: Thumb code, always set in a valid frame.
+/// Thumb bit of the stacked program status, which is set in every valid frame.
 const XPSR_THUMB: u32 = 1 << 24;
 const FRAME_BYTES: u32 = 32;
 
 pub(crate) trait StackReader {
-    /// The words from `address` to the top of the stack, with addresses. Skips unreadable words.
+    /// Returns address and value of each readable word from `address` to the top of the stack.
     fn stack(&mut self, address: u32) -> Vec<(u32, u32)>;
 
     fn code(&self, address: u32) -> Option<u16>;
@@ -26,15 +25,14 @@ pub(crate) trait StackReader {
 pub(crate) struct ExceptionFrame {
     pub(crate) pc: u32,
     pub(crate) lr: u32,
-    /// The first stack address behind the frame.
     pub(crate) end: u32,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum StoppedAt {
-    /// At the handler's first instruction: the link register holds the exception return.
+    /// At the handler's first instruction, when the link register contains the exception return.
     Entry,
-    /// Later: the handler may have pushed the exception return, right below the exception frame.
+    /// Later in the handler, which may have pushed the exception return directly below the exception frame.
     #[cfg(feature = "probe")]
     Body,
 }
@@ -67,8 +65,8 @@ fn is_exception_return(word: u32) -> bool {
     (EXCEPTION_RETURN..u32::MAX).contains(&word)
 }
 
-/// The callers of a function with return address `lr` and stack `sp`, innermost first. `in_panic`:
-/// leaves out the calls from the panicking function to the panic handler.
+/// Returns the callers of a function with return address `lr` and stack pointer `sp`, innermost first. If `in_panic` is
+/// true, omits the calls from the panicking function to the panic handler.
 pub(crate) fn callers(
     memory: &mut dyn StackReader,
     symbols: &Symbols,
@@ -97,7 +95,7 @@ fn is_firmware_code(place: &CodeLocation) -> bool {
 fn is_return(memory: &dyn StackReader, symbols: &Symbols, word: u32) -> bool {
     let at = word & !1;
     let half = |back: u32| at.checked_sub(back).and_then(|at| memory.code(at)).unwrap_or(0);
-    // BL and BLX with an offset: A7.7.18. BLX with a register: A7.7.19.
+    // BL or BLX with an offset (A7.7.18), or BLX with a register (A7.7.19).
     word & 1 == 1
         && symbols.is_code(u64::from(at.saturating_sub(2)))
         && (half(4) >> 11 == 0b11110 && half(2) >> 14 == 0b11 || half(2) & 0xFF87 == 0x4780)

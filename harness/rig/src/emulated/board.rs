@@ -13,7 +13,7 @@ use rigless::time::VirtualNanos;
 use std::collections::VecDeque;
 use std::num::{NonZeroU32, NonZeroU64};
 
-/// One cycle per instruction: a fixed rate, no model of pipeline and flash.
+/// One instruction per cycle of 168 MHz. The waits of pipeline and flash are not modelled.
 pub(super) const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(168_000_000).unwrap();
 
 const INTERRUPT_PRIORITY_BITS: u8 = 4;
@@ -24,7 +24,7 @@ const USART2: usize = 1;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ReceivedByte {
     pub(super) byte: u8,
-    /// End of the stop bit since power-on.
+    /// End of the stop bit, as time since power-on.
     pub(super) at_ns: u64,
 }
 
@@ -32,7 +32,7 @@ pub(super) struct ReceivedByte {
 pub(super) struct UartPeer {
     pub(super) to_target: VecDeque<u8>,
     pub(super) received: Vec<ReceivedByte>,
-    /// Frames that ended since the last [`std::mem::take`].
+    /// Frames that ended since the machine last read this count.
     pub(super) frames: u32,
     within_frame: bool,
 }
@@ -53,8 +53,8 @@ impl uart::Peer for UartPeer {
     }
 }
 
-/// Polls only the peripherals that the firmware has used, which saves a quarter of the time. During
-/// the start it polls all, because a change of clocks concerns them.
+/// Polls only the peripherals that the firmware has used, which saves a quarter of the computing time. During the start
+/// it polls all, because a change of clocks affects them.
 #[derive(Debug)]
 pub(super) struct Microcontroller {
     mcu: Stm32f427,
@@ -62,7 +62,7 @@ pub(super) struct Microcontroller {
     clocks: usize,
     used: Box<[bool]>,
     pub(super) booted: bool,
-    /// The USART has not yet polled all bytes of the bench.
+    /// True if the USART has not yet polled all bytes of the bench.
     pub(super) has_pending_bytes: bool,
 }
 
@@ -144,7 +144,7 @@ impl EmulatedBoard {
         Ok(Self { part: Microcontroller { mcu, usart2, clocks, used, booted: false, has_pending_bytes: false } })
     }
 
-    /// True if PB0 is an output and high. A pull-down holds a pin that is no output low.
+    /// True if PB0 is an output and high. If PB0 is no output, the board's pull-down holds it low.
     pub(super) fn amplifier_enabled(&self) -> bool {
         let registers = self.part.bus().registers("GPIOB");
         registers.is_some_and(|gpio| gpio.get(Gpiob::Moder) & 0b11 == 0b01 && gpio.get(Gpiob::Odr) & 1 != 0)

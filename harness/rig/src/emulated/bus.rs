@@ -21,11 +21,11 @@ pub(super) struct SystemBus {
     pub(super) slept_ns: u64,
     pub(super) deadline: VirtualNanos,
     pub(super) reset_requested: bool,
-    /// Address and value of registers whose reads always return the same.
+    /// Addresses of registers whose reads always return the same value, and this value.
     pub(super) stuck: Vec<(u32, u32)>,
 }
 
-/// A fraction in lowest terms: years fit 64 bits, and the conversion is cheap.
+/// A fraction in lowest terms, so that years of virtual time fit into 64 bits and the conversion is cheap.
 #[derive(Debug, Clone, Copy)]
 struct InstructionRate {
     nanoseconds: u64,
@@ -47,7 +47,6 @@ impl InstructionRate {
         instructions.saturating_mul(self.nanoseconds) / self.instructions
     }
 
-    /// The lowest count that takes at least `nanoseconds`.
     fn instructions(self, nanoseconds: u64) -> u64 {
         nanoseconds.saturating_mul(self.instructions.get()).div_ceil(self.nanoseconds)
     }
@@ -134,7 +133,7 @@ impl CoreBus for BusGuard<'_> {
             }
             (Some(false), AccessKind::Write) | (None, _) => {}
         }
-        // The chip raises a bus error if nothing answers; the emulator would ignore the access.
+        // If nothing answers, the chip raises a bus error; the emulator alone would ignore the access.
         let answers = self.session.board_mut().part.mark_used(access.address);
         if !answers && writable.is_none() {
             return None;

@@ -12,9 +12,9 @@ const PPM: f64 = 1e-6;
 pub(super) struct ChipFaults {
     pub(super) plan: ChipFaultPlan,
     pending: VecDeque<ChipFault>,
-    /// From when on, in trial time, and by how much the chip's clocks are faster.
+    /// Start of a clock drift in trial time, and the drift in ppm, positive if the chip's clocks are faster.
     drift: Option<(Duration, f64)>,
-    /// The firmware has set the amplifier enable in this trial.
+    /// True if the firmware has enabled the amplifier in this trial.
     pub(super) uses_amplifier: bool,
 }
 
@@ -29,7 +29,7 @@ impl ChipFaults {
         self.uses_amplifier = false;
     }
 
-    /// The plate's time on the chip's clock.
+    /// Converts trial time to time on the chip's clock.
     pub(super) fn chip_time(&self, now: Duration) -> Duration {
         match self.drift {
             Some((from, ppm)) if now > from => {

@@ -6,14 +6,13 @@ use crate::symbols::Symbols;
 use crate::target_error::TargetError;
 use rigless::time::VirtualNanos;
 
-/// Address and code of `cpsid i; b .`, in the last bytes of flash, which a firmware hardly uses.
+/// Address and code of `cpsid i; b .` in the last bytes of flash, which firmware hardly uses.
 const HANG: (u64, [u8; 4]) = (0x081F_FFFC, [0x72, 0xB6, 0xFE, 0xE7]);
-/// Register number of the debugger's protocol.
+/// Register number in GDB's protocol.
 const PC: usize = 15;
 
 impl Machine {
-    /// Start address and length in bytes of the RAM in which the fault flips a bit; `None` if it flips none. Fails if
-    /// this is not RAM.
+    /// Start address and length in bytes of the RAM with the flipped bit; `None` for other faults. Fails outside RAM.
     pub(super) fn flipped_memory(&self, fault: &ChipFaultKind) -> Result<Option<(u32, u32)>, ChipFaultError> {
         let (start, length) = match fault {
             ChipFaultKind::FlipRam { start, length, .. } => (*start, *length),

@@ -1,4 +1,4 @@
-//! Keeps a debugger's breakpoints and how the chip should run.
+//! Stores a debugger's breakpoints and its requests to step or to stop the chip.
 
 use gdbstub::stub::SingleThreadStopReason;
 use rigless::emulator::Processor;
@@ -9,9 +9,7 @@ pub(super) type DebugStop = SingleThreadStopReason<u32>;
 #[derive(Debug, Default)]
 pub(super) struct DebugControl {
     breakpoints: BTreeSet<u64>,
-    /// Stop after the next instruction.
     pub(super) single_step: bool,
-    /// Set by the run loop, taken by its caller.
     pub(super) stop: Option<DebugStop>,
 }
 
@@ -32,7 +30,6 @@ impl DebugControl {
         removed
     }
 
-    /// The chip runs on without a debugger.
     pub(super) fn end(&mut self, core: &mut dyn Processor) {
         for address in std::mem::take(&mut self.breakpoints) {
             core.remove_breakpoint(address);

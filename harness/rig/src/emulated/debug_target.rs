@@ -17,7 +17,7 @@ use rigless::soc::Width;
 use std::convert::Infallible;
 use std::num::NonZeroUsize;
 
-/// r0 to r12, sp, lr and pc; the debugger asks for the others one by one.
+/// r0 to r12, sp, lr and pc. The debugger requests the other registers one by one.
 const GENERAL_REGISTERS: usize = 16;
 const PC_OFFSET: usize = 60;
 
@@ -65,7 +65,7 @@ impl Machine {
         if let Some(bytes) = self.bus.memory.slice(u64::from(start), length) {
             return Some(bytes.to_vec());
         }
-        // The processor's own registers, such as SCB and NVIC.
+        // Other addresses belong to registers of the processor, such as SCB and NVIC.
         let now = self.bus.time_at(self.core.retired());
         let read = |at| self.core.debugger_access(None, at, Width::W32, now);
         let words: Option<Vec<u64>> = (u64::from(start)..).step_by(4).take(length.div_ceil(4)).map(read).collect();

@@ -1,4 +1,4 @@
-//! Serves a debugger with GDB's remote protocol: chip and plate wait while it has stopped the chip.
+//! Serves a debugger with GDB's remote protocol. While the debugger has stopped the chip, the plate waits, too.
 
 use super::debug_control::DebugStop;
 use super::machine::Machine;
@@ -18,7 +18,6 @@ const COMMAND_TIMEOUT: Duration = Duration::from_hours(1);
 type Stub = GdbStubStateMachine<'static, Machine, TcpStream>;
 
 pub(super) struct Debugger {
-    /// `None` after the debugger has gone.
     stub: Option<Stub>,
     stream: TcpStream,
     cancel: CancelToken,
@@ -47,7 +46,7 @@ impl Debugger {
         Ok(Self { stub: Some(stub), stream: own, cancel: cancel.clone() })
     }
 
-    /// Reports a stop and handles requests; returns once the chip may run.
+    /// Reports `stop` to the debugger and handles its requests until the chip may run.
     pub(super) fn serve(&mut self, machine: &mut Machine, mut stop: Option<DebugStop>) {
         let mut deadline = Instant::now() + COMMAND_TIMEOUT;
         while let Some(stub) = self.stub.take() {

@@ -1,5 +1,4 @@
-//! Records which watched instructions ran: a breakpoint on each, removed at its first hit, so that
-//! code runs at full speed after its first pass.
+//! Records which watched instructions ran. Breakpoints are removed at their first hit, so that code runs at full speed.
 
 use rigless::emulator::Processor;
 use std::collections::{BTreeMap, BTreeSet};
@@ -7,21 +6,20 @@ use std::collections::{BTreeMap, BTreeSet};
 #[derive(Debug, Default)]
 pub(super) struct ExecutionRecorder {
     pending: BTreeSet<u64>,
-    /// True if it ran in a control step.
+    /// By address; true if the instruction ran in a control step.
     executed: BTreeMap<u32, bool>,
     in_control_step: bool,
     had_control_step: bool,
 }
 
 impl ExecutionRecorder {
-    /// Starts a new recording.
     pub(super) fn watch(&mut self, addresses: &BTreeSet<u32>, core: &mut dyn Processor) {
         self.pending.iter().for_each(|&address| core.remove_breakpoint(address));
         *self = Self { pending: addresses.iter().map(|&address| u64::from(address)).collect(), ..Self::default() };
         self.pending.retain(|&address| core.add_breakpoint(address));
     }
 
-    /// Before the first control step, watches again what ran during the start.
+    /// Before the first control step, watches again the instructions that ran during the start.
     pub(super) fn set_control_step(&mut self, in_control_step: bool, core: &mut dyn Processor) {
         self.in_control_step = in_control_step;
         if in_control_step && !std::mem::replace(&mut self.had_control_step, true) {

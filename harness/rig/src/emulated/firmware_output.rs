@@ -1,8 +1,6 @@
-//! Collects the text that the firmware writes to channel 0 of RTT (SEGGER, *Real Time Transfer*).
-//!
-//! The control block is the variable `_SEGGER_RTT`: an identifier of 16 bytes, the number of channels to the bench
-//! (4 bytes), the number from the bench (4 bytes), and per channel 24 bytes: name, buffer, size, write offset, read
-//! offset, flags.
+//! Collects the text that the firmware writes to channel 0 of RTT (SEGGER, *Real Time Transfer*). The control block is
+//! the variable `_SEGGER_RTT`: an identifier of 16 bytes, the number of channels to the bench (4 bytes), the number
+//! from the bench (4 bytes), and per channel 24 bytes: name, buffer, size, write offset, read offset, flags.
 
 use super::memory::Memory;
 use crate::symbols::Symbols;
@@ -14,7 +12,7 @@ const BUFFER: u64 = 28;
 const SIZE: u64 = 32;
 const WRITE_OFFSET: u64 = 36;
 const READ_OFFSET: u64 = 40;
-/// The rest of a trial is dropped.
+/// Longest text of a trial. The rest is dropped.
 const MAX_BYTES: usize = 16 * 1024;
 
 #[derive(Debug, Default)]
@@ -35,7 +33,7 @@ impl FirmwareOutput {
         self.is_cut = false;
     }
 
-    /// Empties the ring, as a debug probe does. True if it wrote to the memory.
+    /// Empties the ring buffer, as a debug probe does. Returns true if it wrote to the memory.
     pub(super) fn drain(&mut self, memory: &mut Memory) -> bool {
         let Some(block) = self.control_block else { return false };
         let Some((text, write_offset)) = read_ring(memory, block) else { return false };
@@ -45,8 +43,7 @@ impl FirmwareOutput {
         memory.store(block + READ_OFFSET, &write_offset.to_le_bytes())
     }
 
-    /// Includes the unread part of the ring: a trap may end a trial before the bench drains it. `None` if the firmware
-    /// wrote nothing.
+    /// Includes unread text, because a trap may end a trial before the bench drains it. `None` without text.
     pub(super) fn text(&self, memory: &Memory) -> Option<String> {
         let rest = self.control_block.and_then(|block| read_ring(memory, block)).map(|(rest, _)| rest);
         let mut bytes = self.bytes.clone();
@@ -57,7 +54,7 @@ impl FirmwareOutput {
     }
 }
 
-/// The unread text, and the offset at its end. `None` without text or with an invalid control block.
+/// The unread text, and its end as an offset. `None` without text or with an invalid control block.
 fn read_ring(memory: &Memory, block: u64) -> Option<(Vec<u8>, u32)> {
     // RAM is undefined until the firmware has initialised the block.
     if memory.slice(block, IDENTIFIER.len())? != IDENTIFIER || memory.word(block + CHANNEL_COUNT)? == 0 {

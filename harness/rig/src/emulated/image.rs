@@ -30,11 +30,7 @@ pub enum ImageError {
         "{length} bytes are linked to {address:#010x}, expected flash from 0x08000000 to 0x08200000, \
          where the processor starts"
     )]
-    Misplaced {
-        address: u64,
-        /// In bytes.
-        length: u64,
-    },
+    Misplaced { address: u64, length: u64 },
     #[error("no vector table at 0x08000000, where the processor starts")]
     NoVectors,
     #[error("the vector table's stack pointer {0:#010x} is not an address in SRAM or CCM, or not a multiple of 4")]
@@ -124,7 +120,7 @@ fn check_header(elf: &[u8]) -> Result<(), ImageError> {
         (1, 1) => Ok(()),
         (2, _) => Err(ImageError::Class("64-bit")),
         (_, 2) => Err(ImageError::Class("big-endian")),
-        _ => Err(ImageError::Damaged("the header names no class".to_owned())),
+        _ => Err(ImageError::Damaged("the header gives no valid word size and byte order".to_owned())),
     }
 }
 

@@ -1,5 +1,4 @@
-//! Runs an image on the emulated board from event to event in virtual time. Equal calls give equal results, bit for
-//! bit.
+//! Runs an image on the emulated board from event to event in virtual time. Equal calls give equal results.
 
 use super::board::{EmulatedBoard, INSTRUCTIONS_PER_SECOND, ReceivedByte};
 use super::bus::{BusGuard, SystemBus};
@@ -28,7 +27,7 @@ const UNIQUE_ID: (u64, &[u8; 12]) = (0x1FFF_7A10, b"emulated-427");
 const FLASH_KIB: (u64, [u8; 2]) = (0x1FFF_7A22, 2048_u16.to_le_bytes());
 
 pub(super) struct Machine {
-    // Declared before `bus`, whose memory it points into: fields are dropped in this order.
+    // Declared before `bus`, because it points into the memory of `bus` and fields are dropped in this order.
     pub(super) core: Box<dyn Processor>,
     pub(super) bus: SystemBus,
     pub(super) session: Session<EmulatedBoard>,
@@ -37,10 +36,10 @@ pub(super) struct Machine {
     handlers: FaultHandlers,
     recorder: ExecutionRecorder,
     output: FirmwareOutput,
-    /// State right after power-on. Loading it keeps the translated code, unlike a reset.
+    /// Processor state after power-on. Unlike a reset, loading it keeps the translated code.
     power_on_state: Vec<u8>,
     reported_resets: usize,
-    /// A planned fault of the chip acted: traps and resets are the firmware's to handle.
+    /// True after a planned fault of the chip. The firmware must then handle traps and resets.
     pub(super) is_faulted: bool,
     pub(super) debug: DebugControl,
 }
@@ -129,7 +128,6 @@ impl Machine {
         self.session.board_mut().wire().is_some_and(|wire| std::mem::take(&mut wire.frames) > 0)
     }
 
-    /// Errors that end the trial although the firmware runs on.
     fn check_for_errors(&mut self) -> Result<(), TargetError> {
         if let Some(error) = self.session.take_error() {
             return Err(emulator_error(&error));
@@ -177,7 +175,7 @@ impl Machine {
             }
             // Semihosting without a debugger has no effect.
             Exit::HostCall => self.core.answer_host_call(None),
-            // Peripherals run on: the watchdog may reset the processor.
+            // The peripherals still run, so that the watchdog may reset the processor.
             Exit::Lockup if self.is_faulted => {
                 let now = self.bus.time_at(self.core.retired());
                 self.sleep_until_event(now);
@@ -208,7 +206,7 @@ fn map_memory(memory: &Memory, core: &mut dyn Processor) -> Result<(), TargetErr
 }
 
 impl Machine {
-    /// Switches the supply off and on: time zero, RAM undefined, line idle.
+    /// Switches the supply off and on. Then virtual time is zero, RAM is undefined and the line is idle.
     pub(super) fn power_on(&mut self) -> Result<(), TargetError> {
         self.session = session(self.options)?;
         let _ = self.core.take_reset_request();
@@ -222,7 +220,7 @@ impl Machine {
         Ok(())
     }
 
-    /// The firmware has started and will hardly use further peripherals. Affects only the speed.
+    /// The firmware has started and will hardly use further peripherals. This affects only the speed.
     pub(super) fn mark_booted(&mut self) {
         self.session.board_mut().part.booted = true;
     }
@@ -247,7 +245,7 @@ impl Machine {
         self.bus.notify_core(&mut *self.core);
     }
 
-    /// True at the end of a frame from the target. Fails if time does not advance, so it always returns.
+    /// Returns true at the end of a frame from the firmware, false at `until_ns`. Fails if time does not advance.
     pub(super) fn run(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         let until = VirtualNanos(until_ns);
         self.session.run_until(until);
@@ -264,7 +262,7 @@ impl Machine {
                 )));
             }
             if std::mem::take(&mut self.bus.reset_requested) {
-                // First, because the report names the code that ran.
+                // Before the reset, because the report names the code that ran.
                 self.check_for_errors()?;
                 self.reset_core();
             } else if self.core.take_reset_request() {
@@ -305,7 +303,6 @@ impl Machine {
         }
     }
 
-    /// Text that the firmware wrote since power-on or [`Machine::clear_output`].
     pub(super) fn firmware_output(&self) -> Option<String> {
         self.output.text(&self.bus.memory)
     }
@@ -314,7 +311,6 @@ impl Machine {
         self.output.clear();
     }
 
-    /// Starts a new recording of the instructions at `addresses`.
     pub(super) fn watch(&mut self, addresses: &BTreeSet<u32>) {
         self.recorder.watch(addresses, &mut *self.core);
     }
@@ -323,12 +319,10 @@ impl Machine {
         self.recorder.set_control_step(in_control_step, &mut *self.core);
     }
 
-    /// Watched instructions that ran; true if within a control step.
     pub(super) fn executed_instructions(&self) -> &BTreeMap<u32, bool> {
         self.recorder.executed_instructions()
     }
 
-    /// Changes memory, also flash. False without memory there.
     pub(super) fn patch(&mut self, address: u32, bytes: &[u8]) -> bool {
         let stored = self.bus.memory.store(u64::from(address), bytes);
         self.bus.notify_core(&mut *self.core);
@@ -339,7 +333,6 @@ impl Machine {
         self.session.board().part.instances_the_firmware_used()
     }
 
-    /// In bytes since power-on, if the image defines `_stack_end`.
     pub(super) fn stack_used(&self) -> Option<u32> {
         let symbols = self.symbols();
         let top = self.image.initial_stack;

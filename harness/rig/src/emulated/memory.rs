@@ -1,11 +1,11 @@
-//! Holds the target's memory in pages that translated code accesses directly; all unsafe code.
+//! Stores the target's memory in pages that translated code accesses directly.
 #![allow(unsafe_code, reason = "the emulator holds raw pointers to the target's memory")]
 
 use rigless::emulator::{Alias, Error, Memory as GuestMemory, Processor};
 use rigless::soc::{Region, Width};
 use std::ops::Range;
 
-/// Not zero: firmware that relies on zero must fail here, too.
+/// Not zero, so that firmware that relies on zeroed RAM fails here, too.
 pub(super) const POWER_ON_FILL: u8 = 0xA5;
 
 const PAGE: usize = 4096;
@@ -14,7 +14,6 @@ const PAGE: usize = 4096;
 #[derive(Clone, Copy)]
 struct Page([u8; PAGE]);
 
-/// A region may be visible at several addresses.
 #[derive(Debug)]
 struct MemoryRegion {
     starts: Vec<u64>,
@@ -23,7 +22,7 @@ struct MemoryRegion {
     size: usize,
 }
 
-// SAFETY: it is the only owner of its pages.
+// SAFETY: the region is the only owner of its pages.
 unsafe impl Send for MemoryRegion {}
 
 impl MemoryRegion {
@@ -51,7 +50,7 @@ impl MemoryRegion {
 
 impl Drop for MemoryRegion {
     fn drop(&mut self) {
-        // SAFETY: comes from `Box::into_raw` and is freed once.
+        // SAFETY: the pointer comes from `Box::into_raw` and is freed once.
         drop(unsafe { Box::from_raw(self.pages) });
     }
 }
@@ -59,7 +58,7 @@ impl Drop for MemoryRegion {
 #[derive(Debug)]
 pub(super) struct Memory {
     regions: Vec<MemoryRegion>,
-    /// Content that changed without the processor, which must discard its translated code there.
+    /// Content that changed without the processor. The processor must discard its translated code there.
     dirty_ranges: Vec<Range<u64>>,
 }
 
@@ -99,12 +98,12 @@ impl Memory {
         Some(bytes.iter().rev().fold(0, |value, &byte| value << 8 | u64::from(byte)))
     }
 
-    /// `None` without memory at `address`.
+    /// `None` if there is no memory at `address`.
     pub(super) fn is_writable(&self, address: u64) -> Option<bool> {
         self.find(address, 1).and_then(|(index, _)| self.regions.get(index)).map(|region| region.writable)
     }
 
-    /// Also in flash. False if no region holds all of `bytes`.
+    /// Also writes to flash. Returns false if no region contains all of `bytes`.
     pub(super) fn store(&mut self, address: u64, bytes: &[u8]) -> bool {
         let Some((index, offset)) = self.find(address, bytes.len()) else { return false };
         let Some(place) =
@@ -159,7 +158,7 @@ pub(super) unsafe fn map_into_core(memory: &Memory, core: &mut dyn Processor) ->
             if !core.maps(start, length) {
                 return Err(format!("{length} bytes at {start:#010x} cannot be mapped"));
             }
-            // The bus serves regions that end within a page.
+            // The bus serves the regions that are not whole pages.
             if start.is_multiple_of(page) && length.is_multiple_of(page) {
                 // SAFETY: whole pages of an allocation that does not move and, by contract, outlives `core`.
                 unsafe { core.map(start, length, region.start(), region.writable) };

@@ -1,4 +1,4 @@
-//! Defines the options of an emulated board and why it may not start; reads its image.
+//! Defines the options of an emulated board and the errors of its start, and reads its image.
 
 use super::image::{ImageError, read_elf};
 use crate::debug_port::DebuggerError;
@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EmulatedOptions {
-    /// Crystal on PH0 and PH1; 0: no crystal.
+    /// Frequency of the crystal on PH0 and PH1; 0 for no crystal.
     pub crystal_hz: u64,
-    /// False: the firmware handles traps, panics and resets, as on a board.
+    /// If false, the firmware handles traps, panics and resets, as on a board.
     pub stop_at_traps: bool,
 }
 

@@ -16,7 +16,7 @@ use rigless::session::Session;
 use rigless::soc::Width;
 use std::convert::Infallible;
 
-/// Register numbers of the debugger's protocol.
+/// Register numbers in GDB's protocol.
 const SP: usize = 13;
 const LR: usize = 14;
 const XPSR: usize = 16;
@@ -49,7 +49,7 @@ impl FaultHandlers {
         }
     }
 
-    /// `None` if the processor is not at the start of a handler, or another exception shares it.
+    /// `None` if the processor is not at the start of a fault handler, or if another exception uses this handler.
     pub(super) fn read_crash(
         &self,
         core: &mut dyn Processor,
@@ -68,7 +68,7 @@ impl FaultHandlers {
         let frame = if is_panic || status.is_stacking_failure() {
             None
         } else {
-            // No handler of the firmware's kind uses the process stack.
+            // Firmware of this kind does not use the process stack.
             exception_frame(&mut stack, StoppedAt::Entry, [lr, sp, sp])
         };
         let lr = if is_panic { Some(lr) } else { frame.map(|frame| frame.lr) };
@@ -103,7 +103,7 @@ struct EmulatedStack<'a> {
 
 impl StackReader for EmulatedStack<'_> {
     fn stack(&mut self, address: u32) -> Vec<(u32, u32)> {
-        // An overflowed stack begins below the memory.
+        // An overflowed stack begins below RAM; words outside RAM are skipped.
         let addresses = (address..self.top).step_by(4).take(MAX_STACK_WORDS);
         addresses.filter_map(|at| Some((at, self.memory.word(u64::from(at))?))).collect()
     }

@@ -10,13 +10,13 @@ use std::time::Duration;
 /// Streams 0 and 1 of a trial's seed belong to sensor noise and plate spread.
 const FIRST_STREAM: u64 = 2;
 
-/// Babble sends invalid frames; the length includes the delimiter.
+/// The fault *babble* sends this number of invalid frames. Their length includes the delimiter.
 const NOISE_FRAMES: usize = 4;
 const NOISE_FRAME_BYTES: usize = 16;
 
 #[derive(Debug, Default)]
 pub(super) struct ActiveFaults {
-    /// Faults of the sensor come first: it precedes the line.
+    /// Faults of the sensor come first, because a sample passes the sensor before the line.
     faults: Vec<ActiveFault>,
     last_sample: Option<[f32; 2]>,
     counts: [Option<(&'static str, u64)>; WireFaultKind::COUNT],
@@ -26,7 +26,7 @@ pub(super) struct ActiveFaults {
 struct ActiveFault {
     fault: WireFault,
     random: ChaCha8Rng,
-    /// Messages in the fault's window: to the controller, from the controller.
+    /// Numbers of messages in the fault's window, to the controller and from it.
     message_counts: [u64; 2],
     frozen: Option<[f32; 2]>,
 }

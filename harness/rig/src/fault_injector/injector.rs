@@ -11,7 +11,7 @@ use platebench_wire::{ControllerState, Message, Packet};
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Per direction; further messages are lost.
+/// Messages in flight per direction. Further messages are lost.
 pub(super) const MAX_QUEUED: usize = 256;
 
 /// Ends a truncated frame on the line before a message that must pass unchanged.
@@ -24,7 +24,7 @@ pub struct FaultInjector<L> {
     pub(super) to_controller: VecDeque<QueuedPacket>,
     pub(super) from_controller: VecDeque<QueuedPacket>,
     frames: FrameSplitter,
-    /// Last intact sample, in phase and quadrature, µm.
+    /// Wd and Wq of the last intact sample that the controller received, µm.
     delivered_sample: [f32; 2],
     overflow_count: u64,
     pub(super) scratch: Vec<u8>,
@@ -46,12 +46,11 @@ impl<L: Link> FaultInjector<L> {
         }
     }
 
-    /// The link to the controller, without faults.
     pub fn inner_mut(&mut self) -> &mut L {
         &mut self.inner.link
     }
 
-    /// Applies to the next trial and clears the counts. Call it before the trial's configuration.
+    /// Sets the faults of the next trial and clears the counts. Call it before the trial's configuration.
     pub fn set_faults(&mut self, faults: &[WireFault]) {
         self.active_faults = ActiveFaults::new(faults);
         self.overflow_count = 0;
@@ -60,15 +59,13 @@ impl<L: Link> FaultInjector<L> {
         self.clear();
     }
 
-    /// Compares the next trial's commands with those of the hosted reference; only in lockstep.
-    /// Call it before the trial's configuration.
+    /// Compares the next trial with the hosted reference, in lockstep only. Call it before the trial's configuration.
     pub fn compare_with_reference(&mut self, is_compared: bool) {
         self.inner.compare_with_reference(is_compared);
     }
 
-    /// Largest difference of a command from that of the hosted reference for the same bytes: drive in
-    /// percent of its limit, frequency in percent of its range, 100 if only one of them stopped.
-    /// `None` without a comparison or a command.
+    /// Largest difference of a command from the hosted reference for the same bytes, in percent of the drive limit or
+    /// the frequency range; 100 if only one of them stopped. `None` without a comparison or a command.
     pub fn reference_difference_percent(&self) -> Option<f64> {
         self.inner.reference_difference_percent()
     }
@@ -78,12 +75,12 @@ impl<L: Link> FaultInjector<L> {
         fronts.into_iter().flatten().map(|packet| packet.due).min()
     }
 
-    /// In phase and quadrature, µm; `None` without faults: the controller received what was sent.
+    /// Wd and Wq of the last delivered sample, µm. `None` if the trial has no faults.
     pub fn delivered_sample(&self) -> Option<[f32; 2]> {
         self.active_faults.has_faults().then_some(self.delivered_sample)
     }
 
-    /// Affected messages by kind, without zeros. `overflow`: lost because too many were in flight.
+    /// Numbers of affected messages by kind of fault, without zeros. `overflow` counts messages lost in a full queue.
     pub fn fault_counts(&self) -> impl Iterator<Item = (&'static str, u64)> + use<L> {
         let overflow = Some(("overflow", self.overflow_count));
         self.active_faults.counts().into_iter().flatten().chain(overflow).filter(|(_, count)| *count > 0)
@@ -123,7 +120,7 @@ impl<L: Link> FaultInjector<L> {
         }
     }
 
-    /// Delivers the messages that are due and advances to `now`. Returns the target's delay for the last message.
+    /// Delivers the due messages and advances to `now`. Returns the target's delay for the last message.
     fn deliver_until(&mut self, now: Duration, answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let mut last = None;
         while let Some(packet) = pop_due(&mut self.to_controller, now) {
@@ -196,7 +193,7 @@ impl<L: Link> Link for FaultInjector<L> {
     }
 }
 
-/// Keeps the order. False if the queue is full.
+/// Keeps the order of the messages. Returns false if the queue is full.
 fn enqueue(queue: &mut VecDeque<QueuedPacket>, mut packet: QueuedPacket) -> bool {
     if queue.len() >= MAX_QUEUED {
         return false;

@@ -4,7 +4,7 @@ use arrayvec::ArrayVec;
 use platebench_wire::{MAX_ENCODED, Message, Packet, PacketReader};
 use std::time::Duration;
 
-/// Holds a message with noise, or a message twice.
+/// Enough for a message with noise, or for a message twice.
 const MAX_PACKET_BYTES: usize = 4 * MAX_ENCODED;
 
 #[derive(Debug, Clone)]
@@ -35,7 +35,6 @@ impl QueuedPacket {
         }
     }
 
-    /// Changes nothing if there is not enough room.
     pub(super) fn duplicate(&mut self) {
         let _ = self.bytes.try_extend_from_slice(&self.bytes.clone());
     }
@@ -48,7 +47,7 @@ pub(super) struct FrameSplitter {
 }
 
 impl FrameSplitter {
-    /// Takes one byte. Returns the collected bytes at a delimiter, and when the buffer is full.
+    /// Returns the collected bytes if `byte` is the delimiter or fills the buffer.
     pub(super) fn push(&mut self, byte: u8) -> Option<&[u8]> {
         if std::mem::take(&mut self.complete) {
             self.bytes.clear();

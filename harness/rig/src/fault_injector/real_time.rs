@@ -7,7 +7,7 @@ use crate::link::{Link, LinkError, RealTimeLine};
 use std::time::{Duration, Instant};
 
 impl<L: Link> FaultInjector<L> {
-    /// `scale`: trial seconds per wall second. Until it is called, all messages pass unchanged.
+    /// `scale` is in trial seconds per wall second. Before this call, all messages pass unchanged.
     pub fn start_real_time(&mut self, start: Instant, scale: f64) {
         self.clock = Some(TrialClock { start, scale: scale.max(f64::MIN_POSITIVE) });
     }
@@ -28,7 +28,7 @@ impl<L: Link> FaultInjector<L> {
         Ok(())
     }
 
-    /// Returns the arrival of the first message.
+    /// Appends the due messages and returns the arrival of the first one.
     fn receive_due(&mut self, clock: TrialClock, bytes: &mut Vec<u8>) -> Option<Instant> {
         let now = clock.trial_time(Instant::now());
         let mut first = None;

@@ -11,13 +11,13 @@ pub enum WireFaultKind {
     Delay(Duration),
     /// Loses the second half of the message, with the delimiter.
     Truncate,
-    /// Puts four invalid frames, 64 bytes, before the message.
+    /// Sends four invalid frames, 64 bytes, before the message.
     Babble,
     /// Loses all messages in the window.
     Disconnect,
-    /// Keeps the sample's components from before the window.
+    /// Keeps Wd and Wq of the last sample before the window.
     Freeze,
-    /// Multiplies the sample's components.
+    /// Multiplies Wd and Wq.
     Scale(f32),
 }
 
@@ -45,11 +45,9 @@ impl WireFaultKind {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
-    /// Affects samples.
     ToController,
-    /// Affects commands.
     FromController,
-    /// Affects both, counted separately.
+    /// Samples to the controller and commands from it, counted separately.
     Both,
 }
 
@@ -58,10 +56,10 @@ pub enum Direction {
 pub struct WireFault {
     pub kind: WireFaultKind,
     pub from: Duration,
-    /// The end is exclusive; `None`: the end of the trial.
+    /// Exclusive end; `None` for the end of the trial.
     pub until: Option<Duration>,
     pub direction: Direction,
-    /// Affects every n-th message per direction in the window; 0: none.
+    /// Affects every n-th message per direction in the window; 0 affects none.
     pub every: u32,
     pub seed: u64,
 }

@@ -1,10 +1,10 @@
-//! Names why a line behind a network is not available.
+//! Defines the errors of a line behind a network.
 
 use crate::link::LinkError;
 use std::io;
 use std::time::Duration;
 
-/// For name resolution, connection and settings together.
+/// Covers name resolution, connection and settings together.
 pub(super) const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
 #[derive(Debug, thiserror::Error)]
@@ -12,11 +12,7 @@ pub enum NetworkError {
     #[error("{address}: the name cannot be resolved: {error}")]
     Resolve { address: String, error: io::Error },
     #[error("{address}: cannot connect: {error}")]
-    Connect {
-        address: String,
-        /// Error of the last address that the name has.
-        error: io::Error,
-    },
+    Connect { address: String, error: io::Error },
     #[error("{address}: no connection within {} s", CONNECT_TIMEOUT.as_secs())]
     TimedOut { address: String },
     #[error("{address} does not set serial ports (RFC 2217); if the server sets the port itself, use tcp:{address}")]

@@ -25,35 +25,32 @@ const SET_PARITY: u8 = 3;
 const SET_STOPSIZE: u8 = 4;
 const SET_CONTROL: u8 = 5;
 const PURGE_DATA: u8 = 12;
-/// A server answers a command with its number plus this.
+/// A server answers a command with the number of the command plus this value.
 const ANSWER: u8 = 100;
 
-/// A longer subnegotiation is cut off.
+/// In bytes. The rest of a longer subnegotiation is dropped.
 const MAX_SUBNEGOTIATION: usize = 64;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum State {
     Data,
-    /// After 255.
+    /// After the byte 255.
     Command,
     /// After WILL, WONT, DO or DONT.
     Option(u8),
     Subnegotiation,
-    /// After 255 in a subnegotiation.
     SubnegotiationCommand,
 }
 
-/// A Telnet connection to a serial port.
 #[derive(Debug)]
 pub(crate) struct Rfc2217 {
     line: OwnedFd,
     state: State,
     subnegotiation: Vec<u8>,
-    /// Bytes for the server that the line has not taken yet.
     unsent: VecDeque<u8>,
     baud: Option<u32>,
     is_refused: bool,
-    /// False until the server has set the rate: then a read also ends after an answer without data.
+    /// True after the server has set the baud rate. Until then, a read also ends after an answer without data.
     is_set: bool,
 }
 
@@ -116,7 +113,6 @@ impl Rfc2217 {
         }
     }
 
-    /// True if everything is sent.
     fn flush(&mut self, until: Instant) -> Result<bool, LinkError> {
         while !self.unsent.is_empty() {
             let (first, _) = self.unsent.as_slices();
@@ -128,7 +124,7 @@ impl Rfc2217 {
         Ok(true)
     }
 
-    /// `Some` for a byte of the serial port.
+    /// Returns bytes of the serial port; `None` for bytes of Telnet commands.
     fn decode(&mut self, byte: u8) -> Option<u8> {
         match (self.state, byte) {
             (State::Data, IAC) => self.state = State::Command,
@@ -162,7 +158,7 @@ impl Rfc2217 {
         None
     }
 
-    /// The options of [`Self::start`] were requested before; any other one is refused.
+    /// Refuses every option that [`Self::start`] has not requested.
     fn answer(&mut self, command: u8, option: u8) {
         let is_requested = matches!(option, BINARY | SUPPRESS_GO_AHEAD | COM_PORT);
         self.is_refused |= option == COM_PORT && matches!(command, DONT);
@@ -188,7 +184,7 @@ impl Tty for Rfc2217 {
             let mut decoded = 0;
             for index in 0..count {
                 let data = buffer.get(index).and_then(|&byte| self.decode(byte));
-                // Never behind the byte that was read.
+                // `decoded` never passes `index`, so that no unread byte is overwritten.
                 if let (Some(data), Some(place)) = (data, buffer.get_mut(decoded)) {
                     *place = data;
                     decoded += 1;
@@ -207,7 +203,7 @@ impl Tty for Rfc2217 {
     }
 
     fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError> {
-        // A message that the line did not take completely comes first: half a message would be garbage.
+        // First sends the rest of a message that the line accepted only in part, because half a message is invalid.
         if !self.flush(until)? {
             return Ok(None);
         }

@@ -23,7 +23,7 @@ pub struct AttachedBoard {
 }
 
 impl AttachedBoard {
-    /// Attaches and checks the chip. Writes nothing.
+    /// Attaches to the chip and checks its identity. Writes nothing.
     pub fn attach(
         spec: &ProbeSpec,
         list: impl FnOnce() -> Lister + Send + 'static,
@@ -52,8 +52,8 @@ impl AttachedBoard {
         self.thread.call(doing, timeout + self.timeouts.grace, job)
     }
 
-    /// Writes the image and reads it back; writes nothing if it is there already. Resets and halts
-    /// the processor: its outputs float until [`AttachedBoard::restart`].
+    /// Writes the image and verifies it; writes nothing if the flash already contains it. Resets and halts the
+    /// processor, whose outputs float until [`AttachedBoard::restart`].
     pub fn flash(&mut self, image: &Arc<Image>) -> Result<FlashOutcome, ProbeError> {
         let image = Arc::clone(image);
         let outcome = self.call("flashing", self.timeouts.flash, move |board| board.flash(&image))?;
@@ -66,7 +66,7 @@ impl AttachedBoard {
         self.call("resetting the chip", timeout, move |board| board.restart(rtt, timeout))
     }
 
-    /// If the processor is in a fault handler, it stays halted.
+    /// A processor in a fault handler stays halted.
     pub fn read_crash(&mut self, image: &Arc<Image>) -> Result<Option<CrashReport>, ProbeError> {
         let image = Arc::clone(image);
         self.call("reading a crash", self.timeouts.crash, move |board| board.read_crash(&image))
@@ -87,26 +87,25 @@ impl AttachedBoard {
         self.call("starting RTT", timeout, move |board| board.rtt(address, timeout))
     }
 
-    /// Moves the channels to the probe's thread and back.
     pub(super) fn exchange(
         &mut self,
         mut channels: RttChannels,
         bytes: Vec<u8>,
     ) -> Result<(RttChannels, Vec<u8>), ProbeError> {
         let timeout = self.timeouts.exchange;
-        self.call("an exchange", timeout, move |board| {
+        self.call("an RTT exchange", timeout, move |board| {
             let received = board.exchange(&mut channels, &bytes, timeout)?;
             Ok((channels, received))
         })
     }
 
-    /// Resets the chip, lets it boot at 0 V and releases the probe; at most once.
+    /// Resets the chip, lets it boot at 0 V and releases the probe. Later calls do nothing.
     pub fn shut_down(&mut self) -> Result<(), ProbeError> {
         if std::mem::replace(&mut self.is_shut_down, true) {
             return Ok(());
         }
         let timeout = self.timeouts.reset;
-        let reset = self.call("the last reset", timeout, move |board| board.restart(None, timeout));
+        let reset = self.call("the reset at the session's end", timeout, move |board| board.restart(None, timeout));
         self.thread.stop(self.timeouts.grace);
         reset
     }

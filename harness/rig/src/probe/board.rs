@@ -1,4 +1,4 @@
-//! Works with a board through probe-rs, on the probe's thread.
+//! Flashes, restarts and reads a board through probe-rs, on the probe's thread.
 
 use super::crash::read_crash;
 use super::error::ProbeError;
@@ -17,7 +17,7 @@ use tracing::{debug, warn};
 
 /// `DBGMCU_IDCODE`: device in the lower twelve bits, revision in the upper sixteen.
 const IDCODE: u64 = 0xe004_2000;
-/// Identities from the reference manuals, with prefixes of the chips' names.
+/// Device codes from the reference manuals, with the prefixes of the part numbers.
 const DEVICES: [(u16, &str, &[&str]); 10] = [
     (0x413, "STM32F405/407/415/417", &["STM32F405", "STM32F407", "STM32F415", "STM32F417"]),
     (0x419, "STM32F427/429/437/439", &["STM32F427", "STM32F429", "STM32F437", "STM32F439"]),
@@ -44,7 +44,7 @@ const UNKNOWN_FAMILY: &str = "not a known STM32F4";
 pub struct ChipId {
     pub name: String,
     pub idcode: u32,
-    /// Has the form of a selector.
+    /// Selector (`VID:PID[:SERIAL]`) and type of the probe.
     pub probe: String,
 }
 
@@ -61,7 +61,7 @@ pub(super) struct Board {
 }
 
 impl Board {
-    /// Does not use a probe.
+    /// Returns the device code and the description of the chip. Does not use a probe.
     pub(super) fn resolve_target(spec: &ProbeSpec) -> Result<(u16, Target), ProbeError> {
         let chip = spec.chip.to_ascii_uppercase();
         let matches = |prefixes: &[&str]| prefixes.iter().any(|prefix| chip.starts_with(prefix));
@@ -140,7 +140,7 @@ impl Board {
         Ok(None)
     }
 
-    /// Clears the RTT control block at `rtt` first, so that an old one is not taken for a new one.
+    /// First clears the RTT control block at `rtt`, so that the bench does not use an old one.
     pub(super) fn restart(&mut self, rtt: Option<u64>, timeout: Duration) -> Result<(), ProbeError> {
         let until = Instant::now() + timeout;
         let mut core = self.core()?;
@@ -183,7 +183,7 @@ impl Board {
 
 impl Drop for Board {
     fn drop(&mut self) {
-        // A halted processor does not drive 0 V.
+        // A halted processor cannot take the drive to 0 V.
         let resume = |mut core: Core<'_>| if core.core_halted()? { core.run() } else { Ok(()) };
         if let Err(error) = self.session.core(0).and_then(resume) {
             warn!(error = super::error::error_chain(&error), "the processor may be halted");

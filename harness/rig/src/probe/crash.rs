@@ -1,6 +1,5 @@
-//! Reads a crash of the firmware through the debug probe.
-//! The processor runs until its fault handler has taken the drive to 0 V; it is halted only for its
-//! core registers and stack. The chip's watchdog may reset it meanwhile.
+//! Reads a crash of the firmware through the debug probe. The processor runs while its fault handler takes the drive to
+//! 0 V, and is halted only to read its core registers and stack. The chip's watchdog may reset it meanwhile.
 
 use super::error::ProbeError;
 use super::image::Image;
@@ -10,7 +9,7 @@ use crate::crash_report::{
 use probe_rs::{Core, MemoryInterface, RegisterId};
 use std::time::Duration;
 
-/// DHCSR and its bit for a fault within a fault handler. ARMv7-M ARM, C1.6.2.
+/// DHCSR, and its bit for a fault within a fault handler (ARMv7-M ARM, C1.6.2).
 const DHCSR: u64 = 0xE000_EDF0;
 const LOCKED_UP: u32 = 1 << 19;
 const SP: RegisterId = RegisterId(13);
@@ -19,7 +18,7 @@ const PC: RegisterId = RegisterId(15);
 const PSP: RegisterId = RegisterId(18);
 /// The processor stops within some cycles or never.
 const HALT_TIMEOUT: Duration = Duration::from_millis(100);
-/// Reading them takes some 10 ms at 1 MHz.
+/// The probe reads them within some 10 ms at 1 MHz.
 const STACK_WORDS: usize = 512;
 
 pub(super) fn read_crash(core: &mut Core<'_>, image: &Image) -> Result<Option<CrashReport>, ProbeError> {
@@ -50,7 +49,7 @@ pub(super) fn read_crash(core: &mut Core<'_>, image: &Image) -> Result<Option<Cr
 }
 
 fn active_handler(core: &mut Core<'_>) -> Result<Option<&'static str>, ProbeError> {
-    let mut read = |address| core.read_word_32(address).map_err(ProbeError::line_error("looking for a fault"));
+    let mut read = |address| core.read_word_32(address).map_err(ProbeError::line_error("reading the fault state"));
     if read(DHCSR)? & LOCKED_UP != 0 {
         return Ok(Some("lockup"));
     }

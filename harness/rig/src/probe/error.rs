@@ -17,46 +17,26 @@ pub enum ProbeError {
         "`probe:{text}`: expected probe:CHIP[@VID:PID[:SERIAL]] with VID and PID in hexadecimal, such as \
          STM32F407VG@0483:374b"
     )]
-    Spec {
-        /// The part after `probe:`, as typed.
-        text: String,
-    },
+    Spec { text: String },
     #[error(
         "the bench cannot check the identity of a `{chip}`, expected an STM32F4 such as STM32F405RG, STM32F407VG \
          or STM32F427VI"
     )]
-    UnsupportedChip {
-        /// As typed.
-        chip: String,
-    },
+    UnsupportedChip { chip: String },
     #[error("no description of a chip `{chip}`, expected a full part number such as STM32F407VG: {cause}")]
-    UnknownChip {
-        chip: String,
-        /// Message of the chip registry.
-        cause: String,
-    },
+    UnknownChip { chip: String, cause: String },
     #[error(
         "no debug probe {}; is it plugged in, and may this user open it (docs/attach-a-board.md)?{}",
         .wanted.as_ref().map_or_else(|| "was found".to_owned(), |wanted| format!("matches {wanted}")),
         format_list(.others)
     )]
-    NoProbe {
-        wanted: Option<String>,
-        /// Names of the connected probes.
-        others: Vec<String>,
-    },
+    NoProbe { wanted: Option<String>, others: Vec<String> },
     #[error(
         "{} debug probes match; choose one with --rig probe:CHIP@VID:PID[:SERIAL]:{}", .found.len(), format_list(.found)
     )]
-    SeveralProbes {
-        /// Selectors and types of the matching probes.
-        found: Vec<String>,
-    },
+    SeveralProbes { found: Vec<String> },
     #[error("no permission to open the debug probe {probe}; on Linux a udev rule is missing (docs/attach-a-board.md)")]
-    PermissionDenied {
-        /// Name of the probe: its selector (VID:PID[:SERIAL]) and its type.
-        probe: String,
-    },
+    PermissionDenied { probe: String },
     #[error("the debug probe {probe} is in use by another program: {cause}")]
     Busy { probe: String, cause: String },
     #[error("the debug probe {probe} cannot be opened: {}; unplug it and plug it in again", error_chain(.cause))]
@@ -65,12 +45,7 @@ pub enum ProbeError {
         "no answer from a {chip} through the debug probe {probe}; check power, SWDIO, SWCLK and ground: {}",
         error_chain(.cause)
     )]
-    NoTarget {
-        /// Requested chip, not a detected one.
-        chip: String,
-        probe: String,
-        cause: Box<probe_rs::Error>,
-    },
+    NoTarget { chip: String, probe: String, cause: Box<probe_rs::Error> },
     #[error(
         "the connected chip has the device code {found:#05x} ({family}), expected a {expected}; \
          nothing was written to it"
@@ -82,10 +57,7 @@ pub enum ProbeError {
         family: &'static str,
     },
     #[error("the file is not a firmware image: {problem}")]
-    Image {
-        /// A missing property, or the message of the ELF reader.
-        problem: String,
-    },
+    Image { problem: String },
     #[error("{}: {error}", path.display())]
     Read { path: PathBuf, error: std::io::Error },
     #[error(
@@ -96,12 +68,7 @@ pub enum ProbeError {
     #[error("flashing failed: {}", error_chain(.0))]
     Flash(Box<FlashError>),
     #[error("flash verification failed at {address:#010x}: found {found:#04x}, expected {expected:#04x}")]
-    Verify {
-        /// The first different byte.
-        address: u32,
-        expected: u8,
-        found: u8,
-    },
+    Verify { address: u32, expected: u8, found: u8 },
     #[error(
         "the firmware has no RTT control block (no symbol _SEGGER_RTT), so it needs its serial port: \
          --rig probe:CHIP,port=PORT[@BAUD]"
@@ -111,38 +78,22 @@ pub enum ProbeError {
         "no RTT control block at {address:#010x} within {} ms after the reset; does the firmware run? {cause}",
         .waited.as_millis()
     )]
-    RttNotStarted {
-        /// Value of the symbol `_SEGGER_RTT`.
-        address: u64,
-        waited: Duration,
-        cause: String,
-    },
+    RttNotStarted { address: u64, waited: Duration, cause: String },
     #[error(
         "the firmware did not answer the handshake on {} within {} ms after the reset; is that the board's serial \
          port, at the firmware's baud rate?",
         port.display(),
         waited.as_millis()
     )]
-    NoHandshake {
-        port: PathBuf,
-        /// Counts from the reset.
-        waited: Duration,
-    },
+    NoHandshake { port: PathBuf, waited: Duration },
     #[error("the serial port {} failed during the handshake: {cause}", port.display())]
     Port { port: PathBuf, cause: String },
     #[error("the firmware's RTT has no {direction}")]
-    RttChannel {
-        /// `up channel 0 (to the bench)` or `down channel 0 (from the bench)`.
-        direction: &'static str,
-    },
+    RttChannel { direction: &'static str },
     #[error("the RTT connection to the firmware failed: {0}")]
     Rtt(String),
     #[error("{doing} failed: {}", error_chain(.cause))]
-    Line {
-        /// Names the call in the message.
-        doing: &'static str,
-        cause: Box<probe_rs::Error>,
-    },
+    Line { doing: &'static str, cause: Box<probe_rs::Error> },
     #[error(
         "the debug probe hangs: {doing} did not end within {} ms; unplug the probe and plug it in again",
         .waited.as_millis()
@@ -153,10 +104,7 @@ pub enum ProbeError {
         waited: Duration,
     },
     #[error("the debug probe's driver ended during {doing}")]
-    ProbeThreadGone {
-        /// Names the call in the message.
-        doing: &'static str,
-    },
+    ProbeThreadGone { doing: &'static str },
     #[error("cannot start a thread for the debug probe: {0}")]
     Thread(#[from] std::io::Error),
     #[error("{0}")]
@@ -166,7 +114,6 @@ pub enum ProbeError {
 }
 
 impl ProbeError {
-    /// True if the input is wrong, false if the board or the probe does not work.
     pub fn is_invalid_input(&self) -> bool {
         matches!(
             self,
@@ -196,7 +143,7 @@ impl From<ProbeError> for LinkError {
     }
 }
 
-/// Only the sources of probe-rs's errors name the reason.
+/// Joins all causes, because only the sources of probe-rs's errors name the reason.
 pub(super) fn error_chain(error: &dyn Error) -> String {
     let mut text = error.to_string();
     let mut next = error.source();

@@ -8,12 +8,11 @@ use object::{Endianness, Object, ObjectSymbol};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Segment {
-    /// Address in flash; initialised data is used at another address.
+    /// Address in flash, from where the firmware copies initialised data to RAM.
     pub address: u32,
     pub bytes: Vec<u8>,
 }
 
-/// The image is for ARM and has content to flash.
 #[derive(Debug, Clone)]
 pub struct Image {
     elf: Vec<u8>,
@@ -65,7 +64,7 @@ impl Image {
         Symbols::read(&self.elf)
     }
 
-    /// The first word of the vector table, which is at the lowest address.
+    /// The first word of the vector table, which is at the lowest address of the image.
     pub(super) fn initial_stack(&self) -> Option<u32> {
         let first = self.segments.iter().min_by_key(|segment| segment.address)?;
         first.bytes.first_chunk().map(|bytes| u32::from_le_bytes(*bytes))

@@ -1,4 +1,4 @@
-//! Speaks the wire protocol over a board's serial port, with the board on a debug probe.
+//! Runs the wire protocol over the serial port of a board on a debug probe.
 
 use super::attached_board::AttachedBoard;
 use super::error::ProbeError;
@@ -21,8 +21,7 @@ pub struct PortLink {
 }
 
 impl PortLink {
-    /// Waits for the handshake. Discards earlier bytes: noise of the reset, and an earlier trap
-    /// report.
+    /// Waits for the handshake. Discards earlier bytes, such as noise of the reset or an earlier fault report.
     pub(super) fn open(
         serial: SerialLink,
         path: &Path,
@@ -52,7 +51,7 @@ impl PortLink {
     }
 
     fn contains_message(&mut self, received: &[u8], matches: impl Fn(&Message) -> bool) -> bool {
-        // Reads all bytes, because the reader keeps an incomplete frame.
+        // Counts instead of stopping at a match, because the reader must receive all bytes to keep an incomplete frame.
         self.answers.packets(received).flatten().filter(|packet| matches(&packet.message)).count() > 0
     }
 }
@@ -62,7 +61,7 @@ impl Link for PortLink {
         let before = answer.len();
         let delay = self.serial.exchange(now, bytes, answer)?;
         let received = answer.get(before..).unwrap_or_default();
-        // A trapped processor sends one report at most, with less than the probe can read.
+        // A trapped processor sends at most one fault report, which contains less than the probe can read.
         if (received.is_empty() || self.contains_message(received, |message| matches!(message, Message::Fault(_))))
             && let Some(error) = self.board.trap_error(&self.image)
         {

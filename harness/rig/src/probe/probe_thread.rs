@@ -1,6 +1,5 @@
-//! Runs the probe on a thread that may hang without the bench.
-//! A hanging USB transfer cannot be interrupted. After a time-out the thread is abandoned: further
-//! calls fail at once, and the end of the process releases the probe.
+//! Runs the probe on its own thread, because a hanging USB transfer cannot be interrupted. After a time-out the thread
+//! is abandoned. Further calls then fail at once, and the end of the process releases the probe.
 
 use super::error::ProbeError;
 use std::cell::Cell;
@@ -29,7 +28,7 @@ impl<T: 'static> ProbeThread<T> {
         let (built, answer) = channel();
         let (alive, ended) = channel::<()>();
         let run = move || {
-            // Disconnects last, after the value is dropped.
+            // Dropped last, after `value`.
             let _alive = alive;
             let mut value = match build() {
                 Ok((value, result)) => {
@@ -74,7 +73,7 @@ impl<T: 'static> ProbeThread<T> {
         result?
     }
 
-    /// Warns if the value is not dropped in time.
+    /// Ends the thread. Warns if it has not dropped its value within `timeout`.
     pub(super) fn stop(&mut self, timeout: Duration) {
         self.jobs = None;
         let timeout = if self.abandoned.get() { Duration::ZERO } else { timeout };

@@ -34,7 +34,7 @@ impl RttChannels {
         if bytes.is_empty() {
             return Ok(received);
         }
-        // The first frame to end may be an unsolicited one that has begun.
+        // If an unsolicited frame has begun, it ends before the answer.
         let mut ends = if received.last().is_some_and(|&byte| byte != 0) { 2 } else { 1 };
         let mut unsent = bytes;
         loop {
@@ -62,7 +62,7 @@ impl RttChannels {
 
 fn rtt_error(error: probe_rs::rtt::Error) -> ProbeError {
     match error {
-        probe_rs::rtt::Error::Probe(cause) => ProbeError::Line { doing: "an exchange", cause: Box::new(cause) },
+        probe_rs::rtt::Error::Probe(cause) => ProbeError::Line { doing: "an RTT exchange", cause: Box::new(cause) },
         other => ProbeError::Rtt(error_chain(&other)),
     }
 }

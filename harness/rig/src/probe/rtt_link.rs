@@ -1,4 +1,4 @@
-//! Speaks the wire protocol over RTT channel 0, with the bytes of a serial line.
+//! Runs the wire protocol over RTT channel 0, with the bytes of a serial line.
 
 use super::attached_board::AttachedBoard;
 use super::error::ProbeError;
@@ -14,9 +14,8 @@ const SAFE_SEQUENCE: u8 = 0xff;
 
 #[derive(Debug)]
 pub struct ShutdownResult {
-    /// True if the firmware confirmed 0 V before the reset.
     pub zero_volts_confirmed: bool,
-    /// The reset follows in any case; the chip boots at 0 V.
+    /// The bench resets the chip in any case, and the chip then boots at 0 V.
     pub reset: Result<(), ProbeError>,
 }
 
@@ -25,7 +24,7 @@ pub struct ShutdownResult {
 pub struct RttLink {
     board: AttachedBoard,
     image: Arc<Image>,
-    /// `None` during an exchange, and after one that failed.
+    /// `None` during an exchange, and after a failed one.
     channels: Option<RttChannels>,
     is_shut_down: bool,
 }
@@ -58,7 +57,7 @@ impl RttLink {
         Ok(received)
     }
 
-    /// Acts at most once.
+    /// Requests 0 V, resets the chip and releases the probe. Later calls do nothing.
     pub fn shut_down(&mut self) -> ShutdownResult {
         let first = !std::mem::replace(&mut self.is_shut_down, true);
         let zero_volts_confirmed = first && self.channels.is_some() && self.request_safe_state();

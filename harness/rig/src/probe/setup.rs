@@ -29,8 +29,8 @@ pub struct ProbeSetup {
 }
 
 impl ProbeSetup {
-    /// Uses RTT without `port`. Fails for an unknown chip, an ELF without content to flash, or an
-    /// image without RTT if there is no `port`.
+    /// Uses RTT if `port` is `None`. Fails for an unknown chip, an ELF without content, or an image without the needed
+    /// RTT.
     pub fn new(spec: ProbeSpec, elf: &[u8], port: Option<SerialPort>) -> Result<Self, ProbeError> {
         Board::resolve_target(&spec)?;
         let image = Arc::new(Image::parse(elf)?);
@@ -40,7 +40,7 @@ impl ProbeSetup {
         Ok(Self { spec, image, port })
     }
 
-    /// Uses the image of the bench by default. Fails if `rig` is not `Probe`.
+    /// Uses the built-in image by default. Fails if `rig` is not `Probe`.
     pub fn from_spec(rig: &RigSpec) -> Result<Self, ProbeError> {
         let RigSpec::Probe { board, elf, port, baud } = rig else {
             return Err(ProbeError::Spec { text: rig.to_string() });
@@ -80,7 +80,7 @@ impl ProbeSetup {
         list: impl FnOnce() -> Lister + Send + 'static,
         timeouts: Timeouts,
     ) -> Result<PortLink, ProbeError> {
-        // First: without the port, the board must not be reset or written.
+        // The port is opened first, because a board without its port must not be reset or written.
         let serial = SerialLink::open(path, *baud)?;
         let board = self.start_board(list, timeouts)?;
         PortLink::open(serial, path, board, self.image)

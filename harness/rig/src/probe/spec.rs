@@ -7,9 +7,8 @@ use std::str::FromStr;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ProbeSpec {
-    /// For example `STM32F407VG`.
     pub chip: String,
-    /// `None` selects the only probe.
+    /// `None` selects the only connected probe.
     pub selector: Option<DebugProbeSelector>,
 }
 

@@ -4,16 +4,15 @@ use std::time::Duration;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Timeouts {
-    /// Includes waking the debug port and reading the chip's identity.
     pub attach: Duration,
-    /// Includes comparing before and after.
+    /// Includes the comparisons before and after the write.
     pub flash: Duration,
     pub reset: Duration,
-    /// Waits for the RTT control block after a reset.
+    /// Longest wait for the RTT control block after a reset.
     pub rtt: Duration,
-    /// Waits for the first answer on the serial port after a reset.
+    /// Longest wait for the first answer on the serial port after a reset.
     pub handshake: Duration,
-    /// Silence beyond it is no error.
+    /// A missing answer after this time is no error.
     pub exchange: Duration,
     pub crash: Duration,
     /// Additional time of each call before the probe counts as hung.

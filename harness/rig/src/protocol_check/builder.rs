@@ -1,34 +1,32 @@
-//! Builds the exchanges of a script: frames that need no answer, then one that does.
+//! Builds the exchanges of a script: each consists of frames without an answer and one frame with an answer.
 
 use platebench_wire::{Configure, EncodedFrame, Message, Packet, Sample};
 use std::time::Duration;
 
-/// Exchanges on one line, in order, from a configuration on.
 #[derive(Debug, Clone)]
 pub(super) struct Script {
     pub(super) name: &'static str,
-    /// Longest time from a request to the next answer beyond the wait; later the controller's watchdog may act.
+    /// If the host delays an answer by more than this time, the controller's watchdog may act.
     pub(super) stall: Duration,
     pub(super) exchanges: Vec<Exchange>,
 }
 
-/// Writes a script.
 pub(super) fn script(name: &'static str, variation: Variation, write: impl FnOnce(&mut Builder)) -> Script {
     let mut builder = Builder::new(name, variation);
     write(&mut builder);
     builder.script
 }
 
-/// Within a frame.
+/// Silence between the two pieces of a frame.
 const PAUSE: Duration = Duration::from_millis(5);
 const STALL: Duration = Duration::from_millis(80);
 
-/// Changes of what a script sends. Scripts of two variations have equal lengths.
+/// Change of the messages of a script. A script has the same length in all variations.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Variation {
     /// Relative change of Wd and Wq, with signs that alternate from sample to sample.
     pub(super) components: f32,
-    /// Factor on K1 of configurations without gains.
+    /// Factor on K1 in configurations without gains.
     pub(super) gain: f32,
 }
 
@@ -38,7 +36,7 @@ impl Variation {
 
 #[derive(Debug, Clone)]
 pub(super) struct Exchange {
-    /// Silence before it.
+    /// Silence before the exchange.
     pub(super) wait: Duration,
     pub(super) bytes: Vec<u8>,
 }
@@ -61,7 +59,7 @@ impl Builder {
             script: Script { name, stall: STALL, exchanges: Vec::new() },
             variation,
             period_us: 0,
-            // The first numbers pass the wrap.
+            // From 248 on, the numbers wrap within the first messages.
             sequence: 248,
             time_us: 0,
             unanswered: Vec::new(),
@@ -74,17 +72,15 @@ impl Builder {
         self.variation != Variation::NONE
     }
 
-    /// The script is not played.
+    /// Removes all exchanges, so that the script is not played.
     pub(super) fn discard(&mut self) {
         self.script.exchanges.clear();
     }
 
-    /// For scripts with short timeouts.
     pub(super) fn set_stall_us(&mut self, us: u64) {
         self.script.stall = Duration::from_micros(us);
     }
 
-    /// Silence before the next message.
     pub(super) fn wait_us(&mut self, us: u64) {
         self.wait = Duration::from_micros(us);
     }
@@ -93,18 +89,17 @@ impl Builder {
         self.wait_us(ms * 1_000);
     }
 
-    /// Only waits.
     pub(super) fn pass_ms(&mut self, ms: u64) {
         self.wait_ms(ms);
         self.close(&[]);
     }
 
-    /// Bytes before the next message.
+    /// Adds bytes before the next message.
     pub(super) fn add(&mut self, bytes: &[u8]) {
         self.unanswered.extend_from_slice(bytes);
     }
 
-    /// A frame with a valid CRC before the next message.
+    /// Adds a frame with a valid CRC before the next message.
     pub(super) fn add_body(&mut self, body: &[u8]) {
         if let Some(frame) = EncodedFrame::new(body) {
             self.add(frame.as_bytes());
@@ -122,21 +117,19 @@ impl Builder {
         }
     }
 
-    /// A sample that the receiver rejects: one bit of byte `position` is flipped. It has a number and values of its
-    /// own.
+    /// Adds a sample with its own number and values. A flipped bit in byte `position` makes it invalid.
     pub(super) fn add_damaged(&mut self, position: usize) {
         let sequence = self.next_sequence();
         let sample = Sample { time_us: self.time_us, setpoint_um: 3.0, wd_um: 0.7, wq_um: -0.3 };
         let mut frame = Packet { sequence, message: Message::Sample(sample) }.encode().as_bytes().to_vec();
         let data = frame.len() - 1;
         if let Some(byte) = frame.get_mut(position % data) {
-            // No byte becomes a delimiter.
+            // The changed byte is not 0, the delimiter.
             *byte ^= if *byte == 1 { 2 } else { 1 };
         }
         self.add(&frame);
     }
 
-    /// A frame with a valid CRC that is answered.
     pub(super) fn ask_body(&mut self, body: &[u8]) {
         if let Some(frame) = EncodedFrame::new(body) {
             self.close(frame.as_bytes());
@@ -160,14 +153,14 @@ impl Builder {
         self.sample_with(sequence, setpoint_um, wd_um, wq_um);
     }
 
-    /// A sample with the number of the last message plus `ahead`, and as many periods later.
+    /// Adds a sample with the number of the last message plus `ahead`, and with a time that is `ahead` periods later.
     pub(super) fn sample_after(&mut self, ahead: u8, setpoint_um: f32, wd_um: f32, wq_um: f32) {
         self.sequence = self.sequence.wrapping_add(ahead);
         self.time_us = self.time_us.wrapping_add(self.period_us.wrapping_mul(ahead.into()));
         self.sample_with(self.sequence, setpoint_um, wd_um, wq_um);
     }
 
-    /// A sample in two pieces: its first `at` bytes, silence, the others.
+    /// Adds a sample in two pieces, with a silence after the first `at` bytes.
     pub(super) fn sample_in_pieces(&mut self, at: usize, setpoint_um: f32, wd_um: f32, wq_um: f32) {
         self.sample(setpoint_um, wd_um, wq_um);
         if let Some(whole) = self.script.exchanges.pop() {
@@ -177,7 +170,6 @@ impl Builder {
         }
     }
 
-    /// The last sample once more.
     pub(super) fn repeat_sample(&mut self) {
         let bytes = self.last_sample.clone();
         self.close(&bytes);
@@ -205,7 +197,7 @@ impl Builder {
     }
 }
 
-/// Body of a configuration, from byte 2 on under number 80: `values` are the floats from byte 14 on.
+/// Body of a configuration with the sequence number 80. `values` are the floats from byte 14 on.
 pub(super) fn configuration_body(configure: &Configure, bits: u8, values: [f32; 10]) -> Vec<u8> {
     let mut body = vec![0x13, 80, configure.law as u8, bits];
     body.extend_from_slice(&configure.watchdog_timeout_ms.to_le_bytes());

@@ -8,21 +8,21 @@ use platebench_wire::{
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-/// Relative difference of reported gains from configured ones.
+/// Largest relative difference of reported gains from configured ones.
 const GAIN_TOLERANCE: f32 = 1e-5;
-/// Relative difference of the gains of a `dq-pi` law from those of the design in `docs/wire-protocol.md`.
+/// Largest relative difference of the gains of a `dq-pi` law from the design in `docs/wire-protocol.md`.
 const DESIGN_TOLERANCE: f32 = 0.12;
-/// Gains that differ by less are those of the design in `docs/wire-protocol.md`.
+/// Gains with a smaller relative difference count as those of the design in `docs/wire-protocol.md`.
 const SAME_DESIGN: f32 = 1e-4;
-/// Tolerance of a running command, if the gains are those of the reference: drive relative to its limit, frequency
-/// relative to its range. Single precision needs less.
+/// Tolerance of commands in the state *running*, if the gains are those of the reference. The drive is relative to its
+/// limit, the frequency to its range. Single precision needs less.
 pub(super) const SAME_GAINS_TOLERANCE: f64 = 1e-3;
-/// Tolerance for a law's own design: gains with an error of 10 % change a drive by about this share of its limit.
+/// Tolerance for another design: gains with an error of 10 % change a drive by about this share of its limit.
 const OTHER_DESIGN_TOLERANCE: f64 = 0.15;
-/// Share of the tolerance by which the commands of a reference with the components or gains of a variation may differ.
+/// Shares of the tolerance by which the commands of a variation may differ from those of the reference.
 const ROUNDING_SHARE: f64 = 0.25;
 const OTHER_DESIGN_SHARE: f64 = 0.5;
-/// The first variations differ by rounding; the others have another design.
+/// The first variations differ by rounding, the others by their design.
 const ROUNDING_VARIATIONS: usize = 2;
 /// Shortest silence over which the time stamps of commands are compared, and the relative tolerance.
 const COMPARED_SILENCE: Duration = Duration::from_millis(100);
@@ -36,23 +36,22 @@ pub(super) struct Difference {
 /// A possible cause of a difference other than the controller.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum OtherCause {
-    /// The line may have lost an answer, or delivered it late.
+    /// The line may have lost an answer or delivered it late.
     NoAnswer,
     /// The host may have sent the ticks late.
     LateTicks,
-    /// The host was late.
+    /// The host may have been late with an exchange.
     Stall,
 }
 
-/// What the controller sent until the end of an exchange.
 pub(super) struct ReceivedPackets {
     answers: Vec<Packet>,
     ticks: Vec<Packet>,
 }
 
 impl ReceivedPackets {
-    /// Without the report of the watchdog: a controller that receives a sample first reports the stop in its answer.
-    /// Without ticks before the answer to a configuration, which belong to the one before.
+    /// Omits the watchdog's report, because a controller that first receives a sample reports the stop in its answer.
+    /// Omits ticks before the answer to a configuration, because they belong to the previous configuration.
     pub(super) fn new(bytes: &[u8], request: u8) -> Self {
         let is_report = |packet: &Packet| {
             matches!(packet.message, Message::Command(command) if command.cause == StateCause::SampleTimeout)
@@ -77,11 +76,11 @@ pub(super) struct Comparison<'a> {
     identity: &'a Identity,
     configuration: Option<Configure>,
     has_other_design: bool,
-    /// True if a variation of the reference differs.
+    /// True if the commands of a variation differ too much from those of the reference.
     is_ambiguous: bool,
     /// The last running commands of target and reference.
     running: Option<[Command; 2]>,
-    /// The same if they came in the exchange before.
+    /// The same commands if they belong to the previous exchange.
     previous: Option<[Command; 2]>,
     ticks: TickComparison,
 }
@@ -99,7 +98,6 @@ impl<'a> Comparison<'a> {
         }
     }
 
-    /// Returns the number of the last request.
     pub(super) fn observe_requests(&mut self, bytes: &[u8]) -> u8 {
         let requests = packets(bytes);
         let last = requests.last().map_or(0, |packet| packet.sequence);
@@ -112,8 +110,8 @@ impl<'a> Comparison<'a> {
         last
     }
 
-    /// `expected`: what the reference sent, then its variations. `silence`: shortest and longest time since the
-    /// exchange before, by the clock of the controller.
+    /// `expected` contains the packets of the reference, then those of its variations. `silence` is the shortest and
+    /// the longest possible time since the previous exchange on the controller's clock.
     pub(super) fn compare(
         &mut self,
         received: &ReceivedPackets,
@@ -221,14 +219,14 @@ impl<'a> Comparison<'a> {
             return self.is_ambiguous || self.distance(answer, expected) <= self.tolerance();
         }
         let expected_mhz = match &self.running {
-            // The last one is that of the controller itself.
+            // A stopped controller keeps its own last frequency, which may differ from that of the reference.
             Some([own, reference]) if expected.frequency_mhz == reference.frequency_mhz => own.frequency_mhz,
             _ => expected.frequency_mhz,
         };
         answer.drive_vpp == 0.0 && answer.frequency_mhz == expected_mhz
     }
 
-    /// The larger one of drive relative to its limit and frequency relative to its range.
+    /// The larger of the two differences of [`command_difference`]; infinite if a drive is not finite.
     fn distance(&self, one: &Command, other: &Command) -> f64 {
         let Some(configuration) = self.configuration else { return 0.0 };
         let [drive, frequency] = command_difference(one, other, &configuration);
@@ -240,7 +238,6 @@ fn differs<T>(text: String) -> Result<T, Difference> {
     Err(Difference { text, other_cause: None })
 }
 
-/// Compares the time stamps of commands of target and reference before and after a long silence.
 fn compare_clocks(
     previous: [Command; 2],
     present: [Command; 2],
@@ -251,14 +248,14 @@ fn compare_clocks(
         Duration::from_micros(present.target_time_us.wrapping_sub(previous.target_time_us).into())
     });
     let (own, expected) = (advances.next().unwrap_or_default(), advances.next().unwrap_or_default());
-    // A repeated command has the time of the first one.
+    // A repeated command has the time stamp of the original one.
     if shortest < COMPARED_SILENCE || expected < shortest {
         return Ok(());
     }
     if own >= shortest.mul_f64(1.0 - CLOCK_TOLERANCE) && own <= longest.mul_f64(1.0 + CLOCK_TOLERANCE) {
         return Ok(());
     }
-    differs(format!("its clock advanced by {own:.1?}, expected {shortest:.1?} to {longest:.1?}"))
+    differs(format!("the controller's clock advanced by {own:.1?}, expected {shortest:.1?} to {longest:.1?}"))
 }
 
 fn are_close(one: Gains, other: Gains, tolerance: f32) -> bool {

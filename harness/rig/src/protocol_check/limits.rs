@@ -1,4 +1,4 @@
-//! Builds scripts of configured values: limits with fractions, gains that are not used, comparisons at their threshold.
+//! Builds scripts that test configured values: limits with fractions, unused gains, and a threshold.
 
 use super::builder::{Builder, Script, Variation, configuration_body, script};
 use platebench_wire::Configure;
@@ -11,17 +11,17 @@ pub(super) fn scripts(fixed: &Configure, variation: Variation) -> Vec<Script> {
         })
     };
     let own_design = Configure { gains: None, ..*fixed };
-    // The comparison is exact: a variation would decide it.
+    // This script tests an exact threshold, so Wd must not vary.
     let exact = Variation { components: 0.0, ..variation };
     vec![
         start("a drive limit with a fraction", Configure { drive_limit_vpp: 9.75, ..*fixed }, &|builder| {
             drive_limit(builder, 1.0);
         }),
-        // In 0.1 V it needs more than 16 bits.
+        // In units of 0.1 V, this limit needs more than 16 bits.
         start("a drive limit of 70 kV", Configure { drive_limit_vpp: 70_000.25, ..*fixed }, &|builder| {
             drive_limit(builder, 500.0);
         }),
-        // No multiple of the slew lies between two mHz.
+        // No multiple of the slew lies halfway between two mHz, so that rounding is unambiguous.
         start(
             "frequency limits of a few mHz",
             Configure { frequency_range_hz: 0.0506, frequency_slew_hz: 0.0014, ..*fixed },
@@ -59,7 +59,7 @@ fn ratio(builder: &mut Builder) {
     }
 }
 
-/// Without bit 0 any gains are ignored.
+/// If bit 0 of the configuration is not set, the controller must ignore the gains.
 fn unused_gains(builder: &mut Builder, configure: &Configure) {
     let Configure { gain_um_per_vpp, time_constant_s, drive_limit_vpp, .. } = *configure;
     for gain in [f32::NAN, f32::INFINITY, -7e5] {
@@ -70,7 +70,7 @@ fn unused_gains(builder: &mut Builder, configure: &Configure) {
     }
 }
 
-/// Response times and periods outside those of a closed loop.
+/// Configures response times and periods that a closed loop does not use.
 fn designs(builder: &mut Builder, configure: &Configure) {
     for (period_us, response_time_s, time_constant_s) in [
         (1_000, 0.000_3, 0.0019),
@@ -90,7 +90,7 @@ fn designs(builder: &mut Builder, configure: &Configure) {
     }
 }
 
-/// At most a tenth is too small; the next f32 above is not.
+/// A Wd of at most a tenth of the setpoint is too small for the law.
 fn threshold(builder: &mut Builder, configure: &Configure) {
     builder.configure(*configure);
     builder.sample(2.5, 0.25, 0.1);

@@ -8,19 +8,18 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 const SCRIPTS: u64 = 40;
 const SAMPLES: usize = 40;
 
-/// Two scripts per random configuration: with configured gains and with the law's own design.
+/// Returns two scripts per random configuration: with configured gains and with the law's own design.
 pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variation, seed: u64) -> Vec<Script> {
     let mut all = Vec::new();
     for number in 0..SCRIPTS {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(number);
-        // With configured gains the prediction would use K1.
+        // Scripts with configured gains have no loop delay, because the prediction would use K1.
         let has_delay = number % 4 == 3 && identity.has_capability(capabilities::LOOP_DELAY);
         all.push(script("random samples with configured gains", variation, |builder| {
             builder.configure(random_configuration(&mut random, base, true, false));
             random_samples(&mut random, builder);
         }));
-        // Every eighth script has another law that the controller announces.
         let law = match number % 8 {
             1 if identity.has_law(LawId::DqPiFixed) => LawId::DqPiFixed,
             5 if identity.has_law(LawId::DqPiEuler) => LawId::DqPiEuler,
@@ -34,7 +33,6 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variatio
     all
 }
 
-/// In `low..high`.
 fn uniform(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
     low + (high - low) * ((random.next_u32() >> 8) as f32 / (1_u32 << 24) as f32)
 }
@@ -66,7 +64,7 @@ fn random_configuration(random: &mut ChaCha8Rng, base: &Configure, has_gains: bo
     }
 }
 
-/// Setpoints that last some samples; W follows them with jumps, and is sometimes negative.
+/// Adds samples with setpoints that last some samples. Wd and Wq follow with jumps, and Wd is sometimes negative.
 fn random_samples(random: &mut ChaCha8Rng, builder: &mut Builder) {
     let (mut setpoint, mut wd, mut wq) = (1.0, 0.0, 0.0);
     for _ in 0..SAMPLES {

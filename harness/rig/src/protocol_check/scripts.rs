@@ -64,11 +64,11 @@ fn repeated_samples(builder: &mut Builder, configure: Configure) {
     builder.sample(2.0, 1.1, -0.2);
     builder.repeat_sample();
     builder.repeat_sample();
-    // Only the number decides.
+    // The number alone marks a repetition, although the values differ.
     builder.sample_after(0, 2.5, 1.9, 0.4);
     builder.sample(2.0, 1.6, -0.3);
     builder.ask(Message::Safe);
-    // 0 V and the state, under the number of the sample.
+    // The controller answers with 0 V and its state, under the number of the sample.
     builder.repeat_sample();
     builder.configure(configure);
     builder.sample(2.0, 0.3, 0.1);
@@ -80,7 +80,6 @@ fn repeated_samples(builder: &mut Builder, configure: Configure) {
 fn gaps(builder: &mut Builder) {
     for (step, ahead) in [1, 5, 1, 127, 128, 255, 2].into_iter().enumerate() {
         builder.sample_after(ahead, 2.0, 0.05 + 0.3 * step as f32, -0.1);
-        // Number 0 among them.
         builder.repeat_sample();
     }
 }
@@ -126,7 +125,7 @@ fn hello(builder: &mut Builder, configure: Configure) {
     builder.sample(2.0, 1.2, -0.2);
 }
 
-/// Only the number of the last sample marks a repetition.
+/// A repetition has the number of the last sample, not that of another message.
 fn numbers(builder: &mut Builder, configure: Configure) {
     builder.sample_after(0, 2.0, 0.0, 0.0);
     builder.ask(Message::Hello);
@@ -164,7 +163,7 @@ fn ignored(builder: &mut Builder, identity: &Identity) {
     }
     builder.sample(2.0, 0.0, 0.0);
     for message in messages {
-        // Six rejected frames would stop the controller.
+        // Six rejected frames would stop the controller, six ignored ones do not.
         for _ in 0..6 {
             builder.add_message(message);
         }
@@ -174,9 +173,9 @@ fn ignored(builder: &mut Builder, identity: &Identity) {
     builder.sample(2.0, 1.3, -0.2);
 }
 
-/// Each rejected frame adds two, each control step subtracts one, and ten stops.
+/// Each rejected frame adds 2 to the counter, each control step subtracts 1, and the controller stops at 10.
 fn counter(builder: &mut Builder, configure: Configure) {
-    // In idle nothing counts.
+    // In the state *idle*, rejected frames do not count.
     builder.add_rejected(6);
     for _ in 0..20 {
         builder.sample(2.0, 1.2, -0.2);
@@ -187,7 +186,7 @@ fn counter(builder: &mut Builder, configure: Configure) {
     builder.repeat_sample();
     builder.repeat_sample();
     builder.sample(2.0, 1.4, -0.2);
-    // 8 - 1 + 2 - 1 = 8 before it.
+    // The counter is 8 − 1 + 2 − 1 = 8 before this frame.
     builder.add_rejected(1);
     builder.sample(2.0, 1.4, -0.2);
     builder.configure(configure);
@@ -203,7 +202,7 @@ fn counter(builder: &mut Builder, configure: Configure) {
     builder.ask(Message::Safe);
     builder.configure(configure);
     builder.sample(2.0, 1.2, -0.2);
-    // One overlong rejected frame.
+    // One overlong frame, which is rejected once.
     builder.add(&[[7; 100].as_slice(), &[0]].concat());
     builder.sample(2.0, 1.3, -0.2);
     builder.add_rejected(4);
@@ -236,7 +235,6 @@ fn invalid_bodies(builder: &mut Builder) {
         builder.sample(2.0, 1.2, -0.2);
         builder.sample(2.0, 1.3, -0.2);
     }
-    // Each of them counts.
     for _ in 0..5 {
         builder.add_body(&[0x1c, 97]);
     }
@@ -292,7 +290,7 @@ fn not_finite(builder: &mut Builder, component: usize, configure: Configure) {
         builder.sample(2.0, 1.2, -0.4);
         let [setpoint, wd, wq] = with(value);
         builder.sample(setpoint, wd, wq);
-        // The cause stays, and nothing is reported again.
+        // The controller keeps the cause of its stop and does not report it again.
         builder.add_rejected(6);
         builder.sample(2.0, 1.2, -0.2);
         builder.repeat_sample();
@@ -300,7 +298,7 @@ fn not_finite(builder: &mut Builder, component: usize, configure: Configure) {
         builder.sample(setpoint, wd, wq);
         builder.configure(configure);
     }
-    // At rest the law may not use the value.
+    // At a setpoint of zero, the law must not use the value.
     builder.sample(0.0, 1.0, 0.0);
     let [_, wd, wq] = with(f32::NAN);
     builder.sample(0.0, wd, wq);

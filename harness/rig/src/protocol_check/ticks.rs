@@ -1,25 +1,23 @@
-//! Compares the ticks of a controller with those of the reference: their number, and the times at which they were sent.
+//! Compares the number and the send times of a controller's ticks with those of the reference.
 
 use platebench_wire::{Configure, Message, Packet};
 use std::time::Duration;
 
 /// Time by which the clocks of controller and bench may differ.
 const AROUND: Duration = Duration::from_millis(50);
-/// Fewer ticks show no drift.
 const MIN_TICKS: usize = 100;
-/// Of the first and of the last quarter of all ticks, one in this many is sent in time even on a busy host.
+/// In a quarter of all ticks, one in this many is sent in time even on a busy host.
 const IN_TIME_SHARE: usize = 10;
 /// Largest drift, as a share of the period.
 const DRIFT_SHARE: f64 = 0.25;
 
-/// Ticks since a configuration.
 #[derive(Debug, Default)]
 pub(super) struct TickComparison {
     period: Duration,
     expected: usize,
     /// Time by which the controller's clock may have advanced more than that of the reference.
     late: Duration,
-    /// When the controller sent each tick, by its own clock, µs.
+    /// Send time of each tick on the controller's clock, µs.
     sent_us: Vec<u32>,
 }
 
@@ -28,8 +26,8 @@ impl TickComparison {
         Self { period: Duration::from_micros(configure.period_us.into()), ..Self::default() }
     }
 
-    /// `expected`: number of ticks of the reference. `late`: time by which the bench was late. Returns the sentence
-    /// about a wrong tick; none if all are right.
+    /// `expected` is the number of the reference's ticks, `late` the bench's lateness. Returns a sentence about a wrong
+    /// tick.
     pub(super) fn add(&mut self, ticks: &[Packet], expected: usize, late: Duration) -> Option<String> {
         self.expected += expected;
         self.late += late;
@@ -48,8 +46,7 @@ impl TickComparison {
         is_far.then(|| format!("{own} ticks since the configuration, expected {}", self.expected))
     }
 
-    /// By how much the ticks of the last quarter are later than those of the first one, relative to their periods, if
-    /// that is more than a share of the period.
+    /// Drift of the last quarter of the ticks from the first quarter; `None` if it is at most [`DRIFT_SHARE`].
     pub(super) fn drift(&self) -> Option<Duration> {
         if self.sent_us.len() < MIN_TICKS {
             return None;

@@ -1,11 +1,11 @@
-//! Builds scripts of time: watchdog, ticks, and a long trial.
+//! Builds scripts that test the watchdog, ticks and a long trial.
 
 use super::builder::Builder;
 use platebench_wire::{Configure, Message};
 
-/// Waits are far from the timeouts, because a PC may stall.
+/// The waits are far from the timeouts, because a PC may stall.
 pub(super) fn watchdog(builder: &mut Builder, configure: Configure) {
-    // Five periods of 50 ms.
+    // A timeout of 0 means five periods, here 250 ms.
     builder.configure(Configure { period_us: 50_000, watchdog_timeout_ms: 0, ..configure });
     builder.sample(2.0, 0.0, 0.0);
     builder.wait_ms(120);
@@ -15,7 +15,7 @@ pub(super) fn watchdog(builder: &mut Builder, configure: Configure) {
     builder.wait_ms(150);
     builder.sample(2.0, 1.3, -0.2);
     builder.sample(2.0, 1.3, -0.2);
-    // More than eight bits; before the first sample there is no timeout.
+    // This timeout needs more than eight bits. It does not act before the first sample.
     builder.configure(Configure { watchdog_timeout_ms: 300, ..configure });
     builder.wait_ms(400);
     builder.sample(2.0, 0.0, 0.0);
@@ -24,7 +24,7 @@ pub(super) fn watchdog(builder: &mut Builder, configure: Configure) {
     builder.wait_ms(400);
     builder.sample(2.0, f32::NAN, -0.2);
     builder.repeat_sample();
-    // More than 15 bits.
+    // This timeout needs more than 15 bits.
     builder.configure(Configure { watchdog_timeout_ms: 40_000, ..configure });
     builder.sample(2.0, 0.0, 0.0);
     builder.wait_ms(150);
@@ -58,20 +58,20 @@ pub(super) fn ticks(builder: &mut Builder, configure: Configure) {
     builder.pass_ms(125);
     builder.configure(configure);
     builder.pass_ms(150);
-    // Ticks end one second after the configuration.
+    // Without samples, ticks end one second after the configuration.
     builder.configure(paced);
     builder.pass_ms(1_175);
     builder.sample(2.0, 0.0, 0.0);
 }
 
-/// So many that their number wraps and that delays of some microseconds add up to a large part of a period.
+/// Plays so many ticks that their numbers wrap and delays of some microseconds add up to a large part of a period.
 pub(super) fn short_ticks(builder: &mut Builder, configure: Configure) {
     builder.configure(Configure { paced_by_target: true, period_us: 3_000, ..configure });
     builder.pass_ms(900);
     builder.configure(configure);
 }
 
-/// The drive keeps the value that the first sample gave the integrals. Without variations: nothing depends on rounding.
+/// The drive keeps the value from the first sample. No variation is needed, because nothing depends on rounding.
 pub(super) fn many_samples(builder: &mut Builder) {
     if builder.has_variation() {
         builder.discard();

@@ -280,7 +280,6 @@ fn filters_commands_by_sequence_number() {
             .new_command(&Packet { sequence, message: Message::Command(command(state)) })
             .is_some()
     };
-    // This includes the wrap of the numbers.
     for (sent, last) in [(7, 5), (1, 255), (0, 254)] {
         let at = |offset: i8| is_new(sent, last, last.wrapping_add_signed(offset), ControllerState::Running);
         assert_eq!([-1, 0, 1, 2, 3].map(at), [false, false, true, true, false], "{sent} {last}");

@@ -44,7 +44,6 @@ impl Client {
         self.receive()
     }
 
-    /// Signal of a stop.
     fn resume(&mut self, body: &str) -> String {
         let stop = self.ask(body);
         assert!(stop.starts_with(['S', 'T']), "{stop}");
@@ -55,7 +54,6 @@ impl Client {
         little_endian(&self.ask(&format!("m{address:x},4")))
     }
 
-    /// r15 of the registers r0 to r15.
     fn pc(&mut self) -> u32 {
         let registers = self.ask("g");
         assert_eq!(registers.len(), 16 * 8, "{registers}");

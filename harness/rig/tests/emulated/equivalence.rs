@@ -20,7 +20,6 @@ fn reads_the_identity_of_the_firmware() {
     assert_eq!(identity.version.map(|number| number.to_string()).join("."), env!("CARGO_PKG_VERSION"));
     assert!(LawId::ALL.into_iter().all(|law| identity.has_law(law)));
     assert_eq!(identity.build, source_hash::source_hash(&firmware_under_test()).unwrap()[..8]);
-    // STM32F42x and F43x: device 0x419.
     assert_eq!(identity.chip & 0xFFF, 0x419);
     assert_eq!(&identity.unique, b"emulated-427");
     assert_eq!(session.link().baud(), 1_000_000);

@@ -67,7 +67,6 @@ fn reports_a_planted_fault(#[case] number: u8, #[case] expected: &[&str]) {
     }
     assert_eq!(matches!(*error, TargetError::Unsupported(_)), number == 9);
     assert_eq!(matches!(*error, TargetError::Reset { .. }), [3, 11, 12].contains(&number));
-    // The error persists until the next trial.
     let again = session.send_sample(2 * PERIOD, &sample(2.0, 0.0));
     let Err(RigError::Link(LinkError::Target(again))) = again else { panic!("{again:?}") };
     assert_eq!(again, error);

@@ -29,7 +29,6 @@ pub(crate) struct Chip {
     /// Each programmed page flips a bit of it.
     pub(crate) failing_byte: Option<u32>,
     pub(crate) algorithm_hangs: bool,
-    /// Number of accesses without acknowledgement.
     pub(crate) failing_accesses: u32,
     pub(crate) memory_hangs: bool,
     pub(crate) watchdog_resets_when_halted: bool,
@@ -157,7 +156,6 @@ impl Chip {
             0xe000_edf4 => self.transfer(value),
             0xe000_edf8 => self.dcrdr = value,
             0xe000_ed0c if value >> 16 == 0x05fa && value & 4 != 0 => self.reset(),
-            // Writing ones clears.
             0xe000_ed30 => *self.registers.entry(address).or_default() &= !value,
             _ => {
                 self.registers.insert(address, value);
@@ -261,7 +259,6 @@ impl Chip {
         (address..address + size).for_each(|address| *self.flash_byte(address) = 0xff);
     }
 
-    /// Programming only clears bits.
     fn program_page(&mut self, address: u32, size: u32, buffer: u32) {
         self.programmed_pages += 1;
         for offset in 0..size {

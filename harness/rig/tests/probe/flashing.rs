@@ -1,5 +1,3 @@
-//! Tests writing and verification of the flash.
-
 use crate::attach;
 use crate::emulated_probe::SharedChip;
 use crate::image::{FLASH, ImageSpec};

@@ -91,7 +91,6 @@ fn ends_the_handshake_with_a_silent_port() {
     assert!(!error.is_invalid_input());
     let text = error.to_string();
     assert!(text.contains(&port) && text.contains("within 400 ms after the reset"), "{text}");
-    // Port and board are free again.
     chip.lock().lost_serial_chunks = 0;
     assert!(connect(&chip, &port, Program::Port).is_ok());
 }

@@ -1,5 +1,3 @@
-//! Tests the wire protocol over RTT.
-
 use crate::emulated_probe::SharedChip;
 use crate::image::{ImageSpec, Program};
 use crate::rtt_buffers::RttBuffers;
@@ -77,7 +75,7 @@ fn reports_a_missing_acknowledgement_for_good() {
     let error = link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err();
     assert!(matches!(error, LinkError::Disconnected(_)), "{error:?}");
     let error = error.to_string();
-    assert!(error.contains("an exchange failed") && error.contains("did not respond"), "{error}");
+    assert!(error.contains("an RTT exchange failed") && error.contains("did not respond"), "{error}");
     // The line works again, but the session has lost bytes.
     assert!(link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err().to_string().contains("earlier error"));
     let before = chip.lock().resets;
@@ -92,7 +90,7 @@ fn abandons_a_probe_that_hangs() {
     chip.lock().memory_hangs = true;
     let start = Instant::now();
     let error = link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err().to_string();
-    assert!(error.contains("the debug probe hangs: an exchange did not end within 400 ms"), "{error}");
+    assert!(error.contains("the debug probe hangs: an RTT exchange did not end within 400 ms"), "{error}");
     drop(link);
     assert!(start.elapsed() < BUSY_MACHINE_LIMIT, "{:?}", start.elapsed());
     chip.lock().memory_hangs = false;

@@ -1,5 +1,3 @@
-//! Tests the report of a trapped processor.
-
 use crate::emulated_probe::SharedChip;
 use crate::image::{CONTROL_STEP, ImageSpec, MAIN_LOOP, Program};
 use crate::{BUSY_MACHINE_LIMIT, link};

@@ -15,12 +15,11 @@ const PERIOD: Duration = Duration::from_millis(1);
 
 pub(crate) struct ExchangeStats {
     pub(crate) lateness: Quantiles,
-    /// From the sample to the command.
     pub(crate) round_trip: Quantiles,
     pub(crate) missed: u32,
 }
 
-/// Has a sample time-out for a busy machine.
+/// The watchdog is long enough for a busy computer.
 const CONFIGURE: Configure = Configure { watchdog_timeout_ms: 1_000, ..platebench_test_kit::CONFIGURE };
 
 fn sample(number: u32) -> Sample {

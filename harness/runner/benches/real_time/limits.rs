@@ -28,7 +28,7 @@ fn nanos(time: Timespec) -> i64 {
 
 /// `None` if `realtime` scheduling is not permitted.
 pub(crate) fn measure_sleep(length: Duration, realtime: bool) -> Result<Option<Quantiles>, Box<dyn Error>> {
-    // Processes would inherit the thread's priority.
+    // A new thread, because the processes of the bench would inherit the priority.
     let thread = std::thread::spawn(move || {
         let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
         let priority = ThreadPriorityValue::try_from(PRIORITY).map(ThreadPriority::Crossplatform);
@@ -54,7 +54,7 @@ fn sleep_repeatedly(length: Duration) -> std::io::Result<Quantiles> {
     Ok(quantiles(&mut late))
 }
 
-/// `None` if it is not installed or not permitted.
+/// `None` if `cyclictest` is not installed or not permitted.
 pub(crate) fn run_cyclictest(length: Duration) -> Result<Option<Reference>, Box<dyn Error>> {
     let loops = (length.as_millis()).to_string();
     let output =
@@ -115,7 +115,7 @@ pub(crate) fn measure_echo(length: Duration) -> Result<Quantiles, Box<dyn Error>
         return Err("the other process does not answer".into());
     }
     line.read_exact(&mut buffer)?;
-    // The line hangs up when the other process ends.
+    // Now the line hangs up when the other process ends.
     drop(other);
     let count = length.as_millis() as u32;
     let mut times = Vec::with_capacity(count as usize);

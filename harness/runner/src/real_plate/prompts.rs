@@ -4,7 +4,7 @@ use platebench_plate::{Profile, Time};
 use platebench_scenario::Scenario;
 
 const COUNTDOWN_STEPS_S: [u32; 4] = [3, 2, 1, 0];
-/// The later of two closer actions is dropped.
+/// Of two actions that are closer in time, only the earlier is announced.
 const MIN_PROMPT_SPACING: Time = Time::from_nanos(500_000_000);
 
 #[derive(Debug, Clone, PartialEq)]
@@ -34,7 +34,7 @@ fn temperature_prompt(scenario: &Scenario, offset_k: f64) -> String {
     format!("bring the plate to {} °C ({offset_k:+} K)", ((reference + offset_k) * 1e3).round() / 1e3)
 }
 
-/// In the order in which they are possible.
+/// Actions before the trial, in the order in which the operator can do them.
 pub(super) fn initial_prompts(scenario: &Scenario) -> Vec<String> {
     let start = scenario.conditions.at(Time::ZERO);
     let mut asked = Vec::new();
@@ -80,21 +80,21 @@ impl Prompts {
 fn profile_prompts(profile: &Profile, duration: Time, word: impl Fn(f64) -> String) -> Vec<Prompt> {
     if let Profile::Sine { mean, amplitude, omega, .. } = profile {
         let hertz = omega / std::f64::consts::TAU;
-        let what = format!("{}, then {amplitude} more and less {hertz} times a second", word(*mean));
+        let what = format!("{}, then vary this value by ±{amplitude} at {hertz} Hz", word(*mean));
         return if *amplitude == 0.0 { Vec::new() } else { vec![Prompt { at: Time::ZERO, what }] };
     }
     let mut prompts: Vec<Prompt> = Vec::new();
     let points = std::iter::successors(Some(Time::ZERO), |point| profile.next_point_after(*point));
     let mut before = profile.at(Time::ZERO);
     for point in points.take_while(|point| *point < duration) {
-        // A linear segment asks for its end value.
+        // The prompt for a linear segment states the value at its end.
         let (until, goal) = match (profile, profile.next_point_after(point)) {
             (Profile::Linear(_), Some(next)) => (Some(next), profile.at(next)),
             _ => (None, profile.at(point)),
         };
         let is_new = goal != before && prompts.last().is_none_or(|last| point >= last.at + MIN_PROMPT_SPACING);
         if is_new {
-            let slowly = until.map_or_else(String::new, |until| format!(", evenly until {} s", until.seconds()));
+            let slowly = until.map_or_else(String::new, |until| format!(", as a ramp until {} s", until.seconds()));
             prompts.push(Prompt { at: point, what: word(goal) + &slowly });
         }
         before = if is_new { goal } else { profile.at(point) };
@@ -126,9 +126,8 @@ mod tests {
         let line = Profile::Linear(vec![(Time::ZERO, 0.0), (ms(5_000.0), 0.0), (ms(9_000.0), 1.5)]);
         assert_eq!(
             prompt_texts(&line),
-            [(5_000.0, "press the plate with 1.5 N and hold, evenly until 9 s".to_owned())]
+            [(5_000.0, "press the plate with 1.5 N and hold, as a ramp until 9 s".to_owned())]
         );
-        // Only the first of actions in quick succession is announced.
         assert_eq!(profile_prompts(&held, ms(5_000.0), force_prompt), []);
         let fast = Profile::Hold((0..20).map(|n| (ms(f64::from(n) * 100.0), f64::from(n))).collect());
         assert_eq!(prompt_texts(&fast).iter().map(|(at, _)| *at).collect::<Vec<_>>(), [100.0, 600.0, 1_100.0, 1_600.0]);

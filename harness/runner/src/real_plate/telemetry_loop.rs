@@ -1,7 +1,7 @@
 //! Exchanges setpoints and telemetry with a controller that drives its own plate.
 //!
-//! One thread, no allocation from the first setpoint on. Setpoints follow the profile by the
-//! controller's clock and are repeated to keep it alive. Every trial ends with a request for 0 V.
+//! The loop is one thread and does not allocate after the first setpoint. Setpoints follow the profile by the
+//! controller's clock. The loop repeats them for the controller's watchdog and ends with a request for 0 V.
 
 use super::telemetry_rows::TelemetryRows;
 use crate::abort::TrialAbort;
@@ -22,7 +22,6 @@ use std::time::{Duration, Instant};
 
 /// Without a setpoint for this time, the controller goes to 0 V.
 const WATCHDOG_TIMEOUT_MS: u16 = 250;
-/// A constant setpoint is repeated after this time.
 const KEEP_ALIVE_INTERVAL: Duration = Duration::from_millis(50);
 /// A later repetition is an overrun of the bench.
 const LATE_SETPOINT: Duration = Duration::from_millis(200);
@@ -40,7 +39,7 @@ pub(super) struct TelemetryLoopResult {
 #[derive(Clone, Copy)]
 struct PendingSetpoint {
     sent_at: Instant,
-    /// Time of the last telemetry before it.
+    /// Trial time of the last telemetry before the setpoint.
     telemetry_time: Time,
 }
 
@@ -141,7 +140,6 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
         }
     }
 
-    /// Extrapolated from the last telemetry.
     fn trial_time(&self, now: Instant) -> Time {
         let since = now.saturating_duration_since(self.last_telemetry).as_nanos();
         self.telemetry.time().map_or(Time::ZERO, |last| last + Time::from_nanos(since as u64))
@@ -173,7 +171,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
         Ok(())
     }
 
-    /// Telemetry newer than the time-out shows that the bench has read the line.
+    /// Counts a setpoint only if later telemetry shows that the bench has read the line for the whole time-out.
     fn count_unacknowledged(&mut self, now: Instant) {
         let within = Time::from_nanos(ACKNOWLEDGE_TIMEOUT.as_nanos() as u64);
         let last = self.telemetry.time().unwrap_or(Time::ZERO);

@@ -5,7 +5,7 @@ use platebench_plate::Time;
 use platebench_trace::{Flags, Row};
 use platebench_wire::{ControllerState, Telemetry};
 
-/// Orders by the target's clock, which starts with its period 0.
+/// Orders telemetry by the target's clock. The trial starts with the target's period 0.
 pub(super) struct TelemetryRows {
     period_us: u32,
     limit_vpp: f64,
@@ -39,7 +39,7 @@ impl TelemetryRows {
             return None;
         }
         let since_start_us = match self.last {
-            // Periods before the first telemetry have elapsed too.
+            // The periods before the first telemetry belong to the trial.
             None => u64::from(telemetry.period) * u64::from(self.period_us),
             Some(last) => {
                 let (periods, span) = (
@@ -85,7 +85,7 @@ impl TelemetryRows {
         Some(row)
     }
 
-    /// 0 V, one period after the last telemetry of a stopped controller.
+    /// Row with 0 V one period after the last telemetry. `None` if that telemetry shows the stop already.
     pub(super) fn stop_row(&self) -> Option<Row> {
         let last = self.last.filter(|last| !last.row.flags.contains(Flags::SAFE))?;
         let t_s = (last.since_start_us + u64::from(self.period_us)) as f64 / 1e6;

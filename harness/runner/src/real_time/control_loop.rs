@@ -1,4 +1,4 @@
-//! Runs the real-time loop: control instants, received messages, and the end.
+//! Runs the loop of a trial in real time, paced by the bench or by the target.
 
 use super::manual_control::ManualControl;
 use super::ticks::TickTracker;
@@ -20,11 +20,11 @@ use platebench_wire::{Configure, ControllerState, Gains, Message, StateCause};
 use std::time::{Duration, Instant};
 
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
-/// The thread polls before a deadline: a timer wakes it some tens of microseconds late.
+/// The thread polls for this time before a deadline, because a timer would wake it some 10 µs late.
 const SPIN_TIME: Duration = Duration::from_micros(80);
-/// Share of the period; a later sample is an overrun of the bench.
+/// A sample that is later than this share of the control period is an overrun of the bench.
 const OVERRUN_SHARE: f64 = 0.25;
-/// A shared host may stall for some 10 ms.
+/// Shortest silence of a lost controller. A shared host may stall for some 10 ms.
 const MIN_SILENT_TIME: Duration = Duration::from_millis(250);
 /// Time from the configuration to the first control instant.
 const START_DELAY: Duration = Duration::from_millis(2);
@@ -34,14 +34,14 @@ pub(super) struct RealTimeLoop<'a, L: Link> {
     scenario: &'a Scenario,
     controller: ControllerLog<'a>,
     plant: PlantSimulation<'a, RowQueue>,
-    /// The number counts its changes that have acted.
+    /// The number counts the changes that the plate has received.
     manual_control: Option<(&'a ManualControl, u64)>,
     time_base: TimeBase,
     period: Time,
     duration: Time,
     start: Instant,
     next_control: Time,
-    /// By sequence number: control instants of samples without a reply.
+    /// Control instants of samples without a reply, indexed by sequence number.
     unanswered: [Option<Time>; 256],
     last_sent: Option<u8>,
     last_received: Instant,
@@ -96,7 +96,6 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.time_base.plate_time(at.saturating_duration_since(self.start))
     }
 
-    /// Control instants are multiples of the period.
     fn run_bench_paced(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
         self.session.link_mut().start_real_time(self.start, self.time_base.time_scale);
         while self.next_control < self.duration {
@@ -131,7 +130,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         let lateness = now.saturating_duration_since(self.wall_instant(due));
         self.plant.advance_through(due);
         if now >= self.wall_instant(self.next_control) {
-            // This sample would only add to the delay of the next.
+            // Skips this sample, because it would delay the next one.
             self.timing.counts.periods += 1;
             self.timing.counts.overruns += 1;
             self.timing.counts.skipped += 1;
@@ -142,7 +141,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.send_sample(lateness, 0)
     }
 
-    /// Ticks of the target are the control instants; the trial starts with the first one.
+    /// The target's ticks are the control instants. The trial starts with the first tick.
     fn run_target_paced(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
         let mut ticks = TickTracker::default();
         let first = Instant::now() + MIN_SILENT_TIME;
@@ -177,7 +176,6 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             }
             self.plant.advance_through(instant);
             last_tick = instant;
-            // A missing tick was skipped by the target or lost on the line.
             let (lateness, missing) = ticks.record(received.received_at, tick.target_time_us, self.period);
             self.send_sample(lateness, missing)?;
         }
@@ -186,7 +184,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         Ok(())
     }
 
-    /// A stop that the controller reported explains missing ticks.
+    /// A reported stop other than a sample time-out explains missing ticks.
     fn count_missed_ticks(&mut self, last_tick: Time) {
         let periods = (self.duration - last_tick).as_nanos() / self.period.as_nanos().max(1);
         let has_stopped = self.controller.stop_cause().is_some_and(|cause| cause != StateCause::SampleTimeout);
@@ -202,7 +200,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         Instant::now() >= self.wall_instant(self.duration)
     }
 
-    /// The plate is at the control instant; `missing` earlier instants had no tick.
+    /// The plate must be at the control instant. `missing` is the number of earlier control instants without a tick.
     fn send_sample(&mut self, lateness: Duration, missing: u64) -> Result<(), TrialAbort> {
         let now = self.plant.time();
         if let Some(inputs) = self.manual_control.as_mut().and_then(|(manual, seen)| manual.changed_inputs(seen)) {
@@ -235,7 +233,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.plant.push_row(to_micros(lateness), flags);
         let sequence = outcome?;
         if let Some(unanswered) = self.unanswered.get_mut(usize::from(sequence)) {
-            // Numbers repeat after 256 samples: an older reply would be taken for this sample's.
+            // Sequence numbers repeat after 256 samples, so a reply to the older sample would belong to this one.
             self.timing.counts.lost_replies += u64::from(unanswered.replace(now).is_some());
         }
         self.last_sent = Some(sequence);
@@ -264,7 +262,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         if sampled.is_some() && command.state == ControllerState::Idle {
             return Err(RigError::Restarted.into());
         }
-        // A control instant may have come after the arrival.
+        // A control instant after the arrival may have moved the plate already.
         let instant = self.plate_time(received.received_at).max(self.plant.time()).min(self.duration);
         self.plant.advance_through(instant);
         if let Some(sampled) = sampled {
@@ -298,7 +296,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
                 self.handle_message(&received)?;
             }
         }
-        // The bound ends a controller that never stops sending.
+        // The bound is for a controller that never stops sending.
         for _ in 0..self.unanswered.len() {
             let Some(received) = self.session.receive(Instant::now())? else { break };
             self.handle_message(&received)?;
@@ -311,13 +309,13 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         Ok(())
     }
 
-    /// No later control instant would notice the missing reply.
+    /// No later control instant notices this missing reply.
     fn is_last_reply_missing(&self) -> bool {
         let sampled = self.last_sent.and_then(|last| self.unanswered.get(usize::from(last)).copied().flatten());
         sampled.is_some_and(|sampled| self.duration.since(sampled) >= self.period)
     }
 
-    /// Ends at 0 V. `None` if the trial was cancelled.
+    /// Requests 0 V. `None` if the trial was cancelled.
     pub(super) fn finish(
         mut self,
         abort: Option<TrialAbort>,
@@ -335,7 +333,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             Some(TrialAbort::Lost(error)) => Some(error),
         };
         if let Some(error) = &lost {
-            // The rest is played at 0 V, without waiting.
+            // Plays the rest of the trial at 0 V without waiting.
             let flags = if is_controller_failure(error) { Flags::empty() } else { Flags::LINK_LOST };
             self.plant.stop_drive();
             self.plant.push_row(0.0, flags);

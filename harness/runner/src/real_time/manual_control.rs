@@ -16,7 +16,7 @@ impl ManualControl {
         self.change_count.fetch_add(1, Ordering::Release);
     }
 
-    /// Does not wait: a change in progress is read in the next period.
+    /// Does not wait. Reads a change in progress in the next control period.
     pub(super) fn changed_inputs(&self, seen: &mut u64) -> Option<ManualInputs> {
         let changes = self.change_count.load(Ordering::Acquire);
         if changes == *seen {

@@ -3,37 +3,37 @@
 use platebench_plate::Time;
 use std::time::{Duration, Instant};
 
-/// The earliest recent arrival counts as punctual. A tick carries the instant at which the target
-/// handled it, which does not show the target's own lateness.
+/// The earliest recent arrival counts as punctual. The time stamp of a tick does not show the target's own lateness,
+/// because the target sets it when it handles the tick.
 #[derive(Debug, Default)]
 pub(super) struct TickTracker {
     first: Option<Instant>,
     last_us: u32,
-    /// µs, unwrapped.
+    /// Target time without wrap, µs.
     target_us: u64,
     period: u64,
-    /// Least arrival minus start of period, µs, in two intervals: clocks drift.
+    /// Least delay of a tick after the start of its period, µs, in the current and the previous interval.
     earliest: [Option<f64>; 2],
     interval: u64,
 }
 
 impl TickTracker {
-    /// Two clocks drift by at most some 0.1 µs per ms.
+    /// Two clocks drift by about 0.1 µs per ms at most, so by 50 µs in this interval.
     const DRIFT_INTERVAL: Duration = Duration::from_millis(500);
 
     pub(super) fn has_ticks(&self) -> bool {
         self.first.is_some()
     }
 
-    /// Returns the lateness within the period and the number of periods without a tick. An
-    /// unusually early tick gives the same lateness: the punctual ones before were late.
+    /// Returns the lateness within the period and the number of periods without a tick. If this tick is the earliest,
+    /// the ticks before it were late, and their lateness is returned.
     pub(super) fn record(&mut self, at: Instant, target_us: u32, period: Time) -> (Duration, u64) {
         if self.first.is_none() {
             self.last_us = target_us;
         }
         let since = at.saturating_duration_since(*self.first.get_or_insert(at));
         let step = target_us.wrapping_sub(std::mem::replace(&mut self.last_us, target_us));
-        // A step back looks like more than half the range.
+        // A step back looks like a step of more than half the counter's range.
         self.target_us += if step > u32::MAX / 2 { 0 } else { u64::from(step) };
         let period_us = period.seconds() * 1e6;
         let number = (self.target_us as f64 / period_us).round();

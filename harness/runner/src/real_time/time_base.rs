@@ -38,10 +38,10 @@ impl TimeBase {
         Time::from_nanos((span.as_nanos() as f64 * self.time_scale).round() as u64)
     }
 
-    /// Both pacing and watchdog run on the wall clock.
+    /// Sets pacing and watchdog, which both use wall time.
     pub(super) fn with_target_timing(&self, configure: Configure) -> Configure {
         let period = Duration::from_micros(u64::from(configure.period_us)).as_secs_f64();
-        // 0 leaves the controller's default of five periods.
+        // 0 keeps the controller's default of five control periods.
         let watchdog_ms = if self.time_scale == 1.0 { 0.0 } else { (5.0 * period * 1e3 / self.time_scale).ceil() };
         let paced_by_target = self.pacing == Pacing::Target;
         Configure { watchdog_timeout_ms: watchdog_ms as u16, paced_by_target, ..configure }

@@ -26,7 +26,7 @@ pub enum ReplayError {
     #[error("{}: expected a trace, such as RUN/traces/SCENARIO/000.csv; this is a folder", .0.display())]
     Folder(PathBuf),
     #[error(
-        "{}: no run folder around this trace names it, expected --scenario FILE with law and configuration",
+        "{}: no run folder contains this trace, expected --scenario FILE with its law and configuration",
         .0.display()
     )]
     NoRun(PathBuf),
@@ -38,11 +38,11 @@ pub enum ReplayError {
     )]
     OtherPeriod { path: PathBuf, found_ms: f64, expected_ms: f64 },
     #[error(
-        "{}: column setpoint is missing and the scenario's profile ends at {duration_s} s, before {at_s} s",
+        "{}: no setpoint at {at_s} s, because the scenario ends at {duration_s} s; expected a column setpoint",
         path.display()
     )]
     NoSetpoint { path: PathBuf, duration_s: f64, at_s: f64 },
-    #[error("not applicable: {0}")]
+    #[error("this controller cannot play the recording: {0}")]
     NotApplicable(String),
     #[error(transparent)]
     Run(#[from] RunError),

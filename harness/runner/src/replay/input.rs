@@ -1,9 +1,8 @@
-//! Defines the input of a replay.
+//! Holds a recording and the scenario that configures the controller for its replay.
 
 use platebench_scenario::Scenario;
 use platebench_verdict::replay::Recording;
 
-/// A recording, and the scenario that configures the controller for it.
 #[derive(Debug)]
 pub struct ReplayInput {
     pub recording: Recording,
@@ -11,7 +10,6 @@ pub struct ReplayInput {
 }
 
 impl ReplayInput {
-    /// Replaces the recorded law.
     #[must_use]
     pub fn with_law(mut self, law: Option<&str>) -> Self {
         if let Some(name) = law {

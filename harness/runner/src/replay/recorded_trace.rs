@@ -1,7 +1,6 @@
 //! Extracts samples and commands from a trace.
 //!
-//! A row with the flag `control` holds the sample. The row in force just before the next command
-//! acts holds the command.
+//! A row with the flag `control` holds the sample. The last row before the next command acts holds the command.
 
 use super::error::ReplayError;
 use super::input::ReplayInput;
@@ -13,14 +12,14 @@ use platebench_trace::{Flags, Row, read_trace};
 use platebench_verdict::replay::{Recording, RecordingEnd, ReplayCommand, ReplayStep};
 use std::path::{Path, PathBuf};
 
-/// Half of the nanosecond to which instants are rounded.
+/// Half of a nanosecond, to which instants are rounded.
 const HALF_TICK_S: f64 = 0.5e-9;
-/// In periods; a larger distance of two samples means that one is missing.
+/// In control periods. If two samples are further apart, a sample between them is missing.
 const MAX_SAMPLE_DISTANCE: f64 = 1.5;
-/// In periods; smaller distances are another period.
+/// In control periods. If two samples are closer, the recording has another control period.
 const MIN_SAMPLE_DISTANCE: f64 = 0.5;
 
-/// `scenario` replaces the one of the run folder.
+/// `scenario` replaces the scenario of the run folder.
 pub fn read_recorded_trace(trace: &Path, scenario: Option<&Path>) -> Result<ReplayInput, ReplayError> {
     if trace.is_dir() {
         return Err(ReplayError::Folder(trace.to_owned()));
@@ -50,7 +49,7 @@ struct StoredTrace {
     trial: TrialRecord,
 }
 
-/// `None` if no folder above the trace is a run that names it.
+/// `None` if no run folder above the trace lists it.
 fn find_trial(trace: &Path) -> Result<Option<StoredTrace>, ReplayError> {
     let io = |source| ReplayError::Io { path: trace.to_owned(), source };
     let trace = trace.canonicalize().map_err(io)?;
@@ -115,7 +114,7 @@ pub(super) fn check_recording(path: &Path, recording: &Recording, period_s: f64)
     }
 }
 
-/// The row that holds the command for the sample in row `index`; `None` if it never acted.
+/// Row that holds the command for the sample in row `index`. `None` if the command never acted.
 fn acting_row<'a>(
     rows: &'a [Row],
     index: usize,
@@ -132,7 +131,7 @@ fn acting_row<'a>(
             let delay = controller.loop_delay;
             (delay.seconds(), (delay + controller.loop_delay_jitter).seconds())
         }
-        // The delay of the line is shorter than a period and unknown.
+        // The delay of the line is unknown but shorter than a control period.
         ClockKind::RealTime => (0.0, controller.period.seconds()),
     };
     if row.t_s + longest_s > last.t_s + HALF_TICK_S {

@@ -1,5 +1,3 @@
-//! Tests the detection of divergence: beyond the stability limit, and no false alarm before it.
-
 use crate::fixtures::FIG13;
 use platebench_plate::{Profile, Time};
 use platebench_rig::{CancelToken, FaultInjector, HostedLink, Session};

@@ -1,5 +1,3 @@
-//! Provides run plans and runs on the hosted rig.
-
 use platebench_record::{Overrides, RunFolder, RunRecord};
 use platebench_rig::RigSpec;
 use platebench_runner::{Clock, Pacing, RunHooks, RunPlan, TimeBase, run};

@@ -1,5 +1,3 @@
-//! Tests the limits of each control law on the modal plate, on the hosted rig.
-
 use crate::fixtures::{LOCKSTEP, plan, run_hosted};
 use platebench_test_kit::{PLATE, write_scenario};
 

@@ -1,5 +1,3 @@
-//! Checks that a reader of live rows does not change a run and sees the record's rows.
-
 use crate::fixtures::{LOCKSTEP, plan};
 use platebench_record::{RunFolder, RunRecord};
 use platebench_rig::RigSpec;

@@ -1,5 +1,3 @@
-//! Runs trials and whole runs through the library: laws, models, failures of board, line and plate.
-
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a failed fixture fails the test")]
 
 mod between;

@@ -1,5 +1,3 @@
-//! Checks which model of the plate a run plays, records and judges.
-
 use crate::fixtures::{FIG13, LOCKSTEP, plan, run_hosted};
 use platebench_plate::Tier;
 use platebench_record::{Overrides, RunRecord};

@@ -1,5 +1,3 @@
-//! Tests a drive that is NaN or infinite: 0 V, a reason, and finite numbers in all files.
-
 use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
 use platebench_record::{Cause, Exclusion, NonFiniteDrive, RunFolder, RunRecord, ScenarioRecord, TrialReason, Verdict};
 use platebench_rig::{HostedLink, Link, LinkError};

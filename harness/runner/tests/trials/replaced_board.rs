@@ -1,5 +1,3 @@
-//! Tests boards that restart within a trial, and another board on the same line.
-
 use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, packets, plan};
 use platebench_record::{Cause, RunFolder, RunRecord, Verdict};
 use platebench_rig::{BoxedLink, HostedLink, Link, LinkError, RealTimeLine, WallClockLink};

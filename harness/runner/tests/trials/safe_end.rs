@@ -1,5 +1,3 @@
-//! Checks that a failed trial ends with a request for 0 V and a recorded confirmation.
-
 use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, packets, plan};
 use platebench_record::{RunFolder, RunRecord};
 use platebench_rig::{BoxedLink, HostedLink, Link, LinkError, RealTimeLine, WallClockLink};
@@ -17,9 +15,7 @@ enum InjectedFailure {
     LostOnSend,
     LostOnReceive,
     LostOnExchange,
-    /// Every later exchange fails, too.
     LostPermanently,
-    /// The request for 0 V panics, too.
     PanicPermanently,
 }
 

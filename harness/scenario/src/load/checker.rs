@@ -7,19 +7,19 @@ use crate::window::ProfileChanges;
 use platebench_plate::{Plate, Profile, Time};
 use std::path::{Path, PathBuf};
 
-/// A checked plate that is not read from its file again.
+/// A plate that was already checked, so that its file is not read again.
 #[derive(Debug, Clone)]
 pub(super) struct KnownPlate {
     pub(super) path: PathBuf,
     pub(super) plate: Plate,
-    /// Empty if no file has it.
+    /// Empty if no file contains the plate.
     pub(super) text: String,
 }
 
 pub(super) struct Checker<'a> {
     pub(super) path: &'a Path,
     pub(super) text: &'a str,
-    /// Table of the checked keys, with a dot at its end: `between.0.`, `fault.0.`; empty for the whole file.
+    /// Path of the table whose keys are checked, for example `between.0.`. Empty for the whole file.
     pub(super) prefix: String,
     pub(super) plates: &'a [KnownPlate],
 }
@@ -53,7 +53,6 @@ impl Diagnostics {
 }
 
 impl<'a> Checker<'a> {
-    /// Returns a checker of the keys in the table `name`.
     pub(super) fn table(&self, name: &str) -> Checker<'a> {
         Checker { prefix: format!("{}{name}.", self.prefix), ..*self }
     }
@@ -75,7 +74,7 @@ impl<'a> Checker<'a> {
         if holds { Ok(()) } else { self.error(key, message()) }
     }
 
-    /// `options`: name, whether it is given, whether it applies to `subject`.
+    /// Each option has a name and is present or not. The last value is true if it applies to `subject`.
     pub(super) fn check_options(&self, subject: &str, options: &[(&str, bool, bool)]) -> Result<(), Diagnostic> {
         match options.iter().find(|(_, is_given, applies)| *is_given && !applies) {
             Some((name, ..)) => self.error(name, format!("`{name}` does not apply to {subject}")),
@@ -93,7 +92,6 @@ impl<'a> Checker<'a> {
         self.require(is_one_line, key, || format!("{text:?}, expected one line of text"))
     }
 
-    /// Values for the controller are carried in single precision.
     pub(super) fn f32_range(&self, key: &str, value: f64) -> Result<f64, Diagnostic> {
         self.require((value as f32).is_finite(), key, || {
             format!("{value:e}, expected at most 3.4e38: the wire carries single precision")

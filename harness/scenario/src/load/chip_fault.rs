@@ -1,4 +1,4 @@
-//! Checks planned faults of the chip: each has an instant and only the options of its kind.
+//! Checks that each planned fault of the chip has an instant and only the options of its kind.
 
 use super::checker::Checker;
 use crate::chip_fault::{BitFlipTarget, ChipFault, ChipFaultKind, parse_address};
@@ -6,7 +6,7 @@ use crate::diagnostic::Diagnostic;
 use crate::raw::RawFault;
 use platebench_plate::Time;
 
-/// Beyond this a UART misreads.
+/// A UART misreads bytes at a larger drift.
 const MAX_DRIFT_PPM: f64 = 20_000.0;
 
 impl Checker<'_> {

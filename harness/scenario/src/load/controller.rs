@@ -10,9 +10,9 @@ use std::f64::consts::TAU;
 
 const DEFAULT_LAW: &str = "dq-pi";
 const DEFAULT_PERIOD_MS: f64 = 1.0;
-/// A day's temperature moves the paper's resonance by 87 Hz; twice that is another mode.
+/// A day's temperature moves the paper's resonance by 87 Hz; a resonance at twice that is another mode.
 const DEFAULT_FREQUENCY_RANGE_HZ: f64 = 250.0;
-/// Enough to cross the range of a day in one period of 1 ms.
+/// Enough to cross these 87 Hz in one period of 1 ms.
 const DEFAULT_FREQUENCY_SLEW_HZ: f64 = 100.0;
 
 impl Checker<'_> {
@@ -76,7 +76,7 @@ impl Checker<'_> {
         Ok(period)
     }
 
-    /// Smallest delay and its jitter.
+    /// Returns `loop_delay_ms` and `loop_delay_jitter_ms`.
     fn loop_delay(&self, raw: &RawController, period: Time) -> Result<[Time; 2], Diagnostic> {
         let key = "controller.loop_delay_ms";
         let loop_delay = self.time_from_ms(key, raw.loop_delay_ms)?;

@@ -1,4 +1,4 @@
-//! Checks expectations: their limits can fail, and their options apply to the metric.
+//! Checks that each expectation can fail and has only the options of its metric.
 
 use super::checker::{Checker, TrialContext};
 use crate::diagnostic::Diagnostic;
@@ -12,7 +12,6 @@ const DEFAULT_BAND_PERCENT: f64 = 5.0;
 const DEFAULT_TOLERANCE_PERCENT: f64 = 5.0;
 const DEFAULT_QUANTILE: f64 = 0.95;
 
-/// The key `name`, else the metric, `metric 2`, `metric 3` in the order of the file.
 pub(super) fn expectation_names(raw: &[RawExpectation]) -> Vec<String> {
     let mut counts = HashMap::<String, usize>::new();
     let name = |expect: &RawExpectation| {
@@ -34,7 +33,7 @@ impl Checker<'_> {
         let Some((twice, name)) = twice.and_then(|twice| Some((twice, &expectations.get(twice)?.name))) else {
             return Ok(());
         };
-        // The default name cannot be changed, so the explicit one is the error.
+        // A default name cannot be changed, so the error points at the explicit one.
         let explicit = |(_, expect): &(usize, &RawExpectation)| expect.name.as_ref() == Some(name);
         let index = raw.iter().enumerate().filter(explicit).map(|(index, _)| index).next_back().unwrap_or(twice);
         self.error(
@@ -118,9 +117,8 @@ impl Checker<'_> {
         };
         self.require(numbers.iter().all(|value| value.is_finite()), name, || "expected finite numbers")?;
         self.require(numbers[0] <= numbers[1], name, || "expected [low, high] with low not above high")?;
-        // A tolerance in percent of 0 would be 0.
         let about_nothing = matches!(limit, Limit::About(value) if value <= 0.0);
-        self.require(!about_nothing, name, || "expected a value above 0 to agree with")?;
+        self.require(!about_nothing, name, || "expected a value above 0: the tolerance is a percentage of it")?;
         let (smallest, largest) = metric.value_range();
         let (low, high) = limit.range(tolerance_percent);
         let always = || match largest {

@@ -1,4 +1,4 @@
-//! Checks the window of an expectation: inside the trial, and with something to judge in it.
+//! Checks that the window of an expectation is inside the trial and contains something to judge.
 
 use super::checker::{Checker, TrialContext};
 use crate::diagnostic::Diagnostic;
@@ -8,13 +8,13 @@ use crate::raw::{RawExpectation, RawWindow};
 use crate::window::{ChangingProfile, Window};
 use platebench_plate::{Profile, Time};
 
-/// How long a controller that stops after `from` must stay at 0 V.
+/// Instant until which a controller that stops after `from` must stay at 0 V.
 fn reconfiguration_time(faults: &[Fault], from: Time, duration: Time) -> Time {
     let ends = faults.iter().filter(|fault| fault.reconfigure).filter_map(|fault| fault.until);
     ends.filter(|until| *until > from).fold(duration, Time::min)
 }
 
-/// The parts in which the setpoint is 0 and the controller had time to follow it.
+/// The parts of `window` in which the setpoint is 0 and the controller has had time to follow it.
 fn windows_at_setpoint_zero(window: Window, trial: &TrialContext<'_>) -> Vec<Window> {
     let Profile::Hold(points) = trial.setpoint else { return Vec::new() };
     let ends = points.iter().skip(1).map(|point| point.0).chain([trial.duration]);
@@ -57,7 +57,7 @@ impl Checker<'_> {
         if metric == Metric::RestDrive {
             let windows = windows_at_setpoint_zero(window, trial);
             self.require(!windows.is_empty(), "metric", || {
-                format!("the setpoint is never 0 for longer than {}, expected a rest", trial.response_delay)
+                format!("the setpoint is never 0 for longer than {}, expected a longer time at 0", trial.response_delay)
             })?;
             return Ok((None, windows));
         }
@@ -125,7 +125,7 @@ impl Checker<'_> {
         let bounded = from.is_some() || until.is_some();
         let mut window = Window { from: start, to: until.unwrap_or(duration) };
         if metric.is_step_response() {
-            // Without a step there is nothing to measure, which the verdict states.
+            // If the setpoint has no step, the verdict reports that there is nothing to measure.
             let response = trial.changes.response_window(from).unwrap_or(window);
             window = Window { from: response.from, to: until.unwrap_or(response.to) };
             self.require(window.from < window.to, "until_ms", || {
@@ -169,7 +169,7 @@ impl Checker<'_> {
         Ok(window)
     }
 
-    /// A mean over a changing setpoint can be right for a signal that is constant.
+    /// Rejects a changing setpoint, because a constant signal could have the same mean.
     fn steady_window(&self, key: &str, window: Window, metric: Metric, setpoint: &Profile) -> Result<(), Diagnostic> {
         let level = setpoint.at(window.from);
         let before_end = Time::from_nanos(window.to.as_nanos() - 1);

@@ -9,12 +9,12 @@ use crate::text::{decode_text, read_text};
 use platebench_plate::{Plate, RawPlate, input};
 use std::path::Path;
 
-/// Returns every wrong key, else the first wrong value.
+/// Errors: every wrong key. If there is none, the first wrong value.
 pub fn load_plate(path: &Path) -> Result<Plate, Vec<Diagnostic>> {
     parse_plate(path, &read_text(path).map_err(|fault| vec![fault])?)
 }
 
-/// For calculations that assume one mode, an ideal amplifier and a sensor without delay.
+/// Rejects optional effects of the plate. `user` is the calculation that assumes one mode and ideal electronics.
 pub fn require_no_effects(path: &Path, plate: &Plate, user: &str) -> Result<(), Diagnostic> {
     let Some(effect) = plate.first_effect() else { return Ok(()) };
     let text = read_text(path)?;
@@ -24,7 +24,6 @@ pub fn require_no_effects(path: &Path, plate: &Plate, user: &str) -> Result<(), 
 }
 
 impl Checker<'_> {
-    /// Reads the plate file that `key` names.
     pub(super) fn plate(
         &self,
         key: &str,

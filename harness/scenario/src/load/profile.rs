@@ -1,4 +1,4 @@
-//! Checks profiles, and that the plate has a resonance under all of their values.
+//! Checks profiles and that the plate has a resonance at all of their values.
 
 use super::checker::Checker;
 use crate::bounds::MAX_QUALITY;
@@ -14,7 +14,7 @@ use std::path::Path;
 
 const MAX_SETPOINT_UM: f64 = 1_000.0;
 const ABSOLUTE_ZERO_C: f64 = -273.15;
-/// The wire carries the excitation frequency in millihertz.
+/// The wire carries the excitation frequency as a `u32` in millihertz.
 const MAX_RESONANCE_HZ: f64 = 2.5e6;
 const EXPECTED: &str = "expected one of at most 2.5e6 Hz with a quality factor from 0.5 to 1e9";
 const SPREAD_SIGMAS: f64 = 5.0;
@@ -183,7 +183,7 @@ impl Checker<'_> {
             |value| exists(0.0, value),
             |value| format!("a force of {value} N leaves the plate without a resonance, {EXPECTED}"),
         )?;
-        // Between two points only the corners of the damping curve matter.
+        // The damping curve is linear between its corners, so only corners and extreme forces matter.
         let (lightest, heaviest) = scene.finger_force_n.range();
         let corners =
             plate.damping_ratio.iter().map(|point| point[0]).filter(|force| (lightest..heaviest).contains(force));
@@ -204,7 +204,7 @@ impl Checker<'_> {
     }
 }
 
-/// The header is 0. Comments and empty lines do not count.
+/// Span of the record `number`. The header is record 0; comments and empty lines are no records.
 fn record_span(text: &str, number: u64) -> Range<usize> {
     let mut start = 0;
     let mut counted = 0;

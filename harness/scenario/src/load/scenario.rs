@@ -15,9 +15,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 const DEFAULT_TRACE_STEP_MS: f64 = 0.05;
-/// A longer scenario has a row per control period by default.
+/// A longer scenario has one row per control period by default.
 const MAX_FINE_TRACE_MS: f64 = 1_000.0;
-/// A trial is held in memory: at most some 250 MB.
+/// All rows of a trial are in memory: this many have some 250 MB.
 const MAX_ROWS: f64 = 2e6;
 const MAX_EXPECTATIONS: usize = 2_000;
 
@@ -162,7 +162,6 @@ impl Checker<'_> {
         Ok(Trials { count: raw.count as u32, max_count: max_count as u32, seed: raw.seed as u64, spread: raw.spread })
     }
 
-    /// A difference between trials needs a second trial.
     fn check_trial_differences(&self, scenario: &Scenario) -> Result<(), Diagnostic> {
         let metrics = scenario.expectations.iter().map(|expectation| expectation.metric);
         let compares = metrics.into_iter().any(|metric| metric == Metric::TrialDifference);

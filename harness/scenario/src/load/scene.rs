@@ -7,14 +7,13 @@ use crate::scenario::{Controller, InputFile, Scenario, Spread};
 use platebench_plate::{ConditionProfiles, Plate, Profile, RawProfile, Tier, Time};
 use std::path::Path;
 
-/// The raw parts of a scene.
 pub(super) struct SceneSource<'a> {
     pub(super) duration_ms: f64,
     pub(super) controller: &'a RawController,
     pub(super) profile: &'a RawProfiles,
 }
 
-/// The checked parts of a scene; `None` for a part with an error.
+/// A part is `None` if it has an error.
 pub(super) struct Scene {
     pub(super) controller: Option<Controller>,
     pub(super) duration: Option<Time>,
@@ -66,7 +65,7 @@ impl Checker<'_> {
         Scene { controller, duration, setpoint, conditions }
     }
 
-    /// The scenes between the trials of `scenario`, with its trials and its spacing of rows.
+    /// The scenes have the trials and the spacing of rows of `scenario`.
     pub(super) fn scenes_between(
         &self,
         folder: &Path,

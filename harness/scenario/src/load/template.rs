@@ -1,4 +1,4 @@
-//! Loads a scenario with changed values, without files for each change.
+//! Loads a scenario with changed values without a file for each change.
 
 use super::checker::{Checker, KnownPlate};
 use super::plate::{check_plate, load_plate};
@@ -11,36 +11,32 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
-/// Keys that start with it lead into the plate file.
 pub const PLATE_PREFIX: &str = "plate.";
-/// Name of a changed plate, next to the scenario; no file has it.
+/// Name of a changed plate next to the scenario. No file has this name.
 const CHANGED_PLATE: &str = "changed-plate.toml";
 
-/// A scenario as tables, whose values can be replaced.
 #[derive(Debug, Clone)]
 pub struct ScenarioTemplate {
     path: PathBuf,
     text: String,
     file: String,
     table: Table,
-    /// As the scenario file names it.
     plate_name: String,
     plate: KnownPlate,
     plate_table: Table,
-    /// The scenario as the file has it.
+    /// The unchanged scenario.
     pub scenario: Scenario,
 }
 
-/// The tables of a changed scenario.
 #[derive(Debug, Clone)]
 pub struct ScenarioTables {
     pub scenario: Table,
-    /// `None` if the plate file applies as it is.
+    /// `None` if the plate is unchanged.
     pub plate: Option<Table>,
 }
 
 impl ScenarioTemplate {
-    /// `scenario` was loaded from `path`; `edit` changes its table first.
+    /// `scenario` must be loaded from `path`. `edit` changes its table first.
     pub(super) fn new(path: &Path, scenario: Scenario, edit: impl FnOnce(&mut Table)) -> Result<Self, Vec<Diagnostic>> {
         let read = |path: &Path| read_text(path).map_err(|fault| vec![fault]);
         let parse = |path: &Path, text: &str| {
@@ -69,7 +65,7 @@ impl ScenarioTemplate {
             }
         }
         if tables.plate.is_some() {
-            // The controller does not learn of the change.
+            // The controller is configured for the unchanged plate.
             let controller = tables.scenario.entry("controller").or_insert_with(|| Value::Table(Table::new()));
             if let Value::Table(controller) = controller {
                 controller.entry("design_plate").or_insert_with(|| Value::String(self.plate_name.clone()));
@@ -99,13 +95,12 @@ impl ScenarioTemplate {
         Ok(KnownPlate { path: path.clone(), plate, text: String::new() })
     }
 
-    /// The files of the unchanged scenario: scenario, plate, then others.
     pub fn inputs(&self) -> &[InputFile] {
         &self.scenario.inputs
     }
 }
 
-/// Replaces the value at a dotted key, whose numbers are elements of lists. Missing tables are created.
+/// Replaces the value at a dotted key. A number in the key selects an element of a list. Creates missing tables.
 fn set(table: &mut Table, key: &str, value: Value) -> Result<(), String> {
     let Some((name, rest)) = key.split_once('.') else {
         table.insert(key.to_owned(), value);

@@ -1,5 +1,4 @@
-//! Compares rungs from the linear plate to the emulated chip and the real line: cost of a run against
-//! the difference of its results from the most detailed rung.
+//! Compares cost and results of a run on rungs (levels of detail), from the linear plate to a real line.
 
 use crate::charts::measured_run::{LOCKSTEP, MeasuredRun};
 use crate::charts::scenes::models;
@@ -28,13 +27,12 @@ const METRICS: [(Metric, &str, &str); 3] = [
 
 #[derive(Debug, Clone, PartialEq)]
 enum Rung {
-    /// A model of the plate on the hosted rig.
     Model(Tier),
     Rig(RigSpec, Clock),
 }
 
 impl Rung {
-    /// The most detailed rung with a transparent line: the reference.
+    /// The most detailed rung whose line adds no delay.
     const REFERENCE: Self = Self::Rig(RigSpec::Emulated(None), LOCKSTEP);
 
     fn name(&self) -> String {
@@ -83,7 +81,7 @@ struct RungResult {
     differences: [f64; METRICS.len()],
 }
 
-/// Plays `scenarios` on every rung; `rigs` are further ones. The cost is the median over `rounds`.
+/// Plays `scenarios` on every rung. Each of `rigs` adds a rung in lockstep and one in real time.
 pub fn build_chart(scenarios: &[Scenario], rounds: u32, rigs: &[RigSpec]) -> Result<ChartSection, ChartError> {
     let mut rungs: Vec<Rung> = Tier::ALL.map(Rung::Model).into();
     rungs.push(Rung::REFERENCE);
@@ -91,7 +89,7 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32, rigs: &[RigSpec]) -> Res
         rungs.extend([LOCKSTEP, REAL_TIME].map(|clock| Rung::Rig(rig.clone(), clock)));
     }
     let mut runs: Vec<(Rung, RunRecord, Vec<f64>)> = Vec::new();
-    // In turn, so that other load affects all rungs equally.
+    // Measures the rungs in turn, so that other load affects all of them equally.
     for _ in 0..rounds.max(1) {
         for rung in &rungs {
             let Some(MeasuredRun { record, period_us }) = rung.play(scenarios)? else { continue };
@@ -131,10 +129,10 @@ impl RungResult {
 
 const EXPLANATION: [&str; 2] = [
     "Every rung plays the scenarios and judges them. The cost is processor time of the whole run per control period: \
-     plate, controller, trace and judgement. The difference is the largest one of any expectation with this metric \
-     from the emulated firmware, the most detailed rung with a transparent line; expectations without a number on one \
-     of both rungs count as a changed verdict only.",
-    "A rung in real time adds the delay of its line, which no other rung has: its difference is the effect of that \
+     plate, controller, trace and judgement. The difference is that from the emulated firmware, the most detailed rung \
+     whose line adds no delay: the largest one of the expectations with this metric. An expectation without a number \
+     on one of the two rungs adds no difference, but may change the verdict.",
+    "A rung in real time adds the delay of its line, which no other rung has. Its difference is the effect of that \
      delay.",
 ];
 

@@ -1,4 +1,4 @@
-//! Plays every law through the same scenarios; measures response, static error, repeatability.
+//! Plays every law through the same scenarios and measures response time, static error and repeatability.
 
 use crate::charts::section::{ChartError, play_hosted};
 use platebench_plate::{Profile, Tier, Time};
@@ -9,7 +9,6 @@ use platebench_verdict::{Measure, metrics};
 use platebench_wire::LawId;
 use std::path::Path;
 
-/// Half width of the band of response times, percent.
 const BAND_PERCENT: f64 = 5.0;
 const TRIALS: u32 = 20;
 const QUICK_TRIALS: u32 = 4;
@@ -20,9 +19,9 @@ const FINGER_N: f64 = 2.0;
 pub struct LawScenario {
     pub(crate) name: String,
     pub(crate) scenario: Scenario,
-    /// The response: from the setpoint step, or from a disturbance at an instant.
+    /// Measures the response time from the setpoint step or from a disturbance.
     response_expectation: Expectation,
-    /// Mean over the last third.
+    /// Measures the mean over the last third.
     window_mean_expectation: Expectation,
     pub(crate) trials: u32,
 }
@@ -49,7 +48,7 @@ impl LawScenario {
             signal: "amplitude_um",
         };
         let (response, window_mean) = (expected(metric, response_window), expected(Metric::StaticError, last_third));
-        // The crossings of this band are rows of the trace, on the exact plate.
+        // With this expectation the trace has a row at every crossing of the band.
         scenario.expectations = vec![response.clone()];
         scenario.tier = Tier::Modal;
         Self {
@@ -65,7 +64,7 @@ impl LawScenario {
         self.scenario.plate.noise_um_rms > 0.0
     }
 
-    /// Response time in ms, `None` if it does not stay in the band, and overshoot in percent.
+    /// Response time in ms (`None` if |W| does not stay in the band), and overshoot in percent.
     pub(crate) fn response(&self, played: &TrialResult) -> (Option<f64>, f64) {
         let response = measure(&self.response_expectation, played);
         let peak = played.trace_rows.iter().map(|row| row.amplitude_um).fold(0.0, f64::max);
@@ -82,7 +81,7 @@ impl LawScenario {
         self.scenario.plate.noise_um_rms / self.scenario.setpoint.range().1 / self.window_samples().sqrt() * 100.0
     }
 
-    /// At resonance, in the initial conditions.
+    /// Shortest response time with the drive limit, at resonance under the initial conditions.
     pub(crate) fn drive_limited_ms(&self) -> Option<f64> {
         let scenario = &self.scenario;
         let mode = scenario.plate.mode(&scenario.conditions.at(Time::ZERO));
@@ -118,10 +117,10 @@ pub fn load_law_scenarios(folder: &Path, is_quick: bool) -> Result<Vec<LawScenar
 pub(crate) struct LawResult {
     pub(crate) law: LawId,
     pub(crate) scenario_index: usize,
-    /// The median over trials, ms; `None` if half of them or more do not stay in the band.
+    /// Median over trials. `None` if at least half of them do not stay in the band.
     pub(crate) response_ms: Option<f64>,
     pub(crate) settled_trials: u32,
-    /// |mean over trials − setpoint|/setpoint; `None` if the controller stopped.
+    /// |mean over trials − setpoint|/setpoint. `None` if the controller stopped.
     pub(crate) static_error_percent: Option<f64>,
     pub(crate) repeatability_percent: Option<f64>,
 }
@@ -155,7 +154,7 @@ fn measure(expectation: &Expectation, played: &TrialResult) -> Option<f64> {
     }
 }
 
-/// The median; the upper one of the two in the middle.
+/// Of an even number of values the upper one of the two in the middle.
 fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()

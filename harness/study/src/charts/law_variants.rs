@@ -1,5 +1,4 @@
-//! Plays every law through the scenes of the chart at several loop delays, known and unknown to the
-//! law, and on plates of another gain; draws them as small multiples.
+//! Plays every law at known and unknown loop delays and on plates with another gain, and draws small multiples.
 
 use crate::charts::law_results::LawScenario;
 use crate::charts::section::{ChartError, play_hosted};
@@ -16,12 +15,12 @@ pub(crate) const DRAWING: &str = "law-variants.svg";
 const DELAYS: [f64; 3] = [0.0, 0.4, 0.8];
 const LARGE_OVERSHOOT_PERCENT: f64 = 20.0;
 
-/// What the law does not expect.
+/// Deviation of the scene from the design of the law.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Variant {
     name: &'static str,
     is_delay_known: bool,
-    /// Gain of the plate, relative to the one that the law is designed for.
+    /// Gain of the plate relative to the gain for which the law is designed.
     gain_factor: f64,
 }
 
@@ -46,14 +45,14 @@ impl Variant {
 
 pub(crate) struct VariantResult {
     law: LawId,
-    /// Index in the scenes, in [`VARIANTS`], in [`DELAYS`].
+    /// Indices into the scenes, [`VARIANTS`] and [`DELAYS`].
     at: [usize; 3],
-    /// `None` if it does not stay in the band.
+    /// `None` if |W| does not stay in the band.
     response_ms: Option<f64>,
     overshoot_percent: f64,
 }
 
-/// Measures the variants in the scenes without noise.
+/// Plays one trial of each variant, so the scenes must not have noise.
 pub(crate) fn measure(scenes: &[&LawScenario]) -> Result<Vec<VariantResult>, ChartError> {
     let mut results = Vec::new();
     for (scene_index, scene) in scenes.iter().enumerate() {

@@ -13,7 +13,7 @@ use std::fmt::Write as _;
 const FILE: &str = "laws.csv";
 const DRAWING: &str = "laws.svg";
 const TABLE: &str = "laws.md";
-/// Smaller percentages count as 0.
+/// Percentages below this value are drawn on the lower edge.
 const SCALE_FLOOR: f64 = 1e-4;
 const TABLE_FLOOR_PERCENT: f64 = 0.01;
 
@@ -53,10 +53,10 @@ const EXPLANATION: [&str; 3] = [
      setpoint|/setpoint.",
     "Repeatability is the standard deviation of that mean over trials with sensor noise; the response time of these \
      trials is the median. A law that does not stay in the band is at the right edge, with its name.",
-    "Limits: a law needs a sample and a second one to check it, two periods. The drive floor is the shortest time with \
-     this drive limit, at resonance from the first instant on. The noise floor is the scatter of the mean of the \
-     samples in the window: a lower limit for laws that follow the samples. A slow law, or one that ignores the plate, \
-     has less.",
+    "Limits: a law needs two periods, for a sample and a second sample that checks it. The drive floor is the shortest \
+     time with this drive limit, at resonance from the first instant on. The noise floor is the scatter of the mean of \
+     the samples in the window. It is a lower limit for laws that follow the samples. A slow law, or one that ignores \
+     the plate, scatters less.",
 ];
 
 const VARIANTS_EXPLANATION: &str = "The same scenes at loop delays of 0, 0.4 and 0.8 control periods. The delay is \
@@ -193,7 +193,6 @@ fn scatter_chart(scenes: &[LawScenario], results: &[LawResult]) -> ScatterChart 
     }
 }
 
-/// Two periods, and the drive floors, each once.
 fn time_limits(scenes: &[(usize, &LawScenario)]) -> Vec<(f64, String)> {
     let mut limits: Vec<(f64, String)> = Vec::new();
     for (_, scene) in scenes {

@@ -1,5 +1,4 @@
-//! Draws work-precision diagrams: error against cost of the closed form and of general methods.
-//! Every method gets the drives of one run of the scenario with the hosted controller.
+//! Draws work-precision diagrams. Every method replays the drives of one trial with the hosted controller.
 
 use crate::charts::section::{ChartError, ChartSection, play_hosted};
 use crate::integration::sweep::{cheapest_from_a_crate, cheapest_method};
@@ -73,11 +72,11 @@ const EXPLANATION: [&str; 3] = [
      part of the mode that these equations neglect: left of it a smaller step gains nothing. The closed form is \
      compared with DOP853 at a tolerance of 1e-13. If a profile changes the mode within a period, that solution is the \
      reference for all, and the closed form shows the error of its substeps.",
-    "On the carrier the error is that of the phasor of y and y'. No tier of the bench works there in this chart: the \
-     line is the cost of following the waveform step by step.",
+    "On the carrier the error of a general method is that of the phasor of y and y'. Its cost is that of following the \
+     waveform step by step, which no tier of the bench does.",
 ];
 
-/// Takes the first trial, on the nominal plate without noise.
+/// Replays the first trial, on the nominal plate without noise.
 fn scenario_replay(scenario: &Scenario, window: Time) -> Result<Replay, ChartError> {
     let setpoint_um = scenario.setpoint.range().1;
     if setpoint_um <= 0.0 {

@@ -20,7 +20,7 @@ const SCALE_FLOOR: f64 = 1e-9;
 struct MetricResult<'a> {
     own: &'a ExpectationRecord,
     reference: &'a ExpectationRecord,
-    /// |value − reference| in tolerances; infinite if only one of them is a number.
+    /// |value − reference| in tolerances. Infinite if only one of them is a number.
     difference: f64,
 }
 
@@ -32,12 +32,12 @@ impl MetricResult<'_> {
 
 struct ModelResult<'a> {
     tier: Tier,
-    /// True if the scenario has another verdict than on the reference.
+    /// True if the scenario's verdict differs from that on the reference model.
     is_changed: bool,
     metrics: Vec<MetricResult<'a>>,
 }
 
-/// The simplest model first; the last one is the reference.
+/// `models` starts with the simplest model. The last one is the reference.
 struct SceneResult<'a> {
     scenario: &'a Scenario,
     models: Vec<ModelResult<'a>>,
@@ -46,23 +46,20 @@ struct SceneResult<'a> {
 struct ModelCost {
     tier: Tier,
     scenario_count: usize,
-    /// CPU time per control period.
     period_us: f64,
 }
 
-/// The carrier only if the plate has a converter, or if the scenario names it; no model that omits
-/// effects of the plate.
+/// Excludes models that omit effects of the plate. The carrier needs a converter, or its name in the scenario.
 pub(crate) fn models(scenario: &Scenario) -> Vec<Tier> {
     let has_carrier = [scenario.tier, Tier::exact_for(&scenario.plate)].contains(&Tier::Carrier);
     let is_complete = |tier: &Tier| Scenario::omitted_effect(*tier, &scenario.plate).is_none();
     Tier::ALL.into_iter().filter(|tier| *tier != Tier::Carrier || has_carrier).filter(is_complete).collect()
 }
 
-/// The cost is the median over `rounds`.
 pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, ChartError> {
     let mut records: BTreeMap<&str, RunRecord> = BTreeMap::new();
     let mut costs: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
-    // In turn, so that other load affects all models equally.
+    // Measures the models in turn, so that other load affects all of them equally.
     for _ in 0..rounds.max(1) {
         for tier in Tier::ALL {
             let with_tier = |scenario: &Scenario| Scenario { tier, ..scenario.clone() };
@@ -113,7 +110,7 @@ impl<'a> MetricResult<'a> {
     }
 }
 
-/// Half the distance of two limits, or the size of a single one; may be 0.
+/// Half the distance of two limits, or the magnitude of a single limit. It may be 0.
 fn tolerance(expectation: &Expectation) -> f64 {
     match expectation.range() {
         (low, high) if low.is_finite() && high > low && high.is_finite() => 0.5 * (high - low),

@@ -1,4 +1,4 @@
-//! Defines what a chart returns, and why there is none.
+//! Defines the content of a chart and the errors of charts.
 
 use crate::loops::AnalysisError;
 use platebench_record::FolderError;
@@ -17,17 +17,15 @@ pub struct ChartSection {
     pub title: &'static str,
     pub summary: String,
     pub blocks: Vec<PageBlock>,
-    /// Name and content.
+    /// Name and content of each file.
     pub files: Vec<(String, String)>,
 }
 
 impl ChartSection {
-    /// The paragraphs of an explanation.
     pub(crate) fn paragraphs(texts: &[&str]) -> Vec<PageBlock> {
         texts.iter().map(|text| PageBlock::Text((*text).to_owned())).collect()
     }
 
-    /// For the console.
     pub(crate) fn indented(table: &Table) -> String {
         table.lines().iter().flat_map(|line| ["  ", line, "\n"]).collect()
     }
@@ -41,7 +39,7 @@ pub enum ChartError {
     NoSetpoint(String),
     #[error("{what}: {source}")]
     Lost {
-        /// Names the trial.
+        /// Scenario and law.
         what: String,
         source: RigError,
     },

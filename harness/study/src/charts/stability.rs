@@ -15,7 +15,6 @@ const RESPONSE_S: f64 = 2e-3;
 const PERIOD_S: f64 = 1e-3;
 const START_PERIODS: u32 = 4_000;
 
-/// `rig`: the delay of a rig for the maps.
 pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartSection, ChartError> {
     let result = study(config)?;
     let steps = step_limits(&config.plate);
@@ -37,7 +36,7 @@ pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartS
     Ok(ChartSection { title: "Where methods and loops become unstable", summary, blocks, files })
 }
 
-/// Largest median and longest loop delay of all trials; `None` if no trial has a loop delay.
+/// Largest median and largest loop delay of all trials. `None` if no trial has a loop delay.
 pub fn rig_delay(record: &RunRecord) -> Option<RigDelay> {
     let trials = record.scenarios.iter().flat_map(|scenario| &scenario.trials);
     let delays = trials.filter_map(|trial| {
@@ -49,7 +48,7 @@ pub fn rig_delay(record: &RunRecord) -> Option<RigDelay> {
     Some(RigDelay { typical_ms: typical * 1e-3, longest_ms: longest * 1e-3 })
 }
 
-/// Backward Euler without delay: small spectral radius, but a detuned start never settles.
+/// Backward Euler without delay has a small spectral radius, but a detuned start never settles.
 fn known_limit(plate: &Plate) -> Result<String, AnalysisError> {
     let loops = PlainLoops::new(plate, Discretisation::Backward, RESPONSE_S, PERIOD_S);
     let starts = [OperatingCondition::Resonant, OperatingCondition::Detuned].map(|condition| {
@@ -59,7 +58,7 @@ fn known_limit(plate: &Plate) -> Result<String, AnalysisError> {
     Ok(table::format_plain_loop_starts(&starts.into_iter().collect::<Result<Vec<_>, AnalysisError>>()?))
 }
 
-/// One row per condition, one panel per response time; `None` for a law without a loop.
+/// One row per condition, one panel per response time. `None` for a law without a loop.
 fn build_map(study: &Study, law: LawId, rig: Option<RigDelay>) -> Option<MapFigure> {
     let ms = |seconds: &f64| seconds * 1e3;
     let maps: Vec<_> = study.maps.iter().filter(|map| map.law == law).collect();

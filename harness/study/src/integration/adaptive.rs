@@ -1,5 +1,4 @@
-//! Adapts the published crates with adaptive steps. Those that only the chart compares need the
-//! feature `solvers` or `diffsol`.
+//! Adapts crates with adaptive methods. The feature `solvers` or `diffsol` adds those that only the chart needs.
 
 #[cfg(feature = "solvers")]
 mod differential_equations_crate;
@@ -11,9 +10,8 @@ use crate::integration::problem::Problem;
 use ode_solvers::dop_shared::IntegrationError;
 use ode_solvers::{Dop853, Dopri5, OutputType, SVector, System};
 
-/// Runs a solver of `ode_solvers`, whose solvers have no common trait. The constants are those of
-/// the crate: stabilisation β, smallest and largest change of the step. Output at every step,
-/// because the error of dense output over the whole interval depends on no tolerance (version 0.6).
+/// Runs a solver of `ode_solvers`. Its solvers have no common trait. The constants are the crate's defaults. The
+/// output contains every step, because the error of the dense output (version 0.6) does not depend on the tolerance.
 macro_rules! integrate_sparse {
     ($solver:ident, $problem:expr, $x:expr, $seconds:expr, $tolerance:expr,
      $beta:expr, $smallest:expr, $largest:expr) => {{
@@ -43,29 +41,24 @@ macro_rules! integrate_sparse {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::VariantArray, strum::IntoStaticStr)]
 #[strum(const_into_str)]
 pub enum AdaptiveMethod {
-    /// Dormand and Prince 5(4) of `ode_solvers`.
     #[strum(serialize = "ode_solvers DOPRI5")]
     Dopri5,
-    /// Dormand and Prince 8(5,3) of `ode_solvers`.
     #[strum(serialize = "ode_solvers DOP853")]
     Dop853,
-    /// Dormand and Prince 8(5,3) of `differential-equations`.
     #[cfg(feature = "solvers")]
     #[strum(serialize = "differential-equations DOP853")]
     DeDop853,
-    /// Verner 9(8), "most efficient", of `differential-equations`.
+    /// Verner 9(8), "most efficient".
     #[cfg(feature = "solvers")]
     #[strum(serialize = "differential-equations RKV98")]
     DeVerner98,
-    /// Backward differentiation formulas of order 1 to 5 of `diffsol`.
+    /// Backward differentiation formulas of order 1 to 5.
     #[cfg(feature = "diffsol")]
     #[strum(serialize = "diffsol BDF")]
     DiffsolBdf,
-    /// Diagonally implicit Runge-Kutta method of order 4 of `diffsol`.
     #[cfg(feature = "diffsol")]
     #[strum(serialize = "diffsol ESDIRK34")]
     DiffsolEsdirk34,
-    /// Tsitouras 5(4), explicit, of `diffsol`.
     #[cfg(feature = "diffsol")]
     #[strum(serialize = "diffsol TSIT45")]
     DiffsolTsit45,
@@ -74,7 +67,7 @@ pub enum AdaptiveMethod {
 impl AdaptiveMethod {
     pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
-    /// `tolerance` is relative and in µm.
+    /// `tolerance` is the relative tolerance, and the absolute one in µm.
     pub fn advance<const N: usize, P: Problem<N>>(
         self,
         problem: &P,
@@ -112,7 +105,7 @@ fn crate_failure(error: &IntegrationError) -> MethodFailure {
     MethodFailure::CrateError(match error {
         IntegrationError::MaxNumStepReached { .. } => "too many steps",
         IntegrationError::StepSizeUnderflow { .. } => "step too small",
-        IntegrationError::StiffnessDetected { .. } => "taken for stiff",
+        IntegrationError::StiffnessDetected { .. } => "problem classified as stiff",
     })
 }
 

@@ -1,11 +1,11 @@
-//! Defines why a method has no result.
+//! Defines the failures of integration methods.
 
-/// Of an adaptive method, per interval. More steps count as a failure.
+/// Per interval of the replay, for adaptive methods.
 pub(crate) const MAX_STEPS: u32 = 100_000;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum MethodFailure {
-    /// A component is not finite or beyond a metre.
+    /// A component of the state is not finite or exceeds 1 m.
     #[error("diverged")]
     Diverged,
     #[error("unsupported form of problem")]

@@ -7,34 +7,30 @@ use std::array::from_fn;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::VariantArray, strum::IntoStaticStr)]
 #[strum(const_into_str)]
 pub enum FixedStepMethod {
-    /// Explicit Euler, order 1.
     #[strum(serialize = "explicit Euler")]
     Euler,
-    /// The classical Runge-Kutta method, order 4.
     #[strum(serialize = "RK4")]
     RungeKutta4,
-    /// The implicit midpoint rule, order 2; solves its linear system once per interval, or per step
-    /// if the matrix varies.
+    /// Implicit midpoint rule. Solves its linear system once per interval, or per step if the matrix varies.
     #[strum(serialize = "implicit midpoint")]
     Midpoint,
-    /// Gauss-Legendre collocation with two stages, order 4: the step matrix is a Padé approximant of
-    /// the exponential (Hairer, Wanner: Solving ODEs II, IV.3), computed once per interval.
+    /// Gauss-Legendre collocation with two stages. Its step matrix is a Padé approximant of the exponential (Hairer,
+    /// Wanner: Solving ODEs II, IV.3), computed once per interval.
     #[strum(serialize = "Gauss-Legendre 4")]
     Gauss4,
-    /// As above with three stages, order 6.
     #[strum(serialize = "Gauss-Legendre 6")]
     Gauss6,
-    /// The matrix exponential by scaling and squaring, once per interval; exact up to rounding.
+    /// Matrix exponential by scaling and squaring, once per interval. Exact up to rounding.
     #[strum(serialize = "matrix exponential")]
     Exponential,
-    /// As above, but the step matrix of the interval before is used again if the equations are the same.
+    /// Matrix exponential that reuses the step matrix of the previous interval if the equations are the same.
     #[strum(serialize = "matrix exponential, kept")]
     KeptExponential,
-    /// Störmer's and Verlet's leapfrog, order 2; only for problems of second order.
+    /// Leapfrog method, only for problems of second order.
     #[strum(serialize = "Störmer-Verlet")]
     Verlet,
-    /// Strang splitting, order 2: half a step of damping and drive, the exact rotation of the
-    /// undamped oscillation, half a step of damping and drive. Rotation and decay once per interval.
+    /// Strang splitting: half a step of damping and drive, the exact undamped rotation, half a step of damping and
+    /// drive.
     #[strum(serialize = "rotation splitting")]
     Splitting,
 }
@@ -42,9 +38,9 @@ pub enum FixedStepMethod {
 /// The step matrix of an interval, for [`FixedStepMethod::KeptExponential`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepMatrix<const N: usize> {
-    /// A, per s.
+    /// A of `x' = Ax + b`, 1/s.
     matrix: [[f64; N]; N],
-    /// s.
+    /// Step h, s.
     step: f64,
     /// M of `x(h) = x + h M(hA) (Ax + b)`.
     increment: [[f64; N]; N],
@@ -53,8 +49,8 @@ pub struct StepMatrix<const N: usize> {
 impl FixedStepMethod {
     pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
-    /// `None` if the step does not limit the accuracy. With a matrix that varies, the methods with a
-    /// step matrix have order 2: they freeze it in the middle of a step.
+    /// Order of the error in the step. `None` if the error does not depend on the step. If the matrix varies, the
+    /// methods with a step matrix have order 2, because they use the matrix at the middle of the step.
     pub const fn order(self) -> Option<u32> {
         match self {
             Self::Euler => Some(1),
@@ -65,8 +61,7 @@ impl FixedStepMethod {
         }
     }
 
-    /// M of `x(h) = x + h M(hA) (Ax + b)`; `None` if the method has no such matrix, or if it is
-    /// singular.
+    /// M of `x(h) = x + h M(hA) (Ax + b)`. `None` if the method has no such matrix, or if its denominator is singular.
     fn increment<const N: usize>(self, matrix: &[[f64; N]; N], step: f64) -> Option<[[f64; N]; N]> {
         let z = scaled(matrix, step);
         match self {
@@ -95,7 +90,7 @@ impl FixedStepMethod {
         }
     }
 
-    /// `kept` is the step matrix of the interval before, if any; only `KeptExponential` sets it.
+    /// `kept` is the step matrix of the previous interval, if [`Self::KeptExponential`] has stored one.
     pub fn advance<const N: usize, P: Problem<N>>(
         self,
         problem: &P,
@@ -209,7 +204,7 @@ fn polynomial<const N: usize>(z: &[[f64; N]; N], coefficients: [f64; 4]) -> [[f6
     })
 }
 
-/// By Gauss and Jordan with partial pivoting; `None` if singular.
+/// Gauss-Jordan elimination with partial pivoting. `None` if `matrix` is singular.
 fn inverse<const N: usize>(matrix: &[[f64; N]; N]) -> Option<[[f64; N]; N]> {
     let mut left = *matrix;
     let mut right = polynomial(&left, [1.0, 0.0, 0.0, 0.0]);

@@ -5,7 +5,6 @@ use crate::integration::failure::MethodFailure;
 use crate::integration::fixed::{FixedStepMethod, StepMatrix};
 use crate::integration::problem::Problem;
 
-/// Largest magnitude of a component, µm.
 const DIVERGENCE_LIMIT_UM: f64 = 1e6;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -34,8 +33,8 @@ impl IntegrationMethod {
         }
     }
 
-    /// `setting`: of a fixed-step method the longest step, s, shortened to a whole number of steps;
-    /// of an adaptive one the tolerance, relative and in µm. `kept` as in [`FixedStepMethod::advance`].
+    /// `setting` is the longest step in s, which is shortened to a whole number of steps, or the tolerance of an
+    /// adaptive method, relative and in µm. `kept` as in [`FixedStepMethod::advance`].
     #[inline]
     pub fn advance<const N: usize, P: Problem<N>>(
         self,
@@ -57,7 +56,7 @@ impl IntegrationMethod {
     }
 }
 
-/// Tolerates a relative rounding error of 1e-9.
+/// An excess of up to 1e-9 steps is rounding and adds no step.
 fn step_count(seconds: f64, step: f64) -> u32 {
     (seconds / step - 1e-9).ceil().max(1.0) as u32
 }

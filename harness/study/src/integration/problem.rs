@@ -1,41 +1,40 @@
-//! Defines the plate's equations for general integrators: a vector and its rate.
+//! Defines the plate's equations for general integrators as a state vector and its rate.
 //!
-//! Velocities are divided by a fixed angular frequency near the carrier's, so that all components
-//! are µm of similar size and one tolerance suits all. Problems are autonomous: a right-hand side
-//! that needs the time has it as a component, because `ode_solvers` 0.6.2 uses a wrong node in the
-//! twelfth stage of DOP853.
+//! Velocities are divided by a fixed angular frequency near the carrier's (`scale`), so that all components are µm of
+//! similar size and one tolerance suits all. A right-hand side that depends on the time has the time as a component
+//! (the clock), because `ode_solvers` 0.6.2 uses a wrong node in the twelfth stage of DOP853.
 
 use platebench_plate::{Complex64, Drive, Mode, State};
 use std::array::from_fn;
 
 const J: Complex64 = Complex64::I;
 
-/// `x' = A x + b`, with A and b constant, or varying if a component is the time.
+/// The equations `x' = A x + b`. A and b are constant unless the state has a clock.
 pub trait Problem<const N: usize>: Copy {
-    /// The component that is the time in s since the start of the interval, if any.
+    /// Index of the clock, the time in s since the start of the interval.
     const CLOCK: Option<usize> = None;
 
     fn rate(&self, x: &[f64; N]) -> [f64; N];
 
-    /// A at the time of `x`, per s; row and column of the clock are zero.
+    /// A at the time of `x`, 1/s. Row and column of the clock are zero.
     fn matrix(&self, x: &[f64; N]) -> [[f64; N]; N];
 
-    /// Parts of a splitting step of `step` s; the mode is that at the time of `x`.
+    /// Parts of a splitting step of `step` s, with the mode at the time of `x`.
     fn split(&self, x: &[f64; N], step: f64) -> Split<N>;
 
-    /// b at the time of `x`: the rate that does not depend on the state, except the clock's.
+    /// b at the time of `x`. The entry of the clock is zero.
     fn forcing(&self, x: &[f64; N]) -> [f64; N];
 
-    /// One Störmer-Verlet step, s; `None` if the problem is not of second order in a real position.
+    /// Advances by a Störmer-Verlet step in s. `None` if the problem is not of second order in a real position.
     fn leapfrog(&self, _x: &[f64; N], _step: f64) -> Option<[f64; N]> {
         None
     }
 }
 
-/// Strang splitting of `x' = A x + b`: A is a rotation without damping, and a diagonal damping.
+/// Strang splitting of `x' = A x + b`. A is the sum of an undamped rotation and a diagonal damping.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Split<const N: usize> {
-    /// Exact solution of the undamped oscillation over a step. The clock is not included.
+    /// Exact solution of the undamped oscillation over a step. Row and column of the clock are zero.
     pub rotation: [[f64; N]; N],
     /// Exact solution of `x' = -d x + b` over half a step: `decay x + gain b`.
     pub decay: [f64; N],
@@ -52,7 +51,7 @@ fn relaxation(damping: f64, seconds: f64) -> (f64, f64) {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProblemParameters {
     pub mode: Mode,
-    /// 1/s²; `omega0_rate` is rad/s².
+    /// 1/s². The unit of `omega0_rate` is rad/s².
     pub sigma_rate: f64,
     pub omega0_rate: f64,
     pub drive: Drive,
@@ -68,14 +67,13 @@ impl ProblemParameters {
     }
 }
 
-/// A problem whose σ and ω0 are constant.
 pub trait ConstantMode<const N: usize>: Problem<N> {
-    /// With σ (1/s) and ω0 (rad/s) higher by these values.
+    /// The problem with σ higher by `sigma` (1/s) and ω0 higher by `omega0` (rad/s).
     #[must_use]
     fn shifted(&self, sigma: f64, omega0: f64) -> Self;
 }
 
-/// A problem with σ and ω0 linear in time, which is the last component.
+/// A problem with σ and ω0 linear in time. The last component of the state is the clock.
 #[derive(Debug, Clone, Copy)]
 pub struct TimeVarying<P, const N: usize> {
     problem: P,
@@ -88,7 +86,7 @@ impl<P: ConstantMode<N>, const N: usize> TimeVarying<P, N> {
         Self { problem, sigma_rate: situation.sigma_rate, omega0_rate: situation.omega0_rate }
     }
 
-    /// The problem at the time of `x`, and the components without the time.
+    /// The problem at the time of `x`, and the components without the clock.
     #[inline]
     fn at<const M: usize>(&self, x: &[f64; M]) -> (P, [f64; N]) {
         (self.problem.shifted(self.sigma_rate * x[N], self.omega0_rate * x[N]), from_fn(|i| x[i]))
@@ -123,7 +121,7 @@ impl<P: ConstantMode<N>, const N: usize, const M: usize> Problem<M> for TimeVary
     }
 }
 
-/// `W' = λW + bV`: Re W and Im W, µm.
+/// `W' = λW + bV` with the state `[Re W, Im W]`, µm.
 #[derive(Debug, Clone, Copy)]
 pub struct EnvelopeProblem {
     sigma: f64,
@@ -178,7 +176,7 @@ impl ConstantMode<2> for EnvelopeProblem {
     }
 }
 
-/// `W' = U − jωW`, `U' = −jωU − 2σU − ω0²W + j(N/m)V`: Re W, Im W, Re U/scale, Im U/scale, µm.
+/// `W' = U − jωW`, `U' = −jωU − 2σU − ω0²W + j(N/m)V`. The state is `[Re W, Im W, Re U/scale, Im U/scale]`, µm.
 #[derive(Debug, Clone, Copy)]
 pub struct ModalProblem {
     sigma: f64,
@@ -231,7 +229,7 @@ impl Problem<4> for ModalProblem {
     fn split(&self, _: &[f64; 4], step: f64) -> Split<4> {
         let Self { sigma, omega0, omega, scale, .. } = *self;
         let (sin, cos) = (omega0 * step).sin_cos();
-        // The rotating frame turns by -ωh; the oscillation is the same in both directions.
+        // The frame rotates W and U by −ωh. The oscillation acts on their real and imaginary parts alike.
         let (s, c) = (omega * step).sin_cos();
         let (up, down) = (sin * scale / omega0, -sin * omega0 / scale);
         let rotation = [
@@ -257,7 +255,7 @@ impl ConstantMode<4> for ModalProblem {
     }
 }
 
-/// Equation 1: `y'' + 2σy' + ω0²y = (N/m) v(t)`, `v = Re(jV e^{jθ})`; y, y'/scale, µm; time, s.
+/// Equation 1, `y'' + 2σy' + ω0²y = (N/m) v(t)`, `v = Re(jV e^{jθ})`. The state is `[y, y'/scale, time]`, µm and s.
 #[derive(Debug, Clone, Copy)]
 pub struct CarrierProblem {
     sigma: f64,
@@ -271,7 +269,7 @@ pub struct CarrierProblem {
 }
 
 impl CarrierProblem {
-    /// `theta`: phase of the excitation at the start, rad; `scale` in rad/s.
+    /// `theta` is the phase of the excitation at the start in rad, `scale` is in rad/s.
     pub fn new(situation: &ProblemParameters, theta: f64, scale: f64) -> Self {
         let ProblemParameters { mode, sigma_rate, omega0_rate, drive } = *situation;
         let Mode { sigma, omega0, force_constant, .. } = mode;
@@ -284,7 +282,7 @@ impl CarrierProblem {
         [(state.w * ahead).re, (state.u * ahead).re / scale, 0.0]
     }
 
-    /// The phasor `(y − jy'/ω) e^{−jθ}`: W plus a ripple that one real oscillation cannot separate.
+    /// The phasor `(y − jy'/ω) e^{−jθ}`, which is W plus a ripple. y and y' alone do not separate them.
     pub fn phasor(&self, x: &[f64; 3]) -> Complex64 {
         let theta = self.theta + self.omega * x[2];
         (x[0] - J * (x[1] * self.scale / self.omega)) * Complex64::cis(-theta)
@@ -330,8 +328,7 @@ impl Problem<3> for CarrierProblem {
         [0.0, self.drive_at(x[2]) / self.scale, 0.0]
     }
 
-    /// Kick, drift, kick, with the damping taken at the middle:
-    /// `(y₊ − 2y + y₋)/h² + 2σ(y₊ − y₋)/2h + ω0²y = (N/m)v`.
+    /// Kick-drift-kick with the damping at the middle: `(y₊ − 2y + y₋)/h² + 2σ(y₊ − y₋)/2h + ω0²y = (N/m)v`.
     #[inline]
     fn leapfrog(&self, x: &[f64; 3], step: f64) -> Option<[f64; 3]> {
         let [y, v, t] = *x;
@@ -348,7 +345,7 @@ impl Problem<3> for CarrierProblem {
     }
 }
 
-/// The components with that of the clock; M = N + 1.
+/// Appends the clock to the components. M = N + 1.
 #[inline]
 pub(crate) fn with_clock<const N: usize, const M: usize>(x: [f64; N], clock: f64) -> [f64; M] {
     from_fn(|i| x.get(i).copied().unwrap_or(clock))

@@ -1,4 +1,4 @@
-//! Integrates a part of a trial with known drives by any tier and any method.
+//! Replays the drives of a part of a trial with any tier or integration method.
 
 use crate::integration::failure::MethodFailure;
 use crate::integration::method::IntegrationMethod;
@@ -10,11 +10,8 @@ use std::f64::consts::TAU;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum EquationForm {
-    /// First order in the rotating frame.
     Envelope,
-    /// Second order in the rotating frame.
     Modal,
-    /// Second order in the fixed frame, with the oscillation itself.
     Carrier,
 }
 
@@ -44,7 +41,6 @@ struct ReplayInterval {
     situation: ProblemParameters,
     /// Phase of the excitation at the start, rad.
     theta: f64,
-    /// True if it ends at a control instant.
     ends_at_control: bool,
 }
 
@@ -62,7 +58,6 @@ pub struct ReplaySpec<'a> {
     pub drives: &'a [(Time, Drive)],
     pub period: Time,
     pub end: Time,
-    /// Reference of relative errors, µm.
     pub setpoint_um: f64,
 }
 
@@ -77,16 +72,15 @@ pub struct Replay {
 
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ReplayResult {
-    /// W at the control instants, µm; on the carrier the phasor of y and y'.
+    /// W at the control instants, µm. For the carrier equations the phasor of y and y'.
     pub samples: Vec<Complex64>,
-    /// Simulated seconds.
     pub seconds: f64,
     pub failure: Option<MethodFailure>,
 }
 
 impl Replay {
-    /// Splits the trial at every control instant, change of the drive and point of a profile.
-    /// In between, σ and ω0 are assumed linear, as profile and damping curve usually are.
+    /// Splits the trial at every control instant, drive change and profile point. In between σ and ω0 are assumed
+    /// linear, as they are with most profiles and damping curves.
     pub fn new(course: &ReplaySpec<'_>) -> Self {
         let ReplaySpec { plate, scene, drives, period, end, setpoint_um } = *course;
         let mut drives = drives.iter().copied().peekable();
@@ -100,7 +94,7 @@ impl Replay {
             let also = [drives.peek().map(|(from, _)| *from), scene.next_point_after(now)];
             let until = also.into_iter().flatten().fold(control.min(end), Time::min);
             let seconds = (until - now).seconds();
-            // The last instant before a jump at `until` belongs to this interval.
+            // The rate is taken up to the middle of the interval, because a profile may jump at `until`.
             let (from, to) = (plate.mode(&scene.at(now)), plate.mode(&scene.at(now.midpoint(until))));
             let rate = |from: f64, to: f64| 2.0 * (to - from) / seconds;
             let situation = ProblemParameters {
@@ -117,7 +111,7 @@ impl Replay {
         Self { plate: plate.clone(), scene: scene.clone(), intervals: pieces, setpoint_um, scale: plate.omega0 }
     }
 
-    /// If a profile changes the mode within an interval, the exact propagation needs substeps.
+    /// True if a profile changes the mode within an interval. The exact propagation then needs substeps.
     pub fn is_time_varying(&self) -> bool {
         self.intervals.iter().any(|piece| piece.situation.is_time_varying())
     }
@@ -146,7 +140,7 @@ impl Replay {
         self.samples(frame.tier(), frame)
     }
 
-    /// Of the exact propagation by `tier`.
+    /// Samples of the exact propagation with `tier`, as [`ReplayResult::samples`] of the form `frame`.
     pub(crate) fn samples(&self, tier: Tier, frame: EquationForm) -> Vec<Complex64> {
         let mut states = Vec::new();
         self.advance_plant(&mut self.plant(tier), |state| states.push(state));
@@ -186,7 +180,7 @@ impl Replay {
         outcome.failure = played.err();
     }
 
-    /// For problems of N components in the rotating frame; M = N + 1 includes the clock of a mode that changes.
+    /// Integrates N components in the rotating frame, or M = N + 1 with the clock if the mode varies.
     fn integrate_phasors<P: ConstantMode<N>, const N: usize, const M: usize>(
         &self,
         method: IntegrationMethod,
@@ -232,7 +226,7 @@ impl Replay {
         Ok(())
     }
 
-    /// max |ΔW|/setpoint; infinite if `samples` has fewer samples than `truth`.
+    /// max |ΔW|/setpoint. Infinite if `samples` is shorter than `truth`.
     pub fn relative_error(&self, samples: &[Complex64], truth: &[Complex64]) -> f64 {
         if samples.len() < truth.len() {
             return f64::INFINITY;

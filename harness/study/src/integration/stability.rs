@@ -1,7 +1,5 @@
-//! Finds the largest step at which a method's free motion decays, and compares it with theory.
-//!
-//! The free motion of a step is a linear map. Steps of unit vectors give its matrix, squaring gives
-//! its spectral radius.
+//! Finds the largest step with which the plate without drive decays under a method, and compares it with theory.
+//! Such a step is a linear map. Steps of unit vectors give its matrix, repeated squaring gives its spectral radius.
 
 use crate::integration::fixed::FixedStepMethod::{self, Euler, Midpoint, RungeKutta4, Verlet};
 use crate::integration::method::IntegrationMethod;
@@ -14,17 +12,17 @@ const STEP_RANGE_S: [f64; 2] = [1e-9, 1.0];
 /// Rounding error of a spectral radius of 1.
 const ROUNDING: f64 = 1e-11;
 const GROWTH_STEPS: u32 = 4_000;
-/// rad/s: tuned for 33 °C, at 24 °C.
+/// Detuning in rad/s of an excitation at the resonance of 33 °C on a plate at 24 °C.
 const DETUNING: f64 = -545.0;
 
-pub(crate) const NOTE: &str = "Up to this step the free motion of a method decays: measured by bisection on the \
-    spectral radius of its step, and predicted by theory. The bench itself uses the exact forms, which have no limit.";
+pub(crate) const NOTE: &str = "With steps up to this limit the plate without drive decays under the method. The limit \
+    is measured by bisection on the spectral radius of a step, and predicted by theory. The bench itself uses the \
+    exact forms, which have no limit.";
 
-/// Steps at which a method is stable.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum StepLimit {
     Never,
-    /// Up to this one, s.
+    /// Largest stable step, s.
     Step(f64),
     Always,
 }
@@ -33,12 +31,11 @@ pub enum StepLimit {
 pub struct StepLimitRow {
     pub method: &'static str,
     pub problem: &'static str,
-    /// By bisection on the method's steps.
     pub measured: StepLimit,
     pub predicted: StepLimit,
     pub source: &'static str,
     pub in_usual_unit: String,
-    /// Decades in 4 000 steps of 99 and 101 % of the limit; `None` if too small to measure.
+    /// Growth in decades over 4 000 steps of 99 % and of 101 % of the limit. `None` if it is too small to measure.
     pub growth_decades: Option<[f64; 2]>,
 }
 
@@ -99,7 +96,6 @@ pub fn step_limits(plate: &Plate) -> Vec<StepLimitRow> {
     ]
 }
 
-/// Steps are s.
 pub fn to_csv(rows: &[StepLimitRow]) -> String {
     let mut text = "method,problem,measured_step_s,predicted_step_s,deviation_percent,in_usual_unit,\
                     decades_at_99_percent,decades_at_101_percent,source\n"
@@ -128,14 +124,13 @@ pub fn to_csv(rows: &[StepLimitRow]) -> String {
     text
 }
 
-/// The limits of each method, measured and predicted.
 pub(crate) fn limits_table(rows: &[StepLimitRow]) -> String {
     let mut text = format!(
         "Methods: the largest stable step\n\n{:<20} {:<38} {:>10} {:>10} {:>11}  in the usual unit\n",
         "method", "problem", "measured", "theory", "difference"
     );
     for row in rows {
-        // Rounded to 0.01 %, without −0.
+        // Rounds to 0.01 % and replaces −0 by 0.
         let hundredths = |share: f64| (share * 1e4).round() as i64 as f64 / 100.0;
         let difference = row.deviation().map_or_else(|| "–".to_owned(), |share| format!("{:.2} %", hundredths(share)));
         let _ = writeln!(
@@ -161,7 +156,7 @@ fn format_limit(limit: StepLimit) -> String {
     }
 }
 
-/// Measures the limit of `step`, which maps a state to the state after a step of so many s.
+/// Measures the limit of `step`, which advances a state by one step of the given length in s.
 fn limit_row<const N: usize>(
     [method, problem, source]: [&'static str; 3],
     predicted: StepLimit,
@@ -180,7 +175,6 @@ fn limit_row<const N: usize>(
     StepLimitRow { method, problem, measured, predicted, source, in_usual_unit, growth_decades }
 }
 
-/// A problem without drive.
 struct FreeMotion<P>(P);
 
 impl<P> FreeMotion<P> {
@@ -209,7 +203,7 @@ fn exact_form_limit(tier: Tier, problem: &'static str, mode: &Mode) -> StepLimit
     limit_row(["exact", problem, "closed form: its step is e^{λh}"], StepLimit::Always, step, |_| String::new())
 }
 
-/// Compares with the beat of the components after [`GROWTH_STEPS`] steps.
+/// True if the growth over [`GROWTH_STEPS`] steps exceeds a decade. The beat of the components hides a smaller one.
 fn is_growth_measurable(factor: f64) -> bool {
     f64::from(GROWTH_STEPS) * factor.log10() > 1.0
 }
@@ -231,10 +225,9 @@ fn free_step<const N: usize, P: Problem<N>>(
     after
 }
 
-/// The matched amplitude loop, tuned for the untouched plate, with the explicit Euler plate at 2 N.
+/// The amplitude loop is designed for the untouched plate. Explicit Euler integrates the plate under 2 N.
 fn closed_loop_limit(free: &Mode, pressed: &Mode, format_limit: impl Fn(f64) -> String) -> StepLimitRow {
-    // Jury: the characteristic polynomial (z − α)(z − 1) + g(z − a) is positive at −1, α = 1 − σh,
-    // g = b h Kp.
+    // Jury criterion: (z − α)(z − 1) + g(z − a) must be positive at z = −1, with α = 1 − σh and g = b h Kp.
     let predicted = find_step_limit(|period| {
         let pi = MatchedPiLoop::new(free, period);
         let gain = pressed.envelope_constant * period * pi.kp;
@@ -250,12 +243,12 @@ fn closed_loop_limit(free: &Mode, pressed: &Mode, format_limit: impl Fn(f64) -> 
     limit_row(names, predicted, step, format_limit)
 }
 
-/// A PI matched to the zero-order hold (`docs/mathematics.md`), with setpoint 0.
+/// An amplitude loop with setpoint 0 and a PI matched to the zero-order hold (`docs/mathematics.md`).
 #[derive(Debug, Clone, Copy)]
 struct MatchedPiLoop {
     period: f64,
     kp: f64,
-    /// On the untouched plate's pole.
+    /// Zero of the PI, at the pole of the untouched plate.
     zero: f64,
 }
 
@@ -270,7 +263,7 @@ impl MatchedPiLoop {
         Self { period, kp: (1.0 - pole) / (gain * (1.0 - zero)), zero }
     }
 
-    /// Wd in µm and the integral in Vpp.
+    /// Advances Wd in µm and the integral in Vpp by one period.
     fn step(&self, mode: &Mode, [w, integral]: [f64; 2]) -> [f64; 2] {
         let drive = Drive { vpp: integral - self.kp * w, omega: mode.omega0 };
         let problem = EnvelopeProblem::new(&ProblemParameters::constant(*mode, drive));
@@ -285,7 +278,6 @@ fn matrix_of<const N: usize>(mut map: impl FnMut([f64; N]) -> [f64; N]) -> [[f64
     from_fn(|row| from_fn(|column| columns[column][row]))
 }
 
-/// Bisects to a relative error of 1e-9.
 fn find_step_limit(radius: impl Fn(f64) -> f64) -> StepLimit {
     let is_stable = |step: f64| radius(step) <= 1.0 + ROUNDING;
     let [mut low, longest] = STEP_RANGE_S;
@@ -306,7 +298,7 @@ fn find_step_limit(radius: impl Fn(f64) -> f64) -> StepLimit {
     StepLimit::Step(low)
 }
 
-/// The spectral radius from repeated squaring; infinite if the matrix is not finite.
+/// Spectral radius by repeated squaring. Infinite if `matrix` is not finite.
 fn spectral_radius<const N: usize>(matrix: &[[f64; N]; N]) -> f64 {
     let (mut power, mut share, mut logarithm) = (*matrix, 1.0, 0.0);
     for _ in 0..48 {

@@ -1,4 +1,4 @@
-//! Measures cost against error of every method, over its steps or tolerances on one replay.
+//! Measures cost and error of every method on one replay, over its steps or tolerances.
 
 use crate::cost::{median, thread_cpu_time};
 use crate::integration::adaptive::AdaptiveMethod;
@@ -10,16 +10,15 @@ use platebench_plate::{Complex64, Plant, Tier};
 use std::hint::black_box;
 use std::time::Duration;
 
-/// Larger errors, in setpoints, count as a divergence: a plate at rest would be closer.
+/// In setpoints. A larger error counts as divergence, because a plate at rest has a smaller one.
 const MAX_USEFUL_ERROR: f64 = 2.0;
-/// Reference of the exact propagation; replaces it if a profile changes the mode.
+/// Method and tolerance that check the exact propagation. If a profile changes the mode, they replace it as reference.
 const REFERENCE: (IntegrationMethod, f64) = (IntegrationMethod::Adaptive(AdaptiveMethod::Dop853), 1e-13);
 const SLOW_REPLAY: Duration = Duration::from_millis(20);
 const MAX_PLANTS: u32 = 4_096;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SweepConfig {
-    /// Over all solvers; the median counts.
     pub rounds: u32,
     pub batch: Duration,
     pub stride: usize,
@@ -76,11 +75,11 @@ impl Solver {
 pub struct SweepResult {
     pub solver: Solver,
     pub status: SolverStatus,
-    /// max |ΔW|/setpoint at the control instants against the exact solution of the same equations.
+    /// max |ΔW|/setpoint at the control instants, against the exact solution of the same equations.
     pub numerical_error: f64,
-    /// As above, the exact solution of these equations against that of the mode.
+    /// The same for the exact solution of these equations, against that of the modal equations.
     pub model_error: f64,
-    /// As above, the result against the exact solution of the mode.
+    /// The same for the result, against the exact solution of the modal equations.
     pub total_error: f64,
     /// Processor time per simulated time.
     pub ns_per_ms: f64,
@@ -121,7 +120,7 @@ impl SolverTimer<'_> {
         elapsed.as_nanos() as f64 / (f64::from(repeats) * seconds * 1e3)
     }
 
-    /// Finds the number of replays per batch; also the warm-up.
+    /// Sets the number of replays per batch. The measurement is also the warm-up.
     fn calibrate(&mut self, batch: Duration) {
         self.repeats = 1;
         let once = self.measure_cost();
@@ -157,7 +156,7 @@ pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
     for runner in &mut runners {
         runner.calibrate(effort.batch);
     }
-    // In turn, so that other load affects all solvers equally.
+    // Measures the solvers in turn, so that other load affects all of them equally.
     for round in 0..effort.rounds.max(1) {
         for runner in runners.iter_mut().filter(|runner| round == 0 || !runner.is_slow) {
             let cost = runner.measure_cost();
@@ -169,7 +168,7 @@ pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
 
 struct ReferenceSolutions<'a> {
     passage: &'a Replay,
-    /// Exact propagation and tightest integration, in the order of [`EquationForm::ALL`].
+    /// Samples of the exact propagation and of the integration by [`REFERENCE`].
     by_form: Vec<(EquationForm, [Vec<Complex64>; 2])>,
 }
 
@@ -189,7 +188,7 @@ impl<'a> ReferenceSolutions<'a> {
         found.map_or([&[], &[]], |(_, [exact, tight])| [exact, tight])
     }
 
-    /// The tightest integration if the mode varies: the exact propagation then needs substeps.
+    /// If the mode varies, the exact propagation needs substeps, so the integration is the reference.
     fn best(&self, frame: EquationForm) -> &[Complex64] {
         let [exact, tight] = self.of(frame);
         if self.passage.is_time_varying() { tight } else { exact }
@@ -202,7 +201,7 @@ impl<'a> ReferenceSolutions<'a> {
             Solver::General(frame, ..) => (runner.outcome.samples, frame, runner.outcome.failure),
         };
         let own = match runner.solver {
-            // No general method solves the decoupled equations; their error is the model's.
+            // No general method solves the decoupled equations, so their error is the model error.
             Solver::Exact(Tier::Linear) => &samples,
             Solver::Exact(_) => self.of(frame)[1],
             Solver::General(..) => self.best(frame),
@@ -234,7 +233,7 @@ impl<'a> ReferenceSolutions<'a> {
     }
 }
 
-/// For the linear tier the equations that it simplifies, for the carrier those of its W.
+/// Equations that the linear tier simplifies, and equations of the carrier tier's W.
 const fn form_of_tier(tier: Tier) -> EquationForm {
     match tier {
         Tier::Linear | Tier::Envelope => EquationForm::Envelope,
@@ -242,7 +241,7 @@ const fn form_of_tier(tier: Tier) -> EquationForm {
     }
 }
 
-/// Steps in s or tolerances, coarse to fine; empty if the method does not support the form.
+/// Steps in s or tolerances, from coarse to fine. Empty if the method does not support the form.
 fn settings(form: EquationForm, method: IntegrationMethod) -> Vec<f64> {
     use EquationForm::{Carrier, Envelope, Modal};
     use FixedStepMethod::{Euler, Exponential, Gauss4, Gauss6, KeptExponential, Verlet};
@@ -254,18 +253,18 @@ fn settings(form: EquationForm, method: IntegrationMethod) -> Vec<f64> {
         IntegrationMethod::Fixed(method) => method,
     };
     match (method, form) {
-        // The step matrix needs equations without the carrier's time.
+        // Verlet needs a real position, a step matrix needs equations without the carrier's time.
         (Verlet, Envelope | Modal) | (Gauss4 | Gauss6 | Exponential | KeptExponential, Carrier) => Vec::new(),
         (Exponential | KeptExponential, Envelope | Modal) => halved(&[0]),
         (_, Envelope) => halved(&[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12]),
-        // Stable from 155 000 steps per ms; 39 000 on the carrier.
+        // Explicit Euler is stable from 155 000 steps per ms, on the carrier from 39 000.
         (Euler, Modal) => halved(&[8, 12, 16, 17, 18, 19]),
         (Euler, Carrier) => halved(&[8, 12, 15, 16, 17, 18]),
         (_, Modal | Carrier) => halved(&[5, 6, 7, 8, 9, 10, 11, 12, 13, 14]),
     }
 }
 
-/// Cheapest of all methods except the closed form.
+/// The closed form is excluded.
 pub fn cheapest_method<'a>(measured: &'a [SweepResult], problem: &str, error: f64) -> Option<&'a SweepResult> {
     cheapest(measured, problem, error, |solver| matches!(solver, Solver::General(..)))
 }

@@ -1,6 +1,6 @@
 //! Bisects an interval.
 
-/// Halves the interval from a value that `holds` to one that does not, so many times.
+/// Halves `times` times the interval between a value for which `holds` is true and one for which it is false.
 pub(crate) fn bisect<E>(
     [mut low, mut high]: [f64; 2],
     times: u32,

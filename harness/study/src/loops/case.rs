@@ -9,16 +9,15 @@ use platebench_wire::{Configure, Gains, LawId};
 use std::convert::Infallible;
 use std::f64::consts::TAU;
 
-/// A drive limit that no small motion reaches, Vpp.
 const UNREACHED_LIMIT_VPP: f64 = 1e5;
-/// A start 9 K off and, for `frequency-only`, the flank beyond it.
+/// Covers a start 9 K off the resonance, and the flank of the resonance curve that `frequency-only` uses.
 const RANGE_HZ: f64 = 400.0;
 const BISECTIONS: u32 = 60;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum OperatingCondition {
     Resonant,
-    /// Untouched; the excitation starts at the resonance of 33 °C, 545 rad/s too low (Fig. 14).
+    /// Untouched plate. The excitation starts at the resonance of 33 °C, 545 rad/s too low (Fig. 14).
     Detuned,
     /// Under a finger of 2 N (Fig. 16).
     Finger,
@@ -40,7 +39,6 @@ impl OperatingCondition {
         Conditions { temperature_offset_k: 0.0, finger_force_n }
     }
 
-    /// rad/s.
     pub fn start_omega(self, plate: &Plate) -> f64 {
         let mode = plate.mode(&self.conditions());
         let warmer_k = if self == Self::Detuned { 9.0 } else { 0.0 };
@@ -48,15 +46,14 @@ impl OperatingCondition {
     }
 }
 
-/// A law on a plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LoopCase<'a> {
     pub plate: &'a Plate,
     pub law: LawId,
     pub condition: OperatingCondition,
-    /// µs, above 0.
+    /// Above 0.
     pub period_us: u32,
-    /// 5 % response time of the design, s; the law's default if `None`.
+    /// 5 % response time of the design, s. `None` is the law's default.
     pub response_s: Option<f64>,
     pub gains: Option<Gains>,
 }
@@ -78,12 +75,12 @@ impl<'a> LoopCase<'a> {
         self.plate.mode(&self.condition.conditions())
     }
 
-    /// µm: 2 as in the paper; 1 for `frequency-only`, whose drive reaches no more under a finger.
+    /// 2 µm as in the paper. 1 µm for `frequency-only`, whose drive does not reach 2 µm under a finger.
     pub fn setpoint(&self) -> f64 {
         if self.law == LawId::FrequencyOnly { 1.0 } else { 2.0 }
     }
 
-    /// Vpp: unreachable, except for `frequency-only`, whose drive is half of it.
+    /// Only `frequency-only` gets the plate's drive limit. Its drive is half of this limit.
     pub fn limit(&self) -> f64 {
         if self.law == LawId::FrequencyOnly { self.plate.drive_limit_vpp } else { UNREACHED_LIMIT_VPP }
     }
@@ -108,7 +105,7 @@ impl<'a> LoopCase<'a> {
         }
     }
 
-    /// Drive and excitation of the law's steady state; `None` if it cannot be reached.
+    /// Drive and excitation of the law's steady state. `None` if the law cannot reach it.
     pub fn steady_drive(&self, tier: Tier) -> Option<Drive> {
         let (mode, setpoint) = (self.mode(), self.setpoint());
         let start = self.condition.start_omega(self.plate);
@@ -140,18 +137,17 @@ impl<'a> LoopCase<'a> {
         f64::from(design::FREQUENCY_ONLY_DRIVE_SHARE) * self.limit()
     }
 
-    /// Plate and law, linearised around the steady state; `None` without one.
-    /// * `dq-pi` and `deadbeat` adapt to the plate's damping. In steady state they know it, and a
-    ///   small motion changes gains that act on a small error: to first order they are loops
-    ///   matched to the present plate.
-    /// * `deadbeat` is in its holding phase and knows no delay.
-    /// * The relay of `bang-bang` has no linear form; only its amplitude loop is analysed.
+    /// Plate and law, linearised around the steady state. `None` if the law cannot reach it.
+    /// * `dq-pi` and `deadbeat` adapt to the plate's damping. In the steady state they know the damping, and a small
+    ///   motion changes gains that act on a small error. To first order they are loops matched to the present plate.
+    /// * `deadbeat` is in its holding phase and assumes no delay.
+    /// * The relay of `bang-bang` has no linear form, so only its amplitude loop is analysed.
     pub fn linearise(&self, tier: Tier) -> Option<(LinearPlant, LinearController)> {
         let drive = self.steady_drive(tier)?;
         let plant = LinearPlant::linearised_at(tier, &self.mode(), &drive);
         let at = plant.at();
         let size = at.norm();
-        // δ(Wq/Wd) at Wd = W0, Wq = 0; δ arg W at any phase; δ|W|.
+        // Gradients by (Wd, Wq) of Wq/Wd at Wq = 0, of arg W, and of |W|.
         let ratio = [0.0, 1.0 / at.re];
         let phase = [-at.im / (size * size), at.re / (size * size)];
         let magnitude = [at.re / size, at.im / size];
@@ -179,7 +175,7 @@ impl<'a> LoopCase<'a> {
         Some((plant, controller))
     }
 
-    /// Plants K1/(1 + τp) and −τ/(1 + τp), of the untouched or of the present plate.
+    /// Design for the plants K1/(1 + τp) and −τ/(1 + τp). Adaptive laws use the τ of the present plate.
     fn loop_gains(&self) -> [PiGains; 2] {
         let period = self.period();
         if let Some(gains) = self.gains {
@@ -206,7 +202,7 @@ impl<'a> LoopCase<'a> {
     }
 }
 
-/// A pure integral that acts at once: `x += gain · e`, `u = x`.
+/// Integral whose output includes the present error: `x += gain · e`, then `u = x`.
 fn integral_only(gain: f64) -> PiGains {
     PiGains { proportional: gain, integral_per_period: gain }
 }

@@ -1,9 +1,7 @@
-//! Builds the closed loop in the z plane: plant, pending commands and integrals as one real matrix
-//! per period.
+//! Builds the closed loop in the z plane: plant, pending commands and integrals as one real matrix per period.
 //!
-//! A command computed at k acts from `kTs + delay`. With `delay = m Ts + r`, u(k−m−1) acts for the
-//! first `r` of a period and u(k−m) for the rest; pending commands are part of the state. The state
-//! is `[re, im of each pole | u(k−1), u(k−2) … | integrals]`, u = (drive, frequency).
+//! A command computed at k acts from `kTs + delay`. With `delay = m Ts + r`, u(k−m−1) acts for the first `r` of a
+//! period, then u(k−m). The state is `[re, im of each pole | u(k−1), u(k−2) … | integrals]`, u = (drive, frequency).
 
 use crate::loops::controller::LinearController;
 use crate::loops::plant::LinearPlant;
@@ -11,14 +9,14 @@ use nalgebra::linalg::balancing::balance_parlett_reinsch;
 use nalgebra::{DMatrix, Schur};
 use platebench_plate::Complex64;
 
-/// Limit of the eigenvalue solver's iterations per state; it needs two or three.
+/// The eigenvalue solver usually needs two or three.
 const ITERATIONS_PER_STATE: usize = 100;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LoopTiming {
     /// Control period Ts, s, above 0.
     pub period: f64,
-    /// Delay from sampling to actuation, s; may exceed a period.
+    /// Delay from sampling to actuation, s. It may exceed a period.
     pub delay: f64,
 }
 
@@ -39,9 +37,9 @@ impl LoopTiming {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum AnalysisError {
-    #[error("a number of the loop is not finite, or its period is not above 0")]
+    #[error("the loop analysis needs finite gains, a period above 0 and a finite delay of at least 0")]
     NotFinite,
-    #[error("the poles of the loop were not found")]
+    #[error("the eigenvalue solver did not converge, so the poles of the control loop are unknown")]
     NoConvergence,
 }
 
@@ -50,9 +48,8 @@ pub struct ClosedLoop {
     pub(crate) plant: LinearPlant,
     pub(crate) controller: LinearController,
     pub(crate) timing: LoopTiming,
-    /// State after one period without a new command.
+    /// Maps the state to that after one period without a new command.
     free_motion: DMatrix<f64>,
-    /// Effect of each command on the next state.
     inputs: DMatrix<f64>,
     outputs: DMatrix<f64>,
 }
@@ -95,7 +92,7 @@ impl ClosedLoop {
             for step in 1..on_the_way {
                 free[(pipe + 2 * step + kind, pipe + 2 * (step - 1) + kind)] = 1.0;
             }
-            // A missing loop has no integral, whose pole would be at 1.
+            // Without a loop there is no integral, because its pole would be at 1.
             let closed = f64::from(u8::from(controller.closed_channels()[kind]));
             free[(integrals + kind, integrals + kind)] = closed;
             outputs[(kind, integrals + kind)] = closed;
@@ -118,19 +115,19 @@ impl ClosedLoop {
         let mut balanced = matrix.clone();
         balance_parlett_reinsch(&mut balanced);
         let limit = ITERATIONS_PER_STATE * matrix.nrows();
-        // For a few matrices the solver's shifts cycle; the transpose has the same eigenvalues.
+        // The solver does not converge for a few matrices. Their transpose has the same eigenvalues.
         let forms = [balanced.clone(), balanced.transpose(), matrix.clone(), matrix.transpose()];
         let schur = forms.into_iter().find_map(|form| Schur::try_new(form, f64::EPSILON, limit));
         Ok(schur.ok_or(AnalysisError::NoConvergence)?.complex_eigenvalues().iter().copied().collect())
     }
 
-    /// Largest magnitude of a pole: below 1 the loop is stable.
+    /// Largest magnitude of a pole. The loop is stable if it is below 1.
     pub fn spectral_radius(&self) -> Result<f64, AnalysisError> {
         Ok(self.poles()?.iter().fold(0.0, |largest, pole| pole.norm().max(largest)))
     }
 
-    /// L(z) of the drive (0) or the frequency (1) with the other loop closed;
-    /// `L = −1` at the closed loop's poles. `None` without such a loop, or at a pole of L.
+    /// Open-loop L(z) of the drive loop (`kind` 0) or the frequency loop (1) with the other loop closed. `L = −1` at
+    /// the poles of the closed loop. `None` if there is no such loop. The result returns `None` at a pole of L.
     pub(crate) fn open_loop_transfer(&self, kind: usize) -> Option<impl Fn(Complex64) -> Option<Complex64>> {
         self.controller.closed_channels().get(kind).copied().filter(|closes| *closes)?;
         let other = 1 - kind;
@@ -148,7 +145,7 @@ impl ClosedLoop {
     }
 }
 
-/// Adds the effect of the command `age` periods ago on the pole at `row`.
+/// Adds the effect on the pole at `row` of the command that was computed `age` periods ago.
 fn add_command_effect(
     free: &mut DMatrix<f64>,
     inputs: &mut DMatrix<f64>,

@@ -1,4 +1,4 @@
-//! Defines linear controllers with one integral per loop, and the readings of equation 24.
+//! Defines linear controllers with one integral per loop, and discretisations of equation 24.
 
 use nalgebra::Matrix2;
 use platebench_controller::design;
@@ -6,15 +6,14 @@ use platebench_controller::design;
 /// `u = proportional · e + x`, then `x += integral_per_period · e`. The firmware's type, in f64.
 pub type PiGains = design::PiGains<f64>;
 
-/// Discretisation of equation 24.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Discretisation {
-    /// As printed, with a forward-Euler integral: `u = Kp e + x`, then `x += Ki Ts e`.
+    /// Equation 24 as printed, with a forward-Euler integral: `u = Kp e + x`, then `x += Ki Ts e`.
     Forward,
-    /// As printed, with a backward-Euler integral: `x += Ki Ts e`, then `u = Kp e + x`.
+    /// Equation 24 as printed, with a backward-Euler integral: `x += Ki Ts e`, then `u = Kp e + x`.
     Backward,
-    /// Matched to the zero-order hold.
+    /// Matched to the zero-order hold. The zero of the PI is the sampled pole of the plant.
     Matched,
 }
 
@@ -29,7 +28,7 @@ impl Discretisation {
         }
     }
 
-    /// The gains for a plant K/(1 + τp): `gain` K, all times in s.
+    /// Gains by equation 24 for the plant K/(1 + τp). `gain` is K, all times are in s.
     pub fn gains(self, gain: f64, time_constant: f64, response: f64, period: f64) -> PiGains {
         let printed = PiGains::as_printed(gain, time_constant, response, period);
         match self {
@@ -44,7 +43,7 @@ impl Discretisation {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LoopChannel {
     pub pi: PiGains,
-    /// The error per µm of deviation of Wd and of Wq.
+    /// Change of the error per µm of Wd and per µm of Wq.
     pub error_weights: [f64; 2],
 }
 
@@ -57,7 +56,7 @@ pub struct LinearController {
 }
 
 impl LinearController {
-    /// The matrices of `u = direct · y + x` and `x += integral · y` for a deviation y = (Wd, Wq).
+    /// Matrices of `u = direct · y + x` and `x += integral · y` for a deviation y = (Wd, Wq).
     pub(crate) fn matrices(&self) -> [Matrix2<f64>; 2] {
         let row = |channel: Option<LoopChannel>, gain: fn(&PiGains) -> f64| {
             channel.map_or([0.0; 2], |channel| channel.error_weights.map(|error| gain(&channel.pi) * error))

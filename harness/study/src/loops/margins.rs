@@ -17,16 +17,15 @@ const SCAN_STEP: f64 = 0.05;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StabilityMargins {
-    /// Factor by which the gain may rise; below 1 it must fall. `None` if it is unlimited.
+    /// Factor by which the gain may rise. Below 1 the gain must fall. `None` if the gain is not limited.
     pub gain: Option<f64>,
-    /// At |L| = 1; `None` if |L| is never 1.
+    /// Phase margin at |L| = 1. `None` if |L| is never 1.
     pub phase_deg: Option<f64>,
 }
 
 impl ClosedLoop {
-    /// The smaller margin of both loops, each with the other closed. These loops are stable at
-    /// small gain, so a rising gain meets the outermost crossing of the negative real axis (or L at
-    /// half the rate).
+    /// The smaller margin of both loops, each with the other loop closed. These loops are stable at small gain, so a
+    /// rising gain first meets the outermost crossing of the negative real axis, or L at half the sampling frequency.
     pub fn margins(&self) -> StabilityMargins {
         let mut margins = StabilityMargins { gain: None, phase_deg: None };
         let smaller = |known: Option<f64>, new: f64| Some(known.map_or(new, |known| known.min(new)));
@@ -58,14 +57,13 @@ impl ClosedLoop {
     }
 }
 
-/// rad per period, rising, the last just below half the sampling frequency.
+/// In rad per period, rising. The last frequency is just below half the sampling frequency.
 fn frequency_grid() -> Vec<f64> {
     let last = PI * (1.0 - 1e-9);
     let ratio = (last / LOWEST_FREQUENCY).ln();
     (0..=FREQUENCIES).map(|n| LOWEST_FREQUENCY * (ratio * f64::from(n) / f64::from(FREQUENCIES)).exp()).collect()
 }
 
-/// Where `value` changes its sign.
 fn root(low: f64, high: f64, value: impl Fn(f64) -> Option<f64>) -> f64 {
     let sign = |at: f64| value(at).unwrap_or(0.0).signum();
     let first = sign(low);
@@ -73,7 +71,7 @@ fn root(low: f64, high: f64, value: impl Fn(f64) -> Option<f64>) -> f64 {
     f64::midpoint(low, high)
 }
 
-/// First delay, up to `longest` s, at which the spectral radius reaches 1.
+/// First delay up to `longest` s at which the spectral radius reaches 1.
 pub fn delay_boundary(
     plant: &LinearPlant,
     controller: &LinearController,

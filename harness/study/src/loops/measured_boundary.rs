@@ -1,37 +1,34 @@
 //! Measures the delay boundary of the firmware's f32 controller on the exact plate.
-//!
-//! The loop reaches its steady state without delay. Then its commands act late, one sample is
-//! perturbed, and the perturbation decays or grows. The drive limit does not act. `deadbeat` starts
-//! without delay, so its holding loops know of none.
+//! The loop reaches its steady state without delay. Then its commands act late, one sample is perturbed, and the
+//! perturbation decays or grows. The drive limit does not act. `deadbeat` starts without delay and compensates none.
 
 use crate::loops::case::LoopCase;
 use platebench_plate::{Complex64, Tier, Time};
 use platebench_runner::delay_boundary::{DelayBoundary, DelayedLoop, search_boundary};
 use platebench_wire::LawId;
 
-/// Periods until the steady state without delay, and the number of them that is averaged.
+/// Periods without delay until the steady state. The last [`AVERAGED_PERIODS`] of them are averaged.
 const WARM_UP: u32 = 700;
 const AVERAGED_PERIODS: u32 = 100;
-/// Largest spread of the last periods in a steady state, as a share of the setpoint.
+/// Largest spread of |W| over the averaged periods, as a share of the setpoint.
 const STEADY_TOLERANCE: f64 = 1e-4;
 /// Perturbation of one sample as a share of the setpoint.
 const PERTURBATION: f64 = 3e-2;
-/// The same for laws that identify the plate from each sample, which must treat it as noise.
+/// Laws that identify the plate from each sample must treat the perturbation as noise.
 const PERTURBATION_OF_ADAPTIVE_LAWS: f64 = 3e-3;
-/// Growth beyond which a motion is not small.
 const DIVERGENCE_FACTOR: f64 = 8.0;
-/// Resolution of the frequency in mHz and of f32, as a share of the setpoint.
+/// Resolution of the frequency (1 mHz) and of f32, as a share of the setpoint.
 const RESOLUTION: f64 = 5e-5;
-/// Periods until the slowest pole dominates, and the length of the two compared windows.
+/// Periods until the slowest pole dominates. Two windows of [`WINDOW`] periods follow, which are compared.
 const TRANSIENT_PERIODS: usize = 40;
 const WINDOW: usize = 160;
-/// A hunting loop is stable if |W| stays within this share of the setpoint in the last periods.
+/// A hunting loop is stable if |W| stays within this share of the setpoint for the last [`HUNT_WINDOW`] periods.
 const HUNT_BAND: f64 = 0.05;
 const HUNT_PERIODS: usize = 3_000;
 const HUNT_WINDOW: usize = 300;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum LoopMotion {
-    /// Decays or grows by this factor per period.
+    /// The perturbation decays or grows by this factor per period.
     Factor(f64),
     Decayed,
     BoundedHunting,
@@ -48,12 +45,10 @@ impl LoopMotion {
     }
 }
 
-/// A case in lockstep with the exact plate, in its steady state.
 #[derive(Debug, Clone)]
 pub struct LoopSimulation {
     delayed_loop: DelayedLoop,
     is_hunting_law: bool,
-    /// µm.
     perturbation: f64,
     steady: Complex64,
 }
@@ -64,7 +59,7 @@ pub fn loop_at_rest(case: &LoopCase<'_>) -> Option<DelayedLoop> {
 }
 
 impl LoopSimulation {
-    /// `None` if the case has no steady state without delay.
+    /// `None` if there is no steady state without delay.
     pub fn in_steady_state(case: &LoopCase<'_>) -> Option<Self> {
         let mut delayed_loop = loop_at_rest(case)?;
         let mut steady = Complex64::ZERO;
@@ -115,7 +110,7 @@ impl LoopSimulation {
         }
     }
 
-    /// A hunting loop needs no perturbation.
+    /// A hunting loop oscillates without a perturbation.
     fn hunting_motion(mut self, delay: Time) -> LoopMotion {
         for number in 0..HUNT_PERIODS {
             let Some(w) = self.delayed_loop.step(delay, 0.0) else { return LoopMotion::UnboundedHunting };
@@ -128,13 +123,13 @@ impl LoopSimulation {
     }
 }
 
-/// Longest delay, up to `longest` s, that holds the steady state; `None` without a steady state.
+/// Longest delay up to `longest` s at which the steady state is stable. `None` if there is no steady state.
 pub fn measure_delay_boundary(case: &LoopCase<'_>, longest: f64) -> Option<DelayBoundary> {
     let simulation = LoopSimulation::in_steady_state(case)?;
     Some(search_boundary(case.period(), longest, |delay| simulation.clone().perturbed_motion(delay).is_stable()))
 }
 
-/// Longest delay, up to `longest` s, with which a start from rest reaches and keeps the 5 % band.
+/// Longest delay up to `longest` s with which a start from rest reaches and keeps the 5 % band.
 pub fn measure_delay_boundary_from_rest(case: &LoopCase<'_>, longest: f64) -> DelayBoundary {
     loop_at_rest(case).map_or(DelayBoundary::Unstable, |at_rest| at_rest.settling_boundary(longest))
 }

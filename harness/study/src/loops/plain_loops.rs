@@ -1,8 +1,6 @@
-//! Simulates two PI loops as the paper draws them on the exact plate.
-//!
-//! No limits of drive, frequency or ratio, no guard for small amplitudes, no anti-windup: `V` from
-//! `Wd_ref − Wd`, ω from `Wq/Wd`. The loops are linear, the ratio is not: far from the resonance a
-//! loop with a small spectral radius may diverge.
+//! Simulates the two PI loops of the paper's block diagram on the exact plate.
+//! `V` follows from `Wd_ref − Wd` and ω from `Wq/Wd`, without limits, guard for small amplitudes and anti-windup. The
+//! ratio is not linear. Far from the resonance a loop with a small spectral radius may diverge.
 
 use crate::loops::case::OperatingCondition;
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
@@ -11,7 +9,7 @@ use crate::loops::plant::LinearPlant;
 use platebench_plate::{Complex64, Drive, Flow, Plate, State, Tier};
 
 const BAND: f64 = 0.05;
-/// Amplitude of a divergence in setpoints.
+/// A larger |W| in setpoints counts as divergence.
 const DIVERGENCE_LIMIT: f64 = 1e6;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,16 +25,16 @@ pub struct PlainLoops {
 pub struct StartResult {
     /// First control instant from which |W| stays within 5 % of the setpoint, s.
     pub settled: Option<f64>,
-    /// Largest and smallest |W|/setpoint in the last quarter.
+    /// Smallest and largest |W|/setpoint in the last quarter.
     pub range: [f64; 2],
     /// ω − ω0 at the end, rad/s.
     pub detuning: f64,
-    /// W diverged, or the excitation left the resonance by the resonance frequency.
+    /// W diverged, or the detuning reached the resonance frequency.
     pub diverged: bool,
 }
 
 impl PlainLoops {
-    /// Equation 24 for the untouched plate, `response` in s (2 ms in the paper).
+    /// Gains by equation 24 for the untouched plate. `response` is in s (2 ms in the paper).
     pub fn new(plate: &Plate, discretisation: Discretisation, response: f64, period: f64) -> Self {
         let tau = 1.0 / plate.sigma0;
         let [amplitude, frequency] = [plate.gain, tau].map(|gain| discretisation.gains(gain, tau, response, period));

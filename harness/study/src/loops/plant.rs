@@ -1,15 +1,13 @@
 //! Linearises the plate around an operating point as a sum of complex poles.
 //!
-//! Both tiers are linear in W; only the product of W and ω is not. Around a steady state W0 at
-//! drive V0 and excitation ω0 a small δω acts on the envelope as `−jW0 δω`:
+//! Both tiers are linear in W; only the product of W and ω is not. Around a steady state W0 at drive V0 and excitation
+//! ω a small δω acts on the envelope as `−jW0 δω`:
 //!
-//! * **envelope**: `δW' = λ δW + b δV − jW0 δω`, one pole `λ = −σ − jΔω` (equations 13 and 19 are
-//!   its two parts at resonance);
-//! * **modal**: the poles `s± − jω`, each with its share of `jN/m δV` on U and of `−j(W0, U0) δω`
-//!   on both states.
+//! * **envelope**: `δW' = λ δW + b δV − jW0 δω`, one pole `λ = −σ − jΔω` (at resonance equations 13 and 19);
+//! * **modal**: the poles `s± − jω`, each with its share of `jN/m δV` on U and of `−j(W0, U0) δω` on both states.
 //!
-//! Between two actuations each pole has the closed form `x(h) = e^{sh} x + φ(h) u`, `φ = (e^{sh} −
-//! 1)/s`: sampling is exact for any part of a period.
+//! Between two actuations each pole has the closed form `x(h) = e^{sh} x + φ(h) u`, `φ = (e^{sh} − 1)/s`. Therefore
+//! sampling is exact for any part of a period.
 
 use platebench_plate::{Complex64, Drive, Flow, Mode, State, Tier};
 
@@ -28,14 +26,14 @@ impl Pole {
         (self.value * seconds).exp()
     }
 
-    /// Effects of a unit of drive and of a unit of frequency.
+    /// Changes of the pole's state after `seconds` by 1 Vpp of drive and by 1 rad/s of excitation.
     pub(crate) fn input_effects(&self, seconds: f64) -> [Complex64; 2] {
         let phi = (self.transition(seconds) - 1.0) / self.value;
         [phi * self.drive_gain, phi * self.frequency_gain]
     }
 }
 
-/// The plate around a steady state. The deviation of W is the sum of the poles' states.
+/// The deviation of W from the steady state is the sum of the poles' states.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinearPlant {
     poles: Vec<Pole>,
@@ -43,12 +41,12 @@ pub struct LinearPlant {
 }
 
 impl LinearPlant {
-    /// The plate with `mode` around the steady state of `drive`. The mode must be underdamped.
+    /// `drive` defines the steady state. The mode must be underdamped.
     pub fn linearised_at(tier: Tier, mode: &Mode, drive: &Drive) -> Self {
         let at = steady_state(tier, mode, drive);
         let j = Complex64::I;
         let poles = match tier {
-            // Without coupling, the detuning has no effect: both responses decay with σ.
+            // Wd and Wq are decoupled, so the detuning has no effect and both decay with σ.
             Tier::Linear => vec![Pole {
                 value: (-mode.sigma).into(),
                 drive_gain: mode.envelope_constant.into(),
@@ -89,7 +87,6 @@ impl LinearPlant {
     }
 }
 
-/// W∞ of a plate under a constant drive, µm.
 pub fn steady_state(tier: Tier, mode: &Mode, drive: &Drive) -> Complex64 {
     Flow::new(tier, mode, drive, &State::default()).rest()
 }

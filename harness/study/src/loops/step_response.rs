@@ -7,26 +7,24 @@ use std::collections::VecDeque;
 
 const POINTS_PER_PERIOD: u32 = 40;
 const BAND: f64 = 0.05;
-/// Amplitude of a divergence in setpoints.
+/// A larger |W| in setpoints counts as divergence.
 const DIVERGENCE_LIMIT: f64 = 1e3;
 
-/// Result of a setpoint step from rest.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct StepResponse {
-    /// 5 % settling time, s; `None` if the response is outside at the end.
+    /// 5 % settling time, s. `None` if the response ends outside the band.
     pub settling: Option<f64>,
     /// As a share of the step.
     pub overshoot: f64,
-    /// Vpp.
     pub peak_drive: f64,
-    /// At the drive limit; 0 in the linear loop, which has no limits.
+    /// Periods at the drive limit. 0 in the linear loop, which has no limits.
     pub saturated_periods: u32,
     pub diverged: bool,
 }
 
 impl ClosedLoop {
-    /// Response of W, along the phase of its steady state, to a setpoint step from rest, µm, without limits.
-    /// Exact at resonance; otherwise the scaled response to a small step.
+    /// Steps the setpoint from rest to `setpoint` µm without limits. The response is the component of W along the
+    /// phase of the steady state. It is exact at resonance, otherwise it is the scaled response to a small step.
     pub fn step_response(&self, setpoint: f64, periods: u32) -> StepResponse {
         let [direct, integral] = self.controller.matrices();
         let along = self.output_direction();
@@ -81,7 +79,6 @@ impl ClosedLoop {
         StepResponse { settling: entered, ..response }
     }
 
-    /// The direction of W0; that of Wd if the plate is at rest.
     fn output_direction(&self) -> [f64; 2] {
         let at = self.plant.at();
         let size = at.norm();

@@ -1,4 +1,4 @@
-//! Studies all laws under all conditions: boundaries; maps over period, delay and response time.
+//! Computes stability boundaries of all laws under all conditions, and maps over period, delay and response time.
 
 use crate::loops::case::{LoopCase, OperatingCondition};
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
@@ -10,29 +10,26 @@ use platebench_runner::parallel::collect_in_parallel;
 use platebench_wire::LawId;
 
 pub const MAX_DELAY_S: f64 = 12e-3;
-/// Periods in µs, delays in s.
 const MAP_PERIODS_US: [u32; 2] = [200, 2_000];
 const MAX_MAP_DELAY_S: f64 = 3e-3;
 const MAP_COLUMNS: u32 = 37;
 const MAP_ROWS: u32 = 40;
-/// A start that is not in its band after three quarters of this time has not settled.
+/// A start has settled only if it is in its band for the last quarter of this time.
 const MAX_SETTLING_S: f64 = 53e-3;
-/// µs.
 const MEASURED_PERIODS_US: [u32; 7] = [250, 500, 750, 1_000, 1_300, 1_600, 1_900];
-/// Response times of the maps relative to the law's default.
+/// Relative to the law's default response time.
 const MAP_RESPONSE_FACTORS: [f64; 3] = [0.75, 1.0, 2.0];
 
 #[derive(Debug, Clone)]
 pub struct StudyConfig {
     pub plate: Plate,
     pub laws: Vec<LawId>,
-    /// Loop delay of the margins, s; 0 if unknown.
+    /// Loop delay of the margins, s. 0 if unknown.
     pub delay: f64,
     pub maps: bool,
     pub jobs: usize,
 }
 
-/// A law with its own design under a condition.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StudyRow {
     pub law: LawId,
@@ -40,10 +37,10 @@ pub struct StudyRow {
     pub period_us: u32,
     /// Response time of the design, s.
     pub response: f64,
-    /// Spectral radius at the delay of the margins.
+    /// At [`StudyConfig::delay`].
     pub spectral_radius: f64,
     pub predicted: DelayBoundary,
-    /// Delay boundary of the firmware's code; `None` without a steady state.
+    /// Delay boundary of the firmware's code. `None` if there is no steady state.
     pub measured: Option<DelayBoundary>,
     /// Longest delay with which the firmware reaches its setpoint from rest.
     pub from_rest: DelayBoundary,
@@ -60,20 +57,18 @@ impl StudyRow {
     }
 }
 
-/// Spectral radius over period and delay, for one law, condition and response time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StabilityMap {
     pub law: LawId,
     pub condition: OperatingCondition,
-    /// Response time of the design, s.
     pub response: f64,
     pub periods: Vec<f64>,
     pub delays: Vec<f64>,
-    /// By column and then by row.
+    /// Indexed by period, then by delay.
     pub spectral_radius: Vec<Vec<f64>>,
-    /// 5 % settling time of the firmware from rest, s, by column and then by row; `None`: not within 53 ms.
+    /// 5 % settling time of the firmware from rest, s, indexed in the same way. `None` if it does not settle.
     pub settling: Vec<Vec<Option<f64>>>,
-    /// Period and delay, s.
+    /// Period and measured delay boundary, s.
     pub measured: Vec<(f64, f64)>,
 }
 
@@ -81,7 +76,6 @@ pub struct StabilityMap {
 pub struct Study {
     pub rows: Vec<StudyRow>,
     pub out_of_reach: Vec<(LawId, OperatingCondition)>,
-    /// Maps by law with a loop, condition and response time.
     pub maps: Vec<StabilityMap>,
 }
 

@@ -7,10 +7,9 @@ use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_wire::LawId;
 use std::fmt::Write;
 
-/// Delays are µs.
+/// `delay` is the loop delay of the margins, s. The delays of the table are in µs.
 pub fn boundary_table(study: &Study, delay: f64) -> String {
     let mut text = String::new();
-    // Writing to a string cannot fail.
     let _ = writeln!(
         text,
         "Loops: longest stable loop delay of each law at 1 kHz, µs; margins at a loop delay of {:.0} µs\n\n\
@@ -55,17 +54,17 @@ pub const fn law_note(law: LawId) -> Option<&'static str> {
         LawId::OpenLoop => "without feedback no delay makes it unstable; its poles are the plate's",
         LawId::DqPi => {
             "in steady state it equals dq-pi-fixed matched to the plate's damping; \
-             from rest its boundary is lower, because it takes a delay for damping"
+             from rest its boundary is lower, because it interprets a delay as damping"
         }
         LawId::BangBang => {
             "the frequency relay has no linear form and always hunts; \
-             predicted: amplitude loop, measured: |W| leaves 5 %"
+             predicted is the boundary of the amplitude loop, measured is the delay at which |W| leaves the 5 % band"
         }
         LawId::Deadbeat => {
-            "predicted and measured: holding loops without knowledge of the delay; \
-             from rest it identifies the delay, up to nine tenths of a period"
+            "predicted and measured are the boundaries of the holding loops, which do not compensate the delay; \
+             from rest the law identifies a delay of up to 0.9 periods"
         }
-        LawId::FrequencyOnly => "the drive is half of the limit; setpoint 1 µm, which is reachable under the finger",
+        LawId::FrequencyOnly => "the drive is half of the limit; it reaches the setpoint of 1 µm under the finger",
         LawId::VoltageOnly | LawId::Pll | LawId::DqPiEuler | LawId::DqPiFixed => return None,
     })
 }
@@ -97,8 +96,7 @@ fn format_optional(value: Option<f64>, format: impl Fn(f64) -> String) -> String
     value.map_or_else(|| "–".to_owned(), format)
 }
 
-/// The rows as CSV; a missing boundary is empty, one beyond the search `inf`, unstable without
-/// delay 0.
+/// A boundary is empty without a steady state, `inf` beyond the search range, 0 if the loop is unstable without delay.
 pub fn boundaries_csv(study: &Study) -> String {
     let mut text = String::from(
         "law,condition,period_us,response_ms,predicted_us,measured_us,difference_percent,from_rest_us,\
@@ -130,7 +128,7 @@ fn boundary_seconds(boundary: DelayBoundary) -> f64 {
     }
 }
 
-/// Every point: `kind` is `predicted` with a spectral radius, or `measured` for a boundary.
+/// One row per point. `kind` is `predicted` for a point of the map and `measured` for a measured boundary.
 pub fn maps_csv(study: &Study) -> String {
     let mut text = String::from("law,condition,response_ms,kind,period_us,delay_us,spectral_radius,settling_ms\n");
     for map in &study.maps {

@@ -1,5 +1,4 @@
-//! Tunes gains for a plate: equation 24 in its readings, behaviour, feasibility, alternatives.
-//! Field names carry their units because they are those of the JSON.
+//! Tunes gains by equation 24, evaluates them, and finds why a target is infeasible.
 
 pub mod design;
 pub mod evaluation;

@@ -1,5 +1,4 @@
-//! Measures the error of the exact propagation, the reference of the sweep, in double-double
-//! arithmetic: about 31 decimal digits.
+//! Measures the error of the exact propagation, the reference of the sweep, with about 31 decimal digits.
 
 use platebench_plate::{Complex64, ConditionProfiles, Drive, Mode, Profile, Time};
 use platebench_study::integration::{

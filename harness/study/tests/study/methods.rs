@@ -53,7 +53,6 @@ fn integration_error(
     passage.relative_error(&outcome.samples, truth)
 }
 
-/// The slope of log error over log step.
 #[rstest]
 #[case(EquationForm::Envelope, FixedStepMethod::Euler, 6)]
 #[case(EquationForm::Envelope, FixedStepMethod::RungeKutta4, 3)]
@@ -103,7 +102,6 @@ fn a_varying_mode_keeps_the_order(#[case] frame: EquationForm, #[case] method: F
     assert!((slope - f64::from(method.order().unwrap())).abs() < 0.15, "{slope}");
 }
 
-/// A rotation without damping and drive keeps |W|: 4 000 steps of 1 ms.
 #[test]
 fn splitting_without_damping_does_not_drift() {
     let plate = paper_plate();

@@ -103,7 +103,6 @@ fn the_drive_limit_sets_a_time_floor(#[case] limit: f64, #[case] response_ms: f6
         assert!(!found.met);
         let enough = plate_with_limit(needed);
         assert_close(TuningTarget { plate: &enough, ..demand }.time_floor().unwrap(), demand.response, 1e-9);
-        // What is possible is near the floor and never below it.
         let possible = found.possible.unwrap().plate.settling_ms.unwrap();
         assert!((expected..1.1 * expected).contains(&possible), "{possible}");
     }

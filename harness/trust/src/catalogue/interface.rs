@@ -40,7 +40,7 @@ pub(super) fn protocol_mutants() -> Vec<MutantSpec> {
     ]
 }
 
-/// Mistakes that show only away from the paper's scenarios.
+/// Mistakes that the paper's scenarios do not catch.
 pub(super) fn blind_spot_mutants() -> Vec<MutantSpec> {
     vec![
         mutant(
@@ -107,7 +107,6 @@ pub(super) fn blind_spot_mutants() -> Vec<MutantSpec> {
     ]
 }
 
-/// Counters of the sample time that wrap.
 pub(super) fn counter_mutants() -> Vec<MutantSpec> {
     const METRICS: &[Metric] =
         &[Metric::SettlingTime, Metric::StaticError, Metric::RecoveryTime, Metric::PeakDeviation];
@@ -136,7 +135,7 @@ pub(super) fn counter_mutants() -> Vec<MutantSpec> {
     ]
 }
 
-/// Mistakes that the checks of every command detect, whatever the scenario expects.
+/// Mistakes that the checks of every command catch, without an expectation.
 pub(super) fn violating_mutants() -> Vec<MutantSpec> {
     let mutant = |name, description, violations, witness, build| MutantSpec {
         detecting_violations: violations,

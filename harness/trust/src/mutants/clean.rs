@@ -4,8 +4,8 @@ use super::hooks::{on_configure, on_send};
 use crate::mutant_controller::Mutant;
 use platebench_wire::{Command, LawId, Message};
 
-/// Designs for a plate with `factor` of the gain, so its gains are those divided by `factor`.
-/// Other laws use the gain as a feedforward, and `deadbeat` for its first period: they keep it.
+/// Multiplies the plate gain of the design by `factor`, which divides the amplitude gains by `factor`. The other laws
+/// keep the gain, because they use it as a feedforward, `deadbeat` in its first period.
 pub(crate) fn other_gains(factor: f32) -> Box<dyn Mutant> {
     on_configure(move |configure| {
         let has_amplitude_loop = matches!(
@@ -18,7 +18,6 @@ pub(crate) fn other_gains(factor: f32) -> Box<dyn Mutant> {
     })
 }
 
-/// Reports a compute time of 200 µs per step.
 pub(crate) fn reported_compute_time() -> Box<dyn Mutant> {
     on_send(|packet| {
         if let Message::Command(command) = &mut packet.message {
@@ -27,7 +26,6 @@ pub(crate) fn reported_compute_time() -> Box<dyn Mutant> {
     })
 }
 
-/// Runs on a clock of its own: starts anywhere, wraps, and is 100 ppm fast.
 pub(crate) fn own_clock() -> Box<dyn Mutant> {
     const START_US: u32 = u32::MAX - 20_000;
     on_send(|packet| {
@@ -37,7 +35,6 @@ pub(crate) fn own_clock() -> Box<dyn Mutant> {
     })
 }
 
-/// Reads its line byte by byte.
 pub(crate) struct ByteWiseReads;
 
 impl Mutant for ByteWiseReads {

@@ -4,7 +4,6 @@ use crate::mutant_controller::Mutant;
 use platebench_wire::{Command, Configure, Sample};
 use std::f64::consts::TAU;
 
-/// Moves the frequency in the wrong direction.
 #[derive(Default)]
 pub(crate) struct InvertedFrequency {
     start_mhz: u32,
@@ -26,8 +25,7 @@ pub(crate) fn round_to_timer_ticks(frequency_mhz: u32, clock_hz: f64) -> u32 {
     (clock_hz * 1e3 / ticks).round() as u32
 }
 
-/// Stores the demodulation phase, in radians since the start, as `f32`: the rounding error rotates
-/// Wd and Wq.
+/// Stores the demodulation phase, rad since the start, as `f32`. The rounding error rotates Wd and Wq.
 #[derive(Default)]
 pub(crate) struct SinglePrecisionPhase {
     period_s: f64,

@@ -43,7 +43,7 @@ pub(crate) fn on_sample(change: impl FnMut(&mut Sample) + Send + 'static) -> Box
     Box::new(OnSample(change))
 }
 
-/// Only commands in state `Running`.
+/// Changes only commands in state `Running`.
 pub(crate) fn on_command(change: impl FnMut(&mut Command) + Send + 'static) -> Box<dyn Mutant> {
     Box::new(OnCommand(change))
 }

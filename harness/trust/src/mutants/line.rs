@@ -5,7 +5,6 @@ use platebench_wire::{Command, Configure, ControllerState, EncodedFrame, Message
 
 const CHECKSUM_BYTES: usize = 4;
 
-/// Accepts frames with a wrong checksum.
 pub(crate) struct NoChecksumCheck;
 
 impl Mutant for NoChecksumCheck {
@@ -38,7 +37,7 @@ impl Mutant for NoBadFrameCount {
     }
 }
 
-/// Ignores sequence numbers: a repeated sample causes two control steps.
+/// A repeated sample causes two control steps.
 #[derive(Default)]
 pub(crate) struct NoSequenceCheck {
     own_sequence: u8,
@@ -57,7 +56,6 @@ impl Mutant for NoSequenceCheck {
     }
 }
 
-/// Restarts with the next sample after a fault.
 #[derive(Default)]
 pub(crate) struct RestartAfterStop {
     configured: Option<Configure>,

@@ -1,5 +1,4 @@
-//! Implements the paper's two PI loops independently, with one line missing.
-//!
+//! Implements the paper's two PI loops independently, with one omission.
 //! They replace `dq-pi` and `dq-pi-fixed` and use their gains.
 
 use crate::mutant_controller::Mutant;
@@ -14,7 +13,6 @@ pub(crate) enum Omission {
     AmplitudeIntegral,
     FrequencyIntegral,
     AntiWindup,
-    /// Guard against a division by a small Wd.
     SmallWdGuard,
 }
 
@@ -24,7 +22,7 @@ const LARGEST_RATIO: f32 = 2.0;
 
 pub(crate) struct HandwrittenLoops {
     omission: Omission,
-    /// `None` for other laws.
+    /// `None` if the law is not replaced.
     configure: Option<Configure>,
     loops: Option<PiLoops>,
     sample: [f32; 3],

@@ -6,7 +6,6 @@ use platebench_controller::design::PiGains;
 use platebench_controller::pi::{Pi, Tracking};
 use platebench_wire::{Command, Configure, LawId, Sample};
 
-/// Alternates by ±`share` from period to period.
 pub(crate) fn alternating_drive(share: f32) -> Box<dyn Mutant> {
     let mut is_positive = false;
     on_command(move |command| {
@@ -15,7 +14,7 @@ pub(crate) fn alternating_drive(share: f32) -> Box<dyn Mutant> {
     })
 }
 
-/// Keeps most of the drive of a finger after the finger has left, until the setpoint changes.
+/// Keeps most of the drive after the finger has left, until the setpoint changes.
 #[derive(Default)]
 pub(crate) struct PressLatch {
     gain: f32,
@@ -25,9 +24,8 @@ pub(crate) struct PressLatch {
 }
 
 impl PressLatch {
-    /// Drive of a finger relative to the untouched plate's.
+    /// A drive above this multiple of the untouched plate's drive indicates a finger.
     const PRESSED: f32 = 1.25;
-    /// Periods until the drive is latched.
     const LATCH_PERIODS: u32 = 10;
     const LATCHED_SHARE: f32 = 0.9;
 }
@@ -54,14 +52,14 @@ impl Mutant for PressLatch {
     }
 }
 
-/// An amplitude loop whose gains follow a rising damping and never a falling one. Replaces `dq-pi`.
+/// Replaces `dq-pi` by a loop whose gains never follow a falling damping.
 #[derive(Default)]
 pub(crate) struct RisingDampingOnly {
     configure: Option<Configure>,
     amplitude: Option<Pi>,
     sample: [f32; 2],
     last_drive_vpp: f32,
-    /// Damping relative to the untouched plate: estimate and largest one.
+    /// Estimated damping relative to the untouched plate.
     damping: f32,
     largest: f32,
 }
@@ -69,9 +67,9 @@ pub(crate) struct RisingDampingOnly {
 impl RisingDampingOnly {
     /// 5 % response time of the design, s.
     const RESPONSE_S: f32 = 1.9e-3;
-    /// Share of a new estimate.
+    /// Weight of a new estimate.
     const TRACKING_SHARE: f32 = 0.25;
-    /// The estimate needs |error| below this share of the setpoint.
+    /// The estimate needs an |error| below this share of the setpoint.
     const STEADY_BAND: f32 = 0.05;
 
     fn gains(configure: &Configure, damping: f32) -> PiGains {

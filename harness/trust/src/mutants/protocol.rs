@@ -1,10 +1,9 @@
-//! Mutates what the protocol demands of configurations, time stamps and answers.
+//! Mutates the handling of configurations, time stamps and answers.
 
 use super::hooks::on_send;
 use crate::mutant_controller::Mutant;
 use platebench_wire::{Command, Configure, Configured, Gains, Message, Packet, Sample};
 
-/// Confirms the gains of the configuration and uses its own.
 #[derive(Default)]
 pub(crate) struct IgnoredGains {
     requested: Option<Gains>,
@@ -24,7 +23,6 @@ impl Mutant for IgnoredGains {
     }
 }
 
-/// Reports gains that are not finite.
 pub(crate) fn gains_not_finite() -> Box<dyn Mutant> {
     on_send(|packet| {
         if let Message::Configured(Configured { outcome: Ok(gains) }) = &mut packet.message {
@@ -48,8 +46,7 @@ pub(crate) fn stale_answer(every: u32) -> Box<dyn Mutant> {
     })
 }
 
-/// Ignores samples whose time stamp, read as a counter that wraps, is older than the last one: the
-/// drive freezes.
+/// Freezes the drive if the time stamp, read as a counter that wraps, is older than the last one.
 pub(crate) struct WrappingCounter {
     /// Converts a time stamp in µs.
     count: fn(u32) -> i64,
@@ -83,7 +80,6 @@ impl Mutant for WrappingCounter {
     }
 }
 
-/// Designs for a limit of 900 Vpp and applies the configured limit after the law.
 #[derive(Default)]
 pub(crate) struct LimitAfterLaw {
     limit_vpp: f32,

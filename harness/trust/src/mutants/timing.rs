@@ -5,7 +5,6 @@ use crate::mutant_controller::Mutant;
 use platebench_wire::Command;
 use std::time::Duration;
 
-/// Uses the components of the previous sample.
 pub(crate) fn stale_sample() -> Box<dyn Mutant> {
     let mut previous = None;
     on_sample(move |sample| {
@@ -48,7 +47,6 @@ impl Mutant for CommandJitter {
     }
 }
 
-/// Reads a new setpoint only in every n-th period.
 pub(crate) fn slow_setpoint(every: u32) -> Box<dyn Mutant> {
     let (mut count, mut last) = (0_u32, 0.0);
     on_sample(move |sample| {

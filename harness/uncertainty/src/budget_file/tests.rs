@@ -79,7 +79,7 @@ fn a_calibration_is_valid_through_its_last_day() {
 #[case::unknown_key("serial =", "seriel =", "budget.toml:4:1")]
 #[case::no_serial("\"LV-1\"", "\" \"", "budget.toml:4:10: empty, expected a text")]
 #[case::date("2026-03-01", "1.3.2026", "budget.toml:5:14: `1.3.2026`, expected a date")]
-#[case::due("2027-02-28", "2025-02-28", "budget.toml:6:7: 2025-02-28, expected a day after")]
+#[case::due("2027-02-28", "2025-02-28", "budget.toml:6:7: 2025-02-28 is before the calibration")]
 #[case::quantity("\"static_error_percent\"", "\"static_error\"", "budget.toml:8:12: `static_error`, expected one of")]
 #[case::instrument("instrument = \"vibrometer\"", "instrument = \"laser\"", "no [[instrument]] with the name `laser`")]
 #[case::both("expanded = 0.6", "expanded = 0.6\nstandard = 0.3", "expected exactly one of")]
@@ -89,14 +89,14 @@ fn a_calibration_is_valid_through_its_last_day() {
 #[case::negative("expanded = 0.6", "expanded = -0.6", "budget.toml:12:12: -0.6, expected a finite number")]
 #[case::sensitivity("-0.1", "0.0", "expected a finite number other than 0")]
 #[case::freedom("= 12", "= 0.5", "0.5, expected 1 to 1e9")]
-#[case::factor("half_width = 2.0", "half_width = 2.0\ncoverage_factor = 2.0", "only for `expanded`")]
+#[case::factor("half_width = 2.0", "half_width = 2.0\ncoverage_factor = 2.0", "belongs to `expanded`")]
 #[case::distribution("\"rectangular\"", "\"round\"", "budget.toml:18:16")]
 #[case::coverage("[[instrument]]", "coverage_percent = 100.0\n[[instrument]]", "expected 50 to 99.9")]
 #[case::twice(
     "[[budget]]",
     "[[instrument]]\nname = \"vibrometer\"\nserial = \"2\"\ncalibrated = \"2026-03-01\"\n\
      due = \"2026-03-01\"\n[[budget]]",
-    "named twice"
+    "two instruments have the name `vibrometer`"
 )]
 fn an_invalid_budget_is_reported_with_its_line(#[case] good: &str, #[case] bad: &str, #[case] message: &str) {
     assert!(GOOD.contains(good));

@@ -15,7 +15,6 @@ fn part(kind: ComponentKind, distribution: Distribution, standard: f64, freedom:
     }
 }
 
-/// An error with this distribution and this standard deviation.
 fn draw(random: &mut ChaCha8Rng, distribution: Distribution, standard: f64) -> f64 {
     let uniform = |random: &mut ChaCha8Rng| Uniform::new(-1.0_f64, 1.0).unwrap().sample(random);
     let unit = match distribution {
@@ -48,7 +47,7 @@ fn unlimited_freedom_gives_the_normal_factor() {
     assert_eq!((none.standard, none.expanded, none.probability_above(1.0, 0.9)), (0.0, 0.0, 1.0));
 }
 
-/// The eight kinds of a laboratory, in units of the quantity.
+/// Components except repeatability: kind, distribution, standard uncertainty, degrees of freedom.
 const LABORATORY: [(ComponentKind, Distribution, f64, f64); 7] = [
     (ComponentKind::SensorGain, Distribution::Normal, 0.50, 30.0),
     (ComponentKind::SensorOffset, Distribution::Rectangular, 0.30, f64::INFINITY),
@@ -61,7 +60,7 @@ const LABORATORY: [(ComponentKind, Distribution, f64, f64); 7] = [
 const TRIALS: usize = 10;
 const SCATTER: f64 = 1.0;
 
-/// Measures a true value of 0: the result, and what the laboratory states about it.
+/// Returns a measured value and its stated uncertainty; the true value is 0.
 pub(crate) fn measure_in_laboratory(random: &mut ChaCha8Rng, coverage: f64) -> (f64, CombinedUncertainty) {
     let trials: Vec<f64> = (0..TRIALS).map(|_| draw(random, Distribution::Normal, SCATTER)).collect();
     let mut value = trials.iter().sum::<f64>() / TRIALS as f64;
@@ -81,8 +80,7 @@ pub(crate) fn measure_in_laboratory(random: &mut ChaCha8Rng, coverage: f64) -> (
     (value, CombinedUncertainty::of(parts, coverage))
 }
 
-/// One block of 1,000 laboratories scatters by ± 0.7 % (one standard deviation), so that its own
-/// share says less than that of all blocks.
+/// The share of one block of 1,000 laboratories has a standard deviation of 0.7 %.
 #[test]
 fn expanded_intervals_contain_the_true_value() {
     let mut random = ChaCha8Rng::seed_from_u64(1);

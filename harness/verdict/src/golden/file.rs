@@ -25,12 +25,7 @@ pub enum BaselineError {
     #[error("{}: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },
     #[error("{}:{line}: {message}", path.display())]
-    Content {
-        path: PathBuf,
-        /// Counted from 1.
-        line: usize,
-        message: String,
-    },
+    Content { path: PathBuf, line: usize, message: String },
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -39,7 +34,6 @@ pub struct Baseline {
     pub law: String,
     pub build: BaselineBuild,
     pub features: ResponseFeatures,
-    /// Present if the tubes were learned from trials that differ.
     pub learned: Option<LearningParameters>,
     pub golden: GoldenTubes,
 }
@@ -52,17 +46,17 @@ pub struct BaselineBuild {
     pub id: String,
 }
 
-/// Rounded; `None` if the trial has no such number.
+/// Rounded values; `None` if the trial has no such value.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ResponseFeatures {
-    /// 5 % settling of |W| after the first step, to 0.01 ms.
+    /// 5 % settling time of |W| after the first step, rounded to 0.01 ms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub settling_time_ms: Option<f64>,
-    /// To 0.1 %.
+    /// Rounded to 0.1 %.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub overshoot_percent: Option<f64>,
-    /// To 1 Vpp.
+    /// Rounded to 1 Vpp.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drive_peak_vpp: Option<f64>,
 }
@@ -71,7 +65,6 @@ pub struct ResponseFeatures {
 #[serde(deny_unknown_fields)]
 pub struct LearningParameters {
     pub trials: u32,
-    /// Declared share of unchanged trials that leave the tube.
     pub false_alarm_rate: f64,
 }
 
@@ -80,7 +73,6 @@ pub struct LearningParameters {
 struct BaselineHeader {
     scenario: String,
     law: String,
-    /// SHA-256 of the CSV file.
     curves_sha256: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     step_ms: Option<f64>,
@@ -112,7 +104,7 @@ impl ResponseFeatures {
                 signal: "amplitude_um",
             };
             match metrics::measure(&expectation, rows, &Telemetry::default()) {
-                // A division gives the double next to the decimal number: 195/100 = 1.95.
+                // A division gives the double nearest to the decimal number, for example 195/100 = 1.95.
                 Measure::Value(value) => Some((value * grain).round() / grain),
                 _ => None,
             }
@@ -134,7 +126,7 @@ impl ResponseFeatures {
 }
 
 impl GoldenTubes {
-    /// Thinned; compared every `step_ms`.
+    /// Thins the curves. They are compared every `step_ms`.
     pub fn from_trial(rows: &[Row], step_ms: f64) -> Option<Self> {
         let mut golden = Self { step_ms: Some(step_ms), ..Self::from_rows(rows)? };
         thin(&mut golden.tubes);
@@ -178,7 +170,7 @@ impl Baseline {
             learned: self.learned.clone(),
             tolerance: tubes.iter().map(|tube| (tube.signal.clone(), tube.tolerance)).collect(),
         };
-        // Strings, numbers and tables with names: TOML can express all of it.
+        // Cannot fail, because the header contains only strings, numbers and tables with names.
         [toml::to_string(&head).unwrap_or_default(), table]
     }
 
@@ -196,7 +188,7 @@ impl Baseline {
         Ok(())
     }
 
-    /// `None` if there is no baseline. Fails if one of its two files is missing or no baseline.
+    /// `None` if there is no baseline. Fails if one of its two files is missing or invalid.
     pub fn read(folder: &Path, scenario: &str) -> Result<Option<Self>, BaselineError> {
         let (head, table) = (baseline_path(folder, scenario, "toml"), baseline_path(folder, scenario, "csv"));
         if !head.exists() && !table.exists() { Ok(None) } else { Self::read_files(&head, &table).map(Some) }
@@ -280,7 +272,7 @@ fn parse_tubes(head: &BaselineHeader, path: &Path, table: &str) -> Result<Vec<Tu
         };
         let width = column(&format!("{}{WIDTH}", signal.name));
         if width.is_some() != head.learned.is_some() {
-            return Err(content_error(1, format!("column `{}{WIDTH}` and [learned] go together", signal.name)));
+            return Err(content_error(1, format!("column `{}{WIDTH}` and [learned] need each other", signal.name)));
         }
         let tolerance = head.tolerance.get(signal.name).copied().unwrap_or(signal.tolerance);
         tubes.push((Tube { signal: signal.name.to_owned(), tolerance, points: Vec::new() }, value, width));
@@ -310,7 +302,7 @@ fn parse_tubes(head: &BaselineHeader, path: &Path, table: &str) -> Result<Vec<Tu
         }
     }
     if tubes.first().is_none_or(|(tube, ..)| tube.points.is_empty()) {
-        return Err(content_error(2, "no rows or no signals, expected at least one".to_owned()));
+        return Err(content_error(2, "no rows or no signals, expected at least one of each".to_owned()));
     }
     Ok(tubes.into_iter().map(|(tube, ..)| tube).collect())
 }

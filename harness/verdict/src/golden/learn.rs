@@ -1,10 +1,9 @@
-//! Learns a tube from trials that differ, by split conformal prediction. A third of the trials
-//! gives the curve (mean) and the shape (deviation at each instant). The m others have a score: the
-//! factor on the shape at which all is just inside. With the r-th smallest one a further trial
-//! leaves the tube with probability `≤ 1 − r/(m + 1)`, on average over the learned trials.
+//! Learns a tolerance tube from trials that differ, by split conformal prediction.
 //!
-//! J. Lei, M. G'Sell, A. Rinaldo, R. J. Tibshirani, L. Wasserman, "Distribution-free predictive
-//! inference for regression", *J. Am. Stat. Assoc.* 113, 2018, theorem 2; for curves: J.
+//! A third of the trials gives the curve (mean) and the shape (deviation at each instant). Each of the m others has a
+//! score, the factor on the shape at which the trial is just inside. With the r-th smallest score as the factor, a
+//! further trial leaves the tube with probability `≤ 1 − r/(m + 1)`, on average over the learned trials. J. Lei et al.,
+//! "Distribution-free predictive inference for regression", *J. Am. Stat. Assoc.* 113, 2018, theorem 2; for curves: J.
 //! Diquigiovanni, M. Fontana, S. Vantini, *J. Multivar. Anal.* 189, 2022.
 
 use super::thin::thin;
@@ -14,11 +13,11 @@ use crate::statistics::SampleSummary;
 use crate::tube::{TUBE_SIGNALS, Tube, TubePoint, TubeSignal, signal_response};
 use platebench_trace::Row;
 
-/// Share of the largest width: a constant signal may vary a little.
+/// Smallest width as a share of the largest one, because a constant signal may vary a little.
 const MIN_SHAPE_SHARE: f64 = 0.1;
 const MIN_CURVE_TRIALS: usize = 3;
 const BISECTION_STEPS: u32 = 40;
-/// Above it the trials are not comparable.
+/// A higher score means that the trials are not comparable.
 const MAX_SCORE: f64 = 1e6;
 
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -36,7 +35,7 @@ fn curve_trial_count(count: usize) -> usize {
 }
 
 fn min_trials(rate: f64) -> usize {
-    // r = ⌈(m + 1)(1 − rate)⌉ ≤ m requires m ≥ 1/rate − 1; a third of all trials is added.
+    // r = ⌈(m + 1)(1 − rate)⌉ ≤ m requires m ≥ 1/rate − 1. A third of all trials is added for the curve.
     let scores = ((1.0 / rate).ceil() as usize).saturating_sub(1).max(1);
     let most = scores.saturating_mul(2).saturating_add(MIN_CURVE_TRIALS);
     (scores..=most).find(|count| count.saturating_sub(curve_trial_count(*count)) >= scores).unwrap_or(most)
@@ -82,7 +81,7 @@ impl GoldenTubes {
         let shape = Self { tubes, step_ms: Some(step_ms), false_alarm_rate: Some(rate) };
         let mut scores: Vec<f64> = scored.iter().map(|rows| shape.nonconformity_score(rows)).collect();
         scores.sort_by(f64::total_cmp);
-        // Rounding must not raise a whole rank.
+        // Rounding must not raise a rank that is a whole number.
         let rank = ((scores.len() + 1) as f64 * (1.0 - rate) - 1e-9).ceil() as usize;
         match rank.checked_sub(1).map_or(scores.first(), |index| scores.get(index)) {
             Some(score) if *score < MAX_SCORE => Ok(shape.scaled(*score)),
@@ -98,7 +97,6 @@ impl GoldenTubes {
         scaled
     }
 
-    /// The factor on the shape at which a trial is just inside.
     fn nonconformity_score(&self, rows: &[Row]) -> f64 {
         let is_inside = |factor: f64| {
             let scaled = self.scaled(factor);

@@ -2,7 +2,7 @@
 
 use crate::tube::{Tube, TubePoint};
 
-/// Share of the tolerance that removed points may cost.
+/// Largest error from removed points, as a share of the tolerance.
 const TOLERANCE_SHARE: f64 = 0.1;
 
 /// Removes points near the line between their neighbours, by the algorithm of D. H. Douglas and T. K. Peucker
@@ -36,7 +36,7 @@ pub(super) fn thin(tubes: &mut [Tube]) {
     }
 }
 
-/// Distance from the line between the two others, in units of the tolerance.
+/// Distance of the point `index` from the line between `from` and `to`, in units of the tolerance.
 fn relative_distance(tube: &Tube, from: usize, index: usize, to: usize) -> f64 {
     let [Some(left), Some(point), Some(right)] = [from, index, to].map(|at| tube.points.get(at)) else { return 0.0 };
     let length = right.t_ms - left.t_ms;

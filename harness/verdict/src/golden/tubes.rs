@@ -6,14 +6,13 @@ use platebench_record::Verdict;
 use platebench_trace::Row;
 use serde::Serialize;
 
-/// More trials outside a learned tube fail.
 const SIGNIFICANCE_LEVEL: f64 = 0.05;
 const PROBABILITY_ROUNDING: f64 = 1e-12;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct GoldenTubes {
     pub tubes: Vec<Tube>,
-    /// Distance of the instants that are compared in addition to the curves' own.
+    /// Spacing of instants that are compared in addition to those of the curves.
     pub step_ms: Option<f64>,
     /// Share of unchanged trials that leave a learned tube; `None` for a tube that was not learned.
     pub false_alarm_rate: Option<f64>,
@@ -23,7 +22,6 @@ pub struct GoldenTubes {
 #[serde(rename_all = "lowercase")]
 pub enum TubeMatch {
     Inside,
-    /// The worst exceedance.
     Outside(Exceedance),
     Length {
         /// First and last instant.
@@ -57,7 +55,7 @@ impl GoldenTubes {
         })
     }
 
-    /// The worst of each signal that leaves its tube.
+    /// The worst exceedance of each signal that leaves its tube.
     pub fn exceedances(&self, rows: &[Row]) -> Vec<Exceedance> {
         let worst = |tube: &Tube| {
             let signal = TubeSignal::from_name(&tube.signal)?;
@@ -84,7 +82,7 @@ impl GoldenTubes {
         }
     }
 
-    /// A learned tube fails if the probability of at least this many trials outside is at most 5 %.
+    /// A learned tube fails if at least this many trials outside have a probability of at most 5 %.
     pub fn compare<R: AsRef<[Row]>>(&self, trials: impl IntoIterator<Item = (u32, R)>) -> TubeComparison {
         let mut comparison =
             TubeComparison { verdict: Verdict::Inconclusive, trials: 0, outside: 0, worst: None, reason: None };

@@ -13,7 +13,7 @@ use platebench_record::{
 };
 use platebench_scenario::{Aggregation, Expectation, Limit, Metric, Scenario};
 
-/// Percent of the setpoint: twice the bound of the plate's propagation error.
+/// Percent of the setpoint; twice the bound of the plate's propagation error.
 const SIMULATION_ERROR_PERCENT: f64 = 2e-4;
 
 /// The true motion of a real plate is not known.
@@ -70,7 +70,7 @@ impl ExpectationJudge<'_> {
         counted.filter_map(|trial| Some((trial, trial.measures.get(self.expectation_index)?)))
     }
 
-    /// An error counts without its sign. A missing value is the worst one for a quantile.
+    /// A static error counts without its sign. For a quantile, a missing value is the worst one.
     fn value_interval(&self, measure: &Measure) -> Option<[f64; 2]> {
         match measure {
             Measure::Value(value) if self.expectation.metric == Metric::StaticError => Some([value.abs(); 2]),
@@ -94,7 +94,6 @@ impl ExpectationJudge<'_> {
         first.iter().zip(samples).map(|(one, other)| (one - other).abs()).fold(0.0, f64::max)
     }
 
-    /// In units of the metric.
     fn simulation_error(&self) -> f64 {
         if self.expectation.metric == Metric::StaticError { SIMULATION_ERROR_PERCENT } else { 0.0 }
     }
@@ -169,7 +168,7 @@ impl ExpectationJudge<'_> {
             .reduce(|worst, other| if other.severity() > worst.severity() { other } else { worst })
     }
 
-    /// A failure is excused if the trials without an excuse do not fail alone.
+    /// A failure is excused if the trials without an excuse would not fail.
     fn judge_over_trials(&self) -> Outcome {
         let statistic = match self.expectation.aggregation {
             Aggregation::StandardDeviation => Statistic::Deviation,
@@ -251,10 +250,13 @@ impl ExpectationJudge<'_> {
         let confidence = percent(self.expectation.confidence);
         let trials = if count == 1 { "1 trial".to_owned() } else { format!("{count} trials") };
         let says = if not_passed == 0 {
-            format!("{trials} without a failure: fewer than {} of all fail, at {confidence}", percent(high))
+            format!(
+                "{trials} without a failure: fewer than {} of all trials fail, with {confidence} confidence",
+                percent(high)
+            )
         } else {
             let (low, high) = (percent(low), percent(high));
-            format!("{failed} of {count} trials fail: {low} to {high} of all, each end at {confidence}")
+            format!("{failed} of {count} trials fail: {low} to {high} of all, each bound with {confidence} confidence")
         };
         let evidence = Evidence {
             method: Some(EvidenceMethod::ClopperPearson),

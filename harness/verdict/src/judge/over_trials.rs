@@ -14,7 +14,6 @@ const DISTINGUISHABLE_RATIO: f64 = 2.0;
 pub(super) struct OverTrials<'a> {
     pub(super) expectation: &'a Expectation,
     pub(super) statistic: Statistic,
-    /// Trials that count.
     pub(super) counted: usize,
     pub(super) confidence: f64,
     /// In units of the metric.
@@ -57,7 +56,7 @@ impl OverTrials<'_> {
         spans.first().copied().filter(|_| self.is_deterministic && all_equal(spans))
     }
 
-    /// Judges the mean of absolute values: errors of opposite sign do not cancel.
+    /// Judges the mean of absolute values, so that errors of opposite sign do not cancel.
     fn judge_mean(&self, spans: &[[f64; 2]]) -> Outcome {
         let (lows, highs) = (column(spans, 0), column(spans, 1));
         let Some(summary) = SampleSummary::of(&highs) else { return self.too_few_trials(None, 1) };

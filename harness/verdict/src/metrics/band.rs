@@ -61,8 +61,8 @@ pub(super) fn peak_deviation(window: &Window, signal: MetricSignal, rows: &[Row]
     Ok(peak.ok_or(UndefinedValue::NoSetpointToDeviateFrom)? * 100.0)
 }
 
-/// The interval, s, with the last entry into the band; equal ends for a signal that is known
-/// between rows. `None` if the signal ends outside.
+/// Interval, s, that contains the last entry into the band. Both ends are equal for a signal that is known between
+/// rows. `None` if the signal ends outside.
 fn last_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]) -> Option<[f64; 2]> {
     if signal.is_zero_order_hold {
         return last_sampled_band_entry(expectation, signal, rows);
@@ -71,7 +71,7 @@ fn last_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]
         return rows.first().map(|row| [row.t_s; 2]);
     };
     let (left, entered) = (rows.get(outside)?, rows.get(outside + 1)?);
-    // Distance to the edge of entry, which may move.
+    // Distance to the edge of entry. The edge may move between the rows.
     let below = signal.value_in(left) < expectation.band(left.setpoint_um).0;
     let beyond = |row: &Row| {
         let (low, high) = expectation.band(row.setpoint_um);
@@ -83,7 +83,7 @@ fn last_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]
     Some([left.t_s + (entered.t_s - left.t_s) * share; 2])
 }
 
-/// [`last_band_entry`] of a sampled signal: from the last sample outside to the next one.
+/// As [`last_band_entry`], for a sampled signal: from its last sample outside to its first sample inside.
 fn last_sampled_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]) -> Option<[f64; 2]> {
     let has_flags = rows.iter().any(|row| row.flags.contains(Flags::CONTROL));
     // Rows between control instants repeat the last sample; a trace without flags has samples only.
@@ -99,7 +99,7 @@ fn elapsed_ms(from_s: f64, entry: [f64; 2]) -> Measure {
     if first == last { Measure::Value(last) } else { Measure::Interval([first, last].map(rounded_ms)) }
 }
 
-/// Samples are stamped to 1 µs, so picoseconds are rounding and must not decide.
+/// Time stamps have a resolution of 1 µs, so picoseconds are rounding and must not decide.
 pub(super) fn rounded_ms(ms: f64) -> f64 {
     (ms * 1e9).round() / 1e9
 }

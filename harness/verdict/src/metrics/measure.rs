@@ -6,17 +6,16 @@ use platebench_record::{MissingValue, UndefinedValue};
 pub enum Measure {
     /// The static error keeps its sign: mean − setpoint.
     Value(f64),
-    /// Contains the number, because the signal is known at samples only.
+    /// Contains the value of a signal that is known at control instants only.
     Interval([f64; 2]),
-    /// The signal at the control instants of the window, to be compared with that of the first trial.
+    /// The signal at the control instants of the window, for the comparison with the first trial.
     Samples(Vec<f64>),
-    /// No number, which is the controller's failure.
     Missing(MissingValue),
     Undefined(UndefinedValue),
 }
 
 impl Measure {
-    /// The upper end of an interval.
+    /// For an interval, its upper end.
     pub fn value(&self) -> Option<f64> {
         match self {
             Self::Value(value) | Self::Interval([_, value]) => Some(*value),

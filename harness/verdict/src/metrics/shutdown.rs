@@ -7,7 +7,7 @@ use platebench_record::MissingValue;
 use platebench_scenario::Window;
 use platebench_trace::{Flags, Row};
 
-/// To the first row from which the controller is stopped at 0 V until the window ends.
+/// Time to the first row from which the controller is stopped at 0 V until the window ends.
 pub(super) fn shutdown_time(window: &Window, rows: &[Row]) -> Measure {
     let from = window.from.seconds();
     let has_stopped = |row: &Row| row.flags.contains(Flags::SAFE) && row.drive_vpp == 0.0;
@@ -22,7 +22,7 @@ pub(super) fn shutdown_time(window: &Window, rows: &[Row]) -> Measure {
     match rows.get(ran + 1) {
         None => Measure::Missing(MissingValue::NotAtRest),
         Some(stopped) if stopped.t_s < from => Measure::Missing(MissingValue::StoppedBefore),
-        // The telemetry of a real plate gives an interval.
+        // On a real plate, the telemetry gives an interval.
         Some(stopped) if stopped.flags.contains(Flags::SENSED) => {
             let last = rows.get(ran).map_or(from, |row| row.t_s).max(from);
             Measure::Interval([last, stopped.t_s].map(|t_s| rounded_ms((t_s - from) * 1e3)))

@@ -6,7 +6,7 @@ use platebench_trace::{AmplitudeColumn, Row};
 #[derive(Clone, Copy)]
 pub(super) struct MetricSignal {
     column: AmplitudeColumn,
-    /// The plate moves between rows; what the controller received stays constant.
+    /// True for samples, which stay constant until the next one. False for the motion of the plate.
     pub(super) is_zero_order_hold: bool,
 }
 

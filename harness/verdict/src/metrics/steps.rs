@@ -4,9 +4,9 @@ use super::window::end_index;
 use platebench_scenario::Window;
 use platebench_trace::{Flags, Row};
 
-/// Index of each row at which a step starts; a constant setpoint above 0 steps at the start. A ramp
-/// or curve is one step from the row before the first change. It ends when two instants in a row do
-/// not change: a curve may rest for one instant at its crest.
+/// Indices of the rows at which steps start. A constant setpoint above 0 steps at the start. A ramp or curve is one
+/// step from the row before its first change. It ends when two instants in a row do not change, because a curve may
+/// rest for one instant at its crest.
 pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
     let mut steps = Vec::new();
     let mut before = 0.0;
@@ -26,7 +26,7 @@ pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
                     moved = u32::from(start > 0);
                 }
                 if moved == 2 && continues {
-                    // A ramp, not a jump: it moves since the row before.
+                    // The second change in a row shows a ramp, which started at the row before the first change.
                     let began = steps.pop().map_or(0, |step| step.saturating_sub(1));
                     if steps.last() != Some(&began) {
                         steps.push(began);
@@ -41,7 +41,7 @@ pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
     steps
 }
 
-/// The telemetry of a real plate shows a setpoint this much later than the profile.
+/// The telemetry of a real plate shows a setpoint up to this much later than the profile.
 const MAX_TELEMETRY_DELAY_S: f64 = 0.1;
 
 /// Rows up to the next step or the end of the window, and the setpoint before the step.

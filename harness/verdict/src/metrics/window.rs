@@ -17,7 +17,7 @@ pub(super) fn end_index(to_s: f64, rows: &[Row]) -> usize {
     if is_last { rows.len() } else { rows.partition_point(|row| row.t_s < to_s) }
 }
 
-/// With the row before, whose drive and flags are in force at the start of the window.
+/// Also contains the row before the window, whose drive and flags are in force at its start.
 pub(super) fn window_rows_with_previous<'a>(window: &Window, rows: &'a [Row]) -> &'a [Row] {
     let inside = window_rows(window, rows);
     let from = window.from.seconds();
@@ -28,14 +28,12 @@ pub(super) fn window_rows_with_previous<'a>(window: &Window, rows: &'a [Row]) ->
     rows.get(start.saturating_sub(1)..start + inside.len()).unwrap_or_default()
 }
 
-/// Largest minus smallest value.
 pub(super) fn ripple_um(signal: MetricSignal, rows: &[Row]) -> Option<f64> {
     let values = || rows.iter().map(|row| signal.value_in(row));
     Some(values().reduce(f64::max)? - values().reduce(f64::min)?)
 }
 
-/// Time-weighted mean divided by the setpoint, which must be constant: a mean over a moving one
-/// could be right for a signal that is stuck.
+/// Time-weighted mean divided by the setpoint. Fails for a moving setpoint, whose mean a stuck signal could match.
 pub(super) fn window_mean_ratio(signal: MetricSignal, window: &Window, rows: &[Row]) -> Result<f64, UndefinedValue> {
     let (from, to) = (window.from.seconds(), window.to.seconds());
     let mut setpoint = None;
@@ -52,7 +50,7 @@ pub(super) fn window_mean_ratio(signal: MetricSignal, window: &Window, rows: &[R
         let level = if signal.is_zero_order_hold {
             signal.value_in(left)
         } else {
-            // Linear between rows: the mean over a piece is the value at its middle.
+            // The signal is linear between rows, so its mean over a piece is the value at the middle.
             let share = (f64::midpoint(start, end) - left.t_s) / (right.t_s - left.t_s);
             signal.value_in(left) + (signal.value_in(right) - signal.value_in(left)) * share
         };

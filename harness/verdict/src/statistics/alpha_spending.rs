@@ -1,9 +1,8 @@
 //! Corrects the error rate of a test that is evaluated several times.
 //!
-//! A test that stops at the first favourable look exceeds its error rate. Here look k of the
-//! planned ones may be wrong with probability `α(t_k) − α(t_{k−1})`. By Boole's inequality the sum
-//! is at most 1 − c, for every test and dependence. Boundaries for Brownian motion need large
-//! samples.
+//! A test that stops at the first favourable look exceeds its error rate. Here look k may be wrong with probability
+//! `α(t_k) − α(t_{k−1})`. By Boole's inequality the sum is at most 1 − c, for every test and every dependence between
+//! looks. Boundaries for Brownian motion are not used, because they need large samples.
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Look {
@@ -27,7 +26,7 @@ impl Look {
     }
 }
 
-/// At `count` trials, 2, 4, 8 … times as many, and `max_count`.
+/// Looks after `count` trials, after 2, 4, 8 … times as many, and after `max_count`.
 pub fn plan_looks(count: u32, max_count: u32) -> Vec<Look> {
     let last = max_count.max(count);
     let doubled = std::iter::successors(Some(count.max(1)), |trials| trials.checked_mul(2));

@@ -1,23 +1,21 @@
-//! Computes bounds of data that are not normal. The seed is the number of values, so that a stored
-//! run is judged as live.
+//! Computes bounds of data that are not normal. The seed is the number of values, so a stored run has the same bounds.
 
 use super::sample_summary::SampleSummary;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// A bound at 95 % leaves 100 of 1999 outside.
+/// At a confidence of 95 %, 100 of 1999 resamples are outside a bound.
 const MIN_RESAMPLES: usize = 1_999;
 const MIN_TAIL_RESAMPLES: f64 = 10.0;
 /// If more are needed, there are no bounds.
 const MAX_RESAMPLES: usize = 20_000;
 
-/// Bias-corrected and accelerated bounds, each one-sided at `confidence`; `None` below three values
-/// or without variation.
+/// Bias-corrected and accelerated bounds, each one-sided at `confidence`. `None` below three or for equal values.
 ///
-/// B. Efron, "Better bootstrap confidence intervals", *J. Am. Stat. Assoc.* 82, 1987, pp. 171-185:
-/// the percentile `Φ(z0 + (z0 + z)/(1 − a (z0 + z)))` of the resampled statistic. The bias `z0` is
-/// from the share of resamples below the statistic, the acceleration `a` from the jackknife.
+/// B. Efron, "Better bootstrap confidence intervals", *J. Am. Stat. Assoc.* 82, 1987, pp. 171-185: the percentile
+/// `Φ(z0 + (z0 + z)/(1 − a (z0 + z)))` of the resampled statistic. The bias `z0` is from the share of resamples below
+/// the statistic, the acceleration `a` from the jackknife.
 pub fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence: f64) -> Option<[f64; 2]> {
     let estimate = statistic(values);
     let acceleration = acceleration(values, &statistic)?;
@@ -32,14 +30,14 @@ pub fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence:
     let bound = |probability: f64| {
         let shifted = bias + normal.inverse_cdf(probability);
         let scale = 1.0 - acceleration * shifted;
-        // Beyond the pole the percentile is 0 or 1.
+        // Beyond the pole of the formula the percentile is 0 or 1.
         let share = if scale > 0.0 { normal.cdf(bias + shifted / scale) } else { f64::from(u8::from(shifted > 0.0)) };
         percentile(&resampled, share)
     };
     Some([bound(1.0 - confidence)?, bound(confidence)?])
 }
 
-/// `Σ d³ / 6 (Σ d²)^1.5`, d: leave-one-out statistic below their mean (Efron 1987, equation 7.3).
+/// `Σ d³ / 6 (Σ d²)^1.5`; d is the mean of the leave-one-out statistics minus one of them (Efron 1987, equation 7.3).
 fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f64> {
     if values.len() < 3 {
         return None;
@@ -59,11 +57,9 @@ fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f6
     (squares > 0.0).then(|| sum(3) / (6.0 * squares.powf(1.5)))
 }
 
-/// Studentised one-sided bounds; `estimate` returns a value and its standard error. `None` below
-/// three values or without an error.
-///
-/// P. Hall, *Ann. Stat.* 16, 1988, pp. 927-953: the pivot `(θ* − θ)/s*` replaces Student's t. For
-/// the mean of skewed data and the logarithm of a deviation its upper end covers more than BCa.
+/// Studentised one-sided bounds. `estimate` returns a value and its standard error. `None` below three values or
+/// without an error. P. Hall, *Ann. Stat.* 16, 1988, pp. 927-953: the pivot `(θ* − θ)/s*` replaces Student's t. Its
+/// upper end covers more than that of BCa for the mean of skewed data and for the logarithm of a deviation.
 pub fn studentised_bounds(
     values: &[f64],
     estimate: impl Fn(&[f64]) -> (f64, f64),
@@ -82,7 +78,7 @@ pub fn studentised_bounds(
     Some([centre - percentile(&pivots, confidence)? * error, centre - percentile(&pivots, 1.0 - confidence)? * error])
 }
 
-/// Interpolated between the sorted values.
+/// Interpolates between the sorted values.
 fn percentile(sorted: &[f64], share: f64) -> Option<f64> {
     let count = sorted.len() as f64;
     let position = (share * (count + 1.0)).clamp(1.0, count) - 1.0;
@@ -90,7 +86,7 @@ fn percentile(sorted: &[f64], share: f64) -> Option<f64> {
     Some(if left == right { left } else { left + (right - left) * position.fract() })
 }
 
-/// Enough for `confidence`; `None` if that takes too many.
+/// Draws enough resamples for `confidence`; `None` if that takes too many.
 fn resample(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence: f64) -> Option<Vec<f64>> {
     let outside = 1.0 - confidence;
     let resamples = ((MIN_TAIL_RESAMPLES / outside).ceil() as usize).saturating_sub(1).max(MIN_RESAMPLES);

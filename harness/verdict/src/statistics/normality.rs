@@ -5,7 +5,7 @@ use statrs::distribution::{ContinuousCDF, Normal};
 
 /// Critical value of the modified statistic at the level of 5 % (Stephens 1986, table 4.7, case 3).
 const CRITICAL_VALUE: f64 = 0.752;
-/// For the correction for small samples (Stephens 1986).
+/// The correction for small samples needs as many (Stephens 1986).
 const MIN_VALUES: usize = 8;
 
 /// The modified statistic A²\* for normal data; `None` below eight values or if all are equal.
@@ -32,7 +32,7 @@ pub fn anderson_darling(values: &[f64]) -> Option<f64> {
     Some(statistic * (1.0 + 0.75 / count + 2.25 / (count * count)))
 }
 
-/// At the level of 5 %; false for too few values.
+/// The level is 5 %. False for too few values.
 pub fn is_rejected(values: &[f64]) -> bool {
     anderson_darling(values).is_some_and(|statistic| statistic > CRITICAL_VALUE)
 }

@@ -3,14 +3,11 @@
 use crate::bisection::bisect;
 use statrs::function::beta::beta_reg;
 
-/// To the resolution of a double.
+/// Sufficient for the resolution of a double.
 const BISECTION_STEPS: u32 = 60;
 
-/// Bounds, each one-sided at `confidence`, which cover at least at that rate; `None` without
-/// trials.
-///
-/// C. J. Clopper and E. S. Pearson, *Biometrika* 26, 1934, pp. 404-413: the probabilities at which
-/// as many, or as few, are observed with probability `1 − confidence`.
+/// One-sided bounds with a coverage of at least `confidence`; `None` without trials. At a bound, as many or as few
+/// events have the probability `1 − confidence`: C. J. Clopper, E. S. Pearson, *Biometrika* 26, 1934, pp. 404-413.
 pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2]> {
     if count == 0 || seen > count {
         return None;
@@ -75,7 +72,6 @@ mod tests {
 
     #[test]
     fn the_tails_are_the_binomial_sums() {
-        // Three coins.
         for (seen, least, most) in [(0, 1.0, 0.125), (1, 0.875, 0.5), (2, 0.5, 0.875), (3, 0.125, 1.0)] {
             assert!(
                 (probability_at_least(seen, 3, 0.5) - least).abs() < 1e-12

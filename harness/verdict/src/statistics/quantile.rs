@@ -2,12 +2,12 @@
 
 use super::proportion::probability_at_most;
 
-/// Quantile at `share` with bounds, each one-sided at `confidence`, for any distribution. A bound
-/// is infinite if the sample is too small: 95 % at 95 % needs 59 values.
+/// Quantile at `share` with bounds, each one-sided at `confidence`, for any distribution. A bound is infinite if the
+/// sample is too small: a 95 % quantile at 95 % confidence needs 59 values.
 ///
-/// W. J. Conover, *Practical Nonparametric Statistics*, 3rd ed. 1999, section 3.2: upper bound =
-/// r-th smallest value with the least r for which `P(B(n, share) ≤ r − 1) ≥ confidence`, lower
-/// bound = that with the greatest r for which `P(B(n, share) ≤ r − 1) ≤ 1 − confidence`.
+/// W. J. Conover, *Practical Nonparametric Statistics*, 3rd ed. 1999, section 3.2: upper bound = r-th smallest value
+/// with the least r for which `P(B(n, share) ≤ r − 1) ≥ confidence`, lower bound = that with the greatest r for which
+/// `P(B(n, share) ≤ r − 1) ≤ 1 − confidence`.
 pub fn quantile_bounds(values: &[f64], share: f64, confidence: f64) -> Option<(f64, [f64; 2])> {
     let count = u32::try_from(values.len()).ok().filter(|count| *count > 0)?;
     let mut sorted = values.to_vec();
@@ -18,12 +18,12 @@ pub fn quantile_bounds(values: &[f64], share: f64, confidence: f64) -> Option<(f
     let upper = bisect_index(1, count, |rank| below(rank) >= confidence).and_then(ranked);
     let beyond = bisect_index(1, count, |rank| below(rank) > 1.0 - confidence).unwrap_or(count + 1);
     let lower = ranked(beyond - 1);
-    // The smallest value that at least this share does not exceed.
+    // The smallest value that at least this share of the values does not exceed.
     let estimate = ranked(((f64::from(count) * share).ceil() as u32).clamp(1, count))?;
     Some((estimate, [lower.unwrap_or(f64::NEG_INFINITY), upper.unwrap_or(f64::INFINITY)]))
 }
 
-/// On the side with fewer values.
+/// Smallest sample with a finite bound on the side with fewer values.
 pub fn min_values_for_bound(share: f64, confidence: f64) -> u32 {
     let rarer = share.max(1.0 - share);
     ((1.0 - confidence).ln() / rarer.ln()).ceil().min(f64::from(u32::MAX)) as u32
@@ -55,7 +55,6 @@ mod tests {
         assert_eq!(quantile_bounds(&ramp(58), 0.95, 0.95).unwrap().1[1], f64::INFINITY);
         assert_eq!(quantile_bounds(&ramp(59), 0.95, 0.95).unwrap().1[1], 59.0);
         assert_eq!((min_values_for_bound(0.95, 0.95), min_values_for_bound(0.05, 0.95)), (59, 59));
-        // The second largest value needs 93.
         assert_eq!(quantile_bounds(&ramp(92), 0.95, 0.95).unwrap().1[1], 92.0);
         assert_eq!(quantile_bounds(&ramp(93), 0.95, 0.95).unwrap().1[1], 92.0);
     }

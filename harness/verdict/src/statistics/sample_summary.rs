@@ -6,12 +6,11 @@ use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
 pub struct SampleSummary {
     pub count: usize,
     pub mean: f64,
-    /// With n − 1 in the denominator; zero for one value.
+    /// With n − 1 in the denominator; 0 for one value.
     pub deviation: f64,
 }
 
 impl SampleSummary {
-    /// `None` without values.
     pub fn of(values: &[f64]) -> Option<Self> {
         let count = values.len();
         if count == 0 {
@@ -31,8 +30,8 @@ impl SampleSummary {
         Some([self.mean - half, self.mean + half])
     }
 
-    /// One-sided, of `self.mean − other.mean`, by Welch's t with the Welch-Satterthwaite degrees of
-    /// freedom (normal data). `None` if one of the two has below two values.
+    /// One-sided, of `self.mean − other.mean`, by Welch's t with Welch-Satterthwaite degrees of freedom (normal data).
+    /// `None` below two values in one of them.
     pub fn difference_bounds(&self, other: &Self, confidence: f64) -> Option<[f64; 2]> {
         let difference = self.mean - other.mean;
         let share = |summary: &Self| {

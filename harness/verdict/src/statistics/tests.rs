@@ -12,7 +12,6 @@ use std::f64::consts::{FRAC_2_PI, SQRT_2};
 #[derive(Debug, Clone, Copy)]
 enum TestDistribution {
     Normal,
-    /// Absolute values of normal errors.
     HalfNormal,
     Gamma4,
     Exponential,

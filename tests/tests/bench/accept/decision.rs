@@ -6,7 +6,7 @@ use platebench_acceptance::SessionRecord;
 use platebench_record::Verdict;
 use rstest::rstest;
 
-/// Settling takes 2 to 3 ms, its limit is 4 ms.
+/// The settling time is 2 to 3 ms, and its limit is 4 ms.
 fn budget_text(half_width: f64, due: &str) -> String {
     format!(
         "title = \"Lab\"\n[[instrument]]\nname = \"laser\"\nserial = \"L-1\"\ncalibrated = \"2020-01-01\"\n\
@@ -49,11 +49,11 @@ fn a_rule_decides_with_the_uncertainty(
     let page = folder.read("record/record.html");
     assert!(page.contains("Decision rule and instruments") && page.contains("L-1") && page.contains("2999-12-31"));
     verify(&folder, "record", &[]).assert_exit(0);
-    // Another budget in the record contradicts it, even with a new manifest.
+    // Another budget contradicts the record, even with a new manifest.
     folder.write("record/budget.toml", &budget_text(half_width / 2.0, "2999-12-31"));
     verify(&folder, "record", &[])
         .assert_exit(1)
-        .assert_output(&["decision rule or budget differ from plan and budget.toml"]);
+        .assert_output(&["decision rule or budget differs from plan.toml and budget.toml"]);
 }
 
 #[test]
@@ -61,7 +61,7 @@ fn an_expired_calibration_stops_the_session_unless_waived_by_name() {
     let folder = folder_with("rule = \"guarded\"", 0.1, "2021-01-01");
     run_session(&folder, &["--yes"])
         .assert_exit(2)
-        .assert_output(&["laser (L-1): its calibration of 2020-01-01 was valid until 2021-01-01"]);
+        .assert_output(&["laser (L-1): its calibration is valid from 2020-01-01 to 2021-01-01"]);
     assert!(!folder.exists("record"));
     run_session(&folder, &["--yes", "--waive-calibration", "lamp"]).assert_exit(2).assert_output(&["no instrument"]);
     run_session(&folder, &["--yes", "--waive-calibration", "laser"]).assert_exit(0);
@@ -79,7 +79,7 @@ fn an_expired_calibration_stops_the_session_unless_waived_by_name() {
     "needs a [[budget]] for settling_time_ms"
 )]
 #[case::no_share("rule = \"shared-risk\"", "x", "x", "shared-risk needs `largest_uncertainty_percent`")]
-#[case::share("rule = \"guarded\"\nlargest_uncertainty_percent = 20.0", "x", "x", "only for shared-risk")]
+#[case::share("rule = \"guarded\"\nlargest_uncertainty_percent = 20.0", "x", "x", "this limit is only for shared-risk")]
 #[case::rule("rule = \"strict\"", "x", "x", "plan.toml:16:8")]
 #[case::budget("rule = \"simple\"", "rectangular", "round", "lab.toml:11:16")]
 fn an_invalid_decision_is_reported_with_its_line(
@@ -94,7 +94,7 @@ fn an_invalid_decision_is_reported_with_its_line(
     assert!(!folder.exists("record"));
 }
 
-/// The worked example of docs/acceptance.md.
+/// Plays the worked example of docs/acceptance.md.
 #[test]
 fn the_example_of_the_documentation_passes() {
     let folder = tempfile::tempdir().unwrap();

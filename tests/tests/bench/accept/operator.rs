@@ -85,7 +85,7 @@ fn a_session_killed_twice_resumes_and_verifies() {
     let session = ["accept", "--plan", "plan.toml", "--rig", &rig, "--sign", "key.pem"];
     let mut first = OperatorTerminal::start(folder.path(), &[&session[..], &["--out", "record"]].concat());
     first.answer("operator?", "A. Tester\n");
-    first.answer("Where is this?", "Lab 2\n");
+    first.answer("Where does the session take place?", "Lab 2\n");
     first.answer("Notes?", "\n");
     first.answer("near the plate?", "perhaps\n");
     first.wait_for_text("yes or no?");
@@ -109,7 +109,7 @@ fn a_session_killed_twice_resumes_and_verifies() {
     let done: Vec<bool> = record.steps.iter().map(|step| step.done).collect();
     assert_eq!(done, [true, true, true, true, true, false]);
     verify(&folder, "record", &[]).assert_exit(3).assert_output(&["the session is not finished"]);
-    // A copy as after a kill between two steps: without files of the next step.
+    // After a kill between two steps the folder has no files of the next step.
     copy_folder(&record_folder, &folder.join("between"));
     let mut earlier = record.clone();
     earlier.steps[5].attempts.clear();
@@ -136,7 +136,7 @@ fn a_session_killed_twice_resumes_and_verifies() {
     assert_eq!(folder.read("record/steps/05-s/run.json"), sealed_step, "a finished step is not changed");
     assert!(folder.read("record/record.html").contains("started 2 times"));
 
-    // As after a kill between verdict and seal: sealed without a rig.
+    // After a kill between verdict and seal the session is sealed without a rig.
     for name in ["manifest.sha256", "manifest.sha256.sig"] {
         fs::remove_file(record_folder.join(name)).unwrap();
     }
@@ -200,7 +200,7 @@ fn a_no_ends_the_session_and_ctrl_c_allows_resuming() {
     let text = folder.read("record/session.json");
     let build = &record.firmware.as_ref().unwrap().firmware.build;
     folder.write("record/session.json", &text.replace(build.as_str(), "0123456789abcdef"));
-    folder.bench(&hosted).assert_exit(2).assert_output(&["the firmware is ", "a record contains only one"]);
+    folder.bench(&hosted).assert_exit(2).assert_output(&["the firmware is ", "start a new session"]);
     assert_eq!(read_session_record(&folder).steps[5].attempts.len(), record.steps[5].attempts.len());
     folder.write("record/session.json", &text);
     let run = folder.read("record/steps/05-s/run.json");

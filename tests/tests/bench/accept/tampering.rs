@@ -37,7 +37,7 @@ const CASES: [TamperCase; 13] = [
     (|folder| replace_text(&folder.join(SESSION), PASS, FAIL), "session.json: changed"),
     (|folder| replace_text(&folder.join(SESSION), "Lab 2", "Lab 3"), "session.json: changed"),
     (|folder| fs::write(folder.join("steps/more.txt"), "").unwrap(), "steps/more.txt: added"),
-    (|folder| symlink(SESSION, folder.join("link")).unwrap(), "link: neither a file nor a folder"),
+    (|folder| symlink(SESSION, folder.join("link")).unwrap(), "link: expected a file or a folder"),
     (|folder| fs::remove_file(folder.join(TRACE)).unwrap(), "steps/05-s/traces/s/001.csv: missing"),
     (|folder| fs::remove_file(folder.join(SESSION)).unwrap(), "session.json: missing"),
     (
@@ -59,7 +59,7 @@ const CASES: [TamperCase; 13] = [
         },
         "manifest.sha256.sig: wrong",
     ),
-    // Without a signature, the evidence contradicts the verdict.
+    // The signature is removed too, but the evidence contradicts the changed verdict.
     (
         |folder| {
             replace_text(&folder.join(SESSION), "\"signature\": {", "\"signature\": null, \"was\": {");
@@ -67,7 +67,7 @@ const CASES: [TamperCase; 13] = [
             fs::remove_file(folder.join("manifest.sha256.sig")).unwrap();
             reseal(folder);
         },
-        "session.json: the session has verdict fail, its evidence gives pass",
+        "session.json: the session has verdict fail, but its evidence gives pass",
     ),
 ];
 
@@ -101,16 +101,16 @@ fn a_resealed_record_is_checked_against_its_traces() {
     replace_text(&record.join("steps/05-s/run.json"), PASS, FAIL);
     verify_resealed()
         .assert_exit(1)
-        .assert_output(&["steps/05-s/run.json: the traces, judged again, give other verdicts"]);
+        .assert_output(&["steps/05-s/run.json: its verdicts differ from those of the traces"]);
     folder.write("record/steps/05-s/run.json", &run);
     replace_text(&record.join(SESSION), "\"text\": \"It settles.\"", "\"text\": \"It hums.\"");
     verify_resealed()
         .assert_exit(1)
-        .assert_output(&["session.json: R-1: text or evidence differs from plan and traces"]);
+        .assert_output(&["session.json: text or evidence of R-1 differs from plan and traces"]);
     replace_text(&record.join(SESSION), "\"text\": \"It hums.\"", "\"text\": \"It settles.\"");
     verify_resealed().assert_exit(0);
     flip_one_byte(&record.join(TRACE));
     verify_resealed()
         .assert_exit(1)
-        .assert_output(&["steps/05-s/run.json: its traces cannot be judged again", "001.csv"]);
+        .assert_output(&["steps/05-s/run.json: the traces of this run cannot be judged again", "001.csv"]);
 }

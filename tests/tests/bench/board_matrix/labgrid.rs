@@ -10,7 +10,6 @@ use std::fs;
 use std::net::{Ipv4Addr, TcpListener};
 use std::process::{Command, Stdio};
 
-/// The coordinator, and its address.
 struct Labgrid {
     folder: TestFolder,
     coordinator: ChildGuard,
@@ -18,7 +17,7 @@ struct Labgrid {
 }
 
 impl Labgrid {
-    /// Without places. `None` if labgrid is not installed.
+    /// Starts without places. Returns `None` if labgrid is not installed.
     fn start(folder: TestFolder) -> Option<Self> {
         let program = workspace_root().join("target/test-readers/bin/labgrid-coordinator");
         if !program.exists() {
@@ -50,7 +49,6 @@ impl Labgrid {
         start_line(self.folder.path(), line, &[("LG_COORDINATOR", &self.address)])
     }
 
-    /// No place is held.
     fn assert_free(&self) {
         for board in boards() {
             self.line(&format!("labgrid-client -p {board} release"))
@@ -61,7 +59,7 @@ impl Labgrid {
     }
 }
 
-/// The documented line that begins with the wrapper and contains `word`, for another board.
+/// Returns the documented line that begins with the wrapper and contains `word`, changed for `board`.
 fn recipe(word: &str, board: &str) -> String {
     let page = fs::read_to_string(workspace_root().join("docs/several-boards.md")).unwrap();
     let is_recipe = |line: &&str| line.starts_with("with-labgrid-place left") && line.contains(word);
@@ -136,7 +134,7 @@ fn the_template_runs_scenarios_on_a_board_behind_an_exporter() {
     let output = labgrid.line(&format!("sh {run}")).finish();
     assert!([0, 3].contains(&output.exit), "{}", output.stderr);
     let record = RunRecord::read(&folder.join("run")).unwrap();
-    // A late bench or a slow line makes the verdict inconclusive.
+    // A late bench or a slow line may make the verdict inconclusive, never a failure.
     assert_ne!(record.verdict, Verdict::Fail, "{}", output.stderr);
     assert_eq!((record.clock, record.safe_confirmed), (ClockKind::RealTime, Some(true)));
     assert_eq!(record.rig.name, format!("tcp:{address}"));

@@ -113,7 +113,7 @@ impl SourceTree {
         upward.map(|(from, to)| format!("{} imports from its parent {}", name(&from), name(&to))).collect()
     }
 
-    /// Cycles between the children of one module, each with everything below it.
+    /// Returns cycles between the children of one module. A child includes everything below it.
     pub(crate) fn cycles_between_siblings(&self) -> Vec<String> {
         let imports = self.imports();
         let mut cycles = Vec::new();

@@ -13,7 +13,6 @@ const TRIALS: &str = "  {bar:24} {pos}/{len} trials  {elapsed}  {wide_msg}";
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ProgressKind {
-    /// One line that is drawn again.
     Bar,
     /// A line at the start and one at the end of a scenario.
     Lines,
@@ -21,13 +20,11 @@ pub enum ProgressKind {
 }
 
 impl ProgressKind {
-    /// A bar if stderr is a terminal, otherwise lines.
     pub fn detect() -> Self {
         if io::stderr().is_terminal() { Self::Bar } else { Self::Lines }
     }
 }
 
-/// Scenarios are named by their files; several may run at once.
 pub struct Progress {
     sink: Sink,
 }
@@ -56,7 +53,7 @@ impl Progress {
         Self { sink: Sink::Lines(Box::new(out)) }
     }
 
-    /// Otherwise the bar shows the trials of the scenarios that started.
+    /// Without this call the bar is as long as the trials of the scenarios that started.
     #[must_use]
     pub fn with_planned_trials(self, trials: u64) -> Self {
         if let Sink::Bar { bar, .. } = &self.sink {
@@ -69,7 +66,6 @@ impl Progress {
     #[must_use]
     pub fn with_elapsed_time(self, title: &str) -> Self {
         if let Sink::Bar { bar, .. } = &self.sink {
-            // Without trials there is no share to draw.
             bar.set_style(style("  {elapsed}  {wide_msg}"));
             bar.set_message(printable(title).into_owned());
             bar.enable_steady_tick(TICK);

@@ -6,10 +6,10 @@ use crate::{format, record_queries};
 use platebench_record::{CostTrend, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 
-/// Longer lists need `-v`.
+/// Longer lists are shown with `-v`.
 const LISTED: usize = 3;
 
-/// `in_full`: every scenario that is not applicable, the cost of every law.
+/// `in_full` lists every scenario that is not applicable and the cost of every law.
 pub(super) fn write(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
     write_not_applicable(text, record, in_full || record.overrides.require_all);
     for (name, counts) in [
@@ -58,7 +58,7 @@ fn write_not_applicable(text: &mut String, record: &RunRecord, in_full: bool) {
     }
 }
 
-/// Unless `in_full`: the laws whose cost changed, or else the law with the highest cost.
+/// Unless `in_full`, lists the laws whose cost changed, or else the law with the highest cost.
 fn write_cost(text: &mut String, trends: &[CostTrend], in_full: bool) {
     let changed = |trend: &&CostTrend| in_full || cost::describe_change(trend).is_some();
     let mut listed: Vec<_> = trends.iter().filter(changed).collect();
@@ -124,7 +124,6 @@ fn write_result(
     write_wrapped(text, "    trace: ", "      ", trace);
 }
 
-/// `settling_time_ms: 2.4 ms, limit ≤ 2, window 0 … 60 ms`
 fn result(expectation: &ExpectationRecord) -> String {
     let unit = format::unit(expectation.metric);
     let value = match format::value(expectation) {

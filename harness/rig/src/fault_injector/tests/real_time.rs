@@ -1,5 +1,3 @@
-//! Faults in real time.
-
 use super::*;
 
 fn real_time_trial_with(faults: &[WireFault]) -> Fixture {

@@ -11,7 +11,6 @@ use platebench_wire::PacketReader;
 use std::path::Path;
 use std::thread;
 
-/// Does not count the target's allocations.
 struct UncountedLink(HostedLink);
 
 impl Link for UncountedLink {
@@ -37,7 +36,6 @@ fn scenario(name: &str) -> Scenario {
     load(&path, name).unwrap_or_else(|fault| panic!("{fault}"))
 }
 
-/// Counts from the first to the last control instant; returns the number of periods, too.
 fn count_allocations<L: Link>(
     scenario: &Scenario,
     session: &mut Session<FaultInjector<L>>,

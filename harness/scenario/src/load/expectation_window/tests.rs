@@ -93,7 +93,7 @@ fn judges_an_expectation_in_its_windows(#[case] expectation: &str, #[case] windo
 )]
 #[case::name_of_two_lines("\"overruns\"\nat_most = 2.0\nname = \"two\\nlines\"", "name", "expected one line of text")]
 #[case::moving_setpoint("\"static_error_percent\"\nat_most = 2.0\nfrom_ms = 20.0", "from_ms", "the setpoint changes")]
-#[case::never_at_rest("\"rest_drive_vpp\"\nat_most = 2.0\nfrom_ms = 5.0\nuntil_ms = 51.0", "metric", "expected a rest")]
+#[case::never_at_rest("\"rest_drive_vpp\"\nat_most = 2.0\nfrom_ms = 5.0\nuntil_ms = 51.0", "metric", "a longer time")]
 fn refuses_a_window_without_anything_to_judge(#[case] expectation: &str, #[case] key: &str, #[case] message: &str) {
     let error = load_expectation(expectation).unwrap_err();
     assert!(error.message.contains(message), "{error}");

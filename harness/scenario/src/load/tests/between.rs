@@ -1,5 +1,3 @@
-//! Scenes between trials, and the plate that the controller is configured for.
-
 use super::{create_folder, load_with_change, render};
 use crate::load::{load, load_copies};
 use insta::assert_snapshot;
@@ -26,7 +24,6 @@ fn a_scene_between_trials_has_its_own_controller_and_plate() {
     assert_eq!((scene.duration, scenario.duration), (Time::from_nanos(20_000_000), Time::from_nanos(60_000_000)));
     assert!(scene.expectations.is_empty() && scene.faults.is_empty());
     assert_eq!((scenario.keeps_controller(), scenario.design_plate() == &scenario.plate), (true, true));
-    // Copies in the order of the inputs give the same scenario.
     let copies: Vec<_> = scenario.inputs.iter().map(|input| input.path.clone()).collect();
     assert_eq!(copies.len(), 5);
     let again = load_copies(&copies, "s.toml").unwrap();

@@ -1,5 +1,3 @@
-//! Encodings, and files that cannot be read.
-
 use super::{BASE, create_folder, render};
 use crate::diagnostic::Diagnostic;
 use crate::load::load;

@@ -1,5 +1,3 @@
-//! Messages for rejected scenarios.
-
 use super::{BASE, FORCE, PLATE, create_folder, load_with_change, render};
 use crate::diagnostic::Diagnostic;
 use crate::load::{load, load_with_all_errors};

@@ -1,5 +1,3 @@
-//! Values of accepted scenarios.
-
 use super::{FORCE, create_folder, load_with_change, load_with_changes};
 use crate::expect::{Aggregation, Limit, Metric};
 use crate::fault::{Direction, Fault, FaultKind};

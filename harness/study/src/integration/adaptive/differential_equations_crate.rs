@@ -68,12 +68,12 @@ where
         Err(error) => Err(MethodFailure::CrateError(match error {
             Error::MaxSteps { .. } => "too many steps",
             Error::StepSize { .. } => "step too small",
-            Error::Stiffness { .. } => "taken for stiff",
-            Error::BadInput { .. } => "refused its input",
+            Error::Stiffness { .. } => "problem classified as stiff",
+            Error::BadInput { .. } => "input rejected",
             Error::OutOfBounds { .. }
             | Error::NoLags
             | Error::InsufficientHistory { .. }
-            | Error::LinearAlgebra { .. } => "a fault of its own",
+            | Error::LinearAlgebra { .. } => "internal error of the crate",
         })),
     }
 }

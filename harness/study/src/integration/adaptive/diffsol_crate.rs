@@ -68,7 +68,7 @@ fn build<const N: usize, P: Problem<N>>(
         .map_err(|error| crate_failure(&error))
 }
 
-/// Not finite if the number of components differs, which ends as a divergence.
+/// Returns NaN if the number of components differs. The caller then reports a divergence.
 fn state<const N: usize>(components: &[f64]) -> [f64; N] {
     components.try_into().unwrap_or([f64::NAN; N])
 }
@@ -96,6 +96,6 @@ fn crate_failure(error: &DiffsolError) -> MethodFailure {
         DiffsolError::OdeSolverError(OdeSolverError::TooManyNonlinearSolverFailures { .. }) => {
             "Newton did not converge"
         }
-        _ => "a fault of its own",
+        _ => "internal error of the crate",
     })
 }

@@ -8,7 +8,7 @@ use crate::loops::tuning::transient::StepSimulation;
 use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
 use platebench_wire::Gains;
 
-/// The horizon is the longest of these periods, response times and time constants, plus delays.
+/// The horizon is the longest of these numbers of periods, response times and time constants, plus the delays.
 const HORIZON_PERIODS: f64 = 60.0;
 const HORIZON_RESPONSES: f64 = 6.0;
 const HORIZON_TIME_CONSTANTS: f64 = 20.0;
@@ -17,7 +17,6 @@ const HORIZON_DELAYS: f64 = 20.0;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TuningTarget<'a> {
     pub plate: &'a Plate,
-    /// N.
     pub force_n: f64,
     /// µm, above 0.
     pub setpoint: f64,
@@ -25,7 +24,7 @@ pub struct TuningTarget<'a> {
     pub response: f64,
     /// Control period, µs, above 0.
     pub period_us: u32,
-    /// From sampling to actuation, s.
+    /// Delay from sampling to actuation, s.
     pub delay: f64,
     /// Smallest phase margin of both loops.
     pub phase_margin_deg: f64,
@@ -40,7 +39,7 @@ impl TuningTarget<'_> {
         self.plate.mode(&Conditions { temperature_offset_k: 0.0, finger_force_n: self.force_n })
     }
 
-    /// Shortest time from rest to the band with the drive limit, s; `None` if out of reach.
+    /// Shortest time from rest into the band with the drive limit, s. `None` if the band is out of reach.
     pub fn time_floor(&self) -> Option<f64> {
         self.mode().min_rise_time(self.setpoint, 0.95, self.plate.drive_limit_vpp)
     }
@@ -55,7 +54,6 @@ impl TuningTarget<'_> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GainDesign {
     pub discretisation: Discretisation,
-    /// Response time of the design, s.
     pub response: f64,
     /// Drive from the error of Wd, Vpp per µm.
     pub amplitude: PiGains,
@@ -64,8 +62,8 @@ pub struct GainDesign {
 }
 
 impl GainDesign {
-    /// Equation 24 with the σ of the plate under the target's finger: K = b/σ and τ = 1/σ for the
-    /// amplitude, K = τ for the frequency.
+    /// Equation 24 under the target's finger, for the amplitude with K = b/σ and τ = 1/σ, for the frequency with K =
+    /// τ.
     pub fn new(target: &TuningTarget<'_>, discretisation: Discretisation, response: f64) -> Self {
         let mode = target.mode();
         let tau = 1.0 / mode.sigma;
@@ -74,7 +72,7 @@ impl GainDesign {
         Self { discretisation, response, amplitude, frequency }
     }
 
-    /// The gains for the firmware's forward integral; `period` in s.
+    /// Gains for the firmware's forward-Euler integral. `period` is in s.
     pub fn firmware_gains(&self, period: f64) -> Gains {
         let Self { amplitude, frequency, .. } = self;
         Gains {
@@ -85,7 +83,7 @@ impl GainDesign {
         }
     }
 
-    /// One or both loops around the setpoint's steady state, on `plate` under the target's finger.
+    /// `which` selects the drive and the frequency loop. `plate` is under the target's finger.
     pub fn closed_loop(
         &self,
         target: &TuningTarget<'_>,

@@ -9,32 +9,30 @@ use platebench_plate::{Plate, Tier};
 use platebench_runner::delay_boundary::DelayBoundary;
 use serde::Serialize;
 
-/// Range of the search for the delay boundary beyond the delay, in periods plus design times.
+/// The search for the delay boundary ends this many times (period + design time) beyond the target's delay.
 const MAX_DELAY_FACTOR: f64 = 8.0;
-/// Poles closer to 0 are those of pending commands.
+/// Smaller poles are those of pending commands.
 const PENDING_POLE_RADIUS: f64 = 1e-6;
 
-/// One loop of a design with the other one open, at the target's delay.
+/// One loop of a design with the other loop open, at the target's delay.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LoopEvaluation {
     /// Vpp per µm, or rad/s per unit of Wq/Wd.
     pub kp: f64,
-    /// Per second, otherwise as `kp`.
+    /// The unit of `kp` per second.
     pub ki_per_s: f64,
     /// Poles in the z plane, [re, im], without those of pending commands.
     pub poles: Vec<[f64; 2]>,
     pub spectral_radius: f64,
-    /// Factor by which the gain may rise; `None` if unlimited.
     pub gain_margin: Option<f64>,
-    /// Degrees; `None` if |L| is never 1.
     pub phase_margin_deg: Option<f64>,
-    /// Allowed growth of the delay; 0 or less if unstable, `None` if stable over the whole search.
+    /// Possible growth of the delay. 0 or less if the loop is unstable, `None` if it is stable over the whole search.
     pub delay_margin_ms: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct StepEvaluation {
-    /// 5 % settling time; `None` if it does not settle.
+    /// 5 % settling time. `None` if the response does not settle.
     pub settling_ms: Option<f64>,
     pub overshoot_percent: f64,
     pub peak_drive_vpp: f64,
@@ -56,13 +54,12 @@ pub struct DesignEvaluation {
     pub designed_for_ms: f64,
     pub amplitude: LoopEvaluation,
     pub frequency: LoopEvaluation,
-    /// Largest magnitude of a pole of both loops on the modal plate.
+    /// Both loops together on the modal plate.
     pub spectral_radius: f64,
-    /// The linear loop on the envelope, without ripple and limits.
+    /// Amplitude loop on the envelope, without ripple and limits.
     pub linear: StepEvaluation,
-    /// |W| on the modal plate within the drive limit.
+    /// |W| on the modal plate with the drive limit.
     pub plate: StepEvaluation,
-    /// At the drive limit.
     pub saturated_periods: u32,
     #[serde(skip)]
     pub design: GainDesign,
@@ -119,7 +116,7 @@ fn evaluate_loop(
 ) -> Result<LoopEvaluation, AnalysisError> {
     let closed = design.closed_loop(target, target.plate, Tier::Envelope, which)?;
     let mut poles = closed.poles()?;
-    // At resonance Wd and Wq are decoupled on the envelope: remove the other component's pole.
+    // Removes the pole of the other component, which is decoupled on the envelope at resonance.
     let other = (-target.mode().sigma * target.period()).exp();
     let distance = |pole: &nalgebra::Complex<f64>| (pole - other).norm();
     let nearest = (0..poles.len()).min_by(|a, b| distance(&poles[*a]).total_cmp(&distance(&poles[*b])));

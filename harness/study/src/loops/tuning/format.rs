@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 const NONE: &str = "–";
 
-/// `spread` is that of the sensitivity.
+/// `spread` belongs to the sensitivity in `tuning`.
 pub fn format_tuning(target: &TuningTarget<'_>, spread: &PlateSpread, tuning: &TuningResult) -> String {
     let mut text = format_target(target, tuning);
     text += "\nEquation 24 for the target response time\n";
@@ -24,7 +24,7 @@ pub fn format_tuning(target: &TuningTarget<'_>, spread: &PlateSpread, tuning: &T
             }
             match possible {
                 Some(possible) => text += &format_design("\nFastest possible design", possible),
-                None => text += "\nNo design of this reading settles with this phase margin.\n",
+                None => text += "\nNo design of this discretisation settles with this phase margin.\n",
             }
         }
     }
@@ -53,7 +53,6 @@ fn format_target(target: &TuningTarget<'_>, tuning: &TuningResult) -> String {
     )
 }
 
-/// Removes the rounding error of a conversion from seconds.
 fn without_rounding_noise(ms: f64) -> f64 {
     (ms * 1e6).round() / 1e6
 }

@@ -1,8 +1,6 @@
-//! Searches the response time for equation 24 with which the plate meets the target.
-//!
-//! Equation 24 ignores the length of the period, the ripple of the fast mode, the delay and the
-//! drive limit, and the response is not smooth in the design. Therefore designs with
-//! logarithmically spaced response times are simulated on the plate.
+//! Searches the response time of equation 24 with which the plate meets the target.
+//! Equation 24 ignores the length of the period, the ripple of the fast mode, the delay and the drive limit, and the
+//! response is not smooth in the design. Therefore designs with logarithmically spaced response times are simulated.
 
 use crate::loops::bisection::bisect;
 use crate::loops::closed_loop::AnalysisError;
@@ -13,22 +11,22 @@ use platebench_plate::Tier;
 
 const DESIGNS: u32 = 160;
 const REFINEMENT: u32 = 24;
-/// The fastest design in periods: the error after a period is e^(−15).
+/// Response time of the fastest design in periods. Its error after one period is e^(−15).
 const FASTEST_RESPONSE_PERIODS: f64 = 0.2;
-/// The slowest design in responses of the plate or of the target, and in periods with delay.
+/// Response time of the slowest design, in those of plate or target. At least [`LAST_PERIODS`] times period plus
+/// delay.
 const LAST: f64 = 3.0;
 const LAST_PERIODS: f64 = 30.0;
 const BISECTIONS: u32 = 20;
-/// A design at the limit of the target meets it on no other plate.
+/// Safety factors of the response time. A design that just meets the target misses it on other plates.
 const RESPONSE_FACTORS: [f64; 3] = [0.97, 0.99, 1.0];
 
-/// An overshoot between this share of the band and the whole band settles on no other plate.
+/// A design whose overshoot exceeds this share of the band, but not the band, leaves the band on other plates.
 const MAX_BAND_SHARE: f64 = 0.8;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DesignCandidate {
     pub design: GainDesign,
-    /// 5 % settling time of |W|, s.
     pub settling: f64,
 }
 
@@ -90,8 +88,7 @@ impl<'a> DesignSearch<'a> {
         Ok(None)
     }
 
-    /// Equation 24 for the target's response time if that meets the target, otherwise the slowest
-    /// design that does, with a safety factor.
+    /// The design for the target's response time, or else the slowest one that meets the target, with a safety factor.
     pub fn meeting_target(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
         let meets = |response: f64| -> Result<Option<DesignCandidate>, AnalysisError> {
             match self.evaluate(response).filter(|candidate| candidate.settling <= self.target.response) {

@@ -11,11 +11,10 @@ use serde::Serialize;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlateSpread {
-    /// ±K1.
+    /// Largest deviation of K1.
     pub gain_percent: f64,
-    /// ±τ.
     pub time_constant_percent: f64,
-    /// Random plates, uniform between the corners.
+    /// Number of random plates, uniform between the corners.
     pub samples: u32,
     pub seed: u64,
 }
@@ -24,19 +23,17 @@ pub struct PlateSpread {
 pub struct PlateVariant {
     /// Deviation of K1 from the plate file.
     pub gain_percent: f64,
-    /// Deviation of τ from the plate file.
     pub time_constant_percent: f64,
-    /// N.
     pub force_n: f64,
-    /// Result within the drive limit.
+    /// Step response with the drive limit.
     pub plate: StepEvaluation,
-    /// The smaller gain margin of both loops, each with the other closed.
+    /// The smaller margin of both loops, each with the other loop closed.
     pub gain_margin: Option<f64>,
     pub phase_margin_deg: Option<f64>,
     pub delay_margin_ms: Option<f64>,
 }
 
-/// `None` if a plate does not settle, or if no plate has a bounded margin.
+/// `settling_ms` is `None` if a plate does not settle, a margin is `None` if no plate limits it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct WorstCase {
     pub plates: usize,
@@ -53,11 +50,11 @@ pub struct Sensitivity {
     pub corners: Vec<PlateVariant>,
     pub worst_corner: WorstCase,
     pub worst_sample: Option<WorstCase>,
-    /// The nominal plate without the design's finger; under 2 N if the design has no finger.
+    /// The nominal plate without the design's finger, or under 2 N if the design has no finger.
     pub other_finger: PlateVariant,
 }
 
-/// Finger that the design does not know, N (Fig. 16).
+/// Unexpected finger for a design without a finger, N (Fig. 16).
 const FINGER: f64 = 2.0;
 
 pub fn evaluate_sensitivity(

@@ -1,7 +1,6 @@
 //! Simulates a setpoint step on the exact plate with the firmware's loops, including their limits.
-//!
-//! Unlike [`crate::loops::ClosedLoop::step_response`]: |W| with the ripple of the fast mode, a
-//! saturating drive with anti-windup, and a frequency loop that is inactive while Wd is small.
+//! In contrast to [`crate::loops::ClosedLoop::step_response`] the drive saturates with anti-windup, |W| includes the
+//! ripple of the fast mode, and the frequency loop is inactive while Wd is small.
 
 use crate::loops::step_response::StepResponse;
 use platebench_controller::{Law, Measurement};
@@ -13,29 +12,23 @@ use std::f64::consts::TAU;
 pub(crate) const BAND: f64 = 0.05;
 /// Points of |W| per period, as in the rows of a trace at 1 kHz.
 const POINTS_PER_PERIOD: u64 = 20;
-/// A later entry into the band, as a share of the horizon, is not settled.
+/// A response that enters the band later, as a share of the horizon, has not settled.
 const LATEST_ENTRY_SHARE: f64 = 0.9;
-/// A scenario's default range and slew limit, Hz and Hz per period.
+/// Default frequency range in Hz and slew limit in Hz per period of a scenario.
 const RANGE_HZ: f32 = 250.0;
 const SLEW_HZ: f32 = 100.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepSimulation<'a> {
-    /// Its drive limit acts.
     pub plate: &'a Plate,
-    /// N.
     pub force_n: f64,
     pub gains: Gains,
-    /// µs, above 0.
     pub period_us: u32,
-    /// From sampling to actuation, s.
     pub delay: f64,
-    /// µm, above 0.
     pub setpoint: f64,
 }
 
 impl StepSimulation<'_> {
-    /// `None` if the firmware rejects the gains.
     fn law(&self) -> Option<Law> {
         let configure = Configure {
             law: LawId::DqPiFixed,
@@ -56,8 +49,8 @@ impl StepSimulation<'_> {
         Law::design(&configure).ok().map(|(law, _)| law)
     }
 
-    /// Steps the setpoint from rest. The excitation starts at the untouched plate's resonance.
-    /// Gains that the firmware rejects give no response. Settling is the last entry into the band of |W|.
+    /// Steps the setpoint from rest. The excitation starts at the untouched plate's resonance. Settling is the last
+    /// entry of |W| into the band. Returns the default response if the firmware rejects the gains.
     pub fn step(&self, periods: u32) -> StepResponse {
         let Some(mut law) = self.law() else { return StepResponse::default() };
         let (plate, setpoint) = (self.plate, self.setpoint);

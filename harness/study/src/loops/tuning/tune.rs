@@ -14,32 +14,22 @@ use serde::Serialize;
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum InfeasibilityCause {
     /// The drive limit cannot hold the setpoint.
-    OutOfReach {
-        /// Drive that holds the setpoint.
-        needed_vpp: f64,
-    },
+    OutOfReach { needed_vpp: f64 },
     /// The drive limit does not allow the response time.
-    DriveFloor {
-        floor_ms: f64,
-        /// For the response time.
-        needed_vpp: f64,
-    },
+    DriveFloor { floor_ms: f64, needed_vpp: f64 },
     /// The response time ends before the first command with feedback acts.
-    Period {
-        /// Time from the step to the first command with feedback.
-        first_feedback_ms: f64,
-    },
-    /// Equation 24 for this response is unstable at this delay.
+    Period { first_feedback_ms: f64 },
+    /// Equation 24 for the target's response time is unstable at the target's delay.
     Delay {
-        /// The longest stable delay; 0 if unstable without delay.
+        /// Longest stable delay. 0 if the loop is unstable without delay.
         boundary_ms: f64,
     },
     /// Only designs with less phase margin meet the target.
     PhaseMargin {
-        /// Phase margin of the fastest stable design, degrees.
+        /// Phase margin of the design that meets the target otherwise, degrees.
         found_deg: f64,
     },
-    /// No design of this reading is fast enough at this period and delay.
+    /// No design of this discretisation is fast enough at this period and delay.
     Discretisation,
 }
 
@@ -47,14 +37,14 @@ pub enum InfeasibilityCause {
 pub struct TuningResult {
     pub met: bool,
     pub obstacles: Vec<InfeasibilityCause>,
-    /// The shortest time that the drive limit allows; `None` if the setpoint is out of reach.
+    /// Shortest time into the band with the drive limit. `None` if the setpoint is out of reach.
     pub floor_ms: Option<f64>,
     /// Equation 24 for the target's response time, in each discretisation.
     pub readings: Vec<DesignEvaluation>,
     pub chosen: Option<DesignEvaluation>,
     /// The fastest design with the target's phase margin, if the target is not met.
     pub possible: Option<DesignEvaluation>,
-    /// The chosen, otherwise the possible design on other plates.
+    /// The chosen design on other plates, or the possible design if none is chosen.
     pub sensitivity: Option<Sensitivity>,
 }
 
@@ -66,7 +56,7 @@ pub fn tune(
     let printed = |discretisation| evaluate_design(target, GainDesign::new(target, discretisation, target.response));
     let readings = Discretisation::ALL.into_iter().map(printed).collect::<Result<Vec<_>, _>>()?;
     let search = DesignSearch::new(target, discretisation);
-    // Inside the band is not enough if the limit cannot hold the setpoint.
+    // A response inside the band does not meet the target if the drive limit cannot hold the setpoint.
     let holds = target.mode().drive_for(target.setpoint) <= target.plate.drive_limit_vpp;
     let meeting = if holds { search.meeting_target(target.phase_margin_deg)? } else { None };
     let chosen = meeting.map(|candidate| evaluate_design(target, candidate.design)).transpose()?;

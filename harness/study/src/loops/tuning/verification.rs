@@ -8,7 +8,7 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-/// Rounding of an f32 integral gain that the controller multiplies by the period and divides again.
+/// Relative rounding error of an f32 integral gain that the controller multiplies by the period and divides again.
 const ROUNDING: f32 = 4.0 * f32::EPSILON;
 
 #[derive(Debug, Clone, Copy)]
@@ -29,7 +29,7 @@ pub enum VerificationError {
     Scenario(Box<Diagnostic>),
 }
 
-/// A step on the tuned plate, written to `folder` so that `judge` can read it from there.
+/// Writes a step on the tuned plate to `folder`, from which `judge` can read it.
 pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -> Result<Scenario, VerificationError> {
     let TuningTarget { force_n, setpoint, response, period_us, delay, plate: tuned, .. } = *step.target;
     let Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki } = step.gains;
@@ -41,7 +41,7 @@ pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -
         "controller": {
             "law": step.law.name(),
             "period_ms": period_ms,
-            // In real time the rig has its own delay.
+            // A rig in real time has its own delay.
             "loop_delay_ms": if step.real_time { 0.0 } else { delay * 1e3 },
             "gains": {
                 "amplitude_ki": shortest_decimal(amplitude_ki),
@@ -54,7 +54,7 @@ pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -
         "expect": [
             { "metric": "settling_time_ms", "at_most": response * 1e3 },
             { "metric": "overshoot_percent", "at_most": 100.0 },
-            // The f32 of the wire may be larger than the limit in the file.
+            // Rounding to f32 on the wire may exceed the limit in the file.
             { "metric": "drive_peak_vpp", "at_most": tuned.drive_limit_vpp * (1.0 + 1e-6) },
         ],
     });
@@ -64,13 +64,12 @@ pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -
     load(&path, "tune.toml").map_err(|fault| VerificationError::Scenario(Box::new(fault)))
 }
 
-/// True if the gains agree within the rounding of the controller.
 pub fn gains_match(accepted: Gains, sent: Gains) -> bool {
     let all = |gains: Gains| [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
     all(accepted).into_iter().zip(all(sent)).all(|(got, want)| (got - want).abs() <= ROUNDING * want.abs())
 }
 
-/// The shortest decimal that parses back to the same f32.
+/// Shortest decimal that parses back to the same f32.
 pub fn shortest_decimal(gain: f32) -> f64 {
     gain.to_string().parse().unwrap_or_else(|_| f64::from(gain))
 }

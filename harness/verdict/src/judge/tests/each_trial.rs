@@ -1,5 +1,3 @@
-//! Verdicts by each trial, and their reasons.
-
 use super::*;
 
 #[rstest]

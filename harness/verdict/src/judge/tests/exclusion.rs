@@ -1,5 +1,3 @@
-//! Trials that do not count.
-
 use super::*;
 
 #[test]

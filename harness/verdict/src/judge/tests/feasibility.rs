@@ -1,5 +1,3 @@
-//! Demands that the drive cannot meet.
-
 use super::*;
 
 fn set_saturated(mut rows: Vec<Row>) -> Vec<Row> {

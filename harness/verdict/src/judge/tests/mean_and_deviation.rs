@@ -1,5 +1,3 @@
-//! Mean and standard deviation over trials.
-
 use super::*;
 
 /// The quantile of Student's t at 95 % and 29 degrees of freedom, from a table.

@@ -1,5 +1,3 @@
-//! Statistics over trials, and their evidence.
-
 use super::*;
 use platebench_record::EvidenceMethod;
 
@@ -10,7 +8,7 @@ fn trials_without_a_failure_bound_the_failure_rate() {
     let [low, high] = record.evidence.failure_rate.unwrap();
     assert_eq!((record.verdict, low, record.confidence), (Verdict::Pass, 0.0, Some(0.95)));
     assert!((high - (1.0 - 0.05_f64.powf(1.0 / 30.0))).abs() < 1e-9);
-    let says = "30 trials without a failure: fewer than 9.50 % of all fail, at 95.00 %";
+    let says = "30 trials without a failure: fewer than 9.50 % of all trials fail, with 95.00 % confidence";
     assert_eq!(record.evidence.says.as_deref(), Some(says));
     let mut values = [1.9; 30];
     values[3] = 2.1;

@@ -1,5 +1,3 @@
-//! Content of the records.
-
 use super::*;
 
 #[test]

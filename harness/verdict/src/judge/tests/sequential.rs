@@ -1,5 +1,3 @@
-//! Looks during a run.
-
 use super::*;
 
 fn sequential_scenario(expect: &[&str], count: u32, most: u32) -> Scenario {

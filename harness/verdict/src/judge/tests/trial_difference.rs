@@ -1,5 +1,3 @@
-//! Trials that are compared with the first one.
-
 use super::*;
 
 fn trials(signals: &[Vec<f64>]) -> Vec<TrialMeasures> {

@@ -1,5 +1,3 @@
-//! Responses to setpoint steps and disturbances.
-
 use super::*;
 
 const TAU: f64 = 1.88;

@@ -1,5 +1,3 @@
-//! Controllers that stop, and real plates.
-
 use super::*;
 
 #[test]
@@ -135,7 +133,6 @@ fn unknown_quantities_of_a_real_plate_are_undefined() {
                 | Metric::InstructionsPerStep
                 | Metric::ReferenceDifference
                 | Metric::ProtocolDifferences
-                // These rows have no Wd.
                 | Metric::QuadratureRatio
         );
         assert_eq!(unknown, expected, "{metric}");

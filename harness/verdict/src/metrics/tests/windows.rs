@@ -1,5 +1,3 @@
-//! Means, ripple and final values.
-
 use super::*;
 
 #[test]
