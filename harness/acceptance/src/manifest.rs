@@ -23,7 +23,7 @@ pub enum Difference {
     #[error("{0}: added, or its line was removed from the manifest")]
     Added(String),
     #[error("{0}: expected a file or a folder with a UTF-8 name, at most 32 folders deep")]
-    NotAFile(String),
+    UnsupportedEntry(String),
     #[error("{0}: cannot be read: {1}")]
     Unreadable(String, String),
     #[error(
@@ -108,7 +108,7 @@ impl FolderContents {
         for entry in entries {
             let Some(last) = entry.file_name().to_str().map(str::to_owned) else {
                 let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
-                self.not_files.insert(name.clone(), Difference::NotAFile(name));
+                self.not_files.insert(name.clone(), Difference::UnsupportedEntry(name));
                 continue;
             };
             let name = format!("{prefix}{last}");
@@ -123,7 +123,7 @@ impl FolderContents {
                     }
                 }
                 _ => {
-                    self.not_files.insert(name.clone(), Difference::NotAFile(name));
+                    self.not_files.insert(name.clone(), Difference::UnsupportedEntry(name));
                 }
             }
         }
@@ -164,7 +164,7 @@ mod tests {
         fs::write(folder.path().join("b/new"), "").unwrap();
         std::os::unix::fs::symlink("a.txt", folder.path().join("link")).unwrap();
         let expected = [
-            Difference::NotAFile("link".to_owned()),
+            Difference::UnsupportedEntry("link".to_owned()),
             Difference::Changed("a.txt".to_owned()),
             Difference::Added("b/new".to_owned()),
             Difference::Missing("b/c.csv".to_owned()),

@@ -19,7 +19,7 @@ pub use error::BoardError;
 pub use inventory::{Board, BoardSensor, INVENTORY_FILE, Inventory, RawInventory};
 pub use merge::{MergeError, merge_runs};
 pub use reservation::Reservation;
-pub use run_end::RunEnd;
+pub use run_end::BoardOutcome;
 pub use soak::{SoakConfig, SoakResult, soak};
 pub use soak_record::{SOAK_FILE, SoakEnd, SoakRecord};
 pub use state::{LastRun, Quarantine};

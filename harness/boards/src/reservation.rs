@@ -9,7 +9,7 @@
 use crate::board_lock::{BoardFiles, BoardLock};
 use crate::error::BoardError;
 use crate::inventory::{Board, Inventory};
-use crate::run_end::RunEnd;
+use crate::run_end::BoardOutcome;
 use crate::state::{Quarantine, StoredState, now};
 use platebench_record::to_hex;
 use platebench_rig::{CancelToken, ConnectOptions, Session};
@@ -68,7 +68,7 @@ impl Reservation {
     }
 
     /// Removes the mark. Puts the board into quarantine if `end` states a reason.
-    pub fn finish(self, end: RunEnd) -> Result<(), BoardError> {
+    pub fn finish(self, end: BoardOutcome) -> Result<(), BoardError> {
         let mut state = StoredState::read(&self.files.state)?;
         state.in_use = None;
         state.last_run = end.last_run.or(state.last_run);

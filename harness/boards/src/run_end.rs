@@ -11,13 +11,13 @@ const NOT_CONFIRMED: &str = "the controller did not confirm 0 V";
 const MAX_DEPTH: usize = 4;
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct RunEnd {
+pub struct BoardOutcome {
     /// Why no further run may start.
     pub quarantine: Option<String>,
     pub last_run: Option<LastRun>,
 }
 
-impl RunEnd {
+impl BoardOutcome {
     /// No voltage was applied.
     pub fn untouched() -> Self {
         Self::default()

@@ -1,6 +1,6 @@
 //! Plays scenarios in rotation for hours, with advancing seeds and a record of bounded size.
 
-use crate::run_end::RunEnd;
+use crate::run_end::BoardOutcome;
 use crate::soak_record::{SOAK_FILE, SoakEnd, SoakRecord};
 use platebench_record::{FolderError, RunFolder, RunRecord, Verdict};
 use platebench_runner::plan::LinkFactory;
@@ -23,7 +23,7 @@ pub struct SoakConfig {
 #[derive(Debug)]
 pub struct SoakResult {
     pub record: SoakRecord,
-    pub board: RunEnd,
+    pub board: BoardOutcome,
     pub error: Option<RunError>,
 }
 
@@ -40,9 +40,9 @@ pub fn soak(
     fs::create_dir_all(out).map_err(folder_error(out))?;
     let (started, mut record) = (Instant::now(), SoakRecord::new(&config.board, &config.plan.rig));
     write(&record, out)?;
-    let mut board = RunEnd::untouched();
+    let mut board = BoardOutcome::untouched();
     if config.plan.scenarios.is_empty() {
-        return Ok(SoakResult { record, board: RunEnd::untouched(), error: None });
+        return Ok(SoakResult { record, board: BoardOutcome::untouched(), error: None });
     }
     let mut disposable: Option<PathBuf> = None;
     for (round, scenario) in (0..).flat_map(|round| config.plan.scenarios.iter().map(move |scenario| (round, scenario)))
@@ -52,7 +52,7 @@ pub fn soak(
         let folder = RunFolder::create(Some(&out.join(&name)))?;
         let hooks = RunHooks { cancel: cancel.clone(), ..RunHooks::default() };
         let played = run(&plan, &folder, connect, hooks);
-        board = RunEnd::of_run(played.as_ref(), folder.path());
+        board = BoardOutcome::of_run(played.as_ref(), folder.path());
         let run = match played {
             Ok(run) => run,
             Err(error) => {
@@ -83,7 +83,7 @@ pub fn soak(
 fn end_after(
     config: &SoakConfig,
     run: &RunRecord,
-    board: &RunEnd,
+    board: &BoardOutcome,
     started: Instant,
     cancel: &CancelToken,
 ) -> Option<SoakEnd> {

@@ -24,7 +24,7 @@ const MAX_REPLAYED: usize = 10_000;
 /// One in this many trials belongs to the random sample.
 const SAMPLED_ONE_IN: u64 = 100;
 /// Largest number of trials in [`Agreement::differences`].
-const MAX_LISTED: usize = 20;
+const MAX_DIFFERENCES: usize = 20;
 /// Random stream of the choice. No trial has it, because trial i has the stream `u64::MAX − i`.
 const STREAM: u64 = 0xC0F1;
 
@@ -184,7 +184,7 @@ impl Agreement {
             firmware: String::new(),
             groups,
             replayed: replays.len(),
-            differences: differences.take(MAX_LISTED).collect(),
+            differences: differences.take(MAX_DIFFERENCES).collect(),
             missed_failures: pairs().filter(missed).count() as u64,
             largest_margin_difference: margins.filter(|margin| margin.is_finite()).fold(0.0, f64::max),
         })

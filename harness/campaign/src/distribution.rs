@@ -152,7 +152,7 @@ impl RawNormal {
             return Err(format!("normal with mean {} and sd {sd}, expected finite numbers and sd above 0", self.mean));
         }
         if let Some([low, high]) = self.truncate {
-            let share = below((high - self.mean) / sd) - below((low - self.mean) / sd);
+            let share = normal_cdf((high - self.mean) / sd) - normal_cdf((low - self.mean) / sd);
             if !(low < high && share > 1e-6) {
                 return Err(format!(
                     "truncate = [{low}, {high}], expected [low, high] with a part of the distribution"
@@ -183,32 +183,32 @@ impl RawNormal {
 const SEARCH_DEVIATIONS: f64 = 4.0;
 
 /// Φ(z)
-pub(crate) fn below(z: f64) -> f64 {
+pub(crate) fn normal_cdf(z: f64) -> f64 {
     0.5 * erfc(-z / SQRT_2)
 }
 
 /// Φ⁻¹(p)
-pub(crate) fn quantile(p: f64) -> f64 {
+pub(crate) fn normal_quantile(p: f64) -> f64 {
     -SQRT_2 * erfc_inv(2.0 * p)
 }
 
 impl NormalDistribution {
     fn at(&self, u: f64) -> f64 {
-        let ends = self.truncate.map(|ends| ends.map(|end| below((end - self.mean) / self.sd)));
+        let ends = self.truncate.map(|ends| ends.map(|end| normal_cdf((end - self.mean) / self.sd)));
         let [from, to] = ends.unwrap_or([0.0, 1.0]);
-        self.value(self.mean + self.sd * quantile(from + (to - from) * u))
+        self.value(self.mean + self.sd * normal_quantile(from + (to - from) * u))
     }
 
     fn at_score(&self, z: f64) -> f64 {
-        if self.truncate.is_some() { self.at(below(z)) } else { self.value(self.mean + self.sd * z) }
+        if self.truncate.is_some() { self.at(normal_cdf(z)) } else { self.value(self.mean + self.sd * z) }
     }
 
     fn score(&self, value: f64) -> f64 {
         let score = |value: f64| (value - self.mean) / self.sd;
         let value = if self.is_logarithm { value.ln() } else { value };
         let Some(ends) = self.truncate else { return score(value) };
-        let [from, to] = ends.map(|end| below(score(end)));
-        quantile(((below(score(value)) - from) / (to - from)).clamp(f64::EPSILON, 1.0 - f64::EPSILON))
+        let [from, to] = ends.map(|end| normal_cdf(score(end)));
+        normal_quantile(((normal_cdf(score(value)) - from) / (to - from)).clamp(f64::EPSILON, 1.0 - f64::EPSILON))
     }
 
     fn value(&self, normal: f64) -> f64 {
@@ -229,7 +229,7 @@ impl Distribution {
 
     /// Quantile at Φ(`z`).
     pub fn at_score(&self, z: f64) -> f64 {
-        if let Self::Normal(normal) = self { normal.at_score(z) } else { self.at(below(z)) }
+        if let Self::Normal(normal) = self { normal.at_score(z) } else { self.at(normal_cdf(z)) }
     }
 
     /// Standard normal score of `value`; 0 if the distribution is not normal.

@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution as _, Open01};
 
-const MAX_ATTEMPTS: u32 = 100;
+const MAX_REDRAWS: u32 = 100;
 /// Number of points in a sequence of `sobol_burley`. Each further block of trials uses another scrambling.
 const SOBOL_BLOCK: u64 = 1 << 16;
 
@@ -34,7 +34,7 @@ impl Campaign {
     /// Draws normal values again while the scenario refuses them, up to 100 draws in all.
     pub fn trial(&self, number: u64) -> Result<Trial, CampaignError> {
         let is_redrawn = self.variables.iter().any(|variable| variable.distribution.is_normal());
-        let attempts = if is_redrawn { MAX_ATTEMPTS } else { 1 };
+        let attempts = if is_redrawn { MAX_REDRAWS } else { 1 };
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
         // Streams 0 and 1 of a seed are those of the sensor noise and of the spread between trials.
         random.set_stream(u64::MAX - number);

@@ -28,7 +28,7 @@ pub enum CampaignError {
     )]
     Damaged { path: PathBuf, why: &'static str },
     #[error("{}: belongs to another plan or shard; expected a part of this campaign folder", .0.display())]
-    Foreign(PathBuf),
+    OtherPart(PathBuf),
     #[error(
         "{}: another campaign is planned here, or the same with other files, program or firmware; \
          use another folder",

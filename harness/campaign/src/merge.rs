@@ -59,7 +59,7 @@ pub fn status(folder: &Path, plan: &Plan, campaign: &Campaign) -> Result<Status,
         }
         match PartReader::open(folder, plan, campaign, shard) {
             Ok(_) => status.whole.push(shard),
-            Err(error @ (CampaignError::Damaged { .. } | CampaignError::Foreign(_))) => {
+            Err(error @ (CampaignError::Damaged { .. } | CampaignError::OtherPart(_))) => {
                 status.unusable.push((shard, error.to_string()));
             }
             Err(error) => return Err(error),

@@ -150,7 +150,7 @@ impl PartReader {
         let columns = column_count(campaign);
         let is_complete = rows == trials.end - trials.start && metadata.schema_descr().num_columns() == columns;
         if !is_own {
-            return Err(CampaignError::Foreign(path));
+            return Err(CampaignError::OtherPart(path));
         }
         if !is_complete {
             return Err(damaged("its rows or columns are not those of its shard"));

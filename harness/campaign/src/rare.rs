@@ -3,7 +3,7 @@
 //! A trial with score g(u) fails if g ≤ 0. FORM (first-order reliability method) searches the design point, the failing
 //! point with the smallest norm β. If it is the only one, importance sampling is used, otherwise subset simulation.
 
-use crate::distribution::below;
+use crate::distribution::normal_cdf;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::cell::Cell;
@@ -62,7 +62,7 @@ fn estimate_from(
         }
         Err(reason) => reason,
     };
-    let levels = index.map(|index| -below(-index).log10());
+    let levels = index.map(|index| -normal_cdf(-index).log10());
     let plan = subset::SubsetPlan { dimensions, trials: trials.saturating_sub(used.get()), levels };
     let found = subset::estimate(&plan, &mut random, score)?;
     Some(ChainEstimate {

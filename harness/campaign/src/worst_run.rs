@@ -9,7 +9,7 @@ use crate::scenario_files;
 use crate::summary::Summary;
 use crate::tally::MAX_WORST;
 use platebench_record::{KeepTraces, Overrides, RunFolder};
-use platebench_report::page::{self, KeptRows, ReportPage, scenario_anchor};
+use platebench_report::page::{self, ReportPage, RowCache, scenario_anchor};
 use platebench_rig::{ConnectOptions, RigSpec};
 use platebench_runner::{Clock, Event, RunError, RunHooks, RunPlan, run};
 use platebench_scenario::load;
@@ -73,7 +73,7 @@ pub fn play_worst(
     let plan = RunPlan::new(&config.rig, clock, config.jobs, scenarios, overrides);
     let run_folder = RunFolder::create(Some(&scenario_folder.join(RUN)))?;
     let options = ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
-    let mut rows = KeptRows::default();
+    let mut rows = RowCache::default();
     let on_event = |event| {
         if let Event::TrialFinished { trial, rows: played, .. } = event {
             rows.add(&trial.trace, played);

@@ -16,7 +16,7 @@ use platebench_acceptance::{
     AcceptError, Plan, PublicKey, SecretKey, SessionConfig, SessionDetails, SessionHooks, SessionRecord, Signer, page,
     play_session, verify,
 };
-use platebench_boards::RunEnd;
+use platebench_boards::BoardOutcome;
 use platebench_report::ProgressKind;
 use platebench_rig::RigSpec;
 use platebench_runner::{CancelToken, RunError};
@@ -133,7 +133,7 @@ fn run_session(arguments: &SessionArgs, quiet: bool) -> CommandResult {
         Ok(WorkResult::Abandoned(signal)) => (Err(AcceptError::Cancelled), Some(signal)),
         Err(error) => (Err(AcceptError::Run(RunError::Internal(error.to_string()))), None),
     };
-    let mut end = RunEnd::of_runs_below(&folder, &started);
+    let mut end = BoardOutcome::of_runs_below(&folder, &started);
     if let Err(AcceptError::Run(RunError::DifferentController { .. })) = &result {
         end.quarantine = result.as_ref().err().map(ToString::to_string);
     }

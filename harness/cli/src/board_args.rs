@@ -6,7 +6,7 @@ use crate::options::parse_seconds;
 use crate::shutdown::{self, received_signal};
 use crate::stdio;
 use clap::Args;
-use platebench_boards::{Board, BoardError, Inventory, Reservation, RunEnd};
+use platebench_boards::{Board, BoardError, BoardOutcome, Inventory, Reservation};
 use platebench_rig::RigSpec;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -60,7 +60,7 @@ impl BoardArgs {
 }
 
 /// Fails if the state of the board cannot be written. Then the board stays marked as in use.
-pub(crate) fn release(reservation: Option<Reservation>, end: RunEnd) -> Result<(), Failure> {
+pub(crate) fn release(reservation: Option<Reservation>, end: BoardOutcome) -> Result<(), Failure> {
     let Some(reservation) = reservation else { return Ok(()) };
     if let Some(reason) = &end.quarantine {
         stdio::error(&format!("board {} is in quarantine: {reason}", reservation.board().name));

@@ -12,14 +12,14 @@ use crate::options::{OutputFormat, job_count};
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use arguments::{CampaignCommand, EngineName, PlayArgs, RunArgs, SubmitArgs};
-use platebench_boards::RunEnd;
+use platebench_boards::BoardOutcome;
 use platebench_campaign::submit::{Engine, command_line, submission};
 use platebench_campaign::{
     Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, Summary, confirm, merge, play_shard, play_worst,
     plays_worst, report, shards_of_run, status, worst_trials,
 };
 use platebench_rig::{CancelToken, RigSpec};
-use progress::{PlayEvent, Progress};
+use progress::{CampaignProgress, PlayEvent};
 use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
@@ -127,7 +127,7 @@ fn merge_and_show(
     if campaign.confirm.is_some() {
         let config = PlayConfig::new(RigSpec::Hosted, job_count(jobs));
         let (folder, plan, campaign) = (folder.to_owned(), plan.clone(), Arc::clone(&campaign));
-        agreement = run_campaign_work(config, Progress::new(0, quiet), move |config, events| {
+        agreement = run_campaign_work(config, CampaignProgress::new(0, quiet), move |config, events| {
             confirm(&folder, &plan, &campaign, config, &mut |event| events.send(PlayEvent::Trial(event)))
         })??;
     }
@@ -136,7 +136,7 @@ fn merge_and_show(
     let (trials, out, played) = (worst_trials(&summary)?, folder.to_owned(), Arc::clone(&campaign));
     let work = move |config: &PlayConfig, _: &mut EventSender<PlayEvent>| play_worst(&out, &played, &trials, config);
     let links = match bench {
-        Ok(()) => run_campaign_work(config, Progress::new(0, true), work)?,
+        Ok(()) => run_campaign_work(config, CampaignProgress::new(0, true), work)?,
         Err(error) => Err(error),
     };
     let links = links.unwrap_or_else(|error| {
@@ -162,9 +162,9 @@ fn play_on_board(
     let config = PlayConfig { unconfirmed: Arc::clone(&unconfirmed), ..PlayConfig::new(rig.clone(), jobs) };
     let played = play(folder, context, shards, config, quiet);
     let end = if unconfirmed.load(Ordering::Relaxed) || matches!(played, Ok(Err(CampaignError::Lost(_)))) {
-        RunEnd::unconfirmed()
+        BoardOutcome::unconfirmed()
     } else {
-        RunEnd::untouched()
+        BoardOutcome::untouched()
     };
     release(reservation, end)?;
     played??;
@@ -180,7 +180,7 @@ fn play(
 ) -> Result<Result<(), CampaignError>, Failure> {
     let total: u64 = shards.iter().map(|shard| plan.trials_of(*shard)).map(|trials| trials.end - trials.start).sum();
     let folder = folder.to_owned();
-    run_campaign_work(config, Progress::new(total, quiet), move |config, events| {
+    run_campaign_work(config, CampaignProgress::new(total, quiet), move |config, events| {
         shards.into_iter().try_for_each(|shard| {
             let trials = plan.trials_of(shard);
             let count = trials.end.saturating_sub(trials.start);
@@ -196,7 +196,7 @@ fn play(
 /// Fails if a signal ended the work.
 fn run_campaign_work<R: Send + 'static>(
     config: PlayConfig,
-    mut progress: Progress,
+    mut progress: CampaignProgress,
     work: impl FnOnce(&PlayConfig, &mut EventSender<PlayEvent>) -> R + Send + 'static,
 ) -> Result<R, Failure> {
     let work = move |cancel: &CancelToken, events: &mut EventSender<PlayEvent>| {

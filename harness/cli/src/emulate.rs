@@ -8,7 +8,7 @@ use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalle
 use crate::{live, stdio};
 use clap::Args;
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
-use platebench_boards::RunEnd;
+use platebench_boards::BoardOutcome;
 use platebench_live::{INTERRUPT, LiveView, RunDescription, ScenarioDescription, ViewEvent, ViewSender, watch_keys};
 use platebench_plate::Time;
 use platebench_rig::{BoxedLink, FaultInjector, PtyLink, RigSpec, Session, check_baud};
@@ -111,7 +111,7 @@ pub(crate) fn emulate(arguments: &EmulateArgs) -> CommandResult {
     let is_abandoned = !matches!(ended, Ok(WorkResult::Finished(..)));
     let is_unconfirmed = is_abandoned || unconfirmed.load(Ordering::Relaxed);
     let exit = unless_signalled(ended).map_or_else(Failure::report, |()| Exit::Passed);
-    release(reservation, if is_unconfirmed { RunEnd::unconfirmed() } else { RunEnd::untouched() })?;
+    release(reservation, if is_unconfirmed { BoardOutcome::unconfirmed() } else { BoardOutcome::untouched() })?;
     Ok(exit)
 }
 

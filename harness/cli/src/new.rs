@@ -19,7 +19,7 @@ const PLATE_SCHEMA_FILE: &str = "schema/plate.json";
 const SCENARIOS: &str = "scenarios";
 const TEMPLATE: &str = include_str!("new/scenario.toml");
 /// The plate file is searched in this number of folders, from the folder of the scenario upwards.
-const MAX_FOLDERS_UP: usize = 4;
+const MAX_SEARCHED_FOLDERS: usize = 4;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -57,7 +57,7 @@ fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, Fai
     let title = path.file_stem().unwrap_or_default().to_string_lossy().replace(['-', '_'], " ");
     // The search for the plate uses `..`, which needs an existing folder.
     fs::create_dir_all(if home.as_os_str().is_empty() { Path::new(".") } else { &home }).or_invalid_at(&home)?;
-    let ups = (0..MAX_FOLDERS_UP).map(|count| "../".repeat(count));
+    let ups = (0..MAX_SEARCHED_FOLDERS).map(|count| "../".repeat(count));
     let up = ups.clone().find(|up| home.join(up).join(PLATE_FILE).is_file());
     let root = up.clone().unwrap_or_default();
     let schema = format!("{root}{SCHEMA_FILE}");

@@ -78,7 +78,7 @@ impl Outputs {
     }
 
     /// If true, text for people goes to standard error.
-    pub(crate) fn use_stdout(&self) -> bool {
+    pub(crate) fn replaces_table(&self) -> bool {
         [&self.summary, &self.tap].into_iter().flatten().any(|file| is_stdout(file))
     }
 

@@ -5,7 +5,7 @@ use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use platebench_live::{LiveView, ViewEvent};
 use platebench_record::{RunFolder, RunRecord};
 use platebench_report::events::EventWriter;
-use platebench_report::page::{KeptRows, MAX_TRIALS};
+use platebench_report::page::{MAX_TRIALS, RowCache};
 use platebench_report::{Progress, ProgressKind};
 use platebench_rig::{ConnectOptions, RigSpec};
 use platebench_runner::{CancelToken, Event, LiveTap, RunError, RunHooks, RunPlan};
@@ -15,7 +15,7 @@ pub(crate) struct EventSinks<'a> {
     pub(crate) view: Option<&'a LiveView>,
     pub(crate) events: Option<&'a mut EventWriter>,
     /// Trace rows that the report draws.
-    pub(crate) rows: Option<&'a mut KeptRows>,
+    pub(crate) rows: Option<&'a mut RowCache>,
 }
 
 impl EventSinks<'_> {

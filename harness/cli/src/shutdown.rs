@@ -38,12 +38,12 @@ const MAX_QUEUED_EVENTS: usize = 64;
 const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 const RETRY_INTERVAL: Duration = Duration::from_millis(1);
 
-static STATE: Mutex<State> = Mutex::new(State { first: None, insistent: None, work: None, is_busy: false });
+static STATE: Mutex<State> = Mutex::new(State { first_signal: None, late_signal: None, work: None, is_busy: false });
 
 struct State {
-    first: Option<(u8, Instant)>,
+    first_signal: Option<(u8, Instant)>,
     /// A signal that came more than [`SHUTDOWN_TIMEOUT`] after the first.
-    insistent: Option<u8>,
+    late_signal: Option<u8>,
     work: Option<CancelToken>,
     is_busy: bool,
 }
@@ -54,9 +54,9 @@ impl State {
     }
 
     fn receive(&mut self, number: u8) {
-        let (_, first) = *self.first.get_or_insert_with(|| (number, Instant::now()));
+        let (_, first) = *self.first_signal.get_or_insert_with(|| (number, Instant::now()));
         if first.elapsed() > SHUTDOWN_TIMEOUT {
-            self.insistent = Some(number);
+            self.late_signal = Some(number);
         }
         if let Some(work) = &self.work {
             work.cancel();
@@ -65,7 +65,7 @@ impl State {
 }
 
 pub(crate) fn received_signal() -> Option<u8> {
-    State::lock().first.map(|(number, _)| number)
+    State::lock().first_signal.map(|(number, _)| number)
 }
 
 /// Starts the listener on the first call. From then on signals do not end the process by themselves.
@@ -126,7 +126,7 @@ async fn handle_signals(mut signals: Signals) {
             number = signals.next() => State::lock().receive(number),
             () = tokio::time::sleep(POLL_INTERVAL) => {}
         }
-        if stdio::is_read() {
+        if stdio::is_output_drained() {
             last_read = Instant::now();
         }
         let timeout = if State::lock().is_busy { OUTPUT_TIMEOUT_WHILE_BUSY } else { OUTPUT_TIMEOUT };
@@ -142,7 +142,7 @@ struct BusyGuard;
 impl BusyGuard {
     fn new(cancel: &CancelToken) -> Self {
         let mut state = State::lock();
-        if state.first.is_some() {
+        if state.first_signal.is_some() {
             cancel.cancel();
         }
         (state.work, state.is_busy) = (Some(cancel.clone()), true);
@@ -208,7 +208,7 @@ pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
                 return Ok(WorkResult::Finished(result, received_signal()));
             }
         }
-        if let Some(number) = State::lock().insistent {
+        if let Some(number) = State::lock().late_signal {
             return Ok(WorkResult::Abandoned(number));
         }
         if max_duration.is_some_and(|longest| started.elapsed() > longest) {

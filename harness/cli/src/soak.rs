@@ -9,7 +9,7 @@ use crate::selection::{TagFilter, find_scenarios};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
 use clap::Args;
-use platebench_boards::{RunEnd, SoakConfig, SoakEnd, SoakRecord, SoakResult, soak as play};
+use platebench_boards::{BoardOutcome, SoakConfig, SoakEnd, SoakRecord, SoakResult, soak as play};
 use platebench_record::Overrides;
 use platebench_report::page::{self, BlockPage, PageBlock};
 use platebench_rig::ConnectOptions;
@@ -76,7 +76,7 @@ pub(crate) fn soak(arguments: &SoakArgs) -> CommandResult {
     let (result, signal) = match run_until_signal(None, work, |()| {}) {
         Ok(WorkResult::Finished(result, signal)) => (result, signal),
         Ok(WorkResult::Abandoned(signal)) => {
-            release(reservation, RunEnd::unconfirmed())?;
+            release(reservation, BoardOutcome::unconfirmed())?;
             return Ok(Exit::Signal(signal));
         }
         Err(error) => (Err(RunError::Internal(error.to_string())), None),
@@ -90,7 +90,7 @@ pub(crate) fn soak(arguments: &SoakArgs) -> CommandResult {
         }
         Err(error) => {
             let started = reservation.as_ref().map_or("", |board| board.started());
-            (RunEnd::of_runs_below(&arguments.out, started), Failure::from(error).report())
+            (BoardOutcome::of_runs_below(&arguments.out, started), Failure::from(error).report())
         }
     };
     release(reservation, end)?;

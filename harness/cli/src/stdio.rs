@@ -62,11 +62,11 @@ pub(crate) fn checked_exit(exit: Exit) -> Exit {
 }
 
 pub(crate) fn error(message: &str) {
-    let _ = writeln!(stderr().lock(), "error: {}", harmless(message));
+    let _ = writeln!(stderr().lock(), "error: {}", escape_commands(message));
 }
 
 /// Escapes control characters, and lines that begin with `::`, because GitHub Actions reads them as commands.
-fn harmless(message: &str) -> String {
+fn escape_commands(message: &str) -> String {
     let message = printable_lines(message);
     let is_command = |line: &str| line.trim_start().starts_with("::");
     let lines = message.split('\n').map(|line| if is_command(line) { format!("\\n{line}") } else { line.to_owned() });
@@ -74,7 +74,7 @@ fn harmless(message: &str) -> String {
 }
 
 pub(crate) fn note(message: &str) {
-    let _ = writeln!(stderr().lock(), "{}", harmless(message));
+    let _ = writeln!(stderr().lock(), "{}", escape_commands(message));
 }
 
 pub(crate) fn diagnostic(diagnostic: &Diagnostic) {
@@ -85,7 +85,7 @@ pub(crate) fn diagnostic(diagnostic: &Diagnostic) {
 fn printable_diagnostic(diagnostic: &Diagnostic) -> Diagnostic {
     let mut printed = diagnostic.clone();
     printed.path = printable(&diagnostic.path.display().to_string()).into_owned().into();
-    printed.message = harmless(&diagnostic.message);
+    printed.message = escape_commands(&diagnostic.message);
     printed
 }
 
@@ -113,7 +113,7 @@ pub(crate) fn record_to_stderr(record: &RunRecord, detail: Detail) {
     let _ = stderr().lock().write_all(console::run_text(record, style, detail).as_bytes());
 }
 
-pub(crate) fn is_read() -> bool {
+pub(crate) fn is_output_drained() -> bool {
     is_writable(stdout().as_fd(), NO_WAIT) && is_writable(stderr().as_fd(), NO_WAIT)
 }
 
@@ -155,7 +155,7 @@ mod tests {
     #[case("no file x\n::error::fail.toml", "no file x\n\\n::error::fail.toml")]
     #[case("x\n  ::stop-commands::t", "x\n\\n  ::stop-commands::t")]
     fn messages_have_no_control_characters_and_no_workflow_commands(#[case] message: &str, #[case] expected: &str) {
-        assert_eq!(harmless(message), expected);
+        assert_eq!(escape_commands(message), expected);
     }
 
     #[test]

@@ -18,7 +18,7 @@ pub(crate) enum Target {
     /// Offset from the last value, in small steps.
     Near(i32),
     /// The value this many values before the last one.
-    Back(usize),
+    Earlier(usize),
     Least,
     Most,
 }
@@ -32,7 +32,7 @@ pub(crate) enum Gap {
     /// The smallest long quiet time plus this, ms.
     Long(u32),
     /// Until 100 ms or 1 s after the start of the trial, plus this number of control periods.
-    Counter(i32),
+    AtCounterEnd(i32),
 }
 
 #[derive(Debug, Clone)]
@@ -116,7 +116,7 @@ fn target(grid: RangeInclusive<i32>) -> BoxedStrategy<Target> {
     prop_oneof![
         6 => grid.prop_map(Target::At),
         2 => (-4..=4).prop_map(Target::Near),
-        1 => (1_usize..=3).prop_map(Target::Back),
+        1 => (1_usize..=3).prop_map(Target::Earlier),
         1 => Just(Target::Least),
         1 => Just(Target::Most),
     ]
@@ -132,7 +132,7 @@ fn gap(envelope: &Envelope, is_long: bool) -> BoxedStrategy<Gap> {
     prop_oneof![
         16 => quiet,
         5 => (1_u32..=50).prop_map(Gap::Short),
-        1 + weight => (-2..=2).prop_map(Gap::Counter),
+        1 + weight => (-2..=2).prop_map(Gap::AtCounterEnd),
         1 + 9 * weight => long,
     ]
     .boxed()

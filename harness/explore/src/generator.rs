@@ -236,7 +236,7 @@ impl<'a> Timeline<'a> {
             Target::At(offset) => usual + offset * step,
             Target::Near(0) => last,
             Target::Near(offset) => last + offset * near,
-            Target::Back(count) => {
+            Target::Earlier(count) => {
                 values.len().checked_sub(count + 1).and_then(|at| values.get(at)).copied().unwrap_or(last)
             }
             Target::Least => low,
@@ -265,7 +265,7 @@ impl<'a> Timeline<'a> {
             Gap::Quiet(tenths) => ((range.quiet_ms[0] * 1e3 + f64::from(tenths) * 100.0) * self.stretch) as u32,
             Gap::Short(tenths) => tenths * 100,
             Gap::Long(ms) => ((range.long_quiet_ms[0] + f64::from(ms)) * 1e3) as u32,
-            Gap::Counter(periods) => {
+            Gap::AtCounterEnd(periods) => {
                 let next = COUNTERS_US.iter().find(|counter| **counter > self.now_us + 3 * self.period_us);
                 let until = next.copied().unwrap_or(self.now_us + 10 * self.period_us);
                 until.saturating_add_signed(periods * self.period_us.cast_signed()) - self.now_us
@@ -275,7 +275,7 @@ impl<'a> Timeline<'a> {
 
     fn add(&mut self, event: &EventDraw) {
         let mut at = self.now_us + self.gap_us(event.gap).max(100);
-        if event.is_aligned || matches!(event.gap, Gap::Counter(_)) {
+        if event.is_aligned || matches!(event.gap, Gap::AtCounterEnd(_)) {
             at = at.div_ceil(self.period_us) * self.period_us;
         } else if at.is_multiple_of(self.period_us) {
             at += self.period_us / 3;

@@ -95,7 +95,7 @@ impl CodeMap {
             let targets = match instruction.flow() {
                 Flow::Next => continue,
                 Flow::Conditional(target) | Flow::Jump(target) | Flow::Call(Some(target)) => vec![target],
-                Flow::Call(None) | Flow::Elsewhere => Vec::new(),
+                Flow::Call(None) | Flow::Indirect => Vec::new(),
                 Flow::Table(entry) => self.table_targets(instruction, entry),
             };
             leaders.extend(targets);

@@ -19,7 +19,7 @@ pub(crate) enum Flow {
     /// A table of targets with entries of this many bytes follows.
     Table(u32),
     /// Control continues at an address in a register or on the stack.
-    Elsewhere,
+    Indirect,
 }
 
 impl Instruction {
@@ -61,15 +61,15 @@ impl Instruction {
         let first = self.first;
         let low = u32::from(first);
         match first >> 12 {
-            0b1101 if first >> 8 & 0xF == 0xE => Flow::Elsewhere,
+            0b1101 if first >> 8 & 0xF == 0xE => Flow::Indirect,
             0b1101 if first >> 8 & 0xF < 0xE => Flow::Conditional(self.target((low & 0xFF) << 1, 9)),
             0b1110 => Flow::Jump(self.target((low & 0x7FF) << 1, 12)),
             0b1011 if first & 0x0500 == 0x0100 => {
                 Flow::Conditional(self.pc().wrapping_add((low >> 9 & 1) << 6 | (low >> 3 & 0x1F) << 1))
             }
-            0b1011 if first & 0x0F00 == 0x0D00 => Flow::Elsewhere,
+            0b1011 if first & 0x0F00 == 0x0D00 => Flow::Indirect,
             0b0100 if first & 0x0F80 == 0x0780 => Flow::Call(None),
-            0b0100 if first & 0x0F80 == 0x0700 || first & 0x0D87 == 0x0487 => Flow::Elsewhere,
+            0b0100 if first & 0x0F80 == 0x0700 || first & 0x0D87 == 0x0487 => Flow::Indirect,
             _ => Flow::Next,
         }
     }
@@ -82,7 +82,7 @@ impl Instruction {
         let loads_pc =
             (first & 0xFE50 == 0xE810 && second & 0x8000 != 0) || (first & 0xFF70 == 0xF850 && second >> 12 == 15);
         if loads_pc {
-            return Flow::Elsewhere;
+            return Flow::Indirect;
         }
         if first & 0xF800 != 0xF000 || second & 0x8000 == 0 {
             return Flow::Next;

@@ -82,7 +82,7 @@ pub struct Flow {
 #[derive(Debug, Clone, Copy)]
 enum SecondTerm {
     /// Envelope tier.
-    None,
+    Envelope,
     /// Modal and carrier tier: fast pole, and ω.
     FastPole(ExponentialTerm, f64),
     /// Linear tier: ratio Wq/Wd. The slow pole is that of Wd.
@@ -118,7 +118,7 @@ impl Flow {
         Self {
             steady_state: rest,
             slow_pole: ExponentialTerm { amplitude: state.w - rest, pole },
-            second_term: SecondTerm::None,
+            second_term: SecondTerm::Envelope,
         }
     }
 
@@ -155,7 +155,7 @@ impl Flow {
 
     pub fn after(&self, seconds: f64) -> State {
         let state = match &self.second_term {
-            SecondTerm::None => State { w: self.steady_state + self.slow_pole.after(seconds), u: Complex64::ZERO },
+            SecondTerm::Envelope => State { w: self.steady_state + self.slow_pole.after(seconds), u: Complex64::ZERO },
             SecondTerm::FastPole(term, omega) => {
                 let slow = self.slow_pole.after(seconds);
                 let fast = term.after(seconds);
@@ -180,7 +180,7 @@ impl Flow {
         let speed = |term: &ExponentialTerm| (term.amplitude.norm_sqr() * term.pole.norm_sqr()).sqrt();
         let slow = speed(&self.slow_pole);
         match &self.second_term {
-            SecondTerm::None => ExcursionBound { speed: slow, ripple: 0.0, ripple_speed: 0.0 },
+            SecondTerm::Envelope => ExcursionBound { speed: slow, ripple: 0.0, ripple_speed: 0.0 },
             SecondTerm::FastPole(term, _) => ExcursionBound {
                 speed: slow,
                 ripple: 2.0 * term.amplitude.norm_sqr().sqrt(),
@@ -200,7 +200,7 @@ impl Flow {
     pub(crate) fn terms(&self) -> (Complex64, [(Complex64, Complex64); 2]) {
         let slow = (self.slow_pole.amplitude, self.slow_pole.pole);
         let other = match &self.second_term {
-            SecondTerm::None => (Complex64::ZERO, Complex64::ZERO),
+            SecondTerm::Envelope => (Complex64::ZERO, Complex64::ZERO),
             SecondTerm::FastPole(term, _) => (term.amplitude, term.pole),
             // (Wd∞ + a e)(1 + j (r∞ + c e)) with e = e^{−σt}.
             SecondTerm::Ratio { rest, amplitude } => {
@@ -212,7 +212,7 @@ impl Flow {
     }
 
     /// The steady state W∞, µm.
-    pub fn rest(&self) -> Complex64 {
+    pub fn steady_state(&self) -> Complex64 {
         self.steady_state
     }
 }

@@ -6,7 +6,7 @@ use crate::raw_plate::RawSensor;
 /// Largest window of the lock-in at the plate's resonance.
 pub(crate) const MAX_WINDOW_SAMPLES: f64 = 1e6;
 /// 1.5 · 2⁵². Adding and subtracting it rounds to the nearest integer, ties to even.
-const WHOLE: f64 = 6_755_399_441_055_744.0;
+const ROUNDING_OFFSET: f64 = 6_755_399_441_055_744.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ConverterResolution {
@@ -35,7 +35,7 @@ impl ConverterResolution {
     pub(crate) fn convert(&self, y: f64) -> f64 {
         let (step, codes) = (self.step_um(), f64::from(1_u32 << (self.bits - 1)));
         let code = (y / step).clamp(-codes, codes - 1.0);
-        ((code + WHOLE) - WHOLE) * step
+        ((code + ROUNDING_OFFSET) - ROUNDING_OFFSET) * step
     }
 
     /// Quantisation step, µm. The 2^bits codes cover twice the range.

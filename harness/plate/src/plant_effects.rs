@@ -18,9 +18,9 @@ use num_complex::Complex64;
 use std::f64::consts::PI;
 
 /// Step as a fraction of the substep of `plant.rs`. The error has order four, so it is a sixteenth.
-const STEP_SHARE: f64 = 0.5;
+const SUBSTEP_FACTOR: f64 = 0.5;
 /// Upper limit of a step with self-heating, as a fraction of 1/|λ|. The temperature is then nearly a parabola.
-const HEATING_STEP_SHARE: f64 = 0.25;
+const HEATING_SUBSTEP_FACTOR: f64 = 0.25;
 
 struct Step {
     motion: Motion,
@@ -93,12 +93,12 @@ impl Plant {
         let modes = self.modes_at(self.time, effects.heat_k);
         let poles = modes.map(|mode| mode.sigma.hypot(mode.omega0 - self.drive.omega));
         let pole = poles.second.map_or(poles.first, |second| poles.first.max(second));
-        let mut longest = STEP_SHARE * self.max_varying_substep(rate, frequency, pole);
+        let mut longest = SUBSTEP_FACTOR * self.max_varying_substep(rate, frequency, pole);
         if forcing.slope != 0.0 {
-            longest = longest.min(STEP_SHARE * (240.0 * VARYING_ERROR / (pole * rate)).cbrt());
+            longest = longest.min(SUBSTEP_FACTOR * (240.0 * VARYING_ERROR / (pole * rate)).cbrt());
         }
         if self.plate.heating.is_some() {
-            longest = longest.min(HEATING_STEP_SHARE / pole);
+            longest = longest.min(HEATING_SUBSTEP_FACTOR / pole);
         }
         longest
     }

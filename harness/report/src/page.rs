@@ -29,6 +29,6 @@ mod trend;
 pub use block_page::{AreaLink, BlockPage, LinkedDrawing, PageBlock};
 pub use elements::{scenario_anchor, verdict_badge};
 pub use frame::page_frame;
-pub use kept_rows::KeptRows;
+pub use kept_rows::RowCache;
 pub use report_page::{COMPARISON_FILE, FILE, IsTraceChanged, ReportPage, write};
 pub use trace_data::MAX_TRIALS;

@@ -73,7 +73,7 @@ impl ConnectError {
                 | ExecError::Start { .. } => true,
                 ExecError::Terminal(_)
                 | ExecError::Exited { .. }
-                | ExecError::Silent { .. }
+                | ExecError::NoAnswer { .. }
                 | ExecError::Cancelled(_)
                 | ExecError::Link(_) => false,
             },

@@ -251,7 +251,7 @@ impl EmulatedLink {
             while let Some(&ReceivedByte { byte, at_ns }) = self.received.get(read) {
                 read += 1;
                 within_frame = byte != 0;
-                if self.pending_requests.is_answered_by(byte) {
+                if self.pending_requests.ends_wait(byte) {
                     return Ok(Some(at_ns));
                 }
             }

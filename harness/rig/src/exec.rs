@@ -36,7 +36,7 @@ pub enum ExecError {
     #[error("`{program}` {how} before the handshake")]
     Exited { program: String, how: String },
     #[error("`{program}` runs, but did not answer the handshake on {port} within {} s", HANDSHAKE_TIMEOUT.as_secs())]
-    Silent { program: String, port: String },
+    NoAnswer { program: String, port: String },
     #[error("cancelled while waiting for the handshake of `{0}`")]
     Cancelled(String),
     #[error(transparent)]
@@ -120,7 +120,7 @@ impl ExecLink {
             // An echo or noise can end the exchange before the interval is over.
             std::thread::sleep(HANDSHAKE_INTERVAL.saturating_sub(asked.elapsed()));
         }
-        Err(ExecError::Silent { program: self.program.name().to_owned(), port: name.to_owned() })
+        Err(ExecError::NoAnswer { program: self.program.name().to_owned(), port: name.to_owned() })
     }
 
     /// If the line is lost, the error says how the program ended.

@@ -38,7 +38,7 @@ impl PendingRequests {
 
     /// True if `byte` ends the answer, or a message after which no answer will come. This is a fault report, or a
     /// command of a running controller with a number that was not sent yet. Ticks and telemetry have their own numbers.
-    pub(crate) fn is_answered_by(&mut self, byte: u8) -> bool {
+    pub(crate) fn ends_wait(&mut self, byte: u8) -> bool {
         let (Some(Ok(packet)), Some(expected)) = (self.answers.push(byte), self.expected) else { return false };
         // Half of the numbers count as older than the expected one, because answers may be late.
         let is_ahead = (1..=u8::MAX / 2).contains(&packet.sequence.wrapping_sub(expected));
@@ -65,7 +65,7 @@ mod tests {
     fn is_answered(request: Packet, answer: Packet) -> bool {
         let mut pending = PendingRequests::default();
         assert_ne!(pending.send(request.encode().as_bytes()), Request::None);
-        answer.encode().as_bytes().iter().any(|&byte| pending.is_answered_by(byte))
+        answer.encode().as_bytes().iter().any(|&byte| pending.ends_wait(byte))
     }
 
     #[rstest]

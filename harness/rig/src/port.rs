@@ -98,7 +98,7 @@ impl<T: Tty> Link for Port<T> {
         while let Some(at) = self.read(deadline, answer)? {
             let mut is_answered = false;
             for &byte in answer.get(read..).unwrap_or_default() {
-                is_answered |= self.pending_requests.is_answered_by(byte);
+                is_answered |= self.pending_requests.ends_wait(byte);
             }
             if is_answered {
                 self.is_silent = false;

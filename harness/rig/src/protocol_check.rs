@@ -12,7 +12,7 @@ mod timing;
 use crate::hosted::HostedLink;
 use crate::link::{Link, LinkError};
 use builder::{Script, Variation};
-use comparison::{Comparison, Difference, OtherCause, ReceivedPackets};
+use comparison::{BenchCause, Comparison, Difference, ReceivedPackets};
 use platebench_wire::{Configure, Identity};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -71,7 +71,7 @@ pub fn protocol_differences(
             }
         }
         // After a stall of the host, the host may have caused the difference.
-        let is_certain = |difference: &Difference| difference.other_cause != Some(OtherCause::Stall);
+        let is_certain = |difference: &Difference| difference.other_cause != Some(BenchCause::Stall);
         let difference = difference.filter(is_certain);
         differences.extend(difference.map(|difference| format!("{}: {}", script.name, difference.text)));
     }
@@ -130,8 +130,8 @@ impl Player<'_> {
             let silence = exchange.wait.max(self.period)..=longest;
             if let Err(Difference { text, other_cause }) = comparison.compare(&received, &expected, silence) {
                 // A stall of the host changes an answer, but does not suppress it.
-                let is_stall = is_stalled && other_cause != Some(OtherCause::NoAnswer);
-                let other_cause = if is_stall { Some(OtherCause::Stall) } else { other_cause };
+                let is_stall = is_stalled && other_cause != Some(BenchCause::NoAnswer);
+                let other_cause = if is_stall { Some(BenchCause::Stall) } else { other_cause };
                 return Ok(Some(Difference { text: format!("exchange {}: {text}", number + 1), other_cause }));
             }
         }

@@ -24,7 +24,7 @@ pub(crate) struct ControllerLog<'a> {
     scenario: &'a Scenario,
     law: LawId,
     missed_replies: u32,
-    stopped_at: Option<Time>,
+    stopped_since: Option<Time>,
     stop_cause: Option<StateCause>,
     samples: u32,
     checks: CommandChecks,
@@ -38,7 +38,7 @@ impl<'a> ControllerLog<'a> {
             scenario,
             law,
             missed_replies: 0,
-            stopped_at: None,
+            stopped_since: None,
             stop_cause: None,
             samples: 0,
             checks,
@@ -56,9 +56,9 @@ impl<'a> ControllerLog<'a> {
         let samples = std::mem::replace(&mut self.samples, newer_samples.into());
         self.checks.check_command(command, samples, now);
         if command.state == ControllerState::Running {
-            self.stopped_at = None;
+            self.stopped_since = None;
         } else {
-            self.stopped_at.get_or_insert(now);
+            self.stopped_since.get_or_insert(now);
             self.stop_cause.get_or_insert(command.cause);
         }
     }
@@ -76,7 +76,7 @@ impl<'a> ControllerLog<'a> {
     }
 
     pub(crate) fn is_stopped(&self) -> bool {
-        self.stopped_at.is_some()
+        self.stopped_since.is_some()
     }
 
     pub(crate) fn stop_cause(&self) -> Option<StateCause> {
@@ -89,12 +89,12 @@ impl<'a> ControllerLog<'a> {
 
     /// Returns the configuration to send again if the fault that stopped the controller is over.
     pub(crate) fn reconfiguration(&self, now: Time) -> Option<Configure> {
-        let stopped = self.stopped_at?;
+        let stopped = self.stopped_since?;
         needs_reconfiguration(self.scenario, stopped, now).then(|| self.configuration())
     }
 
     pub(crate) fn record_configuration(&mut self, configure: &Configure, gains: Option<&Gains>, now: Time) {
-        self.stopped_at = None;
+        self.stopped_since = None;
         if let Some(gains) = gains {
             self.checks.check_gains(configure, gains, now);
         }
@@ -125,7 +125,7 @@ impl<'a> ControllerLog<'a> {
         }
         let identity = *session.identity();
         let seed = Variation::of_trial(self.scenario, index).seed;
-        let link = session.link_mut().inner_mut();
+        let link = session.link_mut().link_mut();
         let differences = protocol_differences(link, &identity, base, own_clock, seed)?;
         for difference in &differences {
             warn!(scenario = self.scenario.file, "protocol: {difference}");

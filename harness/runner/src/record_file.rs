@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 const MIN_INTERVAL: Duration = Duration::from_millis(100);
 const INTERVAL_PER_WRITE: u32 = 20;
 /// Wait without a change. It bounds one wait of the caller, not the run.
-const NO_CHANGE: Duration = Duration::from_hours(1);
+const MAX_WAIT: Duration = Duration::from_hours(1);
 
 #[derive(Debug)]
 pub(crate) struct RecordFile<'a> {
@@ -34,7 +34,7 @@ impl<'a> RecordFile<'a> {
     }
 
     pub(crate) fn time_left(&self) -> Duration {
-        if self.has_changed { self.next.saturating_duration_since(Instant::now()) } else { NO_CHANGE }
+        if self.has_changed { self.next.saturating_duration_since(Instant::now()) } else { MAX_WAIT }
     }
 }
 
@@ -47,10 +47,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
         let mut file = RecordFile::new(&folder);
-        assert_eq!(file.time_left(), NO_CHANGE);
+        assert_eq!(file.time_left(), MAX_WAIT);
         file.mark_changed();
         assert_eq!(file.time_left(), Duration::ZERO, "never written before");
-        file.next = Instant::now() + NO_CHANGE / 2;
-        assert!(file.time_left() > Duration::ZERO && file.time_left() < NO_CHANGE);
+        file.next = Instant::now() + MAX_WAIT / 2;
+        assert!(file.time_left() > Duration::ZERO && file.time_left() < MAX_WAIT);
     }
 }

@@ -168,7 +168,7 @@ fn select_applicable(
 struct ScenarioProgress {
     measures: Vec<TrialMeasures>,
     records: Vec<TrialRecord>,
-    goal: u32,
+    trials_until_look: u32,
 }
 
 impl ScenarioProgress {
@@ -177,7 +177,7 @@ impl ScenarioProgress {
             SequentialDecision::Continue { trials } => trials,
             SequentialDecision::Stop(_) => 0,
         };
-        Self { measures: Vec::new(), records: Vec::new(), goal }
+        Self { measures: Vec::new(), records: Vec::new(), trials_until_look: goal }
     }
 }
 
@@ -196,7 +196,7 @@ fn play_scenarios(
     };
     // First all scenarios are played up to their first look. Then the undecided scenarios continue.
     let mut tasks: Vec<TrialTask> =
-        (0..).zip(&progress).flat_map(|(number, progress)| tasks_of(number, 0..progress.goal)).collect();
+        (0..).zip(&progress).flat_map(|(number, progress)| tasks_of(number, 0..progress.trials_until_look)).collect();
     while !tasks.is_empty() && !run.stop.load(Ordering::Relaxed) {
         // The longest trials come first, so that no worker ends long after the others.
         tasks.sort_by_key(|task| Reverse(plan.scenarios.get(task.scenario).map(|scenario| scenario.duration)));
@@ -238,14 +238,14 @@ fn play_scenarios(
                 progress.measures.push(measures);
                 progress.records.push(trial.clone());
                 on_event(Event::TrialFinished { file: scenario.file.clone(), trial: Box::new(trial), rows });
-                if progress.records.len() < progress.goal as usize {
+                if progress.records.len() < progress.trials_until_look as usize {
                     continue;
                 }
                 match judge_sequentially(scenario, &progress.measures) {
                     SequentialDecision::Continue { trials } => {
-                        info!(scenario = %scenario.file, played = progress.goal, next = trials, "not decided yet");
-                        tasks.extend(tasks_of(number, progress.goal..trials));
-                        progress.goal = trials;
+                        info!(scenario = %scenario.file, played = progress.trials_until_look, next = trials, "not decided yet");
+                        tasks.extend(tasks_of(number, progress.trials_until_look..trials));
+                        progress.trials_until_look = trials;
                     }
                     SequentialDecision::Stop(judgement) => {
                         let measures = std::mem::take(&mut progress.measures);

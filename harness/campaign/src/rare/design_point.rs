@@ -5,7 +5,7 @@
 use super::estimates::Score;
 
 /// Step of the difference quotients, in standard deviations. It is large to reduce the effect of noise.
-const DIFFERENCE: f64 = 0.1;
+const GRADIENT_STEP: f64 = 0.1;
 const MAX_ITERATIONS: usize = 12;
 const MAX_HALVINGS: u32 = 4;
 /// Tolerance of the score at the design point, relative to the score at the centre.
@@ -69,9 +69,9 @@ fn descend(
         for axis in 0..point.len() {
             let mut moved = point.clone();
             if let Some(coordinate) = moved.get_mut(axis) {
-                *coordinate += DIFFERENCE;
+                *coordinate += GRADIENT_STEP;
             }
-            gradient.push((score(&moved)? - value) / DIFFERENCE);
+            gradient.push((score(&moved)? - value) / GRADIENT_STEP);
         }
         let square = dot(&gradient, &gradient);
         if square.sqrt() < at_centre * 1e-3 {

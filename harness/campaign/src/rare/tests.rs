@@ -26,14 +26,14 @@ impl Limit {
 
     fn probability(self) -> f64 {
         match self {
-            Self::Linear(index) => below(-index),
+            Self::Linear(index) => normal_cdf(-index),
             Self::Curved(index, curvature) => {
                 let step = 1e-3;
                 let density = |x: f64| (-x * x / 2.0).exp() / (2.0 * std::f64::consts::PI).sqrt();
-                let at = |x: f64| below(-index - curvature * x * x) * density(x);
+                let at = |x: f64| normal_cdf(-index - curvature * x * x) * density(x);
                 (-8_000..8_000).map(|number| at((f64::from(number) + 0.5) * step) * step).sum()
             }
-            Self::TwoSided(index) => 2.0 * below(-index),
+            Self::TwoSided(index) => 2.0 * normal_cdf(-index),
         }
     }
 }

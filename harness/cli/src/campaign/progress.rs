@@ -13,7 +13,7 @@ pub(super) enum PlayEvent {
     Skipped(u64),
 }
 
-pub(super) struct Progress {
+pub(super) struct CampaignProgress {
     started: Instant,
     last: Instant,
     quiet: bool,
@@ -23,7 +23,7 @@ pub(super) struct Progress {
     failures: u64,
 }
 
-impl Progress {
+impl CampaignProgress {
     /// `total` is the number of trials, or 0 if it is not known.
     pub(super) fn new(total: u64, quiet: bool) -> Self {
         let now = Instant::now();

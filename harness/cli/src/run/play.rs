@@ -10,11 +10,11 @@ use crate::outputs::{self, ScenarioLocations};
 use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
 use crate::{live, stdio};
-use platebench_boards::RunEnd;
+use platebench_boards::BoardOutcome;
 use platebench_record::{RunFolder, RunRecord, Verdict};
 use platebench_report::events::EventWriter;
 use platebench_report::format::count;
-use platebench_report::page::KeptRows;
+use platebench_report::page::RowCache;
 use platebench_report::{Detail, Progress, ProgressKind, junit, page, traceability};
 use platebench_rig::{ConnectOptions, DebugPort, RigSpec};
 use platebench_runner::{Clock, RunError, RunPlan, rejudge};
@@ -51,7 +51,7 @@ pub(super) fn prepare_scenarios(
 }
 
 /// Calls `play` with the event stream of `--format json`, if requested, and ends the stream.
-pub(super) fn with_events(
+pub(super) fn finish_event_stream(
     arguments: &RunArgs,
     play: impl FnOnce(&mut Option<EventWriter>) -> Result<(Exit, RunRecord), Failure>,
 ) -> Exit {
@@ -123,11 +123,11 @@ pub(super) fn play(
     };
     let planned_trials = plan.scenarios.iter().map(|scenario| u64::from(scenario.trials.count)).sum();
     let progress = Progress::new(progress).with_planned_trials(planned_trials);
-    let mut rows = KeptRows::default();
+    let mut rows = RowCache::default();
     let sinks = EventSinks { progress, view: view.as_ref(), events: events.as_mut(), rows: Some(&mut rows) };
     let played = run_plan(plan, &folder, arguments.rig.clone(), operator, live_tap, sinks, connect_options);
     drop(view);
-    let end = RunEnd::of_run(played.as_ref().map_err(|(error, _)| error), folder.path());
+    let end = BoardOutcome::of_run(played.as_ref().map_err(|(error, _)| error), folder.path());
     let released = release(reservation, end);
     match played {
         Ok(record) => {
@@ -151,7 +151,7 @@ pub(super) fn play(
 
 fn write_reports(
     record: &RunRecord,
-    rows: KeptRows,
+    rows: RowCache,
     folder: &RunFolder,
     arguments: &RunArgs,
     locations: &ScenarioLocations,
@@ -169,7 +169,7 @@ fn write_reports(
         .and_then(|()| traceability::write(record, folder.path()))
         .and_then(|()| arguments.outputs.write(record, locations));
     if arguments.format == OutputFormat::Human {
-        if arguments.outputs.use_stdout() {
+        if arguments.outputs.replaces_table() {
             stdio::record_to_stderr(record, detail);
         } else {
             stdio::record(record, arguments.format, detail);

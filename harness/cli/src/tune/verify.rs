@@ -8,7 +8,7 @@ use crate::options::ClockArg;
 use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
 use crate::stdio;
-use platebench_boards::RunEnd;
+use platebench_boards::BoardOutcome;
 use platebench_record::{Overrides, RunFolder, TrialRecord};
 use platebench_rig::{ConnectOptions, RigSpec, Session, check_baud};
 use platebench_runner::{Clock, LiveTap, Pacing, RunError, RunPlan, TimeBase, configure};
@@ -38,14 +38,18 @@ pub(super) struct RigVerification {
 
 pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> Result<RigVerification, Failure> {
     let reservation = config.board.reserve("tune")?;
-    let mut end = RunEnd::untouched();
+    let mut end = BoardOutcome::untouched();
     let verified = play_step(rig, config, &mut end).map_err(Failure::report);
     release(reservation, end)?;
     Ok(verified?)
 }
 
 /// Sets `end` to the state in which the board is left.
-fn play_step(rig: &RigSpec, config: &VerificationConfig<'_>, end: &mut RunEnd) -> Result<RigVerification, Failure> {
+fn play_step(
+    rig: &RigSpec,
+    config: &VerificationConfig<'_>,
+    end: &mut BoardOutcome,
+) -> Result<RigVerification, Failure> {
     let step = VerificationStep { real_time: default_clock(rig) == ClockArg::RealTime, ..config.step };
     let clock = if step.real_time {
         Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench })
@@ -74,8 +78,8 @@ fn play_step(rig: &RigSpec, config: &VerificationConfig<'_>, end: &mut RunEnd) -
         EventSinks::none(),
         ConnectOptions::default(),
     );
-    let of_run = RunEnd::of_run(played.as_ref().map_err(|(error, _)| error), folder.path());
-    *end = RunEnd { quarantine: end.quarantine.take().or(of_run.quarantine), ..of_run };
+    let of_run = BoardOutcome::of_run(played.as_ref().map_err(|(error, _)| error), folder.path());
+    *end = BoardOutcome { quarantine: end.quarantine.take().or(of_run.quarantine), ..of_run };
     let record = played.map_err(|(error, signal)| match signal {
         Some(signal) => Exit::Signal(signal).into(),
         None => Failure::from(error),
@@ -99,14 +103,14 @@ fn configure_rig(
     law: LawId,
     scenario: &Scenario,
     clock: Clock,
-    end: &mut RunEnd,
+    end: &mut BoardOutcome,
 ) -> Result<(String, Gains), RunError> {
     let mut session = Session::open(clock.connect(rig, &ConnectOptions::default())?)?;
     let accepted = session.start_trial(&configure(scenario, law));
     let [major, minor, patch] = session.identity().version;
     let firmware = format!("{} {major}.{minor}.{patch}", session.firmware_name());
     if !session.close() {
-        *end = RunEnd::unconfirmed();
+        *end = BoardOutcome::unconfirmed();
         stdio::note("the controller did not confirm 0 V after it was configured");
     }
     Ok((firmware, accepted?))

@@ -62,7 +62,7 @@ pub fn all_mutants(
 }
 
 impl MutantFilter {
-    fn selects(&self, place: &Place, step_functions: &BTreeSet<&str>) -> bool {
+    fn selects(&self, place: &CandidatePlace, step_functions: &BTreeSet<&str>) -> bool {
         if self.functions.is_empty() && self.files.is_empty() {
             return !place.is_of_compiler && step_functions.contains(&*place.function);
         }
@@ -72,7 +72,7 @@ impl MutantFilter {
     }
 }
 
-struct Place {
+struct CandidatePlace {
     /// True if no source line of the firmware or its dependencies belongs to the instruction.
     is_of_compiler: bool,
     /// The innermost function outside the standard library.
@@ -82,7 +82,7 @@ struct Place {
     names: Vec<String>,
 }
 
-fn places(map: &CodeMap, symbols: &Symbols) -> BTreeMap<u32, Place> {
+fn places(map: &CodeMap, symbols: &Symbols) -> BTreeMap<u32, CandidatePlace> {
     let sources = SourceMap::new(symbols);
     let place = |&address: &u32| {
         let symbol = map.function_at(address).map_or_else(String::new, |function| function.name.clone());
@@ -93,7 +93,7 @@ fn places(map: &CodeMap, symbols: &Symbols) -> BTreeMap<u32, Place> {
         let frame = frames.iter().find(is_own).or(frames.last()).cloned();
         let names = frames.into_iter().map(|frame| frame.function).chain([symbol.clone()]).collect();
         let function = frame.as_ref().map_or(symbol, |frame| frame.function.clone());
-        (address, Place { is_of_compiler, function, frame, names })
+        (address, CandidatePlace { is_of_compiler, function, frame, names })
     };
     map.instructions.keys().map(place).collect()
 }
@@ -103,7 +103,7 @@ fn mutant(
     disassembler: &Disassembler,
     instruction: &Instruction,
     change: Change,
-    place: &Place,
+    place: &CandidatePlace,
 ) -> Option<Mutant> {
     let original = map.bytes(change.address, change.bytes.len())?.to_vec();
     let own = disassembler.text(instruction.address, &instruction.bytes())?;

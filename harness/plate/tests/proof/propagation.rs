@@ -88,7 +88,7 @@ fn a_minute_in_steps_equals_one_step(
     println!("{}, {steps} steps over 60 s, quality {quality:?}, {detuning} rad/s off: {worst:.1e}", tier.name());
     assert!(worst <= 1e-9, "{worst:e}");
     if quality.is_none() {
-        let rest = (plant.state().w - whole.rest()).norm() / SETPOINT;
+        let rest = (plant.state().w - whole.steady_state()).norm() / SETPOINT;
         println!("    distance from the steady state: {rest:.1e}");
         assert!(rest <= 1e-12, "{rest:e}");
     }

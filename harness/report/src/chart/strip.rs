@@ -12,7 +12,7 @@ const MARGIN_BOTTOM: i32 = 60;
 const LINE_HEIGHT: i32 = 16;
 const LEGEND_Y: i32 = 44;
 /// Ratio of the first tick to the left edge: one decade is reserved for values of exactly 0.
-const ZERO_DECADES: f64 = 10.0;
+const ZERO_AREA_RATIO: f64 = 10.0;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct StripRow {
@@ -49,7 +49,7 @@ impl StripChart {
         let values = self.rows.iter().flat_map(|row| row.values.iter().map(|(_, value)| *value));
         let positive = values.chain(self.rows.iter().filter_map(|row| row.limit)).filter(|value| *value > 0.0);
         let xs = decades(positive.map(|value| value.max(self.floor)));
-        let left = xs.start / ZERO_DECADES;
+        let left = xs.start / ZERO_AREA_RATIO;
         let span = (xs.end / left).log10();
         let column = |value: f64| {
             let from_left = if value > 0.0 { (value.max(self.floor) / left).log10() } else { 0.5 };

@@ -28,7 +28,7 @@ pub(crate) enum Role {
     Shape,
     First,
     Second,
-    Exhibit,
+    DecidingTrial,
     Other,
     Setpoint,
     Band,

@@ -28,7 +28,7 @@ pub(super) fn drawings(t_ms: &[f64], views: &[View], figures: &[Figure], limit: 
 }
 
 fn drawing(figure: &Figure, t_ms: &[f64], window: TimeWindow, limit: usize) -> Result<Markup, ReportError> {
-    let layers: Vec<&Layer> = figure.layers.iter().filter(|layer| layer.is_drawn()).collect();
+    let layers: Vec<&Layer> = figure.layers.iter().filter(|layer| layer.is_in_drawing()).collect();
     let keys: Vec<&str> = layers.iter().map(|layer| layer.text.as_str()).collect();
     let (from_ms, to_ms) = (format::number(window.from_ms), format::number(window.to_ms));
     let label =

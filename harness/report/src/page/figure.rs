@@ -43,7 +43,7 @@ impl Layer {
     }
 
     /// False for the lines of all trials, which would make an SVG drawing too large.
-    pub(crate) fn is_drawn(&self) -> bool {
+    pub(crate) fn is_in_drawing(&self) -> bool {
         self.role != Role::Trial
     }
 }
@@ -71,7 +71,7 @@ impl Figure {
     pub(crate) fn chart(&self, t_ms: &[f64], window: TimeWindow, limit: usize) -> TimeChart {
         let points = |line: &SampledLine, is_stepped| line_points(t_ms, line, is_stepped, window, limit);
         let mut chart = TimeChart::new(window, (0.0, 1.0), self.unit);
-        for layer in self.layers.iter().filter(|layer| layer.is_drawn()) {
+        for layer in self.layers.iter().filter(|layer| layer.is_in_drawing()) {
             match &layer.content {
                 Content::Lines { is_stepped, lines } => {
                     chart.lines.extend(lines.iter().map(|line| (layer.role, points(line, *is_stepped))));

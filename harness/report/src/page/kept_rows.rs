@@ -7,12 +7,12 @@ use std::collections::BTreeMap;
 const MAX_ROWS: usize = 500_000;
 
 #[derive(Debug, Clone, Default)]
-pub struct KeptRows {
+pub struct RowCache {
     by_trace: BTreeMap<String, Vec<Row>>,
     count: usize,
 }
 
-impl KeptRows {
+impl RowCache {
     /// `trace` is relative to the run folder. Drops the rows if there is no room.
     pub fn add(&mut self, trace: &str, rows: Vec<Row>) {
         if !rows.is_empty() && self.count + rows.len() <= MAX_ROWS {

@@ -3,7 +3,7 @@
 use super::elements::sorted_by_verdict;
 use super::frame::report_page_frame;
 use super::golden::GoldenCurves;
-use super::kept_rows::KeptRows;
+use super::kept_rows::RowCache;
 use super::resolution::PlotResolution;
 use super::run_comparison::{self, OtherRun};
 use super::scenario::{ScenarioParts, scenario_article};
@@ -35,7 +35,7 @@ pub struct ReportPage<'a> {
     other: Option<(&'a RunRecord, &'a Path)>,
     history: RunHistory,
     is_trace_changed: Option<IsTraceChanged>,
-    rows: KeptRows,
+    rows: RowCache,
 }
 
 /// True if the trace in the run folder differs from the record of its trial.
@@ -44,7 +44,7 @@ pub type IsTraceChanged = fn(&Path, &TrialRecord) -> bool;
 impl<'a> ReportPage<'a> {
     pub fn new(record: &'a RunRecord, folder: &'a Path) -> Self {
         let (baselines, other, is_trace_changed) = (None, None, None);
-        let (history, rows) = (RunHistory::default(), KeptRows::default());
+        let (history, rows) = (RunHistory::default(), RowCache::default());
         Self { record, folder, baselines, other, history, is_trace_changed, rows }
     }
 
@@ -61,7 +61,7 @@ impl<'a> ReportPage<'a> {
 
     /// Draws these rows instead of reading them from the traces.
     #[must_use]
-    pub fn with_rows(self, rows: KeptRows) -> Self {
+    pub fn with_rows(self, rows: RowCache) -> Self {
         Self { rows, ..self }
     }
 
@@ -186,7 +186,7 @@ impl<'a> ReportPage<'a> {
         let trial = same.or_else(|| theirs.trials.first())?;
         let only = ScenarioRecord { trials: vec![trial.clone()], ..theirs.clone() };
         let changed = self.changed_traces(folder, std::slice::from_ref(&only));
-        let rows = KeptRows::default();
+        let rows = RowCache::default();
         let sampled = TraceData::read(&only, folder, &rows, resolution, &changed, None).first_trial_on(&data.grid)?;
         Some((format!("trial {} of {}", trial.index, other.name), Role::Other, sampled))
     }

@@ -122,7 +122,7 @@ impl FigureBuilder<'_> {
             let Some(trial) = trials.iter().find(|trial| trial.index == *index) else { continue };
             let line = trial_line(trial, signal);
             if line != first {
-                figure.add(Role::Exhibit, format!("trial {index}, decided {metric}"), one_line(signal, line));
+                figure.add(Role::DecidingTrial, format!("trial {index}, decided {metric}"), one_line(signal, line));
             }
         }
     }

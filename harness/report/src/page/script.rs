@@ -51,7 +51,7 @@ fn panel(figure: &Figure) -> Value {
         };
         match &layer.content {
             Content::Lines { is_stepped, lines } => {
-                let role = if layer.is_drawn() { "" } else { "trial" };
+                let role = if layer.is_in_drawing() { "" } else { "trial" };
                 for line in lines {
                     add_series(line, *is_stepped, role);
                 }

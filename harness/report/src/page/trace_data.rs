@@ -3,7 +3,7 @@
 use super::curves::{self, PlotSignal};
 use super::golden::GoldenDifference;
 use super::grid::TimeGrid;
-use super::kept_rows::KeptRows;
+use super::kept_rows::RowCache;
 use super::limit_marks::LimitMark;
 use super::markers::{self, Settling, TimeMarker};
 use super::resolution::PlotResolution;
@@ -83,7 +83,7 @@ impl TraceData {
     pub(crate) fn read(
         scenario: &ScenarioRecord,
         folder: &Path,
-        rows: &KeptRows,
+        rows: &RowCache,
         resolution: PlotResolution,
         changed: &BTreeSet<String>,
         golden: Option<&Baseline>,

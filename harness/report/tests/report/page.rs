@@ -172,7 +172,7 @@ fn rows_in_memory_give_the_same_page_as_their_traces() {
     fixtures::write_trials(&mut closed, folder.path(), 2, Response::default(), 0.01);
     let record = fixtures::run(vec![closed]);
     let from_files = write_page(&record, folder.path());
-    let mut rows = page::KeptRows::default();
+    let mut rows = page::RowCache::default();
     for trial in &record.scenarios[0].trials {
         let path = folder.path().join(&trial.trace);
         rows.add(&trial.trace, platebench_trace::read_trace(&path).unwrap());

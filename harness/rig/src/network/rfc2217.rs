@@ -13,7 +13,7 @@ const DO: u8 = 253;
 const WONT: u8 = 252;
 const WILL: u8 = 251;
 const SUBNEGOTIATION: u8 = 250;
-const END: u8 = 240;
+const SUBNEGOTIATION_END: u8 = 240;
 
 const BINARY: u8 = 0;
 const SUPPRESS_GO_AHEAD: u8 = 3;
@@ -26,13 +26,13 @@ const SET_STOPSIZE: u8 = 4;
 const SET_CONTROL: u8 = 5;
 const PURGE_DATA: u8 = 12;
 /// A server answers a command with the number of the command plus this value.
-const ANSWER: u8 = 100;
+const ANSWER_OFFSET: u8 = 100;
 
 /// In bytes. The rest of a longer subnegotiation is dropped.
 const MAX_SUBNEGOTIATION: usize = 64;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum State {
+enum TelnetState {
     Data,
     /// After the byte 255.
     Command,
@@ -45,7 +45,7 @@ enum State {
 #[derive(Debug)]
 pub(crate) struct Rfc2217 {
     line: OwnedFd,
-    state: State,
+    state: TelnetState,
     subnegotiation: Vec<u8>,
     unsent: VecDeque<u8>,
     baud: Option<u32>,
@@ -59,7 +59,7 @@ impl Rfc2217 {
         let settings = |source| NetworkError::Settings { address: address.to_owned(), source };
         let mut port = Self {
             line,
-            state: State::Data,
+            state: TelnetState::Data,
             subnegotiation: Vec::with_capacity(MAX_SUBNEGOTIATION),
             unsent: VecDeque::new(),
             baud: None,
@@ -103,7 +103,7 @@ impl Rfc2217 {
         for &byte in value {
             self.queue_data(byte);
         }
-        self.unsent.extend([IAC, END]);
+        self.unsent.extend([IAC, SUBNEGOTIATION_END]);
     }
 
     fn queue_data(&mut self, byte: u8) {
@@ -127,29 +127,29 @@ impl Rfc2217 {
     /// Returns bytes of the serial port; `None` for bytes of Telnet commands.
     fn decode(&mut self, byte: u8) -> Option<u8> {
         match (self.state, byte) {
-            (State::Data, IAC) => self.state = State::Command,
-            (State::Data, _) => return Some(byte),
-            (State::Command, IAC) => {
-                self.state = State::Data;
+            (TelnetState::Data, IAC) => self.state = TelnetState::Command,
+            (TelnetState::Data, _) => return Some(byte),
+            (TelnetState::Command, IAC) => {
+                self.state = TelnetState::Data;
                 return Some(IAC);
             }
-            (State::Command, WILL | WONT | DO | DONT) => self.state = State::Option(byte),
-            (State::Command, SUBNEGOTIATION) => {
+            (TelnetState::Command, WILL | WONT | DO | DONT) => self.state = TelnetState::Option(byte),
+            (TelnetState::Command, SUBNEGOTIATION) => {
                 self.subnegotiation.clear();
-                self.state = State::Subnegotiation;
+                self.state = TelnetState::Subnegotiation;
             }
-            (State::Command, _) => self.state = State::Data,
-            (State::Option(command), option) => {
-                self.state = State::Data;
+            (TelnetState::Command, _) => self.state = TelnetState::Data,
+            (TelnetState::Option(command), option) => {
+                self.state = TelnetState::Data;
                 self.answer(command, option);
             }
-            (State::Subnegotiation, IAC) => self.state = State::SubnegotiationCommand,
-            (State::SubnegotiationCommand, END) => {
-                self.state = State::Data;
+            (TelnetState::Subnegotiation, IAC) => self.state = TelnetState::SubnegotiationCommand,
+            (TelnetState::SubnegotiationCommand, SUBNEGOTIATION_END) => {
+                self.state = TelnetState::Data;
                 self.finish_subnegotiation();
             }
-            (State::Subnegotiation | State::SubnegotiationCommand, _) => {
-                self.state = State::Subnegotiation;
+            (TelnetState::Subnegotiation | TelnetState::SubnegotiationCommand, _) => {
+                self.state = TelnetState::Subnegotiation;
                 if self.subnegotiation.len() < MAX_SUBNEGOTIATION {
                     self.subnegotiation.push(byte);
                 }
@@ -170,7 +170,7 @@ impl Rfc2217 {
     }
 
     fn finish_subnegotiation(&mut self) {
-        const BAUD_IS_SET: u8 = SET_BAUDRATE + ANSWER;
+        const BAUD_IS_SET: u8 = SET_BAUDRATE + ANSWER_OFFSET;
         if let [COM_PORT, BAUD_IS_SET, a, b, c, d] = self.subnegotiation[..] {
             self.baud = Some(u32::from_be_bytes([a, b, c, d]));
         }

@@ -89,7 +89,7 @@ impl Builder {
         self.wait_us(ms * 1_000);
     }
 
-    pub(super) fn pass_ms(&mut self, ms: u64) {
+    pub(super) fn add_wait_ms(&mut self, ms: u64) {
         self.wait_ms(ms);
         self.close(&[]);
     }

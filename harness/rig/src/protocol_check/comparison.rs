@@ -30,12 +30,12 @@ const CLOCK_TOLERANCE: f64 = 0.1;
 
 pub(super) struct Difference {
     pub(super) text: String,
-    pub(super) other_cause: Option<OtherCause>,
+    pub(super) other_cause: Option<BenchCause>,
 }
 
 /// A possible cause of a difference other than the controller.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum OtherCause {
+pub(super) enum BenchCause {
     /// The line may have lost an answer or delivered it late.
     NoAnswer,
     /// The host may have sent the ticks late.
@@ -122,16 +122,16 @@ impl<'a> Comparison<'a> {
         let previous = self.previous.take();
         let late = silence.end().saturating_sub(*silence.start());
         if let Some(text) = self.ticks.add(&received.ticks, reference.ticks.len(), late) {
-            return Err(Difference { text, other_cause: Some(OtherCause::LateTicks) });
+            return Err(Difference { text, other_cause: Some(BenchCause::LateTicks) });
         }
         if let Some(drift) = self.ticks.drift() {
             let text = format!("ticks drift by {drift:.1?} from their periods");
-            return Err(Difference { text, other_cause: Some(OtherCause::LateTicks) });
+            return Err(Difference { text, other_cause: Some(BenchCause::LateTicks) });
         }
         for (position, expected) in reference.answers.iter().enumerate() {
             let Some(answer) = received.answers.get(position) else {
                 let text = format!("no answer, expected {}", show(expected));
-                return Err(Difference { text, other_cause: Some(OtherCause::NoAnswer) });
+                return Err(Difference { text, other_cause: Some(BenchCause::NoAnswer) });
             };
             self.observe_design(answer, expected);
             for (number, other) in varied.iter().enumerate() {
@@ -140,7 +140,7 @@ impl<'a> Comparison<'a> {
             }
             if !self.is_equal(answer, expected) {
                 let text = format!("{}, expected {}", show(answer), show(expected));
-                let other_cause = (answer.sequence != expected.sequence).then_some(OtherCause::NoAnswer);
+                let other_cause = (answer.sequence != expected.sequence).then_some(BenchCause::NoAnswer);
                 return Err(Difference { text, other_cause });
             }
             if let (Message::Command(answer), Message::Command(expected)) = (&answer.message, &expected.message)

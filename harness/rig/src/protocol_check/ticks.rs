@@ -4,10 +4,10 @@ use platebench_wire::{Configure, Message, Packet};
 use std::time::Duration;
 
 /// Time by which the clocks of controller and bench may differ.
-const AROUND: Duration = Duration::from_millis(50);
+const CLOCK_MARGIN: Duration = Duration::from_millis(50);
 const MIN_TICKS: usize = 100;
 /// In a quarter of all ticks, one in this many is sent in time even on a busy host.
-const IN_TIME_SHARE: usize = 10;
+const IN_TIME_DIVISOR: usize = 10;
 /// Largest drift, as a share of the period.
 const DRIFT_SHARE: f64 = 0.25;
 
@@ -41,7 +41,8 @@ impl TickComparison {
         }
         let own = self.sent_us.len();
         let count = |time: Duration| time.div_duration_f64(self.period).max(1.0) as usize;
-        let (fewer, more) = if self.expected == 0 { (0, 0) } else { (count(AROUND), count(AROUND + self.late)) };
+        let (fewer, more) =
+            if self.expected == 0 { (0, 0) } else { (count(CLOCK_MARGIN), count(CLOCK_MARGIN + self.late)) };
         let is_far = own + fewer < self.expected || own > self.expected + more;
         is_far.then(|| format!("{own} ticks since the configuration, expected {}", self.expected))
     }
@@ -67,7 +68,7 @@ impl TickComparison {
         let in_time = |drifts: &[f64]| {
             let mut sorted = drifts.to_vec();
             sorted.sort_by(f64::total_cmp);
-            sorted.get(sorted.len() / IN_TIME_SHARE).copied()
+            sorted.get(sorted.len() / IN_TIME_DIVISOR).copied()
         };
         let (first, last) = (in_time(drifts.get(..quarter)?)?, in_time(drifts.get(drifts.len() - quarter..)?)?);
         let drift_us = (last - first).abs();

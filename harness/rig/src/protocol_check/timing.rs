@@ -48,26 +48,26 @@ pub(super) fn short_watchdog(builder: &mut Builder, configure: Configure) {
 pub(super) fn ticks(builder: &mut Builder, configure: Configure) {
     let paced = Configure { paced_by_target: true, period_us: 50_000, ..configure };
     builder.configure(paced);
-    builder.pass_ms(225);
+    builder.add_wait_ms(225);
     builder.sample(2.0, 0.0, 0.0);
-    builder.pass_ms(120);
+    builder.add_wait_ms(120);
     builder.sample(2.0, 1.2, -0.2);
     builder.ask(Message::Safe);
-    builder.pass_ms(150);
+    builder.add_wait_ms(150);
     builder.configure(paced);
-    builder.pass_ms(125);
+    builder.add_wait_ms(125);
     builder.configure(configure);
-    builder.pass_ms(150);
+    builder.add_wait_ms(150);
     // Without samples, ticks end one second after the configuration.
     builder.configure(paced);
-    builder.pass_ms(1_175);
+    builder.add_wait_ms(1_175);
     builder.sample(2.0, 0.0, 0.0);
 }
 
 /// Plays so many ticks that their numbers wrap and delays of some microseconds add up to a large part of a period.
 pub(super) fn short_ticks(builder: &mut Builder, configure: Configure) {
     builder.configure(Configure { paced_by_target: true, period_us: 3_000, ..configure });
-    builder.pass_ms(900);
+    builder.add_wait_ms(900);
     builder.configure(configure);
 }
 

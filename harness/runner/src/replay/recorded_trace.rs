@@ -13,7 +13,7 @@ use platebench_verdict::replay::{Recording, RecordingEnd, ReplayCommand, ReplayS
 use std::path::{Path, PathBuf};
 
 /// Half of a nanosecond, to which instants are rounded.
-const HALF_TICK_S: f64 = 0.5e-9;
+const HALF_NANOSECOND_S: f64 = 0.5e-9;
 /// In control periods. If two samples are further apart, a sample between them is missing.
 const MAX_SAMPLE_DISTANCE: f64 = 1.5;
 /// In control periods. If two samples are closer, the recording has another control period.
@@ -134,10 +134,10 @@ fn acting_row<'a>(
         // The delay of the line is unknown but shorter than a control period.
         ClockKind::RealTime => (0.0, controller.period.seconds()),
     };
-    if row.t_s + longest_s > last.t_s + HALF_TICK_S {
+    if row.t_s + longest_s > last.t_s + HALF_NANOSECOND_S {
         return None;
     }
-    let until_s = next_s.map_or(f64::INFINITY, |next_s| next_s + delay_s - HALF_TICK_S);
+    let until_s = next_s.map_or(f64::INFINITY, |next_s| next_s + delay_s - HALF_NANOSECOND_S);
     rows.get(rows.partition_point(|row| row.t_s < until_s).checked_sub(1)?)
 }
 

@@ -35,9 +35,9 @@ const COLUMNS: [&str; 11] = [
 
 pub fn build_chart(scenarios: &[Scenario], is_quick: bool) -> Result<ChartSection, ChartError> {
     let config = if is_quick {
-        SweepConfig { rounds: 1, batch: Duration::ZERO, stride: 4 }
+        SweepConfig { rounds: 1, batch: Duration::ZERO, setting_stride: 4 }
     } else {
-        SweepConfig { rounds: 5, batch: Duration::from_millis(1), stride: 1 }
+        SweepConfig { rounds: 5, batch: Duration::from_millis(1), setting_stride: 1 }
     };
     let mut numbers = Table::new(COLUMNS);
     let mut headlines = Table::new(HEADLINE_COLUMNS);

@@ -74,8 +74,9 @@ pub fn step_limits(plate: &Plate) -> Vec<StepLimitRow> {
     let turn = (free.omega0.powi(2) - free.sigma.powi(2)).sqrt();
     let rk4 = |limit: f64, rate: f64| StepLimit::Step(limit / rate);
     let [resonant, off, pressed_off] =
-        [envelope(free, 0.0), envelope(free, DETUNING), envelope(pressed, DETUNING)].map(FreeMotion);
-    let (modal, carrier, undamped) = (FreeMotion(modal), FreeMotion(carrier(free)), FreeMotion(carrier(undamped)));
+        [envelope(free, 0.0), envelope(free, DETUNING), envelope(pressed, DETUNING)].map(UndrivenProblem);
+    let (modal, carrier, undamped) =
+        (UndrivenProblem(modal), UndrivenProblem(carrier(free)), UndrivenProblem(carrier(undamped)));
     vec![
         resonant.limit(Euler, "envelope, resonant", euler(free.sigma, 0.0), circle, ms),
         off.limit(Euler, "envelope, 545 rad/s off", euler(free.sigma, DETUNING), circle, ms),
@@ -175,9 +176,9 @@ fn limit_row<const N: usize>(
     StepLimitRow { method, problem, measured, predicted, source, in_usual_unit, growth_decades }
 }
 
-struct FreeMotion<P>(P);
+struct UndrivenProblem<P>(P);
 
-impl<P> FreeMotion<P> {
+impl<P> UndrivenProblem<P> {
     fn limit<const N: usize>(
         &self,
         method: FixedStepMethod,

@@ -21,7 +21,7 @@ const MAX_PLANTS: u32 = 4_096;
 pub struct SweepConfig {
     pub rounds: u32,
     pub batch: Duration,
-    pub stride: usize,
+    pub setting_stride: usize,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -137,7 +137,7 @@ pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
         IntegrationMethod::all().flat_map(move |method| {
             settings(frame, method)
                 .into_iter()
-                .step_by(effort.stride.max(1))
+                .step_by(effort.setting_stride.max(1))
                 .map(move |setting| Solver::General(frame, method, setting))
         })
     });

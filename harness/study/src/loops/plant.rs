@@ -88,5 +88,5 @@ impl LinearPlant {
 }
 
 pub fn steady_state(tier: Tier, mode: &Mode, drive: &Drive) -> Complex64 {
-    Flow::new(tier, mode, drive, &State::default()).rest()
+    Flow::new(tier, mode, drive, &State::default()).steady_state()
 }

@@ -105,10 +105,10 @@ pub fn boundaries_csv(study: &Study) -> String {
     for row in &study.rows {
         let StudyRow { law, condition, period_us, response, .. } = row;
         let cells = [
-            Some(boundary_seconds(row.predicted)),
-            row.measured.map(boundary_seconds),
+            Some(boundary_us(row.predicted)),
+            row.measured.map(boundary_us),
             row.difference_percent(),
-            Some(boundary_seconds(row.from_rest)),
+            Some(boundary_us(row.from_rest)),
             Some(row.spectral_radius),
             row.gain_margin,
             row.phase_margin_deg,
@@ -120,7 +120,7 @@ pub fn boundaries_csv(study: &Study) -> String {
     text
 }
 
-fn boundary_seconds(boundary: DelayBoundary) -> f64 {
+fn boundary_us(boundary: DelayBoundary) -> f64 {
     match boundary {
         DelayBoundary::Unstable => 0.0,
         DelayBoundary::At(seconds) => seconds * 1e6,

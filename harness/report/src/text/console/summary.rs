@@ -7,7 +7,7 @@ use platebench_record::{CostTrend, ExpectationRecord, RunRecord, ScenarioRecord,
 use std::fmt::Write as _;
 
 /// Longer lists are shown with `-v`.
-const LISTED: usize = 3;
+const MAX_LISTED: usize = 3;
 
 /// `in_full` lists every scenario that is not applicable and the cost of every law.
 pub(super) fn write(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
@@ -48,7 +48,7 @@ pub(super) fn write_not_passed(text: &mut String, record: &RunRecord, style: Sty
 }
 
 fn write_not_applicable(text: &mut String, record: &RunRecord, in_full: bool) {
-    if !in_full && record.not_applicable.len() > LISTED {
+    if !in_full && record.not_applicable.len() > MAX_LISTED {
         let count = format::count(record.not_applicable.len(), "scenario");
         let _ = writeln!(text, "not applicable: {count}, listed with -v");
         return;
@@ -65,7 +65,7 @@ fn write_cost(text: &mut String, trends: &[CostTrend], in_full: bool) {
     if listed.is_empty() {
         listed.extend(trends.iter().max_by(|a, b| a.cost.worst.total_cmp(&b.cost.worst)));
     }
-    let further = if in_full { 0 } else { listed.len().saturating_sub(LISTED) };
+    let further = if in_full { 0 } else { listed.len().saturating_sub(MAX_LISTED) };
     listed.truncate(listed.len() - further);
     for trend in listed {
         let _ = writeln!(text, "instructions per step: {}", cost::format_worst(trend));

@@ -1,4 +1,4 @@
-use super::{COM_PORT, DO, DONT, END, IAC, Rfc2217, SUBNEGOTIATION, WILL};
+use super::{COM_PORT, DO, DONT, IAC, Rfc2217, SUBNEGOTIATION, SUBNEGOTIATION_END, WILL};
 use crate::network::NetworkError;
 use crate::tty::Tty;
 use std::io::{Read, Write};
@@ -20,7 +20,7 @@ fn start(answer: &'static [u8]) -> (Result<Rfc2217, NetworkError>, UnixStream, J
 }
 
 const ACCEPTED: &[u8] =
-    &[IAC, DO, COM_PORT, b'x', IAC, SUBNEGOTIATION, COM_PORT, 101, 0, 14, 16, 0, IAC, END, IAC, WILL, 1];
+    &[IAC, DO, COM_PORT, b'x', IAC, SUBNEGOTIATION, COM_PORT, 101, 0, 14, 16, 0, IAC, SUBNEGOTIATION_END, IAC, WILL, 1];
 
 #[test]
 fn sets_the_port_and_escapes_data() {
@@ -31,7 +31,7 @@ fn sets_the_port_and_escapes_data() {
     let count = server.read(&mut sent).unwrap();
     let sent = &sent[..count];
     assert!(sent.starts_with(&[IAC, WILL, COM_PORT]), "{sent:?}");
-    let baud = [IAC, SUBNEGOTIATION, COM_PORT, 1, 0, 14, 16, 0, IAC, END];
+    let baud = [IAC, SUBNEGOTIATION, COM_PORT, 1, 0, 14, 16, 0, IAC, SUBNEGOTIATION_END];
     assert!(sent.windows(baud.len()).any(|bytes| bytes == baud), "{sent:?}");
     assert!(sent.ends_with(&[IAC, DONT, 1]) || sent.ends_with(&baud), "{sent:?}");
 
@@ -59,7 +59,7 @@ fn sets_the_port_and_escapes_data() {
 fn refuses_a_server_that_sets_no_port_or_another_rate() {
     let (line, _server, _) = start(&[IAC, DONT, COM_PORT]);
     assert!(matches!(line, Err(NetworkError::NoPortOption { .. })), "{line:?}");
-    let (line, _server, _) = start(&[IAC, SUBNEGOTIATION, COM_PORT, 101, 0, 0, 37, 128, IAC, END]);
+    let (line, _server, _) = start(&[IAC, SUBNEGOTIATION, COM_PORT, 101, 0, 0, 37, 128, IAC, SUBNEGOTIATION_END]);
     assert!(matches!(line, Err(NetworkError::Baud { found: 9_600, .. })), "{line:?}");
     let (line, server) = UnixStream::pair().unwrap();
     line.set_nonblocking(true).unwrap();

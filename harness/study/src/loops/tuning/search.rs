@@ -15,14 +15,14 @@ const REFINEMENT: u32 = 24;
 const FASTEST_RESPONSE_PERIODS: f64 = 0.2;
 /// Response time of the slowest design, in those of plate or target. At least [`LAST_PERIODS`] times period plus
 /// delay.
-const LAST: f64 = 3.0;
-const LAST_PERIODS: f64 = 30.0;
+const SLOWEST_RESPONSE_FACTOR: f64 = 3.0;
+const SLOWEST_RESPONSE_PERIODS: f64 = 30.0;
 const BISECTIONS: u32 = 20;
 /// Safety factors of the response time. A design that just meets the target misses it on other plates.
-const RESPONSE_FACTORS: [f64; 3] = [0.97, 0.99, 1.0];
+const SAFETY_FACTORS: [f64; 3] = [0.97, 0.99, 1.0];
 
 /// A design whose overshoot exceeds this share of the band, but not the band, leaves the band on other plates.
-const MAX_BAND_SHARE: f64 = 0.8;
+const MAX_OVERSHOOT_BAND_SHARE: f64 = 0.8;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DesignCandidate {
@@ -41,7 +41,8 @@ impl<'a> DesignSearch<'a> {
     pub fn new(target: &TuningTarget<'a>, discretisation: Discretisation) -> Self {
         let first = FASTEST_RESPONSE_PERIODS * target.period();
         let own = 20.0_f64.ln() / target.mode().sigma;
-        let last = (LAST * own.max(target.response)).max(LAST_PERIODS * (target.period() + target.delay));
+        let last = (SLOWEST_RESPONSE_FACTOR * own.max(target.response))
+            .max(SLOWEST_RESPONSE_PERIODS * (target.period() + target.delay));
         let mut search = Self { target: *target, discretisation, candidates: Vec::new() };
         let ratio = (last / first).ln() / f64::from(DESIGNS);
         let responses = (0..=DESIGNS).map(|number| first * (ratio * f64::from(number)).exp());
@@ -53,7 +54,7 @@ impl<'a> DesignSearch<'a> {
     fn evaluate(&self, response: f64) -> Option<DesignCandidate> {
         let design = GainDesign::new(&self.target, self.discretisation, response);
         let transient = design.simulate_step(&self.target, self.target.plate, self.target.force_n);
-        let by_a_hair = (MAX_BAND_SHARE * BAND..=BAND).contains(&transient.overshoot);
+        let by_a_hair = (MAX_OVERSHOOT_BAND_SHARE * BAND..=BAND).contains(&transient.overshoot);
         Some(DesignCandidate { design, settling: transient.settling.filter(|_| !by_a_hair)? })
     }
 
@@ -108,7 +109,7 @@ impl<'a> DesignSearch<'a> {
             }
             let is_met = |response| meets(response).map(|candidate| candidate.is_some());
             let [low, _] = bisect([*response, slower.unwrap_or(*response)], BISECTIONS, is_met)?;
-            for inside in RESPONSE_FACTORS {
+            for inside in SAFETY_FACTORS {
                 if let Some(candidate) = meets(inside * low)? {
                     return Ok(Some(candidate));
                 }
