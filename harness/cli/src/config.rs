@@ -147,7 +147,7 @@ impl Setting {
     /// Parses `text` as the value of the option of `platebench run`. Fails with the message of clap.
     fn check(&self, text: &str, definition: &Command) -> Result<(), String> {
         if self.is_path {
-            return if text.is_empty() { Err("empty, expected a path".to_owned()) } else { Ok(()) };
+            return if text.is_empty() { Err(format!("`{}` is empty, expected a path", self.key)) } else { Ok(()) };
         }
         let option = format!("--{}={text}", self.id.replace('_', "-"));
         match definition.clone().try_get_matches_from(["platebench", "run", &option]) {

@@ -130,10 +130,9 @@ impl From<ExploreError> for Failure {
             | ExploreError::LawWithoutProperties(_)
             | ExploreError::File(_)
             | ExploreError::Report(_) => Self::invalid(&error),
-            ExploreError::Generated(_)
-            | ExploreError::Strategy(_)
-            | ExploreError::Cancelled
-            | ExploreError::Internal => Self::new(Exit::Inconclusive, &error),
+            ExploreError::Generated(_) | ExploreError::Strategy(_) | ExploreError::Cancelled => {
+                Self::new(Exit::Inconclusive, &error)
+            }
         }
     }
 }

@@ -26,6 +26,4 @@ pub enum ExploreError {
     Lost(u32),
     #[error("the exploration was cancelled")]
     Cancelled,
-    #[error("internal error: a worker thread ended early; please report it")]
-    Internal,
 }

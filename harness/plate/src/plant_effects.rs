@@ -47,7 +47,7 @@ impl Plant {
             let interval = self.smooth_interval();
             let ends = [effects.next_command(), span.map(|span| self.time + span), Some(interval.end)];
             let piece_end = ends.into_iter().flatten().fold(end, Time::min);
-            let rate = self.effects_rate(effects, interval.rate);
+            let rate = self.effects_rate(effects, interval.rate, (piece_end - self.time).seconds());
             let frequency = self.scene.angular_frequency();
             let is_fast = rate > self.max_pole_rate || frequency > self.plate.omega0 / 10.0;
             let longest = if rate == 0.0 {
@@ -71,14 +71,15 @@ impl Plant {
         PerMode { first: self.plate.mode(&conditions), second: self.plate.second_mode(&conditions) }
     }
 
-    /// Upper bound on |λ'| of both modes, rad/s². `rate` is the bound for the first mode without self-heating.
-    fn effects_rate(&self, effects: &Effects, rate: f64) -> f64 {
+    /// Upper bound on |λ'| of both modes within the next `seconds`, rad/s². `rate` is the bound for the first mode without
+    /// self-heating.
+    fn effects_rate(&self, effects: &Effects, rate: f64, seconds: f64) -> f64 {
         let plate = &self.plate;
         let heating = plate.heating.map_or(0.0, |heating| {
-            // The amplitude rises by at most b V t per mode. Steps are assumed to be below 1 ms or a time constant.
+            // The amplitude rises by at most b V t = K1 σ0 V t per mode.
             let second = plate.second_mode.map_or(0.0, |second| second.gain.abs());
             let rise = (plate.gain + second) * (plate.drive_limit_vpp + plate.amplifier.offset_vpp.abs());
-            let largest = self.state.w.norm() + rise.min(rise * plate.sigma0 * 1e-3);
+            let largest = self.state.w.norm() + rise.min(rise * plate.sigma0 * seconds.max(1e-3));
             let slope = heating.rate * (heating.rise_k_per_um2 * largest * largest + effects.heat_k.abs());
             plate.omega0_per_k.abs() * slope
         });

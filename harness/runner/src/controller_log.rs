@@ -207,7 +207,7 @@ pub(crate) fn is_controller_failure(error: &RigError) -> bool {
 
 pub(crate) const fn stop_reason(cause: StateCause) -> &'static str {
     match cause {
-        StateCause::SampleTimeout => "no sample for five periods",
+        StateCause::SampleTimeout => "no sample within the watchdog timeout",
         StateCause::LineNoise => "too many rejected frames",
         StateCause::NonFinite => "a value that is not finite",
         StateCause::None => "no cause given",

@@ -275,7 +275,9 @@ mod tests {
         assert!(read_error(&format!("{header}\n")).starts_with(":2: no rows"));
         assert!(read_error(&format!("{header}\n{zeros}\n0,0\n")).starts_with(":3: "));
         assert!(read_error(&format!("{header}\n{zeros}\n0,x{zeros}\n")).starts_with(":3: "));
-        assert!(read_error(&format!("{header}\n0,NaN,0,0,0,0,0,0,0,0,0,0,0,\n")).contains(":2: `setpoint_um` is NaN"));
+        assert!(
+            read_error(&format!("{header}\n0,NaN,0,0,0,0,0,0,0,0,0,0,0,\n")).contains(":2: `setpoint_um` is `NaN`")
+        );
         assert!(read_error(&format!("{header}\n{zeros}late\n")).contains("unknown flag `late`"));
         assert!(read_error(&format!("{header}\n1{zeros}\n{zeros}\n").replace("10,", "1,")).contains(":3: `t_s` is 0"));
         assert!(
@@ -298,9 +300,11 @@ mod tests {
         assert!(rows[0].resonance_hz.is_nan() && rows[0].temperature_offset_k.is_nan());
         assert!(rows[0].finger_force_n.is_nan() && rows[1].finger_force_n == 0.5);
         let header = COLUMNS.join(",");
-        assert!(read_error(&format!("{header}\n0,0,0,0,0,0,0,,0,0,0,0,0,\n")).contains("`resonance_hz` is , expected"));
+        assert!(
+            read_error(&format!("{header}\n0,0,0,0,0,0,0,,0,0,0,0,0,\n")).contains("`resonance_hz` is ``, expected")
+        );
         assert!(read_error(&format!("{header}\n0,0,0,,0,0,0,0,0,0,0,0,0,sensed\n")).starts_with(":2: "));
-        assert!(read_error(&format!("{header}\n0,0,0,0,0,0,0,NaN,0,0,0,0,0,sensed\n")).contains("is NaN, expected"));
+        assert!(read_error(&format!("{header}\n0,0,0,0,0,0,0,NaN,0,0,0,0,0,sensed\n")).contains("is `NaN`, expected"));
     }
 
     fn csv_line(numbers: [f64; NUMBERS]) -> String {

@@ -152,7 +152,7 @@ fn a_changed_plan_input_or_firmware_is_refused_by_name() {
         play.assert_exit(2).assert_stderr(messages);
         fs::write(&path, text).unwrap();
     };
-    refused("c/plan.json", "\"shards\": 2", "\"shards\": 3", &["plan.json", "checksum"]);
+    refused("c/plan.json", "\"shards\": 2", "\"shards\": 3", &["plan.json", "SHA-256"]);
     refused("c/plan.json", "}", "", &["plan.json"]);
     refused("step.toml", "20.0", "21.0", &["step.toml", "changed since"]);
     refused("plates/plate.toml", "1.88", "1.89", &["plate.toml", "changed since"]);

@@ -83,8 +83,8 @@ fn the_record_has_the_cause_of_the_controller_s_stop(#[case] rig: &str) {
         let scenario = record.scenarios.iter().find(|scenario| scenario.file.contains(name)).unwrap();
         scenario.trials[0].telemetry.stopped.as_deref()
     };
-    assert_eq!(stopped("five-periods-of-silence"), Some("no sample for five periods"));
-    assert_eq!(stopped("disconnect-and-reconnect"), Some("no sample for five periods"));
+    assert_eq!(stopped("five-periods-of-silence"), Some("no sample within the watchdog timeout"));
+    assert_eq!(stopped("disconnect-and-reconnect"), Some("no sample within the watchdog timeout"));
     assert_eq!(stopped("noise-storm"), Some("too many rejected frames"));
     for runs in ["four-periods-of-silence", "noise-borne", "flipped-bit", "truncated-messages", "frozen-sensor"] {
         assert_eq!(stopped(runs), None, "{runs}");
@@ -108,7 +108,7 @@ fn the_watchdog_acts_on_the_fifth_missing_sample() {
 
     let (record, rows) = silence(34);
     assert_eq!(first_zero_drive_ms(&rows), Some(34.0), "five periods after the last sample");
-    assert_eq!(telemetry(&record).stopped.as_deref(), Some("no sample for five periods"));
+    assert_eq!(telemetry(&record).stopped.as_deref(), Some("no sample within the watchdog timeout"));
     assert!(rows.last().unwrap().flags.contains(Flags::SAFE), "not configured again");
 }
 

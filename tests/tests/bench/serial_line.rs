@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-const STOPPED: Option<&str> = Some("no sample for five periods");
+const STOPPED: Option<&str> = Some("no sample within the watchdog timeout");
 
 /// The run has a time scale of 0.1.
 fn run_with_line_fault(name: &str, out: &str) -> (RunRecord, Vec<Row>) {

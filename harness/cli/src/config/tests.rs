@@ -113,7 +113,7 @@ fn the_nearest_file_upwards_applies() {
 #[case("[run]\ntime_scale = 0.001", "")]
 #[case("[run]\ntrials = 100001", "2:10: invalid value '100001'")]
 #[case("[run]\nseed = -1", "2:8: invalid value '-1'")]
-#[case("runs = \"\"", "1:8: empty, expected a path")]
+#[case("runs = \"\"", "1:8: `runs` is empty, expected a path")]
 #[case("jobs = ", "1:")]
 fn reports_the_position_of_a_fault(#[case] text: &str, #[case] expected: &str) {
     let folder = write_config(text);

@@ -96,9 +96,13 @@ fn effects_equal_the_reference(#[case] plate: Plate, #[values(false, true)] chan
     assert!(error <= MAX_ERROR, "{error:e}");
 }
 
-#[test]
-fn self_heating_detunes_a_held_drive_as_the_reference_does() {
-    let plate = Plate { heating: Some(Heating { rise_k_per_um2: 0.5, rate: 10.0 }), ..paper_plate() };
+#[rstest]
+#[case::paper(1.0, MAX_ERROR)]
+// A disturbance decays a hundred times more slowly, so errors of more steps add up.
+#[case::slow(0.01, 3.0 * MAX_ERROR)]
+fn self_heating_detunes_a_held_drive_as_the_reference_does(#[case] damping: f64, #[case] at_most: f64) {
+    let heating = Some(Heating { rise_k_per_um2: 0.5, rate: 10.0 });
+    let plate = Plate { heating, sigma0: damping * paper_plate().sigma0, ..paper_plate() };
     let scene = constant_conditions();
     let mut plant = Plant::new(plate.clone(), scene.clone(), Tier::Modal);
     let mut reference = EffectsReference::at_rest(&plate, &scene);
@@ -115,7 +119,7 @@ fn self_heating_detunes_a_held_drive_as_the_reference_does() {
     }
     let amplitude = plant.state().amplitude();
     println!("self-heating, 0.3 s: {worst:.1e}; {amplitude:.3} µm, {:.3} K", plant.self_heating_k());
-    assert!(worst <= MAX_ERROR, "{worst:e}");
+    assert!(worst <= at_most, "{worst:e}");
     assert!(amplitude < 0.99 * SETPOINT);
 }
 

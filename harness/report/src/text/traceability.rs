@@ -16,9 +16,7 @@ pub(crate) struct RequirementLink {
     pub(crate) scenario: String,
     pub(crate) scenario_index: usize,
     pub(crate) verdict: Verdict,
-    /// Rounded, without its unit.
-    pub(crate) value: String,
-    pub(crate) exact: Option<f64>,
+    pub(crate) value: Option<f64>,
     pub(crate) unit: &'static str,
     pub(crate) interval: Option<[f64; 2]>,
     /// Trace of the trial that decided, or else of the first trial.
@@ -38,8 +36,7 @@ pub(crate) fn requirement_links(record: &RunRecord) -> Vec<RequirementLink> {
                 scenario: scenario.file.clone(),
                 scenario_index,
                 verdict: expectation.verdict,
-                value: format::value(expectation).unwrap_or_default(),
-                exact: expectation.value,
+                value: expectation.value,
                 unit: format::unit(expectation.metric),
                 interval: expectation.interval,
                 trace: trial.map(|trial| trial.trace.clone()).unwrap_or_default(),
@@ -69,7 +66,7 @@ pub fn text(record: &RunRecord) -> String {
     ]);
     table.rows.extend(requirement_links(record).into_iter().map(|link| {
         let verdict = link.verdict.to_string();
-        let numbers = [link.exact, link.interval.map(|[low, _]| low), link.interval.map(|[_, high]| high)];
+        let numbers = [link.value, link.interval.map(|[low, _]| low), link.interval.map(|[_, high]| high)];
         let [value, low, high] = numbers.map(|number| number.map(|number| number.to_string()).unwrap_or_default());
         let unit = link.unit.to_owned();
         vec![link.requirement, link.expectation, link.limit, link.scenario, verdict, value, unit, low, high, link.trace]

@@ -98,11 +98,9 @@ pub enum ProbeError {
         "the debug probe hangs: {doing} did not end within {} ms; unplug the probe and plug it in again",
         .waited.as_millis()
     )]
-    CallTimedOut {
-        doing: &'static str,
-        /// Zero if an earlier call timed out.
-        waited: Duration,
-    },
+    CallTimedOut { doing: &'static str, waited: Duration },
+    #[error("{doing} is not possible, because the debug probe hangs; unplug the probe and plug it in again")]
+    ProbeHangs { doing: &'static str },
     #[error("the debug probe's driver ended during {doing}")]
     ProbeThreadGone { doing: &'static str },
     #[error("cannot start a thread for the debug probe: {0}")]

@@ -59,7 +59,7 @@ impl<T: 'static> ProbeThread<T> {
         job: impl FnOnce(&mut T) -> Result<R, ProbeError> + Send + 'static,
     ) -> Result<R, ProbeError> {
         if self.abandoned.get() {
-            return Err(ProbeError::CallTimedOut { doing, waited: Duration::ZERO });
+            return Err(ProbeError::ProbeHangs { doing });
         }
         let (answer, answered) = channel();
         let sent = self.jobs.as_ref().map(|jobs| {

@@ -243,7 +243,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             self.controller.reset_missed_replies();
         }
         let silence = sent.saturating_duration_since(self.last_received);
-        if self.controller.missed_replies() > MAX_MISSED_REPLIES && silence > MIN_SILENT_TIME {
+        if self.controller.missed_replies() >= MAX_MISSED_REPLIES && silence > MIN_SILENT_TIME {
             return Err(RigError::NoAnswer { expected: "command" }.into());
         }
         Ok(())

@@ -119,7 +119,7 @@ fn only_the_same_board_may_continue_a_run() {
     let error = result.unwrap_err();
     assert!(matches!(error, RunError::DifferentController { .. }), "{error}");
     let message = error.to_string();
-    assert!(message.contains("number 020000") && message.contains("began with platebench-host"), "{message}");
+    assert!(message.contains("number 020000") && message.contains("but was platebench-host"), "{message}");
     // The unplugged board did not confirm 0 V.
     assert_eq!((record.complete, record.safe_confirmed), (false, Some(false)));
 }
