@@ -22,7 +22,7 @@ pub enum Difference {
     Missing(String),
     #[error("{0}: added, or its line was removed from the manifest")]
     Added(String),
-    #[error("{0}: expected a file or a folder with a UTF-8 name, at most 32 folders deep")]
+    #[error("{0} cannot be sealed: expected a file or a folder, with a UTF-8 name and at most 32 folders deep")]
     UnsupportedEntry(String),
     #[error("{0}: cannot be read: {1}")]
     Unreadable(String, String),

@@ -346,7 +346,7 @@ impl Checker<'_> {
             let message = "a grid without `steps` or `each`, expected at least one of them, or method `random`";
             return Err(self.fault("plan.method", message));
         }
-        // The trials of a search are not random, so their share of failures in a cell has no meaning.
+        // A search selects its trials, so the share of failures among them says nothing about a cell of the map.
         let cells = if has_lists && plan.method != Method::Search { cells } else { 0 };
         let planned = u64::try_from(plan.trials).ok().filter(|trials| *trials > 0);
         let trials = planned.and_then(|trials| trials.checked_mul(if plan.method == Method::Grid { cells } else { 1 }));

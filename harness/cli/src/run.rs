@@ -31,7 +31,7 @@ pub(crate) fn run(arguments: &RunArgs, detail: Detail) -> CommandResult {
     if let (true, Ok(clock)) = (arguments.watch, &clock) {
         return watch::watch(arguments, *clock, detail);
     }
-    Ok(play::finish_event_stream(arguments, |events| {
+    Ok(play::play_with_events(arguments, |events| {
         let clock = clock?;
         let scenarios = scenarios_to_run(arguments, detail)?;
         play::play(arguments, clock, scenarios, detail, events)

@@ -50,8 +50,8 @@ pub(super) fn prepare_scenarios(
     Ok(scenarios)
 }
 
-/// Calls `play` with the event stream of `--format json`, if requested, and ends the stream.
-pub(super) fn finish_event_stream(
+/// Calls `play`. With `--format json` it passes the event stream to `play` and then writes the stream's last event.
+pub(super) fn play_with_events(
     arguments: &RunArgs,
     play: impl FnOnce(&mut Option<EventWriter>) -> Result<(Exit, RunRecord), Failure>,
 ) -> Exit {

@@ -57,7 +57,7 @@ pub(super) fn watch(arguments: &RunArgs, clock: Clock, detail: Detail) -> Comman
                 inputs = scenarios.iter().flat_map(input_paths).collect();
                 let changed = changed_scenarios(scenarios, firmware.as_ref(), &mut played);
                 if !changed.is_empty() {
-                    let _ = play::finish_event_stream(arguments, |events| {
+                    let _ = play::play_with_events(arguments, |events| {
                         play::play(arguments, clock, changed, detail, events)
                     });
                     stdio::note(&format!("watching {}; Ctrl-C ends", count(played.len(), "scenario")));

@@ -76,7 +76,7 @@ const EXPLANATION: [&str; 3] = [
      waveform step by step, which no tier of the bench does.",
 ];
 
-/// Replays the first trial, on the nominal plate without noise.
+/// Simulates the first trial on the nominal plate without noise, from its start for `window`.
 fn scenario_replay(scenario: &Scenario, window: Time) -> Result<Replay, ChartError> {
     let setpoint_um = scenario.setpoint.range().1;
     if setpoint_um <= 0.0 {
