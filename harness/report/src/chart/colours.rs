@@ -17,7 +17,7 @@ const VALUES: [(&str, &str, &str); 39] = [
     ("pass-soft", "#e3f2e8", "#16301f"),
     ("fail-soft", "#fbe6e3", "#3b1c1a"),
     ("inconclusive-soft", "#faeed3", "#352a12"),
-    ("exhibit", "#c0271f", "#ff8177"),
+    ("verdict", "#c0271f", "#ff8177"),
     ("first", "#1f6cb0", "#6db3f2"),
     ("second", "#b4531a", "#f2a06a"),
     ("other", "#767f88", "#98a2ac"),

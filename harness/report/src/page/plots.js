@@ -7,9 +7,9 @@
   const HEIGHT = 250, HEIGHT_STIMULUS = 84, HEIGHT_AXIS = 44, WIDTH_AXIS = 72;
   // Colour (a variable of the style sheet), width of a line or of an area's edges, dashes, opacity.
   const PENS = {
-    first: ["--first", 1.75], second: ["--second", 1.75], exhibit: ["--exhibit", 1.75], other: ["--other", 1.5, [6, 4]],
+    first: ["--first", 1.75], second: ["--second", 1.75], "deciding-trial": ["--verdict", 1.75], other: ["--other", 1.5, [6, 4]],
     resonance: ["--second", 1.5, [4, 3]], "open-loop": ["--other", 1.5, [10, 3, 2, 3]],
-    limit: ["--exhibit", 1.75], window: ["--exhibit", 0, [], 0.07], worst: ["--exhibit", 2], setpoint: ["--ink", 1.25, [2, 3]], golden: ["--golden", 1.5, [9, 3]], trial: ["--first", 0.75, [], 0.4],
+    limit: ["--verdict", 1.75], window: ["--verdict", 0, [], 0.07], worst: ["--verdict", 2], setpoint: ["--ink", 1.25, [2, 3]], golden: ["--golden", 1.5, [9, 3]], trial: ["--first", 0.75, [], 0.4],
     median: ["--first", 1, [1, 3]], settling: ["--settling", 1.5, [5, 3]], deadline: ["--fail", 1.5, [2, 2]], overrun: ["--fail", 1.5], band: ["--settling", 1, [], "--band"],
     tube: ["--golden", 0, [], 0.16], spread: ["--first", 0, [], 0.22], "second-spread": ["--second", 0, [], 0.22],
     saturated: ["--amber", 0, [], 0.28], lost: ["--fail", 0, [], 0.16],

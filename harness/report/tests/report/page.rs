@@ -123,7 +123,7 @@ fn reads_the_trial_that_decided_beyond_the_limit() {
     assert!(open.contains("5 % to 95 % of 31 trials"));
     // In |W| and in the drive of both views; its frequency equals that of the first trial.
     assert_eq!(open.matches("</svg>trial 35, decided settling_time_ms").count(), 4);
-    assert_eq!(open.matches("class=\"s-exhibit\" d=").count(), 4);
+    assert_eq!(open.matches("class=\"s-deciding-trial\" d=").count(), 4);
 }
 
 #[rstest]
