@@ -10,8 +10,8 @@ fn git(arguments: &[&str]) -> Option<String> {
     (!text.is_empty()).then_some(text)
 }
 
-/// Reads the name from `OUT_DIR`, which is `<target>/<profile>/build/<package>/out`. The variable `PROFILE` is
-/// `release` for every profile that inherits from `release`.
+/// Reads the name from `OUT_DIR`, which is `<target>/<profile>/build/<package>/out`. The variable
+/// `PROFILE` is `release` for every profile that inherits from `release`.
 fn profile() -> Option<String> {
     let out = PathBuf::from(env::var_os("OUT_DIR")?);
     Some(out.ancestors().nth(3)?.file_name()?.to_string_lossy().into_owned())

@@ -1,8 +1,8 @@
 //! Simulates a board with its own plate behind a serial line, for tests of `--plate-mode real`.
 //!
-//! Usage: `real-plate-under-test PORT [KEY=VALUE]...`. The timer of the board is virtual, so a period that a busy
-//! machine missed is computed later, without a gap. The plate is the paper's. N is the number of a period in a trial,
-//! from 0.
+//! Usage: `real-plate-under-test PORT [KEY=VALUE]...`. The timer of the board is virtual, so a
+//! period that a busy machine missed is computed later, without a gap. The plate is the paper's. N
+//! is the number of a period in a trial, from 0.
 //!
 //! | key | effect |
 //! |---|---|
@@ -263,7 +263,8 @@ impl SimulatedBoard {
         if self.option("stop") == Some(period) {
             self.machine.sample(&Sample { wd_um: f32::NAN, ..sample }, now_us);
         } else if trial.last_setpoint.elapsed() >= watchdog {
-            // The state machine expects samples, not setpoints, so a late time stands for missing setpoints.
+            // The state machine expects samples, not setpoints, so a late time stands for missing
+            // setpoints.
             if let Some(command) = self.machine.tick(now_us.wrapping_add(u32::MAX / 2)) {
                 self.send(trial.last_sequence, Message::Command(command));
             }

@@ -1,9 +1,11 @@
-//! Implements `bang-bang`: a PI loop for the amplitude, a fixed frequency step per period (\[10\], \[11\]).
+//! Implements `bang-bang`: a PI loop for the amplitude, a fixed frequency step per period (\[10\],
+//! \[11\]).
 //!
-//! The paper describes \[10\] as good close to the resonance and slow "with unsuited initial condition". Assumptions:
-//! the amplitude loop is that of `voltage-only`; the sign of Wq gives the direction (Wq/Wd → −τΔω, equation 19); the
-//! step is a twentieth of the plate's half bandwidth, `1/(20 τ)` or 4.2 Hz, which changes the amplitude by 0.1 %. A
-//! start that is 9 K off needs twenty periods.
+//! The paper describes \[10\] as good close to the resonance and slow "with unsuited initial
+//! condition". Assumptions: the amplitude loop is that of `voltage-only`; the sign of Wq gives the
+//! direction (Wq/Wd → −τΔω, equation 19); the step is a twentieth of the plate's half bandwidth,
+//! `1/(20 τ)` or 4.2 Hz, which changes the amplitude by 0.1 %. A start that is 9 K off needs twenty
+//! periods.
 
 use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};

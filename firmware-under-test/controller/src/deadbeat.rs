@@ -1,4 +1,5 @@
-//! Implements `deadbeat`: identifies the plate, steers to the setpoint, and holds it with two PI loops.
+//! Implements `deadbeat`: identifies the plate, steers to the setpoint, and holds it with two PI
+//! loops.
 //!
 //! ```text
 //!          setpoint             one sample later                 as predicted, on the setpoint
@@ -9,22 +10,28 @@
 //!                                                   the setpoint steps, or a sample far from its prediction
 //! ```
 //!
-//! *Derived*, not published for this plate, after Kalman's idea to bring a state to rest in a finite number of periods.
-//! N/m is a constant of the plate, so one complex sample gives the only unknown, λ = −σ − jΔω ([`crate::envelope`]).
+//! *Derived*, not published for this plate, after Kalman's idea to bring a state to rest in a
+//! finite number of periods. N/m is a constant of the plate, so one complex sample gives the only
+//! unknown, λ = −σ − jΔω ([`crate::envelope`]).
 //!
-//! * **Learning.** The finger is unknown. The drive brings the untouched plate nearly to the setpoint; a finger or a
-//!   detuning only lowers the amplitude.
-//! * **Steering.** λ follows from the last drive and its sample. V and ω then bring W to the setpoint, with Wq = 0, at
-//!   the end of the period. At the slew limit |W| has priority over its angle.
-//! * **Holding.** The PI loops are matched to the zero-order hold for the plant of their own integrals: σ = bV/W, and
-//!   the resonance is the excitation frequency. They start with the integrals of the steady state.
-//! * **Prediction.** If noise does not explain the error of a prediction, either the plate has changed and is
-//!   identified again, or the drive acts late and the law adopts the loop delay that explains the last two samples.
-//!   After four misses in a row it uses its PI loops for twenty periods and raises [`flags::PREDICTION_MISSED`].
-//! * **Configured delay.** It applies from the first drive on. High damping in the first sample is then a heavy finger.
+//! * **Learning.** The finger is unknown. The drive brings the untouched plate nearly to the
+//!   setpoint; a finger or a detuning only lowers the amplitude.
+//! * **Steering.** λ follows from the last drive and its sample. V and ω then bring W to the
+//!   setpoint, with Wq = 0, at the end of the period. At the slew limit |W| has priority over its
+//!   angle.
+//! * **Holding.** The PI loops are matched to the zero-order hold for the plant of their own
+//!   integrals: σ = bV/W, and the resonance is the excitation frequency. They start with the
+//!   integrals of the steady state.
+//! * **Prediction.** If noise does not explain the error of a prediction, either the plate has
+//!   changed and is identified again, or the drive acts late and the law adopts the loop delay that
+//!   explains the last two samples. After four misses in a row it uses its PI loops for twenty
+//!   periods and raises [`flags::PREDICTION_MISSED`].
+//! * **Configured delay.** It applies from the first drive on. High damping in the first sample is
+//!   then a heavy finger.
 //!
-//! A step needs a bounded number of exponentials of [`crate::envelope`], each about 100 multiplications and additions:
-//! 1 while holding, at most 14 while steering, 19 with a delay, and 100 more in a step that searches the delay.
+//! A step needs a bounded number of exponentials of [`crate::envelope`], each about 100
+//! multiplications and additions: 1 while holding, at most 14 while steering, 19 with a delay, and
+//! 100 more in a step that searches the delay.
 
 use crate::envelope::{Complex, Drive, DriveBounds, EnvelopeModel, PlateMode};
 use crate::law::{Actuation, Law, Measurement};
@@ -34,29 +41,33 @@ use platebench_wire::{Configure, Gains, flags};
 
 /// Fraction of the setpoint. A plate with 8 % more gain then stays within the 5 % band.
 const FIRST_TARGET_SHARE: f32 = 0.97;
-/// Fraction of the larger of setpoint and last amplitude. Noise of 0.5 % causes an error of a third of it.
+/// Fraction of the larger of setpoint and last amplitude. Noise of 0.5 % causes an error of a third
+/// of it.
 const PREDICTION_TOLERANCE: f32 = 0.08;
-/// Relative change. The law steers to a setpoint that changes by more; the PI loops follow a smaller change.
+/// Relative change. The law steers to a setpoint that changes by more; the PI loops follow a
+/// smaller change.
 const SETPOINT_STEP: f32 = 0.02;
 /// Fraction of the setpoint.
 const ARRIVAL_BAND: f32 = 0.03;
 /// Largest amplitude of a plate at rest, as a fraction of the setpoint.
 const REST_BAND: f32 = 0.1;
-/// After this number of periods with a drive, for example at the drive limit, the PI loops take over.
+/// After this number of periods with a drive, for example at the drive limit, the PI loops take
+/// over.
 const MAX_STEERING_PERIODS: u8 = 12;
 /// After this number of drives that aim at the setpoint, the PI loops take over.
 const MAX_ATTEMPTS: u8 = 3;
 /// A missed prediction adds this weight to the score, every other prediction subtracts 1.
 const MISSED_WEIGHT: u8 = 2;
-/// Four missed predictions in a row start the fallback. A start with an unknown delay misses one or two.
+/// Four missed predictions in a row start the fallback. A start with an unknown delay misses one or
+/// two.
 const FALLBACK_MISS_SCORE: u8 = 8;
 const FALLBACK_PERIODS: u8 = 20;
 /// Largest σ/σ0 in the first sample that a finger explains (2.25 N). Above it, a delay is assumed.
 const MAX_FINGER_DAMPING: f32 = 2.5;
 /// Largest loop delay that the law searches, as a fraction of the period.
 const MAX_DELAY_SHARE: f32 = 0.9;
-/// With a configured delay, the law skips a first sample after a drive that acted for less than this fraction of a
-/// period. After a third of a period, noise of 0.5 % causes 15 % of overshoot.
+/// With a configured delay, the law skips a first sample after a drive that acted for less than
+/// this fraction of a period. After a third of a period, noise of 0.5 % causes 15 % of overshoot.
 const MIN_ACTING_SHARE: f32 = 0.45;
 const DELAY_ITERATIONS: u32 = 6;
 /// Limit of |Wq/Wd| as in `dq-pi`.
@@ -74,7 +85,8 @@ enum Phase {
 struct Steering {
     periods: u8,
     attempts: u8,
-    /// True if the law, not a disturbance, started the motion. Only then can a delay explain a missed prediction.
+    /// True if the law, not a disturbance, started the motion. Only then can a delay explain a
+    /// missed prediction.
     is_commanded: bool,
 }
 
@@ -99,7 +111,8 @@ pub struct Deadbeat {
     mode: PlateMode,
     /// From sampling to actuation, s.
     delay: f32,
-    /// True if the delay is configured. Then only a missed prediction changes it, not the first sample.
+    /// True if the delay is configured. Then only a missed prediction changes it, not the first
+    /// sample.
     is_delay_given: bool,
     /// Samples and drives, the latest first.
     samples: [Complex; 2],

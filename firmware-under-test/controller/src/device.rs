@@ -78,7 +78,8 @@ impl Device {
                 Message::Command(Command { compute_us: self.compute_us, ..command })
             }
             Message::Safe => Message::Command(self.machine.enter_safe(now_us)),
-            // `Setpoint` requires an own plate. Only a target sends the others, so they are an echo of the line.
+            // `Setpoint` requires an own plate. Only a target sends the others, so they are an echo
+            // of the line.
             Message::Setpoint(_)
             | Message::Identity(_)
             | Message::Configured(_)

@@ -1,17 +1,21 @@
-//! Implements `dq-pi`, `dq-pi-fixed` and `dq-pi-euler`: two PI loops in the d-q frame (section V of the paper).
+//! Implements `dq-pi`, `dq-pi-fixed` and `dq-pi-euler`: two PI loops in the d-q frame (section V of
+//! the paper).
 //!
-//! Amplitude loop: the drive from `Wd_ref − Wd`, plant K1/(1 + τp) (equation 13). Frequency loop: ω from `Wq/Wd → 0`,
-//! plant −τ/(1 + τp) (equation 19). The minus sign turns the loop's error `0 − Wq/Wd` into `+Wq/Wd`.
+//! Amplitude loop: the drive from `Wd_ref − Wd`, plant K1/(1 + τp) (equation 13). Frequency loop: ω
+//! from `Wq/Wd → 0`, plant −τ/(1 + τp) (equation 19). The minus sign turns the loop's error
+//! `0 − Wq/Wd` into `+Wq/Wd`.
 //!
-//! The paper, `dq-pi-euler` and `dq-pi-fixed` design the gains once, for the untouched plate. A finger moves the
-//! plate's pole away from the controller's zero, which leaves a slow residue (9 ms under 2 N). `dq-pi` uses the same
-//! design for the present damping (*derived*). The last drive and sample give λ ([`crate::envelope`]), and its σ gives
-//! both plants, K = b/σ and τ = 1/σ. Two periods in a row must agree on a large change, and the smaller change counts,
-//! because after one sample a finger and a late drive look the same. Configured gains are constant.
+//! The paper, `dq-pi-euler` and `dq-pi-fixed` design the gains once, for the untouched plate. A
+//! finger moves the plate's pole away from the controller's zero, which leaves a slow residue (9 ms
+//! under 2 N). `dq-pi` uses the same design for the present damping (*derived*). The last drive and
+//! sample give λ ([`crate::envelope`]), and its σ gives both plants, K = b/σ and τ = 1/σ. Two
+//! periods in a row must agree on a large change, and the smaller change counts, because after one
+//! sample a finger and a late drive look the same. Configured gains are constant.
 //!
-//! The law compensates a configured loop delay (O. J. M. Smith's predictor, with the plate's state). Both loops use W
-//! at the time at which their drive begins to act, predicted from λ and the previous drive. λ follows from the samples,
-//! so the prediction leaves no static error for any b.
+//! The law compensates a configured loop delay (O. J. M. Smith's predictor, with the plate's
+//! state). Both loops use W at the time at which their drive begins to act, predicted from λ and
+//! the previous drive. λ follows from the samples, so the prediction leaves no static error for any
+//! b.
 //!
 //! A step needs 4 exponentials of [`crate::envelope`], 9 with a loop delay.
 
@@ -22,7 +26,8 @@ use platebench_wire::{Configure, Gains, LawId, flags};
 
 /// Fraction of the setpoint. For a smaller Wd, near rest, `Wq/Wd` is noise.
 const SMALLEST_WD: f32 = 0.1;
-/// A phase of 63°, at a detuning of two half bandwidths. Beyond it, the ratio gives only the direction.
+/// A phase of 63°, at a detuning of two half bandwidths. Beyond it, the ratio gives only the
+/// direction.
 const LARGEST_RATIO: f32 = 2.0;
 
 /// A larger relative change of the damping means another plate; a smaller one is tracked.

@@ -1,13 +1,14 @@
 //! Models the plate's envelope for the laws: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0`.
 //!
-//! Only λ is unknown. A finger changes σ, the temperature changes the resonance, and b is a constant of the plate
-//! (N/m). Over an interval h of constant drive
+//! Only λ is unknown. A finger changes σ, the temperature changes the resonance, and b is a
+//! constant of the plate (N/m). Over an interval h of constant drive
 //!
 //! `W(h) = e^z W(0) + b V h φ(z)`, `z = λh`, `φ(z) = (e^z − 1)/z`.
 //!
-//! [`EnvelopeModel::identify`] solves it for λ, [`EnvelopeModel::steer`] for V and ω. The exponential is a polynomial
-//! with a fixed number of doublings, so the number of instructions does not depend on the argument. `sinf` and `cosf`
-//! of `libm` are not used: they calculate in f64, which a Cortex-M4F must emulate.
+//! [`EnvelopeModel::identify`] solves it for λ, [`EnvelopeModel::steer`] for V and ω. The
+//! exponential is a polynomial with a fixed number of doublings, so the number of instructions does
+//! not depend on the argument. `sinf` and `cosf` of `libm` are not used: they calculate in f64,
+//! which a Cortex-M4F must emulate.
 
 use crate::design::PiGains;
 use core::ops::{Add, Mul, Sub};
@@ -142,7 +143,8 @@ pub(crate) struct DriveBounds {
 
 /// Convergence is quadratic, so four iterations suffice from a start within a factor of two.
 const ITERATIONS: u32 = 4;
-/// Bounds of σ: the untouched plate's σ times and divided by this factor. A finger of 4.5 N has a factor of 4.
+/// Bounds of σ: the untouched plate's σ times and divided by this factor. A finger of 4.5 N has a
+/// factor of 4.
 const LARGEST_DAMPING: f32 = 6.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -188,7 +190,8 @@ impl EnvelopeModel {
         if seconds > 0.0 { self.propagate_with_derivative(mode, (w, Complex::default()), drive, seconds).0 } else { w }
     }
 
-    /// Newton's method from `mode`, with two samples and the two drives (and their durations in s) between them.
+    /// Newton's method from `mode`, with two samples and the two drives (and their durations in s)
+    /// between them.
     pub(crate) fn identify(
         &self,
         mode: PlateMode,
@@ -201,7 +204,8 @@ impl EnvelopeModel {
             let next = self.newton_step(mode, before, drives, after);
             let is_final = next == mode;
             mode = next;
-            // Further iterations give the same mode. A board executes them, so that the time of a step is constant.
+            // Further iterations give the same mode. A board executes them, so that the time of a
+            // step is constant.
             if cfg!(not(target_os = "none")) && is_final {
                 break;
             }
@@ -234,7 +238,8 @@ impl EnvelopeModel {
         }
     }
 
-    /// Brings W to the real `target` within `seconds`. If `bounds` prevent this, |W| has priority over its angle.
+    /// Brings W to the real `target` within `seconds`. If `bounds` prevent this, |W| has priority
+    /// over its angle.
     pub(crate) fn steer(
         &self,
         mode: PlateMode,

@@ -1,14 +1,15 @@
-//! Implements `frequency-only`: at constant voltage, the frequency adjusts the amplitude (\[8\], \[9\] of the paper).
+//! Implements `frequency-only`: at constant voltage, the frequency adjusts the amplitude (\[8\],
+//! \[9\] of the paper).
 //!
 //! The plate is not necessarily at resonance. Assumptions beyond the paper:
 //!
-//! * The excitation stays above the start frequency, which is assumed to be the resonance. Below the resonance the
-//!   loop's sign is wrong and it diverges.
-//! * The voltage is half of the limit while the setpoint is positive. On the untouched plate, 450 Vpp reach from 1.0 µm
-//!   at the end of a range of 250 Hz to 3.1 µm at resonance.
-//! * A new setpoint starts at the detuning `Δω = √((K1 V / setpoint)² − 1)/τ` of the nominal plate. Then an integral
-//!   controller acts on the relative error of |W|. Its gain is `1 − e^(−3 Ts/t_r)` times the inverse slope of the
-//!   resonance curve, `d ln|W|/dΔω = −τ x/(1 + x²)` with `x = τΔω`.
+//! * The excitation stays above the start frequency, which is assumed to be the resonance. Below
+//!   the resonance the loop's sign is wrong and it diverges.
+//! * The voltage is half of the limit while the setpoint is positive. On the untouched plate, 450
+//!   Vpp reach from 1.0 µm at the end of a range of 250 Hz to 3.1 µm at resonance.
+//! * A new setpoint starts at the detuning `Δω = √((K1 V / setpoint)² − 1)/τ` of the nominal plate.
+//!   Then an integral controller acts on the relative error of |W|. Its gain is `1 − e^(−3 Ts/t_r)`
+//!   times the inverse slope of the resonance curve, `d ln|W|/dΔω = −τ x/(1 + x²)` with `x = τΔω`.
 
 use crate::design::{FREQUENCY_ONLY_DRIVE_SHARE, PiGains, inverse_slope};
 use crate::law::{Actuation, Law, Measurement};

@@ -55,7 +55,8 @@ pub enum Law {
 }
 
 impl Law {
-    /// Designs the law at rest. Fails with [`Rejection::Value`] if a number is not finite or out of range.
+    /// Designs the law at rest. Fails with [`Rejection::Value`] if a number is not finite or out of
+    /// range.
     pub fn design(configure: &Configure) -> Result<(Self, Gains), Rejection> {
         let positive = [
             configure.gain_um_per_vpp,

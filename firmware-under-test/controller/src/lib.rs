@@ -1,8 +1,8 @@
 //! Implements the control laws and the controller's state machine, as they run on the STM32F4.
 //!
-//! Board, emulated board and hosted rig compile the same source and give the same bits, because the source uses f32
-//! throughout, `libm` for the functions that `core` lacks, and no `mul_add`. Clocks, registers and allocation do not
-//! belong here; time and bytes are arguments.
+//! Board, emulated board and hosted rig compile the same source and give the same bits, because the
+//! source uses f32 throughout, `libm` for the functions that `core` lacks, and no `mul_add`.
+//! Clocks, registers and allocation do not belong here; time and bytes are arguments.
 #![no_std]
 
 #[cfg(test)]

@@ -5,12 +5,14 @@ use crate::pi::{Pi, Tracking};
 use core::f32::consts::TAU;
 use platebench_wire::{Configure, Gains, flags};
 
-/// At the drive limit, full tracking settles 16 % above the shortest possible time at 400 Vpp, and no tracking
-/// overshoots by 14 % at 340 Vpp. With 0.6 the response settles within 10 % of the shortest time from 300 to 416 Vpp
-/// and overshoots by less than 4 %. At 0 V only damping reduces the amplitude, so tracking is full.
+/// At the drive limit, full tracking settles 16 % above the shortest possible time at 400 Vpp, and
+/// no tracking overshoots by 14 % at 340 Vpp. With 0.6 the response settles within 10 % of the
+/// shortest time from 300 to 416 Vpp and overshoots by less than 4 %. At 0 V only damping reduces
+/// the amplitude, so tracking is full.
 pub(crate) const AMPLITUDE_TRACKING: Tracking = Tracking { low: 1.0, high: 0.6 };
 
-/// Gains of the amplitude loop (plant K1/(1 + τp), equation 13) and of the frequency loop (−τ/(1 + τp), equation 19).
+/// Gains of the amplitude loop (plant K1/(1 + τp), equation 13) and of the frequency loop (−τ/(1 +
+/// τp), equation 19).
 pub(crate) fn loop_gains(configure: &Configure) -> (PiGains, PiGains) {
     let period = period_s(configure);
     let (gain, tau) = (configure.gain_um_per_vpp, configure.time_constant_s);
@@ -64,7 +66,8 @@ impl AmplitudeLoop {
         Self { pi: Pi::new(gains, AMPLITUDE_TRACKING), limit_vpp: configure.drive_limit_vpp }
     }
 
-    /// Returns the drive and, at the limit, [`flags::SATURATED`]. `error_um` is setpoint − amplitude.
+    /// Returns the drive and, at the limit, [`flags::SATURATED`]. `error_um` is setpoint −
+    /// amplitude.
     pub(crate) fn step(&mut self, error_um: f32) -> (f32, u8) {
         let drive_vpp = self.pi.step(error_um, 0.0, self.limit_vpp);
         (drive_vpp, if drive_vpp >= self.limit_vpp { flags::SATURATED } else { 0 })

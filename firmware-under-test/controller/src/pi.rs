@@ -5,8 +5,8 @@
 
 use crate::design::PiGains;
 
-/// Tracking constant c at each limit, as a fraction of `Ki·Ts/Kp`. With 1 (conditioning technique) the loop leaves
-/// saturation with the closed-loop pole of the design. 0 is no anti-windup.
+/// Tracking constant c at each limit, as a fraction of `Ki·Ts/Kp`. With 1 (conditioning technique)
+/// the loop leaves saturation with the closed-loop pole of the design. 0 is no anti-windup.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tracking {
     pub low: f32,

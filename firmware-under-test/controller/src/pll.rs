@@ -1,8 +1,8 @@
 //! Implements `pll`: locks the phase to the resonance at a constant voltage (\[13\] of the paper).
 //!
-//! Assumptions: the loop locks the vibration 90° behind the voltage, which is the resonance; the voltage is that of an
-//! undisturbed plate, `V = setpoint / K1`. The bench's frame rotates with the voltage, so the loop brings arg W to 0.
-//! The law does not control the amplitude.
+//! Assumptions: the loop locks the vibration 90° behind the voltage, which is the resonance; the
+//! voltage is that of an undisturbed plate, `V = setpoint / K1`. The bench's frame rotates with the
+//! voltage, so the loop brings arg W to 0. The law does not control the amplitude.
 
 use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};

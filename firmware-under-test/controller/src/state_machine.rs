@@ -17,8 +17,9 @@ use platebench_wire::{Command, Configure, Configured, ControllerState, Rejection
 
 pub const DEFAULT_WATCHDOG_PERIODS: u32 = 5;
 
-/// A rejected frame adds this weight to the score, a sample subtracts 1. The score reaches its limit after five
-/// rejected frames in a row, or if every second frame is rejected for about twenty periods.
+/// A rejected frame adds this weight to the score, a sample subtracts 1. The score reaches its
+/// limit after five rejected frames in a row, or if every second frame is rejected for about twenty
+/// periods.
 const REJECTED_FRAME_WEIGHT: u8 = 2;
 const MAX_REJECTED_FRAME_SCORE: u8 = 10;
 

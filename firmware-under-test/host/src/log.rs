@@ -4,8 +4,8 @@
 //! {"event":"state","time_us":1034211,"state":"fault","cause":"sample-timeout","drive_vpp":0,"since_sample_us":5012}
 //! ```
 //!
-//! `event` is `start`, `state`, `hang-up` or `end`. `since_sample_us` is the time since the last sample with a control
-//! step, or `null`. The log also shows what happened after the bench ended.
+//! `event` is `start`, `state`, `hang-up` or `end`. `since_sample_us` is the time since the last
+//! sample with a control step, or `null`. The log also shows what happened after the bench ended.
 
 use crate::error::HostError;
 use platebench_wire::{Command, ControllerState, StateCause};

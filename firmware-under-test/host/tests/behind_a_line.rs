@@ -85,7 +85,8 @@ fn target_pacing_sends_ticks_until_safe() {
     let mut session = Session::open(start(None)).unwrap();
     session.start_trial(&Configure { paced_by_target: true, ..CONFIGURE }).unwrap();
     let (mut ticks, mut last_us) = (0_u8, 0);
-    // On a busy machine the first ticks arrive together with the answer to the configuration, and answers arrive late.
+    // On a busy machine the first ticks arrive together with the answer to the configuration, and
+    // answers arrive late.
     let mut last_sequence: Option<u8> = None;
     let mut unanswered = BTreeSet::new();
     while ticks < 50 || unanswered.len() > 1 {

@@ -1,7 +1,7 @@
 //! Starts clocks, microsecond counter, alarm, tick and watchdog. Every wait is bounded.
 //!
-//! The clock is crystal and PLL at 168 MHz, otherwise internal oscillator and PLL at 168 MHz, otherwise internal
-//! oscillator at 16 MHz. The baud rate divides all three.
+//! The clock is crystal and PLL at 168 MHz, otherwise internal oscillator and PLL at 168 MHz,
+//! otherwise internal oscillator at 16 MHz. The baud rate divides all three.
 
 use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
@@ -90,7 +90,8 @@ pub(crate) fn now_us(p: &pac::Peripherals) -> u32 {
     p.TIM2.cnt().read().bits()
 }
 
-/// Alarm of the microsecond counter's first compare channel, so that interrupt delays do not shift the periods.
+/// Alarm of the microsecond counter's first compare channel, so that interrupt delays do not shift
+/// the periods.
 pub(crate) struct Alarm {
     at_us: Option<u32>,
 }
@@ -103,7 +104,8 @@ impl Alarm {
         Self { at_us: None }
     }
 
-    /// `None` switches the alarm off. Returns false if `at_us` has already passed, since the alarm will not fire.
+    /// `None` switches the alarm off. Returns false if `at_us` has already passed, since the alarm
+    /// will not fire.
     #[must_use]
     pub(crate) fn set(&mut self, p: &pac::Peripherals, at_us: Option<u32>) -> bool {
         if self.at_us == at_us {
@@ -111,7 +113,8 @@ impl Alarm {
         }
         self.at_us = at_us;
         let timer = &p.TIM2;
-        // SAFETY: compare value, flag and enable of the first channel, whose output is off; RM0090 18.4.
+        // SAFETY: compare value, flag and enable of the first channel, whose output is off;
+        // RM0090 18.4.
         unsafe {
             timer.dier().write(|w| w.bits(0));
             let Some(at_us) = at_us else { return true };
@@ -129,9 +132,9 @@ impl Alarm {
     }
 }
 
-/// Starts the independent watchdog: LSI / 4, 32 counts, 4 ms (2.7 to 7.5 ms over the oscillator's tolerance). With 4
-/// ms, a stopped main loop holds the drive for less than five periods of 1 ms. The watchdog cannot be stopped; a
-/// debugger that halts the core pauses it.
+/// Starts the independent watchdog: LSI / 4, 32 counts, 4 ms (2.7 to 7.5 ms over the oscillator's
+/// tolerance). With 4 ms, a stopped main loop holds the drive for less than five periods of 1 ms.
+/// The watchdog cannot be stopped; a debugger that halts the core pauses it.
 pub(crate) fn start_watchdog(p: &pac::Peripherals) {
     // SAFETY: RM0090, 21.3 and 32.16.4.
     unsafe {
@@ -141,7 +144,8 @@ pub(crate) fn start_watchdog(p: &pac::Peripherals) {
     set_watchdog(p, 0, 32);
 }
 
-/// LSI / 64, 256 counts, 0.5 s (0.35 to 0.96 s). A debugger then has time to read after a trap, at 0 V.
+/// LSI / 64, 256 counts, 0.5 s (0.35 to 0.96 s). A debugger then has time to read after a trap, at
+/// 0 V.
 pub(crate) fn lengthen_watchdog(p: &pac::Peripherals) {
     set_watchdog(p, 4, 256);
 }

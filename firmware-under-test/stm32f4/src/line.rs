@@ -27,8 +27,8 @@ const ENABLE: u32 = 1;
 #[repr(C, align(4))]
 struct Shared<const N: usize>(UnsafeCell<[u8; N]>);
 
-// SAFETY: the chip has one core, and only the main loop accesses the bytes. It never touches the bytes that the DMA
-// stream transfers at that moment.
+// SAFETY: the chip has one core, and only the main loop accesses the bytes. It never touches the
+// bytes that the DMA stream transfers at that moment.
 unsafe impl<const N: usize> Sync for Shared<N> {}
 
 impl<const N: usize> Shared<N> {
@@ -55,8 +55,8 @@ pub(crate) struct Outbox {
 }
 
 pub(crate) fn start(p: &pac::Peripherals, apb1_hz: u32) -> (Inbox, Outbox) {
-    // SAFETY: only this module uses these pins, streams and USART; values of RM0090 chapters 8, 10 and 30. The streams
-    // are configured while disabled.
+    // SAFETY: only this module uses these pins, streams and USART; values of RM0090 chapters 8, 10
+    // and 30. The streams are configured while disabled.
     unsafe {
         p.RCC.ahb1enr().modify(|r, w| w.bits(r.bits() | 1 | 1 << 21)); // GPIOA, DMA1
         p.RCC.apb1enr().modify(|r, w| w.bits(r.bits() | 1 << 17)); // USART2
@@ -86,8 +86,8 @@ impl Inbox {
         IDLE.load(Ordering::Relaxed)
     }
 
-    /// Returns the bytes since the last call if the line is idle or [`TAKE_WITHOUT_IDLE`] bytes wait. Stops at the end
-    /// of the ring, so the caller repeats the call until it returns nothing.
+    /// Returns the bytes since the last call if the line is idle or [`TAKE_WITHOUT_IDLE`] bytes
+    /// wait. Stops at the end of the ring, so the caller repeats the call until it returns nothing.
     pub(crate) fn take(&mut self, p: &pac::Peripherals) -> &[u8] {
         let idle = IDLE.swap(false, Ordering::Acquire);
         let written = (RING - p.DMA1.st(5).ndtr().read().bits() as usize) % RING;
@@ -102,7 +102,8 @@ impl Inbox {
         if self.taken != written {
             IDLE.store(true, Ordering::Release);
         }
-        // SAFETY: `from..until` lies in the ring behind the stream's position; the stream reaches it again after 5 ms.
+        // SAFETY: `from..until` lies in the ring behind the stream's position; the stream reaches
+        // it again after 5 ms.
         unsafe { core::slice::from_raw_parts(RECEIVED.start().add(from), until - from) }
     }
 }
@@ -127,7 +128,8 @@ impl Outbox {
                 break;
             }
         }
-        // SAFETY: only this module uses stream 6, disabled before memory and length change; HIFCR clears its flags.
+        // SAFETY: only this module uses stream 6, disabled before memory and length change; HIFCR
+        // clears its flags.
         unsafe {
             send.cr().write(|w| w.bits(CHANNEL_4 | MEMORY_INCREMENT | TO_PERIPHERAL));
             p.DMA1.hifcr().write(|w| w.bits(0x3D << 16));
@@ -150,7 +152,8 @@ fn USART2() {
     IDLE.store(true, Ordering::Release);
 }
 
-/// Sends `frame` after a delimiter that ends an unfinished frame. For fault handlers: no interrupts, no DMA, bounded.
+/// Sends `frame` after a delimiter that ends an unfinished frame. For fault handlers: no
+/// interrupts, no DMA, bounded.
 pub(crate) fn send_by_polling(frame: &[u8]) {
     // SAFETY: all other code has stopped for good.
     let usart = unsafe { &*pac::USART2::ptr() };

@@ -6,7 +6,8 @@
 //! | PB0 | amplifier enable, high while the controller runs |
 //! | PH0, PH1 | crystal, 8 MHz (features `crystal-25mhz`, `no-crystal`); internal oscillator if it does not start |
 //!
-//! The main loop sleeps until the line is idle after a frame, 1 ms has passed or the alarm of target pacing fires.
+//! The main loop sleeps until the line is idle after a frame, 1 ms has passed or the alarm of
+//! target pacing fires.
 #![no_std]
 #![no_main]
 
@@ -54,7 +55,8 @@ fn main() -> ! {
     #[cfg(feature = "plant-faults")]
     let mut planted = planted_faults::SampleWatcher::new();
     loop {
-        // Interrupts are masked until the sleep, so that none is missed. A masked interrupt ends the sleep too.
+        // Interrupts are masked until the sleep, so that none is missed. A masked interrupt ends
+        // the sleep too.
         cortex_m::interrupt::disable();
         if !Inbox::went_idle() && !TICK.load(Ordering::Relaxed) {
             cortex_m::asm::wfi();

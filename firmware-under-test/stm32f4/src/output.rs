@@ -1,9 +1,9 @@
 //! Drives the board's outputs.
 //!
-//! The bench replaces the converters, so drive and frequency travel as a [`Command`] on the line. PB0, *amplifier
-//! enable*, is high while the controller runs and low in every other state and after reset (the amplifier needs a
-//! pull-down). A fault handler sets it low first. A board with converters extends [`Output::apply`]; [`off`] must
-//! silence them by plain register writes.
+//! The bench replaces the converters, so drive and frequency travel as a [`Command`] on the line.
+//! PB0, *amplifier enable*, is high while the controller runs and low in every other state and
+//! after reset (the amplifier needs a pull-down). A fault handler sets it low first. A board with
+//! converters extends [`Output::apply`]; [`off`] must silence them by plain register writes.
 
 use platebench_wire::{Command, ControllerState};
 use stm32f4::stm32f405 as pac;
@@ -16,7 +16,8 @@ pub(crate) struct Output {
 
 impl Output {
     pub(crate) fn new(p: &pac::Peripherals) -> Self {
-        // SAFETY: the reset value with GPIOB's clock added; the pin goes low before it becomes an output.
+        // SAFETY: the reset value with GPIOB's clock added; the pin goes low before it becomes an
+        // output.
         unsafe {
             p.RCC.ahb1enr().modify(|r, w| w.bits(r.bits() | 1 << 1));
             p.GPIOB.bsrr().write(|w| w.bits(ENABLE << 16));

@@ -27,7 +27,8 @@ impl SampleWatcher {
     }
 }
 
-// The fault report shows the function's name. Different constants keep the linker from merging two functions.
+// The fault report shows the function's name. Different constants keep the linker from merging two
+// functions.
 fn trigger(which: u8) {
     match which {
         1 => unaligned_access(),

@@ -1,7 +1,9 @@
-//! Runs `platebench-controller` on QEMU's `netduinoplus2`, as a second check of every bit of the law.
+//! Runs `platebench-controller` on QEMU's `netduinoplus2`, as a second check of every bit of the
+//! law.
 //!
-//! QEMU models no clock tree, DMA, pins or watchdog, and its timers run at wrong rates. So interrupts serve USART2, and
-//! the time is that of the last sample. The reset after a fault report ends QEMU if it runs with `-no-reboot`.
+//! QEMU models no clock tree, DMA, pins or watchdog, and its timers run at wrong rates. So
+//! interrupts serve USART2, and the time is that of the last sample. The reset after a fault report
+//! ends QEMU if it runs with `-no-reboot`.
 #![no_std]
 #![no_main]
 
@@ -42,7 +44,8 @@ fn main() -> ! {
     let mut reader = FrameReader::new();
     let (mut taken, mut now_us) = (0_usize, 0);
     loop {
-        // Interrupts are masked until the sleep, so that no byte is missed. A masked interrupt ends the sleep too.
+        // Interrupts are masked until the sleep, so that no byte is missed. A masked interrupt ends
+        // the sleep too.
         cortex_m::interrupt::disable();
         if STORED.load(Ordering::Acquire) == taken {
             cortex_m::asm::wfi();
@@ -64,7 +67,8 @@ fn main() -> ! {
 
 #[interrupt]
 fn USART2() {
-    // SAFETY: reading status, then data, clears the request; only this handler reads the data register.
+    // SAFETY: reading status, then data, clears the request; only this handler reads the data
+    // register.
     let usart = unsafe { &*pac::USART2::ptr() };
     if u32::from(usart.sr().read().bits()) & RECEIVED_DATA != 0 {
         let byte = usart.dr().read().bits() as u8;

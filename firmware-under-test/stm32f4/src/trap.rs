@@ -1,7 +1,8 @@
-//! Handles a panic and a `HardFault`: 0 V, then a fault report on the line, then the watchdog's reset.
+//! Handles a panic and a `HardFault`: 0 V, then a fault report on the line, then the watchdog's
+//! reset.
 //!
-//! The report survives the reset. A panic has no faulting instruction, so its `pc` is the caller of the handler and its
-//! `address` is that of the panic's `core::panic::Location` in the image.
+//! The report survives the reset. A panic has no faulting instruction, so its `pc` is the caller of
+//! the handler and its `address` is that of the panic's `core::panic::Location` in the image.
 
 use crate::{clock, line, output};
 use core::arch::global_asm;
@@ -43,7 +44,8 @@ pub(crate) fn enable_division_trap(scb: &mut SCB) {
 }
 
 pub(crate) fn report_before_reset(p: &pac::Peripherals) -> Option<FaultReport> {
-    // SAFETY: any bits are a valid array of numbers; volatile, since the program has not initialised it.
+    // SAFETY: any bits are a valid array of numbers; volatile, since the program has not
+    // initialised it.
     let [mark, pc, lr, cfsr, address] = unsafe { SAVED.0.get().cast::<[u32; 5]>().read_volatile() };
     // SAFETY: as above.
     unsafe { SAVED.0.get().cast::<u32>().write_volatile(0) };
@@ -54,7 +56,8 @@ pub(crate) fn report_before_reset(p: &pac::Peripherals) -> Option<FaultReport> {
     Some(if mark == MARK { FaultReport { pc, lr, cfsr, address, ..unknown } } else { unknown })
 }
 
-// The normal stack may be the cause, so the handler switches to its own stack before its first push.
+// The normal stack may be the cause, so the handler switches to its own stack before its first
+// push.
 global_asm!(
     ".section .HardFault.user, \"ax\"",
     ".global HardFault",

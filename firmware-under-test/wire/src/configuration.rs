@@ -3,7 +3,8 @@
 use crate::field::{Field, MessageError, Reader, Writer, layout};
 use crate::identity::LawId;
 
-/// The amplitude gains are in Vpp/µm and Vpp/(µm·s), the frequency gains in rad/s and rad/s² per unit of Wq/Wd.
+/// The amplitude gains are in Vpp/µm and Vpp/(µm·s), the frequency gains in rad/s and rad/s² per
+/// unit of Wq/Wd.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gains {
     pub amplitude_kp: f32,
@@ -20,16 +21,18 @@ impl Gains {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Configure {
     pub law: LawId,
-    /// If true, the target sends a [`Tick`](crate::Tick) in each period and the bench answers with a sample. If false,
-    /// the bench's samples pace the control.
+    /// If true, the target sends a [`Tick`](crate::Tick) in each period and the bench answers with
+    /// a sample. If false, the bench's samples pace the control.
     pub paced_by_target: bool,
-    /// If true, the target drives its own plate, receives [`Setpoint`](crate::Setpoint) instead of samples and sends
-    /// [`Telemetry`](crate::Telemetry). Requires [`OWN_PLATE`](crate::capabilities::OWN_PLATE).
+    /// If true, the target drives its own plate, receives [`Setpoint`](crate::Setpoint) instead of
+    /// samples and sends [`Telemetry`](crate::Telemetry). Requires
+    /// [`OWN_PLATE`](crate::capabilities::OWN_PLATE).
     pub drives_own_plate: bool,
     /// Time without a sample or setpoint after which the drive goes to 0 V; 0 means five periods.
     pub watchdog_timeout_ms: u16,
     pub period_us: u32,
-    /// From sampling to actuation; 0 if unknown. Other values require [`LOOP_DELAY`](crate::capabilities::LOOP_DELAY).
+    /// From sampling to actuation; 0 if unknown. Other values require
+    /// [`LOOP_DELAY`](crate::capabilities::LOOP_DELAY).
     pub loop_delay_us: u32,
     pub start_frequency_mhz: u32,
     /// K1.

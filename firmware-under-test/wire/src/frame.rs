@@ -1,8 +1,8 @@
 //! Frames a body as `COBS(body ‖ CRC-32(body)) ‖ 0x00` and reads such frames.
 //!
-//! COBS removes every zero from the frame and adds one byte. A zero on the line therefore always ends a frame, and a
-//! reader that starts in the middle is synchronised after one delimiter. The CRC is CRC-32/ISO-HDLC (Ethernet, zlib),
-//! little-endian, over the body alone.
+//! COBS removes every zero from the frame and adds one byte. A zero on the line therefore always
+//! ends a frame, and a reader that starts in the middle is synchronised after one delimiter. The
+//! CRC is CRC-32/ISO-HDLC (Ethernet, zlib), little-endian, over the body alone.
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
@@ -69,7 +69,8 @@ impl FrameReader {
         Self { buffer: [0; MAX_ENCODED], length: 0, overlong: false }
     }
 
-    /// Takes `bytes` up to the end of the first frame. Returns the frame's body or error, `None` if no frame ends.
+    /// Takes `bytes` up to the end of the first frame. Returns the frame's body or error, `None` if
+    /// no frame ends.
     pub fn read(&mut self, bytes: &mut &[u8]) -> Option<Result<&[u8], FrameError>> {
         loop {
             let Some(delimiter) = bytes.iter().position(|&byte| byte == 0) else {
@@ -117,8 +118,8 @@ impl FrameReader {
     }
 }
 
-/// Applies COBS in place. Each zero becomes the distance to the next zero or to the end; the first byte is a zero.
-/// [`MAX_ENCODED`] is below 255, so a distance always fits.
+/// Applies COBS in place. Each zero becomes the distance to the next zero or to the end; the first
+/// byte is a zero. [`MAX_ENCODED`] is below 255, so a distance always fits.
 fn stuff(frame: &mut [u8]) {
     let mut next = frame.len();
     for (index, byte) in frame.iter_mut().enumerate().rev() {

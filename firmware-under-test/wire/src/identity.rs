@@ -16,7 +16,8 @@ pub enum LawId {
     FrequencyOnly = 4,
     BangBang = 5,
     Pll = 6,
-    /// Identifies the plate in one period, steers to the setpoint in the next, then holds it with PI loops.
+    /// Identifies the plate in one period, steers to the setpoint in the next, then holds it with
+    /// PI loops.
     Deadbeat = 7,
     /// `DqPi` with the constant gains of the untouched plate.
     DqPiFixed = 8,
@@ -65,7 +66,8 @@ impl Field for LawId {
     }
 }
 
-/// Bits of [`Identity::capabilities`] for `paced_by_target`, `compute_us`, `loop_delay_us` and `drives_own_plate`.
+/// Bits of [`Identity::capabilities`] for `paced_by_target`, `compute_us`, `loop_delay_us` and
+/// `drives_own_plate`.
 pub mod capabilities {
     pub const TARGET_PACED: u8 = 1;
     pub const COMPUTE_TIME: u8 = 2;

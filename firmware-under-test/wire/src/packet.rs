@@ -1,8 +1,8 @@
 //! Encodes and decodes a message with its sequence number.
 //!
-//! Every body starts with two bytes: version (upper four bits) and kind (lower four bits), then the sequence number. An
-//! answer repeats the sequence number of its request. All numbers are little-endian, floats are IEEE 754 binary32,
-//! amplitudes and voltages are peak to peak.
+//! Every body starts with two bytes: version (upper four bits) and kind (lower four bits), then the
+//! sequence number. An answer repeats the sequence number of its request. All numbers are
+//! little-endian, floats are IEEE 754 binary32, amplitudes and voltages are peak to peak.
 //!
 //! | kind | message | from | body bytes |
 //! |---|---|---|---|
@@ -29,7 +29,8 @@ pub const VERSION: u8 = 1;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Packet {
-    /// The bench increments it per message, modulo 256; answers repeat it. Ticks and telemetry have their own counters.
+    /// The bench increments it per message, modulo 256; answers repeat it. Ticks and telemetry have
+    /// their own counters.
     pub sequence: u8,
     pub message: Message,
 }

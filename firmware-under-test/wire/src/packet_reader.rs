@@ -20,7 +20,8 @@ impl PacketReader {
         Self::default()
     }
 
-    /// Takes `bytes` up to the end of a frame. Returns its packet or error, `None` if no frame ends.
+    /// Takes `bytes` up to the end of a frame. Returns its packet or error, `None` if no frame
+    /// ends.
     pub fn read(&mut self, bytes: &mut &[u8]) -> Option<Result<Packet, PacketError>> {
         let body = self.0.read(bytes)?.map_err(PacketError::Frame);
         Some(body.and_then(|body| Packet::decode(body).map_err(PacketError::Message)))

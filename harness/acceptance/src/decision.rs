@@ -12,7 +12,8 @@ use platebench_uncertainty::{Budget, CombinedUncertainty, Conformity, DecisionRu
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanDecision {
     pub rule: DecisionRule,
-    /// Largest expanded uncertainty in percent of the tolerance, only for [`DecisionRule::SharedRisk`].
+    /// Largest expanded uncertainty in percent of the tolerance, only for
+    /// [`DecisionRule::SharedRisk`].
     pub largest_percent: f64,
     pub budget: Budget,
 }
@@ -54,7 +55,8 @@ impl PlanDecision {
         })
     }
 
-    /// Adds the uncertainty of expectation `number`. A pass that the rule does not allow becomes inconclusive.
+    /// Adds the uncertainty of expectation `number`. A pass that the rule does not allow becomes
+    /// inconclusive.
     pub(crate) fn apply(&self, scenario: &ScenarioRecord, number: usize, evidence: &mut EvidenceRecord) {
         let Some((expectation, value)) = scenario.expectations.get(number).and_then(|each| Some((each, each.value?)))
         else {
@@ -68,7 +70,8 @@ impl PlanDecision {
                 return;
             }
         };
-        // The range of `about` needs a tolerance. The plan accepts `about` only with a rule that ignores the range.
+        // The range of `about` needs a tolerance. The plan accepts `about` only with a rule that
+        // ignores the range.
         let (range, tolerance) = (expectation.limit.range(0.0), tolerance_of(expectation.limit));
         let conformity = decide(self.rule, value, &combined, range, tolerance, self.largest_percent);
         match conformity {

@@ -1,4 +1,5 @@
-//! Conducts an acceptance session with plan, operator and board, and writes a sealed, signed record.
+//! Conducts an acceptance session with plan, operator and board, and writes a sealed, signed
+//! record.
 
 mod ask;
 pub mod config;

@@ -1,4 +1,5 @@
-//! Lists the SHA-256 of every file of a record except the manifest and its signature, in the format of `sha256sum -c`.
+//! Lists the SHA-256 of every file of a record except the manifest and its signature, in the format
+//! of `sha256sum -c`.
 
 use crate::error::AcceptError;
 use crate::session_record::write_file;

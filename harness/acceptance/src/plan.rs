@@ -104,7 +104,8 @@ pub enum AnswerKind {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum QuestionTime {
-    /// Before the first scenario. A no stops the session. A missing answer stops it if the rig may drive a plate.
+    /// Before the first scenario. A no stops the session. A missing answer stops it if the rig may
+    /// drive a plate.
     #[default]
     Before,
     /// After the last scenario. A no prevents a pass.
@@ -115,13 +116,15 @@ pub enum QuestionTime {
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct BenchDemands {
-    /// Trials of the shortest scenario in real time with the hosted controller, which measure lateness.
+    /// Trials of the shortest scenario in real time with the hosted controller, which measure
+    /// lateness.
     #[schemars(range(min = 1, max = 1_000))]
     pub timing_trials: u32,
     /// Runs of the scenarios with correct controllers. None may fail.
     #[schemars(range(min = 1, max = MAX_CLEAN_RUNS))]
     pub clean_runs: u32,
-    /// Smallest allowed kill rate of all scenarios together, percent. The lower 95 % bound must reach it.
+    /// Smallest allowed kill rate of all scenarios together, percent. The lower 95 % bound must
+    /// reach it.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub least_kill_rate_percent: f64,
 }
@@ -214,7 +217,8 @@ pub(crate) fn read_recorded_plan(
     Ok((raw.requirement, decision))
 }
 
-/// Unless the rule is `simple`, each expectation of a requirement needs a budget and must not be `about`.
+/// Unless the rule is `simple`, each expectation of a requirement needs a budget and must not be
+/// `about`.
 fn decision_diagnostics(
     path: &Path,
     text: &str,

@@ -1,4 +1,5 @@
-//! Records bench, rig, plan, inputs and firmware at the start of a session, and checks that they stay the same.
+//! Records bench, rig, plan, inputs and firmware at the start of a session, and checks that they
+//! stay the same.
 
 use crate::config::SessionConfig;
 use crate::decision::today;

@@ -1,4 +1,5 @@
-//! Tests the bench: timing, repeatability, and how well the plan's scenarios catch faulty controllers.
+//! Tests the bench: timing, repeatability, and how well the plan's scenarios catch faulty
+//! controllers.
 
 use crate::config::SessionHooks;
 use crate::error::AcceptError;
@@ -22,7 +23,8 @@ const SEED: u64 = 31_415;
 const TRUST_FILE: &str = "trust.json";
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Plays the shortest scenario to the hosted controller, twice in lockstep to compare the traces, then in real time.
+/// Plays the shortest scenario to the hosted controller, twice in lockstep to compare the traces,
+/// then in real time.
 pub(crate) fn run_self_test(
     plan: &Plan,
     real_time: bool,
@@ -101,7 +103,8 @@ pub(crate) fn measure_trust(
         seed: SEED,
         jobs: thread::available_parallelism().map_or(1, std::num::NonZero::get),
     };
-    // The measurement drives no plate, so a cancelled session does not wait for its thread. It ends with the program.
+    // The measurement drives no plate, so a cancelled session does not wait for its thread. It ends
+    // with the program.
     let measurement = thread::spawn(move || platebench_trust::measure(&config));
     while !measurement.is_finished() {
         if cancel.is_cancelled() {

@@ -21,7 +21,8 @@ pub const FORMAT: u32 = 1;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SessionRecord {
     pub format: u32,
-    /// Combined verdict of requirements, scenarios, self-test and confirmations; `inconclusive` until all are judged.
+    /// Combined verdict of requirements, scenarios, self-test and confirmations; `inconclusive`
+    /// until all are judged.
     pub verdict: Verdict,
     /// True if every step has ended and the session is judged.
     pub complete: bool,
@@ -39,7 +40,8 @@ pub struct SessionRecord {
     /// `null` until the first step has identified the controller.
     pub firmware: Option<FirmwareRecord>,
     pub plan: InputRecord,
-    /// `None` if the plan has no decision rule. The uncertainty of measurement is then not considered.
+    /// `None` if the plan has no decision rule. The uncertainty of measurement is then not
+    /// considered.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub decision: Option<DecisionRecord>,
     /// Scenarios, each followed by its plate and profiles, in the order of the plan.

@@ -1,5 +1,6 @@
-//! Signs the manifest (ed25519, 64 raw bytes in `manifest.sha256.sig`) and checks the signature. Keys have the PEM
-//! formats of OpenSSL (PKCS #8, SPKI). `openssl pkeyutl -verify -rawin` checks a signature too.
+//! Signs the manifest (ed25519, 64 raw bytes in `manifest.sha256.sig`) and checks the signature.
+//! Keys have the PEM formats of OpenSSL (PKCS #8, SPKI). `openssl pkeyutl -verify -rawin` checks a
+//! signature too.
 
 use crate::error::AcceptError;
 use ed25519_dalek::pkcs8::spki::der::pem::{LineEnding, decode_label};

@@ -1,6 +1,6 @@
-//! Compares the files of a sealed record with its manifest, the manifest with its signature, and the verdicts with the
-//! traces, which are judged again. Without a signature, a changed file with a new manifest is found only if it
-//! contradicts the traces.
+//! Compares the files of a sealed record with its manifest, the manifest with its signature, and
+//! the verdicts with the traces, which are judged again. Without a signature, a changed file with a
+//! new manifest is found only if it contradicts the traces.
 
 use crate::error::AcceptError;
 use crate::judge::judge_requirements;

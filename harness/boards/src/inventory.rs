@@ -35,10 +35,12 @@ struct RawBoard {
     rig: String,
     /// Computer that the board is connected to.
     host: Option<String>,
-    /// Number of the chip, 24 hexadecimal digits. A board with another chip is rejected before it gets a voltage.
+    /// Number of the chip, 24 hexadecimal digits. A board with another chip is rejected before it
+    /// gets a voltage.
     #[schemars(regex(pattern = "^[0-9A-Fa-f]{24}$"))]
     chip_id: Option<String>,
-    /// Serial number of the debug probe. Two boards with the same probe are never in use at the same time.
+    /// Serial number of the debug probe. Two boards with the same probe are never in use at the
+    /// same time.
     #[schemars(length(min = 1))]
     probe_serial: Option<String>,
     /// Amplifier.

@@ -37,7 +37,8 @@ struct StoredRun {
     record: RunRecord,
     /// Name of the board, or kind of the rig if the run has no board.
     board: String,
-    /// Folder of its scenarios in the joined run. Two runs of a scenario on one board have two folders.
+    /// Folder of its scenarios in the joined run. Two runs of a scenario on one board have two
+    /// folders.
     place: String,
 }
 
@@ -150,7 +151,8 @@ fn check_trials(runs: &[StoredRun]) -> Result<(), MergeError> {
     Ok(())
 }
 
-/// If boards played different shards of the same N, they share one set of shards. Otherwise each board has its own set.
+/// If boards played different shards of the same N, they share one set of shards. Otherwise each
+/// board has its own set.
 fn missing_shards(runs: &[StoredRun]) -> Vec<MissingShard> {
     let mut present: BTreeMap<usize, BTreeMap<&str, BTreeSet<usize>>> = BTreeMap::new();
     for run in runs {

@@ -30,7 +30,8 @@ pub struct Reservation {
 }
 
 impl Reservation {
-    /// Waits at most `wait` for the holder and reports it to `on_wait` once. Checks the chip, then marks the board.
+    /// Waits at most `wait` for the holder and reports it to `on_wait` once. Checks the chip, then
+    /// marks the board.
     pub fn new(
         inventory: &Inventory,
         name: &str,

@@ -61,7 +61,8 @@ impl BoardOutcome {
         end
     }
 
-    /// Combines all runs in and below `folder` that started at `since` or later. `last_run` is the newest of them.
+    /// Combines all runs in and below `folder` that started at `since` or later. `last_run` is the
+    /// newest of them.
     pub fn of_runs_below(folder: &Path, since: &str) -> Self {
         let mut end = Self::untouched();
         end.add_runs_below(folder, since, MAX_DEPTH);

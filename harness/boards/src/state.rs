@@ -76,7 +76,8 @@ impl StoredState {
         Ok(write_atomically(path, format!("{text}\n").as_bytes()).at(path)?)
     }
 
-    /// If no process holds the lock, a mark `in_use` counts as a quarantine, because 0 V was not confirmed.
+    /// If no process holds the lock, a mark `in_use` counts as a quarantine, because 0 V was not
+    /// confirmed.
     pub(crate) fn quarantine_without_holder(&self) -> Option<Quarantine> {
         let lost = |mark: &InUse| Quarantine {
             since: mark.since.clone(),

@@ -36,7 +36,8 @@ pub fn list(inventory: &Inventory) -> Result<Vec<BoardStatus>, BoardError> {
 fn status(inventory: &Inventory, board: &Board) -> Result<BoardStatus, BoardError> {
     let files = BoardFiles::new(inventory, board)?;
     let lock = files.lock()?;
-    // Read after the attempt to lock, so that the mark is not that of a process that has ended since.
+    // Read after the attempt to lock, so that the mark is not that of a process that has ended
+    // since.
     let stored = StoredState::read(&files.state)?;
     let state = match (&lock, stored.quarantine_without_holder()) {
         (Err(holder), _) => BoardState::Held {

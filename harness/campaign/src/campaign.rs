@@ -30,8 +30,8 @@ pub struct RawCampaign {
     title: String,
     /// Scenario file, relative to this file.
     scenario: PathBuf,
-    /// Distribution of each varied value. A key is a path in the scenario, or `plate.` and a path in its plate file.
-    /// The first key varies slowest.
+    /// Distribution of each varied value. A key is a path in the scenario, or `plate.` and a path
+    /// in its plate file. The first key varies slowest.
     vary: BTreeMap<String, RawDistribution>,
     /// Correlated normal values.
     #[serde(default)]
@@ -55,7 +55,8 @@ pub struct RawPlan {
     #[serde(default = "one")]
     #[schemars(range(min = 0))]
     seed: i64,
-    /// Rig that replays some trials of the hosted rig: the failing ones, the worst ones and a random 1 %.
+    /// Rig that replays some trials of the hosted rig: the failing ones, the worst ones and a
+    /// random 1 %.
     #[schemars(regex(pattern = "^emulated(:.+)?$"))]
     confirm: Option<String>,
 }
@@ -346,7 +347,8 @@ impl Checker<'_> {
             let message = "a grid without `steps` or `each`, expected at least one of them, or method `random`";
             return Err(self.fault("plan.method", message));
         }
-        // A search selects its trials, so the share of failures among them says nothing about a cell of the map.
+        // A search selects its trials, so the share of failures among them says nothing about a
+        // cell of the map.
         let cells = if has_lists && plan.method != Method::Search { cells } else { 0 };
         let planned = u64::try_from(plan.trials).ok().filter(|trials| *trials > 0);
         let trials = planned.and_then(|trials| trials.checked_mul(if plan.method == Method::Grid { cells } else { 1 }));

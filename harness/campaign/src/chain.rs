@@ -1,6 +1,7 @@
 //! Runs chains of trials, in which the values of a trial depend on the scores of earlier trials.
 //!
-//! The campaign, the number of the chain and the scores determine a chain. A merge repeats it from the stored scores.
+//! The campaign, the number of the chain and the scores determine a chain. A merge repeats it from
+//! the stored scores.
 
 use crate::campaign::{Campaign, Method};
 use crate::draw::Trial;
@@ -29,7 +30,8 @@ impl Campaign {
         None
     }
 
-    /// `point` contains standard normal scores for `rare`, and positions in the ranges from 0 to 1 for `search`.
+    /// `point` contains standard normal scores for `rare`, and positions in the ranges from 0 to 1
+    /// for `search`.
     pub(crate) fn chain_trial(&self, number: u64, point: &[f64]) -> Result<Trial, CampaignError> {
         if self.method == Method::Rare {
             let scores = self.correlation.as_ref().map(|correlation| correlation.apply(point));

@@ -1,7 +1,9 @@
-//! Replays some trials of the hosted rig (the screen) on the emulated firmware and compares the verdicts.
+//! Replays some trials of the hosted rig (the screen) on the emulated firmware and compares the
+//! verdicts.
 //!
-//! There are three groups: failing trials, trials with the smallest margins, and a random sample. The choice depends on
-//! the seed of the campaign and the numbers of the trials, not on the order of play.
+//! There are three groups: failing trials, trials with the smallest margins, and a random sample.
+//! The choice depends on the seed of the campaign and the numbers of the trials, not on the order
+//! of play.
 
 use crate::campaign::Campaign;
 use crate::error::CampaignError;
@@ -100,7 +102,8 @@ pub fn confirm(
     Ok(Some(Agreement { rig: rig.to_string(), firmware: firmware_digest(rig)?, ..agreement }))
 }
 
-/// Random number of a trial, uniform over all numbers of 64 bits and independent of the trial's values.
+/// Random number of a trial, uniform over all numbers of 64 bits and independent of the trial's
+/// values.
 fn key(seed: u64, trial: u64) -> u64 {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(STREAM);
@@ -113,7 +116,8 @@ pub struct GroupAgreement {
     pub name: &'static str,
     /// Number of trials that belong to the group. `tally.trials` of them were replayed.
     pub candidates: u64,
-    /// `inconclusive` counts trials with exactly one inconclusive verdict, `failures` the other different verdicts.
+    /// `inconclusive` counts trials with exactly one inconclusive verdict, `failures` the other
+    /// different verdicts.
     pub tally: Tally,
 }
 

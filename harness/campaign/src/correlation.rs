@@ -20,7 +20,8 @@ pub(crate) struct Correlation {
 }
 
 impl Correlation {
-    /// `variables` are the keys of all varied values and whether each is normal. `None` if `raw` is empty.
+    /// `variables` are the keys of all varied values and whether each is normal. `None` if `raw` is
+    /// empty.
     pub(crate) fn new(raw: &[RawCorrelation], variables: &[(&str, bool)]) -> Result<Option<Self>, String> {
         if raw.is_empty() {
             return Ok(None);

@@ -65,7 +65,8 @@ pub enum RawDistribution {
     Uniform([f64; 2]),
     /// Normal distribution.
     Normal(RawNormal),
-    /// Lognormal distribution. Mean and standard deviation are those of the value, not of its logarithm.
+    /// Lognormal distribution. Mean and standard deviation are those of the value, not of its
+    /// logarithm.
     Lognormal(RawNormal),
 }
 

@@ -12,7 +12,8 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution as _, Open01};
 
 const MAX_REDRAWS: u32 = 100;
-/// Number of points in a sequence of `sobol_burley`. Each further block of trials uses another scrambling.
+/// Number of points in a sequence of `sobol_burley`. Each further block of trials uses another
+/// scrambling.
 const SOBOL_BLOCK: u64 = 1 << 16;
 
 #[derive(Debug)]
@@ -114,7 +115,8 @@ impl Campaign {
         if self.method == Method::Grid { trial / self.trials_per_cell } else { 0 }
     }
 
-    /// Number of the cell, which is a combination of listed values. The first variable varies slowest.
+    /// Number of the cell, which is a combination of listed values. The first variable varies
+    /// slowest.
     pub fn cell(&self, values: &[f64]) -> usize {
         self.variables.iter().zip(values).fold(0, |cell, (variable, value)| match variable.distribution.choices() {
             Some(list) => cell * list.len() + *value as usize,

@@ -1,12 +1,14 @@
 //! Moves a normal distribution towards the best of its samples, with CMA-ES and negative weights.
 //!
-//! N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772, appendix A. Comments contain its symbols.
+//! N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772, appendix A. Comments
+//! contain its symbols.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
-/// Largest ratio of two eigenvalues of C. With a larger ratio, rounding errors determine the directions.
+/// Largest ratio of two eigenvalues of C. With a larger ratio, rounding errors determine the
+/// directions.
 const MAX_CONDITION: f64 = 1e14;
 
 /// N(mean, step² C) with C = B D² Bᵀ.
@@ -62,8 +64,8 @@ impl Evolution {
         Candidate { point: point.iter().copied().collect(), direction }
     }
 
-    /// Adapts the distribution to a whole generation, best candidate first. Returns false if C is no longer positive
-    /// definite in double precision. The caller must then start a new search.
+    /// Adapts the distribution to a whole generation, best candidate first. Returns false if C is
+    /// no longer positive definite in double precision. The caller must then start a new search.
     pub(crate) fn update(&mut self, ranked: &[Candidate]) -> bool {
         let Rates { weights, selected_mass, .. } = &self.rates;
         let (for_path, for_one, for_many) = (self.rates.path, self.rates.rank_one, self.rates.rank_many);
@@ -83,7 +85,8 @@ impl Evolution {
         let path_length = self.step_path.norm();
         self.step *= (for_step / damping * (path_length / mean_length - 1.0)).exp();
 
-        // A long path shows that the step is still too small. Then the path of C does not grow (h_σ = 0).
+        // A long path shows that the step is still too small. Then the path of C does not grow
+        // (h_σ = 0).
         self.generation += 1;
         let settled = (1.0 - (1.0 - for_step).powi(2 * self.generation)).sqrt();
         let is_short = path_length / settled < (1.4 + 2.0 / (n + 1.0)) * mean_length;
@@ -95,7 +98,8 @@ impl Evolution {
         self.covariance.ger(for_one, &self.covariance_path, &self.covariance_path, 1.0);
         for (candidate, weight) in ranked.iter().zip(weights) {
             let direction = &candidate.direction;
-            // A negative weight is multiplied by n/|C^(−½) direction|², so that C stays positive definite.
+            // A negative weight is multiplied by n/|C^(−½) direction|², so that C stays positive
+            // definite.
             let scale = if *weight < 0.0 { n / (&self.inverse_root * direction).norm_squared() } else { 1.0 };
             self.covariance.ger(for_many * weight * scale, direction, direction, 1.0);
         }

@@ -1,9 +1,10 @@
 //! Estimates first-order Sobol indices from trials that were not designed for them.
 //!
-//! The index of X is Var(E(Y|X))/Var(Y). The trials are sorted by X into bins of equal size, and E(Y|X) is the mean of
-//! a bin. The share of the variance between the bins, corrected for bins without relation to Y, is ε² of T. L. Kelley,
-//! *Proceedings of the National Academy of Sciences* 21, 1935, pp. 554-559. Total indices are not estimated, because
-//! they need groups of trials that share values.
+//! The index of X is Var(E(Y|X))/Var(Y). The trials are sorted by X into bins of equal size, and
+//! E(Y|X) is the mean of a bin. The share of the variance between the bins, corrected for bins
+//! without relation to Y, is ε² of T. L. Kelley, *Proceedings of the National Academy of Sciences*
+//! 21, 1935, pp. 554-559. Total indices are not estimated, because they need groups of trials that
+//! share values.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -18,8 +19,8 @@ struct Bin {
     sum: f64,
 }
 
-/// Index and bootstrap interval, each end one-sided at `confidence`. `ranks` are the ranks of X from 1, `outputs` the
-/// values of Y. `None` if the trials are too few or Y is constant.
+/// Index and bootstrap interval, each end one-sided at `confidence`. `ranks` are the ranks of X
+/// from 1, `outputs` the values of Y. `None` if the trials are too few or Y is constant.
 pub(crate) fn first_order(ranks: &[f64], outputs: &[f64], confidence: f64, seed: u64) -> Option<(f64, [f64; 2])> {
     let count = ranks.len().min(outputs.len());
     if count < MIN_TRIALS {
@@ -72,7 +73,8 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    // T. Ishigami and T. Homma, 1990: sin x₁ + 7 sin² x₂ + 0.1 x₃⁴ sin x₁ with x uniform in (−π, π).
+    // T. Ishigami and T. Homma, 1990: sin x₁ + 7 sin² x₂ + 0.1 x₃⁴ sin x₁ with x uniform in (−π,
+    // π).
     #[test]
     fn the_intervals_contain_the_indices_of_ishigami() {
         let [first, second] = [0.5 * (1.0 + 0.1 * PI.powi(4) / 5.0).powi(2), 49.0 / 8.0];

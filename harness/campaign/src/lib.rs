@@ -1,9 +1,11 @@
-//! Plays one scenario with many values (sweep, Monte Carlo, search) and judges the share of failing trials.
+//! Plays one scenario with many values (sweep, Monte Carlo, search) and judges the share of failing
+//! trials.
 //!
-//! A [`campaign`] file names the scenario, its varied values and the number of trials. [`draw`] computes the values of
-//! trial i. A [`plan`] divides the trials into shards, which several machines can play. Each shard writes its results
-//! to a file, the part, and [`merge()`] joins the parts. With the methods `search` and `rare`, trials form chains, in
-//! which a trial depends on earlier results. This crate has no job scheduler and no network; see [`submit`].
+//! A [`campaign`] file names the scenario, its varied values and the number of trials. [`draw`]
+//! computes the values of trial i. A [`plan`] divides the trials into shards, which several
+//! machines can play. Each shard writes its results to a file, the part, and [`merge()`] joins the
+//! parts. With the methods `search` and `rare`, trials form chains, in which a trial depends on
+//! earlier results. This crate has no job scheduler and no network; see [`submit`].
 
 pub mod campaign;
 mod chain;

@@ -15,7 +15,8 @@ const MAX_PANELS: usize = 12;
 const MAX_PANEL_CELLS: usize = 10_000;
 const MAX_VALUE_MAPS: usize = 6;
 
-/// The variables on the axes of each map. Each combination of the other listed values has its own panel.
+/// The variables on the axes of each map. Each combination of the other listed values has its own
+/// panel.
 struct Layout<'a> {
     x: &'a Variable,
     y: Option<&'a Variable>,

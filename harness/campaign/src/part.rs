@@ -1,7 +1,8 @@
 //! Writes and reads parts, the files with the results of one shard each.
 //!
-//! A part is a Parquet file of numbers. Its metadata contain the SHA-256 of the plan, the number of the shard and the
-//! SHA-256 of the file itself, which is computed with 64 characters `0` in place of the digest.
+//! A part is a Parquet file of numbers. Its metadata contain the SHA-256 of the plan, the number of
+//! the shard and the SHA-256 of the file itself, which is computed with 64 characters `0` in place
+//! of the digest.
 
 use crate::campaign::Campaign;
 use crate::error::CampaignError;
@@ -104,7 +105,8 @@ fn schema(columns: usize) -> Result<Type, ParquetError> {
     Type::group_type_builder("part").with_fields(fields).build()
 }
 
-/// Position of the digest. It follows its key and a length of one or two bytes (Thrift's compact protocol).
+/// Position of the digest. It follows its key and a length of one or two bytes (Thrift's compact
+/// protocol).
 fn digest_place(bytes: &[u8]) -> Option<usize> {
     let key = DIGEST_KEY.as_bytes();
     let key_at = bytes.windows(key.len()).rposition(|window| window == key)?;

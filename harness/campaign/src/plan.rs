@@ -1,4 +1,5 @@
-//! Divides a campaign into shards and records the SHA-256 of every input, the firmware and the bench program.
+//! Divides a campaign into shards and records the SHA-256 of every input, the firmware and the
+//! bench program.
 
 use crate::campaign::{Campaign, Method};
 use crate::error::CampaignError;
@@ -168,7 +169,8 @@ impl Plan {
     }
 }
 
-/// `folder` need not exist. Symbolic links are resolved, because `..` after a link leads to another folder.
+/// `folder` need not exist. Symbolic links are resolved, because `..` after a link leads to another
+/// folder.
 fn relative_path(path: &Path, folder: &Path) -> io::Result<PathBuf> {
     let path = path.canonicalize()?;
     let existing = std::path::absolute(folder)?;

@@ -251,7 +251,8 @@ impl Worker<'_> {
     }
 }
 
-/// Mean distance of the amplitude from the setpoint in the last third of the trial, relative to the setpoint.
+/// Mean distance of the amplitude from the setpoint in the last third of the trial, relative to the
+/// setpoint.
 fn final_distance(rows: &[TraceRow]) -> f64 {
     let last = rows.get(rows.len() * 2 / 3..).unwrap_or_default();
     let sum = |of: fn(&TraceRow) -> f64| last.iter().map(of).sum::<f64>();

@@ -1,7 +1,8 @@
 //! Estimates the probability of rare failures from a chain of trials, in standard normal space.
 //!
-//! A trial with score g(u) fails if g ≤ 0. FORM (first-order reliability method) searches the design point, the failing
-//! point with the smallest norm β. If it is the only one, importance sampling is used, otherwise subset simulation.
+//! A trial with score g(u) fails if g ≤ 0. FORM (first-order reliability method) searches the
+//! design point, the failing point with the smallest norm β. If it is the only one, importance
+//! sampling is used, otherwise subset simulation.
 
 use crate::distribution::normal_cdf;
 use rand_chacha::ChaCha8Rng;

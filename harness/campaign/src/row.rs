@@ -10,7 +10,8 @@ const VERDICTS: [Verdict; 3] = [Verdict::Pass, Verdict::Fail, Verdict::Inconclus
 pub(crate) const CAUSES: [Cause; 4] = [Cause::Rig, Cause::Bench, Cause::Infeasible, Cause::Evidence];
 /// Columns for verdict, cause, redraws and score.
 const FIXED_COLUMNS: usize = 4;
-/// Score of a trial without a finite margin, minus its distance from the setpoint. Only the order of scores matters.
+/// Score of a trial without a finite margin, minus its distance from the setpoint. Only the order
+/// of scores matters.
 const NO_VALUE_SCORE: f64 = -1e3;
 const MAX_DISTANCE: f64 = 1e3;
 const SMALLEST_SCORE: f64 = 1e-12;

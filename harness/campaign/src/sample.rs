@@ -1,4 +1,5 @@
-//! Computes quantiles of values, and rank correlations and first-order indices of margins, over the first trials.
+//! Computes quantiles of values, and rank correlations and first-order indices of margins, over the
+//! first trials.
 
 use crate::campaign::{Campaign, Method};
 use crate::first_order::first_order;
@@ -23,7 +24,8 @@ pub struct Sample {
     scores: Vec<f64>,
 }
 
-/// Quantile of an expectation's values. An end of the interval is infinite if the trials are too few.
+/// Quantile of an expectation's values. An end of the interval is infinite if the trials are too
+/// few.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Quantile {
     pub expectation: String,
@@ -38,7 +40,8 @@ pub struct Sensitivity {
     pub key: String,
     pub correlation: f64,
     pub interval: [f64; 2],
-    /// First-order Sobol index of the margin's rank, and its interval; for the methods `sobol` and `random` only.
+    /// First-order Sobol index of the margin's rank, and its interval; for the methods `sobol` and
+    /// `random` only.
     pub first_order: Option<(f64, [f64; 2])>,
 }
 
@@ -143,8 +146,8 @@ fn correlation(one: &[f64], other: &[f64]) -> Option<f64> {
     (scale > 0.0).then(|| sum(one, other) / scale)
 }
 
-/// Interval by Fisher's transformation with the variance `(1 + r²/2)/(n − 3)`; D. G. Bonett and T. A. Wright,
-/// *Psychometrika* 65, 2000, pp. 23-28.
+/// Interval by Fisher's transformation with the variance `(1 + r²/2)/(n − 3)`; D. G. Bonett and T.
+/// A. Wright, *Psychometrika* 65, 2000, pp. 23-28.
 fn bounds(correlation: f64, count: usize, confidence: f64) -> [f64; 2] {
     let error = ((1.0 + correlation * correlation / 2.0) / (count as f64 - 3.0)).sqrt();
     let reach = Normal::standard().inverse_cdf(confidence) * error;

@@ -1,7 +1,8 @@
 //! Searches the worst case of a chain of trials with CMA-ES.
 //!
-//! N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772. Only the order of the scores matters. Points
-//! beyond the range move to its border, because worst cases are often at the border.
+//! N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772. Only the order of the
+//! scores matters. Points beyond the range move to its border, because worst cases are often at the
+//! border.
 
 use crate::evolution::{Candidate, Evolution};
 use rand_chacha::ChaCha8Rng;
@@ -27,7 +28,8 @@ pub(crate) fn search(dimensions: usize, seed: u64, score: &mut dyn FnMut(&[f64])
     }
 }
 
-/// Searches from one start until the scores or the points no longer change. `None` if `score` returned `None`.
+/// Searches from one start until the scores or the points no longer change. `None` if `score`
+/// returned `None`.
 fn descend(start: Vec<f64>, random: &mut ChaCha8Rng, score: &mut dyn FnMut(&[f64]) -> Option<f64>) -> Option<()> {
     let dimensions = start.len();
     let mut evolution = Evolution::new(start, FIRST_STEP);
@@ -61,8 +63,9 @@ mod tests {
 
     const DIMENSIONS: usize = 6;
 
-    /// Trials until the first failure in a box at a corner, whose volume is 10⁻⁴ of the range. The margin is the
-    /// largest distance to the box along one axis, as the smallest of several margins is.
+    /// Trials until the first failure in a box at a corner, whose volume is 10⁻⁴ of the range. The
+    /// margin is the largest distance to the box along one axis, as the smallest of several margins
+    /// is.
     fn trials_to_corner(seed: u64) -> Option<usize> {
         let side = 1e-4_f64.powf(1.0 / DIMENSIONS as f64);
         let corner = |axis: usize| f64::from(u8::from(seed >> axis & 1 == 1));

@@ -1,7 +1,8 @@
 //! Decides from the first n trials by number, before all trials are played.
 //!
-//! The trials that end first are a biased sample, because a trial that settles late may take longer. Therefore a
-//! decision waits for all trials 0 to n − 1, for planned n. Each look spends a part of the error probability.
+//! The trials that end first are a biased sample, because a trial that settles late may take
+//! longer. Therefore a decision waits for all trials 0 to n − 1, for planned n. Each look spends a
+//! part of the error probability.
 
 use crate::row::Row;
 use crate::tally::Tally;

@@ -110,7 +110,8 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// Interval of the share of failing trials. `None` for a search, whose trials are not a random sample.
+    /// Interval of the share of failing trials. `None` for a search, whose trials are not a random
+    /// sample.
     fn interval(&self) -> Option<[f64; 2]> {
         let confidence = self.campaign.confidence;
         match self.campaign.method {
@@ -124,8 +125,8 @@ impl<'a> Summary<'a> {
         tally.verdict(self.campaign.at_most, self.campaign.confidence)
     }
 
-    /// Cause of an inconclusive verdict: the most frequent cause of inconclusive trials, or [`Cause::Evidence`] if no
-    /// trial is inconclusive or a shard is missing.
+    /// Cause of an inconclusive verdict: the most frequent cause of inconclusive trials, or
+    /// [`Cause::Evidence`] if no trial is inconclusive or a shard is missing.
     pub fn cause(&self) -> Option<Cause> {
         if self.verdict() != Verdict::Inconclusive {
             return None;

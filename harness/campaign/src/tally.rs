@@ -40,7 +40,8 @@ impl Tally {
         self.values.get(expectation).filter(|(_, count)| *count > 0).map(|(sum, count)| sum / *count as f64)
     }
 
-    /// Share of failing trials. Each end is one-sided at `confidence`; the upper end also counts inconclusive trials.
+    /// Share of failing trials. Each end is one-sided at `confidence`; the upper end also counts
+    /// inconclusive trials.
     pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let count = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);
         let bounds = |failures: u64| clopper_pearson(count(failures), count(self.trials), confidence);
@@ -62,7 +63,8 @@ impl Tally {
     }
 }
 
-/// Adds `row` if it is among the worst. If margins are equal, the row that was added first is worse.
+/// Adds `row` if it is among the worst. If margins are equal, the row that was added first is
+/// worse.
 pub(crate) fn keep_worst(worst: &mut Vec<Row>, row: &Row) {
     let place = worst.partition_point(|kept| kept.margin() <= row.margin());
     if place < MAX_WORST {

@@ -27,7 +27,8 @@ const MAX_TRACES: usize = 2 * MAX_WORST;
 /// Link to the response of a trial, relative to the campaign folder, by the number of the trial.
 pub type ResponseLinks = BTreeMap<u64, String>;
 
-/// The trials with the smallest margins, those that fail, and the worst trial of each cell; the worst first.
+/// The trials with the smallest margins, those that fail, and the worst trial of each cell; the
+/// worst first.
 pub fn worst_trials(summary: &Summary<'_>) -> Result<Vec<Trial>, CampaignError> {
     let campaign = summary.campaign;
     let mut trials = BTreeMap::new();

@@ -69,7 +69,8 @@ struct SessionArgs {
     /// Plan with requirements, scenarios and questions
     #[arg(long, value_name = "FILE", default_value = "scenarios/plans/acceptance.toml")]
     plan: PathBuf,
-    /// Folder of the record; default: a new folder below runs/. Continues an interrupted session in it
+    /// Folder of the record; default: a new folder below runs/. Continues an interrupted session in
+    /// it
     #[arg(long, value_name = "FOLDER", conflicts_with = "resume")]
     out: Option<PathBuf>,
     /// Continue the session in this folder
@@ -84,7 +85,8 @@ struct SessionArgs {
     /// Timer of the control instants in real time
     #[arg(long, value_enum, default_value_t = PacingArg::Bench)]
     pacing: PacingArg,
-    /// Start although the calibration of this instrument is not valid; the record states it. May be given again
+    /// Start although the calibration of this instrument is not valid; the record states it. May be
+    /// given again
     #[arg(long, value_name = "INSTRUMENT")]
     waive_calibration: Vec<String>,
     /// Name of the operator

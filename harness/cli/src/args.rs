@@ -59,13 +59,15 @@ pub(crate) enum Command {
     Report(report::ReportArgs),
     /// Compare responses with other responses or with baselines, within a tolerance tube
     Compare(compare::CompareArgs),
-    /// Send recorded samples to another firmware and compare its commands with the recorded ones (open loop)
+    /// Send recorded samples to another firmware and compare its commands with the recorded ones
+    /// (open loop)
     Replay(replay::ReplayArgs),
     /// Golden traces: accept, list, diff
     Baseline(baseline::BaselineArgs),
     /// Measure how well the scenarios catch faulty controllers: kill rate, false-alarm rate
     Trust(trust::TrustArgs),
-    /// Generate scenes from an operating envelope, check properties and reduce what fails to a minimal scenario
+    /// Generate scenes from an operating envelope, check properties and reduce what fails to a
+    /// minimal scenario
     Explore(explore::ExploreArgs),
     /// Join the runs of shards and boards into one run folder
     Merge(merge::MergeArgs),
@@ -113,7 +115,8 @@ pub(crate) enum Command {
     Man(man::ManArgs),
 }
 
-/// Ends the process on wrong usage and after it has printed help. Fails with the faults of `platebench.toml`.
+/// Ends the process on wrong usage and after it has printed help. Fails with the faults of
+/// `platebench.toml`.
 pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     let words = std::env::args_os().map(|word| word.to_string_lossy().into_owned());
     let definition =
@@ -126,7 +129,8 @@ pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
         Ok(config) => (config, Vec::new()),
         Err(faults) => (Config::default(), faults),
     };
-    // Help and reports of wrong usage come first, so that a faulty `platebench.toml` does not hide them.
+    // Help and reports of wrong usage come first, so that a faulty `platebench.toml` does not hide
+    // them.
     let matches = config::with_settings(definition, &config).try_get_matches().unwrap_or_else(|error| {
         if let Some(variable) = variable_of(&error) {
             crate::stdio::note(&format!("the value comes from the environment variable {variable}"));

@@ -48,7 +48,8 @@ impl BoardArgs {
         self.selection.board.is_none() && rig.allows_parallel_links()
     }
 
-    /// Returns `None` without `--board`. With a board, signals no longer end the process from then on.
+    /// Returns `None` without `--board`. With a board, signals no longer end the process from then
+    /// on.
     pub(crate) fn reserve(&self, command: &str) -> Result<Option<Reservation>, Failure> {
         let Some(name) = &self.selection.board else { return Ok(None) };
         shutdown::listen().or_invalid()?;

@@ -104,7 +104,8 @@ fn submit(arguments: &SubmitArgs, quiet: bool) -> CommandResult {
 fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFormat) -> CommandResult {
     let (plan, campaign) = Plan::open(folder)?;
     let rig = plan_rig(&plan, folder)?;
-    // Another machine may have played the shards, so only the worst trials need the planned bench on this one.
+    // Another machine may have played the shards, so only the worst trials need the planned bench
+    // on this one.
     let bench = if plays_worst(&rig) { plan.check_bench(&rig) } else { Ok(()) };
     merge_and_show(folder, (plan, Arc::new(campaign)), bench, jobs, quiet, format)
 }
@@ -113,8 +114,8 @@ fn plan_rig(plan: &Plan, folder: &Path) -> Result<RigSpec, CampaignError> {
     plan.rig.parse().map_err(|_| CampaignError::NoPlan(folder.to_owned()))
 }
 
-/// Before the merge, plays the trials of `plan.confirm` again. After it, plays the worst trials again, unless `bench`
-/// is the error that bench or firmware differ from the planned ones.
+/// Before the merge, plays the trials of `plan.confirm` again. After it, plays the worst trials
+/// again, unless `bench` is the error that bench or firmware differ from the planned ones.
 fn merge_and_show(
     folder: &Path,
     (plan, campaign): (Plan, Arc<Campaign>),

@@ -15,7 +15,8 @@ use std::path::{Path, PathBuf};
 
 /// Number of measurements of a cost. Their median counts.
 const COST_ROUNDS: u32 = 3;
-/// For methods. The scenarios are at resonance, detuned by 545 rad/s, detuned under 2 N, and with a moving finger.
+/// For methods. The scenarios are at resonance, detuned by 545 rad/s, detuned under 2 N, and with a
+/// moving finger.
 const DEFAULT_SCENARIOS: [&str; 4] = [
     "paper/fig13-closed-loop.toml",
     "paper/fig14-closed-loop.toml",
@@ -32,8 +33,8 @@ Examples:
 
 Exit codes: 0 drawn, 2 wrong usage or invalid input, 4 no scenario was found, 5 the controller was lost")]
 pub(crate) struct ChartArgs {
-    /// Scenario files or folders for methods and scenes; default: four scenarios of the paper for methods, all of a
-    /// default run for scenes
+    /// Scenario files or folders for methods and scenes; default: four scenarios of the paper for
+    /// methods, all of a default run for scenes
     #[arg(value_name = "SCENARIO|FOLDER")]
     pub(crate) scenarios: Vec<PathBuf>,
     /// Folder for charts.html, drawings and numbers; default: a new folder below charts/

@@ -6,7 +6,8 @@ use platebench_study::charts::ChartSection;
 use platebench_trace::write_atomically;
 use std::path::{Path, PathBuf};
 
-/// Returns the path of the page. A section has a heading unless its title equals the title of the page.
+/// Returns the path of the page. A section has a heading unless its title equals the title of the
+/// page.
 pub(crate) fn write_page(
     folder: &Path,
     name: &str,

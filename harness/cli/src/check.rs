@@ -84,7 +84,8 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
     }
 }
 
-/// True for a scenario that the tags select, and for a scenario that cannot be loaded, whose tags are not known.
+/// True for a scenario that the tags select, and for a scenario that cannot be loaded, whose tags
+/// are not known.
 fn is_selected(tags: &TagFilter, path: &Path, name: &str) -> bool {
     FileKind::detect(path) == FileKind::Scenario
         && load_with_all_errors(path, name).map_or(true, |scenario| tags.selects(&scenario))

@@ -72,7 +72,8 @@ pub(crate) fn check_line_speed(rig: &RigSpec, clock: Clock, scenarios: &[Scenari
     let time_scale = match clock {
         Clock::Lockstep { .. } => return Ok(()),
         Clock::RealTime(time_base) => time_base.time_scale,
-        // Telemetry of a real plate takes 43 bytes per period, less than a sample and its command with 48 bytes.
+        // Telemetry of a real plate takes 43 bytes per period, less than a sample and its command
+        // with 48 bytes.
         Clock::RealPlate => 1.0,
     };
     for scenario in scenarios {

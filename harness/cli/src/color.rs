@@ -27,7 +27,8 @@ pub(crate) fn applies_to(output: &impl IsTerminal) -> bool {
     choice.applies(output.is_terminal(), std::env::var_os("NO_COLOR").as_deref())
 }
 
-/// Reads `--color` before clap parses the command line, because help and reports of wrong usage have colours too.
+/// Reads `--color` before clap parses the command line, because help and reports of wrong usage
+/// have colours too.
 pub(crate) fn choice_of_arguments(words: impl Iterator<Item = String>) -> ColorArg {
     let words: Vec<_> = words.take_while(|word| word != "--").collect();
     let separate = words.windows(2).filter(|pair| pair.first().is_some_and(|word| word == "--color"));

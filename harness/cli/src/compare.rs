@@ -27,8 +27,8 @@ pub(crate) struct CompareArgs {
     /// A trace or a run folder
     #[arg(value_name = "TRACE|RUN")]
     subject: PathBuf,
-    /// The reference: a trace, a run folder, the .toml file of a baseline, or `baseline` for the baseline of each
-    /// scenario
+    /// The reference: a trace, a run folder, the .toml file of a baseline, or `baseline` for the
+    /// baseline of each scenario
     #[arg(long, value_name = "TRACE|RUN|baseline")]
     against: String,
     /// Folder of the baselines

@@ -1,7 +1,8 @@
 //! Takes options from the environment and from `platebench.toml`.
 //!
-//! Precedence: command line, environment, file, built-in default. clap applies it, because the variable of a setting
-//! becomes the `env` of the option, and the value in the file becomes the default.
+//! Precedence: command line, environment, file, built-in default. clap applies it, because the
+//! variable of a setting becomes the `env` of the option, and the value in the file becomes the
+//! default.
 
 use clap::Command;
 use platebench_scenario::{Diagnostic, find_file_above, parse, parse_file};
@@ -118,7 +119,8 @@ impl Config {
         find_file_above(folder, FILE).map_or_else(|| Ok(Self::default()), |path| Self::read(&path, definition))
     }
 
-    /// `definition` is the command line, which checks the values. Fails with every fault of the file.
+    /// `definition` is the command line, which checks the values. Fails with every fault of the
+    /// file.
     pub(crate) fn read(path: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
         let (text, _) = parse_file::<RawConfig>(path)?;
         let document: toml::Table = parse(path, &text)?;
@@ -144,7 +146,8 @@ impl Config {
 }
 
 impl Setting {
-    /// Parses `text` as the value of the option of `platebench run`. Fails with the message of clap.
+    /// Parses `text` as the value of the option of `platebench run`. Fails with the message of
+    /// clap.
     fn check(&self, text: &str, definition: &Command) -> Result<(), String> {
         if self.is_path {
             return if text.is_empty() { Err(format!("`{}` is empty, expected a path", self.key)) } else { Ok(()) };

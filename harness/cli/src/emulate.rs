@@ -192,7 +192,8 @@ impl PlateServer {
             if self.view_sender.is_none() {
                 print_on_stderr(KEYS);
             }
-            // The thread is never joined, because a terminal that hung up blocks it until the program ends.
+            // The thread is never joined, because a terminal that hung up blocks it until the
+            // program ends.
             thread::spawn(move || handle_keys(inputs, &control, &cancel));
         }
         print_on_stderr("waiting for a controller");

@@ -1,4 +1,5 @@
-//! `platebench explore`: generates scenes from an operating envelope and checks properties of the controller.
+//! `platebench explore`: generates scenes from an operating envelope and checks properties of the
+//! controller.
 
 mod budget;
 
@@ -34,8 +35,8 @@ pub(crate) struct ExploreArgs {
     /// The operating envelope
     #[arg(default_value = "scenarios/envelope.toml")]
     envelope: PathBuf,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | tcp:HOST:PORT |
-    /// rfc2217:HOST:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] |
+    /// tcp:HOST:PORT | rfc2217:HOST:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
     #[arg(long, default_value = "emulated")]
     rig: RigSpec,
     /// Control law of the firmware under test; default: dq-pi

@@ -43,7 +43,8 @@ pub(crate) struct IdentifyArgs {
     /// Read the files as foreign tables with these columns
     #[arg(long, value_name = "COLUMNS")]
     columns: Option<ColumnMapping>,
-    /// Signal of a trace: the samples that the controller received, or the true state of the emulated plate
+    /// Signal of a trace: the samples that the controller received, or the true state of the
+    /// emulated plate
     #[arg(long, value_enum, default_value_t = SignalSource::Sensed, conflicts_with = "columns")]
     signal: SignalSource,
     /// Write the plate file; an existing file is never overwritten
@@ -70,7 +71,8 @@ pub(crate) struct IdentifyArgs {
     /// Slope of the resonance, if no recording contains a temperature step
     #[arg(long, value_name = "HZ", allow_negative_numbers = true, value_parser = parse_finite)]
     slope_hz_per_k: Option<f64>,
-    /// Uncertainty budget: adds combined and expanded uncertainties of the parameters that it covers
+    /// Uncertainty budget: adds combined and expanded uncertainties of the parameters that it
+    /// covers
     #[arg(long, value_name = "FILE")]
     budget: Option<PathBuf>,
     /// Format of standard output

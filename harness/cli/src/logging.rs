@@ -16,7 +16,8 @@ const EXPECTED: &str = "expected a filter such as `debug` or `platebench_rig=tra
 
 #[derive(Debug, Args)]
 pub(crate) struct LoggingArgs {
-    /// Print more: -v a table for each scenario and a log of the steps, -vv details, -vvv everything
+    /// Print more: -v a table for each scenario and a log of the steps, -vv details, -vvv
+    /// everything
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub(crate) verbose: u8,
     /// Print only errors and what did not pass

@@ -1,4 +1,5 @@
-//! `platebench mutate`: changes the firmware's machine code and checks whether the scenarios notice.
+//! `platebench mutate`: changes the firmware's machine code and checks whether the scenarios
+//! notice.
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, OrInvalid};
@@ -39,7 +40,8 @@ pub(crate) struct MutateArgs {
     /// Firmware image on the emulator: emulated | emulated:ELF
     #[arg(long, default_value = "emulated")]
     rig: RigSpec,
-    /// Functions whose name contains this text, also inlined ones; default: those that the control step executes
+    /// Functions whose name contains this text, also inlined ones; default: those that the control
+    /// step executes
     #[arg(long, value_name = "NAME")]
     function: Vec<String>,
     /// Code of source files whose path contains this text

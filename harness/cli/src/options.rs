@@ -31,8 +31,8 @@ pub(crate) enum ClockArg {
 pub(crate) enum PlateModeArg {
     /// The bench computes the plate
     Emulated,
-    /// The controller drives its own plate, sensor and amplifier; the bench sends setpoints and asks the operator for
-    /// finger and heat
+    /// The controller drives its own plate, sensor and amplifier; the bench sends setpoints and
+    /// asks the operator for finger and heat
     Real,
 }
 

@@ -20,7 +20,8 @@ pub(crate) struct Outputs {
     /// Write a summary in Markdown to FILE; `-` is standard output
     #[arg(long, value_name = "FILE")]
     summary: Option<PathBuf>,
-    /// Write the result as TAP to FILE; `-` is standard output, and the table goes to standard error
+    /// Write the result as TAP to FILE; `-` is standard output, and the table goes to standard
+    /// error
     #[arg(long, value_name = "FILE")]
     tap: Option<PathBuf>,
     /// Version of TAP
@@ -129,7 +130,8 @@ impl ScenarioLocations {
         Self(read.collect())
     }
 
-    /// Returns the line of the expectation `index`, or without `index` the first line of the scenario.
+    /// Returns the line of the expectation `index`, or without `index` the first line of the
+    /// scenario.
     fn location_of(&self, scenario: &ScenarioRecord, index: Option<usize>) -> Option<SourceLocation> {
         let (_, path, source) = self.0.iter().find(|(file, ..)| *file == scenario.file)?;
         let line = index.map_or(1, |index| {

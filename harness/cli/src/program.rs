@@ -50,7 +50,8 @@ fn start() -> Result<Arguments, Failure> {
 
 fn dispatch(arguments: &Arguments) -> CommandResult {
     let (quiet, detail) = (arguments.logging.quiet, arguments.logging.detail());
-    // Completions and manual pages do not contain values of `platebench.toml`, which apply to this folder only.
+    // Completions and manual pages do not contain values of `platebench.toml`, which apply to this
+    // folder only.
     let definition = || config::with_settings(command(), &Config::default());
     match &arguments.command {
         Command::Run(arguments) => run::run(arguments, detail),

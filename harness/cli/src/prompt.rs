@@ -1,8 +1,9 @@
 //! Asks the operator questions on standard error and reads the answers from standard input.
 //!
-//! With a real plate, a terminal also shows the force as a bar. Each answer is a line; for an action, an empty line
-//! means done and `n` means not done. Without an operator (`--yes`, or the end of standard input) everything that
-//! needs one stays inconclusive. The questions of a session are asked only at a terminal.
+//! With a real plate, a terminal also shows the force as a bar. Each answer is a line; for an
+//! action, an empty line means done and `n` means not done. Without an operator (`--yes`, or the
+//! end of standard input) everything that needs one stays inconclusive. The questions of a session
+//! are asked only at a terminal.
 
 use crate::stdio::{self, NonBlockingStderr};
 use platebench_plate::Time;
@@ -155,7 +156,8 @@ impl Operator for TerminalOperator {
     }
 }
 
-/// Asks until the answer is one of `choices` or the first letter of one. Returns `None` at the end of the input.
+/// Asks until the answer is one of `choices` or the first letter of one. Returns `None` at the end
+/// of the input.
 pub(crate) fn ask_choice(choices: &[&'static str]) -> Option<&'static str> {
     let mut lines = stdin().lock().lines().map_while(Result::ok);
     loop {
@@ -168,7 +170,8 @@ pub(crate) fn ask_choice(choices: &[&'static str]) -> Option<&'static str> {
     }
 }
 
-/// Returns `None` if `line` is neither yes nor no for a confirmation, or not a finite number for a number.
+/// Returns `None` if `line` is neither yes nor no for a confirmation, or not a finite number for a
+/// number.
 fn parse_answer(kind: QuestionKind, line: &str) -> Option<String> {
     let answer = match (kind, line.to_lowercase().as_str()) {
         (QuestionKind::Text, _) => line,

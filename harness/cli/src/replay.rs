@@ -31,8 +31,8 @@ pub(crate) struct ReplayArgs {
     /// A trace of a run folder, or a table of telemetry
     #[arg(value_name = "RECORDING")]
     recording: PathBuf,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | tcp:HOST:PORT |
-    /// rfc2217:HOST:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] |
+    /// tcp:HOST:PORT | rfc2217:HOST:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
     #[arg(long, default_value = "hosted")]
     rig: RigSpec,
     /// Control law; default: the recorded one, or the scenario's

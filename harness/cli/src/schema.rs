@@ -1,4 +1,5 @@
-//! `platebench schema`: prints or writes the JSON Schemas of input files (for editors) and of results (for programs).
+//! `platebench schema`: prints or writes the JSON Schemas of input files (for editors) and of
+//! results (for programs).
 
 use crate::config::RawConfig;
 use crate::exit::Exit;

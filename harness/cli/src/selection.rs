@@ -22,7 +22,8 @@ pub(crate) fn nothing_to_run() -> Failure {
     Failure::new(Exit::NothingToRun, &"there is nothing to run")
 }
 
-/// Loads the scenarios of the files and folders `paths` that `tags` and `keep` select. Fails if none is left.
+/// Loads the scenarios of the files and folders `paths` that `tags` and `keep` select. Fails if
+/// none is left.
 pub(crate) fn find_scenarios(
     paths: &[PathBuf],
     tags: &TagFilter,

@@ -24,9 +24,11 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 const HANG_UP: u8 = 1;
 /// Terminal closed, Ctrl-C, Ctrl-\, SIGABRT, SIGTERM, SIGXCPU (`ulimit -t`).
 const TERMINATION_SIGNALS: [u8; 6] = [HANG_UP, 2, 3, 6, 15, 24];
-/// SIGXFSZ (`ulimit -f`). If the program catches this signal, the write fails instead of the program.
+/// SIGXFSZ (`ulimit -f`). If the program catches this signal, the write fails instead of the
+/// program.
 const FILE_SIZE: u8 = 25;
-/// Only a signal later than this after the first one abandons the work, because a closing terminal sends two signals.
+/// Only a signal later than this after the first one abandons the work, because a closing terminal
+/// sends two signals.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(3);
 /// If nothing reads the output for this time after a signal, the process ends.
 const OUTPUT_TIMEOUT: Duration = Duration::from_secs(1);
@@ -68,7 +70,8 @@ pub(crate) fn received_signal() -> Option<u8> {
     State::lock().first_signal.map(|(number, _)| number)
 }
 
-/// Starts the listener on the first call. From then on signals do not end the process by themselves.
+/// Starts the listener on the first call. From then on signals do not end the process by
+/// themselves.
 pub(crate) fn listen() -> io::Result<()> {
     static STARTED: OnceLock<Result<(), String>> = OnceLock::new();
     let started = STARTED.get_or_init(|| {
@@ -181,8 +184,9 @@ impl<E> EventSender<E> {
     }
 }
 
-/// Runs `work` on its own thread until it returns. A signal or the end of `max_duration` cancels the work. `on_event`
-/// receives the events of the work on the calling thread. Fails if `work` panics.
+/// Runs `work` on its own thread until it returns. A signal or the end of `max_duration` cancels
+/// the work. `on_event` receives the events of the work on the calling thread. Fails if `work`
+/// panics.
 pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
     max_duration: Option<Duration>,
     work: impl FnOnce(&CancelToken, &mut EventSender<E>) -> T + Send + 'static,

@@ -1,4 +1,5 @@
-//! Writes to standard output and standard error. It is not an error if the reader has closed its end.
+//! Writes to standard output and standard error. It is not an error if the reader has closed its
+//! end.
 
 use crate::color;
 use crate::exit::Exit;
@@ -19,7 +20,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 static WRITE_ERROR: OnceLock<String> = OnceLock::new();
 /// True if the last log line was dropped because nothing read standard error.
 static LOG_BLOCKED: AtomicBool = AtomicBool::new(false);
-/// Longest time that a log line waits for a reader. After a dropped line the next lines do not wait.
+/// Longest time that a log line waits for a reader. After a dropped line the next lines do not
+/// wait.
 const LOG_TIMEOUT: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 const NO_WAIT: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
 /// `PIPE_BUF`: number of bytes that a writable pipe accepts in one write.
@@ -65,7 +67,8 @@ pub(crate) fn error(message: &str) {
     let _ = writeln!(stderr().lock(), "error: {}", escape_commands(message));
 }
 
-/// Escapes control characters, and lines that begin with `::`, because GitHub Actions reads them as commands.
+/// Escapes control characters, and lines that begin with `::`, because GitHub Actions reads them as
+/// commands.
 fn escape_commands(message: &str) -> String {
     let message = printable_lines(message);
     let is_command = |line: &str| line.trim_start().starts_with("::");

@@ -2,7 +2,8 @@
 
 use crate::scene::Course;
 
-/// A course with ramps is linear between its points, so a step in it becomes a ramp of this duration, µs.
+/// A course with ramps is linear between its points, so a step in it becomes a ramp of this
+/// duration, µs.
 const EDGE_US: u32 = 10;
 
 pub(crate) struct CourseBuilder {

@@ -1,4 +1,5 @@
-//! Draws scenes as whole numbers. Each is an offset from a usual value, so that shrinking to 0 gives simple scenes.
+//! Draws scenes as whole numbers. Each is an offset from a usual value, so that shrinking to 0
+//! gives simple scenes.
 
 use crate::envelope::Envelope;
 use crate::event_kind::EventKind;
@@ -98,7 +99,8 @@ pub(crate) const USUAL_LEVEL_UM: f64 = 1.0;
 pub(crate) const USUAL_PERIOD_MS: f64 = 1.0;
 pub(crate) const MAX_LAWS: usize = 8;
 
-/// Offsets from `usual` that stay in the range, in grid steps. `usual` is first moved into the range.
+/// Offsets from `usual` that stay in the range, in grid steps. `usual` is first moved into the
+/// range.
 pub(crate) fn grid([low, high]: [f64; 2], usual: f64, step: f64) -> RangeInclusive<i32> {
     let usual = usual.clamp(low, high);
     // 1e-9 keeps the end of the range if the quotient is rounded down.

@@ -47,7 +47,8 @@ pub struct Ranges {
     pub noise_um_rms: [f64; 2],
     /// Change of the plate's gain from the plate file, percent. The law is configured with it.
     pub plate_gain_percent: [f64; 2],
-    /// Change of the plate's time constant from the plate file, percent. The law is configured with it.
+    /// Change of the plate's time constant from the plate file, percent. The law is configured with
+    /// it.
     pub plate_time_constant_percent: [f64; 2],
     /// Deviation of the played plate's gain from the configured gain, percent.
     pub gain_deviation_percent: [f64; 2],

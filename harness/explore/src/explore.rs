@@ -100,7 +100,8 @@ pub struct FailedRegression {
 pub struct PropertyTally {
     pub windows: u64,
     pub violations: u64,
-    /// Smallest distance from the limit, relative to the limit. Not finite (JSON: `null`) if a value is missing.
+    /// Smallest distance from the limit, relative to the limit. Not finite (JSON: `null`) if a
+    /// value is missing.
     pub smallest_margin: f64,
     pub tightest_scene: u64,
 }
@@ -156,7 +157,8 @@ impl Exploration {
     }
 }
 
-/// `on_scene` receives the numbers of played and of failed scenes. A violated property or a signal is no error.
+/// `on_scene` receives the numbers of played and of failed scenes. A violated property or a signal
+/// is no error.
 pub fn explore(
     config: &ExploreConfig,
     connect: &Connect<'_>,

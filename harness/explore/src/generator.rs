@@ -18,7 +18,8 @@ use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use sha2::{Digest, Sha256};
 use std::f64::consts::TAU;
 
-/// Largest share of the drive limit that a setpoint may need in steady state. The rest is a reserve for control.
+/// Largest share of the drive limit that a setpoint may need in steady state. The rest is a reserve
+/// for control.
 pub(crate) const MAX_STEADY_DRIVE: f64 = 0.8;
 /// As [`MAX_STEADY_DRIVE`], for an overloaded trial, whose drive may stay at the limit.
 const MAX_OVERLOAD: f64 = 2.0;
@@ -125,7 +126,8 @@ impl<'a> Generator<'a> {
         }
     }
 
-    /// `least_tail`: smallest number of control periods after the last event; small in trials that are not judged.
+    /// `least_tail`: smallest number of control periods after the last event; small in trials that
+    /// are not judged.
     fn trial(&self, configuration: Configuration, draw: &TrialDraw, stratum: &Stratum, least_tail: u32) -> SceneTrial {
         let Configuration { period_us, delay_us, plate, tuning } = configuration;
         let mut timeline = Timeline::new(self, configuration, draw);

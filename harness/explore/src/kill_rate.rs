@@ -59,7 +59,8 @@ pub struct SceneAlarm {
     pub limit: Option<f64>,
 }
 
-/// Explores all mutants and clean variants with `dq-pi`, and the firmware itself with every explored law.
+/// Explores all mutants and clean variants with `dq-pi`, and the firmware itself with every
+/// explored law.
 pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRateReport, ExploreError> {
     let mut mutants = Vec::with_capacity(config.mutants.len());
     for mutant in &config.mutants {

@@ -1,9 +1,11 @@
-//! Explores an operating envelope: generates scenes, plays them, checks properties and shrinks failing scenes.
+//! Explores an operating envelope: generates scenes, plays them, checks properties and shrinks
+//! failing scenes.
 //!
-//! A [`scene`] is a judged trial with the trials before it. [`generator`] makes scene i from the envelope, the seed and
-//! i. [`properties`] contains the demands on every scene; `docs/exploration.md` derives their limits. [`mod@explore`]
-//! plays scenes on several workers, [`mod@shrink`] makes a failing scene minimal, and [`regression`] writes it as a
-//! scenario. [`mod@session`] does all of this. [`mod@kill_rate`] measures which mutants an exploration finds.
+//! A [`scene`] is a judged trial with the trials before it. [`generator`] makes scene i from the
+//! envelope, the seed and i. [`properties`] contains the demands on every scene;
+//! `docs/exploration.md` derives their limits. [`mod@explore`] plays scenes on several workers,
+//! [`mod@shrink`] makes a failing scene minimal, and [`regression`] writes it as a scenario.
+//! [`mod@session`] does all of this. [`mod@kill_rate`] measures which mutants an exploration finds.
 
 mod course;
 pub mod coverage;

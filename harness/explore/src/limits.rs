@@ -1,4 +1,5 @@
-//! Computes limits from plate, drive limit, period and delay, as `docs/exploration.md` derives them. Times are in s.
+//! Computes limits from plate, drive limit, period and delay, as `docs/exploration.md` derives
+//! them. Times are in s.
 
 use crate::law_properties::LawProperties;
 use crate::scene::SceneTrial;
@@ -73,7 +74,8 @@ impl<'a> Limits<'a> {
         if self.properties.adapts_to_damping {
             return designed;
         }
-        // With the gains for the plate without a finger, the poles solve (z − 1)(z − a) + g (z − a0) = 0.
+        // With the gains for the plate without a finger, the poles solve (z − 1)(z − a) + g (z −
+        // a0) = 0.
         let (nominal, actual) = (self.design.sigma0, mode.sigma);
         let [a0, a] = [nominal, actual].map(|sigma| (-sigma * self.period_s).exp());
         let gain = mode.envelope_constant / actual;
@@ -84,12 +86,14 @@ impl<'a> Limits<'a> {
         (half + root).norm().max((half - root).norm()).clamp(designed, 0.999)
     }
 
-    /// Time in which the loop reduces an error to `share` of its value, rounded up to whole periods.
+    /// Time in which the loop reduces an error to `share` of its value, rounded up to whole
+    /// periods.
     fn decay(&self, mode: &Mode, share: f64) -> f64 {
         (share.ln() / self.pole(mode).ln()).ceil() * self.period_s
     }
 
-    /// Shortest time from `from` µm to within 5 % of `to` µm, with the drive at its limit or at 0 V.
+    /// Shortest time from `from` µm to within 5 % of `to` µm, with the drive at its limit or at 0
+    /// V.
     pub(crate) fn floor(&self, mode: &Mode, from: f64, to: f64) -> f64 {
         let strongest = self.limit_vpp() / mode.drive_for(1.0);
         let (low, high) = (to * (1.0 - BAND), to * (1.0 + BAND));
@@ -126,11 +130,12 @@ impl<'a> Limits<'a> {
         band * (to / (from - to).abs()).min(1.0)
     }
 
-    /// Time at setpoint 0 in which the amplitude and the integral of the drive decay to less than a thousandth. The
-    /// integral decays with the configured plate.
+    /// Time at setpoint 0 in which the amplitude and the integral of the drive decay to less than a
+    /// thousandth. The integral decays with the configured plate.
     pub(crate) fn decay_at_rest(&self, time_us: u32) -> f64 {
         let open = 8.0 / self.design.sigma0 + 2.0 * self.period_s + self.delay_s;
-        // With fixed gains under a finger the drive rises again, and the loop decays with its slow pole.
+        // With fixed gains under a finger the drive rises again, and the loop decays with its slow
+        // pole.
         let closed = if self.properties.adapts_to_damping { 0.0 } else { self.decay(&self.mode(time_us), 1e-3) };
         open + closed
     }
@@ -184,7 +189,8 @@ impl<'a> Limits<'a> {
         (-f64::from(time_us) * 1e-6 / (self.period_s * self.properties.tracking_periods.max(1.0))).exp()
     }
 
-    /// Largest relative change of |W| within `time` at constant drive, after the mode changes from `before` to `after`.
+    /// Largest relative change of |W| within `time` at constant drive, after the mode changes from
+    /// `before` to `after`.
     pub(crate) fn effect(before: &Mode, after: &Mode, time: f64) -> f64 {
         let rate = Complex64::new(-after.sigma, after.omega0 - before.omega0);
         // W' = λ W + σ_before, W(0) = 1.

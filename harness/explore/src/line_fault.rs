@@ -32,17 +32,21 @@ pub(crate) struct LineFaultDraw {
     length: u32,
 }
 
-/// A rejected frame adds 2 to the controller's error counter, a sample subtracts 1, and the controller stops at 10
-/// (docs/wire-protocol.md). It stops in the 18th period if every second frame is damaged, and never if every third is.
+/// A rejected frame adds 2 to the controller's error counter, a sample subtracts 1, and the
+/// controller stops at 10 (docs/wire-protocol.md). It stops in the 18th period if every second
+/// frame is damaged, and never if every third is.
 const UNTIL_STOP: std::ops::RangeInclusive<u32> = 14..=24;
 const LONG_WINDOW: std::ops::RangeInclusive<u32> = 3..=24;
-/// Number of consecutive damaged messages that cannot stop the controller, even if each splits its frame in two.
+/// Number of consecutive damaged messages that cannot stop the controller, even if each splits its
+/// frame in two.
 const FEW_FLIPS: u32 = 2;
-/// Control periods between two faults that lose messages, so that both together do not trigger the watchdog.
+/// Control periods between two faults that lose messages, so that both together do not trigger the
+/// watchdog.
 const PERIODS_BETWEEN: u32 = 5;
 /// Time in which a stopped controller is configured again, so that it runs at the end of the trial.
 const MIN_PERIODS_AFTER: u32 = 8;
-/// Control periods after a fault until limits apply, because the law must measure damping and resonance again.
+/// Control periods after a fault until limits apply, because the law must measure damping and
+/// resonance again.
 const RECOVERY_PERIODS: u32 = 60;
 
 impl LineFaultDraw {
@@ -103,7 +107,8 @@ impl LineFault {
         matches!(self.kind, FaultKind::Disconnect | FaultKind::Babble | FaultKind::Flip)
     }
 
-    /// True if the instant of a stop depends on the controller's clock or on the content of messages.
+    /// True if the instant of a stop depends on the controller's clock or on the content of
+    /// messages.
     pub(crate) fn may_stop_differently(&self, period_us: u32) -> bool {
         match self.kind {
             FaultKind::Disconnect => true,
@@ -119,7 +124,8 @@ impl LineFault {
         are_apart || [self.kind, other.kind].contains(&FaultKind::Duplicate)
     }
 
-    /// Largest number of control periods without an answer: the window, and the time until the repeated configuration.
+    /// Largest number of control periods without an answer: the window, and the time until the
+    /// repeated configuration.
     pub(crate) const fn longest_silence(&self, period_us: u32) -> u32 {
         (self.until_us - self.from_us) / period_us + 3
     }

@@ -98,7 +98,8 @@ fn drawings(coverage: &CoverageReport) -> Vec<(String, String)> {
     ]
 }
 
-/// Draws a row of fields per name. The opacity is the count relative to the largest count of the row.
+/// Draws a row of fields per name. The opacity is the count relative to the largest count of the
+/// row.
 fn fields(rows: &[(String, Vec<u64>)]) -> String {
     let columns = rows.iter().map(|(_, counts)| counts.len()).max().unwrap_or(0);
     let (width, height) = (NAMES + columns * FIELD, rows.len() * FIELD);

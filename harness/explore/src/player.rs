@@ -26,7 +26,8 @@ pub struct Failure {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WindowResult {
     pub property: Property,
-    /// Distance of the value from the limit, relative to the limit. `None` if the verdict is inconclusive.
+    /// Distance of the value from the limit, relative to the limit. `None` if the verdict is
+    /// inconclusive.
     pub margin: Option<f64>,
 }
 
@@ -35,7 +36,8 @@ pub struct SceneResult {
     /// Violations of the protocol come first.
     pub failures: Vec<Failure>,
     pub windows: Vec<WindowResult>,
-    /// If the rig or the bench prevented a verdict, a text with this cause (`rig` or `bench`) and the reason.
+    /// If the rig or the bench prevented a verdict, a text with this cause (`rig` or `bench`) and
+    /// the reason.
     pub undecided: Option<String>,
 }
 
@@ -50,7 +52,8 @@ pub(crate) fn violated(failures: &[Failure]) -> Vec<Property> {
     properties.into_iter().collect()
 }
 
-/// One controller plays 20 scenes and the next one 200, so that many scenes meet a new controller and some an old one.
+/// One controller plays 20 scenes and the next one 200, so that many scenes meet a new controller
+/// and some an old one.
 const SCENES_PER_CONTROLLER: [u32; 2] = [20, 200];
 
 const MAX_LOSSES: u32 = 5;
@@ -84,7 +87,8 @@ impl<'a> Player<'a> {
         self.scenes <= 1
     }
 
-    /// `None` after a cancellation. Fails if the controller cannot be reached, is lost or rejects a configuration.
+    /// `None` after a cancellation. Fails if the controller cannot be reached, is lost or rejects a
+    /// configuration.
     pub fn play(&mut self, scenario: &Scenario) -> Result<Option<SceneResult>, ExploreError> {
         if self.scenes >= SCENES_PER_CONTROLLER[self.controllers % 2] {
             self.renew();

@@ -86,7 +86,8 @@ pub struct Demand {
     pub band_percent: Option<f64>,
 }
 
-/// Largest drive at setpoint 0, Vpp. It is the remainder of the integral, which decays with the plate.
+/// Largest drive at setpoint 0, Vpp. It is the remainder of the integral, which decays with the
+/// plate.
 const REST_DRIVE_VPP: f64 = 0.5;
 /// Number of standard deviations by which noise may change a value.
 const NOISE_SIGMAS: f64 = 6.0;
@@ -106,7 +107,8 @@ const UNKNOWN_OVERSHOOT_PERCENT: f64 = 30.0;
 const OVERSHOOT_OF_SETPOINT_PERCENT: f64 = 1.0;
 /// Factor on the effect of a disturbance before the loop reacts.
 const DEVIATION_FACTOR: f64 = 2.0;
-/// Control periods after a step within which a law that steers mistakes a change of the damping for a late drive.
+/// Control periods after a step within which a law that steers mistakes a change of the damping for
+/// a late drive.
 const STEERING_PERIODS: u32 = 6;
 /// Time constant of the slowest holding loop, µs.
 const CLOSED_LOOP_US: u32 = 1_000;
@@ -114,7 +116,8 @@ const CLOSED_LOOP_US: u32 = 1_000;
 const DEVIATION_OF_MISMATCH: f64 = 0.2;
 const DEVIATION_PERCENT: f64 = 1.0;
 
-/// Percent of the drive limit or of the frequency range. The rounding of f32 causes about a hundredth of this.
+/// Percent of the drive limit or of the frequency range. The rounding of f32 causes about a
+/// hundredth of this.
 const REFERENCE_DIFFERENCE_PERCENT: f64 = 0.1;
 
 /// Demands that commands and answers in the judged trial of `scene` equal those of the reference.
@@ -229,7 +232,8 @@ impl WindowJudge<'_> {
         let Window { change, until_us } = self.window;
         let (before, after) = self.levels();
         if after == 0.0 {
-            // The drive loop continues at setpoint 0, so the drive may rise again while the plate decays.
+            // The drive loop continues at setpoint 0, so the drive may rise again while the plate
+            // decays.
             let from_us = change.to_us + self.steady_us();
             if from_us + STEADY_PERIODS * self.trial.period_us <= until_us {
                 let noise_vpp = NOISE_SIGMAS * self.limits.noise_um() * self.limits.strongest_gain();

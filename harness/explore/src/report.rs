@@ -15,7 +15,8 @@ pub const FILE: &str = "explore.json";
 #[derive(Debug, Clone, Serialize)]
 pub struct ExploreReport {
     pub format: u32,
-    /// `fail` after a violation, otherwise `inconclusive` if a scene is undecided or a signal ended the exploration.
+    /// `fail` after a violation, otherwise `inconclusive` if a scene is undecided or a signal ended
+    /// the exploration.
     pub verdict: Verdict,
     /// True if a signal ended the exploration. Failing scenes are then not made minimal.
     pub is_interrupted: bool,
@@ -31,7 +32,8 @@ pub struct ExploreReport {
     pub undecided_scenes: Vec<UndecidedScene>,
     /// Duration of the exploration without shrinking, s.
     pub elapsed_s: f64,
-    /// Bounds of the share of failing scenes under the generator's distribution, each one-sided at 95 %.
+    /// Bounds of the share of failing scenes under the generator's distribution, each one-sided at
+    /// 95 %.
     pub failing_share: Option<[f64; 2]>,
     pub properties: Vec<PropertyReport>,
     pub regressions: usize,

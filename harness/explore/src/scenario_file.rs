@@ -12,8 +12,8 @@ use std::io;
 use std::path::Path;
 
 const TRACE_STEP_MS: f64 = 0.1;
-/// Largest difference between two trials that differ only in history or time stamps, µm. It is some tens of times the
-/// resolution of the wire at the largest setpoints.
+/// Largest difference between two trials that differ only in history or time stamps, µm. It is some
+/// tens of times the resolution of the wire at the largest setpoints.
 pub(crate) const SAME_RESPONSE_UM: f64 = 1e-5;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -105,7 +105,8 @@ impl ScenarioWriter<'_> {
             writeln!(text, "\n[[expect]]\nname = {name:?}\nmetric = \"trial_difference_um\"")?;
             writeln!(text, "at_most = {SAME_RESPONSE_UM:?}")?;
         } else if demands.is_empty() {
-            // A scenario needs an expectation. The rules of the protocol are checked in every trial.
+            // A scenario needs an expectation. The rules of the protocol are checked in every
+            // trial.
             writeln!(text, "\n[[expect]]\nname = {:?}", Property::Protocol.name())?;
             let planned: u32 = trial.faults.iter().map(|fault| fault.longest_silence(trial.period_us)).sum();
             writeln!(text, "metric = \"missed_replies\"\nwithin = [0.0, {:?}]", f64::from(planned))?;

@@ -1,6 +1,8 @@
-//! Defines a scene: one or several plays of a judged trial, with other trials in between, on one controller.
+//! Defines a scene: one or several plays of a judged trial, with other trials in between, on one
+//! controller.
 //!
-//! Times and values are whole multiples of a small unit, so that scenario files contain short numbers.
+//! Times and values are whole multiples of a small unit, so that scenario files contain short
+//! numbers.
 
 use crate::line_fault::LineFault;
 use crate::tuning::Tuning;
@@ -45,9 +47,11 @@ pub struct SceneTrial {
 pub struct PlateChoice {
     pub limit_vpp: u32,
     pub noise_pm: u32,
-    /// Change of the gain from the plate of the envelope, 0.1 %. The controller is configured with it.
+    /// Change of the gain from the plate of the envelope, 0.1 %. The controller is configured with
+    /// it.
     pub nominal_gain_permille: i32,
-    /// Change of the time constant from the plate of the envelope, 0.1 %. The controller is configured with it.
+    /// Change of the time constant from the plate of the envelope, 0.1 %. The controller is
+    /// configured with it.
     pub nominal_time_constant_permille: i32,
     /// Deviation of the gain from the configured gain, 0.1 %.
     pub gain_permille: i32,

@@ -1,4 +1,5 @@
-//! Runs a whole exploration: plays scenes, shrinks failing scenes, writes regressions and the result.
+//! Runs a whole exploration: plays scenes, shrinks failing scenes, writes regressions and the
+//! result.
 
 use crate::envelope::Envelope;
 use crate::error::ExploreError;

@@ -80,7 +80,8 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         Ok(MinimalScene { scene, demands, failure, is_reproduced: true, replays: self.replays })
     }
 
-    /// The scene that fails with a new controller, alone or after trials of earlier scenes. `None` if it does not fail.
+    /// The scene that fails with a new controller, alone or after trials of earlier scenes. `None`
+    /// if it does not fail.
     #[expect(clippy::type_complexity, reason = "history, scene and failure belong together here only")]
     fn reproduce(
         &mut self,
@@ -130,7 +131,8 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         Ok((best.0.earlier.clone(), best))
     }
 
-    /// Tries changes that shrinking of the drawn numbers cannot make: rounder values, fewer points, an earlier end.
+    /// Tries changes that shrinking of the drawn numbers cannot make: rounder values, fewer points,
+    /// an earlier end.
     fn simplify_directly(&mut self, best: &mut (Scene, Failure), property: Property) -> Result<(), ExploreError> {
         let mut has_changed = true;
         while has_changed && !self.is_over() {

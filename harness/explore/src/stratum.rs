@@ -1,4 +1,5 @@
-//! Assigns each scene number to a stratum, so that few scenes cover kinds, periods, limits and histories.
+//! Assigns each scene number to a stratum, so that few scenes cover kinds, periods, limits and
+//! histories.
 
 use crate::event_kind::EventKind;
 
@@ -25,7 +26,8 @@ pub(crate) struct Stratum {
     pub(crate) sine: Option<SineOf>,
     /// Time stamps in later plays of the trial pass 2^16 ms, 2^31 µs and 2^32 µs.
     pub(crate) shifts_time: bool,
-    /// Number of the scene, if scripts of messages precede the trial. They take as long as a hundred scenes.
+    /// Number of the scene, if scripts of messages precede the trial. They take as long as a
+    /// hundred scenes.
     pub(crate) scripts: Option<u64>,
 }
 
@@ -36,7 +38,8 @@ pub(crate) enum SineOf {
 }
 
 const PAIRS: u64 = (EventKind::ALL.len() * EventKind::ALL.len()) as u64;
-/// Has no common divisor with [`PAIRS`], so that 64 scenes contain all pairs. Consecutive scenes differ in both kinds.
+/// Has no common divisor with [`PAIRS`], so that 64 scenes contain all pairs. Consecutive scenes
+/// differ in both kinds.
 const PAIR_STRIDE: u64 = 37;
 const LONG_EVERY: u64 = 41;
 const SINE_EVERY: u64 = 17;

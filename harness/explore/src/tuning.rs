@@ -12,7 +12,8 @@ use proptest::prelude::{BoxedStrategy, Just, Strategy};
 pub struct Tuning {
     /// Design value of the response time, 0.1 ms.
     pub response_tenths: Option<u32>,
-    /// Gains of the amplitude loop and the frequency loop relative to the law's own design, percent.
+    /// Gains of the amplitude loop and the frequency loop relative to the law's own design,
+    /// percent.
     pub gains_percent: Option<[u32; 2]>,
     /// Largest deviation of the excitation frequency from the start frequency, 0.1 Hz.
     pub range_tenths: Option<u32>,

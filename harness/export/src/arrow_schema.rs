@@ -1,6 +1,8 @@
-//! Encodes the columns as an Arrow schema. Parquet stores it as `ARROW:schema` and has no other metadata of columns.
+//! Encodes the columns as an Arrow schema. Parquet stores it as `ARROW:schema` and has no other
+//! metadata of columns.
 //!
-//! Source: Arrow columnar format, `Schema.fbs` and `Message.fbs`. Slots are numbered in the order of the fields there.
+//! Source: Arrow columnar format, `Schema.fbs` and `Message.fbs`. Slots are numbered in the order
+//! of the fields there.
 
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use base64::Engine;

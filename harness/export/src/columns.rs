@@ -1,4 +1,5 @@
-//! Lists the columns of a row, named as in the trace. Each flag is a column, so that programs can filter by it.
+//! Lists the columns of a row, named as in the trace. Each flag is a column, so that programs can
+//! filter by it.
 
 use platebench_trace::{Flags, Row};
 

@@ -23,8 +23,8 @@ pub struct ExportResult {
     pub incomplete_trials: usize,
 }
 
-/// Exports the named scenarios (with or without `.toml`) to the folder `out`, or all if `scenarios` is empty. Checks
-/// names, existing files and complete trials before it writes a file.
+/// Exports the named scenarios (with or without `.toml`) to the folder `out`, or all if `scenarios`
+/// is empty. Checks names, existing files and complete trials before it writes a file.
 pub fn export(
     run: &RunRecord,
     folder: &Path,

@@ -1,6 +1,8 @@
-//! Exports the traces of a run to Parquet, MDF4, MCAP and CSV. `docs/formats.md` describes the formats.
+//! Exports the traces of a run to Parquet, MDF4, MCAP and CSV. `docs/formats.md` describes the
+//! formats.
 //!
-//! Every format has the same [`columns`]. Memory does not grow with the length of a trace. Existing files are kept.
+//! Every format has the same [`columns`]. Memory does not grow with the length of a trace. Existing
+//! files are kept.
 
 mod arrow_schema;
 pub mod columns;

@@ -1,7 +1,8 @@
 //! Writes MCAP: a file per scenario, a topic per trial, a JSON message per row.
 //!
-//! The schema contains the units. The log time of every trial begins at the start of the run, so that viewers overlay
-//! trials. `t_s` is the exact time; the log time is rounded to whole nanoseconds.
+//! The schema contains the units. The log time of every trial begins at the start of the run, so
+//! that viewers overlay trials. `t_s` is the exact time; the log time is rounded to whole
+//! nanoseconds.
 
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
@@ -62,7 +63,8 @@ fn schema() -> Value {
     let flags =
         FLAG_COLUMNS.iter().map(|flag| (flag.name.to_owned(), json!({"type": "boolean", "description": flag.meaning})));
     let properties: Map<String, Value> = numbers.chain(flags).collect();
-    // Viewers reject a list of types such as number or null, so an unknown number is missing instead.
+    // Viewers reject a list of types such as number or null, so an unknown number is missing
+    // instead.
     let optional = |name: &str| NUMBER_COLUMNS.iter().any(|number| number.name == name && number.can_be_unknown);
     let required: Vec<&String> = properties.keys().filter(|name| !optional(name)).collect();
     json!({"title": "platebench.Row", "type": "object", "required": required, "properties": properties})

@@ -1,7 +1,8 @@
 //! Writes ASAM MDF 4.10: a file per trial, so that a channel name is unique in its file.
 //!
-//! The data group has one channel group, its channels and one data block. Flags are bits of one byte. The library
-//! mdf4-rs 0.6 is not used: it needs a newer compiler and writes neither start time nor history.
+//! The data group has one channel group, its channels and one data block. Flags are bits of one
+//! byte. The library mdf4-rs 0.6 is not used: it needs a newer compiler and writes neither start
+//! time nor history.
 
 mod blocks;
 

@@ -1,7 +1,8 @@
 //! Writes Parquet: a table per scenario with all trials.
 //!
-//! The key-value metadata contain units as `unit.<column>`, meanings as `meaning.<column>`, the scenario, and the Arrow
-//! schema, whose columns contain `unit` and `meaning`. Memory holds one row group of at most [`ROW_GROUP_ROWS`] rows.
+//! The key-value metadata contain units as `unit.<column>`, meanings as `meaning.<column>`, the
+//! scenario, and the Arrow schema, whose columns contain `unit` and `meaning`. Memory holds one row
+//! group of at most [`ROW_GROUP_ROWS`] rows.
 
 use crate::arrow_schema;
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};

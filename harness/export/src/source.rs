@@ -52,7 +52,8 @@ impl<'a> ExportScenario<'a> {
                 return Err(outside(&trial.trace));
             }
             let trace = folder.join(&trial.trace);
-            // A trial without hash and file was cut off. If only the file is missing, reading it fails later.
+            // A trial without hash and file was cut off. If only the file is missing, reading it
+            // fails later.
             if trial.sha256.is_none() && !trace.exists() {
                 cut_off += 1;
             } else {

@@ -1,5 +1,5 @@
-//! Writes CSV: one tidy table of the whole run, and a description of its columns by the W3C's "Metadata Vocabulary for
-//! Tabular Data".
+//! Writes CSV: one tidy table of the whole run, and a description of its columns by the W3C's
+//! "Metadata Vocabulary for Tabular Data".
 
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;

@@ -18,7 +18,8 @@ use std::time::{Duration, Instant};
 pub struct CoverageConfig {
     pub suite: Suite,
     pub jobs: usize,
-    /// Parts of the paths of the selected source files. If empty, all of the firmware's own files are selected.
+    /// Parts of the paths of the selected source files. If empty, all of the firmware's own files
+    /// are selected.
     pub only: Vec<String>,
     pub cancel: CancelToken,
 }
@@ -89,7 +90,8 @@ impl Coverage {
         self.files.values().flat_map(|file| file.lines.values()).map(|line| line.executed).collect()
     }
 
-    /// `executed` maps the first instruction of each basic block that ran to whether it ran in a control step.
+    /// `executed` maps the first instruction of each basic block that ran to whether it ran in a
+    /// control step.
     fn new(map: &CodeMap, symbols: &Symbols, executed: &BTreeMap<u32, bool>, only: &[String]) -> Self {
         let mut coverage = Self::default();
         let mut places = Vec::new();

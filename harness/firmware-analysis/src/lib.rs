@@ -1,5 +1,5 @@
-//! Analyses the firmware on the emulated rig: which machine code the scenarios execute, and which changes of it they
-//! detect. See `docs/coverage.md` and `docs/mutation.md`.
+//! Analyses the firmware on the emulated rig: which machine code the scenarios execute, and which
+//! changes of it they detect. See `docs/coverage.md` and `docs/mutation.md`.
 
 pub mod code_map;
 pub mod coverage;

@@ -34,7 +34,8 @@ impl<'a> SourceMap<'a> {
     }
 }
 
-/// Removes leading folders until the file exists, because compilers may put the build folder in front of another path.
+/// Removes leading folders until the file exists, because compilers may put the build folder in
+/// front of another path.
 fn resolve(file: &str) -> String {
     let mut rest = file;
     loop {

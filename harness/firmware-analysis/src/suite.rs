@@ -96,7 +96,8 @@ impl Suite {
     }
 }
 
-/// Plays trials until the verdict is decided or the controller is lost. `None` if `cancel` was cancelled.
+/// Plays trials until the verdict is decided or the controller is lost. `None` if `cancel` was
+/// cancelled.
 pub(crate) fn play(
     session: &mut BoardSession,
     scenario: &Scenario,

@@ -1,4 +1,5 @@
-//! Implements the C interface of FMI 3.0 for co-simulation. Source: `fmi3FunctionTypes.h` of the standard.
+//! Implements the C interface of FMI 3.0 for co-simulation. Source: `fmi3FunctionTypes.h` of the
+//! standard.
 //!
 //! All variables are real numbers. Functions for other types and for event mode return an error.
 
@@ -104,7 +105,8 @@ pub unsafe extern "C" fn fmi3InstantiateCoSimulation(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fmi3FreeInstance(instance: *mut c_void) {
     if !instance.is_null() {
-        // SAFETY: `Box::into_raw` made the pointer, and the standard requires that it is freed once.
+        // SAFETY: `Box::into_raw` made the pointer, and the standard requires that it is freed
+        // once.
         drop(unsafe { Box::from_raw(instance.cast::<Component>()) });
     }
 }
@@ -242,7 +244,8 @@ pub unsafe extern "C" fn fmi3FreeFMUState(_instance: *mut c_void, state: *mut *m
     OK
 }
 
-/// Functions that only return a status. They declare no arguments, which the caller owns in the C convention of Linux.
+/// Functions that only return a status. They declare no arguments, which the caller owns in the C
+/// convention of Linux.
 macro_rules! status_functions {
     ($status:expr => $($name:ident)*) => {
         $(

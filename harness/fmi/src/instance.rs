@@ -1,5 +1,5 @@
-//! Simulates a plate between communication points. Inputs are constant during a step, so the closed form is exact for
-//! every step size.
+//! Simulates a plate between communication points. Inputs are constant during a step, so the closed
+//! form is exact for every step size.
 
 use crate::variables::{INPUTS, OUTPUTS, TIME_REFERENCE};
 use platebench_plate::{ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, RawPlate, Tier, Time};

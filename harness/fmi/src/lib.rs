@@ -1,7 +1,9 @@
-//! Exports the plate as an FMU: a co-simulation unit of FMI 3.0 for Simulink, `OpenModelica`, `FMPy` and other tools.
+//! Exports the plate as an FMU: a co-simulation unit of FMI 3.0 for Simulink, `OpenModelica`,
+//! `FMPy` and other tools.
 //!
-//! The FMU contains the plate file and the shared library of this crate, whose C interface is in `c_interface`.
-//! The crate fmi-export is not used, because its fmi-sys needs libclang at build time.
+//! The FMU contains the plate file and the shared library of this crate, whose C interface is in
+//! `c_interface`. The crate fmi-export is not used, because its fmi-sys needs libclang at build
+//! time.
 
 mod c_interface;
 mod description;

@@ -1,10 +1,11 @@
 //! Fits ARX models of order one at the control period (section IV.B, reference \[24\]).
 //!
-//! `y[k+1] = a y[k] + Σ c_i u_i[k] + e[k]`, so `τ = −Ts / ln a`, and a static gain is `c / (1 − a)`. Least squares
-//! assume that `y[k]` is exact. Noise makes `a` and τ too small for any number of samples. Instrumental variables (T.
-//! Söderström, P. Stoica, *System Identification*, 1989, chapter 8) use the noise-free response of an auxiliary model
-//! in three iterations. They are consistent. Their intervals include that the error `e[k] = v[k+1] − a v[k]` of white
-//! noise v is not white.
+//! `y[k+1] = a y[k] + Σ c_i u_i[k] + e[k]`, so `τ = −Ts / ln a`, and a static gain is
+//! `c / (1 − a)`. Least squares assume that `y[k]` is exact. Noise makes `a` and τ too small for
+//! any number of samples. Instrumental variables (T. Söderström, P. Stoica, *System
+//! Identification*, 1989, chapter 8) use the noise-free response of an auxiliary model in three
+//! iterations. They are consistent. Their intervals include that the error `e[k] = v[k+1] − a v[k]`
+//! of white noise v is not white.
 
 use crate::estimate::Estimate;
 use nalgebra::{DMatrix, DVector};
@@ -22,8 +23,8 @@ pub struct ArxModel {
     pub gains: Vec<Estimate>,
 }
 
-/// Outputs and inputs are `period` s apart, inputs are constant between samples. `None` if there are too few samples,
-/// the inputs are dependent, or `a` is not between 0 and 1.
+/// Outputs and inputs are `period` s apart, inputs are constant between samples. `None` if there
+/// are too few samples, the inputs are dependent, or `a` is not between 0 and 1.
 pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: ArxMethod) -> Option<ArxModel> {
     let (rows, width) = (y.len().checked_sub(1)?, inputs.len() + 1);
     let freedom = rows.checked_sub(width).filter(|&freedom| freedom > 0)? as f64;

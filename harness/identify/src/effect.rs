@@ -3,8 +3,9 @@
 use crate::estimate::Estimate;
 use serde::Serialize;
 
-/// Largest relative standard error of the second mode's gain, or of the resonance's shift by heating. Noise alone does
-/// not give a value of five standard errors, even as the best of some twenty fits with different start points.
+/// Largest relative standard error of the second mode's gain, or of the resonance's shift by
+/// heating. Noise alone does not give a value of five standard errors, even as the best of some
+/// twenty fits with different start points.
 const MAX_STRENGTH_ERROR: f64 = 0.2;
 const MAX_TIME_CONSTANT_ERROR: f64 = 0.5;
 

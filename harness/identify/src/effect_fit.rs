@@ -1,8 +1,9 @@
 //! Fits a second mode or self-heating to a recording that one mode does not explain.
 //!
-//! The model is that of `fit.rs` with more parameters, for a recording under one temperature and force. Both modes
-//! have the same drive, and W is their sum. Self-heating gives the resonance `ω0 + s T` with `T' = (|W|² − T)/τ_h`, T
-//! in µm², 0 at the first sample. Each interval between samples or inputs uses the mode at its middle.
+//! The model is that of `fit.rs` with more parameters, for a recording under one temperature and
+//! force. Both modes have the same drive, and W is their sum. Self-heating gives the resonance
+//! `ω0 + s T` with `T' = (|W|² − T)/τ_h`, T in µm², 0 at the first sample. Each interval between
+//! samples or inputs uses the mode at its middle.
 
 use crate::effect::{EffectFit, IdentifiedHeating, IdentifiedSecondMode};
 use crate::estimate::{Estimate, WhitenessTest};
@@ -28,8 +29,8 @@ enum EffectKind {
     Heating,
 }
 
-/// The parameters are `[ln K1, ln τ, resonance, Re W, Im W]`, then `[ln τ2, resonance, gain/K1]` of a second mode or
-/// `[s, ln τ_h]` of self-heating.
+/// The parameters are `[ln K1, ln τ, resonance, Re W, Im W]`, then `[ln τ2, resonance, gain/K1]` of
+/// a second mode or `[s, ln τ_h]` of self-heating.
 struct EffectModel<'a> {
     recording: &'a Recording,
     kind: EffectKind,
@@ -172,8 +173,8 @@ impl EffectModel<'_> {
     }
 }
 
-/// Returns the fit with the smaller residuals of those that `is_explained` accepts, with a second mode or
-/// self-heating. `None` if there is no such fit, or under several temperatures or forces.
+/// Returns the fit with the smaller residuals of those that `is_explained` accepts, with a second
+/// mode or self-heating. `None` if there is no such fit, or under several temperatures or forces.
 pub(crate) fn fit_effect(
     recording: &Recording,
     one_mode: &DirectFit,

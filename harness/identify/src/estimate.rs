@@ -67,7 +67,8 @@ impl Estimate {
         Self::pool(&groups.filter_map(own).collect::<Vec<_>>())
     }
 
-    /// Mean. Its error is the larger one of the error from the scatter and the error from the estimates' errors.
+    /// Mean. Its error is the larger one of the error from the scatter and the error from the
+    /// estimates' errors.
     pub fn pool(estimates: &[Self]) -> Option<Self> {
         let (first, count) = (*estimates.first()?, estimates.len() as f64);
         if estimates.len() == 1 {
@@ -96,8 +97,9 @@ pub struct WhitenessTest {
 }
 
 impl WhitenessTest {
-    /// Tests lags up to 10 or a fifth of the length. `None` for fewer than ten or constant residuals. The model has no
-    /// past outputs, so the freedom is not reduced (G. M. Ljung, G. E. P. Box, Biometrika 65, 1978).
+    /// Tests lags up to 10 or a fifth of the length. `None` for fewer than ten or constant
+    /// residuals. The model has no past outputs, so the freedom is not reduced (G. M. Ljung, G. E.
+    /// P. Box, Biometrika 65, 1978).
     pub fn ljung_box(components: &[Vec<f64>]) -> Option<Self> {
         let mut whole = Self { statistic: 0.0, freedom: 0, p_value: 1.0 };
         for residuals in components {

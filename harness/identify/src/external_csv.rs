@@ -34,9 +34,10 @@ const ROLES: [(&str, ColumnRole, Units, bool); 8] = [
 
 /// `time=NAME[:UNIT],drive=…,frequency=…,wd=…,wq=…[,temperature=…][,force=…][,setpoint=…]`
 ///
-/// Units are time s, ms, us · drive Vpp, V (amplitude, half of Vpp) · frequency Hz, kHz, rad/s · wd and wq um, nm, m,
-/// peak to peak · temperature K above the reference · force N · setpoint as wd. The first one is the default. Drive
-/// and frequency of a row act from its time on. Wd and Wq are sampled at this time.
+/// Units are time s, ms, us · drive Vpp, V (amplitude, half of Vpp) · frequency Hz, kHz, rad/s · wd
+/// and wq um, nm, m, peak to peak · temperature K above the reference · force N · setpoint as wd.
+/// The first one is the default. Drive and frequency of a row act from its time on. Wd and Wq are
+/// sampled at this time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnMapping(Vec<(ColumnRole, String, f64)>);
 

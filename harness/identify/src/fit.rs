@@ -1,13 +1,15 @@
 //! Fits the exact response of the mode to all samples (the direct fit).
 //!
-//! The model is the modal tier with piecewise constant drive, frequency, temperature and force. Its parameters are K1,
-//! one time constant per force, one resonance per temperature and force, the instant of each change of force, and W at
-//! the first sample. Noise is an error of the output, so the estimates are unbiased to first order, and the residuals
-//! of the right model are white. Levenberg-Marquardt minimises them over logarithms of positive parameters. Intervals
-//! follow from the curvature at the minimum and the power of the residuals.
+//! The model is the modal tier with piecewise constant drive, frequency, temperature and force. Its
+//! parameters are K1, one time constant per force, one resonance per temperature and force, the
+//! instant of each change of force, and W at the first sample. Noise is an error of the output, so
+//! the estimates are unbiased to first order, and the residuals of the right model are white.
+//! Levenberg-Marquardt minimises them over logarithms of positive parameters. Intervals follow from
+//! the curvature at the minimum and the power of the residuals.
 //!
-//! A finger touches between two rows, and the table has the new force from the next row on. Therefore the instant is
-//! known only to one period. Its error δ changes the first sample by `ΔW(1 − e^(−δ/τ))` and biases τ.
+//! A finger touches between two rows, and the table has the new force from the next row on.
+//! Therefore the instant is known only to one period. Its error δ changes the first sample by
+//! `ΔW(1 − e^(−δ/τ))` and biases τ.
 
 use crate::arx::{ArxMethod, arx};
 use crate::effect::EffectFit;
@@ -23,9 +25,11 @@ const DIFFERENCE_STEP: f64 = 1e-6;
 pub(crate) const OMEGA_UNIT: f64 = 500.0;
 /// Largest relative error of K1 or τ. A fit with a larger one fails.
 const MAX_RELATIVE_ERROR: f64 = 0.5;
-/// Number of fits with instants of touch. Each takes its `touch_weight` from the noise of the previous fit.
+/// Number of fits with instants of touch. Each takes its `touch_weight` from the noise of the
+/// previous fit.
 const TOUCH_FITS: usize = 2;
-/// Lower limit of `touch_weight`, below rounding. Otherwise an instant without effect makes a noise-free fit singular.
+/// Lower limit of `touch_weight`, below rounding. Otherwise an instant without effect makes a
+/// noise-free fit singular.
 const SMALLEST_NOISE_UM: f64 = 1e-12;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -68,7 +72,8 @@ struct ParameterLayout<'a> {
     changes: Vec<LevelChange>,
     touches: usize,
     period: f64,
-    /// Converts an instant of touch in periods to a residual in µm. 0 keeps the instants of the table.
+    /// Converts an instant of touch in periods to a residual in µm. 0 keeps the instants of the
+    /// table.
     touch_weight: f64,
     /// Lowest first, N.
     forces: Vec<f64>,
@@ -109,7 +114,8 @@ impl<'a> ParameterLayout<'a> {
         }
     }
 
-    /// The parameters are `[ln K1, ln τ …, resonance …, Re W, Im W, instant of touch in periods …]`.
+    /// The parameters are
+    /// `[ln K1, ln τ …, resonance …, Re W, Im W, instant of touch in periods …]`.
     fn parameter_count(&self) -> usize {
         self.touch_index(if self.touch_weight > 0.0 { self.touches } else { 0 })
     }
@@ -244,7 +250,8 @@ pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
     })
 }
 
-/// Start values `(τ in s, Δω in rad/s)`: a first-order fit of Wd at resonance, and two around the paper's plate.
+/// Start values `(τ in s, Δω in rad/s)`: a first-order fit of Wd at resonance, and two around the
+/// paper's plate.
 fn start_points(recording: &Recording) -> Vec<(f64, f64)> {
     let wd: Vec<f64> = recording.outputs.iter().map(|output| output.w.re).collect();
     let drive: Vec<f64> = recording.inputs_at_samples().iter().map(|input| input.vpp).collect();
@@ -266,7 +273,8 @@ fn jacobian(
     DMatrix::from_columns(&(0..theta.len()).map(column).collect::<Vec<_>>())
 }
 
-/// Covariance of the parameters for residuals of variance 1. `None` if the parameters are not determined.
+/// Covariance of the parameters for residuals of variance 1. `None` if the parameters are not
+/// determined.
 pub(crate) fn covariance_of(
     residuals: &impl Fn(&DVector<f64>) -> DVector<f64>,
     theta: &DVector<f64>,

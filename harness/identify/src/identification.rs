@@ -61,8 +61,9 @@ pub struct Identification {
     pub inconsistencies: Vec<Inconsistency>,
 }
 
-/// Returns the fits in the order of [`Identification::recordings`]. Temperature steps count as frequency steps only if
-/// the slope of the resonance is given or follows from recordings. Fails if no recording determines the parameters.
+/// Returns the fits in the order of [`Identification::recordings`]. Temperature steps count as
+/// frequency steps only if the slope of the resonance is given or follows from recordings. Fails if
+/// no recording determines the parameters.
 pub fn identify(
     recordings: &[Recording],
     slope_hz_per_k: Option<f64>,
@@ -141,8 +142,8 @@ pub fn identify(
     Ok((identification, fitted.into_iter().map(|(_, fit)| fit).collect()))
 }
 
-/// Replaces fits whose residuals are not white by fits with a second mode or self-heating whose residuals are white.
-/// Keeps the fits if chance explains their number.
+/// Replaces fits whose residuals are not white by fits with a second mode or self-heating whose
+/// residuals are white. Keeps the fits if chance explains their number.
 fn with_effects(mut fitted: Vec<(&Recording, DirectFit)>) -> Vec<(&Recording, DirectFit)> {
     let coloured = fitted.iter().filter(|(recording, fit)| is_coloured(recording, fit)).count();
     let tested = fitted.iter().filter(|(_, fit)| fit.whiteness.is_some()).count();
@@ -229,8 +230,8 @@ fn fit_resonance_line(fit: &DirectFit, abscissa: impl Fn(&Conditions) -> Option<
     fit_line(&points, &fit.resonance_covariance.select_rows(&numbers).select_columns(&numbers))
 }
 
-/// Fits a line by generalised least squares. Returns its value at 0 and its slope. The errors grow if the points
-/// scatter more than their covariance. `None` if all points have the same abscissa.
+/// Fits a line by generalised least squares. Returns its value at 0 and its slope. The errors grow
+/// if the points scatter more than their covariance. `None` if all points have the same abscissa.
 fn fit_line(points: &[(f64, f64)], covariance: &DMatrix<f64>) -> Option<(Estimate, Estimate)> {
     let first = points.first()?;
     if points.iter().all(|point| point.0 == first.0) {

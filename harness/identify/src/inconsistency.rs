@@ -10,9 +10,11 @@ use std::f64::consts::PI;
 use std::fmt;
 
 const LEVEL: f64 = 0.01;
-/// Smaller residuals, as a share of the largest |W|, are rounding, because the wire carries single precision.
+/// Smaller residuals, as a share of the largest |W|, are rounding, because the wire carries single
+/// precision.
 const ROUNDING: f64 = 1e-5;
-/// A component is clipped if more than this share of its samples is the largest or the smallest value.
+/// A component is clipped if more than this share of its samples is the largest or the smallest
+/// value.
 const CLIPPED_SHARE: f64 = 0.02;
 /// Fewer samples at a limit are not clipping.
 const MIN_CLIPPED: usize = 5;

@@ -15,7 +15,8 @@ pub struct ParameterUncertainty {
     pub combined: CombinedUncertainty,
 }
 
-/// Takes the repeatability from the fit if the budget states none. Omits parameters without a budget or an estimate.
+/// Takes the repeatability from the fit if the budget states none. Omits parameters without a
+/// budget or an estimate.
 pub fn parameter_uncertainties(
     found: &Identification,
     budget: &Budget,

@@ -56,7 +56,8 @@ pub struct FrequencyStep {
     window: (usize, usize),
 }
 
-/// Intervals in which each input is the `same` as the first one, as first sample and one past the last.
+/// Intervals in which each input is the `same` as the first one, as first sample and one past the
+/// last.
 fn constant_intervals(
     acting: &[RecordedInput],
     same: impl Fn(&RecordedInput, &RecordedInput) -> bool,
@@ -126,8 +127,9 @@ fn estimate_pair(arx: &ArxModel) -> Option<[Estimate; 2]> {
     Some([*arx.gains.first()?, arx.time_constant])
 }
 
-/// Steps of the detuning while a loop keeps Wd constant. `slope` is that of the resonance in rad/s per K. A step of
-/// the resonance by `−Δ` equals a step of the frequency by `+Δ`, because only Δω matters (equations 11 and 18).
+/// Steps of the detuning while a loop keeps Wd constant. `slope` is that of the resonance in rad/s
+/// per K. A step of the resonance by `−Δ` equals a step of the frequency by `+Δ`, because only Δω
+/// matters (equations 11 and 18).
 pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f64>) -> Vec<FrequencyStep> {
     let acting = recording.inputs_at_samples();
     let Some((reference, resonance)) = whole.resonances.first() else { return Vec::new() };
@@ -197,8 +199,8 @@ pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f
     steps
 }
 
-/// τ2 in s by direct fits of all steps of one recording. Neighbouring steps share a level, so separate fits would not
-/// be independent. Steps without a gap are one fit.
+/// τ2 in s by direct fits of all steps of one recording. Neighbouring steps share a level, so
+/// separate fits would not be independent. Steps without a gap are one fit.
 pub fn frequency_time_constant(recording: &Recording, steps: &[FrequencyStep]) -> Option<Estimate> {
     let mut parts: Vec<(usize, usize)> = Vec::new();
     for step in steps {

@@ -351,7 +351,8 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
     Some(text)
 }
 
-/// The rise is the shift per µm² divided by the shift per kelvin. Without a slope `[heating]` is a comment.
+/// The rise is the shift per µm² divided by the shift per kelvin. Without a slope `[heating]` is a
+/// comment.
 fn heating_lines(found: &Identification, named: &PlateFileDetails, heating: IdentifiedHeating) -> String {
     let slope = found.slope_hz_per_k.map(|slope| slope.value).or(named.slope_hz_per_k).unwrap_or(0.0);
     let (shift, seconds) = (heating.shift_hz_per_um2, heating.time_constant_s);
@@ -370,7 +371,8 @@ fn heating_lines(found: &Identification, named: &PlateFileDetails, heating: Iden
     )
 }
 
-/// At least [`DOUBTFUL_PERCENT`] if doubtful, because the interval is valid only for one plate with white noise.
+/// At least [`DOUBTFUL_PERCENT`] if doubtful, because the interval is valid only for one plate with
+/// white noise.
 fn uncertainty_percent(found: &Identification, estimate: Estimate) -> f64 {
     let floor = if found.inconsistencies.is_empty() { 0.0 } else { DOUBTFUL_PERCENT };
     reach_percent(estimate).max(floor)

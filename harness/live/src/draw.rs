@@ -1,4 +1,5 @@
-//! Draws the state of the view in two layouts, which `draw/snapshots` shows. Colour only repeats what the text says.
+//! Draws the state of the view in two layouts, which `draw/snapshots` shows. Colour only repeats
+//! what the text says.
 
 mod charts;
 mod panels;

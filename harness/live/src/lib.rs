@@ -5,7 +5,8 @@
 //!   standard error ── pipe ── StderrCapture ────────┘
 //! ```
 //!
-//! The thread of [`view`] never blocks the run. If the view cannot draw, the run continues without it.
+//! The thread of [`view`] never blocks the run. If the view cannot draw, the run continues without
+//! it.
 
 #![cfg_attr(not(feature = "screen"), allow(dead_code))]
 

@@ -63,7 +63,8 @@ impl Screen {
     }
 }
 
-/// Never fails, because ratatui's `drop` prints a failed write to standard error, which panics on the same terminal.
+/// Never fails, because ratatui's `drop` prints a failed write to standard error, which panics on
+/// the same terminal.
 #[derive(Debug)]
 pub(crate) struct FrameWriter {
     terminal: File,
@@ -90,7 +91,8 @@ impl Write for FrameWriter {
     }
 }
 
-/// Delivers single keys without echo. Ctrl-C still interrupts. Ctrl-Z, Ctrl-\ and Ctrl-S have no effect.
+/// Delivers single keys without echo. Ctrl-C still interrupts. Ctrl-Z, Ctrl-\ and Ctrl-S have no
+/// effect.
 fn with_single_keys(saved: &Termios) -> Termios {
     let mut modes = saved.clone();
     modes.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);

@@ -72,7 +72,8 @@ impl LiveView {
         thread::Builder::new().name("view".to_owned()).spawn(move || {
             // A panic drops it too, so that `LiveView::drop` does not wait.
             let _end = end;
-            // An error means that the terminal is gone. The hang-up signal of the terminal ends the run.
+            // An error means that the terminal is gone. The hang-up signal of the terminal ends the
+            // run.
             let _ = view_thread.run(&mut terminal);
         })?;
         Ok(Self {

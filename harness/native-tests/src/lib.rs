@@ -10,7 +10,8 @@
 //! }
 //! ```
 //!
-//! The program takes the arguments of a Rust test program and of `cargo nextest`. See `docs/native-tests.md`.
+//! The program takes the arguments of a Rust test program and of `cargo nextest`. See
+//! `docs/native-tests.md`.
 
 pub mod error;
 mod play;

@@ -67,7 +67,8 @@ impl TestContext {
         Err(TestFailure::Verdict { code, expected, table, folder })
     }
 
-    /// Runs into a temporary folder, which then replaces `folder`, so that `folder` contains only one run.
+    /// Runs into a temporary folder, which then replaces `folder`, so that `folder` contains only
+    /// one run.
     fn run_and_replace(&self, plan: &RunPlan, folder: &Path) -> Result<RunRecord, TestFailure> {
         let parent = folder.parent().unwrap_or(&self.out);
         fs::create_dir_all(parent).map_err(folder_error(parent))?;

@@ -20,8 +20,8 @@ pub struct Suite {
 }
 
 impl Suite {
-    /// `scenarios` is a folder or one file. Run folders are created below `out`. Relative paths start in the folder of
-    /// the package, as in every Cargo test.
+    /// `scenarios` is a folder or one file. Run folders are created below `out`. Relative paths
+    /// start in the folder of the package, as in every Cargo test.
     pub fn new(scenarios: impl Into<PathBuf>, out: impl Into<PathBuf>) -> Self {
         Self { scenarios: scenarios.into(), out: out.into(), rig: "emulated".to_owned() }
     }
@@ -33,7 +33,8 @@ impl Suite {
         self
     }
 
-    /// Exit codes: 0 if all tests passed, 101 if a test failed, 2 for an invalid scenario or rig, 4 without scenarios.
+    /// Exit codes: 0 if all tests passed, 101 if a test failed, 2 for an invalid scenario or rig, 4
+    /// without scenarios.
     pub fn run(mut self) -> ExitCode {
         if let Ok(rig) = std::env::var(RIG_VARIABLE) {
             self.rig = rig;

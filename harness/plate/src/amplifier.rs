@@ -1,10 +1,12 @@
-//! Models the amplifier between a command and the plate: converter, dead time, slew rate, bandwidth, offset. The dead
-//! time delays amplitude and frequency; the other effects act on the amplitude.
+//! Models the amplifier between a command and the plate: converter, dead time, slew rate,
+//! bandwidth, offset. The dead time delays amplitude and frequency; the other effects act on the
+//! amplitude.
 //!
-//! Without limits the output v equals the input u. With the bandwidth p and the slew rate S, `v' = p (u − v)` with
-//! `|v'| ≤ S`, so v is a ramp while `|u − v| > S/p` and then an exponential. u is constant between commands, so each
-//! part has the closed form `c + s t + a e^{−pt}`. The ramp ends on a whole nanosecond. The remaining change of v,
-//! below S · 1 ns, becomes a step. The integral of v then has an error of at most S · (1 ns)²/2.
+//! Without limits the output v equals the input u. With the bandwidth p and the slew rate S,
+//! `v' = p (u − v)` with `|v'| ≤ S`, so v is a ramp while `|u − v| > S/p` and then an exponential.
+//! u is constant between commands, so each part has the closed form `c + s t + a e^{−pt}`. The ramp
+//! ends on a whole nanosecond. The remaining change of v, below S · 1 ns, becomes a step. The
+//! integral of v then has an error of at most S · (1 ns)²/2.
 
 use crate::plate_error::{PlateError, check, finite, positive};
 use crate::raw_plate::RawDrive;
@@ -41,7 +43,8 @@ pub struct Amplifier {
     pub offset_vpp: f64,
 }
 
-/// Output of the amplifier, `constant + slope t + decaying e^{−rate t}`: Vpp, Vpp/s for `slope` and 1/s for `rate`.
+/// Output of the amplifier, `constant + slope t + decaying e^{−rate t}`: Vpp, Vpp/s for `slope` and
+/// 1/s for `rate`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Forcing {
     pub(crate) constant: f64,
@@ -95,8 +98,8 @@ impl Amplifier {
         (vpp.clamp(0.0, converter.range_vpp) / step).round() * step
     }
 
-    /// Output that starts at the amplitude `vpp`, without offset, and moves towards `input`. Also returns the duration
-    /// of this segment if another one follows.
+    /// Output that starts at the amplitude `vpp`, without offset, and moves towards `input`. Also
+    /// returns the duration of this segment if another one follows.
     pub(crate) fn segment(&self, vpp: f64, input: f64) -> (Forcing, Option<Time>) {
         let distance = input - vpp;
         let settled = Forcing { constant: input + self.offset_vpp, ..Forcing::default() };

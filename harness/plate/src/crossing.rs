@@ -53,8 +53,9 @@ pub struct Crossing {
     pub before: State,
 }
 
-/// Appends the crossings between `start` and `end` to `found`. The state is `from` at `start` and `after(t)` t seconds
-/// later. From t on, W changes by less than d µm during `seconds_within(t, d)` seconds, so the search skips them.
+/// Appends the crossings between `start` and `end` to `found`. The state is `from` at `start` and
+/// `after(t)` t seconds later. From t on, W changes by less than d µm during `seconds_within(t, d)`
+/// seconds, so the search skips them.
 pub(crate) fn find_crossings(
     monitor: &BandMonitor,
     after: &impl Fn(f64) -> State,

@@ -1,12 +1,14 @@
-//! Models the sensor's electronics in the carrier tier: a sampling converter and a lock-in demodulator.
+//! Models the sensor's electronics in the carrier tier: a sampling converter and a lock-in
+//! demodulator.
 //!
-//! The converter samples `y = Re(W e^{jθ})` at multiples of its own period, clips and rounds it. The demodulator
-//! multiplies each sample by `2 e^{−jθ}` with the excitation's phase and returns the mean of these products over the
-//! last N carrier periods. This mean is W, delayed by half of the window. Before the start the plate is at rest.
+//! The converter samples `y = Re(W e^{jθ})` at multiples of its own period, clips and rounds it.
+//! The demodulator multiplies each sample by `2 e^{−jθ}` with the excitation's phase and returns
+//! the mean of these products over the last N carrier periods. This mean is W, delayed by half of
+//! the window. Before the start the plate is at rest.
 //!
-//! The window is N periods of the present excitation, L samples. If L is not an integer, the oldest sample has a
-//! fractional weight. The component at twice the carrier frequency is then at most `πN/2L²` of |W|; with a window of
-//! whole samples it would be up to `1/2L`.
+//! The window is N periods of the present excitation, L samples. If L is not an integer, the oldest
+//! sample has a fractional weight. The component at twice the carrier frequency is then at most
+//! `πN/2L²` of |W|; with a window of whole samples it would be up to `1/2L`.
 
 use crate::lockin::{Lockin, MAX_WINDOW_SAMPLES};
 use crate::phase::Phase;
@@ -14,7 +16,8 @@ use crate::time::Time;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
-/// Samples between direct evaluations. In between, complex multiplication causes an error of about 2e-16 per sample.
+/// Samples between direct evaluations. In between, complex multiplication causes an error of about
+/// 2e-16 per sample.
 const REFRESH_INTERVAL: u32 = 64;
 /// µm; smaller components are set to 0, see `flow.rs`.
 const NEGLIGIBLE: f64 = 1e-150;
@@ -57,7 +60,8 @@ impl<const N: usize> Wave<N> {
 }
 
 impl Demodulator {
-    /// Allocates a buffer for excitation frequencies down to `omega`/2 rad/s. No other function allocates.
+    /// Allocates a buffer for excitation frequencies down to `omega`/2 rad/s. No other function
+    /// allocates.
     pub fn new(lockin: Lockin, omega: f64) -> Self {
         let longest = 2.0 * f64::from(lockin.periods) * lockin.converter_hz * TAU / omega;
         let period = 1e9 / lockin.converter_hz;
@@ -75,8 +79,8 @@ impl Demodulator {
         self.next
     }
 
-    /// Takes the samples up to and including `end`. From `start` on, W is `rest + Σ amplitude e^{pole t}`. `phase` is
-    /// the phase at `start`.
+    /// Takes the samples up to and including `end`. From `start` on, W is
+    /// `rest + Σ amplitude e^{pole t}`. `phase` is the phase at `start`.
     pub fn advance<const N: usize>(
         &mut self,
         rest: Complex64,

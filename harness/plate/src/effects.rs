@@ -1,4 +1,5 @@
-//! Holds the state of a plate's optional effects: second mode, amplifier, self-heating, sensor latency and drift.
+//! Holds the state of a plate's optional effects: second mode, amplifier, self-heating, sensor
+//! latency and drift.
 
 use crate::flow::State;
 use crate::mode::Drive;
@@ -37,7 +38,8 @@ impl Effects {
         }))
     }
 
-    /// Returns `drive` if it acts now, otherwise stores it for the dead time. The first command acts at once.
+    /// Returns `drive` if it acts now, otherwise stores it for the dead time. The first command
+    /// acts at once.
     pub(crate) fn command(&mut self, drive: Drive, now: Time, dead_time: Time) -> Option<Drive> {
         let is_first = self.commanded == Drive::default();
         self.commanded = drive;

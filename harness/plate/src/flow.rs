@@ -3,14 +3,17 @@
 //! With `y = Re(W e^{jθ})`, `θ' = ω` and the voltage on the q axis, equation 1 is
 //! `y'' + 2σy' + ω0²y = (N/m) Re(jV e^{jθ})`.
 //!
-//! * **modal**: the states are `W` and `U = W' + jωW`, so that `y' = Re(U e^{jθ})`. U, not W', is continuous when ω
-//!   steps. The two poles are `s± = −σ ± j√(ω0² − σ²)`, the steady state is `W∞ = (N/m) jV / (ω0² − ω² + 2jσω)`.
+//! * **modal**: the states are `W` and `U = W' + jωW`, so that `y' = Re(U e^{jθ})`. U, not W', is
+//!   continuous when ω steps. The two poles are `s± = −σ ± j√(ω0² − σ²)`, the steady state is
+//!   `W∞ = (N/m) jV / (ω0² − ω² + 2jσω)`.
 //! * **carrier**: the same W and U; [`crate::Plant`] adds the phase of the carrier.
-//! * **envelope**: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0`. This approximation for ω ≈ ω0 omits the pole `s−`,
-//!   which is about 64 kHz away in this frame (equations 11 and 18 without their linearisation).
-//! * **linear**: `Wd' = −σWd + bV` and, for the ratio `r = Wq/Wd`, `r' = −σr − Δω`. These are equations 13 and 19 with
-//!   the static gains `K1 σ0/σ` and `−1/σ` and the time constant 1/σ. The ratio is a separate state, because it must be
-//!   defined while Wd is 0. It starts at 0 and follows the detuning with or without vibration.
+//! * **envelope**: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0`. This approximation for ω ≈ ω0 omits
+//!   the pole `s−`, which is about 64 kHz away in this frame (equations 11 and 18 without their
+//!   linearisation).
+//! * **linear**: `Wd' = −σWd + bV` and, for the ratio `r = Wq/Wd`, `r' = −σr − Δω`. These are
+//!   equations 13 and 19 with the static gains `K1 σ0/σ` and `−1/σ` and the time constant 1/σ. The
+//!   ratio is a separate state, because it must be defined while Wd is 0. It starts at 0 and
+//!   follows the detuning with or without vibration.
 
 use crate::mode::{Drive, Mode};
 use crate::tier::Tier;
@@ -25,8 +28,8 @@ const NEGLIGIBLE: f64 = 1e-150;
 pub struct State {
     /// `W = Wd + jWq`, µm.
     pub w: Complex64,
-    /// `U = W' + jωW`, µm/s; 0 in the envelope tier. In the linear tier its real part is the ratio Wq/Wd, and `w` is
-    /// `Wd (1 + j Wq/Wd)`.
+    /// `U = W' + jωW`, µm/s; 0 in the envelope tier. In the linear tier its real part is the ratio
+    /// Wq/Wd, and `w` is `Wd (1 + j Wq/Wd)`.
     pub u: Complex64,
 }
 
@@ -65,7 +68,8 @@ impl ExcursionBound {
         }
     }
 
-    /// Time in s during which W changes by less than `distance` µm; may be negative, infinite or NaN.
+    /// Time in s during which W changes by less than `distance` µm; may be negative, infinite or
+    /// NaN.
     pub(crate) fn seconds_within(&self, distance: f64) -> f64 {
         ((distance - self.ripple) / self.speed).max(distance / (self.speed + self.ripple_speed))
     }
@@ -196,7 +200,8 @@ impl Flow {
         }
     }
 
-    /// W as `rest + Σ amplitude e^{pole t}` in every tier: `rest` and pairs (amplitude in µm, pole in 1/s).
+    /// W as `rest + Σ amplitude e^{pole t}` in every tier: `rest` and pairs (amplitude in µm, pole
+    /// in 1/s).
     pub(crate) fn terms(&self) -> (Complex64, [(Complex64, Complex64); 2]) {
         let slow = (self.slow_pole.amplitude, self.slow_pole.pole);
         let other = match &self.second_term {

@@ -1,8 +1,8 @@
 //! Computes the temperature of a plate that its own vibration warms.
 //!
-//! The temperature rise T follows `T' = κ (R |W|² − T)`, with R in K/µm². The loss of a mode is proportional to y'².
-//! Its mean over a carrier period is proportional to |W|², and the time constant 1/κ is many periods. While the modes
-//! are constant, W is a sum `Σ aᵢ e^{pᵢt}`, hence
+//! The temperature rise T follows `T' = κ (R |W|² − T)`, with R in K/µm². The loss of a mode is
+//! proportional to y'². Its mean over a carrier period is proportional to |W|², and the time
+//! constant 1/κ is many periods. While the modes are constant, W is a sum `Σ aᵢ e^{pᵢt}`, hence
 //!
 //! `T(t) = T e^{−κt} + κR Σᵢⱼ aᵢ āⱼ (e^{(pᵢ + p̄ⱼ)t} − e^{−κt})/(pᵢ + p̄ⱼ + κ)`.
 

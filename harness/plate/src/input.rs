@@ -1,4 +1,5 @@
-//! Reads input files of limited size. Refuses pipes and devices, which may never end. `-` is standard input.
+//! Reads input files of limited size. Refuses pipes and devices, which may never end. `-` is
+//! standard input.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
@@ -11,10 +12,12 @@ const MAX_BYTES: u64 = 64 << 20;
 pub const STANDARD_STREAM: &str = "-";
 /// File name of standard input in records and in copies of the input.
 pub const STANDARD_INPUT_NAME: &str = "stdin.toml";
-/// Content of standard input. Callers read an input more than once, but the stream can be read only once.
+/// Content of standard input. Callers read an input more than once, but the stream can be read only
+/// once.
 static STDIN: OnceLock<Result<Vec<u8>, ErrorKind>> = OnceLock::new();
 
-/// Fails with `InvalidInput` for a pipe, device or socket, which is not opened, and with `FileTooLarge` above 64 MiB.
+/// Fails with `InvalidInput` for a pipe, device or socket, which is not opened, and with
+/// `FileTooLarge` above 64 MiB.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     if path == Path::new(STANDARD_STREAM) {
         let content = STDIN.get_or_init(|| read_limited(io::stdin().lock()).map_err(|error| error.kind()));

@@ -72,8 +72,9 @@ impl Mode {
         amplitude * self.sigma / self.envelope_constant
     }
 
-    /// Shortest time in s from rest to `share · setpoint` µm at resonance: `−ln(1 − share·setpoint/W∞)/σ`, with W∞ the
-    /// amplitude at `limit` Vpp. `None` if the limit is too low.
+    /// Shortest time in s from rest to `share · setpoint` µm at resonance:
+    /// `−ln(1 − share·setpoint/W∞)/σ`, with W∞ the amplitude at `limit` Vpp. `None` if the limit is
+    /// too low.
     pub fn min_rise_time(&self, setpoint: f64, share: f64, limit: f64) -> Option<f64> {
         let missing = 1.0 - share * self.drive_for(setpoint) / limit;
         (missing > 0.0).then(|| -missing.ln() / self.sigma)

@@ -1,9 +1,10 @@
 //! Accumulates the carrier's phase θ over intervals without an error that grows.
 //!
-//! θ is in turns, as a fixed-point fraction of 128 bits that wraps. ω is in turns per nanosecond in the same format.
-//! Time is an integer of nanoseconds, so an interval adds an integer product. No interval rounds, and intervals may be
-//! split anywhere. The only error is the rounding of ω to 2⁻¹²⁸ turns/ns, which is below 1e-22 turns in 104 days, the
-//! range of [`Time`]. A sum of `ω Δt` in f64, wrapped after each interval, has an error of 2e-7 rad after 1e9 periods.
+//! θ is in turns, as a fixed-point fraction of 128 bits that wraps. ω is in turns per nanosecond in
+//! the same format. Time is an integer of nanoseconds, so an interval adds an integer product. No
+//! interval rounds, and intervals may be split anywhere. The only error is the rounding of ω to
+//! 2⁻¹²⁸ turns/ns, which is below 1e-22 turns in 104 days, the range of [`Time`]. A sum of `ω Δt`
+//! in f64, wrapped after each interval, has an error of 2e-7 rad after 1e9 periods.
 
 use crate::time::Time;
 use num_complex::Complex64;
@@ -39,8 +40,8 @@ impl Phase {
 }
 
 impl PhaseRate {
-    /// Rate of `omega` rad/s, exact to 2⁻¹²⁸ turns/ns. 0 for NaN, infinity and above 2⁸⁵ rad/s: f64 resolves no turn
-    /// there.
+    /// Rate of `omega` rad/s, exact to 2⁻¹²⁸ turns/ns. 0 for NaN, infinity and above 2⁸⁵ rad/s: f64
+    /// resolves no turn there.
     pub const fn from_omega(omega: f64) -> Self {
         const MANTISSA: u64 = (1 << 52) - 1;
         let bits = omega.abs().to_bits();

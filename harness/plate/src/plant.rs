@@ -18,15 +18,16 @@ use std::f64::consts::PI;
 
 /// Allowed error of a varying mode relative to its amplitude at resonance (`docs/mathematics.md`).
 ///
-/// For a pole λ with the rate λ', two terms of the Magnus series (`varying.rs`) leave the error `λ'² bV h⁵/240` in a
-/// substep h. This error decays with σ, so the total is at most `λ'² h⁴/240 · bV/σ`. A mode that is frozen at its
-/// midpoint leaves the first commutator, `|λ'| h²/12 · bV/σ`.
+/// For a pole λ with the rate λ', two terms of the Magnus series (`varying.rs`) leave the error
+/// `λ'² bV h⁵/240` in a substep h. This error decays with σ, so the total is at most
+/// `λ'² h⁴/240 · bV/σ`. A mode that is frozen at its midpoint leaves the first commutator,
+/// `|λ'| h²/12 · bV/σ`.
 pub(crate) const VARYING_ERROR: f64 = 1e-7;
 /// Shortest substep, s. A profile that needs shorter ones lasts only microseconds.
 const MIN_SUBSTEP: f64 = 1e-7;
-/// Largest rate of a pole for `varying.rs`, as a fraction of Ω³/ω0 (Ω: frequency of the free oscillation). The
-/// equations there require a slow change; a faster mode is frozen per substep. For the paper's plate the limit is about
-/// 1e6 rad/s² or 1 N in 0.35 ms.
+/// Largest rate of a pole for `varying.rs`, as a fraction of Ω³/ω0 (Ω: frequency of the free
+/// oscillation). The equations there require a slow change; a faster mode is frozen per substep.
+/// For the paper's plate the limit is about 1e6 rad/s² or 1 N in 0.35 ms.
 const SLOW_POLE_SHARE: f64 = 1.0 / 40_000.0;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -83,7 +84,8 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// The plate is at rest and without drive. In the carrier tier its sensor is the demodulator, if it has one.
+    /// The plate is at rest and without drive. In the carrier tier its sensor is the demodulator,
+    /// if it has one.
     pub fn new(plate: Plate, scene: ConditionProfiles, tier: Tier) -> Self {
         let lockin = plate.lockin.filter(|_| tier == Tier::Carrier);
         Self {
@@ -194,7 +196,8 @@ impl Plant {
         self.drive = drive;
     }
 
-    /// No effect if `end` has passed. Appends to `crossings` in order of time; may miss an excursion shorter than 1 µs.
+    /// No effect if `end` has passed. Appends to `crossings` in order of time; may miss an
+    /// excursion shorter than 1 µs.
     pub fn advance(&mut self, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
         if self.effects.is_some() {
             return self.advance_with_effects(end, monitors, crossings);
@@ -209,7 +212,8 @@ impl Plant {
             let frequency = self.scene.angular_frequency();
             let fast = interval.rate > self.max_pole_rate || frequency > self.plate.omega0 / 10.0;
             let longest = if fast {
-                // A substep is shorter than a turn of the fast pole, otherwise the substeps would excite this pole.
+                // A substep is shorter than a turn of the fast pole, otherwise the substeps would
+                // excite this pole.
                 let rate = interval.rate * 1.0_f64.hypot(frequency / (2.0 * self.plate.sigma0));
                 max_frozen_substep(rate).min(0.75 * PI / self.plate.omega0)
             } else {
@@ -251,8 +255,9 @@ impl Plant {
         mode.sigma.hypot(mode.omega0 - self.drive.omega)
     }
 
-    /// Longest substep in s for a pole λ of norm `pole`, 1/s, and rate `rate`, rad/s², if a profile has the frequency ν
-    /// = `frequency`, rad/s. The error is `h⁴ |λ'| (|λ'|/240 + ν|λ|/720 + ν²/240 + ν³/2880σ) bV/σ`.
+    /// Longest substep in s for a pole λ of norm `pole`, 1/s, and rate `rate`, rad/s², if a profile
+    /// has the frequency ν = `frequency`, rad/s. The error is
+    /// `h⁴ |λ'| (|λ'|/240 + ν|λ|/720 + ν²/240 + ν³/2880σ) bV/σ`.
     pub(crate) fn max_varying_substep(&self, rate: f64, frequency: f64, pole: f64) -> f64 {
         let mut sum = rate;
         if frequency > 0.0 {
@@ -309,8 +314,8 @@ impl Plant {
             self.find_crossings(end, |seconds| varying.after(seconds), seconds_within, monitors, crossings);
         }
         if let Some(mut demodulator) = self.demodulator.take() {
-            // The demodulator requires exponentials, so each piece has a frozen mode. Each piece starts at the plate's
-            // exact state, so errors do not accumulate.
+            // The demodulator requires exponentials, so each piece has a frozen mode. Each piece
+            // starts at the plate's exact state, so errors do not accumulate.
             let mut from = start;
             for to in split_interval(start, end, longest) {
                 let (mode, state) = (self.mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
@@ -354,7 +359,8 @@ impl Plant {
     }
 }
 
-/// Largest |λ'| that [`VaryingFlow`] accepts under every condition of `scene`, rad/s²; see [`SLOW_POLE_SHARE`].
+/// Largest |λ'| that [`VaryingFlow`] accepts under every condition of `scene`, rad/s²; see
+/// [`SLOW_POLE_SHARE`].
 fn max_slow_pole_rate(plate: &Plate, scene: &ConditionProfiles) -> f64 {
     let largest = |profile: &Profile| profile.range().0.abs().max(profile.range().1.abs());
     let shift = plate.omega0_per_k.abs() * largest(&scene.temperature_offset_k)
@@ -365,19 +371,22 @@ fn max_slow_pole_rate(plate: &Plate, scene: &ConditionProfiles) -> f64 {
     SLOW_POLE_SHARE * squared * squared.sqrt() / plate.omega0
 }
 
-/// Longest substep in s for a mode that is frozen at its midpoint while the pole changes at `rate` rad/s².
+/// Longest substep in s for a mode that is frozen at its midpoint while the pole changes at `rate`
+/// rad/s².
 #[inline]
 pub(crate) fn max_frozen_substep(rate: f64) -> f64 {
     (12.0 * VARYING_ERROR / rate).sqrt().max(MIN_SUBSTEP)
 }
 
-/// Splits the time from `start` to `end` into equal pieces of at most `longest` s. Yields the end of each piece.
+/// Splits the time from `start` to `end` into equal pieces of at most `longest` s. Yields the end
+/// of each piece.
 #[inline]
 pub(crate) fn split_interval(start: Time, end: Time, longest: f64) -> impl Iterator<Item = Time> {
     let span = end - start;
     let pieces = ((span.seconds() / longest).ceil().max(1.0) as u64).min(span.as_nanos());
     (1..=pieces).map(move |piece| {
-        // The last end is exactly `end`. Usually it is the only one, and then no 128-bit division is needed.
+        // The last end is exactly `end`. Usually it is the only one, and then no 128-bit division
+        // is needed.
         if piece == pieces {
             end
         } else {

@@ -1,9 +1,10 @@
 //! Advances a plate with optional effects: second mode, amplifier, self-heating, sensor latency.
 //!
-//! A step ends at each command, at each point of a profile and at the end of the amplifier's ramp. With constant modes
-//! a step of any length is exact. If the conditions or the self-heating change the modes, each follows a parabola as in
-//! `varying.rs`. The self-heating is first computed from the closed form of |W|², including its ripple, for constant
-//! modes at the middle of the step. The error of |W|², up to a fraction `|λ'|h²/8`, is corrected by Simpson's rule.
+//! A step ends at each command, at each point of a profile and at the end of the amplifier's ramp.
+//! With constant modes a step of any length is exact. If the conditions or the self-heating change
+//! the modes, each follows a parabola as in `varying.rs`. The self-heating is first computed from
+//! the closed form of |W|², including its ripple, for constant modes at the middle of the step. The
+//! error of |W|², up to a fraction `|λ'|h²/8`, is corrected by Simpson's rule.
 
 use crate::amplifier::Forcing;
 use crate::crossing::{BandMonitor, Crossing};
@@ -19,7 +20,8 @@ use std::f64::consts::PI;
 
 /// Step as a fraction of the substep of `plant.rs`. The error has order four, so it is a sixteenth.
 const SUBSTEP_FACTOR: f64 = 0.5;
-/// Upper limit of a step with self-heating, as a fraction of 1/|λ|. The temperature is then nearly a parabola.
+/// Upper limit of a step with self-heating, as a fraction of 1/|λ|. The temperature is then nearly
+/// a parabola.
 const HEATING_SUBSTEP_FACTOR: f64 = 0.25;
 
 struct Step {
@@ -71,8 +73,8 @@ impl Plant {
         PerMode { first: self.plate.mode(&conditions), second: self.plate.second_mode(&conditions) }
     }
 
-    /// Upper bound on |λ'| of both modes within the next `seconds`, rad/s². `rate` is the bound for the first mode without
-    /// self-heating.
+    /// Upper bound on |λ'| of both modes within the next `seconds`, rad/s². `rate` is the bound for
+    /// the first mode without self-heating.
     fn effects_rate(&self, effects: &Effects, rate: f64, seconds: f64) -> f64 {
         let plate = &self.plate;
         let heating = plate.heating.map_or(0.0, |heating| {
@@ -89,7 +91,8 @@ impl Plant {
         scale * (rate + heating)
     }
 
-    /// Longest step for `varying.rs`, s. A ramp of the drive that lasts at least a step adds the error `|λ||λ'|h³/240`.
+    /// Longest step for `varying.rs`, s. A ramp of the drive that lasts at least a step adds the
+    /// error `|λ||λ'|h³/240`.
     fn longest_step(&self, effects: &Effects, forcing: &Forcing, rate: f64, frequency: f64) -> f64 {
         let modes = self.modes_at(self.time, effects.heat_k);
         let poles = modes.map(|mode| mode.sigma.hypot(mode.omega0 - self.drive.omega));

@@ -61,7 +61,8 @@ fn uncertainty(raw: &RawUncertainty) -> Result<Uncertainty, PlateError> {
 }
 
 impl RawPlate {
-    /// A slew rate makes the drive a ramp, under which lock-in samples and self-heating have no closed form.
+    /// A slew rate makes the drive a ramp, under which lock-in samples and self-heating have no
+    /// closed form.
     fn check_combinations(&self) -> Result<(), PlateError> {
         const SLEW_RATE: &str = "drive.slew_rate_vpp_per_ms";
         let slew_rate = self.drive.slew_rate_vpp_per_ms;
@@ -141,12 +142,14 @@ fn damping_curve(points: Vec<[f64; 2]>) -> Result<Vec<[f64; 2]>, PlateError> {
 }
 
 impl Plate {
-    /// `N/m = K1 · 2σ0 · ω0` (equation 8), µm/s² per Vpp. A finger and the temperature do not change it.
+    /// `N/m = K1 · 2σ0 · ω0` (equation 8), µm/s² per Vpp. A finger and the temperature do not
+    /// change it.
     pub fn force_constant(&self) -> f64 {
         self.gain * 2.0 * self.sigma0 * self.omega0
     }
 
-    /// Key of the plate file's first optional effect. The models `linear` and `envelope` cannot simulate these effects.
+    /// Key of the plate file's first optional effect. The models `linear` and `envelope` cannot
+    /// simulate these effects.
     pub fn first_effect(&self) -> Option<&'static str> {
         let Amplifier { converter, dead_time, pole, slew_rate, offset_vpp } = self.amplifier;
         let effects = [

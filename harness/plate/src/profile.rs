@@ -5,7 +5,8 @@ use std::f64::consts::{PI, TAU};
 
 #[derive(Debug, Clone, PartialEq)]
 pub enum Profile {
-    /// Each value holds from its point to the next one. The first value also holds before its point.
+    /// Each value holds from its point to the next one. The first value also holds before its
+    /// point.
     Hold(Vec<(Time, f64)>),
     /// Linear between the points, constant before the first and after the last.
     Linear(Vec<(Time, f64)>),
@@ -74,7 +75,8 @@ impl Profile {
         }
     }
 
-    /// First nanosecond after `after` at which the profile passes `value`; `None` if not before the next point.
+    /// First nanosecond after `after` at which the profile passes `value`; `None` if not before the
+    /// next point.
     pub fn next_crossing(&self, value: f64, after: Time) -> Option<Time> {
         match self {
             Self::Hold(_) => None,

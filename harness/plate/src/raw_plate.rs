@@ -3,7 +3,8 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// The protocol carries at most 4.3 MHz (32 bits, mHz). This limit leaves room for a range above the resonance.
+/// The protocol carries at most 4.3 MHz (32 bits, mHz). This limit leaves room for a range above
+/// the resonance.
 pub(crate) const HIGHEST_RESONANCE_HZ: f64 = 2.5e6;
 
 /// The plate file, unchecked.
@@ -64,13 +65,13 @@ pub struct RawSecondMode {
     /// Time constant τ = 1/σ of the untouched plate, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub time_constant_ms: f64,
-    /// Gain of the untouched plate at this mode's resonance, µm/Vpp; not 0. Negative if the sensor measures this mode
-    /// with the opposite sign.
+    /// Gain of the untouched plate at this mode's resonance, µm/Vpp; not 0. Negative if the sensor
+    /// measures this mode with the opposite sign.
     pub gain_um_per_vpp: f64,
 }
 
-/// `[heating]`: the vibration warms the plate by T, `time_constant_s · T' = rise_k_per_um2 · |W|² − T`. T adds to the
-/// temperature offset.
+/// `[heating]`: the vibration warms the plate by T,
+/// `time_constant_s · T' = rise_k_per_um2 · |W|² − T`. T adds to the temperature offset.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawHeating {
@@ -116,7 +117,8 @@ pub struct RawDrive {
     /// Highest drive of the amplifier, Vpp.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub limit_vpp: f64,
-    /// Bits of the converter that sets the drive's amplitude. Drives are not rounded without this key.
+    /// Bits of the converter that sets the drive's amplitude. Drives are not rounded without this
+    /// key.
     #[schemars(range(min = 2, max = 32))]
     pub converter_bits: Option<i64>,
     /// Amplitude of the converter's highest code, at least `limit_vpp`, Vpp.
@@ -151,15 +153,16 @@ pub struct RawSensor {
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub noise_um_rms: f64,
-    /// Number of carrier periods over which the lock-in demodulator averages. Without this key the sensor measures W
-    /// directly. This key and `converter_hz` require the model `carrier`.
+    /// Number of carrier periods over which the lock-in demodulator averages. Without this key the
+    /// sensor measures W directly. This key and `converter_hz` require the model `carrier`.
     #[schemars(range(min = 1, max = 10_000))]
     pub demodulator_periods: Option<i64>,
     /// Sampling rate of the converter, Hz.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e9))]
     pub converter_hz: Option<f64>,
-    /// Bits of the converter, including the sign. Nothing is rounded without this key. The converter converts the
-    /// waveform if `demodulator_periods` is given, otherwise each demodulated component.
+    /// Bits of the converter, including the sign. Nothing is rounded without this key. The
+    /// converter converts the waveform if `demodulator_periods` is given, otherwise each
+    /// demodulated component.
     #[schemars(range(min = 2, max = 32))]
     pub converter_bits: Option<i64>,
     /// The largest amplitude that the converter does not clip, µm.

@@ -11,7 +11,8 @@ pub struct SecondMode {
     pub omega0: f64,
     /// Damping of the untouched plate, 1/s.
     pub sigma0: f64,
-    /// Gain of the untouched plate at this mode's resonance, µm/Vpp; negative if the sensor measures the opposite sign.
+    /// Gain of the untouched plate at this mode's resonance, µm/Vpp; negative if the sensor
+    /// measures the opposite sign.
     pub gain: f64,
 }
 

@@ -15,7 +15,8 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// The sensor measures `gain · W` plus noise of standard deviation `noise_um_rms` on each component.
+    /// The sensor measures `gain · W` plus noise of standard deviation `noise_um_rms` on each
+    /// component.
     pub fn new(gain: f64, noise_um_rms: f64, seed: u64) -> Self {
         Self { gain, noise_um_rms, resolution: None, random: ChaCha8Rng::seed_from_u64(seed) }
     }

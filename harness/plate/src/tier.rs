@@ -2,7 +2,8 @@
 
 use crate::plate::Plate;
 
-/// The key `model` of a scenario. `docs/mathematics.md` states the terms that each tier omits, and its error.
+/// The key `model` of a scenario. `docs/mathematics.md` states the terms that each tier omits, and
+/// its error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub enum Tier {
     /// Equations 13 and 19: Wd from V and Wq/Wd from Δω, two decoupled first-order systems.

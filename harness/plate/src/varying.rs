@@ -1,19 +1,20 @@
 //! Propagates the plate while a finger or the temperature changes its mode.
 //!
-//! Over a step, damping and resonance each follow a parabola. Every tier is transformed to scalar equations
-//! `x' = λ(t)x + g(t)`, one per pole. Each is solved by the first two terms of its Magnus series (Blanes, Casas, Oteo,
-//! Ros, "The Magnus expansion and some of its applications", Physics Reports 470, 2009). With λ the mean over the step
-//! t, λ' its slope and `E = e^{λt}`,
+//! Over a step, damping and resonance each follow a parabola. Every tier is transformed to scalar
+//! equations `x' = λ(t)x + g(t)`, one per pole. Each is solved by the first two terms of its Magnus
+//! series (Blanes, Casas, Oteo, Ros, "The Magnus expansion and some of its applications", Physics
+//! Reports 470, 2009). With λ the mean over the step t, λ' its slope and `E = e^{λt}`,
 //!
 //! `x(t) = E x + g ((E − 1)/λ + λ' G)`, `G = (λt/2 (E + 1) − (E − 1))/λ³ = t³/12 + …`.
 //!
-//! The free motion is exact to this order, the forced motion up to `λ'² t⁵/240 · g`. A force `g + g's`, with the time s
-//! from the middle of the step, adds `−g'λ G`. Under a force `g e^{−rt}`, the variable `x e^{rt}` has the constant
-//! force g and the pole `λ + r`.
+//! The free motion is exact to this order, the forced motion up to `λ'² t⁵/240 · g`. A force
+//! `g + g's`, with the time s from the middle of the step, adds `−g'λ G`. Under a force
+//! `g e^{−rt}`, the variable `x e^{rt}` has the constant force g and the pole `λ + r`.
 //!
-//! The transformation of Liouville and Green (Olver, "Asymptotics and Special Functions", chapter 6) decouples the
-//! poles of the second-order plate. With `Ω² = ω0² − σ² − σ' + ¾(ω0'/ω0)² − ω0''/2ω0` and `v = U + (σ + Ω'/2Ω)W`, each
-//! of the amplitudes `√Ω (W ∓ jv/Ω)/2` has one of the poles `−σ ± jΩ − jω`, so no step excites the fast pole.
+//! The transformation of Liouville and Green (Olver, "Asymptotics and Special Functions", chapter
+//! 6) decouples the poles of the second-order plate. With
+//! `Ω² = ω0² − σ² − σ' + ¾(ω0'/ω0)² − ω0''/2ω0` and `v = U + (σ + Ω'/2Ω)W`, each of the amplitudes
+//! `√Ω (W ∓ jv/Ω)/2` has one of the poles `−σ ± jΩ − jω`, so no step excites the fast pole.
 //! `docs/mathematics.md` derives the error.
 
 use crate::amplifier::Forcing;
@@ -108,8 +109,8 @@ impl PoleStep {
     }
 }
 
-/// Response of a pole with the rate `pole_slope` to the ramp and to the decaying part of the drive, per unit of force.
-/// The force changes by the fraction `−force_slope` per second.
+/// Response of a pole with the rate `pole_slope` to the ramp and to the decaying part of the drive,
+/// per unit of force. The force changes by the fraction `−force_slope` per second.
 fn forced_part(forcing: &Forcing, pole: Complex64, pole_slope: Complex64, force_slope: f64, t: f64) -> Complex64 {
     let Forcing { slope: ramp, decaying, rate, .. } = *forcing;
     let passage = PoleStep::new(pole, t);
@@ -235,8 +236,8 @@ impl VaryingFlow {
         State { w, u: J * (end.omega * scale) * (slow - fast) - end.shear * w }
     }
 
-    /// Response of the modal plate at rest to the ramp and to the decaying part of the drive. [`Self::after`] is the
-    /// response to the constant part.
+    /// Response of the modal plate at rest to the ramp and to the decaying part of the drive.
+    /// [`Self::after`] is the response to the constant part.
     pub(crate) fn response_to(&self, forcing: &Forcing, t: f64) -> State {
         let (start, middle, end) = (self.oscillation(0.0), self.oscillation(t / 2.0), self.oscillation(t));
         let omega = (start.omega + 4.0 * middle.omega + end.omega) / 6.0;

@@ -39,7 +39,8 @@ pub struct CostTrend {
     /// `null` in records of earlier versions.
     #[serde(default)]
     pub tightest: Option<TightestStep>,
-    /// Runs on the same kind of rig and firmware, newest first. The reference that came with the bench is last.
+    /// Runs on the same kind of rig and firmware, newest first. The reference that came with the
+    /// bench is last.
     pub earlier: Vec<EarlierCost>,
 }
 
@@ -67,7 +68,8 @@ pub struct CostChange<'a> {
 }
 
 impl CostTrend {
-    /// The newest earlier run of another build, so that a second run of the same build does not hide a change.
+    /// The newest earlier run of another build, so that a second run of the same build does not
+    /// hide a change.
     pub fn comparison_run(&self) -> Option<&EarlierCost> {
         self.earlier.iter().find(|earlier| earlier.build != self.build).or_else(|| self.earlier.first())
     }

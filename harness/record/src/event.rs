@@ -17,7 +17,8 @@ pub enum Event {
         file: String,
         /// The trace of this trial is complete.
         trial: Box<TrialRecord>,
-        /// Filled for the first trials of each scenario if the receiver wants rows, otherwise empty.
+        /// Filled for the first trials of each scenario if the receiver wants rows, otherwise
+        /// empty.
         rows: Vec<Row>,
     },
     ScenarioFinished(Box<FinishedScenario>),

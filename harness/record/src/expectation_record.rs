@@ -20,7 +20,8 @@ pub struct ExpectationRecord {
     /// Distance of `value` to the limit, divided by the limit's scale, see [`Limit::margin`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub margin: Option<f64>,
-    /// Smallest and largest value over trials if `statistic` is `worst`, otherwise the bounds at `confidence`.
+    /// Smallest and largest value over trials if `statistic` is `worst`, otherwise the bounds at
+    /// `confidence`.
     pub interval: Option<[f64; 2]>,
     /// Confidence of each bound or of the failure rate; `null` if nothing is random.
     pub confidence: Option<f64>,
@@ -99,7 +100,8 @@ pub struct Evidence {
     /// Probability of detecting half or double of the expected deviation, for normal data.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub power: Option<f64>,
-    /// Number of the look (evaluation of the trials so far) that decided, and number of planned looks.
+    /// Number of the look (evaluation of the trials so far) that decided, and number of planned
+    /// looks.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub look: Option<[u32; 2]>,
     /// The evidence as a sentence.

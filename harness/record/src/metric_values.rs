@@ -1,4 +1,5 @@
-//! Stores the metrics of a trial by name without copies of their names, because a run may have 10⁵ trials.
+//! Stores the metrics of a trial by name without copies of their names, because a run may have 10⁵
+//! trials.
 
 use platebench_scenario::Metric;
 use schemars::{JsonSchema, Schema, SchemaGenerator};

@@ -34,7 +34,8 @@ pub enum KeepTraces {
     All,
     /// Keeps no trace. Trials are judged in memory.
     None,
-    /// Trials that miss a limit of one trial, lack a value, break the protocol, diverge, lose the link or are excluded.
+    /// Trials that miss a limit of one trial, lack a value, break the protocol, diverge, lose the
+    /// link or are excluded.
     Failing,
     /// This many trials of each scenario, those with the smallest margins.
     Worst(u32),

@@ -16,7 +16,8 @@ pub struct RealPlateRecord {
     pub acknowledged_us: Option<Quantiles>,
     pub rejected_frames: u64,
     pub lost_rows: u64,
-    /// Deviation of the controller's clock from the bench's, positive if fast, and its standard error; ppm.
+    /// Deviation of the controller's clock from the bench's, positive if fast, and its standard
+    /// error; ppm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clock_ppm: Option<[f64; 2]>,
     pub force_measured: bool,

@@ -31,7 +31,8 @@ pub enum FolderError {
 pub struct RunFolder {
     path: PathBuf,
     started: Timestamp,
-    /// The open folder. It is locked until the run ends, so that no other process creates a run in it.
+    /// The open folder. It is locked until the run ends, so that no other process creates a run in
+    /// it.
     _lock: Arc<File>,
 }
 

@@ -32,14 +32,16 @@ pub struct RunRecord {
     pub clock: ClockKind,
     pub overrides: Overrides,
     pub host: Host,
-    /// True if every controller confirmed 0 V at the end; absent during the run or if it was killed.
+    /// True if every controller confirmed 0 V at the end; absent during the run or if it was
+    /// killed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub safe_confirmed: Option<bool>,
     /// Wall-clock time of the run, ms; absent during the run or if it was killed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wall_ms: Option<f64>,
     pub scenarios: Vec<ScenarioRecord>,
-    /// Scenarios that need a law or a capability that the controller does not announce. They change no verdict.
+    /// Scenarios that need a law or a capability that the controller does not announce. They change
+    /// no verdict.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_applicable: Vec<NotApplicable>,
     /// Instructions per control step by law, if the rig counts them.
@@ -115,7 +117,8 @@ pub struct InputRecord {
 }
 
 impl RunRecord {
-    /// Combines the verdicts of all scenarios. A pass also needs a complete run, all shards and confirmed 0 V.
+    /// Combines the verdicts of all scenarios. A pass also needs a complete run, all shards and
+    /// confirmed 0 V.
     pub fn update_verdict(&mut self) {
         let combined = Verdict::combine(self.scenarios.iter().map(|scenario| scenario.verdict));
         let misses_shards = self.merge.as_ref().is_some_and(|merge| !merge.missing_shards.is_empty());

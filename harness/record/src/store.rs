@@ -64,7 +64,8 @@ impl RunRecord {
         paths.into_iter().find(|(_, path)| is_outside(path))
     }
 
-    /// Up to 20 earlier runs in neighbouring folders, with folder names, newest first. `skipped` gets faulty records.
+    /// Up to 20 earlier runs in neighbouring folders, with folder names, newest first. `skipped`
+    /// gets faulty records.
     pub fn earlier_runs<T: DeserializeOwned>(
         &self,
         folder: &Path,
@@ -105,7 +106,8 @@ pub struct ScenarioSummary {
     pub expectations: Vec<ExpectationRecord>,
 }
 
-/// The keys that decide whether a record is read. They are at its start, and reading stops after them.
+/// The keys that decide whether a record is read. They are at its start, and reading stops after
+/// them.
 #[derive(Default)]
 struct Head {
     format: Option<u32>,

@@ -16,7 +16,8 @@ pub struct TimingRecord {
     pub periods: u64,
     pub overruns: u64,
     pub skipped: u64,
-    /// Samples without an answer in time. If `pacing` is `target`, also periods without a tick of the target.
+    /// Samples without an answer in time. If `pacing` is `target`, also periods without a tick of
+    /// the target.
     pub missed_replies: u64,
     /// Samples that are still without an answer at the end of the trial.
     #[serde(default)]
@@ -33,7 +34,8 @@ pub struct TimingRecord {
     pub target_clock_ppm: Option<f64>,
     pub target_clock_error_ppm: Option<f64>,
     pub safe_confirmed: bool,
-    /// Time that the hypervisor took from this machine's processors during the trial, ms; `null` if unknown.
+    /// Time that the hypervisor took from this machine's processors during the trial, ms; `null` if
+    /// unknown.
     #[serde(default)]
     pub steal_ms: Option<f64>,
 }

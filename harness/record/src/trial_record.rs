@@ -20,7 +20,8 @@ pub struct TrialRecord {
     /// SHA-256 of the trace, hexadecimal; `null` if the trial was cut off before it was recorded.
     #[serde(default)]
     pub sha256: Option<String>,
-    /// Value by metric; `null` if the trial has no number. The second expectation of a metric has the suffix `[2]`.
+    /// Value by metric; `null` if the trial has no number. The second expectation of a metric has
+    /// the suffix `[2]`.
     pub metrics: MetricValues,
     #[serde(default)]
     pub telemetry: Telemetry,
@@ -38,14 +39,17 @@ pub struct TrialRecord {
 pub struct Telemetry {
     /// Longest time from sampling to actuation as it acted on the plate, µs.
     pub loop_delay_us: Option<f64>,
-    /// Longest time from sample to command through line and controller, µs; includes commands that did not act.
+    /// Longest time from sample to command through line and controller, µs; includes commands that
+    /// did not act.
     pub rig_delay_us: Option<f64>,
     pub instructions_mean: Option<f64>,
     pub instructions_worst: Option<f64>,
-    /// Largest difference of a command from the reference implementation; absent without a comparison.
+    /// Largest difference of a command from the reference implementation; absent without a
+    /// comparison.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference_difference_percent: Option<f64>,
-    /// A sentence for each message script with an answer that differs from the reference; absent if none was sent.
+    /// A sentence for each message script with an answer that differs from the reference; absent if
+    /// none was sent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub protocol_differences: Option<Vec<String>>,
     /// The rig's message about the loss of the controller.

@@ -10,7 +10,8 @@ pub struct Violation {
     pub kind: ViolationKind,
     pub at_s: f64,
     pub count: u64,
-    /// Worst commanded value, Vpp or Hz; absent if the kind has no value or the value was not finite.
+    /// Worst commanded value, Vpp or Hz; absent if the kind has no value or the value was not
+    /// finite.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub worst: Option<f64>,
     /// Limit in the unit of `worst`.

@@ -2,7 +2,8 @@
 
 use platebench_record::{Cause, ExpectationRecord, Limit, RunRecord, ScenarioRecord, Statistic, TrialRecord, Verdict};
 
-/// Key in the metrics of a trial. The first expectation of a metric has its name, the second has the suffix `[2]`.
+/// Key in the metrics of a trial. The first expectation of a metric has its name, the second has
+/// the suffix `[2]`.
 pub(crate) fn metric_key(scenario: &ScenarioRecord, index: usize) -> String {
     let Some(expectation) = scenario.expectations.get(index) else { return String::new() };
     let before = scenario.expectations.iter().take(index);

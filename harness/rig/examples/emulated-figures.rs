@@ -1,4 +1,5 @@
-//! Measures the emulated rig in processor time, so that other load has less influence. `ci/firmware` runs it.
+//! Measures the emulated rig in processor time, so that other load has less influence.
+//! `ci/firmware` runs it.
 //! `cargo run --release --ignore-rust-version -p platebench-rig --example emulated-figures [ELF]`
 
 use platebench_rig::{EmulatedLink, Session};

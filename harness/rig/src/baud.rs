@@ -26,15 +26,15 @@ pub struct BaudTooLow {
     pub smallest: Option<u32>,
 }
 
-/// Lowest common rate for a sample and then its command in one period. `time_scale` is in plate seconds per wall
-/// second.
+/// Lowest common rate for a sample and then its command in one period. `time_scale` is in plate
+/// seconds per wall second.
 pub fn minimum_baud(period: Duration, time_scale: f64) -> Option<u32> {
     let needed = 2.0 * CYCLIC_FRAME_BYTES * BITS_PER_BYTE / wall_seconds(period, time_scale);
     STANDARD_RATES.into_iter().find(|&rate| f64::from(rate) >= needed)
 }
 
-/// Fails if a frame in one direction takes longer than a control period. Both directions transmit at the same time. A
-/// law can still fail at this rate, because the loop delay is too long.
+/// Fails if a frame in one direction takes longer than a control period. Both directions transmit
+/// at the same time. A law can still fail at this rate, because the loop delay is too long.
 pub fn check_baud(baud: u32, period: Duration, time_scale: f64) -> Result<(), BaudTooLow> {
     let wall = wall_seconds(period, time_scale);
     let frame = CYCLIC_FRAME_BYTES * BITS_PER_BYTE / f64::from(baud);

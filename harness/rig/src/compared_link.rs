@@ -1,5 +1,6 @@
-//! Compares the commands of a target with those of the hosted reference for the same bytes. Both laws act on the same
-//! samples, so that a difference of their commands does not grow through the plate.
+//! Compares the commands of a target with those of the hosted reference for the same bytes. Both
+//! laws act on the same samples, so that a difference of their commands does not grow through the
+//! plate.
 
 use crate::hosted::HostedLink;
 use crate::link::{Link, LinkError};
@@ -17,7 +18,8 @@ impl<L: Link> ComparedLink<L> {
         Self { link, comparison: None }
     }
 
-    /// Starts a new comparison if `is_compared` is true, else ends it. Call it before the trial's configuration.
+    /// Starts a new comparison if `is_compared` is true, else ends it. Call it before the trial's
+    /// configuration.
     pub(crate) fn compare_with_reference(&mut self, is_compared: bool) {
         self.comparison = is_compared.then(Box::default);
     }
@@ -97,8 +99,8 @@ impl Comparison {
         Ok(())
     }
 
-    /// The difference is 100 % if only one of the two runs. A stop by the watchdog does not count, because clocks
-    /// differ.
+    /// The difference is 100 % if only one of the two runs. A stop by the watchdog does not count,
+    /// because clocks differ.
     fn compare(&mut self, answer: &[u8]) {
         let is_running = |command: &Command| command.state == ControllerState::Running;
         let is_watchdog = |command: &Command| command.cause == StateCause::SampleTimeout;
@@ -126,7 +128,8 @@ fn difference_percent(command: &Command, expected: &Command, configuration: &Con
     100.0 * if drive.is_finite() { drive.max(frequency) } else { frequency }
 }
 
-/// Difference of the drives relative to the drive limit, and of the frequencies relative to the frequency range.
+/// Difference of the drives relative to the drive limit, and of the frequencies relative to the
+/// frequency range.
 pub(crate) fn command_difference(one: &Command, other: &Command, configuration: &Configure) -> [f64; 2] {
     let drive = (f64::from(one.drive_vpp) - f64::from(other.drive_vpp)).abs();
     let frequency_hz = f64::from(one.frequency_mhz.abs_diff(other.frequency_mhz)) * 1e-3;

@@ -99,7 +99,8 @@ impl RigSpec {
         }
     }
 
-    /// Bits per second; `None` if the rig has no baud rate, as a pseudo-terminal, or the bench does not know it.
+    /// Bits per second; `None` if the rig has no baud rate, as a pseudo-terminal, or the bench does
+    /// not know it.
     pub fn baud(&self) -> Option<u32> {
         match self {
             Self::Serial { baud, .. } | Self::Rfc2217 { baud, .. } | Self::Probe { port: Some(_), baud, .. } => {
@@ -124,7 +125,8 @@ impl RigSpec {
         }
     }
 
-    /// True if the controller's clock runs while the plate waits. In lockstep it then needs a longer watchdog timeout.
+    /// True if the controller's clock runs while the plate waits. In lockstep it then needs a
+    /// longer watchdog timeout.
     pub fn has_own_clock(&self) -> bool {
         match self {
             Self::Hosted | Self::Emulated(_) => false,

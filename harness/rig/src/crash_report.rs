@@ -1,4 +1,5 @@
-//! Reports a crash of the firmware. ARMv7-M Architecture Reference Manual, B1.5 and B3.2, describes the registers.
+//! Reports a crash of the firmware. ARMv7-M Architecture Reference Manual, B1.5 and B3.2, describes
+//! the registers.
 
 mod backtrace;
 
@@ -95,7 +96,8 @@ pub struct CrashReport {
     pub sp: u32,
     /// Time since power-on, if the rig knows it.
     pub at_us: Option<u64>,
-    /// True if the watchdog reset the chip while the bench read it. Place and callers are then missing.
+    /// True if the watchdog reset the chip while the bench read it. Place and callers are then
+    /// missing.
     pub watchdog_reset: bool,
 }
 

@@ -1,8 +1,9 @@
-//! Runs a firmware image on an emulated STM32F427 in this process, in virtual time. USART2 (PA2, PA3) runs at the
-//! firmware's baud rate. A command takes effect with its last stop bit, so that the loop delay contains both
-//! transmissions, the idle line after a frame, and the computing time. While the firmware sleeps, virtual time jumps to
-//! the next event. Every trial begins with a power-on, so that equal trials give equal bytes. An access without a model
-//! ends the trial, as do traps, lock-ups, resets and missing answers. Each instruction takes 1/168 µs; a real processor
+//! Runs a firmware image on an emulated STM32F427 in this process, in virtual time. USART2 (PA2,
+//! PA3) runs at the firmware's baud rate. A command takes effect with its last stop bit, so that
+//! the loop delay contains both transmissions, the idle line after a frame, and the computing time.
+//! While the firmware sleeps, virtual time jumps to the next event. Every trial begins with a
+//! power-on, so that equal trials give equal bytes. An access without a model ends the trial, as do
+//! traps, lock-ups, resets and missing answers. Each instruction takes 1/168 µs; a real processor
 //! also waits for its flash and its pipeline.
 
 mod board;
@@ -86,7 +87,8 @@ impl EmulatedLink {
         Self::new(&options::read_image(elf)?, EmulatedOptions::default())
     }
 
-    /// Lets the debugger that connects to `port` control the chip. `elf` is `None` for the built-in image.
+    /// Lets the debugger that connects to `port` control the chip. `elf` is `None` for the built-in
+    /// image.
     pub fn open_with_debugger(
         elf: Option<&Path>,
         port: &DebugPort,
@@ -141,17 +143,20 @@ impl EmulatedLink {
         self.target.watch(addresses);
     }
 
-    /// Recorded instructions that ran, by address. The value is true if one ran while the firmware answered a sample.
+    /// Recorded instructions that ran, by address. The value is true if one ran while the firmware
+    /// answered a sample.
     pub fn executed_instructions(&self) -> &BTreeMap<u32, bool> {
         self.target.executed_instructions()
     }
 
-    /// Overwrites the firmware in flash, also for later trials. Returns false if there is no memory at `address`.
+    /// Overwrites the firmware in flash, also for later trials. Returns false if there is no memory
+    /// at `address`.
     pub fn patch(&mut self, address: u32, bytes: &[u8]) -> bool {
         self.target.patch(address, bytes)
     }
 
-    /// Powers on and performs the handshake. The trial then starts at a whole millisecond of virtual time.
+    /// Powers on and performs the handshake. The trial then starts at a whole millisecond of
+    /// virtual time.
     fn start(&mut self) -> Result<(), TargetError> {
         self.target_error = None;
         self.target.set_control_step(false);
@@ -213,7 +218,8 @@ impl EmulatedLink {
         self.run_machine(until_ns)
     }
 
-    /// Like [`Machine::run`], but a debugger may stop the chip, also before an error ends the trial.
+    /// Like [`Machine::run`], but a debugger may stop the chip, also before an error ends the
+    /// trial.
     fn run_machine(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         let mut stop = None;
         loop {
@@ -240,7 +246,8 @@ impl EmulatedLink {
         Ok(())
     }
 
-    /// Runs to the answer's end or `until_ns`, and completes a begun frame. Returns the end of the last stop bit, ns.
+    /// Runs to the answer's end or `until_ns`, and completes a begun frame. Returns the end of the
+    /// last stop bit, ns.
     fn run_until_answer(&mut self, mut until_ns: u64) -> Result<Option<u64>, TargetError> {
         let mut read = self.received.len();
         let mut extended = false;
@@ -272,8 +279,8 @@ impl EmulatedLink {
             .saturating_add(u64::try_from(self.chip_faults.chip_time(now).as_nanos()).unwrap_or(u64::MAX))
     }
 
-    /// Runs to the trial time `now`. Moves the rest of the trial if the firmware is late, because the plate waits for
-    /// it.
+    /// Runs to the trial time `now`. Moves the rest of the trial if the firmware is late, because
+    /// the plate waits for it.
     fn catch_up(&mut self, now: Duration) -> Result<(), TargetError> {
         let wanted = self.virtual_ns(now);
         let ahead = self.target.now_ns().saturating_sub(wanted);

@@ -1,7 +1,8 @@
-//! Starts a controller program, which opens its serial line, a pseudo-terminal, as `{port}`. The program runs in its
-//! own process group, so that Ctrl-C reaches only the bench, which then requests 0 V. The program's output goes to the
-//! bench's standard error, because the bench's output may be JSON. To end the program, the bench hangs up the line,
-//! then sends SIGTERM, then SIGKILL. If the bench is killed, the line hangs up and the program's own watchdog acts.
+//! Starts a controller program, which opens its serial line, a pseudo-terminal, as `{port}`. The
+//! program runs in its own process group, so that Ctrl-C reaches only the bench, which then
+//! requests 0 V. The program's output goes to the bench's standard error, because the bench's
+//! output may be JSON. To end the program, the bench hangs up the line, then sends SIGTERM, then
+//! SIGKILL. If the bench is killed, the line hangs up and the program's own watchdog acts.
 
 use crate::cancel::CancelToken;
 use crate::connect_options::ConnectOptions;
@@ -16,9 +17,11 @@ use tracing::debug;
 
 const PORT_PLACEHOLDER: &str = "{port}";
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Interval of the repeated hello, because a program that flushes its port at the start loses the first ones.
+/// Interval of the repeated hello, because a program that flushes its port at the start loses the
+/// first ones.
 const HANDSHAKE_INTERVAL: Duration = Duration::from_millis(100);
-/// Longest wait for the program's exit after a hang-up, because the kernel may report the hang-up first.
+/// Longest wait for the program's exit after a hang-up, because the kernel may report the hang-up
+/// first.
 const EXIT_DETECTION_TIMEOUT: Duration = Duration::from_millis(50);
 
 #[derive(Debug, thiserror::Error)]
@@ -70,7 +73,8 @@ impl CommandLine {
 
 #[derive(Debug)]
 pub struct ExecLink {
-    // Declared before `program`, because fields are dropped in this order and the line must hang up first.
+    // Declared before `program`, because fields are dropped in this order and the line must hang up
+    // first.
     port: Port<OwnedFd>,
     program: Program,
 }
@@ -80,7 +84,8 @@ impl ExecLink {
         Self::start_with(command, &ConnectOptions::default())
     }
 
-    /// Replaces `{port}` by the path of the pseudo-terminal, starts the program and waits for the handshake.
+    /// Replaces `{port}` by the path of the pseudo-terminal, starts the program and waits for the
+    /// handshake.
     pub fn start_with(command: &str, options: &ConnectOptions) -> Result<Self, ExecError> {
         let words = CommandLine::parse(command)?;
         let (master, slave, name) = open_pseudo_terminal().map_err(|error| ExecError::Terminal(error.into()))?;

@@ -1,6 +1,7 @@
-//! Connects the bench to a controller over a [`link::Link`]: hosted, emulated, program, serial port, network or debug
-//! probe. All rigs transport the same bytes. The *target* is the processor or process on which the controller runs.
-//! This crate contains no plate, profile or verdict. Time is an argument of its calls.
+//! Connects the bench to a controller over a [`link::Link`]: hosted, emulated, program, serial
+//! port, network or debug probe. All rigs transport the same bytes. The *target* is the processor
+//! or process on which the controller runs. This crate contains no plate, profile or verdict. Time
+//! is an argument of its calls.
 
 #![cfg_attr(not(feature = "emulated"), allow(dead_code, unused_imports))]
 

@@ -1,6 +1,7 @@
-//! Reads a terminal on a separate thread and passes on the bytes with their arrival. A read of a terminal waits for a
-//! kernel thread of normal priority, even if no byte has arrived (`flush_work` in Linux, `drivers/tty/tty_buffer.c`). A
-//! control loop with real-time priority must not wait for that thread.
+//! Reads a terminal on a separate thread and passes on the bytes with their arrival. A read of a
+//! terminal waits for a kernel thread of normal priority, even if no byte has arrived (`flush_work`
+//! in Linux, `drivers/tty/tty_buffer.c`). A control loop with real-time priority must not wait for
+//! that thread.
 
 use crate::link::LinkError;
 use crate::tty::{Tty, poll_until};
@@ -48,7 +49,8 @@ impl LineReader {
         Ok(Self { chunks, arrived, is_stopped, thread: Some(thread), end: None })
     }
 
-    /// See [`RealTimeLine::receive`](crate::link::RealTimeLine::receive). Calls the kernel only to sleep.
+    /// See [`RealTimeLine::receive`](crate::link::RealTimeLine::receive). Calls the kernel only to
+    /// sleep.
     pub(crate) fn read(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
         loop {
             // Read before the queue, because the last chunks precede the end.

@@ -17,7 +17,8 @@ pub enum LinkError {
 
 /// A line on which one thread sends and receives.
 pub trait RealTimeLine: Send {
-    /// Call it before a trial on the thread of its loop, because the reading thread inherits the scheduling class.
+    /// Call it before a trial on the thread of its loop, because the reading thread inherits the
+    /// scheduling class.
     fn start(&mut self) -> Result<(), LinkError> {
         Ok(())
     }
@@ -25,21 +26,23 @@ pub trait RealTimeLine: Send {
     /// Returns at once. Drops the bytes that a full line does not accept.
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
 
-    /// Appends bytes that arrive by `until` and returns their arrival; `None` on time-out. Takes bytes that already
-    /// wait even if `until` is past. Does not allocate if `bytes` has capacity.
+    /// Appends bytes that arrive by `until` and returns their arrival; `None` on time-out. Takes
+    /// bytes that already wait even if `until` is past. Does not allocate if `bytes` has capacity.
     fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError>;
 }
 
 /// In all methods, `now` is the time since the start of the trial.
 pub trait Link: Send {
-    /// Sends `bytes` and appends the answer, up to its end or the time-out; a missing answer is no error. Returns the
-    /// time from the request to the end of the answer; zero without an answer and on the hosted rig.
+    /// Sends `bytes` and appends the answer, up to its end or the time-out; a missing answer is no
+    /// error. Returns the time from the request to the end of the answer; zero without an answer
+    /// and on the hosted rig.
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError>;
 
     /// Advances the target's time to `now` and appends the bytes that the target sends until then.
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError>;
 
-    /// Restarts the target as after power-on and sets the trial's time to zero. Returns false if the link cannot.
+    /// Restarts the target as after power-on and sets the trial's time to zero. Returns false if
+    /// the link cannot.
     fn restart(&mut self) -> Result<bool, LinkError> {
         Ok(false)
     }
@@ -47,12 +50,14 @@ pub trait Link: Send {
     /// Starts another trial without a restart of the target. The next `now` counts from zero.
     fn continue_trial(&mut self) {}
 
-    /// Instructions from the first bit of the last [`Link::exchange`] to the last bit of its answer.
+    /// Instructions from the first bit of the last [`Link::exchange`] to the last bit of its
+    /// answer.
     fn instruction_count(&self) -> Option<u64> {
         None
     }
 
-    /// Text that the firmware wrote over RTT in this trial. `None` if it wrote none or the rig cannot read it.
+    /// Text that the firmware wrote over RTT in this trial. `None` if it wrote none or the rig
+    /// cannot read it.
     fn firmware_output(&self) -> Option<String> {
         None
     }
@@ -62,12 +67,14 @@ pub trait Link: Send {
         if plan.faults.is_empty() { Ok(()) } else { Err(ChipFaultError::Unsupported) }
     }
 
-    /// True if the amplifier enable (PB0) is high. `None` if the rig cannot read it, or it was not high in this trial.
+    /// True if the amplifier enable (PB0) is high. `None` if the rig cannot read it, or it was not
+    /// high in this trial.
     fn amplifier_enabled(&mut self) -> Option<bool> {
         None
     }
 
-    /// Line for a trial's samples in real time, if the link has one. Other messages may use [`Link::exchange`].
+    /// Line for a trial's samples in real time, if the link has one. Other messages may use
+    /// [`Link::exchange`].
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
         None
     }

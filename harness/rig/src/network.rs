@@ -1,5 +1,6 @@
 //! Connects to a serial port behind a network: a terminal server, ser2net or a labgrid exporter.
-//! `tcp:` transports bytes unchanged, and the server sets the port. `rfc2217:` is Telnet, and the bench sets the port.
+//! `tcp:` transports bytes unchanged, and the server sets the port. `rfc2217:` is Telnet, and the
+//! bench sets the port.
 
 mod error;
 mod rfc2217;

@@ -36,8 +36,9 @@ impl PendingRequests {
         self.request
     }
 
-    /// True if `byte` ends the answer, or a message after which no answer will come. This is a fault report, or a
-    /// command of a running controller with a number that was not sent yet. Ticks and telemetry have their own numbers.
+    /// True if `byte` ends the answer, or a message after which no answer will come. This is a
+    /// fault report, or a command of a running controller with a number that was not sent yet.
+    /// Ticks and telemetry have their own numbers.
     pub(crate) fn ends_wait(&mut self, byte: u8) -> bool {
         let (Some(Ok(packet)), Some(expected)) = (self.answers.push(byte), self.expected) else { return false };
         // Half of the numbers count as older than the expected one, because answers may be late.

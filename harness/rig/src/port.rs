@@ -7,7 +7,8 @@ use crate::tty::{Tty, disconnected};
 use rustix::fd::OwnedFd;
 use std::time::{Duration, Instant};
 
-/// Longest time from a hello, a configuration or a sample to the answer. A busy computer usually needs less.
+/// Longest time from a hello, a configuration or a sample to the answer. A busy computer usually
+/// needs less.
 pub const DEFAULT_REPLY_TIMEOUT: Duration = Duration::from_millis(500);
 /// Longest wait for other answers, and for the next answer after a missing one.
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
@@ -18,7 +19,8 @@ const READ_CHUNK_BYTES: usize = 512;
 
 #[derive(Debug)]
 pub struct Port<T> {
-    // Declared before `terminal`, so that the reader's handle is closed first and the line hangs up with the port.
+    // Declared before `terminal`, so that the reader's handle is closed first and the line hangs up
+    // with the port.
     reader: Option<LineReader>,
     terminal: T,
     pending_requests: PendingRequests,

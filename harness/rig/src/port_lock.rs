@@ -1,4 +1,5 @@
-//! Locks a port or a board with `flock`. The kernel releases the lock when the process ends, also after a crash.
+//! Locks a port or a board with `flock`. The kernel releases the lock when the process ends, also
+//! after a crash.
 
 use rustix::fd::AsFd;
 use rustix::fs::{FlockOperation, Stat, flock, fstat, major, minor, stat};

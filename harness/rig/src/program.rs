@@ -44,7 +44,8 @@ impl Program {
         Pid::from_child(&self.child)
     }
 
-    /// Returns a description of the exit; `None` on time-out. Keeps the zombie, which reserves its number and group.
+    /// Returns a description of the exit; `None` on time-out. Keeps the zombie, which reserves its
+    /// number and group.
     pub(crate) fn wait_for_exit(&self, timeout: Duration) -> Option<String> {
         let deadline = Instant::now() + timeout;
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;

@@ -1,5 +1,6 @@
-//! Checks rules of the wire protocol (docs/wire-protocol.md) that a closed loop with a plate does not reach. Plays
-//! scripts of messages and compares each answer with that of the hosted controller, the reference.
+//! Checks rules of the wire protocol (docs/wire-protocol.md) that a closed loop with a plate does
+//! not reach. Plays scripts of messages and compares each answer with that of the hosted
+//! controller, the reference.
 
 mod builder;
 mod comparison;
@@ -17,8 +18,8 @@ use platebench_wire::{Configure, Identity};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Further references. If their commands differ from those of the reference, rounding or a design error of 5 % decides
-/// the command, and no command is compared until the next configuration.
+/// Further references. If their commands differ from those of the reference, rounding or a design
+/// error of 5 % decides the command, and no command is compared until the next configuration.
 const VARIATIONS: [Variation; 4] = [
     Variation { components: ROUNDING, gain: 1.0 },
     Variation { components: -ROUNDING, gain: 1.0 },
@@ -31,13 +32,15 @@ const ROUNDING: f32 = 2e-6;
 const ATTEMPTS: usize = 3;
 /// For scripts that do not test the watchdog. On an emulated line, an exchange takes milliseconds.
 const MIN_WATCHDOG_MS: u16 = 1_000;
-/// Target and reference advance in steps of this length, in which the reference sends at most one tick.
+/// Target and reference advance in steps of this length, in which the reference sends at most one
+/// tick.
 const STEP: Duration = Duration::from_millis(3);
 
-/// Plays every script on `link`; the samples do not come from a plate. The controller may then have stopped or have
-/// another configuration. `base` contains the law, the watchdog timeout and the plate. `own_clock` is true if the
-/// controller's clock runs while the bench waits. `seed` selects the random samples. Returns one sentence for each
-/// script whose answers differ from those of the reference. Fails if the link is lost.
+/// Plays every script on `link`; the samples do not come from a plate. The controller may then have
+/// stopped or have another configuration. `base` contains the law, the watchdog timeout and the
+/// plate. `own_clock` is true if the controller's clock runs while the bench waits. `seed` selects
+/// the random samples. Returns one sentence for each script whose answers differ from those of the
+/// reference. Fails if the link is lost.
 pub fn protocol_differences(
     link: &mut dyn Link,
     identity: &Identity,

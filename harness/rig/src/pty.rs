@@ -15,7 +15,8 @@ pub(crate) fn open_pseudo_terminal() -> rustix::io::Result<(Port<OwnedFd>, Owned
     grantpt(&master)?;
     unlockpt(&master)?;
     let name = ptsname(&master, Vec::new())?;
-    // The bench keeps this end open, because a line whose other end was never opened counts as hung up.
+    // The bench keeps this end open, because a line whose other end was never opened counts as hung
+    // up.
     let slave = rustix::fs::open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
     let mut settings = tcgetattr(&slave)?;
     settings.make_raw();

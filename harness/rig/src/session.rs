@@ -130,7 +130,8 @@ impl<L: Link> Session<L> {
         Ok(gains)
     }
 
-    /// The controller goes to 0 V and uses the new configuration from the next sample on, also if it had stopped.
+    /// The controller goes to 0 V and uses the new configuration from the next sample on, also if
+    /// it had stopped.
     pub fn reconfigure(&mut self, now: Duration, configure: &Configure) -> Result<Gains, RigError> {
         self.now = now;
         self.audit.record_configuration();
@@ -166,8 +167,9 @@ impl<L: Link> Session<L> {
         self.newer_messages() == 0
     }
 
-    /// Advances the target's time without a sample. Returns the newest command since the previous call, which is a late
-    /// answer or reports a stop of the controller. Ignores commands older than those returned before.
+    /// Advances the target's time without a sample. Returns the newest command since the previous
+    /// call, which is a late answer or reports a stop of the controller. Ignores commands older
+    /// than those returned before.
     pub fn advance_to(&mut self, now: Duration) -> Result<Option<Command>, RigError> {
         self.now = now;
         self.discard_consumed();
@@ -242,8 +244,9 @@ impl<L: Link> Session<L> {
         self.rejected_frames
     }
 
-    /// Number of commands whose drive or frequency differs from an earlier answer to the same sample. Repeated frames
-    /// do not count, nor do stops that are reported under the number of the last command.
+    /// Number of commands whose drive or frequency differs from an earlier answer to the same
+    /// sample. Repeated frames do not count, nor do stops that are reported under the number of the
+    /// last command.
     pub fn contradictions(&self) -> u64 {
         self.audit.contradictions
     }
@@ -352,7 +355,8 @@ struct CommandFilter {
 }
 
 impl CommandFilter {
-    /// Returns a command that is newer than the last one, or that reports a stop under the number of the last one.
+    /// Returns a command that is newer than the last one, or that reports a stop under the number
+    /// of the last one.
     fn new_command(self, packet: &Packet) -> Option<(u8, Command)> {
         let Message::Command(command) = packet.message else { return None };
         let [age, known] = [packet.sequence, self.last_command].map(|number| self.last_sent.wrapping_sub(number));

@@ -8,7 +8,8 @@ use std::sync::Arc;
 
 type DebugSlice = EndianArcSlice<RunTimeEndian>;
 
-/// Largest number of names of a function. Compilers merge identical functions, which then have several names.
+/// Largest number of names of a function. Compilers merge identical functions, which then have
+/// several names.
 const MAX_ALIASES: usize = 8;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -79,7 +80,8 @@ impl Symbols {
         self.all.iter().find(|(other, _)| other == name).map(|&(_, address)| address)
     }
 
-    /// Address and size in bytes of a variable. `name` is mangled, demangled, or the last part of the demangled name.
+    /// Address and size in bytes of a variable. `name` is mangled, demangled, or the last part of
+    /// the demangled name.
     pub(crate) fn variable(elf: &[u8], name: &str) -> Option<(u32, u32)> {
         let file = object::File::parse(elf).ok()?;
         let named = |symbol: &object::Symbol<'_, '_>| {
@@ -115,7 +117,8 @@ impl Symbols {
         &self.functions
     }
 
-    /// Functions inlined at `address`, innermost first, then the function itself. Empty without debug information.
+    /// Functions inlined at `address`, innermost first, then the function itself. Empty without
+    /// debug information.
     pub fn frames(&self, address: u32) -> Vec<SourceFrame> {
         let Some(lines) = &self.lines else { return Vec::new() };
         let Ok(mut frames) = lines.find_frames(u64::from(address)).skip_all_loads() else { return Vec::new() };
@@ -134,7 +137,8 @@ impl Symbols {
     /// The symbol also names the innermost inlined function.
     pub(crate) fn locate(&self, address: u32) -> CodeLocation {
         let mut symbol = self.function(u64::from(address)).map(|function| function.name.clone());
-        // The line table keeps removed functions at address 0, so that a line outside known functions is invalid.
+        // The line table keeps removed functions at address 0, so that a line outside known
+        // functions is invalid.
         let mut frames = if symbol.is_some() || self.functions.is_empty() { self.frames(address) } else { Vec::new() };
         // The innermost line outside the standard library is in the firmware's own code.
         let mut lines = frames.iter().filter_map(|frame| frame.line.as_ref());

@@ -1,5 +1,6 @@
-//! Reads and writes an open serial port, pseudo-terminal or network connection. End of file, `EIO`, a broken pipe and a
-//! hang-up become [`LinkError::Disconnected`]. A successful write does not prove that the other side is there.
+//! Reads and writes an open serial port, pseudo-terminal or network connection. End of file, `EIO`,
+//! a broken pipe and a hang-up become [`LinkError::Disconnected`]. A successful write does not
+//! prove that the other side is there.
 
 use crate::link::LinkError;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -16,7 +17,8 @@ pub trait Tty: Send {
     /// Writes as many bytes as fit and returns their number; `None` if none fits by `until`.
     fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError>;
 
-    /// Second handle of the line, for a reading thread. `None` if a read also changes the state of `self`.
+    /// Second handle of the line, for a reading thread. `None` if a read also changes the state of
+    /// `self`.
     fn for_reading(&self) -> Option<Box<dyn Tty>> {
         None
     }

@@ -1,6 +1,7 @@
-//! Runs a link with virtual time in real time. The `now` of the inner link is the wall time since the start of the
-//! trial. An answer arrives after the inner link's delay. While the bench waits, the target's time advances in small
-//! steps to the end of the wait or to the target's next message. Then the thread sleeps until this instant.
+//! Runs a link with virtual time in real time. The `now` of the inner link is the wall time since
+//! the start of the trial. An answer arrives after the inner link's delay. While the bench waits,
+//! the target's time advances in small steps to the end of the wait or to the target's next
+//! message. Then the thread sleeps until this instant.
 
 use crate::link::{Link, LinkError, RealTimeLine};
 use std::collections::VecDeque;

@@ -1,5 +1,5 @@
-//! Measures how a live view slows down the trial loop, for the table of `docs/live-view.md`. Variants alternate and
-//! processor time is measured, so the ratios also hold on a busy computer.
+//! Measures how a live view slows down the trial loop, for the table of `docs/live-view.md`.
+//! Variants alternate and processor time is measured, so the ratios also hold on a busy computer.
 
 use platebench_rig::{FaultInjector, HostedLink, Session};
 use platebench_runner::live_tap::{TapGuard, TapReader};

@@ -1,4 +1,5 @@
-//! Checks every command against the configured limits before the bench clips its drive. Does not allocate.
+//! Checks every command against the configured limits before the bench clips its drive. Does not
+//! allocate.
 
 use crate::configure::start_frequency_mhz;
 use platebench_plate::Time;
@@ -6,7 +7,8 @@ use platebench_record::{Violation, ViolationKind};
 use platebench_scenario::Scenario;
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId};
 
-/// In f32, 32 kHz has a resolution of 2 mHz. The wire rounds to 1 mHz. A difference has both errors twice.
+/// In f32, 32 kHz has a resolution of 2 mHz. The wire rounds to 1 mHz. A difference has both errors
+/// twice.
 const FREQUENCY_TOLERANCE_HZ: f64 = 5e-3;
 /// Relative tolerance, because the wire carries gains as f32.
 const GAIN_TOLERANCE: f32 = 1e-5;
@@ -19,7 +21,8 @@ pub(crate) struct CommandChecks {
     slew_hz: f64,
     /// `None` after a stop of the controller, because the frequency may then start at any value.
     last_hz: Option<f64>,
-    /// False if the scenario has faults, because they may repeat an earlier command or stop the controller's clock.
+    /// False if the scenario has faults, because they may repeat an earlier command or stop the
+    /// controller's clock.
     checks_clock: bool,
     last_us: Option<u32>,
     violations: [Option<Violation>; ViolationKind::COUNT],
@@ -40,7 +43,8 @@ impl CommandChecks {
         }
     }
 
-    /// `samples` is the largest number of samples that the command answers. Each allows one step of the frequency.
+    /// `samples` is the largest number of samples that the command answers. Each allows one step of
+    /// the frequency.
     pub(crate) fn check_command(&mut self, command: &Command, samples: u32, now: Time) {
         let drive = command.drive_vpp;
         if drive.is_finite() && drive > self.drive_limit_vpp {

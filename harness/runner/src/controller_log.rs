@@ -12,7 +12,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tracing::warn;
 
-/// Missed replies in a row after which a controller is lost. Its watchdog expires after five control periods.
+/// Missed replies in a row after which a controller is lost. Its watchdog expires after five
+/// control periods.
 pub(crate) const MAX_MISSED_REPLIES: u32 = 20;
 /// Control periods in which the bench watches the controller after its confirmation of 0 V.
 const WATCHED_PERIODS: u64 = 10;
@@ -112,7 +113,8 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    /// Plays the protocol scripts if the scenario expects them. They may leave the controller in any state.
+    /// Plays the protocol scripts if the scenario expects them. They may leave the controller in
+    /// any state.
     pub(crate) fn check_protocol<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,
@@ -138,7 +140,8 @@ impl<'a> ControllerLog<'a> {
         self.checks.set_count(ViolationKind::IgnoredSafe, session.ignored_safe_requests(), now);
     }
 
-    /// Sends one more sample, of a resting plate, with the time stamp of `last`. The controller must stay at 0 V.
+    /// Sends one more sample, of a resting plate, with the time stamp of `last`. The controller
+    /// must stay at 0 V.
     pub(crate) fn watch_after_safe<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,
@@ -193,7 +196,8 @@ impl<'a> ControllerLog<'a> {
     }
 }
 
-/// True if the error fails the trial. Other errors, such as a dead line, make the trial inconclusive.
+/// True if the error fails the trial. Other errors, such as a dead line, make the trial
+/// inconclusive.
 pub(crate) fn is_controller_failure(error: &RigError) -> bool {
     match error {
         RigError::Trapped(_) | RigError::WrongSequence | RigError::Link(LinkError::Target(_)) => true,

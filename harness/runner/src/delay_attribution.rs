@@ -1,4 +1,5 @@
-//! Excuses an expectation if the simulated law meets it without the rig's delay and misses it with this delay.
+//! Excuses an expectation if the simulated law meets it without the rig's delay and misses it with
+//! this delay.
 
 use crate::real_time::Pacing;
 use crate::trial;
@@ -55,11 +56,13 @@ pub(crate) fn measure_trial(
     measures
 }
 
-/// Median and longest loop delay in real time. `None` in lockstep, where delay is part of the experiment.
+/// Median and longest loop delay in real time. `None` in lockstep, where delay is part of the
+/// experiment.
 fn rig_delay(telemetry: &Telemetry) -> Option<(Time, Time)> {
     let timing = telemetry.timing.as_ref()?;
     let delay = timing.loop_delay_us?;
-    // With target pacing, the measured delay excludes the lateness of the sample, which has the same effect.
+    // With target pacing, the measured delay excludes the lateness of the sample, which has the
+    // same effect.
     let late = if timing.pacing == Pacing::Target.name() { timing.lateness_us.max } else { 0.0 };
     Some((Time::from_ms(delay.p50 / 1e3)?, Time::from_ms((delay.max + late) / 1e3)?))
 }
@@ -90,7 +93,8 @@ fn is_met(expectation: &Expectation, measure: &Measure) -> bool {
     value.is_some_and(|value| expectation.holds(value))
 }
 
-/// Plays the trial with the hosted firmware and a constant loop delay. `None` if the firmware does not answer.
+/// Plays the trial with the hosted firmware and a constant loop delay. `None` if the firmware does
+/// not answer.
 fn simulate_trial(scenario: &Scenario, law: LawId, index: u32, delay: Time) -> Option<TrialMeasures> {
     let mut delayed = scenario.clone();
     delayed.controller.loop_delay = delay;

@@ -1,4 +1,5 @@
-//! Finds the longest constant loop delay at which a law still settles on a plate without noise and without a link.
+//! Finds the longest constant loop delay at which a law still settles on a plate without noise and
+//! without a link.
 
 use crate::configure::configure;
 use platebench_controller::StateMachine;
@@ -49,7 +50,8 @@ pub struct DelayedLoop {
 }
 
 impl DelayedLoop {
-    /// Starts with a resting plate. `setpoint` is in µm. `None` if the controller rejects `configure`.
+    /// Starts with a resting plate. `setpoint` is in µm. `None` if the controller rejects
+    /// `configure`.
     pub fn new(
         configure: &Configure,
         plate: &Plate,
@@ -73,8 +75,8 @@ impl DelayedLoop {
         self.setpoint
     }
 
-    /// Returns W at the start of the control period, µm. Adds `perturbation` in µm to both measured components. `None`
-    /// if the controller stopped or W is not finite.
+    /// Returns W at the start of the control period, µm. Adds `perturbation` in µm to both measured
+    /// components. `None` if the controller stopped or W is not finite.
     pub fn step(&mut self, delay: Time, perturbation: f64) -> Option<Complex64> {
         let (now, w) = (self.plant.time(), self.plant.state().w);
         let sensed = self.plant.sensor_reading();
@@ -113,7 +115,8 @@ impl DelayedLoop {
         })
     }
 
-    /// Control instant in s from which |W| stays within `BAND` until `end` s. `None` if none precedes the last quarter.
+    /// Control instant in s from which |W| stays within `BAND` until `end` s. `None` if none
+    /// precedes the last quarter.
     pub fn settling_time(mut self, delay: Time, end: f64) -> Option<f64> {
         let period = self.period.seconds();
         let periods = (end / period).ceil() as u32;

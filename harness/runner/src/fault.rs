@@ -13,7 +13,8 @@ pub(crate) fn wire_faults(scenario: &Scenario, index: u32) -> Vec<WireFault> {
     scenario.faults.iter().map(|fault| wire_fault(fault, seed)).collect()
 }
 
-/// Control periods without a sample until the controller stops, or without a command until the bench applies 0 V.
+/// Control periods without a sample until the controller stops, or without a command until the
+/// bench applies 0 V.
 pub(crate) const WATCHDOG_PERIODS: u64 = 5;
 /// Random streams below this number belong to sensor noise, plate spread and faults of the line.
 const FIRST_CHIP_STREAM: u64 = 1 << 32;

@@ -1,4 +1,5 @@
-//! Plays scenarios to a controller, in lockstep, in real time or on a real plate, and stores the results.
+//! Plays scenarios to a controller, in lockstep, in real time or on a real plate, and stores the
+//! results.
 
 mod abort;
 pub mod baseline;

@@ -1,6 +1,7 @@
 //! Passes the rows of a trial to a live view, which may miss rows but no counts.
 //!
-//! The trial loop neither waits nor allocates for a reader. If the queue is full, the tap counts the row and drops it.
+//! The trial loop neither waits nor allocates for a reader. If the queue is full, the tap counts
+//! the row and drops it.
 
 use platebench_trace::{Flags, Row};
 use rtrb::{Consumer, Producer, RingBuffer};
@@ -27,7 +28,8 @@ pub struct TapCounts {
     /// Samples without a reply at the next control instant.
     pub missed_replies: u64,
     pub rejected_frames: u64,
-    /// Control instants by lateness. Class n is below 2^n µs, and the last class has no upper limit.
+    /// Control instants by lateness. Class n is below 2^n µs, and the last class has no upper
+    /// limit.
     pub lateness: [u64; LATENESS_CLASSES],
 }
 
@@ -135,7 +137,8 @@ impl LiveTap {
         (Self(Some(Arc::new(Mutex::new(Some(tap))))), tap_reader)
     }
 
-    /// The guard has no writer if another trial holds it. Takes a lock, so a trial's loop must not call it.
+    /// The guard has no writer if another trial holds it. Takes a lock, so a trial's loop must not
+    /// call it.
     pub fn acquire(&self, scenario: usize, trial: u32) -> TapGuard<'_> {
         let slot = self.0.as_deref();
         let mut tap = slot.and_then(|slot| slot.lock().unwrap_or_else(PoisonError::into_inner).take());

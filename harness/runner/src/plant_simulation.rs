@@ -151,7 +151,8 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         points.into_iter().flatten().fold(step, Time::min)
     }
 
-    /// Adds a row before and after each crossing of an expectation's band. No scheduled row may lie before `end`.
+    /// Adds a row before and after each crossing of an expectation's band. No scheduled row may lie
+    /// before `end`.
     pub(crate) fn advance(&mut self, end: Time) {
         self.update_bands();
         self.plant.advance(end, &self.bands, &mut self.crossings);
@@ -218,7 +219,8 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
             flags: also.into_iter().filter(|(holds, _)| *holds).fold(flags, |flags, (_, flag)| flags | flag),
         };
         match &mut self.pending_row {
-            // The row of an instant has the state after its last event and the flags of all its events.
+            // The row of an instant has the state after its last event and the flags of all its
+            // events.
             Some(last) if last.t_s == row.t_s => {
                 let happened = last.flags & (Flags::CONTROL | Flags::OVERRUN | Flags::LINK_LOST);
                 *last = Row { lateness_us: row.lateness_us.max(last.lateness_us), flags: row.flags | happened, ..row };
@@ -270,7 +272,8 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     }
 }
 
-/// 0 or just before 2^16 ms, 2^31 µs or 2^32 µs, so that counters of these widths overflow in the trial.
+/// 0 or just before 2^16 ms, 2^31 µs or 2^32 µs, so that counters of these widths overflow in the
+/// trial.
 fn clock_start_us(scenario: &Scenario, index: u32) -> u32 {
     let before_us = (scenario.duration.wrapping_micros() / 2).min(20_000);
     match index % 4 {

@@ -1,5 +1,5 @@
-//! Plays one trial on a real plate. The controller drives the plate with its own sensor and timer. The bench sends
-//! setpoints, prompts the operator and records telemetry.
+//! Plays one trial on a real plate. The controller drives the plate with its own sensor and timer.
+//! The bench sends setpoints, prompts the operator and records telemetry.
 
 mod prompts;
 mod telemetry_loop;

@@ -1,7 +1,8 @@
 //! Plays one trial in real time, so that delays of bench, line and controller act on the plate.
 //!
-//! The loop has its own thread and neither allocates nor logs. A sample contains the plate's state at the control
-//! instant, even if it leaves late. A command acts when it arrives. So lateness acts only as loop delay.
+//! The loop has its own thread and neither allocates nor logs. A sample contains the plate's state
+//! at the control instant, even if it leaves late. A command acts when it arrives. So lateness acts
+//! only as loop delay.
 
 mod control_loop;
 mod manual_control;
@@ -28,7 +29,8 @@ use platebench_trace::Row;
 use std::panic::resume_unwind;
 use std::thread;
 
-/// Blocks the calling thread, which only collects rows. The rig must support real time. `None` if it was cancelled.
+/// Blocks the calling thread, which only collects rows. The rig must support real time. `None` if
+/// it was cancelled.
 pub fn play<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -41,7 +43,8 @@ pub fn play<L: Link>(
     end.map(|(telemetry, link_error)| TrialResult { trace_rows, telemetry, link_error })
 }
 
-/// Runs until `cancel`, a lost controller or its stop. The first change of `manual` replaces the scenario's profiles.
+/// Runs until `cancel`, a lost controller or its stop. The first change of `manual` replaces the
+/// scenario's profiles.
 pub fn emulate_plate<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,

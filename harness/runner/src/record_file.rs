@@ -1,4 +1,5 @@
-//! Writes `run.json` during a run, so that a killed run keeps the judged scenarios. Writes take at most 5 % of a run.
+//! Writes `run.json` during a run, so that a killed run keeps the judged scenarios. Writes take at
+//! most 5 % of a run.
 
 use platebench_record::{FolderError, RunFolder, RunRecord};
 use std::time::{Duration, Instant};

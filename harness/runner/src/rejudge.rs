@@ -58,8 +58,8 @@ impl From<Diagnostic> for RejudgeError {
     }
 }
 
-/// The scenario file `replacement` replaces the expectations of the scenario with the same file name. A trial without
-/// a trace was interrupted and makes its scenario inconclusive.
+/// The scenario file `replacement` replaces the expectations of the scenario with the same file
+/// name. A trial without a trace was interrupted and makes its scenario inconclusive.
 pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
     if record.overrides.keep_traces != KeepTraces::All {

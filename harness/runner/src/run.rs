@@ -27,7 +27,8 @@ use std::thread;
 use std::time::Instant;
 use tracing::info;
 
-/// Also writes the record into `folder`. After an error, `platebench judge` can still judge the complete trials.
+/// Also writes the record into `folder`. After an error, `platebench judge` can still judge the
+/// complete trials.
 pub fn run(
     plan: &RunPlan,
     folder: &RunFolder,
@@ -112,7 +113,8 @@ fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError
     Ok(())
 }
 
-/// Returns why the rig cannot apply the faults of the chip. Fails if the firmware lacks their target.
+/// Returns why the rig cannot apply the faults of the chip. Fails if the firmware lacks their
+/// target.
 fn missing_chip_faults(
     plan: &RunPlan,
     scenario: &Scenario,
@@ -301,7 +303,8 @@ pub(crate) fn complete_record(record: &mut ScenarioRecord, judgement: Judgement,
     record.trials = trials;
 }
 
-/// Keeps only the traces of the `count` trials with the smallest margins. Of equal margins, the earlier trial counts.
+/// Keeps only the traces of the `count` trials with the smallest margins. Of equal margins, the
+/// earlier trial counts.
 fn keep_worst(
     folder: &RunFolder,
     scenario: &Scenario,

@@ -1,4 +1,5 @@
-//! Measures the time that a hypervisor took from this machine, from `/proc/stat` (proc(5), "steal").
+//! Measures the time that a hypervisor took from this machine, from `/proc/stat` (proc(5),
+//! "steal").
 
 use rustix::param::clock_ticks_per_second;
 

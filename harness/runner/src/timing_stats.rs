@@ -32,8 +32,8 @@ impl DurationHistogram {
     }
 }
 
-/// Fits the drift of the target's clock by least squares over the samples. Occasional delays increase the standard
-/// error. A delay that grows steadily looks like drift.
+/// Fits the drift of the target's clock by least squares over the samples. Occasional delays
+/// increase the standard error. A delay that grows steadily looks like drift.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ClockDrift {
     last_target_us: Option<u32>,
@@ -62,7 +62,8 @@ impl ClockDrift {
         self.square_ahead += from_ahead * (ahead - self.mean_ahead);
     }
 
-    /// Drift and its standard error, ppm. Positive if the target is fast. `None` for fewer than three samples.
+    /// Drift and its standard error, ppm. Positive if the target is fast. `None` for fewer than
+    /// three samples.
     pub(crate) fn ppm(&self) -> Option<(f64, f64)> {
         if self.count < 3.0 || self.square_bench <= 0.0 {
             return None;

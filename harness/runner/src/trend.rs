@@ -1,6 +1,7 @@
 //! Compares instructions per control step with earlier runs and with the shipped image.
 //!
-//! The plate's motion changes the count by 1 to 2 %, so only equal trials on the same kind of rig are compared.
+//! The plate's motion changes the count by 1 to 2 %, so only equal trials on the same kind of rig
+//! are compared.
 
 use platebench_record::sha256;
 use platebench_record::{CostTrend, EarlierCost, RecordError, RigRecord, StepCost};
@@ -98,7 +99,8 @@ fn law_trend(law: &str, record: &RunRecord, here: &Costs, earlier: &[(EarlierRun
     Some(CostTrend { tightest: tightest_step(&law, record), law, build, cost, earlier: earlier.collect() })
 }
 
-/// Step with the largest share of its control period. A step with more instructions may have a longer period.
+/// Step with the largest share of its control period. A step with more instructions may have a
+/// longer period.
 fn tightest_step(law: &str, record: &RunRecord) -> Option<TightestStep> {
     let of_law = record.scenarios.iter().filter(|scenario| scenario.law == law);
     let steps = of_law.flat_map(|scenario| {

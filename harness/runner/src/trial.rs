@@ -1,5 +1,5 @@
-//! Plays one trial in lockstep: the plate waits while a sample travels, the controller computes and the command
-//! returns. At one instant the order is sample, actuation, row.
+//! Plays one trial in lockstep: the plate waits while a sample travels, the controller computes and
+//! the command returns. At one instant the order is sample, actuation, row.
 
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_failure};
 use crate::fault::{WATCHDOG_PERIODS, chip_fault_plan, planned_stops, wire_faults};
@@ -18,7 +18,8 @@ use std::collections::VecDeque;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Watchdog of a controller with its own clock. It is longer than a stall of the host, because the bench sets the pace.
+/// Watchdog of a controller with its own clock. It is longer than a stall of the host, because the
+/// bench sets the pace.
 pub(crate) const OWN_CLOCK_WATCHDOG_TIMEOUT_MS: u16 = 10_000;
 /// Shorter watchdog for a trial with a planned silence that must trigger it.
 const SILENCE_WATCHDOG_TIMEOUT_MS: u16 = 1_000;
@@ -99,7 +100,8 @@ struct Trial<'a, L: Link> {
     watchdog_timeout_ms: u16,
     planned_stops: Vec<Time>,
     link_error: Option<RigError>,
-    /// Error with which a planned fault of the chip stopped the controller. The rest of the trial has 0 V.
+    /// Error with which a planned fault of the chip stopped the controller. The rest of the trial
+    /// has 0 V.
     chip_stop: Option<RigError>,
 }
 
@@ -277,7 +279,8 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// Sends the configuration again after a fault that stopped the controller, as an operator would.
+    /// Sends the configuration again after a fault that stopped the controller, as an operator
+    /// would.
     fn reconfigure(&mut self, now: Time) {
         let Some(configure) = self.controller.reconfiguration(now) else { return };
         let configure = self.with_watchdog(configure);
@@ -333,7 +336,8 @@ impl<'a, L: Link> Trial<'a, L> {
         self.link_error.is_some() || self.chip_stop.is_some()
     }
 
-    /// Restarts the emulated board, because the request for 0 V and the next trial need a board that answers.
+    /// Restarts the emulated board, because the request for 0 V and the next trial need a board
+    /// that answers.
     fn restart_after_chip_faults(&mut self) -> Result<(), RigError> {
         let link = self.session.link_mut();
         if !self.chip_faults.faults.is_empty() && link.set_chip_faults(&ChipFaultPlan::default()).is_ok() {

@@ -84,7 +84,8 @@ pub(crate) enum Progress {
 
 pub(crate) type ResultSender = mpsc::SyncSender<Result<Progress, RunError>>;
 
-/// With `fail_fast` the channel has no capacity, so a sender waits until its earlier results are handled.
+/// With `fail_fast` the channel has no capacity, so a sender waits until its earlier results are
+/// handled.
 pub(crate) fn result_channel(fail_fast: bool) -> (ResultSender, mpsc::Receiver<Result<Progress, RunError>>) {
     mpsc::sync_channel(if fail_fast { 0 } else { RESULT_QUEUE })
 }
@@ -160,7 +161,8 @@ impl WorkQueue<'_> {
         }
     }
 
-    /// Plays the scenes before a further trial and returns their violations. `None` if they were cancelled.
+    /// Plays the scenes before a further trial and returns their violations. `None` if they were
+    /// cancelled.
     fn play_between(
         &self,
         session: &mut RigSession,

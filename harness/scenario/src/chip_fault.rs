@@ -2,7 +2,8 @@
 
 use platebench_plate::Time;
 
-/// `ClockDrift` is in parts per million, positive if the clocks are fast. Without a `bit`, the trial's seed draws one.
+/// `ClockDrift` is in parts per million, positive if the clocks are fast. Without a `bit`, the
+/// trial's seed draws one.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ChipFaultKind {
     BitFlip { target: BitFlipTarget, bit: Option<u32> },

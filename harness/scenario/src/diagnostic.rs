@@ -34,7 +34,8 @@ impl Diagnostic {
         Self { path: path.to_owned(), source: source.to_owned(), span, message: message.into() }
     }
 
-    /// `key` is a dotted path such as `expect.0.metric`. If it is missing, the diagnostic points at its nearest parent.
+    /// `key` is a dotted path such as `expect.0.metric`. If it is missing, the diagnostic points at
+    /// its nearest parent.
     pub fn at_key(path: &Path, source: &str, key: &str, message: impl Into<String>) -> Self {
         Self::at_span(path, source, span_of_key(source, key), message)
     }

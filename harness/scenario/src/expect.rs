@@ -78,11 +78,12 @@ pub enum Metric {
     /// Largest difference of the signal from the first trial at the same control instant.
     #[strum(serialize = "trial_difference_um")]
     TrialDifference,
-    /// Largest difference between a command and that of the reference implementation for the same samples, as a share
-    /// of the drive limit or of the frequency range.
+    /// Largest difference between a command and that of the reference implementation for the same
+    /// samples, as a share of the drive limit or of the frequency range.
     #[strum(serialize = "reference_difference_percent")]
     ReferenceDifference,
-    /// Number of message scripts that the controller answers differently from the reference implementation.
+    /// Number of message scripts that the controller answers differently from the reference
+    /// implementation.
     ProtocolDifferences,
 }
 
@@ -149,7 +150,8 @@ impl Metric {
         !matches!(self, Self::Repeatability | Self::TrialDifference)
     }
 
-    /// True if the metric judges the motion of the plate, not only the line or the controller's timing.
+    /// True if the metric judges the motion of the plate, not only the line or the controller's
+    /// timing.
     pub const fn is_of_the_plate(self) -> bool {
         !matches!(
             self,
@@ -208,7 +210,8 @@ pub enum Limit {
 }
 
 impl Limit {
-    /// The smallest and the largest value that meet the limit. Only [`Self::About`] uses `tolerance_percent`.
+    /// The smallest and the largest value that meet the limit. Only [`Self::About`] uses
+    /// `tolerance_percent`.
     pub fn range(self, tolerance_percent: f64) -> (f64, f64) {
         match self {
             Self::AtMost(high) => (f64::NEG_INFINITY, high),
@@ -221,8 +224,9 @@ impl Limit {
         }
     }
 
-    /// Distance of `value` to the limit, divided by the limit's scale; negative if `value` breaks the limit. The scale
-    /// is the limit itself, half the range or the tolerance; it is 1 if that is 0.
+    /// Distance of `value` to the limit, divided by the limit's scale; negative if `value` breaks
+    /// the limit. The scale is the limit itself, half the range or the tolerance; it is 1 if that
+    /// is 0.
     pub fn margin(self, value: f64, tolerance_percent: f64) -> f64 {
         let over = |distance: f64, scale: f64| distance / if scale == 0.0 { 1.0 } else { scale.abs() };
         let (low, high) = self.range(tolerance_percent);
@@ -269,7 +273,8 @@ impl Aggregation {
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct Expectation {
-    /// Unique in the scenario. Default: the metric, numbered from its second expectation: `ripple_um 2`.
+    /// Unique in the scenario. Default: the metric, numbered from its second expectation:
+    /// `ripple_um 2`.
     pub name: String,
     pub metric: Metric,
     pub limit: Limit,
@@ -295,7 +300,8 @@ impl Expectation {
         self.limit.range(self.tolerance_percent)
     }
 
-    /// As [`Limit::margin`]. `None` for [`Limit::About`] of a standard deviation, which is a test without a tolerance.
+    /// As [`Limit::margin`]. `None` for [`Limit::About`] of a standard deviation, which is a test
+    /// without a tolerance.
     pub fn margin(&self, value: f64) -> Option<f64> {
         let is_agreement = self.aggregation == Aggregation::StandardDeviation && matches!(self.limit, Limit::About(_));
         (!is_agreement).then(|| self.limit.margin(value, self.tolerance_percent))

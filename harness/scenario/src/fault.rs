@@ -71,9 +71,9 @@ impl Fault {
         self.from <= time && self.until.is_none_or(|until| time < until)
     }
 
-    /// True if the fault can cause a missing answer or a stop at `time`: in its window, for one period after it (a
-    /// frame without a delimiter destroys the next one), and while delayed messages arrive. A line that stays dead
-    /// explains nothing, because its controller is lost.
+    /// True if the fault can cause a missing answer or a stop at `time`: in its window, for one
+    /// period after it (a frame without a delimiter destroys the next one), and while delayed
+    /// messages arrive. A line that stays dead explains nothing, because its controller is lost.
     pub fn can_explain(&self, time: Time, period: Time) -> bool {
         let delay = match self.kind {
             FaultKind::Delay(delay) => delay,

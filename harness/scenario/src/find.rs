@@ -9,7 +9,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// `find` skips these folders unless they are named. `identify` contains recordings, `hardware` assumed electronics.
+/// `find` skips these folders unless they are named. `identify` contains recordings, `hardware`
+/// assumed electronics.
 const NON_SCENARIO_FOLDERS: [&str; 5] = ["plates", "baselines", "plans", "identify", "hardware"];
 const GENERATED_FOLDERS: [&str; 1] = ["baselines"];
 /// A folder with `run.json` and `traces` is a run folder. The scenarios in its `inputs` are copies.
@@ -27,7 +28,8 @@ pub struct FoundScenarios {
     pub copies: Vec<PathBuf>,
 }
 
-/// The nearest file `name` in `folder` or above it; relative if `folder`, the working directory, contains it.
+/// The nearest file `name` in `folder` or above it; relative if `folder`, the working directory,
+/// contains it.
 pub fn find_file_above(folder: &Path, name: &str) -> Option<PathBuf> {
     let mut candidates = folder.ancestors().map(|ancestor| ancestor.join(name));
     let path = candidates.find(|path| path.symlink_metadata().is_ok())?;
@@ -57,8 +59,8 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Loads the named scenarios and those below the named folders. Skips a scenario with `expected_exit` or with a fault
-/// of the chip unless it or its own folder is named.
+/// Loads the named scenarios and those below the named folders. Skips a scenario with
+/// `expected_exit` or with a fault of the chip unless it or its own folder is named.
 pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     let mut search = Search::new(&NON_SCENARIO_FOLDERS);
     let is_scenario = |path: &Path| FileKind::detect(path) == FileKind::Scenario;
@@ -88,8 +90,8 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     if faults.is_empty() { Ok(found) } else { Err(faults) }
 }
 
-/// Returns the named files and all TOML files below the named folders with their names in records, and the errors of
-/// unreadable folders. Skips baselines and the inputs of run folders.
+/// Returns the named files and all TOML files below the named folders with their names in records,
+/// and the errors of unreadable folders. Skips baselines and the inputs of run folders.
 pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
     let mut search = Search::new(&GENERATED_FOLDERS);
     let files = search.files(arguments, |_| true);

@@ -28,7 +28,8 @@ pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
     load_with_all_errors(path, file).map_err(|faults| first_diagnostic(path, faults))
 }
 
-/// As [`load()`], but with every error that does not depend on another one, one per `[[fault]]` and `[[expect]]`.
+/// As [`load()`], but with every error that does not depend on another one, one per `[[fault]]` and
+/// `[[expect]]`.
 pub fn load_with_all_errors(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
     load_from(path, file, &[])
 }

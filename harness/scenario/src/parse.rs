@@ -25,7 +25,8 @@ pub fn parse_bytes<T: DeserializeOwned>(path: &Path, bytes: Vec<u8>) -> Result<(
     Ok((text, raw))
 }
 
-/// Errors: all syntax errors, otherwise all unknown keys and wrong types in their order, then all missing keys.
+/// Errors: all syntax errors, otherwise all unknown keys and wrong types in their order, then all
+/// missing keys.
 pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
     let (document, errors) = DeTable::parse_recoverable(text);
     let mut faults: Vec<_> =
@@ -94,7 +95,8 @@ fn remove_span_in_value(value: &mut Spanned<DeValue<'_>>, span: &Range<usize>, h
     }
 }
 
-/// A list of numbers is removed as a whole. A list of tables has the span of its first table and does not match.
+/// A list of numbers is removed as a whole. A list of tables has the span of its first table and
+/// does not match.
 fn matches_span(value: &Spanned<DeValue<'_>>, span: &Range<usize>) -> bool {
     let own = value.span();
     match value.get_ref() {

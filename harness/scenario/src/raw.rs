@@ -106,7 +106,8 @@ pub struct RawController {
     /// Time from sampling to actuation, ms.
     #[schemars(range(min = 0.0))]
     pub loop_delay_ms: f64,
-    /// Largest additional loop delay, ms. Each period draws one, uniformly from 0 to this value, by the trial's seed.
+    /// Largest additional loop delay, ms. Each period draws one, uniformly from 0 to this value, by
+    /// the trial's seed.
     #[schemars(range(min = 0.0))]
     pub loop_delay_jitter_ms: f64,
     /// Loop delay that the law is designed for, ms.
@@ -123,7 +124,8 @@ pub struct RawController {
     pub frequency_slew_hz: Option<f64>,
     /// Gains instead of the law's own design.
     pub gains: Option<Gains>,
-    /// Plate file that the controller is configured for, relative to this file. Default: the plate of the scenario.
+    /// Plate file that the controller is configured for, relative to this file. Default: the plate
+    /// of the scenario.
     pub design_plate: Option<PathBuf>,
 }
 
@@ -203,9 +205,11 @@ pub struct RawFault {
     /// Draws the instant of a fault of the chip from the trial's seed.
     #[serde(default)]
     pub random: bool,
-    /// Place of a fault of the chip: `ram:START+LENGTH`, `variable:NAME`, `register:NAME` or `peripheral:ADDRESS`.
+    /// Place of a fault of the chip: `ram:START+LENGTH`, `variable:NAME`, `register:NAME` or
+    /// `peripheral:ADDRESS`.
     pub target: Option<String>,
-    /// Number of the flipped bit from the start of the target. Default: drawn from the trial's seed.
+    /// Number of the flipped bit from the start of the target. Default: drawn from the trial's
+    /// seed.
     #[schemars(range(min = 0))]
     pub bit: Option<i64>,
     /// Value that every read of a stuck register returns.
@@ -222,7 +226,8 @@ pub struct RawExpectation {
     /// The measured quantity.
     #[schemars(schema_with = "crate::schema::metrics")]
     pub metric: String,
-    /// Name in reports, unique in the file. Default: the metric, numbered from its second expectation: `ripple_um 2`.
+    /// Name in reports, unique in the file. Default: the metric, numbered from its second
+    /// expectation: `ripple_um 2`.
     pub name: Option<String>,
     /// Upper limit.
     pub at_most: Option<f64>,
@@ -256,14 +261,16 @@ pub struct RawExpectation {
     /// Start of the judged window, ms.
     #[schemars(range(min = 0.0))]
     pub from_ms: Option<f64>,
-    /// End of the judged window, ms. Default: the end of the trial, or the next step of the setpoint.
+    /// End of the judged window, ms. Default: the end of the trial, or the next step of the
+    /// setpoint.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub until_ms: Option<f64>,
     /// Judges after each change of this profile, until the next change of any profile.
     #[serde(default)]
     #[schemars(schema_with = "crate::schema::changing_profiles")]
     pub after: Option<String>,
-    /// Window of a mean or a ripple, ms. Either its length at the end of the trial, or its start and end.
+    /// Window of a mean or a ripple, ms. Either its length at the end of the trial, or its start
+    /// and end.
     pub window_ms: Option<RawWindow>,
     /// Column of the trace that is judged.
     #[serde(default)]

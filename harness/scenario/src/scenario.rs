@@ -110,7 +110,8 @@ impl Scenario {
         self.file.strip_suffix(".toml").unwrap_or(&self.file)
     }
 
-    /// True if one controller plays all trials in order, because its history is part of the experiment.
+    /// True if one controller plays all trials in order, because its history is part of the
+    /// experiment.
     pub fn keeps_controller(&self) -> bool {
         !self.between.is_empty() || self.expects(Metric::TrialDifference)
     }
@@ -128,7 +129,8 @@ impl Scenario {
         [AUTO_MODEL, linear, envelope, modal, carrier]
     }
 
-    /// Tier with the name `model`; `auto` is the exact one for `plate`. `None` if the name is unknown.
+    /// Tier with the name `model`; `auto` is the exact one for `plate`. `None` if the name is
+    /// unknown.
     pub fn tier_for(model: &str, plate: &Plate) -> Option<Tier> {
         if model == AUTO_MODEL { Some(Tier::exact_for(plate)) } else { Tier::from_name(model) }
     }

@@ -1,7 +1,8 @@
 //! Derives JSON Schemas of the input files from the raw types.
 //!
-//! A schema rejects unknown and missing keys, wrong types, unknown names, numbers outside fixed bounds, and options
-//! that do not apply. Only [`crate::load()`] checks relations, such as a window that ends after the trial.
+//! A schema rejects unknown and missing keys, wrong types, unknown names, numbers outside fixed
+//! bounds, and options that do not apply. Only [`crate::load()`] checks relations, such as a window
+//! that ends after the trial.
 
 use crate::chip_fault::ChipFaultKind;
 use crate::expect::{Aggregation, Metric, SIGNALS};
@@ -14,7 +15,8 @@ use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::json;
 
-/// Schema of a TOML file that serde reads as `T`. An optional key may be absent; TOML has no `null`.
+/// Schema of a TOML file that serde reads as `T`. An optional key may be absent; TOML has no
+/// `null`.
 pub fn schema_of<T: JsonSchema>(title: &str) -> Schema {
     let mut schema = schemars::generate::SchemaSettings::draft2020_12().into_generator().into_root_schema_for::<T>();
     schema.insert("title".to_owned(), title.into());
@@ -129,7 +131,8 @@ fn required_for_rule(key: &str, name: &str, needed: &str) -> Schema {
     rule(key, &json!({ "const": name }), &required(needed))
 }
 
-/// `properties` contains the key, because validators in strict mode refuse a required key without a property.
+/// `properties` contains the key, because validators in strict mode refuse a required key without a
+/// property.
 fn required(key: &str) -> Schema {
     json_schema!({ "required": [key], "properties": { (key): true } })
 }

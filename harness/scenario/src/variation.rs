@@ -6,9 +6,11 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Differs from the stream of the sensor's noise, so that one can be switched off without the other.
+/// Differs from the stream of the sensor's noise, so that one can be switched off without the
+/// other.
 const SPREAD_STREAM: u64 = 1;
-/// Largest deviation of a factor from 1. The largest permitted spread of 20 % reaches it at 4.5 standard deviations.
+/// Largest deviation of a factor from 1. The largest permitted spread of 20 % reaches it at 4.5
+/// standard deviations.
 const MAX_DEVIATION: f64 = 0.9;
 
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -43,14 +43,16 @@ impl ChangingProfile {
 
 #[derive(Debug, Clone)]
 pub(crate) struct ProfileChanges {
-    /// Instants before the end of the trial at which setpoint, force and temperature change, in rising order.
+    /// Instants before the end of the trial at which setpoint, force and temperature change, in
+    /// rising order.
     starts: [Vec<Time>; 3],
     all: Vec<Time>,
     duration: Time,
 }
 
 impl ProfileChanges {
-    /// The plate starts at rest. Therefore an initial setpoint is a change; an initial force or temperature is not.
+    /// The plate starts at rest. Therefore an initial setpoint is a change; an initial force or
+    /// temperature is not.
     pub(crate) fn new(setpoint: &Profile, force: &Profile, temperature: &Profile, duration: Time) -> Self {
         let starts = [(setpoint, true), (force, false), (temperature, false)].map(|(profile, from_rest)| {
             let mut starts = change_starts(profile, from_rest);
@@ -80,7 +82,8 @@ impl ProfileChanges {
         })
     }
 
-    /// From the last setpoint change up to `from` (otherwise the first one) to the next one or the end of the trial.
+    /// From the last setpoint change up to `from` (otherwise the first one) to the next one or the
+    /// end of the trial.
     pub(crate) fn response_window(&self, from: Option<Time>) -> Option<Window> {
         let starts = self.starts(ChangingProfile::Setpoint);
         let passed = from.map_or(0, |from| starts.partition_point(|start| *start <= from));
@@ -90,7 +93,8 @@ impl ProfileChanges {
     }
 }
 
-/// Connected segments of a `linear` profile that are not constant are one change. A sine is one change.
+/// Connected segments of a `linear` profile that are not constant are one change. A sine is one
+/// change.
 fn change_starts(profile: &Profile, from_rest: bool) -> Vec<Time> {
     let at_start = from_rest && profile.at(Time::ZERO) != 0.0;
     let mut starts = if at_start { vec![Time::ZERO] } else { Vec::new() };

@@ -1,4 +1,5 @@
-//! Draws charts of cost and error of methods, models and laws, and of stability limits, as page blocks and files.
+//! Draws charts of cost and error of methods, models and laws, and of stability limits, as page
+//! blocks and files.
 
 pub mod ladder;
 mod law_results;

@@ -1,5 +1,6 @@
 //! Analyses the loop of a law and a plate in the z plane: poles, margins, boundaries and tuning.
-//! Amplitudes are in µm and voltages in Vpp, both peak to peak. Times are in s, angular frequencies in rad/s.
+//! Amplitudes are in µm and voltages in Vpp, both peak to peak. Times are in s, angular frequencies
+//! in rad/s.
 
 mod bisection;
 pub mod case;

@@ -45,7 +45,8 @@ impl AtomicFile {
         self.path.parent().map_or(Ok(()), sync)
     }
 
-    /// Does not wait for the disk. After a kill the file is complete, after a power cut it may be incomplete.
+    /// Does not wait for the disk. After a kill the file is complete, after a power cut it may be
+    /// incomplete.
     pub fn commit_without_sync(self) -> io::Result<()> {
         fs::rename(&self.temporary.0, &self.path)
     }
@@ -68,7 +69,8 @@ pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
     file.commit()
 }
 
-/// Fails with [`io::ErrorKind::AlreadyExists`] if the file exists. Removes the new file after a failed write.
+/// Fails with [`io::ErrorKind::AlreadyExists`] if the file exists. Removes the new file after a
+/// failed write.
 pub fn write_new(path: &Path, content: &[u8]) -> io::Result<()> {
     let mut file = File::create_new(path)?;
     file.write_all(content).and_then(|()| file.sync_all()).inspect_err(|_| {

@@ -1,7 +1,7 @@
 //! Opens files that a person or another program may have replaced.
 //!
-//! A FIFO blocks, a device may never end, and a huge file exhausts the memory. So the bench reads every file of a run
-//! folder, every baseline and every key through this module.
+//! A FIFO blocks, a device may never end, and a huge file exhausts the memory. So the bench reads
+//! every file of a run folder, every baseline and every key through this module.
 
 use rustix::fs::OFlags;
 use std::fs::{File, OpenOptions};
@@ -9,8 +9,8 @@ use std::io::{self, Read};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-/// Reading ends at `max_bytes` even if the file grows. Fails with [`io::ErrorKind::InvalidInput`] for a FIFO, a
-/// device, a folder or a larger file.
+/// Reading ends at `max_bytes` even if the file grows. Fails with [`io::ErrorKind::InvalidInput`]
+/// for a FIFO, a device, a folder or a larger file.
 pub fn open_regular_file(path: &Path, max_bytes: u64) -> io::Result<io::Take<File>> {
     // Without this flag opening a FIFO waits for a writer.
     let nonblock = OFlags::NONBLOCK.bits().cast_signed();
@@ -33,7 +33,8 @@ pub fn read_regular_file(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     Ok(content)
 }
 
-/// Has the errors of [`open_regular_file`], and [`io::ErrorKind::InvalidData`] if the file is not UTF-8.
+/// Has the errors of [`open_regular_file`], and [`io::ErrorKind::InvalidData`] if the file is not
+/// UTF-8.
 pub fn read_text_file(path: &Path, max_bytes: u64) -> io::Result<String> {
     let mut text = String::new();
     open_regular_file(path, max_bytes)?.read_to_string(&mut text)?;

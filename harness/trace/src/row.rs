@@ -13,7 +13,8 @@ bitflags::bitflags! {
         const LINK_LOST = 1 << 3;
         /// The controller has stopped, and the drive is 0 V.
         const SAFE = 1 << 4;
-        /// The row is of a real plate: the amplitudes come from its sensor, and unmeasured quantities are empty.
+        /// The row is of a real plate: the amplitudes come from its sensor, and unmeasured
+        /// quantities are empty.
         const SENSED = 1 << 5;
     }
 }

@@ -107,7 +107,8 @@ impl TraceWriter {
     }
 }
 
-/// Reads one row at a time, so memory does not grow. Ends after an error. A trace without rows gives one error.
+/// Reads one row at a time, so memory does not grow. Ends after an error. A trace without rows
+/// gives one error.
 #[derive(Debug)]
 pub struct TraceReader {
     reader: csv::Reader<io::Take<File>>,
@@ -206,7 +207,8 @@ impl Iterator for TraceReader {
     }
 }
 
-/// Fails unless there is a row, times do not decrease and every number is finite. Unmeasured quantities become NaN.
+/// Fails unless there is a row, times do not decrease and every number is finite. Unmeasured
+/// quantities become NaN.
 pub fn read_trace(path: &Path) -> Result<Vec<Row>, TraceError> {
     TraceReader::open(path)?.collect()
 }

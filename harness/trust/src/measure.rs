@@ -161,7 +161,8 @@ fn measure_false_alarms(config: &TrustConfig, mut alarms: Vec<FalseAlarm>) -> Re
     })
 }
 
-/// The scenario with a varying plate. `None` if it is too long, or open-loop, because it then judges the plate.
+/// The scenario with a varying plate. `None` if it is too long, or open-loop, because it then
+/// judges the plate.
 fn with_plate_spread(scenario: &Scenario) -> Option<Scenario> {
     if scenario.controller.law == "open-loop" || scenario.duration.seconds() > MAX_CLEAN_DURATION_S {
         return None;

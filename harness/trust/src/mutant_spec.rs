@@ -31,7 +31,8 @@ impl ReferenceController {
 pub struct MutantSpec {
     pub name: &'static str,
     pub description: &'static str,
-    /// Metrics that should detect the mutant, besides those in `REFERENCE`. Other metrics are the wrong reason.
+    /// Metrics that should detect the mutant, besides those in `REFERENCE`. Other metrics are the
+    /// wrong reason.
     pub detecting_metrics: &'static [Metric],
     pub detecting_violations: &'static [ViolationKind],
     /// One of these metrics or violations detects the mutant in this scenario.

@@ -31,9 +31,9 @@ pub fn play(scenario: &Scenario, controller: &str, link: BoxedLink) -> Result<Pl
     play_as(scenario, scenario, controller, link)
 }
 
-/// Plays trials of `variant`, which differs from `scenario` only in the spread of its trials, and judges them by
-/// `scenario`. Fails if the controller does not answer or rejects the scenario. A trial that loses its link is judged
-/// like any other.
+/// Plays trials of `variant`, which differs from `scenario` only in the spread of its trials, and
+/// judges them by `scenario`. Fails if the controller does not answer or rejects the scenario. A
+/// trial that loses its link is judged like any other.
 pub fn play_as(
     scenario: &Scenario,
     variant: &Scenario,

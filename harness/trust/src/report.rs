@@ -10,7 +10,8 @@ pub const CONFIDENCE: f64 = 0.95;
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TrustReport {
     pub format: u32,
-    /// `pass` if every mutant is caught for the right reason and there is no false alarm, otherwise `fail`.
+    /// `pass` if every mutant is caught for the right reason and there is no false alarm, otherwise
+    /// `fail`.
     pub verdict: Verdict,
     pub confidence: f64,
     pub kill_rate: Rate,

@@ -19,11 +19,13 @@ pub enum ComponentKind {
     Timing,
     /// Error of the bench's own model and arithmetic.
     Bench,
-    /// Scatter of repeated trials. Without a magnitude in the budget it is computed from the trials.
+    /// Scatter of repeated trials. Without a magnitude in the budget it is computed from the
+    /// trials.
     Repeatability,
 }
 
-/// Distribution of a component. The half width a gives the standard uncertainty u (JCGM 100:2008, 4.3).
+/// Distribution of a component. The half width a gives the standard uncertainty u (JCGM
+/// 100:2008, 4.3).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Distribution {
@@ -68,7 +70,8 @@ impl Instrument {
 pub struct Component {
     pub kind: ComponentKind,
     pub distribution: Distribution,
-    /// Standard uncertainty in the unit of the quantity or in percent of its value. `None` if the trials give it.
+    /// Standard uncertainty in the unit of the quantity or in percent of its value. `None` if the
+    /// trials give it.
     pub standard: Option<f64>,
     pub is_percent_of_value: bool,
     /// Infinite if the budget does not state them.

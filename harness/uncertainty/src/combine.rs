@@ -1,6 +1,6 @@
-//! Combines the independent components uᵢ of a quantity, which include their sensitivities, to `u² = Σ uᵢ²`.
-//! The effective degrees of freedom are `ν = u⁴ / Σ uᵢ⁴/νᵢ` (Welch and Satterthwaite; JCGM 100:2008, G.4), the expanded
-//! uncertainty for a coverage p is `U = t_ν((1 + p)/2) u`.
+//! Combines the independent components uᵢ of a quantity, which include their sensitivities, to
+//! `u² = Σ uᵢ²`. The effective degrees of freedom are `ν = u⁴ / Σ uᵢ⁴/νᵢ` (Welch and Satterthwaite;
+//! JCGM 100:2008, G.4), the expanded uncertainty for a coverage p is `U = t_ν((1 + p)/2) u`.
 
 use crate::budget::{ComponentKind, Distribution, QuantityBudget};
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,8 @@ impl TypeA {
         Some(Self { standard: single.standard / (values.len() as f64).sqrt(), ..single })
     }
 
-    /// Standard uncertainty of one value, from the scatter of all `values`. `None` for fewer than two values.
+    /// Standard uncertainty of one value, from the scatter of all `values`. `None` for fewer than
+    /// two values.
     pub fn of_single(values: &[f64]) -> Option<Self> {
         let count = values.len() as f64;
         let mean = values.iter().sum::<f64>() / count;
@@ -33,7 +34,8 @@ impl TypeA {
         (values.len() > 1).then(|| Self { standard: (squares / degrees_of_freedom).sqrt(), degrees_of_freedom })
     }
 
-    /// Standard uncertainty `s/√(2(n − 1))` of a deviation s over n normal values. `None` for fewer than two values.
+    /// Standard uncertainty `s/√(2(n − 1))` of a deviation s over n normal values. `None` for fewer
+    /// than two values.
     pub fn of_stated_deviation(deviation: f64, count: usize) -> Option<Self> {
         let degrees_of_freedom = count.checked_sub(1).filter(|freedom| *freedom > 0)? as f64;
         Some(Self { standard: deviation / (2.0 * degrees_of_freedom).sqrt(), degrees_of_freedom })
@@ -82,7 +84,8 @@ impl fmt::Display for EvaluationError {
 }
 
 impl QuantityBudget {
-    /// `observed` is the repeatability of `value` from trials; it is used if the budget does not state one.
+    /// `observed` is the repeatability of `value` from trials; it is used if the budget does not
+    /// state one.
     pub fn combine(
         &self,
         value: f64,

@@ -11,9 +11,11 @@ use std::fmt;
 pub enum DecisionRule {
     /// The value must meet the limit. The record states the uncertainty, which changes no verdict.
     Simple,
-    /// The value must meet the limit with a guard band. A false acceptance then has a probability below 2.5 %.
+    /// The value must meet the limit with a guard band. A false acceptance then has a probability
+    /// below 2.5 %.
     Guarded,
-    /// The value must meet the limit, and the expanded uncertainty must be small enough. Both parties share the risk.
+    /// The value must meet the limit, and the expanded uncertainty must be small enough. Both
+    /// parties share the risk.
     SharedRisk,
 }
 
@@ -33,7 +35,8 @@ impl fmt::Display for DecisionRule {
     }
 }
 
-/// One-sided, of a normal error at k = 2. It is smaller than 2.5 %, because Welch-Satterthwaite is an approximation.
+/// One-sided, of a normal error at k = 2. It is smaller than 2.5 %, because Welch-Satterthwaite is
+/// an approximation.
 pub const GUARD_PROBABILITY: f64 = 0.022_75;
 
 /// Result of a decision rule for a value that meets its limits.
@@ -45,15 +48,17 @@ pub enum Conformity {
     WithinGuardBand {
         guard_band: f64,
     },
-    /// The expanded uncertainty is `share_percent` of the tolerance, more than the allowed `largest_percent`.
+    /// The expanded uncertainty is `share_percent` of the tolerance, more than the allowed
+    /// `largest_percent`.
     TooUncertain {
         share_percent: f64,
         largest_percent: f64,
     },
 }
 
-/// `value` must be in `range`, the smallest and the largest conforming value. For [`DecisionRule::SharedRisk`] the
-/// expanded uncertainty may be `largest_percent` of `tolerance`, the scale of the limit.
+/// `value` must be in `range`, the smallest and the largest conforming value. For
+/// [`DecisionRule::SharedRisk`] the expanded uncertainty may be `largest_percent` of `tolerance`,
+/// the scale of the limit.
 pub fn decide(
     rule: DecisionRule,
     value: f64,

@@ -1,5 +1,5 @@
-//! Combines measurement uncertainties (GUM, JCGM 100:2008) and decides on conformity with them (JCGM 106:2012,
-//! ILAC-G8:09/2019).
+//! Combines measurement uncertainties (GUM, JCGM 100:2008) and decides on conformity with them
+//! (JCGM 106:2012, ILAC-G8:09/2019).
 
 mod budget;
 mod budget_file;

@@ -1,8 +1,10 @@
-//! Detects a loop that does not converge (`docs/verdicts.md`). A divergence explains a failure and never causes one.
+//! Detects a loop that does not converge (`docs/verdicts.md`). A divergence explains a failure and
+//! never causes one.
 //!
-//! Drive and frequency slew are limited, so an unstable loop keeps oscillating but does not grow without bound. A loop
-//! diverges if, after the last event of the trial, the amplitude keeps leaving the band around the setpoint to both
-//! sides and this swing does not decay. A trace cannot contain a NaN or infinite drive command; the rig reports it.
+//! Drive and frequency slew are limited, so an unstable loop keeps oscillating but does not grow
+//! without bound. A loop diverges if, after the last event of the trial, the amplitude keeps
+//! leaving the band around the setpoint to both sides and this swing does not decay. A trace cannot
+//! contain a NaN or infinite drive command; the rig reports it.
 
 use platebench_plate::Time;
 use platebench_record::{Divergence, Telemetry};
@@ -11,14 +13,17 @@ use platebench_trace::{Flags, Row};
 
 /// Share of the setpoint.
 const BAND_HALF_WIDTH: f64 = 0.05;
-/// A swing of fewer standard deviations of noise may be noise: 10⁵ samples reach 4.5, and a settled loop amplifies it.
+/// A swing of fewer standard deviations of noise may be noise: 10⁵ samples reach 4.5, and a settled
+/// loop amplifies it.
 const NOISE_DEVIATIONS: f64 = 25.0;
 /// Control periods in each third of the time after the last event.
 const MIN_PERIODS: f64 = 10.0;
 const MIN_SIDE_CHANGES: u32 = 3;
-/// A swing that keeps this share from one third to the next would need some hundred thirds to decay.
+/// A swing that keeps this share from one third to the next would need some hundred thirds to
+/// decay.
 const MIN_DECAY_RATIO: f64 = 0.98;
-/// Applies if the drive switches between 0 V and its limit in both thirds, because the effect of clipping varies.
+/// Applies if the drive switches between 0 V and its limit in both thirds, because the effect of
+/// clipping varies.
 const MIN_DECAY_RATIO_AT_LIMITS: f64 = 0.9;
 const CONVERGED_PERIODS: f64 = 10.0;
 const LIMIT_SHARE: f64 = 1.0 - 1e-6;
@@ -68,7 +73,8 @@ pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
     diverged.then(|| final_band_exit_s(held, reach, CONVERGED_PERIODS * period))
 }
 
-/// Index of the first row of the final part: constant setpoint and conditions, a controller that answers, no fault.
+/// Index of the first row of the final part: constant setpoint and conditions, a controller that
+/// answers, no fault.
 fn row_after_last_event(scenario: &Scenario, rows: &[Row]) -> usize {
     let moved = |pair: &[Row]| match pair {
         [left, right] => {
@@ -129,7 +135,8 @@ fn switches_between_limits(rows: &[Row], limit: f64) -> bool {
     changes >= MIN_SIDE_CHANGES
 }
 
-/// Time at which the signal left the band after its last stay of at least `stay` seconds, or after its first entry.
+/// Time at which the signal left the band after its last stay of at least `stay` seconds, or after
+/// its first entry.
 fn final_band_exit_s(rows: &[Row], reach: f64, stay: f64) -> f64 {
     let start = rows.first().map_or(0.0, |row| row.t_s);
     let mut left = None;

@@ -1,8 +1,8 @@
 //! Decides whether any controller could meet a demand within the amplifier's limits.
 //!
-//! An ideal controller plays the trial again. It is always at resonance and brings the amplitude to the setpoint as
-//! fast as the amplifier allows. The amplitude follows the exact envelope `W' = −σ W + b V`; V is the limit while W
-//! must rise and 0 while it must fall.
+//! An ideal controller plays the trial again. It is always at resonance and brings the amplitude to
+//! the setpoint as fast as the amplifier allows. The amplitude follows the exact envelope
+//! `W' = −σ W + b V`; V is the limit while W must rise and 0 while it must fall.
 
 use crate::metrics::{self, Measure};
 use platebench_plate::{Plant, Time};
@@ -20,8 +20,9 @@ pub(crate) fn infeasibility_excuse(
     if !is_drive_limited(expectation.metric) || matches!(expectation.signal, "wq_um" | "sensed_wq_um") {
         return None;
     }
-    // The ideal response has one mode. Another mode or an offset may add to it, so nothing is excused. Bandwidth, slew
-    // rate, dead time and latency only slow a loop down, so the ideal response stays a bound.
+    // The ideal response has one mode. Another mode or an offset may add to it, so nothing is
+    // excused. Bandwidth, slew rate, dead time and latency only slow a loop down, so the ideal
+    // response stays a bound.
     if scenario.plate.second_mode.is_some() || scenario.plate.amplifier.offset_vpp != 0.0 {
         return None;
     }
@@ -43,7 +44,8 @@ pub(crate) fn infeasibility_excuse(
     })
 }
 
-/// Without a drive at its limit, or at 0 V with a setpoint below an earlier level, no simulation is necessary.
+/// Without a drive at its limit, or at 0 V with a setpoint below an earlier level, no simulation is
+/// necessary.
 fn may_be_limited(rows: &[Row]) -> bool {
     let mut highest = rows.first().map_or(0.0, |row| row.amplitude_um);
     rows.iter().any(|row| {

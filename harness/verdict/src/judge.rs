@@ -1,8 +1,9 @@
 //! Judges the expectations of a scenario by its trials.
 //!
-//! A look is an evaluation of the trials so far. A scenario with `max_count` has looks after `count` trials, after
-//! twice as many and so on. The looks depend on the scenario alone, and a decision depends on the trials up to its
-//! look. Therefore a stored run gets the same verdict as the live run, for any order of play.
+//! A look is an evaluation of the trials so far. A scenario with `max_count` has looks after
+//! `count` trials, after twice as many and so on. The looks depend on the scenario alone, and a
+//! decision depends on the trials up to its look. Therefore a stored run gets the same verdict as
+//! the live run, for any order of play.
 
 mod expectation_judge;
 mod outcome;

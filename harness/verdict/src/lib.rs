@@ -1,6 +1,7 @@
 //! Judges trials, from traces to verdicts (`docs/verdicts.md`).
 //!
-//! A verdict depends only on scenario, stored traces and stored telemetry, not on a clock or on the order of execution.
+//! A verdict depends only on scenario, stored traces and stored telemetry, not on a clock or on the
+//! order of execution.
 
 mod bisection;
 mod divergence;

@@ -1,8 +1,9 @@
 //! Measures one trial from its trace.
 //!
-//! The runner adds a row on either side of every crossing of an expected band. The plate's signals count as linear
-//! between rows, which changes a settling time by less than 1 ns, or some µs for a band that the run did not know. The
-//! controller's samples are known at control instants only, so a time measured from them is an interval.
+//! The runner adds a row on either side of every crossing of an expected band. The plate's signals
+//! count as linear between rows, which changes a settling time by less than 1 ns, or some µs for a
+//! band that the run did not know. The controller's samples are known at control instants only, so
+//! a time measured from them is an interval.
 
 mod band;
 mod measure;
@@ -20,8 +21,8 @@ use platebench_trace::{Flags, Row};
 use signal::MetricSignal;
 use window::{flagged_share, ripple_um, window_mean_ratio, window_rows, window_rows_with_previous};
 
-/// The worst window decides. [`Metric::Repeatability`] gives the window mean in percent of the setpoint. A trial with a
-/// NaN or infinite drive command has no number.
+/// The worst window decides. [`Metric::Repeatability`] gives the window mean in percent of the
+/// setpoint. A trial with a NaN or infinite drive command has no number.
 pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let measure = measure_trace(expectation, rows, telemetry);
     let has_number = !matches!(measure, Measure::Missing(_) | Measure::Undefined(_));
@@ -33,7 +34,8 @@ pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -
 
 fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let Some(last) = rows.last() else { return Measure::Undefined(UndefinedValue::EmptyTrace) };
-    // A stop fails all other metrics, because nothing overshoots at rest. After a loss, the bench applied the 0 V.
+    // A stop fails all other metrics, because nothing overshoots at rest. After a loss, the bench
+    // applied the 0 V.
     let allows_stop = matches!(expectation.metric, Metric::ShutdownTime | Metric::MissedReplies);
     if last.flags.contains(Flags::SAFE) && !(allows_stop && telemetry.ended.is_none()) {
         return Measure::Missing(MissingValue::NotRunning);
@@ -51,7 +53,8 @@ fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry)
     worst.map_or(Measure::Undefined(UndefinedValue::EmptyWindow), |(_, measure)| measure)
 }
 
-/// Rank and distance from the limit. Ranks: good value, undefined, value that breaks the limit, missing.
+/// Rank and distance from the limit. Ranks: good value, undefined, value that breaks the limit,
+/// missing.
 fn severity(expectation: &Expectation, measure: &Measure) -> (u8, f64) {
     let (lowest, highest) = expectation.range();
     match measure {

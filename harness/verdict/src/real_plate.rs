@@ -1,7 +1,7 @@
 //! Decides whether a trial on a real plate counts.
 //!
-//! The rows contain what the controller reports about itself. A trial counts if all reports were received, the
-//! controller held the setpoints that it was sent, and a person made the conditions.
+//! The rows contain what the controller reports about itself. A trial counts if all reports were
+//! received, the controller held the setpoints that it was sent, and a person made the conditions.
 
 use crate::exclusion::{lost_rows, rounded_ms, wrong_clock};
 use crate::feasibility::is_drive_limited;
@@ -51,7 +51,8 @@ pub(crate) fn find_exclusion(scenario: &Scenario, rows: &[Row], record: Option<&
         .or_else(|| wrong_setpoint(scenario, rows))
 }
 
-/// The drive that a real plate needs is unknown, so every saturation excuses a metric that a drive limits.
+/// The drive that a real plate needs is unknown, so every saturation excuses a metric that a drive
+/// limits.
 pub(crate) fn saturation_excuse(expectation: &Expectation, rows: &[Row]) -> Option<Excuse> {
     let saturated = rows.iter().find(|row| row.flags.contains(Flags::SATURATED))?;
     is_drive_limited(expectation.metric).then(|| Excuse::SaturatedRealPlate { at_ms: rounded_ms(saturated.t_s) })

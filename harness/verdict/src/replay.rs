@@ -1,4 +1,5 @@
-//! Compares the commands of a controller with recorded ones, sample by sample, within a tolerance tube.
+//! Compares the commands of a controller with recorded ones, sample by sample, within a tolerance
+//! tube.
 
 use crate::tube::{Exceedance, Tube, TubePoint, TubeSignal};
 use platebench_record::{Telemetry, Verdict, Violation};

@@ -59,8 +59,9 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
 }
 
 impl TrialMeasures {
-    /// Smallest margin of the expectations that apply to one trial. Negative if the trial misses a limit; minus
-    /// infinity if it lacks a value, violates the protocol, diverges, loses the controller or does not count.
+    /// Smallest margin of the expectations that apply to one trial. Negative if the trial misses a
+    /// limit; minus infinity if it lacks a value, violates the protocol, diverges, loses the
+    /// controller or does not count.
     pub fn margin(&self, expectations: &[Expectation]) -> f64 {
         let is_broken = self.exclusion.is_some()
             || self.divergence.is_some()

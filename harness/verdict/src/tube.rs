@@ -1,8 +1,8 @@
 //! Compares a response with a golden curve and its tolerance.
 //!
-//! A comparison row by row would fail a slightly later step by its whole height. Therefore, at every instant of the
-//! golden grid, the response must be within the tolerance of the golden curve at some time within the tolerance in
-//! time. Curves are linear between points.
+//! A comparison row by row would fail a slightly later step by its whole height. Therefore, at
+//! every instant of the golden grid, the response must be within the tolerance of the golden curve
+//! at some time within the tolerance in time. Curves are linear between points.
 
 use platebench_trace::Row;
 use serde::{Deserialize, Serialize};

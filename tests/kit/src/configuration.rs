@@ -1,6 +1,7 @@
 use platebench_wire::{Configure, LawId};
 
-/// Configuration for the paper's plate, with the timer of the bench and the default watchdog timeout.
+/// Configuration for the paper's plate, with the timer of the bench and the default watchdog
+/// timeout.
 pub const CONFIGURE: Configure = Configure {
     law: LawId::DqPi,
     paced_by_target: false,

@@ -1,7 +1,9 @@
-//! Tests eight boards at once: a killed worker, a dead board and a wrong chip do not affect the other boards.
+//! Tests eight boards at once: a killed worker, a dead board and a wrong chip do not affect the
+//! other boards.
 //!
-//! Each controller holds a kernel lock of its own, which is independent of the bench's locks. If two
-//! commands used one board at once, the second controller would not start and its run would end with 5.
+//! Each controller holds a kernel lock of its own, which is independent of the bench's locks. If
+//! two commands used one board at once, the second controller would not start and its run would end
+//! with 5.
 
 mod hyperqueue;
 mod labgrid;
@@ -91,8 +93,8 @@ pub(crate) fn start_line(folder: &Path, line: &str, variables: &[(&str, &str)]) 
     ChildGuard(shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap())
 }
 
-/// Makes the program of the board kill the first bench that uses the board for a run. No controller follows, because
-/// another bench may already have the pseudo-terminal of the killed one.
+/// Makes the program of the board kill the first bench that uses the board for a run. No controller
+/// follows, because another bench may already have the pseudo-terminal of the killed one.
 fn kill_first_bench(folder: &TestFolder) {
     let script = format!(
         "if grep -q '\"process\"' boards.state/{KILLED}.json && mkdir killed; \

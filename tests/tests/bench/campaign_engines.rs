@@ -1,4 +1,5 @@
-//! Plays a campaign in 8 shards on an engine, kills shards and compares the results with those of one thread.
+//! Plays a campaign in 8 shards on an engine, kills shards and compares the results with those of
+//! one thread.
 
 use crate::board_matrix::start_line;
 use crate::campaign::{self, results};
@@ -25,7 +26,8 @@ fn kill_a_shard(folder: &Path, random: usize) -> bool {
     Command::new("kill").args(["-KILL", shard]).stderr(Stdio::null()).status().unwrap().success()
 }
 
-/// Submits the line that `campaign submit` prints: it begins with `begin` and ends with `exit` after a kill.
+/// Submits the line that `campaign submit` prints: it begins with `begin` and ends with `exit`
+/// after a kill.
 pub(crate) fn assert_same_bytes(engine: &str, begin: &str, start: &dyn Fn(&Path, &str) -> ChildGuard, exit: i32) {
     let folder = campaign::folder("[plan]\nmethod = \"random\"\ntrials = 4000\n");
     let folder = folder.path();

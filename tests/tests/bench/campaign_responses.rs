@@ -26,7 +26,8 @@ fn a_cell_opens_the_response_of_its_worst_trial() {
         let link = format!(
             "href=\"worst/run/report.html#scenario-{index}\" title=\"law {law}, finger_force_n {force}; trial {trial}\""
         );
-        // The maps are the share of failing trials, the smallest margin, and one for each of two expectations.
+        // The maps are the share of failing trials, the smallest margin, and one for each of two
+        // expectations.
         assert_eq!(maps.matches(&link).count(), 4, "{link}");
         assert!(responses.contains(&format!("id=\"scenario-{index}\"")), "{trial}");
     }

@@ -55,7 +55,8 @@ fn identified_tables_match_the_paper() {
         };
         let (gains, taus) = (steps("voltage_steps", &here, 0), steps("voltage_steps", &here, 1));
         assert_eq!((gains.len(), taus.len()), (30, 30), "{vpp} Vpp");
-        // The scenarios vary K1 by 5 % and τ1 by 6 %. The deviation of 30 values is within 26 % of that at 95 %.
+        // The scenarios vary K1 by 5 % and τ1 by 6 %. The deviation of 30 values is within 26 % of
+        // that at 95 %.
         assert!((0.03..0.07).contains(&relative_deviation(&gains)), "{vpp} Vpp: K1 {}", relative_deviation(&gains));
         assert!((0.036..0.084).contains(&relative_deviation(&taus)), "{vpp} Vpp: τ1 {}", relative_deviation(&taus));
     }

@@ -49,7 +49,8 @@ fn the_fault_suite_passes_with_any_number_of_jobs() {
 
 #[test]
 fn a_slew_over_late_replies_is_no_violation() {
-    // Deadbeat approaches a distant resonance in steps of at most the slew. Two late replies act as one command.
+    // Deadbeat approaches a distant resonance in steps of at most the slew. Two late replies act as
+    // one command.
     let heat = "temperature_offset_k = { hold = [[0.0, 0.0], [24.8, 5.0]] }";
     let text = step_scenario("aluminium-198x138", "law = \"deadbeat\"", heat, MISSED);
     let fault = "[[fault]]\nkind = \"delay\"\ndelay_ms = 1.01\ndirection = \"from-controller\"\n\

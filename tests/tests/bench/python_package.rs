@@ -1,4 +1,5 @@
-//! Tests the Python package: maturin builds its wheel, a fresh environment installs it, scripts and pytest use it.
+//! Tests the Python package: maturin builds its wheel, a fresh environment installs it, scripts and
+//! pytest use it.
 
 use crate::test_folder::{TestFolder, step_text, workspace_root};
 use platebench_test_kit::skip_without;
@@ -31,7 +32,8 @@ fn build_wheel(folder: &Path) -> PathBuf {
     wheel.clone()
 }
 
-/// Creates an environment with the wheel. It uses pandas, polars and pytest of `target/test-readers`.
+/// Creates an environment with the wheel. It uses pandas, polars and pytest of
+/// `target/test-readers`.
 fn environment(folder: &Path) -> PathBuf {
     let venv = folder.join("venv");
     call(Command::new(format!("{READERS}/bin/python")).args(["-m", "venv", "--without-pip"]).arg(&venv));

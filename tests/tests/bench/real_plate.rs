@@ -168,7 +168,8 @@ fn without_an_operator_manual_steps_are_inconclusive(#[case] more: &[&str]) {
 
 type OperatorRun = (i32, Vec<String>);
 
-/// `act` receives each prompt and the path of the file with the force in N and the temperature offset in K.
+/// `act` receives each prompt and the path of the file with the force in N and the temperature
+/// offset in K.
 fn run_with_operator(folder: &TestFolder, mut act: impl FnMut(&str, &Path)) -> (OperatorRun, RunRecord) {
     let _ = fs::remove_dir_all(folder.join("run"));
     let conditions = folder.join("conditions");

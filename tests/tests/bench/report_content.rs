@@ -1,4 +1,5 @@
-//! Tests what a report of real runs contains: texts of requirements, and the example in docs/report.md.
+//! Tests what a report of real runs contains: texts of requirements, and the example in
+//! docs/report.md.
 
 use crate::test_folder::{SETTLING, TestFolder, run_bench, step_text, workspace_root};
 use std::collections::BTreeMap;

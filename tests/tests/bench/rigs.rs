@@ -80,8 +80,8 @@ fn the_share_of_a_step_belongs_to_its_control_period() {
     assert!((tightest.share() - tightest.instructions / 42_000.0).abs() < 1e-12, "{}", tightest.share());
 }
 
-/// A setpoint of 900 + n µm triggers fault n of `stm32f4/src/planted_faults.rs`: a trap, a reset by the watchdog, an
-/// access that the emulator does not model. The tests of `rig` plant every fault.
+/// A setpoint of 900 + n µm triggers fault n of `stm32f4/src/planted_faults.rs`: a trap, a reset by
+/// the watchdog, an access that the emulator does not model. The tests of `rig` plant every fault.
 #[rstest]
 #[case::division_by_zero(2, "planted_faults::division_by_zero")]
 #[case::endless_loop(3, "planted_faults::endless_loop")]

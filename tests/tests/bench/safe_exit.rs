@@ -48,7 +48,8 @@ fn a_signal_ends_with_a_confirmed_0_v(#[case] name: &str, #[case] expected: i32)
 fn a_silent_controller_does_not_block_the_exit() {
     let folder = TestFolder::with_minute();
     let (mut bench, _) = running_bench(&folder);
-    // One command sends both signals, so that the end is requested before the controller counts as lost.
+    // One command sends both signals, so that the end is requested before the controller counts as
+    // lost.
     let both = format!("kill -STOP {}; kill -INT {}", bench.child_id(), bench.0.id());
     assert!(Command::new("sh").args(["-c", &both]).status().unwrap().success());
     wait_until("the bench waits for an answer that never comes", || bench.has_ended());

@@ -15,7 +15,8 @@ fn schema(kind: &str) -> Value {
     run_bench(&workspace_root(), ["schema", kind]).assert_exit(0).json()
 }
 
-/// Returns record and event lines of a run that fails and contains a scenario that is not applicable.
+/// Returns record and event lines of a run that fails and contains a scenario that is not
+/// applicable.
 fn mixed_run(folder: &TestFolder) -> (Value, Vec<Value>) {
     folder.write_scenario("s.toml", &step_text(MIXED));
     let output = folder.bench(["run", "--rig", "hosted", "--trials", "2", "--format", "json", "--out", "run"]);

@@ -85,7 +85,8 @@ fn a_file_size_limit_is_a_reported_error() {
     start_by_shell(&folder, "ulimit -f 20").finish().assert_exit(2).assert_stderr(&["File too large"]);
 }
 
-/// Longer than 10 s, which is the watchdog timeout that the bench sends to a controller with its own clock.
+/// Longer than 10 s, which is the watchdog timeout that the bench sends to a controller with its
+/// own clock.
 const SUSPENSION: Duration = Duration::from_millis(11_500);
 
 #[test]

@@ -164,7 +164,8 @@ fn damaged_streams(frame: &[u8]) -> Vec<Vec<u8>> {
     streams
 }
 
-/// Returns frames with a correct CRC and one changed byte of the body: versions, kinds, laws, bits and lengths.
+/// Returns frames with a correct CRC and one changed byte of the body: versions, kinds, laws, bits
+/// and lengths.
 fn invalid_bodies(frame: &[u8]) -> Vec<Vec<u8>> {
     let mut reader = FrameReader::new();
     let body = reader.read(&mut &*frame).unwrap().unwrap().to_vec();

@@ -27,7 +27,8 @@ fn judging_again_gives_identical_results() {
     }
 }
 
-/// The verdict needs 8 or 16 trials, because 4 trials do not distinguish a sensor error of 1 % from one of 0.8 %.
+/// The verdict needs 8 or 16 trials, because 4 trials do not distinguish a sensor error of 1 % from
+/// one of 0.8 %.
 fn sequential_scenario() -> String {
     let expect = "metric = \"static_error_percent\"\nat_most = 1.4\n\
                   [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 6.0\nover = \"quantile\"\nquantile = 0.6\n\

@@ -75,7 +75,8 @@ impl DocumentPage {
     }
 }
 
-/// The same rules as on GitHub: lower case, no punctuation, hyphens for spaces; a repeated title gets a number.
+/// The same rules as on GitHub: lower case, no punctuation, hyphens for spaces; a repeated title
+/// gets a number.
 fn anchor(title: &str, counts: &mut BTreeMap<String, usize>) -> String {
     let kept = title.trim().to_lowercase().replace(' ', "-");
     let name: String = kept.chars().filter(|c| c.is_alphanumeric() || matches!(c, '-' | '_')).collect();

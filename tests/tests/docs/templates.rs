@@ -1,4 +1,5 @@
-//! Checks the templates for other people's CI: schemas of the services, and the steps of the composite action.
+//! Checks the templates for other people's CI: schemas of the services, and the steps of the
+//! composite action.
 
 use crate::page::workspace_root;
 use platebench_test_kit::skip_without;

@@ -6,7 +6,8 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// Copies the parts of a clone that the tutorial uses. Links would not do, because a run keeps relative paths.
+/// Copies the parts of a clone that the tutorial uses. Links would not do, because a run keeps
+/// relative paths.
 fn example_clone() -> tempfile::TempDir {
     let clone = tempfile::tempdir().unwrap();
     for folder in ["scenarios/paper", "scenarios/plates"] {

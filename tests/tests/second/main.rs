@@ -51,7 +51,8 @@ fn packets(bytes: &[u8]) -> Vec<Packet> {
     PacketReader::new().packets(bytes).map(Result::unwrap).collect()
 }
 
-/// Returns frames without the times of the target. It returns no messages, because equal floats may differ in bits.
+/// Returns frames without the times of the target. It returns no messages, because equal floats may
+/// differ in bits.
 fn without_times(bytes: &[u8]) -> Vec<Vec<u8>> {
     let timeless = packets(bytes).into_iter().map(|packet| match packet.message {
         Message::Command(command) => {

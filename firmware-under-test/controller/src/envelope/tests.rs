@@ -45,7 +45,8 @@ fn distance(a: Complex, b: (f64, f64)) -> f64 {
 
 #[test]
 fn the_polynomial_is_the_exponential() {
-    // At 1 ms the model halves the argument z = λh four times. The grid below has the largest |z| that remains.
+    // At 1 ms the model halves the argument z = λh four times. The grid below has the largest |z|
+    // that remains.
     assert_eq!(envelope().doublings, 4);
     let mut worst = 0.0_f64;
     for (re, im) in (0..=40).flat_map(|r| (-30..=30).map(move |i| (f64::from(r) * -0.08, f64::from(i) * 0.1))) {
@@ -118,7 +119,8 @@ proptest! {
         prop_assert!((f64::from(mode.resonance) + detuning).abs() < 0.2, "{} instead of {}", mode.resonance, -detuning);
     }
 
-    /// From a wrong start the last iterations may change nothing; from the result the first ones may.
+    /// From a wrong start the last iterations may change nothing; from the result the first ones
+    /// may.
     #[test]
     fn an_early_end_gives_the_same_mode(
         damping in 0.8_f64..3.0, detuning in -1000.0_f64..1000.0, vpp in 200.0_f64..900.0,

@@ -1,10 +1,13 @@
-//! Searches the design point, which is the failing point closest to the centre, and checks for a second one.
+//! Searches the design point, which is the failing point closest to the centre, and checks for a
+//! second one.
 //!
-//! R. Rackwitz and B. Fiessler, *Computers and Structures* 9, 1978, pp. 489-494; a step to a larger |g| is halved.
+//! R. Rackwitz and B. Fiessler, *Computers and Structures* 9, 1978, pp. 489-494; a step to a
+//! larger |g| is halved.
 
 use super::estimates::Score;
 
-/// Step of the difference quotients, in standard deviations. It is large to reduce the effect of noise.
+/// Step of the difference quotients, in standard deviations. It is large to reduce the effect of
+/// noise.
 const GRADIENT_STEP: f64 = 0.1;
 const MAX_ITERATIONS: usize = 12;
 const MAX_HALVINGS: u32 = 4;
@@ -22,7 +25,8 @@ pub(crate) struct DesignPoint {
     pub(crate) reliability_index: f64,
 }
 
-/// The only design point, or the reason why there is not exactly one. `None` if the trials are used up.
+/// The only design point, or the reason why there is not exactly one. `None` if the trials are used
+/// up.
 pub(crate) fn find(dimensions: usize, score: &mut Score<'_>) -> Option<Result<DesignPoint, &'static str>> {
     let centre = vec![0.0; dimensions];
     let at_centre = score(&centre)?;

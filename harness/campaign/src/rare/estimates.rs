@@ -3,10 +3,12 @@
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
-/// With at least this many chains, their spread gives the standard error; with fewer, the chains' own errors do.
+/// With at least this many chains, their spread gives the standard error; with fewer, the chains'
+/// own errors do.
 const MIN_CHAINS_FOR_SPREAD: usize = 8;
 
-/// Plays a trial and returns its score. `None` if the trials are used up or the campaign was cancelled.
+/// Plays a trial and returns its score. `None` if the trials are used up or the campaign was
+/// cancelled.
 pub(crate) type Score<'a> = dyn FnMut(&[f64]) -> Option<f64> + 'a;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]

@@ -42,7 +42,8 @@ fn run(limit: Limit, dimensions: usize, seed: u64, trials: u64) -> ChainEstimate
     estimate(dimensions, seed, trials, &mut |point| Some(limit.score(point))).unwrap()
 }
 
-/// Method, share of seeds whose interval contains the probability, mean and relative deviation of the estimates.
+/// Method, share of seeds whose interval contains the probability, mean and relative deviation of
+/// the estimates.
 fn repeat(limit: Limit, dimensions: usize, trials: u64) -> (RareMethod, f64, f64, f64) {
     let exact = limit.probability();
     let estimates: Vec<_> = (0..SEEDS).map(|seed| run(limit, dimensions, seed, trials)).collect();

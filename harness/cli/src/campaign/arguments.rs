@@ -47,8 +47,8 @@ pub(super) struct RunArgs {
     /// Trials that are played at once; default: one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(super) jobs: Option<u16>,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | tcp:HOST:PORT |
-    /// rfc2217:HOST:PORT[@BAUD] | probe:CHIP
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] |
+    /// tcp:HOST:PORT | rfc2217:HOST:PORT[@BAUD] | probe:CHIP
     #[arg(long, default_value = "hosted", conflicts_with = "board")]
     pub(super) rig: RigSpec,
     #[command(flatten)]
@@ -68,8 +68,8 @@ pub(super) struct PlanArgs {
     /// Number of shards
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub(super) shards: u32,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | tcp:HOST:PORT |
-    /// rfc2217:HOST:PORT[@BAUD] | probe:CHIP
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] |
+    /// tcp:HOST:PORT | rfc2217:HOST:PORT[@BAUD] | probe:CHIP
     #[arg(long, default_value = "hosted")]
     pub(super) rig: RigSpec,
 }

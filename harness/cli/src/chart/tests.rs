@@ -162,7 +162,8 @@ fn scenes_are_judged_on_every_model() {
 #[test]
 fn scenes_show_a_verdict_that_a_wrong_model_changes() {
     let folder = tempfile::tempdir().unwrap();
-    // Detuned by 545 rad/s: the linear model has no coupling, so its amplitude ignores the detuning.
+    // Detuned by 545 rad/s: the linear model has no coupling, so its amplitude ignores the
+    // detuning.
     let plate = scenario("plates/aluminium-198x138.toml");
     let text = format!(
         "title = \"detuned\"\nplate = {:?}\nduration_ms = 30.0\n[controller]\nlaw = \"open-loop\"\n\

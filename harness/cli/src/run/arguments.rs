@@ -29,8 +29,8 @@ pub(crate) struct RunArgs {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     pub(crate) scenarios: Vec<PathBuf>,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] | tcp:HOST:PORT |
-    /// rfc2217:HOST:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
+    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] |
+    /// tcp:HOST:PORT | rfc2217:HOST:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
     #[arg(long, default_value = "emulated", conflicts_with = "board")]
     pub(crate) rig: RigSpec,
     #[command(flatten)]
@@ -45,7 +45,8 @@ pub(crate) struct RunArgs {
     /// Clock of the plate; default: real-time on a serial port, lockstep otherwise
     #[arg(long, value_enum)]
     pub(crate) clock: Option<ClockArg>,
-    /// Plate seconds per wall second: at 0.1 the delay of the line is ten times smaller for the plate
+    /// Plate seconds per wall second: at 0.1 the delay of the line is ten times smaller for the
+    /// plate
     #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = parse_time_scale)]
     pub(crate) time_scale: f64,
     /// Timer of the control instants in real time
@@ -69,8 +70,8 @@ pub(crate) struct RunArgs {
     /// Parent folder of new run folders
     #[arg(long, value_name = "FOLDER", default_value = "runs")]
     pub(crate) runs: PathBuf,
-    /// Run changed scenarios again until Ctrl-C: a scenario if its file, plate or profile changed, all if the ELF
-    /// changed
+    /// Run changed scenarios again until Ctrl-C: a scenario if its file, plate or profile changed,
+    /// all if the ELF changed
     #[arg(long)]
     pub(crate) watch: bool,
     /// Trials of each scenario
@@ -82,8 +83,8 @@ pub(crate) struct RunArgs {
     /// Trials that run at once; default: one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(crate) jobs: Option<u16>,
-    /// Emulated rig: wait for a debugger on this port of the local host; the debugger controls the chip while the
-    /// plate waits
+    /// Emulated rig: wait for a debugger on this port of the local host; the debugger controls the
+    /// chip while the plate waits
     #[arg(long, value_name = "PORT", conflicts_with_all = ["watch", "jobs", "board", "list"])]
     pub(crate) gdb: Option<u16>,
     /// Run the K-th of N parts of the scenarios

@@ -50,7 +50,8 @@ pub(super) fn prepare_scenarios(
     Ok(scenarios)
 }
 
-/// Calls `play`. With `--format json` it passes the event stream to `play` and then writes the stream's last event.
+/// Calls `play`. With `--format json` it passes the event stream to `play` and then writes the
+/// stream's last event.
 pub(super) fn play_with_events(
     arguments: &RunArgs,
     play: impl FnOnce(&mut Option<EventWriter>) -> Result<(Exit, RunRecord), Failure>,
@@ -91,7 +92,8 @@ pub(super) fn play(
         folder.remove_if_empty();
     })?;
     let is_real = clock == Clock::RealPlate;
-    // A line or a board plays one trial at a time. In real time only --jobs allows several, which disturb each other.
+    // A line or a board plays one trial at a time. In real time only --jobs allows several, which
+    // disturb each other.
     let jobs = match arguments.jobs {
         _ if !arguments.board.allows_parallel_links(&arguments.rig) || is_real || arguments.gdb.is_some() => 1,
         None if !matches!(clock, Clock::Lockstep { .. }) => 1,

@@ -1,5 +1,6 @@
-//! Runs a scenario again when the content of its file, its plate, its profiles or the firmware image changes.
-//! Polls modification time and length of each file, which works on every file system.
+//! Runs a scenario again when the content of its file, its plate, its profiles or the firmware
+//! image changes. Polls modification time and length of each file, which works on every file
+//! system.
 
 use super::arguments::RunArgs;
 use super::play;
@@ -18,9 +19,11 @@ use std::thread::sleep;
 use std::time::{Duration, Instant, SystemTime};
 
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
-/// Editors write a file in several steps, so a change counts when two polls agree, or after this time.
+/// Editors write a file in several steps, so a change counts when two polls agree, or after this
+/// time.
 const MAX_SETTLE_TIME: Duration = Duration::from_secs(2);
-/// Time until the next attempt to load a faulty scenario, because a file that it lacks may not be polled.
+/// Time until the next attempt to load a faulty scenario, because a file that it lacks may not be
+/// polled.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 type FileStamps = BTreeMap<PathBuf, Option<(SystemTime, u64)>>;
@@ -111,8 +114,8 @@ fn file_stamps(arguments: &RunArgs, inputs: &[PathBuf]) -> FileStamps {
     files.chain(arguments.rig.image().map(Path::to_owned)).map(stamped).collect()
 }
 
-/// Waits for a signal and returns its number, or waits until `now` differs from `before` and is stable. With `retry`
-/// also returns after [`RETRY_INTERVAL`].
+/// Waits for a signal and returns its number, or waits until `now` differs from `before` and is
+/// stable. With `retry` also returns after [`RETRY_INTERVAL`].
 fn wait_for_change(before: &FileStamps, now: impl Fn() -> FileStamps, retry: bool) -> Option<u8> {
     let started = Instant::now();
     let mut last = before.clone();

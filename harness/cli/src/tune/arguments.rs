@@ -16,10 +16,12 @@ use std::path::{Path, PathBuf};
 /// Laws with the gains of equation 24.
 pub(super) const LAWS: [LawId; 3] = [LawId::DqPi, LawId::DqPiFixed, LawId::DqPiEuler];
 const MAX_TIME_MS: f64 = 1_000.0;
-/// A much shorter control period would be below one cycle of the plate, which is 31 µs for the plate of the paper.
+/// A much shorter control period would be below one cycle of the plate, which is 31 µs for the
+/// plate of the paper.
 const MIN_PERIOD_US: f64 = 20.0;
 const MAX_RESPONSE_PERIODS: f64 = 1_000.0;
-/// The search first evaluates equation 24 for the response time itself, and a value near 0 would give extreme gains.
+/// The search first evaluates equation 24 for the response time itself, and a value near 0 would
+/// give extreme gains.
 const MIN_RESPONSE_PERIODS: f64 = 1e-3;
 const MAX_DELAY_PERIODS: f64 = 20.0;
 const MAX_SPREAD_PERCENT: f64 = 50.0;
@@ -40,7 +42,8 @@ pub(crate) struct TuneArgs {
     /// The plate file; default: the plate of the board
     #[arg(long, value_name = "FILE", required_unless_present = "board")]
     pub(super) plate: Option<PathBuf>,
-    /// Law of the gains: dq-pi-euler uses equation 24 as printed, the others match the zero-order hold
+    /// Law of the gains: dq-pi-euler uses equation 24 as printed, the others match the zero-order
+    /// hold
     #[arg(long, value_name = "NAME", default_value = "dq-pi",
         value_parser = PossibleValuesParser::new(LAWS.map(LawId::name)))]
     law: String,
@@ -65,7 +68,8 @@ pub(crate) struct TuneArgs {
     /// Spread of K1 to either side, percent; default: [uncertainty] of the plate file, else 5
     #[arg(long, value_name = "X", value_parser = parse_percent)]
     gain_spread_percent: Option<f64>,
-    /// Spread of the time constant to either side, percent; default: [uncertainty] of the plate file, else 6
+    /// Spread of the time constant to either side, percent; default: [uncertainty] of the plate
+    /// file, else 6
     #[arg(long, value_name = "X", value_parser = parse_percent)]
     time_constant_spread_percent: Option<f64>,
     /// Number of random plates between the corners of the spread
@@ -77,8 +81,8 @@ pub(crate) struct TuneArgs {
     /// Write the gains into [controller.gains] of this scenario, if the target is met
     #[arg(long, value_name = "SCENARIO")]
     pub(super) write: Option<PathBuf>,
-    /// If the target is met, configure this rig with the gains, play one step, and compare the predicted with the
-    /// measured response
+    /// If the target is met, configure this rig with the gains, play one step, and compare the
+    /// predicted with the measured response
     #[arg(long, value_name = "RIG")]
     pub(super) send: Option<RigSpec>,
     #[command(flatten)]
@@ -116,7 +120,8 @@ fn parse_percent(text: &str) -> Result<f64, String> {
 }
 
 impl TuneArgs {
-    /// Control period in whole microseconds. Fails if period, response time and delay do not fit together.
+    /// Control period in whole microseconds. Fails if period, response time and delay do not fit
+    /// together.
     fn period_us(&self) -> Result<u32, String> {
         let micros = self.period_ms * 1e3;
         if (micros - micros.round()).abs() > 1e-6 || micros < MIN_PERIOD_US {

@@ -12,8 +12,8 @@ use std::path::Path;
 use tempfile::NamedTempFile;
 use toml_edit::{DocumentMut, Item, Table, TableLike, Value};
 
-/// Returns a message for the user. Fails, and leaves the file unchanged, if plate, period or kind of law differ from
-/// those of the gains, or the law has a design delay.
+/// Returns a message for the user. Fails, and leaves the file unchanged, if plate, period or kind
+/// of law differ from those of the gains, or the law has a design delay.
 pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) -> Result<String, Diagnostic> {
     let refuse = |message: String| Diagnostic::for_file(path, message);
     let cannot_write = |error: std::io::Error| refuse(format!("cannot be written: {error}"));

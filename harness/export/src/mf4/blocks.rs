@@ -1,7 +1,7 @@
 //! Writes the blocks of ASAM MDF 4.10; numbers are little-endian.
 //!
-//! A block has kind, length, links and data, and starts at a multiple of 8 bytes. A link is the position of another
-//! block, or 0. Links to later blocks are written after these blocks.
+//! A block has kind, length, links and data, and starts at a multiple of 8 bytes. A link is the
+//! position of another block, or 0. Links to later blocks are written after these blocks.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};

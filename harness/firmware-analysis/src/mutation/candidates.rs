@@ -13,14 +13,15 @@ use std::collections::{BTreeMap, BTreeSet};
 
 #[derive(Debug, Clone, Default)]
 pub struct MutantFilter {
-    /// Parts of names, also of inlined functions. If both lists are empty, the filter selects the functions of the
-    /// control step without those that the compiler adds, such as `memcpy`.
+    /// Parts of names, also of inlined functions. If both lists are empty, the filter selects the
+    /// functions of the control step without those that the compiler adds, such as `memcpy`.
     pub functions: Vec<String>,
     /// Parts of paths.
     pub files: Vec<String>,
 }
 
-/// Sorted by address. `executed` is that of [`platebench_rig::EmulatedLink::executed_instructions`].
+/// Sorted by address. `executed` is that of
+/// [`platebench_rig::EmulatedLink::executed_instructions`].
 pub fn all_mutants(
     map: &CodeMap,
     symbols: &Symbols,

@@ -25,7 +25,8 @@ pub(super) fn negate(instruction: &Instruction) -> Option<Code> {
     }
 }
 
-/// Moves equality to the other side, for example `<` to `≤`. After a comparison of floats, `MI` is `<` and `PL` is `≥`.
+/// Moves equality to the other side, for example `<` to `≤`. After a comparison of floats, `MI` is
+/// `<` and `PL` is `≥`.
 pub(super) fn shift_boundary(instruction: &Instruction, compares_floats: bool) -> Option<Code> {
     let shifted = match condition(instruction)? {
         GE => GT,
@@ -60,7 +61,8 @@ fn with_condition(instruction: &Instruction, condition: u16) -> Code {
         return (first & !0x03C0 | condition << 6, Some(second));
     }
     let Some((old, mask)) = it_condition(instruction) else { return (first & !0x0F00 | condition << 8, None) };
-    // The mask holds bit 0 of each further condition. It changes too, so that the pattern of then and else stays.
+    // The mask holds bit 0 of each further condition. It changes too, so that the pattern of then
+    // and else stays.
     let last = mask & mask.wrapping_neg();
     let mask = if (old ^ condition) & 1 == 1 { !mask & 0xF & !(last | (last - 1)) | last } else { mask };
     (first & 0xFF00 | condition << 4 | mask, None)

@@ -1,4 +1,5 @@
-//! Finds the changes of an instruction. Encodings: ARM DDI 0403E, sections A5.2, A5.3, A6.4 and A7.7.
+//! Finds the changes of an instruction. Encodings: ARM DDI 0403E, sections A5.2, A5.3, A6.4 and
+//! A7.7.
 
 use super::condition::{negate, shift_boundary};
 use super::mutant::{Change, Operator};
@@ -93,7 +94,8 @@ fn arithmetic(instruction: &Instruction) -> Option<Code> {
 
 fn vfp_arithmetic(first: u16, second: u16) -> Option<(u16, u16)> {
     match (first & 0xFFB0, second & 0x40 != 0) {
-        // VADD and VSUB; VMLA and VMLS; VNMLS and VNMLA; VFNMS and VFNMA; VFMA and VFMS; VNMUL becomes VMUL.
+        // VADD and VSUB; VMLA and VMLS; VNMLS and VNMLA; VFNMS and VFNMA; VFMA and VFMS; VNMUL
+        // becomes VMUL.
         (0xEE30 | 0xEE00 | 0xEE10 | 0xEE90 | 0xEEA0, _) | (0xEE20, true) => Some((first, second ^ 0x40)),
         // VMUL and VDIV.
         (0xEE20 | 0xEE80, false) => Some((first ^ 0xA0, second)),

@@ -6,7 +6,8 @@ use std::fmt;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, strum::VariantArray, strum::IntoStaticStr)]
 #[strum(const_into_str, serialize_all = "snake_case")]
 pub enum Operator {
-    /// Exchanges addition and subtraction, or multiplication and division, or removes a change of sign.
+    /// Exchanges addition and subtraction, or multiplication and division, or removes a change of
+    /// sign.
     Arithmetic,
     #[strum(serialize = "negated condition")]
     Condition,
@@ -19,7 +20,8 @@ pub enum Operator {
     RemovedCall,
     #[strum(serialize = "removed store")]
     RemovedStore,
-    /// Removes `SSAT`, `USAT`, and conditional moves after a comparison of floats, to which `clamp` compiles.
+    /// Removes `SSAT`, `USAT`, and conditional moves after a comparison of floats, to which `clamp`
+    /// compiles.
     #[strum(serialize = "removed saturation")]
     RemovedSaturation,
 }

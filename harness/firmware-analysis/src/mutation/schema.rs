@@ -1,4 +1,5 @@
-//! Writes results in the open schema of mutation reports, version 2: npm `mutation-testing-report-schema`.
+//! Writes results in the open schema of mutation reports, version 2: npm
+//! `mutation-testing-report-schema`.
 
 use super::result::{MutantResult, MutationReport, Status};
 use serde_json::{Map, Value, json};

@@ -1,4 +1,5 @@
-//! Counts how often intervals contain the truth: τ with and without a finger, τ2 of frequency steps.
+//! Counts how often intervals contain the truth: τ with and without a finger, τ2 of frequency
+//! steps.
 
 use crate::simulation::{STILL, scene, simulate};
 use platebench_identify::{Estimate, fit_direct, identify};

@@ -1,4 +1,5 @@
-//! Tests of identification: simulated recordings, coverage of intervals, inconsistencies, tables of other programs.
+//! Tests of identification: simulated recordings, coverage of intervals, inconsistencies, tables of
+//! other programs.
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 

@@ -14,7 +14,8 @@ pub(crate) fn scene(temperature: &[(f64, f64)], force: &[(f64, f64)]) -> Conditi
 
 pub(crate) const STILL: &[(f64, f64)] = &[(0.0, 0.0)];
 
-/// The sensor has the noise of the plate and `seed`. `drive` returns Vpp and rad/s from the millisecond and Wd.
+/// The sensor has the noise of the plate and `seed`. `drive` returns Vpp and rad/s from the
+/// millisecond and Wd.
 pub(crate) fn simulate(
     plate: &Plate,
     seed: u64,

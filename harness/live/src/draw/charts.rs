@@ -8,7 +8,8 @@ use ratatui::style::{Color, Style};
 use ratatui::symbols::Marker;
 use ratatui::widgets::{Axis, Block, Chart, Dataset, GraphType};
 
-/// For limits and resonance. Has one dash per three characters, so that the signal below stays visible.
+/// For limits and resonance. Has one dash per three characters, so that the signal below stays
+/// visible.
 const REFERENCE_MARKER: Marker = Marker::Custom('-');
 const SECOND_MARKER: Marker = Marker::Custom('o');
 

@@ -1,5 +1,5 @@
-//! Provides the reference for the optional effects: both modes on the carrier, the amplifier and the
-//! thermal node as one system of differential equations.
+//! Provides the reference for the optional effects: both modes on the carrier, the amplifier and
+//! the thermal node as one system of differential equations.
 
 use ode_solvers::dop_shared::OutputType;
 use ode_solvers::{Dop853, SVector, System};

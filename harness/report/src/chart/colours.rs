@@ -1,10 +1,11 @@
-//! Defines every colour once, for light and dark. Pages use CSS variables. SVG files contain values, because not every
-//! viewer of SVG supports variables.
+//! Defines every colour once, for light and dark. Pages use CSS variables. SVG files contain
+//! values, because not every viewer of SVG supports variables.
 
 /// One rule per line.
 pub(crate) const RULES: &str = include_str!("roles.css");
 
-/// Name, light, dark. The series have the colour-blind palette of Okabe and Ito, darkened and lightened.
+/// Name, light, dark. The series have the colour-blind palette of Okabe and Ito, darkened and
+/// lightened.
 const VALUES: [(&str, &str, &str); 39] = [
     ("page", "#f6f6f3", "#121518"),
     ("card", "#fff", "#1a1e23"),

@@ -140,7 +140,8 @@ impl HeatFigure {
     }
 }
 
-/// Lower left and upper right corner in the panel, CSS pixels. The first value of the vertical axis is at the bottom.
+/// Lower left and upper right corner in the panel, CSS pixels. The first value of the vertical axis
+/// is at the bottom.
 fn cell_corners(panel: &HeatPanel, column: usize, row: usize) -> [(i32, i32); 2] {
     let edge = |from: i32, to: i32, at: usize, count: usize| {
         from + (to - from) * count_factor(at) / count_factor(count.max(1))

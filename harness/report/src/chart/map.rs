@@ -1,4 +1,5 @@
-//! Draws the settling time over control period and loop delay, with predicted and measured boundaries of stability.
+//! Draws the settling time over control period and loop delay, with predicted and measured
+//! boundaries of stability.
 
 use super::svg::{Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, count_factor, length, svg_document, text_style};
 use crate::error::ReportError;
@@ -8,7 +9,8 @@ use plotters::style::text_anchor::HPos;
 /// Width and height, CSS pixels.
 const PANEL_SIZE: (i32, i32) = (330, 262);
 const LEGEND_LINE_HEIGHT: i32 = 22;
-/// Upper edges of the classes of settling time, ms. A further class has longer times and responses that never settle.
+/// Upper edges of the classes of settling time, ms. A further class has longer times and responses
+/// that never settle.
 const CLASS_EDGES: [f64; 9] = [1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 15.0, 25.0, 40.0];
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,7 +19,8 @@ pub struct RigDelay {
     pub longest_ms: f64,
 }
 
-/// One law, operating condition and response time. Periods and delays are ascending, evenly spaced and at least two.
+/// One law, operating condition and response time. Periods and delays are ascending, evenly spaced
+/// and at least two.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapPanel {
     pub title: String,

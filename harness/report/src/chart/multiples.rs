@@ -1,4 +1,5 @@
-//! Draws small multiples: one quantity over a few settings, one panel per row and column, one colour per series.
+//! Draws small multiples: one quantity over a few settings, one panel per row and column, one
+//! colour per series.
 
 use super::svg::{Canvas, DrawResult, Role, count_factor, logarithmic_extent, svg_document};
 use crate::error::ReportError;
@@ -97,7 +98,8 @@ impl MultiplesChart {
         for (setting, text) in self.settings.iter().enumerate() {
             canvas.text(Role::Text, HPos::Center, (centre(setting) as i32, bottom + 11), text)?;
         }
-        // Points of different series are next to each other, so that equal values do not hide each other.
+        // Points of different series are next to each other, so that equal values do not hide each
+        // other.
         let step = 0.8 * width / self.series.len().max(1) as f64;
         for point in points {
             let offset = (point.series as f64 - (self.series.len() as f64 - 1.0) / 2.0) * step;

@@ -75,7 +75,8 @@ impl StripChart {
                 let half = LINE_HEIGHT / 2 - 1;
                 canvas.rectangle(Role::Shape, [(column(limit) - 1, y - half), (column(limit) + 1, y + half)])?;
             }
-            // The first circle is the smallest and is drawn last, so that circles with the same value are all visible.
+            // The first circle is the smallest and is drawn last, so that circles with the same
+            // value are all visible.
             for (colour, value) in row.values.iter().filter(|(_, value)| value.is_finite()).rev() {
                 let (at, role) = ((column(*value), y), Role::Series(*colour));
                 canvas.circle(role, at, 2.5 + f64::from(count_factor(*colour)))?;

@@ -1,5 +1,6 @@
-//! Draws with plotters and writes SVG with classes instead of colours. Plotters supports only colours, so each [`Role`]
-//! has a code colour, which is replaced by the class of the role in the finished SVG.
+//! Draws with plotters and writes SVG with classes instead of colours. Plotters supports only
+//! colours, so each [`Role`] has a code colour, which is replaced by the class of the role in the
+//! finished SVG.
 
 use super::colours;
 use crate::error::ReportError;
@@ -226,7 +227,8 @@ fn compact_elements(svg: &str) -> String {
     body.replace(" \"/>", "\"/>").lines().map(|line| compact_element(line.trim())).collect()
 }
 
-/// Writes lines and areas as relative paths, and texts without their font, which the style sheet sets.
+/// Writes lines and areas as relative paths, and texts without their font, which the style sheet
+/// sets.
 fn compact_element(element: &str) -> String {
     let outline = element.strip_prefix("<polyline fill=\"none\" ").or_else(|| element.strip_prefix("<polygon "));
     if let Some((before, points)) = outline.and_then(|outline| outline.split_once("points=\""))

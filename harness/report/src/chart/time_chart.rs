@@ -10,7 +10,8 @@ use plotters::style::text_anchor::HPos;
 /// Width and height, CSS pixels.
 pub(crate) const SIZE: (i32, i32) = (560, 306);
 
-/// Height of the text of the first mark and distance to the text of the next one, as shares of the plot.
+/// Height of the text of the first mark and distance to the text of the next one, as shares of the
+/// plot.
 const LOWEST_TEXT: f64 = 0.12;
 const TEXT_HEIGHT: f64 = 0.1;
 

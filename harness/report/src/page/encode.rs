@@ -1,6 +1,7 @@
-//! Encodes curves in few characters, and JSON for a script element. Values are rounded to 65 535 steps between the
-//! extremes of the curve (error below 1e-5 of the range). Differences of neighbours are base64 digits of five bits with
-//! sign and continuation bit, as in source maps (<https://tc39.es/ecma426/>). `!` is a missing value.
+//! Encodes curves in few characters, and JSON for a script element. Values are rounded to 65 535
+//! steps between the extremes of the curve (error below 1e-5 of the range). Differences of
+//! neighbours are base64 digits of five bits with sign and continuation bit, as in source maps
+//! (<https://tc39.es/ecma426/>). `!` is a missing value.
 
 use serde_json::{Value, json};
 

@@ -26,8 +26,8 @@ pub(crate) struct Layer {
     pub(crate) content: Content,
 }
 
-/// `is_stepped` is true for a signal that holds its value. Marks are instants in ms with an optional text, points are
-/// instants in ms with a value and a text.
+/// `is_stepped` is true for a signal that holds its value. Marks are instants in ms with an
+/// optional text, points are instants in ms with a value and a text.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Content {
     Lines { is_stepped: bool, lines: Vec<SampledLine> },

@@ -54,8 +54,8 @@ impl AlignedRows<'_> {
         instants.map(|(t_ms, next)| curves::value_at(self.rows, *next, signal, *t_ms)).collect()
     }
 
-    /// Keeps every peak. If the signal leaves the range of its values at three neighbouring instants, its lowest and
-    /// highest value replace the first two of them, in order of time.
+    /// Keeps every peak. If the signal leaves the range of its values at three neighbouring
+    /// instants, its lowest and highest value replace the first two of them, in order of time.
     pub(crate) fn sample_peaks(&self, signal: PlotSignal) -> Vec<Option<f64>> {
         let mut line = self.sample(signal);
         for start in (0..line.len()).step_by(2) {
@@ -82,7 +82,8 @@ impl AlignedRows<'_> {
     }
 }
 
-/// Both ends and the instants of the rows between them, or `limit` equidistant instants if there are more rows.
+/// Both ends and the instants of the rows between them, or `limit` equidistant instants if there
+/// are more rows.
 fn window_instants(rows: &[Row], window: TimeWindow, limit: usize) -> Vec<f64> {
     let limit = limit.max(4);
     let inside = curves::points_between(rows, PlotSignal::Setpoint, window.from_ms, window.to_ms).map(|(t_ms, _)| t_ms);

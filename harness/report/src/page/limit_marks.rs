@@ -1,4 +1,5 @@
-//! Finds the limit, the judged window and the worst instant of an expectation in the rows of a trial.
+//! Finds the limit, the judged window and the worst instant of an expectation in the rows of a
+//! trial.
 
 use super::curves::PlotSignal;
 use crate::chart::time_chart::TimeWindow;

@@ -32,7 +32,8 @@ pub(crate) enum Settling {
     },
 }
 
-/// Index of the first settling time that did not pass, else of the first one, else of the first metric with a band.
+/// Index of the first settling time that did not pass, else of the first one, else of the first
+/// metric with a band.
 pub(crate) fn settling_expectation(scenario: &ScenarioRecord) -> Option<usize> {
     let all = || scenario.expectations.iter().enumerate();
     let settling = || all().filter(|(_, found)| found.metric == Metric::SettlingTime);
@@ -60,7 +61,8 @@ fn settling_start_ms(definition: &MetricDefinition, steps_ms: &[f64]) -> Option<
     steps_ms.get(passed.saturating_sub(1)).copied()
 }
 
-/// Markers of settling, and for each other metric of the expectations that did not pass, or else of the first one.
+/// Markers of settling, and for each other metric of the expectations that did not pass, or else of
+/// the first one.
 pub(crate) fn time_markers(
     scenario: &ScenarioRecord,
     trial: &TrialRecord,

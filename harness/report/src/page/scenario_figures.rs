@@ -86,7 +86,8 @@ impl FigureBuilder<'_> {
         }
     }
 
-    /// Adds percentiles of many trials or the range of few trials, but nothing if all trials are equal.
+    /// Adds percentiles of many trials or the range of few trials, but nothing if all trials are
+    /// equal.
     fn add_spread(&self, figure: &mut Figure, signal: PlotSignal, role: Role, name: &str) {
         let lines = self.data.sampled_trials.iter().filter_map(|trial| trial.values.get(&signal).map(Vec::as_slice));
         let lines: Vec<&[Option<f64>]> = lines.collect();

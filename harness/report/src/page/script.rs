@@ -37,7 +37,8 @@ pub(super) fn figure_data(title: &str, t_ms: &[f64], views: &[View], figures: &[
     html! { script.curves type="application/json" { (PreEscaped(embed_json(&data))) } }
 }
 
-/// Data of a figure for `plots.js`. A layer is a group; series, bands, spans, marks and points contain its number.
+/// Data of a figure for `plots.js`. A layer is a group; series, bands, spans, marks and points
+/// contain its number.
 fn panel(figure: &Figure) -> Value {
     let (mut series, mut bands, mut spans, mut marks, mut points) = (vec![], vec![], vec![], vec![], vec![]);
     for (group, layer) in figure.layers.iter().enumerate() {

@@ -25,21 +25,24 @@ const MAX_OVERRUN_MARKS: usize = 200;
 
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TraceData {
-    /// Missed limits, differences from the baseline, the response, and last the whole trial. Empty without a trace.
+    /// Missed limits, differences from the baseline, the response, and last the whole trial. Empty
+    /// without a trace.
     pub(crate) views: Vec<View>,
     /// Limits of the expectations that did not pass, or else of the one with the smallest margin.
     pub(crate) limits: Vec<LimitMark>,
     /// Index of the trial that is drawn as a line.
     pub(crate) first_trial: u32,
     pub(crate) golden: GoldenDifference,
-    /// Trials except the first that decided missed expectations, with the metrics of these expectations.
+    /// Trials except the first that decided missed expectations, with the metrics of these
+    /// expectations.
     pub(crate) deciding_trials: Vec<(u32, String)>,
     pub(crate) trial_count: usize,
     pub(crate) markers: Vec<TimeMarker>,
     /// Traces that cannot be shown, each with the reason.
     pub(crate) unreadable: Vec<String>,
     pub(crate) band: Option<Band>,
-    /// Overshoot of the first trial at its first setpoint step, until the finger or the next setpoint changes it.
+    /// Overshoot of the first trial at its first setpoint step, until the finger or the next
+    /// setpoint changes it.
     pub(crate) overshoot_percent: Option<f64>,
     pub(crate) grid: TimeGrid,
     pub(crate) sampled_trials: Vec<SampledTrial>,

@@ -1,5 +1,5 @@
-//! Writes workflow commands of GitHub Actions. A failure is an `error`, inconclusive is a `warning`. Failures come
-//! first, because GitHub shows ten annotations of a kind per step.
+//! Writes workflow commands of GitHub Actions. A failure is an `error`, inconclusive is a
+//! `warning`. Failures come first, because GitHub shows ten annotations of a kind per step.
 
 use super::escape::{workflow_message, workflow_property};
 use crate::{format, record_queries};
@@ -14,7 +14,8 @@ pub struct SourceLocation {
     pub line: usize,
 }
 
-/// `location` returns the line of the expectation with an index, or that of the scenario without an index.
+/// `location` returns the line of the expectation with an index, or that of the scenario without an
+/// index.
 pub fn workflow_commands(
     record: &RunRecord,
     location: &dyn Fn(&ScenarioRecord, Option<usize>) -> Option<SourceLocation>,

@@ -3,7 +3,8 @@
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-/// Writes control characters and characters that change the writing direction as escapes such as `\u{1b}`.
+/// Writes control characters and characters that change the writing direction as escapes such as
+/// `\u{1b}`.
 pub fn printable(text: &str) -> Cow<'_, str> {
     escape(text, is_active)
 }
@@ -58,7 +59,8 @@ pub(crate) fn markdown_cell(text: &str) -> String {
     cell
 }
 
-/// RFC 4180. Writes a `'` before `=`, `+`, `-` and `@`, with which a formula begins in a spreadsheet.
+/// RFC 4180. Writes a `'` before `=`, `+`, `-` and `@`, with which a formula begins in a
+/// spreadsheet.
 pub(crate) fn csv_field(text: &str) -> String {
     let text = printable(text);
     let is_formula = text.starts_with(['=', '+', '-', '@']) && text.parse::<f64>().is_err();

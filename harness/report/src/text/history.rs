@@ -1,4 +1,5 @@
-//! Finds since when an expectation does not pass, in earlier runs with the same kind of rig and the same law.
+//! Finds since when an expectation does not pass, in earlier runs with the same kind of rig and the
+//! same law.
 
 use super::cost::short_build_id;
 use crate::format;
@@ -28,7 +29,8 @@ struct EarlierExpectation<'a> {
 }
 
 impl RunHistory {
-    /// Earlier results with the same kind of rig and law, the newest first. True if others differ in rig or law.
+    /// Earlier results with the same kind of rig and law, the newest first. True if others differ
+    /// in rig or law.
     fn comparable(
         &self,
         record: &RunRecord,

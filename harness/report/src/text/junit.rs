@@ -1,9 +1,10 @@
 //! Writes `junit.xml`: a test suite per scenario, a test case per expectation.
 //!
-//! An inconclusive expectation is an `error`, because readers count `skipped` as harmless. A run or scenario that did
-//! not pass although its expectations did has one more case with an error. The schema of Jenkins' xunit plugin
-//! (`tests/report/junit-10.xsd`) allows properties of suites only, so requirements are properties `requirement.<name>`
-//! of the suite, and other facts are lines in `system-out`. Times come from the record: equal records give equal files.
+//! An inconclusive expectation is an `error`, because readers count `skipped` as harmless. A run or
+//! scenario that did not pass although its expectations did has one more case with an error. The
+//! schema of Jenkins' xunit plugin (`tests/report/junit-10.xsd`) allows properties of suites only,
+//! so requirements are properties `requirement.<name>` of the suite, and other facts are lines in
+//! `system-out`. Times come from the record: equal records give equal files.
 
 use super::escape::printable;
 use crate::error::{ReportError, write_file};

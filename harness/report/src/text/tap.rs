@@ -1,5 +1,6 @@
-//! Writes TAP: a subtest per scenario, a test point per expectation. Readers of version 13 ignore subtests.
-//! Inconclusive is `not ok`, because readers count `SKIP` and `TODO` as passed. `SKIP` marks not applicable scenarios.
+//! Writes TAP: a subtest per scenario, a test point per expectation. Readers of version 13 ignore
+//! subtests. Inconclusive is `not ok`, because readers count `SKIP` and `TODO` as passed. `SKIP`
+//! marks not applicable scenarios.
 
 use super::escape::tap_description;
 use crate::error::{ReportError, write_file};

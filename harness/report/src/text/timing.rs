@@ -1,8 +1,10 @@
-//! Summarises the timing of a scenario in real time: loop delay against the law's budget, lateness, losses.
+//! Summarises the timing of a scenario in real time: loop delay against the law's budget, lateness,
+//! losses.
 
 use platebench_record::{ScenarioRecord, TimingRecord};
 
-/// States the worst trial for each quantity, and the sum over trials for each count. `None` in lockstep.
+/// States the worst trial for each quantity, and the sum over trials for each count. `None` in
+/// lockstep.
 pub(crate) fn summary(scenario: &ScenarioRecord) -> Option<String> {
     let trials: Vec<&TimingRecord> =
         scenario.trials.iter().filter_map(|trial| trial.telemetry.timing.as_deref()).collect();

@@ -1,6 +1,7 @@
-//! Finds the exception frame and the callers on the stack of a stopped processor. A word on the stack counts as a
-//! return address if it is odd, lies in a function and follows a BL or BLX instruction. This needs no call frame
-//! information and works on an overflowed stack. A return address that an earlier call left on the stack also counts.
+//! Finds the exception frame and the callers on the stack of a stopped processor. A word on the
+//! stack counts as a return address if it is odd, lies in a function and follows a BL or BLX
+//! instruction. This needs no call frame information and works on an overflowed stack. A return
+//! address that an earlier call left on the stack also counts.
 
 use crate::symbols::{CodeLocation, Symbols};
 
@@ -32,7 +33,8 @@ pub(crate) struct ExceptionFrame {
 pub(crate) enum StoppedAt {
     /// At the handler's first instruction, when the link register contains the exception return.
     Entry,
-    /// Later in the handler, which may have pushed the exception return directly below the exception frame.
+    /// Later in the handler, which may have pushed the exception return directly below the
+    /// exception frame.
     #[cfg(feature = "probe")]
     Body,
 }
@@ -65,8 +67,8 @@ fn is_exception_return(word: u32) -> bool {
     (EXCEPTION_RETURN..u32::MAX).contains(&word)
 }
 
-/// Returns the callers of a function with return address `lr` and stack pointer `sp`, innermost first. If `in_panic` is
-/// true, omits the calls from the panicking function to the panic handler.
+/// Returns the callers of a function with return address `lr` and stack pointer `sp`, innermost
+/// first. If `in_panic` is true, omits the calls from the panicking function to the panic handler.
 pub(crate) fn callers(
     memory: &mut dyn StackReader,
     symbols: &Symbols,

@@ -53,8 +53,8 @@ impl uart::Peer for UartPeer {
     }
 }
 
-/// Polls only the peripherals that the firmware has used, which saves a quarter of the computing time. During the start
-/// it polls all, because a change of clocks affects them.
+/// Polls only the peripherals that the firmware has used, which saves a quarter of the computing
+/// time. During the start it polls all, because a change of clocks affects them.
 #[derive(Debug)]
 pub(super) struct Microcontroller {
     mcu: Stm32f427,

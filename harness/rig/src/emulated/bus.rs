@@ -25,7 +25,8 @@ pub(super) struct SystemBus {
     pub(super) stuck: Vec<(u32, u32)>,
 }
 
-/// A fraction in lowest terms, so that years of virtual time fit into 64 bits and the conversion is cheap.
+/// A fraction in lowest terms, so that years of virtual time fit into 64 bits and the conversion is
+/// cheap.
 #[derive(Debug, Clone, Copy)]
 struct InstructionRate {
     nanoseconds: u64,
@@ -133,7 +134,8 @@ impl CoreBus for BusGuard<'_> {
             }
             (Some(false), AccessKind::Write) | (None, _) => {}
         }
-        // If nothing answers, the chip raises a bus error; the emulator alone would ignore the access.
+        // If nothing answers, the chip raises a bus error; the emulator alone would ignore the
+        // access.
         let answers = self.session.board_mut().part.mark_used(access.address);
         if !answers && writable.is_none() {
             return None;

@@ -12,7 +12,8 @@ const HANG: (u64, [u8; 4]) = (0x081F_FFFC, [0x72, 0xB6, 0xFE, 0xE7]);
 const PC: usize = 15;
 
 impl Machine {
-    /// Start address and length in bytes of the RAM with the flipped bit; `None` for other faults. Fails outside RAM.
+    /// Start address and length in bytes of the RAM with the flipped bit; `None` for other faults.
+    /// Fails outside RAM.
     pub(super) fn flipped_memory(&self, fault: &ChipFaultKind) -> Result<Option<(u32, u32)>, ChipFaultError> {
         let (start, length) = match fault {
             ChipFaultKind::FlipRam { start, length, .. } => (*start, *length),

@@ -1,4 +1,5 @@
-//! Serves a debugger with GDB's remote protocol. While the debugger has stopped the chip, the plate waits, too.
+//! Serves a debugger with GDB's remote protocol. While the debugger has stopped the chip, the plate
+//! waits, too.
 
 use super::debug_control::DebugStop;
 use super::machine::Machine;

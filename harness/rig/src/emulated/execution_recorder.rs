@@ -1,4 +1,5 @@
-//! Records which watched instructions ran. Breakpoints are removed at their first hit, so that code runs at full speed.
+//! Records which watched instructions ran. Breakpoints are removed at their first hit, so that code
+//! runs at full speed.
 
 use rigless::emulator::Processor;
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,6 +1,7 @@
-//! Collects the text that the firmware writes to channel 0 of RTT (SEGGER, *Real Time Transfer*). The control block is
-//! the variable `_SEGGER_RTT`: an identifier of 16 bytes, the number of channels to the bench (4 bytes), the number
-//! from the bench (4 bytes), and per channel 24 bytes: name, buffer, size, write offset, read offset, flags.
+//! Collects the text that the firmware writes to channel 0 of RTT (SEGGER, *Real Time Transfer*).
+//! The control block is the variable `_SEGGER_RTT`: an identifier of 16 bytes, the number of
+//! channels to the bench (4 bytes), the number from the bench (4 bytes), and per channel 24 bytes:
+//! name, buffer, size, write offset, read offset, flags.
 
 use super::memory::Memory;
 use crate::symbols::Symbols;
@@ -43,7 +44,8 @@ impl FirmwareOutput {
         memory.store(block + READ_OFFSET, &write_offset.to_le_bytes())
     }
 
-    /// Includes unread text, because a trap may end a trial before the bench drains it. `None` without text.
+    /// Includes unread text, because a trap may end a trial before the bench drains it. `None`
+    /// without text.
     pub(super) fn text(&self, memory: &Memory) -> Option<String> {
         let rest = self.control_block.and_then(|block| read_ring(memory, block)).map(|(rest, _)| rest);
         let mut bytes = self.bytes.clone();

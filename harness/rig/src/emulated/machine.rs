@@ -1,4 +1,5 @@
-//! Runs an image on the emulated board from event to event in virtual time. Equal calls give equal results.
+//! Runs an image on the emulated board from event to event in virtual time. Equal calls give equal
+//! results.
 
 use super::board::{EmulatedBoard, INSTRUCTIONS_PER_SECOND, ReceivedByte};
 use super::bus::{BusGuard, SystemBus};
@@ -27,7 +28,8 @@ const UNIQUE_ID: (u64, &[u8; 12]) = (0x1FFF_7A10, b"emulated-427");
 const FLASH_KIB: (u64, [u8; 2]) = (0x1FFF_7A22, 2048_u16.to_le_bytes());
 
 pub(super) struct Machine {
-    // Declared before `bus`, because it points into the memory of `bus` and fields are dropped in this order.
+    // Declared before `bus`, because it points into the memory of `bus` and fields are dropped in
+    // this order.
     pub(super) core: Box<dyn Processor>,
     pub(super) bus: SystemBus,
     pub(super) session: Session<EmulatedBoard>,
@@ -200,13 +202,15 @@ impl Machine {
 
 #[allow(unsafe_code, reason = "the processor holds pointers to the memory")]
 fn map_memory(memory: &Memory, core: &mut dyn Processor) -> Result<(), TargetError> {
-    // SAFETY: `Machine::new` moves both into a `Machine`, which drops its processor first; the pages do not
-    // move. Borrows of `Memory` end before the processor runs, or begin and end within a callback.
+    // SAFETY: `Machine::new` moves both into a `Machine`, which drops its processor first; the
+    // pages do not move. Borrows of `Memory` end before the processor runs, or begin and end within
+    // a callback.
     unsafe { memory::map_into_core(memory, core) }.map_err(|problem| emulator_error(&problem))
 }
 
 impl Machine {
-    /// Switches the supply off and on. Then virtual time is zero, RAM is undefined and the line is idle.
+    /// Switches the supply off and on. Then virtual time is zero, RAM is undefined and the line is
+    /// idle.
     pub(super) fn power_on(&mut self) -> Result<(), TargetError> {
         self.session = session(self.options)?;
         let _ = self.core.take_reset_request();
@@ -220,7 +224,8 @@ impl Machine {
         Ok(())
     }
 
-    /// The firmware has started and will hardly use further peripherals. This affects only the speed.
+    /// The firmware has started and will hardly use further peripherals. This affects only the
+    /// speed.
     pub(super) fn mark_booted(&mut self) {
         self.session.board_mut().part.booted = true;
     }
@@ -245,7 +250,8 @@ impl Machine {
         self.bus.notify_core(&mut *self.core);
     }
 
-    /// Returns true at the end of a frame from the firmware, false at `until_ns`. Fails if time does not advance.
+    /// Returns true at the end of a frame from the firmware, false at `until_ns`. Fails if time
+    /// does not advance.
     pub(super) fn run(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         let until = VirtualNanos(until_ns);
         self.session.run_until(until);

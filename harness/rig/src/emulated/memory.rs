@@ -37,8 +37,8 @@ impl MemoryRegion {
     }
 
     fn bytes(&self) -> &[u8] {
-        // SAFETY: `size` bytes lie within the pages; translated code writes to them only while the processor
-        // runs, and no borrow lives then.
+        // SAFETY: `size` bytes lie within the pages; translated code writes to them only while the
+        // processor runs, and no borrow lives then.
         unsafe { std::slice::from_raw_parts(self.start(), self.size) }
     }
 
@@ -58,7 +58,8 @@ impl Drop for MemoryRegion {
 #[derive(Debug)]
 pub(super) struct Memory {
     regions: Vec<MemoryRegion>,
-    /// Content that changed without the processor. The processor must discard its translated code there.
+    /// Content that changed without the processor. The processor must discard its translated code
+    /// there.
     dirty_ranges: Vec<Range<u64>>,
 }
 
@@ -160,7 +161,8 @@ pub(super) unsafe fn map_into_core(memory: &Memory, core: &mut dyn Processor) ->
             }
             // The bus serves the regions that are not whole pages.
             if start.is_multiple_of(page) && length.is_multiple_of(page) {
-                // SAFETY: whole pages of an allocation that does not move and, by contract, outlives `core`.
+                // SAFETY: whole pages of an allocation that does not move and, by contract,
+                // outlives `core`.
                 unsafe { core.map(start, length, region.start(), region.writable) };
             }
         }

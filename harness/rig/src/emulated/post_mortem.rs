@@ -49,7 +49,8 @@ impl FaultHandlers {
         }
     }
 
-    /// `None` if the processor is not at the start of a fault handler, or if another exception uses this handler.
+    /// `None` if the processor is not at the start of a fault handler, or if another exception uses
+    /// this handler.
     pub(super) fn read_crash(
         &self,
         core: &mut dyn Processor,

@@ -50,7 +50,8 @@ impl<L: Link> FaultInjector<L> {
         &mut self.inner.link
     }
 
-    /// Sets the faults of the next trial and clears the counts. Call it before the trial's configuration.
+    /// Sets the faults of the next trial and clears the counts. Call it before the trial's
+    /// configuration.
     pub fn set_faults(&mut self, faults: &[WireFault]) {
         self.active_faults = ActiveFaults::new(faults);
         self.overflow_count = 0;
@@ -59,13 +60,15 @@ impl<L: Link> FaultInjector<L> {
         self.clear();
     }
 
-    /// Compares the next trial with the hosted reference, in lockstep only. Call it before the trial's configuration.
+    /// Compares the next trial with the hosted reference, in lockstep only. Call it before the
+    /// trial's configuration.
     pub fn compare_with_reference(&mut self, is_compared: bool) {
         self.inner.compare_with_reference(is_compared);
     }
 
-    /// Largest difference of a command from the hosted reference for the same bytes, in percent of the drive limit or
-    /// the frequency range; 100 if only one of them stopped. `None` without a comparison or a command.
+    /// Largest difference of a command from the hosted reference for the same bytes, in percent of
+    /// the drive limit or the frequency range; 100 if only one of them stopped. `None` without a
+    /// comparison or a command.
     pub fn reference_difference_percent(&self) -> Option<f64> {
         self.inner.reference_difference_percent()
     }
@@ -80,7 +83,8 @@ impl<L: Link> FaultInjector<L> {
         self.active_faults.has_faults().then_some(self.delivered_sample)
     }
 
-    /// Numbers of affected messages by kind of fault, without zeros. `overflow` counts messages lost in a full queue.
+    /// Numbers of affected messages by kind of fault, without zeros. `overflow` counts messages
+    /// lost in a full queue.
     pub fn fault_counts(&self) -> impl Iterator<Item = (&'static str, u64)> + use<L> {
         let overflow = Some(("overflow", self.overflow_count));
         self.active_faults.counts().into_iter().flatten().chain(overflow).filter(|(_, count)| *count > 0)
@@ -120,7 +124,8 @@ impl<L: Link> FaultInjector<L> {
         }
     }
 
-    /// Delivers the due messages and advances to `now`. Returns the target's delay for the last message.
+    /// Delivers the due messages and advances to `now`. Returns the target's delay for the last
+    /// message.
     fn deliver_until(&mut self, now: Duration, answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let mut last = None;
         while let Some(packet) = pop_due(&mut self.to_controller, now) {

@@ -50,7 +50,8 @@ pub(crate) struct Rfc2217 {
     unsent: VecDeque<u8>,
     baud: Option<u32>,
     is_refused: bool,
-    /// True after the server has set the baud rate. Until then, a read also ends after an answer without data.
+    /// True after the server has set the baud rate. Until then, a read also ends after an answer
+    /// without data.
     is_set: bool,
 }
 
@@ -203,7 +204,8 @@ impl Tty for Rfc2217 {
     }
 
     fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError> {
-        // First sends the rest of a message that the line accepted only in part, because half a message is invalid.
+        // First sends the rest of a message that the line accepted only in part, because half a
+        // message is invalid.
         if !self.flush(until)? {
             return Ok(None);
         }

@@ -52,8 +52,8 @@ impl AttachedBoard {
         self.thread.call(doing, timeout + self.timeouts.grace, job)
     }
 
-    /// Writes the image and verifies it; writes nothing if the flash already contains it. Resets and halts the
-    /// processor, whose outputs float until [`AttachedBoard::restart`].
+    /// Writes the image and verifies it; writes nothing if the flash already contains it. Resets
+    /// and halts the processor, whose outputs float until [`AttachedBoard::restart`].
     pub fn flash(&mut self, image: &Arc<Image>) -> Result<FlashOutcome, ProbeError> {
         let image = Arc::clone(image);
         let outcome = self.call("flashing", self.timeouts.flash, move |board| board.flash(&image))?;

@@ -1,5 +1,6 @@
-//! Reads a crash of the firmware through the debug probe. The processor runs while its fault handler takes the drive to
-//! 0 V, and is halted only to read its core registers and stack. The chip's watchdog may reset it meanwhile.
+//! Reads a crash of the firmware through the debug probe. The processor runs while its fault
+//! handler takes the drive to 0 V, and is halted only to read its core registers and stack. The
+//! chip's watchdog may reset it meanwhile.
 
 use super::error::ProbeError;
 use super::image::Image;

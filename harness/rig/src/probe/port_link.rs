@@ -21,7 +21,8 @@ pub struct PortLink {
 }
 
 impl PortLink {
-    /// Waits for the handshake. Discards earlier bytes, such as noise of the reset or an earlier fault report.
+    /// Waits for the handshake. Discards earlier bytes, such as noise of the reset or an earlier
+    /// fault report.
     pub(super) fn open(
         serial: SerialLink,
         path: &Path,
@@ -51,7 +52,8 @@ impl PortLink {
     }
 
     fn contains_message(&mut self, received: &[u8], matches: impl Fn(&Message) -> bool) -> bool {
-        // Counts instead of stopping at a match, because the reader must receive all bytes to keep an incomplete frame.
+        // Counts instead of stopping at a match, because the reader must receive all bytes to keep
+        // an incomplete frame.
         self.answers.packets(received).flatten().filter(|packet| matches(&packet.message)).count() > 0
     }
 }
@@ -61,7 +63,8 @@ impl Link for PortLink {
         let before = answer.len();
         let delay = self.serial.exchange(now, bytes, answer)?;
         let received = answer.get(before..).unwrap_or_default();
-        // A trapped processor sends at most one fault report, which contains less than the probe can read.
+        // A trapped processor sends at most one fault report, which contains less than the probe
+        // can read.
         if (received.is_empty() || self.contains_message(received, |message| matches!(message, Message::Fault(_))))
             && let Some(error) = self.board.trap_error(&self.image)
         {

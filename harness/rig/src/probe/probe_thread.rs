@@ -1,5 +1,6 @@
-//! Runs the probe on its own thread, because a hanging USB transfer cannot be interrupted. After a time-out the thread
-//! is abandoned. Further calls then fail at once, and the end of the process releases the probe.
+//! Runs the probe on its own thread, because a hanging USB transfer cannot be interrupted. After a
+//! time-out the thread is abandoned. Further calls then fail at once, and the end of the process
+//! releases the probe.
 
 use super::error::ProbeError;
 use std::cell::Cell;

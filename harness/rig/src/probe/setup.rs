@@ -29,8 +29,8 @@ pub struct ProbeSetup {
 }
 
 impl ProbeSetup {
-    /// Uses RTT if `port` is `None`. Fails for an unknown chip, an ELF without content, or an image without the needed
-    /// RTT.
+    /// Uses RTT if `port` is `None`. Fails for an unknown chip, an ELF without content, or an image
+    /// without the needed RTT.
     pub fn new(spec: ProbeSpec, elf: &[u8], port: Option<SerialPort>) -> Result<Self, ProbeError> {
         Board::resolve_target(&spec)?;
         let image = Arc::new(Image::parse(elf)?);

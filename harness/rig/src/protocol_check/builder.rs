@@ -1,4 +1,5 @@
-//! Builds the exchanges of a script: each consists of frames without an answer and one frame with an answer.
+//! Builds the exchanges of a script: each consists of frames without an answer and one frame with
+//! an answer.
 
 use platebench_wire::{Configure, EncodedFrame, Message, Packet, Sample};
 use std::time::Duration;
@@ -117,7 +118,8 @@ impl Builder {
         }
     }
 
-    /// Adds a sample with its own number and values. A flipped bit in byte `position` makes it invalid.
+    /// Adds a sample with its own number and values. A flipped bit in byte `position` makes it
+    /// invalid.
     pub(super) fn add_damaged(&mut self, position: usize) {
         let sequence = self.next_sequence();
         let sample = Sample { time_us: self.time_us, setpoint_um: 3.0, wd_um: 0.7, wq_um: -0.3 };
@@ -153,7 +155,8 @@ impl Builder {
         self.sample_with(sequence, setpoint_um, wd_um, wq_um);
     }
 
-    /// Adds a sample with the number of the last message plus `ahead`, and with a time that is `ahead` periods later.
+    /// Adds a sample with the number of the last message plus `ahead`, and with a time that is
+    /// `ahead` periods later.
     pub(super) fn sample_after(&mut self, ahead: u8, setpoint_um: f32, wd_um: f32, wq_um: f32) {
         self.sequence = self.sequence.wrapping_add(ahead);
         self.time_us = self.time_us.wrapping_add(self.period_us.wrapping_mul(ahead.into()));

@@ -10,21 +10,26 @@ use std::time::Duration;
 
 /// Largest relative difference of reported gains from configured ones.
 const GAIN_TOLERANCE: f32 = 1e-5;
-/// Largest relative difference of the gains of a `dq-pi` law from the design in `docs/wire-protocol.md`.
+/// Largest relative difference of the gains of a `dq-pi` law from the design in
+/// `docs/wire-protocol.md`.
 const DESIGN_TOLERANCE: f32 = 0.12;
-/// Gains with a smaller relative difference count as those of the design in `docs/wire-protocol.md`.
+/// Gains with a smaller relative difference count as those of the design in
+/// `docs/wire-protocol.md`.
 const SAME_DESIGN: f32 = 1e-4;
-/// Tolerance of commands in the state *running*, if the gains are those of the reference. The drive is relative to its
-/// limit, the frequency to its range. Single precision needs less.
+/// Tolerance of commands in the state *running*, if the gains are those of the reference. The drive
+/// is relative to its limit, the frequency to its range. Single precision needs less.
 pub(super) const SAME_GAINS_TOLERANCE: f64 = 1e-3;
-/// Tolerance for another design: gains with an error of 10 % change a drive by about this share of its limit.
+/// Tolerance for another design: gains with an error of 10 % change a drive by about this share of
+/// its limit.
 const OTHER_DESIGN_TOLERANCE: f64 = 0.15;
-/// Shares of the tolerance by which the commands of a variation may differ from those of the reference.
+/// Shares of the tolerance by which the commands of a variation may differ from those of the
+/// reference.
 const ROUNDING_SHARE: f64 = 0.25;
 const OTHER_DESIGN_SHARE: f64 = 0.5;
 /// The first variations differ by rounding, the others by their design.
 const ROUNDING_VARIATIONS: usize = 2;
-/// Shortest silence over which the time stamps of commands are compared, and the relative tolerance.
+/// Shortest silence over which the time stamps of commands are compared, and the relative
+/// tolerance.
 const COMPARED_SILENCE: Duration = Duration::from_millis(100);
 const CLOCK_TOLERANCE: f64 = 0.1;
 
@@ -50,8 +55,9 @@ pub(super) struct ReceivedPackets {
 }
 
 impl ReceivedPackets {
-    /// Omits the watchdog's report, because a controller that first receives a sample reports the stop in its answer.
-    /// Omits ticks before the answer to a configuration, because they belong to the previous configuration.
+    /// Omits the watchdog's report, because a controller that first receives a sample reports the
+    /// stop in its answer. Omits ticks before the answer to a configuration, because they belong to
+    /// the previous configuration.
     pub(super) fn new(bytes: &[u8], request: u8) -> Self {
         let is_report = |packet: &Packet| {
             matches!(packet.message, Message::Command(command) if command.cause == StateCause::SampleTimeout)
@@ -110,8 +116,9 @@ impl<'a> Comparison<'a> {
         last
     }
 
-    /// `expected` contains the packets of the reference, then those of its variations. `silence` is the shortest and
-    /// the longest possible time since the previous exchange on the controller's clock.
+    /// `expected` contains the packets of the reference, then those of its variations. `silence` is
+    /// the shortest and the longest possible time since the previous exchange on the controller's
+    /// clock.
     pub(super) fn compare(
         &mut self,
         received: &ReceivedPackets,
@@ -219,14 +226,16 @@ impl<'a> Comparison<'a> {
             return self.is_ambiguous || self.distance(answer, expected) <= self.tolerance();
         }
         let expected_mhz = match &self.running {
-            // A stopped controller keeps its own last frequency, which may differ from that of the reference.
+            // A stopped controller keeps its own last frequency, which may differ from that of the
+            // reference.
             Some([own, reference]) if expected.frequency_mhz == reference.frequency_mhz => own.frequency_mhz,
             _ => expected.frequency_mhz,
         };
         answer.drive_vpp == 0.0 && answer.frequency_mhz == expected_mhz
     }
 
-    /// The larger of the two differences of [`command_difference`]; infinite if a drive is not finite.
+    /// The larger of the two differences of [`command_difference`]; infinite if a drive is not
+    /// finite.
     fn distance(&self, one: &Command, other: &Command) -> f64 {
         let Some(configuration) = self.configuration else { return 0.0 };
         let [drive, frequency] = command_difference(one, other, &configuration);

@@ -1,4 +1,5 @@
-//! Builds scripts that test configured values: limits with fractions, unused gains, and a threshold.
+//! Builds scripts that test configured values: limits with fractions, unused gains, and a
+//! threshold.
 
 use super::builder::{Builder, Script, Variation, configuration_body, script};
 use platebench_wire::Configure;

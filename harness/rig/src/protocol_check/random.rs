@@ -8,7 +8,8 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 const SCRIPTS: u64 = 40;
 const SAMPLES: usize = 40;
 
-/// Returns two scripts per random configuration: with configured gains and with the law's own design.
+/// Returns two scripts per random configuration: with configured gains and with the law's own
+/// design.
 pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variation, seed: u64) -> Vec<Script> {
     let mut all = Vec::new();
     for number in 0..SCRIPTS {
@@ -41,7 +42,8 @@ fn random_configuration(random: &mut ChaCha8Rng, base: &Configure, has_gains: bo
     let mut range = |low, high| uniform(random, low, high);
     let longest_us = range(300.0, 4000.0);
     let time_constant_s = range(0.001, 0.004);
-    // Over more than six time constants, e^z of the identification is below the resolution of single precision.
+    // Over more than six time constants, e^z of the identification is below the resolution of
+    // single precision.
     let period_us = if has_gains { longest_us } else { longest_us.min(time_constant_s * 1e6) } as u32;
     let gains = Gains {
         amplitude_kp: range(-60.0, 600.0),
@@ -64,7 +66,8 @@ fn random_configuration(random: &mut ChaCha8Rng, base: &Configure, has_gains: bo
     }
 }
 
-/// Adds samples with setpoints that last some samples. Wd and Wq follow with jumps, and Wd is sometimes negative.
+/// Adds samples with setpoints that last some samples. Wd and Wq follow with jumps, and Wd is
+/// sometimes negative.
 fn random_samples(random: &mut ChaCha8Rng, builder: &mut Builder) {
     let (mut setpoint, mut wd, mut wq) = (1.0, 0.0, 0.0);
     for _ in 0..SAMPLES {

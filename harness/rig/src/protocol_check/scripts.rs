@@ -173,7 +173,8 @@ fn ignored(builder: &mut Builder, identity: &Identity) {
     builder.sample(2.0, 1.3, -0.2);
 }
 
-/// Each rejected frame adds 2 to the counter, each control step subtracts 1, and the controller stops at 10.
+/// Each rejected frame adds 2 to the counter, each control step subtracts 1, and the controller
+/// stops at 10.
 fn counter(builder: &mut Builder, configure: Configure) {
     // In the state *idle*, rejected frames do not count.
     builder.add_rejected(6);

@@ -26,8 +26,8 @@ impl TickComparison {
         Self { period: Duration::from_micros(configure.period_us.into()), ..Self::default() }
     }
 
-    /// `expected` is the number of the reference's ticks, `late` the bench's lateness. Returns a sentence about a wrong
-    /// tick.
+    /// `expected` is the number of the reference's ticks, `late` the bench's lateness. Returns a
+    /// sentence about a wrong tick.
     pub(super) fn add(&mut self, ticks: &[Packet], expected: usize, late: Duration) -> Option<String> {
         self.expected += expected;
         self.late += late;
@@ -47,7 +47,8 @@ impl TickComparison {
         is_far.then(|| format!("{own} ticks since the configuration, expected {}", self.expected))
     }
 
-    /// Drift of the last quarter of the ticks from the first quarter; `None` if it is at most [`DRIFT_SHARE`].
+    /// Drift of the last quarter of the ticks from the first quarter; `None` if it is at most
+    /// [`DRIFT_SHARE`].
     pub(super) fn drift(&self) -> Option<Duration> {
         if self.sent_us.len() < MIN_TICKS {
             return None;

@@ -64,14 +64,16 @@ pub(super) fn ticks(builder: &mut Builder, configure: Configure) {
     builder.sample(2.0, 0.0, 0.0);
 }
 
-/// Plays so many ticks that their numbers wrap and delays of some microseconds add up to a large part of a period.
+/// Plays so many ticks that their numbers wrap and delays of some microseconds add up to a large
+/// part of a period.
 pub(super) fn short_ticks(builder: &mut Builder, configure: Configure) {
     builder.configure(Configure { paced_by_target: true, period_us: 3_000, ..configure });
     builder.add_wait_ms(900);
     builder.configure(configure);
 }
 
-/// The drive keeps the value from the first sample. No variation is needed, because nothing depends on rounding.
+/// The drive keeps the value from the first sample. No variation is needed, because nothing depends
+/// on rounding.
 pub(super) fn many_samples(builder: &mut Builder) {
     if builder.has_variation() {
         builder.discard();

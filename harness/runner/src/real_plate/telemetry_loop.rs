@@ -1,7 +1,8 @@
 //! Exchanges setpoints and telemetry with a controller that drives its own plate.
 //!
-//! The loop is one thread and does not allocate after the first setpoint. Setpoints follow the profile by the
-//! controller's clock. The loop repeats them for the controller's watchdog and ends with a request for 0 V.
+//! The loop is one thread and does not allocate after the first setpoint. Setpoints follow the
+//! profile by the controller's clock. The loop repeats them for the controller's watchdog and ends
+//! with a request for 0 V.
 
 use super::telemetry_rows::TelemetryRows;
 use crate::abort::TrialAbort;
@@ -171,7 +172,8 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
         Ok(())
     }
 
-    /// Counts a setpoint only if later telemetry shows that the bench has read the line for the whole time-out.
+    /// Counts a setpoint only if later telemetry shows that the bench has read the line for the
+    /// whole time-out.
     fn count_unacknowledged(&mut self, now: Instant) {
         let within = Time::from_nanos(ACKNOWLEDGE_TIMEOUT.as_nanos() as u64);
         let last = self.telemetry.time().unwrap_or(Time::ZERO);

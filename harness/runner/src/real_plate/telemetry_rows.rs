@@ -85,7 +85,8 @@ impl TelemetryRows {
         Some(row)
     }
 
-    /// Row with 0 V one period after the last telemetry. `None` if that telemetry shows the stop already.
+    /// Row with 0 V one period after the last telemetry. `None` if that telemetry shows the stop
+    /// already.
     pub(super) fn stop_row(&self) -> Option<Row> {
         let last = self.last.filter(|last| !last.row.flags.contains(Flags::SAFE))?;
         let t_s = (last.since_start_us + u64::from(self.period_us)) as f64 / 1e6;

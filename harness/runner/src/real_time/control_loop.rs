@@ -200,7 +200,8 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         Instant::now() >= self.wall_instant(self.duration)
     }
 
-    /// The plate must be at the control instant. `missing` is the number of earlier control instants without a tick.
+    /// The plate must be at the control instant. `missing` is the number of earlier control
+    /// instants without a tick.
     fn send_sample(&mut self, lateness: Duration, missing: u64) -> Result<(), TrialAbort> {
         let now = self.plant.time();
         if let Some(inputs) = self.manual_control.as_mut().and_then(|(manual, seen)| manual.changed_inputs(seen)) {
@@ -233,7 +234,8 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.plant.push_row(to_micros(lateness), flags);
         let sequence = outcome?;
         if let Some(unanswered) = self.unanswered.get_mut(usize::from(sequence)) {
-            // Sequence numbers repeat after 256 samples, so a reply to the older sample would belong to this one.
+            // Sequence numbers repeat after 256 samples, so a reply to the older sample would
+            // belong to this one.
             self.timing.counts.lost_replies += u64::from(unanswered.replace(now).is_some());
         }
         self.last_sent = Some(sequence);

@@ -3,8 +3,8 @@
 use platebench_plate::Time;
 use std::time::{Duration, Instant};
 
-/// The earliest recent arrival counts as punctual. The time stamp of a tick does not show the target's own lateness,
-/// because the target sets it when it handles the tick.
+/// The earliest recent arrival counts as punctual. The time stamp of a tick does not show the
+/// target's own lateness, because the target sets it when it handles the tick.
 #[derive(Debug, Default)]
 pub(super) struct TickTracker {
     first: Option<Instant>,
@@ -12,7 +12,8 @@ pub(super) struct TickTracker {
     /// Target time without wrap, µs.
     target_us: u64,
     period: u64,
-    /// Least delay of a tick after the start of its period, µs, in the current and the previous interval.
+    /// Least delay of a tick after the start of its period, µs, in the current and the previous
+    /// interval.
     earliest: [Option<f64>; 2],
     interval: u64,
 }
@@ -25,8 +26,8 @@ impl TickTracker {
         self.first.is_some()
     }
 
-    /// Returns the lateness within the period and the number of periods without a tick. If this tick is the earliest,
-    /// the ticks before it were late, and their lateness is returned.
+    /// Returns the lateness within the period and the number of periods without a tick. If this
+    /// tick is the earliest, the ticks before it were late, and their lateness is returned.
     pub(super) fn record(&mut self, at: Instant, target_us: u32, period: Time) -> (Duration, u64) {
         if self.first.is_none() {
             self.last_us = target_us;

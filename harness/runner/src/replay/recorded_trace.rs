@@ -1,6 +1,7 @@
 //! Extracts samples and commands from a trace.
 //!
-//! A row with the flag `control` holds the sample. The last row before the next command acts holds the command.
+//! A row with the flag `control` holds the sample. The last row before the next command acts holds
+//! the command.
 
 use super::error::ReplayError;
 use super::input::ReplayInput;

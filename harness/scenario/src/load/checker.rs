@@ -19,7 +19,8 @@ pub(super) struct KnownPlate {
 pub(super) struct Checker<'a> {
     pub(super) path: &'a Path,
     pub(super) text: &'a str,
-    /// Path of the table whose keys are checked, for example `between.0.`. Empty for the whole file.
+    /// Path of the table whose keys are checked, for example `between.0.`. Empty for the whole
+    /// file.
     pub(super) prefix: String,
     pub(super) plates: &'a [KnownPlate],
 }
@@ -74,7 +75,8 @@ impl<'a> Checker<'a> {
         if holds { Ok(()) } else { self.error(key, message()) }
     }
 
-    /// Each option has a name and is present or not. The last value is true if it applies to `subject`.
+    /// Each option has a name and is present or not. The last value is true if it applies to
+    /// `subject`.
     pub(super) fn check_options(&self, subject: &str, options: &[(&str, bool, bool)]) -> Result<(), Diagnostic> {
         match options.iter().find(|(_, is_given, applies)| *is_given && !applies) {
             Some((name, ..)) => self.error(name, format!("`{name}` does not apply to {subject}")),

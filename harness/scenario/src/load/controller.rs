@@ -10,7 +10,8 @@ use std::f64::consts::TAU;
 
 const DEFAULT_LAW: &str = "dq-pi";
 const DEFAULT_PERIOD_MS: f64 = 1.0;
-/// A day's temperature moves the paper's resonance by 87 Hz; a resonance at twice that is another mode.
+/// A day's temperature moves the paper's resonance by 87 Hz; a resonance at twice that is another
+/// mode.
 const DEFAULT_FREQUENCY_RANGE_HZ: f64 = 250.0;
 /// Enough to cross these 87 Hz in one period of 1 ms.
 const DEFAULT_FREQUENCY_SLEW_HZ: f64 = 100.0;

@@ -1,4 +1,5 @@
-//! Checks that each planned fault acts on at least one message and has only the options of its kind.
+//! Checks that each planned fault acts on at least one message and has only the options of its
+//! kind.
 
 use super::checker::Checker;
 use crate::bounds::MAX_DELAY_PERIODS;

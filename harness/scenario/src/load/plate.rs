@@ -14,7 +14,8 @@ pub fn load_plate(path: &Path) -> Result<Plate, Vec<Diagnostic>> {
     parse_plate(path, &read_text(path).map_err(|fault| vec![fault])?)
 }
 
-/// Rejects optional effects of the plate. `user` is the calculation that assumes one mode and ideal electronics.
+/// Rejects optional effects of the plate. `user` is the calculation that assumes one mode and ideal
+/// electronics.
 pub fn require_no_effects(path: &Path, plate: &Plate, user: &str) -> Result<(), Diagnostic> {
     let Some(effect) = plate.first_effect() else { return Ok(()) };
     let text = read_text(path)?;

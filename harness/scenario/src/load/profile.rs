@@ -183,7 +183,8 @@ impl Checker<'_> {
             |value| exists(0.0, value),
             |value| format!("a force of {value} N leaves the plate without a resonance, {EXPECTED}"),
         )?;
-        // The damping curve is linear between its corners, so only corners and extreme forces matter.
+        // The damping curve is linear between its corners, so only corners and extreme forces
+        // matter.
         let (lightest, heaviest) = scene.finger_force_n.range();
         let corners =
             plate.damping_ratio.iter().map(|point| point[0]).filter(|force| (lightest..heaviest).contains(force));

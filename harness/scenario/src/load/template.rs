@@ -55,7 +55,8 @@ impl ScenarioTemplate {
         Ok(Self { path, text, file, table, plate_name, plate, plate_table, scenario })
     }
 
-    /// Replaces values by their keys. Fails if a key leads through a number, a text or a missing element of a list.
+    /// Replaces values by their keys. Fails if a key leads through a number, a text or a missing
+    /// element of a list.
     pub fn tables<'a>(&self, changes: impl IntoIterator<Item = (&'a str, Value)>) -> Result<ScenarioTables, String> {
         let mut tables = ScenarioTables { scenario: self.table.clone(), plate: None };
         for (key, value) in changes {
@@ -75,7 +76,8 @@ impl ScenarioTemplate {
         Ok(tables)
     }
 
-    /// Checks the tables as [`super::load`] checks a file. Diagnostics point into the unchanged files.
+    /// Checks the tables as [`super::load`] checks a file. Diagnostics point into the unchanged
+    /// files.
     pub fn check(&self, tables: &ScenarioTables) -> Result<Scenario, Vec<Diagnostic>> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
         let mut known = vec![self.plate.clone()];
@@ -100,7 +102,8 @@ impl ScenarioTemplate {
     }
 }
 
-/// Replaces the value at a dotted key. A number in the key selects an element of a list. Creates missing tables.
+/// Replaces the value at a dotted key. A number in the key selects an element of a list. Creates
+/// missing tables.
 fn set(table: &mut Table, key: &str, value: Value) -> Result<(), String> {
     let Some((name, rest)) = key.split_once('.') else {
         table.insert(key.to_owned(), value);

@@ -1,4 +1,5 @@
-//! Compares cost and results of a run on rungs (levels of detail), from the linear plate to a real line.
+//! Compares cost and results of a run on rungs (levels of detail), from the linear plate to a real
+//! line.
 
 use crate::charts::measured_run::{LOCKSTEP, MeasuredRun};
 use crate::charts::scenes::models;

@@ -1,4 +1,5 @@
-//! Plays every law through the same scenarios and measures response time, static error and repeatability.
+//! Plays every law through the same scenarios and measures response time, static error and
+//! repeatability.
 
 use crate::charts::section::{ChartError, play_hosted};
 use platebench_plate::{Profile, Tier, Time};

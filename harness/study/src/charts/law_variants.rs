@@ -1,4 +1,5 @@
-//! Plays every law at known and unknown loop delays and on plates with another gain, and draws small multiples.
+//! Plays every law at known and unknown loop delays and on plates with another gain, and draws
+//! small multiples.
 
 use crate::charts::law_results::LawScenario;
 use crate::charts::section::{ChartError, play_hosted};

@@ -1,4 +1,5 @@
-//! Draws work-precision diagrams. Every method replays the drives of one trial with the hosted controller.
+//! Draws work-precision diagrams. Every method replays the drives of one trial with the hosted
+//! controller.
 
 use crate::charts::section::{ChartError, ChartSection, play_hosted};
 use crate::integration::sweep::{cheapest_from_a_crate, cheapest_method};

@@ -49,7 +49,8 @@ struct ModelCost {
     period_us: f64,
 }
 
-/// Excludes models that omit effects of the plate. The carrier needs a converter, or its name in the scenario.
+/// Excludes models that omit effects of the plate. The carrier needs a converter, or its name in
+/// the scenario.
 pub(crate) fn models(scenario: &Scenario) -> Vec<Tier> {
     let has_carrier = [scenario.tier, Tier::exact_for(&scenario.plate)].contains(&Tier::Carrier);
     let is_complete = |tier: &Tier| Scenario::omitted_effect(*tier, &scenario.plate).is_none();

@@ -1,4 +1,5 @@
-//! Adapts crates with adaptive methods. The feature `solvers` or `diffsol` adds those that only the chart needs.
+//! Adapts crates with adaptive methods. The feature `solvers` or `diffsol` adds those that only the
+//! chart needs.
 
 #[cfg(feature = "solvers")]
 mod differential_equations_crate;
@@ -10,8 +11,9 @@ use crate::integration::problem::Problem;
 use ode_solvers::dop_shared::IntegrationError;
 use ode_solvers::{Dop853, Dopri5, OutputType, SVector, System};
 
-/// Runs a solver of `ode_solvers`. Its solvers have no common trait. The constants are the crate's defaults. The
-/// output contains every step, because the error of the dense output (version 0.6) does not depend on the tolerance.
+/// Runs a solver of `ode_solvers`. Its solvers have no common trait. The constants are the crate's
+/// defaults. The output contains every step, because the error of the dense output (version 0.6)
+/// does not depend on the tolerance.
 macro_rules! integrate_sparse {
     ($solver:ident, $problem:expr, $x:expr, $seconds:expr, $tolerance:expr,
      $beta:expr, $smallest:expr, $largest:expr) => {{

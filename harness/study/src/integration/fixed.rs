@@ -11,11 +11,12 @@ pub enum FixedStepMethod {
     Euler,
     #[strum(serialize = "RK4")]
     RungeKutta4,
-    /// Implicit midpoint rule. Solves its linear system once per interval, or per step if the matrix varies.
+    /// Implicit midpoint rule. Solves its linear system once per interval, or per step if the
+    /// matrix varies.
     #[strum(serialize = "implicit midpoint")]
     Midpoint,
-    /// Gauss-Legendre collocation with two stages. Its step matrix is a Padé approximant of the exponential (Hairer,
-    /// Wanner: Solving ODEs II, IV.3), computed once per interval.
+    /// Gauss-Legendre collocation with two stages. Its step matrix is a Padé approximant of the
+    /// exponential (Hairer, Wanner: Solving ODEs II, IV.3), computed once per interval.
     #[strum(serialize = "Gauss-Legendre 4")]
     Gauss4,
     #[strum(serialize = "Gauss-Legendre 6")]
@@ -23,14 +24,15 @@ pub enum FixedStepMethod {
     /// Matrix exponential by scaling and squaring, once per interval. Exact up to rounding.
     #[strum(serialize = "matrix exponential")]
     Exponential,
-    /// Matrix exponential that reuses the step matrix of the previous interval if the equations are the same.
+    /// Matrix exponential that reuses the step matrix of the previous interval if the equations are
+    /// the same.
     #[strum(serialize = "matrix exponential, kept")]
     KeptExponential,
     /// Leapfrog method, only for problems of second order.
     #[strum(serialize = "Störmer-Verlet")]
     Verlet,
-    /// Strang splitting: half a step of damping and drive, the exact undamped rotation, half a step of damping and
-    /// drive.
+    /// Strang splitting: half a step of damping and drive, the exact undamped rotation, half a step
+    /// of damping and drive.
     #[strum(serialize = "rotation splitting")]
     Splitting,
 }
@@ -49,8 +51,9 @@ pub struct StepMatrix<const N: usize> {
 impl FixedStepMethod {
     pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
-    /// Order of the error in the step. `None` if the error does not depend on the step. If the matrix varies, the
-    /// methods with a step matrix have order 2, because they use the matrix at the middle of the step.
+    /// Order of the error in the step. `None` if the error does not depend on the step. If the
+    /// matrix varies, the methods with a step matrix have order 2, because they use the matrix at
+    /// the middle of the step.
     pub const fn order(self) -> Option<u32> {
         match self {
             Self::Euler => Some(1),
@@ -61,7 +64,8 @@ impl FixedStepMethod {
         }
     }
 
-    /// M of `x(h) = x + h M(hA) (Ax + b)`. `None` if the method has no such matrix, or if its denominator is singular.
+    /// M of `x(h) = x + h M(hA) (Ax + b)`. `None` if the method has no such matrix, or if its
+    /// denominator is singular.
     fn increment<const N: usize>(self, matrix: &[[f64; N]; N], step: f64) -> Option<[[f64; N]; N]> {
         let z = scaled(matrix, step);
         match self {
@@ -90,7 +94,8 @@ impl FixedStepMethod {
         }
     }
 
-    /// `kept` is the step matrix of the previous interval, if [`Self::KeptExponential`] has stored one.
+    /// `kept` is the step matrix of the previous interval, if [`Self::KeptExponential`] has stored
+    /// one.
     pub fn advance<const N: usize, P: Problem<N>>(
         self,
         problem: &P,

@@ -33,8 +33,9 @@ impl IntegrationMethod {
         }
     }
 
-    /// `setting` is the longest step in s, which is shortened to a whole number of steps, or the tolerance of an
-    /// adaptive method, relative and in µm. `kept` as in [`FixedStepMethod::advance`].
+    /// `setting` is the longest step in s, which is shortened to a whole number of steps, or the
+    /// tolerance of an adaptive method, relative and in µm. `kept` as in
+    /// [`FixedStepMethod::advance`].
     #[inline]
     pub fn advance<const N: usize, P: Problem<N>>(
         self,

@@ -1,8 +1,9 @@
 //! Defines the plate's equations for general integrators as a state vector and its rate.
 //!
-//! Velocities are divided by a fixed angular frequency near the carrier's (`scale`), so that all components are µm of
-//! similar size and one tolerance suits all. A right-hand side that depends on the time has the time as a component
-//! (the clock), because `ode_solvers` 0.6.2 uses a wrong node in the twelfth stage of DOP853.
+//! Velocities are divided by a fixed angular frequency near the carrier's (`scale`), so that all
+//! components are µm of similar size and one tolerance suits all. A right-hand side that depends on
+//! the time has the time as a component (the clock), because `ode_solvers` 0.6.2 uses a wrong node
+//! in the twelfth stage of DOP853.
 
 use platebench_plate::{Complex64, Drive, Mode, State};
 use std::array::from_fn;
@@ -25,7 +26,8 @@ pub trait Problem<const N: usize>: Copy {
     /// b at the time of `x`. The entry of the clock is zero.
     fn forcing(&self, x: &[f64; N]) -> [f64; N];
 
-    /// Advances by a Störmer-Verlet step in s. `None` if the problem is not of second order in a real position.
+    /// Advances by a Störmer-Verlet step in s. `None` if the problem is not of second order in a
+    /// real position.
     fn leapfrog(&self, _x: &[f64; N], _step: f64) -> Option<[f64; N]> {
         None
     }
@@ -34,7 +36,8 @@ pub trait Problem<const N: usize>: Copy {
 /// Strang splitting of `x' = A x + b`. A is the sum of an undamped rotation and a diagonal damping.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Split<const N: usize> {
-    /// Exact solution of the undamped oscillation over a step. Row and column of the clock are zero.
+    /// Exact solution of the undamped oscillation over a step. Row and column of the clock are
+    /// zero.
     pub rotation: [[f64; N]; N],
     /// Exact solution of `x' = -d x + b` over half a step: `decay x + gain b`.
     pub decay: [f64; N],
@@ -176,7 +179,8 @@ impl ConstantMode<2> for EnvelopeProblem {
     }
 }
 
-/// `W' = U − jωW`, `U' = −jωU − 2σU − ω0²W + j(N/m)V`. The state is `[Re W, Im W, Re U/scale, Im U/scale]`, µm.
+/// `W' = U − jωW`, `U' = −jωU − 2σU − ω0²W + j(N/m)V`. The state is
+/// `[Re W, Im W, Re U/scale, Im U/scale]`, µm.
 #[derive(Debug, Clone, Copy)]
 pub struct ModalProblem {
     sigma: f64,
@@ -229,7 +233,8 @@ impl Problem<4> for ModalProblem {
     fn split(&self, _: &[f64; 4], step: f64) -> Split<4> {
         let Self { sigma, omega0, omega, scale, .. } = *self;
         let (sin, cos) = (omega0 * step).sin_cos();
-        // The frame rotates W and U by −ωh. The oscillation acts on their real and imaginary parts alike.
+        // The frame rotates W and U by −ωh. The oscillation acts on their real and imaginary parts
+        // alike.
         let (s, c) = (omega * step).sin_cos();
         let (up, down) = (sin * scale / omega0, -sin * omega0 / scale);
         let rotation = [
@@ -255,7 +260,8 @@ impl ConstantMode<4> for ModalProblem {
     }
 }
 
-/// Equation 1, `y'' + 2σy' + ω0²y = (N/m) v(t)`, `v = Re(jV e^{jθ})`. The state is `[y, y'/scale, time]`, µm and s.
+/// Equation 1, `y'' + 2σy' + ω0²y = (N/m) v(t)`, `v = Re(jV e^{jθ})`. The state is
+/// `[y, y'/scale, time]`, µm and s.
 #[derive(Debug, Clone, Copy)]
 pub struct CarrierProblem {
     sigma: f64,
@@ -282,7 +288,8 @@ impl CarrierProblem {
         [(state.w * ahead).re, (state.u * ahead).re / scale, 0.0]
     }
 
-    /// The phasor `(y − jy'/ω) e^{−jθ}`, which is W plus a ripple. y and y' alone do not separate them.
+    /// The phasor `(y − jy'/ω) e^{−jθ}`, which is W plus a ripple. y and y' alone do not separate
+    /// them.
     pub fn phasor(&self, x: &[f64; 3]) -> Complex64 {
         let theta = self.theta + self.omega * x[2];
         (x[0] - J * (x[1] * self.scale / self.omega)) * Complex64::cis(-theta)
@@ -328,7 +335,8 @@ impl Problem<3> for CarrierProblem {
         [0.0, self.drive_at(x[2]) / self.scale, 0.0]
     }
 
-    /// Kick-drift-kick with the damping at the middle: `(y₊ − 2y + y₋)/h² + 2σ(y₊ − y₋)/2h + ω0²y = (N/m)v`.
+    /// Kick-drift-kick with the damping at the middle:
+    /// `(y₊ − 2y + y₋)/h² + 2σ(y₊ − y₋)/2h + ω0²y = (N/m)v`.
     #[inline]
     fn leapfrog(&self, x: &[f64; 3], step: f64) -> Option<[f64; 3]> {
         let [y, v, t] = *x;

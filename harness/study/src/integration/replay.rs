@@ -79,8 +79,8 @@ pub struct ReplayResult {
 }
 
 impl Replay {
-    /// Splits the trial at every control instant, drive change and profile point. In between σ and ω0 are assumed
-    /// linear, as they are with most profiles and damping curves.
+    /// Splits the trial at every control instant, drive change and profile point. In between σ and
+    /// ω0 are assumed linear, as they are with most profiles and damping curves.
     pub fn new(course: &ReplaySpec<'_>) -> Self {
         let ReplaySpec { plate, scene, drives, period, end, setpoint_um } = *course;
         let mut drives = drives.iter().copied().peekable();
@@ -94,7 +94,8 @@ impl Replay {
             let also = [drives.peek().map(|(from, _)| *from), scene.next_point_after(now)];
             let until = also.into_iter().flatten().fold(control.min(end), Time::min);
             let seconds = (until - now).seconds();
-            // The rate is taken up to the middle of the interval, because a profile may jump at `until`.
+            // The rate is taken up to the middle of the interval, because a profile may jump at
+            // `until`.
             let (from, to) = (plate.mode(&scene.at(now)), plate.mode(&scene.at(now.midpoint(until))));
             let rate = |from: f64, to: f64| 2.0 * (to - from) / seconds;
             let situation = ProblemParameters {
@@ -111,7 +112,8 @@ impl Replay {
         Self { plate: plate.clone(), scene: scene.clone(), intervals: pieces, setpoint_um, scale: plate.omega0 }
     }
 
-    /// True if a profile changes the mode within an interval. The exact propagation then needs substeps.
+    /// True if a profile changes the mode within an interval. The exact propagation then needs
+    /// substeps.
     pub fn is_time_varying(&self) -> bool {
         self.intervals.iter().any(|piece| piece.situation.is_time_varying())
     }
@@ -140,7 +142,8 @@ impl Replay {
         self.samples(frame.tier(), frame)
     }
 
-    /// Samples of the exact propagation with `tier`, as [`ReplayResult::samples`] of the form `frame`.
+    /// Samples of the exact propagation with `tier`, as [`ReplayResult::samples`] of the form
+    /// `frame`.
     pub(crate) fn samples(&self, tier: Tier, frame: EquationForm) -> Vec<Complex64> {
         let mut states = Vec::new();
         self.advance_plant(&mut self.plant(tier), |state| states.push(state));
@@ -180,7 +183,8 @@ impl Replay {
         outcome.failure = played.err();
     }
 
-    /// Integrates N components in the rotating frame, or M = N + 1 with the clock if the mode varies.
+    /// Integrates N components in the rotating frame, or M = N + 1 with the clock if the mode
+    /// varies.
     fn integrate_phasors<P: ConstantMode<N>, const N: usize, const M: usize>(
         &self,
         method: IntegrationMethod,

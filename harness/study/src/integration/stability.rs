@@ -1,5 +1,6 @@
-//! Finds the largest step with which the plate without drive decays under a method, and compares it with theory.
-//! Such a step is a linear map. Steps of unit vectors give its matrix, repeated squaring gives its spectral radius.
+//! Finds the largest step with which the plate without drive decays under a method, and compares it
+//! with theory. Such a step is a linear map. Steps of unit vectors give its matrix, repeated
+//! squaring gives its spectral radius.
 
 use crate::integration::fixed::FixedStepMethod::{self, Euler, Midpoint, RungeKutta4, Verlet};
 use crate::integration::method::IntegrationMethod;
@@ -35,7 +36,8 @@ pub struct StepLimitRow {
     pub predicted: StepLimit,
     pub source: &'static str,
     pub in_usual_unit: String,
-    /// Growth in decades over 4 000 steps of 99 % and of 101 % of the limit. `None` if it is too small to measure.
+    /// Growth in decades over 4 000 steps of 99 % and of 101 % of the limit. `None` if it is too
+    /// small to measure.
     pub growth_decades: Option<[f64; 2]>,
 }
 
@@ -204,7 +206,8 @@ fn exact_form_limit(tier: Tier, problem: &'static str, mode: &Mode) -> StepLimit
     limit_row(["exact", problem, "closed form: its step is e^{λh}"], StepLimit::Always, step, |_| String::new())
 }
 
-/// True if the growth over [`GROWTH_STEPS`] steps exceeds a decade. The beat of the components hides a smaller one.
+/// True if the growth over [`GROWTH_STEPS`] steps exceeds a decade. The beat of the components
+/// hides a smaller one.
 fn is_growth_measurable(factor: f64) -> bool {
     f64::from(GROWTH_STEPS) * factor.log10() > 1.0
 }
@@ -226,9 +229,11 @@ fn free_step<const N: usize, P: Problem<N>>(
     after
 }
 
-/// The amplitude loop is designed for the untouched plate. Explicit Euler integrates the plate under 2 N.
+/// The amplitude loop is designed for the untouched plate. Explicit Euler integrates the plate
+/// under 2 N.
 fn closed_loop_limit(free: &Mode, pressed: &Mode, format_limit: impl Fn(f64) -> String) -> StepLimitRow {
-    // Jury criterion: (z − α)(z − 1) + g(z − a) must be positive at z = −1, with α = 1 − σh and g = b h Kp.
+    // Jury criterion: (z − α)(z − 1) + g(z − a) must be positive at z = −1, with α = 1 − σh and g =
+    // b h Kp.
     let predicted = find_step_limit(|period| {
         let pi = MatchedPiLoop::new(free, period);
         let gain = pressed.envelope_constant * period * pi.kp;
@@ -244,7 +249,8 @@ fn closed_loop_limit(free: &Mode, pressed: &Mode, format_limit: impl Fn(f64) -> 
     limit_row(names, predicted, step, format_limit)
 }
 
-/// An amplitude loop with setpoint 0 and a PI matched to the zero-order hold (`docs/mathematics.md`).
+/// An amplitude loop with setpoint 0 and a PI matched to the zero-order hold
+/// (`docs/mathematics.md`).
 #[derive(Debug, Clone, Copy)]
 struct MatchedPiLoop {
     period: f64,

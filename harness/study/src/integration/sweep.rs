@@ -12,7 +12,8 @@ use std::time::Duration;
 
 /// In setpoints. A larger error counts as divergence, because a plate at rest has a smaller one.
 const MAX_USEFUL_ERROR: f64 = 2.0;
-/// Method and tolerance that check the exact propagation. If a profile changes the mode, they replace it as reference.
+/// Method and tolerance that check the exact propagation. If a profile changes the mode, they
+/// replace it as reference.
 const REFERENCE: (IntegrationMethod, f64) = (IntegrationMethod::Adaptive(AdaptiveMethod::Dop853), 1e-13);
 const SLOW_REPLAY: Duration = Duration::from_millis(20);
 const MAX_PLANTS: u32 = 4_096;
@@ -188,7 +189,8 @@ impl<'a> ReferenceSolutions<'a> {
         found.map_or([&[], &[]], |(_, [exact, tight])| [exact, tight])
     }
 
-    /// If the mode varies, the exact propagation needs substeps, so the integration is the reference.
+    /// If the mode varies, the exact propagation needs substeps, so the integration is the
+    /// reference.
     fn best(&self, frame: EquationForm) -> &[Complex64] {
         let [exact, tight] = self.of(frame);
         if self.passage.is_time_varying() { tight } else { exact }

@@ -1,6 +1,7 @@
 //! Bisects an interval.
 
-/// Halves `times` times the interval between a value for which `holds` is true and one for which it is false.
+/// Halves `times` times the interval between a value for which `holds` is true and one for which it
+/// is false.
 pub(crate) fn bisect<E>(
     [mut low, mut high]: [f64; 2],
     times: u32,

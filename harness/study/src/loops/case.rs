@@ -10,14 +10,16 @@ use std::convert::Infallible;
 use std::f64::consts::TAU;
 
 const UNREACHED_LIMIT_VPP: f64 = 1e5;
-/// Covers a start 9 K off the resonance, and the flank of the resonance curve that `frequency-only` uses.
+/// Covers a start 9 K off the resonance, and the flank of the resonance curve that `frequency-only`
+/// uses.
 const RANGE_HZ: f64 = 400.0;
 const BISECTIONS: u32 = 60;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum OperatingCondition {
     Resonant,
-    /// Untouched plate. The excitation starts at the resonance of 33 °C, 545 rad/s too low (Fig. 14).
+    /// Untouched plate. The excitation starts at the resonance of 33 °C, 545 rad/s too low (Fig.
+    /// 14).
     Detuned,
     /// Under a finger of 2 N (Fig. 16).
     Finger,
@@ -75,7 +77,8 @@ impl<'a> LoopCase<'a> {
         self.plate.mode(&self.condition.conditions())
     }
 
-    /// 2 µm as in the paper. 1 µm for `frequency-only`, whose drive does not reach 2 µm under a finger.
+    /// 2 µm as in the paper. 1 µm for `frequency-only`, whose drive does not reach 2 µm under a
+    /// finger.
     pub fn setpoint(&self) -> f64 {
         if self.law == LawId::FrequencyOnly { 1.0 } else { 2.0 }
     }
@@ -138,8 +141,9 @@ impl<'a> LoopCase<'a> {
     }
 
     /// Plate and law, linearised around the steady state. `None` if the law cannot reach it.
-    /// * `dq-pi` and `deadbeat` adapt to the plate's damping. In the steady state they know the damping, and a small
-    ///   motion changes gains that act on a small error. To first order they are loops matched to the present plate.
+    /// * `dq-pi` and `deadbeat` adapt to the plate's damping. In the steady state they know the
+    ///   damping, and a small motion changes gains that act on a small error. To first order they
+    ///   are loops matched to the present plate.
     /// * `deadbeat` is in its holding phase and assumes no delay.
     /// * The relay of `bang-bang` has no linear form, so only its amplitude loop is analysed.
     pub fn linearise(&self, tier: Tier) -> Option<(LinearPlant, LinearController)> {
@@ -175,7 +179,8 @@ impl<'a> LoopCase<'a> {
         Some((plant, controller))
     }
 
-    /// Design for the plants K1/(1 + τp) and −τ/(1 + τp). Adaptive laws use the τ of the present plate.
+    /// Design for the plants K1/(1 + τp) and −τ/(1 + τp). Adaptive laws use the τ of the present
+    /// plate.
     fn loop_gains(&self) -> [PiGains; 2] {
         let period = self.period();
         if let Some(gains) = self.gains {

@@ -1,7 +1,9 @@
-//! Builds the closed loop in the z plane: plant, pending commands and integrals as one real matrix per period.
+//! Builds the closed loop in the z plane: plant, pending commands and integrals as one real matrix
+//! per period.
 //!
-//! A command computed at k acts from `kTs + delay`. With `delay = m Ts + r`, u(k−m−1) acts for the first `r` of a
-//! period, then u(k−m). The state is `[re, im of each pole | u(k−1), u(k−2) … | integrals]`, u = (drive, frequency).
+//! A command computed at k acts from `kTs + delay`. With `delay = m Ts + r`, u(k−m−1) acts for the
+//! first `r` of a period, then u(k−m). The state is
+//! `[re, im of each pole | u(k−1), u(k−2) … | integrals]`, u = (drive, frequency).
 
 use crate::loops::controller::LinearController;
 use crate::loops::plant::LinearPlant;
@@ -115,7 +117,8 @@ impl ClosedLoop {
         let mut balanced = matrix.clone();
         balance_parlett_reinsch(&mut balanced);
         let limit = ITERATIONS_PER_STATE * matrix.nrows();
-        // The solver does not converge for a few matrices. Their transpose has the same eigenvalues.
+        // The solver does not converge for a few matrices. Their transpose has the same
+        // eigenvalues.
         let forms = [balanced.clone(), balanced.transpose(), matrix.clone(), matrix.transpose()];
         let schur = forms.into_iter().find_map(|form| Schur::try_new(form, f64::EPSILON, limit));
         Ok(schur.ok_or(AnalysisError::NoConvergence)?.complex_eigenvalues().iter().copied().collect())
@@ -126,8 +129,9 @@ impl ClosedLoop {
         Ok(self.poles()?.iter().fold(0.0, |largest, pole| pole.norm().max(largest)))
     }
 
-    /// Open-loop L(z) of the drive loop (`kind` 0) or the frequency loop (1) with the other loop closed. `L = −1` at
-    /// the poles of the closed loop. `None` if there is no such loop. The result returns `None` at a pole of L.
+    /// Open-loop L(z) of the drive loop (`kind` 0) or the frequency loop (1) with the other loop
+    /// closed. `L = −1` at the poles of the closed loop. `None` if there is no such loop. The
+    /// result returns `None` at a pole of L.
     pub(crate) fn open_loop_transfer(&self, kind: usize) -> Option<impl Fn(Complex64) -> Option<Complex64>> {
         self.controller.closed_channels().get(kind).copied().filter(|closes| *closes)?;
         let other = 1 - kind;

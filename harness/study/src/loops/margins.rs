@@ -17,15 +17,17 @@ const SCAN_STEP: f64 = 0.05;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StabilityMargins {
-    /// Factor by which the gain may rise. Below 1 the gain must fall. `None` if the gain is not limited.
+    /// Factor by which the gain may rise. Below 1 the gain must fall. `None` if the gain is not
+    /// limited.
     pub gain: Option<f64>,
     /// Phase margin at |L| = 1. `None` if |L| is never 1.
     pub phase_deg: Option<f64>,
 }
 
 impl ClosedLoop {
-    /// The smaller margin of both loops, each with the other loop closed. These loops are stable at small gain, so a
-    /// rising gain first meets the outermost crossing of the negative real axis, or L at half the sampling frequency.
+    /// The smaller margin of both loops, each with the other loop closed. These loops are stable at
+    /// small gain, so a rising gain first meets the outermost crossing of the negative real axis,
+    /// or L at half the sampling frequency.
     pub fn margins(&self) -> StabilityMargins {
         let mut margins = StabilityMargins { gain: None, phase_deg: None };
         let smaller = |known: Option<f64>, new: f64| Some(known.map_or(new, |known| known.min(new)));

@@ -1,13 +1,15 @@
-//! Measures the delay boundary of the firmware's f32 controller on the exact plate.
-//! The loop reaches its steady state without delay. Then its commands act late, one sample is perturbed, and the
-//! perturbation decays or grows. The drive limit does not act. `deadbeat` starts without delay and compensates none.
+//! Measures the delay boundary of the firmware's f32 controller on the exact plate. The loop
+//! reaches its steady state without delay. Then its commands act late, one sample is perturbed, and
+//! the perturbation decays or grows. The drive limit does not act. `deadbeat` starts without delay
+//! and compensates none.
 
 use crate::loops::case::LoopCase;
 use platebench_plate::{Complex64, Tier, Time};
 use platebench_runner::delay_boundary::{DelayBoundary, DelayedLoop, search_boundary};
 use platebench_wire::LawId;
 
-/// Periods without delay until the steady state. The last [`AVERAGED_PERIODS`] of them are averaged.
+/// Periods without delay until the steady state. The last [`AVERAGED_PERIODS`] of them are
+/// averaged.
 const WARM_UP: u32 = 700;
 const AVERAGED_PERIODS: u32 = 100;
 /// Largest spread of |W| over the averaged periods, as a share of the setpoint.
@@ -19,10 +21,12 @@ const PERTURBATION_OF_ADAPTIVE_LAWS: f64 = 3e-3;
 const DIVERGENCE_FACTOR: f64 = 8.0;
 /// Resolution of the frequency (1 mHz) and of f32, as a share of the setpoint.
 const RESOLUTION: f64 = 5e-5;
-/// Periods until the slowest pole dominates. Two windows of [`WINDOW`] periods follow, which are compared.
+/// Periods until the slowest pole dominates. Two windows of [`WINDOW`] periods follow, which are
+/// compared.
 const TRANSIENT_PERIODS: usize = 40;
 const WINDOW: usize = 160;
-/// A hunting loop is stable if |W| stays within this share of the setpoint for the last [`HUNT_WINDOW`] periods.
+/// A hunting loop is stable if |W| stays within this share of the setpoint for the last
+/// [`HUNT_WINDOW`] periods.
 const HUNT_BAND: f64 = 0.05;
 const HUNT_PERIODS: usize = 3_000;
 const HUNT_WINDOW: usize = 300;
@@ -123,7 +127,8 @@ impl LoopSimulation {
     }
 }
 
-/// Longest delay up to `longest` s at which the steady state is stable. `None` if there is no steady state.
+/// Longest delay up to `longest` s at which the steady state is stable. `None` if there is no
+/// steady state.
 pub fn measure_delay_boundary(case: &LoopCase<'_>, longest: f64) -> Option<DelayBoundary> {
     let simulation = LoopSimulation::in_steady_state(case)?;
     Some(search_boundary(case.period(), longest, |delay| simulation.clone().perturbed_motion(delay).is_stable()))

@@ -1,6 +1,6 @@
-//! Simulates the two PI loops of the paper's block diagram on the exact plate.
-//! `V` follows from `Wd_ref − Wd` and ω from `Wq/Wd`, without limits, guard for small amplitudes and anti-windup. The
-//! ratio is not linear. Far from the resonance a loop with a small spectral radius may diverge.
+//! Simulates the two PI loops of the paper's block diagram on the exact plate. `V` follows from
+//! `Wd_ref − Wd` and ω from `Wq/Wd`, without limits, guard for small amplitudes and anti-windup.
+//! The ratio is not linear. Far from the resonance a loop with a small spectral radius may diverge.
 
 use crate::loops::case::OperatingCondition;
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};

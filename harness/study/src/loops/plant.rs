@@ -1,13 +1,15 @@
 //! Linearises the plate around an operating point as a sum of complex poles.
 //!
-//! Both tiers are linear in W; only the product of W and ω is not. Around a steady state W0 at drive V0 and excitation
-//! ω a small δω acts on the envelope as `−jW0 δω`:
+//! Both tiers are linear in W; only the product of W and ω is not. Around a steady state W0 at
+//! drive V0 and excitation ω a small δω acts on the envelope as `−jW0 δω`:
 //!
-//! * **envelope**: `δW' = λ δW + b δV − jW0 δω`, one pole `λ = −σ − jΔω` (at resonance equations 13 and 19);
-//! * **modal**: the poles `s± − jω`, each with its share of `jN/m δV` on U and of `−j(W0, U0) δω` on both states.
+//! * **envelope**: `δW' = λ δW + b δV − jW0 δω`, one pole `λ = −σ − jΔω` (at resonance equations 13
+//!   and 19);
+//! * **modal**: the poles `s± − jω`, each with its share of `jN/m δV` on U and of `−j(W0, U0) δω`
+//!   on both states.
 //!
-//! Between two actuations each pole has the closed form `x(h) = e^{sh} x + φ(h) u`, `φ = (e^{sh} − 1)/s`. Therefore
-//! sampling is exact for any part of a period.
+//! Between two actuations each pole has the closed form `x(h) = e^{sh} x + φ(h) u`,
+//! `φ = (e^{sh} − 1)/s`. Therefore sampling is exact for any part of a period.
 
 use platebench_plate::{Complex64, Drive, Flow, Mode, State, Tier};
 

@@ -23,8 +23,9 @@ pub struct StepResponse {
 }
 
 impl ClosedLoop {
-    /// Steps the setpoint from rest to `setpoint` µm without limits. The response is the component of W along the
-    /// phase of the steady state. It is exact at resonance, otherwise it is the scaled response to a small step.
+    /// Steps the setpoint from rest to `setpoint` µm without limits. The response is the component
+    /// of W along the phase of the steady state. It is exact at resonance, otherwise it is the
+    /// scaled response to a small step.
     pub fn step_response(&self, setpoint: f64, periods: u32) -> StepResponse {
         let [direct, integral] = self.controller.matrices();
         let along = self.output_direction();

@@ -1,4 +1,5 @@
-//! Measures the error of the exact propagation, the reference of the sweep, with about 31 decimal digits.
+//! Measures the error of the exact propagation, the reference of the sweep, with about 31 decimal
+//! digits.
 
 use platebench_plate::{Complex64, ConditionProfiles, Drive, Mode, Profile, Time};
 use platebench_study::integration::{

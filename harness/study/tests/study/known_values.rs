@@ -112,7 +112,8 @@ fn delay_boundary_of_known_loops(#[case] pi: fn(f64, f64) -> PiGains, #[case] pe
 
 #[test]
 fn a_delay_of_whole_periods_shifts_the_response() {
-    // (1 − p)/(z − 1) · z^(−m): poles of z^(m+1) − z^m + 1 − p and the hidden one; at m = 2 a pair at 1.07.
+    // (1 − p)/(z − 1) · z^(−m): poles of z^(m+1) − z^m + 1 − p and the hidden one; at m = 2 a pair
+    // at 1.07.
     let missing: f64 = 1.0 - (-3.0 * PERIOD / RESPONSE).exp();
     for whole in [1_u32, 2, 5] {
         let poles = closed_amplitude_loop(matched, f64::from(whole) * PERIOD).poles().unwrap();

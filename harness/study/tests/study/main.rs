@@ -1,4 +1,5 @@
-//! Compares integration methods and loops with known figures, with each other and with the firmware's own code.
+//! Compares integration methods and loops with known figures, with each other and with the
+//! firmware's own code.
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 

@@ -25,7 +25,8 @@ pub(crate) fn round_to_timer_ticks(frequency_mhz: u32, clock_hz: f64) -> u32 {
     (clock_hz * 1e3 / ticks).round() as u32
 }
 
-/// Stores the demodulation phase, rad since the start, as `f32`. The rounding error rotates Wd and Wq.
+/// Stores the demodulation phase, rad since the start, as `f32`. The rounding error rotates Wd and
+/// Wq.
 #[derive(Default)]
 pub(crate) struct SinglePrecisionPhase {
     period_s: f64,

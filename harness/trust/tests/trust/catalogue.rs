@@ -66,7 +66,8 @@ fn failures_of_the_reference_catch_no_mutant() {
 #[test]
 fn a_failed_clean_run_is_a_false_alarm() {
     let mut strict = load_scenario("paper/fig13-closed-loop.toml");
-    // After two periods 4.2 % of the nominal plate's step and a ripple remain. Other plates vary around it.
+    // After two periods 4.2 % of the nominal plate's step and a ripple remain. Other plates vary
+    // around it.
     strict.expectations[0].band_percent = 4.5;
     let faults = catalogue().into_iter().filter(|entry| entry.name == "setpoint-scale").collect::<Vec<_>>();
     let order = |scenario| TrustConfig {

@@ -104,7 +104,8 @@ impl ResponseFeatures {
                 signal: "amplitude_um",
             };
             match metrics::measure(&expectation, rows, &Telemetry::default()) {
-                // A division gives the double nearest to the decimal number, for example 195/100 = 1.95.
+                // A division gives the double nearest to the decimal number, for example
+                // 195/100 = 1.95.
                 Measure::Value(value) => Some((value * grain).round() / grain),
                 _ => None,
             }

@@ -1,9 +1,10 @@
 //! Learns a tolerance tube from trials that differ, by split conformal prediction.
 //!
-//! A third of the trials gives the curve (mean) and the shape (deviation at each instant). Each of the m others has a
-//! score, the factor on the shape at which the trial is just inside. With the r-th smallest score as the factor, a
-//! further trial leaves the tube with probability `≤ 1 − r/(m + 1)`, on average over the learned trials. J. Lei et al.,
-//! "Distribution-free predictive inference for regression", *J. Am. Stat. Assoc.* 113, 2018, theorem 2; for curves: J.
+//! A third of the trials gives the curve (mean) and the shape (deviation at each instant). Each of
+//! the m others has a score, the factor on the shape at which the trial is just inside. With the
+//! r-th smallest score as the factor, a further trial leaves the tube with probability
+//! `≤ 1 − r/(m + 1)`, on average over the learned trials. J. Lei et al., "Distribution-free
+//! predictive inference for regression", *J. Am. Stat. Assoc.* 113, 2018, theorem 2; for curves: J.
 //! Diquigiovanni, M. Fontana, S. Vantini, *J. Multivar. Anal.* 189, 2022.
 
 use super::thin::thin;
@@ -35,7 +36,8 @@ fn curve_trial_count(count: usize) -> usize {
 }
 
 fn min_trials(rate: f64) -> usize {
-    // r = ⌈(m + 1)(1 − rate)⌉ ≤ m requires m ≥ 1/rate − 1. A third of all trials is added for the curve.
+    // r = ⌈(m + 1)(1 − rate)⌉ ≤ m requires m ≥ 1/rate − 1. A third of all trials is added for the
+    // curve.
     let scores = ((1.0 / rate).ceil() as usize).saturating_sub(1).max(1);
     let most = scores.saturating_mul(2).saturating_add(MIN_CURVE_TRIALS);
     (scores..=most).find(|count| count.saturating_sub(curve_trial_count(*count)) >= scores).unwrap_or(most)

@@ -61,8 +61,8 @@ pub(super) fn peak_deviation(window: &Window, signal: MetricSignal, rows: &[Row]
     Ok(peak.ok_or(UndefinedValue::NoSetpointToDeviateFrom)? * 100.0)
 }
 
-/// Interval, s, that contains the last entry into the band. Both ends are equal for a signal that is known between
-/// rows. `None` if the signal ends outside.
+/// Interval, s, that contains the last entry into the band. Both ends are equal for a signal that
+/// is known between rows. `None` if the signal ends outside.
 fn last_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]) -> Option<[f64; 2]> {
     if signal.is_zero_order_hold {
         return last_sampled_band_entry(expectation, signal, rows);
@@ -83,7 +83,8 @@ fn last_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]
     Some([left.t_s + (entered.t_s - left.t_s) * share; 2])
 }
 
-/// As [`last_band_entry`], for a sampled signal: from its last sample outside to its first sample inside.
+/// As [`last_band_entry`], for a sampled signal: from its last sample outside to its first sample
+/// inside.
 fn last_sampled_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]) -> Option<[f64; 2]> {
     let has_flags = rows.iter().any(|row| row.flags.contains(Flags::CONTROL));
     // Rows between control instants repeat the last sample; a trace without flags has samples only.

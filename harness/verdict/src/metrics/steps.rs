@@ -4,9 +4,9 @@ use super::window::end_index;
 use platebench_scenario::Window;
 use platebench_trace::{Flags, Row};
 
-/// Indices of the rows at which steps start. A constant setpoint above 0 steps at the start. A ramp or curve is one
-/// step from the row before its first change. It ends when two instants in a row do not change, because a curve may
-/// rest for one instant at its crest.
+/// Indices of the rows at which steps start. A constant setpoint above 0 steps at the start. A ramp
+/// or curve is one step from the row before its first change. It ends when two instants in a row do
+/// not change, because a curve may rest for one instant at its crest.
 pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
     let mut steps = Vec::new();
     let mut before = 0.0;
@@ -26,7 +26,8 @@ pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
                     moved = u32::from(start > 0);
                 }
                 if moved == 2 && continues {
-                    // The second change in a row shows a ramp, which started at the row before the first change.
+                    // The second change in a row shows a ramp, which started at the row before the
+                    // first change.
                     let began = steps.pop().map_or(0, |step| step.saturating_sub(1));
                     if steps.last() != Some(&began) {
                         steps.push(began);

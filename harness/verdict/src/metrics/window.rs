@@ -33,7 +33,8 @@ pub(super) fn ripple_um(signal: MetricSignal, rows: &[Row]) -> Option<f64> {
     Some(values().reduce(f64::max)? - values().reduce(f64::min)?)
 }
 
-/// Time-weighted mean divided by the setpoint. Fails for a moving setpoint, whose mean a stuck signal could match.
+/// Time-weighted mean divided by the setpoint. Fails for a moving setpoint, whose mean a stuck
+/// signal could match.
 pub(super) fn window_mean_ratio(signal: MetricSignal, window: &Window, rows: &[Row]) -> Result<f64, UndefinedValue> {
     let (from, to) = (window.from.seconds(), window.to.seconds());
     let mut setpoint = None;
@@ -50,7 +51,8 @@ pub(super) fn window_mean_ratio(signal: MetricSignal, window: &Window, rows: &[R
         let level = if signal.is_zero_order_hold {
             signal.value_in(left)
         } else {
-            // The signal is linear between rows, so its mean over a piece is the value at the middle.
+            // The signal is linear between rows, so its mean over a piece is the value at the
+            // middle.
             let share = (f64::midpoint(start, end) - left.t_s) / (right.t_s - left.t_s);
             signal.value_in(left) + (signal.value_in(right) - signal.value_in(left)) * share
         };

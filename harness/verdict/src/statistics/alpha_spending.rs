@@ -1,8 +1,9 @@
 //! Corrects the error rate of a test that is evaluated several times.
 //!
-//! A test that stops at the first favourable look exceeds its error rate. Here look k may be wrong with probability
-//! `α(t_k) − α(t_{k−1})`. By Boole's inequality the sum is at most 1 − c, for every test and every dependence between
-//! looks. Boundaries for Brownian motion are not used, because they need large samples.
+//! A test that stops at the first favourable look exceeds its error rate. Here look k may be wrong
+//! with probability `α(t_k) − α(t_{k−1})`. By Boole's inequality the sum is at most 1 − c, for
+//! every test and every dependence between looks. Boundaries for Brownian motion are not used,
+//! because they need large samples.
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Look {
@@ -42,9 +43,10 @@ pub fn plan_looks(count: u32, max_count: u32) -> Vec<Look> {
     (1..).zip(sizes).map(look).collect()
 }
 
-/// Share of the error probability that is spent after the share `t` of the trials: `ln(1 + (e − 1) t)`, of Pocock's
-/// type. It spends early, so a clear run ends at its first look; with O'Brien and Fleming's function hardly any would.
-/// K. K. G. Lan and D. L. DeMets, *Biometrika* 70, 1983, pp. 659-663.
+/// Share of the error probability that is spent after the share `t` of the trials:
+/// `ln(1 + (e − 1) t)`, of Pocock's type. It spends early, so a clear run ends at its first look;
+/// with O'Brien and Fleming's function hardly any would. K. K. G. Lan and D. L.
+/// DeMets, *Biometrika* 70, 1983, pp. 659-663.
 fn spent_error_share(t: f64) -> f64 {
     if t >= 1.0 { 1.0 } else { ((std::f64::consts::E - 1.0) * t).ln_1p() }
 }

@@ -1,4 +1,5 @@
-//! Computes bounds of data that are not normal. The seed is the number of values, so a stored run has the same bounds.
+//! Computes bounds of data that are not normal. The seed is the number of values, so a stored run
+//! has the same bounds.
 
 use super::sample_summary::SampleSummary;
 use rand_chacha::ChaCha8Rng;
@@ -11,11 +12,12 @@ const MIN_TAIL_RESAMPLES: f64 = 10.0;
 /// If more are needed, there are no bounds.
 const MAX_RESAMPLES: usize = 20_000;
 
-/// Bias-corrected and accelerated bounds, each one-sided at `confidence`. `None` below three or for equal values.
+/// Bias-corrected and accelerated bounds, each one-sided at `confidence`. `None` below three or for
+/// equal values.
 ///
-/// B. Efron, "Better bootstrap confidence intervals", *J. Am. Stat. Assoc.* 82, 1987, pp. 171-185: the percentile
-/// `Φ(z0 + (z0 + z)/(1 − a (z0 + z)))` of the resampled statistic. The bias `z0` is from the share of resamples below
-/// the statistic, the acceleration `a` from the jackknife.
+/// B. Efron, "Better bootstrap confidence intervals", *J. Am. Stat. Assoc.* 82, 1987, pp. 171-185:
+/// the percentile `Φ(z0 + (z0 + z)/(1 − a (z0 + z)))` of the resampled statistic. The bias `z0` is
+/// from the share of resamples below the statistic, the acceleration `a` from the jackknife.
 pub fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence: f64) -> Option<[f64; 2]> {
     let estimate = statistic(values);
     let acceleration = acceleration(values, &statistic)?;
@@ -37,7 +39,8 @@ pub fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence:
     Some([bound(1.0 - confidence)?, bound(confidence)?])
 }
 
-/// `Σ d³ / 6 (Σ d²)^1.5`; d is the mean of the leave-one-out statistics minus one of them (Efron 1987, equation 7.3).
+/// `Σ d³ / 6 (Σ d²)^1.5`; d is the mean of the leave-one-out statistics minus one of them (Efron
+/// 1987, equation 7.3).
 fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f64> {
     if values.len() < 3 {
         return None;
@@ -57,9 +60,10 @@ fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f6
     (squares > 0.0).then(|| sum(3) / (6.0 * squares.powf(1.5)))
 }
 
-/// Studentised one-sided bounds. `estimate` returns a value and its standard error. `None` below three values or
-/// without an error. P. Hall, *Ann. Stat.* 16, 1988, pp. 927-953: the pivot `(θ* − θ)/s*` replaces Student's t. Its
-/// upper end covers more than that of BCa for the mean of skewed data and for the logarithm of a deviation.
+/// Studentised one-sided bounds. `estimate` returns a value and its standard error. `None` below
+/// three values or without an error. P. Hall, *Ann. Stat.* 16, 1988, pp. 927-953: the pivot
+/// `(θ* − θ)/s*` replaces Student's t. Its upper end covers more than that of BCa for the mean of
+/// skewed data and for the logarithm of a deviation.
 pub fn studentised_bounds(
     values: &[f64],
     estimate: impl Fn(&[f64]) -> (f64, f64),

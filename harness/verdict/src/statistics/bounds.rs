@@ -16,7 +16,8 @@ pub fn mean_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Evidenc
     Some((bootstrap_bounds(values, mean_of, mean_and_error, confidence), EvidenceMethod::Bootstrap))
 }
 
-/// One-sided bounds by chi-square, or by bootstrap if normality is rejected. `None` below two values.
+/// One-sided bounds by chi-square, or by bootstrap if normality is rejected. `None` below two
+/// values.
 pub fn deviation_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], EvidenceMethod)> {
     let summary = SampleSummary::of(values)?;
     let normal = summary.deviation_bounds(confidence)?;
@@ -30,9 +31,10 @@ pub fn deviation_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Ev
     Some((outer_bounds(normal, bounds), EvidenceMethod::Bootstrap))
 }
 
-/// Probability that a deviation of `ratio` times the expected value is rejected, if the two-sided chi-square interval
-/// with each end at `per_side` must contain the expected value (normal data): `P = 1 − F(χ²_hi/ρ²) + F(χ²_lo/ρ²)`,
-/// because s² (n − 1)/σ² has n − 1 degrees of freedom; ρ = σ/σ0 is `ratio`.
+/// Probability that a deviation of `ratio` times the expected value is rejected, if the two-sided
+/// chi-square interval with each end at `per_side` must contain the expected value (normal data):
+/// `P = 1 − F(χ²_hi/ρ²) + F(χ²_lo/ρ²)`, because s² (n − 1)/σ² has n − 1 degrees of freedom; ρ =
+/// σ/σ0 is `ratio`.
 pub fn agreement_power(count: usize, per_side: f64, ratio: f64) -> Option<f64> {
     let chi_squared = ChiSquared::new(count.checked_sub(1)? as f64).ok()?;
     let scaled = |probability: f64| chi_squared.cdf(chi_squared.inverse_cdf(probability) / (ratio * ratio));
@@ -43,8 +45,8 @@ fn outer_bounds(one: [f64; 2], other: [f64; 2]) -> [f64; 2] {
     [one[0].min(other[0]), one[1].max(other[1])]
 }
 
-/// The upper end of BCa is too low for skewed data, that of the studentised bounds for data with corners. Infinite if
-/// one of them has no bounds.
+/// The upper end of BCa is too low for skewed data, that of the studentised bounds for data with
+/// corners. Infinite if one of them has no bounds.
 fn bootstrap_bounds(
     values: &[f64],
     statistic: impl Fn(&[f64]) -> f64,
@@ -69,7 +71,8 @@ fn logarithm_and_error(values: &[f64]) -> (f64, f64) {
     };
     let count = summary.count as f64;
     let moment = |power: i32| values.iter().map(|value| (value - summary.mean).powi(power)).sum::<f64>() / count;
-    // Two values in equal parts have the smallest possible fourth moment, which gives no error at first order.
+    // Two values in equal parts have the smallest possible fourth moment, which gives no error at
+    // first order.
     let excess = (moment(4) / moment(2).powi(2) - 1.0).max(f64::EPSILON);
     (summary.deviation.ln(), (excess / (4.0 * count)).sqrt())
 }

@@ -6,8 +6,9 @@ use statrs::function::beta::beta_reg;
 /// Sufficient for the resolution of a double.
 const BISECTION_STEPS: u32 = 60;
 
-/// One-sided bounds with a coverage of at least `confidence`; `None` without trials. At a bound, as many or as few
-/// events have the probability `1 − confidence`: C. J. Clopper, E. S. Pearson, *Biometrika* 26, 1934, pp. 404-413.
+/// One-sided bounds with a coverage of at least `confidence`; `None` without trials. At a bound, as
+/// many or as few events have the probability `1 − confidence`: C. J. Clopper, E. S.
+/// Pearson, *Biometrika* 26, 1934, pp. 404-413.
 pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2]> {
     if count == 0 || seen > count {
         return None;

@@ -2,12 +2,12 @@
 
 use super::proportion::probability_at_most;
 
-/// Quantile at `share` with bounds, each one-sided at `confidence`, for any distribution. A bound is infinite if the
-/// sample is too small: a 95 % quantile at 95 % confidence needs 59 values.
+/// Quantile at `share` with bounds, each one-sided at `confidence`, for any distribution. A bound
+/// is infinite if the sample is too small: a 95 % quantile at 95 % confidence needs 59 values.
 ///
-/// W. J. Conover, *Practical Nonparametric Statistics*, 3rd ed. 1999, section 3.2: upper bound = r-th smallest value
-/// with the least r for which `P(B(n, share) ≤ r − 1) ≥ confidence`, lower bound = that with the greatest r for which
-/// `P(B(n, share) ≤ r − 1) ≤ 1 − confidence`.
+/// W. J. Conover, *Practical Nonparametric Statistics*, 3rd ed. 1999, section 3.2: upper bound =
+/// r-th smallest value with the least r for which `P(B(n, share) ≤ r − 1) ≥ confidence`, lower
+/// bound = that with the greatest r for which `P(B(n, share) ≤ r − 1) ≤ 1 − confidence`.
 pub fn quantile_bounds(values: &[f64], share: f64, confidence: f64) -> Option<(f64, [f64; 2])> {
     let count = u32::try_from(values.len()).ok().filter(|count| *count > 0)?;
     let mut sorted = values.to_vec();

@@ -30,8 +30,8 @@ impl SampleSummary {
         Some([self.mean - half, self.mean + half])
     }
 
-    /// One-sided, of `self.mean − other.mean`, by Welch's t with Welch-Satterthwaite degrees of freedom (normal data).
-    /// `None` below two values in one of them.
+    /// One-sided, of `self.mean − other.mean`, by Welch's t with Welch-Satterthwaite degrees of
+    /// freedom (normal data). `None` below two values in one of them.
     pub fn difference_bounds(&self, other: &Self, confidence: f64) -> Option<[f64; 2]> {
         let difference = self.mean - other.mean;
         let share = |summary: &Self| {

@@ -59,7 +59,8 @@ impl Labgrid {
     }
 }
 
-/// Returns the documented line that begins with the wrapper and contains `word`, changed for `board`.
+/// Returns the documented line that begins with the wrapper and contains `word`, changed for
+/// `board`.
 fn recipe(word: &str, board: &str) -> String {
     let page = fs::read_to_string(workspace_root().join("docs/several-boards.md")).unwrap();
     let is_recipe = |line: &&str| line.starts_with("with-labgrid-place left") && line.contains(word);

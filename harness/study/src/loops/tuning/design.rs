@@ -8,7 +8,8 @@ use crate::loops::tuning::transient::StepSimulation;
 use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
 use platebench_wire::Gains;
 
-/// The horizon is the longest of these numbers of periods, response times and time constants, plus the delays.
+/// The horizon is the longest of these numbers of periods, response times and time constants, plus
+/// the delays.
 const HORIZON_PERIODS: f64 = 60.0;
 const HORIZON_RESPONSES: f64 = 6.0;
 const HORIZON_TIME_CONSTANTS: f64 = 20.0;
@@ -39,7 +40,8 @@ impl TuningTarget<'_> {
         self.plate.mode(&Conditions { temperature_offset_k: 0.0, finger_force_n: self.force_n })
     }
 
-    /// Shortest time from rest into the band with the drive limit, s. `None` if the band is out of reach.
+    /// Shortest time from rest into the band with the drive limit, s. `None` if the band is out of
+    /// reach.
     pub fn time_floor(&self) -> Option<f64> {
         self.mode().min_rise_time(self.setpoint, 0.95, self.plate.drive_limit_vpp)
     }
@@ -62,8 +64,8 @@ pub struct GainDesign {
 }
 
 impl GainDesign {
-    /// Equation 24 under the target's finger, for the amplitude with K = b/σ and τ = 1/σ, for the frequency with K =
-    /// τ.
+    /// Equation 24 under the target's finger, for the amplitude with K = b/σ and τ = 1/σ, for the
+    /// frequency with K = τ.
     pub fn new(target: &TuningTarget<'_>, discretisation: Discretisation, response: f64) -> Self {
         let mode = target.mode();
         let tau = 1.0 / mode.sigma;

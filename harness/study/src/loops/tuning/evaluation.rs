@@ -9,7 +9,8 @@ use platebench_plate::{Plate, Tier};
 use platebench_runner::delay_boundary::DelayBoundary;
 use serde::Serialize;
 
-/// The search for the delay boundary ends this many times (period + design time) beyond the target's delay.
+/// The search for the delay boundary ends this many times (period + design time) beyond the
+/// target's delay.
 const MAX_DELAY_FACTOR: f64 = 8.0;
 /// Smaller poles are those of pending commands.
 const PENDING_POLE_RADIUS: f64 = 1e-6;
@@ -26,7 +27,8 @@ pub struct LoopEvaluation {
     pub spectral_radius: f64,
     pub gain_margin: Option<f64>,
     pub phase_margin_deg: Option<f64>,
-    /// Possible growth of the delay. 0 or less if the loop is unstable, `None` if it is stable over the whole search.
+    /// Possible growth of the delay. 0 or less if the loop is unstable, `None` if it is stable over
+    /// the whole search.
     pub delay_margin_ms: Option<f64>,
 }
 

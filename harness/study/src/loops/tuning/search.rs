@@ -1,6 +1,7 @@
-//! Searches the response time of equation 24 with which the plate meets the target.
-//! Equation 24 ignores the length of the period, the ripple of the fast mode, the delay and the drive limit, and the
-//! response is not smooth in the design. Therefore designs with logarithmically spaced response times are simulated.
+//! Searches the response time of equation 24 with which the plate meets the target. Equation 24
+//! ignores the length of the period, the ripple of the fast mode, the delay and the drive limit,
+//! and the response is not smooth in the design. Therefore designs with logarithmically spaced
+//! response times are simulated.
 
 use crate::loops::bisection::bisect;
 use crate::loops::closed_loop::AnalysisError;
@@ -13,15 +14,17 @@ const DESIGNS: u32 = 160;
 const REFINEMENT: u32 = 24;
 /// Response time of the fastest design in periods. Its error after one period is e^(−15).
 const FASTEST_RESPONSE_PERIODS: f64 = 0.2;
-/// Response time of the slowest design, in those of plate or target. At least [`LAST_PERIODS`] times period plus
-/// delay.
+/// Response time of the slowest design, in those of plate or target. At least [`LAST_PERIODS`]
+/// times period plus delay.
 const SLOWEST_RESPONSE_FACTOR: f64 = 3.0;
 const SLOWEST_RESPONSE_PERIODS: f64 = 30.0;
 const BISECTIONS: u32 = 20;
-/// Safety factors of the response time. A design that just meets the target misses it on other plates.
+/// Safety factors of the response time. A design that just meets the target misses it on other
+/// plates.
 const SAFETY_FACTORS: [f64; 3] = [0.97, 0.99, 1.0];
 
-/// A design whose overshoot exceeds this share of the band, but not the band, leaves the band on other plates.
+/// A design whose overshoot exceeds this share of the band, but not the band, leaves the band on
+/// other plates.
 const MAX_OVERSHOOT_BAND_SHARE: f64 = 0.8;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -89,7 +92,8 @@ impl<'a> DesignSearch<'a> {
         Ok(None)
     }
 
-    /// The design for the target's response time, or else the slowest one that meets the target, with a safety factor.
+    /// The design for the target's response time, or else the slowest one that meets the target,
+    /// with a safety factor.
     pub fn meeting_target(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
         let meets = |response: f64| -> Result<Option<DesignCandidate>, AnalysisError> {
             match self.evaluate(response).filter(|candidate| candidate.settling <= self.target.response) {

@@ -1,6 +1,6 @@
 //! Simulates a setpoint step on the exact plate with the firmware's loops, including their limits.
-//! In contrast to [`crate::loops::ClosedLoop::step_response`] the drive saturates with anti-windup, |W| includes the
-//! ripple of the fast mode, and the frequency loop is inactive while Wd is small.
+//! In contrast to [`crate::loops::ClosedLoop::step_response`] the drive saturates with
+//! anti-windup, |W| includes the ripple of the fast mode, and the frequency loop is inactive while Wd is small.
 
 use crate::loops::step_response::StepResponse;
 use platebench_controller::{Law, Measurement};
@@ -49,8 +49,9 @@ impl StepSimulation<'_> {
         Law::design(&configure).ok().map(|(law, _)| law)
     }
 
-    /// Steps the setpoint from rest. The excitation starts at the untouched plate's resonance. Settling is the last
-    /// entry of |W| into the band. Returns the default response if the firmware rejects the gains.
+    /// Steps the setpoint from rest. The excitation starts at the untouched plate's resonance.
+    /// Settling is the last entry of |W| into the band. Returns the default response if the
+    /// firmware rejects the gains.
     pub fn step(&self, periods: u32) -> StepResponse {
         let Some(mut law) = self.law() else { return StepResponse::default() };
         let (plate, setpoint) = (self.plate, self.setpoint);

@@ -56,7 +56,8 @@ pub fn tune(
     let printed = |discretisation| evaluate_design(target, GainDesign::new(target, discretisation, target.response));
     let readings = Discretisation::ALL.into_iter().map(printed).collect::<Result<Vec<_>, _>>()?;
     let search = DesignSearch::new(target, discretisation);
-    // A response inside the band does not meet the target if the drive limit cannot hold the setpoint.
+    // A response inside the band does not meet the target if the drive limit cannot hold the
+    // setpoint.
     let holds = target.mode().drive_for(target.setpoint) <= target.plate.drive_limit_vpp;
     let meeting = if holds { search.meeting_target(target.phase_margin_deg)? } else { None };
     let chosen = meeting.map(|candidate| evaluate_design(target, candidate.design)).transpose()?;

@@ -8,7 +8,8 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-/// Relative rounding error of an f32 integral gain that the controller multiplies by the period and divides again.
+/// Relative rounding error of an f32 integral gain that the controller multiplies by the period and
+/// divides again.
 const ROUNDING: f32 = 4.0 * f32::EPSILON;
 
 #[derive(Debug, Clone, Copy)]
