@@ -138,7 +138,7 @@ impl ExploreReport {
             (0, Some([_, most])) => {
                 let percent = most * 100.0;
                 format!(
-                    "No property was violated. At 95 % confidence fewer than {percent:.3} % of all scenes \
+                    "No generated scene violates a property. At 95 % confidence fewer than {percent:.3} % of all scenes \
                      fail.{interrupted}"
                 )
             }
