@@ -37,7 +37,7 @@ const CASES: [TamperCase; 13] = [
     (|folder| replace_text(&folder.join(SESSION), PASS, FAIL), "session.json: changed"),
     (|folder| replace_text(&folder.join(SESSION), "Lab 2", "Lab 3"), "session.json: changed"),
     (|folder| fs::write(folder.join("steps/more.txt"), "").unwrap(), "steps/more.txt: added"),
-    (|folder| symlink(SESSION, folder.join("link")).unwrap(), "link: expected a file or a folder"),
+    (|folder| symlink(SESSION, folder.join("link")).unwrap(), "link cannot be sealed: expected a file or a folder"),
     (|folder| fs::remove_file(folder.join(TRACE)).unwrap(), "steps/05-s/traces/s/001.csv: missing"),
     (|folder| fs::remove_file(folder.join(SESSION)).unwrap(), "session.json: missing"),
     (
