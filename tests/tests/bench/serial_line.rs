@@ -54,15 +54,16 @@ fn wire_faults_act_on_a_live_line(
         assert_eq!(was_at_rest, telemetry.stopped.is_some());
         // An overrun may move a sample into or out of the window of the fault.
         if timing.overruns == 0 {
-            assert_eq!(telemetry.faults[kind], count);
-            // A disconnection also drops the stop message, which is no reply. The last reply may be
-            // outstanding at the end.
+            // A disconnection also drops the stop message, which is no reply. A controller without
+            // processor time sends it after the disconnection.
             let samples = if kind == "disconnect" { count - 1 } else { count };
+            assert!((samples..=count).contains(&telemetry.faults[kind]), "{telemetry:?}");
+            // The last reply may be outstanding at the end.
             assert!((samples..=timing.missed_replies + 1).contains(&timing.lost_replies), "{timing:?}");
             assert!(telemetry.stopped.is_some() || reason.is_none());
         }
         // Further missed replies may have stopped the controller.
-        if timing.overruns == 0 && timing.missed_replies <= count {
+        if timing.overruns == 0 && timing.missed_replies <= count && telemetry.faults[kind] == count {
             assert_eq!(telemetry.stopped.as_deref(), reason);
             assert_eq!(rows.last().unwrap().drive_vpp > 0.0, runs_at_the_end, "configured again or not");
             return;
