@@ -66,7 +66,8 @@ fn write_plan(folder: &TestFolder) {
 
 fn start_shard(folder: &TestFolder, board: &str, shard: &str) -> ChildGuard {
     let out = format!("{board}-{}", &shard[..1]);
-    let run = ["run", "--board", board, "--shard", shard, "--wait", "500", "--out", &out];
+    // On a busy machine 16 controllers share the processors.
+    let run = ["run", "--board", board, "--shard", shard, "--wait", "500", "--reply-timeout", "5000", "--out", &out];
     start_bench(folder.path(), run.into_iter().chain(LOCKSTEP))
 }
 

@@ -23,8 +23,12 @@ fn run_with_line_fault(name: &str, out: &str) -> (RunRecord, Vec<Row>) {
     let output = run_bench(folder.path(), ["run", scenario.to_str().unwrap()].iter().chain(&arguments));
     let record = RunRecord::read(&folder.path().join(out)).unwrap();
     assert_ne!(record.verdict, Verdict::Fail, "{}", output.stdout);
-    output.assert_exit(if record.verdict == Verdict::Pass { 0 } else { 3 });
-    assert_eq!(record.safe_confirmed, Some(true));
+    output.assert_exit(match record.verdict {
+        Verdict::Pass => 0,
+        _ if record.has_lost_controller() => 5,
+        _ => 3,
+    });
+    assert!(record.safe_confirmed == Some(true) || record.has_lost_controller());
     let rows = read_trace(&folder.path().join(out).join(&record.scenarios[0].trials[0].trace)).unwrap();
     (record, rows)
 }
@@ -43,8 +47,15 @@ fn wire_faults_act_on_a_live_line(
     #[case] reason: Option<&str>,
     #[case] runs_at_the_end: bool,
 ) {
+    let mut lost = 0;
     for attempt in 0..5 {
         let (record, rows) = run_with_line_fault(name, &attempt.to_string());
+        if record.has_lost_controller() {
+            // A controller without processor time for a quarter of a second.
+            lost += 1;
+            assert!(lost < 5, "lost in every attempt");
+            continue;
+        }
         let telemetry = telemetry(&record);
         let timing = telemetry.timing.as_ref().unwrap();
         let applied: Vec<_> = telemetry.faults.keys().map(String::as_str).collect();
