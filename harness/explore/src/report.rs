@@ -138,8 +138,8 @@ impl ExploreReport {
             (0, Some([_, most])) => {
                 let percent = most * 100.0;
                 format!(
-                    "No generated scene violates a property. At 95 % confidence fewer than {percent:.3} % of all scenes \
-                     fail.{interrupted}"
+                    "No generated scene violates a property. \
+                     At 95 % confidence fewer than {percent:.3} % of all scenes fail.{interrupted}"
                 )
             }
             _ => format!("{failed} of {scenes} scenes violate a property.{interrupted}"),

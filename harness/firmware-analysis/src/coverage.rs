@@ -172,11 +172,11 @@ pub(crate) fn play_baselines(
     order.sort_by_key(|(_, (scenario, _))| Reverse(scenario.duration.as_nanos() * u64::from(scenario.trials.count)));
     let work = |session: &mut Option<BoardSession>, (number, (scenario, law)): &(usize, &(Scenario, LawId))| {
         let session = suite.open(session)?;
-        session.link_mut().link_mut().record_execution(&map.leaders);
+        session.link_mut().inner_mut().record_execution(&map.leaders);
         let start = Instant::now();
         let outcome = play(session, scenario, *law, cancel).ok_or(AnalysisError::Cancelled)??;
         check_baseline(scenario, &outcome)?;
-        let executed = session.link_mut().link_mut().executed_instructions().clone();
+        let executed = session.link_mut().inner_mut().executed_instructions().clone();
         let (commands, fails) = (outcome.commands, outcome.detection.is_some());
         Ok::<_, AnalysisError>((*number, Baseline { executed, duration: start.elapsed(), commands, fails }))
     };

@@ -13,7 +13,7 @@ pub struct RunDescription {
     pub command: &'static str,
     pub rig: String,
     pub lockstep: bool,
-    /// Number of parallel trials, of which the view shows one.
+    /// Number of parallel trials. The view draws one of them.
     pub jobs: usize,
     pub key_help: &'static str,
     pub scenarios: Vec<ScenarioDescription>,

@@ -127,7 +127,7 @@ impl<'a> ControllerLog<'a> {
         }
         let identity = *session.identity();
         let seed = Variation::of_trial(self.scenario, index).seed;
-        let link = session.link_mut().link_mut();
+        let link = session.link_mut().inner_mut();
         let differences = protocol_differences(link, &identity, base, own_clock, seed)?;
         for difference in &differences {
             warn!(scenario = self.scenario.file, "protocol: {difference}");

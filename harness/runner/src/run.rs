@@ -245,8 +245,9 @@ fn play_scenarios(
                 }
                 match judge_sequentially(scenario, &progress.measures) {
                     SequentialDecision::Continue { trials } => {
-                        info!(scenario = %scenario.file, played = progress.trials_until_look, next = trials, "not decided yet");
-                        tasks.extend(tasks_of(number, progress.trials_until_look..trials));
+                        let played = progress.trials_until_look;
+                        info!(scenario = %scenario.file, played, next = trials, "not decided yet");
+                        tasks.extend(tasks_of(number, played..trials));
                         progress.trials_until_look = trials;
                     }
                     SequentialDecision::Stop(judgement) => {

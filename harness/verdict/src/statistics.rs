@@ -1,8 +1,8 @@
 //! Computes intervals over trials.
 //!
 //! Each end of an interval is a one-sided bound at the stated confidence c (two one-sided tests):
-//! `at_most` is shown if the upper end meets it. As a two-sided interval it has the confidence
-//! `2c − 1`. The tests simulate the coverage.
+//! `at_most` is demonstrated if the upper end meets it. As a two-sided interval it has the
+//! confidence `2c − 1`. The tests simulate the coverage.
 
 pub mod alpha_spending;
 pub mod bootstrap;

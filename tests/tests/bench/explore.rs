@@ -16,7 +16,9 @@ fn report(folder: &Path) -> Value {
 fn a_correct_controller_ends_with_0_and_a_bound() {
     let folder = tempfile::tempdir().unwrap();
     let arguments = ["explore", &envelope(), "--rig", "hosted", "--scenes", "60", "--out", "out"];
-    run_bench(folder.path(), arguments).assert_exit(0).assert_stdout(&["fewer than 4.870 % of all scenes fail."]);
+    run_bench(folder.path(), arguments)
+        .assert_exit(0)
+        .assert_stdout(&["At 95 % confidence fewer than 4.870 % of all scenes fail."]);
     let report = report(folder.path());
     assert_eq!((&report["scenes"], &report["failed"]), (&60.into(), &0.into()));
     assert!(!folder.path().join("scenarios").exists());

@@ -103,9 +103,9 @@ impl MutantRunner<'_> {
         covering: &[usize],
     ) -> Result<Status, AnalysisError> {
         let open = self.config.suite.open(session)?;
-        open.link_mut().link_mut().patch(mutant.address, &mutant.bytes);
+        open.link_mut().inner_mut().patch(mutant.address, &mutant.bytes);
         let status = self.play_until_detected(open, covering)?;
-        open.link_mut().link_mut().patch(mutant.address, &mutant.original);
+        open.link_mut().inner_mut().patch(mutant.address, &mutant.original);
         if matches!(status, Status::RuntimeError { .. }) {
             *session = None;
         }

@@ -38,7 +38,7 @@ pub(crate) struct TraceData {
     pub(crate) deciding_trials: Vec<(u32, String)>,
     pub(crate) trial_count: usize,
     pub(crate) markers: Vec<TimeMarker>,
-    /// Traces that cannot be shown, each with the reason.
+    /// Traces without a plot, each with the reason.
     pub(crate) unreadable: Vec<String>,
     pub(crate) band: Option<Band>,
     /// Overshoot of the first trial at its first setpoint step, until the finger or the next

@@ -46,7 +46,7 @@ impl<L: Link> FaultInjector<L> {
         }
     }
 
-    pub fn link_mut(&mut self) -> &mut L {
+    pub fn inner_mut(&mut self) -> &mut L {
         &mut self.inner.link
     }
 
