@@ -14,6 +14,7 @@ use crate::lockin::{Lockin, MAX_WINDOW_SAMPLES};
 use crate::phase::Phase;
 use crate::time::Time;
 use num_complex::Complex64;
+use std::array;
 use std::f64::consts::TAU;
 
 /// Samples between direct evaluations. In between, complex multiplication causes an error of about
@@ -108,9 +109,7 @@ impl Demodulator {
                 let product = 2.0 * self.lockin.convert(wave.value()) * wave.carrier.conj();
                 self.push(product);
                 wave.carrier *= turn;
-                for (part, step) in wave.parts.iter_mut().zip(steps) {
-                    *part *= step;
-                }
+                wave.parts = array::from_fn(|number| wave.parts[number] * steps[number]);
             }
             self.next += count;
             left -= count;
