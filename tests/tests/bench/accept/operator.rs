@@ -15,6 +15,7 @@ struct OperatorTerminal {
     child: ChildGuard,
     keys: File,
     screen: Arc<Mutex<String>>,
+    reader: thread::JoinHandle<()>,
     read_to: usize,
 }
 
@@ -28,13 +29,13 @@ impl OperatorTerminal {
         let mut output = keys.try_clone().unwrap();
         let screen = Arc::new(Mutex::new(String::new()));
         let text = Arc::clone(&screen);
-        thread::spawn(move || {
+        let reader = thread::spawn(move || {
             let mut bytes = [0; 4096];
             while let Ok(count @ 1..) = output.read(&mut bytes) {
                 text.lock().unwrap().push_str(&String::from_utf8_lossy(&bytes[..count]));
             }
         });
-        Self { child, keys, screen, read_to: 0 }
+        Self { child, keys, screen, reader, read_to: 0 }
     }
 
     fn screen(&self) -> String {
@@ -60,6 +61,8 @@ impl OperatorTerminal {
     #[track_caller]
     fn wait_for_exit(mut self, exits: &[i32]) -> String {
         self.child.wait_for_exit(exits);
+        // The reader ends when the program's terminal is closed and all of its output is read.
+        wait_until("the terminal stays open", || self.reader.is_finished());
         self.screen()
     }
 }
