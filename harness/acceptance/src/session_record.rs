@@ -106,7 +106,7 @@ pub struct StepRecord {
     /// True if the step has ended. A resumed session does not repeat it.
     pub done: bool,
     pub verdict: Option<Verdict>,
-    /// Result of the step, or why it did not pass.
+    /// Why the step did not pass; otherwise a short summary of its result.
     pub reason: Option<String>,
     pub attempts: Vec<Attempt>,
     /// True if the controller was lost or did not confirm 0 V.

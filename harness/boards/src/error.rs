@@ -16,7 +16,7 @@ pub enum BoardError {
     #[error(transparent)]
     File(#[from] FileError),
     #[error(
-        "{}: the stored state of the board is damaged: {source}; expected the content that platebench wrote",
+        "{}: the file is damaged: {source}; expected the state of the board as platebench wrote it",
         path.display()
     )]
     State { path: PathBuf, source: serde_json::Error },

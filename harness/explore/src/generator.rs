@@ -174,9 +174,12 @@ impl<'a> Generator<'a> {
         let [low, high] = course.range();
         let amplitude = if high > low { (high - low) / 2.0 } else { 0.25 };
         let mean = f64::midpoint(low, high).max(amplitude);
-        // The steepest slope of the sine does not exceed the largest rate.
+        // The steepest slope of the sine does not exceed the largest rate. If it would at 0.1 Hz, the course stays.
         let highest_tenths = (full_rate / (TAU * amplitude) * 10.0) as u32;
-        let frequency_tenths = (10 + draw.sine * SINE_STEP_TENTHS).min(highest_tenths).max(1);
+        if highest_tenths == 0 {
+            return;
+        }
+        let frequency_tenths = (10 + draw.sine * SINE_STEP_TENTHS).min(highest_tenths);
         let [mean, amplitude] = [mean, amplitude].map(|value| (value * 100.0).round() as i32);
         *course = Course::Sine { mean, amplitude, frequency_tenths };
     }

@@ -54,8 +54,8 @@ pub struct Crossing {
 }
 
 /// Appends the crossings between `start` and `end` to `found`. The state is `from` at `start` and
-/// `after(t)` t seconds later. From t on, W changes by less than d µm during `seconds_within(t, d)`
-/// seconds, so the search skips them.
+/// `after(t)` t seconds later. From t on, W changes by less than d µm for `seconds_within(t, d)`
+/// seconds. If d is the distance to the band, the search skips this time.
 pub(crate) fn find_crossings(
     monitor: &BandMonitor,
     after: &impl Fn(f64) -> State,

@@ -56,9 +56,11 @@ pub enum TrialFinding {
     },
     #[error("{bounds}, expected {limit}")]
     IntervalOutside { bounds: Bounds, limit: Limit },
-    #[error("{bounds}, because the signal is known at control instants only; this does not decide {limit}")]
+    #[error(
+        "{bounds}, because the signal is known at control instants only; this does not decide whether it is {limit}"
+    )]
     CoarseSamples { bounds: Bounds, limit: Limit },
-    #[error("{bounds} including the error of the simulation, which does not decide {limit}")]
+    #[error("{bounds} including the error of the simulation; this does not decide whether it is {limit}")]
     SimulationError { bounds: Bounds, limit: Limit },
 }
 
@@ -173,7 +175,10 @@ impl fmt::Display for Reason {
             }
             Self::Undecided { trials, bounds, limit, cause } => {
                 let cause = cause.map_or_else(String::new, |cause| format!(": {cause}"));
-                write!(formatter, "{trials} trials show a value {bounds}, which does not decide {limit}{cause}")
+                write!(
+                    formatter,
+                    "{trials} trials show a value {bounds}; this does not decide whether it is {limit}{cause}"
+                )
             }
             Self::NoVariation { trials } => {
                 write!(formatter, "all {trials} trials gave the same value, which shows no repeatability")

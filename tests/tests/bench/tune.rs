@@ -162,7 +162,7 @@ class Serial:
 
 #[rstest]
 #[case::takes_them("tuple(gains) if bits & 1 else ()", 0, "accepted the gains")]
-#[case::keeps_its_own("()", 2, "reports other gains than those sent")]
+#[case::keeps_its_own("()", 2, ", expected those sent: ")]
 fn a_controller_that_ignores_the_gains_is_an_error(#[case] gains: &str, #[case] expected: i32, #[case] message: &str) {
     let folder = TestFolder::new();
     fs::copy(workspace_root().join("docs/examples/controller.py"), folder.join("mine.py")).unwrap();

@@ -64,7 +64,8 @@ fn play_step(
     let scenario = step_scenario(inputs.path(), config.plate, &step).or_invalid()?;
     let (firmware, accepted) = configure_rig(rig, step.law, &scenario, clock, end)?;
     if !gains_match(accepted, step.gains) {
-        return Err(Failure::invalid(&format!("{firmware} reports other gains than those sent: {accepted:?}")));
+        let message = format!("{firmware} reports the gains {accepted:?}, expected those sent: {:?}", step.gains);
+        return Err(Failure::invalid(&message));
     }
     let folder = RunFolder::create(config.out).or_invalid()?;
     let overrides = Overrides { board: config.board.selection.board.clone(), ..Overrides::default() };

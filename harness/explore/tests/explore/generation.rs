@@ -2,10 +2,12 @@
 
 use crate::fixtures::configuration;
 use platebench_explore::coverage::{ChangeKind, Coverage};
+use platebench_explore::scene::Course;
 use platebench_scenario::load;
 use platebench_wire::LawId;
 use rstest::rstest;
 use std::collections::BTreeSet;
+use std::f64::consts::TAU;
 
 #[test]
 fn a_scene_does_not_depend_on_other_scenes() {
@@ -34,6 +36,25 @@ fn every_scene_loads(#[case] law: LawId) {
         let scenario = scenario.unwrap_or_else(|fault| panic!("scene {index}: {fault}\n{}", text.scenario));
         assert_eq!(scenario.between.len(), scene.earlier.len());
     }
+}
+
+#[rstest]
+#[case::slower_than_a_sine_of_a_tenth_of_a_hertz(0.1)]
+#[case::faster(200.0)]
+fn sines_stay_below_the_largest_rate(#[case] highest: f64) {
+    let mut config = configuration(LawId::DqPi, 1);
+    config.envelope.range.force_rate_n_per_s = [0.01, highest];
+    let slopes = (0..400).filter_map(|index| match config.generator().tree(index).unwrap().current().judged.force {
+        // Force in hundredths of a newton, frequency in tenths of a hertz.
+        Course::Sine { amplitude, frequency_tenths, .. } => {
+            Some(TAU * f64::from(amplitude) / 100.0 * f64::from(frequency_tenths) / 10.0)
+        }
+        Course::Hold(_) | Course::Linear(_) => None,
+    });
+    let slopes: Vec<f64> = slopes.collect();
+    assert!(highest < 1.0 || slopes.len() >= 10, "{slopes:?}");
+    // The amplitude is rounded to a hundredth of a newton.
+    assert!(slopes.iter().all(|slope| *slope <= highest * 1.05), "{slopes:?}");
 }
 
 #[test]

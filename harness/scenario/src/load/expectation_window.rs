@@ -129,7 +129,7 @@ impl Checker<'_> {
             let response = trial.changes.response_window(from).unwrap_or(window);
             window = Window { from: response.from, to: until.unwrap_or(response.to) };
             self.require(window.from < window.to, "until_ms", || {
-                format!("{}, expected after the setpoint step at {}", window.to, window.from)
+                format!("the window ends at {}, expected after the setpoint step at {}", window.to, window.from)
             })?;
         } else if metric == Metric::ShutdownTime {
             self.require(from.is_some(), "from_ms", || {
