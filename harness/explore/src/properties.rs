@@ -110,7 +110,7 @@ const DEVIATION_FACTOR: f64 = 2.0;
 /// Control periods after a step within which a law that steers mistakes a change of the damping for
 /// a late drive.
 const STEERING_PERIODS: u32 = 6;
-/// Time constant of the slowest holding loop, µs.
+/// Closed-loop time constant of the slowest law that holds the amplitude (`deadbeat`), µs.
 const CLOSED_LOOP_US: u32 = 1_000;
 /// Relative change of |W| per relative change of the damping, when the law adopts the new damping.
 const DEVIATION_OF_MISMATCH: f64 = 0.2;

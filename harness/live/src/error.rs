@@ -18,7 +18,7 @@ pub enum LiveViewError {
     #[cfg(feature = "screen")]
     #[error("the terminal reports {columns} x {rows} cells, expected at most {MAX_CELLS} in total")]
     Size { columns: u16, rows: u16 },
-    #[error("the program runs in the background of its terminal")]
+    #[error("platebench runs as a background job of the terminal; bring it to the foreground (fg)")]
     Background,
     #[error(transparent)]
     Io(#[from] io::Error),

@@ -3,9 +3,10 @@
 use platebench_trace::Row;
 use std::collections::VecDeque;
 
-/// Time slices per window, two for each character of the widest chart.
+/// Time slices per window: two for each character of the widest chart, because a Braille character
+/// has two columns of dots.
 const SLICES: f64 = 512.0;
-/// The curve has a gap if two rows are further apart than this many row distances.
+/// The curve has a gap if two rows are further apart than this many times the usual distance.
 const GAP_SPACINGS: f64 = 3.5;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

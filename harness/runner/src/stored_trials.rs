@@ -19,7 +19,7 @@ pub enum CompareError {
     #[error("{}: this trace is not in a run folder, so its scenario is unknown; \
         expected --against BASELINE.toml", .0.display())]
     NoScenario(PathBuf),
-    #[error("{}: {count} scenarios, expected a run of one scenario as the reference of a trace", path.display())]
+    #[error("{}: the run has {count} scenarios, expected one: a single trace is compared with it", path.display())]
     SeveralScenarios { path: PathBuf, count: usize },
     #[error("{}: {source}", path.display())]
     Io { path: PathBuf, source: std::io::Error },

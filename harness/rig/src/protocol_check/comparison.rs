@@ -132,7 +132,8 @@ impl<'a> Comparison<'a> {
             return Err(Difference { text, other_cause: Some(BenchCause::LateTicks) });
         }
         if let Some(drift) = self.ticks.drift() {
-            let text = format!("ticks drift by {drift:.1?} from their periods");
+            let text =
+                format!("the ticks of the controller drifted by {drift:.1?}, expected at most a quarter of the period");
             return Err(Difference { text, other_cause: Some(BenchCause::LateTicks) });
         }
         for (position, expected) in reference.answers.iter().enumerate() {

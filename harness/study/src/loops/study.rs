@@ -67,8 +67,8 @@ pub struct StabilityMap {
     pub delays: Vec<f64>,
     /// Indexed by period, then by delay.
     pub spectral_radius: Vec<Vec<f64>>,
-    /// 5 % settling time of the firmware from rest, s, indexed in the same way. `None` if it does
-    /// not settle.
+    /// 5 % settling time of the loop with the f32 controller, from rest, s, indexed as
+    /// `spectral_radius`. `None` if it does not settle.
     pub settling: Vec<Vec<Option<f64>>>,
     /// Period and measured delay boundary, s.
     pub measured: Vec<(f64, f64)>,
