@@ -173,6 +173,9 @@ impl fmt::Display for Reason {
             Self::Outside { value, bounds, limit, diverged } => {
                 write!(formatter, "{}, {bounds}, expected {limit}{}", format_value(*value), suffix(diverged))
             }
+            Self::Undecided { cause: Some(cause @ WideBoundsCause::TooFewForQuantile { .. }), .. } => {
+                write!(formatter, "too few trials to decide: {cause}")
+            }
             Self::Undecided { trials, bounds, limit, cause } => {
                 let cause = cause.map_or_else(String::new, |cause| format!(": {cause}"));
                 write!(

@@ -1,5 +1,6 @@
 use super::*;
 use platebench_record::EvidenceMethod;
+use std::iter;
 
 #[test]
 fn trials_without_a_failure_bound_the_failure_rate() {
@@ -81,6 +82,16 @@ fn a_quantile_is_demonstrated_by_ranks(
         trial.measures = vec![Measure::Missing(MissingValue::NotRunning)];
     }
     assert_eq!(verdict_and_cause(&scenario, &never), expected);
+}
+
+#[rstest]
+#[case(58, &[], "too few trials to decide: a bound of the 95 % quantile needs 59 trials, 58 were run")]
+#[case(59, &[3.0], "59 trials show a value between 1.9000 and 3.0000; this does not decide whether it is ≤ 2")]
+fn an_undecided_quantile_states_what_is_missing(#[case] count: usize, #[case] beyond: &[f64], #[case] text: &str) {
+    let expect = "metric = \"settling_time_ms\", at_most = 2.0, over = \"quantile\"";
+    let values: Vec<f64> = beyond.iter().copied().chain(iter::repeat(1.9)).take(count).collect();
+    let record = judge_single_expectation(&varied_scenario(expect, count as u32), &trials_with_values(&values));
+    assert_eq!(record.reason.unwrap().to_string(), text);
 }
 
 #[test]
