@@ -85,7 +85,7 @@ fn a_quantile_is_demonstrated_by_ranks(
 }
 
 #[rstest]
-#[case(58, &[], "too few trials to decide: a bound of the 95 % quantile needs 59 trials, 58 were run")]
+#[case(58, &[], "too few trials to decide: a bound of the 95.00 % quantile needs 59 trials, 58 were run")]
 #[case(59, &[3.0], "59 trials show a value between 1.9000 and 3.0000; this does not decide whether it is ≤ 2")]
 fn an_undecided_quantile_states_what_is_missing(#[case] count: usize, #[case] beyond: &[f64], #[case] text: &str) {
     let expect = "metric = \"settling_time_ms\", at_most = 2.0, over = \"quantile\"";
