@@ -174,7 +174,8 @@ impl<'a> Generator<'a> {
         let [low, high] = course.range();
         let amplitude = if high > low { (high - low) / 2.0 } else { 0.25 };
         let mean = f64::midpoint(low, high).max(amplitude);
-        // The steepest slope of the sine does not exceed the largest rate. If it would at 0.1 Hz, the course stays.
+        // The steepest slope of the sine does not exceed the largest rate. If it would exceed it at
+        // 0.1 Hz, the course stays without a sine.
         let highest_tenths = (full_rate / (TAU * amplitude) * 10.0) as u32;
         if highest_tenths == 0 {
             return;
