@@ -254,7 +254,7 @@ impl VaryingFlow {
         State { w, u: J * (end.omega * scale) * (slow - fast) - end.shear * w }
     }
 
-    /// Parts of W, µm: the first has the frequency ω − ω_drive, the second −ω − ω_drive.
+    /// Parts of W, µm, with the frequencies `ω − ω_e` and `−ω − ω_e`. `ω_e` is the excitation.
     fn pole_amplitudes(&self, now: Oscillation) -> (Complex64, Complex64) {
         let State { w, u } = self.state;
         let quadrature = -J * (u + now.shear * w) / now.omega;
