@@ -102,7 +102,8 @@ impl ChainOutcome {
     pub(crate) fn search_text(&self, worst: Option<&Row>) -> String {
         match worst {
             Some(row) => format!(
-                "worst case: trial {}, margin {:.4} (negative: failed); the search needed {} trials for its first failure\n",
+                "worst case: trial {}, margin {:.4} (negative: failed); \
+                 the search needed {} trials for its first failure\n",
                 row.trial,
                 row.margin(),
                 self.first_failure.unwrap_or_default(),
