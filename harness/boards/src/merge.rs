@@ -18,7 +18,7 @@ pub enum MergeError {
     Stored(#[from] RejudgeError),
     #[error(transparent)]
     Folder(#[from] FolderError),
-    #[error("{}: is a joined run, expected the runs that it was made of", .0.display())]
+    #[error("{}: is a run that `platebench merge` wrote; name the runs that it was made of", .0.display())]
     AlreadyMerged(PathBuf),
     #[error(
         "{}: {what} is {found}, but {expected} in {}; only runs with the same value can be joined",

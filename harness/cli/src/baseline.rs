@@ -80,7 +80,7 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
     let ReviewArgs { run, baselines, false_alarm_rate: rate } = arguments;
     let (record, rate) = (&RunRecord::read(run).or_invalid()?, *rate);
     if record.scenarios.is_empty() {
-        return Err(Failure::new(Exit::NothingToRun, &"the run has no scenario"));
+        return Err(Failure::new(Exit::NothingToRun, &"the run contains no scenario, so there is nothing to review"));
     }
     let (mut invalid, mut verdicts) = (false, Vec::new());
     for scenario in &record.scenarios {
@@ -244,7 +244,10 @@ fn list_baselines(run: Option<&Path>, baselines: &Path) -> CommandResult {
         stdio::show(&format!("{line}\n"));
     }
     if names.is_empty() {
-        return Err(Failure::new(Exit::NothingToRun, &"there is no baseline"));
+        return Err(Failure::new(
+            Exit::NothingToRun,
+            &"there is no baseline; `platebench baseline accept RUN` makes baselines of a run",
+        ));
     }
     Ok(Exit::Passed)
 }

@@ -120,7 +120,10 @@ fn find_scenarios(arguments: &ChartArgs, default: &[PathBuf]) -> Result<Vec<Scen
     let named = if arguments.scenarios.is_empty() { default } else { &arguments.scenarios };
     let scenarios = find(named)?.scenarios;
     if scenarios.is_empty() {
-        return Err(Failure::new(Exit::NothingToRun, &"no scenario was found"));
+        return Err(Failure::new(
+            Exit::NothingToRun,
+            &"no scenario was found; name a scenario file or a folder with scenarios",
+        ));
     }
     Ok(scenarios)
 }

@@ -130,7 +130,10 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
         return Ok(Exit::Invalid);
     }
     if files.is_empty() {
-        return Err(Failure::new(Exit::NothingToRun, &"there is nothing to check"));
+        return Err(Failure::new(
+            Exit::NothingToRun,
+            &"no file was found, so there is nothing to check; name a scenario, plate, plan or configuration file, or a folder with such files",
+        ));
     }
     for warning in &warnings {
         stdio::note(&format!("warning: {warning}"));

@@ -56,7 +56,7 @@ pub(crate) fn compare(arguments: &CompareArgs) -> CommandResult {
     let comparisons = compare_all(arguments).or_invalid()?;
     stdio::show_as(arguments.format, &comparisons, || comparisons.iter().map(ComparisonOutput::text).collect());
     if comparisons.is_empty() {
-        return Err(Failure::new(Exit::NothingToRun, &"there is nothing to compare"));
+        return Err(Failure::new(Exit::NothingToRun, &"the run contains no scenario, so there is nothing to compare"));
     }
     let exit = Exit::of_verdict(Verdict::combine(comparisons.iter().map(|one| one.comparison.verdict)));
     if exit == Exit::Inconclusive && has_no_baseline(arguments) {

@@ -115,7 +115,10 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         collect_tables(path, &mut files)?;
     }
     if files.is_empty() {
-        return Err(Failure::new(Exit::NothingToRun, &"there is no recording"));
+        return Err(Failure::new(
+            Exit::NothingToRun,
+            &"no recording was found; name a run folder, a trace or a CSV file",
+        ));
     }
     if let Some(path) = arguments.out.as_ref().filter(|path| path.exists()) {
         return Err(Failure::invalid(&format!("{} exists already, expected another name", path.display())));

@@ -13,13 +13,16 @@ pub(crate) fn check_not_empty(found: &FoundScenarios) -> Result<(), Failure> {
         return Err(nothing_to_run());
     }
     for folder in &found.empty_folders {
-        stdio::error(&format!("{}: there is nothing to run below it", folder.display()));
+        stdio::error(&format!("{}: no scenario was found below this folder", folder.display()));
     }
     if found.empty_folders.is_empty() { Ok(()) } else { Err(Exit::NothingToRun.into()) }
 }
 
 pub(crate) fn nothing_to_run() -> Failure {
-    Failure::new(Exit::NothingToRun, &"there is nothing to run")
+    Failure::new(
+        Exit::NothingToRun,
+        &"no scenario was found or selected, so there is nothing to run; name a scenario file or a folder with scenarios",
+    )
 }
 
 /// Loads the scenarios of the files and folders `paths` that `tags` and `keep` select. Fails if

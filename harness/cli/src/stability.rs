@@ -81,7 +81,9 @@ fn analyse(arguments: &StabilityArgs) -> Result<String, Failure> {
 
 fn delay_of_run(run: &Path) -> Result<RigDelay, Failure> {
     let record = RunRecord::read(run).or_invalid_at(run)?;
-    let delay = rig_delay(&record).ok_or("no trial has a loop delay").or_invalid_at(run)?;
+    let delay = rig_delay(&record)
+        .ok_or("no trial of this run has a loop delay, because the controller never answered")
+        .or_invalid_at(run)?;
     let [typical, longest] = [delay.typical_ms * 1e3, delay.longest_ms * 1e3];
     let is_in_range = (0.0..=HIGHEST_DELAY_US).contains(&longest) && (0.0..=longest).contains(&typical);
     let wrong =

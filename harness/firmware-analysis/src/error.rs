@@ -15,8 +15,8 @@ pub enum AnalysisError {
     Rig(#[from] RigError),
     #[error("{file}: fails with the unchanged firmware ({reason}); expected a suite that passes")]
     FailingScenario { file: String, reason: String },
-    #[error("the firmware plays none of the scenarios")]
-    NothingApplicable,
+    #[error("the firmware can play none of the scenarios:\n  {}", .0.join("\n  "))]
+    NothingApplicable(Vec<String>),
     #[error("the ELF has no function symbols in flash, expected an image that is not stripped")]
     NoFunctions,
     #[error("no function or file matches `{0}`")]

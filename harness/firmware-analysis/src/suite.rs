@@ -64,7 +64,7 @@ impl Suite {
             }
         }
         session.close();
-        if suite.scenarios.is_empty() { Err(AnalysisError::NothingApplicable) } else { Ok(suite) }
+        if suite.scenarios.is_empty() { Err(AnalysisError::NothingApplicable(suite.not_applicable)) } else { Ok(suite) }
     }
 
     fn elf(&self) -> Result<Vec<u8>, AnalysisError> {

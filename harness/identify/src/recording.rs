@@ -37,7 +37,7 @@ pub enum RecordingError {
     TooLong(usize),
     #[error("the drive is 0 V throughout, expected a step")]
     NoDrive,
-    #[error("the time of sample {0} is not later than the time before it")]
+    #[error("sample {0}: its time is not after that of the previous sample; times must increase")]
     NotInOrder(usize),
     #[error(
         "temperature and force have more than {MOST_CONDITIONS} levels, or a level has fewer than {FEWEST_HELD} \

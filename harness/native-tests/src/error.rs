@@ -16,7 +16,7 @@ pub enum SuiteError {
     Connect(ConnectError),
     #[error("{}", render_all(.0))]
     Scenarios(Vec<Diagnostic>),
-    #[error("there is nothing to run below {}", .0.display())]
+    #[error("{}: no scenario was found below this folder", .0.display())]
     NoScenarios(PathBuf),
 }
 

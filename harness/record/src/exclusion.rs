@@ -56,7 +56,7 @@ pub enum Exclusion {
     #[error("it is not known whether finger and temperature were those of the scenario")]
     UnknownConditions,
     #[error(
-        "the finger pressed with {force_n:.2} N at {at_ms} ms, expected {}; {wrong_rows} of {rows} rows are off",
+        "the finger pressed with {force_n:.2} N at {at_ms} ms, expected {}; {wrong_rows} of {rows} rows have another force",
         range(*expected_n)
     )]
     WrongForce {

@@ -12,7 +12,7 @@ pub enum RigError {
         platebench_wire::VERSION
     )]
     NoAnswer { expected: &'static str },
-    #[error("this rig cannot be used in real time")]
+    #[error("this rig cannot be used in real time; use --clock lockstep")]
     NoRealTime,
     #[error("the controller was restarted in the middle of a trial")]
     Restarted,

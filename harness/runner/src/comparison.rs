@@ -62,7 +62,7 @@ impl Reference {
         match self {
             Self::SameTubes(golden) => compare_with_tubes(golden, scenario),
             Self::PerTrial(others) => compare_trial_by_trial(others, scenario),
-            Self::Nothing => Ok(empty_comparison("no reference response found for this scenario")),
+            Self::Nothing => Ok(empty_comparison("the reference does not contain this scenario")),
         }
     }
 }
@@ -104,7 +104,7 @@ fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> 
     let (outside, trials) = (all.outside, all.trials);
     all.reason = match all.verdict {
         Verdict::Pass => None,
-        Verdict::Fail => Some(format!("{outside} of {trials} trials lie outside")),
+        Verdict::Fail => Some(format!("{outside} of {trials} trials are outside the tube")),
         Verdict::Inconclusive => reasons.into_iter().next().or(all.reason),
     };
     Ok(all)

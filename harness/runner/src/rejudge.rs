@@ -173,7 +173,7 @@ pub(crate) fn load_stored_scenario(folder: &Path, stored: &ScenarioRecord) -> Re
     let copies: Vec<_> = stored.inputs.iter().map(|input| folder.join(&input.file)).collect();
     let mut scenario = load_copies(&copies, &stored.file)?;
     if scenario.inputs.len() != stored.inputs.len() {
-        return Err(incomplete("does not name all inputs"));
+        return Err(incomplete("names fewer inputs than the run was made with"));
     }
     for ((now, then), copy) in scenario.inputs.iter().zip(&stored.inputs).zip(&copies) {
         check_hash(copy, sha256(&now.bytes), &then.sha256)?;

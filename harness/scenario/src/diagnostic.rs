@@ -35,8 +35,12 @@ impl Diagnostic {
     }
 
     /// `key` is a dotted path such as `expect.0.metric`. If it is missing, the diagnostic points at
-    /// its nearest parent.
+    /// its nearest parent. The message starts with the name of the key, unless it contains that name.
     pub fn at_key(path: &Path, source: &str, key: &str, message: impl Into<String>) -> Self {
+        let message = message.into();
+        let name = key.rsplit('.').find(|part| part.parse::<usize>().is_err()).unwrap_or(key);
+        let mut words = message.split(|letter: char| !letter.is_alphanumeric() && letter != '_');
+        let message = if words.any(|word| word == name) { message } else { format!("`{name}`: {message}") };
         Self::at_span(path, source, span_of_key(source, key), message)
     }
 

@@ -82,9 +82,11 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
         if let [first, second] = pair
             && first.name() == second.name()
         {
-            let other = first.inputs.first().map_or(Path::new(""), |input| &input.path).display();
-            let message = format!("two scenarios are named {}, the other one is {other}", first.file);
-            faults.push(second.diagnostic("title", message));
+            let path =
+                |scenario: &Scenario| scenario.inputs.first().map(|input| input.path.clone()).unwrap_or_default();
+            let message =
+                format!("has the name {} in records, like {}; rename one of them", first.file, path(first).display());
+            faults.push(Diagnostic::for_file(&path(second), message));
         }
     }
     if faults.is_empty() { Ok(found) } else { Err(faults) }

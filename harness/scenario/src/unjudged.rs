@@ -68,10 +68,19 @@ mod tests {
 
     #[rstest]
     #[case::covered("\"peak_deviation_percent\"\nfrom_ms = 10.0", "")]
-    #[case::starts_later("\"peak_deviation_percent\"\nfrom_ms = 11.0", "the force changes at 10 ms, in no window")]
-    #[case::ends_before("\"peak_deviation_percent\"\nuntil_ms = 20.0", "the force changes at 20 ms, in no window")]
-    #[case::steady_state_only("\"static_error_percent\"", "the force changes at 10 ms, 20 ms, in no window")]
-    #[case::not_about_the_plate("\"overruns\"", "the force changes at 10 ms, 20 ms, in no window")]
+    #[case::starts_later(
+        "\"peak_deviation_percent\"\nfrom_ms = 11.0",
+        "`finger_force_n`: the force changes at 10 ms, in no window"
+    )]
+    #[case::ends_before(
+        "\"peak_deviation_percent\"\nuntil_ms = 20.0",
+        "`finger_force_n`: the force changes at 20 ms, in no window"
+    )]
+    #[case::steady_state_only(
+        "\"static_error_percent\"",
+        "`finger_force_n`: the force changes at 10 ms, 20 ms, in no window"
+    )]
+    #[case::not_about_the_plate("\"overruns\"", "`finger_force_n`: the force changes at 10 ms, 20 ms, in no window")]
     fn warns_of_a_disturbance_outside_all_windows(#[case] expectation: &str, #[case] message: &str) {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("plate.toml"), PLATE).unwrap();

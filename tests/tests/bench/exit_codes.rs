@@ -111,7 +111,7 @@ fn a_named_folder_without_scenarios_is_not_a_pass() {
     folder
         .bench(["run", "scenarios", "more", "--out", "run"])
         .assert_exit(4)
-        .assert_stderr(&["more: there is nothing to run below it"]);
+        .assert_stderr(&["more: no scenario was found below this folder"]);
     assert!(!folder.exists("run"));
 }
 

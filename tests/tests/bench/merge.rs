@@ -31,7 +31,10 @@ fn shards_are_joined_and_a_missing_one_is_reported() {
     folder.bench(["report", "all"]).assert_exit(0);
     folder.bench(["merge", "one", "two", "one", "--out", "twice"]).assert_exit(2).assert_stderr(&["trial 0 of s.toml"]);
     assert!(!folder.exists("twice"));
-    folder.bench(["merge", "all", "--out", "again"]).assert_exit(2).assert_stderr(&["is a joined run"]);
+    folder
+        .bench(["merge", "all", "--out", "again"])
+        .assert_exit(2)
+        .assert_stderr(&["is a run that `platebench merge` wrote"]);
 }
 
 #[test]

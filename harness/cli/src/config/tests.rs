@@ -109,7 +109,7 @@ fn the_nearest_file_upwards_applies() {
 #[case("rig = \"can:0\"", "1:7: invalid value 'can:0' for '--rig <RIG>'")]
 #[case("format = \"xml\"", "1:10: invalid value 'xml' for '--format <FORMAT>'")]
 #[case("[run]\nlaw = \"dq-pid\"", "2:7: invalid value 'dq-pid' for '--law <NAME>'")]
-#[case("[run]\ntime_scale = 0.0009", "2:14: invalid value '0.0009'")]
+#[case("[run]\ntime_scale = 0.0009", "2:14: `time_scale`: invalid value '0.0009'")]
 #[case("[run]\ntime_scale = 0.001", "")]
 #[case("[run]\ntrials = 100001", "2:10: invalid value '100001'")]
 #[case("[run]\nseed = -1", "2:8: invalid value '-1'")]

@@ -126,7 +126,7 @@ impl TuneArgs {
         let micros = self.period_ms * 1e3;
         if (micros - micros.round()).abs() > 1e-6 || micros < MIN_PERIOD_US {
             return Err(format!(
-                "--period-ms {}: expected whole microseconds, at least {MIN_PERIOD_US}",
+                "--period-ms {}: expected a multiple of 1 µs, at least {MIN_PERIOD_US} µs",
                 self.period_ms
             ));
         }

@@ -34,7 +34,7 @@ pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) 
         return Err(scenario.diagnostic("controller.law", message));
     }
     if scenario.controller.design_delay != Time::ZERO {
-        let message = "the gains are designed for a law without a design delay";
+        let message = "the gains are for a law that does not compensate a delay; remove this key";
         return Err(scenario.diagnostic("controller.design_delay_ms", message));
     }
     let Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki } = gains;

@@ -169,7 +169,7 @@ fn an_invalid_scenario_stops_the_whole_suite(#[case] arguments: &[&str]) {
 fn an_empty_folder_is_an_error() {
     let project = SuiteProject::new();
     let (code, output) = project.run_tests(&[]);
-    assert_eq!((code, &*output), (4, "error: there is nothing to run below scenarios\n"));
+    assert_eq!((code, &*output), (4, "error: scenarios: no scenario was found below this folder\n"));
 }
 
 #[rstest]

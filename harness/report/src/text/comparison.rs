@@ -34,7 +34,7 @@ mod tests {
             [
                 "✗ fail  paper/step.toml  (2 trials)",
                 "  trial 7: amplitude_um is 2.5 µm at 10 ms, 0.48 µm outside ± 0.02 µm around 2 µm",
-                "  1 of 2 trials lie outside",
+                "  1 of 2 trials are outside the tube",
             ]
         );
     }

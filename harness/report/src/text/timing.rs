@@ -53,7 +53,7 @@ pub(crate) fn summary(scenario: &ScenarioRecord) -> Option<String> {
     );
     let steal_ms: f64 = trials.iter().filter_map(|timing| timing.steal_ms).sum();
     if steal_ms > 0.0 {
-        parts.push(format!("the hypervisor took {steal_ms:.0} ms from this machine"));
+        parts.push(format!("the hypervisor took {steal_ms:.0} ms of processor time from this machine"));
     }
     if first.scheduling != "SCHED_FIFO" {
         parts.push(first.scheduling.clone());

@@ -58,7 +58,7 @@ fn compares_the_delay_with_the_budget() {
         summary([Some(timing()), Some(second)]).unwrap(),
         "real time, paced by the bench; loop delay 210 µs median, 525 µs maximum, 20 % and 50 % of the 1050 µs of the \
          law's budget; samples late by 4 µs median, 61 µs maximum; 2 overruns, 1 missed replies in 120 periods; \
-         controller's clock +12 ± 3 ppm; the hypervisor took 20 ms from this machine"
+         controller's clock +12 ± 3 ppm; the hypervisor took 20 ms of processor time from this machine"
     );
 }
 

@@ -30,7 +30,7 @@ pub enum ReplayError {
         .0.display()
     )]
     NoRun(PathBuf),
-    #[error("{}: the recording contains no sample that can be replayed", .0.display())]
+    #[error("{}: no row is a sample that the controller answered, expected at least one", .0.display())]
     NoSample(PathBuf),
     #[error(
         "{}: the first samples are {found_ms:.3} ms apart, expected the period of the controller, {expected_ms:.3} ms",

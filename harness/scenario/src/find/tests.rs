@@ -126,7 +126,7 @@ fn rejects_two_scenarios_of_one_name() {
     let folder = create_tree(&["a/x.toml", "b/x.toml", "c/x.toml"]);
     let errors = find_errors(&folder, &["a", "b", "c"]);
     assert_eq!(errors.len(), 2, "{errors:?}");
-    assert_eq!(errors[0], "b/x.toml:1:9: two scenarios are named x.toml, the other one is a/x.toml");
+    assert_eq!(errors[0], "b/x.toml: has the name x.toml in records, like a/x.toml; rename one of them");
 }
 
 #[test]

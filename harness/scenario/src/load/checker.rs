@@ -96,7 +96,7 @@ impl<'a> Checker<'a> {
 
     pub(super) fn f32_range(&self, key: &str, value: f64) -> Result<f64, Diagnostic> {
         self.require((value as f32).is_finite(), key, || {
-            format!("{value:e}, expected at most 3.4e38: the wire carries single precision")
+            format!("{value:e}, expected -3.4e38 to 3.4e38: the wire carries single precision")
         })?;
         Ok(value)
     }

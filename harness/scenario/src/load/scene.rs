@@ -44,7 +44,7 @@ impl Checker<'_> {
             }));
             faults.record_error(self.require(controller.loop_delay < duration, "controller.loop_delay_ms", || {
                 format!(
-                    "{}, expected less than the scenario's duration of {duration}, otherwise no command acts",
+                    "{}, expected less than the scenario's duration of {duration}: no command would act",
                     controller.loop_delay
                 )
             }));

@@ -77,16 +77,20 @@ fn a_calibration_is_valid_through_its_last_day() {
 
 #[rstest]
 #[case::unknown_key("serial =", "seriel =", "budget.toml:4:1")]
-#[case::no_serial("\"LV-1\"", "\" \"", "budget.toml:4:10: empty, expected a text")]
-#[case::date("2026-03-01", "1.3.2026", "budget.toml:5:14: `1.3.2026`, expected a date")]
-#[case::due("2027-02-28", "2025-02-28", "budget.toml:6:7: 2025-02-28 is before the calibration")]
-#[case::quantity("\"static_error_percent\"", "\"static_error\"", "budget.toml:8:12: `static_error`, expected one of")]
+#[case::no_serial("\"LV-1\"", "\" \"", "budget.toml:4:10: `serial`: empty, expected a text")]
+#[case::date("2026-03-01", "1.3.2026", "budget.toml:5:14: `calibrated`: `1.3.2026`, expected a date")]
+#[case::due("2027-02-28", "2025-02-28", "budget.toml:6:7: `due`: 2025-02-28 is before the calibration")]
+#[case::quantity(
+    "\"static_error_percent\"",
+    "\"static_error\"",
+    "budget.toml:8:12: `quantity`: `static_error`, expected one of"
+)]
 #[case::instrument("instrument = \"vibrometer\"", "instrument = \"laser\"", "no [[instrument]] with the name `laser`")]
 #[case::both("expanded = 0.6", "expanded = 0.6\nstandard = 0.3", "expected exactly one of")]
 #[case::none("expanded = 0.6\n", "", "expected exactly one of")]
 #[case::normal_width("expanded = 0.6", "half_width = 0.6", "a normal distribution has no half width")]
 #[case::wide_normal("half_width = 2.0", "expanded = 2.0", "only for a normal distribution")]
-#[case::negative("expanded = 0.6", "expanded = -0.6", "budget.toml:12:12: -0.6, expected a finite number")]
+#[case::negative("expanded = 0.6", "expanded = -0.6", "budget.toml:12:12: `expanded`: -0.6, expected a finite number")]
 #[case::sensitivity("-0.1", "0.0", "expected a finite number other than 0")]
 #[case::freedom("= 12", "= 0.5", "0.5, expected 1 to 1e9")]
 #[case::factor("half_width = 2.0", "half_width = 2.0\ncoverage_factor = 2.0", "belongs to `expanded`")]

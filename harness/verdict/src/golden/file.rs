@@ -273,7 +273,10 @@ fn parse_tubes(head: &BaselineHeader, path: &Path, table: &str) -> Result<Vec<Tu
         };
         let width = column(&format!("{}{WIDTH}", signal.name));
         if width.is_some() != head.learned.is_some() {
-            return Err(content_error(1, format!("column `{}{WIDTH}` and [learned] need each other", signal.name)));
+            return Err(content_error(
+                1,
+                format!("the table [learned] needs a column `{}{WIDTH}`, and this column needs the table", signal.name),
+            ));
         }
         let tolerance = head.tolerance.get(signal.name).copied().unwrap_or(signal.tolerance);
         tubes.push((Tube { signal: signal.name.to_owned(), tolerance, points: Vec::new() }, value, width));

@@ -74,7 +74,7 @@ fn names_the_worst_trial() {
     assert!(["amplitude_um", "wd_um"].contains(&worst.signal.as_str()) && worst.t_ms > 5.0, "{worst:?}");
     assert!((worst.value - 1.1 * worst.golden).abs() < 3e-3, "{worst:?}");
     assert!((worst.distance + worst.allowed - 0.1 * worst.golden).abs() < 3e-3, "{worst:?}");
-    assert_eq!(comparison.reason.as_deref(), Some("3 of 4 trials lie outside"));
+    assert_eq!(comparison.reason.as_deref(), Some("3 of 4 trials are outside the tube"));
 }
 
 #[rstest]

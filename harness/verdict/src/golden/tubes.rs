@@ -100,7 +100,10 @@ impl GoldenTubes {
                 }
                 TubeMatch::Length { trial_ms: [from, to], golden_ms: [begin, end] } => {
                     other_length.get_or_insert_with(|| {
-                        format!("trial {index} runs from {from} to {to} ms, the baseline from {begin} to {end} ms")
+                        format!(
+                            "trial {index} has rows from {from} to {to} ms, expected those of the baseline, from \
+                             {begin} to {end} ms"
+                        )
                     });
                 }
             }
@@ -114,8 +117,10 @@ impl GoldenTubes {
         let rate = self.false_alarm_rate.unwrap_or(0.0);
         let expected = rate * f64::from(trials);
         let summary = match self.false_alarm_rate {
-            Some(_) => format!("{outside} of {trials} trials lie outside, expected {expected:.1} by chance"),
-            None => format!("{outside} of {trials} trials lie outside"),
+            Some(_) => {
+                format!("{outside} of {trials} trials are outside the tube; {expected:.1} are expected by chance")
+            }
+            None => format!("{outside} of {trials} trials are outside the tube"),
         };
         if trials == 0 {
             (Verdict::Inconclusive, Some("no trial to compare".to_owned()))

@@ -55,6 +55,6 @@ fn a_difference_between_trials_needs_two() {
     let with_trials = |count: &str| super::load_with_changes(&[(expect, difference), ("count = 30", count)]);
     assert!(with_trials("count = 2").unwrap().keeps_controller());
     let fault = with_trials("count = 1").err().unwrap();
-    assert_eq!(fault.message, "1 trial, expected at least 2 for trial_difference_um");
+    assert_eq!(fault.message, "`count`: 1 trial, expected at least 2 for trial_difference_um");
     assert!(super::load_with_changes(&[(expect, &format!("{difference}over = \"mean\"\n"))]).is_err());
 }

@@ -253,7 +253,10 @@ fn a_window_needs_a_constant_setpoint() {
         "{ sine = { mean = 500.0, amplitude = 0.1, frequency_hz = 50.0, phase_deg = 90.0 } }",
     ] {
         let fault = load_with_change(hold, moving).unwrap_err();
-        assert!(fault.message.starts_with("the setpoint changes between 40 ms and 60 ms"), "{moving}: {fault}");
+        assert!(
+            fault.message.starts_with("`window_ms`: the setpoint changes between 40 ms and 60 ms"),
+            "{moving}: {fault}"
+        );
     }
     for constant in [
         "{ linear = [[0.0, 0.0], [40.0, 2.0]] }",
