@@ -26,8 +26,8 @@ pub struct BaudTooLow {
     pub smallest: Option<u32>,
 }
 
-/// Lowest common rate for a sample and then its command in one period. `time_scale` is in plate
-/// seconds per wall second.
+/// Lowest common baud rate at which a sample and then its command fit into one period. `time_scale`
+/// is in plate seconds per wall second.
 pub fn minimum_baud(period: Duration, time_scale: f64) -> Option<u32> {
     let needed = 2.0 * CYCLIC_FRAME_BYTES * BITS_PER_BYTE / wall_seconds(period, time_scale);
     STANDARD_RATES.into_iter().find(|&rate| f64::from(rate) >= needed)
@@ -38,7 +38,7 @@ pub fn minimum_baud(period: Duration, time_scale: f64) -> Option<u32> {
 pub fn check_baud(baud: u32, period: Duration, time_scale: f64) -> Result<(), BaudTooLow> {
     let wall = wall_seconds(period, time_scale);
     let frame = CYCLIC_FRAME_BYTES * BITS_PER_BYTE / f64::from(baud);
-    // False if `wall` is NaN.
+    // This condition is false if `wall` is NaN.
     if frame <= wall {
         return Ok(());
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Clones share one state.
+/// All clones share one state.
 #[derive(Debug, Clone, Default)]
 pub struct CancelToken(Arc<AtomicBool>);
 
@@ -12,7 +12,7 @@ impl CancelToken {
         Self::default()
     }
 
-    /// The bench then takes trials in progress to 0 V and discards them.
+    /// After this call, the bench takes trials in progress to 0 V and discards them.
     pub fn cancel(&self) {
         self.0.store(true, Ordering::Relaxed);
     }

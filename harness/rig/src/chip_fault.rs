@@ -4,7 +4,7 @@ use std::time::Duration;
 
 #[derive(Debug, Clone, PartialEq)]
 pub enum ChipFaultKind {
-    /// `draw` modulo the number of bits selects the bit.
+    /// Flips one bit of `length` bytes at `start`: bit `draw` modulo the number of bits.
     FlipRam {
         start: u32,
         length: u32,
@@ -14,7 +14,7 @@ pub enum ChipFaultKind {
         name: String,
         draw: u64,
     },
-    /// `number` is that of GDB: r0 to r12, sp, lr, pc.
+    /// `number` is GDB's number of the register: 0 to 12 for r0 to r12, then sp, lr, pc.
     FlipRegister {
         number: usize,
         draw: u64,
@@ -53,7 +53,7 @@ pub struct ChipFault {
 
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ChipFaultPlan {
-    /// In order of time.
+    /// Sorted by time.
     pub faults: Vec<ChipFault>,
     /// The plate waits at most this long for an answer.
     pub answer_timeout: Duration,

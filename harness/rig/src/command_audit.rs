@@ -4,8 +4,8 @@ use platebench_wire::{Command, ControllerState};
 
 #[derive(Debug)]
 pub(crate) struct CommandAudit {
-    /// Drive and frequency of the reply to each sequence number. The drive is in bits, because NaN
-    /// differs from itself.
+    /// Drive and frequency of the reply to each sequence number. The drive is stored as bits,
+    /// because NaN is not equal to itself.
     replies: [Option<(u32, u32)>; 256],
     /// True from the confirmation of 0 V to the next configuration.
     is_safe: bool,
@@ -51,16 +51,14 @@ impl CommandAudit {
     }
 
     pub(crate) fn record_command(&mut self, last_sent: u8, sequence: u8, command: &Command) {
-        // A late reply to an earlier message has an older number, may have a drive and does not
-        // count.
+        // Only a reply to the last message counts, because a late one may have a drive.
         if self.is_safe && sequence == last_sent && command.drive_vpp != 0.0 {
             self.drives_after_safe += 1;
         }
         if command.state != ControllerState::Running {
             return;
         }
-        // Half of the numbers count as older than the last sent one; the others have not been sent
-        // yet.
+        // Numbers wrap. The last number and the 127 before it were sent, the others not yet.
         if last_sent.wrapping_sub(sequence) > u8::MAX / 2 {
             self.wrong_sequences += 1;
             return;

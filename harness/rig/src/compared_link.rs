@@ -18,8 +18,7 @@ impl<L: Link> ComparedLink<L> {
         Self { link, comparison: None }
     }
 
-    /// Starts a new comparison if `is_compared` is true, else ends it. Call it before the trial's
-    /// configuration.
+    /// Starts a new comparison or ends it. Call it before the trial's configuration.
     pub(crate) fn compare_with_reference(&mut self, is_compared: bool) {
         self.comparison = is_compared.then(Box::default);
     }
@@ -99,8 +98,8 @@ impl Comparison {
         Ok(())
     }
 
-    /// The difference is 100 % if only one of the two runs. A stop by the watchdog does not count,
-    /// because clocks differ.
+    /// The difference is 100 % if only target or only reference is in the state *running*. A stop
+    /// by the watchdog does not count, because their clocks differ.
     fn compare(&mut self, answer: &[u8]) {
         let is_running = |command: &Command| command.state == ControllerState::Running;
         let is_watchdog = |command: &Command| command.cause == StateCause::SampleTimeout;
@@ -111,7 +110,7 @@ impl Comparison {
             let percent = match (is_running(&command), is_running(&expected)) {
                 (true, true) => Some(difference_percent(&command, &expected, &configuration)),
                 (false, false) => None,
-                // A late command has the number of an earlier sample; its state may be old.
+                // A late command has the number of an earlier sample, and its state may be old.
                 _ if sequence != self.last_request => None,
                 _ => (!is_watchdog(&command) && !is_watchdog(&expected)).then_some(100.0),
             };
@@ -122,14 +121,13 @@ impl Comparison {
     }
 }
 
-/// A drive that is not finite adds no difference, because it is a fault of its own.
+/// A drive that is not finite adds no difference, because it is an error of its own.
 fn difference_percent(command: &Command, expected: &Command, configuration: &Configure) -> f64 {
     let [drive, frequency] = command_difference(command, expected, configuration);
     100.0 * if drive.is_finite() { drive.max(frequency) } else { frequency }
 }
 
-/// Difference of the drives relative to the drive limit, and of the frequencies relative to the
-/// frequency range.
+/// Returns the differences of drive and frequency, relative to drive limit and frequency range.
 pub(crate) fn command_difference(one: &Command, other: &Command, configuration: &Configure) -> [f64; 2] {
     let drive = (f64::from(one.drive_vpp) - f64::from(other.drive_vpp)).abs();
     let frequency_hz = f64::from(one.frequency_mhz.abs_diff(other.frequency_mhz)) * 1e-3;
@@ -146,7 +144,7 @@ mod tests {
     use platebench_wire::Sample;
     use rstest::rstest;
 
-    /// Adds to the commands of the reference from a sample on.
+    /// Controller that adds to drive and frequency from the sequence number `first_changed` on.
     struct ChangedController {
         device: HostedLink,
         first_changed: u8,
@@ -221,7 +219,7 @@ mod tests {
         assert_eq!(difference(REFERENCE(), &[fault]), Some(0.0));
     }
 
-    /// Takes a value that is not finite for 0.
+    /// Controller that replaces a Wd that is not finite by 0.
     struct IgnoresNan(HostedLink);
 
     impl Link for IgnoresNan {

@@ -54,7 +54,7 @@ impl From<ProbeError> for ConnectError {
 }
 
 impl ConnectError {
-    /// True if the input is wrong, false if the rig does not work.
+    /// True if the user's input is wrong, false if the connection failed.
     pub fn is_invalid_input(&self) -> bool {
         match self {
             Self::ProbeSupportMissing(_)
@@ -99,8 +99,7 @@ impl RigSpec {
         }
     }
 
-    /// Bits per second; `None` if the rig has no baud rate, as a pseudo-terminal, or the bench does
-    /// not know it.
+    /// Bits per second. `None` if the rig has no baud rate or the bench cannot know it (`tcp:`).
     pub fn baud(&self) -> Option<u32> {
         match self {
             Self::Serial { baud, .. } | Self::Rfc2217 { baud, .. } | Self::Probe { port: Some(_), baud, .. } => {
@@ -125,8 +124,8 @@ impl RigSpec {
         }
     }
 
-    /// True if the controller's clock runs while the plate waits. In lockstep it then needs a
-    /// longer watchdog timeout.
+    /// True if the controller's clock runs while the plate waits. Such a controller needs a longer
+    /// watchdog timeout in lockstep.
     pub fn has_own_clock(&self) -> bool {
         match self {
             Self::Hosted | Self::Emulated(_) => false,
@@ -134,12 +133,11 @@ impl RigSpec {
         }
     }
 
-    /// True if the bytes travel over a serial line or a network.
     pub fn is_line(&self) -> bool {
         matches!(self, Self::Serial { .. } | Self::Tcp(_) | Self::Rfc2217 { .. } | Self::Probe { port: Some(_), .. })
     }
 
-    /// False for RTT, because the probe polls it and takes some milliseconds per message.
+    /// False for RTT, because the debug probe polls it and takes some milliseconds per message.
     pub fn supports_real_time(&self) -> bool {
         !matches!(self, Self::Probe { port: None, .. })
     }

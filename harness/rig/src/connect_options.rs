@@ -7,9 +7,9 @@ use std::time::Duration;
 
 #[derive(Debug, Clone)]
 pub struct ConnectOptions {
-    /// Longest wait for an answer in lockstep over a line, from the last byte of the request on.
+    /// Longest wait for an answer in lockstep over a line, from the last byte of the request.
     pub reply_timeout: Duration,
-    /// Ends the waits for a program's handshake and for a debugger.
+    /// Cancels the waits for a program's handshake and for a debugger.
     pub cancel: CancelToken,
     /// The first emulated chip waits on this port for a debugger.
     pub debug_port: Option<DebugPort>,

@@ -1,5 +1,5 @@
-//! Reports a crash of the firmware. ARMv7-M Architecture Reference Manual, B1.5 and B3.2, describes
-//! the registers.
+//! Reports a crash of the firmware from the fault status registers CFSR and HFSR and the fault
+//! address registers MMFAR and BFAR (ARMv7-M Architecture Reference Manual, B1.5 and B3.2).
 
 mod backtrace;
 
@@ -18,10 +18,10 @@ const BFAR: u64 = 0xE000_ED38;
 /// Bits of CFSR that mark a valid address in MMFAR or BFAR.
 const MMFAR_VALID: u32 = 1 << 7;
 const BFAR_VALID: u32 = 1 << 15;
-/// Bits of CFSR that are set if the processor could not push its registers.
+/// Bits of CFSR that are set if the processor could not push its registers to the stack.
 const STACKING_FAILED: u32 = 1 << 12 | 1 << 4;
 
-/// Bits of CFSR (B3.2.15).
+/// Bits of CFSR and their causes (B3.2.15).
 const CAUSES: [(u32, &str); 17] = [
     (0, "instruction access violation"),
     (1, "data access violation"),
@@ -96,7 +96,7 @@ pub struct CrashReport {
     pub sp: u32,
     /// Time since power-on, if the rig knows it.
     pub at_us: Option<u64>,
-    /// True if the watchdog reset the chip while the bench read it. Place and callers are then
+    /// True if the watchdog reset the chip during the reading, so that place and callers are
     /// missing.
     pub watchdog_reset: bool,
 }

@@ -36,7 +36,6 @@ pub struct DebugPort {
 }
 
 impl DebugPort {
-    /// Port 0 takes any free port.
     pub fn bind(port: u16) -> Result<Self, DebuggerError> {
         let listen_error = |error| DebuggerError::Listen { port, error };
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port)).map_err(listen_error)?;
@@ -49,7 +48,7 @@ impl DebugPort {
         self.number
     }
 
-    /// The first caller waits for a debugger; later callers get `None`.
+    /// The first caller waits for a debugger. Later callers get `None`.
     pub(crate) fn accept(&self, cancel: &CancelToken) -> Result<Option<TcpStream>, DebuggerError> {
         let listener = self.listener.lock().unwrap_or_else(PoisonError::into_inner).take();
         let Some(listener) = listener else { return Ok(None) };

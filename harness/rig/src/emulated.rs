@@ -2,9 +2,9 @@
 //! PA3) runs at the firmware's baud rate. A command takes effect with its last stop bit, so that
 //! the loop delay contains both transmissions, the idle line after a frame, and the computing time.
 //! While the firmware sleeps, virtual time jumps to the next event. Every trial begins with a
-//! power-on, so that equal trials give equal bytes. An access without a model ends the trial, as do
-//! traps, lock-ups, resets and missing answers. Each instruction takes 1/168 µs; a real processor
-//! also waits for its flash and its pipeline.
+//! power-on, so that equal trials give equal bytes. An access that the emulator does not model ends
+//! the trial, as do traps, lock-ups, resets and missing answers. Each instruction takes 1/168 µs; a
+//! real processor also waits for its flash and its pipeline.
 
 mod board;
 mod bus;
@@ -57,7 +57,7 @@ const ANSWER_TIMEOUT_NS: u64 = 20 * NS_PER_MS;
 const OPTIONAL_ANSWER_TIMEOUT_NS: u64 = NS_PER_MS / 5;
 const HANDSHAKE_INTERVAL_NS: u64 = 10 * NS_PER_MS;
 const HANDSHAKE_TIMEOUT_NS: u64 = 1_000 * NS_PER_MS;
-/// Bounds the wall time, because the emulator may run polling firmware slower than real time.
+/// Longest wall time of the handshake, because firmware that polls may run slower than real time.
 const HANDSHAKE_WALL_TIMEOUT: Duration = Duration::from_secs(20);
 /// Minimum time from the handshake to time zero of a trial.
 const START_DELAY_NS: u64 = NS_PER_MS;
@@ -74,7 +74,7 @@ pub struct EmulatedLink {
     instructions: Option<u64>,
     target_error: Option<TargetError>,
     chip_faults: ChipFaults,
-    /// True after the handshake, when faults of the chip may act.
+    /// True after the handshake. Faults of the chip act only then.
     has_started: bool,
 }
 
@@ -87,8 +87,7 @@ impl EmulatedLink {
         Self::new(&options::read_image(elf)?, EmulatedOptions::default())
     }
 
-    /// Lets the debugger that connects to `port` control the chip. `elf` is `None` for the built-in
-    /// image.
+    /// Lets a debugger on `port` control the chip. `elf` is `None` for the built-in image.
     pub fn open_with_debugger(
         elf: Option<&Path>,
         port: &DebugPort,
@@ -138,25 +137,23 @@ impl EmulatedLink {
         self.target.stack_used()
     }
 
-    /// Starts a new recording of the instructions at `addresses`, in flash.
+    /// Starts to record which instructions at `addresses` in flash run. Discards earlier records.
     pub fn record_execution(&mut self, addresses: &BTreeSet<u32>) {
         self.target.watch(addresses);
     }
 
-    /// Recorded instructions that ran, by address. The value is true if one ran while the firmware
-    /// answered a sample.
+    /// Recorded instructions that ran, by address. The value is true if the instruction ran while
+    /// the firmware answered a sample.
     pub fn executed_instructions(&self) -> &BTreeMap<u32, bool> {
         self.target.executed_instructions()
     }
 
-    /// Overwrites the firmware in flash, also for later trials. Returns false if there is no memory
-    /// at `address`.
+    /// Overwrites flash, also for later trials. Returns false if no memory is at `address`.
     pub fn patch(&mut self, address: u32, bytes: &[u8]) -> bool {
         self.target.patch(address, bytes)
     }
 
-    /// Powers on and performs the handshake. The trial then starts at a whole millisecond of
-    /// virtual time.
+    /// Powers on and performs the handshake. The trial starts at the next whole millisecond.
     fn start(&mut self) -> Result<(), TargetError> {
         self.target_error = None;
         self.target.set_control_step(false);
@@ -201,7 +198,7 @@ impl EmulatedLink {
         self.byte_ns = (last.at_ns - first.at_ns + gaps / 2).checked_div(gaps).unwrap_or(0);
     }
 
-    /// Like [`Machine::run`], with faults of the chip at their instants.
+    /// Like [`Machine::run`], but applies the planned faults of the chip at their instants.
     fn run_target(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         while self.has_started
             && let Some(at) = self.chip_faults.next()
@@ -218,8 +215,7 @@ impl EmulatedLink {
         self.run_machine(until_ns)
     }
 
-    /// Like [`Machine::run`], but a debugger may stop the chip, also before an error ends the
-    /// trial.
+    /// Like [`Machine::run`], but a debugger may stop the chip, also before an error returns.
     fn run_machine(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         let mut stop = None;
         loop {
@@ -246,8 +242,8 @@ impl EmulatedLink {
         Ok(())
     }
 
-    /// Runs to the answer's end or `until_ns`, and completes a begun frame. Returns the end of the
-    /// last stop bit, ns.
+    /// Runs to the end of the answer or to `until_ns`, and then to the end of a frame that has
+    /// begun. Returns the end of the answer's last stop bit, ns.
     fn run_until_answer(&mut self, mut until_ns: u64) -> Result<Option<u64>, TargetError> {
         let mut read = self.received.len();
         let mut extended = false;
@@ -279,8 +275,8 @@ impl EmulatedLink {
             .saturating_add(u64::try_from(self.chip_faults.chip_time(now).as_nanos()).unwrap_or(u64::MAX))
     }
 
-    /// Runs to the trial time `now`. Moves the rest of the trial if the firmware is late, because
-    /// the plate waits for it.
+    /// Runs to the trial time `now`. If virtual time is already later, shifts the trial, because
+    /// the plate waits for the firmware.
     fn catch_up(&mut self, now: Duration) -> Result<(), TargetError> {
         let wanted = self.virtual_ns(now);
         let ahead = self.target.now_ns().saturating_sub(wanted);
@@ -314,7 +310,7 @@ impl EmulatedLink {
         }
     }
 
-    /// After an error, returns that error until the restart.
+    /// Runs `run`. After an error, returns that error until the restart.
     fn run_unless_failed<T>(
         &mut self,
         received: &mut Vec<u8>,
@@ -344,7 +340,7 @@ impl Link for EmulatedLink {
     }
 
     fn restart(&mut self) -> Result<bool, LinkError> {
-        // A failed emulator may have an invalid state and is not restarted.
+        // The state of a failed emulator may be invalid, so it is not restarted.
         if let Some(error @ TargetError::Emulator(_)) = &self.target_error {
             return Err(LinkError::Target(Box::new(error.clone())));
         }

@@ -1,8 +1,9 @@
-//! Starts a controller program, which opens its serial line, a pseudo-terminal, as `{port}`. The
-//! program runs in its own process group, so that Ctrl-C reaches only the bench, which then
-//! requests 0 V. The program's output goes to the bench's standard error, because the bench's
-//! output may be JSON. To end the program, the bench hangs up the line, then sends SIGTERM, then
-//! SIGKILL. If the bench is killed, the line hangs up and the program's own watchdog acts.
+//! Starts a controller program and exchanges messages with it over a pseudo-terminal. In the
+//! command, `{port}` stands for the path of this terminal. The program runs in its own process
+//! group, so that Ctrl-C reaches only the bench, which then requests 0 V. The program's output goes
+//! to the bench's standard error, because the bench's standard output may be JSON. To end the
+//! program, the bench hangs up the line, then sends SIGTERM, then SIGKILL. If the bench is killed,
+//! the kernel hangs up the line and the program's own watchdog acts.
 
 use crate::cancel::CancelToken;
 use crate::connect_options::ConnectOptions;
@@ -17,11 +18,10 @@ use tracing::debug;
 
 const PORT_PLACEHOLDER: &str = "{port}";
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Interval of the repeated hello, because a program that flushes its port at the start loses the
-/// first ones.
+/// The hello is repeated, because a program that flushes its port at its start loses earlier ones.
 const HANDSHAKE_INTERVAL: Duration = Duration::from_millis(100);
-/// Longest wait for the program's exit after a hang-up, because the kernel may report the hang-up
-/// first.
+/// Longest wait for the program's exit status after its line hung up, because the kernel may report
+/// the hang-up before the exit.
 const EXIT_DETECTION_TIMEOUT: Duration = Duration::from_millis(50);
 
 #[derive(Debug, thiserror::Error)]
@@ -50,7 +50,7 @@ pub enum ExecError {
 pub(crate) struct CommandLine(Vec<String>);
 
 impl CommandLine {
-    /// Splits `command` into words like a shell, but expands no variables or patterns.
+    /// Splits `command` into words like a shell, but expands no variables or file name patterns.
     pub(crate) fn parse(command: &str) -> Result<Self, ExecError> {
         let words = shlex::split(command).ok_or_else(|| ExecError::Quoting(command.to_owned()))?;
         if words.first().is_none_or(String::is_empty) {
@@ -73,8 +73,7 @@ impl CommandLine {
 
 #[derive(Debug)]
 pub struct ExecLink {
-    // Declared before `program`, because fields are dropped in this order and the line must hang up
-    // first.
+    // Declared, and so dropped, before `program`: the line must hang up before the program ends.
     port: Port<OwnedFd>,
     program: Program,
 }
@@ -84,8 +83,6 @@ impl ExecLink {
         Self::start_with(command, &ConnectOptions::default())
     }
 
-    /// Replaces `{port}` by the path of the pseudo-terminal, starts the program and waits for the
-    /// handshake.
     pub fn start_with(command: &str, options: &ConnectOptions) -> Result<Self, ExecError> {
         let words = CommandLine::parse(command)?;
         let (master, slave, name) = open_pseudo_terminal().map_err(|error| ExecError::Terminal(error.into()))?;
@@ -94,7 +91,7 @@ impl ExecLink {
         let mut exec = Self { port: master.with_reply_timeout(options.reply_timeout), program };
         exec.port.expect_silence();
         exec.wait_for_handshake(&name, &options.cancel)?;
-        // From now on the line hangs up when the program ends.
+        // Without this handle of the bench, the line hangs up when the program ends.
         drop(slave);
         Ok(exec)
     }
@@ -122,7 +119,7 @@ impl ExecLink {
             if let Some(how) = self.program.wait_for_exit(Duration::ZERO) {
                 return Err(ExecError::Exited { program: self.program.name().to_owned(), how });
             }
-            // An echo or noise can end the exchange before the interval is over.
+            // An echo of the hello ends the exchange before the interval is over.
             std::thread::sleep(HANDSHAKE_INTERVAL.saturating_sub(asked.elapsed()));
         }
         Err(ExecError::NoAnswer { program: self.program.name().to_owned(), port: name.to_owned() })

@@ -1,8 +1,8 @@
-//! Loses, damages, repeats, delays or floods samples and commands as planned. The handshake, the
-//! configuration and `Safe` always pass, so that no fault prevents 0 V. Equal trials get equal
-//! faults, because only instants and seeds determine them. In lockstep, a lost sample still
-//! advances the target's time, so that its watchdog acts. The line keeps the order, so messages
-//! after a delayed one wait. `docs/scenarios.md` describes the effects.
+//! Applies planned faults to samples and commands: loss, damage, repetition, delay, noise. The
+//! handshake, the configuration and the request for 0 V always pass, so that no fault prevents 0 V.
+//! Equal trials get equal faults, because only instants and seeds determine them. In lockstep, a
+//! lost sample still advances the target's time, so that its watchdog acts. The line keeps the
+//! order, so that messages after a delayed one wait. `docs/scenarios.md` describes the effects.
 
 mod inject;
 mod injector;

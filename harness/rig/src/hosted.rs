@@ -24,7 +24,7 @@ impl HostedLink {
         Self { device: Device::new(identity()), trial_start: Duration::ZERO, now: Duration::ZERO }
     }
 
-    /// Device's clock at the trial time `now`, µs; wraps as on the board.
+    /// Device's clock at the trial time `now`, µs; it wraps after 2³² µs, as on the board.
     fn device_us(&mut self, now: Duration) -> u32 {
         self.now = self.trial_start + now;
         self.now.as_micros() as u32

@@ -1,7 +1,8 @@
-//! Connects the bench to a controller over a [`link::Link`]: hosted, emulated, program, serial
-//! port, network or debug probe. All rigs transport the same bytes. The *target* is the processor
-//! or process on which the controller runs. This crate contains no plate, profile or verdict. Time
-//! is an argument of its calls.
+//! Connects the bench to a controller. A *rig* is one kind of connection: hosted in this process,
+//! emulated, program, serial port, network or debug probe. Each rig is a [`link::Link`], and all
+//! transport the same bytes. The *target* is the processor or process on which the controller runs.
+//! The caller passes the trial's time to each call. This crate contains no plate, profile or
+//! verdict.
 
 #![cfg_attr(not(feature = "emulated"), allow(dead_code, unused_imports))]
 

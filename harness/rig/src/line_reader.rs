@@ -16,9 +16,8 @@ use std::time::{Duration, Instant};
 
 const CHUNK_BYTES: usize = 256;
 const CHUNKS: usize = 256;
-/// The thread ends at most this time after the drop of the reader.
+/// The thread ends at most this time after the reader is dropped.
 const STOP_INTERVAL: Duration = Duration::from_millis(20);
-/// The thread sleeps for this time if the queue is full.
 const FULL_WAIT: Duration = Duration::from_millis(1);
 
 #[derive(Debug)]
@@ -49,11 +48,10 @@ impl LineReader {
         Ok(Self { chunks, arrived, is_stopped, thread: Some(thread), end: None })
     }
 
-    /// See [`RealTimeLine::receive`](crate::link::RealTimeLine::receive). Calls the kernel only to
-    /// sleep.
+    /// Like `RealTimeLine::receive`. Calls the kernel only to sleep.
     pub(crate) fn read(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
         loop {
-            // Read before the queue, because the last chunks precede the end.
+            // Checked before the queue is read, because the last chunks precede the end.
             let is_ended = self.chunks.is_abandoned();
             if let Ok(chunk) = self.chunks.pop() {
                 bytes.extend_from_slice(chunk.bytes.get(..chunk.count).unwrap_or_default());
@@ -100,7 +98,7 @@ impl Worker {
     fn run(mut self) -> Result<(), LinkError> {
         let result = self.read_until_stopped();
         let Self { producer, arrived, .. } = self;
-        // The loop must see the end of the queue when it wakes.
+        // Dropped before the wake, so that the control loop then sees the end of the queue.
         drop(producer);
         wake(&arrived);
         result
@@ -174,7 +172,7 @@ mod tests {
         assert_eq!(bytes, b"late");
     }
 
-    /// Takes hours if the end does not wake the loop.
+    /// If the end does not wake the reader, this test takes ten hours.
     #[test]
     fn the_last_bytes_come_before_the_end() {
         let (mut reader, other) = reader();

@@ -15,10 +15,10 @@ pub enum LinkError {
     Target(Box<TargetError>),
 }
 
-/// A line on which one thread sends and receives.
+/// A line on which one thread sends and receives in real time.
 pub trait RealTimeLine: Send {
-    /// Call it before a trial on the thread of its loop, because the reading thread inherits the
-    /// scheduling class.
+    /// Call it before a trial on the thread of the trial loop, because a thread that reads the line
+    /// inherits the scheduling class.
     fn start(&mut self) -> Result<(), LinkError> {
         Ok(())
     }
@@ -41,8 +41,7 @@ pub trait Link: Send {
     /// Advances the target's time to `now` and appends the bytes that the target sends until then.
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError>;
 
-    /// Restarts the target as after power-on and sets the trial's time to zero. Returns false if
-    /// the link cannot.
+    /// Restarts the target and sets trial time to zero. Returns false if the link cannot.
     fn restart(&mut self) -> Result<bool, LinkError> {
         Ok(false)
     }
@@ -50,14 +49,13 @@ pub trait Link: Send {
     /// Starts another trial without a restart of the target. The next `now` counts from zero.
     fn continue_trial(&mut self) {}
 
-    /// Instructions from the first bit of the last [`Link::exchange`] to the last bit of its
-    /// answer.
+    /// Instructions that the target ran from the first bit of the last [`Link::exchange`] to the
+    /// last bit of its answer.
     fn instruction_count(&self) -> Option<u64> {
         None
     }
 
-    /// Text that the firmware wrote over RTT in this trial. `None` if it wrote none or the rig
-    /// cannot read it.
+    /// RTT text of the firmware in this trial; `None` without text or without access to it.
     fn firmware_output(&self) -> Option<String> {
         None
     }
@@ -67,8 +65,8 @@ pub trait Link: Send {
         if plan.faults.is_empty() { Ok(()) } else { Err(ChipFaultError::Unsupported) }
     }
 
-    /// True if the amplifier enable (PB0) is high. `None` if the rig cannot read it, or it was not
-    /// high in this trial.
+    /// True if the pin PB0, which enables the amplifier, is high. `None` if the rig cannot read it,
+    /// or it was not high yet in this trial.
     fn amplifier_enabled(&mut self) -> Option<bool> {
         None
     }

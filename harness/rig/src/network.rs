@@ -1,6 +1,6 @@
 //! Connects to a serial port behind a network: a terminal server, ser2net or a labgrid exporter.
-//! `tcp:` transports bytes unchanged, and the server sets the port. `rfc2217:` is Telnet, and the
-//! bench sets the port.
+//! With `tcp:`, bytes travel unchanged and the server sets baud rate and format of the port. With
+//! `rfc2217:`, bytes travel over Telnet and the bench sets them.
 
 mod error;
 mod rfc2217;
@@ -17,12 +17,11 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::Instant;
 
-/// `address` is `HOST:PORT`.
 pub(crate) fn connect_tcp(address: &str) -> Result<Port<OwnedFd>, NetworkError> {
     Ok(Port::new(connect(address, Instant::now() + CONNECT_TIMEOUT)?))
 }
 
-/// Sets 8N1 without flow control at `baud`.
+/// Sets the server's port to `baud`, 8 data bits, no parity, 1 stop bit, no flow control.
 pub(crate) fn connect_rfc2217(address: &str, baud: u32) -> Result<Port<Rfc2217>, NetworkError> {
     let deadline = Instant::now() + CONNECT_TIMEOUT;
     Ok(Port::new(Rfc2217::start(connect(address, deadline)?, address, baud, deadline)?))

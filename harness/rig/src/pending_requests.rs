@@ -36,12 +36,12 @@ impl PendingRequests {
         self.request
     }
 
-    /// True if `byte` ends the answer, or a message after which no answer will come. This is a
-    /// fault report, or a command of a running controller with a number that was not sent yet.
-    /// Ticks and telemetry have their own numbers.
+    /// True if `byte` completes the expected answer, or a message after which no answer will come:
+    /// a fault report, or a command in the state *running* with a number that was not sent yet.
+    /// Ticks and telemetry do not count, because they have their own numbers.
     pub(crate) fn ends_wait(&mut self, byte: u8) -> bool {
         let (Some(Ok(packet)), Some(expected)) = (self.answers.push(byte), self.expected) else { return false };
-        // Half of the numbers count as older than the expected one, because answers may be late.
+        // Numbers wrap: 127 numbers after the expected one are ahead, the others are late.
         let is_ahead = (1..=u8::MAX / 2).contains(&packet.sequence.wrapping_sub(expected));
         match packet.message {
             Message::Fault(_) => true,
@@ -89,7 +89,7 @@ mod tests {
         assert_eq!(is_answered(Packet { sequence: 7, message: SAMPLE }, answer), expected);
         // The confirmation of 0 V has the number of its request.
         assert_eq!(is_answered(Packet { sequence: 7, message: Message::Safe }, answer), sequence == 7);
-        // A controller that stops may use any number.
+        // A stopped controller may use any number, and only the expected one ends the wait.
         let stopped = Command { state: ControllerState::Safe, ..command };
         let answer = Packet { sequence, message: Message::Command(stopped) };
         assert_eq!(is_answered(Packet { sequence: 7, message: SAMPLE }, answer), sequence == 7);

@@ -7,10 +7,10 @@ use crate::tty::{Tty, disconnected};
 use rustix::fd::OwnedFd;
 use std::time::{Duration, Instant};
 
-/// Longest time from a hello, a configuration or a sample to the answer. A busy computer usually
-/// needs less.
+/// Longest time from a hello, a configuration or a sample to the answer. Answers usually arrive
+/// earlier, even on a busy computer.
 pub const DEFAULT_REPLY_TIMEOUT: Duration = Duration::from_millis(500);
-/// Longest wait for other answers, and for the next answer after a missing one.
+/// Longest wait for the answer to another request, and for any answer while the line is silent.
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
 /// Longest wait after a message that needs no answer.
 const OPTIONAL_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
@@ -19,8 +19,7 @@ const READ_CHUNK_BYTES: usize = 512;
 
 #[derive(Debug)]
 pub struct Port<T> {
-    // Declared before `terminal`, so that the reader's handle is closed first and the line hangs up
-    // with the port.
+    // Declared, and so dropped, before `terminal`: the line hangs up with its last handle.
     reader: Option<LineReader>,
     terminal: T,
     pending_requests: PendingRequests,
@@ -58,7 +57,7 @@ impl<T: Tty> Port<T> {
         self.is_silent = true;
     }
 
-    /// Only the first missing answer costs the complete `reply_timeout`.
+    /// After a missing answer, uses the shorter `ANSWER_TIMEOUT` until the next answer.
     fn answer_timeout(&self, request: Request) -> Duration {
         match request {
             Request::None => OPTIONAL_ANSWER_TIMEOUT,
@@ -90,7 +89,6 @@ impl<T: Tty> Port<T> {
 }
 
 impl<T: Tty> Link for Port<T> {
-    /// The delay is wall time up to the last byte of the answer.
     fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let request = self.pending_requests.send(bytes);
         let start = Instant::now();
@@ -127,7 +125,6 @@ impl<T: Tty> Link for Port<T> {
 }
 
 impl<T: Tty> RealTimeLine for Port<T> {
-    /// After this call, a separate thread reads the terminal.
     fn start(&mut self) -> Result<(), LinkError> {
         if self.reader.is_none()
             && let Some(line) = self.terminal.for_reading()

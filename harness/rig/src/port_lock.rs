@@ -24,7 +24,7 @@ impl fmt::Display for LockHolder {
     }
 }
 
-/// Returns the holder if another process has the lock. Closing `file` releases the lock.
+/// Locks `file` until it is closed. Returns the holder if another handle has the lock.
 pub fn lock(file: impl AsFd) -> rustix::io::Result<Option<LockHolder>> {
     match flock(&file, FlockOperation::NonBlockingLockExclusive) {
         Ok(()) => Ok(None),
@@ -49,8 +49,8 @@ impl LockHolder {
     }
 }
 
-/// A line is `1: FLOCK  ADVISORY  WRITE 9494 fe:00:10021135 0 EOF` with the process number, the device in hexadecimal
-/// and the inode. Lines of waiting processes contain an arrow.
+/// Returns the number of the process that holds the lock. Lines of waiting processes contain an
+/// arrow, so that they do not match.
 fn parse_holder(locks: &str, (major, minor): (u32, u32), inode: u64) -> Option<u32> {
     let file = format!("{major:02x}:{minor:02x}:{inode}");
     locks.lines().find_map(|line| match line.split_whitespace().collect::<Vec<_>>()[..] {
@@ -77,7 +77,7 @@ mod tests {
         assert_eq!(parse_holder(LOCKS, (0, 0x18), 6), Some(701));
         assert_eq!(parse_holder(LOCKS, (0, 0x18), 8), None);
         assert_eq!(parse_holder("x\n\n1: FLOCK", (0, 0x18), 6), None);
-        // A holder in another namespace has number 0.
+        // The kernel shows a holder in another PID namespace as process 0.
         assert_eq!(parse_holder(LOCKS, (0, 0x18), 7), None);
         assert_eq!(LockHolder { process: None }.to_string(), "another process, which is not visible to this user");
     }

@@ -1,8 +1,8 @@
-//! Connects to a board on a debug probe:
-//! `--rig probe:CHIP[@VID:PID[:SERIAL]][,elf=ELF][,port=PORT[@BAUD]]`. Flashes and restarts the
-//! board, then opens an [`RttLink`] or a [`PortLink`]. Each call runs on the probe's thread and has
-//! a time-out. No vector catch is enabled and the watchdog runs on, because a processor that is
-//! halted at the entry of its fault handler cannot take the drive to 0 V.
+//! Connects to a board on a debug probe: `--rig
+//! probe:CHIP[@VID:PID[:SERIAL]][,elf=ELF][,port=PORT[@BAUD]]`. Flashes and restarts the board,
+//! then opens an [`RttLink`] or a [`PortLink`]. Each call runs on the probe's thread and has a
+//! time-out. The bench enables no vector catch (a halt at the entry of a fault handler) and does
+//! not stop the chip's watchdog, because a halted processor cannot take the drive to 0 V.
 
 mod attached_board;
 mod board;

@@ -15,7 +15,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(5);
 /// Environment variable that marks the program and all processes that it starts.
 const MARKER: &str = "PLATEBENCH_PROGRAM";
 
-/// Dropping it ends its process group.
+/// Dropping the value ends the program's process group.
 #[derive(Debug)]
 pub(crate) struct Program {
     name: String,
@@ -44,8 +44,8 @@ impl Program {
         Pid::from_child(&self.child)
     }
 
-    /// Returns a description of the exit; `None` on time-out. Keeps the zombie, which reserves its
-    /// number and group.
+    /// Returns a description of the exit; `None` on time-out. The program remains a zombie, so that
+    /// its process number and group are not used again.
     pub(crate) fn wait_for_exit(&self, timeout: Duration) -> Option<String> {
         let deadline = Instant::now() + timeout;
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
@@ -127,7 +127,7 @@ mod tests {
     use super::*;
     use rustix::process::kill_process;
 
-    /// False for a zombie.
+    /// False for a process that has ended or is a zombie.
     fn is_running(pid: &str) -> bool {
         let status = fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
         status.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
@@ -157,7 +157,7 @@ mod tests {
         assert_eq!(pids.len(), 2);
         assert!(pids.iter().all(|pid| is_running(pid)));
         drop(program);
-        // Its child is not ours to wait for, and the kernel ends a killed process later.
+        // The test cannot wait for the program's child, and the kernel ends a killed process later.
         let deadline = Instant::now() + Duration::from_secs(10);
         while pids.iter().any(|pid| is_running(pid)) {
             assert!(Instant::now() < deadline, "{pids:?}");

@@ -1,6 +1,6 @@
 //! Checks rules of the wire protocol (docs/wire-protocol.md) that a closed loop with a plate does
-//! not reach. Plays scripts of messages and compares each answer with that of the hosted
-//! controller, the reference.
+//! not test. Plays scripts of messages and compares each answer with that of the hosted controller,
+//! the *reference*.
 
 mod builder;
 mod comparison;
@@ -18,29 +18,31 @@ use platebench_wire::{Configure, Identity};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Further references. If their commands differ from those of the reference, rounding or a design
-/// error of 5 % decides the command, and no command is compared until the next configuration.
+/// Variations of each script, played on further references. If a variation changes the commands,
+/// rounding or a design error of 5 % decides them. The check then compares no command until the
+/// next configuration.
 const VARIATIONS: [Variation; 4] = [
     Variation { components: ROUNDING, gain: 1.0 },
     Variation { components: -ROUNDING, gain: 1.0 },
     Variation { components: 0.0, gain: 1.05 },
     Variation { components: 0.0, gain: 0.95 },
 ];
-/// Relative change of Wd and Wq, some tens of times the resolution of single precision.
+/// Relative change of the components Wd and Wq, about 17 times the resolution of single precision.
 const ROUNDING: f32 = 2e-6;
-/// A script is repeated after a lost answer or a stall of the host.
+/// Largest number of attempts at a script. A lost answer or a stall of the host repeats the script.
 const ATTEMPTS: usize = 3;
-/// For scripts that do not test the watchdog. On an emulated line, an exchange takes milliseconds.
+/// Shortest watchdog timeout of scripts that do not test the watchdog, because an exchange over an
+/// emulated line takes milliseconds.
 const MIN_WATCHDOG_MS: u16 = 1_000;
-/// Target and reference advance in steps of this length, in which the reference sends at most one
-/// tick.
+/// Time step of target and reference. It is not longer than any tick period of the scripts, so that
+/// the reference sends at most one tick per step.
 const STEP: Duration = Duration::from_millis(3);
 
-/// Plays every script on `link`; the samples do not come from a plate. The controller may then have
-/// stopped or have another configuration. `base` contains the law, the watchdog timeout and the
-/// plate. `own_clock` is true if the controller's clock runs while the bench waits. `seed` selects
-/// the random samples. Returns one sentence for each script whose answers differ from those of the
-/// reference. Fails if the link is lost.
+/// Plays every script on `link`. Returns one sentence for each script whose answers differ from
+/// those of the reference. Fails if the link is lost. Afterwards the controller may have stopped or
+/// have another configuration. `base` supplies the law, the watchdog timeout and the plate.
+/// `own_clock` is true if the controller's clock runs while the bench waits. `seed` selects the
+/// random samples.
 pub fn protocol_differences(
     link: &mut dyn Link,
     identity: &Identity,
@@ -73,7 +75,7 @@ pub fn protocol_differences(
                 break;
             }
         }
-        // After a stall of the host, the host may have caused the difference.
+        // If the host stalled, the stall may have caused the difference.
         let is_certain = |difference: &Difference| difference.other_cause != Some(BenchCause::Stall);
         let difference = difference.filter(is_certain);
         differences.extend(difference.map(|difference| format!("{}: {}", script.name, difference.text)));
@@ -84,7 +86,7 @@ pub fn protocol_differences(
 struct Player<'a> {
     link: &'a mut dyn Link,
     identity: &'a Identity,
-    /// Simulated time from one exchange to the next.
+    /// Shortest simulated time from one exchange to the next.
     period: Duration,
     own_clock: bool,
     now: Duration,
@@ -132,7 +134,7 @@ impl Player<'_> {
             let received = ReceivedPackets::new(&received, request);
             let silence = exchange.wait.max(self.period)..=longest;
             if let Err(Difference { text, other_cause }) = comparison.compare(&received, &expected, silence) {
-                // A stall of the host changes an answer, but does not suppress it.
+                // A stall of the host may change an answer, but does not suppress it.
                 let is_stall = is_stalled && other_cause != Some(BenchCause::NoAnswer);
                 let other_cause = if is_stall { Some(BenchCause::Stall) } else { other_cause };
                 return Ok(Some(Difference { text: format!("exchange {}: {text}", number + 1), other_cause }));
@@ -190,7 +192,7 @@ mod tests {
         protocol_differences(&mut link, &identity, &CONFIGURE, false, 1).unwrap()
     }
 
-    /// Designs for another K1.
+    /// Controller that designs its gains for a plate gain K1 multiplied by the second field.
     struct OtherGain(HostedLink, f32);
 
     impl Link for OtherGain {

@@ -15,8 +15,8 @@ pub(crate) fn open_pseudo_terminal() -> rustix::io::Result<(Port<OwnedFd>, Owned
     grantpt(&master)?;
     unlockpt(&master)?;
     let name = ptsname(&master, Vec::new())?;
-    // The bench keeps this end open, because a line whose other end was never opened counts as hung
-    // up.
+    // The bench opens this end itself, because the kernel reports a hang-up if the other end of a
+    // line was never opened.
     let slave = rustix::fs::open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
     let mut settings = tcgetattr(&slave)?;
     settings.make_raw();
@@ -24,12 +24,11 @@ pub(crate) fn open_pseudo_terminal() -> rustix::io::Result<(Port<OwnedFd>, Owned
     Ok((Port::from_fd(master)?, slave, name.to_string_lossy().into_owned()))
 }
 
-/// Link to a controller that the user starts. Without a controller, the line is silent, not lost.
+/// Link to a controller that the user starts. Before that, the line is silent, not lost.
 #[derive(Debug)]
 pub struct PtyLink {
     port: Port<OwnedFd>,
     path: String,
-    /// Keeps the line open while no controller has opened it.
     _other_end: OwnedFd,
 }
 

@@ -24,11 +24,11 @@ pub enum SerialError {
     Settings { port: PathBuf, baud: u32, error: std::io::Error },
 }
 
-/// 8N1 without flow control, locked against other processes.
+/// Serial port with 8 data bits, no parity, 1 stop bit and no flow control. It is locked against
+/// other processes.
 pub type SerialLink = Port<TTYPort>;
 
 impl SerialLink {
-    /// Discards bytes that the port has received earlier.
     pub fn open(path: &Path, baud: u32) -> Result<Self, SerialError> {
         check_free(path)?;
         // `TTYPort::open` sets TIOCEXCL and `flock`, so that no other process can open the port.
@@ -47,7 +47,7 @@ impl SerialLink {
     }
 }
 
-/// Must run before the bench changes a setting of the port.
+/// Fails if another process uses the port. Runs before the bench changes a setting of the port.
 fn check_free(path: &Path) -> Result<(), SerialError> {
     let port = || path.to_owned();
     let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
@@ -66,7 +66,7 @@ fn check_free(path: &Path) -> Result<(), SerialError> {
     }
 }
 
-/// FTDI adapters delay received bytes by 16 ms by default; other ports have no such setting.
+/// Sets the latency timer of an FTDI adapter from 16 ms to 1 ms. Other ports have no such timer.
 fn set_low_latency(path: &Path) {
     let name = path.canonicalize().ok().and_then(|path| path.file_name().map(PathBuf::from)).unwrap_or_default();
     let timer = Path::new("/sys/class/tty").join(name).join("device/latency_timer");

@@ -26,10 +26,10 @@ pub struct ReceivedMessage {
 
 /// Larger than a pseudo-terminal's buffer, so that receiving never allocates.
 const RECEIVE_CAPACITY: usize = 8 * 1024;
-/// One lost frame must not prevent the confirmation of 0 V.
+/// Largest number of requests for 0 V, because a frame may be lost.
 const SAFE_ATTEMPTS: u32 = 3;
 
-/// Dropping it requests 0 V.
+/// Dropping the session requests 0 V.
 #[derive(Debug)]
 pub struct Session<L: Link> {
     link: L,
@@ -42,7 +42,7 @@ pub struct Session<L: Link> {
     now: Duration,
     bytes: Vec<u8>,
     consumed: usize,
-    /// Arrival of the last byte of `bytes`, only in real time.
+    /// Arrival of the last byte of `bytes`; used only in real time.
     received_at: Instant,
     has_identity: bool,
     is_closed: bool,
@@ -162,14 +162,14 @@ impl<L: Link> Session<L> {
         self.sequence.wrapping_sub(self.last_command_sequence)
     }
 
-    /// A late answer counts, too.
+    /// True also if the answer arrived late.
     pub fn last_sample_answered(&self) -> bool {
         self.newer_messages() == 0
     }
 
     /// Advances the target's time without a sample. Returns the newest command since the previous
-    /// call, which is a late answer or reports a stop of the controller. Ignores commands older
-    /// than those returned before.
+    /// call: a late answer or the report of a stop. Ignores commands older than those returned
+    /// before.
     pub fn advance_to(&mut self, now: Duration) -> Result<Option<Command>, RigError> {
         self.now = now;
         self.discard_consumed();
@@ -245,8 +245,8 @@ impl<L: Link> Session<L> {
     }
 
     /// Number of commands whose drive or frequency differs from an earlier answer to the same
-    /// sample. Repeated frames do not count, nor do stops that are reported under the number of the
-    /// last command.
+    /// sample. Repeated frames do not count. Reports of a stop do not count either, although they
+    /// have the number of the last command.
     pub fn contradictions(&self) -> u64 {
         self.audit.contradictions
     }
@@ -355,8 +355,8 @@ struct CommandFilter {
 }
 
 impl CommandFilter {
-    /// Returns a command that is newer than the last one, or that reports a stop under the number
-    /// of the last one.
+    /// Returns the packet's command if it is newer than the last command, or reports a stop under
+    /// the same number.
     fn new_command(self, packet: &Packet) -> Option<(u8, Command)> {
         let Message::Command(command) = packet.message else { return None };
         let [age, known] = [packet.sequence, self.last_command].map(|number| self.last_sent.wrapping_sub(number));

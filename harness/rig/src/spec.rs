@@ -16,9 +16,8 @@ pub enum RigSpec {
     },
     /// `HOST:PORT` of a server that transports bytes unchanged.
     Tcp(String),
-    /// A server whose serial port the bench sets over Telnet (RFC 2217).
+    /// Server at `address` (`HOST:PORT`), whose serial port the bench sets over Telnet (RFC 2217).
     Rfc2217 {
-        /// `HOST:PORT`
         address: String,
         baud: Option<u32>,
     },
@@ -26,7 +25,7 @@ pub enum RigSpec {
         /// `CHIP[@VID:PID[:SERIAL]]`, see `probe::ProbeSpec`.
         board: String,
         elf: Option<PathBuf>,
-        /// `None` for RTT through the probe.
+        /// Serial port of the board; `None` for RTT through the probe.
         port: Option<String>,
         baud: Option<u32>,
     },
@@ -83,7 +82,7 @@ fn parse_port(text: &str) -> Result<(String, Option<u32>), &'static str> {
     }
 }
 
-/// An IPv6 address is in brackets.
+/// Checks the form `HOST:PORT`. An IPv6 address must be in brackets.
 fn parse_address(text: &str) -> Result<String, &'static str> {
     let wrong = "the address is not HOST:PORT with a port from 1 to 65535";
     let (host, port) = text.rsplit_once(':').ok_or(wrong)?;
@@ -93,7 +92,7 @@ fn parse_address(text: &str) -> Result<String, &'static str> {
     if is_host && is_port { Ok(text.to_owned()) } else { Err(wrong) }
 }
 
-/// A path cannot contain a comma.
+/// Parses the text after `probe:`. A path in it cannot contain a comma.
 fn parse_probe(text: &str) -> Result<RigSpec, &'static str> {
     let mut parts = text.split(',');
     let chip = parts.next().filter(|chip| !chip.is_empty()).ok_or("the chip is missing")?;

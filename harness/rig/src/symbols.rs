@@ -80,8 +80,8 @@ impl Symbols {
         self.all.iter().find(|(other, _)| other == name).map(|&(_, address)| address)
     }
 
-    /// Address and size in bytes of a variable. `name` is mangled, demangled, or the last part of
-    /// the demangled name.
+    /// Address and size in bytes of a variable. `name` may be mangled or demangled, or its last
+    /// part.
     pub(crate) fn variable(elf: &[u8], name: &str) -> Option<(u32, u32)> {
         let file = object::File::parse(elf).ok()?;
         let named = |symbol: &object::Symbol<'_, '_>| {
@@ -134,17 +134,16 @@ impl Symbols {
         found
     }
 
-    /// The symbol also names the innermost inlined function.
+    /// Returns function and line. The function's name includes the innermost inlined function.
     pub(crate) fn locate(&self, address: u32) -> CodeLocation {
         let mut symbol = self.function(u64::from(address)).map(|function| function.name.clone());
-        // The line table keeps removed functions at address 0, so that a line outside known
-        // functions is invalid.
+        // The line table keeps removed functions at address 0. Lines outside known functions are
+        // therefore invalid.
         let mut frames = if symbol.is_some() || self.functions.is_empty() { self.frames(address) } else { Vec::new() };
         // The innermost line outside the standard library is in the firmware's own code.
         let mut lines = frames.iter().filter_map(|frame| frame.line.as_ref());
         let line = lines.clone().find(|line| !line.file.contains("/library/")).or_else(|| lines.next());
         let line = line.map(|line| format!("{}:{}", line.file, line.line));
-        // The outermost frame is the function itself.
         frames.pop();
         let innermost = frames.iter().map(|frame| &frame.function).find(|name| !name.starts_with("core::"));
         if let (Some(symbol), Some(innermost)) = (&mut symbol, innermost) {
@@ -154,11 +153,11 @@ impl Symbols {
     }
 }
 
-/// A function without a size, as from an assembler, ends at the next function.
+/// A function without a size, such as one in assembly code, ends at the next function.
 fn functions(named: &[(String, object::Symbol<'_, '_>)]) -> Vec<Function> {
     let defined = named.iter().filter(|(_, symbol)| symbol.kind() == SymbolKind::Text && symbol.is_definition());
     let function = |(name, symbol): &(String, object::Symbol<'_, '_>)| {
-        // Bit 0 of a Thumb symbol is set.
+        // Bit 0 marks Thumb code and is no part of the address.
         let address = symbol.address() & !1;
         Function { address, end: address + symbol.size(), name: format!("{:#}", rustc_demangle::demangle(name)) }
     };

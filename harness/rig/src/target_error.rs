@@ -1,4 +1,4 @@
-//! Defines the errors of the firmware on an emulated board or on one with a debug probe.
+//! Defines the errors of firmware on an emulated board or on a board with a debug probe.
 
 use crate::crash_report::CrashReport;
 use crate::symbols::CodeLocation;

@@ -61,7 +61,7 @@ fn retry_until(
     }
 }
 
-/// True if there may be an event. The next read or write shows whether there is one.
+/// Waits for `events`. Returns false on time-out, but true after a signal without an event.
 pub(crate) fn poll_until(file: &OwnedFd, events: PollFlags, instant: Instant) -> rustix::io::Result<bool> {
     let left = instant.saturating_duration_since(Instant::now());
     let left =

@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Largest error of the instant of an unsolicited message.
+/// Step of the target's time: the largest error of the arrival of an unsolicited message.
 const TIME_STEP: Duration = Duration::from_micros(20);
 const MAX_FRAMES_IN_FLIGHT: usize = 64;
 
@@ -196,7 +196,7 @@ mod tests {
             }
         }
         for pair in ticks.windows(2) {
-            // Both clocks agree to the resolution of the wire, 1 µs.
+            // The time stamps have a resolution of 1 µs.
             let (wall, target) = (pair[1].0 - pair[0].0, Duration::from_micros((pair[1].1 - pair[0].1).into()));
             assert!(wall.abs_diff(target) <= Duration::from_micros(2), "{wall:?} {target:?}");
         }

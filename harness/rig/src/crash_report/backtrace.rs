@@ -33,8 +33,7 @@ pub(crate) struct ExceptionFrame {
 pub(crate) enum StoppedAt {
     /// At the handler's first instruction, when the link register contains the exception return.
     Entry,
-    /// Later in the handler, which may have pushed the exception return directly below the
-    /// exception frame.
+    /// Later in the handler, which may have pushed the exception return below the frame.
     #[cfg(feature = "probe")]
     Body,
 }
@@ -97,7 +96,7 @@ fn is_firmware_code(place: &CodeLocation) -> bool {
 fn is_return(memory: &dyn StackReader, symbols: &Symbols, word: u32) -> bool {
     let at = word & !1;
     let half = |back: u32| at.checked_sub(back).and_then(|at| memory.code(at)).unwrap_or(0);
-    // BL or BLX with an offset (A7.7.18), or BLX with a register (A7.7.19).
+    // The preceding code is BL or BLX with an offset (A7.7.18), or BLX with a register (A7.7.19).
     word & 1 == 1
         && symbols.is_code(u64::from(at.saturating_sub(2)))
         && (half(4) >> 11 == 0b11110 && half(2) >> 14 == 0b11 || half(2) & 0xFF87 == 0x4780)

@@ -32,7 +32,7 @@ pub(super) struct ReceivedByte {
 pub(super) struct UartPeer {
     pub(super) to_target: VecDeque<u8>,
     pub(super) received: Vec<ReceivedByte>,
-    /// Frames that ended since the machine last read this count.
+    /// Frames that ended since `Machine` last read this count.
     pub(super) frames: u32,
     within_frame: bool,
 }
@@ -62,7 +62,7 @@ pub(super) struct Microcontroller {
     clocks: usize,
     used: Box<[bool]>,
     pub(super) booted: bool,
-    /// True if the USART has not yet polled all bytes of the bench.
+    /// True if the USART has not yet received all bytes of the bench.
     pub(super) has_pending_bytes: bool,
 }
 
@@ -150,7 +150,7 @@ impl EmulatedBoard {
         registers.is_some_and(|gpio| gpio.get(Gpiob::Moder) & 0b11 == 0b01 && gpio.get(Gpiob::Odr) & 1 != 0)
     }
 
-    /// Always `Some`, because `new` attaches it.
+    /// Always `Some`, because `new` attaches the peer.
     pub(super) fn wire(&mut self) -> Option<&mut UartPeer> {
         self.part.mcu.usart.get_mut(USART2).and_then(|usart| usart.chip_mut())
     }

@@ -25,8 +25,7 @@ pub(super) struct SystemBus {
     pub(super) stuck: Vec<(u32, u32)>,
 }
 
-/// A fraction in lowest terms, so that years of virtual time fit into 64 bits and the conversion is
-/// cheap.
+/// Nanoseconds per instruction in lowest terms, so that years of time fit into 64 bits.
 #[derive(Debug, Clone, Copy)]
 struct InstructionRate {
     nanoseconds: u64,
@@ -134,8 +133,8 @@ impl CoreBus for BusGuard<'_> {
             }
             (Some(false), AccessKind::Write) | (None, _) => {}
         }
-        // If nothing answers, the chip raises a bus error; the emulator alone would ignore the
-        // access.
+        // If nothing is at the address, the chip raises a bus error. The emulator alone would
+        // ignore the access.
         let answers = self.session.board_mut().part.mark_used(access.address);
         if !answers && writable.is_none() {
             return None;

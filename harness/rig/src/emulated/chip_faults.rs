@@ -12,8 +12,8 @@ const PPM: f64 = 1e-6;
 pub(super) struct ChipFaults {
     pub(super) plan: ChipFaultPlan,
     pending: VecDeque<ChipFault>,
-    /// Start of a clock drift in trial time, and the drift in ppm, positive if the chip's clocks
-    /// are faster.
+    /// Trial time at which a clock drift starts, and the drift in ppm. A positive drift means that
+    /// the chip's clocks are faster.
     drift: Option<(Duration, f64)>,
     /// True if the firmware has enabled the amplifier in this trial.
     pub(super) uses_amplifier: bool,

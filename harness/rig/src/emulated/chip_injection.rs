@@ -6,14 +6,14 @@ use crate::symbols::Symbols;
 use crate::target_error::TargetError;
 use rigless::time::VirtualNanos;
 
-/// Address and code of `cpsid i; b .` in the last bytes of flash, which firmware hardly uses.
+/// Address and code of an endless loop (`cpsid i; b .`) in the last bytes of flash, which are
+/// rarely used.
 const HANG: (u64, [u8; 4]) = (0x081F_FFFC, [0x72, 0xB6, 0xFE, 0xE7]);
-/// Register number in GDB's protocol.
 const PC: usize = 15;
 
 impl Machine {
-    /// Start address and length in bytes of the RAM with the flipped bit; `None` for other faults.
-    /// Fails outside RAM.
+    /// Returns start address and length (bytes) of the RAM in which `fault` flips a bit; `None` for
+    /// other faults. Fails if this is not RAM.
     pub(super) fn flipped_memory(&self, fault: &ChipFaultKind) -> Result<Option<(u32, u32)>, ChipFaultError> {
         let (start, length) = match fault {
             ChipFaultKind::FlipRam { start, length, .. } => (*start, *length),

@@ -1,4 +1,4 @@
-//! Shows registers, memory and breakpoints of the emulated chip to a debugger.
+//! Gives a debugger access to registers, memory and breakpoints of the emulated chip.
 
 use super::machine::Machine;
 use gdbstub::arch::{Arch, RegId, Registers};
@@ -17,7 +17,7 @@ use rigless::soc::Width;
 use std::convert::Infallible;
 use std::num::NonZeroUsize;
 
-/// r0 to r12, sp, lr and pc. The debugger requests the other registers one by one.
+/// Number of the registers r0 to r12, sp, lr and pc. The debugger requests others one by one.
 const GENERAL_REGISTERS: usize = 16;
 const PC_OFFSET: usize = 60;
 

@@ -1,5 +1,4 @@
-//! Serves a debugger with GDB's remote protocol. While the debugger has stopped the chip, the plate
-//! waits, too.
+//! Serves a debugger with GDB's remote protocol. While the chip is stopped, the plate waits, too.
 
 use super::debug_control::DebugStop;
 use super::machine::Machine;
@@ -13,7 +12,7 @@ use std::io::{self, Read as _};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-/// The chip runs on if the debugger has stopped it and is silent for this time.
+/// If a debugger has stopped the chip and is silent for this time, the chip runs on.
 const COMMAND_TIMEOUT: Duration = Duration::from_hours(1);
 
 type Stub = GdbStubStateMachine<'static, Machine, TcpStream>;

@@ -1,5 +1,5 @@
-//! Records which watched instructions ran. Breakpoints are removed at their first hit, so that code
-//! runs at full speed.
+//! Records which watched instructions ran. Each has a breakpoint, which is removed at the first
+//! hit, so that code runs at full speed.
 
 use rigless::emulator::Processor;
 use std::collections::{BTreeMap, BTreeSet};
@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 #[derive(Debug, Default)]
 pub(super) struct ExecutionRecorder {
     pending: BTreeSet<u64>,
-    /// By address; true if the instruction ran in a control step.
+    /// Executed instructions by address. The value is true if one ran in a control step.
     executed: BTreeMap<u32, bool>,
     in_control_step: bool,
     had_control_step: bool,
@@ -20,7 +20,8 @@ impl ExecutionRecorder {
         self.pending.retain(|&address| core.add_breakpoint(address));
     }
 
-    /// Before the first control step, watches again the instructions that ran during the start.
+    /// Before the first control step, watches instructions again that ran during the start, because
+    /// they may also run in a control step.
     pub(super) fn set_control_step(&mut self, in_control_step: bool, core: &mut dyn Processor) {
         self.in_control_step = in_control_step;
         if in_control_step && !std::mem::replace(&mut self.had_control_step, true) {

@@ -13,7 +13,7 @@ const BUFFER: u64 = 28;
 const SIZE: u64 = 32;
 const WRITE_OFFSET: u64 = 36;
 const READ_OFFSET: u64 = 40;
-/// Longest text of a trial. The rest is dropped.
+/// Longest text of a trial, bytes. The rest is dropped.
 const MAX_BYTES: usize = 16 * 1024;
 
 #[derive(Debug, Default)]
@@ -44,7 +44,7 @@ impl FirmwareOutput {
         memory.store(block + READ_OFFSET, &write_offset.to_le_bytes())
     }
 
-    /// Includes unread text, because a trap may end a trial before the bench drains it. `None`
+    /// Also returns unread text, because a trap may end a trial before the bench drains it. `None`
     /// without text.
     pub(super) fn text(&self, memory: &Memory) -> Option<String> {
         let rest = self.control_block.and_then(|block| read_ring(memory, block)).map(|(rest, _)| rest);
@@ -56,7 +56,8 @@ impl FirmwareOutput {
     }
 }
 
-/// The unread text, and its end as an offset. `None` without text or with an invalid control block.
+/// Returns the unread text and its end as an offset in the buffer. `None` without text or with an
+/// invalid control block.
 fn read_ring(memory: &Memory, block: u64) -> Option<(Vec<u8>, u32)> {
     // RAM is undefined until the firmware has initialised the block.
     if memory.slice(block, IDENTIFIER.len())? != IDENTIFIER || memory.word(block + CHANNEL_COUNT)? == 0 {

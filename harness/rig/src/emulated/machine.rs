@@ -1,5 +1,4 @@
-//! Runs an image on the emulated board from event to event in virtual time. Equal calls give equal
-//! results.
+//! Runs an image on the emulated board from event to event in virtual time.
 
 use super::board::{EmulatedBoard, INSTRUCTIONS_PER_SECOND, ReceivedByte};
 use super::bus::{BusGuard, SystemBus};
@@ -20,16 +19,16 @@ use rigless::time::{NO_DEADLINE, VirtualNanos};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-/// Rounds of the run loop at one instant before it counts as hung; some hundred are normal.
+/// Largest number of rounds of the run loop at one instant. Some hundred are normal; after more
+/// than this number, the emulator counts as hung.
 const MAX_ROUNDS_WITHOUT_PROGRESS: u32 = 100_000;
 
-/// Device signature in the system memory. RM0090, chapter 39.
+/// Addresses and values of the unique device ID and of the flash size (RM0090, chapter 39).
 const UNIQUE_ID: (u64, &[u8; 12]) = (0x1FFF_7A10, b"emulated-427");
 const FLASH_KIB: (u64, [u8; 2]) = (0x1FFF_7A22, 2048_u16.to_le_bytes());
 
 pub(super) struct Machine {
-    // Declared before `bus`, because it points into the memory of `bus` and fields are dropped in
-    // this order.
+    // Declared, and so dropped, before `bus`, because it points into the memory of `bus`.
     pub(super) core: Box<dyn Processor>,
     pub(super) bus: SystemBus,
     pub(super) session: Session<EmulatedBoard>,
@@ -209,8 +208,7 @@ fn map_memory(memory: &Memory, core: &mut dyn Processor) -> Result<(), TargetErr
 }
 
 impl Machine {
-    /// Switches the supply off and on. Then virtual time is zero, RAM is undefined and the line is
-    /// idle.
+    /// Switches the supply off and on: virtual time is 0, RAM undefined, the line idle.
     pub(super) fn power_on(&mut self) -> Result<(), TargetError> {
         self.session = session(self.options)?;
         let _ = self.core.take_reset_request();
@@ -224,8 +222,8 @@ impl Machine {
         Ok(())
     }
 
-    /// The firmware has started and will hardly use further peripherals. This affects only the
-    /// speed.
+    /// Call it when the firmware has started and will hardly use further peripherals. Unused ones
+    /// are then not polled. This affects only the speed.
     pub(super) fn mark_booted(&mut self) {
         self.session.board_mut().part.booted = true;
     }
@@ -268,7 +266,7 @@ impl Machine {
                 )));
             }
             if std::mem::take(&mut self.bus.reset_requested) {
-                // Before the reset, because the report names the code that ran.
+                // Checked before the reset, because the report names the code that ran.
                 self.check_for_errors()?;
                 self.reset_core();
             } else if self.core.take_reset_request() {

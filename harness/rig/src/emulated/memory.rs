@@ -5,7 +5,7 @@ use rigless::emulator::{Alias, Error, Memory as GuestMemory, Processor};
 use rigless::soc::{Region, Width};
 use std::ops::Range;
 
-/// Not zero, so that firmware that relies on zeroed RAM fails here, too.
+/// Content of RAM after power-on. It is not zero, so that firmware that relies on zeroed RAM fails.
 pub(super) const POWER_ON_FILL: u8 = 0xA5;
 
 const PAGE: usize = 4096;
@@ -58,8 +58,7 @@ impl Drop for MemoryRegion {
 #[derive(Debug)]
 pub(super) struct Memory {
     regions: Vec<MemoryRegion>,
-    /// Content that changed without the processor. The processor must discard its translated code
-    /// there.
+    /// Ranges that changed without the processor, which must discard its translated code there.
     dirty_ranges: Vec<Range<u64>>,
 }
 
@@ -159,7 +158,7 @@ pub(super) unsafe fn map_into_core(memory: &Memory, core: &mut dyn Processor) ->
             if !core.maps(start, length) {
                 return Err(format!("{length} bytes at {start:#010x} cannot be mapped"));
             }
-            // The bus serves the regions that are not whole pages.
+            // Accesses to regions that are not whole pages go through the bus.
             if start.is_multiple_of(page) && length.is_multiple_of(page) {
                 // SAFETY: whole pages of an allocation that does not move and, by contract,
                 // outlives `core`.

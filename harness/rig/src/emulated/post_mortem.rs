@@ -16,7 +16,6 @@ use rigless::session::Session;
 use rigless::soc::Width;
 use std::convert::Infallible;
 
-/// Register numbers in GDB's protocol.
 const SP: usize = 13;
 const LR: usize = 14;
 const XPSR: usize = 16;
@@ -69,7 +68,7 @@ impl FaultHandlers {
         let frame = if is_panic || status.is_stacking_failure() {
             None
         } else {
-            // Firmware of this kind does not use the process stack.
+            // Assumes that the firmware does not use the process stack: `sp` also stands for PSP.
             exception_frame(&mut stack, StoppedAt::Entry, [lr, sp, sp])
         };
         let lr = if is_panic { Some(lr) } else { frame.map(|frame| frame.lr) };
@@ -104,7 +103,7 @@ struct EmulatedStack<'a> {
 
 impl StackReader for EmulatedStack<'_> {
     fn stack(&mut self, address: u32) -> Vec<(u32, u32)> {
-        // An overflowed stack begins below RAM; words outside RAM are skipped.
+        // An overflowed stack begins below RAM. Words outside RAM are skipped.
         let addresses = (address..self.top).step_by(4).take(MAX_STACK_WORDS);
         addresses.filter_map(|at| Some((at, self.memory.word(u64::from(at))?))).collect()
     }

@@ -7,10 +7,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::Duration;
 
-/// Streams 0 and 1 of a trial's seed belong to sensor noise and plate spread.
+/// First random stream of the faults. Sensor noise and plate spread use streams 0 and 1.
 const FIRST_STREAM: u64 = 2;
 
-/// The fault *babble* sends this number of invalid frames. Their length includes the delimiter.
+/// Number of invalid frames that the fault *babble* sends, and their length with the delimiter.
 const NOISE_FRAMES: usize = 4;
 const NOISE_FRAME_BYTES: usize = 16;
 
@@ -26,7 +26,7 @@ pub(super) struct ActiveFaults {
 struct ActiveFault {
     fault: WireFault,
     random: ChaCha8Rng,
-    /// Numbers of messages in the fault's window, to the controller and from it.
+    /// Number of messages in the fault's window, to the controller and from it.
     message_counts: [u64; 2],
     frozen: Option<[f32; 2]>,
 }

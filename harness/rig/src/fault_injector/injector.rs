@@ -11,10 +11,10 @@ use platebench_wire::{ControllerState, Message, Packet};
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Messages in flight per direction. Further messages are lost.
+/// Largest number of messages in flight per direction. Further messages are lost.
 pub(super) const MAX_QUEUED: usize = 256;
 
-/// Ends a truncated frame on the line before a message that must pass unchanged.
+/// Delimiter of frames. It ends a truncated frame before a message that must pass unchanged.
 pub(super) const DELIMITER: u8 = 0;
 
 #[derive(Debug)]
@@ -50,8 +50,7 @@ impl<L: Link> FaultInjector<L> {
         &mut self.inner.link
     }
 
-    /// Sets the faults of the next trial and clears the counts. Call it before the trial's
-    /// configuration.
+    /// Sets the next trial's faults and clears the counts. Call it before its configuration.
     pub fn set_faults(&mut self, faults: &[WireFault]) {
         self.active_faults = ActiveFaults::new(faults);
         self.overflow_count = 0;
@@ -60,15 +59,14 @@ impl<L: Link> FaultInjector<L> {
         self.clear();
     }
 
-    /// Compares the next trial with the hosted reference, in lockstep only. Call it before the
-    /// trial's configuration.
+    /// Compares the next lockstep trial with the reference. Call it before its configuration.
     pub fn compare_with_reference(&mut self, is_compared: bool) {
         self.inner.compare_with_reference(is_compared);
     }
 
     /// Largest difference of a command from the hosted reference for the same bytes, in percent of
-    /// the drive limit or the frequency range; 100 if only one of them stopped. `None` without a
-    /// comparison or a command.
+    /// the drive limit or the frequency range. It is 100 if only one of them stopped, and `None`
+    /// without a comparison or a command.
     pub fn reference_difference_percent(&self) -> Option<f64> {
         self.inner.reference_difference_percent()
     }
@@ -124,8 +122,7 @@ impl<L: Link> FaultInjector<L> {
         }
     }
 
-    /// Delivers the due messages and advances to `now`. Returns the target's delay for the last
-    /// message.
+    /// Delivers the due messages up to `now`. Returns the target's delay for the last one.
     fn deliver_until(&mut self, now: Duration, answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let mut last = None;
         while let Some(packet) = pop_due(&mut self.to_controller, now) {

@@ -4,7 +4,7 @@ use arrayvec::ArrayVec;
 use platebench_wire::{MAX_ENCODED, Message, Packet, PacketReader};
 use std::time::Duration;
 
-/// Enough for a message with noise, or for a message twice.
+/// Enough for a message with noise, or for a repeated message.
 const MAX_PACKET_BYTES: usize = 4 * MAX_ENCODED;
 
 #[derive(Debug, Clone)]

@@ -22,7 +22,7 @@ const ALWAYS: WireFault = WireFault {
     seed: 1,
 };
 
-/// Empty if only time advances.
+/// Time and bytes of each call. The bytes are empty if only time advances.
 type Log = Arc<Mutex<Vec<(Duration, Vec<u8>)>>>;
 
 struct LoggedDevice {
@@ -171,7 +171,7 @@ fn advances_the_target_when_a_sample_is_lost() {
     assert!(!fixture.session.last_sample_answered());
     assert_eq!(fixture.advance(ms(6)), None, "once only");
 
-    // A disconnected line does not deliver the stop.
+    // A disconnected line does not deliver the watchdog's report of the stop.
     let mut dead = trial_with(&[WireFault { from: ms(1), kind: WireFaultKind::Disconnect, ..ALWAYS }]);
     dead.sample(ms(0), 1.0).unwrap();
     assert!((1..30).all(|at| dead.sample(ms(at), 1.0).is_none() && dead.advance(ms(at)).is_none()));
@@ -207,18 +207,19 @@ fn flips_one_bit_by_the_seed() {
     };
     assert_eq!(flipped(1), flipped(1));
     assert!((2..12).any(|seed| flipped(seed) != flipped(1)));
-    // Also bits of the delimiter.
+    // The flipped bit may belong to the delimiter.
     assert!((0..400).any(|seed| flipped(seed).last() != Some(&0)));
 }
 
-/// A controller that ignores the CRC acts on a large value: `scenarios/faults/flipped-bit.toml`.
+/// With the seed of `scenarios/faults/flipped-bit.toml`, a controller that ignores the CRC receives
+/// a huge Wd.
 #[test]
 fn flips_the_highest_exponent_bit_in_the_scenario() {
     let flip = WireFault { kind: WireFaultKind::Flip, seed: SCENARIO_SEED, ..ALWAYS };
     let mut fixture = trial_with(&[flip]);
     fixture.sample(ms(0), 1.0);
     let (sent, flipped) = (frame(3, 1.0), fixture.delivered()[0].1.clone());
-    // COBS byte, version and kind, number, time, setpoint: Wd is bytes 11 to 14.
+    // Wd is bytes 11 to 14, after COBS byte, version and kind, number, time and setpoint.
     let changed: Vec<_> = (0..sent.len()).filter(|at| sent[*at] != flipped[*at]).collect();
     assert_eq!((changed, sent[14] ^ flipped[14]), (vec![14], 0x40));
 }
@@ -246,7 +247,7 @@ fn delivers_a_delayed_sample_when_due() {
         (fixture.session.link().next_due(), fixture.session.link().delivered_sample()),
         (Some(us(1_500)), Some([0.0; 2]))
     );
-    // The next one is not delayed, but the line keeps the order.
+    // The next sample is not delayed itself, but waits, because the line keeps the order.
     assert_eq!(fixture.sample(ms(1), 0.75), None);
     assert_eq!(fixture.advance(us(1_499)), None);
     assert!(fixture.delivered().is_empty());
@@ -277,7 +278,7 @@ fn ignores_a_command_that_is_later_than_the_next() {
     let (mut late, mut prompt) = (trial_with(&[WireFault { until: Some(ms(2)), ..delay }]), trial_with(&[]));
     let expected: Vec<_> = (0..4).map(|at| prompt.sample(ms(at), 1.0)).collect();
     assert_eq!((late.sample(ms(0), 1.0), late.sample(ms(1), 1.0)), (None, None));
-    // In order: the first arrives alone; of several at once the newest counts.
+    // The first command arrives alone. The next two arrive together, and the newer one counts.
     assert_eq!(late.advance(us(1_500)), expected[0]);
     assert_eq!(late.sample(ms(2), 1.0), None, "behind the one from 1 ms");
     assert_eq!(late.advance(us(2_500)), expected[2]);
@@ -310,7 +311,8 @@ fn precedes_a_message_with_four_invalid_frames() {
         let noise = &seeded.delivered()[0].1[..64];
         assert_eq!((0..64).filter(|at| noise[*at] == 0).collect::<Vec<_>>(), [15, 31, 47, 63]);
     }
-    // Ignores the first burst, before it runs; the second is 8 of 10 rejected frames.
+    // The controller counts 2 per rejected frame and stops at 10. It ignores the first burst of
+    // four, because it is still idle. The second one adds 8.
     assert_eq!(fixture.sample(ms(1), 1.0).unwrap().state, ControllerState::Running);
     let stopped = fixture.sample(ms(2), 1.0).unwrap();
     assert_eq!((stopped.state, stopped.cause), (ControllerState::Fault, StateCause::LineNoise));
@@ -340,7 +342,7 @@ fn freezes_the_sample_before_the_window() {
 fn scales_both_components_before_the_line() {
     let scale = WireFault { kind: WireFaultKind::Scale(-0.5), ..ALWAYS };
     let flip = WireFault { kind: WireFaultKind::Flip, direction: Direction::ToController, from: ms(1), ..ALWAYS };
-    // The sensor precedes the line, whatever the order of the list.
+    // A sample passes the sensor before the line, whatever the order of the list.
     let mut fixture = trial_with(&[flip, scale]);
     fixture.sample(ms(0), 2.0);
     fixture.sample(ms(1), 2.0);

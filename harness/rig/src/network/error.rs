@@ -4,7 +4,7 @@ use crate::link::LinkError;
 use std::io;
 use std::time::Duration;
 
-/// Covers name resolution, connection and settings together.
+/// Longest time for name resolution, connection and settings together.
 pub(super) const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
 #[derive(Debug, thiserror::Error)]

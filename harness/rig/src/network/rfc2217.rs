@@ -1,4 +1,4 @@
-//! Sets a remote serial port over Telnet (RFC 854, RFC 2217) and escapes the byte 255.
+//! Sets a remote serial port over Telnet (RFC 854, RFC 2217) and escapes the byte 255 (IAC).
 
 use crate::link::LinkError;
 use crate::network::error::NetworkError;
@@ -28,15 +28,14 @@ const PURGE_DATA: u8 = 12;
 /// A server answers a command with the number of the command plus this value.
 const ANSWER_OFFSET: u8 = 100;
 
-/// In bytes. The rest of a longer subnegotiation is dropped.
+/// Largest stored length of a subnegotiation, bytes. Further bytes are dropped.
 const MAX_SUBNEGOTIATION: usize = 64;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum TelnetState {
     Data,
-    /// After the byte 255.
     Command,
-    /// After WILL, WONT, DO or DONT.
+    /// Contains WILL, WONT, DO or DONT. The number of the option follows.
     Option(u8),
     Subnegotiation,
     SubnegotiationCommand,
@@ -50,8 +49,8 @@ pub(crate) struct Rfc2217 {
     unsent: VecDeque<u8>,
     baud: Option<u32>,
     is_refused: bool,
-    /// True after the server has set the baud rate. Until then, a read also ends after an answer
-    /// without data.
+    /// True after the server has set the baud rate. Until then, a read also ends if only Telnet
+    /// commands arrived.
     is_set: bool,
 }
 
@@ -93,7 +92,7 @@ impl Rfc2217 {
             }
             let received = port.read(&mut discarded, deadline).map_err(settings)?;
             if received.is_none() && Instant::now() >= deadline {
-                // A server without Telnet answers nothing.
+                // A server that does not use Telnet does not answer.
                 return Err(NetworkError::NoPortOption { address: address.to_owned() });
             }
         }
@@ -125,7 +124,7 @@ impl Rfc2217 {
         Ok(true)
     }
 
-    /// Returns bytes of the serial port; `None` for bytes of Telnet commands.
+    /// Returns a byte of the serial port; `None` for a byte of a Telnet command.
     fn decode(&mut self, byte: u8) -> Option<u8> {
         match (self.state, byte) {
             (TelnetState::Data, IAC) => self.state = TelnetState::Command,
@@ -204,8 +203,7 @@ impl Tty for Rfc2217 {
     }
 
     fn write(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, LinkError> {
-        // First sends the rest of a message that the line accepted only in part, because half a
-        // message is invalid.
+        // First sends the rest of an earlier message, because half a message is invalid.
         if !self.flush(until)? {
             return Ok(None);
         }

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tracing::{info, warn};
 
-/// Dropping it resets the chip, which boots at 0 V, and releases the probe.
+/// Dropping the value resets the chip, which boots at 0 V, and releases the probe.
 #[derive(Debug)]
 pub struct AttachedBoard {
     thread: ProbeThread<Board>,
@@ -52,8 +52,8 @@ impl AttachedBoard {
         self.thread.call(doing, timeout + self.timeouts.grace, job)
     }
 
-    /// Writes the image and verifies it; writes nothing if the flash already contains it. Resets
-    /// and halts the processor, whose outputs float until [`AttachedBoard::restart`].
+    /// Writes the image to flash and verifies it. Does nothing if the flash already contains it. A
+    /// write resets and halts the processor, whose outputs float until [`AttachedBoard::restart`].
     pub fn flash(&mut self, image: &Arc<Image>) -> Result<FlashOutcome, ProbeError> {
         let image = Arc::clone(image);
         let outcome = self.call("flashing", self.timeouts.flash, move |board| board.flash(&image))?;
@@ -66,7 +66,7 @@ impl AttachedBoard {
         self.call("resetting the chip", timeout, move |board| board.restart(rtt, timeout))
     }
 
-    /// A processor in a fault handler stays halted.
+    /// Returns the crash if the processor is in a fault handler. The processor then stays halted.
     pub fn read_crash(&mut self, image: &Arc<Image>) -> Result<Option<CrashReport>, ProbeError> {
         let image = Arc::clone(image);
         self.call("reading a crash", self.timeouts.crash, move |board| board.read_crash(&image))

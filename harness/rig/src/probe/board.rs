@@ -15,9 +15,9 @@ use probe_rs::{Core, MemoryInterface, Permissions, Session, Target};
 use std::time::{Duration, Instant};
 use tracing::{debug, warn};
 
-/// `DBGMCU_IDCODE`: device in the lower twelve bits, revision in the upper sixteen.
+/// Address of `DBGMCU_IDCODE`: bits 0 to 11 are the device code, bits 16 to 31 the revision.
 const IDCODE: u64 = 0xe004_2000;
-/// Device codes from the reference manuals, with the prefixes of the part numbers.
+/// Device codes from ST's reference manuals, families, and prefixes of the part numbers.
 const DEVICES: [(u16, &str, &[&str]); 10] = [
     (0x413, "STM32F405/407/415/417", &["STM32F405", "STM32F407", "STM32F415", "STM32F417"]),
     (0x419, "STM32F427/429/437/439", &["STM32F427", "STM32F429", "STM32F437", "STM32F439"]),
@@ -140,7 +140,7 @@ impl Board {
         Ok(None)
     }
 
-    /// First clears the RTT control block at `rtt`, so that the bench does not use an old one.
+    /// First clears the RTT control block at `rtt`, which may be that of earlier firmware.
     pub(super) fn restart(&mut self, rtt: Option<u64>, timeout: Duration) -> Result<(), ProbeError> {
         let until = Instant::now() + timeout;
         let mut core = self.core()?;
@@ -183,7 +183,7 @@ impl Board {
 
 impl Drop for Board {
     fn drop(&mut self) {
-        // A halted processor cannot take the drive to 0 V.
+        // The processor must run, because a halted one cannot take the drive to 0 V.
         let resume = |mut core: Core<'_>| if core.core_halted()? { core.run() } else { Ok(()) };
         if let Err(error) = self.session.core(0).and_then(resume) {
             warn!(error = super::error::error_chain(&error), "the processor may be halted");

@@ -1,6 +1,6 @@
 //! Reads a crash of the firmware through the debug probe. The processor runs while its fault
-//! handler takes the drive to 0 V, and is halted only to read its core registers and stack. The
-//! chip's watchdog may reset it meanwhile.
+//! handler takes the drive to 0 V. Then the bench halts it to read its core registers and stack.
+//! The chip's watchdog may reset the processor meanwhile.
 
 use super::error::ProbeError;
 use super::image::Image;
@@ -10,16 +10,17 @@ use crate::crash_report::{
 use probe_rs::{Core, MemoryInterface, RegisterId};
 use std::time::Duration;
 
-/// DHCSR, and its bit for a fault within a fault handler (ARMv7-M ARM, C1.6.2).
+/// Debug Halting Control and Status Register, and its bit for a fault within a fault handler
+/// (ARMv7-M ARM, C1.6.2).
 const DHCSR: u64 = 0xE000_EDF0;
 const LOCKED_UP: u32 = 1 << 19;
 const SP: RegisterId = RegisterId(13);
 const LR: RegisterId = RegisterId(14);
 const PC: RegisterId = RegisterId(15);
 const PSP: RegisterId = RegisterId(18);
-/// The processor stops within some cycles or never.
+/// The processor halts within some cycles or not at all.
 const HALT_TIMEOUT: Duration = Duration::from_millis(100);
-/// The probe reads them within some 10 ms at 1 MHz.
+/// Number of stack words to read. At 1 MHz, the probe takes some 10 ms for them.
 const STACK_WORDS: usize = 512;
 
 pub(super) fn read_crash(core: &mut Core<'_>, image: &Image) -> Result<Option<CrashReport>, ProbeError> {
@@ -54,7 +55,7 @@ fn active_handler(core: &mut Core<'_>) -> Result<Option<&'static str>, ProbeErro
     if read(DHCSR)? & LOCKED_UP != 0 {
         return Ok(Some("lockup"));
     }
-    // NMI is no trap of the firmware.
+    // Exception 2, the NMI, is no trap of the firmware.
     Ok(Some(read(ICSR)? & 0x1FF).filter(|&number| number > 2).and_then(fault_handler))
 }
 

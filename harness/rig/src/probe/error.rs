@@ -10,7 +10,7 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Messages contain the whole chain of causes; there is no [`Error::source`].
+/// Each message contains the whole chain of causes.
 #[derive(Debug, thiserror::Error)]
 pub enum ProbeError {
     #[error(
@@ -132,7 +132,7 @@ impl ProbeError {
 }
 
 impl From<ProbeError> for LinkError {
-    /// A trap is an error of the firmware; everything else means that the board is lost.
+    /// A trap is an error of the firmware. After any other error, the board is lost.
     fn from(error: ProbeError) -> Self {
         match error {
             ProbeError::Trapped(crash) => Self::Target(Box::new(TargetError::Trap(crash))),
@@ -141,7 +141,7 @@ impl From<ProbeError> for LinkError {
     }
 }
 
-/// Joins all causes, because only the sources of probe-rs's errors name the reason.
+/// Joins the messages of all causes, because the outer errors of probe-rs do not name the reason.
 pub(super) fn error_chain(error: &dyn Error) -> String {
     let mut text = error.to_string();
     let mut next = error.source();

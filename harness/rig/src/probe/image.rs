@@ -8,7 +8,7 @@ use object::{Endianness, Object, ObjectSymbol};
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Segment {
-    /// Address in flash, from where the firmware copies initialised data to RAM.
+    /// Load address in flash. The firmware copies initialised data from there to RAM.
     pub address: u32,
     pub bytes: Vec<u8>,
 }
@@ -64,7 +64,7 @@ impl Image {
         Symbols::read(&self.elf)
     }
 
-    /// The first word of the vector table, which is at the lowest address of the image.
+    /// Returns the first word of the vector table, which is at the lowest address of the image.
     pub(super) fn initial_stack(&self) -> Option<u32> {
         let first = self.segments.iter().min_by_key(|segment| segment.address)?;
         first.bytes.first_chunk().map(|bytes| u32::from_le_bytes(*bytes))

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tracing::debug;
 
-/// Dropping it resets the chip, which boots at 0 V, and releases port and probe.
+/// Dropping the link resets the chip, which boots at 0 V, and releases port and probe.
 #[derive(Debug)]
 pub struct PortLink {
     serial: SerialLink,
@@ -21,8 +21,7 @@ pub struct PortLink {
 }
 
 impl PortLink {
-    /// Waits for the handshake. Discards earlier bytes, such as noise of the reset or an earlier
-    /// fault report.
+    /// Waits for the handshake. Discards earlier bytes, such as noise or an old fault report.
     pub(super) fn open(
         serial: SerialLink,
         path: &Path,
@@ -52,8 +51,8 @@ impl PortLink {
     }
 
     fn contains_message(&mut self, received: &[u8], matches: impl Fn(&Message) -> bool) -> bool {
-        // Counts instead of stopping at a match, because the reader must receive all bytes to keep
-        // an incomplete frame.
+        // Uses `count` instead of `any`, because the reader must receive all bytes to keep an
+        // incomplete frame for the next call.
         self.answers.packets(received).flatten().filter(|packet| matches(&packet.message)).count() > 0
     }
 }
@@ -63,8 +62,8 @@ impl Link for PortLink {
         let before = answer.len();
         let delay = self.serial.exchange(now, bytes, answer)?;
         let received = answer.get(before..).unwrap_or_default();
-        // A trapped processor sends at most one fault report, which contains less than the probe
-        // can read.
+        // A trapped processor sends nothing, or one fault report. The probe can read more than the
+        // report contains.
         if (received.is_empty() || self.contains_message(received, |message| matches!(message, Message::Fault(_))))
             && let Some(error) = self.board.trap_error(&self.image)
         {

@@ -14,7 +14,7 @@ type Job<T> = Box<dyn FnOnce(&mut T) + Send>;
 #[derive(Debug)]
 pub(super) struct ProbeThread<T> {
     jobs: Option<Sender<Job<T>>>,
-    /// Disconnects when the thread has ended and its value is dropped.
+    /// This channel disconnects when the thread has ended and its value is dropped.
     ended: Receiver<()>,
     abandoned: Cell<bool>,
 }
@@ -29,7 +29,7 @@ impl<T: 'static> ProbeThread<T> {
         let (built, answer) = channel();
         let (alive, ended) = channel::<()>();
         let run = move || {
-            // Dropped last, after `value`.
+            // Declared before `value`, so that it is dropped after `value`.
             let _alive = alive;
             let mut value = match build() {
                 Ok((value, result)) => {

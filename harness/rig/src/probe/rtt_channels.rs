@@ -34,7 +34,7 @@ impl RttChannels {
         if bytes.is_empty() {
             return Ok(received);
         }
-        // If an unsolicited frame has begun, it ends before the answer.
+        // If a part of an unsolicited frame has arrived, the end of that frame precedes the answer.
         let mut ends = if received.last().is_some_and(|&byte| byte != 0) { 2 } else { 1 };
         let mut unsent = bytes;
         loop {

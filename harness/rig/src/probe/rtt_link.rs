@@ -1,4 +1,4 @@
-//! Runs the wire protocol over RTT channel 0, with the bytes of a serial line.
+//! Runs the wire protocol over RTT channel 0, with the same bytes as on a serial line.
 
 use super::attached_board::AttachedBoard;
 use super::error::ProbeError;
@@ -15,11 +15,11 @@ const SAFE_SEQUENCE: u8 = 0xff;
 #[derive(Debug)]
 pub struct ShutdownResult {
     pub zero_volts_confirmed: bool,
-    /// The bench resets the chip in any case, and the chip then boots at 0 V.
+    /// Result of the reset, after which the chip boots at 0 V. Every shutdown resets it.
     pub reset: Result<(), ProbeError>,
 }
 
-/// Dropping it requests 0 V, resets the chip and releases the probe.
+/// Dropping the link requests 0 V, resets the chip and releases the probe.
 #[derive(Debug)]
 pub struct RttLink {
     board: AttachedBoard,
@@ -47,7 +47,7 @@ impl RttLink {
         let channels = self.channels.take().ok_or_else(|| ProbeError::Rtt("closed after an earlier error".into()))?;
         let (channels, received) = self.board.exchange(channels, bytes.to_vec())?;
         self.channels = Some(channels);
-        // A trapped processor sends nothing.
+        // No answer may mean that the processor has trapped.
         if received.is_empty()
             && let Some(error) = self.board.trap_error(&self.image)
         {

@@ -48,7 +48,7 @@ fn open_error(probe: &str, cause: DebugProbeError) -> ProbeError {
     match kind {
         Some(ErrorKind::PermissionDenied) => ProbeError::PermissionDenied { probe },
         Some(ErrorKind::ResourceBusy) => ProbeError::Busy { probe, cause: text },
-        // The USB library reports a busy probe only in its text.
+        // The USB library reports a busy probe only in the text of its error.
         _ if text.contains("busy") => ProbeError::Busy { probe, cause: text },
         _ => ProbeError::Open { probe, cause: Box::new(cause) },
     }

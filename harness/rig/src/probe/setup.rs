@@ -18,7 +18,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use tracing::info;
 
-/// Path and bits per second.
+/// Path and baud rate (bits per second).
 pub type SerialPort = (PathBuf, u32);
 
 #[derive(Debug, Clone)]
@@ -29,8 +29,8 @@ pub struct ProbeSetup {
 }
 
 impl ProbeSetup {
-    /// Uses RTT if `port` is `None`. Fails for an unknown chip, an ELF without content, or an image
-    /// without the needed RTT.
+    /// Uses RTT if `port` is `None`. Fails for an unknown chip, for an ELF without content, or if
+    /// RTT is needed and the image has none.
     pub fn new(spec: ProbeSpec, elf: &[u8], port: Option<SerialPort>) -> Result<Self, ProbeError> {
         Board::resolve_target(&spec)?;
         let image = Arc::new(Image::parse(elf)?);
@@ -40,7 +40,7 @@ impl ProbeSetup {
         Ok(Self { spec, image, port })
     }
 
-    /// Uses the built-in image by default. Fails if `rig` is not `Probe`.
+    /// Uses the built-in image if `rig` names no ELF. Fails if `rig` is not [`RigSpec::Probe`].
     pub fn from_spec(rig: &RigSpec) -> Result<Self, ProbeError> {
         let RigSpec::Probe { board, elf, port, baud } = rig else {
             return Err(ProbeError::Spec { text: rig.to_string() });

@@ -5,17 +5,17 @@ use std::time::Duration;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Timeouts {
     pub attach: Duration,
-    /// Includes the comparisons before and after the write.
+    /// Includes the comparisons of the flash content before and after the write.
     pub flash: Duration,
     pub reset: Duration,
     /// Longest wait for the RTT control block after a reset.
     pub rtt: Duration,
     /// Longest wait for the first answer on the serial port after a reset.
     pub handshake: Duration,
-    /// A missing answer after this time is no error.
+    /// Longest wait for an answer. A missing answer is no error.
     pub exchange: Duration,
     pub crash: Duration,
-    /// Additional time of each call before the probe counts as hung.
+    /// Added to the time-out of a call. If the call has not ended then, the probe counts as hung.
     pub grace: Duration,
 }
 

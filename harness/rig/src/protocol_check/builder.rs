@@ -1,5 +1,5 @@
-//! Builds the exchanges of a script: each consists of frames without an answer and one frame with
-//! an answer.
+//! Builds the exchanges of a script. An exchange consists of frames that the controller does not
+//! answer and one frame that it answers.
 
 use platebench_wire::{Configure, EncodedFrame, Message, Packet, Sample};
 use std::time::Duration;
@@ -7,7 +7,7 @@ use std::time::Duration;
 #[derive(Debug, Clone)]
 pub(super) struct Script {
     pub(super) name: &'static str,
-    /// If the host delays an answer by more than this time, the controller's watchdog may act.
+    /// If an exchange is later than planned by more than this time, the watchdog may act.
     pub(super) stall: Duration,
     pub(super) exchanges: Vec<Exchange>,
 }
@@ -18,16 +18,15 @@ pub(super) fn script(name: &'static str, variation: Variation, write: impl FnOnc
     builder.script
 }
 
-/// Silence between the two pieces of a frame.
 const PAUSE: Duration = Duration::from_millis(5);
 const STALL: Duration = Duration::from_millis(80);
 
-/// Change of the messages of a script. A script has the same length in all variations.
+/// Change of the values in a script's messages. It does not change the number of exchanges.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Variation {
-    /// Relative change of Wd and Wq, with signs that alternate from sample to sample.
+    /// Relative change of Wd and Wq, with signs that alternate over the samples.
     pub(super) components: f32,
-    /// Factor on K1 in configurations without gains.
+    /// Factor on the plate gain K1 in configurations without controller gains.
     pub(super) gain: f32,
 }
 
@@ -60,7 +59,7 @@ impl Builder {
             script: Script { name, stall: STALL, exchanges: Vec::new() },
             variation,
             period_us: 0,
-            // From 248 on, the numbers wrap within the first messages.
+            // The sequence numbers start at 248, so that they wrap within the first messages.
             sequence: 248,
             time_us: 0,
             unanswered: Vec::new(),
@@ -118,15 +117,15 @@ impl Builder {
         }
     }
 
-    /// Adds a sample with its own number and values. A flipped bit in byte `position` makes it
-    /// invalid.
+    /// Adds a sample that is invalid, because one bit of byte `position` is flipped. Its values
+    /// differ from those of the script's other samples.
     pub(super) fn add_damaged(&mut self, position: usize) {
         let sequence = self.next_sequence();
         let sample = Sample { time_us: self.time_us, setpoint_um: 3.0, wd_um: 0.7, wq_um: -0.3 };
         let mut frame = Packet { sequence, message: Message::Sample(sample) }.encode().as_bytes().to_vec();
         let data = frame.len() - 1;
         if let Some(byte) = frame.get_mut(position % data) {
-            // The changed byte is not 0, the delimiter.
+            // The byte must not become 0, because 0 is the delimiter of frames.
             *byte ^= if *byte == 1 { 2 } else { 1 };
         }
         self.add(&frame);
@@ -200,7 +199,7 @@ impl Builder {
     }
 }
 
-/// Body of a configuration with the sequence number 80. `values` are the floats from byte 14 on.
+/// Returns a configuration with the number 80. `values` are the floats from byte 14 on.
 pub(super) fn configuration_body(configure: &Configure, bits: u8, values: [f32; 10]) -> Vec<u8> {
     let mut body = vec![0x13, 80, configure.law as u8, bits];
     body.extend_from_slice(&configure.watchdog_timeout_ms.to_le_bytes());

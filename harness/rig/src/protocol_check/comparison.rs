@@ -10,26 +10,25 @@ use std::time::Duration;
 
 /// Largest relative difference of reported gains from configured ones.
 const GAIN_TOLERANCE: f32 = 1e-5;
-/// Largest relative difference of the gains of a `dq-pi` law from the design in
+/// Largest relative difference of the gains that a `dq-pi` law designs from those of
 /// `docs/wire-protocol.md`.
 const DESIGN_TOLERANCE: f32 = 0.12;
-/// Gains with a smaller relative difference count as those of the design in
-/// `docs/wire-protocol.md`.
+/// If gains differ by at most this share, target and reference have the same design.
 const SAME_DESIGN: f32 = 1e-4;
-/// Tolerance of commands in the state *running*, if the gains are those of the reference. The drive
-/// is relative to its limit, the frequency to its range. Single precision needs less.
+/// Largest difference of a *running* command, if target and reference have the same gains: drive
+/// relative to its limit, frequency relative to its range. Rounding causes less.
 pub(super) const SAME_GAINS_TOLERANCE: f64 = 1e-3;
-/// Tolerance for another design: gains with an error of 10 % change a drive by about this share of
-/// its limit.
+/// The same tolerance if the target's gains have another design. An error of 10 % in the gains
+/// changes a drive by about this share of its limit.
 const OTHER_DESIGN_TOLERANCE: f64 = 0.15;
-/// Shares of the tolerance by which the commands of a variation may differ from those of the
-/// reference.
+/// If a variation of the script changes a command by more than this share of the tolerance, the
+/// command is not compared. The first share is for rounding, the second for another design.
 const ROUNDING_SHARE: f64 = 0.25;
 const OTHER_DESIGN_SHARE: f64 = 0.5;
-/// The first variations differ by rounding, the others by their design.
+/// Number of variations by rounding. They precede the variations of the design.
 const ROUNDING_VARIATIONS: usize = 2;
-/// Shortest silence over which the time stamps of commands are compared, and the relative
-/// tolerance.
+/// Shortest time between two commands whose time stamps are compared, and the relative tolerance of
+/// the difference of their time stamps.
 const COMPARED_SILENCE: Duration = Duration::from_millis(100);
 const CLOCK_TOLERANCE: f64 = 0.1;
 
@@ -38,7 +37,7 @@ pub(super) struct Difference {
     pub(super) other_cause: Option<BenchCause>,
 }
 
-/// A possible cause of a difference other than the controller.
+/// A cause other than the controller that may explain a difference.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum BenchCause {
     /// The line may have lost an answer or delivered it late.
@@ -55,9 +54,9 @@ pub(super) struct ReceivedPackets {
 }
 
 impl ReceivedPackets {
-    /// Omits the watchdog's report, because a controller that first receives a sample reports the
-    /// stop in its answer. Omits ticks before the answer to a configuration, because they belong to
-    /// the previous configuration.
+    /// Omits the watchdog's own report of a stop, because it is sent only if no sample arrives
+    /// first. If a sample arrives first, its answer reports the stop. Omits ticks before the answer
+    /// to a configuration, because they belong to the previous configuration.
     pub(super) fn new(bytes: &[u8], request: u8) -> Self {
         let is_report = |packet: &Packet| {
             matches!(packet.message, Message::Command(command) if command.cause == StateCause::SampleTimeout)
@@ -82,11 +81,11 @@ pub(super) struct Comparison<'a> {
     identity: &'a Identity,
     configuration: Option<Configure>,
     has_other_design: bool,
-    /// True if the commands of a variation differ too much from those of the reference.
+    /// True if a variation changed a command too much, so that commands are not compared.
     is_ambiguous: bool,
-    /// The last running commands of target and reference.
+    /// Last commands of target and reference in the state *running*.
     running: Option<[Command; 2]>,
-    /// The same commands if they belong to the previous exchange.
+    /// Value of `running` if its commands belong to the previous exchange.
     previous: Option<[Command; 2]>,
     ticks: TickComparison,
 }
@@ -116,9 +115,8 @@ impl<'a> Comparison<'a> {
         last
     }
 
-    /// `expected` contains the packets of the reference, then those of its variations. `silence` is
-    /// the shortest and the longest possible time since the previous exchange on the controller's
-    /// clock.
+    /// `expected` contains the packets of the reference, then of its variations. `silence` is the
+    /// range of the time since the previous exchange on the controller's clock.
     pub(super) fn compare(
         &mut self,
         received: &ReceivedPackets,
@@ -227,16 +225,14 @@ impl<'a> Comparison<'a> {
             return self.is_ambiguous || self.distance(answer, expected) <= self.tolerance();
         }
         let expected_mhz = match &self.running {
-            // A stopped controller keeps its own last frequency, which may differ from that of the
-            // reference.
+            // A stopped controller keeps its own last frequency, not that of the reference.
             Some([own, reference]) if expected.frequency_mhz == reference.frequency_mhz => own.frequency_mhz,
             _ => expected.frequency_mhz,
         };
         answer.drive_vpp == 0.0 && answer.frequency_mhz == expected_mhz
     }
 
-    /// The larger of the two differences of [`command_difference`]; infinite if a drive is not
-    /// finite.
+    /// Returns the larger difference of [`command_difference`]; infinite if a drive is not finite.
     fn distance(&self, one: &Command, other: &Command) -> f64 {
         let Some(configuration) = self.configuration else { return 0.0 };
         let [drive, frequency] = command_difference(one, other, &configuration);
@@ -258,7 +254,7 @@ fn compare_clocks(
         Duration::from_micros(present.target_time_us.wrapping_sub(previous.target_time_us).into())
     });
     let (own, expected) = (advances.next().unwrap_or_default(), advances.next().unwrap_or_default());
-    // A repeated command has the time stamp of the original one.
+    // The answer to a repeated sample has the time stamp of the first answer.
     if shortest < COMPARED_SILENCE || expected < shortest {
         return Ok(());
     }

@@ -1,5 +1,4 @@
-//! Builds scripts that test configured values: limits with fractions, unused gains, and a
-//! threshold.
+//! Builds scripts that test limits with fractions, unused gains, and a threshold.
 
 use super::builder::{Builder, Script, Variation, configuration_body, script};
 use platebench_wire::Configure;
@@ -18,7 +17,7 @@ pub(super) fn scripts(fixed: &Configure, variation: Variation) -> Vec<Script> {
         start("a drive limit with a fraction", Configure { drive_limit_vpp: 9.75, ..*fixed }, &|builder| {
             drive_limit(builder, 1.0);
         }),
-        // In units of 0.1 V, this limit needs more than 16 bits.
+        // A controller that stores the limit in units of 0.1 V as 16 bits must fail here.
         start("a drive limit of 70 kV", Configure { drive_limit_vpp: 70_000.25, ..*fixed }, &|builder| {
             drive_limit(builder, 500.0);
         }),
@@ -60,7 +59,7 @@ fn ratio(builder: &mut Builder) {
     }
 }
 
-/// If bit 0 of the configuration is not set, the controller must ignore the gains.
+/// If bit 0 of the configuration's flags is not set, the controller must ignore the gains.
 fn unused_gains(builder: &mut Builder, configure: &Configure) {
     let Configure { gain_um_per_vpp, time_constant_s, drive_limit_vpp, .. } = *configure;
     for gain in [f32::NAN, f32::INFINITY, -7e5] {
@@ -71,7 +70,6 @@ fn unused_gains(builder: &mut Builder, configure: &Configure) {
     }
 }
 
-/// Configures response times and periods that a closed loop does not use.
 fn designs(builder: &mut Builder, configure: &Configure) {
     for (period_us, response_time_s, time_constant_s) in [
         (1_000, 0.000_3, 0.0019),
@@ -91,7 +89,7 @@ fn designs(builder: &mut Builder, configure: &Configure) {
     }
 }
 
-/// A Wd of at most a tenth of the setpoint is too small for the law.
+/// The control loop rests if Wd is at most a tenth of the setpoint.
 fn threshold(builder: &mut Builder, configure: &Configure) {
     builder.configure(*configure);
     builder.sample(2.5, 0.25, 0.1);

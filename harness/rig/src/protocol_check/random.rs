@@ -8,14 +8,15 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 const SCRIPTS: u64 = 40;
 const SAMPLES: usize = 40;
 
-/// Returns two scripts per random configuration: with configured gains and with the law's own
-/// design.
+/// Returns pairs of scripts, each with its own random configuration. The first of a pair has
+/// configured gains, the second the law's own design.
 pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variation, seed: u64) -> Vec<Script> {
     let mut all = Vec::new();
     for number in 0..SCRIPTS {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(number);
-        // Scripts with configured gains have no loop delay, because the prediction would use K1.
+        // Only the second script may have a loop delay. With a delay, the law predicts the plate
+        // with K1, which no variation changes if the gains are configured.
         let has_delay = number % 4 == 3 && identity.has_capability(capabilities::LOOP_DELAY);
         all.push(script("random samples with configured gains", variation, |builder| {
             builder.configure(random_configuration(&mut random, base, true, false));
@@ -42,8 +43,8 @@ fn random_configuration(random: &mut ChaCha8Rng, base: &Configure, has_gains: bo
     let mut range = |low, high| uniform(random, low, high);
     let longest_us = range(300.0, 4000.0);
     let time_constant_s = range(0.001, 0.004);
-    // Over more than six time constants, e^z of the identification is below the resolution of
-    // single precision.
+    // Over a period of several time constants, the factor e^z of the law's identification becomes
+    // too small for single precision.
     let period_us = if has_gains { longest_us } else { longest_us.min(time_constant_s * 1e6) } as u32;
     let gains = Gains {
         amplitude_kp: range(-60.0, 600.0),
@@ -66,8 +67,8 @@ fn random_configuration(random: &mut ChaCha8Rng, base: &Configure, has_gains: bo
     }
 }
 
-/// Adds samples with setpoints that last some samples. Wd and Wq follow with jumps, and Wd is
-/// sometimes negative.
+/// Adds samples whose setpoint lasts five samples on average. Wd follows the setpoint and Wq goes
+/// to zero, both with random jumps. Wd is sometimes negative.
 fn random_samples(random: &mut ChaCha8Rng, builder: &mut Builder) {
     let (mut setpoint, mut wd, mut wq) = (1.0, 0.0, 0.0);
     for _ in 0..SAMPLES {

@@ -1,4 +1,4 @@
-//! Builds scripts of messages that are legal and that no closed loop with a plate sends.
+//! Builds scripts of messages that no closed loop with a plate sends.
 
 use super::builder::{Builder, Script, Variation, configuration_body, script};
 use super::{limits, random, timing};
@@ -9,7 +9,7 @@ use platebench_wire::{
 
 pub(super) const CONFIGURED_GAINS: Gains =
     Gains { amplitude_kp: 275.0, amplitude_ki: 110_000.0, frequency_kp: 900.0, frequency_ki: 400_000.0 };
-/// Bytes of a sample's frame.
+/// Length of a sample's frame, bytes.
 const SAMPLE_FRAME: usize = 24;
 
 pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variation, seed: u64) -> Vec<Script> {
@@ -64,11 +64,11 @@ fn repeated_samples(builder: &mut Builder, configure: Configure) {
     builder.sample(2.0, 1.1, -0.2);
     builder.repeat_sample();
     builder.repeat_sample();
-    // The number alone marks a repetition, although the values differ.
+    // This sample has the number of the last one: a repetition, despite other values.
     builder.sample_after(0, 2.5, 1.9, 0.4);
     builder.sample(2.0, 1.6, -0.3);
     builder.ask(Message::Safe);
-    // The controller answers with 0 V and its state, under the number of the sample.
+    // The controller answers this repetition with 0 V and the state *safe*.
     builder.repeat_sample();
     builder.configure(configure);
     builder.sample(2.0, 0.3, 0.1);
@@ -125,7 +125,7 @@ fn hello(builder: &mut Builder, configure: Configure) {
     builder.sample(2.0, 1.2, -0.2);
 }
 
-/// A repetition has the number of the last sample, not that of another message.
+/// Only the number of the last sample marks a repetition, not that of another message.
 fn numbers(builder: &mut Builder, configure: Configure) {
     builder.sample_after(0, 2.0, 0.0, 0.0);
     builder.ask(Message::Hello);
@@ -203,7 +203,7 @@ fn counter(builder: &mut Builder, configure: Configure) {
     builder.ask(Message::Safe);
     builder.configure(configure);
     builder.sample(2.0, 1.2, -0.2);
-    // One overlong frame, which is rejected once.
+    // The controller rejects this overlong frame once.
     builder.add(&[[7; 100].as_slice(), &[0]].concat());
     builder.sample(2.0, 1.3, -0.2);
     builder.add_rejected(4);
@@ -291,7 +291,7 @@ fn not_finite(builder: &mut Builder, component: usize, configure: Configure) {
         builder.sample(2.0, 1.2, -0.4);
         let [setpoint, wd, wq] = with(value);
         builder.sample(setpoint, wd, wq);
-        // The controller keeps the cause of its stop and does not report it again.
+        // A stopped controller keeps the cause of its stop and sends no second report.
         builder.add_rejected(6);
         builder.sample(2.0, 1.2, -0.2);
         builder.repeat_sample();
@@ -299,7 +299,7 @@ fn not_finite(builder: &mut Builder, component: usize, configure: Configure) {
         builder.sample(setpoint, wd, wq);
         builder.configure(configure);
     }
-    // At a setpoint of zero, the law must not use the value.
+    // A NaN in Wd or Wq stops the controller even at a setpoint of zero.
     builder.sample(0.0, 1.0, 0.0);
     let [_, wd, wq] = with(f32::NAN);
     builder.sample(0.0, wd, wq);

@@ -3,19 +3,20 @@
 use platebench_wire::{Configure, Message, Packet};
 use std::time::Duration;
 
-/// Time by which the clocks of controller and bench may differ.
+/// Largest difference between the clocks of controller and bench.
 const CLOCK_MARGIN: Duration = Duration::from_millis(50);
 const MIN_TICKS: usize = 100;
-/// In a quarter of all ticks, one in this many is sent in time even on a busy host.
+/// The drift of a quarter of the ticks is their tenth percentile, because even a busy host sends
+/// one tick in ten in time.
 const IN_TIME_DIVISOR: usize = 10;
-/// Largest drift, as a share of the period.
+/// Largest permitted drift, as a share of the period.
 const DRIFT_SHARE: f64 = 0.25;
 
 #[derive(Debug, Default)]
 pub(super) struct TickComparison {
     period: Duration,
     expected: usize,
-    /// Time by which the controller's clock may have advanced more than that of the reference.
+    /// Lateness of the bench, by which the controller may be ahead of the reference.
     late: Duration,
     /// Send time of each tick on the controller's clock, µs.
     sent_us: Vec<u32>,
@@ -26,8 +27,8 @@ impl TickComparison {
         Self { period: Duration::from_micros(configure.period_us.into()), ..Self::default() }
     }
 
-    /// `expected` is the number of the reference's ticks, `late` the bench's lateness. Returns a
-    /// sentence about a wrong tick.
+    /// Adds the ticks of one exchange. `expected` is the number of ticks of the reference, `late`
+    /// the bench's lateness. Returns a sentence if a number is wrong.
     pub(super) fn add(&mut self, ticks: &[Packet], expected: usize, late: Duration) -> Option<String> {
         self.expected += expected;
         self.late += late;
@@ -47,8 +48,7 @@ impl TickComparison {
         is_far.then(|| format!("{own} ticks since the configuration, expected {}", self.expected))
     }
 
-    /// Drift of the last quarter of the ticks from the first quarter; `None` if it is at most
-    /// [`DRIFT_SHARE`].
+    /// Returns the drift from the first to the last quarter if it exceeds [`DRIFT_SHARE`].
     pub(super) fn drift(&self) -> Option<Duration> {
         if self.sent_us.len() < MIN_TICKS {
             return None;
@@ -84,7 +84,7 @@ mod tests {
     use platebench_wire::Tick;
     use rstest::rstest;
 
-    /// Ticks of 5 ms, each `late_us` after the right time, and `drift_us` more from tick to tick.
+    /// Returns ticks with a period of 5 ms plus `drift_us`, each sent `late_us` after its due time.
     fn ticks(count: u32, late_us: impl Fn(u32) -> u32, drift_us: u32) -> Vec<Packet> {
         let start_us = u32::MAX - 100_000;
         let sent_us = |number: u32| start_us.wrapping_add(number * (5_000 + drift_us) + late_us(number));

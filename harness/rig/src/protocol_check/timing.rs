@@ -3,7 +3,7 @@
 use super::builder::Builder;
 use platebench_wire::{Configure, Message};
 
-/// The waits are far from the timeouts, because a PC may stall.
+/// The waits differ much from the timeouts, because the host may stall and lengthen a wait.
 pub(super) fn watchdog(builder: &mut Builder, configure: Configure) {
     // A timeout of 0 means five periods, here 250 ms.
     builder.configure(Configure { period_us: 50_000, watchdog_timeout_ms: 0, ..configure });
@@ -15,7 +15,7 @@ pub(super) fn watchdog(builder: &mut Builder, configure: Configure) {
     builder.wait_ms(150);
     builder.sample(2.0, 1.3, -0.2);
     builder.sample(2.0, 1.3, -0.2);
-    // This timeout needs more than eight bits. It does not act before the first sample.
+    // This timeout needs more than eight bits. The watchdog does not act before the first sample.
     builder.configure(Configure { watchdog_timeout_ms: 300, ..configure });
     builder.wait_ms(400);
     builder.sample(2.0, 0.0, 0.0);
@@ -31,7 +31,7 @@ pub(super) fn watchdog(builder: &mut Builder, configure: Configure) {
     builder.sample(2.0, 1.2, -0.2);
 }
 
-/// Five periods of 300 µs are not whole milliseconds.
+/// Tests a watchdog timeout of five periods of 300 µs, which is not a whole number of milliseconds.
 pub(super) fn short_watchdog(builder: &mut Builder, configure: Configure) {
     builder.set_stall_us(250);
     let configure = Configure { period_us: 300, watchdog_timeout_ms: 0, ..configure };
@@ -64,7 +64,7 @@ pub(super) fn ticks(builder: &mut Builder, configure: Configure) {
     builder.sample(2.0, 0.0, 0.0);
 }
 
-/// Plays so many ticks that their numbers wrap and delays of some microseconds add up to a large
+/// Plays 300 ticks, so that their numbers wrap and delays of some microseconds add up to a large
 /// part of a period.
 pub(super) fn short_ticks(builder: &mut Builder, configure: Configure) {
     builder.configure(Configure { paced_by_target: true, period_us: 3_000, ..configure });
@@ -72,8 +72,8 @@ pub(super) fn short_ticks(builder: &mut Builder, configure: Configure) {
     builder.configure(configure);
 }
 
-/// The drive keeps the value from the first sample. No variation is needed, because nothing depends
-/// on rounding.
+/// After the first sample, Wd is equal to the setpoint and the drive is constant. No variation is
+/// needed, because nothing depends on rounding.
 pub(super) fn many_samples(builder: &mut Builder) {
     if builder.has_variation() {
         builder.discard();

@@ -194,7 +194,6 @@ fn counts_two_different_answers_to_one_sample() {
         [0, 0],
         "duplicated by the line"
     );
-    // It also counts after the numbers wrap.
     assert!((1..=300).all(|number| sample(LinkFault::Contradicting, number) == number));
     assert_eq!(sample(LinkFault::None, 301), 300);
     *fixture.fault.lock().unwrap() = LinkFault::None;
@@ -348,7 +347,7 @@ fn counts_drives_after_0_v_was_confirmed() {
     assert_eq!(session.drives_after_safe(), 1);
 }
 
-/// Forgets the state *safe*: configures itself again and passes the sample on.
+/// Controller that leaves the state *safe*: it configures itself again before each sample.
 struct RestartsAfterSafe(HostedLink);
 
 impl Link for RestartsAfterSafe {

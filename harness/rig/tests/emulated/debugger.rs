@@ -7,7 +7,7 @@ use std::net::TcpStream;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-/// Vector of USART2, whose interrupt ends a frame: RM0090, table 62.
+/// Address of the vector of USART2, whose interrupt ends a frame (RM0090, table 62).
 const USART2_VECTOR: u32 = 0x0800_0000 + 4 * (16 + 38);
 const RESET_VECTOR: u32 = 0x0800_0004;
 const SAMPLES: u32 = 20;
@@ -61,7 +61,8 @@ impl Client {
     }
 }
 
-/// `0*~` is `0` and 97 repetitions, because `~` is 126 and the protocol adds 29.
+/// Expands run-length encoding. `0*~` is `0` and 97 repetitions, because `~` is 126 and the
+/// protocol adds 29.
 fn expand_runs(body: &str) -> String {
     let mut expanded = String::new();
     let mut characters = body.chars();

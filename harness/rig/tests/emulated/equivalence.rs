@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::Duration;
 
-/// Two frames of 24 bytes and one byte of idle line; 10 µs per byte at 1 Mbaud.
+/// Time of two frames of 24 bytes and one byte of idle line; 10 µs per byte at 1 Mbaud.
 const SAMPLE_AND_COMMAND: Duration = Duration::from_micros((24 + 1 + 24) * 10);
 
 #[test]
@@ -45,7 +45,7 @@ fn uniform(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
 
 fn random_sample(random: &mut ChaCha8Rng, time_us: u32) -> Sample {
     let setpoint_um = uniform(random, 0.0, 4.0);
-    // Sometimes almost zero, and a value of a broken sensor cable.
+    // Wd is sometimes almost zero, and Wq sometimes that of a broken sensor cable.
     let wd_um = if random.next_u32().is_multiple_of(16) { 1e-9 } else { uniform(random, -1.0, 4.0) };
     let wq_um = if random.next_u32().is_multiple_of(64) { 1e6 } else { uniform(random, -1.0, 1.0) };
     Sample { time_us, setpoint_um, wd_um, wq_um }
@@ -88,7 +88,7 @@ fn stops_after_five_periods_without_a_sample() {
     session.start_trial(&CONFIGURE).unwrap();
     assert!(session.send_sample(Duration::ZERO, &sample(2.0, 0.0)).unwrap().unwrap().command.drive_vpp > 400.0);
     assert_eq!(session.advance_to(Duration::from_micros(5_200)).unwrap(), None);
-    // The firmware checks every millisecond, and its command takes 0.25 ms.
+    // The firmware checks the timeout every millisecond, and its command takes 0.25 ms on the wire.
     let command = session.advance_to(Duration::from_micros(6_600)).unwrap().unwrap();
     assert_eq!(
         (command.state, command.cause, command.drive_vpp),
@@ -140,7 +140,7 @@ fn answers_the_first_whole_frame_after_half_a_frame() {
     let hello = |sequence| Packet { sequence, message: Message::Hello }.encode();
     let mut answer = Vec::new();
     assert_eq!(link.exchange(PERIOD, &hello(1).as_bytes()[..4], &mut answer).unwrap(), Duration::ZERO);
-    // The first delimiter ends the damaged frame.
+    // The delimiter of this hello ends the damaged frame, and the firmware rejects both.
     assert_eq!(link.exchange(2 * PERIOD, hello(2).as_bytes(), &mut answer).unwrap(), Duration::ZERO);
     assert!(answer.is_empty(), "{answer:?}");
     assert!(link.exchange(3 * PERIOD, hello(3).as_bytes(), &mut answer).unwrap() > Duration::from_micros(500));

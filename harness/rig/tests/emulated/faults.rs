@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 const PLANTED_FAULT_SETPOINT_UM: f32 = 900.0;
 const SOURCE: &str = "(firmware-under-test/stm32f4/src/planted_faults.rs:";
-/// Most take milliseconds; unoptimised code on a busy machine takes a multiple.
+/// Most faults are reported within milliseconds. Unoptimised code on a busy machine takes longer.
 const TIMEOUT: Duration = Duration::from_mins(1);
 
 fn session(options: EmulatedOptions) -> Session<EmulatedLink> {
@@ -87,7 +87,7 @@ fn receives_the_trap_report_of_the_firmware() {
     let report = fault_report(session.send_sample(PERIOD, &planted_fault(2)));
     assert_eq!((report.code, report.cfsr), (2, 1 << 25));
     assert!((0x0800_0000..0x0802_0000).contains(&report.pc), "{report:x?}");
-    // The watchdog resets it after 0.5 s; the firmware reports the trap again after its start.
+    // The watchdog resets the chip after 0.5 s. Then the firmware reports the trap again.
     assert!(session.advance_to(Duration::from_millis(400)).unwrap().is_none());
     let after = fault_report(session.advance_to(Duration::from_secs(1)));
     assert_eq!(after, FaultReport { code: 3, ..report });

@@ -23,7 +23,7 @@ fn set_word(elf: &mut [u8], at: usize, value: u32) {
     elf[at..at + 4].copy_from_slice(&value.to_le_bytes());
 }
 
-/// File offsets of the program header and the content of the segment at `address`.
+/// Returns the file offsets of the program header of the segment with `address`, and of that byte.
 fn segment(elf: &[u8], address: u32) -> (usize, usize) {
     let first = word(elf, PROGRAM_HEADERS) as usize;
     let header = (0..8).map(|index| first + 32 * index).find(|&at| {
@@ -64,7 +64,7 @@ fn rejects_damaged_files_without_a_panic() {
     assert!(matches!(image_error(|elf| elf.truncate(40)), ImageError::Damaged(_)));
     assert!(matches!(image_error(|elf| elf.truncate(8_000)), ImageError::Damaged(_)));
     assert!(matches!(image_error(|elf| set_word(elf, PROGRAM_HEADERS, 0xFFFF_FFF0)), ImageError::Damaged(_)));
-    // Any byte of the header may be wrong: either an error or a running firmware.
+    // With any wrong byte of the header, the result is an error or a running firmware, no panic.
     for at in 0..52 {
         let mut elf = image("platebench-stm32f4.elf");
         elf[at] ^= 0xFF;

@@ -30,7 +30,7 @@ fn image(name: &str) -> Vec<u8> {
     std::fs::read(firmware_under_test().join("images").join(name)).unwrap()
 }
 
-/// Per call: received bytes, delay, instructions.
+/// Received bytes, delay and number of instructions of each call.
 type Log = Arc<Mutex<Vec<(Vec<u8>, Duration, Option<u64>)>>>;
 
 struct LoggedLink<L> {

@@ -21,7 +21,7 @@ fn send_message(board: &mut EmulatedLink, now: Duration, sequence: u8, message: 
 #[test]
 fn sends_ticks_without_drift() {
     let mut board = EmulatedLink::built_in().unwrap();
-    // Not a multiple of the 1 ms of the board's system timer.
+    // The period is not a multiple of the 1 ms of the board's system timer.
     let configure = Configure { period_us: 730, ..PACED };
     send_message(&mut board, Duration::ZERO, 1, Message::Configure(configure));
     let mut received = Vec::new();
@@ -35,7 +35,7 @@ fn sends_ticks_without_drift() {
             other => panic!("{other:?}"),
         })
         .collect();
-    // 200 ms minus the time of the configuration.
+    // The ticks fill 200 ms minus the time of the configuration.
     assert_eq!(ticks.len(), 272);
     let (_, first_us) = ticks[0];
     for (index, (sequence, at_us)) in (0..).zip(ticks) {
@@ -74,7 +74,7 @@ fn controls_with_samples_on_ticks_until_they_end() {
         |packet| matches!(packet.message, Message::Command(command) if command.cause == StateCause::SampleTimeout),
     );
     assert_eq!(fault, Some(packets.len() - 1), "no tick after the fault: {packets:?}");
-    // Five periods from the last sample, which took up to one for wire and computing.
+    // The watchdog acts five periods after the last sample, whose exchange takes up to one period.
     assert!((4..=5).contains(&(packets.len() - 1)), "{packets:?}");
 }
 

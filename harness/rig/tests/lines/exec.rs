@@ -34,7 +34,7 @@ fn reports_how_a_program_ended() {
     }
 }
 
-/// The handshake alone waits 5 s.
+/// Without the cancellation, the handshake waits 5 s.
 #[test]
 fn cancels_the_wait_for_a_silent_program() {
     let spec: RigSpec = "exec:sh -c 'exec sleep 60' {port}".parse().unwrap();

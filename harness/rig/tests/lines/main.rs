@@ -10,7 +10,7 @@ mod serial;
 use platebench_wire::{Configure, Sample};
 use std::time::Duration;
 
-/// A controller on its own clock: a sample time-out for a busy machine.
+/// The watchdog timeout is long, because a busy machine may delay the samples.
 const CONFIGURE: Configure = Configure { watchdog_timeout_ms: 1_000, ..platebench_test_kit::CONFIGURE };
 
 const RECEIVE_TIMEOUT: Duration = Duration::from_secs(10);

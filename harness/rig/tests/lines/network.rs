@@ -69,7 +69,7 @@ fn names_the_address_that_cannot_be_reached() {
     }
 }
 
-/// Starts ser2net in front of a simulated board; `accepter` speaks its protocol.
+/// Starts ser2net in front of a simulated board. `accepter` selects the protocol of ser2net.
 fn ser2net(accepter: &str) -> Option<(ChildGuard, String, (tempfile::TempDir, fs::File))> {
     if Command::new("ser2net").arg("-v").stdout(Stdio::null()).stderr(Stdio::null()).status().is_err() {
         skip_without("ser2net");
@@ -77,9 +77,8 @@ fn ser2net(accepter: &str) -> Option<(ChildGuard, String, (tempfile::TempDir, fs
     }
     let (master, path) = open_terminal();
     board(master.try_clone().unwrap(), master);
-    // The terminal would hang up when ser2net closes it.
+    // The terminal is kept open, because it would hang up when ser2net closes it.
     let slave = fs::File::options().read(true).write(true).open(&path).unwrap();
-    // A port that was free a moment ago.
     let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("ser2net.yaml");

@@ -1,4 +1,4 @@
-//! Tests the example controller in Python, written from the protocol's page.
+//! Tests the example controller in Python, which implements `docs/wire-protocol.md`.
 
 use super::{CONFIGURE, sample};
 use platebench_rig::{ExecLink, HostedLink, Session};
@@ -60,7 +60,6 @@ fn goes_to_0_v_as_the_page_requires() {
     let reply = example.send_sample(Duration::ZERO, &sample(2)).unwrap().unwrap();
     assert_eq!(reply.command.drive_vpp, 0.0);
 
-    // Without samples the example stops by its own clock.
     example.start_trial(&Configure { watchdog_timeout_ms: 20, ..CONFIGURE }).unwrap();
     example.send_sample(Duration::ZERO, &sample(0)).unwrap().unwrap();
     let deadline = std::time::Instant::now() + super::RECEIVE_TIMEOUT;

@@ -145,7 +145,7 @@ fn discards_bytes_from_before_the_opening() {
 fn ends_waits_on_a_full_line_and_on_garbage() {
     let (master, port) = cable();
     let mut serial = open(&port);
-    // More than a pseudo-terminal holds.
+    // The samples are more than a pseudo-terminal holds.
     for _ in 0..10_000 {
         serial.real_time_line().unwrap().send(&[0x55; 24]).unwrap();
     }

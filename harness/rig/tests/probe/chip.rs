@@ -26,7 +26,7 @@ pub(crate) struct Chip {
     pub(crate) resets: u32,
     pub(crate) erased_sectors: u32,
     pub(crate) programmed_pages: u32,
-    /// Each programmed page flips a bit of it.
+    /// Address of a byte. Each programmed page flips one bit of this byte.
     pub(crate) failing_byte: Option<u32>,
     pub(crate) algorithm_hangs: bool,
     pub(crate) failing_accesses: u32,
@@ -107,7 +107,7 @@ impl Chip {
             self.write_register(address, value);
             return Some(());
         }
-        // Flash is not writable like RAM.
+        // Only the flash algorithm can write flash.
         (RAM..RAM + RAM_BYTES as u32).contains(&address).then_some(())?;
         for offset in 0..size {
             *self.byte(address + offset)? = value.to_le_bytes()[offset as usize];
@@ -142,7 +142,7 @@ impl Chip {
                 reset | 1 << 16 | u32::from(self.halted) << 17 | self.control
             }
             0xe000_edf8 => self.dcrdr,
-            // Six breakpoints, first revision.
+            // The chip has six hardware breakpoints (FP_CTRL, first revision).
             0xe000_2000 => 6 << 4 | self.registers.get(&address).copied().unwrap_or(0) & 1,
             0xe000_ef40 => 0x1011_0021,
             0xe000_ed00 => 0x410f_c241,
@@ -244,7 +244,7 @@ impl Chip {
             self.program_page(address, size, buffer);
         }
         self.core[0] = 0;
-        // It returns to the breakpoint of the flash loader.
+        // The algorithm returns to the breakpoint of the flash loader.
         self.core[PC] = self.core[LR] & !1;
         self.stop(2);
     }
@@ -322,7 +322,7 @@ impl Chip {
         answer
     }
 
-    /// A data bus error at `0x4000_1000` in `control_step`, called from `main_loop`.
+    /// Traps with a data bus error at `0x4000_1000` in `control_step`, called from `main_loop`.
     fn trap(&mut self) {
         for (address, value) in
             [(0xe000_ed04, 3), (0xe000_ed28, 0x8200), (0xe000_ed2c, 1 << 30), (0xe000_ed38, 0x4000_1000)]

@@ -133,13 +133,13 @@ impl EmulatedProbe {
     }
 
     fn advance(&mut self) {
-        // The address increments within ten bits only.
+        // The automatic increment changes only the lower ten bits of the address.
         if self.status & 0x30 != 0 {
             self.target = self.target & !0x3ff | (self.target + self.size()) & 0x3ff;
         }
     }
 
-    /// Faults of the line precede the chip.
+    /// Returns the chip, after the planned faults of the debug line.
     fn line(&self) -> Result<MutexGuard<'_, Chip>, ArmError> {
         loop {
             let mut chip = self.chip.lock();

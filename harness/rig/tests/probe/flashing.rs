@@ -14,7 +14,7 @@ fn writes_an_image_only_if_needed() {
     let image = image(&ImageSpec::default());
     let mut board = attach(&chip).unwrap();
     assert_eq!(board.flash(&image).unwrap(), FlashOutcome::Written(0x9000));
-    // Three sectors of 16 KiB, 36 pages of 1 KiB.
+    // 0x9000 bytes are three sectors of 16 KiB and 36 pages of 1 KiB.
     assert_eq!(chip.written(), (3, 36));
     for (address, &byte) in (FLASH..).zip(&image.segments()[0].bytes) {
         assert_eq!(*chip.lock().flash_byte(address), byte, "{address:#x}");
@@ -38,7 +38,7 @@ fn reports_flash_that_differs_after_the_write() {
     let chip = SharedChip::new();
     chip.lock().failing_byte = Some(FLASH + 0x1234);
     let error = {
-        // 35 pages: an odd number of flips.
+        // The image has 35 pages, so that the bit is flipped an odd number of times.
         let spec = ImageSpec { bytes: 0x8c00, ..ImageSpec::default() };
         attach(&chip).unwrap().flash(&image(&spec)).unwrap_err()
     };
@@ -51,7 +51,6 @@ fn reports_a_flash_algorithm_that_hangs() {
     chip.lock().algorithm_hangs = true;
     let mut board = attach(&chip).unwrap();
     let error = board.flash(&image(&ImageSpec::default())).unwrap_err();
-    // The timeout of the probe would be another error.
     assert!(matches!(error, ProbeError::Flash(_)), "{error}");
 }
 

@@ -2,23 +2,22 @@
 
 pub(crate) const FLASH: u32 = 0x0800_0000;
 pub(crate) const RTT: u32 = 0x2000_0400;
-/// Each 0x40 bytes.
 pub(crate) const CONTROL_STEP: u32 = 0x0800_0200;
 pub(crate) const MAIN_LOOP: u32 = 0x0800_0240;
 pub(crate) const HANDLER: u32 = 0x0800_0280;
 const FUNCTION_BYTES: u32 = 0x40;
-/// Where flash holds the number of the program.
+/// Address of the word in flash that contains the number of the [`Program`].
 pub(crate) const PROGRAM: u32 = 0x0800_0010;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Program {
     /// Runs the controller behind RTT.
     Controller = 1,
-    /// RTT that never answers.
+    /// Starts RTT, but never answers.
     Mute = 2,
-    /// RTT; traps at the first received byte.
+    /// Starts RTT and traps at the first received byte.
     Traps = 3,
-    /// A symbol for RTT, which never starts.
+    /// Has a symbol for RTT, but never starts RTT.
     Asleep = 4,
     /// Runs the controller behind a serial port, without RTT.
     Port = 5,

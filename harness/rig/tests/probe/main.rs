@@ -1,5 +1,5 @@
-//! Tests `--rig probe` without a board: probe-rs works on an emulated memory map. Not covered, see
-//! `docs/attach-a-board.md`: USB, SWD signals, real flash algorithms.
+//! Tests `--rig probe` without a board: probe-rs accesses an emulated chip. USB, SWD signals and
+//! real flash algorithms are not tested, see `docs/attach-a-board.md`.
 
 #![allow(clippy::unwrap_used, reason = "a failed fixture fails the test")]
 
@@ -21,7 +21,7 @@ use image::ImageSpec;
 use platebench_rig::probe::{AttachedBoard, ProbeError, ProbeSetup, ProbeSpec, RttLink, Timeouts};
 use std::time::Duration;
 
-/// Ends of waits that a timeout of at most 2 s ends, also on a busy machine.
+/// Longest duration on a busy machine of a wait that a time-out of at most 2 s ends.
 const BUSY_MACHINE_LIMIT: Duration = Duration::from_mins(1);
 
 fn timeouts() -> Timeouts {

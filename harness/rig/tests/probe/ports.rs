@@ -1,4 +1,4 @@
-//! Tests the wire protocol over the board's serial port, a pseudo-terminal with the emulated chip.
+//! Tests the wire protocol over the board's serial port, which is a pseudo-terminal here.
 
 use crate::emulated_probe::SharedChip;
 use crate::image::{ImageSpec, Program};
@@ -13,7 +13,7 @@ use std::sync::{Arc, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// The cable lasts until the returned guard is dropped.
+/// Connects the emulated chip to a pseudo-terminal until the returned guard is dropped.
 fn cable(chip: &SharedChip) -> (String, Arc<()>) {
     let mut terminal = PtyLink::open().unwrap();
     let (path, chip, plugged) = (terminal.path().to_owned(), chip.clone(), Arc::new(()));

@@ -13,7 +13,7 @@ const READ: u32 = 16;
 pub(crate) struct RttBuffers;
 
 impl RttBuffers {
-    /// Writes the control block, its name last.
+    /// Writes the control block. Its identifier is last, because it marks the block as complete.
     pub(crate) fn start(chip: &mut Chip) {
         let block = RTT;
         for (at, value) in [(16, 1), (20, 1)] {

@@ -9,7 +9,7 @@ use platebench_wire::{Configure, ControllerState, Sample};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// A long period: the emulated chip has the wall clock.
+/// The period is long, because the emulated chip's watchdog runs on the wall clock.
 pub(crate) const CONFIGURE: Configure = Configure { period_us: 1_000_000, ..platebench_test_kit::CONFIGURE };
 
 #[test]
@@ -19,7 +19,7 @@ fn controls_over_rtt() {
     assert_eq!(session.firmware_name(), "emulated-board");
     assert_eq!(session.identity().chip, 0x1007_6413);
     session.start_trial(&CONFIGURE).unwrap();
-    // More samples than fit into the buffers.
+    // The samples are more than fit into the buffers.
     for step in 0..40 {
         let sample = Sample { time_us: step * 1000, setpoint_um: 2.0, wd_um: 0.5, wq_um: 0.0 };
         let reply = session.send_sample(Duration::from_millis(u64::from(step)), &sample).unwrap().unwrap();

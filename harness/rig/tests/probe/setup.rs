@@ -79,7 +79,7 @@ fn classifies_errors_of_the_board_as_errors_of_the_rig() {
     let setup = ProbeSetup::new(crate::spec(), &ImageSpec::default().elf(), None).unwrap();
     let error = setup.connect(chip.lister(), timeouts()).err().unwrap();
     assert!(matches!(&error, ProbeError::WrongChip { .. }) && !error.is_invalid_input(), "{error}");
-    // The image needs more flash than the chip has.
+    // The image lies behind the end of the chip's flash.
     let spec = ImageSpec { address: 0x0810_0000, ..ImageSpec::default() };
     let setup = ProbeSetup::new(crate::spec(), &spec.elf(), None).unwrap();
     let error = setup.connect(SharedChip::new().lister(), timeouts()).err().unwrap();

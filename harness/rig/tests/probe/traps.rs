@@ -32,7 +32,7 @@ fn reads_the_registers_of_a_fault() {
     let mut link = link(&chip, &trapping_image()).unwrap();
     let image = Arc::new(Image::parse(&trapping_image().elf()).unwrap());
     assert_eq!(link.board().read_crash(&image).unwrap(), None);
-    // An error of the firmware, not a lost line: the trial fails.
+    // A trap is an error of the firmware, not a lost line.
     let error = link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err();
     let LinkError::Target(target) = &error else { panic!("{error:?}") };
     assert!(matches!(&**target, TargetError::Trap(crash) if crash.to_string().contains("control_step")), "{target:?}");
@@ -40,7 +40,7 @@ fn reads_the_registers_of_a_fault() {
     assert_eq!((crash.exception, crash.status.cfsr), ("HardFault", 0x8200));
     assert_eq!(crash.status.address, Some(0x4000_1000));
     assert_eq!(crash.place.unwrap().address, CONTROL_STEP + 0x12);
-    // The second half-word of the call.
+    // A call's address is that of the second half-word of its BL instruction.
     assert_eq!(crash.callers.iter().map(|call| call.address).collect::<Vec<_>>(), [MAIN_LOOP + 0xe]);
 }
 

@@ -51,7 +51,6 @@ fn passes_other_messages_at_once_in_real_time() {
     }
     let Message::Command(command) = decode_first_packet(&bytes).unwrap().message else { panic!("{bytes:?}") };
     assert_eq!((command.state, command.drive_vpp), (ControllerState::Safe, 0.0));
-    // The delimiter ends a truncated frame.
     let delivered: Vec<u8> = fixture.delivered().into_iter().flat_map(|(_, bytes)| bytes).collect();
     assert_eq!(delivered, [&[DELIMITER], safe.as_bytes()].concat());
 }

@@ -10,7 +10,7 @@ fn deadline() -> Instant {
     Instant::now() + Duration::from_secs(10)
 }
 
-/// Starts a line whose server sends `answer`; also returns what the server received.
+/// Starts a line whose server sends `answer`. Also returns the server's end and its thread.
 fn start(answer: &'static [u8]) -> (Result<Rfc2217, NetworkError>, UnixStream, JoinHandle<()>) {
     let (line, server) = UnixStream::pair().unwrap();
     line.set_nonblocking(true).unwrap();
@@ -40,7 +40,7 @@ fn sets_the_port_and_escapes_data() {
     let count = server.read(&mut escaped).unwrap();
     assert!(escaped[..count].ends_with(&[1, IAC, IAC, 2]), "{:?}", &escaped[..count]);
 
-    // A command between two bytes, and an escape that two reads share.
+    // The data contain an escaped 255 that is split between two writes, and a Telnet command (241).
     server.write_all(&[3, IAC]).unwrap();
     let mut received = Vec::new();
     let mut buffer = [0; 8];
