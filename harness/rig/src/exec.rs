@@ -28,7 +28,7 @@ const EXIT_DETECTION_TIMEOUT: Duration = Duration::from_millis(50);
 pub enum ExecError {
     #[error("`{0}` cannot be split into words; close its quotes and escape a backslash at its end")]
     Quoting(String),
-    #[error("`{0}` names no program")]
+    #[error("`{0}` contains no program, expected a program and its arguments")]
     Empty(String),
     #[error("`{0}` has no {{port}}, the placeholder for the path of the controller's serial port")]
     NoPortPlaceholder(String),
@@ -132,7 +132,7 @@ impl ExecLink {
                 LinkError::Disconnected(format!("`{}` {how}", self.program.name()))
             }
             (LinkError::Disconnected(_), None) => {
-                LinkError::Disconnected(format!("`{}` runs, but has closed its port", self.program.name()))
+                LinkError::Disconnected(format!("`{}` still runs, but has closed its serial port", self.program.name()))
             }
             (error, _) => error,
         })

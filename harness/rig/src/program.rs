@@ -107,7 +107,7 @@ impl Drop for Program {
         if !left.is_empty() {
             let name = &self.name;
             warn!(program = name, pids = ?left,
-                "processes that the program started have left its group and are left running");
+                "processes that the program started have left its process group; they still run, end them by hand");
         }
         if let Some(how) = ended.or_else(|| self.wait_for_exit(EXIT_GRACE)) {
             debug!(program = self.name, how, status = ?self.child.wait(), "program ended");

@@ -19,7 +19,7 @@ pub enum RigError {
     #[error("the controller answered with a sequence number that the bench has not sent")]
     WrongSequence,
     #[error("the controller refused its configuration: {}", match .0 {
-        Rejection::Value => "a value is outside its range",
+        Rejection::Value => "a value is outside the range that the controller accepts",
         Rejection::Law => "it does not have this law",
     })]
     ConfigurationRejected(Rejection),

@@ -78,7 +78,7 @@ fn parse_port(text: &str) -> Result<(String, Option<u32>), &'static str> {
     let baud = baud.map(|baud| baud.parse().ok().filter(|&baud| baud > 0).ok_or(())).transpose();
     match baud {
         Ok(baud) if !port.is_empty() => Ok((port.to_owned(), baud)),
-        _ => Err("the port or the baud rate is missing"),
+        _ => Err("the port is missing, or the baud rate is not a whole number above 0"),
     }
 }
 
@@ -104,7 +104,7 @@ fn parse_probe(text: &str) -> Result<RigSpec, &'static str> {
                 let (path, rate) = parse_port(text)?;
                 (port, baud) = (Some(path), rate);
             }
-            Some(("elf" | "port", _)) => return Err("elf or port appears twice, or elf names no file"),
+            Some(("elf" | "port", _)) => return Err("elf= or port= appears twice, or elf= is empty"),
             _ => return Err("only elf= and port= may follow a comma"),
         }
     }

@@ -8,7 +8,7 @@ use std::fmt;
 pub enum TargetError {
     #[error("{0}")]
     Trap(Box<CrashReport>),
-    #[error("the processor locked up at {0}")]
+    #[error("the processor locked up (a fault within a fault handler) at {0}")]
     Lockup(CodeLocation),
     #[error("the target reset itself ({cause}) {at_us} µs after power-on; it was at {place}")]
     Reset { cause: String, at_us: u64, place: CodeLocation },

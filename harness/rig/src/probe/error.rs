@@ -88,7 +88,7 @@ pub enum ProbeError {
     NoHandshake { port: PathBuf, waited: Duration },
     #[error("the serial port {} failed during the handshake: {cause}", port.display())]
     Port { port: PathBuf, cause: String },
-    #[error("the firmware's RTT has no {direction}")]
+    #[error("the firmware's RTT control block has no {direction}, expected one for the bench's messages")]
     RttChannel { direction: &'static str },
     #[error("the RTT connection to the firmware failed: {0}")]
     Rtt(String),
@@ -101,7 +101,7 @@ pub enum ProbeError {
     CallTimedOut { doing: &'static str, waited: Duration },
     #[error("{doing} is not possible, because the debug probe hangs; unplug the probe and plug it in again")]
     ProbeHangs { doing: &'static str },
-    #[error("the debug probe's driver ended during {doing}")]
+    #[error("internal error: the thread of the debug probe ended during {doing}; start the run again")]
     ProbeThreadGone { doing: &'static str },
     #[error("cannot start a thread for the debug probe: {0}")]
     Thread(#[from] std::io::Error),

@@ -44,7 +44,8 @@ impl RttLink {
     }
 
     fn exchange_bytes(&mut self, bytes: &[u8]) -> Result<Vec<u8>, ProbeError> {
-        let channels = self.channels.take().ok_or_else(|| ProbeError::Rtt("closed after an earlier error".into()))?;
+        let channels =
+            self.channels.take().ok_or_else(|| ProbeError::Rtt("the bench closed it after an earlier error".into()))?;
         let (channels, received) = self.board.exchange(channels, bytes.to_vec())?;
         self.channels = Some(channels);
         // No answer may mean that the processor has trapped.
