@@ -4,13 +4,9 @@
 use crate::config::SessionConfig;
 use crate::decision::today;
 use crate::error::AcceptError;
-use crate::session_record::{
-    BenchRecord, ClockRecord, FORMAT, FirmwareRecord, PLAN, STEPS, SessionRecord, utc_timestamp,
-};
+use crate::session_record::{BenchRecord, ClockRecord, FORMAT, FirmwareRecord, PLAN, STEPS, SessionRecord};
 use crate::steps::step_records;
-use platebench_record::sha256;
-use platebench_record::{self as record, Verdict};
-use platebench_record::{Firmware, Host, InputRecord, Tool};
+use platebench_record::{self as record, Firmware, Host, InputRecord, Tool, Verdict, sha256, utc_timestamp};
 use platebench_rig::{BUILT_IN_IMAGE, RigSpec};
 use platebench_runner::{Clock, Pacing};
 use platebench_trace::AtPath;

@@ -1,9 +1,7 @@
 //! Defines `session.json`, the state of a session.
 
 use crate::error::AcceptError;
-use jiff::Timestamp;
-use platebench_record::Verdict;
-use platebench_record::{Firmware, Host, InputRecord, Quantiles, Tool};
+use platebench_record::{Firmware, Host, InputRecord, Quantiles, Tool, Verdict};
 use platebench_rig::RigSpec;
 use platebench_trace::{AtPath, FileError, write_atomically};
 use platebench_uncertainty::{CombinedUncertainty, Conformity, DecisionRule};
@@ -281,10 +279,6 @@ impl SessionRecord {
 pub(crate) fn write_file(folder: &Path, name: &str, content: &[u8]) -> Result<(), FileError> {
     let path = folder.join(name);
     write_atomically(&path, content).at(&path)
-}
-
-pub(crate) fn utc_timestamp() -> String {
-    Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
 }
 
 /// True for `exec:` too, because a foreign program may drive a plate.

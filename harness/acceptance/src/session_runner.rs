@@ -19,11 +19,11 @@ use crate::provenance::{
 use crate::scenario_run::ScenarioRun;
 use crate::session_record::{
     Attempt, BUDGET, FILE, FirmwareRecord, PLAN, STEPS, SessionDetails, SessionRecord, SignatureRecord, StepKind,
-    StepRecord, may_have_board, utc_timestamp, write_file,
+    StepRecord, may_have_board, write_file,
 };
 use crate::steps::{StepAction, step_actions};
 use crate::{manifest, page, self_test, signature};
-use platebench_record::{Firmware, RunRecord, Verdict, to_hex};
+use platebench_record::{Firmware, RunRecord, Verdict, to_hex, utc_timestamp};
 use platebench_report::format::count;
 use platebench_report::traceability;
 use platebench_runner::{Clock, Question, QuestionKind, RunError};

@@ -1,13 +1,13 @@
 //! Joins the runs of shards and boards into one run folder.
 
 use crate::board_differences::differences;
-use crate::state::now;
 use platebench_record::{
     FORMAT, FolderError, Host, KeepTraces, MergeRecord, MergedRun, MergedScenario, MissingShard, NotApplicable,
-    Overrides, RigRecord, RunFolder, RunRecord, ScenarioRecord, Tool, Verdict,
+    Overrides, RigRecord, RunFolder, RunRecord, ScenarioRecord, Tool, Verdict, utc_timestamp,
 };
 use platebench_runner::rejudge::check_trace;
 use platebench_runner::{RejudgeError, rejudge};
+use platebench_trace::AtPath as _;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -77,8 +77,7 @@ pub fn merge_runs(folders: &[PathBuf], out: &RunFolder) -> Result<RunRecord, Mer
     merge.differences = differences(&merge, &record.scenarios);
     record.merge = Some(merge);
     record.update_verdict();
-    let path = out.path();
-    record.write(path).map_err(|source| FolderError::Io { path: path.to_owned(), source })?;
+    record.write(out.path()).at(out.path()).map_err(FolderError::from)?;
     Ok(record)
 }
 
@@ -195,7 +194,7 @@ fn joined_head(runs: &[StoredRun], out: &RunFolder) -> RunRecord {
         verdict: Verdict::Inconclusive,
         complete: all().all(|run| run.complete),
         tool: Tool::running(),
-        started: if runs.is_empty() { now() } else { out.started() },
+        started: if runs.is_empty() { utc_timestamp() } else { out.started() },
         rig: one_rig.unwrap_or(RigRecord { name: names, firmware: None }),
         clock: first.map_or(platebench_record::ClockKind::Lockstep, |first| first.clock),
         overrides: if is_common { first.map(common).unwrap_or_default() } else { different },
@@ -238,12 +237,9 @@ fn copy_scenario(
 }
 
 fn copy(from: &Path, to: &Path) -> Result<(), FolderError> {
-    let error = |path: &Path| {
-        let path = path.to_owned();
-        |source| FolderError::Io { path, source }
-    };
     if let Some(folder) = to.parent() {
-        fs::create_dir_all(folder).map_err(error(folder))?;
+        fs::create_dir_all(folder).at(folder)?;
     }
-    fs::copy(from, to).map(|_| ()).map_err(error(from))
+    fs::copy(from, to).at(from)?;
+    Ok(())
 }

@@ -10,8 +10,8 @@ use crate::board_lock::{BoardFiles, BoardLock};
 use crate::error::BoardError;
 use crate::inventory::{Board, Inventory};
 use crate::run_end::BoardOutcome;
-use crate::state::{Quarantine, StoredState, now};
-use platebench_record::to_hex;
+use crate::state::{Quarantine, StoredState};
+use platebench_record::{to_hex, utc_timestamp};
 use platebench_rig::{CancelToken, ConnectOptions, Session};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -49,14 +49,14 @@ impl Reservation {
         }
         if let Err(error) = check_chip(&board) {
             if let BoardError::WrongChip { .. } = error {
-                state.quarantine = Some(Quarantine { since: now(), reason: error.to_string() });
+                state.quarantine = Some(Quarantine { since: utc_timestamp(), reason: error.to_string() });
                 state.write(&files.state)?;
             }
             return Err(error);
         }
         state.mark_in_use(command);
         state.write(&files.state)?;
-        Ok(Self { board, files, started: now(), _lock: lock })
+        Ok(Self { board, files, started: utc_timestamp(), _lock: lock })
     }
 
     pub fn board(&self) -> &Board {
@@ -74,7 +74,7 @@ impl Reservation {
         state.in_use = None;
         state.last_run = end.last_run.or(state.last_run);
         if let Some(reason) = end.quarantine {
-            state.quarantine = Some(Quarantine { since: now(), reason });
+            state.quarantine = Some(Quarantine { since: utc_timestamp(), reason });
         }
         state.write(&self.files.state)
     }

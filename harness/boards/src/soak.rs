@@ -6,6 +6,7 @@ use platebench_record::{FolderError, RunFolder, RunRecord, Verdict};
 use platebench_runner::plan::LinkFactory;
 use platebench_runner::{CancelToken, RunError, RunHooks, RunPlan, rejudge, run};
 use platebench_scenario::Scenario;
+use platebench_trace::AtPath as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -37,7 +38,7 @@ pub fn soak(
     if out.join(SOAK_FILE).exists() {
         return Err(FolderError::AlreadyUsed(out.to_owned()).into());
     }
-    fs::create_dir_all(out).map_err(folder_error(out))?;
+    fs::create_dir_all(out).at(out).map_err(FolderError::from)?;
     let (started, mut record) = (Instant::now(), SoakRecord::new(&config.board, &config.plan.rig));
     write(&record, out)?;
     let mut board = BoardOutcome::untouched();
@@ -64,7 +65,7 @@ pub fn soak(
         };
         record.add(&run, &name);
         if let Some(old) = disposable.take() {
-            fs::remove_dir_all(&old).map_err(folder_error(&old))?;
+            fs::remove_dir_all(&old).at(&old).map_err(FolderError::from)?;
         }
         if run.verdict == Verdict::Pass || record.kept.len() >= MAX_KEPT_FAILURES {
             disposable = Some(folder.path().to_owned());
@@ -110,10 +111,5 @@ fn plan_of(plan: &RunPlan, scenario: &Scenario, round: u64) -> RunPlan {
 }
 
 fn write(record: &SoakRecord, out: &Path) -> Result<(), RunError> {
-    Ok(record.write(out).map_err(folder_error(out))?)
-}
-
-fn folder_error(path: &Path) -> impl FnOnce(std::io::Error) -> FolderError + use<> {
-    let path = path.to_owned();
-    |source| FolderError::Io { path, source }
+    Ok(record.write(out).at(out).map_err(FolderError::from)?)
 }

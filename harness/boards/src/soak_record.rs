@@ -1,7 +1,6 @@
 //! Records a soak: counts and running statistics, whose size does not grow with its runs.
 
-use crate::state::now;
-use platebench_record::{RunRecord, Verdict};
+use platebench_record::{RunRecord, Verdict, utc_timestamp};
 use platebench_report::text::Table;
 use platebench_trace::{read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
@@ -87,8 +86,8 @@ impl SoakRecord {
             format: FORMAT,
             board: board.to_owned(),
             rig: rig.to_owned(),
-            started: now(),
-            updated: now(),
+            started: utc_timestamp(),
+            updated: utc_timestamp(),
             verdict: Verdict::Inconclusive,
             end: None,
             runs: 0,
@@ -111,7 +110,7 @@ impl SoakRecord {
         let before = (self.runs > 0).then_some(self.verdict);
         self.verdict = Verdict::combine(before.into_iter().chain([run.verdict]));
         self.runs += 1;
-        self.updated = now();
+        self.updated = utc_timestamp();
         self.safe_confirmed &= run.safe_confirmed == Some(true);
         self.newest = Some(folder.to_owned());
         for played in &run.scenarios {

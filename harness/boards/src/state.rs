@@ -1,8 +1,7 @@
 //! Stores the state of a board so that it survives a power cut.
 
 use crate::error::BoardError;
-use jiff::Timestamp;
-use platebench_record::Verdict;
+use platebench_record::{Verdict, utc_timestamp};
 use platebench_trace::{AtPath, FileError, read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
 use std::io;
@@ -88,12 +87,13 @@ impl StoredState {
 
     pub(crate) fn mark_in_use(&mut self, command: &str) {
         let (process, user) = (std::process::id(), current_user());
-        self.in_use = Some(InUse { since: now(), process, user, command: command.to_owned() });
+        self.in_use = Some(InUse { since: utc_timestamp(), process, user, command: command.to_owned() });
     }
 
     pub(crate) fn clear(&mut self, reason: &str) -> bool {
         let Some(quarantine) = self.quarantine_without_holder() else { return false };
-        self.cleared = Some(Clearance { at: now(), user: current_user(), reason: reason.to_owned(), quarantine });
+        self.cleared =
+            Some(Clearance { at: utc_timestamp(), user: current_user(), reason: reason.to_owned(), quarantine });
         (self.in_use, self.quarantine) = (None, None);
         true
     }
@@ -101,9 +101,4 @@ impl StoredState {
 
 fn current_user() -> Option<String> {
     std::env::var("USER").ok().filter(|user| !user.is_empty())
-}
-
-/// UTC, RFC 3339 to the second.
-pub(crate) fn now() -> String {
-    Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
 }

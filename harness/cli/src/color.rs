@@ -31,8 +31,7 @@ pub(crate) fn applies_to(output: &impl IsTerminal) -> bool {
 /// have colours too.
 pub(crate) fn choice_of_arguments(words: impl Iterator<Item = String>) -> ColorArg {
     let words: Vec<_> = words.take_while(|word| word != "--").collect();
-    let separate = words.windows(2).filter(|pair| pair.first().is_some_and(|word| word == "--color"));
-    let separate = separate.filter_map(|pair| pair.last().map(String::as_str));
+    let separate = words.array_windows().filter(|[word, _]| word == "--color").map(|[_, value]| value.as_str());
     let joined = words.iter().filter_map(|word| word.strip_prefix("--color="));
     separate.chain(joined).find_map(|value| ColorArg::from_str(value, false).ok()).unwrap_or_default()
 }

@@ -9,7 +9,7 @@ use platebench_record::{RunRecord, Verdict};
 use platebench_report::comparison;
 use platebench_runner::comparison::{BASELINE_KEYWORD, Reference};
 use platebench_runner::stored_trials::{CompareError, ScenarioTrials, StoredTrial, is_run_folder, read_trials};
-use platebench_trace::write_atomically;
+use platebench_trace::{AtPath, write_atomically};
 use platebench_verdict::golden::TubeComparison;
 use serde::Serialize;
 use std::fs;
@@ -153,6 +153,6 @@ fn draw_worst(
     let path = folder.join(name).with_extension("svg");
     let written =
         path.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| write_atomically(&path, svg.as_bytes()));
-    written.map_err(|source| CompareError::Io { path: path.clone(), source })?;
+    written.at(&path)?;
     Ok(Some(path))
 }

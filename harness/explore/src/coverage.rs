@@ -97,11 +97,9 @@ impl Coverage {
         for (_, level) in &trial.setpoint {
             self.value("setpoint_um", range.setpoint_um, f64::from(*level) / 1e3);
         }
-        for pair in trial.setpoint.windows(2) {
-            if let [from, to] = pair {
-                let height = f64::from(from.1.abs_diff(to.1)) / 1e3;
-                self.value("setpoint_change_um", [0.0, range.setpoint_um[1]], height);
-            }
+        for [from, to] in trial.setpoint.array_windows() {
+            let height = f64::from(from.1.abs_diff(to.1)) / 1e3;
+            self.value("setpoint_change_um", [0.0, range.setpoint_um[1]], height);
         }
         let windows = windows(trial);
         for window in &windows {
@@ -117,11 +115,9 @@ impl Coverage {
         self.value("period_ms", range.period_ms, f64::from(trial.period_us) / 1e3);
         let delay = f64::from(trial.delay_us) / f64::from(trial.period_us);
         self.value("loop_delay_periods", range.loop_delay_periods, delay);
-        for pair in windows.windows(2) {
-            if let [first, second] = pair {
-                let kinds = (ChangeKind::of(trial, first), ChangeKind::of(trial, second));
-                *self.pairs.entry(kinds).or_default() += 1;
-            }
+        for [first, second] in windows.array_windows() {
+            let kinds = (ChangeKind::of(trial, first), ChangeKind::of(trial, second));
+            *self.pairs.entry(kinds).or_default() += 1;
         }
     }
 }

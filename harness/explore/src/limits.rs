@@ -3,8 +3,7 @@
 
 use crate::law_properties::LawProperties;
 use crate::scene::SceneTrial;
-use num_complex::Complex64;
-use platebench_plate::{Mode, Plate};
+use platebench_plate::{Complex64, Mode, Plate};
 use std::f64::consts::TAU;
 
 /// Half width of the settled band, relative to the setpoint.

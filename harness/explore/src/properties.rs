@@ -9,10 +9,20 @@ use crate::windows::{Change, Window, windows};
 use platebench_plate::Plate;
 use platebench_scenario::Metric;
 use serde::Serialize;
-use std::fmt;
 
 #[derive(
-    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, strum::VariantArray, strum::IntoStaticStr,
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    strum::VariantArray,
+    strum::Display,
+    strum::IntoStaticStr,
 )]
 #[serde(rename_all = "kebab-case")]
 #[strum(const_into_str, serialize_all = "kebab-case")]
@@ -65,12 +75,6 @@ impl Property {
     pub fn of_name(name: &str) -> Option<Self> {
         let name = name.split_once(' ').map_or(name, |(name, _)| name);
         Self::ALL.iter().copied().find(|property| property.name() == name)
-    }
-}
-
-impl fmt::Display for Property {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.name())
     }
 }
 

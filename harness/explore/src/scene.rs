@@ -131,15 +131,10 @@ impl Course {
     pub fn moves(&self) -> Vec<[u32; 2]> {
         match self {
             Self::Hold(points) => {
-                let pairs = points.windows(2).filter(|pair| matches!(pair, [a, b] if a.1 != b.1));
-                pairs.filter_map(|pair| pair.get(1)).map(|(at, _)| [*at; 2]).collect()
+                points.array_windows().filter(|[a, b]| a.1 != b.1).map(|[_, (at, _)]| [*at; 2]).collect()
             }
             Self::Linear(points) => {
-                let moving = |pair: &[(u32, i32)]| match pair {
-                    [from, to] if from.1 != to.1 => Some([from.0, to.0]),
-                    _ => None,
-                };
-                points.windows(2).filter_map(moving).collect()
+                points.array_windows().filter(|[a, b]| a.1 != b.1).map(|[from, to]| [from.0, to.0]).collect()
             }
             Self::Sine { amplitude: 0, .. } => Vec::new(),
             Self::Sine { .. } => vec![[0, u32::MAX]],

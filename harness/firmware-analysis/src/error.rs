@@ -21,8 +21,6 @@ pub enum AnalysisError {
     NoFunctions,
     #[error("no function or file matches `{0}`")]
     NoMatch(String),
-    #[error("{path}: {source}")]
-    Write { path: String, source: std::io::Error },
     #[error("the disassembler failed: {0}")]
     Disassembler(String),
     #[error("cancelled")]

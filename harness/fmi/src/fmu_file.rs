@@ -3,9 +3,9 @@
 use crate::description::{MODEL_IDENTIFIER, model_description};
 use crate::instance::PLATE_FILE;
 use platebench_plate::Plate;
-use platebench_trace::AtomicFile;
+use platebench_trace::{AtPath as _, AtomicFile, FileError};
 use std::fs;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
@@ -21,8 +21,8 @@ pub enum FmuError {
         program.display()
     )]
     NoLibrary { program: PathBuf },
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    File(#[from] FileError),
     #[error("{} is not a shared library of Linux (ELF)", .0.display())]
     NotALibrary(PathBuf),
     #[error("an FMU needs a computer with x86_64 or aarch64, this one has {0}")]
@@ -54,12 +54,8 @@ const fn platform() -> Option<&'static str> {
 
 /// `plate_text` is the content of the plate file. Fails if `out` exists.
 pub fn write(plate: &Plate, plate_text: &str, title: &str, library: &Path, out: &Path) -> Result<(), FmuError> {
-    let io = |path: &Path| {
-        let path = path.to_owned();
-        |source| FmuError::Io { path, source }
-    };
     let platform = platform().ok_or(FmuError::Architecture(std::env::consts::ARCH))?;
-    let content = fs::read(library).map_err(io(library))?;
+    let content = fs::read(library).at(library)?;
     if !content.starts_with(b"\x7fELF") {
         return Err(FmuError::NotALibrary(library.to_owned()));
     }
@@ -67,7 +63,7 @@ pub fn write(plate: &Plate, plate_text: &str, title: &str, library: &Path, out: 
         return Err(FmuError::FileExists(out.to_owned()));
     }
     let archive = |source| FmuError::Archive { path: out.to_owned(), source };
-    let file = AtomicFile::create(out).map_err(io(out))?;
+    let file = AtomicFile::create(out).at(out)?;
     let mut zip = ZipWriter::new(file.file());
     let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
     let description = model_description(plate, title);
@@ -79,8 +75,8 @@ pub fn write(plate: &Plate, plate_text: &str, title: &str, library: &Path, out: 
         (binary.as_str(), content.as_slice()),
     ] {
         zip.start_file(name, options).map_err(archive)?;
-        zip.write_all(bytes).map_err(io(out))?;
+        zip.write_all(bytes).at(out)?;
     }
     zip.finish().map_err(archive)?;
-    file.commit().map_err(io(out))
+    Ok(file.commit().at(out)?)
 }

@@ -92,8 +92,7 @@ impl<'a> ParameterLayout<'a> {
         let level = |at: &Conditions| recording.conditions.iter().position(|other| other == at).unwrap_or(0);
         let mut changes = Vec::new();
         let mut touches = 0;
-        for pair in recording.inputs.windows(2) {
-            let [before, after] = pair else { continue };
+        for [before, after] in recording.inputs.array_windows() {
             let is_touch = before.conditions.finger_force_n != after.conditions.finger_force_n;
             if before.conditions != after.conditions {
                 let touch = is_touch.then_some(touches);

@@ -7,7 +7,6 @@ use platebench_plate::Complex64;
 use serde::Serialize;
 use statrs::distribution::{Binomial, DiscreteCDF};
 use std::f64::consts::PI;
-use std::fmt;
 
 const LEVEL: f64 = 0.01;
 /// Smaller residuals, as a share of the largest |W|, are rounding, because the wire carries single
@@ -24,15 +23,20 @@ const QUALITY: [f64; 2] = [5.0, 20_000.0];
 const LINEAR_PERCENT: f64 = 2.0;
 
 /// A reason why the identified parameters are doubtful.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, thiserror::Error)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum Inconsistency {
     /// The residuals are not white. The plate changed in a way that the model does not include.
+    #[error(
+        "{rejected} of {tested} recordings have residuals that are not white: the plate changed (drift, \
+         amplitude-dependent damping) or the columns are wrong"
+    )]
     Residuals {
         /// Number of recordings.
         rejected: usize,
         tested: usize,
     },
+    #[error("{recording}: {component} is clipped at {limit_um} µm in {samples} samples")]
     Clipped {
         recording: String,
         /// `Wd` or `Wq`.
@@ -40,43 +44,18 @@ pub enum Inconsistency {
         limit_um: f64,
         samples: usize,
     },
-    Swapped {
-        recording: String,
-    },
+    #[error("{recording}: the model fits better with Wd and Wq exchanged; check the columns")]
+    Swapped { recording: String },
+    #[error(
+        "the quality factor is {value:.3e}, expected {} to {}; check the units of time and frequency",
+        QUALITY[0], QUALITY[1]
+    )]
     QualityFactor {
         /// π · resonance · τ.
         value: f64,
     },
-    NotLinear {
-        change_percent: f64,
-    },
-}
-
-impl fmt::Display for Inconsistency {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Residuals { rejected, tested } => write!(
-                formatter,
-                "{rejected} of {tested} recordings have residuals that are not white: the plate changed (drift, \
-                 amplitude-dependent damping) or the columns are wrong"
-            ),
-            Self::Clipped { recording, component, limit_um, samples } => {
-                write!(formatter, "{recording}: {component} is clipped at {limit_um} µm in {samples} samples")
-            }
-            Self::Swapped { recording } => {
-                write!(formatter, "{recording}: the model fits better with Wd and Wq exchanged; check the columns")
-            }
-            Self::QualityFactor { value } => write!(
-                formatter,
-                "the quality factor is {value:.3e}, expected {} to {}; check the units of time and frequency",
-                QUALITY[0], QUALITY[1]
-            ),
-            Self::NotLinear { change_percent } => write!(
-                formatter,
-                "K1 changes by {change_percent:.1} % from the lowest to the highest drive, expected a linear plate"
-            ),
-        }
-    }
+    #[error("K1 changes by {change_percent:.1} % from the lowest to the highest drive, expected a linear plate")]
+    NotLinear { change_percent: f64 },
 }
 
 pub(crate) fn inconsistent_recordings(fitted: &[(&Recording, DirectFit)]) -> Vec<Inconsistency> {

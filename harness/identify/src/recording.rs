@@ -80,7 +80,7 @@ impl Recording {
         if outputs.len() > MOST {
             return Err(RecordingError::TooLong(outputs.len()));
         }
-        if let Some(at) = outputs.windows(2).position(|pair| pair[1].t <= pair[0].t) {
+        if let Some(at) = outputs.array_windows().position(|[before, after]| after.t <= before.t) {
             return Err(RecordingError::NotInOrder(at + 1));
         }
         if inputs.iter().all(|input| input.vpp == 0.0) {
@@ -132,7 +132,7 @@ impl Recording {
 
     /// Median spacing of the outputs, s.
     pub fn period(&self) -> f64 {
-        let mut spacings: Vec<f64> = self.outputs.windows(2).map(|pair| pair[1].t - pair[0].t).collect();
+        let mut spacings: Vec<f64> = self.outputs.array_windows().map(|[before, after]| after.t - before.t).collect();
         spacings.sort_by(f64::total_cmp);
         spacings.get(spacings.len() / 2).copied().unwrap_or(0.0)
     }

@@ -145,8 +145,7 @@ pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f
     };
     let runs = constant_intervals(&acting, same);
     let mut steps = Vec::new();
-    for pair_of_runs in runs.windows(2) {
-        let &[(mut first, middle), (start, end)] = pair_of_runs else { continue };
+    for &[(mut first, middle), (start, end)] in runs.array_windows() {
         let (Some(from), Some(to)) = (acting.get(first), acting.get(start)) else { continue };
         if middle - first < MIN_SAMPLES
             || end - start < MIN_SAMPLES

@@ -167,7 +167,7 @@ impl Plate {
     }
 
     pub fn max_damping_slope(&self) -> f64 {
-        let slopes = self.damping_ratio.windows(2).map(|pair| (pair[1][1] - pair[0][1]) / (pair[1][0] - pair[0][0]));
+        let slopes = self.damping_ratio.array_windows().map(|[from, to]| (to[1] - from[1]) / (to[0] - from[0]));
         slopes.fold(0.0, |steepest, slope| slope.abs().max(steepest))
     }
 
@@ -180,10 +180,10 @@ impl Plate {
             return first[1];
         }
         // The segment that contains the force. The last segment is extended.
-        let segment = points.windows(2).find(|pair| force_n <= pair[1][0]).or_else(|| points.windows(2).last());
-        segment.map_or(first[1], |pair| {
-            let slope = (pair[1][1] - pair[0][1]) / (pair[1][0] - pair[0][0]);
-            pair[0][1] + slope * (force_n - pair[0][0])
+        let segment = points.array_windows().find(|[_, to]| force_n <= to[0]).or_else(|| points.array_windows().last());
+        segment.map_or(first[1], |[from, to]| {
+            let slope = (to[1] - from[1]) / (to[0] - from[0]);
+            from[1] + slope * (force_n - from[0])
         })
     }
 }

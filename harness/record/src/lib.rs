@@ -37,7 +37,7 @@ pub use provenance::{Host, Tool};
 pub use real_plate::{OperatorRequest, RealPlateRecord};
 pub use reason::{DivergedTrials, Divergence, Reason, TrialFinding, TrialReason, WideBoundsCause, percent};
 pub use rig_record::{Firmware, RigRecord};
-pub use run_folder::{FolderError, RunFolder, sha256, sha256_of_file, to_hex, trace_path};
+pub use run_folder::{FolderError, RunFolder, sha256, sha256_of_file, to_hex, trace_path, utc_timestamp};
 pub use run_record::{ClockKind, FORMAT, InputRecord, NotApplicable, RunRecord, ScenarioRecord};
 pub use store::{RECORD_FILE, RecordError, RunSummary, ScenarioSummary};
 pub use timing::{Quantiles, TimingRecord};

@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use platebench_plate::input::{STANDARD_INPUT_NAME, STANDARD_STREAM};
 use platebench_scenario::{InputFile, Scenario};
-use platebench_trace::open_regular_file;
+use platebench_trace::{AtPath, FileError, open_regular_file};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -23,8 +23,8 @@ pub enum FolderError {
     AlreadyUsed(PathBuf),
     #[error("{} is in use by another run, expected a new folder", .0.display())]
     InUse(PathBuf),
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    File(#[from] FileError),
 }
 
 #[derive(Debug, Clone)]
@@ -36,18 +36,13 @@ pub struct RunFolder {
     _lock: Arc<File>,
 }
 
-fn io_error(path: &Path) -> impl FnOnce(io::Error) -> FolderError + use<> {
-    let path = path.to_owned();
-    |source| FolderError::Io { path, source }
-}
-
 impl RunFolder {
     /// Creates a folder at `path`, or below `runs/` without a path. Fails if it contains a run.
     pub fn create(path: Option<&Path>) -> Result<Self, FolderError> {
         let started = Timestamp::now();
         let path = path.map_or_else(|| Path::new("runs").join(generate_name(started)), Path::to_owned);
-        fs::create_dir_all(&path).map_err(io_error(&path))?;
-        let lock = File::open(&path).map_err(io_error(&path))?;
+        fs::create_dir_all(&path).at(&path)?;
+        let lock = File::open(&path).at(&path)?;
         // Any other error means a file system without locks.
         if matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
             return Err(FolderError::InUse(path));
@@ -71,14 +66,14 @@ impl RunFolder {
         fs::remove_dir(&self.path).is_ok()
     }
 
-    /// Time of creation, UTC, RFC 3339 to the second.
+    /// Time of creation, as [`utc_timestamp`].
     pub fn started(&self) -> String {
-        self.started.strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
+        rfc3339(self.started)
     }
 
     pub fn create_trace_folder(&self, scenario: &Scenario) -> Result<(), FolderError> {
         let folder = self.path.join(TRACES).join(scenario.name());
-        fs::create_dir_all(&folder).map_err(io_error(&folder))
+        Ok(fs::create_dir_all(&folder).at(&folder)?)
     }
 
     /// Copies all inputs with their relative paths. Returns them by scenario.
@@ -86,9 +81,9 @@ impl RunFolder {
         // Paths in a scenario from standard input are relative to the current folder.
         let place = |input: &InputFile| match input.path.to_str() {
             Some(STANDARD_STREAM) => {
-                fs::canonicalize(".").map(|folder| folder.join(STANDARD_INPUT_NAME)).map_err(io_error(&input.path))
+                fs::canonicalize(".").map(|folder| folder.join(STANDARD_INPUT_NAME)).at(&input.path)
             }
-            _ => fs::canonicalize(&input.path).map_err(io_error(&input.path)),
+            _ => fs::canonicalize(&input.path).at(&input.path),
         };
         let all =
             scenarios.iter().flat_map(|scenario| &scenario.inputs).map(place).collect::<Result<BTreeSet<_>, _>>()?;
@@ -98,9 +93,9 @@ impl RunFolder {
             let relative = Path::new(INPUTS).join(below.strip_prefix(&root).unwrap_or(&below));
             let target = self.path.join(&relative);
             if let Some(folder) = target.parent() {
-                fs::create_dir_all(folder).map_err(io_error(folder))?;
+                fs::create_dir_all(folder).at(folder)?;
             }
-            fs::write(&target, &input.bytes).map_err(io_error(&target))?;
+            fs::write(&target, &input.bytes).at(&target)?;
             Ok(InputRecord { file: with_slashes(&relative), sha256: sha256(&input.bytes) })
         };
         scenarios.iter().map(|scenario| scenario.inputs.iter().map(store).collect()).collect()
@@ -136,6 +131,15 @@ pub fn to_hex(bytes: &[u8]) -> String {
         let _ = write!(text, "{byte:02x}");
         text
     })
+}
+
+/// Present time, UTC, RFC 3339 to the second.
+pub fn utc_timestamp() -> String {
+    rfc3339(Timestamp::now())
+}
+
+fn rfc3339(time: Timestamp) -> String {
+    time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
 }
 
 fn generate_name(now: Timestamp) -> String {

@@ -13,7 +13,6 @@ use crate::verdict::{Cause, Verdict};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::fmt;
 use std::path::Path;
 
 /// Version of `run.json`. Readers reject other versions.
@@ -52,7 +51,10 @@ pub struct RunRecord {
     pub merge: Option<MergeRecord>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, strum::IntoStaticStr, strum::Display,
+)]
+#[strum(const_into_str, serialize_all = "kebab-case")]
 #[serde(rename_all = "kebab-case")]
 pub enum ClockKind {
     /// The plate waited for the controller.
@@ -65,17 +67,7 @@ pub enum ClockKind {
 
 impl ClockKind {
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Lockstep => "lockstep",
-            Self::RealTime => "real-time",
-            Self::RealPlate => "real-plate",
-        }
-    }
-}
-
-impl fmt::Display for ClockKind {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.name())
+        self.into_str()
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::expectation_record::ExpectationRecord;
 use crate::rig_record::RigRecord;
 use crate::run_record::{FORMAT, RunRecord};
-use platebench_trace::{AtomicFile, open_regular_file, read_text_file};
+use platebench_trace::{AtPath, AtomicFile, FileError, open_regular_file, read_text_file};
 use serde::de::{DeserializeOwned, Error, IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::fmt;
@@ -19,8 +19,8 @@ const MAX_EARLIER_RUNS: usize = 20;
 
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    File(#[from] FileError),
     #[error("{}:{}:{}: {source}", path.display(), source.line(), source.column())]
     Content { path: PathBuf, source: serde_json::Error },
     #[error("{}: the record has format {found}, expected {FORMAT}", path.display())]
@@ -151,16 +151,14 @@ impl Head {
 
 fn read_started(folder: &Path) -> Result<String, RecordError> {
     let path = folder.join(RECORD_FILE);
-    let file =
-        open_regular_file(&path, MAX_RECORD_BYTES).map_err(|source| RecordError::Io { path: path.clone(), source })?;
+    let file = open_regular_file(&path, MAX_RECORD_BYTES).at(&path)?;
     let head = Head::read(&path, &mut serde_json::Deserializer::from_reader(BufReader::new(file)))?;
     head.started.ok_or_else(|| RecordError::Content { path, source: serde_json::Error::missing_field("started") })
 }
 
 fn read<T: DeserializeOwned>(folder: &Path) -> Result<T, RecordError> {
     let path = folder.join(RECORD_FILE);
-    let text =
-        read_text_file(&path, MAX_RECORD_BYTES).map_err(|source| RecordError::Io { path: path.clone(), source })?;
+    let text = read_text_file(&path, MAX_RECORD_BYTES).at(&path)?;
     Head::read(&path, &mut serde_json::Deserializer::from_str(&text))?;
     serde_json::from_str(&text).map_err(|source| RecordError::Content { path, source })
 }

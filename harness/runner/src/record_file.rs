@@ -2,6 +2,7 @@
 //! most 5 % of a run.
 
 use platebench_record::{FolderError, RunFolder, RunRecord};
+use platebench_trace::AtPath as _;
 use std::time::{Duration, Instant};
 
 const MIN_INTERVAL: Duration = Duration::from_millis(100);
@@ -23,8 +24,7 @@ impl<'a> RecordFile<'a> {
 
     pub(crate) fn write(&mut self, record: &RunRecord) -> Result<(), FolderError> {
         let started = Instant::now();
-        let path = self.folder.path();
-        record.write(path).map_err(|source| FolderError::Io { path: path.to_owned(), source })?;
+        record.write(self.folder.path()).at(self.folder.path())?;
         self.next = Instant::now() + MIN_INTERVAL.max(INTERVAL_PER_WRITE * started.elapsed());
         self.has_changed = false;
         Ok(())

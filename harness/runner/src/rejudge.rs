@@ -10,7 +10,7 @@ use platebench_record::{
     sha256, sha256_of_file, trace_path,
 };
 use platebench_scenario::{Diagnostic, Expectation, Scenario, Variation, load, load_copies};
-use platebench_trace::{Row, TraceError, read_trace};
+use platebench_trace::{AtPath, Row, TraceError, read_trace};
 use platebench_verdict::{SequentialDecision, TrialMeasures, judge, judge_sequentially, trial_record};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -199,7 +199,7 @@ pub fn read_trial_rows(folder: &Path, trial: &TrialRecord) -> Result<Vec<Row>, R
 pub fn check_trace(folder: &Path, trial: &TrialRecord) -> Result<(), RejudgeError> {
     let Some(expected) = trial.sha256.as_deref() else { return Ok(()) };
     let path = folder.join(&trial.trace);
-    let found = sha256_of_file(&path).map_err(|source| FolderError::Io { path: path.clone(), source })?;
+    let found = sha256_of_file(&path).at(&path).map_err(FolderError::from)?;
     check_hash(&path, found, expected)
 }
 

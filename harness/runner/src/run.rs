@@ -15,6 +15,7 @@ use platebench_record::{
 use platebench_record::{NotApplicable, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex};
 use platebench_rig::{ChipFaultError, FaultInjector, Link};
 use platebench_scenario::{Metric, Scenario};
+use platebench_trace::AtPath as _;
 use platebench_verdict::{Judgement, SequentialDecision, TrialMeasures, judge, judge_sequentially};
 use platebench_wire::{LawId, capabilities};
 use std::cmp::Reverse;
@@ -318,7 +319,7 @@ fn keep_worst(
     let removed: BTreeSet<u32> = order.iter().skip(count as usize).map(|(_, index)| *index).collect();
     for trial in trials.iter_mut().filter(|trial| removed.contains(&trial.index)) {
         let path = folder.path().join(&trial.trace);
-        fs::remove_file(&path).map_err(|source| FolderError::Io { path, source })?;
+        fs::remove_file(&path).at(&path).map_err(FolderError::from)?;
         trial.sha256 = None;
     }
     Ok(())

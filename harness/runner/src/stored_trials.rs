@@ -2,7 +2,7 @@
 
 use crate::rejudge::{RejudgeError, read_trial_rows};
 use platebench_record::{RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord};
-use platebench_trace::{Row, TraceError, read_trace};
+use platebench_trace::{FileError, Row, TraceError, read_trace};
 use platebench_verdict::golden::BaselineError;
 use std::path::{Path, PathBuf};
 
@@ -21,8 +21,8 @@ pub enum CompareError {
     NoScenario(PathBuf),
     #[error("{}: the run has {count} scenarios, expected one: a single trace is compared with it", path.display())]
     SeveralScenarios { path: PathBuf, count: usize },
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: std::io::Error },
+    #[error(transparent)]
+    File(#[from] FileError),
 }
 
 pub struct ScenarioTrials {

@@ -19,6 +19,7 @@ use std::fmt;
     Hash,
     strum::VariantArray,
     strum::VariantNames,
+    strum::Display,
     strum::IntoStaticStr,
 )]
 #[strum(const_into_str, serialize_all = "snake_case")]
@@ -167,12 +168,6 @@ impl Metric {
 
     pub const fn has_signal(self) -> bool {
         self.has_band() || self.has_window_ms() || matches!(self, Self::Overshoot | Self::TrialDifference)
-    }
-}
-
-impl fmt::Display for Metric {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.name())
     }
 }
 

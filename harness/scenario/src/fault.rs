@@ -33,7 +33,8 @@ impl FaultKind {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, strum::IntoStaticStr)]
+#[strum(const_into_str, serialize_all = "kebab-case")]
 pub enum Direction {
     ToController,
     FromController,
@@ -45,11 +46,7 @@ impl Direction {
     pub const ALL: [Self; 3] = [Self::ToController, Self::FromController, Self::Both];
 
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::ToController => "to-controller",
-            Self::FromController => "from-controller",
-            Self::Both => "both",
-        }
+        self.into_str()
     }
 }
 

@@ -7,15 +7,19 @@ use toml::de::DeTable;
 
 pub const SETTINGS_FILE: &str = "platebench.toml";
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::IntoStaticStr)]
+#[strum(const_into_str, serialize_all = "lowercase")]
 pub enum FileKind {
     Scenario,
     Plate,
     Plan,
     Envelope,
     Campaign,
+    #[strum(serialize = "settings file")]
     Config,
+    #[strum(serialize = "board inventory")]
     Boards,
+    #[strum(serialize = "list of requirements")]
     Requirements,
 }
 
@@ -46,16 +50,7 @@ impl FileKind {
     }
 
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Scenario => "scenario",
-            Self::Plate => "plate",
-            Self::Plan => "plan",
-            Self::Envelope => "envelope",
-            Self::Campaign => "campaign",
-            Self::Config => "settings file",
-            Self::Boards => "board inventory",
-            Self::Requirements => "list of requirements",
-        }
+        self.into_str()
     }
 }
 

@@ -78,10 +78,8 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
         }
     }
     found.scenarios.sort_by(|a, b| a.file.cmp(&b.file));
-    for pair in found.scenarios.windows(2) {
-        if let [first, second] = pair
-            && first.name() == second.name()
-        {
+    for [first, second] in found.scenarios.array_windows() {
+        if first.name() == second.name() {
             let path =
                 |scenario: &Scenario| scenario.inputs.first().map(|input| input.path.clone()).unwrap_or_default();
             let message =

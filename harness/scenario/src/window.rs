@@ -22,7 +22,8 @@ impl Window {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr)]
+#[strum(const_into_str, serialize_all = "lowercase")]
 pub enum ChangingProfile {
     Setpoint,
     Force,
@@ -33,11 +34,7 @@ impl ChangingProfile {
     pub const ALL: [Self; 3] = [Self::Setpoint, Self::Force, Self::Temperature];
 
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Setpoint => "setpoint",
-            Self::Force => "force",
-            Self::Temperature => "temperature",
-        }
+        self.into_str()
     }
 }
 
@@ -100,13 +97,12 @@ fn change_starts(profile: &Profile, from_rest: bool) -> Vec<Time> {
     let mut starts = if at_start { vec![Time::ZERO] } else { Vec::new() };
     match profile {
         Profile::Hold(points) => {
-            let pairs = points.windows(2).filter_map(|pair| <[_; 2]>::try_from(pair).ok());
+            let pairs = points.array_windows();
             starts.extend(pairs.filter(|[before, after]| before.1 != after.1).map(|[_, after]| after.0));
         }
         Profile::Linear(points) => {
             let mut moved = false;
-            for pair in points.windows(2) {
-                let [before, after] = pair else { continue };
+            for [before, after] in points.array_windows() {
                 let moves = before.1 != after.1;
                 if moves && !moved && starts.last() != Some(&before.0) {
                     starts.push(before.0);

@@ -5,7 +5,6 @@
 use crate::budget::{ComponentKind, Distribution, QuantityBudget};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
-use std::fmt;
 
 /// From this number of degrees of freedom on, Student's t equals the normal distribution to 1e-8.
 const MAX_FREEDOM: f64 = 1e7;
@@ -66,21 +65,12 @@ pub struct CombinedUncertainty {
     pub contributions: Vec<Contribution>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum EvaluationError {
+    #[error("the budget takes the repeatability from the trials, which needs two or more trials")]
     NoRepeatability,
+    #[error("the value is not a finite number, so it has no uncertainty")]
     NoValue,
-}
-
-impl fmt::Display for EvaluationError {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self {
-            Self::NoRepeatability => {
-                "the budget takes the repeatability from the trials, which needs two or more trials"
-            }
-            Self::NoValue => "the value is not a finite number, so it has no uncertainty",
-        })
-    }
 }
 
 impl QuantityBudget {

@@ -3,10 +3,12 @@
 use crate::combine::CombinedUncertainty;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::fmt;
 
 /// Decision rule.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, strum::IntoStaticStr, strum::Display,
+)]
+#[strum(const_into_str, serialize_all = "kebab-case")]
 #[serde(rename_all = "kebab-case")]
 pub enum DecisionRule {
     /// The value must meet the limit. The record states the uncertainty, which changes no verdict.
@@ -21,17 +23,7 @@ pub enum DecisionRule {
 
 impl DecisionRule {
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Simple => "simple",
-            Self::Guarded => "guarded",
-            Self::SharedRisk => "shared-risk",
-        }
-    }
-}
-
-impl fmt::Display for DecisionRule {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.name())
+        self.into_str()
     }
 }
 

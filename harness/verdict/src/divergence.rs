@@ -76,15 +76,12 @@ pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
 /// Index of the first row of the final part: constant setpoint and conditions, a controller that
 /// answers, no fault.
 fn row_after_last_event(scenario: &Scenario, rows: &[Row]) -> usize {
-    let moved = |pair: &[Row]| match pair {
-        [left, right] => {
-            left.setpoint_um != right.setpoint_um
-                || left.temperature_offset_k != right.temperature_offset_k
-                || left.finger_force_n != right.finger_force_n
-        }
-        _ => false,
+    let moved = |[left, right]: &[Row; 2]| {
+        left.setpoint_um != right.setpoint_um
+            || left.temperature_offset_k != right.temperature_offset_k
+            || left.finger_force_n != right.finger_force_n
     };
-    let rested = rows.windows(2).rposition(moved).map_or(0, |index| index + 1);
+    let rested = rows.array_windows().rposition(moved).map_or(0, |index| index + 1);
     let period = scenario.controller.period;
     let disturbed = |row: &Row| {
         row.flags.intersects(Flags::SAFE | Flags::LINK_LOST | Flags::OVERRUN)
@@ -109,8 +106,7 @@ fn count_side_changes(rows: &[Row], reach: f64, signal: &dyn Fn(&Row) -> f64) ->
 /// Time-weighted, around the signal's own mean.
 fn standard_deviation(rows: &[Row], signal: &dyn Fn(&Row) -> f64) -> f64 {
     let (mut length, mut area, mut squares) = (0.0, 0.0, 0.0);
-    for pair in rows.windows(2) {
-        let [left, right] = pair else { continue };
+    for [left, right] in rows.array_windows() {
         let (span, value) = (right.t_s - left.t_s, signal(left));
         length += span;
         area += span * value;

@@ -57,7 +57,7 @@ fn incomplete_trace(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
         return Some(Exclusion::LateStart { at_ms: rounded_ms(first.t_s) });
     }
     let widest = scenario.trace_step.seconds() + INSTANT_ROUNDING_S;
-    let gap = rows.windows(2).find(|pair| matches!(pair, [left, right] if right.t_s - left.t_s > widest));
+    let gap = rows.array_windows().find(|[left, right]| right.t_s - left.t_s > widest);
     if let Some([left, right]) = gap {
         let [from_ms, to_ms] = [left, right].map(|row| rounded_ms(row.t_s));
         return Some(Exclusion::Gap { from_ms, to_ms, step_ms: scenario.trace_step.ms() });

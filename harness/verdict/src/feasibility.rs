@@ -105,8 +105,7 @@ impl IdealResponse {
         let mut level = first.amplitude_um;
         let mut ideal =
             Self { rows: vec![with_amplitude(first, level)], falls_with_drive_off: false, required_drive_vpp: 0.0 };
-        for pair in rows.windows(2) {
-            let [left, right] = pair else { continue };
+        for [left, right] in rows.array_windows() {
             let (start, end) = (Time::from_seconds(left.t_s)?, Time::from_seconds(right.t_s)?);
             let mode = plant.mode_at(start.midpoint(end));
             let strongest = limit / mode.drive_for(1.0);

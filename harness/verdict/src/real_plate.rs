@@ -64,7 +64,7 @@ fn missing_telemetry(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
     if first.t_s > widest {
         return Some(Exclusion::LateTelemetry { at_ms: rounded_ms(first.t_s) });
     }
-    let gap = rows.windows(2).find(|pair| matches!(pair, [left, right] if right.t_s - left.t_s > widest));
+    let gap = rows.array_windows().find(|[left, right]| right.t_s - left.t_s > widest);
     if let Some([left, right]) = gap {
         return Some(Exclusion::TelemetryGap { from_ms: rounded_ms(left.t_s), to_ms: rounded_ms(right.t_s) });
     }

@@ -4,7 +4,6 @@
 use crate::tube::{Exceedance, Tube, TubePoint, TubeSignal};
 use platebench_record::{Telemetry, Verdict, Violation};
 use serde::Serialize;
-use std::fmt;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReplayCommand {
@@ -25,25 +24,17 @@ pub struct ReplayStep {
 }
 
 /// Why the commands after an instant cannot be compared.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, thiserror::Error)]
 #[serde(rename_all = "kebab-case")]
 pub enum RecordingEnd {
+    #[error("the recorded controller did not answer from {:.1} ms on: the rest was not replayed", at_s * 1e3)]
     LostReply { at_s: f64 },
+    #[error("the recorded controller stopped from {:.1} ms on: the rest was not replayed", at_s * 1e3)]
     Stopped { at_s: f64 },
+    #[error("a planned fault acts on the recording from {:.1} ms on: the rest was not replayed", at_s * 1e3)]
     Fault { at_s: f64 },
+    #[error("the recording lacks samples from {:.1} ms on: the rest was not replayed", at_s * 1e3)]
     MissingSample { at_s: f64 },
-}
-
-impl fmt::Display for RecordingEnd {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (at_s, what) = match self {
-            Self::LostReply { at_s } => (at_s, "the recorded controller did not answer"),
-            Self::Stopped { at_s } => (at_s, "the recorded controller stopped"),
-            Self::Fault { at_s } => (at_s, "a planned fault acts on the recording"),
-            Self::MissingSample { at_s } => (at_s, "the recording lacks samples"),
-        };
-        write!(formatter, "{what} from {:.1} ms on: the rest was not replayed", at_s * 1e3)
-    }
 }
 
 #[derive(Debug, Clone, PartialEq)]

@@ -1,9 +1,10 @@
 //! Describes a changed instruction or constant.
 
 use platebench_rig::symbols::SourceLine;
-use std::fmt;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, strum::VariantArray, strum::IntoStaticStr)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, strum::VariantArray, strum::Display, strum::IntoStaticStr,
+)]
 #[strum(const_into_str, serialize_all = "snake_case")]
 pub enum Operator {
     /// Exchanges addition and subtraction, or multiplication and division, or removes a change of
@@ -31,12 +32,6 @@ impl Operator {
 
     pub const fn name(self) -> &'static str {
         self.into_str()
-    }
-}
-
-impl fmt::Display for Operator {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(self.name())
     }
 }
 

@@ -8,7 +8,8 @@ use std::time::Duration;
 /// Each end of the 95 % interval of the score has half of the error probability.
 const ONE_SIDED_CONFIDENCE: f64 = 0.975;
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, strum::IntoStaticStr)]
+#[strum(const_into_str)]
 pub enum Status {
     Killed {
         by: String,
@@ -34,13 +35,7 @@ pub enum Status {
 impl Status {
     /// As in the schema of mutation reports.
     pub const fn name(&self) -> &'static str {
-        match self {
-            Self::Killed { .. } => "Killed",
-            Self::Survived { .. } => "Survived",
-            Self::NoCoverage => "NoCoverage",
-            Self::Timeout { .. } => "Timeout",
-            Self::RuntimeError { .. } => "RuntimeError",
-        }
+        self.into_str()
     }
 
     pub const fn is_detected(&self) -> bool {

@@ -249,7 +249,7 @@ fn does_not_read_a_device() {
     for link in ["/dev/zero", "/dev"] {
         let folder = TempDir::new().unwrap();
         std::os::unix::fs::symlink(link, folder.path().join(RECORD_FILE)).unwrap();
-        assert!(matches!(RunRecord::read(folder.path()), Err(RecordError::Io { .. })), "{link}");
+        assert!(matches!(RunRecord::read(folder.path()), Err(RecordError::File(_))), "{link}");
     }
 }
 
@@ -274,7 +274,7 @@ fn rejects_a_truncated_record() {
         assert!(matches!(read_error(&text[..end]), RecordError::Content { .. }), "cut at {end}");
     }
     let nowhere = TempDir::new().unwrap();
-    assert!(matches!(RunRecord::read(nowhere.path()), Err(RecordError::Io { .. })));
+    assert!(matches!(RunRecord::read(nowhere.path()), Err(RecordError::File(_))));
 }
 
 #[test]

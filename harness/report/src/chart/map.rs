@@ -116,8 +116,8 @@ impl MapPanel {
     fn stability_boundary(&self) -> Vec<Vec<(f64, f64)>> {
         let mut lines: Vec<Vec<(f64, f64)>> = vec![Vec::new()];
         for (period, radius) in self.periods_ms.iter().zip(&self.radius) {
-            let passes = |pair: &[f64]| matches!(pair, [a, b] if *a < 1.0 && *b >= 1.0);
-            let passed = radius.windows(2).position(passes).and_then(|row| {
+            let passes = |[a, b]: &[f64; 2]| *a < 1.0 && *b >= 1.0;
+            let passed = radius.array_windows().position(passes).and_then(|row| {
                 let (a, b) = (radius.get(row)?, radius.get(row + 1)?);
                 let (from, to) = (self.delays_ms.get(row)?, self.delays_ms.get(row + 1)?);
                 Some(from + (to - from) * (1.0 - a) / (b - a))

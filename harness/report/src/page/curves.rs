@@ -112,8 +112,7 @@ fn interpolate_between(before: CurvePoint, after: Option<CurvePoint>, signal: Pl
 
 pub(crate) fn flagged_windows(rows: &[Row], flags: Flags) -> Vec<TimeWindow> {
     let mut windows: Vec<TimeWindow> = Vec::new();
-    for pair in rows.windows(2) {
-        let [row, next] = pair else { continue };
+    for [row, next] in rows.array_windows() {
         let (from_ms, to_ms) = (row_ms(row), row_ms(next));
         if row.flags.intersects(flags) && from_ms < to_ms {
             windows.push(TimeWindow { from_ms, to_ms });

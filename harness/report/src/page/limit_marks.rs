@@ -221,8 +221,7 @@ impl WindowResult {
 
 fn time_weighted_mean(signal: PlotSignal, rows: &[Row]) -> Option<f64> {
     let (mut area, mut length) = (0.0, 0.0);
-    for pair in rows.windows(2) {
-        let [left, right] = pair else { continue };
+    for [left, right] in rows.array_windows() {
         area += (right.t_s - left.t_s) * f64::midpoint(signal.value_in(left), signal.value_in(right));
         length += right.t_s - left.t_s;
     }

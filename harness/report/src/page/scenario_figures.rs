@@ -91,7 +91,7 @@ impl FigureBuilder<'_> {
     fn add_spread(&self, figure: &mut Figure, signal: PlotSignal, role: Role, name: &str) {
         let lines = self.data.sampled_trials.iter().filter_map(|trial| trial.values.get(&signal).map(Vec::as_slice));
         let lines: Vec<&[Option<f64>]> = lines.collect();
-        if !lines.windows(2).any(|pair| matches!(pair, [one, other] if one != other)) {
+        if !lines.array_windows().any(|[one, other]| one != other) {
             return;
         }
         let count = lines.len();

@@ -229,11 +229,11 @@ fn deciding_trials(scenario: &ScenarioRecord, shown: &[(usize, &TrialRecord)]) -
 
 /// Rows up to the first change of the finger force after the first setpoint step.
 fn rows_before_touch(rows: &[Row]) -> &[Row] {
-    let is_step = |pair: &[Row]| matches!(pair, [a, b] if a.setpoint_um != b.setpoint_um);
-    let is_touch = |pair: &[Row]| matches!(pair, [a, b] if (a.finger_force_n - b.finger_force_n).abs() > 0.0);
-    let step = rows.windows(2).position(is_step).map_or(0, |before| before + 1);
+    let is_step = |[a, b]: &[Row; 2]| a.setpoint_um != b.setpoint_um;
+    let is_touch = |[a, b]: &[Row; 2]| (a.finger_force_n - b.finger_force_n).abs() > 0.0;
+    let step = rows.array_windows().position(is_step).map_or(0, |before| before + 1);
     let after = rows.get(step..).unwrap_or_default();
-    let count = after.windows(2).position(is_touch).map_or(after.len(), |before| before + 1);
+    let count = after.array_windows().position(is_touch).map_or(after.len(), |before| before + 1);
     rows.get(..step + count).unwrap_or(rows)
 }
 

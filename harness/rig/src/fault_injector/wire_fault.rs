@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, strum::IntoStaticStr)]
+#[strum(const_into_str, serialize_all = "lowercase")]
 pub enum WireFaultKind {
     Drop,
     /// Flips one bit, possibly of the delimiter.
@@ -25,17 +26,7 @@ impl WireFaultKind {
     pub(super) const COUNT: usize = 9;
 
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Drop => "drop",
-            Self::Flip => "flip",
-            Self::Duplicate => "duplicate",
-            Self::Delay(_) => "delay",
-            Self::Truncate => "truncate",
-            Self::Babble => "babble",
-            Self::Disconnect => "disconnect",
-            Self::Freeze => "freeze",
-            Self::Scale(_) => "scale",
-        }
+        self.into_str()
     }
 
     pub(super) const fn affects_sensor(self) -> bool {

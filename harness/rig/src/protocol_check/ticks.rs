@@ -55,10 +55,7 @@ impl TickComparison {
         }
         let period_us = self.period.as_secs_f64() * 1e6;
         let mut drift_us = 0.0;
-        let advances = self.sent_us.windows(2).filter_map(|pair| {
-            let [previous, tick] = pair else { return None };
-            Some(f64::from(tick.wrapping_sub(*previous)))
-        });
+        let advances = self.sent_us.array_windows().map(|[previous, tick]| f64::from(tick.wrapping_sub(*previous)));
         let drifts: Vec<f64> = advances
             .map(|advance_us| {
                 drift_us += advance_us - (advance_us / period_us).round() * period_us;

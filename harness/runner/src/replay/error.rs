@@ -5,8 +5,7 @@ use crate::rejudge::RejudgeError;
 use platebench_identify::ExternalCsvError;
 use platebench_record::RecordError;
 use platebench_scenario::Diagnostic;
-use platebench_trace::TraceError;
-use std::io;
+use platebench_trace::{FileError, TraceError};
 use std::path::PathBuf;
 
 #[derive(Debug, thiserror::Error)]
@@ -21,8 +20,8 @@ pub enum ReplayError {
     Trace(#[from] TraceError),
     #[error(transparent)]
     Telemetry(#[from] ExternalCsvError),
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    File(#[from] FileError),
     #[error("{}: expected a trace, such as RUN/traces/SCENARIO/000.csv; this is a folder", .0.display())]
     Folder(PathBuf),
     #[error(

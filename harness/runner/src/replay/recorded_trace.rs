@@ -9,7 +9,7 @@ use crate::rejudge::{apply_overrides, load_stored_scenario, read_trial_rows};
 use platebench_plate::Time;
 use platebench_record::{ClockKind, RECORD_FILE, RunRecord, ScenarioRecord, TrialRecord};
 use platebench_scenario::{Scenario, load};
-use platebench_trace::{Flags, Row, read_trace};
+use platebench_trace::{AtPath, Flags, Row, read_trace};
 use platebench_verdict::replay::{Recording, RecordingEnd, ReplayCommand, ReplayStep};
 use std::path::{Path, PathBuf};
 
@@ -52,8 +52,7 @@ struct StoredTrace {
 
 /// `None` if no run folder above the trace lists it.
 fn find_trial(trace: &Path) -> Result<Option<StoredTrace>, ReplayError> {
-    let io = |source| ReplayError::Io { path: trace.to_owned(), source };
-    let trace = trace.canonicalize().map_err(io)?;
+    let trace = trace.canonicalize().at(trace)?;
     let Some(folder) = trace.ancestors().skip(1).find(|folder| folder.join(RECORD_FILE).is_file()) else {
         return Ok(None);
     };

@@ -7,6 +7,7 @@ use platebench_identify::ColumnMapping;
 use platebench_identify::external_csv::read_rows;
 use platebench_plate::Time;
 use platebench_scenario::load;
+use platebench_trace::AtPath as _;
 use platebench_verdict::replay::{Recording, ReplayCommand, ReplayStep};
 use std::f64::consts::TAU;
 use std::fs::File;
@@ -20,7 +21,7 @@ pub fn read_telemetry_table(
 ) -> Result<ReplayInput, ReplayError> {
     let scenario = load(scenario, &scenario.display().to_string())?;
     let name = table.display().to_string();
-    let file = File::open(table).map_err(|source| ReplayError::Io { path: table.to_owned(), source })?;
+    let file = File::open(table).at(table)?;
     let rows = read_rows(&name, file, columns)?;
     let first_s = rows.first().map_or(0.0, |row| row.t);
     let period_s = scenario.controller.period.seconds();

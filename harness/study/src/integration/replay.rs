@@ -8,7 +8,8 @@ use crate::integration::problem::{
 use platebench_plate::{Complex64, ConditionProfiles, Drive, Plant, Plate, State, Tier, Time};
 use std::f64::consts::TAU;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::IntoStaticStr)]
+#[strum(const_into_str, serialize_all = "lowercase")]
 pub enum EquationForm {
     Envelope,
     Modal,
@@ -19,11 +20,7 @@ impl EquationForm {
     pub const ALL: [Self; 3] = [Self::Envelope, Self::Modal, Self::Carrier];
 
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Envelope => "envelope",
-            Self::Modal => "modal",
-            Self::Carrier => "carrier",
-        }
+        self.into_str()
     }
 
     pub const fn tier(self) -> Tier {

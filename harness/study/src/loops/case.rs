@@ -15,7 +15,8 @@ const UNREACHED_LIMIT_VPP: f64 = 1e5;
 const RANGE_HZ: f64 = 400.0;
 const BISECTIONS: u32 = 60;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::IntoStaticStr)]
+#[strum(const_into_str, serialize_all = "lowercase")]
 pub enum OperatingCondition {
     Resonant,
     /// Untouched plate. The excitation starts at the resonance of 33 °C, 545 rad/s too low (Fig.
@@ -29,11 +30,7 @@ impl OperatingCondition {
     pub const ALL: [Self; 3] = [Self::Resonant, Self::Detuned, Self::Finger];
 
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Resonant => "resonant",
-            Self::Detuned => "detuned",
-            Self::Finger => "finger",
-        }
+        self.into_str()
     }
 
     pub fn conditions(self) -> Conditions {

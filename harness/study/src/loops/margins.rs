@@ -34,8 +34,7 @@ impl ClosedLoop {
         for kind in 0..2 {
             let Some(open) = self.open_loop_transfer(kind) else { continue };
             let at = |theta: f64| open(Complex64::from_polar(1.0, theta));
-            for pair in frequency_grid().windows(2) {
-                let [low, high] = [pair[0], pair[1]];
+            for &[low, high] in frequency_grid().array_windows() {
                 let (Some(before), Some(after)) = (at(low), at(high)) else { continue };
                 if before.im * after.im < 0.0
                     && let Some(crossing) = at(root(low, high, |theta| at(theta).map(|l| l.im)))

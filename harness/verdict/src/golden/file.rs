@@ -7,12 +7,11 @@ use crate::tube::{TUBE_SIGNALS, Tolerance, Tube, TubePoint, TubeSignal};
 use platebench_plate::Time;
 use platebench_record::{Telemetry, sha256};
 use platebench_scenario::{Aggregation, Expectation, Limit, Metric, Window};
-use platebench_trace::{Row, read_text_file, write_atomically};
+use platebench_trace::{AtPath, FileError, Row, read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 
 /// Suffix of a column with a learned width.
@@ -22,8 +21,8 @@ const MAX_BYTES: u64 = 64 << 20;
 
 #[derive(Debug, thiserror::Error)]
 pub enum BaselineError {
-    #[error("{}: {source}", path.display())]
-    Io { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    File(#[from] FileError),
     #[error("{}:{line}: {message}", path.display())]
     Content { path: PathBuf, line: usize, message: String },
 }
@@ -184,7 +183,7 @@ impl Baseline {
                 .parent()
                 .map_or(Ok(()), fs::create_dir_all)
                 .and_then(|()| write_atomically(&path, text.as_bytes()));
-            written.map_err(|source| BaselineError::Io { path, source })?;
+            written.at(&path)?;
         }
         Ok(())
     }
@@ -196,9 +195,7 @@ impl Baseline {
     }
 
     pub fn read_files(head_path: &Path, table_path: &Path) -> Result<Self, BaselineError> {
-        let text = |path: &Path| {
-            read_text_file(path, MAX_BYTES).map_err(|source| BaselineError::Io { path: path.to_owned(), source })
-        };
+        let text = |path: &Path| read_text_file(path, MAX_BYTES).at(path);
         let (head, table) = (text(head_path)?, text(table_path)?);
         let content_error = |line, message| BaselineError::Content { path: head_path.to_owned(), line, message };
         let parsed: BaselineHeader = toml::from_str(&head).map_err(|error| {

@@ -212,7 +212,7 @@ fn rejects_half_a_baseline() {
     let folder = TempDir::new().unwrap();
     baseline().write(folder.path()).unwrap();
     fs::remove_file(folder.path().join("paper/step.csv")).unwrap();
-    assert!(matches!(Baseline::read(folder.path(), "paper/step.toml"), Err(BaselineError::Io { .. })));
+    assert!(matches!(Baseline::read(folder.path(), "paper/step.toml"), Err(BaselineError::File(_))));
 }
 
 #[test]

@@ -39,8 +39,7 @@ pub(super) fn window_mean_ratio(signal: MetricSignal, window: &Window, rows: &[R
     let (from, to) = (window.from.seconds(), window.to.seconds());
     let mut setpoint = None;
     let (mut area, mut length) = (0.0, 0.0);
-    for pair in rows.windows(2) {
-        let [left, right] = pair else { continue };
+    for [left, right] in rows.array_windows() {
         let (start, end) = (left.t_s.max(from), right.t_s.min(to));
         if start >= end {
             continue;
@@ -69,11 +68,9 @@ pub(super) fn window_mean_ratio(signal: MetricSignal, window: &Window, rows: &[R
 pub(super) fn flagged_share(rows: &[Row], flag: Flags) -> f64 {
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return 0.0 };
     let flagged: f64 = rows
-        .windows(2)
-        .filter_map(|pair| match pair {
-            [left, right] if left.flags.contains(flag) => Some(right.t_s - left.t_s),
-            _ => None,
-        })
+        .array_windows()
+        .filter(|[left, _]| left.flags.contains(flag))
+        .map(|[left, right]| right.t_s - left.t_s)
         .sum();
     if last.t_s > first.t_s { flagged / (last.t_s - first.t_s) } else { 0.0 }
 }
