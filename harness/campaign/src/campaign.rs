@@ -17,7 +17,7 @@ use toml::{Spanned, Table, Value};
 const MAX_TRIALS: u64 = 10_000_000_000;
 const MAX_CELLS: u64 = 1_000_000;
 const DEFAULT_CONFIDENCE: f64 = 0.95;
-/// Largest number of listed values that are checked before the campaign starts.
+/// Largest number of listed values per key that are checked before the campaign starts.
 const MAX_CHECKED_VALUES: usize = 100;
 const FIXED_KEYS: [&str; 7] = ["title", "source", "tags", "trials", "between", "expected_exit", "plate"];
 
@@ -91,12 +91,12 @@ pub enum Method {
     Rare,
 }
 
-/// Trials of one search. Several short searches find more failures than one long search.
+/// Number of trials of one search. Several short searches find more failures than one long one.
 const SEARCH_CHAIN_TRIALS: u64 = 256;
 const RARE_CHAIN_TRIALS: u64 = 2_048;
 
 impl Method {
-    /// Length of a chain, which is a sequence of dependent trials; 1 if trials are independent.
+    /// Number of trials in a chain of dependent trials. 1 if the trials are independent.
     pub const fn chain_trials(self) -> u64 {
         match self {
             Self::Grid | Self::Random | Self::Sobol => 1,
@@ -111,7 +111,7 @@ pub struct Campaign {
     pub path: PathBuf,
     pub text: String,
     pub title: String,
-    /// In the order of the campaign file.
+    /// Varied values in the order of the campaign file.
     pub variables: Vec<Variable>,
     pub method: Method,
     pub trials: u64,
@@ -132,7 +132,7 @@ struct Checker<'a> {
 }
 
 impl Campaign {
-    /// The errors are all wrong keys or, if all keys are right, all wrong values.
+    /// Reports all wrong keys at once. If every key is right, reports all wrong values.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawCampaign>(path)?;
         let checker = Checker { path, text: &text };
@@ -198,7 +198,7 @@ impl Campaign {
     }
 }
 
-/// Removes what concerns several trials, because a campaign judges each trial alone.
+/// Removes the keys that concern several trials, because a campaign judges each trial alone.
 fn prepare(scenario: &mut Table) {
     scenario.remove("trials");
     scenario.remove("expected_exit");
@@ -285,7 +285,7 @@ impl Checker<'_> {
         }
     }
 
-    /// The method `rare` needs continuous distributions.
+    /// Rejects listed values, because the method `rare` needs continuous distributions.
     fn rare_fault(&self, variables: &[Variable]) -> Option<Diagnostic> {
         let listed = variables.iter().find(|variable| variable.distribution.choices().is_some())?;
         Some(
@@ -335,7 +335,7 @@ impl Checker<'_> {
         None
     }
 
-    /// Number of all trials, and number of cells.
+    /// Returns the number of trials and the number of cells (combinations of listed values).
     fn counts(&self, plan: &RawPlan, variables: &[Variable]) -> Result<[u64; 2], Diagnostic> {
         let lists = variables.iter().filter_map(|variable| variable.distribution.choices());
         let cells = lists.clone().try_fold(1_u64, |cells, list| cells.checked_mul(list.len() as u64));
@@ -347,8 +347,7 @@ impl Checker<'_> {
             let message = "a grid without `steps` or `each`, expected at least one of them, or method `random`";
             return Err(self.fault("plan.method", message));
         }
-        // A search selects its trials, so the share of failures among them says nothing about a
-        // cell of the map.
+        // A search selects its trials, so their share of failures says nothing about a cell.
         let cells = if has_lists && plan.method != Method::Search { cells } else { 0 };
         let planned = u64::try_from(plan.trials).ok().filter(|trials| *trials > 0);
         let trials = planned.and_then(|trials| trials.checked_mul(if plan.method == Method::Grid { cells } else { 1 }));

@@ -1,7 +1,7 @@
 //! Runs chains of trials, in which the values of a trial depend on the scores of earlier trials.
 //!
-//! The campaign, the number of the chain and the scores determine a chain. A merge repeats it from
-//! the stored scores.
+//! The points of a chain depend only on the campaign, the number of the chain and the scores.
+//! Therefore a merge can repeat the chain from stored scores, without playing trials.
 
 use crate::campaign::{Campaign, Method};
 use crate::draw::Trial;
@@ -10,11 +10,11 @@ use crate::rare::{self, ChainEstimate};
 use crate::search::search;
 use std::ops::Range;
 
-/// Largest number of steps by which a refused point moves towards the middle of the range.
+/// Largest number of moves towards the middle of the range if the scenario refuses a point.
 const MAX_STEPS: u32 = 12;
 
 impl Campaign {
-    /// Calls `score` for each point until `score` returns `None`. Only `rare` returns an estimate.
+    /// Calls `score` with points until it returns `None`. Only `rare` returns an estimate.
     pub(crate) fn run_chain(
         &self,
         trials: &Range<u64>,
@@ -30,8 +30,8 @@ impl Campaign {
         None
     }
 
-    /// `point` contains standard normal scores for `rare`, and positions in the ranges from 0 to 1
-    /// for `search`.
+    /// For `rare`, `point` contains standard normal scores. For `search`, it contains positions
+    /// from 0 to 1 in the ranges of the values.
     pub(crate) fn chain_trial(&self, number: u64, point: &[f64]) -> Result<Trial, CampaignError> {
         if self.method == Method::Rare {
             let scores = self.correlation.as_ref().map(|correlation| correlation.apply(point));

@@ -2,8 +2,8 @@
 //! verdicts.
 //!
 //! There are three groups: failing trials, trials with the smallest margins, and a random sample.
-//! The choice depends on the seed of the campaign and the numbers of the trials, not on the order
-//! of play.
+//! The selection depends on the seed of the campaign and the trial numbers, not on the order of
+//! play.
 
 use crate::campaign::Campaign;
 use crate::error::CampaignError;
@@ -23,14 +23,14 @@ use std::path::Path;
 
 /// Largest number of replayed trials in the group of failing trials and in the random sample.
 const MAX_REPLAYED: usize = 10_000;
-/// One in this many trials belongs to the random sample.
+/// One of this many trials belongs to the random sample.
 const SAMPLED_ONE_IN: u64 = 100;
 /// Largest number of trials in [`Agreement::differences`].
 const MAX_DIFFERENCES: usize = 20;
-/// Random stream of the choice. No trial has it, because trial i has the stream `u64::MAX − i`.
+/// Random stream of the sample. No trial uses it: trial i uses the stream `u64::MAX − i`.
 const STREAM: u64 = 0xC0F1;
 
-/// Keeps the rows with the smallest keys.
+/// Keeps the [`MAX_REPLAYED`] rows with the smallest random keys.
 #[derive(Debug, Default)]
 struct Subset {
     rows: BTreeMap<(u64, u64), Row>,
@@ -69,7 +69,7 @@ impl Selection {
         keep_worst(&mut self.worst, row);
     }
 
-    /// Each trial once, in the order of the trials.
+    /// Rows of all groups by trial number. A row in several groups is returned once.
     fn rows(&self) -> Vec<&Row> {
         let rows = self.failing.rows.values().chain(&self.worst).chain(self.sampled.rows.values());
         let rows: BTreeMap<u64, &Row> = rows.map(|row| (row.trial, row)).collect();
@@ -77,7 +77,7 @@ impl Selection {
     }
 }
 
-/// `None` without `plan.confirm`, or if a shard is missing.
+/// `None` if the campaign file has no `plan.confirm`, or if the results of a shard are missing.
 pub fn confirm(
     folder: &Path,
     plan: &Plan,
@@ -102,8 +102,7 @@ pub fn confirm(
     Ok(Some(Agreement { rig: rig.to_string(), firmware: firmware_digest(rig)?, ..agreement }))
 }
 
-/// Random number of a trial, uniform over all numbers of 64 bits and independent of the trial's
-/// values.
+/// Random 64-bit number of a trial: uniform, and independent of the values of the trial.
 fn key(seed: u64, trial: u64) -> u64 {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(STREAM);
@@ -116,8 +115,8 @@ pub struct GroupAgreement {
     pub name: &'static str,
     /// Number of trials that belong to the group. `tally.trials` of them were replayed.
     pub candidates: u64,
-    /// `inconclusive` counts trials with exactly one inconclusive verdict, `failures` the other
-    /// different verdicts.
+    /// `failures` counts trials with a pass on one rig and a failure on the other. `inconclusive`
+    /// counts trials that are inconclusive on only one rig.
     pub tally: Tally,
 }
 
@@ -126,7 +125,7 @@ pub struct Difference {
     pub trial: u64,
     pub screened: Verdict,
     pub emulated: Verdict,
-    /// On the hosted rig and on the emulated firmware.
+    /// Smallest margins on the hosted rig and on the emulated firmware.
     pub margins: [f64; 2],
 }
 
@@ -137,9 +136,9 @@ pub struct Agreement {
     /// SHA-256 of the emulated firmware.
     pub firmware: String,
     pub groups: Vec<GroupAgreement>,
-    /// Replayed trials, each counted once.
+    /// Number of replayed trials. A trial in several groups counts once.
     pub replayed: usize,
-    /// The first 20 by number of the trial.
+    /// The first 20 trials, by number, with different verdicts.
     pub differences: Vec<Difference>,
     /// Number of trials that pass on the hosted rig and fail on the emulated firmware.
     pub missed_failures: u64,
@@ -147,7 +146,7 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// `None` if `replays` do not have the rows of the selection in the same order.
+    /// `None` if `replays` does not contain one row per selected row, in the same order.
     fn new(selection: &Selection, replays: &[Row]) -> Option<Self> {
         let screened = selection.rows();
         let is_same = screened.len() == replays.len()
@@ -223,7 +222,7 @@ impl Agreement {
                 "  {name} trials: {} of {} verdicts differ, {} inconclusive on one rig only",
                 tally.failures, tally.trials, tally.inconclusive
             );
-            // The worst trials are not a random sample.
+            // The worst trials are not a random sample, so they have no confidence interval.
             if let Some([low, high]) = tally.interval(confidence).filter(|_| *name != "worst") {
                 let [low, high] = [low, high].map(|share| share * 100.0);
                 let _ = write!(text, "; {low:.4} % to {high:.4} %, each end at {} % confidence", confidence * 100.0);
@@ -259,7 +258,7 @@ mod tests {
     fn one_trial_of_a_hundred_is_sampled_whatever_the_others_are() {
         let is_sampled = |trial: &u64| key(7, *trial) < u64::MAX / SAMPLED_ONE_IN;
         let count = (0..100_000).filter(is_sampled).count();
-        // Standard deviation 31.
+        // The expected count is 1 000, with a standard deviation of 31.
         assert!((900..=1_100).contains(&count), "{count}");
         assert_ne!(key(7, 3), key(7, 4));
         assert_ne!(key(7, 3), key(8, 3));

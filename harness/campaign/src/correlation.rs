@@ -1,4 +1,4 @@
-//! Correlates normal values.
+//! Correlates varied values that have normal or lognormal distributions.
 
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -20,8 +20,8 @@ pub(crate) struct Correlation {
 }
 
 impl Correlation {
-    /// `variables` are the keys of all varied values and whether each is normal. `None` if `raw` is
-    /// empty.
+    /// `variables` contains the key of each varied value and whether its distribution is normal.
+    /// `None` if `raw` is empty.
     pub(crate) fn new(raw: &[RawCorrelation], variables: &[(&str, bool)]) -> Result<Option<Self>, String> {
         if raw.is_empty() {
             return Ok(None);

@@ -102,7 +102,6 @@ pub struct NormalDistribution {
 }
 
 impl RawDistribution {
-    /// The error is a message for the user.
     pub fn check(self) -> Result<Distribution, String> {
         match self {
             Self::Each(values) if values.is_empty() => Err("each = [], expected at least one value".to_owned()),
@@ -123,7 +122,7 @@ impl RawDistribution {
                         "steps = [{from}, {to}, {count}], expected [from, to, how many] with 2 to {MAX_STEPS} values"
                     ));
                 }
-                // The first and the last value have no rounding error.
+                // The formula may round, so the first and the last value are copied.
                 let value = |index: u32| match index {
                     0 => from,
                     _ if index + 1 == count => to,
@@ -163,7 +162,7 @@ impl RawNormal {
         Ok(NormalDistribution { mean: self.mean, sd, truncate: self.truncate, is_logarithm: false })
     }
 
-    /// The logarithm has `σ² = ln(1 + (sd/mean)²)` and `µ = ln mean − σ²/2`.
+    /// The logarithm is normal with `σ² = ln(1 + (sd/mean)²)` and `µ = ln mean − σ²/2`.
     fn check_lognormal(&self) -> Result<NormalDistribution, String> {
         let NormalDistribution { mean, sd, .. } = (Self { truncate: None, ..self.clone() }).check()?;
         if mean <= 0.0 || self.truncate.is_some_and(|[low, _]| low <= 0.0) {
@@ -183,12 +182,10 @@ impl RawNormal {
 /// A search covers this number of standard deviations on both sides of the mean.
 const SEARCH_DEVIATIONS: f64 = 4.0;
 
-/// Φ(z)
 pub(crate) fn normal_cdf(z: f64) -> f64 {
     0.5 * erfc(-z / SQRT_2)
 }
 
-/// Φ⁻¹(p)
 pub(crate) fn normal_quantile(p: f64) -> f64 {
     -SQRT_2 * erfc_inv(2.0 * p)
 }
@@ -219,7 +216,7 @@ impl NormalDistribution {
 }
 
 impl Distribution {
-    /// Quantile at `u` in (0, 1). For [`Self::Choices`] it is the index of the choice.
+    /// Quantile at the probability `u` in (0, 1); for [`Self::Choices`] the index of the choice.
     pub fn at(&self, u: f64) -> f64 {
         match self {
             Self::Choices(values) => (u * values.len() as f64).floor().min(values.len() as f64 - 1.0),
@@ -228,7 +225,7 @@ impl Distribution {
         }
     }
 
-    /// Quantile at Φ(`z`).
+    /// Quantile at the probability `normal_cdf(z)`.
     pub fn at_score(&self, z: f64) -> f64 {
         if let Self::Normal(normal) = self { normal.at_score(z) } else { self.at(normal_cdf(z)) }
     }

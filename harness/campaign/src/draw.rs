@@ -12,8 +12,8 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution as _, Open01};
 
 const MAX_REDRAWS: u32 = 100;
-/// Number of points in a sequence of `sobol_burley`. Each further block of trials uses another
-/// scrambling.
+/// Number of points in a sequence of the crate `sobol_burley`. Each further block of this many
+/// trials uses another scrambling.
 const SOBOL_BLOCK: u64 = 1 << 16;
 
 #[derive(Debug)]
@@ -37,7 +37,7 @@ impl Campaign {
         let is_redrawn = self.variables.iter().any(|variable| variable.distribution.is_normal());
         let attempts = if is_redrawn { MAX_REDRAWS } else { 1 };
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
-        // Streams 0 and 1 of a seed are those of the sensor noise and of the spread between trials.
+        // Sensor noise uses stream 0 of the seed, and the spread between trials uses stream 1.
         random.set_stream(u64::MAX - number);
         let mut values = Vec::new();
         let mut refused = CampaignError::Cancelled;
@@ -76,7 +76,7 @@ impl Campaign {
         format!("Trial {}: {}", trial.number, values.collect::<Vec<_>>().join(", "))
     }
 
-    /// If `attempt` is above 0, only normal values are drawn; the others are those in `before`.
+    /// If `attempt` is above 0, draws only normal values and takes the others from `before`.
     fn draw(&self, trial: u64, attempt: u32, before: &[f64], random: &mut ChaCha8Rng) -> Vec<f64> {
         let mut place = self.cell_of(trial);
         let mut choices = vec![0; self.variables.len()];
@@ -115,8 +115,7 @@ impl Campaign {
         if self.method == Method::Grid { trial / self.trials_per_cell } else { 0 }
     }
 
-    /// Number of the cell, which is a combination of listed values. The first variable varies
-    /// slowest.
+    /// Number of the cell (combination of listed values). The first variable varies slowest.
     pub fn cell(&self, values: &[f64]) -> usize {
         self.variables.iter().zip(values).fold(0, |cell, (variable, value)| match variable.distribution.choices() {
             Some(list) => cell * list.len() + *value as usize,
@@ -128,7 +127,7 @@ impl Campaign {
         let block = (trial / SOBOL_BLOCK) as u32;
         let seed = (self.seed as u32) ^ ((self.seed >> 32) as u32) ^ block.wrapping_mul(0x9E37_79B9);
         let point = sobol_burley::sample((trial % SOBOL_BLOCK) as u32, dimension as u32, seed);
-        // Points are multiples of 2⁻²⁴. The centre of such an interval is never 0.
+        // Points are multiples of 2⁻²⁴. Half of this is added to avoid 0, whose quantile may be −∞.
         f64::from(point) + 0.5 / f64::from(1 << 24)
     }
 }

@@ -1,32 +1,30 @@
 //! Moves a normal distribution towards the best of its samples, with CMA-ES and negative weights.
 //!
-//! N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772, appendix A. Comments
-//! contain its symbols.
+//! N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772, appendix A. The comments
+//! contain the symbols of this tutorial.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
-/// Largest ratio of two eigenvalues of C. With a larger ratio, rounding errors determine the
-/// directions.
+/// Largest ratio of two eigenvalues of C. Above it, rounding errors determine the directions.
 const MAX_CONDITION: f64 = 1e14;
 
-/// N(mean, step² C) with C = B D² Bᵀ.
+/// The normal distribution N(mean, step² C). The covariance is C = B D² Bᵀ.
 pub(crate) struct Evolution {
     rates: Rates,
     generation: i32,
     mean: DVector<f64>,
-    /// σ
+    /// σ, the step size.
     step: f64,
-    /// C
     covariance: DMatrix<f64>,
     /// B D: makes a sample of N(0, C) from one of N(0, I).
     scaled_axes: DMatrix<f64>,
     /// C^(−½)
     inverse_root: DMatrix<f64>,
-    /// `p_σ`
+    /// `p_σ`, the evolution path of the step size.
     step_path: DVector<f64>,
-    /// `p_c`
+    /// `p_c`, the evolution path of C.
     covariance_path: DVector<f64>,
 }
 
@@ -85,8 +83,7 @@ impl Evolution {
         let path_length = self.step_path.norm();
         self.step *= (for_step / damping * (path_length / mean_length - 1.0)).exp();
 
-        // A long path shows that the step is still too small. Then the path of C does not grow
-        // (h_σ = 0).
+        // A long path means that the step is too small. Then `p_c` is not extended (`h_σ` is 0).
         self.generation += 1;
         let settled = (1.0 - (1.0 - for_step).powi(2 * self.generation)).sqrt();
         let is_short = path_length / settled < (1.4 + 2.0 / (n + 1.0)) * mean_length;
@@ -123,19 +120,19 @@ impl Evolution {
 
 /// Default weights and learning rates of the tutorial, table 1.
 struct Rates {
-    /// w, best rank first. The weights of the worse half are negative.
+    /// Weights w of the ranks, best rank first. The weights of the worse half are negative.
     weights: Vec<f64>,
     /// Variance-effective number of selected candidates, `μ_eff`.
     selected_mass: f64,
-    /// `c_σ`
+    /// `c_σ`, learning rate of the path `p_σ`.
     step: f64,
-    /// `d_σ`
+    /// `d_σ`, damping of the step size.
     step_damping: f64,
-    /// `c_c`
+    /// `c_c`, learning rate of the path `p_c`.
     path: f64,
-    /// `c_1`
+    /// `c_1`, learning rate of the rank-one update of C.
     rank_one: f64,
-    /// `c_μ`
+    /// `c_μ`, learning rate of the rank-μ update of C.
     rank_many: f64,
 }
 
@@ -172,7 +169,6 @@ impl Rates {
     }
 }
 
-/// (Σw)² / Σw²
 fn effective_mass(weights: &[f64]) -> f64 {
     weights.iter().sum::<f64>().powi(2) / weights.iter().map(|weight| weight * weight).sum::<f64>()
 }
@@ -208,7 +204,7 @@ mod tests {
         point.iter().map(|x| x * x).sum()
     }
 
-    /// Eigenvalues from 1 to 10⁶: C must adapt.
+    /// Quadratic function with coefficients from 1 to 10⁶, so the covariance must adapt.
     fn ellipsoid(point: &[f64]) -> f64 {
         let last = point.len() as f64 - 1.0;
         (0..).zip(point).map(|(axis, x)| 1e6_f64.powf(f64::from(axis) / last) * x * x).sum()
@@ -218,7 +214,7 @@ mod tests {
         point.windows(2).map(|x| 100.0 * (x[1] - x[0] * x[0]).powi(2) + (1.0 - x[0]).powi(2)).sum()
     }
 
-    /// The bounds are 1.5 times the medians of the crate `cmaes` 0.2.2: 864, 1 899 and 2 061.
+    /// Bounds are 1.5 times the medians of the crate `cmaes` 0.2.2: 864, 1 899 and 2 061 calls.
     #[rstest]
     #[case::sphere(sphere, 1300)]
     #[case::ellipsoid(ellipsoid, 2850)]

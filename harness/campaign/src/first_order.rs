@@ -1,10 +1,10 @@
 //! Estimates first-order Sobol indices from trials that were not designed for them.
 //!
-//! The index of X is Var(E(Y|X))/Var(Y). The trials are sorted by X into bins of equal size, and
-//! E(Y|X) is the mean of a bin. The share of the variance between the bins, corrected for bins
-//! without relation to Y, is ε² of T. L. Kelley, *Proceedings of the National Academy of Sciences*
-//! 21, 1935, pp. 554-559. Total indices are not estimated, because they need groups of trials that
-//! share values.
+//! The index of an input X for an output Y is Var(E(Y|X))/Var(Y). The trials are sorted by X into
+//! bins of equal size, and E(Y|X) is the mean of Y in a bin. The share of the variance between the
+//! bins is corrected for its value if X has no effect: ε² of T. L. Kelley, *Proceedings of the
+//! National Academy of Sciences* 21, 1935, pp. 554-559. Total indices need groups of trials that
+//! share values, so they are not estimated.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -36,16 +36,16 @@ pub(crate) fn first_order(ranks: &[f64], outputs: &[f64], confidence: f64, seed:
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut deviations = Vec::with_capacity(RESAMPLES);
     for _ in 0..RESAMPLES {
-        // The upper half of a product of 32 bits and `count` is uniform below `count`.
+        // The upper 32 bits of this product are uniform below `count`.
         let drawn = (0..count).map(|_| (u64::from(random.next_u32()) * count as u64) >> 32);
         let resample = drawn.filter_map(|place| trials.get(place as usize)).copied();
         let again = share_between(bins, resample)?;
-        // The resamples are drawn from the trials, whose index without correction is `share`.
+        // The index of the trials without correction is `share`. A resample estimates this index.
         deviations.push(1.0 - (count - 1) as f64 / (count - bins) as f64 * (1.0 - again) - share);
     }
     deviations.sort_by(f64::total_cmp);
     let at = |part: f64| deviations.get((part * (RESAMPLES - 1) as f64).round() as usize).copied();
-    // Basic bootstrap: the index deviates from the true one as a resample deviates from `share`.
+    // Basic bootstrap: the estimate deviates from the true index as a resample from `share`.
     let [low, high] = [index - at(confidence)?, index - at(1.0 - confidence)?];
     Some((index.clamp(0.0, 1.0), [low.clamp(0.0, 1.0), high.clamp(0.0, 1.0)]))
 }
@@ -73,8 +73,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    // T. Ishigami and T. Homma, 1990: sin x₁ + 7 sin² x₂ + 0.1 x₃⁴ sin x₁ with x uniform in (−π,
-    // π).
+    // T. Ishigami and T. Homma, 1990: sin x₁ + 7 sin² x₂ + 0.1 x₃⁴ sin x₁, each x in (−π, π).
     #[test]
     fn the_intervals_contain_the_indices_of_ishigami() {
         let [first, second] = [0.5 * (1.0 + 0.1 * PI.powi(4) / 5.0).powi(2), 49.0 / 8.0];
@@ -100,7 +99,7 @@ mod tests {
                 *covered += usize::from((low..=high).contains(&truth));
             }
         }
-        // 90 % with a standard deviation of 3.
+        // The expected count is 90 of 100, with a standard deviation of 3.
         assert!(covered.iter().all(|covered| *covered >= 80), "{covered:?} of 100");
     }
 

@@ -10,13 +10,12 @@ use platebench_report::chart::{HeatAxis, HeatFigure, HeatPanel};
 use platebench_report::format;
 use platebench_report::page::{AreaLink, LinkedDrawing, PageBlock};
 
-/// Larger maps would make the page too large.
+/// Limits of the number and size of maps, because larger maps make the page too large.
 const MAX_PANELS: usize = 12;
 const MAX_PANEL_CELLS: usize = 10_000;
 const MAX_VALUE_MAPS: usize = 6;
 
-/// The variables on the axes of each map. Each combination of the other listed values has its own
-/// panel.
+/// Axes of each map. Each combination of the other listed values has its own panel.
 struct Layout<'a> {
     x: &'a Variable,
     y: Option<&'a Variable>,
@@ -75,7 +74,7 @@ pub(crate) fn blocks(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Vec
 }
 
 struct Places {
-    /// Titles and axes, without values.
+    /// Panels with titles and axes, without values.
     panels: Vec<HeatPanel>,
     /// Panel, column and row of each cell.
     cells: Vec<(usize, usize, usize)>,

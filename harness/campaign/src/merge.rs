@@ -13,7 +13,7 @@ use std::path::Path;
 
 const COUNTEREXAMPLES: &str = "counterexamples";
 
-/// If a part is damaged, the results of an earlier merge stay unchanged.
+/// If a part is damaged, returns an error and keeps the results of an earlier merge.
 pub fn merge<'a>(
     folder: &Path,
     plan: &Plan,

@@ -36,7 +36,7 @@ impl ChainOutcome {
         }
     }
 
-    /// Repeats the decisions of the chain, which depend only on its scores.
+    /// Computes the estimate of the chain again from its scores, without playing trials.
     fn end_chain(&mut self, campaign: &Campaign, trials: std::ops::Range<u64>) {
         let mut scores = std::mem::take(&mut self.scores).into_iter();
         match campaign.run_chain(&trials, &mut |_| scores.next()) {
@@ -49,7 +49,7 @@ impl ChainOutcome {
         (!self.estimates.is_empty()).then(|| CombinedEstimate::new(&self.estimates))
     }
 
-    /// A chain without an estimate excludes a pass.
+    /// The verdict is not `pass` if a chain has no estimate.
     pub(crate) fn rare_verdict(&self, at_most: Option<f64>, confidence: f64) -> Verdict {
         let Some(combined) = self.combine_chains() else { return Verdict::Inconclusive };
         let [low, high] = combined.interval(confidence);
@@ -61,7 +61,7 @@ impl ChainOutcome {
         }
     }
 
-    /// Each method with the number of its chains and the reason of the first of them.
+    /// Returns each method, the number of its chains, and why the first of them used it.
     fn methods(&self) -> Vec<(RareMethod, u64, &str)> {
         let mut methods: Vec<(RareMethod, u64, &str)> = Vec::new();
         for estimate in &self.estimates {

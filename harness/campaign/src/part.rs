@@ -1,8 +1,8 @@
 //! Writes and reads parts, the files with the results of one shard each.
 //!
 //! A part is a Parquet file of numbers. Its metadata contain the SHA-256 of the plan, the number of
-//! the shard and the SHA-256 of the file itself, which is computed with 64 characters `0` in place
-//! of the digest.
+//! the shard and the SHA-256 of the file itself. This digest is computed while 64 characters `0`
+//! are in its place.
 
 use crate::campaign::Campaign;
 use crate::error::CampaignError;
@@ -105,8 +105,7 @@ fn schema(columns: usize) -> Result<Type, ParquetError> {
     Type::group_type_builder("part").with_fields(fields).build()
 }
 
-/// Position of the digest. It follows its key and a length of one or two bytes (Thrift's compact
-/// protocol).
+/// Position of the digest, which follows its key and its length (Thrift's compact protocol).
 fn digest_place(bytes: &[u8]) -> Option<usize> {
     let key = DIGEST_KEY.as_bytes();
     let key_at = bytes.windows(key.len()).rposition(|window| window == key)?;

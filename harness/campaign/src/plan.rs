@@ -1,5 +1,4 @@
-//! Divides a campaign into shards and records the SHA-256 of every input, the firmware and the
-//! bench program.
+//! Divides a campaign into shards and records the SHA-256 of inputs, firmware and bench program.
 
 use crate::campaign::{Campaign, Method};
 use crate::error::CampaignError;
@@ -17,9 +16,9 @@ const PARTS: &str = "parts";
 const FORMAT: u32 = 1;
 const MAX_PLAN_BYTES: u64 = 1 << 20;
 pub const MAX_SHARDS: u32 = 1_000_000;
-/// Small, because after an interruption each machine repeats at most one shard.
+/// Small, because an interrupted machine repeats a whole shard.
 const TRIALS_PER_SHARD: u64 = 2_000;
-/// Several, because the cores of a machine play the chains of one shard at the same time.
+/// Several, because the cores of a machine play the chains of a shard at the same time.
 const CHAINS_PER_SHARD: u64 = 8;
 const MAX_RUN_SHARDS: u64 = 1_000;
 
@@ -35,7 +34,7 @@ pub fn shards_of_run(campaign: &Campaign) -> u32 {
 pub struct Plan {
     format: u32,
     pub title: String,
-    /// Relative to the campaign folder, like the paths of the inputs.
+    /// Campaign file, relative to the campaign folder, as the paths of the inputs.
     campaign: PathBuf,
     pub method: Method,
     pub trials: u64,
@@ -46,7 +45,7 @@ pub struct Plan {
     /// SHA-256 of the firmware image, or of the controller's identity and program.
     firmware: String,
     inputs: Vec<PinnedInput>,
-    /// SHA-256 of `plan.json` with an empty text in this field.
+    /// SHA-256 of `plan.json`, computed while this field is an empty text.
     pub sha256: String,
 }
 
@@ -58,7 +57,7 @@ struct PinnedInput {
 }
 
 impl Plan {
-    /// `folder` is the campaign folder. It need not exist.
+    /// `folder` is the campaign folder, which need not exist.
     pub fn new(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Self, CampaignError> {
         let relative = |path: &Path| relative_path(path, folder).at(path);
         let own = PinnedInput { path: relative(&campaign.path)?, sha256: sha256(campaign.text.as_bytes()) };
@@ -153,7 +152,7 @@ impl Plan {
         Ok(())
     }
 
-    /// Trials of a shard, in whole chains. The first shard is 1.
+    /// Numbers of the trials of a shard, in whole chains. Shards count from 1.
     pub fn trials_of(&self, shard: u32) -> Range<u64> {
         let chain = self.method.chain_trials();
         let chains = self.trials.div_ceil(chain);
@@ -169,8 +168,7 @@ impl Plan {
     }
 }
 
-/// `folder` need not exist. Symbolic links are resolved, because `..` after a link leads to another
-/// folder.
+/// `folder` need not exist. Resolves links, because `..` after a link leads to another folder.
 fn relative_path(path: &Path, folder: &Path) -> io::Result<PathBuf> {
     let path = path.canonicalize()?;
     let existing = std::path::absolute(folder)?;

@@ -44,7 +44,7 @@ pub struct TrialEvent {
     pub is_failure: bool,
 }
 
-/// Returns false without playing if the part is complete. Replaces a damaged part.
+/// Returns false without playing if the part of the shard is complete. Replaces a damaged part.
 pub fn play_shard(
     folder: &Path,
     plan: &Plan,
@@ -129,7 +129,7 @@ fn play(
         }
         drop(sender);
         let outcome = collect(trials.start, &results, on_row);
-        // No trial is left, so each worker ends after its current trial.
+        // Marks all trials as taken, so each worker ends after its current trial.
         next.store(trials.end, Ordering::Relaxed);
         drop(results);
         outcome
@@ -139,7 +139,7 @@ fn play(
     if config.cancel.is_cancelled() || played < trials.end { Err(CampaignError::Cancelled) } else { Ok(()) }
 }
 
-/// Returns the first trial without a result.
+/// Passes the rows on in the order of their trials. Returns the first trial without a result.
 fn collect(
     first: u64,
     results: &Receiver<Result<Row, CampaignError>>,
@@ -252,7 +252,7 @@ impl Worker<'_> {
 }
 
 /// Mean distance of the amplitude from the setpoint in the last third of the trial, relative to the
-/// setpoint.
+/// setpoint; in µm if the setpoint is 0.
 fn final_distance(rows: &[TraceRow]) -> f64 {
     let last = rows.get(rows.len() * 2 / 3..).unwrap_or_default();
     let sum = |of: fn(&TraceRow) -> f64| last.iter().map(of).sum::<f64>();

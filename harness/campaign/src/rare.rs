@@ -1,8 +1,8 @@
 //! Estimates the probability of rare failures from a chain of trials, in standard normal space.
 //!
-//! A trial with score g(u) fails if g ≤ 0. FORM (first-order reliability method) searches the
-//! design point, the failing point with the smallest norm β. If it is the only one, importance
-//! sampling is used, otherwise subset simulation.
+//! A trial at the point u has the score g(u) and fails if g ≤ 0. FORM (first-order reliability
+//! method) searches the design point, the failing point with the smallest norm β. If there is
+//! exactly one design point, importance sampling around it is used, otherwise subset simulation.
 
 use crate::distribution::normal_cdf;
 use rand_chacha::ChaCha8Rng;
@@ -28,7 +28,7 @@ pub(crate) fn estimate(dimensions: usize, seed: u64, trials: u64, score: &mut Sc
         score(point)
     };
     let estimate = estimate_from(dimensions, seed, trials, &used, &mut counted);
-    // A part needs a row for every trial, even if no method uses the score.
+    // Plays the unused trials too, because a part needs a row for every trial.
     while counted(&vec![0.0; dimensions]).is_some() {}
     estimate
 }

@@ -8,10 +8,10 @@ use platebench_verdict::{Judgement, TrialMeasures, judge};
 
 const VERDICTS: [Verdict; 3] = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
 pub(crate) const CAUSES: [Cause; 4] = [Cause::Rig, Cause::Bench, Cause::Infeasible, Cause::Evidence];
-/// Columns for verdict, cause, redraws and score.
+/// The columns verdict, cause, redraws and score.
 const FIXED_COLUMNS: usize = 4;
-/// Score of a trial without a finite margin, minus its distance from the setpoint. Only the order
-/// of scores matters.
+/// Score of a trial without a finite margin, before its distance from the setpoint is subtracted.
+/// Only the order of scores matters.
 const NO_VALUE_SCORE: f64 = -1e3;
 const MAX_DISTANCE: f64 = 1e3;
 const SMALLEST_SCORE: f64 = 1e-12;
@@ -19,11 +19,11 @@ const SMALLEST_SCORE: f64 = 1e-12;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
     pub trial: u64,
-    /// As [`Trial::values`].
+    /// Drawn values, as in [`Trial::values`].
     pub draws: Vec<f64>,
-    /// One per expectation; NaN without a value.
+    /// One value per expectation; NaN if the trial has no value.
     pub values: Vec<f64>,
-    /// One per expectation; negative infinity without a value.
+    /// One margin per expectation; negative infinity if the trial has no value.
     pub margins: Vec<f64>,
     pub verdict: Verdict,
     pub cause: Option<Cause>,
@@ -33,7 +33,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// `distance` from the setpoint at the end of the trial, relative to the setpoint.
+    /// `distance` is the relative distance from the setpoint at the end of the trial.
     pub(crate) fn new(trial: &Trial, measures: TrialMeasures, distance: f64) -> Self {
         let Judgement { verdict, expectations } = judge(&trial.scenario, &[measures]);
         let undecided = expectations.iter().filter(|expectation| expectation.verdict == Verdict::Inconclusive);

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use statrs::distribution::{ContinuousCDF, Normal};
 use std::fmt::Write as _;
 
-/// Limits the memory. The trials with the lowest numbers are used, whatever the order of play is.
+/// Limits the memory. The first trials by number are used, for any order of play.
 const MAX_TRIALS: usize = 50_000;
 const SHARES: [f64; 3] = [0.05, 0.5, 0.95];
 const MIN_TRIALS: usize = 10;
@@ -24,8 +24,7 @@ pub struct Sample {
     scores: Vec<f64>,
 }
 
-/// Quantile of an expectation's values. An end of the interval is infinite if the trials are too
-/// few.
+/// Quantile of an expectation's values. With few trials, an end of its interval is infinite.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Quantile {
     pub expectation: String,
@@ -172,7 +171,7 @@ mod tests {
         assert_eq!(correlation(&ranks(&values), &ranks(&[1.0; 50])), None);
     }
 
-    // ρ of the ranks is 6/π asin(r/2) for a bivariate normal distribution with correlation r.
+    // For a bivariate normal distribution with correlation r, the ranks have ρ = 6/π asin(r/2).
     #[test]
     fn the_interval_contains_the_correlation_as_often_as_stated() {
         use rand_chacha::ChaCha8Rng;

@@ -78,7 +78,7 @@ fn write_toml(path: &Path, table: &Table, comment: &str) -> Result<(), CampaignE
 struct Copies<'a> {
     folder: &'a Path,
     source: PathBuf,
-    /// Path of the copy, by the path in the scenario.
+    /// Maps the path in the scenario to the path of the copy.
     names: BTreeMap<String, String>,
 }
 

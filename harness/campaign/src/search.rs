@@ -1,8 +1,7 @@
 //! Searches the worst case of a chain of trials with CMA-ES.
 //!
 //! N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772. Only the order of the
-//! scores matters. Points beyond the range move to its border, because worst cases are often at the
-//! border.
+//! scores matters. Points outside the range move to its border, where worst cases often are.
 
 use crate::evolution::{Candidate, Evolution};
 use rand_chacha::ChaCha8Rng;
@@ -13,7 +12,7 @@ use rand_distr::{Distribution as _, StandardUniform};
 const FIRST_STEP: f64 = 0.35;
 /// If the distribution is narrower than this share of the range, a new search starts.
 const MIN_STEP: f64 = 1e-3;
-/// Best scores of two generations that differ less count as equal.
+/// Best scores of two generations count as equal if they differ by less than this.
 const EQUAL_SCORES: f64 = 1e-12;
 
 /// Minimises the score over [0, 1] in every dimension until `score` returns `None`.
@@ -28,8 +27,7 @@ pub(crate) fn search(dimensions: usize, seed: u64, score: &mut dyn FnMut(&[f64])
     }
 }
 
-/// Searches from one start until the scores or the points no longer change. `None` if `score`
-/// returned `None`.
+/// Searches from one start until scores or points no longer change. `None` if `score` returns it.
 fn descend(start: Vec<f64>, random: &mut ChaCha8Rng, score: &mut dyn FnMut(&[f64]) -> Option<f64>) -> Option<()> {
     let dimensions = start.len();
     let mut evolution = Evolution::new(start, FIRST_STEP);
@@ -63,9 +61,8 @@ mod tests {
 
     const DIMENSIONS: usize = 6;
 
-    /// Trials until the first failure in a box at a corner, whose volume is 10⁻⁴ of the range. The
-    /// margin is the largest distance to the box along one axis, as the smallest of several margins
-    /// is.
+    /// Number of trials until the first failure. Trials fail in a box at a corner, with 10⁻⁴ of the
+    /// volume of the range. The margin is the largest distance from the box along one axis.
     fn trials_to_corner(seed: u64) -> Option<usize> {
         let side = 1e-4_f64.powf(1.0 / DIMENSIONS as f64);
         let corner = |axis: usize| f64::from(u8::from(seed >> axis & 1 == 1));

@@ -1,8 +1,8 @@
 //! Decides from the first n trials by number, before all trials are played.
 //!
 //! The trials that end first are a biased sample, because a trial that settles late may take
-//! longer. Therefore a decision waits for all trials 0 to n − 1, for planned n. Each look spends a
-//! part of the error probability.
+//! longer. Therefore a decision waits for all trials 0 to n − 1, for planned values of n. Each look
+//! at the results spends a part of the error probability (alpha spending).
 
 use crate::row::Row;
 use crate::tally::Tally;
@@ -30,7 +30,7 @@ impl SequentialDecision {
         Self { at_most, confidence, looks, next, tally: Tally::new(0), decision: None }
     }
 
-    /// Ignores all trials after a missing one.
+    /// Ignores all trials after a missing trial.
     pub(crate) fn add(&mut self, row: &Row) {
         let (Some(_), Some(look)) = (self.at_most, self.next) else { return };
         if row.trial != self.tally.trials || self.decision.is_some() {
@@ -44,7 +44,6 @@ impl SequentialDecision {
         }
     }
 
-    /// Number of trials and verdict.
     pub const fn decision(&self) -> Option<(u32, Verdict)> {
         self.decision
     }
@@ -67,12 +66,12 @@ mod tests {
     #[test]
     fn decides_at_a_planned_number_of_trials() {
         assert_eq!(decide((0..1_000).map(|trial| row(trial, Verdict::Fail))), Some((32, Verdict::Fail)));
-        // 0.1 of the error at 64 trials: 0.9⁶⁴ = 0.0012.
+        // If 10 % of all trials fail, 64 trials pass with the probability 0.9⁶⁴ = 0.0012.
         assert_eq!(decide((0..1_000).map(|trial| row(trial, Verdict::Pass))), Some((64, Verdict::Pass)));
         assert_eq!(decide((0..40).map(|trial| row(trial, Verdict::Pass))), None);
     }
 
-    // Every fifth trial fails and takes longest. The passing ones that ended first would pass.
+    // Every fifth trial fails and ends late. The trials that end first all pass.
     #[test]
     fn trials_that_ended_first_decide_nothing() {
         let fails = |trial: u64| trial.is_multiple_of(5);
@@ -91,7 +90,7 @@ mod tests {
     fn decides_wrongly_no_more_often_than_stated() {
         use rand_chacha::ChaCha8Rng;
         use rand_chacha::rand_core::{Rng, SeedableRng};
-        // The true share is the demanded one: each decision for `pass` is wrong.
+        // The true share equals the allowed share, so every decision `pass` is wrong.
         let wrong = (0..400).filter(|seed| {
             let mut random = ChaCha8Rng::seed_from_u64(*seed);
             let mut draw = |trial| {

@@ -12,7 +12,7 @@ pub enum Engine {
     HyperQueue,
 }
 
-/// Words of two commands. The first starts all shards, the second merges their results.
+/// Returns two commands as words. The first starts all shards, the second merges their results.
 pub fn submission(engine: Engine, plan: &Plan, folder: &Path) -> Result<[Vec<String>; 2], CampaignError> {
     let program = std::env::current_exe().at(Path::new("the bench's own program"))?;
     let folder = std::path::absolute(folder).at(folder)?;
@@ -29,7 +29,6 @@ pub fn submission(engine: Engine, plan: &Plan, folder: &Path) -> Result<[Vec<Str
     Ok([array, words(&[&program, "campaign", "merge", &folder])])
 }
 
-/// Quotes the words for a shell.
 pub fn command_line(words: &[String]) -> String {
     shlex::try_join(words.iter().map(|word| &**word)).unwrap_or_else(|_| words.join(" "))
 }

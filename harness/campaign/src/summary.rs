@@ -19,16 +19,16 @@ pub struct Summary<'a> {
     pub campaign: &'a Campaign,
     pub missing: Vec<u32>,
     pub overall: Tally,
-    /// One tally per combination of listed values.
+    /// One tally per cell (combination of listed values).
     pub cells: Vec<Tally>,
     pub redraws: u64,
-    /// Smallest margin first.
+    /// Trials with the smallest margins, smallest first.
     pub worst: Vec<Row>,
     pub failing: Vec<Row>,
     causes: [u64; 4],
-    /// For the methods `search` and `rare`.
+    /// Results of the chains of `search` and `rare`. Empty for other methods.
     pub chains: ChainOutcome,
-    /// For the other methods.
+    /// Sample of `grid`, `random` and `sobol`. Empty for other methods.
     pub sample: Sample,
     pub sequential: SequentialDecision,
     pub agreement: Option<Agreement>,
@@ -61,7 +61,7 @@ impl<'a> Summary<'a> {
         } else {
             self.sample.add(self.campaign, row);
         }
-        // The first trials of a grid are not a random sample.
+        // With other methods, the first trials are not a random sample.
         if self.campaign.method == Method::Random {
             self.sequential.add(row);
         }
@@ -110,8 +110,7 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// Interval of the share of failing trials. `None` for a search, whose trials are not a random
-    /// sample.
+    /// Interval of the share of failing trials. `None` for a search: it is not a random sample.
     fn interval(&self) -> Option<[f64; 2]> {
         let confidence = self.campaign.confidence;
         match self.campaign.method {
@@ -125,8 +124,8 @@ impl<'a> Summary<'a> {
         tally.verdict(self.campaign.at_most, self.campaign.confidence)
     }
 
-    /// Cause of an inconclusive verdict: the most frequent cause of inconclusive trials, or
-    /// [`Cause::Evidence`] if no trial is inconclusive or a shard is missing.
+    /// Cause of an inconclusive verdict: the most frequent cause of inconclusive trials. It is
+    /// [`Cause::Evidence`] if there is none or a shard is missing.
     pub fn cause(&self) -> Option<Cause> {
         if self.verdict() != Verdict::Inconclusive {
             return None;
@@ -189,7 +188,7 @@ impl<'a> Summary<'a> {
         summary
     }
 
-    /// Each variable with listed values, and the index of its value in the cell.
+    /// Returns each variable with listed values, and the index of its value in the cell.
     pub fn cell_choices(&self, cell: usize) -> Vec<(&Variable, usize)> {
         let mut place = cell;
         let mut choices = Vec::new();

@@ -14,7 +14,7 @@ pub struct Tally {
     pub inconclusive: u64,
     pub smallest_margin: f64,
     pub worst_trial: u64,
-    /// Sum and number of the values of each expectation.
+    /// Sum and number of values, per expectation.
     pub values: Vec<(f64, u64)>,
 }
 
@@ -40,8 +40,7 @@ impl Tally {
         self.values.get(expectation).filter(|(_, count)| *count > 0).map(|(sum, count)| sum / *count as f64)
     }
 
-    /// Share of failing trials. Each end is one-sided at `confidence`; the upper end also counts
-    /// inconclusive trials.
+    /// Share of failing trials, each end one-sided. The upper end also counts inconclusive trials.
     pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let count = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);
         let bounds = |failures: u64| clopper_pearson(count(failures), count(self.trials), confidence);
@@ -63,8 +62,7 @@ impl Tally {
     }
 }
 
-/// Adds `row` if it is among the worst. If margins are equal, the row that was added first is
-/// worse.
+/// Adds `row` if it is among the worst. Of rows with equal margins, the earlier one is worse.
 pub(crate) fn keep_worst(worst: &mut Vec<Row>, row: &Row) {
     let place = worst.partition_point(|kept| kept.margin() <= row.margin());
     if place < MAX_WORST {
@@ -82,7 +80,7 @@ mod tests {
         Tally { trials, failures, inconclusive, ..Tally::new(0) }
     }
 
-    // Without a failure: 1 − 0.05^(1/n) is 0.010 015 for 298 and 0.009 969 for 299 trials.
+    // Without failures, the bound is 1 − 0.05^(1/n): 0.010 015 for n = 298, 0.009 969 for 299.
     #[rstest]
     #[case(298, 0, 0, Some(0.01), Verdict::Inconclusive)]
     #[case(299, 0, 0, Some(0.01), Verdict::Pass)]

@@ -17,7 +17,7 @@ impl Variable {
         self.key.rsplit('.').next().unwrap_or_default()
     }
 
-    /// A drawn value with at most six decimals.
+    /// Formats a drawn value with at most six decimals.
     pub fn text(&self, drawn: f64) -> String {
         match self.distribution.number(drawn) {
             Some(number) => format!("{number:.6}").trim_end_matches('0').trim_end_matches('.').to_owned(),

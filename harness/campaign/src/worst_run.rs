@@ -21,14 +21,13 @@ const FOLDER: &str = "worst";
 const RUN: &str = "run";
 /// The report of this many trials has about 4 MB.
 const MAX_TRIALS: usize = 500;
-/// If more trials are played, no trace is stored.
+/// If more trials than this are played, no trace is stored.
 const MAX_TRACES: usize = 2 * MAX_WORST;
 
-/// Link to the response of a trial, relative to the campaign folder, by the number of the trial.
+/// Maps a trial number to a link to its response, relative to the campaign folder.
 pub type ResponseLinks = BTreeMap<u64, String>;
 
-/// The trials with the smallest margins, those that fail, and the worst trial of each cell; the
-/// worst first.
+/// Trials with the smallest margins, failing trials, and the worst of each cell; worst first.
 pub fn worst_trials(summary: &Summary<'_>) -> Result<Vec<Trial>, CampaignError> {
     let campaign = summary.campaign;
     let mut trials = BTreeMap::new();

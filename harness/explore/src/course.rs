@@ -2,13 +2,13 @@
 
 use crate::scene::Course;
 
-/// A course with ramps is linear between its points, so a step in it becomes a ramp of this
+/// If a course has ramps, it is linear between its points. A step in it then becomes a ramp of this
 /// duration, µs.
 const EDGE_US: u32 = 10;
 
 pub(crate) struct CourseBuilder {
     start: i32,
-    /// Start and end, µs, and the value at the end, in order of time.
+    /// Start µs, end µs and final value of each move, in order of time.
     moves: Vec<(u32, u32, i32)>,
 }
 

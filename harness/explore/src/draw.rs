@@ -1,5 +1,5 @@
-//! Draws scenes as whole numbers. Each is an offset from a usual value, so that shrinking to 0
-//! gives simple scenes.
+//! Draws scenes as whole numbers. Each number is an offset from a usual value, so shrinking the
+//! numbers to 0 gives simple scenes.
 
 use crate::envelope::Envelope;
 use crate::event_kind::EventKind;
@@ -18,7 +18,7 @@ pub(crate) enum Target {
     At(i32),
     /// Offset from the last value, in small steps.
     Near(i32),
-    /// The value this many values before the last one.
+    /// The value that is this many values before the last one.
     Earlier(usize),
     Least,
     Most,
@@ -26,13 +26,13 @@ pub(crate) enum Target {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Gap {
-    /// The smallest quiet time plus this, 0.1 ms.
+    /// The shortest quiet time of the envelope plus this many times 0.1 ms.
     Quiet(u32),
-    /// This time, 0.1 ms.
+    /// This many times 0.1 ms.
     Short(u32),
-    /// The smallest long quiet time plus this, ms.
+    /// The shortest long quiet time of the envelope plus this many ms.
     Long(u32),
-    /// Until 100 ms or 1 s after the start of the trial, plus this number of control periods.
+    /// Until 100 ms or 1 s after the start (a counter overflows), plus this many control periods.
     AtCounterEnd(i32),
 }
 
@@ -74,13 +74,13 @@ pub(crate) struct TrialDraw {
     pub(crate) temperature: Target,
     pub(crate) events: Vec<EventDraw>,
     pub(crate) tail: Gap,
-    /// Frequency of the sine, in grid steps.
+    /// Frequency of the sine above 1 Hz, in steps of 2 Hz.
     pub(crate) sine: u32,
 }
 
 #[derive(Debug, Clone)]
 pub(crate) struct SceneDraw {
-    /// A trial without its own configuration has that of the judged trial.
+    /// Earlier trials. Without its own configuration, a trial uses that of the judged trial.
     pub(crate) earlier: Vec<(Option<ConfigurationDraw>, TrialDraw)>,
     pub(crate) configuration: ConfigurationDraw,
     pub(crate) judged: TrialDraw,
@@ -99,16 +99,15 @@ pub(crate) const USUAL_LEVEL_UM: f64 = 1.0;
 pub(crate) const USUAL_PERIOD_MS: f64 = 1.0;
 pub(crate) const MAX_LAWS: usize = 8;
 
-/// Offsets from `usual` that stay in the range, in grid steps. `usual` is first moved into the
-/// range.
+/// Offsets, in grid steps, from `usual` that stay in the range. `usual` is limited to the range.
 pub(crate) fn grid([low, high]: [f64; 2], usual: f64, step: f64) -> RangeInclusive<i32> {
     let usual = usual.clamp(low, high);
-    // 1e-9 keeps the end of the range if the quotient is rounded down.
+    // The addition of 1e-9 keeps the end of the range if rounding lowers the quotient.
     let steps = |distance: f64| (distance / step + 1e-9).floor() as i32;
     -steps(usual - low)..=steps(high - usual)
 }
 
-/// Uniform on the grid, or at one of its ends, or 0 with the weight `usual`.
+/// Draws 0 with the weight `usual`, any grid point with 6, and each end with 1.
 fn spread(grid: RangeInclusive<i32>, usual: u32) -> BoxedStrategy<i32> {
     let (low, high) = (*grid.start(), *grid.end());
     prop_oneof![usual => Just(0), 6 => grid, 1 => Just(low), 1 => Just(high)].boxed()
@@ -228,7 +227,7 @@ fn trial(envelope: &Envelope, kinds: &[EventKind], events: [u32; 2], is_long: bo
     let [fewest, most] = events.map(|count| count as usize);
     let fixed = kinds.iter().map(|kind| event(envelope, Just(*kind).boxed(), is_long)).collect::<Vec<_>>();
     let further = fewest.saturating_sub(fixed.len())..=most.saturating_sub(fixed.len());
-    // Each event of the stratum is drawn, but shrinking may remove it.
+    // The stratum requires each of these events, but shrinking may remove it.
     let fixed: Vec<_> = fixed.into_iter().map(|event| (flags::weighted(1.0), event)).collect();
     let fields = (
         spread(grid(range.start_frequency_offset_hz, 0.0, DETUNING_STEP_HZ), 4),

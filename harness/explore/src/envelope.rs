@@ -122,7 +122,7 @@ impl Ranges {
 }
 
 impl Envelope {
-    /// The errors are all wrong keys or, if all keys are right, all wrong values.
+    /// Reports all wrong keys at once. If every key is right, reports all wrong values.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawEnvelope>(path)?;
         let mut faults = raw.faults(path, &text);
@@ -153,7 +153,7 @@ impl RawEnvelope {
         let one_line = !self.title.trim().is_empty() && !self.title.contains(char::is_control);
         require(one_line, "title".to_owned(), &|| format!("{:?}, expected one line of text", self.title));
         for (key, [low, high], (least, most, unit)) in self.range.with_bounds() {
-            // With NaN the first comparison is false.
+            // `inside` is false if a value is NaN.
             let inside = least <= low && high <= most;
             require(inside && low <= high, format!("range.{key}"), &|| {
                 format!("[{low}, {high}], expected [low, high] with low not above high, from {least} to {most} {unit}")

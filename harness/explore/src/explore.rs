@@ -100,8 +100,7 @@ pub struct FailedRegression {
 pub struct PropertyTally {
     pub windows: u64,
     pub violations: u64,
-    /// Smallest distance from the limit, relative to the limit. Not finite (JSON: `null`) if a
-    /// value is missing.
+    /// Smallest relative distance from the limit. Not finite (JSON: `null`) if a value is missing.
     pub smallest_margin: f64,
     pub tightest_scene: u64,
 }
@@ -112,12 +111,11 @@ impl Default for PropertyTally {
     }
 }
 
-/// The result of an exploration before shrinking.
 #[derive(Debug, Clone, Default)]
 pub struct Exploration {
     pub scenes: u64,
     pub undecided: u64,
-    /// At most ten, in the order of play.
+    /// The first ten undecided scenes, in the order of play.
     pub undecided_scenes: Vec<UndecidedScene>,
     pub properties: BTreeMap<Property, PropertyTally>,
     pub failed: Vec<FailedScene>,
@@ -157,8 +155,7 @@ impl Exploration {
     }
 }
 
-/// `on_scene` receives the numbers of played and of failed scenes. A violated property or a signal
-/// is no error.
+/// `on_scene` receives the numbers of played and failed scenes. Violations are not errors.
 pub fn explore(
     config: &ExploreConfig,
     connect: &Connect<'_>,

@@ -21,13 +21,13 @@ use std::f64::consts::TAU;
 /// Largest share of the drive limit that a setpoint may need in steady state. The rest is a reserve
 /// for control.
 pub(crate) const MAX_STEADY_DRIVE: f64 = 0.8;
-/// As [`MAX_STEADY_DRIVE`], for an overloaded trial, whose drive may stay at the limit.
+/// Like [`MAX_STEADY_DRIVE`], for overloaded trials. Their drive may stay at the limit.
 const MAX_OVERLOAD: f64 = 2.0;
-/// Small steps of a setpoint (nm), a force (0.01 N) and a temperature (0.01 K).
+/// Steps of [`Target::Near`] for a setpoint (nm), a force (0.01 N) and a temperature (0.01 K).
 const NEAR_STEPS: [i32; 3] = [5, 2, 10];
 /// Times at which a time counter in a controller may overflow, µs.
 const COUNTERS_US: [u32; 2] = [100_000, 1_000_000];
-/// Shortest time between two steps of a staircase, 0.1 control periods.
+/// Shortest time between two steps of a staircase, in tenths of a control period.
 const STAIR_TENTHS: u32 = 7;
 const SINE_STEP_TENTHS: u32 = 20;
 
@@ -126,8 +126,7 @@ impl<'a> Generator<'a> {
         }
     }
 
-    /// `least_tail`: smallest number of control periods after the last event; small in trials that
-    /// are not judged.
+    /// `least_tail` is the smallest number of control periods after the last event.
     fn trial(&self, configuration: Configuration, draw: &TrialDraw, stratum: &Stratum, least_tail: u32) -> SceneTrial {
         let Configuration { period_us, delay_us, plate, tuning } = configuration;
         let mut timeline = Timeline::new(self, configuration, draw);
@@ -163,7 +162,7 @@ impl<'a> Generator<'a> {
         trial
     }
 
-    /// Replaces a course by a sine within its range.
+    /// Replaces a course by a sine in its range; with the amplitude 0.25 if it is constant.
     fn add_sine(&self, trial: &mut SceneTrial, draw: &TrialDraw, sine: Option<SineOf>) {
         let range = &self.envelope.range;
         let (course, full_rate) = match sine {
@@ -174,8 +173,8 @@ impl<'a> Generator<'a> {
         let [low, high] = course.range();
         let amplitude = if high > low { (high - low) / 2.0 } else { 0.25 };
         let mean = f64::midpoint(low, high).max(amplitude);
-        // The steepest slope of the sine does not exceed the largest rate. If it would exceed it at
-        // 0.1 Hz, the course stays without a sine.
+        // The slope of the sine does not exceed the largest rate. If even 0.1 Hz is too fast, the
+        // course stays without a sine.
         let highest_tenths = (full_rate / (TAU * amplitude) * 10.0) as u32;
         if highest_tenths == 0 {
             return;
@@ -197,14 +196,14 @@ struct Configuration {
 struct Timeline<'a> {
     envelope: &'a Envelope,
     period_us: u32,
-    /// Factor on quiet times.
+    /// Factor of quiet times. It is larger for long periods and for slow laws.
     stretch: f64,
     now_us: u32,
-    /// Instants, µs, and levels, nm.
+    /// Instants, µs, and setpoints, nm.
     setpoint: Vec<(u32, i32)>,
     force: CourseBuilder,
     temperature: CourseBuilder,
-    /// Earlier levels, forces and temperatures.
+    /// Earlier setpoints, forces and temperatures.
     values: [Vec<i32>; 3],
 }
 
@@ -342,10 +341,10 @@ impl<'a> Timeline<'a> {
     }
 }
 
-/// Longest ramp, µs. A slower ramp has a higher rate, so that it takes this time.
+/// Longest duration of a ramp, µs. A ramp that would take longer gets a higher rate.
 const MAX_RAMP_US: f64 = 100_000.0;
 
-/// Duration of a ramp, µs, a multiple of 0.1 ms. `slowness` as in [`EventDraw`].
+/// Duration of a ramp, µs, a multiple of 0.1 ms. [`EventDraw`] defines `slowness`.
 fn ramp_us(from: i32, to: i32, [slowest, fastest]: [f64; 2], slowness: u32) -> u32 {
     let rate = fastest * (slowest / fastest).powf(f64::from(slowness) / 100.0);
     let us = f64::from((to - from).abs()) / 100.0 / rate * 1e6;

@@ -38,7 +38,7 @@ pub struct KillRateReport {
 #[derive(Debug, Clone, Serialize)]
 pub struct MutantSearch {
     pub name: &'static str,
-    /// The first scene that fails; `None` if the mutant survived.
+    /// The first scene that fails. `None` if the mutant survived.
     pub found: Option<FoundScene>,
 }
 
@@ -59,8 +59,7 @@ pub struct SceneAlarm {
     pub limit: Option<f64>,
 }
 
-/// Explores all mutants and clean variants with `dq-pi`, and the firmware itself with every
-/// explored law.
+/// Explores mutants and clean variants with `dq-pi`, and the firmware with every explored law.
 pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRateReport, ExploreError> {
     let mut mutants = Vec::with_capacity(config.mutants.len());
     for mutant in &config.mutants {
@@ -107,7 +106,7 @@ fn first_failure(result: &Exploration) -> Option<FoundScene> {
 }
 
 impl KillRateReport {
-    /// `suite` is the result of the scenarios without exploration.
+    /// `suite` is the result of the repository's scenarios, without exploration.
     pub fn summary(&self, suite: &TrustReport) -> String {
         let caught =
             |name: &str| suite.faults.iter().any(|fault| fault.name == name && fault.outcome == MutantOutcome::Caught);
@@ -148,7 +147,7 @@ impl KillRateConfig {
             max_failed,
             jobs: self.jobs,
             own_clock: false,
-            // Clean variants may have other gains, so their commands differ from the reference.
+            // Clean variants may have other gains, so their commands may differ from the reference.
             compares_reference: false,
             regressions: Vec::new(),
         };

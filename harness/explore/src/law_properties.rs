@@ -5,11 +5,9 @@ use platebench_wire::LawId;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LawProperties {
-    /// True if the gains follow the damping. Otherwise they are those of the plate without a
-    /// finger.
+    /// True if the gains follow the damping. Otherwise they fit only the plate without a finger.
     pub adapts_to_damping: bool,
-    /// True if the law compensates a configured loop delay. Otherwise it is explored without a loop
-    /// delay.
+    /// True if the law compensates a configured loop delay. Other laws are explored without delay.
     pub compensates_delay: bool,
     /// True if the law computes the drives after a step in advance, at rest from the configured
     /// plate. If the amplitude then misses the setpoint, the law searches for a loop delay.
@@ -23,8 +21,7 @@ impl LawProperties {
         LawId::ALL.into_iter().filter(|law| Self::of(*law).is_some())
     }
 
-    /// `None` if the law is not explored: it has a static error by design, or settles only near the
-    /// resonance.
+    /// `None` for laws with a static error by design, or laws that settle only near the resonance.
     pub const fn of(law: LawId) -> Option<Self> {
         let adapting = Self { adapts_to_damping: true, compensates_delay: true, steers: false, tracking_periods: 8.0 };
         match law {

@@ -8,14 +8,14 @@ use std::f64::consts::TAU;
 
 /// Half width of the settled band, relative to the setpoint.
 pub(crate) const BAND: f64 = 0.05;
-/// The requirement is 5 % within 2 ms.
+/// Required time, s: the error is at most 5 % within 2 ms.
 const REQUIRED_S: f64 = 2e-3;
-/// Factor on the shortest time that the drive limit allows.
+/// Factor applied to the shortest time that the drive limit allows.
 const FLOOR_FACTOR: f64 = 1.5;
-/// Time constant of the slowest holding loop, s. Its design reaches 5 % in 3 ms.
+/// Time constant, s, of the slowest loop that holds the amplitude. It reaches 5 % in 3 ms.
 const HOLD_TIME_CONSTANT_S: f64 = 1e-3;
 
-/// A law adopts a larger relative change of the damping at once, after two control periods.
+/// If the damping changes by more than this share, the law adopts it after two control periods.
 const MAX_MISMATCH: f64 = 0.3;
 
 pub(crate) struct Limits<'a> {
@@ -73,8 +73,8 @@ impl<'a> Limits<'a> {
         if self.properties.adapts_to_damping {
             return designed;
         }
-        // With the gains for the plate without a finger, the poles solve (z − 1)(z − a) + g (z −
-        // a0) = 0.
+        // With gains for the plate without a finger, the poles solve (z − 1)(z − a) + g(z − a0) =
+        // 0.
         let (nominal, actual) = (self.design.sigma0, mode.sigma);
         let [a0, a] = [nominal, actual].map(|sigma| (-sigma * self.period_s).exp());
         let gain = mode.envelope_constant / actual;
@@ -85,14 +85,12 @@ impl<'a> Limits<'a> {
         (half + root).norm().max((half - root).norm()).clamp(designed, 0.999)
     }
 
-    /// Time in which the loop reduces an error to `share` of its value, rounded up to whole
-    /// periods.
+    /// Time in which the loop reduces an error to `share` of its value, in whole periods.
     fn decay(&self, mode: &Mode, share: f64) -> f64 {
         (share.ln() / self.pole(mode).ln()).ceil() * self.period_s
     }
 
-    /// Shortest time from `from` µm to within 5 % of `to` µm, with the drive at its limit or at 0
-    /// V.
+    /// Shortest time from `from` µm to within 5 % of `to` µm, with the drive at its limit or 0.
     pub(crate) fn floor(&self, mode: &Mode, from: f64, to: f64) -> f64 {
         let strongest = self.limit_vpp() / mode.drive_for(1.0);
         let (low, high) = (to * (1.0 - BAND), to * (1.0 + BAND));
@@ -118,23 +116,22 @@ impl<'a> Limits<'a> {
         self.wait(time_us) + self.delay_s + controlled
     }
 
-    /// Time after a change until its remaining effect is far below the limits of a steady state.
+    /// Time after a change until its effect is small compared with the limits of steady state.
     pub(crate) fn steady(&self, time_us: u32, from: f64, to: f64) -> f64 {
         let mode = self.mode(time_us);
         self.settling(time_us, from, to, Knowledge::Unknown) + self.decay(&mode, 1.0 / 250.0)
     }
 
-    /// The error `band · to` as a share of the height of the step, at most `band`.
+    /// The error `band · to` relative to the height of the step, at most `band`.
     fn share(from: f64, to: f64, band: f64) -> f64 {
         band * (to / (from - to).abs()).min(1.0)
     }
 
-    /// Time at setpoint 0 in which the amplitude and the integral of the drive decay to less than a
-    /// thousandth. The integral decays with the configured plate.
+    /// Time at setpoint 0 in which amplitude and integral of the drive decay to a thousandth. The
+    /// integral decays with the time constant of the configured plate.
     pub(crate) fn decay_at_rest(&self, time_us: u32) -> f64 {
         let open = 8.0 / self.design.sigma0 + 2.0 * self.period_s + self.delay_s;
-        // With fixed gains under a finger the drive rises again, and the loop decays with its slow
-        // pole.
+        // With fixed gains under a finger, the drive rises again, and its slow pole dominates.
         let closed = if self.properties.adapts_to_damping { 0.0 } else { self.decay(&self.mode(time_us), 1e-3) };
         open + closed
     }
@@ -146,7 +143,7 @@ impl<'a> Limits<'a> {
         heaviest / (self.design.gain * (1.0 - kept))
     }
 
-    /// Relative error of the damping in the law at the start of the trial.
+    /// Relative error of the damping that the law assumes at the start of the trial.
     pub(crate) fn initial_mismatch(&self) -> f64 {
         let plate = self.trial.plate;
         let deviation = f64::from(plate.gain_permille.abs() + plate.time_constant_permille.abs()) * 1e-3;
@@ -168,7 +165,7 @@ impl<'a> Limits<'a> {
         self.bounded_mismatch((after / before - 1.0).abs())
     }
 
-    /// At the start a law takes the start frequency for the resonance.
+    /// Error of the law's assumption at the start, that the start frequency is the resonance, Hz.
     pub(crate) fn initial_detuning_hz(&self) -> f64 {
         (self.mode(0).omega0 / TAU - f64::from(self.trial.start_frequency_tenths) / 10.0).abs()
     }
@@ -179,7 +176,7 @@ impl<'a> Limits<'a> {
     }
 
     fn bounded_mismatch(&self, mismatch: f64) -> f64 {
-        // With fixed gains the slow pole contains the effect.
+        // With fixed gains, the slow pole of the loop already includes the effect.
         if self.properties.adapts_to_damping { mismatch.min(MAX_MISMATCH) } else { 0.0 }
     }
 
@@ -192,7 +189,7 @@ impl<'a> Limits<'a> {
     /// `before` to `after`.
     pub(crate) fn effect(before: &Mode, after: &Mode, time: f64) -> f64 {
         let rate = Complex64::new(-after.sigma, after.omega0 - before.omega0);
-        // W' = λ W + σ_before, W(0) = 1.
+        // Solution of W' = rate · W + σ (σ before the change) with W(0) = 1.
         let settled = -Complex64::from(before.sigma) / rate;
         let deviation = |share: f64| (((1.0 - settled) * (rate * time * share).exp() + settled).norm() - 1.0).abs();
         (1..=16).map(|part| deviation(f64::from(part) / 16.0)).fold(0.0, f64::max)

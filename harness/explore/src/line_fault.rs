@@ -11,14 +11,13 @@ use std::fmt::Write as _;
 pub struct LineFault {
     pub kind: FaultKind,
     pub direction: Direction,
-    /// Start of the window, µs; a control instant.
+    /// Start of the window, µs. It is a control instant.
     pub from_us: u32,
     pub until_us: u32,
     /// The fault applies to each n-th message of the direction in the window.
     pub every: u32,
 }
 
-/// A fault whose times are relative to a trial.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LineFaultDraw {
     kind: FaultKind,
@@ -32,27 +31,27 @@ pub(crate) struct LineFaultDraw {
     length: u32,
 }
 
-/// A rejected frame adds 2 to the controller's error counter, a sample subtracts 1, and the
-/// controller stops at 10 (docs/wire-protocol.md). It stops in the 18th period if every second
-/// frame is damaged, and never if every third is.
+/// Length, in control periods, of a window in which every second frame is damaged. A rejected frame
+/// adds 2 to the controller's error counter, a sample subtracts 1, and the controller stops at 10
+/// (docs/wire-protocol.md), here in period 18. If every third frame is damaged, it never stops.
 const UNTIL_STOP: std::ops::RangeInclusive<u32> = 14..=24;
 const LONG_WINDOW: std::ops::RangeInclusive<u32> = 3..=24;
-/// Number of consecutive damaged messages that cannot stop the controller, even if each splits its
-/// frame in two.
+/// Number of consecutive damaged messages that cannot stop the controller. Each may split its frame
+/// in two, so they add at most 8 to the error counter.
 const FEW_FLIPS: u32 = 2;
-/// Control periods between two faults that lose messages, so that both together do not trigger the
-/// watchdog.
+/// Control periods between faults that lose messages. Closer ones could trigger the watchdog.
 const PERIODS_BETWEEN: u32 = 5;
-/// Time in which a stopped controller is configured again, so that it runs at the end of the trial.
+/// Shortest time after a fault, control periods, so that a stopped controller runs again at the
+/// end.
 const MIN_PERIODS_AFTER: u32 = 8;
-/// Control periods after a fault until limits apply, because the law must measure damping and
-/// resonance again.
+/// Control periods after a fault in which no limits apply, because the law measures the plate
+/// again.
 const RECOVERY_PERIODS: u32 = 60;
 
 impl LineFaultDraw {
     pub(crate) fn strategy() -> BoxedStrategy<Self> {
         let kind = prop_oneof![
-            // A fourth lost message would trigger the watchdog.
+            // A fourth lost message in sequence would trigger the watchdog.
             6 => (Just(FaultKind::Drop), Just(1), 1..=3_u32),
             2 => (Just(FaultKind::Drop), 2..=3_u32, LONG_WINDOW),
             4 => (Just(FaultKind::Duplicate), 1..=2_u32, 2..=8_u32),
@@ -62,7 +61,7 @@ impl LineFaultDraw {
             1 => (Just(FaultKind::Truncate), Just(1), Just(1)),
             1 => (Just(FaultKind::Truncate), Just(3), LONG_WINDOW),
             2 => (Just(FaultKind::Delay(Time::ZERO)), Just(1), 1..=4_u32),
-            // Noise or the watchdog stops the controller.
+            // These two faults stop the controller, through its error counter or its watchdog.
             2 => (Just(FaultKind::Babble), Just(1), 3..=4_u32),
             2 => (Just(FaultKind::Disconnect), Just(1), 6..=9_u32),
         ];
@@ -102,13 +101,12 @@ impl LineFault {
         self.until_us + RECOVERY_PERIODS * period_us
     }
 
-    /// True if the controller may stop and is then configured again.
+    /// True if the controller may stop. It is then configured again.
     pub(crate) const fn may_stop(&self) -> bool {
         matches!(self.kind, FaultKind::Disconnect | FaultKind::Babble | FaultKind::Flip)
     }
 
-    /// True if the instant of a stop depends on the controller's clock or on the content of
-    /// messages.
+    /// True if the time of a stop depends on the controller's clock or on the bytes of messages.
     pub(crate) fn may_stop_differently(&self, period_us: u32) -> bool {
         match self.kind {
             FaultKind::Disconnect => true,
@@ -117,15 +115,15 @@ impl LineFault {
         }
     }
 
-    /// True if both faults can happen in one trial without a stop that neither causes alone.
+    /// True if both faults can be in one trial without a stop that neither fault causes alone.
     pub(crate) fn combines_with(&self, other: &Self, period_us: u32) -> bool {
         let gap_us = PERIODS_BETWEEN * period_us;
         let are_apart = self.until_us + gap_us <= other.from_us || other.until_us + gap_us <= self.from_us;
         are_apart || [self.kind, other.kind].contains(&FaultKind::Duplicate)
     }
 
-    /// Largest number of control periods without an answer: the window, and the time until the
-    /// repeated configuration.
+    /// Largest number of control periods without an answer, until the controller is configured
+    /// again.
     pub(crate) const fn longest_silence(&self, period_us: u32) -> u32 {
         (self.until_us - self.from_us) / period_us + 3
     }

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 pub const FILE: &str = "report.html";
 
-/// Edge of a field in a drawing, and space for names, px.
+/// Size of a field of a drawing, and width of the names beside the fields, px.
 const FIELD: usize = 22;
 const NAMES: usize = 210;
 
@@ -98,8 +98,7 @@ fn drawings(coverage: &CoverageReport) -> Vec<(String, String)> {
     ]
 }
 
-/// Draws a row of fields per name. The opacity is the count relative to the largest count of the
-/// row.
+/// Draws a row of fields per name. The opacity is the count divided by the row's largest count.
 fn fields(rows: &[(String, Vec<u64>)]) -> String {
     let columns = rows.iter().map(|(_, counts)| counts.len()).max().unwrap_or(0);
     let (width, height) = (NAMES + columns * FIELD, rows.len() * FIELD);

@@ -15,9 +15,9 @@ pub type Connect<'a> = dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync
 #[derive(Debug, Clone, PartialEq)]
 pub struct Failure {
     pub property: Property,
-    /// Name of the expectation; the violation's text for [`Property::Protocol`].
+    /// Name of the expectation. For [`Property::Protocol`] it is the text of the violation.
     pub name: String,
-    /// `None` without a measured value, for example if a response never settles.
+    /// `None` if nothing was measured, for example because a response never settles.
     pub value: Option<f64>,
     /// `None` for [`Property::Protocol`].
     pub limit: Option<f64>,
@@ -26,8 +26,7 @@ pub struct Failure {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WindowResult {
     pub property: Property,
-    /// Distance of the value from the limit, relative to the limit. `None` if the verdict is
-    /// inconclusive.
+    /// Distance of the value from the limit, relative to the limit. `None` if inconclusive.
     pub margin: Option<f64>,
 }
 
@@ -36,8 +35,7 @@ pub struct SceneResult {
     /// Violations of the protocol come first.
     pub failures: Vec<Failure>,
     pub windows: Vec<WindowResult>,
-    /// If the rig or the bench prevented a verdict, a text with this cause (`rig` or `bench`) and
-    /// the reason.
+    /// Cause (`rig` or `bench`) and reason, if the rig or the bench prevented a verdict.
     pub undecided: Option<String>,
 }
 
@@ -52,8 +50,7 @@ pub(crate) fn violated(failures: &[Failure]) -> Vec<Property> {
     properties.into_iter().collect()
 }
 
-/// One controller plays 20 scenes and the next one 200, so that many scenes meet a new controller
-/// and some an old one.
+/// Controllers play 20 and 200 scenes in turn, so scenes meet both new and old controllers.
 const SCENES_PER_CONTROLLER: [u32; 2] = [20, 200];
 
 const MAX_LOSSES: u32 = 5;
@@ -66,7 +63,7 @@ pub struct Player<'a> {
     /// Scenes that this controller has played.
     scenes: u32,
     controllers: usize,
-    /// Trials in a row in which the controller was lost.
+    /// Number of consecutive trials in which the controller was lost.
     losses: u32,
 }
 
@@ -75,7 +72,7 @@ impl<'a> Player<'a> {
         Self { connect, own_clock, cancel, session: None, scenes: 0, controllers: 0, losses: 0 }
     }
 
-    /// Closes the controller. The next scene starts a new one.
+    /// Closes the controller, so that the next scene starts a new one.
     pub fn renew(&mut self) {
         if let Some(session) = self.session.take() {
             session.close();
@@ -87,8 +84,8 @@ impl<'a> Player<'a> {
         self.scenes <= 1
     }
 
-    /// `None` after a cancellation. Fails if the controller cannot be reached, is lost or rejects a
-    /// configuration.
+    /// `None` after a cancellation. Fails if the controller cannot be reached, rejects a
+    /// configuration or is lost in several trials in sequence.
     pub fn play(&mut self, scenario: &Scenario) -> Result<Option<SceneResult>, ExploreError> {
         if self.scenes >= SCENES_PER_CONTROLLER[self.controllers % 2] {
             self.renew();
@@ -154,7 +151,7 @@ fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
         let margin = match record.verdict {
             Verdict::Inconclusive => None,
             Verdict::Pass => record.margin,
-            // A failure without a value is the worst one.
+            // A failure without a margin counts as the worst failure.
             Verdict::Fail => record.margin.or(Some(f64::NEG_INFINITY)),
         };
         result.windows.push(WindowResult { property, margin });

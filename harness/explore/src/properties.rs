@@ -1,4 +1,4 @@
-//! Turns the windows of a trial into expectations: the properties that every scene must have.
+//! Turns the windows of a trial into expectations, the properties that every scene must have.
 
 use crate::generator::MAX_STEADY_DRIVE;
 use crate::law_properties::LawProperties;
@@ -31,11 +31,11 @@ pub enum Property {
     Overshoot,
     StaticError,
     Ripple,
-    /// The excitation is at the resonance at the end of a quiet window.
+    /// The excitation is at the resonance at the end of a window without changes.
     Frequency,
-    /// No drive at setpoint 0.
+    /// The drive is near 0 Vpp at setpoint 0.
     RestDrive,
-    /// A disturbance moves the amplitude only as far as it must.
+    /// A disturbance moves the amplitude only as far as physics requires.
     Deviation,
     Recovery,
     /// Trials that differ only in history and time stamps have the same response.
@@ -71,7 +71,7 @@ impl Property {
         })
     }
 
-    /// `name` is the name of an expectation, which may end with a number.
+    /// `name` is the name of an expectation: a property, possibly followed by a number.
     pub fn of_name(name: &str) -> Option<Self> {
         let name = name.split_once(' ').map_or(name, |(name, _)| name);
         Self::ALL.iter().copied().find(|property| property.name() == name)
@@ -90,8 +90,7 @@ pub struct Demand {
     pub band_percent: Option<f64>,
 }
 
-/// Largest drive at setpoint 0, Vpp. It is the remainder of the integral, which decays with the
-/// plate.
+/// Largest drive at setpoint 0, Vpp, from the rest of the integral, which decays with the plate.
 const REST_DRIVE_VPP: f64 = 0.5;
 /// Number of standard deviations by which noise may change a value.
 const NOISE_SIGMAS: f64 = 6.0;
@@ -99,11 +98,11 @@ const NOISE_SIGMAS: f64 = 6.0;
 const STEADY_PERIODS: u32 = 4;
 const STATIC_ERROR_PERCENT: f64 = 0.2;
 const RIPPLE_PERCENT: f64 = 0.25;
-/// Static error and ripple per relative error of the damping, while the law tracks the damping.
+/// Static error and ripple per relative error of the damping, until the law has corrected it.
 const STATIC_OF_MISMATCH: f64 = 0.5;
 const RIPPLE_OF_MISMATCH: f64 = 1.0;
 const FREQUENCY_ERROR_HZ: f64 = 0.5;
-/// Frequency error per change of the resonance, while the law tracks the resonance.
+/// Frequency error per change of the resonance, until the law has corrected it.
 const FREQUENCY_OF_MOVE: f64 = 0.5;
 const OVERSHOOT_PERCENT: f64 = 10.0;
 const UNKNOWN_OVERSHOOT_PERCENT: f64 = 30.0;
@@ -111,17 +110,17 @@ const UNKNOWN_OVERSHOOT_PERCENT: f64 = 30.0;
 const OVERSHOOT_OF_SETPOINT_PERCENT: f64 = 1.0;
 /// Factor on the effect of a disturbance before the loop reacts.
 const DEVIATION_FACTOR: f64 = 2.0;
-/// Control periods after a step within which a law that steers mistakes a change of the damping for
-/// a late drive.
+/// Control periods after a setpoint step. In this time, a law that computes drives in advance
+/// mistakes a change of the damping for a late drive.
 const STEERING_PERIODS: u32 = 6;
 /// Closed-loop time constant of the slowest law that holds the amplitude (`deadbeat`), µs.
 const CLOSED_LOOP_US: u32 = 1_000;
-/// Relative change of |W| per relative change of the damping, when the law adopts the new damping.
+/// Relative change of the amplitude per relative change of the damping, if the law adopts it.
 const DEVIATION_OF_MISMATCH: f64 = 0.2;
 const DEVIATION_PERCENT: f64 = 1.0;
 
-/// Percent of the drive limit or of the frequency range. The rounding of f32 causes about a
-/// hundredth of this.
+/// Allowed difference of commands, percent of the drive limit or of the frequency range. f32
+/// rounding causes about a hundredth of it.
 const REFERENCE_DIFFERENCE_PERCENT: f64 = 0.1;
 
 /// Demands that commands and answers in the judged trial of `scene` equal those of the reference.
@@ -137,12 +136,12 @@ pub fn reference_demands(scene: &Scene) -> Vec<Demand> {
     [demand(Property::Reference, REFERENCE_DIFFERENCE_PERCENT)].into_iter().chain(answers).collect()
 }
 
-/// The demands on the judged trial of `scene` that follow from the plate.
+/// Demands on the judged trial of `scene` that follow from the physics of the plate.
 pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     let trial = &scene.judged;
     let Some(properties) = LawProperties::of(trial.law) else { return Vec::new() };
     let limits = Limits::new(trial, base, properties);
-    // The limits hold only for the law's own design.
+    // The limits are derived for gains of the law's own design, without tuning.
     if trial.tuning != Tuning::default() {
         return Vec::new();
     }
@@ -155,7 +154,7 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
         return Vec::new();
     }
     let mut demands = Vec::new();
-    // True while damping and resonance are those of the last steady state.
+    // True while damping and resonance are those of the last steady state, which the law knows.
     let mut is_known = false;
     let mut was_steady = false;
     let mut mismatch = limits.initial_mismatch();
@@ -165,7 +164,7 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
         let change = window.change;
         let since_last = last_from_us..=change.from_us;
         if trial.faults.iter().any(|fault| fault.may_stop() && since_last.contains(&fault.until_us)) {
-            // A new configuration discards what the controller has measured.
+            // The controller is configured again and forgets damping and resonance.
             is_known = false;
             mismatch = f64::max(mismatch, limits.initial_mismatch());
             moved_hz = f64::max(moved_hz, limits.initial_detuning_hz());
@@ -200,15 +199,15 @@ struct WindowJudge<'a> {
     trial: &'a SceneTrial,
     window: Window,
     is_known: bool,
-    /// True if the window before was long enough to settle.
+    /// True if the previous window was long enough to settle.
     was_steady: bool,
-    /// Relative error of the damping in the law at the end of the change.
+    /// Relative error of the damping that the law assumes at the end of the change.
     mismatch: f64,
-    /// Changes of the resonance that the law has not tracked yet.
+    /// Sum of the changes of the resonance that the law has not tracked yet.
     moved_hz: f64,
 }
 
-/// True if the damping changes just after a step of the setpoint.
+/// True if the damping changes so soon after a step that the law mistakes it for a late drive.
 fn resembles_late_drive(trial: &SceneTrial, change: Change) -> bool {
     let mut steps = trial.setpoint.iter().map(|(at, _)| *at).filter(|at| *at <= change.to_us);
     let steered_us = STEERING_PERIODS * trial.period_us;
@@ -236,8 +235,7 @@ impl WindowJudge<'_> {
         let Window { change, until_us } = self.window;
         let (before, after) = self.levels();
         if after == 0.0 {
-            // The drive loop continues at setpoint 0, so the drive may rise again while the plate
-            // decays.
+            // At setpoint 0 the drive loop is active, so the drive may rise again during the decay.
             let from_us = change.to_us + self.steady_us();
             if from_us + STEADY_PERIODS * self.trial.period_us <= until_us {
                 let noise_vpp = NOISE_SIGMAS * self.limits.noise_um() * self.limits.strongest_gain();
@@ -256,7 +254,6 @@ impl WindowJudge<'_> {
         self.add_steady_state(demands, after);
     }
 
-    /// [`NOISE_SIGMAS`] standard deviations of the noise, percent of the setpoint.
     fn noise_percent(&self, setpoint: f64) -> f64 {
         NOISE_SIGMAS * self.limits.noise_um() / setpoint * 100.0
     }

@@ -15,10 +15,10 @@ pub const FILE: &str = "explore.json";
 #[derive(Debug, Clone, Serialize)]
 pub struct ExploreReport {
     pub format: u32,
-    /// `fail` after a violation, otherwise `inconclusive` if a scene is undecided or a signal ended
+    /// `fail` after a violation. Otherwise `inconclusive` if a scene is undecided or a signal ended
     /// the exploration.
     pub verdict: Verdict,
-    /// True if a signal ended the exploration. Failing scenes are then not made minimal.
+    /// True if a signal ended the exploration. Failing scenes are then not shrunk.
     pub is_interrupted: bool,
     pub envelope: String,
     /// The rig as named on the command line.
@@ -32,13 +32,12 @@ pub struct ExploreReport {
     pub undecided_scenes: Vec<UndecidedScene>,
     /// Duration of the exploration without shrinking, s.
     pub elapsed_s: f64,
-    /// Bounds of the share of failing scenes under the generator's distribution, each one-sided at
-    /// 95 %.
+    /// Bounds of the share of failing scenes that the generator makes, each one-sided at 95 %.
     pub failing_share: Option<[f64; 2]>,
     pub properties: Vec<PropertyReport>,
     pub regressions: usize,
     pub failed_regressions: Vec<FailedRegression>,
-    /// One per violated property, at most three.
+    /// Violations of at most three properties, one per property.
     pub violations: Vec<ViolationReport>,
     pub coverage: CoverageReport,
 }
@@ -63,7 +62,7 @@ pub struct ViolationReport {
     pub minimal_value: Option<f64>,
     pub minimal_limit: Option<f64>,
     pub file: String,
-    /// True if the minimal scene fails with a new controller, played from its file.
+    /// True if the minimal scene from the written file fails with a new controller.
     pub is_reproduced: bool,
     pub replays: u32,
 }
@@ -83,7 +82,7 @@ pub struct PairCoverage {
 }
 
 impl ExploreReport {
-    /// `violations` is empty.
+    /// Leaves `violations` empty. The session adds them after shrinking.
     pub fn new(config: &ExploreConfig, exploration: &Exploration, rig: &str, firmware: &str) -> Self {
         let failed = exploration.failed.len() as u64;
         let has_failed = failed > 0 || !exploration.failed_regressions.is_empty();
@@ -151,7 +150,7 @@ pub(crate) fn format_value(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(|| "no value".to_owned(), |value| format!("{value:.decimals$}"))
 }
 
-/// The violated properties, each with the first scene that violates it; the most frequent first.
+/// Violated properties, the most frequent one first, with the first scene of each.
 pub fn violated_properties(exploration: &Exploration) -> Vec<(Property, &FailedScene)> {
     let mut first: BTreeMap<Property, (usize, &FailedScene)> = BTreeMap::new();
     for scene in &exploration.failed {

@@ -12,14 +12,14 @@ use std::io;
 use std::path::Path;
 
 const TRACE_STEP_MS: f64 = 0.1;
-/// Largest difference between two trials that differ only in history or time stamps, µm. It is some
-/// tens of times the resolution of the wire at the largest setpoints.
+/// Largest difference between two trials that differ only in history or time stamps, µm. This is
+/// some tens of times the wire's resolution at the largest setpoints.
 pub(crate) const SAME_RESPONSE_UM: f64 = 1e-5;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScenarioText {
     pub scenario: String,
-    /// Plate files by name, relative to the scenario.
+    /// Text of each plate file, by its path relative to the scenario.
     pub plates: BTreeMap<String, String>,
 }
 
@@ -42,7 +42,7 @@ pub struct ScenarioWriter<'a> {
     pub title: &'a str,
     pub source: &'a str,
     pub comment: &'a [String],
-    /// Beginning of the names of plate files.
+    /// Start of the names of plate files.
     pub plate_prefix: &'a str,
 }
 
@@ -105,8 +105,7 @@ impl ScenarioWriter<'_> {
             writeln!(text, "\n[[expect]]\nname = {name:?}\nmetric = \"trial_difference_um\"")?;
             writeln!(text, "at_most = {SAME_RESPONSE_UM:?}")?;
         } else if demands.is_empty() {
-            // A scenario needs an expectation. The rules of the protocol are checked in every
-            // trial.
+            // A scenario needs an expectation, although the protocol rules are checked without one.
             writeln!(text, "\n[[expect]]\nname = {:?}", Property::Protocol.name())?;
             let planned: u32 = trial.faults.iter().map(|fault| fault.longest_silence(trial.period_us)).sum();
             writeln!(text, "metric = \"missed_replies\"\nwithin = [0.0, {:?}]", f64::from(planned))?;

@@ -1,8 +1,7 @@
 //! Defines a scene: one or several plays of a judged trial, with other trials in between, on one
 //! controller.
 //!
-//! Times and values are whole multiples of a small unit, so that scenario files contain short
-//! numbers.
+//! Times and values are multiples of a small unit, so scenario files contain short numbers.
 
 use crate::line_fault::LineFault;
 use crate::tuning::Tuning;
@@ -47,11 +46,10 @@ pub struct SceneTrial {
 pub struct PlateChoice {
     pub limit_vpp: u32,
     pub noise_pm: u32,
-    /// Change of the gain from the plate of the envelope, 0.1 %. The controller is configured with
-    /// it.
+    /// Change of the gain from the envelope's plate, 0.1 %. The controller is configured with it.
     pub nominal_gain_permille: i32,
-    /// Change of the time constant from the plate of the envelope, 0.1 %. The controller is
-    /// configured with it.
+    /// Change of the time constant from the envelope's plate, 0.1 %; also configured in the
+    /// controller.
     pub nominal_time_constant_permille: i32,
     /// Deviation of the gain from the configured gain, 0.1 %.
     pub gain_permille: i32,
@@ -90,7 +88,7 @@ pub enum Course {
 }
 
 impl Course {
-    /// In N or K. At the instant of a step it is the value after the step.
+    /// Value in N or K. At the instant of a step it is the value after the step.
     pub fn at(&self, time_us: u32) -> f64 {
         match self {
             Self::Hold(points) => {
@@ -127,7 +125,7 @@ impl Course {
         }
     }
 
-    /// Intervals in which the value changes, µs. Both ends of a step are equal.
+    /// Intervals, µs, in which the value changes. Start and end of a step are equal.
     pub fn moves(&self) -> Vec<[u32; 2]> {
         match self {
             Self::Hold(points) => {

@@ -1,5 +1,4 @@
-//! Runs a whole exploration: plays scenes, shrinks failing scenes, writes regressions and the
-//! result.
+//! Runs a whole exploration: plays scenes, shrinks failing scenes, writes scenarios and the result.
 
 use crate::envelope::Envelope;
 use crate::error::ExploreError;
@@ -21,9 +20,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Largest wall time for shrinking, for all properties together.
+/// Longest wall time for shrinking all properties together.
 const SHRINK_TIME: Duration = Duration::from_mins(1);
-/// More failing scenes add little information.
+/// The exploration ends after this many failing scenes, because more add little information.
 const ENOUGH_FAILURES: u64 = 10;
 const MAX_MINIMAL: usize = 3;
 
@@ -136,7 +135,7 @@ impl ExploreSession {
         let minimal = Shrinker::new(config, &mut player, time)?.shrink(failed, property)?;
         let rig = self.rig.to_string();
         let path = regression::write(&self.regression_folder, config, &rig, failed, &minimal)?;
-        // Checks that the written file fails if `platebench run` plays it.
+        // Checks that the written file also fails with a new controller, as in `platebench run`.
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let scenario = load(&path, &name).map_err(|fault| ExploreError::Generated(Box::new(fault)))?;
         player.renew();
@@ -160,7 +159,7 @@ impl ExploreSession {
     }
 }
 
-/// Removes loop delays from the envelope if the controller does not announce that capability.
+/// Removes loop delays from the envelope if the controller does not announce support for them.
 fn envelope_for(envelope: &Envelope, identity: &Identity) -> Envelope {
     let mut reduced = envelope.clone();
     if !identity.has_capability(capabilities::LOOP_DELAY) {

@@ -16,10 +16,10 @@ const MAX_EARLIER: usize = 16;
 #[derive(Debug, Clone)]
 pub struct MinimalScene {
     pub scene: Scene,
-    /// The violated demands; empty for a property without expectation.
+    /// The violated demand, or all demands of the property if several are possible.
     pub demands: Vec<Demand>,
     pub failure: Failure,
-    /// False if the scene did not fail again with a new controller; it is then not minimal.
+    /// False if the scene did not fail again with a new controller. It is then not minimal.
     pub is_reproduced: bool,
     pub replays: u32,
 }
@@ -34,7 +34,7 @@ pub struct Shrinker<'a, 'p> {
 }
 
 impl<'a, 'p> Shrinker<'a, 'p> {
-    /// The search may take `time` from now on. Fails if no temporary folder can be created.
+    /// `time` limits the search, counted from now. Fails if no temporary folder can be created.
     pub fn new(config: &'a ExploreConfig, player: &'a mut Player<'p>, time: Duration) -> Result<Self, ExploreError> {
         Ok(Self { config, player, deadline: Instant::now() + time, staging: Staging::new()?, replays: 0 })
     }
@@ -80,8 +80,8 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         Ok(MinimalScene { scene, demands, failure, is_reproduced: true, replays: self.replays })
     }
 
-    /// The scene that fails with a new controller, alone or after trials of earlier scenes. `None`
-    /// if it does not fail.
+    /// Finds out whether the scene fails with a new controller, alone or after trials of earlier
+    /// scenes. `None` if it does not fail.
     #[expect(clippy::type_complexity, reason = "history, scene and failure belong together here only")]
     fn reproduce(
         &mut self,
@@ -131,8 +131,8 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         Ok((best.0.earlier.clone(), best))
     }
 
-    /// Tries changes that shrinking of the drawn numbers cannot make: rounder values, fewer points,
-    /// an earlier end.
+    /// Tries changes that shrinking of drawn numbers cannot make: rounder values, fewer points, an
+    /// earlier end.
     fn simplify_directly(&mut self, best: &mut (Scene, Failure), property: Property) -> Result<(), ExploreError> {
         let mut has_changed = true;
         while has_changed && !self.is_over() {
@@ -151,7 +151,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         Ok(())
     }
 
-    /// End of the failing window, µs.
+    /// End, µs, of the first window with a demand of `property`.
     fn end_of(&self, best: &(Scene, Failure), property: Property) -> Option<u32> {
         let demands = self.config.demands(&best.0);
         demands.iter().filter(|demand| demand.property == property).map(|demand| demand.until_us).min()
@@ -212,7 +212,7 @@ fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
     for index in 0..trial.setpoint.len().saturating_sub(1) {
         let mut setpoint = trial.setpoint.clone();
         let (at, _) = setpoint.remove(index);
-        // The next level takes the instant of the removed one.
+        // The next level starts at the instant of the removed level.
         if let Some(next) = setpoint.get_mut(index) {
             next.0 = at;
         }

@@ -1,33 +1,33 @@
-//! Assigns each scene number to a stratum, so that few scenes cover kinds, periods, limits and
-//! histories.
+//! Assigns each scene number to a stratum, so that few scenes cover event kinds, periods, limits
+//! and histories.
 
 use crate::event_kind::EventKind;
 
-/// The properties of a scene that its number determines. All others are drawn.
+/// Properties of a scene that its number determines. All other properties are drawn.
 #[derive(Debug, Clone, PartialEq)]
 #[allow(clippy::struct_excessive_bools, reason = "independent choices")]
 pub(crate) struct Stratum {
-    /// 0: usual; 1: shortest; 2: longest; otherwise drawn.
+    /// Choice of the control period. 0: usual; 1: shortest; 2: longest; larger numbers: drawn.
     pub(crate) period: u64,
-    /// 0: largest; 1: smallest; otherwise drawn.
+    /// Choice of the drive limit. 0: largest; 1: smallest; larger numbers: drawn.
     pub(crate) limit: u64,
     /// Kinds of the first two events.
     pub(crate) kinds: Vec<EventKind>,
     pub(crate) has_history: bool,
     pub(crate) has_noise: bool,
-    /// The configuration has its own response time, gains, frequency range or slew limit.
+    /// True if the configuration has its own response time, gains, frequency range or slew limit.
     pub(crate) is_tuned: bool,
     pub(crate) has_fault: bool,
-    /// The drive limit does not suffice for every setpoint.
+    /// True if setpoints of the judged trial may exceed the reach of the drive limit.
     pub(crate) is_overloaded: bool,
-    /// As `is_overloaded`, for the earlier trials.
+    /// True if setpoints of the earlier trials may exceed the reach of the drive limit.
     pub(crate) is_overloaded_before: bool,
     pub(crate) is_long: bool,
     pub(crate) sine: Option<SineOf>,
-    /// Time stamps in later plays of the trial pass 2^16 ms, 2^31 µs and 2^32 µs.
+    /// True if time stamps of later plays pass 2^16 ms, 2^31 µs and 2^32 µs (counter overflows).
     pub(crate) shifts_time: bool,
-    /// Number of the scene, if scripts of messages precede the trial. They take as long as a
-    /// hundred scenes.
+    /// Number of the scene, if scripts of messages precede the trial. This is rare, because the
+    /// scripts take as long as a hundred scenes.
     pub(crate) scripts: Option<u64>,
 }
 
@@ -38,8 +38,7 @@ pub(crate) enum SineOf {
 }
 
 const PAIRS: u64 = (EventKind::ALL.len() * EventKind::ALL.len()) as u64;
-/// Has no common divisor with [`PAIRS`], so that 64 scenes contain all pairs. Consecutive scenes
-/// differ in both kinds.
+/// Has no common divisor with [`PAIRS`], so 64 scenes contain all pairs of event kinds.
 const PAIR_STRIDE: u64 = 37;
 const LONG_EVERY: u64 = 41;
 const SINE_EVERY: u64 = 17;
@@ -71,7 +70,7 @@ impl Stratum {
         }
     }
 
-    /// The stratum for the configuration of an earlier trial.
+    /// Stratum of the configuration of an earlier trial.
     pub(crate) fn any_configuration(&self) -> Self {
         Self { period: u64::MAX, limit: u64::MAX, is_tuned: true, ..self.clone() }
     }

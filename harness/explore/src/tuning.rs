@@ -7,13 +7,12 @@ use platebench_wire::LawId;
 use proptest::option;
 use proptest::prelude::{BoxedStrategy, Just, Strategy};
 
-/// `None` is the default of the law or of the scenario.
+/// In each field, `None` means the default of the law or of the scenario.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Tuning {
     /// Design value of the response time, 0.1 ms.
     pub response_tenths: Option<u32>,
-    /// Gains of the amplitude loop and the frequency loop relative to the law's own design,
-    /// percent.
+    /// Gains of the amplitude loop and the frequency loop, percent of the law's own design.
     pub gains_percent: Option<[u32; 2]>,
     /// Largest deviation of the excitation frequency from the start frequency, 0.1 Hz.
     pub range_tenths: Option<u32>,
@@ -21,7 +20,7 @@ pub struct Tuning {
     pub slew_tenths: Option<u32>,
 }
 
-/// Probability of each setting in a scene of the stratum.
+/// Probability of each setting in a scene whose stratum has tuned configurations.
 const SHARE: f64 = 0.4;
 
 impl Tuning {
@@ -47,7 +46,7 @@ impl Tuning {
             .boxed()
     }
 
-    /// Keys and values of `[controller]`. `design` is the configured plate.
+    /// Keys and values of the table `[controller]`. `design` is the configured plate.
     pub(crate) fn keys(&self, law: LawId, design: &Plate, period_us: u32) -> Vec<(&'static str, String)> {
         let mut keys = Vec::new();
         let hz = [("frequency_range_hz", self.range_tenths), ("frequency_slew_hz", self.slew_tenths)];

@@ -2,7 +2,7 @@
 
 use crate::scene::SceneTrial;
 
-/// An interval in which inputs change; both ends of a step are equal.
+/// Interval in which inputs change. Start and end of a step are equal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Change {
     pub(crate) from_us: u32,
@@ -12,7 +12,7 @@ pub(crate) struct Change {
     pub(crate) temperature: bool,
 }
 
-/// A change and the time without a change after it.
+/// A change, and the time without changes after it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Window {
     pub(crate) change: Change,

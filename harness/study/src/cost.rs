@@ -8,13 +8,13 @@ pub(crate) fn thread_cpu_time() -> Duration {
     cpu_time(ClockId::ThreadCPUTime)
 }
 
-/// Adds the processor time of child processes that ended, with the resolution of a clock tick.
+/// Includes child processes that have ended. Their time has the resolution of a clock tick.
 pub(crate) fn process_cpu_time() -> Duration {
     cpu_time(ClockId::ProcessCPUTime) + children_cpu_time().unwrap_or_default()
 }
 
-/// Sums `cutime` and `cstime`, fields 16 and 17 of proc(5). The name in parentheses may contain
-/// spaces.
+/// Sums `cutime` and `cstime`, fields 16 and 17 of proc(5). The program name, which is in
+/// parentheses, may contain spaces.
 fn children_cpu_time() -> Option<Duration> {
     let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
     let (_, fields) = stat.rsplit_once(')')?;

@@ -1,4 +1,4 @@
-//! Integrates the plate's equations with general methods, which only charts and their tests use.
+//! Integrates the plate's equations with general methods, for charts and their tests only.
 
 pub mod adaptive;
 pub mod failure;

@@ -1,20 +1,18 @@
-//! Searches the design point, which is the failing point closest to the centre, and checks for a
-//! second one.
+//! Searches the design point (failing point closest to the centre) and checks for a second one.
 //!
-//! R. Rackwitz and B. Fiessler, *Computers and Structures* 9, 1978, pp. 489-494; a step to a
-//! larger |g| is halved.
+//! R. Rackwitz and B. Fiessler, *Computers and Structures* 9, 1978, pp. 489-494. In addition, a
+//! step that increases the magnitude of the score is halved.
 
 use super::estimates::Score;
 
-/// Step of the difference quotients, in standard deviations. It is large to reduce the effect of
-/// noise.
+/// Step of the difference quotients, standard deviations. It is large to average noise.
 const GRADIENT_STEP: f64 = 0.1;
 const MAX_ITERATIONS: usize = 12;
 const MAX_HALVINGS: u32 = 4;
 /// Tolerance of the score at the design point, relative to the score at the centre.
 const SCORE_TOLERANCE: f64 = 0.02;
 const POINT_TOLERANCE: f64 = 0.15;
-/// Failures with a larger β have a probability below 10⁻¹⁴.
+/// Largest norm β of a design point. Failures beyond it have a probability below 10⁻¹⁴.
 const MAX_INDEX: f64 = 8.0;
 /// A second design point is ignored if its β is larger by at least this.
 const INDEX_MARGIN: f64 = 1.0;
@@ -25,8 +23,7 @@ pub(crate) struct DesignPoint {
     pub(crate) reliability_index: f64,
 }
 
-/// The only design point, or the reason why there is not exactly one. `None` if the trials are used
-/// up.
+/// The only design point, or the reason why there is not exactly one. `None` if the trials end.
 pub(crate) fn find(dimensions: usize, score: &mut Score<'_>) -> Option<Result<DesignPoint, &'static str>> {
     let centre = vec![0.0; dimensions];
     let at_centre = score(&centre)?;
@@ -88,7 +85,7 @@ fn descend(
         let mut next = toward(&point, &target, share);
         let mut at_next = score(&next)?;
         for _ in 0..MAX_HALVINGS {
-            // A trial without a value has a score far below 0, from which no slope can be computed.
+            // A trial without a value has a score far below 0, from which no slope follows.
             if at_next.abs() <= value.abs().max(at_centre) {
                 break;
             }

@@ -3,12 +3,11 @@
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
-/// With at least this many chains, their spread gives the standard error; with fewer, the chains'
-/// own errors do.
+/// From this number of chains on, their spread gives the standard error. With fewer chains, the
+/// errors of the individual chains give it.
 const MIN_CHAINS_FOR_SPREAD: usize = 8;
 
-/// Plays a trial and returns its score. `None` if the trials are used up or the campaign was
-/// cancelled.
+/// Plays a trial and returns its score. `None` after the last trial or a cancellation.
 pub(crate) type Score<'a> = dyn FnMut(&[f64]) -> Option<f64> + 'a;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -21,13 +20,13 @@ pub enum RareMethod {
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChainEstimate {
     pub probability: f64,
-    /// Infinite without a failing trial.
+    /// Standard error divided by `probability`. Infinite if no trial fails.
     pub coefficient_of_variation: f64,
     /// Upper end of the interval if the coefficient of variation is infinite.
     pub ceiling: f64,
     pub method: RareMethod,
     pub reason: String,
-    /// β, if FORM converged.
+    /// Norm β of the design point, if there is only one.
     pub reliability_index: Option<f64>,
     pub trials: u64,
 }
@@ -38,7 +37,7 @@ pub struct CombinedEstimate {
     pub probability: f64,
     pub coefficient_of_variation: f64,
     ceiling: f64,
-    /// Number of chains if their spread gives the standard error.
+    /// Number of chains, if their spread gives the standard error.
     spread_over: Option<usize>,
 }
 

@@ -5,7 +5,7 @@ use super::estimates::Score;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
-/// About half of these trials fail if the surface g = 0 is nearly flat at the design point.
+/// If the surface g = 0 is nearly flat at the design point, about half of these trials fail.
 const PILOT_TRIALS: u32 = 40;
 const MIN_PILOT_FAILURES: u32 = 4;
 
@@ -30,7 +30,7 @@ pub(crate) fn estimate(
         trials += 1;
         if value <= 0.0 {
             failures += 1;
-            // φ(u)/φ(u − u*)
+            // Likelihood ratio φ(u)/φ(u − u*) of the point u for the design point u*.
             let weight = (half_square - dot(&point, design_point)).exp();
             sum += weight;
             squares += weight * weight;

@@ -1,9 +1,9 @@
 //! Estimates a probability by subset simulation, as a product of conditional probabilities of
 //! about 0.1.
 //!
-//! S.-K. Au and J. L. Beck, *Probabilistic Engineering Mechanics* 16, 2001, pp. 263-277. Markov
-//! chains with adaptive conditional sampling are those of I. Papaioannou and others, same journal
-//! 41, 2015, pp. 89-103.
+//! S.-K. Au and J. L. Beck, *Probabilistic Engineering Mechanics* 16, 2001, pp. 263-277. The Markov
+//! chains use adaptive conditional sampling: I. Papaioannou and others, same journal 41, 2015, pp.
+//! 89-103.
 
 use super::estimates::Score;
 use rand_chacha::ChaCha8Rng;
@@ -48,8 +48,7 @@ impl Level {
         self.chains.iter().map(Vec::len).sum()
     }
 
-    /// Share of samples with a score up to `limit`, and its relative standard error from the spread
-    /// between chains.
+    /// Share of samples with a score up to `limit`, and its relative standard error.
     fn share(&self, limit: f64) -> (f64, f64) {
         let hits = |chain: &Vec<Sample>| chain.iter().filter(|sample| sample.score <= limit).count() as f64;
         let total = self.samples() as f64;
@@ -140,7 +139,7 @@ pub(crate) fn estimate(plan: &SubsetPlan, random: &mut ChaCha8Rng, score: &mut S
         variance += error * error;
         let mut seeds: Vec<Sample> =
             level.chains.into_iter().flatten().filter(|sample| sample.score <= threshold).collect();
-        // Shuffles the seeds, because neighbours in the list come from the same chain.
+        // Shuffles the seeds, because neighbours in the list come from the same Markov chain.
         for last in (1..seeds.len()).rev() {
             let draw: f64 = StandardUniform.sample(random);
             seeds.swap(last, ((draw * (last + 1) as f64) as usize).min(last));

@@ -4,14 +4,14 @@ use super::*;
 
 const SEEDS: u64 = 200;
 
-/// Limit states with known probabilities.
+/// Score functions with known failure probabilities (Φ: standard normal distribution function).
 #[derive(Debug, Clone, Copy)]
 enum Limit {
-    /// `β − Σ u/√n`: Φ(−β).
+    /// Score `β − Σ u/√n`, probability Φ(−β).
     Linear(f64),
-    /// `β − u₁ + c u₂²`: an integral over u₂.
+    /// Score `β − u₁ + c u₂²`, probability from an integral over u₂.
     Curved(f64, f64),
-    /// `β − |u₁|`: 2 Φ(−β).
+    /// Score `β − |u₁|`, probability 2 Φ(−β).
     TwoSided(f64),
 }
 
@@ -42,8 +42,8 @@ fn run(limit: Limit, dimensions: usize, seed: u64, trials: u64) -> ChainEstimate
     estimate(dimensions, seed, trials, &mut |point| Some(limit.score(point))).unwrap()
 }
 
-/// Method, share of seeds whose interval contains the probability, mean and relative deviation of
-/// the estimates.
+/// Returns the method, the share of intervals that contain the probability, and mean and standard
+/// deviation of the estimates relative to the probability.
 fn repeat(limit: Limit, dimensions: usize, trials: u64) -> (RareMethod, f64, f64, f64) {
     let exact = limit.probability();
     let estimates: Vec<_> = (0..SEEDS).map(|seed| run(limit, dimensions, seed, trials)).collect();
@@ -69,7 +69,7 @@ fn importance_sampling_agrees_with_closed_forms() {
     for (limit, dimensions) in cases {
         let (method, covered, mean, deviation) = repeat(limit, dimensions, 800);
         assert_eq!(method, RareMethod::ImportanceSampling, "{limit:?}");
-        // Two ends at 95 %: 90 %, with a standard deviation of 2 % over 200 seeds.
+        // Both ends at 95 % give 90 %, with a standard deviation of 2 % over 200 seeds.
         assert!(covered >= 0.85, "{limit:?}: {covered}");
         assert!((mean - 1.0).abs() < 0.03 && deviation < 0.15, "{limit:?}: {mean} {deviation}");
     }
@@ -85,7 +85,7 @@ fn several_failing_regions_need_subset_simulation() {
     }
 }
 
-/// Smallest number of trials whose estimate states at most 0.1, median over 50 seeds.
+/// Median (50 seeds) of the smallest number of trials with a coefficient of variation ≤ 0.1.
 fn trials_for_precision(limit: Limit, dimensions: usize) -> u64 {
     let trials = |seed| {
         let (mut low, mut high) = (100, 4_000);
@@ -102,7 +102,7 @@ fn trials_for_precision(limit: Limit, dimensions: usize) -> u64 {
     trials[25]
 }
 
-// The last column is the median of OpenTURNS: harness/campaign/openturns.py.
+// The last column is the median that OpenTURNS needs (harness/campaign/openturns.py).
 #[test]
 fn needs_few_trials_for_a_coefficient_of_variation_of_10_percent() {
     let cases = [

@@ -1,4 +1,4 @@
-//! Errors of envelope files.
+//! Checks the errors of envelope files.
 
 use crate::fixtures::envelope_path;
 use platebench_explore::Envelope;

@@ -1,4 +1,4 @@
-//! Correct laws pass, a mutant is found, and its scene shrinks to few inputs.
+//! Tests that correct laws pass, a mutant is found, and its scene shrinks to few inputs.
 
 use crate::fixtures::configuration;
 use platebench_explore::kill_rate::{KillRateConfig, kill_rate};
@@ -14,7 +14,7 @@ use rstest::rstest;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// So long that the number of replays ends a search, also on a busy machine.
+/// Long enough that a search ends by its number of replays, also on a busy machine.
 const SHRINK_TIME: Duration = Duration::from_hours(1);
 
 #[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
@@ -37,7 +37,7 @@ fn mutant() -> Result<BoxedLink, ConnectError> {
     Ok(Box::new(MutantController::new(HostedLink::new(), || Box::new(WrongTableEntry))))
 }
 
-/// The loops correct a drive that is 1 % too low, so every limit holds.
+/// Lowers the drive by 1 %. Control loops correct this, so every limit holds.
 struct LowDrive;
 
 impl Mutant for LowDrive {
@@ -148,7 +148,7 @@ fn the_kill_rate_names_a_survivor_and_a_found_mutant() {
     let report = kill_rate(&config, &CancelToken::never()).unwrap();
     let found: Vec<_> = report.mutants.iter().map(|mutant| (mutant.name, mutant.found.is_some())).collect();
     assert_eq!(found, [("drive-gain-doubled", true), ("unmutated", false)]);
-    // The firmware with three laws, and every variant with one.
+    // The firmware plays 12 scenes with each of three laws, and every variant with one law.
     let clean = 12 * (3 + config.variants.len() as u32);
     assert_eq!((report.false_alarm_rate.seen, report.false_alarm_rate.count), (0, clean), "{:?}", report.alarms);
     assert_eq!((report.kill_rate.seen, report.kill_rate.count), (1, 2));

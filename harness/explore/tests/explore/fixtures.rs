@@ -1,4 +1,4 @@
-//! The repository's envelope and explorations of it.
+//! Provides the envelope of the repository and explorations of it.
 
 use platebench_explore::{Budget, Envelope, ExploreConfig};
 use platebench_wire::LawId;

@@ -1,4 +1,4 @@
-//! Scene i depends on the envelope, the seed and i only, and every scene is a valid scenario.
+//! Tests that scene i depends only on envelope, seed and i, and that scenes are valid scenarios.
 
 use crate::fixtures::configuration;
 use platebench_explore::coverage::{ChangeKind, Coverage};
@@ -45,7 +45,7 @@ fn sines_stay_below_the_largest_rate(#[case] highest: f64) {
     let mut config = configuration(LawId::DqPi, 1);
     config.envelope.range.force_rate_n_per_s = [0.01, highest];
     let slopes = (0..400).filter_map(|index| match config.generator().tree(index).unwrap().current().judged.force {
-        // Force in hundredths of a newton, frequency in tenths of a hertz.
+        // The force is in 0.01 N, the frequency in 0.1 Hz.
         Course::Sine { amplitude, frequency_tenths, .. } => {
             Some(TAU * f64::from(amplitude) / 100.0 * f64::from(frequency_tenths) / 10.0)
         }
@@ -53,7 +53,7 @@ fn sines_stay_below_the_largest_rate(#[case] highest: f64) {
     });
     let slopes: Vec<f64> = slopes.collect();
     assert!(highest < 1.0 || slopes.len() >= 10, "{slopes:?}");
-    // The amplitude is rounded to a hundredth of a newton.
+    // The factor 1.05 is needed because the amplitude is rounded to 0.01 N.
     assert!(slopes.iter().all(|slope| *slope <= highest * 1.05), "{slopes:?}");
 }
 

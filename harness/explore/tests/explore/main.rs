@@ -1,4 +1,4 @@
-//! Tests of generation, limits, playing and shrinking.
+//! Tests generation, limits, playing and shrinking.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a panic fails the test")]
 

@@ -15,11 +15,11 @@ use platebench_runner::{Clock, Pacing, TimeBase};
 use platebench_scenario::{Metric, Scenario};
 
 const FILE: &str = "ladder.csv";
-/// A logarithmic axis has no zero.
+/// Smaller differences are drawn at this value, because a logarithmic axis has no zero.
 const SMALLEST_DRAWN: f64 = 1e-9;
 const REAL_TIME: Clock = Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench });
 
-/// Metric, file of its drawing, unit.
+/// Metric, file of its chart, unit.
 const METRICS: [(Metric, &str, &str); 3] = [
     (Metric::SettlingTime, "ladder-settling-time.svg", "ms"),
     (Metric::Overshoot, "ladder-overshoot.svg", "percent"),
@@ -33,7 +33,7 @@ enum Rung {
 }
 
 impl Rung {
-    /// The most detailed rung whose line adds no delay.
+    /// The most detailed rung in lockstep, so the line adds no delay.
     const REFERENCE: Self = Self::Rig(RigSpec::Emulated(None), LOCKSTEP);
 
     fn name(&self) -> String {
@@ -78,7 +78,7 @@ struct RungResult {
     /// Processor time per control period, median over rounds.
     period_us: f64,
     changed_verdicts: usize,
-    /// Largest difference from the reference, in the order of [`METRICS`].
+    /// Largest difference from the reference rung, per metric of [`METRICS`].
     differences: [f64; METRICS.len()],
 }
 

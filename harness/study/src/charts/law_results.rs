@@ -22,7 +22,7 @@ pub struct LawScenario {
     pub(crate) scenario: Scenario,
     /// Measures the response time from the setpoint step or from a disturbance.
     response_expectation: Expectation,
-    /// Measures the mean over the last third.
+    /// Measures the mean over the last third of the trial.
     window_mean_expectation: Expectation,
     pub(crate) trials: u32,
 }
@@ -49,7 +49,7 @@ impl LawScenario {
             signal: "amplitude_um",
         };
         let (response, window_mean) = (expected(metric, response_window), expected(Metric::StaticError, last_third));
-        // With this expectation the trace has a row at every crossing of the band.
+        // Because of this expectation, the trace has a row at every crossing of the band.
         scenario.expectations = vec![response.clone()];
         scenario.tier = Tier::Modal;
         Self {
@@ -77,12 +77,12 @@ impl LawScenario {
         (to.seconds() - from.seconds()) / self.scenario.controller.period.seconds()
     }
 
-    /// Standard deviation of the mean of the window's samples, percent of the setpoint.
+    /// Standard deviation of the mean of the window's samples due to noise, % of the setpoint.
     pub(crate) fn noise_floor_percent(&self) -> f64 {
         self.scenario.plate.noise_um_rms / self.scenario.setpoint.range().1 / self.window_samples().sqrt() * 100.0
     }
 
-    /// Shortest response time with the drive limit, at resonance under the initial conditions.
+    /// Shortest response time that the drive limit allows, at resonance in the initial conditions.
     pub(crate) fn drive_limited_ms(&self) -> Option<f64> {
         let scenario = &self.scenario;
         let mode = scenario.plate.mode(&scenario.conditions.at(Time::ZERO));
@@ -118,10 +118,10 @@ pub fn load_law_scenarios(folder: &Path, is_quick: bool) -> Result<Vec<LawScenar
 pub(crate) struct LawResult {
     pub(crate) law: LawId,
     pub(crate) scenario_index: usize,
-    /// Median over trials. `None` if at least half of them do not stay in the band.
+    /// Median over trials. `None` if at least half of the trials do not stay in the band.
     pub(crate) response_ms: Option<f64>,
     pub(crate) settled_trials: u32,
-    /// |mean over trials − setpoint|/setpoint. `None` if the controller stopped.
+    /// |mean over trials − setpoint|/setpoint. `None` if the controller stopped in a trial.
     pub(crate) static_error_percent: Option<f64>,
     pub(crate) repeatability_percent: Option<f64>,
 }
@@ -155,7 +155,7 @@ fn measure(expectation: &Expectation, played: &TrialResult) -> Option<f64> {
     }
 }
 
-/// Of an even number of values the upper one of the two in the middle.
+/// If the number of values is even, returns the larger of the two middle values.
 fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()

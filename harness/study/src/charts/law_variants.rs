@@ -1,5 +1,4 @@
-//! Plays every law at known and unknown loop delays and on plates with another gain, and draws
-//! small multiples.
+//! Plays every law with known and unknown loop delays and with other plate gains, and draws charts.
 
 use crate::charts::law_results::LawScenario;
 use crate::charts::section::{ChartError, play_hosted};
@@ -12,11 +11,11 @@ use platebench_wire::LawId;
 
 pub(crate) const CSV: &str = "law-variants.csv";
 pub(crate) const DRAWING: &str = "law-variants.svg";
-/// In control periods.
+/// Loop delays in control periods.
 const DELAYS: [f64; 3] = [0.0, 0.4, 0.8];
 const LARGE_OVERSHOOT_PERCENT: f64 = 20.0;
 
-/// Deviation of the scene from the design of the law.
+/// Deviation of the played scenario from the design of the law.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Variant {
     name: &'static str,

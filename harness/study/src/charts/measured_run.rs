@@ -11,8 +11,7 @@ pub(crate) const LOCKSTEP: Clock = Clock::Lockstep { wire_time: false };
 
 pub(crate) struct MeasuredRun {
     pub(crate) record: RunRecord,
-    /// Processor time per control period of the whole run: plate, controller, trace, judgement and
-    /// child processes.
+    /// Processor time of the whole run per control period, including trace and child processes.
     pub(crate) period_us: f64,
 }
 

@@ -1,5 +1,5 @@
-//! Draws work-precision diagrams. Every method replays the drives of one trial with the hosted
-//! controller.
+//! Draws work-precision diagrams: error against cost. Every method replays the drives of one trial,
+//! which the hosted controller has played.
 
 use crate::charts::section::{ChartError, ChartSection, play_hosted};
 use crate::integration::sweep::{cheapest_from_a_crate, cheapest_method};
@@ -141,7 +141,7 @@ const HEADLINE_COLUMNS: [&str; 9] = [
     "the same at a tolerance of 1e-9",
 ];
 
-/// `None` if no tier has the problem's closed form.
+/// `None` if no tier has a closed form for the equations `form`.
 fn headline_row(scenario: &Scenario, form: EquationForm, results: &[SweepResult]) -> Option<Vec<String>> {
     let problem = form.name();
     let exact = results.iter().find(|row| matches!(row.solver, Solver::Exact(tier) if tier.name() == problem))?;

@@ -20,7 +20,7 @@ const SCALE_FLOOR: f64 = 1e-9;
 struct MetricResult<'a> {
     own: &'a ExpectationRecord,
     reference: &'a ExpectationRecord,
-    /// |value − reference| in tolerances. Infinite if only one of them is a number.
+    /// |value − reference| in units of the tolerance. Infinite if only one of both is a number.
     difference: f64,
 }
 
@@ -37,7 +37,7 @@ struct ModelResult<'a> {
     metrics: Vec<MetricResult<'a>>,
 }
 
-/// `models` starts with the simplest model. The last one is the reference.
+/// Results on all models, from the simplest to the reference model.
 struct SceneResult<'a> {
     scenario: &'a Scenario,
     models: Vec<ModelResult<'a>>,
@@ -49,8 +49,8 @@ struct ModelCost {
     period_us: f64,
 }
 
-/// Excludes models that omit effects of the plate. The carrier needs a converter, or its name in
-/// the scenario.
+/// Models that include all effects of the plate. The carrier model is included only if the plate
+/// has a converter or the scenario names this model.
 pub(crate) fn models(scenario: &Scenario) -> Vec<Tier> {
     let has_carrier = [scenario.tier, Tier::exact_for(&scenario.plate)].contains(&Tier::Carrier);
     let is_complete = |tier: &Tier| Scenario::omitted_effect(*tier, &scenario.plate).is_none();
@@ -111,7 +111,7 @@ impl<'a> MetricResult<'a> {
     }
 }
 
-/// Half the distance of two limits, or the magnitude of a single limit. It may be 0.
+/// Half the distance between two limits, or the magnitude of a single limit. It may be 0.
 fn tolerance(expectation: &Expectation) -> f64 {
     match expectation.range() {
         (low, high) if low.is_finite() && high > low && high.is_finite() => 0.5 * (high - low),

@@ -1,4 +1,4 @@
-//! Predicts and measures where methods and loops become unstable, and draws maps.
+//! Compares predicted and measured stability limits of methods and loops, and draws maps.
 
 use crate::charts::section::{ChartError, ChartSection};
 use crate::integration::stability::{NOTE, limits_table, step_limits, to_csv};
@@ -36,7 +36,7 @@ pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartS
     Ok(ChartSection { title: "Where methods and loops become unstable", summary, blocks, files })
 }
 
-/// Largest median and largest loop delay of all trials. `None` if no trial has a loop delay.
+/// Largest median and largest maximum of the loop delays of all trials. `None` without delays.
 pub fn rig_delay(record: &RunRecord) -> Option<RigDelay> {
     let trials = record.scenarios.iter().flat_map(|scenario| &scenario.trials);
     let delays = trials.filter_map(|trial| {
@@ -48,7 +48,7 @@ pub fn rig_delay(record: &RunRecord) -> Option<RigDelay> {
     Some(RigDelay { typical_ms: typical * 1e-3, longest_ms: longest * 1e-3 })
 }
 
-/// Backward Euler without delay has a small spectral radius, but a detuned start never settles.
+/// Shows that backward Euler has a small spectral radius but never settles from a detuned start.
 fn known_limit(plate: &Plate) -> Result<String, AnalysisError> {
     let loops = PlainLoops::new(plate, Discretisation::Backward, RESPONSE_S, PERIOD_S);
     let starts = [OperatingCondition::Resonant, OperatingCondition::Detuned].map(|condition| {

@@ -1,5 +1,5 @@
-//! Adapts crates with adaptive methods. The feature `solvers` or `diffsol` adds those that only the
-//! chart needs.
+//! Adapts crates with adaptive methods. The features `solvers` and `diffsol` add crates that only
+//! the charts need.
 
 #[cfg(feature = "solvers")]
 mod differential_equations_crate;
@@ -11,9 +11,9 @@ use crate::integration::problem::Problem;
 use ode_solvers::dop_shared::IntegrationError;
 use ode_solvers::{Dop853, Dopri5, OutputType, SVector, System};
 
-/// Runs a solver of `ode_solvers`. Its solvers have no common trait. The constants are the crate's
-/// defaults. The output contains every step, because the error of the dense output (version 0.6)
-/// does not depend on the tolerance.
+/// Runs a solver of `ode_solvers`. It is a macro because the solvers have no common trait. The
+/// constants are the crate's defaults. The output contains every step, because the error of the
+/// dense output (version 0.6) does not depend on the tolerance.
 macro_rules! integrate_sparse {
     ($solver:ident, $problem:expr, $x:expr, $seconds:expr, $tolerance:expr,
      $beta:expr, $smallest:expr, $largest:expr) => {{
@@ -69,7 +69,7 @@ pub enum AdaptiveMethod {
 impl AdaptiveMethod {
     pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
-    /// `tolerance` is the relative tolerance, and the absolute one in µm.
+    /// `tolerance` is both the relative tolerance and the absolute tolerance in µm.
     pub fn advance<const N: usize, P: Problem<N>>(
         self,
         problem: &P,

@@ -1,6 +1,6 @@
 //! Defines the failures of integration methods.
 
-/// Per interval of the replay, for adaptive methods.
+/// Largest number of steps of an adaptive method per interval of a replay.
 pub(crate) const MAX_STEPS: u32 = 100_000;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]

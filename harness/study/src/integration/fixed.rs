@@ -11,12 +11,11 @@ pub enum FixedStepMethod {
     Euler,
     #[strum(serialize = "RK4")]
     RungeKutta4,
-    /// Implicit midpoint rule. Solves its linear system once per interval, or per step if the
-    /// matrix varies.
+    /// Implicit midpoint rule. It solves its linear system per interval, or per step if A varies.
     #[strum(serialize = "implicit midpoint")]
     Midpoint,
     /// Gauss-Legendre collocation with two stages. Its step matrix is a Padé approximant of the
-    /// exponential (Hairer, Wanner: Solving ODEs II, IV.3), computed once per interval.
+    /// exponential, computed once per interval (Hairer, Wanner: Solving ODEs II, IV.3).
     #[strum(serialize = "Gauss-Legendre 4")]
     Gauss4,
     #[strum(serialize = "Gauss-Legendre 6")]
@@ -24,8 +23,7 @@ pub enum FixedStepMethod {
     /// Matrix exponential by scaling and squaring, once per interval. Exact up to rounding.
     #[strum(serialize = "matrix exponential")]
     Exponential,
-    /// Matrix exponential that reuses the step matrix of the previous interval if the equations are
-    /// the same.
+    /// Matrix exponential that reuses the previous step matrix if the equations are the same.
     #[strum(serialize = "matrix exponential, kept")]
     KeptExponential,
     /// Leapfrog method, only for problems of second order.
@@ -51,9 +49,9 @@ pub struct StepMatrix<const N: usize> {
 impl FixedStepMethod {
     pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
-    /// Order of the error in the step. `None` if the error does not depend on the step. If the
-    /// matrix varies, the methods with a step matrix have order 2, because they use the matrix at
-    /// the middle of the step.
+    /// Order of the error in the step. `None` if the error does not depend on the step. With a
+    /// varying matrix, methods with a step matrix have order 2, because they use the matrix at
+    /// mid-step.
     pub const fn order(self) -> Option<u32> {
         match self {
             Self::Euler => Some(1),
@@ -64,8 +62,7 @@ impl FixedStepMethod {
         }
     }
 
-    /// M of `x(h) = x + h M(hA) (Ax + b)`. `None` if the method has no such matrix, or if its
-    /// denominator is singular.
+    /// M of `x(h) = x + h M(hA) (Ax + b)`. `None` if it has no M or a singular denominator.
     fn increment<const N: usize>(self, matrix: &[[f64; N]; N], step: f64) -> Option<[[f64; N]; N]> {
         let z = scaled(matrix, step);
         match self {
@@ -77,7 +74,7 @@ impl FixedStepMethod {
                 Some(product(&denominator, &polynomial(&z, [1.0, 0.0, 1.0 / 60.0, 0.0])))
             }
             Self::Exponential | Self::KeptExponential => {
-                // Below this norm the approximant of order 6 is exact to rounding.
+                // Below a norm of 0.02, the approximant of order 6 is exact up to rounding.
                 let largest = z.iter().map(|row| row.iter().map(|value| value.abs()).sum()).fold(0.0, f64::max);
                 let doublings = (largest / 0.02_f64).log2().ceil().max(0.0) as i32;
                 let share = 0.5_f64.powi(doublings);
@@ -94,8 +91,7 @@ impl FixedStepMethod {
         }
     }
 
-    /// `kept` is the step matrix of the previous interval, if [`Self::KeptExponential`] has stored
-    /// one.
+    /// `kept` stores the step matrix of [`Self::KeptExponential`] from the previous interval.
     pub fn advance<const N: usize, P: Problem<N>>(
         self,
         problem: &P,

@@ -33,9 +33,9 @@ impl IntegrationMethod {
         }
     }
 
-    /// `setting` is the longest step in s, which is shortened to a whole number of steps, or the
-    /// tolerance of an adaptive method, relative and in µm. `kept` as in
-    /// [`FixedStepMethod::advance`].
+    /// For a fixed step, `setting` is the longest step in s. It is reduced until whole steps fill
+    /// the interval. For an adaptive method, `setting` is the relative tolerance and the absolute
+    /// one in µm. [`FixedStepMethod::advance`] defines `kept`.
     #[inline]
     pub fn advance<const N: usize, P: Problem<N>>(
         self,
@@ -57,7 +57,7 @@ impl IntegrationMethod {
     }
 }
 
-/// An excess of up to 1e-9 steps is rounding and adds no step.
+/// An excess of up to 1e-9 steps is a rounding error and adds no step.
 fn step_count(seconds: f64, step: f64) -> u32 {
     (seconds / step - 1e-9).ceil().max(1.0) as u32
 }

@@ -1,16 +1,17 @@
 //! Defines the plate's equations for general integrators as a state vector and its rate.
 //!
-//! Velocities are divided by a fixed angular frequency near the carrier's (`scale`), so that all
-//! components are µm of similar size and one tolerance suits all. A right-hand side that depends on
-//! the time has the time as a component (the clock), because `ode_solvers` 0.6.2 uses a wrong node
-//! in the twelfth stage of DOP853.
+//! Velocities are divided by a fixed angular frequency near the carrier's (`scale`). Thus all
+//! components are µm of similar size, and one tolerance suits all. If a right-hand side depends on
+//! the time, the time is a component of the state (the clock), because `ode_solvers` 0.6.2 uses a
+//! wrong node in the twelfth stage of DOP853. N/m is the plate's force constant
+//! ([`Mode::force_constant`]), not a unit.
 
 use platebench_plate::{Complex64, Drive, Mode, State};
 use std::array::from_fn;
 
 const J: Complex64 = Complex64::I;
 
-/// The equations `x' = A x + b`. A and b are constant unless the state has a clock.
+/// The equations `x' = A x + b`. A and b are constant unless the state contains a clock.
 pub trait Problem<const N: usize>: Copy {
     /// Index of the clock, the time in s since the start of the interval.
     const CLOCK: Option<usize> = None;
@@ -36,16 +37,15 @@ pub trait Problem<const N: usize>: Copy {
 /// Strang splitting of `x' = A x + b`. A is the sum of an undamped rotation and a diagonal damping.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Split<const N: usize> {
-    /// Exact solution of the undamped oscillation over a step. Row and column of the clock are
-    /// zero.
+    /// Exact solution of the undamped oscillation over a step. The clock's row and column are zero.
     pub rotation: [[f64; N]; N],
     /// Exact solution of `x' = -d x + b` over half a step: `decay x + gain b`.
     pub decay: [f64; N],
-    /// s.
+    /// Factor of b over half a step, s.
     pub gain: [f64; N],
 }
 
-/// Decay and gain of `x' = -damping x + b` over `seconds`.
+/// Returns decay and gain of `x' = -damping x + b` over `seconds`.
 fn relaxation(damping: f64, seconds: f64) -> (f64, f64) {
     let change = (-damping * seconds).exp_m1();
     (1.0 + change, if damping == 0.0 { seconds } else { -change / damping })
@@ -54,7 +54,7 @@ fn relaxation(damping: f64, seconds: f64) -> (f64, f64) {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProblemParameters {
     pub mode: Mode,
-    /// 1/s². The unit of `omega0_rate` is rad/s².
+    /// Change of σ, 1/s². `omega0_rate` is the change of ω0, rad/s².
     pub sigma_rate: f64,
     pub omega0_rate: f64,
     pub drive: Drive,
@@ -76,7 +76,7 @@ pub trait ConstantMode<const N: usize>: Problem<N> {
     fn shifted(&self, sigma: f64, omega0: f64) -> Self;
 }
 
-/// A problem with σ and ω0 linear in time. The last component of the state is the clock.
+/// A problem with σ and ω0 linear in time. The last component of its state is the clock.
 #[derive(Debug, Clone, Copy)]
 pub struct TimeVarying<P, const N: usize> {
     problem: P,
@@ -89,14 +89,14 @@ impl<P: ConstantMode<N>, const N: usize> TimeVarying<P, N> {
         Self { problem, sigma_rate: situation.sigma_rate, omega0_rate: situation.omega0_rate }
     }
 
-    /// The problem at the time of `x`, and the components without the clock.
+    /// Returns the problem at the time of `x`, and `x` without the clock.
     #[inline]
     fn at<const M: usize>(&self, x: &[f64; M]) -> (P, [f64; N]) {
         (self.problem.shifted(self.sigma_rate * x[N], self.omega0_rate * x[N]), from_fn(|i| x[i]))
     }
 }
 
-/// M = N + 1.
+/// The state has M = N + 1 components, because the clock is added.
 impl<P: ConstantMode<N>, const N: usize, const M: usize> Problem<M> for TimeVarying<P, N> {
     const CLOCK: Option<usize> = Some(N);
 
@@ -124,7 +124,7 @@ impl<P: ConstantMode<N>, const N: usize, const M: usize> Problem<M> for TimeVary
     }
 }
 
-/// `W' = λW + bV` with the state `[Re W, Im W]`, µm.
+/// Envelope `W' = λW + bV`, `λ = −σ − j(ω − ω0)`. The state is `[Re W, Im W]`, µm.
 #[derive(Debug, Clone, Copy)]
 pub struct EnvelopeProblem {
     sigma: f64,
@@ -179,8 +179,8 @@ impl ConstantMode<2> for EnvelopeProblem {
     }
 }
 
-/// `W' = U − jωW`, `U' = −jωU − 2σU − ω0²W + j(N/m)V`. The state is
-/// `[Re W, Im W, Re U/scale, Im U/scale]`, µm.
+/// Modal equations `W' = U − jωW`, `U' = −jωU − 2σU − ω0²W + j(N/m)V`. The state is `[Re W, Im W,
+/// Re U/scale, Im U/scale]`, µm.
 #[derive(Debug, Clone, Copy)]
 pub struct ModalProblem {
     sigma: f64,
@@ -233,8 +233,7 @@ impl Problem<4> for ModalProblem {
     fn split(&self, _: &[f64; 4], step: f64) -> Split<4> {
         let Self { sigma, omega0, omega, scale, .. } = *self;
         let (sin, cos) = (omega0 * step).sin_cos();
-        // The frame rotates W and U by −ωh. The oscillation acts on their real and imaginary parts
-        // alike.
+        // The frame turns W and U by −ωh. The oscillation acts equally on real and imaginary parts.
         let (s, c) = (omega * step).sin_cos();
         let (up, down) = (sin * scale / omega0, -sin * omega0 / scale);
         let rotation = [
@@ -260,8 +259,8 @@ impl ConstantMode<4> for ModalProblem {
     }
 }
 
-/// Equation 1, `y'' + 2σy' + ω0²y = (N/m) v(t)`, `v = Re(jV e^{jθ})`. The state is
-/// `[y, y'/scale, time]`, µm and s.
+/// Equation 1 of the paper, `y'' + 2σy' + ω0²y = (N/m) v(t)`, with `v = Re(jV e^{jθ})`. The state
+/// is `[y, y'/scale, time]`, µm and s.
 #[derive(Debug, Clone, Copy)]
 pub struct CarrierProblem {
     sigma: f64,
@@ -288,8 +287,7 @@ impl CarrierProblem {
         [(state.w * ahead).re, (state.u * ahead).re / scale, 0.0]
     }
 
-    /// The phasor `(y − jy'/ω) e^{−jθ}`, which is W plus a ripple. y and y' alone do not separate
-    /// them.
+    /// The phasor `(y − jy'/ω) e^{−jθ}`: W plus a ripple, which y and y' alone cannot separate.
     pub fn phasor(&self, x: &[f64; 3]) -> Complex64 {
         let theta = self.theta + self.omega * x[2];
         (x[0] - J * (x[1] * self.scale / self.omega)) * Complex64::cis(-theta)
@@ -353,7 +351,7 @@ impl Problem<3> for CarrierProblem {
     }
 }
 
-/// Appends the clock to the components. M = N + 1.
+/// Appends the clock, so M = N + 1.
 #[inline]
 pub(crate) fn with_clock<const N: usize, const M: usize>(x: [f64; N], clock: f64) -> [f64; M] {
     from_fn(|i| x.get(i).copied().unwrap_or(clock))

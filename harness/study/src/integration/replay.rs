@@ -51,7 +51,7 @@ impl ReplayInterval {
 pub struct ReplaySpec<'a> {
     pub plate: &'a Plate,
     pub scene: &'a ConditionProfiles,
-    /// Drives with the time from which they act, in order.
+    /// Drives and the times from which they act, in order of time.
     pub drives: &'a [(Time, Drive)],
     pub period: Time,
     pub end: Time,
@@ -69,15 +69,15 @@ pub struct Replay {
 
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ReplayResult {
-    /// W at the control instants, µm. For the carrier equations the phasor of y and y'.
+    /// W at the control instants, µm. For the carrier equations it is the phasor of y and y'.
     pub samples: Vec<Complex64>,
     pub seconds: f64,
     pub failure: Option<MethodFailure>,
 }
 
 impl Replay {
-    /// Splits the trial at every control instant, drive change and profile point. In between σ and
-    /// ω0 are assumed linear, as they are with most profiles and damping curves.
+    /// Splits the trial at every control instant, drive change and profile point. Assumes that σ
+    /// and ω0 are linear between these instants, as with most profiles and damping curves.
     pub fn new(course: &ReplaySpec<'_>) -> Self {
         let ReplaySpec { plate, scene, drives, period, end, setpoint_um } = *course;
         let mut drives = drives.iter().copied().peekable();
@@ -91,8 +91,7 @@ impl Replay {
             let also = [drives.peek().map(|(from, _)| *from), scene.next_point_after(now)];
             let until = also.into_iter().flatten().fold(control.min(end), Time::min);
             let seconds = (until - now).seconds();
-            // The rate is taken up to the middle of the interval, because a profile may jump at
-            // `until`.
+            // The rate is measured up to the middle, because a profile may jump at `until`.
             let (from, to) = (plate.mode(&scene.at(now)), plate.mode(&scene.at(now.midpoint(until))));
             let rate = |from: f64, to: f64| 2.0 * (to - from) / seconds;
             let situation = ProblemParameters {
@@ -109,8 +108,7 @@ impl Replay {
         Self { plate: plate.clone(), scene: scene.clone(), intervals: pieces, setpoint_um, scale: plate.omega0 }
     }
 
-    /// True if a profile changes the mode within an interval. The exact propagation then needs
-    /// substeps.
+    /// True if a profile changes σ or ω0 in an interval. The exact propagation then uses substeps.
     pub fn is_time_varying(&self) -> bool {
         self.intervals.iter().any(|piece| piece.situation.is_time_varying())
     }
@@ -139,8 +137,7 @@ impl Replay {
         self.samples(frame.tier(), frame)
     }
 
-    /// Samples of the exact propagation with `tier`, as [`ReplayResult::samples`] of the form
-    /// `frame`.
+    /// Samples of the exact propagation with `tier`, in the form of `frame`.
     pub(crate) fn samples(&self, tier: Tier, frame: EquationForm) -> Vec<Complex64> {
         let mut states = Vec::new();
         self.advance_plant(&mut self.plant(tier), |state| states.push(state));
@@ -156,7 +153,7 @@ impl Replay {
         states.into_iter().zip(ends).map(seen).collect()
     }
 
-    /// `setting` as in [`IntegrationMethod::advance`]. Reuses the memory of `outcome`.
+    /// [`IntegrationMethod::advance`] defines `setting`. Reuses the memory of `outcome`.
     pub fn integrate(&self, frame: EquationForm, method: IntegrationMethod, setting: f64, outcome: &mut ReplayResult) {
         outcome.samples.clear();
         (outcome.seconds, outcome.failure) = (0.0, None);
@@ -180,8 +177,7 @@ impl Replay {
         outcome.failure = played.err();
     }
 
-    /// Integrates N components in the rotating frame, or M = N + 1 with the clock if the mode
-    /// varies.
+    /// Integrates N components in the rotating frame. If σ or ω0 varies, adds the clock: M = N + 1.
     fn integrate_phasors<P: ConstantMode<N>, const N: usize, const M: usize>(
         &self,
         method: IntegrationMethod,
@@ -227,7 +223,7 @@ impl Replay {
         Ok(())
     }
 
-    /// max |ΔW|/setpoint. Infinite if `samples` is shorter than `truth`.
+    /// max |ΔW|/setpoint over all samples. Infinite if `samples` is shorter than `truth`.
     pub fn relative_error(&self, samples: &[Complex64], truth: &[Complex64]) -> f64 {
         if samples.len() < truth.len() {
             return f64::INFINITY;

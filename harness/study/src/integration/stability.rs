@@ -1,6 +1,6 @@
 //! Finds the largest step with which the plate without drive decays under a method, and compares it
-//! with theory. Such a step is a linear map. Steps of unit vectors give its matrix, repeated
-//! squaring gives its spectral radius.
+//! with theory. A step of the plate without drive is a linear map. Unit vectors give its matrix,
+//! and repeated squaring gives the spectral radius.
 
 use crate::integration::fixed::FixedStepMethod::{self, Euler, Midpoint, RungeKutta4, Verlet};
 use crate::integration::method::IntegrationMethod;
@@ -10,7 +10,7 @@ use std::array::from_fn;
 use std::fmt::Write as _;
 
 const STEP_RANGE_S: [f64; 2] = [1e-9, 1.0];
-/// Rounding error of a spectral radius of 1.
+/// Tolerance for the rounding error of a spectral radius of 1.
 const ROUNDING: f64 = 1e-11;
 const GROWTH_STEPS: u32 = 4_000;
 /// Detuning in rad/s of an excitation at the resonance of 33 °C on a plate at 24 °C.
@@ -36,8 +36,7 @@ pub struct StepLimitRow {
     pub predicted: StepLimit,
     pub source: &'static str,
     pub in_usual_unit: String,
-    /// Growth in decades over 4 000 steps of 99 % and of 101 % of the limit. `None` if it is too
-    /// small to measure.
+    /// Growth in decades over 4 000 steps of 99 % and 101 % of the limit. `None` if not measurable.
     pub growth_decades: Option<[f64; 2]>,
 }
 
@@ -206,8 +205,7 @@ fn exact_form_limit(tier: Tier, problem: &'static str, mode: &Mode) -> StepLimit
     limit_row(["exact", problem, "closed form: its step is e^{λh}"], StepLimit::Always, step, |_| String::new())
 }
 
-/// True if the growth over [`GROWTH_STEPS`] steps exceeds a decade. The beat of the components
-/// hides a smaller one.
+/// True if the growth over [`GROWTH_STEPS`] steps exceeds a decade. Beats hide smaller growth.
 fn is_growth_measurable(factor: f64) -> bool {
     f64::from(GROWTH_STEPS) * factor.log10() > 1.0
 }
@@ -229,11 +227,10 @@ fn free_step<const N: usize, P: Problem<N>>(
     after
 }
 
-/// The amplitude loop is designed for the untouched plate. Explicit Euler integrates the plate
-/// under 2 N.
+/// Explicit Euler integrates the plate under 2 N. The loop is designed for the untouched plate.
 fn closed_loop_limit(free: &Mode, pressed: &Mode, format_limit: impl Fn(f64) -> String) -> StepLimitRow {
-    // Jury criterion: (z − α)(z − 1) + g(z − a) must be positive at z = −1, with α = 1 − σh and g =
-    // b h Kp.
+    // Jury criterion: `(z − α)(z − 1) + g (z − a) > 0` at z = −1. α is 1 − σh, g is b h Kp, and a
+    // is the zero of the PI.
     let predicted = find_step_limit(|period| {
         let pi = MatchedPiLoop::new(free, period);
         let gain = pressed.envelope_constant * period * pi.kp;
@@ -249,8 +246,7 @@ fn closed_loop_limit(free: &Mode, pressed: &Mode, format_limit: impl Fn(f64) -> 
     limit_row(names, predicted, step, format_limit)
 }
 
-/// An amplitude loop with setpoint 0 and a PI matched to the zero-order hold
-/// (`docs/mathematics.md`).
+/// Amplitude loop with setpoint 0 and a PI matched to zero-order hold (`docs/mathematics.md`).
 #[derive(Debug, Clone, Copy)]
 struct MatchedPiLoop {
     period: f64,
@@ -270,7 +266,7 @@ impl MatchedPiLoop {
         Self { period, kp: (1.0 - pole) / (gain * (1.0 - zero)), zero }
     }
 
-    /// Advances Wd in µm and the integral in Vpp by one period.
+    /// Advances Wd, µm, and the integral, Vpp, by one period.
     fn step(&self, mode: &Mode, [w, integral]: [f64; 2]) -> [f64; 2] {
         let drive = Drive { vpp: integral - self.kp * w, omega: mode.omega0 };
         let problem = EnvelopeProblem::new(&ProblemParameters::constant(*mode, drive));

@@ -10,10 +10,10 @@ use platebench_plate::{Complex64, Plant, Tier};
 use std::hint::black_box;
 use std::time::Duration;
 
-/// In setpoints. A larger error counts as divergence, because a plate at rest has a smaller one.
+/// Error in setpoints above which a method has diverged. Even a plate at rest has less.
 const MAX_USEFUL_ERROR: f64 = 2.0;
-/// Method and tolerance that check the exact propagation. If a profile changes the mode, they
-/// replace it as reference.
+/// Method and tolerance that check the exact propagation. If a profile changes the mode, this
+/// method is the reference.
 const REFERENCE: (IntegrationMethod, f64) = (IntegrationMethod::Adaptive(AdaptiveMethod::Dop853), 1e-13);
 const SLOW_REPLAY: Duration = Duration::from_millis(20);
 const MAX_PLANTS: u32 = 4_096;
@@ -45,7 +45,7 @@ impl std::fmt::Display for SolverStatus {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Solver {
     Exact(Tier),
-    /// Step in s, or tolerance.
+    /// The number is the step in s or the tolerance.
     General(EquationForm, IntegrationMethod, f64),
 }
 
@@ -76,13 +76,13 @@ impl Solver {
 pub struct SweepResult {
     pub solver: Solver,
     pub status: SolverStatus,
-    /// max |ΔW|/setpoint at the control instants, against the exact solution of the same equations.
+    /// max |ΔW|/setpoint at the control instants, from the exact solution of the same equations.
     pub numerical_error: f64,
-    /// The same for the exact solution of these equations, against that of the modal equations.
+    /// max |ΔW|/setpoint between the exact solutions of these and of the modal equations.
     pub model_error: f64,
-    /// The same for the result, against the exact solution of the modal equations.
+    /// max |ΔW|/setpoint between the result and the exact solution of the modal equations.
     pub total_error: f64,
-    /// Processor time per simulated time.
+    /// Processor time, ns, per simulated ms.
     pub ns_per_ms: f64,
 }
 
@@ -121,7 +121,7 @@ impl SolverTimer<'_> {
         elapsed.as_nanos() as f64 / (f64::from(repeats) * seconds * 1e3)
     }
 
-    /// Sets the number of replays per batch. The measurement is also the warm-up.
+    /// Sets the number of replays per batch from one replay, which is also the warm-up.
     fn calibrate(&mut self, batch: Duration) {
         self.repeats = 1;
         let once = self.measure_cost();
@@ -169,7 +169,7 @@ pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
 
 struct ReferenceSolutions<'a> {
     passage: &'a Replay,
-    /// Samples of the exact propagation and of the integration by [`REFERENCE`].
+    /// Samples of the exact propagation and of [`REFERENCE`], per form of the equations.
     by_form: Vec<(EquationForm, [Vec<Complex64>; 2])>,
 }
 
@@ -189,8 +189,7 @@ impl<'a> ReferenceSolutions<'a> {
         found.map_or([&[], &[]], |(_, [exact, tight])| [exact, tight])
     }
 
-    /// If the mode varies, the exact propagation needs substeps, so the integration is the
-    /// reference.
+    /// If the mode varies, the exact propagation needs substeps, so [`REFERENCE`] is better.
     fn best(&self, frame: EquationForm) -> &[Complex64] {
         let [exact, tight] = self.of(frame);
         if self.passage.is_time_varying() { tight } else { exact }
@@ -203,12 +202,12 @@ impl<'a> ReferenceSolutions<'a> {
             Solver::General(frame, ..) => (runner.outcome.samples, frame, runner.outcome.failure),
         };
         let own = match runner.solver {
-            // No general method solves the decoupled equations, so their error is the model error.
+            // No general method solves this tier's equations, so their error is all model error.
             Solver::Exact(Tier::Linear) => &samples,
             Solver::Exact(_) => self.of(frame)[1],
             Solver::General(..) => self.best(frame),
         };
-        // The carrier's phasor differs from W, so its reference is the phasor of the same motion.
+        // The carrier's phasor differs from W, so its reference is the phasor of the exact motion.
         let truth = match frame {
             EquationForm::Envelope | EquationForm::Modal => EquationForm::Modal,
             EquationForm::Carrier => EquationForm::Carrier,
@@ -235,7 +234,7 @@ impl<'a> ReferenceSolutions<'a> {
     }
 }
 
-/// Equations that the linear tier simplifies, and equations of the carrier tier's W.
+/// Equations whose W the tier computes. The linear tier simplifies the envelope equations.
 const fn form_of_tier(tier: Tier) -> EquationForm {
     match tier {
         Tier::Linear | Tier::Envelope => EquationForm::Envelope,
@@ -255,11 +254,11 @@ fn settings(form: EquationForm, method: IntegrationMethod) -> Vec<f64> {
         IntegrationMethod::Fixed(method) => method,
     };
     match (method, form) {
-        // Verlet needs a real position, a step matrix needs equations without the carrier's time.
+        // Verlet needs a real position. A step matrix needs equations that do not depend on time.
         (Verlet, Envelope | Modal) | (Gauss4 | Gauss6 | Exponential | KeptExponential, Carrier) => Vec::new(),
         (Exponential | KeptExponential, Envelope | Modal) => halved(&[0]),
         (_, Envelope) => halved(&[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12]),
-        // Explicit Euler is stable from 155 000 steps per ms, on the carrier from 39 000.
+        // Explicit Euler is stable from 155 000 steps per ms, and on the carrier from 39 000.
         (Euler, Modal) => halved(&[8, 12, 16, 17, 18, 19]),
         (Euler, Carrier) => halved(&[8, 12, 15, 16, 17, 18]),
         (_, Modal | Carrier) => halved(&[5, 6, 7, 8, 9, 10, 11, 12, 13, 14]),

@@ -1,7 +1,6 @@
 //! Bisects an interval.
 
-/// Halves `times` times the interval between a value for which `holds` is true and one for which it
-/// is false.
+/// Halves an interval `times` times. `holds` is true at its first end and false at the second.
 pub(crate) fn bisect<E>(
     [mut low, mut high]: [f64; 2],
     times: u32,

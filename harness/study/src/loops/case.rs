@@ -10,8 +10,8 @@ use std::convert::Infallible;
 use std::f64::consts::TAU;
 
 const UNREACHED_LIMIT_VPP: f64 = 1e5;
-/// Covers a start 9 K off the resonance, and the flank of the resonance curve that `frequency-only`
-/// uses.
+/// Frequency range, which covers a start 9 K off the resonance and the flank of the resonance curve
+/// that `frequency-only` uses.
 const RANGE_HZ: f64 = 400.0;
 const BISECTIONS: u32 = 60;
 
@@ -19,10 +19,9 @@ const BISECTIONS: u32 = 60;
 #[strum(const_into_str, serialize_all = "lowercase")]
 pub enum OperatingCondition {
     Resonant,
-    /// Untouched plate. The excitation starts at the resonance of 33 °C, 545 rad/s too low (Fig.
-    /// 14).
+    /// Untouched plate. The excitation starts 545 rad/s too low (resonance at 33 °C, Fig. 14).
     Detuned,
-    /// Under a finger of 2 N (Fig. 16).
+    /// Under a finger of 2 N (Fig. 16 of the paper).
     Finger,
 }
 
@@ -50,9 +49,9 @@ pub struct LoopCase<'a> {
     pub plate: &'a Plate,
     pub law: LawId,
     pub condition: OperatingCondition,
-    /// Above 0.
+    /// Control period, µs, above 0.
     pub period_us: u32,
-    /// 5 % response time of the design, s. `None` is the law's default.
+    /// 5 % response time of the design, s. `None` means the law's default.
     pub response_s: Option<f64>,
     pub gains: Option<Gains>,
 }
@@ -74,13 +73,12 @@ impl<'a> LoopCase<'a> {
         self.plate.mode(&self.condition.conditions())
     }
 
-    /// 2 µm as in the paper. 1 µm for `frequency-only`, whose drive does not reach 2 µm under a
-    /// finger.
+    /// 2 µm as in the paper. 1 µm for `frequency-only`, which cannot reach 2 µm under a finger.
     pub fn setpoint(&self) -> f64 {
         if self.law == LawId::FrequencyOnly { 1.0 } else { 2.0 }
     }
 
-    /// Only `frequency-only` gets the plate's drive limit. Its drive is half of this limit.
+    /// Only `frequency-only` gets the plate's drive limit, because its drive is half of this limit.
     pub fn limit(&self) -> f64 {
         if self.law == LawId::FrequencyOnly { self.plate.drive_limit_vpp } else { UNREACHED_LIMIT_VPP }
     }
@@ -105,7 +103,7 @@ impl<'a> LoopCase<'a> {
         }
     }
 
-    /// Drive and excitation of the law's steady state. `None` if the law cannot reach it.
+    /// Drive and excitation of the law's steady state. `None` if the law cannot reach the setpoint.
     pub fn steady_drive(&self, tier: Tier) -> Option<Drive> {
         let (mode, setpoint) = (self.mode(), self.setpoint());
         let start = self.condition.start_omega(self.plate);
@@ -148,7 +146,7 @@ impl<'a> LoopCase<'a> {
         let plant = LinearPlant::linearised_at(tier, &self.mode(), &drive);
         let at = plant.at();
         let size = at.norm();
-        // Gradients by (Wd, Wq) of Wq/Wd at Wq = 0, of arg W, and of |W|.
+        // Gradients with respect to (Wd, Wq) of Wq/Wd at Wq = 0, of arg W, and of |W|.
         let ratio = [0.0, 1.0 / at.re];
         let phase = [-at.im / (size * size), at.re / (size * size)];
         let magnitude = [at.re / size, at.im / size];
@@ -176,8 +174,7 @@ impl<'a> LoopCase<'a> {
         Some((plant, controller))
     }
 
-    /// Design for the plants K1/(1 + τp) and −τ/(1 + τp). Adaptive laws use the τ of the present
-    /// plate.
+    /// Gains for the plants K1/(1 + τp) and −τ/(1 + τp). Adaptive laws use the present plate's τ.
     fn loop_gains(&self) -> [PiGains; 2] {
         let period = self.period();
         if let Some(gains) = self.gains {
@@ -204,7 +201,7 @@ impl<'a> LoopCase<'a> {
     }
 }
 
-/// Integral whose output includes the present error: `x += gain · e`, then `u = x`.
+/// Gains of an integral that includes the present error: `x += gain · e`, then `u = x`.
 fn integral_only(gain: f64) -> PiGains {
     PiGains { proportional: gain, integral_per_period: gain }
 }

@@ -11,7 +11,7 @@ use nalgebra::linalg::balancing::balance_parlett_reinsch;
 use nalgebra::{DMatrix, Schur};
 use platebench_plate::Complex64;
 
-/// The eigenvalue solver usually needs two or three.
+/// Iteration limit of the eigenvalue solver, which usually needs two or three per state.
 const ITERATIONS_PER_STATE: usize = 100;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,7 +23,7 @@ pub struct LoopTiming {
 }
 
 impl LoopTiming {
-    /// Whole periods of the delay, and the rest in s.
+    /// Returns the whole periods of the delay, and the rest in s.
     pub(crate) fn split_delay(&self) -> (usize, f64) {
         let whole = (self.delay / self.period).floor();
         let rest = self.delay - whole * self.period;
@@ -50,7 +50,7 @@ pub struct ClosedLoop {
     pub(crate) plant: LinearPlant,
     pub(crate) controller: LinearController,
     pub(crate) timing: LoopTiming,
-    /// Maps the state to that after one period without a new command.
+    /// Maps the state to the state one period later, without a new command.
     free_motion: DMatrix<f64>,
     inputs: DMatrix<f64>,
     outputs: DMatrix<f64>,
@@ -94,7 +94,7 @@ impl ClosedLoop {
             for step in 1..on_the_way {
                 free[(pipe + 2 * step + kind, pipe + 2 * (step - 1) + kind)] = 1.0;
             }
-            // Without a loop there is no integral, because its pole would be at 1.
+            // An open loop has no integral, because an unused integral would add a pole at 1.
             let closed = f64::from(u8::from(controller.closed_channels()[kind]));
             free[(integrals + kind, integrals + kind)] = closed;
             outputs[(kind, integrals + kind)] = closed;
@@ -111,27 +111,26 @@ impl ClosedLoop {
         &self.free_motion + &self.inputs * &self.outputs
     }
 
-    /// Poles in the z plane. Those of pending commands are at or near 0.
+    /// Poles in the z plane. The poles of pending commands are at or near 0.
     pub fn poles(&self) -> Result<Vec<Complex64>, AnalysisError> {
         let matrix = self.matrix();
         let mut balanced = matrix.clone();
         balance_parlett_reinsch(&mut balanced);
         let limit = ITERATIONS_PER_STATE * matrix.nrows();
-        // The solver does not converge for a few matrices. Their transpose has the same
-        // eigenvalues.
+        // For a few matrices the solver does not converge. The transpose has the same eigenvalues.
         let forms = [balanced.clone(), balanced.transpose(), matrix.clone(), matrix.transpose()];
         let schur = forms.into_iter().find_map(|form| Schur::try_new(form, f64::EPSILON, limit));
         Ok(schur.ok_or(AnalysisError::NoConvergence)?.complex_eigenvalues().iter().copied().collect())
     }
 
-    /// Largest magnitude of a pole. The loop is stable if it is below 1.
+    /// Largest magnitude of a pole. The loop is stable if this is below 1.
     pub fn spectral_radius(&self) -> Result<f64, AnalysisError> {
         Ok(self.poles()?.iter().fold(0.0, |largest, pole| pole.norm().max(largest)))
     }
 
-    /// Open-loop L(z) of the drive loop (`kind` 0) or the frequency loop (1) with the other loop
-    /// closed. `L = −1` at the poles of the closed loop. `None` if there is no such loop. The
-    /// result returns `None` at a pole of L.
+    /// Open-loop L(z) of the drive loop (`kind` 0) or the frequency loop (1) while the other loop
+    /// is closed. `L = −1` at the poles of the closed loop. `None` if the loop does not exist. The
+    /// returned function returns `None` at a pole of L.
     pub(crate) fn open_loop_transfer(&self, kind: usize) -> Option<impl Fn(Complex64) -> Option<Complex64>> {
         self.controller.closed_channels().get(kind).copied().filter(|closes| *closes)?;
         let other = 1 - kind;
@@ -149,7 +148,7 @@ impl ClosedLoop {
     }
 }
 
-/// Adds the effect on the pole at `row` of the command that was computed `age` periods ago.
+/// Adds the effect of a command computed `age` periods ago on the plant pole at `row`.
 fn add_command_effect(
     free: &mut DMatrix<f64>,
     inputs: &mut DMatrix<f64>,

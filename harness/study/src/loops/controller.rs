@@ -1,9 +1,9 @@
-//! Defines linear controllers with one integral per loop, and discretisations of equation 24.
+//! Defines linear controllers with one integral per loop, discretised from the paper's equation 24.
 
 use nalgebra::Matrix2;
 use platebench_controller::design;
 
-/// `u = proportional · e + x`, then `x += integral_per_period · e`. The firmware's type, in f64.
+/// `u = proportional · e + x`, then `x += integral_per_period · e`. The firmware's type in f64.
 pub type PiGains = design::PiGains<f64>;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -33,7 +33,7 @@ impl Discretisation {
         let printed = PiGains::as_printed(gain, time_constant, response, period);
         match self {
             Self::Forward => printed,
-            // A backward integral equals a forward one with this proportional gain.
+            // A backward integral equals a forward one with this larger proportional gain.
             Self::Backward => PiGains { proportional: printed.proportional + printed.integral_per_period, ..printed },
             Self::Matched => PiGains::zero_order_hold_matched(gain, time_constant, response, period),
         }

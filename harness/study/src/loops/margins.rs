@@ -12,13 +12,12 @@ use std::f64::consts::PI;
 const FREQUENCIES: u32 = 400;
 const LOWEST_FREQUENCY: f64 = 1e-3;
 const BISECTIONS: u32 = 40;
-/// Step of the delay scan as a share of a period.
+/// Step of the scan over delays, as a share of a period.
 const SCAN_STEP: f64 = 0.05;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StabilityMargins {
-    /// Factor by which the gain may rise. Below 1 the gain must fall. `None` if the gain is not
-    /// limited.
+    /// Factor by which the gain may rise. Below 1 the gain must fall. `None` if it has no limit.
     pub gain: Option<f64>,
     /// Phase margin at |L| = 1. `None` if |L| is never 1.
     pub phase_deg: Option<f64>,
@@ -26,8 +25,8 @@ pub struct StabilityMargins {
 
 impl ClosedLoop {
     /// The smaller margin of both loops, each with the other loop closed. These loops are stable at
-    /// small gain, so a rising gain first meets the outermost crossing of the negative real axis,
-    /// or L at half the sampling frequency.
+    /// small gain. A rising gain first meets the outermost crossing of the negative real axis, or L
+    /// at half the sampling frequency.
     pub fn margins(&self) -> StabilityMargins {
         let mut margins = StabilityMargins { gain: None, phase_deg: None };
         let smaller = |known: Option<f64>, new: f64| Some(known.map_or(new, |known| known.min(new)));
@@ -58,7 +57,7 @@ impl ClosedLoop {
     }
 }
 
-/// In rad per period, rising. The last frequency is just below half the sampling frequency.
+/// Rising frequencies, rad per period, up to just below half the sampling frequency.
 fn frequency_grid() -> Vec<f64> {
     let last = PI * (1.0 - 1e-9);
     let ratio = (last / LOWEST_FREQUENCY).ln();
@@ -72,7 +71,7 @@ fn root(low: f64, high: f64, value: impl Fn(f64) -> Option<f64>) -> f64 {
     f64::midpoint(low, high)
 }
 
-/// First delay up to `longest` s at which the spectral radius reaches 1.
+/// First delay, up to `longest` s, at which the spectral radius reaches 1.
 pub fn delay_boundary(
     plant: &LinearPlant,
     controller: &LinearController,

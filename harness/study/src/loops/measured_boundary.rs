@@ -8,25 +8,23 @@ use platebench_plate::{Complex64, Tier, Time};
 use platebench_runner::delay_boundary::{DelayBoundary, DelayedLoop, search_boundary};
 use platebench_wire::LawId;
 
-/// Periods without delay until the steady state. The last [`AVERAGED_PERIODS`] of them are
-/// averaged.
+/// Periods without delay until the steady state. [`AVERAGED_PERIODS`] at their end are averaged.
 const WARM_UP: u32 = 700;
 const AVERAGED_PERIODS: u32 = 100;
 /// Largest spread of |W| over the averaged periods, as a share of the setpoint.
 const STEADY_TOLERANCE: f64 = 1e-4;
 /// Perturbation of one sample as a share of the setpoint.
 const PERTURBATION: f64 = 3e-2;
-/// Laws that identify the plate from each sample must treat the perturbation as noise.
+/// Smaller, because laws that identify the plate must treat the perturbation as noise.
 const PERTURBATION_OF_ADAPTIVE_LAWS: f64 = 3e-3;
 const DIVERGENCE_FACTOR: f64 = 8.0;
 /// Resolution of the frequency (1 mHz) and of f32, as a share of the setpoint.
 const RESOLUTION: f64 = 5e-5;
-/// Periods until the slowest pole dominates. Two windows of [`WINDOW`] periods follow, which are
-/// compared.
+/// Periods until the slowest pole dominates. Then two windows of [`WINDOW`] periods are compared.
 const TRANSIENT_PERIODS: usize = 40;
 const WINDOW: usize = 160;
-/// A hunting loop is stable if |W| stays within this share of the setpoint for the last
-/// [`HUNT_WINDOW`] periods.
+/// A hunting loop (limit cycle of `bang-bang`) is stable if |W| stays within this share of the
+/// setpoint for the last [`HUNT_WINDOW`] periods.
 const HUNT_BAND: f64 = 0.05;
 const HUNT_PERIODS: usize = 3_000;
 const HUNT_WINDOW: usize = 300;
@@ -114,7 +112,7 @@ impl LoopSimulation {
         }
     }
 
-    /// A hunting loop oscillates without a perturbation.
+    /// Applies no perturbation, because a hunting loop oscillates by itself.
     fn hunting_motion(mut self, delay: Time) -> LoopMotion {
         for number in 0..HUNT_PERIODS {
             let Some(w) = self.delayed_loop.step(delay, 0.0) else { return LoopMotion::UnboundedHunting };
@@ -127,14 +125,13 @@ impl LoopSimulation {
     }
 }
 
-/// Longest delay up to `longest` s at which the steady state is stable. `None` if there is no
-/// steady state.
+/// Longest delay, up to `longest` s, with a stable steady state. `None` without steady state.
 pub fn measure_delay_boundary(case: &LoopCase<'_>, longest: f64) -> Option<DelayBoundary> {
     let simulation = LoopSimulation::in_steady_state(case)?;
     Some(search_boundary(case.period(), longest, |delay| simulation.clone().perturbed_motion(delay).is_stable()))
 }
 
-/// Longest delay up to `longest` s with which a start from rest reaches and keeps the 5 % band.
+/// Longest delay, up to `longest` s, with which |W| reaches and keeps the 5 % band from rest.
 pub fn measure_delay_boundary_from_rest(case: &LoopCase<'_>, longest: f64) -> DelayBoundary {
     loop_at_rest(case).map_or(DelayBoundary::Unstable, |at_rest| at_rest.settling_boundary(longest))
 }

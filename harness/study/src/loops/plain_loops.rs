@@ -1,6 +1,7 @@
 //! Simulates the two PI loops of the paper's block diagram on the exact plate. `V` follows from
 //! `Wd_ref − Wd` and ω from `Wq/Wd`, without limits, guard for small amplitudes and anti-windup.
-//! The ratio is not linear. Far from the resonance a loop with a small spectral radius may diverge.
+//! The ratio `Wq/Wd` is not linear. Far from the resonance a loop with a small spectral radius may
+//! diverge.
 
 use crate::loops::case::OperatingCondition;
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
@@ -9,14 +10,14 @@ use crate::loops::plant::LinearPlant;
 use platebench_plate::{Complex64, Drive, Flow, Plate, State, Tier};
 
 const BAND: f64 = 0.05;
-/// A larger |W| in setpoints counts as divergence.
+/// |W| above this many setpoints counts as divergence.
 const DIVERGENCE_LIMIT: f64 = 1e6;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlainLoops {
-    /// Drive from the error of Wd, Vpp per µm.
+    /// PI from the error of Wd to the drive, Vpp per µm.
     pub amplitude: PiGains,
-    /// Excitation from Wq/Wd, rad/s.
+    /// PI from Wq/Wd to the excitation frequency, rad/s.
     pub frequency: PiGains,
     pub period: f64,
 }
@@ -25,11 +26,11 @@ pub struct PlainLoops {
 pub struct StartResult {
     /// First control instant from which |W| stays within 5 % of the setpoint, s.
     pub settled: Option<f64>,
-    /// Smallest and largest |W|/setpoint in the last quarter.
+    /// Smallest and largest |W|/setpoint in the last quarter of the start.
     pub range: [f64; 2],
     /// ω − ω0 at the end, rad/s.
     pub detuning: f64,
-    /// W diverged, or the detuning reached the resonance frequency.
+    /// True if W diverged or the detuning reached the resonance frequency.
     pub diverged: bool,
 }
 

@@ -28,7 +28,7 @@ impl Pole {
         (self.value * seconds).exp()
     }
 
-    /// Changes of the pole's state after `seconds` by 1 Vpp of drive and by 1 rad/s of excitation.
+    /// Changes of the state after `seconds`, per Vpp of drive and per rad/s of excitation.
     pub(crate) fn input_effects(&self, seconds: f64) -> [Complex64; 2] {
         let phi = (self.transition(seconds) - 1.0) / self.value;
         [phi * self.drive_gain, phi * self.frequency_gain]
@@ -48,7 +48,7 @@ impl LinearPlant {
         let at = steady_state(tier, mode, drive);
         let j = Complex64::I;
         let poles = match tier {
-            // Wd and Wq are decoupled, so the detuning has no effect and both decay with σ.
+            // In this tier Wd and Wq are decoupled: detuning has no effect, both decay with σ.
             Tier::Linear => vec![Pole {
                 value: (-mode.sigma).into(),
                 drive_gain: mode.envelope_constant.into(),
@@ -78,12 +78,12 @@ impl LinearPlant {
         Self { poles, operating_point: at }
     }
 
-    /// The slow pole first.
+    /// The poles, the slow pole first.
     pub fn poles(&self) -> &[Pole] {
         &self.poles
     }
 
-    /// W0, µm.
+    /// The steady state W0, µm.
     pub fn at(&self) -> Complex64 {
         self.operating_point
     }

@@ -7,29 +7,29 @@ use std::collections::VecDeque;
 
 const POINTS_PER_PERIOD: u32 = 40;
 const BAND: f64 = 0.05;
-/// A larger |W| in setpoints counts as divergence.
+/// |W| above this many setpoints counts as divergence.
 const DIVERGENCE_LIMIT: f64 = 1e3;
 
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct StepResponse {
-    /// 5 % settling time, s. `None` if the response ends outside the band.
+    /// 5 % settling time, s. `None` if the response is outside the band at its end.
     pub settling: Option<f64>,
-    /// As a share of the step.
+    /// Overshoot as a share of the step.
     pub overshoot: f64,
     pub peak_drive: f64,
-    /// Periods at the drive limit. 0 in the linear loop, which has no limits.
+    /// Number of periods at the drive limit. It is 0 in the linear loop, which has no limits.
     pub saturated_periods: u32,
     pub diverged: bool,
 }
 
 impl ClosedLoop {
-    /// Steps the setpoint from rest to `setpoint` µm without limits. The response is the component
-    /// of W along the phase of the steady state. It is exact at resonance, otherwise it is the
+    /// Steps the setpoint from rest to `setpoint` µm without limits. The response is W's component
+    /// along the phase of the steady state. It is exact at resonance. Off resonance it is the
     /// scaled response to a small step.
     pub fn step_response(&self, setpoint: f64, periods: u32) -> StepResponse {
         let [direct, integral] = self.controller.matrices();
         let along = self.output_direction();
-        // A higher setpoint acts as a deviation in the opposite direction.
+        // A higher setpoint acts like a negative deviation of W.
         let setpoint_deviation = -Vector2::from(along) * setpoint;
         let (whole, rest) = self.timing.split_delay();
         let mut states = vec![Complex64::ZERO; self.plant.poles().len()];

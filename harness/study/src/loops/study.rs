@@ -1,5 +1,4 @@
-//! Computes stability boundaries of all laws under all conditions, and maps over period, delay and
-//! response time.
+//! Computes stability boundaries per law and condition, and maps over period, delay and response.
 
 use crate::loops::case::{LoopCase, OperatingCondition};
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
@@ -15,17 +14,17 @@ const MAP_PERIODS_US: [u32; 2] = [200, 2_000];
 const MAX_MAP_DELAY_S: f64 = 3e-3;
 const MAP_COLUMNS: u32 = 37;
 const MAP_ROWS: u32 = 40;
-/// A start has settled only if it is in its band for the last quarter of this time.
+/// Duration of a start. It has settled only if |W| is in its band for the last quarter.
 const MAX_SETTLING_S: f64 = 53e-3;
 const MEASURED_PERIODS_US: [u32; 7] = [250, 500, 750, 1_000, 1_300, 1_600, 1_900];
-/// Relative to the law's default response time.
+/// Response times of the maps, relative to the law's default response time.
 const MAP_RESPONSE_FACTORS: [f64; 3] = [0.75, 1.0, 2.0];
 
 #[derive(Debug, Clone)]
 pub struct StudyConfig {
     pub plate: Plate,
     pub laws: Vec<LawId>,
-    /// Loop delay of the margins, s. 0 if unknown.
+    /// Loop delay at which radius and margins are computed, s. 0 if unknown.
     pub delay: f64,
     pub maps: bool,
     pub jobs: usize,
@@ -38,16 +37,16 @@ pub struct StudyRow {
     pub period_us: u32,
     /// Response time of the design, s.
     pub response: f64,
-    /// At [`StudyConfig::delay`].
+    /// Spectral radius at the loop delay [`StudyConfig::delay`].
     pub spectral_radius: f64,
     pub predicted: DelayBoundary,
-    /// Delay boundary of the firmware's code. `None` if there is no steady state.
+    /// Delay boundary measured with the firmware's code. `None` if there is no steady state.
     pub measured: Option<DelayBoundary>,
     /// Longest delay with which the firmware reaches its setpoint from rest.
     pub from_rest: DelayBoundary,
     pub gain_margin: Option<f64>,
     pub phase_margin_deg: Option<f64>,
-    /// Predicted boundary − delay, s.
+    /// Predicted delay boundary minus [`StudyConfig::delay`], s.
     pub delay_margin: Option<f64>,
 }
 
@@ -67,10 +66,10 @@ pub struct StabilityMap {
     pub delays: Vec<f64>,
     /// Indexed by period, then by delay.
     pub spectral_radius: Vec<Vec<f64>>,
-    /// 5 % settling time of the loop with the f32 controller, from rest, s, indexed as
-    /// `spectral_radius`. `None` if it does not settle.
+    /// 5 % settling time, s, of a start with the f32 controller, indexed like `spectral_radius`.
+    /// `None` if it does not settle.
     pub settling: Vec<Vec<Option<f64>>>,
-    /// Period and measured delay boundary, s.
+    /// Control periods and their measured delay boundaries, s.
     pub measured: Vec<(f64, f64)>,
 }
 

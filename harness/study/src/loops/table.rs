@@ -7,7 +7,7 @@ use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_wire::LawId;
 use std::fmt::Write;
 
-/// `delay` is the loop delay of the margins, s. The delays of the table are in µs.
+/// `delay` is the loop delay of the margins, s. The table shows delays in µs.
 pub fn boundary_table(study: &Study, delay: f64) -> String {
     let mut text = String::new();
     let _ = writeln!(
@@ -96,8 +96,7 @@ fn format_optional(value: Option<f64>, format: impl Fn(f64) -> String) -> String
     value.map_or_else(|| "–".to_owned(), format)
 }
 
-/// A boundary is empty without a steady state, `inf` beyond the search range, 0 if the loop is
-/// unstable without delay.
+/// A boundary is empty without a steady state, `inf` beyond the search, 0 if never stable.
 pub fn boundaries_csv(study: &Study) -> String {
     let mut text = String::from(
         "law,condition,period_us,response_ms,predicted_us,measured_us,difference_percent,from_rest_us,\
@@ -129,8 +128,7 @@ fn boundary_us(boundary: DelayBoundary) -> f64 {
     }
 }
 
-/// One row per point. `kind` is `predicted` for a point of the map and `measured` for a measured
-/// boundary.
+/// Writes a row per point. `kind` is `predicted` for the map and `measured` for a boundary.
 pub fn maps_csv(study: &Study) -> String {
     let mut text = String::from("law,condition,response_ms,kind,period_us,delay_us,spectral_radius,settling_ms\n");
     for map in &study.maps {

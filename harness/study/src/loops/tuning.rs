@@ -1,4 +1,4 @@
-//! Tunes gains by equation 24, evaluates them, and finds why a target is infeasible.
+//! Tunes gains by equation 24 of the paper, evaluates them, and finds why a target is infeasible.
 
 pub mod design;
 pub mod evaluation;

@@ -1,4 +1,4 @@
-//! A loop of small spectral radius that never settles.
+//! Tests a loop with a small spectral radius that never settles from a detuned start.
 
 use crate::assert_close;
 use platebench_plate::Time;

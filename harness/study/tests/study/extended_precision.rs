@@ -1,5 +1,5 @@
-//! Measures the error of the exact propagation, the reference of the sweep, with about 31 decimal
-//! digits.
+//! Measures the error of the exact propagation, which is the reference of the sweep, against a
+//! solution with about 31 decimal digits.
 
 use platebench_plate::{Complex64, ConditionProfiles, Drive, Mode, Profile, Time};
 use platebench_study::integration::{
@@ -27,7 +27,7 @@ fn identity<const N: usize>() -> Matrix<N> {
     from_fn(|row| from_fn(|column| exact(f64::from(u8::from(row == column)))))
 }
 
-/// e^(Ah) by a Taylor series of 24 terms at a norm below 0.5, squared.
+/// e^(Ah): a Taylor series of 24 terms at a norm of at most 0.5, then repeated squaring.
 fn exponential<const N: usize>(matrix: &Matrix<N>, seconds: TwoFloat) -> Matrix<N> {
     let norm = |a: &Matrix<N>| a.iter().map(|row| row.iter().map(|x| x.hi().abs()).sum()).fold(0.0_f64, f64::max);
     let mut a: Matrix<N> = matrix.map(|row| row.map(|value| value * seconds));
@@ -44,7 +44,8 @@ fn exponential<const N: usize>(matrix: &Matrix<N>, seconds: TwoFloat) -> Matrix<
     (0..squarings).fold(sum, |power, _| product(&power, &power))
 }
 
-/// W after every interval, from rest; the last component is the constant 1 that carries the drive.
+/// W after every interval, from rest. The last component of the state is the constant 1, which
+/// multiplies the drive.
 fn samples<const N: usize>(intervals: &[(Mode, Drive)], matrix: impl Fn(&Mode, &Drive) -> Matrix<N>) -> Vec<Complex64> {
     let period = exact(1.0) / exact(1_000.0);
     let mut x: [TwoFloat; N] = from_fn(|row| exact(f64::from(u8::from(row == N - 1))));
@@ -56,7 +57,7 @@ fn samples<const N: usize>(intervals: &[(Mode, Drive)], matrix: impl Fn(&Mode, &
     intervals.iter().map(step).collect()
 }
 
-/// `W' = −σW − j(ω − ω0)W + bV`: Re W, Im W, 1.
+/// `W' = −σW − j(ω − ω0)W + bV`. The state is `[Re W, Im W, 1]`.
 fn envelope(mode: &Mode, drive: &Drive) -> Matrix<3> {
     let zero = exact(0.0);
     let sigma = exact(mode.sigma);
@@ -65,7 +66,8 @@ fn envelope(mode: &Mode, drive: &Drive) -> Matrix<3> {
     [[-sigma, detuning, force], [-detuning, -sigma, zero], [zero; 3]]
 }
 
-/// `W' = U − jωW`, `U' = −jωU − 2σU − ω0²W + j(N/m)V`: Re W, Im W, Re U/ω0, Im U/ω0, 1.
+/// `W' = U − jωW`, `U' = −jωU − 2σU − ω0²W + j(N/m)V`. The state is `[Re W, Im W, Re U/ω0, Im U/ω0,
+/// 1]`.
 fn modal(mode: &Mode, drive: &Drive) -> Matrix<5> {
     let zero = exact(0.0);
     let (damping, omega, omega0) = (exact(2.0) * exact(mode.sigma), exact(drive.omega), exact(mode.omega0));
@@ -79,7 +81,7 @@ fn modal(mode: &Mode, drive: &Drive) -> Matrix<5> {
     ]
 }
 
-/// An excitation that changes in every period, like that of a controller, under 0.5 N.
+/// A replay under 0.5 N whose excitation changes in every period, as with a controller.
 fn case() -> (Replay, Vec<(Mode, Drive)>) {
     let plate = paper_plate();
     let scene =
@@ -125,6 +127,6 @@ fn the_exact_propagation_is_exact_to_rounding(
     println!("{}: exact propagation {reference:.1e}, DOP853 at 1e-13 {integrated:.1e}", form.name());
     assert!(reference < reference_limit, "{reference:e}");
     assert!(integrated < integration_limit, "{integrated:e}");
-    // A double-double solution that repeats the exact propagation would prove nothing.
+    // An error of 0 would mean that the truth repeats the exact propagation, which proves nothing.
     assert!(reference > 0.0 && integrated > reference, "{reference:e} {integrated:e}");
 }

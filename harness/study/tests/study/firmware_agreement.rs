@@ -1,4 +1,4 @@
-//! Predicted boundaries against those of the firmware's own code on the exact plate.
+//! Compares predicted delay boundaries with boundaries of the firmware's code on the exact plate.
 
 use platebench_plate::{Tier, Time};
 use platebench_runner::delay_boundary::DelayBoundary;
@@ -60,7 +60,7 @@ fn motion_grows_or_decays_by_the_spectral_radius(
     let radius = closed.spectral_radius().unwrap();
     let motion = LoopSimulation::in_steady_state(&case).unwrap().perturbed_motion(Time::from_seconds(delay).unwrap());
     let LoopMotion::Factor(factor) = motion else { panic!("{motion:?}, predicted {radius}") };
-    // Both loops of a pair have nearly the same poles, so the windows see their sum.
+    // Both loops have nearly the same poles, so the windows contain the sum of two motions.
     assert!((factor - radius).abs() < 0.4 * (radius - 1.0).abs(), "{factor}, predicted {radius}");
 }
 
@@ -77,7 +77,7 @@ fn a_law_without_feedback_has_no_boundary() {
 #[test]
 fn instability_without_delay_is_predicted_and_measured() {
     let plate = paper_plate();
-    // The wished loop is ten times faster than its period.
+    // The designed response time of 0.5 ms is shorter than the period of 1 ms.
     let case =
         LoopCase { response_s: Some(0.5e-3), ..LoopCase::new(&plate, LawId::DqPiEuler, OperatingCondition::Resonant) };
     assert_eq!(predicted_boundary(&case), DelayBoundary::Unstable);
@@ -100,7 +100,7 @@ fn dq_pi_tolerates_less_delay_from_rest() {
 #[test]
 fn an_unreachable_setpoint_has_no_steady_state() {
     let mut plate = paper_plate();
-    // Half of the drive reaches 0.9 µm.
+    // `frequency-only` uses half of the drive limit, which reaches only 0.9 µm.
     plate.drive_limit_vpp = 2.0 * 0.9 / plate.gain;
     let case = LoopCase::new(&plate, LawId::FrequencyOnly, OperatingCondition::Resonant);
     assert!(case.linearise(Tier::Modal).is_none());

@@ -1,4 +1,4 @@
-//! Figures that were derived by hand or elsewhere.
+//! Compares loops with values derived by hand or with other programs.
 
 use crate::{assert_close, scaled};
 use platebench_plate::{Conditions, Drive, Tier};
@@ -40,14 +40,14 @@ fn closed_amplitude_loop(pi: fn(f64, f64) -> PiGains, delay: f64) -> ClosedLoop 
 }
 
 #[rstest]
-// z² − 1.587z + 0.587 + 0.4125 (2.82z − 1.32) and so on, by hand.
+// By hand: z² − 1.587z + 0.587 + 0.4125 (2.82z − 1.32) and so on. The pole of Wq is 0.587.
 #[case::forward(forward, 0.0, 0.587)]
 #[case::forward_a_period_late(forward, PERIOD, 1.117)]
 #[case::backward(backward, 0.0, 0.862)]
 #[case::backward_a_period_late(backward, PERIOD, 1.325)]
-// The pole that the controller's zero hides, e^(−1/1.88).
+// The spectral radius is the pole that the controller's zero cancels, e^(−1/1.88).
 #[case::matched(matched, 0.0, 0.5875)]
-// z² − z + 0.777
+// Poles of z² − z + 0.777 = 0.
 #[case::matched_a_period_late(matched, PERIOD, 0.8814)]
 fn spectral_radius_of_known_loops(#[case] pi: fn(f64, f64) -> PiGains, #[case] delay: f64, #[case] expected: f64) {
     assert_close(closed_amplitude_loop(pi, delay).spectral_radius().unwrap(), expected, 6e-4);
@@ -57,7 +57,7 @@ fn spectral_radius_of_known_loops(#[case] pi: fn(f64, f64) -> PiGains, #[case] d
 #[case::forward(forward, 0.0, 2.834, 0.163, 808.0)]
 #[case::matched(matched, 0.0, 1.998, 0.0, 539.6)]
 #[case::matched_a_period_late(matched, PERIOD, 23.79, 0.727, 762.2)]
-// −0.946 (−0.862)ⁿ leaves the 5 % band after 19 periods.
+// The error −0.946 (−0.862)ⁿ is outside the 5 % band up to n = 19.
 #[case::backward(backward, 0.0, 19.05, 0.782, 1237.8)]
 fn step_responses_of_known_loops(
     #[case] pi: fn(f64, f64) -> PiGains,
@@ -112,8 +112,8 @@ fn delay_boundary_of_known_loops(#[case] pi: fn(f64, f64) -> PiGains, #[case] pe
 
 #[test]
 fn a_delay_of_whole_periods_shifts_the_response() {
-    // (1 − p)/(z − 1) · z^(−m): poles of z^(m+1) − z^m + 1 − p and the hidden one; at m = 2 a pair
-    // at 1.07.
+    // L = (1 − p)/(z − 1) · z^(−m) gives the poles of z^(m+1) − z^m + 1 − p = 0 and the cancelled
+    // one. At m = 2 a pair has the magnitude 1.07.
     let missing: f64 = 1.0 - (-3.0 * PERIOD / RESPONSE).exp();
     for whole in [1_u32, 2, 5] {
         let poles = closed_amplitude_loop(matched, f64::from(whole) * PERIOD).poles().unwrap();
@@ -137,7 +137,7 @@ fn margins_end_at_the_stability_boundary() {
             assert_eq!(radius < 1.0, stable, "{factor} of {gain}: {radius}");
         }
     }
-    // L = 0.777/(z − 1): −0.388 at z = −1; |L| = 1 at 2 sin(θ/2) = 0.777, which leaves 90° − θ/2.
+    // L = 0.777/(z − 1) is −0.388 at z = −1. |L| = 1 at 2 sin(θ/2) = 0.777, so 90° − θ/2 remain.
     let margins = closed_amplitude_loop(matched, 0.0).margins();
     assert_close(margins.gain.unwrap(), 2.0 / 0.7769, 1e-3);
     assert_close(margins.phase_deg.unwrap(), 90.0 - (0.7769_f64 / 2.0).asin().to_degrees(), 1e-2);

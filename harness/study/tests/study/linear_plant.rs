@@ -1,4 +1,4 @@
-//! The plant's linear form against the exact nonlinear flow.
+//! Compares the plant's linear form with the exact nonlinear flow.
 
 use platebench_plate::{Complex64, Drive, Flow, State, Tier};
 use platebench_study::loops::plant::steady_state;

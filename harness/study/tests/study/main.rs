@@ -1,5 +1,4 @@
-//! Compares integration methods and loops with known figures, with each other and with the
-//! firmware's own code.
+//! Compares methods and loops with known values, with each other and with the firmware's code.
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 

@@ -108,7 +108,7 @@ fn splitting_without_damping_does_not_drift() {
     let mode = Mode { sigma: 0.0, ..plate.mode(&Conditions::default()) };
     let free = ProblemParameters::constant(mode, Drive { vpp: 0.0, omega: mode.omega0 + 545.0 });
     let scale = mode.omega0;
-    // The slow motion: W turns with ω0 - ω, so U = jω0 W.
+    // Start of the slow motion: W turns with ω0 − ω, so U = jω0 W.
     let w = Complex64::new(2.0, 0.0);
     let state = State { w, u: Complex64::I * mode.omega0 * w };
     let splitting = FixedStepMethod::Splitting;
@@ -138,7 +138,7 @@ fn the_matrix_exponential_is_exact_to_rounding(
     assert!(error < 1e-10, "{error:e}");
 }
 
-/// 1 N in 5 ms: twenty times as fast as the paper's finger.
+/// The force rises to 1 N in 5 ms, twenty times as fast as the finger in the paper.
 fn varying_scene() -> ConditionProfiles {
     let line = toml::from_str::<Document>("p = { linear = [[0.0, 0.0], [5.0, 1.0]] }").unwrap().p;
     ConditionProfiles {
@@ -152,7 +152,7 @@ struct Document {
     p: platebench_plate::RawProfile,
 }
 
-/// The tolerance times what accumulates over 65 turns per millisecond.
+/// The bound is 200 times the tolerance, because errors add up over 65 oscillations per ms.
 #[rstest]
 fn crates_reach_their_tolerance(
     #[values(EquationForm::Envelope, EquationForm::Modal, EquationForm::Carrier)] frame: EquationForm,
@@ -167,7 +167,7 @@ fn reaches_its_tolerance(frame: EquationForm, method: AdaptiveMethod) {
     let error = |tolerance| integration_error(&passage, frame, IntegrationMethod::Adaptive(method), tolerance, &truth);
     let [coarse, fine] = [1e-7, 1e-10].map(error);
     assert!(fine < 200.0 * 1e-10, "{fine:e}");
-    // The defect of dense output in `ode_solvers`: a tolerance that changes nothing.
+    // With the dense output of `ode_solvers`, a smaller tolerance would not reduce the error.
     assert!(fine < 0.01 * coarse || coarse < 1e-9, "{coarse:e} {fine:e}");
 }
 
@@ -180,7 +180,7 @@ fn optional_crates_reach_their_tolerance(
     reaches_its_tolerance(frame, method);
 }
 
-/// Methods of low order: thousands of small steps accumulate more than the tolerance.
+/// The bound exceeds the tolerance, because low-order methods take thousands of small steps.
 #[cfg(feature = "diffsol")]
 #[rstest]
 fn a_tighter_tolerance_reduces_the_error_of_diffsol(
@@ -201,7 +201,7 @@ fn closed_form_and_integrator_agree_on_a_varying_mode() {
     for frame in EquationForm::ALL {
         let tight =
             integrate_replay(&passage, frame, IntegrationMethod::Adaptive(AdaptiveMethod::Dop853), 1e-13).samples;
-        // Error of a varying mode: `docs/mathematics.md`.
+        // `docs/mathematics.md` derives the error bound for a varying mode.
         let error = passage.relative_error(&passage.exact_samples(frame), &tight);
         assert!(error < 8.4e-7, "{frame:?} {error:e}");
     }
@@ -243,7 +243,7 @@ fn limits_known_by_number(#[case] method: &str, #[case] problem: &str, #[case] s
     assert!((measured / step - 1.0).abs() < 1e-3, "{measured}");
 }
 
-/// Under 2 N the period of the paper's controller lies between both limits.
+/// Under 2 N, the paper's control period of 1 ms is between the limits of loop and plate.
 #[test]
 fn a_closed_loop_is_unstable_before_its_plate() {
     let rows = limits();

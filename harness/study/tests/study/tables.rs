@@ -1,4 +1,4 @@
-//! The study as a table and as CSV.
+//! Tests the study as a table and as CSV.
 
 use platebench_study::loops::study::StudyConfig;
 use platebench_study::loops::{Study, study, table};
@@ -30,7 +30,7 @@ fn the_number_of_jobs_does_not_change_the_study() {
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(lines.len(), 7);
     assert!(lines.iter().all(|line| line.split(',').count() == 12), "{csv}");
-    // No loop: no boundary as far as was looked, and no margin.
+    // Without a loop, the boundary is beyond the search range (`inf`) and margins are empty.
     assert!(lines[1].starts_with("open-loop,resonant,1000,1.9,inf,inf,,inf,0.58"), "{csv}");
     assert!(lines[1].ends_with(",,,"), "{csv}");
     let table = table::boundary_table(&one, 0.0);

@@ -1,4 +1,4 @@
-//! Compares tunings with known figures and at the edges of feasibility.
+//! Compares tunings with known values, also at the limits of feasibility.
 
 use crate::{assert_close, scaled};
 use platebench_plate::{Plate, Tier};
@@ -38,7 +38,7 @@ fn evaluate_printed(demand: &TuningTarget<'_>, discretisation: Discretisation) -
 }
 
 #[rstest]
-// Units: ms of delay and settling, percent of overshoot, Vpp; the last is the delay margin, ms.
+// Columns: delay, settling time (ms), overshoot (%), peak (Vpp), radius, delay margin (ms).
 #[case(Discretisation::Forward, 0.0, Some(2.834), 16.3, 808.0, 0.257, 0.830)]
 #[case(Discretisation::Backward, 0.0, Some(19.05), 78.2, 1237.8, 0.862, 0.634)]
 #[case(Discretisation::Matched, 0.0, Some(1.998), 0.0, 539.6, 0.5875, 1.668)]
@@ -62,7 +62,7 @@ fn equation_24_at_1_khz_in_three_readings(
         assert_close(found.linear.overshoot_percent, overshoot, 0.1);
         assert_close(found.linear.peak_drive_vpp, peak, 0.1);
     }
-    // Forward without delay: z² − 0.424z + 0.043. 0.5875 is the pole of the other component.
+    // Forward, without delay: z² − 0.424z + 0.043 = 0. The other component's pole is excluded.
     assert_close(found.amplitude.spectral_radius, radius, 1e-3);
     for loop_figures in [&found.amplitude, &found.frequency] {
         assert_close(loop_figures.delay_margin_ms.unwrap(), left, 1e-3);
@@ -75,7 +75,7 @@ fn ripple_moves_a_marginal_band_crossing() {
     let plate = paper_plate();
     let demand = demand(&plate);
     let of = |response| evaluate_design(&demand, GainDesign::new(&demand, Discretisation::Matched, response)).unwrap();
-    // Designed for 2.0 ms it leaves 4.98 % at two periods, too close to the band for the ripple.
+    // For 2.0 ms an error of 4.98 % remains after 2 periods, so ripple crosses the 5 % band.
     let (two, shorter) = (of(2e-3), of(1.9e-3));
     assert!(two.linear.settling_ms.unwrap() < 2.0 && two.plate.settling_ms.unwrap() > 2.01);
     assert_close(shorter.plate.settling_ms.unwrap(), 1.956, 1e-3);
@@ -184,18 +184,19 @@ fn margins_end_at_the_last_settling_response(
     #[values(Discretisation::Forward, Discretisation::Matched)] discretisation: Discretisation,
     #[values(0.0, 0.3)] delay_ms: f64,
 ) {
-    // No drive limit: what does not settle is unstable.
+    // Without a drive limit, a response that does not settle is unstable.
     let plate = plate_with_limit(1e9);
     let demand = TuningTarget { delay: delay_ms * 1e-3, response: 4e-3, ..demand(&plate) };
     let found = evaluate_printed(&demand, discretisation);
     let gain = found.amplitude.gain_margin.unwrap();
     let delay = found.amplitude.delay_margin_ms.unwrap() * 1e-3;
-    // Near the boundary a motion takes its time: a longer look.
+    // Near the boundary the motion decays or grows slowly, so this target has a long horizon.
     let long = TuningTarget { response: 400e-3, ..demand };
     for (share, settles) in [(0.97, true), (1.03, false)] {
         let mut louder = found.design;
         louder.amplitude = scaled(louder.amplitude, gain * share);
-        // The linear loop: on the plate a too high gain reaches 0 V, where nothing brakes.
+        // Uses the linear loop, because the plate's drive would saturate at 0 Vpp if the gain is
+        // too high.
         let closed = louder.closed_loop(&long, &plate, Tier::Envelope, [true, false]).unwrap();
         let settled = closed.step_response(2.0, long.horizon()).settling;
         assert_eq!(settled.is_some(), settles, "{share} of the gain margin {gain}");
@@ -219,7 +220,7 @@ fn worst_case_is_the_worst_and_repeats_with_its_seed() {
     let longest = found.corners.iter().map(settling).fold(0.0, f64::max);
     assert_eq!(found.worst_corner.settling_ms, Some(longest));
     let slowest = found.corners.iter().max_by(|a, b| settling(a).total_cmp(&settling(b))).unwrap();
-    // Less gain, and a pole that is faster than the controller's zero: a tail from below.
+    // With less gain and a pole faster than the controller's zero, |W| rises slowly at the end.
     assert_eq!((slowest.gain_percent, slowest.time_constant_percent), (-5.0, -6.0));
     let there = Plate { gain: 0.95 * plate.gain, sigma0: plate.sigma0 / 0.94, ..plate.clone() };
     assert_eq!(
@@ -266,7 +267,7 @@ fn backward_gains_convert_to_the_firmware_s_forward_integral() {
 fn the_horizon_includes_a_long_loop_delay() {
     let plate = paper_plate();
     let demand = TuningTarget { delay: 0.52e-3, response: 4e-3, ..demand(&plate) };
-    // The poles of one random plate are not found at the first attempt.
+    // For one of these random plates, the eigenvalue solver does not converge at the first attempt.
     let found = tune(&demand, Discretisation::Matched, &PlateSpread { samples: 64, ..SPREAD }).unwrap();
     let chosen = found.chosen.unwrap();
     assert!(chosen.plate.settling_ms.unwrap() <= 4.0 && chosen.plate.overshoot_percent <= 4.0);

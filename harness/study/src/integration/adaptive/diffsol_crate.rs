@@ -68,7 +68,7 @@ fn build<const N: usize, P: Problem<N>>(
         .map_err(|error| crate_failure(&error))
 }
 
-/// Returns NaN if the number of components differs. The caller then reports a divergence.
+/// Returns NaN if the number of components is wrong. The caller then reports a divergence.
 fn state<const N: usize>(components: &[f64]) -> [f64; N] {
     components.try_into().unwrap_or([f64::NAN; N])
 }

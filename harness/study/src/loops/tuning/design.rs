@@ -1,4 +1,4 @@
-//! Designs gains by equation 24 in three discretisations.
+//! Designs gains by equation 24 of the paper in three discretisations.
 
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
 use crate::loops::controller::{Discretisation, LinearController, LoopChannel, PiGains};
@@ -8,8 +8,8 @@ use crate::loops::tuning::transient::StepSimulation;
 use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
 use platebench_wire::Gains;
 
-/// The horizon is the longest of these numbers of periods, response times and time constants, plus
-/// the delays.
+/// The horizon is the simulated time of a step. It is the longest of these numbers of periods,
+/// response times and time constants, plus the delays.
 const HORIZON_PERIODS: f64 = 60.0;
 const HORIZON_RESPONSES: f64 = 6.0;
 const HORIZON_TIME_CONSTANTS: f64 = 20.0;
@@ -19,7 +19,7 @@ const HORIZON_DELAYS: f64 = 20.0;
 pub struct TuningTarget<'a> {
     pub plate: &'a Plate,
     pub force_n: f64,
-    /// µm, above 0.
+    /// Setpoint, µm, above 0.
     pub setpoint: f64,
     /// 5 % response time of |W|, s, above 0.
     pub response: f64,
@@ -27,7 +27,7 @@ pub struct TuningTarget<'a> {
     pub period_us: u32,
     /// Delay from sampling to actuation, s.
     pub delay: f64,
-    /// Smallest phase margin of both loops.
+    /// Smallest allowed phase margin of each loop, degrees.
     pub phase_margin_deg: f64,
 }
 
@@ -40,8 +40,7 @@ impl TuningTarget<'_> {
         self.plate.mode(&Conditions { temperature_offset_k: 0.0, finger_force_n: self.force_n })
     }
 
-    /// Shortest time from rest into the band with the drive limit, s. `None` if the band is out of
-    /// reach.
+    /// Shortest time, s, from rest into the band with the drive limit. `None` if out of reach.
     pub fn time_floor(&self) -> Option<f64> {
         self.mode().min_rise_time(self.setpoint, 0.95, self.plate.drive_limit_vpp)
     }
@@ -57,15 +56,15 @@ impl TuningTarget<'_> {
 pub struct GainDesign {
     pub discretisation: Discretisation,
     pub response: f64,
-    /// Drive from the error of Wd, Vpp per µm.
+    /// PI from the error of Wd to the drive, Vpp per µm.
     pub amplitude: PiGains,
-    /// Excitation from Wq/Wd, rad/s.
+    /// PI from Wq/Wd to the excitation frequency, rad/s.
     pub frequency: PiGains,
 }
 
 impl GainDesign {
-    /// Equation 24 under the target's finger, for the amplitude with K = b/σ and τ = 1/σ, for the
-    /// frequency with K = τ.
+    /// Gains by equation 24 under the target's finger. For the amplitude K = b/σ, for the frequency
+    /// K = τ, for both τ = 1/σ.
     pub fn new(target: &TuningTarget<'_>, discretisation: Discretisation, response: f64) -> Self {
         let mode = target.mode();
         let tau = 1.0 / mode.sigma;
@@ -85,7 +84,7 @@ impl GainDesign {
         }
     }
 
-    /// `which` selects the drive and the frequency loop. `plate` is under the target's finger.
+    /// `which` selects the closed loops (drive, frequency). The target's finger presses `plate`.
     pub fn closed_loop(
         &self,
         target: &TuningTarget<'_>,

@@ -9,26 +9,25 @@ use platebench_plate::{Plate, Tier};
 use platebench_runner::delay_boundary::DelayBoundary;
 use serde::Serialize;
 
-/// The search for the delay boundary ends this many times (period + design time) beyond the
-/// target's delay.
+/// The delay search ends this many times (period + design time) above the target's delay.
 const MAX_DELAY_FACTOR: f64 = 8.0;
-/// Smaller poles are those of pending commands.
+/// Poles with a smaller magnitude belong to pending commands.
 const PENDING_POLE_RADIUS: f64 = 1e-6;
 
-/// One loop of a design with the other loop open, at the target's delay.
+/// One loop of a design at the target's delay, while the other loop is open.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LoopEvaluation {
-    /// Vpp per µm, or rad/s per unit of Wq/Wd.
+    /// Proportional gain, Vpp per µm or rad/s per unit of Wq/Wd.
     pub kp: f64,
-    /// The unit of `kp` per second.
+    /// Integral gain, in the unit of `kp` per second.
     pub ki_per_s: f64,
-    /// Poles in the z plane, [re, im], without those of pending commands.
+    /// Poles in the z plane, [re, im], without the poles of pending commands.
     pub poles: Vec<[f64; 2]>,
     pub spectral_radius: f64,
     pub gain_margin: Option<f64>,
     pub phase_margin_deg: Option<f64>,
-    /// Possible growth of the delay. 0 or less if the loop is unstable, `None` if it is stable over
-    /// the whole search.
+    /// Additional delay until the loop is unstable; 0 or less if it is unstable already. `None` if
+    /// it is stable in the whole search range.
     pub delay_margin_ms: Option<f64>,
 }
 
@@ -56,11 +55,11 @@ pub struct DesignEvaluation {
     pub designed_for_ms: f64,
     pub amplitude: LoopEvaluation,
     pub frequency: LoopEvaluation,
-    /// Both loops together on the modal plate.
+    /// Spectral radius of both loops together on the modal plate.
     pub spectral_radius: f64,
-    /// Amplitude loop on the envelope, without ripple and limits.
+    /// Step of the amplitude loop on the envelope, without ripple and limits.
     pub linear: StepEvaluation,
-    /// |W| on the modal plate with the drive limit.
+    /// Step of |W| on the modal plate with the drive limit.
     pub plate: StepEvaluation,
     pub saturated_periods: u32,
     #[serde(skip)]
@@ -118,7 +117,7 @@ fn evaluate_loop(
 ) -> Result<LoopEvaluation, AnalysisError> {
     let closed = design.closed_loop(target, target.plate, Tier::Envelope, which)?;
     let mut poles = closed.poles()?;
-    // Removes the pole of the other component, which is decoupled on the envelope at resonance.
+    // Wd and Wq are decoupled here. Removes the pole of the component of the other, open loop.
     let other = (-target.mode().sigma * target.period()).exp();
     let distance = |pole: &nalgebra::Complex<f64>| (pole - other).norm();
     let nearest = (0..poles.len()).min_by(|a, b| distance(&poles[*a]).total_cmp(&distance(&poles[*b])));

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 const NONE: &str = "–";
 
-/// `spread` belongs to the sensitivity in `tuning`.
+/// `spread` is the plate spread with which the sensitivity in `tuning` was computed.
 pub fn format_tuning(target: &TuningTarget<'_>, spread: &PlateSpread, tuning: &TuningResult) -> String {
     let mut text = format_target(target, tuning);
     text += "\nEquation 24 for the target response time\n";

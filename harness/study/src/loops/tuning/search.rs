@@ -1,7 +1,7 @@
 //! Searches the response time of equation 24 with which the plate meets the target. Equation 24
-//! ignores the length of the period, the ripple of the fast mode, the delay and the drive limit,
-//! and the response is not smooth in the design. Therefore designs with logarithmically spaced
-//! response times are simulated.
+//! ignores the length of the period, the ripple of the fast mode, the delay and the drive limit.
+//! The response is not smooth in the design. Therefore designs with logarithmically spaced response
+//! times are simulated.
 
 use crate::loops::bisection::bisect;
 use crate::loops::closed_loop::AnalysisError;
@@ -12,19 +12,18 @@ use platebench_plate::Tier;
 
 const DESIGNS: u32 = 160;
 const REFINEMENT: u32 = 24;
-/// Response time of the fastest design in periods. Its error after one period is e^(−15).
+/// Response time of the fastest design, in periods. After one period its error is e^(−15).
 const FASTEST_RESPONSE_PERIODS: f64 = 0.2;
-/// Response time of the slowest design, in those of plate or target. At least [`LAST_PERIODS`]
-/// times period plus delay.
+/// Slowest response time of a design, relative to the longer one of plate and target. It is at
+/// least [`SLOWEST_RESPONSE_PERIODS`] times (period + delay).
 const SLOWEST_RESPONSE_FACTOR: f64 = 3.0;
 const SLOWEST_RESPONSE_PERIODS: f64 = 30.0;
 const BISECTIONS: u32 = 20;
-/// Safety factors of the response time. A design that just meets the target misses it on other
-/// plates.
+/// Safety factors of the response time: a marginal design misses the target on other plates.
 const SAFETY_FACTORS: [f64; 3] = [0.97, 0.99, 1.0];
 
-/// A design whose overshoot exceeds this share of the band, but not the band, leaves the band on
-/// other plates.
+/// A design with an overshoot between this share of the band and the whole band is rejected,
+/// because it leaves the band on other plates.
 const MAX_OVERSHOOT_BAND_SHARE: f64 = 0.8;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -92,8 +91,8 @@ impl<'a> DesignSearch<'a> {
         Ok(None)
     }
 
-    /// The design for the target's response time, or else the slowest one that meets the target,
-    /// with a safety factor.
+    /// The design for the target's response time, if it meets the target. Otherwise the slowest
+    /// design that does, with a safety factor.
     pub fn meeting_target(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
         let meets = |response: f64| -> Result<Option<DesignCandidate>, AnalysisError> {
             match self.evaluate(response).filter(|candidate| candidate.settling <= self.target.response) {

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlateSpread {
-    /// Largest deviation of K1.
+    /// Largest deviation of the plate's gain K1.
     pub gain_percent: f64,
     pub time_constant_percent: f64,
     /// Number of random plates, uniform between the corners.
@@ -21,19 +21,19 @@ pub struct PlateSpread {
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PlateVariant {
-    /// Deviation of K1 from the plate file.
+    /// Deviation of the gain K1 from the plate file.
     pub gain_percent: f64,
     pub time_constant_percent: f64,
     pub force_n: f64,
     /// Step response with the drive limit.
     pub plate: StepEvaluation,
-    /// The smaller margin of both loops, each with the other loop closed.
+    /// The smaller gain margin of both loops, each with the other loop closed.
     pub gain_margin: Option<f64>,
     pub phase_margin_deg: Option<f64>,
     pub delay_margin_ms: Option<f64>,
 }
 
-/// `settling_ms` is `None` if a plate does not settle, a margin is `None` if no plate limits it.
+/// `settling_ms` is `None` if a plate does not settle. A margin is `None` if no plate limits it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct WorstCase {
     pub plates: usize,
@@ -54,7 +54,7 @@ pub struct Sensitivity {
     pub other_finger: PlateVariant,
 }
 
-/// Unexpected finger for a design without a finger, N (Fig. 16).
+/// Unexpected finger for a design without a finger, N (Fig. 16 of the paper).
 const FINGER: f64 = 2.0;
 
 pub fn evaluate_sensitivity(

@@ -1,6 +1,6 @@
 //! Simulates a setpoint step on the exact plate with the firmware's loops, including their limits.
-//! In contrast to [`crate::loops::ClosedLoop::step_response`] the drive saturates with
-//! anti-windup, |W| includes the ripple of the fast mode, and the frequency loop is inactive while Wd is small.
+//! In contrast to [`crate::loops::ClosedLoop::step_response`] the drive saturates with anti-windup,
+//! |W| includes the ripple of the fast mode, and the frequency loop is inactive while Wd is small.
 
 use crate::loops::step_response::StepResponse;
 use platebench_controller::{Law, Measurement};
@@ -12,7 +12,7 @@ use std::f64::consts::TAU;
 pub(crate) const BAND: f64 = 0.05;
 /// Points of |W| per period, as in the rows of a trace at 1 kHz.
 const POINTS_PER_PERIOD: u64 = 20;
-/// A response that enters the band later, as a share of the horizon, has not settled.
+/// If |W| enters the band after this share of the horizon, the response has not settled.
 const LATEST_ENTRY_SHARE: f64 = 0.9;
 /// Default frequency range in Hz and slew limit in Hz per period of a scenario.
 const RANGE_HZ: f32 = 250.0;

@@ -26,7 +26,7 @@ pub enum InfeasibilityCause {
     },
     /// Only designs with less phase margin meet the target.
     PhaseMargin {
-        /// Phase margin of the design that meets the target otherwise, degrees.
+        /// Phase margin of the design that otherwise meets the target, degrees.
         found_deg: f64,
     },
     /// No design of this discretisation is fast enough at this period and delay.
@@ -42,7 +42,7 @@ pub struct TuningResult {
     /// Equation 24 for the target's response time, in each discretisation.
     pub readings: Vec<DesignEvaluation>,
     pub chosen: Option<DesignEvaluation>,
-    /// The fastest design with the target's phase margin, if the target is not met.
+    /// The fastest design with the target's phase margin, if no design meets the target.
     pub possible: Option<DesignEvaluation>,
     /// The chosen design on other plates, or the possible design if none is chosen.
     pub sensitivity: Option<Sensitivity>,
@@ -56,8 +56,7 @@ pub fn tune(
     let printed = |discretisation| evaluate_design(target, GainDesign::new(target, discretisation, target.response));
     let readings = Discretisation::ALL.into_iter().map(printed).collect::<Result<Vec<_>, _>>()?;
     let search = DesignSearch::new(target, discretisation);
-    // A response inside the band does not meet the target if the drive limit cannot hold the
-    // setpoint.
+    // If the drive limit cannot hold the setpoint, a response inside the band does not count.
     let holds = target.mode().drive_for(target.setpoint) <= target.plate.drive_limit_vpp;
     let meeting = if holds { search.meeting_target(target.phase_margin_deg)? } else { None };
     let chosen = meeting.map(|candidate| evaluate_design(target, candidate.design)).transpose()?;

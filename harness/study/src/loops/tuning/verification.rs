@@ -1,4 +1,4 @@
-//! Defines the step that verifies gains on a rig.
+//! Writes the scenario that verifies gains on a rig.
 
 use crate::loops::tuning::design::TuningTarget;
 use platebench_scenario::{Diagnostic, Scenario, load};
@@ -8,8 +8,7 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-/// Relative rounding error of an f32 integral gain that the controller multiplies by the period and
-/// divides again.
+/// Relative rounding error of an f32 gain that the controller multiplies by the period and divides.
 const ROUNDING: f32 = 4.0 * f32::EPSILON;
 
 #[derive(Debug, Clone, Copy)]
@@ -30,7 +29,7 @@ pub enum VerificationError {
     Scenario(Box<Diagnostic>),
 }
 
-/// Writes a step on the tuned plate to `folder`, from which `judge` can read it.
+/// Writes the scenario of a step on the tuned plate to `folder`, where `judge` can read it.
 pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -> Result<Scenario, VerificationError> {
     let TuningTarget { force_n, setpoint, response, period_us, delay, plate: tuned, .. } = *step.target;
     let Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki } = step.gains;
@@ -42,7 +41,7 @@ pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -
         "controller": {
             "law": step.law.name(),
             "period_ms": period_ms,
-            // A rig in real time has its own delay.
+            // In real time the rig has its own delay, so the scenario adds none.
             "loop_delay_ms": if step.real_time { 0.0 } else { delay * 1e3 },
             "gains": {
                 "amplitude_ki": shortest_decimal(amplitude_ki),
@@ -55,7 +54,7 @@ pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -
         "expect": [
             { "metric": "settling_time_ms", "at_most": response * 1e3 },
             { "metric": "overshoot_percent", "at_most": 100.0 },
-            // Rounding to f32 on the wire may exceed the limit in the file.
+            // On the wire, f32 rounding may raise the drive slightly above the limit in the file.
             { "metric": "drive_peak_vpp", "at_most": tuned.drive_limit_vpp * (1.0 + 1e-6) },
         ],
     });
