@@ -219,7 +219,7 @@ impl Agreement {
         for GroupAgreement { name, candidates, tally } in &self.groups {
             let _ = write!(
                 text,
-                "  {name} trials: {} of {} verdicts differ, {} inconclusive on one rig only",
+                "  {name} trials: {} of {} pass on one rig and fail on the other, {} are inconclusive on one rig only",
                 tally.failures, tally.trials, tally.inconclusive
             );
             // The worst trials are not a random sample, so they have no confidence interval.

@@ -30,8 +30,8 @@ pub enum CampaignError {
     #[error("{}: belongs to another plan or shard; expected a part of this campaign folder", .0.display())]
     OtherPart(PathBuf),
     #[error(
-        "{}: another campaign is planned here, or the same with other files, program or firmware; \
-         use another folder",
+        "{}: contains the plan of another campaign, or of this campaign with other files, another program or other \
+         firmware; use another folder",
         .0.display()
     )]
     OtherPlan(PathBuf),
@@ -42,18 +42,18 @@ pub enum CampaignError {
     )]
     ChangedInput(PathBuf),
     #[error(
-        "this platebench program is not the one that planned the campaign; \
-         its SHA-256 is {found}, plan.json has {planned}"
+        "this platebench program is not the one that planned the campaign (its SHA-256 is {found}, plan.json has \
+         {planned}); use that program, or plan again in another folder"
     )]
     OtherBench { found: String, planned: String },
     #[error(
-        "{rig}: the firmware is not the one of the plan; its SHA-256 is {found}, plan.json has \
-         {planned}"
+        "{rig}: the firmware is not the one of the plan (its SHA-256 is {found}, plan.json has {planned}); use that \
+         firmware, or plan again in another folder"
     )]
     OtherFirmware { rig: String, found: String, planned: String },
     #[error("{0}: `plan.confirm` plays trials of the hosted rig again, expected --rig hosted")]
     ConfirmedRig(String),
-    #[error("shard {shard}, expected 1 to {shards}")]
+    #[error("shard {shard} is not in the plan, expected 1 to {shards}")]
     NoShard { shard: u32, shards: u32 },
     #[error("trial {trial} cannot be played with the values {values}: {fault}")]
     Trial { trial: u64, values: String, fault: Box<Diagnostic> },

@@ -117,12 +117,14 @@ impl ChainOutcome {
             return "the probability of failure has no estimate, because the chains have too few trials\n".to_owned();
         };
         let [low, high] = combined.interval(confidence);
+        let precision = match combined.coefficient_of_variation {
+            variation if variation.is_finite() => format!("coefficient of variation {variation:.3}"),
+            _ => "no trial failed".to_owned(),
+        };
         let mut text = format!(
-            "probability of failure {:.3e}, {low:.3e} to {high:.3e}, each end at {} % confidence; \
-             coefficient of variation {:.3}\n",
+            "probability of failure {:.3e}, {low:.3e} to {high:.3e}, each end at {} % confidence; {precision}\n",
             combined.probability,
             confidence * 100.0,
-            combined.coefficient_of_variation
         );
         for (method, chains, reason) in self.methods() {
             let method = match method {
@@ -132,5 +134,41 @@ impl ChainOutcome {
             let _ = writeln!(text, "{method} in {chains} of {} chains: {reason}", self.estimates.len());
         }
         text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    #[rstest]
+    #[case::failures(
+        1e-4,
+        0.1,
+        "1.000e-4, 8.487e-5 to 1.178e-4, each end at 95 % confidence; coefficient of variation 0.100"
+    )]
+    #[case::no_failure(
+        0.0,
+        f64::INFINITY,
+        "0.000e0, 0.000e0 to 2.000e-3, each end at 95 % confidence; no trial failed"
+    )]
+    fn states_the_precision_of_the_probability(
+        #[case] probability: f64,
+        #[case] coefficient_of_variation: f64,
+        #[case] expected: &str,
+    ) {
+        let estimate = ChainEstimate {
+            probability,
+            coefficient_of_variation,
+            ceiling: 2e-3,
+            method: RareMethod::SubsetSimulation,
+            reason: "FORM did not converge".to_owned(),
+            reliability_index: None,
+            trials: 1000,
+        };
+        let outcome = ChainOutcome { estimates: vec![estimate], ..ChainOutcome::default() };
+        let method = "subset simulation in 1 of 1 chains: FORM did not converge";
+        assert_eq!(outcome.rare_text(0.95), format!("probability of failure {expected}\n{method}\n"));
     }
 }

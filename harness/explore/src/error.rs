@@ -14,7 +14,9 @@ pub enum ExploreError {
     Rig(#[from] RigError),
     #[error("the controller does not announce the law {0}, expected --law with one of its laws")]
     LawNotAnnounced(&'static str),
-    #[error("the law {0} has no declared properties, expected --law dq-pi, dq-pi-fixed or deadbeat")]
+    #[error(
+        "the law {0} cannot be explored, because it has no limits to check; expected --law dq-pi, dq-pi-fixed or deadbeat"
+    )]
     LawWithoutProperties(&'static str),
     #[error("internal error: the bench generated an invalid scenario ({0}); report this message and the seed")]
     Generated(Box<Diagnostic>),

@@ -23,7 +23,12 @@ fn write_summary(text: &mut String, report: &ExploreReport) -> std::fmt::Result 
     }
     for regression in &report.failed_regressions {
         let properties: Vec<_> = regression.properties.iter().map(|property| property.name()).collect();
-        writeln!(text, "{} fails again: {}", regression.file, properties.join(", "))?;
+        writeln!(
+            text,
+            "{} (a scenario of an earlier exploration) still violates: {}",
+            regression.file,
+            properties.join(", ")
+        )?;
     }
     for violation in &report.violations {
         let [value, limit] = [violation.minimal_value, violation.minimal_limit].map(|value| format_value(value, 6));

@@ -161,7 +161,7 @@ fn a_changed_plan_input_or_firmware_is_refused_by_name() {
     emulated.assert_exit(2).assert_stderr(&["firmware is not the one of the plan"]);
     fs::write(folder.join("campaign.toml"), format!("{VARY}{}", GRID.replace("22", "3"))).unwrap();
     let run = run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]);
-    run.assert_exit(2).assert_stderr(&["another campaign is planned here"]);
+    run.assert_exit(2).assert_stderr(&["contains the plan of another campaign"]);
     run_bench(folder, ["campaign", "play", "nowhere", "--shard", "1"]).assert_exit(2).assert_stderr(&["no plan.json"]);
 }
 

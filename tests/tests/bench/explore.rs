@@ -107,7 +107,7 @@ fn regressions_are_played_first() {
     let arguments = ["explore", &envelope(), "--rig", "hosted", "--scenes", "1", "--regressions", "found"];
     let mut command = bench_command(folder.path());
     let output: crate::test_folder::ProgramOutput = command.args(arguments).output().unwrap().into();
-    output.assert_exit(1).assert_stdout(&["old.toml fails again: settling"]);
+    output.assert_exit(1).assert_stdout(&["old.toml (a scenario of an earlier exploration) still violates: settling"]);
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn rejects_what_it_cannot_explore() {
     let folder = tempfile::tempdir().unwrap();
     let envelope = envelope();
     for (arguments, message) in [
-        (vec![&*envelope, "--law", "open-loop"], "open-loop has no declared properties"),
+        (vec![&*envelope, "--law", "open-loop"], "the law open-loop cannot be explored"),
         (vec![&*envelope, "--for", "60s", "--scenes", "3"], "cannot be used with"),
         (vec![&*envelope, "--for", "soon"], "expected a duration"),
         (vec!["missing.toml"], "cannot be read"),

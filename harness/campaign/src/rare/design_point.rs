@@ -28,7 +28,7 @@ pub(crate) fn find(dimensions: usize, score: &mut Score<'_>) -> Option<Result<De
     let centre = vec![0.0; dimensions];
     let at_centre = score(&centre)?;
     if at_centre <= 0.0 {
-        return Some(Err("the centre of the distributions fails"));
+        return Some(Err("the trial with the median of every value fails"));
     }
     let found = match descend(centre, at_centre, at_centre, score)? {
         Ok(found) => found,
@@ -76,7 +76,7 @@ fn descend(
         }
         let square = dot(&gradient, &gradient);
         if square.sqrt() < at_centre * 1e-3 {
-            return Some(Err("the margin has no slope"));
+            return Some(Err("the margin does not change with the varied values"));
         }
         let scale = (dot(&gradient, &point) - value) / square;
         let target: Vec<f64> = gradient.iter().map(|slope| slope * scale).collect();

@@ -45,7 +45,7 @@ pub enum ChartError {
     },
     #[error(transparent)]
     Run(#[from] RunError),
-    #[error("temporary folder: {0}")]
+    #[error("temporary folder of the charts: {0}")]
     Temporary(#[from] io::Error),
     #[error(transparent)]
     Folder(#[from] FolderError),
