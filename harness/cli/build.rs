@@ -1,4 +1,4 @@
-//! Passes commit, profile and features of the build to the program.
+//! Passes commit, profile and Cargo features of the build to the program.
 
 use std::env;
 use std::path::{Path, PathBuf};
@@ -10,8 +10,8 @@ fn git(arguments: &[&str]) -> Option<String> {
     (!text.is_empty()).then_some(text)
 }
 
-/// Reads the name from `OUT_DIR`, which is `<target>/<profile>/build/<package>/out`. The variable
-/// `PROFILE` is `release` for every profile that inherits from `release`.
+/// Takes the name from `OUT_DIR`, which is `<target>/<profile>/build/<package>/out`. `PROFILE` is
+/// no alternative: it is `release` for every profile that inherits from `release`.
 fn profile() -> Option<String> {
     let out = PathBuf::from(env::var_os("OUT_DIR")?);
     Some(out.ancestors().nth(3)?.file_name()?.to_string_lossy().into_owned())
@@ -20,7 +20,7 @@ fn profile() -> Option<String> {
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-env-changed=PLATEBENCH_COMMIT");
-    // A source package has no Git repository, so its builder sets the variable.
+    // A source package has no Git repository, so its builder states the commit in this variable.
     let commit = env::var("PLATEBENCH_COMMIT").ok().or_else(|| git(&["rev-parse", "HEAD"]));
     for file in ["HEAD", "logs/HEAD"] {
         if let Some(path) = git(&["rev-parse", "--git-path", file]).filter(|path| Path::new(path).exists()) {

@@ -1,12 +1,12 @@
 //! Simulates a board with its own plate behind a serial line, for tests of `--plate-mode real`.
 //!
-//! Usage: `real-plate-under-test PORT [KEY=VALUE]...`. The timer of the board is virtual, so a
-//! period that a busy machine missed is computed later, without a gap. The plate is the paper's. N
-//! is the number of a period in a trial, from 0.
+//! Usage: `real-plate-under-test PORT [KEY=VALUE]...`. The plate is the paper's. The timer of the
+//! board is virtual: if a busy machine misses a period, it is computed later, so that none is
+//! missing. N is the number of a period in a trial, from 0.
 //!
 //! | key | effect |
 //! |---|---|
-//! | `conditions=FILE` | force in N and offset in K, read in every period |
+//! | `conditions=FILE` | force in N and temperature offset in K, read in every period |
 //! | `log=FILE` | every change of state, as `PERIOD STATE DRIVE` |
 //! | `force=no` | the board does not measure the force |
 //! | `capability=no` | the board does not announce its plate |
@@ -16,7 +16,7 @@
 //! | `reset=N` | the board restarts |
 //! | `trap=N` | the processor traps |
 //! | `stop=N` | the board stops by itself |
-//! | `hold=UM` | the board keeps this setpoint |
+//! | `hold=UM` | the board keeps this setpoint, µm |
 //! | `clock=X` | the board's timer runs faster by this factor |
 
 use platebench_controller::StateMachine;
@@ -62,7 +62,7 @@ fn spawn_reader(mut line: File) -> Receiver<Vec<u8>> {
     receiver
 }
 
-/// If the queue is full, frames are dropped, as by a UART.
+/// Drops a frame if the queue is full, like a UART.
 fn spawn_writer(mut line: File) -> SyncSender<Vec<u8>> {
     let (sender, frames) = sync_channel::<Vec<u8>>(MAX_QUEUED_FRAMES);
     thread::spawn(move || {
@@ -263,8 +263,8 @@ impl SimulatedBoard {
         if self.option("stop") == Some(period) {
             self.machine.sample(&Sample { wd_um: f32::NAN, ..sample }, now_us);
         } else if trial.last_setpoint.elapsed() >= watchdog {
-            // The state machine expects samples, not setpoints, so a late time stands for missing
-            // setpoints.
+            // The state machine expects samples, not setpoints. A very late time makes its watchdog
+            // act as after missing setpoints.
             if let Some(command) = self.machine.tick(now_us.wrapping_add(u32::MAX / 2)) {
                 self.send(trial.last_sequence, Message::Command(command));
             }

@@ -7,8 +7,8 @@ use platebench_record::Verdict;
 use platebench_rig::RigSpec;
 use platebench_runner::{Answer, CancelToken, Operator, Question, QuestionKind};
 
-/// A question before the first scenario fails after a no, and without an answer if the rig may
-/// drive a plate.
+/// Asks the question and stores the answer in `step`. Before the first scenario, a no stops the
+/// session. A missing answer stops it if the rig may drive a plate.
 pub(crate) fn ask_operator(
     ask: &Ask,
     rig: &RigSpec,

@@ -12,8 +12,8 @@ use platebench_uncertainty::{Budget, CombinedUncertainty, Conformity, DecisionRu
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanDecision {
     pub rule: DecisionRule,
-    /// Largest expanded uncertainty in percent of the tolerance, only for
-    /// [`DecisionRule::SharedRisk`].
+    /// Largest allowed expanded uncertainty in percent of the tolerance. Only
+    /// [`DecisionRule::SharedRisk`] uses it.
     pub largest_percent: f64,
     pub budget: Budget,
 }
@@ -23,7 +23,7 @@ pub(crate) fn today() -> Date {
 }
 
 impl PlanDecision {
-    /// Fails for an invalid calibration without a waiver, and for a waiver without an instrument.
+    /// Fails if a calibration is invalid and not waived, or if a waiver names no instrument.
     pub(crate) fn record(&self, today: Date, waived: &[String]) -> Result<DecisionRecord, AcceptError> {
         let budget = &self.budget;
         let unknown = waived.iter().find(|name| budget.instruments.iter().all(|known| known.name != **name));
@@ -55,8 +55,8 @@ impl PlanDecision {
         })
     }
 
-    /// Adds the uncertainty of expectation `number`. A pass that the rule does not allow becomes
-    /// inconclusive.
+    /// Adds the uncertainty of expectation `number` to `evidence`. If the decision rule does not
+    /// allow a pass, the verdict becomes inconclusive.
     pub(crate) fn apply(&self, scenario: &ScenarioRecord, number: usize, evidence: &mut EvidenceRecord) {
         let Some((expectation, value)) = scenario.expectations.get(number).and_then(|each| Some((each, each.value?)))
         else {
@@ -70,8 +70,8 @@ impl PlanDecision {
                 return;
             }
         };
-        // The range of `about` needs a tolerance. The plan accepts `about` only with a rule that
-        // ignores the range.
+        // `range(0.0)` is wrong for an `about` limit, which needs a tolerance. This does not
+        // matter: the plan accepts `about` only with the rule `simple`, which ignores the range.
         let (range, tolerance) = (expectation.limit.range(0.0), tolerance_of(expectation.limit));
         let conformity = decide(self.rule, value, &combined, range, tolerance, self.largest_percent);
         match conformity {
@@ -103,14 +103,14 @@ fn restrict(evidence: &mut EvidenceRecord, reason: String) {
     }
 }
 
-/// Probability that the true value is outside the limits, from the measurement alone.
+/// Probability that the true value is outside the limits, given only the measurement's uncertainty.
 fn outside_probability(combined: &CombinedUncertainty, value: f64, (low, high): (f64, f64)) -> f64 {
     let above = if high.is_finite() { combined.probability_above(value, high) } else { 0.0 };
     let below = if low.is_finite() { 1.0 - combined.probability_above(value, low) } else { 0.0 };
     (above + below).min(1.0)
 }
 
-/// The scale by which [`Limit::margin`] divides.
+/// Returns the scale by which [`Limit::margin`] divides.
 fn tolerance_of(limit: Limit) -> f64 {
     let scale = match limit {
         Limit::AtMost(limit) | Limit::AtLeast(limit) | Limit::About(limit) => limit.abs(),
@@ -125,7 +125,7 @@ fn observed_scatter(scenario: &ScenarioRecord, number: usize, value: f64) -> Opt
     if expectation.statistic == Statistic::Deviation {
         return TypeA::of_stated_deviation(value, counted().count());
     }
-    // In the record of a trial, the second expectation of a metric has the key `metric[2]`.
+    // The record of a trial names the second expectation of a metric `metric[2]`, and so on.
     let metric = expectation.metric;
     let earlier = scenario.expectations.iter().take(number).filter(|other| other.metric == metric).count();
     let name = if earlier == 0 { metric.to_string() } else { format!("{metric}[{}]", earlier + 1) };

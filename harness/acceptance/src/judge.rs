@@ -6,7 +6,7 @@ use platebench_record::{ExpectationRecord, RunRecord, Verdict};
 use platebench_report::format;
 use platebench_scenario::Requirement;
 
-/// `runs` contains the identifier and the run of each scenario step.
+/// `runs` contains the step identifier and the run of each scenario step.
 pub(crate) fn judge_requirements(
     requirements: &[Requirement],
     steps: &[StepRecord],
@@ -16,7 +16,7 @@ pub(crate) fn judge_requirements(
     let decided: Vec<RequirementRecord> =
         requirements.iter().map(|requirement| requirement_record(requirement, runs, decision)).collect();
     let over_requirements = decided.iter().map(|requirement| requirement.verdict);
-    // The verdicts of runs include expectations without a requirement.
+    // Runs also contain expectations that belong to no requirement.
     let over_runs = runs.iter().map(|(_, run)| run.verdict);
     let over_steps = steps.iter().map(|step| if step.done { step.verdict } else { Some(Verdict::Inconclusive) });
     let verdict = Verdict::combine(over_requirements.chain(over_runs).chain(over_steps.flatten()));
@@ -70,7 +70,7 @@ fn evidence_record(step: &str, scenario: &str, expectation: &ExpectationRecord) 
     }
 }
 
-/// Suffix for a limit that covers a quantile of the trials or a part of the trace.
+/// Text of a limit's scope: its share of the trials and part of the trace. Empty if it covers all.
 fn demand_scope(expectation: &ExpectationRecord) -> String {
     let share =
         expectation.evidence.quantile.map(|share| format!(" in {} % of the trials", (share * 1e6).round() / 1e4));

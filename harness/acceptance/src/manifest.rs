@@ -82,7 +82,7 @@ pub(crate) fn check(folder: &Path, text: &str) -> Vec<Difference> {
     differences
 }
 
-/// Returns hash and name; `None` if the line is invalid or the name is outside the record.
+/// Returns hash and file name. `None` if the line is invalid or the name leads out of the record.
 fn parse_line(line: &str) -> Option<(&str, &str)> {
     let (hash, name) = line.strip_suffix('\n')?.split_once("  ")?;
     let is_hash = hash.len() == 64 && hash.bytes().all(|digit| matches!(digit, b'0'..=b'9' | b'a'..=b'f'));
@@ -113,7 +113,7 @@ impl FolderContents {
                 continue;
             };
             let name = format!("{prefix}{last}");
-            // Links are not followed.
+            // `file_type` does not follow symbolic links, so a link is an unsupported entry.
             match entry.file_type() {
                 Ok(kind) if kind.is_dir() && depth < MAX_DEPTH => {
                     self.collect_below(&entry.path(), &format!("{name}/"), depth + 1);

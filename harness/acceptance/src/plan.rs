@@ -8,7 +8,7 @@ use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// The same limit as that of `run --trials`.
+/// Equals the limit of `run --trials`.
 const MAX_REPETITIONS: u32 = 100_000;
 const MAX_CLEAN_RUNS: u32 = 1_000_000;
 
@@ -217,8 +217,8 @@ pub(crate) fn read_recorded_plan(
     Ok((raw.requirement, decision))
 }
 
-/// Unless the rule is `simple`, each expectation of a requirement needs a budget and must not be
-/// `about`.
+/// Returns faults of scenarios that the decision rule cannot judge. Except with rule `simple`, each
+/// expectation of a requirement needs a budget and must not be `about`.
 fn decision_diagnostics(
     path: &Path,
     text: &str,

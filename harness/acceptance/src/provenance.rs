@@ -1,5 +1,5 @@
-//! Records bench, rig, plan, inputs and firmware at the start of a session, and checks that they
-//! stay the same.
+//! Records bench, rig, plan, inputs and firmware at the start of a session, and checks that a
+//! resumed session has the same ones.
 
 use crate::config::SessionConfig;
 use crate::decision::today;
@@ -55,13 +55,13 @@ pub(crate) fn new_session_record(config: &SessionConfig) -> Result<SessionRecord
 }
 
 fn bench_record() -> Result<BenchRecord, AcceptError> {
-    // `/proc/self/exe` is the running program, even if its file was replaced.
+    // `/proc/self/exe` is the running program, even if its file was replaced after the start.
     let running = fs::read("/proc/self/exe").or_else(|_| std::env::current_exe().and_then(fs::read));
     let program = running.at(Path::new("the program of the bench"))?;
     Ok(BenchRecord { tool: Tool::running(), sha256: sha256(&program), host: Host::current() })
 }
 
-/// `None` if the bench does not load the image.
+/// Returns the SHA-256 of the image that the bench loads. `None` if it loads no image.
 pub(crate) fn image_sha256(rig: &RigSpec) -> Result<Option<String>, AcceptError> {
     match rig {
         RigSpec::Emulated(None) | RigSpec::Probe { elf: None, .. } => Ok(Some(sha256(BUILT_IN_IMAGE))),

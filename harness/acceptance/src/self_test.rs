@@ -1,5 +1,5 @@
-//! Tests the bench: timing, repeatability, and how well the plan's scenarios catch faulty
-//! controllers.
+//! Tests the bench: timing, repeatability, and the share of faulty controllers that the plan's
+//! scenarios catch.
 
 use crate::config::SessionHooks;
 use crate::error::AcceptError;
@@ -18,13 +18,13 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-/// Seed of the first clean run, as in `platebench trust`.
+/// Seed of the first clean run. It equals the default of `platebench trust --seed`.
 const SEED: u64 = 31_415;
 const TRUST_FILE: &str = "trust.json";
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Plays the shortest scenario to the hosted controller, twice in lockstep to compare the traces,
-/// then in real time.
+/// Plays the shortest scenario to the hosted controller: twice in lockstep to compare the traces,
+/// then in real time to measure lateness.
 pub(crate) fn run_self_test(
     plan: &Plan,
     real_time: bool,
@@ -103,8 +103,8 @@ pub(crate) fn measure_trust(
         seed: SEED,
         jobs: thread::available_parallelism().map_or(1, std::num::NonZero::get),
     };
-    // The measurement drives no plate, so a cancelled session does not wait for its thread. It ends
-    // with the program.
+    // If the session is cancelled, this thread runs on until the program ends. This is safe because
+    // the measurement drives no plate.
     let measurement = thread::spawn(move || platebench_trust::measure(&config));
     while !measurement.is_finished() {
         if cancel.is_cancelled() {
@@ -146,7 +146,6 @@ pub(crate) fn measure_trust(
     Ok(())
 }
 
-/// NaN without trials.
 fn lower_bound_percent(rate: Rate) -> f64 {
     rate.bounds.map_or(f64::NAN, |[low, _]| low * 100.0)
 }
@@ -156,7 +155,7 @@ mod tests {
     use super::*;
     use rstest::rstest;
 
-    /// Clopper-Pearson: at these rates as many or more occur with a probability of 5 %.
+    /// Clopper-Pearson: at a rate equal to the bound, `seen` or more catches have probability 5 %.
     #[rstest]
     #[case::of_the_plan(25, 34, 58.35)]
     #[case::one_less(24, 34, 55.24)]

@@ -27,22 +27,20 @@ pub struct SessionRecord {
     pub title: String,
     #[serde(flatten)]
     pub details: SessionDetails,
-    /// UTC, RFC 3339, like all times of a record.
+    /// Time in UTC, format RFC 3339. All times of a record have this format.
     pub started: String,
     pub finished: Option<String>,
     pub resumed: Vec<String>,
     pub bench: BenchRecord,
-    /// The rig as on the command line.
     pub rig: String,
     pub clock: ClockRecord,
     /// `null` until the first step has identified the controller.
     pub firmware: Option<FirmwareRecord>,
     pub plan: InputRecord,
-    /// `None` if the plan has no decision rule. The uncertainty of measurement is then not
-    /// considered.
+    /// `None` if the plan has no decision rule. Verdicts then ignore measurement uncertainty.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub decision: Option<DecisionRecord>,
-    /// Scenarios, each followed by its plate and profiles, in the order of the plan.
+    /// Scenarios in the order of the plan. The plate and profiles of a scenario follow it.
     pub inputs: Vec<InputRecord>,
     pub steps: Vec<StepRecord>,
     /// Empty until the session is judged.
@@ -79,9 +77,9 @@ pub struct ClockRecord {
 pub struct FirmwareRecord {
     #[serde(flatten)]
     pub firmware: Firmware,
-    /// Number of the chip, hexadecimal; zero for a program.
+    /// Serial number of the chip, hexadecimal. Zero if the controller is a program.
     pub unique: String,
-    /// Hexadecimal; `null` if the bench does not load the image.
+    /// SHA-256 of the firmware image, hexadecimal. `null` if the bench does not load the image.
     pub image_sha256: Option<String>,
 }
 
@@ -104,7 +102,7 @@ pub struct StepRecord {
     /// True if the step has ended. A resumed session does not repeat it.
     pub done: bool,
     pub verdict: Option<Verdict>,
-    /// Why the step did not pass; otherwise a short summary of its result.
+    /// Reason if the step did not pass, else a short summary of its result.
     pub reason: Option<String>,
     pub attempts: Vec<Attempt>,
     /// True if the controller was lost or did not confirm 0 V.
@@ -121,7 +119,7 @@ pub struct Attempt {
     pub started: String,
     /// `null` if the bench stopped during the attempt.
     pub ended: Option<String>,
-    /// Error that ended the attempt, which then does not count.
+    /// Error that ended the attempt. An attempt with an error does not count.
     pub broken_off: Option<String>,
 }
 
@@ -140,7 +138,7 @@ pub struct SelfTestRecord {
     pub repeats: bool,
     pub periods: u64,
     pub overruns: u64,
-    /// Lateness of samples, µs. Each quantile is that of its worst trial.
+    /// Lateness of samples, µs. Each quantile is the largest of all trials.
     pub lateness_us: Quantiles,
     pub scheduling: String,
 }
@@ -152,7 +150,7 @@ pub struct TrustRecord {
     pub caught: u32,
     pub survived: Vec<String>,
     pub clean_runs: u32,
-    /// False alarms in clean runs, and expectations that the hosted controller fails.
+    /// Failures of correct controllers in the clean runs and in the unmodified scenarios.
     pub false_alarms: u32,
 }
 
@@ -181,7 +179,7 @@ pub struct EvidenceUncertainty {
     pub value: f64,
     /// Value ± expanded uncertainty.
     pub interval: [f64; 2],
-    /// Probability that the true value does not conform, from the uncertainty alone.
+    /// Probability that the true value is outside the limits, given only the uncertainty.
     pub outside_probability: f64,
     pub conformity: Conformity,
     pub combined: CombinedUncertainty,
@@ -258,7 +256,7 @@ impl SessionRecord {
         serde_json::from_slice(&bytes).map_err(|error| content(error.to_string()))
     }
 
-    /// `None` if a board may have been attached.
+    /// Returns the notice of a record without a board. `None` if a board may have been attached.
     pub fn no_board_notice(&self) -> Option<&'static str> {
         match self.rig.parse().ok().filter(|rig| !may_have_board(rig))? {
             RigSpec::Hosted => {
@@ -281,7 +279,7 @@ pub(crate) fn write_file(folder: &Path, name: &str, content: &[u8]) -> Result<()
     write_atomically(&path, content).at(&path)
 }
 
-/// True for `exec:` too, because a foreign program may drive a plate.
+/// An `exec:` rig counts as a board, because a foreign program may drive a plate.
 pub(crate) const fn may_have_board(rig: &RigSpec) -> bool {
     match rig {
         RigSpec::Hosted | RigSpec::Emulated(_) => false,

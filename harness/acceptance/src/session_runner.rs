@@ -5,7 +5,7 @@
 //!            └── each step: started (written) → done (written, with its files) ──┘
 //! ```
 //!
-//! A resumed session repeats the interrupted step, never a step that is done.
+//! A resumed session repeats the interrupted step, but no step that is done.
 
 use crate::ask::ask_operator;
 use crate::config::{SessionConfig, SessionHooks};
@@ -57,7 +57,7 @@ pub fn play_session(config: &SessionConfig, hooks: &mut SessionHooks<'_>) -> Res
     session.judge_and_seal()
 }
 
-/// Locks the folder of the record against other sessions.
+/// State of a running session. It locks the folder of the record against other sessions.
 struct SessionRunner<'a> {
     config: &'a SessionConfig,
     record: SessionRecord,
@@ -124,7 +124,7 @@ impl<'a> SessionRunner<'a> {
         }
         let attempts = step.attempts.clone();
         if let Some(stored) = self.record.steps.get_mut(index) {
-            // A failed attempt changes only the list of attempts.
+            // After an error, only the list of attempts changes, so that the step is repeated.
             if result.is_ok() { *stored = step } else { stored.attempts = attempts }
         }
         self.record.write(&self.config.out)?;
@@ -249,7 +249,7 @@ impl<'a> SessionRunner<'a> {
     }
 }
 
-/// `new` is the record that a session would have if it started now.
+/// Reads the interrupted session. `new` is the record of a session that would start now.
 fn resume(config: &SessionConfig, new: &SessionRecord) -> Result<SessionRecord, AcceptError> {
     let folder = &config.out;
     let mut record = SessionRecord::read(folder)?;

@@ -1,6 +1,6 @@
 //! Signs the manifest (ed25519, 64 raw bytes in `manifest.sha256.sig`) and checks the signature.
-//! Keys have the PEM formats of OpenSSL (PKCS #8, SPKI). `openssl pkeyutl -verify -rawin` checks a
-//! signature too.
+//! Keys have the PEM formats of OpenSSL: PKCS #8 and SPKI. `openssl pkeyutl -verify -rawin` also
+//! checks a signature.
 
 use crate::error::AcceptError;
 use ed25519_dalek::pkcs8::spki::der::pem::{LineEnding, decode_label};
@@ -54,12 +54,12 @@ impl PublicKey {
         self.0.to_public_key_pem(LineEnding::LF).unwrap_or_default()
     }
 
-    /// SHA-256 of the 32 bytes of the key, hexadecimal.
+    /// Returns the SHA-256 of the 32 bytes of the key, hexadecimal.
     pub fn fingerprint(&self) -> String {
         sha256(self.0.as_bytes())
     }
 
-    /// Rejects weak keys, whose signatures fit many messages.
+    /// Rejects weak keys, because one signature of a weak key is valid for many messages.
     pub(crate) fn verifies(&self, content: &[u8], signature: &[u8]) -> bool {
         Signature::from_slice(signature).is_ok_and(|signature| self.0.verify_strict(content, &signature).is_ok())
     }

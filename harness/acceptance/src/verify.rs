@@ -1,6 +1,6 @@
-//! Compares the files of a sealed record with its manifest, the manifest with its signature, and
-//! the verdicts with the traces, which are judged again. Without a signature, a changed file with a
-//! new manifest is found only if it contradicts the traces.
+//! Verifies a sealed record. It compares the files with the manifest, the manifest with the
+//! signature, and the verdicts with traces that it judges again. Without a signature, a changed
+//! file with a matching new manifest is found only if it contradicts the traces.
 
 use crate::error::AcceptError;
 use crate::judge::judge_requirements;
@@ -31,7 +31,7 @@ pub enum Finding {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Signer {
     Unsigned,
-    /// Fingerprint of the key that the record itself contains.
+    /// Fingerprint of the key in the record. It proves who signed only if the reader knows it.
     RecordKey(String),
     GivenKey,
 }
@@ -95,7 +95,7 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, Ac
     Ok(found)
 }
 
-/// `named` is the key in the session record, `given` the key of the caller.
+/// `named` is the public key in the session record, `given` the key that the caller trusts.
 fn check_signature(
     manifest: &[u8],
     signature: Option<&[u8]>,

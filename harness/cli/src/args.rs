@@ -115,7 +115,7 @@ pub(crate) enum Command {
     Man(man::ManArgs),
 }
 
-/// Ends the process on wrong usage and after it has printed help. Fails with the faults of
+/// Parses the command line. Wrong usage and help end the process. Fails with the faults of
 /// `platebench.toml`.
 pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     let words = std::env::args_os().map(|word| word.to_string_lossy().into_owned());
@@ -129,8 +129,7 @@ pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
         Ok(config) => (config, Vec::new()),
         Err(faults) => (Config::default(), faults),
     };
-    // Help and reports of wrong usage come first, so that a faulty `platebench.toml` does not hide
-    // them.
+    // Faults of `platebench.toml` follow later, so that they do not hide help or wrong usage.
     let matches = config::with_settings(definition, &config).try_get_matches().unwrap_or_else(|error| {
         if let Some(variable) = variable_of(&error) {
             crate::stdio::note(&format!("the value comes from the environment variable {variable}"));
@@ -148,7 +147,7 @@ pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     if needs_config && !faults.is_empty() { Err(faults) } else { Ok((arguments, config)) }
 }
 
-/// Returns the Cargo feature that the unknown command needs, if this build lacks it.
+/// Returns the Cargo feature of the unknown command, if this build lacks the feature.
 fn missing_feature(error: &clap::Error) -> Option<&'static str> {
     let Some(ContextValue::String(command)) = error.get(ContextKind::InvalidSubcommand) else { return None };
     let (feature, is_built) = match &**command {

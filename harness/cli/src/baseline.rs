@@ -136,7 +136,7 @@ fn print_difference(
     Ok(compared.verdict)
 }
 
-/// Prints a drawing of every signal that leaves its tube, for the first trial in which one does.
+/// Draws the signals outside their tubes, for the first trial that has such a signal.
 fn print_drawings(trials: &ScenarioTrials, old: Option<&Baseline>) -> Result<(), CompareError> {
     let Some(old) = old else { return Ok(()) };
     for trial in &trials.trials {

@@ -31,7 +31,6 @@ pub(crate) struct BoardArgs {
 }
 
 impl BoardSelection {
-    /// `None` without `--board`.
     pub(crate) fn find(&self) -> Result<Option<Board>, Failure> {
         let Some(name) = &self.board else { return Ok(None) };
         Ok(Some(Inventory::open(self.boards.as_deref())?.board(name)?.clone()))
@@ -43,13 +42,12 @@ impl BoardArgs {
         self.selection.find().map(|board| board.map(|board| board.rig))
     }
 
-    /// False with `--board`, because a board plays one trial at a time.
+    /// `--board` forbids parallel links, because a board plays one trial at a time.
     pub(crate) fn allows_parallel_links(&self, rig: &RigSpec) -> bool {
         self.selection.board.is_none() && rig.allows_parallel_links()
     }
 
-    /// Returns `None` without `--board`. With a board, signals no longer end the process from then
-    /// on.
+    /// Reserves the board of `--board`. Signals then no longer end the process by themselves.
     pub(crate) fn reserve(&self, command: &str) -> Result<Option<Reservation>, Failure> {
         let Some(name) = &self.selection.board else { return Ok(None) };
         shutdown::listen().or_invalid()?;
@@ -60,7 +58,7 @@ impl BoardArgs {
     }
 }
 
-/// Fails if the state of the board cannot be written. Then the board stays marked as in use.
+/// Fails if the state of the board cannot be written. The board then stays marked as in use.
 pub(crate) fn release(reservation: Option<Reservation>, end: BoardOutcome) -> Result<(), Failure> {
     let Some(reservation) = reservation else { return Ok(()) };
     if let Some(reason) = &end.quarantine {

@@ -104,8 +104,7 @@ fn submit(arguments: &SubmitArgs, quiet: bool) -> CommandResult {
 fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFormat) -> CommandResult {
     let (plan, campaign) = Plan::open(folder)?;
     let rig = plan_rig(&plan, folder)?;
-    // Another machine may have played the shards, so only the worst trials need the planned bench
-    // on this one.
+    // Other machines may have played the shards. Only the worst trials need the planned bench here.
     let bench = if plays_worst(&rig) { plan.check_bench(&rig) } else { Ok(()) };
     merge_and_show(folder, (plan, Arc::new(campaign)), bench, jobs, quiet, format)
 }
@@ -114,8 +113,8 @@ fn plan_rig(plan: &Plan, folder: &Path) -> Result<RigSpec, CampaignError> {
     plan.rig.parse().map_err(|_| CampaignError::NoPlan(folder.to_owned()))
 }
 
-/// Before the merge, plays the trials of `plan.confirm` again. After it, plays the worst trials
-/// again, unless `bench` is the error that bench or firmware differ from the planned ones.
+/// Plays the trials of `plan.confirm` again and merges. Then plays the worst trials again, unless
+/// `bench` is an error because bench or firmware differ from the plan.
 fn merge_and_show(
     folder: &Path,
     (plan, campaign): (Plan, Arc<Campaign>),
@@ -194,7 +193,6 @@ fn play(
     })
 }
 
-/// Fails if a signal ended the work.
 fn run_campaign_work<R: Send + 'static>(
     config: PlayConfig,
     mut progress: CampaignProgress,

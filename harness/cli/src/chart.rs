@@ -1,4 +1,4 @@
-//! `platebench chart`: measures speed against accuracy and writes one page.
+//! `platebench chart`: measures speed against accuracy and writes one page of charts.
 
 use crate::chart_page::write_page;
 use crate::exit::Exit;
@@ -13,10 +13,9 @@ use platebench_study::charts::{ChartError, ladder, laws, load_law_scenarios, pre
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Number of measurements of a cost. Their median counts.
+/// Number of measurements of a cost. The chart shows their median.
 const COST_ROUNDS: u32 = 3;
-/// For methods. The scenarios are at resonance, detuned by 545 rad/s, detuned under 2 N, and with a
-/// moving finger.
+/// For the methods chart: at resonance, detuned by 545 rad/s, detuned under 2 N, moving finger.
 const DEFAULT_SCENARIOS: [&str; 4] = [
     "paper/fig13-closed-loop.toml",
     "paper/fig14-closed-loop.toml",

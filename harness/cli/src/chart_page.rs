@@ -6,8 +6,7 @@ use platebench_study::charts::ChartSection;
 use platebench_trace::write_atomically;
 use std::path::{Path, PathBuf};
 
-/// Returns the path of the page. A section has a heading unless its title equals the title of the
-/// page.
+/// Returns the path of the page. A section with the title of the page gets no heading of its own.
 pub(crate) fn write_page(
     folder: &Path,
     name: &str,

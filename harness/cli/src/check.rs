@@ -49,7 +49,7 @@ struct CheckResult<'a> {
     warnings: Vec<FaultLocation<'a>>,
 }
 
-/// `line` and `column` count from 1. They are absent if the file was not read.
+/// `line` and `column` count from 1. `None` if the file could not be read.
 #[derive(Serialize)]
 struct FaultLocation<'a> {
     file: &'a Path,
@@ -84,14 +84,14 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
     }
 }
 
-/// True for a scenario that the tags select, and for a scenario that cannot be loaded, whose tags
-/// are not known.
+/// Selects a scenario by its tags. A scenario that cannot be loaded is selected, because its tags
+/// are unknown.
 fn is_selected(tags: &TagFilter, path: &Path, name: &str) -> bool {
     FileKind::detect(path) == FileKind::Scenario
         && load_with_all_errors(path, name).map_or(true, |scenario| tags.selects(&scenario))
 }
 
-/// `definition` is the command line, which checks settings.
+/// `definition` is the command line. It checks the values of settings.
 pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResult {
     let (mut files, mut faults) = list_files(&arguments.scenarios);
     if !arguments.tags.is_empty() {
@@ -100,7 +100,7 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
     let kinds: Vec<_> = files.iter().map(|(path, _)| FileKind::detect(path)).collect();
     for ((path, name), kind) in files.iter().zip(&kinds) {
         for fault in diagnostics(*kind, path, name, definition) {
-            // Two scenarios may use the same faulty plate.
+            // A faulty plate reports its fault once for each scenario that uses it.
             if !faults.contains(&fault) {
                 faults.push(fault);
             }

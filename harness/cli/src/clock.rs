@@ -1,4 +1,4 @@
-//! Resolves the clock from the command line and the rig.
+//! Selects the clock from the command line and the rig.
 
 use crate::options::{ClockArg, PacingArg, PlateModeArg};
 use platebench_rig::{RigSpec, check_baud};
@@ -49,7 +49,7 @@ impl<'a> ClockRequest<'a> {
         }
     }
 
-    /// A real plate has one clock, the controller's.
+    /// A controller with a real plate allows one clock only, its own.
     fn resolve_real_plate(&self) -> Result<Clock, &'static str> {
         let drives_plate =
             matches!(self.rig, RigSpec::Serial { .. } | RigSpec::Tcp(_) | RigSpec::Rfc2217 { .. } | RigSpec::Exec(_));
@@ -66,14 +66,14 @@ impl<'a> ClockRequest<'a> {
     }
 }
 
-/// Fails if the line is too slow for real time. In lockstep the plate waits for the line.
+/// Fails if the serial line is too slow for real time. In lockstep the plate waits for the line.
 pub(crate) fn check_line_speed(rig: &RigSpec, clock: Clock, scenarios: &[Scenario]) -> Result<(), String> {
     let Some(baud) = rig.baud() else { return Ok(()) };
     let time_scale = match clock {
         Clock::Lockstep { .. } => return Ok(()),
         Clock::RealTime(time_base) => time_base.time_scale,
-        // Telemetry of a real plate takes 43 bytes per period, less than a sample and its command
-        // with 48 bytes.
+        // A period needs 43 bytes of telemetry from a real plate, less than the 48 bytes of sample
+        // and command.
         Clock::RealPlate => 1.0,
     };
     for scenario in scenarios {

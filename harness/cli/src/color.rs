@@ -1,4 +1,4 @@
-//! Decides whether output has colours.
+//! Decides whether the output has colours.
 
 use clap::{ColorChoice, ValueEnum};
 use std::ffi::OsStr;
@@ -27,8 +27,7 @@ pub(crate) fn applies_to(output: &impl IsTerminal) -> bool {
     choice.applies(output.is_terminal(), std::env::var_os("NO_COLOR").as_deref())
 }
 
-/// Reads `--color` before clap parses the command line, because help and reports of wrong usage
-/// have colours too.
+/// Reads `--color` before clap parses the command line, because help and wrong usage need it too.
 pub(crate) fn choice_of_arguments(words: impl Iterator<Item = String>) -> ColorArg {
     let words: Vec<_> = words.take_while(|word| word != "--").collect();
     let separate = words.array_windows().filter(|[word, _]| word == "--color").map(|[_, value]| value.as_str());

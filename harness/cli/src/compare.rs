@@ -74,7 +74,7 @@ impl ComparisonOutput {
     }
 }
 
-/// True if the first baseline has not been accepted yet. Then nothing can differ.
+/// True if there is no baseline yet. The comparison then has no reference and finds no difference.
 fn has_no_baseline(arguments: &CompareArgs) -> bool {
     let is_empty = fs::read_dir(&arguments.baselines).map_or(true, |mut entries| entries.next().is_none());
     arguments.against == BASELINE_KEYWORD && is_empty
@@ -108,7 +108,7 @@ fn compare_all(arguments: &CompareArgs) -> Result<Vec<ComparisonOutput>, Compare
     Ok(comparisons)
 }
 
-/// Reports the trials that only the reference has, because fewer trials pass more easily.
+/// Reports trials that only the reference has. Without this, a run with fewer trials could pass.
 fn note_missing(arguments: &CompareArgs, subject: &[ScenarioTrials]) -> Result<(), CompareError> {
     let against = Path::new(&arguments.against);
     if arguments.against == BASELINE_KEYWORD || !is_run_folder(&arguments.subject) || !is_run_folder(against) {
@@ -144,7 +144,7 @@ fn draw_worst(
             return Ok(None);
         }
     };
-    // The path of a trace may lead out of `folder`.
+    // A trace has a path as its name, and this path could lead out of `folder`.
     let name = if Path::new(&scenario.name).is_absolute() || scenario.name.contains("..") {
         Path::new(&scenario.name).file_name().map(PathBuf::from).unwrap_or_default()
     } else {

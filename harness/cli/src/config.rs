@@ -1,8 +1,7 @@
 //! Takes options from the environment and from `platebench.toml`.
 //!
-//! Precedence: command line, environment, file, built-in default. clap applies it, because the
-//! variable of a setting becomes the `env` of the option, and the value in the file becomes the
-//! default.
+//! Precedence: command line, environment, file, built-in default. clap implements this order: the
+//! variable of a setting is the `env` of the option, and the value in the file is its default.
 
 use clap::Command;
 use platebench_scenario::{Diagnostic, find_file_above, parse, parse_file};
@@ -10,7 +9,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// Name of the file. The nearest one from the working directory upwards applies.
+/// Name of the settings file. The nearest one applies, from the working directory upwards.
 pub(crate) use platebench_scenario::SETTINGS_FILE as FILE;
 
 /// Keys of `platebench.toml`.
@@ -68,14 +67,14 @@ struct RawRun {
 }
 
 struct Setting {
-    /// Name of the field in the arguments of the command.
+    /// Name of the field in the arguments of a command.
     id: &'static str,
-    /// Environment variable. A list has none.
+    /// Environment variable of the setting. A setting with a list of values has none.
     variable: Option<&'static str>,
     key: &'static str,
-    /// Commands that use the setting. If empty, every command that has the option.
+    /// Commands that use the setting. If empty, all commands with the option use it.
     commands: CommandNames,
-    /// A relative path is relative to the folder of the file.
+    /// True for a path. A relative path starts at the folder of the settings file.
     is_path: bool,
 }
 
@@ -119,8 +118,7 @@ impl Config {
         find_file_above(folder, FILE).map_or_else(|| Ok(Self::default()), |path| Self::read(&path, definition))
     }
 
-    /// `definition` is the command line, which checks the values. Fails with every fault of the
-    /// file.
+    /// Reads the file. The command line `definition` checks the values. Fails with all faults.
     pub(crate) fn read(path: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
         let (text, _) = parse_file::<RawConfig>(path)?;
         let document: toml::Table = parse(path, &text)?;
@@ -169,7 +167,7 @@ impl Setting {
     }
 }
 
-/// Returns the value of `key` as words of the command line.
+/// Returns the value of `key` as it would be typed on the command line.
 fn value_at(document: &toml::Table, key: &str) -> Option<Vec<String>> {
     let word = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let value = match key.split_once('.') {
@@ -189,7 +187,7 @@ fn subcommand_names(command: &Command) -> Vec<String> {
     command.get_subcommands().map(|command| command.get_name().to_owned()).collect()
 }
 
-/// `name` is the name of the top-level command, also if `command` is its subcommand.
+/// `name` names the top-level command, also if `command` is one of its subcommands.
 fn with_settings_of(command: Command, name: &str, config: &Config) -> Command {
     let command = SETTINGS.iter().fold(command, |command, setting| {
         if !setting.applies_to(&command, name) {

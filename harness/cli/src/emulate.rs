@@ -53,12 +53,12 @@ pub(crate) struct EmulateArgs {
     live: bool,
 }
 
-/// Time between two attempts to reach a controller, or to open a port that disappeared.
+/// Time between two attempts to reach a controller, or to reopen a port that disappeared.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
-/// Time between two status lines on a terminal, and in other outputs.
+/// Time between two status lines: first on a terminal, second in a file or pipe.
 const STATUS_INTERVALS: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(1)];
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
-/// 100 days, because the operator ends the emulation and not the scenario.
+/// 100 days. The operator ends the emulation, not the scenario.
 const UNLIMITED_DURATION: Time = Time::from_nanos(100 * 24 * 3_600_000_000_000);
 const LIVE_KEYS: &str = "f/F finger -/+, t/T plate -/+, s/S setpoint -/+, r release and cool, q quit";
 const KEYS: &str =
@@ -192,15 +192,14 @@ impl PlateServer {
             if self.view_sender.is_none() {
                 print_on_stderr(KEYS);
             }
-            // The thread is never joined, because a terminal that hung up blocks it until the
-            // program ends.
+            // The thread is never joined. If the terminal hangs up, it blocks until the end.
             thread::spawn(move || handle_keys(inputs, &control, &cancel));
         }
         print_on_stderr("waiting for a controller");
         while !cancel.is_cancelled() {
             let started = Instant::now();
             let Ok(mut session) = Session::open(FaultInjector::new(&mut link)) else {
-                // A USB port that was unplugged needs a new connection.
+                // If a USB port was unplugged, only a new connection reaches it again.
                 if let ControllerPort::Serial(rig) = port {
                     link = rig.connect_real_time().unwrap_or(link);
                 }
@@ -296,7 +295,7 @@ fn handle_keys(mut inputs: ManualInputs, control: &ManualControl, cancel: &Cance
     watch_keys(
         || cancel.is_cancelled(),
         |key| match key {
-            // In raw mode Ctrl-C arrives as a key, not as a signal.
+            // In raw mode, Ctrl-C is read as a key and sends no signal.
             'q' | INTERRUPT => cancel.cancel(),
             letter if apply_key(&mut inputs, letter) => control.set(inputs),
             _ => {}
@@ -304,7 +303,7 @@ fn handle_keys(mut inputs: ManualInputs, control: &ManualControl, cancel: &Cance
     );
 }
 
-/// Clears the status line first, which has no line end. Raw mode needs the carriage returns.
+/// Overwrites the status line, which has no line end. Raw mode needs the carriage returns.
 fn print_on_stderr(text: &str) {
     stdio::note(&if stdin().is_terminal() { format!("\r\u{1b}[K{text}\r") } else { text.to_owned() });
 }

@@ -1,8 +1,8 @@
 use platebench_record::{RunRecord, Verdict};
 use std::process::ExitCode;
 
-/// Exit code of the program. If several apply, the first of invalid, unreachable, failed,
-/// inconclusive counts.
+/// Exit code of the program. If several codes apply, the first of this order counts: invalid,
+/// unreachable, failed, inconclusive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Exit {
     Passed,

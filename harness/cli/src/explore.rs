@@ -77,7 +77,7 @@ pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> CommandResult {
     };
     let mut last = Duration::ZERO;
     let ended = run_until_signal(None, work, |event| {
-        // A line every ten seconds shows in a log that the work continues.
+        // In a log, a line every ten seconds shows that the work continues.
         if !quiet && event.elapsed >= last + Duration::from_secs(10) {
             last = event.elapsed;
             stdio::note(&event.to_string());

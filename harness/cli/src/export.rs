@@ -46,7 +46,7 @@ enum ExportFormatArg {
 pub(crate) fn export(arguments: &ExportArgs) -> CommandResult {
     let mut record = RunRecord::read(&arguments.run).or_invalid()?;
     if !record.complete {
-        // The record of an interrupted run lacks its last trials.
+        // The record of an interrupted run lacks its last trials, so the traces are judged again.
         record = rejudge(&arguments.run, None)?;
     }
     check_traces(&record, arguments)?;

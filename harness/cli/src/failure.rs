@@ -19,7 +19,7 @@ pub(crate) struct Failure {
 
 #[derive(Debug, PartialEq)]
 enum Report {
-    /// Standard error contains the report already.
+    /// The report is already on standard error.
     Done,
     Message(String),
     Faults(Vec<Diagnostic>),
@@ -80,7 +80,7 @@ impl From<ConnectError> for Failure {
 
 impl From<RigError> for Failure {
     fn from(error: RigError) -> Self {
-        // The firmware rejects a scenario or plate that it cannot control.
+        // The firmware rejects a scenario or plate that it cannot control: an invalid input.
         let is_rejected = matches!(error, RigError::ConfigurationRejected(_));
         Self::new(if is_rejected { Exit::Invalid } else { Exit::Unreachable }, &error)
     }
@@ -113,7 +113,7 @@ impl From<RejudgeError> for Failure {
 pub(crate) trait OrInvalid<T> {
     fn or_invalid(self) -> Result<T, Failure>;
 
-    /// The message begins with the path.
+    /// Fails with a message that begins with `path`.
     fn or_invalid_at(self, path: &Path) -> Result<T, Failure>;
 }
 

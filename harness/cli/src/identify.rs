@@ -178,13 +178,13 @@ fn describe_source(arguments: &IdentifyArgs, recordings: &[Recording], board: Op
     format!("platebench identify, {recordings}: {}{board}", names.join(", "))
 }
 
-/// Adds the tables below the folder `path`, sorted by name, or the file `path` itself.
+/// Adds the file `path`, or the tables below the folder `path`, sorted by name.
 fn collect_tables(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> {
     if !path.is_dir() {
         files.push(path.to_owned());
         return Ok(());
     }
-    // A run folder also holds copies of its inputs.
+    // A run folder contains copies of its inputs too, so only its traces are read.
     let traces = path.join("traces");
     let folder = if traces.is_dir() { traces } else { path.to_owned() };
     let mut entries = fs::read_dir(folder).and_then(Iterator::collect::<Result<Vec<_>, _>>).or_invalid_at(path)?;

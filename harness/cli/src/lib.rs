@@ -1,5 +1,5 @@
-//! Defines the command line: arguments, wiring and exit codes. The other crates decide and measure.
-//! The crate is a library so that the tests of the whole bench can build the same program.
+//! Defines the command line: arguments, wiring and exit codes. Other crates decide and measure.
+//! This is a library so that the tests of the whole bench can build the same program.
 
 #![cfg_attr(
     not(all(feature = "emulated", feature = "export", feature = "live", feature = "study")),

@@ -1,4 +1,4 @@
-//! Opens the live view of `--live`.
+//! Opens the live view of the option `--live`.
 
 use crate::stdio;
 use platebench_live::{LiveView, RunDescription, ScenarioDescription, ViewEvent};
@@ -20,7 +20,7 @@ pub(crate) fn describe_run(command: &'static str, keys: &'static str, plan: &Run
     }
 }
 
-/// Without a terminal, prints a note and returns no view.
+/// If the live view cannot be opened, prints a note and returns no view.
 pub(crate) fn open_view(description: RunDescription) -> (Option<LiveView>, LiveTap) {
     let (live_tap, tap_reader) = LiveTap::new();
     match LiveView::open(description, tap_reader) {
@@ -32,7 +32,7 @@ pub(crate) fn open_view(description: RunDescription) -> (Option<LiveView>, LiveT
     }
 }
 
-/// Live view of a session. It is open while a scenario is played.
+/// Live view of an acceptance session. It is open only while a scenario is played.
 #[derive(Debug, Clone)]
 pub(crate) struct SessionView(Option<Arc<Mutex<Option<LiveView>>>>);
 
@@ -47,7 +47,7 @@ impl SessionView {
 
     pub(crate) fn open(&self, plan: &RunPlan) -> Option<LiveTap> {
         let mut slot = self.lock_view()?;
-        // Only one view may use the terminal.
+        // Closes the previous view first, because only one view may use the terminal.
         *slot = None;
         let (view, live_tap) = open_view(describe_run("accept", SESSION_KEYS, plan));
         *slot = Some(view?);

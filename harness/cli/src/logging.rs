@@ -62,14 +62,14 @@ pub(crate) fn start(arguments: &LoggingArgs) -> Result<(), String> {
         Err(VarError::NotPresent) => Targets::new().with_default(level),
         Err(VarError::NotUnicode(_)) => return Err(format!("{VARIABLE}: not UTF-8, {EXPECTED}")),
     };
-    // The thread of the controller logs too, and a slow reader must not delay it.
-    // Internal errors are not reported, because the report of a closed terminal would panic.
+    // Does not block, because a slow reader must not delay the controller's thread, which logs too.
+    // Internal errors are not reported: if the terminal is closed, the report would panic.
     let lines = fmt::layer().with_writer(|| NonBlockingStderr).log_internal_errors(false);
     let lines = match arguments.log_format {
         LogFormat::Human => lines.with_ansi(color::applies_to(&stderr())).boxed(),
         LogFormat::Json => lines.json().boxed(),
     };
-    // A second start, for example in a test, changes nothing.
+    // If a logger exists already, for example in a test, it stays.
     let _ = registry().with(filter).with(lines).try_init();
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `platebench merge`: joins the runs of shards and boards into one run folder.
+//! `platebench merge`: joins the runs of shards and of boards into one run folder.
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};

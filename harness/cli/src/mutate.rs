@@ -17,7 +17,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Mutants per line of progress. The lines show in a log that the work continues.
+/// Number of mutants between two lines of progress, which show in a log that the work continues.
 const PROGRESS_INTERVAL: usize = 50;
 
 #[derive(Debug, Args)]

@@ -18,7 +18,7 @@ const SCHEMA_FILE: &str = "schema/scenario.json";
 const PLATE_SCHEMA_FILE: &str = "schema/plate.json";
 const SCENARIOS: &str = "scenarios";
 const TEMPLATE: &str = include_str!("new/scenario.toml");
-/// The plate file is searched in this number of folders, from the folder of the scenario upwards.
+/// Number of folders that the search for the plate file tries, from the scenario's folder upwards.
 const MAX_SEARCHED_FOLDERS: usize = 4;
 
 #[derive(Debug, Args)]
@@ -50,12 +50,12 @@ pub(crate) fn new(arguments: &NewArgs) -> CommandResult {
     Ok(Exit::Passed)
 }
 
-/// Returns the paths of the written files, the scenario first.
+/// Returns the paths of the written files; the first one is the scenario.
 fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, Failure> {
     let path = scenario_path(folder, name)?;
     let home = path.parent().unwrap_or(Path::new("")).to_owned();
     let title = path.file_stem().unwrap_or_default().to_string_lossy().replace(['-', '_'], " ");
-    // The search for the plate uses `..`, which needs an existing folder.
+    // The search below uses paths with `..`, which need an existing folder.
     fs::create_dir_all(if home.as_os_str().is_empty() { Path::new(".") } else { &home }).or_invalid_at(&home)?;
     let ups = (0..MAX_SEARCHED_FOLDERS).map(|count| "../".repeat(count));
     let up = ups.clone().find(|up| home.join(up).join(PLATE_FILE).is_file());
@@ -66,7 +66,7 @@ fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, Fai
         .replace("{law}", law)
         .replace("{laws}", &LawId::ALL.map(LawId::name).join(", "))
         .replace("{expect}", expectations_of_law(law))
-        // The title is last, because it may contain a placeholder.
+        // The title is inserted last, because its text may look like a placeholder.
         .replace("{title}", &toml::Value::from(title).to_string());
     let mut files = vec![write_new_file(path, &format!("#:schema {schema}\n{text}"))?];
     if up.is_none() {
@@ -77,7 +77,7 @@ fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, Fai
         schemas.push((PLATE_SCHEMA_FILE.to_owned(), SchemaKind::Plate));
     }
     for (file, kind) in schemas {
-        // Editors read the schema. An existing one, perhaps of another version, is kept.
+        // Editors read the schema. An existing one is kept; it may belong to another version.
         if !home.join(&file).exists() {
             files.push(write_new_file(home.join(&file), &kind.to_text().or_invalid()?)?);
         }
@@ -113,7 +113,7 @@ fn write_new_file(path: PathBuf, text: &str) -> Result<PathBuf, Failure> {
     }
 }
 
-/// Laws without amplitude control settle late; bang-bang never settles.
+/// Laws without amplitude control settle late, so they get wider limits. Bang-bang never settles.
 fn expectations_of_law(law: &str) -> &'static str {
     match LawId::from_name(law) {
         Some(LawId::BangBang) => {

@@ -59,7 +59,7 @@ fn is_stdout(file: &Path) -> bool {
 }
 
 impl Outputs {
-    /// Fails if two outputs use standard output, or a file cannot be written to its path.
+    /// Fails if two outputs use standard output, or if a file cannot be written.
     pub(crate) fn check(&self, format: OutputFormat) -> Result<(), String> {
         let to_stdout = [&self.summary, &self.tap].into_iter().flatten().filter(|file| is_stdout(file)).count();
         if to_stdout + usize::from(format == OutputFormat::Json) > 1 {
@@ -78,7 +78,7 @@ impl Outputs {
         Ok(())
     }
 
-    /// If true, text for people goes to standard error.
+    /// True if another output uses standard output. Text for people then goes to standard error.
     pub(crate) fn replaces_table(&self) -> bool {
         [&self.summary, &self.tap].into_iter().flatten().any(|file| is_stdout(file))
     }
@@ -108,7 +108,7 @@ impl Outputs {
         if github {
             let commands =
                 annotations::workflow_commands(record, &|scenario, index| locations.location_of(scenario, index));
-            // GitHub reads both streams, and standard output may contain JSON.
+            // GitHub reads commands from both streams. Standard output may contain JSON.
             let _ = std::io::stderr().lock().write_all(commands.as_bytes());
             if let Some(file) = env::var_os("GITHUB_STEP_SUMMARY").filter(|file| !file.is_empty()) {
                 markdown::append(record, Path::new(&file))?;
@@ -130,8 +130,7 @@ impl ScenarioLocations {
         Self(read.collect())
     }
 
-    /// Returns the line of the expectation `index`, or without `index` the first line of the
-    /// scenario.
+    /// Returns the line of expectation `index` in the scenario, or line 1 without `index`.
     fn location_of(&self, scenario: &ScenarioRecord, index: Option<usize>) -> Option<SourceLocation> {
         let (_, path, source) = self.0.iter().find(|(file, ..)| *file == scenario.file)?;
         let line = index.map_or(1, |index| {
@@ -141,7 +140,7 @@ impl ScenarioLocations {
     }
 }
 
-/// Returns the path relative to the checkout on GitHub, or else to the working directory.
+/// Returns the path relative to the checkout on GitHub, else relative to the working directory.
 fn repository_path(path: &Path) -> String {
     let whole = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let roots = [env::var_os("GITHUB_WORKSPACE").map(PathBuf::from), env::current_dir().ok()];

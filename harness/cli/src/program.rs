@@ -1,4 +1,4 @@
-//! Runs the program: parses arguments, dispatches the command, returns its exit code.
+//! Runs the program: parses arguments, calls the command, returns the exit code.
 
 use crate::args::{Arguments, Command};
 use crate::build_info;
@@ -27,7 +27,7 @@ pub fn main() -> ExitCode {
     std::panic::set_hook(Box::new(|panic| tracing::error!("{panic}")));
     build_info::tool().set_running();
     match start() {
-        // A panic is a fault of the bench and decides nothing about the controller.
+        // A panic is a fault of the bench, so the verdict on the controller is inconclusive.
         Ok(arguments) => {
             let result = std::panic::catch_unwind(|| dispatch(&arguments)).unwrap_or_else(|_| {
                 let message = "internal fault of the bench; run again with -v and report what it prints";
@@ -50,8 +50,8 @@ fn start() -> Result<Arguments, Failure> {
 
 fn dispatch(arguments: &Arguments) -> CommandResult {
     let (quiet, detail) = (arguments.logging.quiet, arguments.logging.detail());
-    // Completions and manual pages do not contain values of `platebench.toml`, which apply to this
-    // folder only.
+    // Without `platebench.toml`, because its values are valid only in this folder. Completions and
+    // manual pages are for all folders.
     let definition = || config::with_settings(command(), &Config::default());
     match &arguments.command {
         Command::Run(arguments) => run::run(arguments, detail),

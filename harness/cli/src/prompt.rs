@@ -1,9 +1,9 @@
 //! Asks the operator questions on standard error and reads the answers from standard input.
 //!
-//! With a real plate, a terminal also shows the force as a bar. Each answer is a line; for an
-//! action, an empty line means done and `n` means not done. Without an operator (`--yes`, or the
-//! end of standard input) everything that needs one stays inconclusive. The questions of a session
-//! are asked only at a terminal.
+//! With a real plate, the operator answers with lines: for an action, an empty line means done and
+//! `n` not done. A terminal also shows the force as a bar. With `--yes`, or at the end of the
+//! input, the operator is absent and what needs the operator stays inconclusive. An acceptance
+//! session asks only at a terminal.
 
 use crate::stdio::{self, NonBlockingStderr};
 use platebench_plate::Time;
@@ -14,12 +14,12 @@ use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// If an action is not confirmed within this time, the operator counts as absent.
+/// If the operator does not confirm an action within this time, the operator counts as absent.
 const ACTION_TIMEOUT: Duration = Duration::from_mins(15);
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 const REDRAW_INTERVAL: Duration = Duration::from_millis(100);
 const BAR_CELLS: usize = 30;
-/// Smallest force at the right end of the bar, N.
+/// Minimum force at the right end of the bar, N.
 const BAR_FULL_N: f64 = 3.0;
 
 pub(crate) struct TerminalOperator {
@@ -31,20 +31,20 @@ pub(crate) struct TerminalOperator {
 
 #[derive(Default)]
 struct PromptState {
-    /// Lines of standard input. `None` before the first question.
+    /// Lines of standard input. `None` until the first question starts the reader.
     lines: Option<Receiver<String>>,
     next_action: String,
     last_drawn: Option<Instant>,
 }
 
 impl TerminalOperator {
-    /// Without `asks`, the operator counts as absent.
+    /// If `asks` is false, the operator counts as absent.
     pub(crate) fn at_plate(asks: bool) -> Self {
         let shows_bar = asks && stderr().is_terminal();
         Self { is_interactive: asks, assume_yes: false, shows_bar, state: Mutex::default() }
     }
 
-    /// With `assume_yes` nothing is asked, and every question with yes or no is answered with yes.
+    /// With `assume_yes` nothing is asked: a question with yes or no gets the answer yes.
     pub(crate) fn in_session(assume_yes: bool) -> Self {
         let is_interactive = !assume_yes && stdin().is_terminal();
         Self { is_interactive, assume_yes, shows_bar: false, state: Mutex::default() }
@@ -57,7 +57,7 @@ impl TerminalOperator {
     }
 }
 
-/// The channel closes at the end of standard input. The reading thread ends with the process.
+/// The channel closes at the end of the input. The reading thread may block, so it is not joined.
 fn read_stdin_lines() -> Receiver<String> {
     let (sender, receiver) = channel();
     thread::spawn(move || {
@@ -70,7 +70,7 @@ fn read_stdin_lines() -> Receiver<String> {
     receiver
 }
 
-/// `None` at the end of the input, on cancellation or after `timeout`.
+/// Returns `None` at the end of the input, on cancellation, or after `timeout`.
 fn read_line(lines: &Receiver<String>, cancel: &CancelToken, timeout: Option<Duration>) -> Option<String> {
     let started = Instant::now();
     while !cancel.is_cancelled() && timeout.is_none_or(|timeout| started.elapsed() < timeout) {
@@ -83,7 +83,7 @@ fn read_line(lines: &Receiver<String>, cancel: &CancelToken, timeout: Option<Dur
     None
 }
 
-/// If standard error is closed, the question is lost.
+/// An error is ignored: the operator cannot see a question if standard error is closed.
 fn write_prompt(text: &str) {
     let mut out = stderr().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
@@ -156,8 +156,7 @@ impl Operator for TerminalOperator {
     }
 }
 
-/// Asks until the answer is one of `choices` or the first letter of one. Returns `None` at the end
-/// of the input.
+/// Repeats the question until the answer is a choice or its first letter. `None` without input.
 pub(crate) fn ask_choice(choices: &[&'static str]) -> Option<&'static str> {
     let mut lines = stdin().lock().lines().map_while(Result::ok);
     loop {
@@ -170,13 +169,12 @@ pub(crate) fn ask_choice(choices: &[&'static str]) -> Option<&'static str> {
     }
 }
 
-/// Returns `None` if `line` is neither yes nor no for a confirmation, or not a finite number for a
-/// number.
+/// Returns `None` for an unclear answer: neither yes nor no, or not a finite number.
 fn parse_answer(kind: QuestionKind, line: &str) -> Option<String> {
     let answer = match (kind, line.to_lowercase().as_str()) {
         (QuestionKind::Text, _) => line,
         (QuestionKind::Number, _) => {
-            // A decimal comma is common in Europe.
+            // Accepts a decimal comma too, which is common in Europe.
             let number = line.replace(',', ".").parse::<f64>().ok().filter(|number| number.is_finite())?;
             return Some(number.to_string());
         }

@@ -51,7 +51,7 @@ pub(crate) fn report(arguments: &ReportArgs) -> CommandResult {
     Ok(Exit::Passed)
 }
 
-/// If the run was interrupted, judges its traces first, unless one of them was changed or not kept.
+/// Judges the traces of an interrupted run first, unless a trace was changed or was not kept.
 fn read_record(folder: &Path) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
     if record.complete {

@@ -1,4 +1,4 @@
-//! `platebench run`: runs scenarios once, or again whenever they change.
+//! `platebench run`: runs scenarios once, or again after each change.
 
 mod arguments;
 mod play;

@@ -1,4 +1,4 @@
-//! Plays a plan on a separate thread, forwards its events, and stops it on a signal.
+//! Plays a plan on a separate thread, forwards its events, and stops it after a signal.
 
 use crate::prompt::TerminalOperator;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
@@ -14,7 +14,7 @@ pub(crate) struct EventSinks<'a> {
     pub(crate) progress: Progress,
     pub(crate) view: Option<&'a LiveView>,
     pub(crate) events: Option<&'a mut EventWriter>,
-    /// Trace rows that the report draws.
+    /// Trace rows that the report draws, so that it need not read the traces again.
     pub(crate) rows: Option<&'a mut RowCache>,
 }
 
@@ -38,7 +38,7 @@ impl EventSinks<'_> {
     }
 }
 
-/// If the run ends early, returns the error and the signal that caused it.
+/// If the run ends early, returns the error and the signal that ended the run.
 pub(crate) fn run_plan(
     plan: RunPlan,
     folder: &RunFolder,

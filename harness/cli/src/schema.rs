@@ -61,7 +61,7 @@ pub(crate) enum SchemaKind {
 }
 
 impl SchemaKind {
-    /// Adds an identifier, by which validators and other schemas refer to the schema.
+    /// Adds the identifier `$id`, which validators and other schemas need to refer to this schema.
     fn schema(self) -> schemars::Schema {
         let mut named = serde_json::Map::new();
         let schema = self.content().to_value();

@@ -25,8 +25,7 @@ pub(crate) fn nothing_to_run() -> Failure {
     )
 }
 
-/// Loads the scenarios of the files and folders `paths` that `tags` and `keep` select. Fails if
-/// none is left.
+/// Loads the scenarios below `paths` that `tags` and `keep` select. Fails if no scenario remains.
 pub(crate) fn find_scenarios(
     paths: &[PathBuf],
     tags: &TagFilter,

@@ -1,6 +1,6 @@
-//! Runs work that a signal can end, with one listener for all signals.
+//! Runs work that a signal can cancel, with one listener for all signals.
 //!
-//! The listener is a thread with the program's only async runtime. It passes through these states:
+//! The listener thread has the program's only async runtime. It passes through these states:
 //!
 //! ```text
 //! listening --signal--> cancelled --a signal after SHUTDOWN_TIMEOUT--> abandoned: the program ends without the work
@@ -22,21 +22,20 @@ use std::time::{Duration, Instant};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 const HANG_UP: u8 = 1;
-/// Terminal closed, Ctrl-C, Ctrl-\, SIGABRT, SIGTERM, SIGXCPU (`ulimit -t`).
+/// Signals of a closed terminal, Ctrl-C, Ctrl-\, SIGABRT, SIGTERM, SIGXCPU (`ulimit -t`).
 const TERMINATION_SIGNALS: [u8; 6] = [HANG_UP, 2, 3, 6, 15, 24];
-/// SIGXFSZ (`ulimit -f`). If the program catches this signal, the write fails instead of the
-/// program.
+/// SIGXFSZ (`ulimit -f`). It is caught so that the write fails and the program continues.
 const FILE_SIZE: u8 = 25;
-/// Only a signal later than this after the first one abandons the work, because a closing terminal
-/// sends two signals.
+/// A signal this long after the first one abandons the work. An earlier second signal does not,
+/// because a closing terminal sends two signals.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(3);
-/// If nothing reads the output for this time after a signal, the process ends.
+/// After a signal, the process ends if the output is not read for this time.
 const OUTPUT_TIMEOUT: Duration = Duration::from_secs(1);
-/// The same while the work may drive a plate. It is longer than a controller needs to confirm 0 V.
+/// The same time while work may drive a plate: longer than a controller needs to confirm 0 V.
 const OUTPUT_TIMEOUT_WHILE_BUSY: Duration = Duration::from_secs(10);
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 const MAX_QUEUED_EVENTS: usize = 64;
-/// After cancellation, events are dropped if their queue stays full for this time.
+/// After cancellation, an event is dropped if the queue stays full for this time.
 const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 const RETRY_INTERVAL: Duration = Duration::from_millis(1);
 
@@ -44,7 +43,7 @@ static STATE: Mutex<State> = Mutex::new(State { first_signal: None, late_signal:
 
 struct State {
     first_signal: Option<(u8, Instant)>,
-    /// A signal that came more than [`SHUTDOWN_TIMEOUT`] after the first.
+    /// Signal that came more than [`SHUTDOWN_TIMEOUT`] after the first one.
     late_signal: Option<u8>,
     work: Option<CancelToken>,
     is_busy: bool,
@@ -70,8 +69,7 @@ pub(crate) fn received_signal() -> Option<u8> {
     State::lock().first_signal.map(|(number, _)| number)
 }
 
-/// Starts the listener on the first call. From then on signals do not end the process by
-/// themselves.
+/// Starts the listener on the first call. Signals then no longer end the process by themselves.
 pub(crate) fn listen() -> io::Result<()> {
     static STARTED: OnceLock<Result<(), String>> = OnceLock::new();
     let started = STARTED.get_or_init(|| {
@@ -96,7 +94,7 @@ struct Signals(Vec<(Signal, u8)>);
 impl Signals {
     fn register() -> io::Result<Self> {
         let register = |number: u8| Ok((signal(SignalKind::from_raw(number.into()))?, number));
-        // Under `nohup` the program outlives its terminal.
+        // `nohup` ignores SIGHUP, so that the program outlives its terminal. It must stay ignored.
         let wanted = TERMINATION_SIGNALS.into_iter().filter(|number| *number != HANG_UP || !is_ignored(HANG_UP));
         let signals = wanted.map(register).collect::<io::Result<_>>().map(Self)?;
         let _ = signal(SignalKind::from_raw(FILE_SIZE.into()))?;
@@ -160,7 +158,7 @@ impl Drop for BusyGuard {
 }
 
 pub(crate) enum WorkResult<T> {
-    /// The result, and the signal that was received before the end, if any.
+    /// Result of the work, and the first signal that came before the work ended.
     Finished(T, Option<u8>),
     Abandoned(u8),
 }
@@ -172,7 +170,7 @@ pub(crate) struct EventSender<E> {
 }
 
 impl<E> EventSender<E> {
-    /// Sends `event`. Drops it if the receiver is gone, or still full after cancellation.
+    /// Sends `event`. Drops it if the receiver is gone, or stays full after cancellation.
     pub(crate) fn send(&mut self, mut event: E) {
         while let Err(TrySendError::Full(back)) = self.sender.try_send(event) {
             if self.cancel.is_cancelled() && self.cancelled.get_or_insert_with(Instant::now).elapsed() > DRAIN_TIMEOUT {
@@ -184,9 +182,8 @@ impl<E> EventSender<E> {
     }
 }
 
-/// Runs `work` on its own thread until it returns. A signal or the end of `max_duration` cancels
-/// the work. `on_event` receives the events of the work on the calling thread. Fails if `work`
-/// panics.
+/// Runs `work` on its own thread until it returns, and passes its events to `on_event` on the
+/// calling thread. A signal or the end of `max_duration` cancels the work. Fails if `work` panics.
 pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
     max_duration: Option<Duration>,
     work: impl FnOnce(&CancelToken, &mut EventSender<E>) -> T + Send + 'static,

@@ -101,7 +101,7 @@ fn exit_of(record: &SoakRecord) -> Exit {
     if record.end == Some(SoakEnd::Lost) { Exit::Unreachable } else { Exit::of_verdict(record.verdict) }
 }
 
-/// Writes the report, also while the soak still runs.
+/// Writes the report. This is also possible while the soak still runs.
 pub(crate) fn write_page(record: &SoakRecord, folder: &Path) -> CommandResult {
     let path = folder.join(page::FILE);
     let state = record.end.map_or("not ended", |end| match end {

@@ -1,5 +1,4 @@
-//! Writes to standard output and standard error. It is not an error if the reader has closed its
-//! end.
+//! Writes to standard output and standard error. A reader that closed its end is no error.
 
 use crate::color;
 use crate::exit::Exit;
@@ -16,15 +15,14 @@ use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// First error on standard output.
+/// First error of a write to standard output.
 static WRITE_ERROR: OnceLock<String> = OnceLock::new();
-/// True if the last log line was dropped because nothing read standard error.
+/// True if the last log line was dropped because the reader of standard error was too slow.
 static LOG_BLOCKED: AtomicBool = AtomicBool::new(false);
-/// Longest time that a log line waits for a reader. After a dropped line the next lines do not
-/// wait.
+/// Maximum time that a log line waits for its reader. After a dropped line, the next does not wait.
 const LOG_TIMEOUT: Timespec = Timespec { tv_sec: 0, tv_nsec: 100_000_000 };
 const NO_WAIT: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
-/// `PIPE_BUF`: number of bytes that a writable pipe accepts in one write.
+/// Equals `PIPE_BUF`: a writable pipe accepts this number of bytes without blocking.
 const MAX_ATOMIC_WRITE: usize = 4096;
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -33,7 +31,7 @@ pub(crate) struct CheckedStdout;
 impl CheckedStdout {
     fn record_failure<T>(result: io::Result<T>) -> io::Result<T> {
         result.inspect_err(|error| {
-            // EIO: the terminal hung up.
+            // A terminal that hung up gives EIO.
             let is_closed =
                 error.kind() == io::ErrorKind::BrokenPipe || error.raw_os_error() == Some(Errno::IO.raw_os_error());
             if !is_closed && error.kind() != io::ErrorKind::Interrupted {
@@ -67,8 +65,7 @@ pub(crate) fn error(message: &str) {
     let _ = writeln!(stderr().lock(), "error: {}", escape_commands(message));
 }
 
-/// Escapes control characters, and lines that begin with `::`, because GitHub Actions reads them as
-/// commands.
+/// Escapes control characters, and `::` at a line's start, which is a command for GitHub Actions.
 fn escape_commands(message: &str) -> String {
     let message = printable_lines(message);
     let is_command = |line: &str| line.trim_start().starts_with("::");
@@ -84,7 +81,7 @@ pub(crate) fn diagnostic(diagnostic: &Diagnostic) {
     let _ = writeln!(stderr().lock(), "{}\n", printable_diagnostic(diagnostic).render(color::applies_to(&stderr())));
 }
 
-/// A file name may contain control characters.
+/// Escapes control characters, because a file name may contain them.
 fn printable_diagnostic(diagnostic: &Diagnostic) -> Diagnostic {
     let mut printed = diagnostic.clone();
     printed.path = printable(&diagnostic.path.display().to_string()).into_owned().into();
@@ -120,12 +117,12 @@ pub(crate) fn is_output_drained() -> bool {
     is_writable(stdout().as_fd(), NO_WAIT) && is_writable(stderr().as_fd(), NO_WAIT)
 }
 
-/// An error of `poll` counts as writable.
+/// Returns true if `poll` fails.
 fn is_writable(output: BorrowedFd<'_>, timeout: Timespec) -> bool {
     poll(&mut [PollFd::new(&output, PollFlags::OUT)], Some(&timeout)).map_or(true, |ready| ready > 0)
 }
 
-/// Standard error for threads that must not wait. Bytes are dropped if nothing reads them.
+/// Standard error for threads that must not wait. It drops bytes if the reader is too slow.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct NonBlockingStderr;
 
@@ -138,7 +135,7 @@ impl Write for NonBlockingStderr {
         if !is_read {
             return Ok(bytes.len());
         }
-        // Does not take the lock of standard error, because a blocked thread may hold it.
+        // Writes without the lock of standard error, because a blocked thread may hold the lock.
         rustix::io::write(error.as_fd(), bytes.get(..MAX_ATOMIC_WRITE).unwrap_or(bytes)).map_err(io::Error::from)
     }
 

@@ -1,4 +1,4 @@
-//! `platebench trust`: measures the error rates of a set of scenarios.
+//! `platebench trust`: measures kill rate and false-alarm rate of a set of scenarios.
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, OrInvalid};

@@ -48,7 +48,7 @@ fn write_summary(text: &mut String, report: &TrustReport) -> fmt::Result {
     )
 }
 
-/// For example `33 of 33, 100 % (each bound at 95 %: at least 91.32 %, at most 100 %)`.
+/// Example: `33 of 33, 100 % (each bound at 95 %: at least 91.32 %, at most 100 %)`.
 pub fn format_rate(rate: Rate) -> String {
     let Rate { seen, count, bounds } = rate;
     match bounds {

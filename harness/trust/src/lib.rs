@@ -1,6 +1,7 @@
-//! Measures the bench's own errors: the kill rate over mutants and the false-alarm rate over clean
-//! controllers. An expectation on one of a mutant's metrics catches the mutant if it fails and the
-//! reference passes it. An inconclusive verdict catches nothing. See `docs/trust.md`.
+//! Measures the bench's own errors: the kill rate over mutants and the false-alarm rate over
+//! correct controllers. An expectation on one of a mutant's metrics catches the mutant if the
+//! mutant fails it and the reference controller passes it. An inconclusive verdict catches nothing.
+//! See `docs/trust.md`.
 
 pub mod catalogue;
 pub mod clean_variants;

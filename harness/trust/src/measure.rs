@@ -1,4 +1,4 @@
-//! Measures kill rate and false-alarm rate.
+//! Measures the kill rate of mutants and the false-alarm rate of correct controllers.
 
 use crate::clean_variants::CleanVariant;
 use crate::mutant_spec::{MutantSpec, ReferenceController};
@@ -12,13 +12,13 @@ use platebench_rig::BoxedLink;
 use platebench_runner::parallel::collect_in_parallel;
 use platebench_scenario::{Metric, Scenario, Spread};
 
-/// Standard deviations of the plate in clean runs, if the scenario has none.
+/// Standard deviations of the plate in clean runs. They replace zeros of the scenario.
 const GAIN_PERCENT: f64 = 0.3;
 const TIME_CONSTANT_PERCENT: f64 = 0.3;
 const TEMPERATURE_K: f64 = 0.05;
-/// Distance of the seeds of two runs, so that their trials differ.
+/// Difference between the seeds of two clean runs, larger than the number of trials of a run.
 const SEEDS_PER_RUN: u64 = 100_000;
-/// Clean runs exclude longer scenarios. One minute costs as much as a thousand others.
+/// Clean runs skip longer scenarios: one of a minute takes as long as a thousand short ones.
 const MAX_CLEAN_DURATION_S: f64 = 2.0;
 
 #[derive(Debug, Clone)]
@@ -115,7 +115,7 @@ enum Reason {
     Violation(ViolationKind),
 }
 
-/// Expectations with the verdict `fail`, and violations of the protocol.
+/// Returns the expectations with verdict `fail` and the violations of the protocol.
 fn failures<'a>(
     scenario: &'a Scenario,
     result: &'a PlayResult,
@@ -161,8 +161,8 @@ fn measure_false_alarms(config: &TrustConfig, mut alarms: Vec<FalseAlarm>) -> Re
     })
 }
 
-/// The scenario with a varying plate. `None` if it is too long, or open-loop, because it then
-/// judges the plate.
+/// Returns the scenario with a plate that varies between trials. `None` if the scenario is too long
+/// or open-loop, because an open-loop scenario judges the plate and not the controller.
 fn with_plate_spread(scenario: &Scenario) -> Option<Scenario> {
     if scenario.controller.law == "open-loop" || scenario.duration.seconds() > MAX_CLEAN_DURATION_S {
         return None;
@@ -179,7 +179,7 @@ fn with_plate_spread(scenario: &Scenario) -> Option<Scenario> {
     Some(varied)
 }
 
-/// Returns one row per controller.
+/// Returns one row of results per controller. The results of a row have the order of `suite`.
 fn run_suite<T: Sync>(
     jobs: usize,
     suite: &[Scenario],

@@ -1,11 +1,11 @@
-//! Wraps the link to a correct controller and changes messages in both directions.
+//! Wraps the link to a correct controller and changes its messages in both directions.
 
 use platebench_rig::{Link, LinkError};
 use platebench_wire::{Command, Configure, Configured, ControllerState, Gains, Message, Packet, PacketReader, Sample};
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// A mistake with its state. The default of each method changes nothing.
+/// A mistake of a controller, with its state. By default a method changes nothing.
 pub trait Mutant: Send {
     fn on_receive(&mut self, packet: &mut Packet) {
         match &mut packet.message {
@@ -32,7 +32,7 @@ pub trait Mutant: Send {
 
     fn on_command(&mut self, _command: &mut Command) {}
 
-    /// Replaces a frame that cannot be decoded, delimiter included. `None` drops the frame.
+    /// Returns the replacement of a frame (with delimiter) that cannot be decoded. `None` drops it.
     fn on_unreadable_frame(&mut self, frame: &[u8]) -> Option<Vec<u8>> {
         Some(frame.to_vec())
     }
@@ -51,10 +51,10 @@ pub trait Mutant: Send {
     }
 }
 
-/// Bytes without a delimiter are passed on at this length.
+/// Maximum length of a frame. Longer ones are forwarded in parts of this length.
 const MAX_UNDELIMITED_BYTES: usize = 4096;
 
-/// Works in lockstep only.
+/// A controller whose messages a mutant changes. It works in lockstep only.
 pub struct MutantController<L> {
     inner: L,
     build: fn() -> Box<dyn Mutant>,
@@ -62,12 +62,12 @@ pub struct MutantController<L> {
     received: Vec<u8>,
     reader: PacketReader,
     scratch: Vec<u8>,
-    /// In order, with their time of arrival.
+    /// Answers that the bench has not received yet, in order, each with the time of its arrival.
     outgoing: VecDeque<(Duration, Packet)>,
 }
 
 impl<L: Link> MutantController<L> {
-    /// Calls `build` for every trial.
+    /// Every restart calls `build`, so that each trial begins with a new mutant.
     pub fn new(inner: L, build: fn() -> Box<dyn Mutant>) -> Self {
         Self {
             inner,
@@ -80,7 +80,7 @@ impl<L: Link> MutantController<L> {
         }
     }
 
-    /// `frame` includes its delimiter. Returns the controller's compute time.
+    /// Forwards a frame with its delimiter. Returns the time that the inner link reports.
     fn deliver(&mut self, now: Duration, frame: &[u8]) -> Result<Duration, LinkError> {
         let Some(mut packet) = decode(frame) else {
             let kept = if frame.len() > 1 { self.mutant.on_unreadable_frame(frame) } else { Some(frame.to_vec()) };

@@ -6,11 +6,11 @@ use platebench_record::ViolationKind;
 use platebench_rig::{BoxedLink, HostedLink};
 use platebench_scenario::Metric;
 
-/// A mutant without its mistake. An expectation that the reference fails catches no mutant.
+/// Correct controller for comparison. An expectation that it fails catches no mutant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ReferenceController {
     Firmware,
-    /// The firmware with independent PI loops instead of its `dq-pi`.
+    /// The firmware, with `dq-pi` replaced by an independent implementation of the PI loops.
     Handwritten,
 }
 
@@ -31,11 +31,10 @@ impl ReferenceController {
 pub struct MutantSpec {
     pub name: &'static str,
     pub description: &'static str,
-    /// Metrics that should detect the mutant, besides those in `REFERENCE`. Other metrics are the
-    /// wrong reason.
+    /// Metrics that should detect the mutant, besides `REFERENCE`. Others are a wrong reason.
     pub detecting_metrics: &'static [Metric],
     pub detecting_violations: &'static [ViolationKind],
-    /// One of these metrics or violations detects the mutant in this scenario.
+    /// Scenario in which one of these metrics or violations must detect the mutant.
     pub witness_scenario: &'static str,
     pub reference: ReferenceController,
     pub build: fn() -> Box<dyn Mutant>,

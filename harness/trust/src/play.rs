@@ -22,18 +22,18 @@ pub enum TrustError {
 #[derive(Debug, Clone)]
 pub struct PlayResult {
     pub judgement: Judgement,
-    /// Each kind once.
+    /// Violations of the protocol; each kind occurs at most once.
     pub violations: Vec<ViolationKind>,
 }
 
-/// Plays trials in lockstep until the verdict is decided. Errors: see [`play_as`].
+/// Plays trials in lockstep until the verdict is decided. Fails like [`play_as`].
 pub fn play(scenario: &Scenario, controller: &str, link: BoxedLink) -> Result<PlayResult, TrustError> {
     play_as(scenario, scenario, controller, link)
 }
 
-/// Plays trials of `variant`, which differs from `scenario` only in the spread of its trials, and
-/// judges them by `scenario`. Fails if the controller does not answer or rejects the scenario. A
-/// trial that loses its link is judged like any other.
+/// Plays trials of `variant` and judges them by `scenario`; the two differ only in the spread of
+/// the trials. Fails if the controller does not answer or rejects the scenario. A trial with a lost
+/// link is no error, and it is judged like the others.
 pub fn play_as(
     scenario: &Scenario,
     variant: &Scenario,

@@ -1,16 +1,16 @@
-//! Defines the report (`trust.json`).
+//! Defines the report of `platebench trust` (`trust.json`).
 
 use platebench_record::Verdict;
 use platebench_verdict::statistics::proportion::clopper_pearson;
 use serde::Serialize;
 
-/// One-sided confidence of each bound.
+/// Confidence of each one-sided bound.
 pub const CONFIDENCE: f64 = 0.95;
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TrustReport {
     pub format: u32,
-    /// `pass` if every mutant is caught for the right reason and there is no false alarm, otherwise
+    /// `pass` if every mutant is caught for a right reason and there is no false alarm, else
     /// `fail`.
     pub verdict: Verdict,
     pub confidence: f64,
@@ -24,7 +24,7 @@ pub struct TrustReport {
 pub struct Rate {
     pub seen: u32,
     pub count: u32,
-    /// Bounds of the probability by Clopper and Pearson. `null` if `count` is 0.
+    /// Bounds of the true probability by Clopper and Pearson. `null` if `count` is 0.
     pub bounds: Option<[f64; 2]>,
 }
 
@@ -38,7 +38,6 @@ impl Rate {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScenarioRate {
     pub file: String,
-    /// Mutants that the scenario catches for the right reason.
     pub kill_rate: Rate,
 }
 
@@ -48,9 +47,9 @@ pub struct MutantResult {
     pub mistake: String,
     pub should_be_caught_by: Vec<String>,
     pub outcome: MutantOutcome,
-    /// Failed expectations and violations that should catch the mutant. The reference passes them.
+    /// Failures that should catch the mutant. The reference passes these expectations.
     pub right: Vec<FailedExpectation>,
-    /// Other failed expectations that the reference passes.
+    /// Failures of other metrics or rules. The reference passes these expectations too.
     pub wrong: Vec<FailedExpectation>,
 }
 
@@ -64,7 +63,7 @@ impl MutantResult {
 #[serde(rename_all = "kebab-case")]
 pub enum MutantOutcome {
     Caught,
-    /// Counts as a survivor.
+    /// Only other metrics or rules fail. The mutant then counts as survived.
     WrongReason,
     Survived,
 }
@@ -72,19 +71,19 @@ pub enum MutantOutcome {
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct FailedExpectation {
     pub scenario: String,
-    /// Number of the expectation from 1, or 0 for a violation of the protocol.
+    /// Number of the expectation, from 1. It is 0 for a violation of the protocol.
     pub expectation: usize,
     pub metric: String,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FalseAlarmResult {
-    /// Rate of failed clean runs. A run is one scenario with its own plate and noise.
+    /// Share of clean runs that fail. Each plays one scenario with another plate and noise.
     pub false_alarm_rate: Rate,
     pub inconclusive: u32,
     pub scenarios: u32,
     pub seed: u64,
-    /// Failed expectations of these runs and of the unmodified suite.
+    /// Failures of correct controllers in the clean runs and in the unmodified scenarios.
     pub alarms: Vec<FalseAlarm>,
 }
 
@@ -92,7 +91,7 @@ pub struct FalseAlarmResult {
 pub struct FalseAlarm {
     /// `reference` or the name of a clean variant.
     pub controller: String,
-    /// Number of the clean run from 0. `null` for the unmodified suite.
+    /// Number of the clean run, from 0. `null` for an alarm in the unmodified scenarios.
     pub run: Option<u32>,
     pub seed: u64,
     pub cell: FailedExpectation,

@@ -1,7 +1,6 @@
 use platebench_wire::{Configure, LawId};
 
-/// Configuration for the paper's plate, with the timer of the bench and the default watchdog
-/// timeout.
+/// Configuration for the paper's plate. The bench has the timer; 0 means the default watchdog.
 pub const CONFIGURE: Configure = Configure {
     law: LawId::DqPi,
     paced_by_target: false,

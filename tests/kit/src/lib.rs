@@ -1,7 +1,7 @@
 //! Provides fixtures for the tests of several crates: plate, configuration, scenarios.
 //!
-//! Unit tests of `wire` and `scenario` cannot use it, because they would see two versions of their
-//! types.
+//! Unit tests of `wire` and `scenario` cannot use this crate: it would bring a second version of
+//! their types.
 
 mod configuration;
 mod identity;

@@ -4,7 +4,7 @@ use std::env;
 use std::io::Write;
 use std::process::Child;
 
-/// If 1, a missing program fails the test instead of skipping it.
+/// If this variable is 1, a missing program fails the test instead of skipping it.
 const REQUIRE_ALL: &str = "PLATEBENCH_REQUIRE_ALL";
 
 #[derive(Debug)]
@@ -22,6 +22,6 @@ impl Drop for ChildGuard {
 pub fn skip_without(what: &str) {
     let required = env::var(REQUIRE_ALL).is_ok_and(|value| value == "1");
     assert!(!required, "{what} is missing and {REQUIRE_ALL}=1: ci/install-test-tools");
-    // Unlike `eprintln!`, the test harness does not capture this.
+    // The test harness captures `eprintln!`, but not this.
     let _ = writeln!(std::io::stderr(), "NOT TESTED: {what} is missing (ci/install-test-tools)");
 }

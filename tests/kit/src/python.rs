@@ -1,10 +1,10 @@
 use crate::process::skip_without;
 use std::process::{Command, Stdio};
 
-/// Distributions may install pyserial for another Python than the first one on the path.
+/// Distributions may install pyserial for another Python than the first one on the search path.
 const PYTHONS: [&str; 2] = ["python3", "/usr/bin/python3"];
 
-/// Returns a Python for the example controller, or `None` and prints a message if there is none.
+/// Returns a Python with pyserial, or prints a message and returns `None` if there is none.
 ///
 /// # Panics
 /// If there is no such Python and `PLATEBENCH_REQUIRE_ALL=1`.

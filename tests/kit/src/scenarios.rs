@@ -1,4 +1,4 @@
-//! Loads the repository's scenarios and scenarios from text.
+//! Loads scenarios of the repository, and scenarios from text.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on ends by panicking")]
 
@@ -23,7 +23,7 @@ pub fn workspace_root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
 }
 
-/// `name` is for example `paper/fig13-closed-loop.toml`.
+/// Returns the path of a scenario, for example of `paper/fig13-closed-loop.toml`.
 #[must_use]
 pub fn scenario_path(name: &str) -> PathBuf {
     workspace_root().join("scenarios").join(name)
@@ -37,7 +37,7 @@ pub fn load_scenario(name: &str) -> Scenario {
     load(&scenario_path(name), name).unwrap_or_else(|fault| panic!("{}", fault.render(false)))
 }
 
-/// Loads a scenario in memory. A run needs files, see [`write_scenario`].
+/// Loads a scenario from text. A run needs files: use [`write_scenario`].
 ///
 /// # Panics
 /// If the scenario or the plate is invalid.

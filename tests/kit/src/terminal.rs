@@ -3,7 +3,7 @@
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use std::fs::File;
 
-/// Returns the master end of a new pseudo-terminal and the path of the other end.
+/// Returns the master end of a new pseudo-terminal and the path of its slave end.
 ///
 /// # Panics
 /// If the system has no pseudo-terminal left.

@@ -50,7 +50,7 @@ fn session_folder() -> TestFolder {
 
 const SESSION: [&str; 7] = ["accept", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
 const RESUME: [&str; 7] = ["accept", "--plan", "plan.toml", "--resume", "record", "--yes", "--rig"];
-/// Rig without a controller.
+/// Rig whose program ends at once, so that no controller answers.
 const ABSENT: &str = "exec:false {port}";
 
 #[track_caller]
@@ -155,7 +155,7 @@ fn a_failed_scenario_fails_the_session() {
 #[test]
 fn an_unmet_kill_rate_does_not_pass() {
     let folder = session_folder();
-    // The observed rate is above 12 %, but its lower confidence bound is not.
+    // The observed kill rate is above 12 %, but its lower confidence bound is below.
     folder.write("plan.toml", &(plan_text(&["s.toml"], 1) + "least_kill_rate_percent = 12.0\n"));
     run_session(&folder, &["--yes"]).assert_exit(3).assert_output(&["inconclusive"]);
     let trust = read_session_record(&folder).steps[3].trust.clone().unwrap();
@@ -300,7 +300,7 @@ fn the_supplied_plan_has_every_acceptance_scenario() {
     assert!(plan.requirements.iter().all(|requirement| named.contains(&requirement.id.as_str())));
 }
 
-/// A plan that demands more than its scenarios reach would leave every session inconclusive.
+/// If the plan required more than its scenarios reach, every session would be inconclusive.
 #[test]
 fn the_scenarios_of_the_supplied_plan_reach_its_kill_rate() {
     let folder = tempfile::tempdir().unwrap();

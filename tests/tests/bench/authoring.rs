@@ -133,7 +133,7 @@ fn an_invalid_environment_variable_is_named(#[case] variable: &str, #[case] opti
         bench_command(folder.path()).args(arguments).env(variable, value).output().unwrap().into()
     };
     call(&["run"]).assert_exit(2).assert_output(&[option, variable]);
-    // If the flag is on the command line, the message does not name the environment variable.
+    // If the option is on the command line, the message does not name the environment variable.
     call(&["run", &format!("{option}={value}")]).assert_exit(2).assert_output_without(variable);
 }
 
@@ -167,7 +167,7 @@ fn scenarios_of_runs(folder: &Path) -> Vec<Vec<String>> {
         .filter_map(|entry| {
             let text = fs::read_to_string(entry.path().join("run.json")).ok()?;
             let record: Value = serde_json::from_str(&text).ok()?;
-            // This is the last file that a run writes.
+            // `traceability.csv` is the last file that a run writes, so its time orders the runs.
             let written = fs::metadata(entry.path().join("traceability.csv")).ok()?.modified().ok()?;
             let names = record["scenarios"].as_array()?.iter();
             Some((written, names.map(|scenario| scenario["file"].as_str().unwrap().to_owned()).collect()))
@@ -244,10 +244,10 @@ fn a_watched_run_repeats_after_a_firmware_change() {
     fs::write(&image, &built).unwrap();
     let mut run = WatchedRun::start(&folder, "emulated:mine.elf");
     run.expect_run(&["a.toml", "b.toml"]);
-    // A build deletes the old image first.
+    // A build deletes the old image first, so the image is missing for a while.
     fs::remove_file(&image).unwrap();
     run.wait_for_messages(&["mine.elf", "cannot be read"]);
-    // Bytes after the last section do not change the program.
+    // Bytes after the last section change the file but not the program.
     fs::write(&image, [&built[..], b"built anew"].concat()).unwrap();
     run.expect_run(&["a.toml", "b.toml"]);
     folder.write_scenario("b.toml", &text.replace("duration_ms = 60.0", "duration_ms = 61.0"));

@@ -1,9 +1,9 @@
 //! Tests eight boards at once: a killed worker, a dead board and a wrong chip do not affect the
 //! other boards.
 //!
-//! Each controller holds a kernel lock of its own, which is independent of the bench's locks. If
-//! two commands used one board at once, the second controller would not start and its run would end
-//! with 5.
+//! Each controller also holds a kernel lock that is independent of the bench's locks. If two
+//! commands used one board at once, the second controller would not start and its run would end
+//! with exit code 5.
 
 mod hyperqueue;
 mod labgrid;
@@ -20,7 +20,7 @@ use std::process::{Command, Stdio};
 const HEALTHY: [&str; 5] = ["b1", "b2", "b3", "b4", "b5"];
 /// A healthy board whose first worker is killed.
 const KILLED: &str = "b6";
-/// A board whose program runs and never answers.
+/// A board whose program runs but never answers.
 const DEAD: &str = "dead";
 const WRONG_CHIP: &str = "wrong";
 const SHARDS: [&str; 2] = ["1/2", "2/2"];
@@ -66,7 +66,7 @@ fn write_plan(folder: &TestFolder) {
 
 fn start_shard(folder: &TestFolder, board: &str, shard: &str) -> ChildGuard {
     let out = format!("{board}-{}", &shard[..1]);
-    // On a busy machine 16 controllers share the processors.
+    // 16 controllers share the processors, so a reply may take longer than the default 500 ms.
     let run = ["run", "--board", board, "--shard", shard, "--wait", "500", "--reply-timeout", "5000", "--out", &out];
     start_bench(folder.path(), run.into_iter().chain(LOCKSTEP))
 }
@@ -77,7 +77,7 @@ fn start_session(folder: &TestFolder, board: &str) -> ChildGuard {
     start_bench(folder.path(), session.into_iter().chain(LOCKSTEP))
 }
 
-/// Runs `line` in a shell, as at a prompt. The path contains the programs that the pages use.
+/// Runs `line` in a shell. `PATH` contains the programs that the documentation uses.
 pub(crate) fn start_line(folder: &Path, line: &str, variables: &[(&str, &str)]) -> ChildGuard {
     let programs = folder.join("bin");
     if !programs.exists() {
@@ -94,8 +94,8 @@ pub(crate) fn start_line(folder: &Path, line: &str, variables: &[(&str, &str)]) 
     ChildGuard(shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap())
 }
 
-/// Makes the program of the board kill the first bench that uses the board for a run. No controller
-/// follows, because another bench may already have the pseudo-terminal of the killed one.
+/// Makes the program of the board kill the first bench that plays a run on it. The program then
+/// starts no controller, because another bench may already use the same pseudo-terminal.
 fn kill_first_bench(folder: &TestFolder) {
     let script = format!(
         "if grep -q '\"process\"' boards.state/{KILLED}.json && mkdir killed; \
@@ -116,7 +116,7 @@ fn assert_states(folder: &TestFolder) {
     }
 }
 
-/// Waits for the end of the controller whose bench was killed.
+/// Ends the quarantine and waits until the controller of the killed bench has ended.
 fn clear_killed(folder: &TestFolder) {
     folder.bench(["run", "--board", KILLED]).assert_exit(5).assert_stderr(&["quarantine"]);
     folder.bench(["boards", "clear", KILLED, "--reason", "0 V measured"]).assert_exit(0);

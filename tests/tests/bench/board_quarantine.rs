@@ -1,4 +1,4 @@
-//! Tests which ends of a run put a board into quarantine, and which do not.
+//! Tests which ends of a run put a board into quarantine and which do not.
 
 use crate::boards::{inventory, state_of};
 use crate::test_folder::{SETTLING, TestFolder, controller_rig, start_bench, wait_until};

@@ -1,4 +1,4 @@
-//! Tests locks, quarantine and identity of boards through the program.
+//! Tests locks, quarantine and identity of boards with the program.
 
 use crate::test_folder::{ChildGuard, SETTLING, TestFolder, controller_rig, start_bench, wait_until};
 use std::fs;

@@ -61,7 +61,7 @@ fn results_do_not_depend_on_shards_and_jobs(#[case] plan_text: &str) {
     let mut exits = Vec::new();
     for (out, shards, jobs) in [("a", 1, 1), ("b", 7, 2), ("c", 64, 1)] {
         plan(folder, out, shards);
-        // The order must not matter, so the last shard is first.
+        // Plays the last shard first, because the order of the shards must not matter.
         (1..=shards).rev().for_each(|shard| play(folder, out, shard, jobs));
         exits.push(run_bench(folder, ["campaign", "merge", out]).exit);
         merged.push(results(folder, out));
@@ -309,7 +309,7 @@ fn submitted_commands_play_every_shard(#[case] on: &str, #[case] program: &str, 
     plan(folder, "a folder", 3);
     let printed = run_bench(folder, ["campaign", "submit", "a folder", "--on", on]);
     printed.assert_exit(0).assert_stdout(&[program, "--array=1-3", task, "campaign merge"]);
-    // A program replaces the engine and runs the last word of the command line for each task.
+    // A script replaces the engine. It runs the last word of its command line for each task.
     let tools = folder.join("tools");
     fs::create_dir(&tools).unwrap();
     let engine = format!(
@@ -353,7 +353,7 @@ fn jitter_follows_the_seed_of_the_trial() {
         fs::remove_dir_all(folder.join("run")).unwrap();
         let rows = trace.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>()).collect::<Vec<_>>();
         let changes = rows.windows(2).filter(|pair| pair[0][5] != pair[1][5]);
-        // Time since the control instant, ns.
+        // Time since the control instant of the row, ns.
         let delay = |pair: &[Vec<&str>]| (pair[1][0].parse::<f64>().unwrap() * 1e9).round() as i64 % 1_000_000;
         changes.map(delay).collect::<Vec<_>>()
     };

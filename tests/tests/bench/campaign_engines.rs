@@ -1,4 +1,4 @@
-//! Plays a campaign in 8 shards on an engine, kills shards and compares the results with those of
+//! Plays a campaign in 8 shards on an engine, kills shards, and compares the results with those of
 //! one thread.
 
 use crate::board_matrix::start_line;
@@ -26,8 +26,8 @@ fn kill_a_shard(folder: &Path, random: usize) -> bool {
     Command::new("kill").args(["-KILL", shard]).stderr(Stdio::null()).status().unwrap().success()
 }
 
-/// Submits the line that `campaign submit` prints: it begins with `begin` and ends with `exit`
-/// after a kill.
+/// Submits the line of `campaign submit` that begins with `begin`. The engine ends with the code
+/// `exit` if a shard was killed.
 pub(crate) fn assert_same_bytes(engine: &str, begin: &str, start: &dyn Fn(&Path, &str) -> ChildGuard, exit: i32) {
     let folder = campaign::folder("[plan]\nmethod = \"random\"\ntrials = 4000\n");
     let folder = folder.path();
@@ -38,7 +38,7 @@ pub(crate) fn assert_same_bytes(engine: &str, begin: &str, start: &dyn Fn(&Path,
     let mut submission = start(folder, line);
     let mut kills = 0;
     while !submission.has_ended() {
-        // Every number of kills selects another of the running shards.
+        // The number of kills so far selects the next shard to kill.
         kills += usize::from(kills < KILLS && kill_a_shard(folder, kills));
         thread::sleep(Duration::from_millis(20));
     }
@@ -50,15 +50,14 @@ pub(crate) fn assert_same_bytes(engine: &str, begin: &str, start: &dyn Fn(&Path,
     assert!(results(folder, "c") == results(folder, "alone"), "the results depend on killed shards");
 }
 
-/// A Slurm cluster of one controller and one node on this machine, for this user.
+/// Slurm cluster of one controller and one node on this machine, run by this user.
 struct Slurm {
-    /// The first field, so that the daemons end before their folder is removed.
+    /// The first field is dropped first, so that the daemons end before their folder is removed.
     daemons: Vec<ChildGuard>,
     folder: tempfile::TempDir,
 }
 
 impl Slurm {
-    /// `None` if Slurm is not installed.
     fn start() -> Option<Self> {
         let output = |program: &str, argument: &str| {
             let output = Command::new(program).arg(argument).output().ok().filter(|output| output.status.success())?;
@@ -114,6 +113,6 @@ fn shards_killed_on_slurm_resume_to_the_same_bytes() {
     let Some(slurm) = Slurm::start() else { return };
     let config = slurm.config();
     let start = |folder: &Path, line: &str| start_line(folder, line, &[("SLURM_CONF", config.as_str())]);
-    // 128 plus the number of SIGKILL.
+    // Exit code after SIGKILL: 128 + 9.
     assert_same_bytes("slurm", "sbatch", &start, 137);
 }

@@ -1,4 +1,4 @@
-//! Tests the responses of the worst trials of a campaign.
+//! Tests the links from the maps of a campaign to the responses of its worst trials.
 
 use crate::campaign::{GRID, folder, summary};
 use crate::test_folder::{run_bench, workspace_root};
@@ -26,8 +26,7 @@ fn a_cell_opens_the_response_of_its_worst_trial() {
         let link = format!(
             "href=\"worst/run/report.html#scenario-{index}\" title=\"law {law}, finger_force_n {force}; trial {trial}\""
         );
-        // The maps are the share of failing trials, the smallest margin, and one for each of two
-        // expectations.
+        // Four maps: the share of failing trials, the smallest margin, and one per expectation.
         assert_eq!(maps.matches(&link).count(), 4, "{link}");
         assert!(responses.contains(&format!("id=\"scenario-{index}\"")), "{trial}");
     }

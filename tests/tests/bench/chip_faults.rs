@@ -1,4 +1,4 @@
-//! Tests faults of the chip on the emulated rig.
+//! Tests planned faults of the chip on the emulated rig.
 
 use crate::test_folder::{TestFolder, run_bench, step_text, workspace_root};
 use platebench_record::{RunRecord, Verdict};
@@ -36,7 +36,7 @@ fn each_scenario_passes_on_the_emulated_rig_only(#[files("../scenarios/chip/*.to
 #[test]
 fn the_watchdog_of_the_chip_ends_a_hang() {
     let (record, rows) = run_with_fault("kind = \"hang\"\nat_ms = 20.4");
-    // Without an answer the drive is held until the watchdog's reset lowers PB0.
+    // Without answers the last drive acts, until the watchdog resets the chip and PB0 falls.
     let held = drive_at_ms(&rows, 22.0);
     assert!(held > 0.0 && held == drive_at_ms(&rows, 23.0));
     assert_eq!(drive_at_ms(&rows, 27.0), 0.0);
@@ -68,7 +68,7 @@ fn rejects_a_target_that_the_firmware_lacks(#[case] target: &str, #[case] messag
     assert!(output.stderr.contains(message) && output.stderr.contains("s.toml:"), "{}", output.stderr);
 }
 
-/// Setpoint 902 µm triggers a division by zero of `stm32f4/src/planted_faults.rs`.
+/// A setpoint of 902 µm makes the test firmware divide by zero (`stm32f4/src/planted_faults.rs`).
 #[test]
 fn a_later_fault_of_the_chip_excuses_nothing() {
     let folder = TestFolder::new();

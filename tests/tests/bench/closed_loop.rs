@@ -1,4 +1,4 @@
-//! Compares the control laws on the plate with derived values, up to and beyond stability.
+//! Compares the control laws with derived values, up to and beyond the stability limit.
 
 use crate::test_folder::{PLATE, TestFolder, step_scenario, step_text};
 use rstest::rstest;
@@ -44,7 +44,7 @@ fn step_responses_match_the_derived_values(
     }
 }
 
-/// At 1 kHz and 2 ms the delay budget of equation 24 as printed is 0.83 periods.
+/// At 1 kHz and 2 ms response time, equation 24 as printed is stable up to 0.83 periods of delay.
 #[rstest]
 #[case::just_stable(0.80, true)]
 #[case::just_unstable(0.86, false)]
@@ -52,7 +52,7 @@ fn equation_24_as_printed_tolerates_its_delay_budget(#[case] delay_ms: f64, #[ca
     let controller = format!("law = \"dq-pi-euler\"\nloop_delay_ms = {delay_ms}");
     let text = step_scenario("aluminium-198x138", &controller, "", SETTLING)
         .replace("duration_ms = 60.0", "duration_ms = 900.0");
-    // With the drive limit, an unstable loop ends in a limit cycle, which may be inside the band.
+    // The drive limit turns an unstable loop into a limit cycle, which may end inside the band.
     assert_eq!(TestFolder::new().first_value(&text).is_some_and(|ms| ms < 300.0), settles);
 }
 
@@ -62,7 +62,7 @@ fn value_with_drive_limit(limit_vpp: f64, expect: &str) -> f64 {
     folder.first_value(&step_text(expect)).unwrap()
 }
 
-/// Time to 95 % of the setpoint at the drive limit, ms: `t = −τ ln(1 − 0.95 W_ref / (K1 Vmax))`
+/// Time to 95 % of the setpoint at the drive limit, ms: `t = −τ ln(1 − 0.95 W_ref / (K1 Vmax))`.
 fn time_floor_ms(limit_vpp: f64) -> f64 {
     -1.88 * (1.0 - 0.95 * 2.0 / (0.00698 * limit_vpp)).ln()
 }
@@ -79,7 +79,7 @@ fn leaving_saturation_costs_little_over_the_time_floor(
     assert!(overshoot < 4.0, "{overshoot} %");
 }
 
-/// Without drive the plate falls from 2.5 to 0.525 µm in τ ln(2.5 / 0.525) = 2.93 ms.
+/// Without drive, the plate falls from 2.5 to 0.525 µm (5 % band) in τ ln(2.5/0.525) = 2.93 ms.
 #[test]
 fn a_falling_setpoint_is_reached_without_undershoot() {
     let value = |expect: &str| {

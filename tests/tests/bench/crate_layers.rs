@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use toml::Table;
 
-/// Level of each crate. A crate imports only crates of lower levels.
+/// Level of each crate. A crate may import only crates of lower levels.
 const LEVELS: [(&str, u8); 25] = [
     ("firmware-under-test/wire", 0),
     ("firmware-under-test/controller", 0),
@@ -45,7 +45,7 @@ const WITHIN_LEVEL_0: [(&str, &str); 3] = [
 
 const TEST_CRATES: [&str; 2] = ["tests", "tests/kit"];
 
-/// Known violations. The list may only shrink.
+/// Known violations of the rule. The list may only become shorter.
 const OPEN: &str = include_str!("crate_layers/open.txt");
 
 fn manifest(folder: &str) -> Table {

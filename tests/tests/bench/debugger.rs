@@ -1,4 +1,4 @@
-//! Tests `run --gdb` with GDB itself on the C starter.
+//! Tests `run --gdb` with the debugger GDB and the firmware of the C starter.
 
 use crate::starter_c::{build_starter, has_cross_compiler};
 use crate::test_folder::{TestFolder, run_bench, workspace_root};

@@ -1,4 +1,4 @@
-//! Checks that lockstep runs repeat bit for bit.
+//! Checks that a repeated lockstep run gives the same traces, bit for bit.
 
 use crate::test_folder::{TestFolder, read_traces};
 
@@ -36,7 +36,7 @@ fn traces_do_not_depend_on_the_number_of_jobs() {
     assert_eq!(one.len(), 9);
     assert_eq!(one, run(&folder, "seven", &["--jobs", "7"]));
     assert_eq!(one, run(&folder, "again", &["--jobs", "1"]));
-    // To show that the comparison can fail: another seed gives other traces, and trials differ.
+    // Shows that the comparison can fail: another seed gives other traces, and trials differ.
     let other = run(&folder, "other", &["--seed", "2"]);
     assert_eq!(one[1], other[0], "the seed of a trial is the scenario's plus its index");
     assert_ne!(one[0], other[0]);

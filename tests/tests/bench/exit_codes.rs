@@ -30,7 +30,7 @@ fn a_failure_outweighs_an_inconclusive_verdict() {
     folder.bench(["run"]).assert_exit(1);
 }
 
-/// Opening a pipe without a writer would block.
+/// The inputs are pipes without a writer. A program that opened one would block.
 #[rstest]
 #[case::scenario(&["run", "pipe.toml", "--rig", "hosted"])]
 #[case::folder(&["run", "folder", "--rig", "hosted"])]

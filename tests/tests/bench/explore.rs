@@ -31,7 +31,6 @@ fn the_minimal_scene_of_a_mutant_fails_under_run() {
     let example = fs::read_to_string(workspace_root().join("docs/examples/controller.py")).unwrap();
     let call = "self.law.step(setpoint, wd, wq)";
     assert!(example.contains(call));
-    // The mutant raises setpoints above 1.5 µm by 3 %.
     let mutant = example.replace(call, "self.law.step(setpoint * (1.03 if setpoint > 1.5 else 1.0), wd, wq)");
     fs::write(folder.path().join("mutant.py"), mutant).unwrap();
     let rig = format!("exec:{python} mutant.py {{port}}");
@@ -87,7 +86,7 @@ fn an_interrupt_ends_an_exploration() {
     wait_until("no handler of signals", catches_interrupts);
     bench.signal("INT");
     bench.finish().assert_exit(130);
-    // If the signal came before the first scene, nothing is written.
+    // If the signal came before the first scene, there is no report.
     if folder.path().join("out").exists() {
         assert_eq!(report(folder.path())["is_interrupted"], true);
     }

@@ -9,7 +9,7 @@ use std::path::Path;
 
 const CHANGED_PLATE: &str = "scenarios/plates/plate.toml";
 
-/// The scenario takes 60 ms unless `head` sets the duration.
+/// Returns a scenario of 60 ms, unless `head` sets the duration.
 fn scenario_text(head: &str, controller: &str) -> String {
     let duration = if head.contains("duration_ms") { "" } else { "duration_ms = 60.0\n" };
     let metrics =
@@ -104,7 +104,7 @@ fn an_impossible_plate_is_reported_with_its_line(
     folder.run_hosted("run").assert_exit(2).assert_stderr(&[place, message]);
 }
 
-/// One cycle of the carrier is 30.95 µs, but the wire carries whole microseconds.
+/// The period is one cycle of the carrier, 30.95 µs, but the protocol carries whole microseconds.
 #[test]
 fn rejects_a_period_between_two_microseconds() {
     let folder = extreme_folder("", "period_ms = 0.030952", UNCHANGED);

@@ -1,4 +1,4 @@
-//! Tests the text that a firmware writes by RTT, with a changed C starter.
+//! Tests the text that a firmware writes by RTT (a buffer in memory), with a changed C starter.
 
 use crate::starter_c::has_cross_compiler;
 use crate::test_folder::{TestFolder, run_bench, workspace_root};
@@ -7,7 +7,7 @@ use platebench_test_kit::skip_without;
 use std::fs;
 use std::process::Command;
 
-/// The ring is smaller than the text of a trial.
+/// C code with an RTT buffer that is smaller than the text of a trial, so that it wraps.
 const RTT: &str = r#"
 #include <string.h>
 struct channel { const char *name; char *buffer; uint32_t size; volatile uint32_t written, read; uint32_t flags; };
@@ -61,7 +61,7 @@ fn text_by_rtt_is_in_the_record_of_its_trial() {
         let page = fs::read_to_string(out.join("report.html")).unwrap();
         (trials.into_iter().map(|trial| trial.telemetry.firmware_output.unwrap()).collect::<Vec<_>>(), page)
     };
-    // 60 periods have a sample at each of their ends.
+    // 60 periods have 61 samples, because there is one at each end of a period.
     let expected = format!("started\n{}", "step\n".repeat(61));
     let (texts, page) = play("scenarios/paper/fig13-closed-loop.toml", "2", "short");
     assert_eq!(texts, [expected.clone(), expected.clone()]);

@@ -1,4 +1,4 @@
-//! Tests the FMU of a plate with `FMPy`: it follows the bench's trace for any step size.
+//! Tests with `FMPy` that the FMU of a plate follows the bench's trace for any step size.
 
 use crate::test_folder::{ProgramOutput, TestFolder, bench_command, workspace_root};
 use platebench_test_kit::skip_without;

@@ -1,4 +1,4 @@
-//! Tests baselines: review, acceptance, comparison.
+//! Tests baselines: review, acceptance and comparison.
 
 use crate::test_folder::{
     FAILED_SETTLING, ProgramOutput, SETTLING, TestFolder, bench_command, run_bench, step_scenario, step_text,
@@ -176,7 +176,7 @@ fn a_tube_is_learned_from_varying_trials() {
     folder.bench(["run", "--rig", "hosted", "--out", "other", "--seed", "1000"]);
     let output = compare(&folder, "other", "baseline");
     assert_ne!(output.exit, 1, "{}", output.text());
-    // Equal seeds give equal noise.
+    // Only runs with equal seeds have equal noise.
     compare(&folder, "run", "run").assert_exit(0);
     compare(&folder, "other", "run").assert_exit(1);
     folder.bench(["run", "--rig", "hosted", "--out", "few", "--trials", "3"]);

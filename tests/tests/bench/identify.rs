@@ -1,4 +1,4 @@
-//! Identifies the plate from recordings of the repository's scenarios.
+//! Identifies the plate from runs of the repository's scenarios.
 
 use crate::test_folder::{run_bench, workspace_root};
 use serde_json::Value;
@@ -16,7 +16,7 @@ fn relative_deviation(values: &[f64]) -> f64 {
     (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (values.len() - 1) as f64).sqrt() / mean
 }
 
-/// The budget adds timing and temperature to the standard error of the resonance.
+/// Checks that the budget adds timing and temperature to the standard error of the resonance.
 fn assert_budget(folder: &Path, identified: &Value) {
     let budget = workspace_root().join("docs/examples/amplitude-budget.toml");
     let arguments = ["identify", "run", "--format", "json", "--budget", budget.to_str().unwrap()];
@@ -55,13 +55,13 @@ fn identified_tables_match_the_paper() {
         };
         let (gains, taus) = (steps("voltage_steps", &here, 0), steps("voltage_steps", &here, 1));
         assert_eq!((gains.len(), taus.len()), (30, 30), "{vpp} Vpp");
-        // The scenarios vary K1 by 5 % and τ1 by 6 %. The deviation of 30 values is within 26 % of
-        // that at 95 %.
+        // The scenarios vary K1 by 5 % and τ1 by 6 %. With 95 % probability, the deviation of 30
+        // values is within 26 % of these.
         assert!((0.03..0.07).contains(&relative_deviation(&gains)), "{vpp} Vpp: K1 {}", relative_deviation(&gains));
         assert!((0.036..0.084).contains(&relative_deviation(&taus)), "{vpp} Vpp: τ1 {}", relative_deviation(&taus));
     }
     let value = |key: &str| identified[key]["value"].as_f64().unwrap();
-    // Three standard errors of the means over 30 plates are 2.7 % of K1 and 3.3 % of τ.
+    // Three standard errors of a mean over 30 plates are 2.7 % for K1 and 3.3 % for τ.
     assert!((value("gain_um_per_vpp") / 0.006_98 - 1.0).abs() < 0.027, "{}", value("gain_um_per_vpp"));
     assert!((value("time_constant_s") / 1.88e-3 - 1.0).abs() < 0.033, "{}", value("time_constant_s"));
     assert!((value("frequency_gain_s") / 1.88e-3 - 1.0).abs() < 0.033, "{}", value("frequency_gain_s"));

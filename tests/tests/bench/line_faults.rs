@@ -49,8 +49,8 @@ fn the_fault_suite_passes_with_any_number_of_jobs() {
 
 #[test]
 fn a_slew_over_late_replies_is_no_violation() {
-    // Deadbeat approaches a distant resonance in steps of at most the slew. Two late replies act as
-    // one command.
+    // Deadbeat approaches a distant resonance in steps of at most the slew limit. Two late replies
+    // act at once, so the frequency changes by two steps.
     let heat = "temperature_offset_k = { hold = [[0.0, 0.0], [24.8, 5.0]] }";
     let text = step_scenario("aluminium-198x138", "law = \"deadbeat\"", heat, MISSED);
     let fault = "[[fault]]\nkind = \"delay\"\ndelay_ms = 1.01\ndirection = \"from-controller\"\n\
@@ -92,7 +92,7 @@ fn the_record_has_the_cause_of_the_controller_s_stop(#[case] rig: &str) {
     }
 }
 
-/// The last sample before the window is at 29 ms.
+/// The fault begins at 30 ms, so the last sample before it is at 29 ms.
 #[test]
 fn the_watchdog_acts_on_the_fifth_missing_sample() {
     let silence = |until: u32| {
@@ -154,7 +154,7 @@ fn a_command_late_within_its_period_is_not_missed() {
     assert_eq!(times_with_flag_ms(&rows, Flags::LINK_LOST), [0.0; 0]);
     assert_eq!(rows.iter().find(|row| row.drive_vpp > 0.0).unwrap().t_s, 0.000_312_5);
     assert_eq!(telemetry(&record).loop_delay_us, Some(312.5));
-    // The fault acts like a loop delay of the same length.
+    // A fault that delays every reply acts like a loop delay of the same length.
     let delayed = step_scenario("aluminium-198x138", "loop_delay_ms = 0.3125", "", MISSED);
     let (_, expected) = TestFolder::new().run_scenario(&delayed);
     let drives = |rows: &[Row]| rows.iter().map(|row| (row.t_s, row.drive_vpp, row.wd_um)).collect::<Vec<_>>();
@@ -168,7 +168,7 @@ fn a_command_later_than_a_period_is_missed_but_acts() {
          from_ms = 30.0\nuntil_ms = 31.0\n",
     );
     assert_eq!(times_with_flag_ms(&rows, Flags::LINK_LOST), [30.0]);
-    // The next command waits behind it on the line and is in time.
+    // The next command waits on the line behind the late one but is in time, so only one is missed.
     assert_eq!((record.scenarios[0].expectations[0].value, record.verdict), (Some(1.0), Verdict::Pass));
 }
 

@@ -10,8 +10,7 @@ use std::process::Command;
 use terminal::{LARGE, SMALL, TestTerminal};
 
 const EXPECT: &str = "metric = \"overshoot_percent\"\nat_most = 100.0";
-/// At this time scale the watchdog waits a quarter of a second, so a busy machine does not trigger
-/// it.
+/// At this time scale the watchdog waits 0.25 s, so that a busy machine does not trigger it.
 const SLOW: [&str; 4] = ["--clock", "real-time", "--time-scale", "0.02"];
 
 fn run_folder(duration_ms: &str) -> TestFolder {

@@ -1,4 +1,4 @@
-//! Tests of the whole bench, through its program and through its libraries.
+//! Tests the whole bench with its program and its libraries.
 
 #![allow(
     clippy::unwrap_used,

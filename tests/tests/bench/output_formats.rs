@@ -1,4 +1,4 @@
-//! Tests the output for other programs and the exports of a run.
+//! Tests outputs for other programs and exports of a run.
 
 use crate::test_folder::{ProgramOutput, SETTLING, TestFolder, bench_command, step_text};
 use rstest::rstest;
@@ -209,7 +209,7 @@ fn a_dash_is_standard_input_and_output() {
         let mut bench = bench_command(&folder.join("scenarios"));
         bench.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = bench.spawn().unwrap();
-        // A command that refuses its arguments does not read.
+        // The write fails if the command refuses its arguments and ends without reading.
         let _ = child.stdin.take().unwrap().write_all(text.as_bytes());
         child.wait_with_output().unwrap().into()
     };

@@ -1,4 +1,4 @@
-//! Tests that commands refuse effects of a plate that they would not simulate.
+//! Tests that commands refuse a plate with effects that they do not simulate.
 
 use crate::test_folder::{run_bench, workspace_root};
 use std::path::PathBuf;

@@ -1,5 +1,5 @@
-//! Tests the Python package: maturin builds its wheel, a fresh environment installs it, scripts and
-//! pytest use it.
+//! Tests the Python package: builds its wheel with maturin, installs the wheel into a new
+//! environment, and uses it from scripts and pytest.
 
 use crate::test_folder::{TestFolder, step_text, workspace_root};
 use platebench_test_kit::skip_without;
@@ -23,7 +23,7 @@ fn output(output: Output) -> (i32, String) {
     (output.status.code().unwrap_or(-1), String::from_utf8_lossy(&text).into_owned())
 }
 
-/// Does not build the program a second time.
+/// Builds the wheel from the compiled program, so that it is not compiled again.
 fn build_wheel(folder: &Path) -> PathBuf {
     let dist = folder.join("dist");
     call(Command::new(workspace_root().join("ci/wheel")).arg(PROGRAM).arg(&dist));
@@ -32,8 +32,7 @@ fn build_wheel(folder: &Path) -> PathBuf {
     wheel.clone()
 }
 
-/// Creates an environment with the wheel. It uses pandas, polars and pytest of
-/// `target/test-readers`.
+/// Creates an environment with the wheel, and pandas, polars and pytest of `target/test-readers`.
 fn environment(folder: &Path) -> PathBuf {
     let venv = folder.join("venv");
     call(Command::new(format!("{READERS}/bin/python")).args(["-m", "venv", "--without-pip"]).arg(&venv));

@@ -1,4 +1,4 @@
-//! Tests `--plate-mode real` on a simulated board with a plate, with and without an operator.
+//! Tests `--plate-mode real` with a simulated board and plate, with and without an operator.
 
 use crate::test_folder::{ChildGuard, PLATE, ProgramOutput, TestFolder, bench_command, start_bench, wait_until};
 use platebench_record::{Cause, ClockKind, RealPlateRecord, RunRecord, TrialRecord, Verdict};
@@ -9,7 +9,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-/// On a busy machine a trial may be excluded, so it is repeated.
+/// On a busy machine the bench may exclude a trial; the test then tries again, at most this often.
 const ATTEMPTS: u32 = 5;
 
 const EXPECT: &str = "[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 3.0\n\
@@ -82,7 +82,7 @@ fn a_step_of_a_real_plate_is_recorded_and_judged() {
     assert!(real.periods >= 300 && real.setpoints >= 6 && real.acknowledged_us.is_some() && real.asked.is_empty());
     let [settling, error, unmeasured] = &record.scenarios[0].expectations[..] else { panic!() };
     assert_eq!((settling.verdict, error.verdict), (Verdict::Pass, Verdict::Pass), "{settling:?} {error:?}");
-    // The law settles after 1.9 ms, between the samples at 1 ms and 2 ms.
+    // The plate settles after 1.9 ms, between two samples, so the result is an interval.
     assert_eq!(settling.interval, Some([1.0, 2.0]));
     assert!(settling.evidence.observed.as_deref().unwrap().contains("sensor"));
     assert_eq!((unmeasured.verdict, unmeasured.cause), (Verdict::Inconclusive, Some(Cause::Evidence)));
@@ -107,7 +107,7 @@ fn missing_telemetry_is_inconclusive(#[case] options: &str, #[case] reason: &str
     let (output, record) = run_on_board(&folder, options);
     let trial = only_trial(&record);
     assert_eq!((record.verdict, trial.cause), (Verdict::Inconclusive, Some(Cause::Rig)), "{trial:?}");
-    // On a busy machine an acknowledgement may be late as well.
+    // On a busy machine, a late acknowledgement may be the reason instead.
     let text = trial.reason.as_ref().unwrap().to_string();
     assert!(text.contains(reason) || text.contains("was not acknowledged"), "{trial:?}");
     output.assert_exit(expected);
@@ -168,8 +168,7 @@ fn without_an_operator_manual_steps_are_inconclusive(#[case] more: &[&str]) {
 
 type OperatorRun = (i32, Vec<String>);
 
-/// `act` receives each prompt and the path of the file with the force in N and the temperature
-/// offset in K.
+/// `act` receives each prompt and the path of the file with force in N and temperature offset in K.
 fn run_with_operator(folder: &TestFolder, mut act: impl FnMut(&str, &Path)) -> (OperatorRun, RunRecord) {
     let _ = fs::remove_dir_all(folder.join("run"));
     let conditions = folder.join("conditions");
@@ -269,7 +268,7 @@ fn a_signal_puts_the_real_plate_at_0_v(#[case] name: &str, #[case] expected: i32
 fn after_a_killed_bench_the_board_s_watchdog_acts() {
     let folder = plate_folder(60_000.0, STEP, EXPECT);
     let (mut bench, log) = running_board(&folder);
-    // The bench is stopped and not ended, so that the line stays open.
+    // The bench is stopped but not ended, so that its line stays open.
     bench.signal("STOP");
     wait_until("the board drives without setpoints", || log_text(&log).trim_end().ends_with("Fault 0"));
     bench.kill();

@@ -1,6 +1,6 @@
-//! Tests programs on a pseudo-terminal as controllers, in lockstep and in real time.
+//! Tests controllers that are programs on a pseudo-terminal, in lockstep and in real time.
 //!
-//! The tests allow late samples, because the machine may be busy.
+//! The tests allow late samples, because the machine may be busy with other work.
 
 use crate::test_folder::{
     ChildGuard, TestFolder, assert_same_traces, bench_command, controller_rig, run_bench, start_bench, step_scenario,
@@ -32,7 +32,7 @@ fn run_real_time(arguments: &[&str]) -> (TestFolder, RunRecord) {
     let folder = TestFolder::with_step(EXPECT);
     let output = folder.bench(["run", "--clock", "real-time", "--out", "run"].iter().chain(arguments));
     let record = folder.record("run");
-    // A late bench may make the verdict inconclusive, never a failure.
+    // A late bench may make the verdict inconclusive, but never a failure.
     assert_ne!(record.verdict, Verdict::Fail, "{}", output.stdout);
     output.assert_exit(if record.verdict == Verdict::Pass { 0 } else { 3 });
     assert_eq!(record.clock, ClockKind::RealTime);
@@ -55,7 +55,7 @@ fn real_time_timing_counts_add_up(#[case] rig: String) {
     let timing = timing(&record);
     assert_eq!((timing.pacing.as_str(), timing.time_scale, timing.periods), ("bench", 1.0, 60));
     assert!(timing.safe_confirmed && timing.lost_rows == 0 && timing.rejected_frames == 0);
-    // The last reply may be outstanding at the end.
+    // The reply to the last sample may still be missing when the trial ends.
     assert!(timing.lost_replies <= timing.missed_replies + 1);
     let delay = timing.loop_delay_us.unwrap();
     assert!(0.0 < delay.p50 && delay.p50 <= delay.p99 && delay.p99 <= delay.max, "{delay:?}");
@@ -73,7 +73,7 @@ fn real_time_timing_counts_add_up(#[case] rig: String) {
     }
     let latest = rows.iter().map(|row| row.lateness_us).fold(0.0, f64::max);
     assert!((latest / timing.lateness_us.max - 1.0).abs() < 0.01, "{latest} {}", timing.lateness_us.max);
-    // The first command acts at its arrival, not at its control instant.
+    // In real time, the first command acts when it arrives, not at its control instant.
     let driven = rows.iter().find(|row| row.drive_vpp > 0.0).unwrap();
     assert!(driven.t_s > 0.0 && !driven.flags.contains(Flags::CONTROL), "{driven:?}");
 
@@ -100,7 +100,7 @@ fn the_target_s_timer_sets_the_control_instants() {
     let (folder, record) = run_real_time(&["--rig", &controller_rig(None), "--pacing", "target"]);
     let timing = timing(&record);
     assert_eq!(timing.pacing, "target");
-    // On a busy machine the target skips periods or stops early.
+    // On a busy machine, the target skips periods or ends early, so their number is not checked.
     assert!(timing.periods > 0);
     let rows = folder.rows("run", trial(&record));
     let instants: Vec<f64> = rows.iter().filter(|row| row.flags.contains(Flags::CONTROL)).map(|row| row.t_s).collect();
@@ -150,7 +150,7 @@ fn an_absent_rig_is_reported(#[case] rig: &str, #[case] message: &str) {
 
 #[test]
 fn emulate_serves_several_controllers_in_turn() {
-    // The watchdog waits five periods: 100 ms instead of 5 ms, for a busy machine.
+    // The watchdog waits five periods. With 20 ms these are 100 ms, enough for a busy machine.
     let slow = "period_ms = 20.0\nresponse_time_ms = 100.0";
     let folder = TestFolder::with_scenario(&step_scenario("aluminium-198x138", slow, "", EXPECT));
     let mut plate = bench_command(folder.path());

@@ -9,7 +9,7 @@ use std::net::{SocketAddr, TcpListener};
 use std::thread;
 use std::time::Instant;
 
-/// Starts a board behind a server that accepts one connection after the other.
+/// Starts a server with a simulated board. It accepts one connection after the other.
 pub(crate) fn serve_board() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
@@ -37,7 +37,7 @@ fn a_run_over_tcp_is_in_real_time_and_measures_the_delay() {
     let rig = format!("tcp:{}", serve_board());
     let output = folder.bench(["run", "--rig", &rig, "--time-scale", "0.1", "--out", "run"]);
     let record = RunRecord::read(&folder.join("run")).unwrap();
-    // A late bench or a slow line may make the verdict inconclusive, never a failure.
+    // A late bench or a slow line may make the verdict inconclusive, but never a failure.
     assert_ne!(record.verdict, Verdict::Fail, "{}", output.text());
     output.assert_exit(if record.verdict == Verdict::Pass { 0 } else { 3 });
     assert_eq!((record.clock, record.safe_confirmed), (ClockKind::RealTime, Some(true)));

@@ -1,4 +1,4 @@
-//! Tests `platebench replay`: recorded samples into another firmware.
+//! Tests `platebench replay`, which sends recorded samples to another firmware.
 
 use crate::test_folder::{PLATE, SETTLING, TestFolder, controller_rig, step_scenario, step_text};
 use rstest::rstest;
@@ -43,7 +43,7 @@ fn the_same_law_repeats_every_command_bit_for_bit() {
     assert!(text.contains("open loop: the samples are recorded"), "{text}");
 }
 
-/// With a delay the command acts after its sample. With jitter the delay is random.
+/// A delay separates a command from its sample in the trace. Jitter makes the delay random.
 #[rstest]
 #[case::delay("loop_delay_ms = 0.4\n", 60)]
 #[case::jitter("loop_delay_ms = 0.2\nloop_delay_jitter_ms = 0.3\n", 60)]
@@ -57,7 +57,7 @@ fn finds_the_command_of_a_delayed_loop(#[case] keys: &str, #[case] compared: u64
 fn another_law_or_other_gains_fail() {
     let folder = step_recording();
     let result = replay_json(&folder, "hosted", &["--law", "voltage-only"], 1);
-    // The fixed frequency leaves the tube, but the drive does not.
+    // `voltage-only` keeps the frequency fixed, so the frequency leaves the tube.
     assert!(!result["differences"][1]["exceedance"].is_null(), "{result}");
     let gains = "[controller.gains]\namplitude_kp = 60.0\namplitude_ki = 90000.0\nfrequency_kp = 100.0\n\
                  frequency_ki = 9e4\n[profile]";
@@ -88,7 +88,7 @@ fn a_changed_or_truncated_trace_is_rejected() {
 fn a_rig_that_is_absent_or_dies_ends_with_5() {
     let folder = step_recording();
     folder.bench(["replay", TRACE, "--rig", "exec:false {port}"]).assert_exit(5);
-    // The recording is long enough that the controller is killed before its end.
+    // The recording takes longer than the 0.4 s after which the controller is killed.
     let long = step_text(SETTLING).replace("duration_ms = 60.0", "duration_ms = 60000.0");
     let folder = recorded(&long);
     let rig = controller_rig(None).replacen("exec:", "exec:timeout -s KILL 0.4 ", 1);

@@ -22,10 +22,10 @@ fn the_report_has_the_texts_of_requirements() {
     assert!(!folder.read("without/report.html").contains("<dt>R-1"));
     folder.write("scenarios/requirements.toml", &format!("[[requirement]]\nid = \"R-1\"\ntext = \"{TEXT}\"\n"));
     folder.bench(["run", "--rig", "hosted", "--out", "run"]).assert_exit(0);
-    // The text is in the scenario and in the table of requirements.
+    // The text occurs at the scenario and in the table of requirements.
     assert_eq!(folder.read("run/report.html").matches(TEXT).count(), 2);
     assert_eq!(folder.record("run").scenarios[0].requirement_texts["R-1"], TEXT);
-    // The record contains the texts, because the file may change later.
+    // The record contains the texts, so the file of requirements may be deleted.
     fs::remove_file(folder.join("scenarios/requirements.toml")).unwrap();
     folder.bench(["judge", "run"]).assert_exit(0);
     folder.bench(["report", "run"]).assert_exit(0);
@@ -42,7 +42,7 @@ fn a_faulty_list_of_requirements_is_refused() {
     }
 }
 
-/// The plan of the acceptance session repeats the texts that it decides.
+/// The plan of an acceptance session repeats the texts of its requirements.
 #[test]
 fn plan_and_list_have_the_same_texts() {
     let list = requirement_texts("requirements.toml");
@@ -51,7 +51,7 @@ fn plan_and_list_have_the_same_texts() {
     }
 }
 
-/// docs/report.md explains this report.
+/// docs/report.md explains the report of this scenario.
 #[test]
 fn the_report_of_three_taps_leads_to_the_cause() {
     let folder = TestFolder::new();
@@ -65,7 +65,7 @@ fn the_report_of_three_taps_leads_to_the_cause() {
     {
         assert!(page.contains(text), "{text}");
     }
-    // The overshoot after the third tap does not belong to the first step.
+    // The overshoot occurs after the third tap, so it must not be reported for the first step.
     assert!(!page.contains("The settling time passes, but"));
     let rows = platebench_trace::read_trace(&folder.join("run/traces/three-taps/000.csv")).unwrap();
     let last = rows.last().unwrap();

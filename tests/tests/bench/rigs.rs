@@ -1,4 +1,4 @@
-//! Compares the hosted with the emulated rig, and tests features of the emulated rig.
+//! Compares the hosted rig with the emulated one, and tests features of the emulated rig.
 
 use crate::test_folder::{
     SETTLING, TestFolder, assert_same_traces, run_bench, step_scenario, step_text, workspace_root,
@@ -31,16 +31,16 @@ fn run_and_read(folder: &TestFolder, arguments: &[&str], expected: i32) -> RunRe
 
 #[test]
 fn wire_and_computing_time_are_optional() {
-    // The longest step of this law does not depend on the samples.
+    // The longest control step of this law depends only slightly on the samples.
     let folder = TestFolder::with_scenario(&step_scenario("aluminium-198x138", "law = \"dq-pi-fixed\"", "", SETTLING));
     let transparent = run_and_read(&folder, &["--rig", "emulated"], 0);
     let wired = run_and_read(&folder, &["--rig", "emulated", "--wire-time"], 1);
     let telemetry = |record: &RunRecord| record.scenarios[0].trials[0].telemetry.clone();
     assert_eq!(telemetry(&transparent).loop_delay_us, Some(0.0));
-    // 24 bytes each way at 1 Mbaud take 480 µs, plus the idle line and the control step.
+    // 24 bytes each way at 1 Mbaud take 480 µs, plus idle time of the line and the control step.
     let delay = telemetry(&wired).loop_delay_us.unwrap();
     assert!((480.0..560.0).contains(&delay), "{delay} µs");
-    // Other samples take other branches: up to 36 instructions at 168 MHz.
+    // Other samples take other branches of the law: up to 36 instructions, 0.21 µs at 168 MHz.
     let without = telemetry(&transparent).rig_delay_us.unwrap();
     assert!((without - telemetry(&wired).rig_delay_us.unwrap()).abs() < 0.25, "{without} µs");
     assert!(wired.scenarios[0].expectations[0].value.unwrap() > 4.0);
@@ -80,14 +80,14 @@ fn the_share_of_a_step_belongs_to_its_control_period() {
     assert!((tightest.share() - tightest.instructions / 42_000.0).abs() < 1e-12, "{}", tightest.share());
 }
 
-/// A setpoint of 900 + n µm triggers fault n of `stm32f4/src/planted_faults.rs`: a trap, a reset by
-/// the watchdog, an access that the emulator does not model. The tests of `rig` plant every fault.
+/// A setpoint of 900 + n µm triggers fault n of `stm32f4/src/planted_faults.rs`: here a trap, a
+/// watchdog reset, and an access that the emulator does not model. Tests of `rig` cover all faults.
 #[rstest]
 #[case::division_by_zero(2, "planted_faults::division_by_zero")]
 #[case::endless_loop(3, "planted_faults::endless_loop")]
 #[case::unmodelled_peripheral(9, "planted_faults::unmodelled_peripheral")]
 fn a_trap_is_reported_with_function_and_address(#[case] number: u32, #[case] function: &str) {
-    // A plate at 0 V would meet this expectation.
+    // A plate at 0 V meets this expectation, so the verdict must fail because of the trap.
     let text = step_text("metric = \"overshoot_percent\"\nat_most = 1000.0");
     let setpoint = format!("{{ hold = [[0.0, 2.0], [10.0, {}.0], [11.0, 2.0]] }}", 900 + number);
     let text = text.replace("setpoint_um = 2.0", &format!("setpoint_um = {setpoint}"));

@@ -1,4 +1,4 @@
-//! Tests which scenarios are listed, selected and left out.
+//! Tests which scenarios are listed, selected and skipped.
 
 use crate::test_folder::{FAILED_SETTLING, SETTLING, TestFolder, step_text};
 use Verdict::{Fail, Inconclusive, Pass};

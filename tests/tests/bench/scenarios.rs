@@ -1,4 +1,4 @@
-//! Runs every scenario of the repository and compares the result with its `expected_exit`.
+//! Runs every scenario of the repository and compares its exit code with `expected_exit`.
 
 use crate::test_folder::{run_bench, workspace_root};
 use platebench_record::{RunRecord, Verdict};
@@ -46,7 +46,7 @@ fn the_default_run_passes_and_excludes_limits() {
     let record = fs::read_to_string(folder.path().join("run/run.json")).unwrap();
     assert!(record.contains("paper/fig16-closed-loop.toml"));
     assert!(!record.contains("\"file\": \"limits/"), "{}", output.stdout);
-    // Rounding errors and column widths depend on the mathematics library, the cost on the image.
+    // Masks rounding errors, column widths, cost and duration, which depend on machine or image.
     let cost = (r"step: [\d ]+ worst (\(.*?\))[,;](?: [\d ]+ are)? [\d.]+ %", "step: # worst $1, # %");
     let duration = (r"duration: .*", "duration: #");
     let slowest = (r"slowest scenario: .*\n", "");

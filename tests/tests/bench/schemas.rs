@@ -1,4 +1,4 @@
-//! Tests the JSON Schemas of results with real results, and all schemas with a strict validator.
+//! Checks real results against their JSON Schemas, and all schemas with a strict validator.
 
 use crate::test_folder::{TestFolder, run_bench, step_text, workspace_root};
 use platebench_test_kit::skip_without;
@@ -15,8 +15,7 @@ fn schema(kind: &str) -> Value {
     run_bench(&workspace_root(), ["schema", kind]).assert_exit(0).json()
 }
 
-/// Returns record and event lines of a run that fails and contains a scenario that is not
-/// applicable.
+/// Returns record and event lines of a failed run with a scenario that is not applicable.
 fn mixed_run(folder: &TestFolder) -> (Value, Vec<Value>) {
     folder.write_scenario("s.toml", &step_text(MIXED));
     let output = folder.bench(["run", "--rig", "hosted", "--trials", "2", "--format", "json", "--out", "run"]);
@@ -75,7 +74,7 @@ fn check_prints_faults_for_programs() {
     assert_eq!((&fault["line"], &fault["column"]), (&line.into(), &1.into()));
 }
 
-/// ajv in strict mode refuses unknown formats and keywords, and requires an identifier per schema.
+/// In strict mode, ajv refuses unknown formats and keywords and requires an identifier per schema.
 #[test]
 fn a_strict_validator_accepts_every_schema() {
     if !std::path::Path::new(NODE_MODULES).join("node_modules/ajv").exists() {

@@ -1,6 +1,6 @@
-//! Tests faults of the wire in real time, and a port that two benches open.
+//! Tests planned faults of the line in real time, and a port that two benches open.
 //!
-//! Results that depend on the load of the machine are asserted only for runs without overruns.
+//! Results that depend on the load of the machine are checked only in runs without overruns.
 
 use crate::test_folder::{TestFolder, controller_rig, run_bench, start_bench, wait_until, workspace_root};
 use platebench_record::{RunRecord, Telemetry, Verdict};
@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 const STOPPED: Option<&str> = Some("no sample within the watchdog timeout");
 
-/// The run has a time scale of 0.1. `None` if the controller had no processor time and was lost.
+/// Runs a fault scenario at time scale 0.1. `None` if a lack of processor time ended it.
 fn run_with_line_fault(name: &str, out: &str) -> Option<(RunRecord, Vec<Row>)> {
     let folder = tempfile::tempdir().unwrap();
     let scenario = workspace_root().join(format!("scenarios/faults/{name}.toml"));
@@ -47,7 +47,7 @@ fn wire_faults_act_on_a_live_line(
     #[case] reason: Option<&str>,
     #[case] runs_at_the_end: bool,
 ) {
-    // Attempts in which the controller had no processor time for a quarter of a second.
+    // Number of attempts in which the controller lacked processor time for 0.25 s.
     let mut starved = 0;
     for attempt in 0..5 {
         let Some((record, rows)) = run_with_line_fault(name, &attempt.to_string()) else {
@@ -61,13 +61,13 @@ fn wire_faults_act_on_a_live_line(
         assert_eq!((telemetry.ended.as_deref(), timing.rejected_frames), (None, 0), "no other fault of the line");
         let was_at_rest = rows.iter().any(|row| row.flags.contains(Flags::SAFE) && row.drive_vpp == 0.0);
         assert_eq!(was_at_rest, telemetry.stopped.is_some());
-        // An overrun may move a sample into or out of the window of the fault.
+        // An overrun may move a sample into the window of the fault or out of it.
         if timing.overruns == 0 {
-            // A disconnection also drops the stop message, which is no reply. A controller without
-            // processor time sends it after the disconnection.
+            // A disconnection also drops the controller's stop message, which is no reply. A
+            // controller without processor time sends it only after the disconnection.
             let samples = if kind == "disconnect" { count - 1 } else { count };
             assert!((samples..=count).contains(&telemetry.faults[kind]), "{telemetry:?}");
-            // The last reply may be outstanding at the end.
+            // The reply to the last sample may still be missing when the trial ends.
             assert!((samples..=timing.missed_replies + 1).contains(&timing.lost_replies), "{timing:?}");
             assert!(telemetry.stopped.is_some() || reason.is_none());
             if telemetry.faults[kind] != count {
@@ -75,7 +75,7 @@ fn wire_faults_act_on_a_live_line(
                 continue;
             }
         }
-        // Further missed replies may have stopped the controller.
+        // If more replies are missing than planned, they may have stopped the controller.
         if timing.overruns == 0 && timing.missed_replies <= count {
             assert_eq!(telemetry.stopped.as_deref(), reason);
             assert_eq!(rows.last().unwrap().drive_vpp > 0.0, runs_at_the_end, "configured again or not");

@@ -72,7 +72,7 @@ fn a_blocked_output_does_not_block_the_exit() {
     let mut bench = bench_command(folder.path());
     bench.args(["run", "--rig", "hosted", "--format", "json", "--out", "run"]).env("PLATEBENCH_LOG", "trace");
     let mut bench = ChildGuard(bench.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
-    // The event of a trial has about 500 bytes, and a pipe takes 64 KiB.
+    // 400 events of about 500 bytes are more than a pipe takes without a reader, 64 KiB.
     wait_until("too few complete trials", || complete_trace_count(&folder) >= 400);
     bench.signal("TERM");
     bench.wait_for_exit(&[143]);
@@ -85,8 +85,7 @@ fn a_file_size_limit_is_a_reported_error() {
     start_by_shell(&folder, "ulimit -f 20").finish().assert_exit(2).assert_stderr(&["File too large"]);
 }
 
-/// Longer than 10 s, which is the watchdog timeout that the bench sends to a controller with its
-/// own clock.
+/// Longer than 10 s, the watchdog timeout that the bench sets in a controller with its own clock.
 const SUSPENSION: Duration = Duration::from_millis(11_500);
 
 #[test]
@@ -99,7 +98,7 @@ fn a_suspended_bench_does_not_fail_the_controller() {
     bench.signal("STOP");
     sleep(SUSPENSION);
     bench.signal("CONT");
-    // On a busy machine a late answer may be the cause, or the controller may count as lost.
+    // On a busy machine, a late answer or a lost controller may be the cause instead.
     bench.finish().assert_exit_in(&[3, 5]);
     let record = folder.record("run");
     let trial = &record.scenarios[0].trials[0];

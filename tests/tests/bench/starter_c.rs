@@ -1,4 +1,4 @@
-//! Builds the C starter and tests it on the emulated rig and its protocol on this computer.
+//! Builds the C starter, tests it on the emulated rig, and tests its protocol on this computer.
 //!
 //! The firmware needs `make`, `gcc-arm-none-eabi` and newlib (`ci/install-test-tools`).
 
@@ -51,7 +51,7 @@ fn the_c_starter_passes_the_default_suite() {
     );
 }
 
-/// Runs `tests/wire.c` with the streams as input. Returns its lines: vectors, then one per stream.
+/// Runs `tests/wire.c` with the streams as input. Returns its vectors, then one line per stream.
 fn run_wire_program(streams: &[Vec<u8>]) -> Vec<String> {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("wire");
@@ -76,7 +76,7 @@ fn hexadecimal(bytes: &[u8], separator: &str) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(separator)
 }
 
-/// Returns heading and frame of each test vector.
+/// Returns heading and frame of each test vector in docs/wire-protocol.md.
 fn documented_vectors() -> Vec<(String, Vec<u8>)> {
     let page = std::fs::read_to_string(workspace_root().join("docs/wire-protocol.md")).unwrap();
     let (mut vectors, mut heading) = (Vec::new(), String::new());
@@ -91,7 +91,7 @@ fn documented_vectors() -> Vec<(String, Vec<u8>)> {
     vectors
 }
 
-/// Formats the result of the bench's decoder as `tests/wire.c` prints it.
+/// Returns the result of the bench's decoder in the format of `tests/wire.c`.
 fn expected_line(stream: &[u8]) -> String {
     let (mut reader, mut line) = (FrameReader::new(), String::new());
     for &byte in stream {
@@ -145,14 +145,14 @@ fn configure_words(configure: &Configure) -> Vec<u32> {
     words
 }
 
-/// Returns streams with `frame` intact, and with one bit or byte changed, inserted or removed.
+/// Returns `frame` intact, repeated, and damaged: a bit flipped, or a byte inserted or removed.
 fn damaged_streams(frame: &[u8]) -> Vec<Vec<u8>> {
     let mut streams = vec![frame.to_vec(), [frame, frame].concat(), [&[0, 0], frame].concat()];
     for at in 0..frame.len() {
         for bit in 0..8 {
             let mut flipped = frame.to_vec();
             flipped[at] ^= 1 << bit;
-            // The reader must be synchronised again for the valid frame that follows.
+            // A valid frame follows: the reader must find it after a damaged one.
             streams.push([&flipped, frame].concat());
         }
         let without = [&frame[..at], &frame[at + 1..], frame].concat();
@@ -164,8 +164,7 @@ fn damaged_streams(frame: &[u8]) -> Vec<Vec<u8>> {
     streams
 }
 
-/// Returns frames with a correct CRC and one changed byte of the body: versions, kinds, laws, bits
-/// and lengths.
+/// Returns frames with a correct CRC but a wrong body: its length or one byte is changed.
 fn invalid_bodies(frame: &[u8]) -> Vec<Vec<u8>> {
     let mut reader = FrameReader::new();
     let body = reader.read(&mut &*frame).unwrap().unwrap().to_vec();

@@ -1,4 +1,4 @@
-//! Tests stored runs: judged again, reported again, interrupted, changed.
+//! Tests stored runs that are judged or reported again, interrupted, or changed.
 
 use crate::test_folder::{
     FAILED_SETTLING, PLATE, SETTLING, TestFolder, run_bench, step_scenario, step_text, workspace_root,
@@ -27,8 +27,7 @@ fn judging_again_gives_identical_results() {
     }
 }
 
-/// The verdict needs 8 or 16 trials, because 4 trials do not distinguish a sensor error of 1 % from
-/// one of 0.8 %.
+/// 4 trials cannot tell a sensor error of 1 % from one of 0.8 %, so a verdict needs 8 or 16 trials.
 fn sequential_scenario() -> String {
     let expect = "metric = \"static_error_percent\"\nat_most = 1.4\n\
                   [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 6.0\nover = \"quantile\"\nquantile = 0.6\n\
@@ -119,7 +118,7 @@ fn the_report_dates_a_failure_from_earlier_runs() {
     for out in ["runs/one", "runs/two"] {
         folder.run_hosted(out).assert_exit(1);
     }
-    // Two runs may start in the same second.
+    // Two runs may start in the same second, so the first one gets an earlier time.
     let mut record = folder.record("runs/one");
     record.started = "2020-01-01T00:00:00Z".to_owned();
     record.write(&folder.join("runs/one")).unwrap();
@@ -227,7 +226,7 @@ fn a_scenario_behind_a_symlink_can_be_judged() {
     fs::create_dir_all(folder.join("elsewhere/deep")).unwrap();
     folder.write("elsewhere/deep/s.toml", &text);
     folder.write("elsewhere/setpoint.csv", "t_ms,value\n0,2\n");
-    // `..` after a link differs between the path and its target; here both exist.
+    // `linked/..` is `scenarios` by its text but `elsewhere` on disk. Both have `plates`.
     symlink(folder.join("scenarios/plates"), folder.join("elsewhere/plates")).unwrap();
     symlink(folder.join("elsewhere/deep"), folder.join("scenarios/linked")).unwrap();
     folder.bench(["run", "scenarios/linked/s.toml", "--rig", "hosted", "--out", "run"]).assert_exit(0);
@@ -246,7 +245,7 @@ fn without_kept_traces_the_verdicts_are_the_same() {
     };
     assert_eq!(run("none", &["--keep-traces", "none"]), run("all", &[]));
     assert!(!folder.join("none/traces").exists());
-    // The report draws the rows in memory.
+    // Without traces, the report draws the rows that the run kept in memory.
     let curves = |out: &str| {
         let page = fs::read_to_string(folder.join(out).join("report.html")).unwrap();
         page.split("<script class=\"curves\"")

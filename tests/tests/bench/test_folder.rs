@@ -20,10 +20,10 @@ pub(crate) use platebench_test_kit::workspace_root;
 
 pub(crate) const PLATE: &str = "scenarios/plates/aluminium-198x138.toml";
 pub(crate) const SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
-/// The drive of the paper's plate settles in 1.96 ms.
+/// With `dq-pi` the paper's plate settles in 1.96 ms, so this limit is not met.
 pub(crate) const FAILED_SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 1.9";
 
-/// The program does not get the environment of the tests.
+/// Removes environment variables of the tests that would change the output of the program.
 pub(crate) fn bench_command(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_platebench-under-test"));
     command.current_dir(folder);
@@ -38,7 +38,7 @@ pub(crate) fn run_bench<A: AsRef<OsStr>>(folder: &Path, arguments: impl IntoIter
     bench_command(folder).args(arguments).output().unwrap().into()
 }
 
-/// The program has no input, and only its standard error is kept.
+/// Starts the program without input and keeps only its standard error.
 pub(crate) fn start_bench<A: AsRef<OsStr>>(folder: &Path, arguments: impl IntoIterator<Item = A>) -> ChildGuard {
     let mut bench = bench_command(folder);
     bench.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
@@ -229,7 +229,7 @@ impl TestFolder {
         Self::with_scenario(&step_text(expect))
     }
 
-    /// The step takes a minute and ends by a signal.
+    /// Returns a folder with a step of one minute, which a test ends by a signal.
     pub(crate) fn with_minute() -> Self {
         let text = step_text("metric = \"overshoot_percent\"\nat_most = 100.0");
         Self::with_scenario(&text.replace("duration_ms = 60.0", "duration_ms = 60000.0"))
@@ -319,7 +319,7 @@ impl TestFolder {
     }
 }
 
-/// `controller`, `profile` and `expect` are TOML.
+/// `controller`, `profile` and `expect` are lines of TOML.
 pub(crate) fn step_scenario(plate: &str, controller: &str, profile: &str, expect: &str) -> String {
     format!(
         "title = \"step\"\nplate = \"plates/{plate}.toml\"\nduration_ms = 60.0\n\

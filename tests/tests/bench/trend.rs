@@ -9,7 +9,7 @@ use platebench_wire::LawId;
 use std::fmt::Write as _;
 use std::fs;
 
-/// Longer scenarios are skipped, because their control steps cost as much as those of a short one.
+/// Longer scenarios are skipped: their control steps cost no more than those of short ones.
 const LONGEST_S: f64 = 1.0;
 
 #[test]
@@ -26,7 +26,7 @@ fn a_longer_control_step_is_reported() {
     faster.write(&folder.join("runs/first")).unwrap();
     run("runs/second").assert_stdout(&[MORE, "of build 1a2b3c4d (run first)"]);
     assert!(folder.read("runs/second/report.html").contains(MORE));
-    // The record stores the comparison, so the earlier run may be deleted.
+    // The record stores the result of the comparison, so the earlier run is no longer needed.
     fs::remove_file(folder.join("runs/first").join(RECORD_FILE)).unwrap();
     folder.bench(["judge", "runs/second"]).assert_stdout(&[MORE]);
     assert_eq!(rejudge(&folder.join("runs/second"), None).unwrap().cost, folder.record("runs/second").cost);
@@ -48,7 +48,7 @@ fn append_reference_lines(record: &RunRecord, text: &mut String) {
     }
 }
 
-/// `PLATEBENCH_COST=update` writes `firmware-under-test/images/cost.toml`.
+/// With `PLATEBENCH_COST=update` the test writes `firmware-under-test/images/cost.toml`.
 #[test]
 fn the_cost_reference_matches_the_image() {
     let mut scenarios =

@@ -1,4 +1,4 @@
-//! Tests `platebench tune`: its predictions against the firmware, and gains written into scenarios.
+//! Tests `platebench tune`: predictions against the firmware, and gains written into scenarios.
 
 use crate::test_folder::{
     PLATE, ProgramOutput, SETTLING, TestFolder, controller_rig, step_scenario, step_text, workspace_root,
@@ -17,7 +17,6 @@ fn json_number(json: &Value, pointer: &str) -> f64 {
     json.pointer(pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("no number at {pointer} of {json:#}"))
 }
 
-/// `gain` and `time_constant` are factors.
 fn scaled_plate_folder(gain: f64, time_constant: f64, limit: f64) -> TestFolder {
     let folder = TestFolder::new();
     folder.replace(PLATE, "gain_um_per_vpp = 0.00698", &format!("gain_um_per_vpp = {}", 0.006_98 * gain));
@@ -214,7 +213,7 @@ fn writing_gains_keeps_the_rest_of_the_scenario(#[case] controller: &str) {
     let path = folder.write_scenario("mine.toml", &text);
     let tuning = run_tune(&folder, &["--write", "scenarios/mine.toml", "--format", "json"]).assert_exit(0).json();
     let written = fs::read_to_string(&path).unwrap();
-    // All comments and lines without gains are still there, in their order.
+    // All lines without gains, and all comments, are still there in their order.
     let mut rest = written.as_str();
     for line in text.lines().filter(|line| !line.contains("gains") && !line.contains("_k")) {
         let line = line.trim_end_matches(" }");

@@ -1,4 +1,4 @@
-//! Checks code blocks: scenarios, plates and plans load, other TOML parses, and commands are valid.
+//! Checks code blocks: scenarios, plates and plans load, other TOML parses, commands are valid.
 
 use crate::command::{command_fault, commands};
 use crate::page::{DocumentPage, read_pages, workspace_root};
@@ -11,7 +11,7 @@ enum TomlKind {
     Scenario,
     Plate,
     Plan,
-    /// A part of a file, or a file of another program.
+    /// Part of a file, or a file of another program.
     Other,
 }
 
@@ -39,7 +39,7 @@ fn example_folder() -> TempDir {
 fn check_toml(text: &str) -> Result<TomlKind, String> {
     let table: toml::Table = match text.parse() {
         Ok(table) => table,
-        // The block may list possible values of a key, one per line.
+        // The block is no table, but it may list possible values of a key, one per line.
         Err(error) => {
             let values = text.lines().all(|line| format!("value = {line}").parse::<toml::Table>().is_ok());
             return if values { Ok(TomlKind::Other) } else { Err(error.to_string()) };
@@ -48,7 +48,7 @@ fn check_toml(text: &str) -> Result<TomlKind, String> {
     let kind = toml_kind(&table);
     let root = example_folder();
     let plate = table.get("plate").and_then(toml::Value::as_str).unwrap_or_default();
-    // Scenarios of the pages are in a folder below `scenarios`, or next to `plates`.
+    // A scenario with a plate `plates/…` belongs in `scenarios`, others in a subfolder of it.
     let folder = root.path().join(if plate.starts_with("plates/") { "scenarios" } else { "scenarios/own" });
     let path = folder.join("block.toml");
     fs::write(&path, text).unwrap();
@@ -80,7 +80,7 @@ fn check_plate(plate: &Path, folder: &Path) -> Result<(), String> {
 fn every_toml_block_loads() {
     let mut found = Vec::new();
     let mut faults = Vec::new();
-    // The tutorial has its own test, because one of its files is invalid on purpose.
+    // The tutorial has a test of its own, because one of its files is invalid on purpose.
     for page in read_pages().into_iter().filter(|page| !page.file.ends_with("docs/tutorial.md")) {
         for block in page.blocks.iter().filter(|block| block.language == "toml") {
             match check_toml(&block.text) {
@@ -114,7 +114,7 @@ fn finds_blocks_that_do_not_load() {
     assert!(check_toml("{ a = 1 }\n] 2\n").is_err());
 }
 
-/// False for bare names of commands, alternatives, options in brackets and placeholders.
+/// False for bare names of commands, and for text with alternatives, options or placeholders.
 fn is_own_command(text: &str) -> bool {
     let words = text.split_whitespace().count();
     let own = text.starts_with("cargo ") || text.starts_with("platebench ");

@@ -1,4 +1,4 @@
-//! Checks commands in the documentation: arguments parse; programs, packages and files exist.
+//! Checks commands in the documentation: arguments parse, and programs, packages and files exist.
 
 use crate::page::workspace_root;
 use std::fs;
@@ -28,7 +28,7 @@ const PROJECT_FOLDERS: [&str; 6] = ["ci/", "docs/", "firmware-under-test/", "har
 const CARGO_COMMANDS: [&str; 10] =
     ["add", "bench", "build", "clippy", "doc", "fmt", "install", "nextest", "run", "test"];
 
-/// If `prompted`, `text` is a console with a prompt before each command.
+/// Returns the commands of `text`. If `prompted`, only lines that begin with `$` are commands.
 pub(crate) fn commands(text: &str, prompted: bool) -> Vec<String> {
     let joined = text.replace("\\\n", " ");
     let lines = joined.lines().map(str::trim);
@@ -94,7 +94,6 @@ fn cargo_fault(arguments: &[String]) -> Option<String> {
     })
 }
 
-/// Returns a message if `word` is a path of the project that does not exist.
 pub(crate) fn missing_path(word: &str, folder: &Path) -> Option<String> {
     let path = word.split_once("./").map_or(word, |(before, rest)| if before.is_empty() { rest } else { word });
     if !PROJECT_FOLDERS.iter().any(|folder| path.starts_with(folder)) {

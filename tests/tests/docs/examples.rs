@@ -1,4 +1,4 @@
-//! Checks the recipes for continuous integration: YAML, commands, and files that a run writes.
+//! Checks the recipes for continuous integration: YAML, commands and files of a run.
 
 use crate::command::{bench_arguments, command_fault, commands};
 use crate::page::workspace_root;
@@ -39,7 +39,7 @@ fn check_recipe(recipe: &Value, script: &[&str], kept: &[&str]) {
     let mut out = None;
     let mut called = Vec::new();
     for line in &lines {
-        // A recipe's project contains the bench as a submodule.
+        // In the project of a recipe, the bench is a submodule in the folder `platebench`.
         let own = line.replace("platebench/harness/cli", "harness/cli");
         if let Some(fault) = command_fault(&own, &workspace_root()) {
             panic!("{line}: {fault}");

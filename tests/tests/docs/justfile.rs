@@ -1,4 +1,4 @@
-//! Compares the recipes of the justfile with the contributor's page and with CI.
+//! Compares the recipes of the justfile with the page for contributors and with CI.
 
 use crate::command::command_fault;
 use crate::page::workspace_root;

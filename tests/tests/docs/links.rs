@@ -1,12 +1,12 @@
-//! Checks that links lead to existing files and headings, and that named files exist.
+//! Checks that links lead to existing files and headings, and that file names in text exist.
 //!
-//! Pages of the book link to nothing outside the book, because its readers have nothing else.
+//! Pages of the book link only to pages of the book, because its readers have no other files.
 
 use crate::command::missing_path;
 use crate::page::{DocumentPage, read_pages, workspace_root};
 use std::path::Path;
 
-/// Folder of the book's pages, as in `book.toml`; its folder `examples` contains no pages.
+/// Folder of the book's pages, as in `book.toml`. Its folder `examples` contains no pages.
 const BOOK: &str = "docs";
 
 fn link_fault(page: &DocumentPage, link: &str) -> Option<String> {
@@ -54,10 +54,10 @@ fn every_link_has_a_target() {
 fn every_named_path_exists() {
     let mut checked = 0;
     let mut faults = Vec::new();
-    // The changelog describes earlier versions too.
+    // The changelog describes earlier versions, whose files need not exist.
     for page in read_pages().into_iter().filter(|page| page.file != Path::new("CHANGELOG.md")) {
         for (code, line) in &page.code_spans {
-            // Placeholders such as `scenarios/<name>` name no file.
+            // Placeholders such as `scenarios/<name>` are no file names.
             let path = code.split_whitespace().next().unwrap_or_default();
             if path.contains(['<', '{', '…']) {
                 continue;

@@ -1,4 +1,4 @@
-//! Compares the documentation with the project.
+//! Compares the documentation with the program, the sources and the scenarios.
 
 #![allow(
     clippy::unwrap_used,

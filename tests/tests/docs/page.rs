@@ -1,4 +1,4 @@
-//! Parses a page of the documentation.
+//! Parses a Markdown page of the documentation.
 
 use pulldown_cmark::{CodeBlockKind, Event, Options, Parser, Tag, TagEnd};
 use std::collections::BTreeMap;
@@ -9,7 +9,7 @@ pub(crate) use platebench_test_kit::workspace_root;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Block {
-    /// Word after the fence, or `indented` if the block has no fence.
+    /// Word after the opening fence, or `indented` for a block without a fence.
     pub(crate) language: String,
     pub(crate) text: String,
     pub(crate) line: usize,
@@ -17,10 +17,10 @@ pub(crate) struct Block {
 
 #[derive(Debug, Default)]
 pub(crate) struct DocumentPage {
-    /// Relative to the workspace.
+    /// Path relative to the workspace.
     pub(crate) file: PathBuf,
     pub(crate) anchors: Vec<String>,
-    /// Destination and line.
+    /// Destination and line number of each link.
     pub(crate) links: Vec<(String, usize)>,
     pub(crate) blocks: Vec<Block>,
     pub(crate) code_spans: Vec<(String, usize)>,
@@ -75,8 +75,7 @@ impl DocumentPage {
     }
 }
 
-/// The same rules as on GitHub: lower case, no punctuation, hyphens for spaces; a repeated title
-/// gets a number.
+/// GitHub's anchor: lower case, no punctuation, hyphens for spaces, a number if repeated.
 fn anchor(title: &str, counts: &mut BTreeMap<String, usize>) -> String {
     let kept = title.trim().to_lowercase().replace(' ', "-");
     let name: String = kept.chars().filter(|c| c.is_alphanumeric() || matches!(c, '-' | '_')).collect();

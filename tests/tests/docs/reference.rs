@@ -1,5 +1,5 @@
-//! Generates the reference pages from clap, `Metric` and the types of serde.
-//! `ci/reference --update` writes the pages; without it the tests compare them.
+//! Generates the reference pages from clap, `Metric` and the types of serde. The tests compare them
+//! with the stored pages; `ci/reference --update` writes them.
 
 use crate::page::workspace_root;
 use crate::source::{describe_type, doc_comment, has_default};
@@ -21,7 +21,7 @@ fn the_command_reference_matches_the_program() {
     check_or_update("docs/reference-commands.md", &page);
 }
 
-/// Values of environment variables differ between machines.
+/// Hides values of environment variables, because they differ between machines.
 fn without_environment(command: Command) -> Command {
     command.mut_args(|argument| argument.hide_env_values(true)).mut_subcommands(without_environment)
 }

@@ -1,4 +1,4 @@
-//! Checks the templates for other people's CI: schemas of the services, and the steps of the
+//! Checks the CI templates for other projects: the schemas of the services, and the steps of the
 //! composite action.
 
 use crate::page::workspace_root;
@@ -39,7 +39,6 @@ fn yaml_follows_the_schemas_of_the_services() {
     assert!(!check("github-actions", &broken).0, "the schema is checked");
 }
 
-/// Replaces `${{ inputs.NAME }}` by the default of the input.
 fn with_defaults(text: &str, inputs: &Value) -> String {
     match text.strip_prefix("${{ inputs.").and_then(|rest| rest.strip_suffix(" }}")) {
         Some(name) => inputs[name]["default"].as_str().unwrap().to_owned(),

@@ -1,4 +1,4 @@
-//! Runs the tutorial from its first command to its last and compares the output.
+//! Runs all commands of the tutorial in order and compares their output with the page.
 
 use crate::command::bench_arguments;
 use crate::page::{DocumentPage, workspace_root};
@@ -6,8 +6,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// Copies the parts of a clone that the tutorial uses. Links would not do, because a run keeps
-/// relative paths.
+/// Copies the files that the tutorial uses. Links would change the relative paths in a run.
 fn example_clone() -> tempfile::TempDir {
     let clone = tempfile::tempdir().unwrap();
     for folder in ["scenarios/paper", "scenarios/plates"] {
@@ -32,7 +31,7 @@ fn commands_with_output(text: &str) -> Vec<(String, Vec<String>)> {
     typed
 }
 
-/// Lines must appear in this order; `…` matches any text.
+/// Returns the first of `lines` that `output` lacks in this order. `…` matches any text.
 fn first_missing_line<'a>(lines: &'a [String], output: &str) -> Option<&'a String> {
     let mut output_lines = output.lines().map(str::trim_end);
     lines.iter().find(|line| {

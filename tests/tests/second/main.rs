@@ -1,7 +1,7 @@
-//! Compares the hosted controller, the emulated board and QEMU bit for bit on the same samples.
+//! Compares hosted controller, emulated board and QEMU, bit for bit on the same samples.
 //!
-//! QEMU is an independent implementation of the processor. Without `qemu-system-arm`
-//! (`ci/install-test-tools`) the tests print a message and pass, unless `PLATEBENCH_REQUIRE_ALL=1`.
+//! QEMU is an independent implementation of the processor. If `qemu-system-arm` is missing, the
+//! tests print a message and pass, but fail with `PLATEBENCH_REQUIRE_ALL=1`.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on ends by panicking")]
 
@@ -13,10 +13,10 @@ use platebench_wire::{Command, LawId, Message, Packet, PacketReader};
 use qemu::Qemu;
 use recorded_trials::{RecordedExchange, RecordedTrial};
 
-/// The receive ring of the image can store far more.
+/// Number of exchanges per write. They fill only a small part of the image's receive buffer.
 const EXCHANGES_PER_WRITE: usize = 64;
 
-/// QEMU takes its time from the samples, so every byte must agree.
+/// QEMU takes its time from the samples, so every byte of the answers must agree.
 fn compare_with_qemu(qemu: &mut Qemu, trial: &RecordedTrial) -> Result<(), String> {
     for part in trial.exchanges.chunks(EXCHANGES_PER_WRITE) {
         let requests: Vec<u8> = part.iter().flat_map(|exchange| exchange.request.clone()).collect();
@@ -34,7 +34,7 @@ fn compare_with_qemu(qemu: &mut Qemu, trial: &RecordedTrial) -> Result<(), Strin
     Ok(())
 }
 
-/// Does not compare the times, which are those of the board's own clock.
+/// Ignores the times in the answers, because the emulated board has its own clock.
 fn compare_with_emulated(emulated: &mut EmulatedLink, trial: &RecordedTrial) -> Result<(), String> {
     emulated.restart().unwrap();
     for exchange in &trial.exchanges {
@@ -51,8 +51,7 @@ fn packets(bytes: &[u8]) -> Vec<Packet> {
     PacketReader::new().packets(bytes).map(Result::unwrap).collect()
 }
 
-/// Returns frames without the times of the target. It returns no messages, because equal floats may
-/// differ in bits.
+/// Returns frames without the times of the target. Unlike messages, they show all bits of floats.
 fn without_times(bytes: &[u8]) -> Vec<Vec<u8>> {
     let timeless = packets(bytes).into_iter().map(|packet| match packet.message {
         Message::Command(command) => {

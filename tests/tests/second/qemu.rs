@@ -1,4 +1,4 @@
-//! Runs the image `qemu.elf` on QEMU's `netduinoplus2`, with its line on a Unix socket.
+//! Runs the image `qemu.elf` on QEMU's board `netduinoplus2`, its line on a Unix socket.
 
 use platebench_test_kit::{ChildGuard, skip_without};
 use platebench_wire::{Message, Packet, PacketReader};
@@ -25,7 +25,7 @@ pub(crate) struct Qemu {
 }
 
 impl Qemu {
-    /// Returns `None` and prints a message if QEMU is neither installed nor required.
+    /// Prints a message and returns `None` if QEMU is neither installed nor required.
     pub(crate) fn start_if_installed() -> Option<Self> {
         match Command::new(PROGRAM).arg("--version").stdin(Stdio::null()).output() {
             Ok(_) => Some(Self::start().unwrap()),
@@ -59,7 +59,7 @@ impl Qemu {
         Ok(qemu)
     }
 
-    /// Repeats the handshake, because the line exists before the firmware reads from it.
+    /// Repeats the handshake, because the line exists before the firmware reads it.
     fn wait_for_identity(&mut self) -> Result<(), String> {
         let deadline = Instant::now() + START_TIMEOUT;
         let mut reader = PacketReader::new();

@@ -78,7 +78,7 @@ pub(crate) fn record_paper_scenarios(law: LawId) -> Vec<RecordedTrial> {
     let mut session = Session::open(FaultInjector::new(recorder)).unwrap();
     let mut trials = Vec::new();
     for scenario in &scenarios {
-        // Time stamps of every fourth trial start at 0, like the clock of the hosted device.
+        // Time stamps start at 0 only in every fourth trial, as those of the hosted device do.
         for index in (0..TRIALS_PER_SCENARIO).map(|number| 4 * number) {
             let spec = TrialSpec::new(scenario, law, index);
             let cancel = CancelToken::default();
@@ -145,7 +145,7 @@ fn random_configure(law: LawId, random: &mut ChaCha8Rng) -> Configure {
 
 fn random_sample(random: &mut ChaCha8Rng, time_us: u32) -> Sample {
     let setpoint_um = if one_in(random, 32) { 0.0 } else { uniform(random, 0.0, 4.0) };
-    // Some values are almost zero, subnormal, or those of a broken sensor cable.
+    // Some samples are almost zero, subnormal, or as large as with a broken sensor cable.
     let wd_um = match random.next_u32() % 32 {
         0 => 1e-9,
         1 => f32::from_bits(random.next_u32() % 0x80_0000),

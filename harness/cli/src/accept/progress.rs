@@ -29,7 +29,7 @@ impl SessionProgress {
 
 impl SessionObserver for SessionProgress {
     fn step_started(&mut self, step: &StepRecord) {
-        // The prompt shows the question, and a progress bar would overwrite it.
+        // A progress bar would overwrite the question that the prompt shows.
         if step.kind == StepKind::Ask {
             return;
         }

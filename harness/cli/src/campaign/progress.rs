@@ -9,7 +9,7 @@ const PROGRESS_INTERVAL: Duration = Duration::from_secs(10);
 #[derive(Debug, Clone, Copy)]
 pub(super) enum PlayEvent {
     Trial(TrialEvent),
-    /// Number of trials of a shard that was already complete.
+    /// Number of trials in a shard that was complete before, so it is not played again.
     Skipped(u64),
 }
 
@@ -24,7 +24,7 @@ pub(super) struct CampaignProgress {
 }
 
 impl CampaignProgress {
-    /// `total` is the number of trials, or 0 if it is not known.
+    /// `total` is the number of trials, or 0 if the number is not known.
     pub(super) fn new(total: u64, quiet: bool) -> Self {
         let now = Instant::now();
         Self { started: now, last: now, quiet, total, played: 0, skipped: 0, failures: 0 }

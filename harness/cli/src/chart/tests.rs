@@ -74,7 +74,7 @@ fn writes_a_page_drawings_and_numbers_for_methods() {
         "{failed:?}"
     );
     assert!(rows.iter().any(|row| row[1] == "modal" && row[2] == "RK4" && row[5] == "ok"));
-    // The closed form is exact, and the envelope is not the mode.
+    // The closed form is exact for the modal problem. The envelope differs from the modal model.
     let exact = |problem: &str| rows.iter().find(|row| row[1] == problem && row[2] == "exact").unwrap();
     assert!(parse_number(&exact("modal")[6]) < 1e-9 && parse_number(&exact("modal")[8]) == 0.0, "{:?}", exact("modal"));
     assert!((1e-4..1e-2).contains(&parse_number(&exact("envelope")[7])), "{:?}", exact("envelope"));
@@ -113,7 +113,7 @@ fn rejects_missing_files_and_empty_folders() {
     assert!(!out.exists(), "nothing was drawn");
 }
 
-/// 30 ms of a step to 2 µm at resonance, whose end may be off by `tolerance`.
+/// Writes a step to 2 µm, 30 ms long. Its final amplitude may be off by `tolerance`, µm.
 fn scenario_with_tolerance(folder: &Path, law: &str, model: &str, tolerance: f64) -> PathBuf {
     let plate = scenario("plates/aluminium-198x138.toml");
     let (low, high) = (2.0 - tolerance, 2.0 + tolerance);
@@ -162,8 +162,7 @@ fn scenes_are_judged_on_every_model() {
 #[test]
 fn scenes_show_a_verdict_that_a_wrong_model_changes() {
     let folder = tempfile::tempdir().unwrap();
-    // Detuned by 545 rad/s: the linear model has no coupling, so its amplitude ignores the
-    // detuning.
+    // The plate is detuned by 545 rad/s, which the linear model without coupling ignores.
     let plate = scenario("plates/aluminium-198x138.toml");
     let text = format!(
         "title = \"detuned\"\nplate = {:?}\nduration_ms = 30.0\n[controller]\nlaw = \"open-loop\"\n\
@@ -191,7 +190,7 @@ fn the_ladder_compares_models_with_the_emulated_firmware() {
         ["rung", "hosted, linear plate", "hosted, envelope plate", "hosted, modal plate", "emulated, lockstep"]
     );
     let differences = |row: &[String]| -> Vec<f64> { row[3..6].iter().map(|field| parse_number(field)).collect() };
-    // Both rungs run the same law on the same plate.
+    // The hosted and the emulated rung run the same law on the same plate.
     assert_eq!(differences(&rows[3]), [0.0; 3]);
     assert_eq!(differences(&rows[4]), [0.0; 3]);
     let (linear, envelope) = (differences(&rows[1])[0], differences(&rows[2])[0]);
@@ -201,7 +200,6 @@ fn the_ladder_compares_models_with_the_emulated_firmware() {
     assert!(svg.contains("emulated, lockstep"), "{}", svg.len());
 }
 
-/// docs/laws.md contains the same table.
 #[test]
 fn law_table_equals_the_documented_one() {
     let (folder, rows) = run_chart(ChartKind::Laws, &[], "laws.csv");
@@ -213,20 +211,20 @@ fn law_table_equals_the_documented_one() {
     assert_eq!(rows.len(), 1 + 9 * 8);
     assert!((1.8..2.0).contains(&parse_number(&of("dq-pi", "Fig. 13", "response_ms"))), "{rows:?}");
     assert!(parse_number(&of("deadbeat", "Fig. 16", "response_ms")) <= 2.0, "{rows:?}");
-    // Without feedback 30 % are missing, and the response never settles.
+    // Without feedback, detuning lowers the amplitude by 30 %, so the response never settles.
     assert_eq!(of("open-loop", "Fig. 14", "response_ms"), "");
     assert!((29.0..32.0).contains(&parse_number(&of("open-loop", "Fig. 14", "static_error_percent"))), "{rows:?}");
     assert_eq!(
         (of("open-loop", "10 nm", "settled_trials").as_str(), of("dq-pi", "10 nm", "settled_trials").as_str()),
         ("0", "4")
     );
-    // 10 nm of 2 µm over 20 samples; a law that follows the samples has about this scatter.
+    // 10 nm/√20 of 2 µm: noise of 20 samples. A law that follows them has about this scatter.
     let floor = parse_number(&of("dq-pi", "10 nm", "noise_floor_percent"));
     assert!((floor - 0.111_803).abs() < 1e-5, "{floor}");
     let scatter = parse_number(&of("dq-pi", "10 nm", "repeatability_percent"));
     assert!((0.3..2.5).contains(&(scatter / floor)), "{scatter}");
     assert_eq!(parse_number(&of("open-loop", "32 nm", "repeatability_percent")), 0.0);
-    // −ln(1 − 0.95·286.5/900)/532 and, damped 2.33 times as much, −ln(1 − 0.95·668.6/900)/1241.
+    // In s; the second is with 2 N: −ln(1 − 0.95·286.5/900)/532 and −ln(1 − 0.95·668.6/900)/1241.
     assert!((parse_number(&of("pll", "Fig. 13", "drive_floor_ms")) - 0.677).abs() < 2e-3, "{rows:?}");
     assert!((parse_number(&of("pll", "Fig. 16", "drive_floor_ms")) - 0.985).abs() < 2e-3, "{rows:?}");
     let svg = fs::read_to_string(folder.path().join("new/laws.svg")).unwrap();
@@ -241,7 +239,7 @@ fn law_table_equals_the_documented_one() {
         let row = variants.iter().find(|row| row[..5] == wanted).unwrap();
         (parse_number(&row[5]), parse_number(&row[6]))
     };
-    // As in the table of delays of docs/laws.md.
+    // docs/laws.md has these values in its table of delays.
     let (unknown, known) = (response("dq-pi", "false", "1", "0.8"), response("dq-pi", "true", "1", "0.8"));
     assert!((unknown.0 - 13.8).abs() < 0.1 && (unknown.1 - 47.0).abs() < 1.0, "{unknown:?}");
     assert!((known.0 - 2.76).abs() < 0.01 && known.1 < 0.1, "{known:?}");
@@ -252,7 +250,7 @@ fn law_table_equals_the_documented_one() {
         drawing(&folder.path().join("new/law-variants.svg")) == drawing(&scenario("../docs/charts/law-variants.svg")),
         "docs/charts/law-variants.svg differs"
     );
-    // Scenes with noise ran fewer trials here than in docs/laws.md.
+    // Scenes with noise ran fewer trials here than in docs/laws.md, so they are not compared.
     let without_noise = |text: &str| {
         let lines = text.lines().filter(|line| line.starts_with("| "));
         lines.map(|line| line.split('|').take(7).collect::<Vec<_>>().join("|")).collect::<Vec<_>>()

@@ -22,7 +22,7 @@ use platebench_scenario::{Diagnostic, Scenario};
 use std::path::Path;
 use tracing::info;
 
-/// Fails if the options contradict each other.
+/// Returns the clock. Fails if the options contradict each other.
 pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Failure> {
     let clock = arguments.clock().resolve().or_invalid()?;
     arguments.rig.check().or_invalid()?;
@@ -50,8 +50,8 @@ pub(super) fn prepare_scenarios(
     Ok(scenarios)
 }
 
-/// Calls `play`. With `--format json` it passes the event stream to `play` and then writes the
-/// stream's last event.
+/// Calls `play` and returns its exit code. With `--format json`, `play` gets the event stream, and
+/// the last event follows afterwards.
 pub(super) fn play_with_events(
     arguments: &RunArgs,
     play: impl FnOnce(&mut Option<EventWriter>) -> Result<(Exit, RunRecord), Failure>,
@@ -68,7 +68,7 @@ pub(super) fn play_with_events(
     exit
 }
 
-/// Fails if the run ends without a record.
+/// Returns the record of the run. Fails if the run ends without a record.
 pub(super) fn play(
     arguments: &RunArgs,
     clock: Clock,
@@ -92,8 +92,8 @@ pub(super) fn play(
         folder.remove_if_empty();
     })?;
     let is_real = clock == Clock::RealPlate;
-    // A line or a board plays one trial at a time. In real time only --jobs allows several, which
-    // disturb each other.
+    // A line or a board plays one trial at a time. In real time, parallel trials delay each other,
+    // so only `--jobs` allows them.
     let jobs = match arguments.jobs {
         _ if !arguments.board.allows_parallel_links(&arguments.rig) || is_real || arguments.gdb.is_some() => 1,
         None if !matches!(clock, Clock::Lockstep { .. }) => 1,
@@ -118,7 +118,7 @@ pub(super) fn play(
     let operator = TerminalOperator::at_plate(is_real && !arguments.yes);
     let progress = match ProgressKind::detect() {
         _ if detail == Detail::Failures || view.is_some() => ProgressKind::Quiet,
-        // Prompts and a progress bar would overwrite each other.
+        // With a real plate, prompts and a progress bar would overwrite each other.
         _ if is_real => ProgressKind::Lines,
         ProgressKind::Lines => ProgressKind::Quiet,
         kind => kind,

@@ -1,6 +1,5 @@
-//! Runs a scenario again when the content of its file, its plate, its profiles or the firmware
-//! image changes. Polls modification time and length of each file, which works on every file
-//! system.
+//! Runs a scenario again if the content of its file, plate, profiles or firmware image changes.
+//! Polls time stamps and lengths of the files, because this works on every file system.
 
 use super::arguments::RunArgs;
 use super::play;
@@ -19,16 +18,15 @@ use std::thread::sleep;
 use std::time::{Duration, Instant, SystemTime};
 
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
-/// Editors write a file in several steps, so a change counts when two polls agree, or after this
+/// An editor writes a file in several steps. A change counts if two polls agree, or after this
 /// time.
 const MAX_SETTLE_TIME: Duration = Duration::from_secs(2);
-/// Time until the next attempt to load a faulty scenario, because a file that it lacks may not be
-/// polled.
+/// Time between attempts to load a faulty scenario. It may wait for a file that is not polled.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 type FileStamps = BTreeMap<PathBuf, Option<(SystemTime, u64)>>;
 type FileContent = (PathBuf, Vec<u8>);
-/// Inputs of the last run of each scenario, by the scenario's own file.
+/// Inputs of the last run of each scenario. The key is the scenario file.
 type PlayedInputs = BTreeMap<PathBuf, Vec<FileContent>>;
 
 pub(super) fn watch(arguments: &RunArgs, clock: Clock, detail: Detail) -> CommandResult {
@@ -114,8 +112,8 @@ fn file_stamps(arguments: &RunArgs, inputs: &[PathBuf]) -> FileStamps {
     files.chain(arguments.rig.image().map(Path::to_owned)).map(stamped).collect()
 }
 
-/// Waits for a signal and returns its number, or waits until `now` differs from `before` and is
-/// stable. With `retry` also returns after [`RETRY_INTERVAL`].
+/// Waits until `now` differs from `before` and is stable. Returns the number of a signal that came
+/// earlier. With `retry`, also returns after [`RETRY_INTERVAL`].
 fn wait_for_change(before: &FileStamps, now: impl Fn() -> FileStamps, retry: bool) -> Option<u8> {
     let started = Instant::now();
     let mut last = before.clone();

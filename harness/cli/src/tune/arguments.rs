@@ -13,19 +13,17 @@ use platebench_study::loops::tuning::spread::PlateSpread;
 use platebench_wire::LawId;
 use std::path::{Path, PathBuf};
 
-/// Laws with the gains of equation 24.
+/// Laws whose gains equation 24 of the paper gives.
 pub(super) const LAWS: [LawId; 3] = [LawId::DqPi, LawId::DqPiFixed, LawId::DqPiEuler];
 const MAX_TIME_MS: f64 = 1_000.0;
-/// A much shorter control period would be below one cycle of the plate, which is 31 µs for the
-/// plate of the paper.
+/// The period must not be much shorter than one cycle of the plate, 31 µs for the paper's plate.
 const MIN_PERIOD_US: f64 = 20.0;
 const MAX_RESPONSE_PERIODS: f64 = 1_000.0;
-/// The search first evaluates equation 24 for the response time itself, and a value near 0 would
-/// give extreme gains.
+/// The search first evaluates equation 24 for the response time. A time near 0 gives extreme gains.
 const MIN_RESPONSE_PERIODS: f64 = 1e-3;
 const MAX_DELAY_PERIODS: f64 = 20.0;
 const MAX_SPREAD_PERCENT: f64 = 50.0;
-/// The spread of K1 and τ in Tables I and II, percent.
+/// Spread of K1 and τ in Tables I and II of the paper, percent.
 const PAPER_SPREAD: Uncertainty = Uncertainty { gain_percent: Some(5.0), time_constant_percent: Some(6.0) };
 
 #[derive(Debug, Args)]
@@ -120,7 +118,7 @@ fn parse_percent(text: &str) -> Result<f64, String> {
 }
 
 impl TuneArgs {
-    /// Control period in whole microseconds. Fails if period, response time and delay do not fit
+    /// Returns the control period in µs. Fails if period, response time and delay do not fit
     /// together.
     fn period_us(&self) -> Result<u32, String> {
         let micros = self.period_ms * 1e3;
@@ -156,7 +154,7 @@ impl TuneArgs {
             phase_margin_deg: self.phase_margin_deg,
         };
         let mode = target.mode();
-        // The plates of the spread must resonate as well.
+        // A plate at the edge of the spread must resonate as well.
         if mode.omega0 > mode.sigma / (1.0 - MAX_SPREAD_PERCENT / 100.0) {
             Ok(target)
         } else {
@@ -164,7 +162,7 @@ impl TuneArgs {
         }
     }
 
-    /// Takes each value from the command line, else from the plate file, else from the paper.
+    /// Takes each spread from the command line, else from the plate file, else from the paper.
     pub(super) fn spread(&self, path: &Path, plate: &Plate) -> Result<PlateSpread, Diagnostic> {
         let choose = |given: Option<f64>, key: &str, of: fn(&Uncertainty) -> Option<f64>| match of(&plate.uncertainty) {
             Some(known) if given.is_none() && known > MAX_SPREAD_PERCENT => {

@@ -1,4 +1,4 @@
-//! Verifies gains on a rig: configures it, reads the gains back and plays one step.
+//! Verifies gains on a rig: configures the rig, reads the gains back and plays one step.
 
 use crate::board_args::{BoardArgs, release};
 use crate::clock::default_clock;
@@ -44,7 +44,7 @@ pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> R
     Ok(verified?)
 }
 
-/// Sets `end` to the state in which the board is left.
+/// Sets `end` to the state of the board after the step.
 fn play_step(
     rig: &RigSpec,
     config: &VerificationConfig<'_>,
@@ -98,7 +98,7 @@ fn play_step(
     })
 }
 
-/// Returns the name of the firmware and the gains that the firmware reports. Leaves the rig at 0 V.
+/// Returns the name of the firmware and the gains that it reports. Leaves the rig at 0 V.
 fn configure_rig(
     rig: &RigSpec,
     law: LawId,

@@ -1,4 +1,4 @@
-//! Writes gains into a scenario file. Comments and layout stay; the file is replaced atomically.
+//! Writes gains into a scenario file atomically. Comments and layout stay.
 
 use super::arguments::LAWS;
 use platebench_plate::Time;
@@ -12,12 +12,12 @@ use std::path::Path;
 use tempfile::NamedTempFile;
 use toml_edit::{DocumentMut, Item, Table, TableLike, Value};
 
-/// Returns a message for the user. Fails, and leaves the file unchanged, if plate, period or kind
-/// of law differ from those of the gains, or the law has a design delay.
+/// Returns a message for the user. Leaves the file unchanged and fails if plate, period or kind of
+/// law do not match the gains, or if the law has a design delay.
 pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) -> Result<String, Diagnostic> {
     let refuse = |message: String| Diagnostic::for_file(path, message);
     let cannot_write = |error: std::io::Error| refuse(format!("cannot be written: {error}"));
-    // A symbolic link is kept, and its target is replaced.
+    // Replaces the target of a symbolic link, so that the link stays.
     let file = fs::canonicalize(path).map_err(|error| refuse(format!("cannot be read: {error}")))?;
     let name = path.display().to_string();
     let scenario = load(&file, &name)?;
@@ -53,7 +53,7 @@ pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) 
     let keys = ["amplitude_kp", "amplitude_ki", "frequency_kp", "frequency_ki"];
     let pairs = keys.into_iter().zip(wanted.map(shortest_decimal));
     set_gains(&mut document, pairs).ok_or_else(|| refuse("`controller` is not a table".to_owned()))?;
-    // The new file is in the same folder, so that relative paths resolve and the rename is atomic.
+    // A new file in the same folder keeps relative paths valid and allows an atomic rename.
     let folder = file.parent().unwrap_or_else(|| Path::new("."));
     let mut edited_file = NamedTempFile::new_in(folder).map_err(cannot_write)?;
     edited_file.write_all(document.to_string().as_bytes()).map_err(cannot_write)?;

@@ -1,4 +1,4 @@
-//! Lists mutants of protocol and limits, and mutants that show only in special scenarios.
+//! Lists mutants of protocol and limits, and mutants that only special scenarios reveal.
 
 use crate::mutant_spec::{
     AMPLITUDE, DYNAMICS, FIG13, MutantSpec, NOISE_STORM, REFERENCE, RESPONSE, ReferenceController, SHUTDOWN, SILENCE,
@@ -40,7 +40,7 @@ pub(super) fn protocol_mutants() -> Vec<MutantSpec> {
     ]
 }
 
-/// Mistakes that the paper's scenarios do not catch.
+/// Mutants that the paper's scenarios do not catch.
 pub(super) fn blind_spot_mutants() -> Vec<MutantSpec> {
     vec![
         mutant(
@@ -135,7 +135,7 @@ pub(super) fn counter_mutants() -> Vec<MutantSpec> {
     ]
 }
 
-/// Mistakes that the checks of every command catch, without an expectation.
+/// Mutants that violate rules which the bench checks for every command, without an expectation.
 pub(super) fn violating_mutants() -> Vec<MutantSpec> {
     let mutant = |name, description, violations, witness, build| MutantSpec {
         detecting_violations: violations,

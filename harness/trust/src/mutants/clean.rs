@@ -4,9 +4,9 @@ use super::hooks::{on_configure, on_send};
 use crate::mutant_controller::Mutant;
 use platebench_wire::{Command, LawId, Message};
 
-/// Multiplies the plate gain of the design by `factor`, which divides the amplitude gains by
-/// `factor`. The other laws keep the gain, because they use it as a feedforward, `deadbeat` in its
-/// first period.
+/// Multiplies the plate gain that the law is designed for by `factor`. This divides the amplitude
+/// gains by `factor`. Laws without an amplitude loop keep the gain, because they use it as a
+/// feedforward, `deadbeat` only in its first period.
 pub(crate) fn other_gains(factor: f32) -> Box<dyn Mutant> {
     on_configure(move |configure| {
         let has_amplitude_loop = matches!(

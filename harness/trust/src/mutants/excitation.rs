@@ -19,14 +19,13 @@ impl Mutant for InvertedFrequency {
     }
 }
 
-/// The nearest frequency of a timer of `clock_hz` with a whole number of ticks.
+/// Returns the nearest frequency that a timer with clock `clock_hz` makes from whole ticks.
 pub(crate) fn round_to_timer_ticks(frequency_mhz: u32, clock_hz: f64) -> u32 {
     let ticks = (clock_hz * 1e3 / f64::from(frequency_mhz)).round().max(1.0);
     (clock_hz * 1e3 / ticks).round() as u32
 }
 
-/// Stores the demodulation phase, rad since the start, as `f32`. The rounding error rotates Wd and
-/// Wq.
+/// Stores the demodulation phase since the start, rad, as `f32`. Rounding rotates Wd and Wq.
 #[derive(Default)]
 pub(crate) struct SinglePrecisionPhase {
     period_s: f64,

@@ -43,7 +43,7 @@ pub(crate) fn on_sample(change: impl FnMut(&mut Sample) + Send + 'static) -> Box
     Box::new(OnSample(change))
 }
 
-/// Changes only commands in state `Running`.
+/// Changes only commands that the controller sends in state `Running`.
 pub(crate) fn on_command(change: impl FnMut(&mut Command) + Send + 'static) -> Box<dyn Mutant> {
     Box::new(OnCommand(change))
 }

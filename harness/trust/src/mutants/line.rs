@@ -37,7 +37,7 @@ impl Mutant for NoBadFrameCount {
     }
 }
 
-/// A repeated sample causes two control steps.
+/// Executes a control step for every sample, also for a repeated one.
 #[derive(Default)]
 pub(crate) struct NoSequenceCheck {
     own_sequence: u8,
@@ -75,7 +75,7 @@ impl Mutant for RestartAfterStop {
 
     fn before_sample(&mut self, sequence: u8) -> Option<Packet> {
         let configure = self.configured.filter(|_| std::mem::take(&mut self.stopped))?;
-        // The bench does not wait for this sequence number.
+        // The bench expects no answer with the previous sequence number any more.
         Some(Packet { sequence: sequence.wrapping_sub(1), message: Message::Configure(configure) })
     }
 }

@@ -1,5 +1,5 @@
-//! Implements the paper's two PI loops independently, with one omission.
-//! They replace `dq-pi` and `dq-pi-fixed` and use their gains.
+//! Implements the paper's two PI loops independently, with one omission. The loops replace `dq-pi`
+//! and `dq-pi-fixed` and use the gains of these laws.
 
 use crate::mutant_controller::Mutant;
 use platebench_controller::design::PiGains;
@@ -16,13 +16,13 @@ pub(crate) enum Omission {
     SmallWdGuard,
 }
 
-/// As in the firmware's `dq_pi.rs`.
+/// Smallest Wd in parts of the setpoint, and largest |Wq/Wd|, as in the firmware's `dq_pi.rs`.
 const SMALLEST_WD: f32 = 0.1;
 const LARGEST_RATIO: f32 = 2.0;
 
 pub(crate) struct HandwrittenLoops {
     omission: Omission,
-    /// `None` if the law is not replaced.
+    /// `None` if the configured law is not replaced.
     configure: Option<Configure>,
     loops: Option<PiLoops>,
     sample: [f32; 3],
@@ -39,7 +39,7 @@ impl HandwrittenLoops {
         Self { omission, configure: None, loops: None, sample: [0.0; 3] }
     }
 
-    /// Wq/Wd; `None` if the frequency loop is inactive.
+    /// Returns Wq/Wd, the input of the frequency loop. `None` if the frequency loop is inactive.
     fn ratio(&self) -> Option<f32> {
         let [setpoint, wd, wq] = self.sample;
         if self.omission == Omission::SmallWdGuard {

@@ -14,7 +14,7 @@ pub(crate) fn alternating_drive(share: f32) -> Box<dyn Mutant> {
     })
 }
 
-/// Keeps most of the drive after the finger has left, until the setpoint changes.
+/// After a finger has left, keeps 90 % of the drive under the finger until the setpoint changes.
 #[derive(Default)]
 pub(crate) struct PressLatch {
     gain: f32,
@@ -24,7 +24,7 @@ pub(crate) struct PressLatch {
 }
 
 impl PressLatch {
-    /// A drive above this multiple of the untouched plate's drive indicates a finger.
+    /// A drive above this multiple of the untouched plate's drive counts as a finger.
     const PRESSED: f32 = 1.25;
     const LATCH_PERIODS: u32 = 10;
     const LATCHED_SHARE: f32 = 0.9;
@@ -52,7 +52,7 @@ impl Mutant for PressLatch {
     }
 }
 
-/// Replaces `dq-pi` by a loop whose gains never follow a falling damping.
+/// Replaces `dq-pi` by a loop whose gains follow a rising damping but never a falling one.
 #[derive(Default)]
 pub(crate) struct RisingDampingOnly {
     configure: Option<Configure>,
@@ -65,11 +65,11 @@ pub(crate) struct RisingDampingOnly {
 }
 
 impl RisingDampingOnly {
-    /// 5 % response time of the design, s.
+    /// 5 % response time for which the gains are designed, s.
     const RESPONSE_S: f32 = 1.9e-3;
-    /// Weight of a new estimate.
+    /// Weight of a new damping estimate in the moving average.
     const TRACKING_SHARE: f32 = 0.25;
-    /// The estimate needs an |error| below this share of the setpoint.
+    /// The damping is estimated only while |error| is below this share of the setpoint.
     const STEADY_BAND: f32 = 0.05;
 
     fn gains(configure: &Configure, damping: f32) -> PiGains {

@@ -31,7 +31,7 @@ pub(crate) fn gains_not_finite() -> Box<dyn Mutant> {
     })
 }
 
-/// Replaces every n-th command by the previous answer, sequence number included.
+/// Replaces every n-th command by the previous one, including its sequence number.
 pub(crate) fn stale_answer(every: u32) -> Box<dyn Mutant> {
     let (mut count, mut last) = (0_u32, None);
     on_send(move |packet| {
@@ -46,9 +46,9 @@ pub(crate) fn stale_answer(every: u32) -> Box<dyn Mutant> {
     })
 }
 
-/// Freezes the drive if the time stamp, read as a counter that wraps, is older than the last one.
+/// Repeats the previous command if the time stamp, read as a counter that wraps, decreases.
 pub(crate) struct WrappingCounter {
-    /// Converts a time stamp in µs.
+    /// Converts a time stamp in µs to the value of the counter.
     count: fn(u32) -> i64,
     last: Option<i64>,
     is_old: bool,

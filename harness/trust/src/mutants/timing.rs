@@ -27,7 +27,7 @@ pub(crate) fn repeated_command(every: u32) -> Box<dyn Mutant> {
     })
 }
 
-/// Delays commands by 0 to `max_delay`, uniformly, in order.
+/// Delays each command by a uniform random time from 0 to `max_delay`. The order stays the same.
 pub(crate) struct CommandJitter {
     max_delay: Duration,
     state: u32,
@@ -41,7 +41,7 @@ impl CommandJitter {
 
 impl Mutant for CommandJitter {
     fn command_delay(&mut self) -> Duration {
-        // Linear congruential generator of Numerical Recipes; the upper bits are uniform enough.
+        // Linear congruential generator of Numerical Recipes. Only its upper bits are used.
         self.state = self.state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         self.max_delay.mul_f64(f64::from(self.state >> 8) / f64::from(1_u32 << 24))
     }

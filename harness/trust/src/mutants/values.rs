@@ -3,8 +3,7 @@
 use crate::mutant_controller::Mutant;
 use platebench_wire::{Command, Configure, Sample};
 
-/// Limits the drive to `share` times that of the untouched plate, a plausibility check that ignores
-/// the finger.
+/// Limits the drive to `share` times that of the untouched plate, which is too low for a finger.
 pub(crate) struct TightPlausibilityLimit {
     share: f32,
     gain: f32,

@@ -1,4 +1,4 @@
-//! Checks that each mutant is caught by its witness, and that a correct controller is not.
+//! Checks that the witness scenario catches each mutant and does not fail a correct controller.
 
 use platebench_record::Verdict;
 use platebench_scenario::Metric;
@@ -57,7 +57,7 @@ fn another_metric_than_the_expected_does_not_count() {
 
 #[test]
 fn failures_of_the_reference_catch_no_mutant() {
-    // The reference too settles too late under 2 N: its gains are those of the untouched plate.
+    // The reference also settles too late under 2 N: its gains are for the untouched plate.
     let fault = catalogue().into_iter().find(|entry| entry.name == "no-anti-windup").unwrap();
     let report = measure_suite(&["paper/fig16-closed-loop.toml"], vec![fault], 0);
     assert_eq!(report.faults[0].outcome, MutantOutcome::Survived, "{:?}", report.faults[0]);
@@ -66,8 +66,8 @@ fn failures_of_the_reference_catch_no_mutant() {
 #[test]
 fn a_failed_clean_run_is_a_false_alarm() {
     let mut strict = load_scenario("paper/fig13-closed-loop.toml");
-    // After two periods 4.2 % of the nominal plate's step and a ripple remain. Other plates vary
-    // around it.
+    // With the nominal plate, an error of 4.2 % of the step and a ripple remain after two periods.
+    // With a band of 4.5 %, some of the varied plates therefore fail.
     strict.expectations[0].band_percent = 4.5;
     let faults = catalogue().into_iter().filter(|entry| entry.name == "setpoint-scale").collect::<Vec<_>>();
     let order = |scenario| TrustConfig {
@@ -104,7 +104,7 @@ fn documented_matrix_equals_a_rerun() {
 #[test]
 fn inconclusive_catches_no_mutant_and_is_no_false_alarm() {
     let mut doubtful = load_scenario("paper/fig13-closed-loop.toml");
-    // One trial of a plate that varies does not decide a mean.
+    // One trial cannot decide the mean of a plate that varies.
     doubtful.trials.spread.gain_percent = 0.3;
     doubtful.expectations.retain(|expectation| expectation.metric == Metric::StaticError);
     let faults = catalogue().into_iter().filter(|entry| entry.name == "setpoint-scale").collect();

@@ -1,4 +1,4 @@
-//! Plays the catalogue against the scenarios of the repository.
+//! Plays the mutants of the catalogue in the scenarios of the repository.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a panic fails the test")]
 

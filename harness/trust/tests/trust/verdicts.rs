@@ -1,4 +1,4 @@
-//! Compares verdicts in memory with those of a run and of its stored traces.
+//! Compares verdicts of a live run, of its stored traces, and of a play in memory.
 
 use platebench_record::Overrides;
 use platebench_record::RunFolder;

@@ -6,7 +6,7 @@ use platebench_acceptance::SessionRecord;
 use platebench_record::Verdict;
 use rstest::rstest;
 
-/// The settling time is 2 to 3 ms, and its limit is 4 ms.
+/// Returns a budget for the settling time. The plate settles in 2 to 3 ms, and the limit is 4 ms.
 fn budget_text(half_width: f64, due: &str) -> String {
     format!(
         "title = \"Lab\"\n[[instrument]]\nname = \"laser\"\nserial = \"L-1\"\ncalibrated = \"2020-01-01\"\n\
@@ -49,7 +49,7 @@ fn a_rule_decides_with_the_uncertainty(
     let page = folder.read("record/record.html");
     assert!(page.contains("Decision rule and instruments") && page.contains("L-1") && page.contains("2999-12-31"));
     verify(&folder, "record", &[]).assert_exit(0);
-    // Another budget contradicts the record, even with a new manifest.
+    // The record stores the SHA-256 of its budget, so another budget contradicts it.
     folder.write("record/budget.toml", &budget_text(half_width / 2.0, "2999-12-31"));
     verify(&folder, "record", &[])
         .assert_exit(1)
@@ -94,7 +94,7 @@ fn an_invalid_decision_is_reported_with_its_line(
     assert!(!folder.exists("record"));
 }
 
-/// Plays the worked example of docs/acceptance.md.
+/// Plays the example that docs/acceptance.md computes.
 #[test]
 fn the_example_of_the_documentation_passes() {
     let folder = tempfile::tempdir().unwrap();

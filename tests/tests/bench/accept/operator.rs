@@ -61,13 +61,13 @@ impl OperatorTerminal {
     #[track_caller]
     fn wait_for_exit(mut self, exits: &[i32]) -> String {
         self.child.wait_for_exit(exits);
-        // The reader ends when the program's terminal is closed and all of its output is read.
+        // The reader ends after the program has closed the terminal and all output is read.
         wait_until("the terminal stays open", || self.reader.is_finished());
         self.screen()
     }
 }
 
-/// The second scenario is long enough to kill the bench within it.
+/// The second scenario takes long enough for a kill of the bench while it runs.
 fn long_session_folder() -> TestFolder {
     let folder = session_folder();
     let expect = "metric = \"settling_time_ms\"\nat_most = 100.0\nrequirement = \"R-1\"";
@@ -112,7 +112,7 @@ fn a_session_killed_twice_resumes_and_verifies() {
     let done: Vec<bool> = record.steps.iter().map(|step| step.done).collect();
     assert_eq!(done, [true, true, true, true, true, false]);
     verify(&folder, "record", &[]).assert_exit(3).assert_output(&["the session is not finished"]);
-    // After a kill between two steps the folder has no files of the next step.
+    // Copies the state after a kill between two steps, when the next step has no files yet.
     copy_folder(&record_folder, &folder.join("between"));
     let mut earlier = record.clone();
     earlier.steps[5].attempts.clear();
@@ -128,7 +128,7 @@ fn a_session_killed_twice_resumes_and_verifies() {
     }
     let record = read_session_record(&folder);
     assert_eq!(record.resumed.len(), 2);
-    // On a busy machine a lost answer makes the evidence inconclusive.
+    // On a busy machine, an answer may be lost, which makes the evidence inconclusive.
     let evidence = &record.requirements[0].evidence;
     let excused = |reason: &Option<String>| reason.as_ref().is_some_and(|reason| reason.starts_with("rig"));
     assert!(evidence.iter().all(|it| it.verdict == Verdict::Pass || excused(&it.reason)), "{evidence:?}");
@@ -139,7 +139,7 @@ fn a_session_killed_twice_resumes_and_verifies() {
     assert_eq!(folder.read("record/steps/05-s/run.json"), sealed_step, "a finished step is not changed");
     assert!(folder.read("record/record.html").contains("started 2 times"));
 
-    // After a kill between verdict and seal the session is sealed without a rig.
+    // After a kill between verdict and seal, resuming seals the session without a rig.
     for name in ["manifest.sha256", "manifest.sha256.sig"] {
         fs::remove_file(record_folder.join(name)).unwrap();
     }

@@ -1,4 +1,4 @@
-//! Checks that a changed record is rejected with the name of the file.
+//! Checks that verification rejects a changed record and names the changed file.
 
 use super::{copy_folder, read_session_record, run_session, session_folder, verify};
 use std::fs;
@@ -59,7 +59,7 @@ const CASES: [TamperCase; 13] = [
         },
         "manifest.sha256.sig: wrong",
     ),
-    // The signature is removed too, but the evidence contradicts the changed verdict.
+    // Without the signature, only the evidence contradicts the changed verdict.
     (
         |folder| {
             replace_text(&folder.join(SESSION), "\"signature\": {", "\"signature\": null, \"was\": {");

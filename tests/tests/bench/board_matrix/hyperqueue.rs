@@ -22,7 +22,7 @@ fn has_hyperqueue() -> bool {
     exists
 }
 
-/// `names` are the boards that the worker offers.
+/// Submits `line`. `names` are the boards that the worker offers.
 fn start_submission(folder: &Path, names: &str, line: &str) -> ChildGuard {
     start_line(folder, &format!("'{PYTHON}' '{SUBMIT}' {names} {line}"), &[])
 }

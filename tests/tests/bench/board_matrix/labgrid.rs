@@ -1,4 +1,4 @@
-//! Tests the labgrid lines of the documentation with a coordinator and a place per board.
+//! Tests the labgrid commands of the documentation with a coordinator and one place per board.
 
 use super::{DEAD, HEALTHY, KILLED, WRONG_CHIP, assert_states, boards, clear_killed, kill_first_bench, lab};
 use super::{start_line, write_plan};
@@ -17,7 +17,7 @@ struct Labgrid {
 }
 
 impl Labgrid {
-    /// Starts without places. Returns `None` if labgrid is not installed.
+    /// Starts a coordinator without places.
     fn start(folder: TestFolder) -> Option<Self> {
         let program = workspace_root().join("target/test-readers/bin/labgrid-coordinator");
         if !program.exists() {
@@ -59,8 +59,7 @@ impl Labgrid {
     }
 }
 
-/// Returns the documented line that begins with the wrapper and contains `word`, changed for
-/// `board`.
+/// Returns the documented line that uses the wrapper and contains `word`, for `board`.
 fn recipe(word: &str, board: &str) -> String {
     let page = fs::read_to_string(workspace_root().join("docs/several-boards.md")).unwrap();
     let is_recipe = |line: &&str| line.starts_with("with-labgrid-place left") && line.contains(word);
@@ -135,7 +134,7 @@ fn the_template_runs_scenarios_on_a_board_behind_an_exporter() {
     let output = labgrid.line(&format!("sh {run}")).finish();
     assert!([0, 3].contains(&output.exit), "{}", output.stderr);
     let record = RunRecord::read(&folder.join("run")).unwrap();
-    // A late bench or a slow line may make the verdict inconclusive, never a failure.
+    // A late bench or a slow line may make the verdict inconclusive, but never a failure.
     assert_ne!(record.verdict, Verdict::Fail, "{}", output.stderr);
     assert_eq!((record.clock, record.safe_confirmed), (ClockKind::RealTime, Some(true)));
     assert_eq!(record.rig.name, format!("tcp:{address}"));

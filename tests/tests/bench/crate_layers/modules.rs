@@ -1,4 +1,4 @@
-//! Reads the modules of a crate and their imports with `syn`.
+//! Reads the modules of a crate and their imports with the parser `syn`.
 //!
 //! Code under `#[cfg(test)]` and paths inside macro calls are ignored.
 
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use syn::visit::{self, Visit};
 use syn::{Attribute, Item, ItemMod, ItemUse, Meta, UseTree};
 
-/// A path from the root of the crate, without `crate`.
+/// Path of a module from the root of the crate, without `crate`.
 type ModulePath = Vec<String>;
 
 #[derive(Default)]
@@ -33,7 +33,6 @@ fn is_test_only(attributes: &[Attribute]) -> bool {
 }
 
 impl SourceTree {
-    /// Reads the library of the crate in `folder`, from `src/lib.rs` along its `mod` items.
     pub(crate) fn read(folder: &Path) -> Self {
         let mut tree = Self { modules: BTreeMap::new() };
         tree.read_file(&folder.join("src/lib.rs"), &folder.join("src"), &[]);
@@ -78,7 +77,7 @@ impl SourceTree {
         }
     }
 
-    /// Follows re-exports. `None` if the module is outside the crate.
+    /// Returns the module that defines `path`. Follows re-exports; `None` outside the crate.
     fn defining_module(&self, path: &[String], depth: u8) -> Option<ModulePath> {
         let known = (0..=path.len()).rev().find(|&count| self.modules.contains_key(&path[..count]))?;
         let (module_path, rest) = path.split_at(known);
@@ -113,7 +112,7 @@ impl SourceTree {
         upward.map(|(from, to)| format!("{} imports from its parent {}", name(&from), name(&to))).collect()
     }
 
-    /// Returns cycles between the children of one module. A child includes everything below it.
+    /// Returns import cycles between the children of a module. A child includes its submodules.
     pub(crate) fn cycles_between_siblings(&self) -> Vec<String> {
         let imports = self.imports();
         let mut cycles = Vec::new();
@@ -185,7 +184,7 @@ impl ModuleReader<'_> {
         self.module.defined.insert(name.to_string());
     }
 
-    /// `None` for paths of other crates and of local names.
+    /// Returns `None` if the path belongs to another crate or to a local name.
     fn path_from_root(&self, segments: &[String]) -> Option<ModulePath> {
         let first = segments.first()?;
         match first.as_str() {

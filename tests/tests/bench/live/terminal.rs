@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::{self, JoinHandle};
 use vt100::{Color, Parser};
 
-/// Columns and rows.
+/// Size of the terminal: columns, rows.
 pub(super) const SMALL: [u16; 2] = [80, 24];
 pub(super) const LARGE: [u16; 2] = [200, 50];
 
@@ -42,7 +42,7 @@ impl TestTerminal {
         let before = tcgetattr(&line).unwrap();
         set_size(&master, size);
         let end = || Stdio::from(OpenOptions::new().read(true).write(true).open(&path).unwrap());
-        // With a session of its own, Ctrl-C and hang-up of the terminal are signals.
+        // In a session of its own, the program gets Ctrl-C and hang-up of the terminal as signals.
         let mut command = Command::new("setsid");
         command.args(["--ctty", env!("CARGO_BIN_EXE_platebench-under-test")]).args(arguments).current_dir(folder);
         command.env_remove("PLATEBENCH_LOG").env_remove("NO_COLOR").env("TERM", "xterm-256color");
