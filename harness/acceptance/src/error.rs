@@ -12,11 +12,14 @@ pub enum AcceptError {
     Plan(Vec<Diagnostic>),
     #[error(transparent)]
     File(#[from] FileError),
-    #[error("{what} is {now}, but the session was started with {then}; start a new session with another --out FOLDER")]
+    #[error(
+        "{what} changed since the session started: it was {then} and is now {now}; restore it, or start a new session \
+         with another --out FOLDER"
+    )]
     Changed { what: String, then: String, now: String },
-    #[error("{} contains a finished session, expected a new folder", .0.display())]
+    #[error("{} contains a finished session, which cannot be changed; name a new folder", .0.display())]
     Finished(PathBuf),
-    #[error("{} contains other files than an acceptance session, expected a new folder", .0.display())]
+    #[error("{} contains files that belong to no acceptance session; name a new folder", .0.display())]
     FolderNotEmpty(PathBuf),
     #[error("another session is writing {}; wait until it ends, or name another folder", .0.display())]
     InUse(PathBuf),
@@ -31,7 +34,9 @@ pub enum AcceptError {
          or waive this with --waive-calibration NAME, which the record states"
     )]
     InvalidCalibration { instrument: String, calibrated: String, due: String },
-    #[error("--waive-calibration {0}: the budget has no instrument with this name")]
+    #[error(
+        "--waive-calibration {0}: the budget has no instrument with this name, expected the name of an [[instrument]]"
+    )]
     UnknownInstrument(String),
     #[error(transparent)]
     Run(#[from] RunError),

@@ -104,13 +104,17 @@ fn check_signature(
 ) -> Result<Signer, Finding> {
     match (signature, given, named) {
         (None, Some(_), _) => Err(Finding::NoSignature("expected a signature with the given key")),
-        (None, None, Some(_)) => Err(Finding::NoSignature("although session.json contains a key")),
+        (None, None, Some(_)) => {
+            Err(Finding::NoSignature("but session.json contains a key, so the session was signed"))
+        }
         (None, None, None) => Ok(Signer::Unsigned),
         (Some(signature), Some(given), _) if given.verifies(manifest, signature) => Ok(Signer::GivenKey),
         (Some(_), Some(_), _) => {
             Err(Finding::WrongSignature("expected a signature of this manifest with the given key"))
         }
-        (Some(_), None, None) => Err(Finding::WrongSignature("session.json contains no key for it")),
+        (Some(_), None, None) => {
+            Err(Finding::WrongSignature("session.json contains no key for it; name the key with --key FILE"))
+        }
         (Some(signature), None, Some(named)) => PublicKey::from_pem(&named.public_key)
             .filter(|named| named.verifies(manifest, signature))
             .map(|named| Signer::RecordKey(named.fingerprint()))

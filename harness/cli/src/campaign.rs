@@ -140,7 +140,9 @@ fn merge_and_show(
         Err(error) => Err(error),
     };
     let links = links.unwrap_or_else(|error| {
-        stdio::note(&format!("no responses of the worst trials: {error}"));
+        stdio::note(&format!(
+            "the report has no responses of the worst trials, because they could not be played again: {error}"
+        ));
         ResponseLinks::new()
     });
     report::write(folder, &summary, &links)?;
@@ -204,7 +206,7 @@ fn run_campaign_work<R: Send + 'static>(
     let result = unless_signalled(run_until_signal(None, work, |event| progress.add(event)));
     result.inspect_err(|failure| {
         if failure.is_signal() {
-            stdio::note("stopped; complete shards are kept, the same command continues");
+            stdio::note("stopped by a signal; complete shards are kept, and the same command continues");
         }
     })
 }

@@ -162,7 +162,9 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
     write_new(path, text.as_bytes()).or_invalid_at(path)?;
     stdio::note(&format!("plate file: {}", path.display()));
     if details.limit_vpp.is_none() {
-        stdio::note("the drive limit is the highest recorded drive; --drive-limit-vpp VPP sets the amplifier's limit");
+        stdio::note(
+            "the plate file has the highest recorded drive as drive limit; --drive-limit-vpp VPP sets the amplifier's limit",
+        );
     }
     Ok(exit)
 }

@@ -262,7 +262,7 @@ fn a_broken_session_file_gives_no_hint_to_resume() {
 fn rejects_a_folder_with_other_content() {
     let folder = interrupted_session();
     verify(&folder, "record", &[]).assert_exit(3).assert_output(&["the session is not finished"]);
-    for (option, message) in [("--out", "other files than an acceptance session"), ("--resume", "no session")] {
+    for (option, message) in [("--out", "files that belong to no acceptance session"), ("--resume", "no session")] {
         folder
             .bench(["accept", "--plan", "plan.toml", "--rig", "hosted", "--yes", option, "scenarios"])
             .assert_exit(2)

@@ -85,7 +85,7 @@ fn the_tutorial_shows_the_actual_output() {
             _ => {}
         }
     }
-    assert!(run_count >= 5, "only {run_count} commands were run_count");
+    assert!(run_count >= 5, "only {run_count} commands were run");
 }
 
 #[test]

@@ -112,7 +112,9 @@ fn configure_rig(
     let firmware = format!("{} {major}.{minor}.{patch}", session.firmware_name());
     if !session.close() {
         *end = BoardOutcome::unconfirmed();
-        stdio::note("the controller did not confirm 0 V after it was configured");
+        stdio::note(
+            "the controller did not confirm 0 V after it was configured: check the amplifier before you touch the plate",
+        );
     }
     Ok((firmware, accepted?))
 }
