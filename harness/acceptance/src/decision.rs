@@ -125,10 +125,7 @@ fn observed_scatter(scenario: &ScenarioRecord, number: usize, value: f64) -> Opt
     if expectation.statistic == Statistic::Deviation {
         return TypeA::of_stated_deviation(value, counted().count());
     }
-    // The record of a trial names the second expectation of a metric `metric[2]`, and so on.
-    let metric = expectation.metric;
-    let earlier = scenario.expectations.iter().take(number).filter(|other| other.metric == metric).count();
-    let name = if earlier == 0 { metric.to_string() } else { format!("{metric}[{}]", earlier + 1) };
+    let name = scenario.metric_key(number);
     let values: Vec<f64> = counted().filter_map(|trial| trial.metrics.number(&name)).collect();
     match expectation.statistic {
         Statistic::Mean => TypeA::of_mean(&values),

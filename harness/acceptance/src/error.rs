@@ -13,8 +13,8 @@ pub enum AcceptError {
     #[error(transparent)]
     File(#[from] FileError),
     #[error(
-        "{what} changed since the session started: it was {then} and is now {now}; restore it, or start a new session \
-         with another --out FOLDER"
+        "{what} is {now}, but the session was started with {then}; restore it, or start a new session with another \
+         --out FOLDER"
     )]
     Changed { what: String, then: String, now: String },
     #[error("{} contains a finished session, which cannot be changed; name a new folder", .0.display())]

@@ -26,7 +26,7 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
     let mut writer = options.create(BufWriter::new(file)).map_err(&format_error)?;
     let facts = source.metadata().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
     writer.write_metadata(&Metadata { name: "platebench".to_owned(), metadata: facts }).map_err(&format_error)?;
-    let units = NUMBER_COLUMNS.iter().map(|number| (number.name.to_owned(), number.unit.to_owned())).collect();
+    let units = NUMBER_COLUMNS.iter().map(|number| (number.name().to_owned(), number.unit.to_owned())).collect();
     writer.write_metadata(&Metadata { name: "units".to_owned(), metadata: units }).map_err(&format_error)?;
     let schema = serde_json::to_vec(&schema()).map_err(ExportError::format(path))?;
     let schema = writer.add_schema("platebench.Row", "jsonschema", &schema).map_err(&format_error)?;
@@ -39,7 +39,7 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
             let row = row?;
             let numbers = NUMBER_COLUMNS
                 .iter()
-                .filter_map(|number| Some((number.name.to_owned(), json!(number.known_value(&row)?))));
+                .filter_map(|number| Some((number.name().to_owned(), json!(number.known_value(&row)?))));
             let flags =
                 FLAG_COLUMNS.iter().map(|flag| (flag.name.to_owned(), Value::from(row.flags.contains(flag.flag))));
             let message: Map<String, Value> = numbers.chain(flags).collect();
@@ -58,14 +58,14 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
 fn schema() -> Value {
     let numbers = NUMBER_COLUMNS.iter().map(|number| {
         let description = format!("{}, {}", number.meaning, number.unit);
-        (number.name.to_owned(), json!({"type": "number", "description": description, "unit": number.unit}))
+        (number.name().to_owned(), json!({"type": "number", "description": description, "unit": number.unit}))
     });
     let flags =
         FLAG_COLUMNS.iter().map(|flag| (flag.name.to_owned(), json!({"type": "boolean", "description": flag.meaning})));
     let properties: Map<String, Value> = numbers.chain(flags).collect();
     // Viewers reject a list of types such as number or null, so an unknown number is missing
     // instead.
-    let optional = |name: &str| NUMBER_COLUMNS.iter().any(|number| number.name == name && number.can_be_unknown);
+    let optional = |name: &str| NUMBER_COLUMNS.iter().any(|number| number.name() == name && number.can_be_unknown);
     let required: Vec<&String> = properties.keys().filter(|name| !optional(name)).collect();
     json!({"title": "platebench.Row", "type": "object", "required": required, "properties": properties})
 }

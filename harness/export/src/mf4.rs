@@ -53,7 +53,7 @@ fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter<'_>) -> io
     for (place, number) in NUMBER_COLUMNS.iter().enumerate() {
         let byte = (place * 8) as u32;
         channels.push(Channel {
-            name: blocks.write_text(number.name)?,
+            name: blocks.write_text(number.name())?,
             unit: blocks.write_text(number.unit)?,
             comment: blocks.write_text(number.meaning)?,
             kind: if place == 0 { ChannelKind::Time { byte } } else { ChannelKind::Real { byte } },
@@ -84,7 +84,7 @@ fn write_group(
         let mut record = [0; RECORD_BYTES];
         let (numbers, flags) = record.split_at_mut(NUMBER_COLUMNS.len() * 8);
         for (place, number) in numbers.chunks_exact_mut(8).zip(NUMBER_COLUMNS) {
-            place.copy_from_slice(&(number.of)(&row).to_le_bytes());
+            place.copy_from_slice(&number.column.value(&row).to_le_bytes());
         }
         for (flag, bit) in FLAG_COLUMNS.iter().zip(0_u8..) {
             if let Some(byte) = flags.first_mut() {

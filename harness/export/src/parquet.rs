@@ -27,8 +27,8 @@ const ROW_GROUP_ROWS: usize = 65_536;
 pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Result<(), ExportError> {
     let format_error = ExportError::format::<ParquetError>(path);
     let facts = source.metadata().into_iter().map(|(name, value)| (name.to_owned(), value));
-    let units = NUMBER_COLUMNS.iter().map(|number| (format!("unit.{}", number.name), number.unit.to_owned()));
-    let meanings = NUMBER_COLUMNS.iter().map(|number| (number.name, number.meaning));
+    let units = NUMBER_COLUMNS.iter().map(|number| (format!("unit.{}", number.name()), number.unit.to_owned()));
+    let meanings = NUMBER_COLUMNS.iter().map(|number| (number.name(), number.meaning));
     let meanings = meanings.chain(FLAG_COLUMNS.iter().map(|flag| (flag.name, flag.meaning)));
     let meanings = meanings.map(|(name, meaning)| (format!("meaning.{name}"), meaning.to_owned()));
     let schema_text = (arrow_schema::KEY.to_owned(), arrow_schema::encode());
@@ -72,7 +72,7 @@ fn schema() -> Result<TypePtr, ParquetError> {
     ];
     for number in NUMBER_COLUMNS {
         let repetition = if number.can_be_unknown { Repetition::OPTIONAL } else { Repetition::REQUIRED };
-        fields.push(repeated(number.name, Physical::DOUBLE, None, repetition)?);
+        fields.push(repeated(number.name(), Physical::DOUBLE, None, repetition)?);
     }
     for flag in FLAG_COLUMNS {
         fields.push(column(flag.name, Physical::BOOLEAN, None)?);
@@ -95,7 +95,7 @@ fn write_group(
         if number.can_be_unknown {
             write_optional_column::<DoubleType>(&mut group, rows().map(|row| number.known_value(row)))?;
         } else {
-            write_column::<DoubleType>(&mut group, &rows().map(number.of).collect::<Vec<_>>())?;
+            write_column::<DoubleType>(&mut group, &rows().map(|row| number.column.value(row)).collect::<Vec<_>>())?;
         }
     }
     for flag in FLAG_COLUMNS {

@@ -1,7 +1,7 @@
 //! Writes CSV: one tidy table of the whole run, and a description of its columns by the W3C's
 //! "Metadata Vocabulary for Tabular Data".
 
-use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
+use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS, Number};
 use crate::error::ExportError;
 use crate::source::ExportScenario;
 use platebench_trace::AtPath;
@@ -40,8 +40,7 @@ pub(crate) fn write(sources: &[ExportScenario<'_>], file: &File, path: &Path) ->
     let format_error = ExportError::format::<csv::Error>(path);
     let mut table = csv::WriterBuilder::new().has_headers(false).from_writer(file);
     let keys = KEY_COLUMNS.iter().map(|(name, ..)| *name);
-    let header =
-        keys.chain(NUMBER_COLUMNS.iter().map(|number| number.name)).chain(FLAG_COLUMNS.iter().map(|flag| flag.name));
+    let header = keys.chain(NUMBER_COLUMNS.iter().map(Number::name)).chain(FLAG_COLUMNS.iter().map(|flag| flag.name));
     table.write_record(header).map_err(&format_error)?;
     for source in sources {
         for trial in &source.trials {
@@ -67,7 +66,7 @@ pub(crate) fn write_description(file: &File, path: &Path) -> Result<(), ExportEr
         .map(|(name, kind, meaning)| json!({"name": name, "datatype": kind, "dc:description": meaning}));
     let numbers = NUMBER_COLUMNS.iter().map(|number| {
         json!({
-            "name": number.name,
+            "name": number.name(),
             "datatype": "double",
             "schema:unitText": number.unit,
             "dc:description": number.meaning,

@@ -1,6 +1,6 @@
 //! Decimates a trial: keeps minimum and maximum of each signal per time slice.
 
-use platebench_trace::Row;
+use platebench_trace::{Column, Row};
 use std::collections::VecDeque;
 
 /// Time slices per window: two for each character of the widest chart, because a Braille character
@@ -9,22 +9,7 @@ const SLICES: f64 = 512.0;
 /// The curve has a gap if two rows are further apart than this many times the usual distance.
 const GAP_SPACINGS: f64 = 3.5;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum LiveSignal {
-    Setpoint,
-    Amplitude,
-    Wd,
-    Wq,
-    Drive,
-    Frequency,
-    Resonance,
-}
-
-const SIGNALS: usize = 7;
-
-fn signal_values(row: &Row) -> [f64; SIGNALS] {
-    [row.setpoint_um, row.amplitude_um, row.wd_um, row.wq_um, row.drive_vpp, row.frequency_hz, row.resonance_hz]
-}
+const SIGNALS: usize = Column::ALL.len();
 
 #[derive(Debug, Clone, Copy)]
 struct HistorySlice {
@@ -53,7 +38,7 @@ impl SignalHistory {
 
     /// The row must not be older than the last one. Ignores a row with a number that is not finite.
     pub(crate) fn push(&mut self, row: &Row) {
-        let values = signal_values(row);
+        let values = Column::ALL.map(|column| column.value(row));
         if !row.t_s.is_finite() || values.iter().any(|value| !value.is_finite()) {
             return;
         }
@@ -78,7 +63,7 @@ impl SignalHistory {
         [end - self.window_s, end]
     }
 
-    pub(crate) fn range(&self, signals: &[LiveSignal]) -> Option<[f64; 2]> {
+    pub(crate) fn range(&self, signals: &[Column]) -> Option<[f64; 2]> {
         let all = signals.iter().flat_map(|signal| {
             let signal = *signal as usize;
             self.slices.iter().map(move |slice| [slice.low[signal], slice.high[signal]])
@@ -86,7 +71,7 @@ impl SignalHistory {
         all.reduce(|[low, high], [lower, higher]| [low.min(lower), high.max(higher)])
     }
 
-    pub(crate) fn lines(&self, signal: LiveSignal, of: impl Fn(f64) -> f64) -> Vec<Vec<(f64, f64)>> {
+    pub(crate) fn lines(&self, signal: Column, of: impl Fn(f64) -> f64) -> Vec<Vec<(f64, f64)>> {
         let signal = signal as usize;
         let mut lines: Vec<Vec<(f64, f64)>> = Vec::new();
         let mut last_s = f64::NEG_INFINITY;
@@ -121,8 +106,8 @@ mod tests {
         for (t_s, value) in [(0.1, 2.0), (0.5, -1.0), (0.9, 7.0), (1.1, 3.0)] {
             history.push(&row(t_s, value));
         }
-        assert_eq!(history.range(&[LiveSignal::Amplitude]), Some([-1.0, 7.0]));
-        assert_eq!(history.lines(LiveSignal::Amplitude, |value| value), [[(0.5, -1.0), (0.5, 7.0), (1.5, 3.0)]]);
+        assert_eq!(history.range(&[Column::Amplitude]), Some([-1.0, 7.0]));
+        assert_eq!(history.lines(Column::Amplitude, |value| value), [[(0.5, -1.0), (0.5, 7.0), (1.5, 3.0)]]);
     }
 
     #[test]
@@ -131,7 +116,7 @@ mod tests {
         (0..100_000).for_each(|second| history.push(&row(f64::from(second), f64::from(second))));
         assert!(history.slices.len() <= 513, "{}", history.slices.len());
         assert_eq!(history.span_s(), [99_488.0, 100_000.0]);
-        assert_eq!(history.range(&[LiveSignal::Amplitude]).unwrap()[1], 99_999.0);
+        assert_eq!(history.range(&[Column::Amplitude]).unwrap()[1], 99_999.0);
     }
 
     #[test]
@@ -141,12 +126,12 @@ mod tests {
             for t_s in [0.0, 1.0, 1.0 + gap] {
                 history.push(&row(t_s, 1.0));
             }
-            history.lines(LiveSignal::Amplitude, |value| value).len()
+            history.lines(Column::Amplitude, |value| value).len()
         };
         assert_eq!([of_gap(1.0), of_gap(3.0), of_gap(4.0)], [1, 1, 2]);
         let mut sparse = SignalHistory::new(512.0, 20.0);
         (0..5).for_each(|number| sparse.push(&row(f64::from(number) * 20.0, 1.0)));
-        assert_eq!(sparse.lines(LiveSignal::Amplitude, |value| value).len(), 1);
+        assert_eq!(sparse.lines(Column::Amplitude, |value| value).len(), 1);
     }
 
     #[test]
@@ -154,7 +139,7 @@ mod tests {
         let mut history = SignalHistory::new(1.0, 0.1);
         history.push(&row(f64::NAN, 1.0));
         history.push(&row(0.0, f64::INFINITY));
-        assert_eq!(history.range(&[LiveSignal::Amplitude]), None);
+        assert_eq!(history.range(&[Column::Amplitude]), None);
         assert_eq!(history.span_s(), [0.0, 1.0]);
     }
 }

@@ -101,6 +101,19 @@ pub struct ScenarioRecord {
     pub trials: Vec<TrialRecord>,
 }
 
+impl ScenarioRecord {
+    /// Key of an expectation in the metrics of a trial. The first expectation of a metric has its
+    /// name, the second has the suffix `[2]`. Empty if there is no expectation `index`.
+    pub fn metric_key(&self, index: usize) -> String {
+        let Some(expectation) = self.expectations.get(index) else { return String::new() };
+        let before = self.expectations.iter().take(index);
+        match before.filter(|earlier| earlier.metric == expectation.metric).count() {
+            0 => expectation.metric.to_string(),
+            earlier => format!("{}[{}]", expectation.metric, earlier + 1),
+        }
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct InputRecord {
     /// Path of the copy, relative to the run folder.

@@ -2,17 +2,6 @@
 
 use platebench_record::{Cause, ExpectationRecord, Limit, RunRecord, ScenarioRecord, Statistic, TrialRecord, Verdict};
 
-/// Key in the metrics of a trial. The first expectation of a metric has its name, the second has
-/// the suffix `[2]`.
-pub(crate) fn metric_key(scenario: &ScenarioRecord, index: usize) -> String {
-    let Some(expectation) = scenario.expectations.get(index) else { return String::new() };
-    let before = scenario.expectations.iter().take(index);
-    match before.filter(|earlier| earlier.metric == expectation.metric).count() {
-        0 => expectation.metric.to_string(),
-        earlier => format!("{}[{}]", expectation.metric, earlier + 1),
-    }
-}
-
 pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
     scenario.expectations.get(index).filter(|found| found.verdict != Verdict::Pass)?;
     deciding_trial(scenario, index)
@@ -21,7 +10,7 @@ pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Optio
 /// The trial that decided, or else the first.
 pub(crate) fn deciding_trial(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
     let expectation = scenario.expectations.get(index)?;
-    let key = metric_key(scenario, index);
+    let key = scenario.metric_key(index);
     let number = |trial: &TrialRecord| trial.metrics.number(&key);
     let decided = match (expectation.cause, expectation.value) {
         (Some(cause @ (Cause::Rig | Cause::Bench)), _) => {

@@ -5,6 +5,7 @@ use crate::configure::configure;
 use platebench_controller::StateMachine;
 use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, Tier, Time};
 use platebench_scenario::Scenario;
+use platebench_verdict::bisection::bisect;
 use platebench_wire::{Configure, ControllerState, LawId, Sample};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -156,12 +157,9 @@ pub fn search_boundary(period: f64, longest: f64, is_stable: impl Fn(Time) -> bo
     let mut low = 0.0;
     let steps = (longest / (SCAN_STEP * period)).ceil() as u32;
     for step in 1..=steps {
-        let mut high = (f64::from(step) * SCAN_STEP * period).min(longest);
+        let high = (f64::from(step) * SCAN_STEP * period).min(longest);
         if !at(high) {
-            for _ in 0..BISECTIONS {
-                let middle = f64::midpoint(low, high);
-                *(if at(middle) { &mut low } else { &mut high }) = middle;
-            }
+            let [low, high] = bisect([low, high], BISECTIONS, at);
             return DelayBoundary::At(f64::midpoint(low, high));
         }
         low = high;

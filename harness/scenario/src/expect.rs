@@ -291,6 +291,25 @@ pub struct Expectation {
 pub const SIGNALS: [&str; 5] = ["amplitude_um", "wd_um", "wq_um", "sensed_wd_um", "sensed_wq_um"];
 
 impl Expectation {
+    /// Measures the amplitude in `window`; a band is 5 % of the setpoint. The limit is arbitrary.
+    pub fn for_window(metric: Metric, window: Window) -> Self {
+        Self {
+            name: metric.name().to_owned(),
+            windows: vec![window],
+            after: None,
+            metric,
+            limit: Limit::AtMost(0.0),
+            tolerance_percent: 0.0,
+            paper: None,
+            requirement: None,
+            confidence: 0.95,
+            aggregation: Aggregation::default_for(metric),
+            band_percent: 5.0,
+            from: None,
+            signal: SIGNALS[0],
+        }
+    }
+
     pub fn range(&self) -> (f64, f64) {
         self.limit.range(self.tolerance_percent)
     }

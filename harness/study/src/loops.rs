@@ -2,7 +2,6 @@
 //! Amplitudes are in µm and voltages in Vpp, both peak to peak. Times are in s, angular frequencies
 //! in rad/s.
 
-mod bisection;
 pub mod case;
 pub mod closed_loop;
 pub mod controller;

@@ -42,7 +42,7 @@ impl Flags {
 }
 
 macro_rules! define_row {
-    ($($(#[$doc:meta])* $column:ident,)+) => {
+    ($($(#[$doc:meta])* $variant:ident $column:ident,)+) => {
         /// The state of a trial at an instant. Amplitudes and voltages are peak to peak.
         #[derive(Debug, Clone, Copy, PartialEq, Default)]
         pub struct Row {
@@ -54,6 +54,32 @@ macro_rules! define_row {
 
         /// Numbers of a row, in the order of [`COLUMNS`] without `flags`.
         pub(crate) const NUMBERS: usize = [$(stringify!($column)),+].len();
+
+        /// A column with a number.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub enum Column {
+            $($variant,)+
+        }
+
+        impl Column {
+            pub const ALL: [Self; NUMBERS] = [$(Self::$variant),+];
+
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => stringify!($column),)+
+                }
+            }
+
+            pub const fn value(self, row: &Row) -> f64 {
+                match self {
+                    $(Self::$variant => row.$column,)+
+                }
+            }
+
+            pub fn from_name(name: &str) -> Option<Self> {
+                Self::ALL.into_iter().find(|column| column.name() == name)
+            }
+        }
 
         impl Row {
             pub(crate) const fn numbers(&self) -> [f64; NUMBERS] {
@@ -70,61 +96,27 @@ macro_rules! define_row {
 // Names and order of the columns in a file.
 define_row! {
     /// Time since the start of the trial.
-    t_s,
-    setpoint_um,
+    Time t_s,
+    Setpoint setpoint_um,
     /// In-phase component of W.
-    wd_um,
+    Wd wd_um,
     /// Quadrature component of W.
-    wq_um,
-    amplitude_um,
-    drive_vpp,
-    frequency_hz,
+    Wq wq_um,
+    Amplitude amplitude_um,
+    Drive drive_vpp,
+    Frequency frequency_hz,
     /// The plate's true resonance ω0/2π; NaN, and empty in the file, if unknown.
-    resonance_hz,
+    Resonance resonance_hz,
     /// Kelvin above the plate's reference temperature; NaN, and empty in the file, if not measured.
-    temperature_offset_k,
+    Temperature temperature_offset_k,
     /// Normal force of the finger, N; NaN, and empty in the file, if not measured.
-    finger_force_n,
+    Force finger_force_n,
     /// In-phase component that the controller received last.
-    sensed_wd_um,
+    SensedWd sensed_wd_um,
     /// Quadrature component that the controller received last.
-    sensed_wq_um,
-    lateness_us,
+    SensedWq sensed_wq_um,
+    Lateness lateness_us,
 }
 
 /// Columns that may be empty in a row with the flag `sensed`.
 pub const OPTIONAL_COLUMNS: [&str; 3] = ["resonance_hz", "temperature_offset_k", "finger_force_n"];
-
-/// A column in µm, which can be compared with the setpoint.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum AmplitudeColumn {
-    Amplitude,
-    Wd,
-    Wq,
-    SensedWd,
-    SensedWq,
-}
-
-impl AmplitudeColumn {
-    pub const ALL: [Self; 5] = [Self::Amplitude, Self::Wd, Self::Wq, Self::SensedWd, Self::SensedWq];
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Amplitude => "amplitude_um",
-            Self::Wd => "wd_um",
-            Self::Wq => "wq_um",
-            Self::SensedWd => "sensed_wd_um",
-            Self::SensedWq => "sensed_wq_um",
-        }
-    }
-
-    pub const fn value(self, row: &Row) -> f64 {
-        match self {
-            Self::Amplitude => row.amplitude_um,
-            Self::Wd => row.wd_um,
-            Self::Wq => row.wq_um,
-            Self::SensedWd => row.sensed_wd_um,
-            Self::SensedWq => row.sensed_wq_um,
-        }
-    }
-}

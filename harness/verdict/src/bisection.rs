@@ -1,10 +1,22 @@
 //! Bisects an interval.
 
-/// Returns the value from which `holds` is true. It must be false at `low` and true at `high`.
-pub(crate) fn bisect(mut low: f64, mut high: f64, steps: u32, holds: impl Fn(f64) -> bool) -> f64 {
-    for _ in 0..steps {
+use std::convert::Infallible;
+
+/// As [`try_bisect`], for a condition that cannot fail.
+pub fn bisect(ends: [f64; 2], times: u32, holds: impl Fn(f64) -> bool) -> [f64; 2] {
+    let Ok(ends) = try_bisect(ends, times, |at| Ok::<_, Infallible>(holds(at)));
+    ends
+}
+
+/// Halves an interval `times` times. `holds` is true at its first end and false at the second.
+pub fn try_bisect<E>(
+    [mut low, mut high]: [f64; 2],
+    times: u32,
+    holds: impl Fn(f64) -> Result<bool, E>,
+) -> Result<[f64; 2], E> {
+    for _ in 0..times {
         let middle = f64::midpoint(low, high);
-        if holds(middle) { high = middle } else { low = middle }
+        *(if holds(middle)? { &mut low } else { &mut high }) = middle;
     }
-    high
+    Ok([low, high])
 }

@@ -3,7 +3,7 @@
 //! A verdict depends only on scenario, stored traces and stored telemetry, not on a clock or on the
 //! order of execution.
 
-mod bisection;
+pub mod bisection;
 mod divergence;
 mod exclusion;
 mod feasibility;

@@ -157,7 +157,7 @@ fn compare_commands(pairs: &[(f64, ReplayCommand, ReplayCommand)]) -> Vec<Comman
         let (largest, at_ms) =
             distances.reduce(|worst, other| if other.0.total_cmp(&worst.0).is_gt() { other } else { worst })?;
         let exceedance = tube.worst_exceedance(&response, None);
-        Some(CommandDifference { signal: signal.name, unit: signal.unit, largest, at_ms, exceedance })
+        Some(CommandDifference { signal: signal.name(), unit: signal.unit, largest, at_ms, exceedance })
     });
     compared.collect()
 }

@@ -4,14 +4,13 @@
 //! every instant of the golden grid, the response must be within the tolerance of the golden curve
 //! at some time within the tolerance in time. Curves are linear between points.
 
-use platebench_trace::Row;
+use platebench_trace::{Column, Row};
 use serde::{Deserialize, Serialize};
 
 #[derive(Debug)]
 pub struct TubeSignal {
-    pub name: &'static str,
+    pub column: Column,
     pub unit: &'static str,
-    pub value_in: fn(&Row) -> f64,
     pub tolerance: Tolerance,
     /// A thousandth of the absolute tolerance, or finer.
     pub decimals: usize,
@@ -32,28 +31,20 @@ const DRIVE: Tolerance = Tolerance { absolute: 3.0, relative: 0.01, time_ms: 0.0
 const FREQUENCY: Tolerance = Tolerance { absolute: 0.5, relative: 0.0, time_ms: 0.05 };
 
 pub const TUBE_SIGNALS: [TubeSignal; 5] = [
-    TubeSignal {
-        name: "amplitude_um",
-        unit: "µm",
-        value_in: |row| row.amplitude_um,
-        tolerance: VIBRATION,
-        decimals: 5,
-    },
-    TubeSignal { name: "wd_um", unit: "µm", value_in: |row| row.wd_um, tolerance: VIBRATION, decimals: 5 },
-    TubeSignal { name: "wq_um", unit: "µm", value_in: |row| row.wq_um, tolerance: VIBRATION, decimals: 5 },
-    TubeSignal { name: "drive_vpp", unit: "Vpp", value_in: |row| row.drive_vpp, tolerance: DRIVE, decimals: 2 },
-    TubeSignal {
-        name: "frequency_hz",
-        unit: "Hz",
-        value_in: |row| row.frequency_hz,
-        tolerance: FREQUENCY,
-        decimals: 3,
-    },
+    TubeSignal { column: Column::Amplitude, unit: "µm", tolerance: VIBRATION, decimals: 5 },
+    TubeSignal { column: Column::Wd, unit: "µm", tolerance: VIBRATION, decimals: 5 },
+    TubeSignal { column: Column::Wq, unit: "µm", tolerance: VIBRATION, decimals: 5 },
+    TubeSignal { column: Column::Drive, unit: "Vpp", tolerance: DRIVE, decimals: 2 },
+    TubeSignal { column: Column::Frequency, unit: "Hz", tolerance: FREQUENCY, decimals: 3 },
 ];
 
 impl TubeSignal {
+    pub const fn name(&self) -> &'static str {
+        self.column.name()
+    }
+
     pub fn from_name(name: &str) -> Option<&'static Self> {
-        TUBE_SIGNALS.iter().find(|signal| signal.name == name)
+        TUBE_SIGNALS.iter().find(|signal| signal.name() == name)
     }
 }
 
@@ -171,7 +162,7 @@ fn value_at(response: &[(f64, f64)], t_ms: f64) -> Option<f64> {
 }
 
 pub fn signal_response(signal: &TubeSignal, rows: &[Row]) -> Vec<(f64, f64)> {
-    rows.iter().map(|row| (row.t_s * 1e3, (signal.value_in)(row))).collect()
+    rows.iter().map(|row| (row.t_s * 1e3, signal.column.value(row))).collect()
 }
 
 #[cfg(test)]

@@ -49,17 +49,17 @@ fn known_bits(value: f64) -> Value {
 }
 
 fn column_bits(rows: &[Row], name: &str) -> Value {
-    let number = NUMBER_COLUMNS.iter().find(|number| number.name == name);
+    let number = NUMBER_COLUMNS.iter().find(|number| number.name() == name);
     let flag = FLAG_COLUMNS.iter().find(|flag| flag.name == name);
     match (number, flag) {
-        (Some(number), None) => rows.iter().map(|row| known_bits((number.of)(row))).collect(),
+        (Some(number), None) => rows.iter().map(|row| known_bits(number.column.value(row))).collect(),
         (None, Some(flag)) => rows.iter().map(|row| json!(row.flags.contains(flag.flag))).collect(),
         _ => panic!("{name} is not a column"),
     }
 }
 
 fn column_names() -> impl Iterator<Item = &'static str> {
-    NUMBER_COLUMNS.iter().map(|number| number.name).chain(FLAG_COLUMNS.iter().map(|flag| flag.name))
+    NUMBER_COLUMNS.iter().map(platebench_export::columns::Number::name).chain(FLAG_COLUMNS.iter().map(|flag| flag.name))
 }
 
 const STEP: &str = "paper/step";
@@ -85,11 +85,11 @@ fn duckdb_reads_the_same_bits_from_parquet() {
     assert_eq!(columns["seed"], json!({"kind": "UBIGINT", "values": seeds}));
     let metadata = &found["metadata"];
     for number in NUMBER_COLUMNS {
-        assert_eq!(metadata[format!("unit.{}", number.name)], number.unit);
-        assert_eq!(metadata[format!("meaning.{}", number.name)], number.meaning);
+        assert_eq!(metadata[format!("unit.{}", number.name())], number.unit);
+        assert_eq!(metadata[format!("meaning.{}", number.name())], number.meaning);
     }
     for number in NUMBER_COLUMNS {
-        assert_eq!(found["fields"][number.name], json!({"unit": number.unit, "meaning": number.meaning}));
+        assert_eq!(found["fields"][number.name()], json!({"unit": number.unit, "meaning": number.meaning}));
     }
     for flag in FLAG_COLUMNS {
         assert_eq!(found["fields"][flag.name], json!({"meaning": flag.meaning}));
@@ -135,8 +135,8 @@ fn asammdf_reads_the_same_bits_from_mdf4() {
             assert_eq!(channel["master"], name == "t_s", "{name}");
         }
         for number in NUMBER_COLUMNS {
-            assert_eq!(channels[number.name]["unit"], number.unit);
-            assert_eq!(channels[number.name]["comment"], number.meaning);
+            assert_eq!(channels[number.name()]["unit"], number.unit);
+            assert_eq!(channels[number.name()]["comment"], number.meaning);
         }
         for flag in FLAG_COLUMNS {
             assert_eq!(channels[flag.name]["unit"], "");
@@ -157,8 +157,8 @@ fn the_mcap_library_reads_the_same_bits() {
     assert_eq!(found["topics"].as_object().unwrap().len(), 2);
     let properties = &found["schemas"]["platebench.Row"]["properties"];
     for number in NUMBER_COLUMNS {
-        assert_eq!(properties[number.name]["unit"], number.unit);
-        assert_eq!(found["metadata"]["units"][number.name], number.unit);
+        assert_eq!(properties[number.name()]["unit"], number.unit);
+        assert_eq!(found["metadata"]["units"][number.name()], number.unit);
     }
     for (index, rows) in [fixtures::rows(7, 0), fixtures::rows(9, 3)].into_iter().enumerate() {
         let topic = &found["topics"][format!("/trial/{index:03}")];
@@ -192,9 +192,9 @@ fn the_mcap_library_of_viewers_reads_the_same_numbers() {
         let messages = found["topics"][format!("/trial/{index:03}")].as_array().unwrap();
         assert_eq!(messages.len(), rows.len());
         for number in NUMBER_COLUMNS {
-            let values: Vec<_> = messages.iter().map(|message| message["row"][number.name].as_f64()).collect();
+            let values: Vec<_> = messages.iter().map(|message| message["row"][number.name()].as_f64()).collect();
             let expected: Vec<_> = rows.iter().map(|row| number.known_value(row)).collect();
-            assert_eq!(values, expected, "{}", number.name);
+            assert_eq!(values, expected, "{}", number.name());
         }
     }
 }
@@ -215,8 +215,8 @@ fn duckdb_reads_the_same_bits_from_csv() {
     let described_names: Vec<_> = described.iter().map(|column| column["name"].as_str().unwrap()).collect();
     assert_eq!(kinds.keys().collect::<Vec<_>>(), described_names);
     for number in NUMBER_COLUMNS {
-        let column = described.iter().find(|column| column["name"] == number.name).unwrap();
-        assert_eq!((&column["schema:unitText"], &kinds[number.name]), (&json!(number.unit), &json!("DOUBLE")));
+        let column = described.iter().find(|column| column["name"] == number.name()).unwrap();
+        assert_eq!((&column["schema:unitText"], &kinds[number.name()]), (&json!(number.unit), &json!("DOUBLE")));
     }
     let rows = [fixtures::rows(7, 0), fixtures::rows(9, 3), fixtures::rows(1, 5)].concat();
     let lines = found["rows"].as_array().unwrap();

@@ -1,7 +1,7 @@
 //! Draws signals over time.
 
-use crate::signal_history::LiveSignal;
 use crate::view_state::ViewState;
+use platebench_trace::Column;
 use ratatui::Frame;
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};
@@ -26,7 +26,7 @@ impl ChartCurve {
         Self { lines, marker, style: Style::new().fg(colour) }
     }
 
-    fn of(state: &ViewState, signal: LiveSignal, marker: Marker, colour: Color) -> Self {
+    fn of(state: &ViewState, signal: Column, marker: Marker, colour: Color) -> Self {
         Self::new(state.history.lines(signal, |value| value), marker, colour)
     }
 
@@ -44,11 +44,11 @@ pub(super) fn draw_amplitude(frame: &mut Frame<'_>, area: Rect, state: &ViewStat
     let Some((scenario, _)) = state.current_trial() else { return draw_empty(frame, area, " |W| ") };
     let history = &state.history;
     let edge = |number: usize| {
-        history.lines(LiveSignal::Setpoint, |setpoint| scenario.band(setpoint).map_or(f64::NAN, |band| band[number]))
+        history.lines(Column::Setpoint, |setpoint| scenario.band(setpoint).map_or(f64::NAN, |band| band[number]))
     };
-    let [_, highest] = history.range(&[LiveSignal::Setpoint, LiveSignal::Amplitude]).unwrap_or_default();
+    let [_, highest] = history.range(&[Column::Setpoint, Column::Amplitude]).unwrap_or_default();
     let curves = [
-        ChartCurve::of(state, LiveSignal::Amplitude, Marker::Braille, Color::Cyan),
+        ChartCurve::of(state, Column::Amplitude, Marker::Braille, Color::Cyan),
         ChartCurve::new(edge(0), REFERENCE_MARKER, Color::Green),
         ChartCurve::new(edge(1), REFERENCE_MARKER, Color::Green),
     ];
@@ -61,11 +61,11 @@ pub(super) fn draw_amplitude(frame: &mut Frame<'_>, area: Rect, state: &ViewStat
 }
 
 pub(super) fn draw_components(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
-    let [lowest, highest] = state.history.range(&[LiveSignal::Wd, LiveSignal::Wq]).unwrap_or_default();
+    let [lowest, highest] = state.history.range(&[Column::Wd, Column::Wq]).unwrap_or_default();
     let low = if lowest < -0.02 * highest.abs() { -round_up(-lowest) } else { 0.0 };
     let curves = [
-        ChartCurve::of(state, LiveSignal::Wq, SECOND_MARKER, Color::Magenta),
-        ChartCurve::of(state, LiveSignal::Wd, Marker::Braille, Color::Cyan),
+        ChartCurve::of(state, Column::Wq, SECOND_MARKER, Color::Magenta),
+        ChartCurve::of(state, Column::Wd, Marker::Braille, Color::Cyan),
     ];
     draw_chart(frame, area, state, " Wd in µm, dots; Wq in µm, ooo ", &curves, [low, round_up(highest)], 2);
 }
@@ -73,11 +73,11 @@ pub(super) fn draw_components(frame: &mut Frame<'_>, area: Rect, state: &ViewSta
 pub(super) fn draw_drive(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
     let Some((scenario, _)) = state.current_trial() else { return draw_empty(frame, area, " drive ") };
     let history = &state.history;
-    let [_, highest] = history.range(&[LiveSignal::Drive]).unwrap_or_default();
-    let limit = history.lines(LiveSignal::Drive, |_| scenario.limit_vpp);
+    let [_, highest] = history.range(&[Column::Drive]).unwrap_or_default();
+    let limit = history.lines(Column::Drive, |_| scenario.limit_vpp);
     let top = round_up(highest).min(scenario.limit_vpp * 1.05);
     let curves = [
-        ChartCurve::of(state, LiveSignal::Drive, Marker::Braille, Color::Yellow),
+        ChartCurve::of(state, Column::Drive, Marker::Braille, Color::Yellow),
         ChartCurve::new(limit, REFERENCE_MARKER, Color::Red),
     ];
     let title = format!(" drive in Vpp, dots; limit of {:.0} Vpp, --- ", scenario.limit_vpp);
@@ -85,12 +85,12 @@ pub(super) fn draw_drive(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
 }
 
 pub(super) fn draw_frequency(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
-    let [lowest, highest] = state.history.range(&[LiveSignal::Frequency, LiveSignal::Resonance]).unwrap_or_default();
+    let [lowest, highest] = state.history.range(&[Column::Frequency, Column::Resonance]).unwrap_or_default();
     // At least 1 Hz, because smaller differences do not matter.
     let margin = (0.1 * (highest - lowest)).max(1.0);
     let curves = [
-        ChartCurve::of(state, LiveSignal::Frequency, Marker::Braille, Color::Cyan),
-        ChartCurve::of(state, LiveSignal::Resonance, REFERENCE_MARKER, Color::Green),
+        ChartCurve::of(state, Column::Frequency, Marker::Braille, Color::Cyan),
+        ChartCurve::of(state, Column::Resonance, REFERENCE_MARKER, Color::Green),
     ];
     let title = " excitation in Hz, dots; resonance in Hz, --- ";
     draw_chart(frame, area, state, title, &curves, [lowest - margin, highest + margin], 1);

@@ -188,7 +188,7 @@ fn setpoint_zero_has_no_band() {
 #[test]
 fn another_trial_or_restarted_time_clears_the_history() {
     let mut state = view_state();
-    let peak = |state: &ViewState| state.history.range(&[crate::signal_history::LiveSignal::Wq]).unwrap()[0];
+    let peak = |state: &ViewState| state.history.range(&[platebench_trace::Column::Wq]).unwrap()[0];
     assert!(peak(&state) < -0.1);
     let settled = |t_s: f64| Row { t_s, ..row(1.0) };
     state.add_row(&TapRow { scenario: 0, trial: 4, row: settled(0.05) });

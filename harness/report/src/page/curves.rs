@@ -1,62 +1,37 @@
 //! Reads signals, flagged windows and setpoint steps from the rows of a trace.
 
 use crate::chart::time_chart::{CurvePoint, TimeWindow};
-use platebench_trace::{Flags, Row};
+use platebench_trace::{Column, Flags, Row};
 use platebench_verdict::metrics::setpoint_steps;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::VariantArray, strum::EnumString)]
-pub(crate) enum PlotSignal {
-    #[strum(serialize = "amplitude_um")]
-    Amplitude,
-    #[strum(serialize = "wd_um")]
-    InPhase,
-    #[strum(serialize = "wq_um")]
-    Quadrature,
-    #[strum(serialize = "setpoint_um")]
-    Setpoint,
-    #[strum(serialize = "drive_vpp")]
-    Drive,
-    #[strum(serialize = "frequency_hz")]
-    Frequency,
-    #[strum(serialize = "resonance_hz")]
-    Resonance,
-    #[strum(serialize = "finger_force_n")]
-    Force,
-    #[strum(serialize = "temperature_offset_k")]
-    Temperature,
+/// Columns that the page draws.
+pub(crate) const PLOTTED_COLUMNS: [Column; 9] = [
+    Column::Amplitude,
+    Column::Wd,
+    Column::Wq,
+    Column::Setpoint,
+    Column::Drive,
+    Column::Frequency,
+    Column::Resonance,
+    Column::Force,
+    Column::Temperature,
+];
+
+/// Empty for a column that the page does not draw.
+pub(crate) const fn unit(column: Column) -> &'static str {
+    match column {
+        Column::Amplitude | Column::Wd | Column::Wq | Column::Setpoint => "µm",
+        Column::Drive => "Vpp",
+        Column::Frequency | Column::Resonance => "Hz",
+        Column::Force => "N",
+        Column::Temperature => "K",
+        Column::Time | Column::SensedWd | Column::SensedWq | Column::Lateness => "",
+    }
 }
 
-impl PlotSignal {
-    pub(crate) const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
-
-    pub(crate) fn value_in(self, row: &Row) -> f64 {
-        match self {
-            Self::Amplitude => row.amplitude_um,
-            Self::InPhase => row.wd_um,
-            Self::Quadrature => row.wq_um,
-            Self::Setpoint => row.setpoint_um,
-            Self::Drive => row.drive_vpp,
-            Self::Frequency => row.frequency_hz,
-            Self::Resonance => row.resonance_hz,
-            Self::Force => row.finger_force_n,
-            Self::Temperature => row.temperature_offset_k,
-        }
-    }
-
-    pub(crate) const fn unit(self) -> &'static str {
-        match self {
-            Self::Amplitude | Self::InPhase | Self::Quadrature | Self::Setpoint => "µm",
-            Self::Drive => "Vpp",
-            Self::Frequency | Self::Resonance => "Hz",
-            Self::Force => "N",
-            Self::Temperature => "K",
-        }
-    }
-
-    /// True for values that hold until the next row. The plate moves between rows.
-    pub(crate) fn is_zero_order_hold(self) -> bool {
-        matches!(self, Self::Setpoint | Self::Drive | Self::Frequency)
-    }
+/// True for values that hold until the next row. The plate moves between rows.
+pub(crate) const fn is_zero_order_hold(column: Column) -> bool {
+    matches!(column, Column::Setpoint | Column::Drive | Column::Frequency)
 }
 
 fn row_ms(row: &Row) -> f64 {
@@ -66,7 +41,7 @@ fn row_ms(row: &Row) -> f64 {
 /// Points after `from_ms`, up to and including `to_ms`.
 pub(crate) fn points_between(
     rows: &[Row],
-    signal: PlotSignal,
+    signal: Column,
     from_ms: f64,
     to_ms: f64,
 ) -> impl Iterator<Item = CurvePoint> {
@@ -75,13 +50,13 @@ pub(crate) fn points_between(
     points(rows.get(start..end).unwrap_or_default(), signal)
 }
 
-pub(crate) fn points(rows: &[Row], signal: PlotSignal) -> impl Iterator<Item = CurvePoint> {
-    rows.iter().map(move |row| (row_ms(row), signal.value_in(row)))
+pub(crate) fn points(rows: &[Row], signal: Column) -> impl Iterator<Item = CurvePoint> {
+    rows.iter().map(move |row| (row_ms(row), signal.value(row)))
 }
 
 /// `next` is the number of rows up to `at_ms`. `None` outside the trace.
-pub(crate) fn value_at(rows: &[Row], next: usize, signal: PlotSignal, at_ms: f64) -> Option<f64> {
-    let point = |row: &Row| (row_ms(row), signal.value_in(row));
+pub(crate) fn value_at(rows: &[Row], next: usize, signal: Column, at_ms: f64) -> Option<f64> {
+    let point = |row: &Row| (row_ms(row), signal.value(row));
     interpolate_between(point(rows.get(next.checked_sub(1)?)?), rows.get(next).map(point), signal, at_ms)
 }
 
@@ -96,14 +71,14 @@ pub(crate) fn rows_until(rows: &[Row], t_ms: &[f64]) -> Vec<usize> {
     t_ms.iter().map(until).collect()
 }
 
-pub(crate) fn interpolate(points: &[CurvePoint], signal: PlotSignal, at_ms: f64) -> Option<f64> {
+pub(crate) fn interpolate(points: &[CurvePoint], signal: Column, at_ms: f64) -> Option<f64> {
     let next = points.partition_point(|point| point.0 <= at_ms);
     interpolate_between(*points.get(next.checked_sub(1)?)?, points.get(next).copied(), signal, at_ms)
 }
 
-fn interpolate_between(before: CurvePoint, after: Option<CurvePoint>, signal: PlotSignal, at_ms: f64) -> Option<f64> {
+fn interpolate_between(before: CurvePoint, after: Option<CurvePoint>, signal: Column, at_ms: f64) -> Option<f64> {
     let Some(after) = after else { return (before.0 == at_ms).then_some(before.1) };
-    if signal.is_zero_order_hold() {
+    if is_zero_order_hold(signal) {
         return Some(before.1);
     }
     let share = (at_ms - before.0) / (after.0 - before.0);
@@ -160,21 +135,18 @@ mod tests {
     fn interpolates_the_plate_and_holds_the_drive() {
         let rows = rows(&[(0.0, 0.0), (2.0, 4.0), (4.0, 4.0)]);
         let at = |signal, at_ms| value_at(&rows, rows_until(&rows, &[0.5, at_ms])[1], signal, at_ms);
-        assert_eq!(at(PlotSignal::Amplitude, 1.0), Some(2.0));
-        assert_eq!(at(PlotSignal::Drive, 1.0), Some(0.0));
-        assert_eq!(at(PlotSignal::Amplitude, 4.0), Some(4.0));
-        assert_eq!(at(PlotSignal::Drive, 4.5), None);
+        assert_eq!(at(Column::Amplitude, 1.0), Some(2.0));
+        assert_eq!(at(Column::Drive, 1.0), Some(0.0));
+        assert_eq!(at(Column::Amplitude, 4.0), Some(4.0));
+        assert_eq!(at(Column::Drive, 4.5), None);
     }
 
     #[test]
     fn interpolates_lines_like_their_signal() {
         let points = [(0.0, 0.0), (2.0, 4.0)];
         let at = |signal, at_ms| interpolate(&points, signal, at_ms);
-        assert_eq!((at(PlotSignal::Amplitude, 1.0), at(PlotSignal::Drive, 1.0)), (Some(2.0), Some(0.0)));
-        assert_eq!(
-            (at(PlotSignal::Drive, 2.0), at(PlotSignal::Drive, 2.1), at(PlotSignal::Drive, -0.1)),
-            (Some(4.0), None, None)
-        );
+        assert_eq!((at(Column::Amplitude, 1.0), at(Column::Drive, 1.0)), (Some(2.0), Some(0.0)));
+        assert_eq!((at(Column::Drive, 2.0), at(Column::Drive, 2.1), at(Column::Drive, -0.1)), (Some(4.0), None, None));
     }
 
     #[test]

@@ -1,8 +1,7 @@
 //! Samples a scenario's baseline and its tolerance tube at the instants of its figures.
 
-use super::curves::PlotSignal;
 use super::grid::TimeGrid;
-use platebench_trace::Row;
+use platebench_trace::{Column, Row};
 use platebench_verdict::golden::{Baseline, BaselineError, ResponseFeatures};
 use platebench_verdict::tube::Exceedance;
 use std::collections::BTreeMap;
@@ -11,7 +10,7 @@ use std::path::Path;
 #[derive(Debug, Clone)]
 pub(crate) struct GoldenCurves {
     pub(crate) text: String,
-    tubes: BTreeMap<PlotSignal, SampledTube>,
+    tubes: BTreeMap<Column, SampledTube>,
 }
 
 #[derive(Debug, Clone)]
@@ -50,7 +49,7 @@ impl GoldenCurves {
 
     fn from_baseline(accepted: &Baseline, grid: &TimeGrid) -> Self {
         let tubes = accepted.golden.tubes.iter().filter_map(|tube| {
-            let signal = tube.signal.parse().ok()?;
+            let signal = Column::from_name(&tube.signal)?;
             let (from_ms, to_ms) = tube.span_ms();
             let inside = |t_ms: &f64| (from_ms..=to_ms).contains(t_ms).then_some(*t_ms);
             let sampled = |value: &dyn Fn(f64) -> f64| grid.t_ms.iter().map(|t_ms| inside(t_ms).map(value)).collect();
@@ -61,7 +60,7 @@ impl GoldenCurves {
         Self { text: format!("golden trace ({})", accepted.law), tubes: tubes.collect() }
     }
 
-    pub(crate) fn tube_of(&self, signal: PlotSignal) -> Option<&SampledTube> {
+    pub(crate) fn tube_of(&self, signal: Column) -> Option<&SampledTube> {
         self.tubes.get(&signal)
     }
 }

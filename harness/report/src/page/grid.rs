@@ -1,8 +1,8 @@
 //! Samples all trials at the same instants, which the plotting library draws fast.
 
-use super::curves::{self, PlotSignal};
+use super::curves;
 use crate::chart::time_chart::{CurvePoint, TimeWindow};
-use platebench_trace::Row;
+use platebench_trace::{Column, Row};
 
 /// Ascending instants at which all trials are sampled.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -49,14 +49,14 @@ pub(crate) struct AlignedRows<'a> {
 }
 
 impl AlignedRows<'_> {
-    pub(crate) fn sample(&self, signal: PlotSignal) -> Vec<Option<f64>> {
+    pub(crate) fn sample(&self, signal: Column) -> Vec<Option<f64>> {
         let instants = self.t_ms.iter().zip(&self.rows_until);
         instants.map(|(t_ms, next)| curves::value_at(self.rows, *next, signal, *t_ms)).collect()
     }
 
     /// Keeps every peak. If the signal leaves the range of its values at three neighbouring
     /// instants, its lowest and highest value replace the first two of them, in order of time.
-    pub(crate) fn sample_peaks(&self, signal: PlotSignal) -> Vec<Option<f64>> {
+    pub(crate) fn sample_peaks(&self, signal: Column) -> Vec<Option<f64>> {
         let mut line = self.sample(signal);
         for start in (0..line.len()).step_by(2) {
             let end = (start + 2).min(line.len() - 1);
@@ -86,7 +86,7 @@ impl AlignedRows<'_> {
 /// are more rows.
 fn window_instants(rows: &[Row], window: TimeWindow, limit: usize) -> Vec<f64> {
     let limit = limit.max(4);
-    let inside = curves::points_between(rows, PlotSignal::Setpoint, window.from_ms, window.to_ms).map(|(t_ms, _)| t_ms);
+    let inside = curves::points_between(rows, Column::Setpoint, window.from_ms, window.to_ms).map(|(t_ms, _)| t_ms);
     let mut own: Vec<f64> = std::iter::once(window.from_ms).chain(inside).chain([window.to_ms]).collect();
     own.dedup();
     if own.len() <= limit {
@@ -133,7 +133,7 @@ mod tests {
         let grid = TimeGrid::new(&rows, window, None, 11);
         assert_eq!(grid.t_ms.len(), 11);
         let values: Vec<f64> =
-            grid.align(&rows).sample_peaks(PlotSignal::Amplitude).into_iter().map(Option::unwrap).collect();
+            grid.align(&rows).sample_peaks(Column::Amplitude).into_iter().map(Option::unwrap).collect();
         assert_eq!(values, (0..=10).map(f64::from).collect::<Vec<_>>());
         assert_eq!(TimeGrid::new(&rows, window, None, 10).t_ms.len(), 10);
     }
@@ -142,11 +142,11 @@ mod tests {
     fn keeps_a_single_peak() {
         let rows = rows(1_000, |n| if n == 617 { 9.0 } else { 1.0 });
         let grid = TimeGrid::new(&rows, WHOLE, None, 50);
-        let line = grid.align(&rows).sample_peaks(PlotSignal::Amplitude);
+        let line = grid.align(&rows).sample_peaks(Column::Amplitude);
         assert_eq!(line.len(), grid.t_ms.len());
         assert_eq!(line.iter().flatten().filter(|value| **value == 9.0).count(), 1);
         assert!(
-            grid.align(&rows).sample(PlotSignal::Amplitude).iter().flatten().all(|value| *value < 9.0),
+            grid.align(&rows).sample(Column::Amplitude).iter().flatten().all(|value| *value < 9.0),
             "not at an instant"
         );
     }
@@ -166,8 +166,8 @@ mod tests {
     fn a_short_trial_leaves_a_gap() {
         let (long, short) = (rows(1_000, f64::from), rows(500, f64::from));
         let grid = TimeGrid::new(&long, WHOLE, None, 21);
-        assert!(grid.align(&long).sample_peaks(PlotSignal::Amplitude).iter().all(Option::is_some));
-        let line = grid.align(&short).sample_peaks(PlotSignal::Amplitude);
+        assert!(grid.align(&long).sample_peaks(Column::Amplitude).iter().all(Option::is_some));
+        let line = grid.align(&short).sample_peaks(Column::Amplitude);
         assert!(line[8].is_some() && line[12].is_none() && line[20].is_none(), "{line:?}");
     }
 

@@ -1,11 +1,11 @@
 //! Finds the limit, the judged window and the worst instant of an expectation in the rows of a
 //! trial.
 
-use super::curves::PlotSignal;
+use super::curves;
 use crate::chart::time_chart::TimeWindow;
 use crate::format;
 use platebench_record::{ExpectationRecord, Metric};
-use platebench_trace::Row;
+use platebench_trace::{Column, Row};
 
 const LAST_OUTSIDE: &str = "last outside the band";
 
@@ -15,7 +15,7 @@ pub(crate) struct LimitMark {
     pub(crate) text: String,
     pub(crate) name: String,
     pub(crate) is_missed: bool,
-    pub(crate) signal: PlotSignal,
+    pub(crate) signal: Column,
     pub(crate) window: TimeWindow,
     pub(crate) levels: Vec<Level>,
     /// Meaning of `worst`, such as `last outside the band` or `mean`.
@@ -26,7 +26,7 @@ pub(crate) struct LimitMark {
 /// Level `share · base + offset`; without a base only the offset.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Level {
-    pub(crate) base: Option<PlotSignal>,
+    pub(crate) base: Option<Column>,
     pub(crate) share: f64,
     pub(crate) offset: f64,
 }
@@ -56,7 +56,7 @@ impl LimitMark {
         let margin = |result: &WindowResult| expectation.limit.margin(result.value, 0.0);
         let (window, worst) = windows.filter_map(in_window).min_by(|a, b| margin(&a.1).total_cmp(&margin(&b.1)))?;
         let point = |(t_ms, value): (f64, f64)| {
-            let text = format!("{} {} at {} ms", format::number(value), signal.unit(), format::number(t_ms));
+            let text = format!("{} {} at {} ms", format::number(value), curves::unit(signal), format::number(t_ms));
             WorstPoint { t_ms, value, text }
         };
         let unit = format::unit(expectation.metric);
@@ -106,12 +106,12 @@ struct WindowResult {
     points: Vec<(f64, f64)>,
 }
 
-fn shown_signal(expectation: &ExpectationRecord) -> Option<PlotSignal> {
+fn shown_signal(expectation: &ExpectationRecord) -> Option<Column> {
     match expectation.metric {
-        Metric::FrequencyError => Some(PlotSignal::Frequency),
-        Metric::QuadratureRatio => Some(PlotSignal::Quadrature),
-        Metric::DrivePeak | Metric::RestDrive => Some(PlotSignal::Drive),
-        Metric::FinalAmplitude => Some(PlotSignal::Amplitude),
+        Metric::FrequencyError => Some(Column::Frequency),
+        Metric::QuadratureRatio => Some(Column::Wq),
+        Metric::DrivePeak | Metric::RestDrive => Some(Column::Drive),
+        Metric::FinalAmplitude => Some(Column::Amplitude),
         Metric::SettlingTime
         | Metric::RecoveryTime
         | Metric::Overshoot
@@ -119,9 +119,9 @@ fn shown_signal(expectation: &ExpectationRecord) -> Option<PlotSignal> {
         | Metric::StaticError
         | Metric::Ripple
         | Metric::RipplePercent => match expectation.definition.signal.as_deref() {
-            None | Some("amplitude_um") => Some(PlotSignal::Amplitude),
-            Some("wd_um") => Some(PlotSignal::InPhase),
-            Some("wq_um") => Some(PlotSignal::Quadrature),
+            None | Some("amplitude_um") => Some(Column::Amplitude),
+            Some("wd_um") => Some(Column::Wd),
+            Some("wq_um") => Some(Column::Wq),
             Some(_) => None,
         },
         Metric::Repeatability
@@ -139,20 +139,20 @@ fn shown_signal(expectation: &ExpectationRecord) -> Option<PlotSignal> {
 
 impl WindowResult {
     /// `rows` are the rows of the window, `before` is the last row before it.
-    fn of(expectation: &ExpectationRecord, signal: PlotSignal, before: Option<&Row>, rows: &[Row]) -> Option<Self> {
+    fn of(expectation: &ExpectationRecord, signal: Column, before: Option<&Row>, rows: &[Row]) -> Option<Self> {
         let (first, last) = (rows.first()?, rows.last()?);
-        let point = |row: &Row| (row.t_s * 1e3, signal.value_in(row));
+        let point = |row: &Row| (row.t_s * 1e3, signal.value(row));
         let ends = format::limit_ends(expectation.limit);
         let constant = |end: &f64| Level { base: None, share: 0.0, offset: *end };
         let around_setpoint = |percent: f64| {
             [1.0, -1.0].map(|side| Level {
-                base: Some(PlotSignal::Setpoint),
+                base: Some(Column::Setpoint),
                 share: 1.0 + side * percent / 100.0,
                 offset: 0.0,
             })
         };
         let largest = |value: &dyn Fn(&Row) -> f64| rows.iter().max_by(|a, b| value(a).total_cmp(&value(b)));
-        let deviation = |row: &Row| (signal.value_in(row) - row.setpoint_um).abs() / row.setpoint_um * 100.0;
+        let deviation = |row: &Row| (signal.value(row) - row.setpoint_um).abs() / row.setpoint_um * 100.0;
         match expectation.metric {
             Metric::SettlingTime | Metric::RecoveryTime => {
                 let percent = expectation.definition.band_percent?;
@@ -175,15 +175,15 @@ impl WindowResult {
             }
             Metric::Overshoot => {
                 let step = last.setpoint_um - before.map_or(0.0, |row| row.setpoint_um);
-                let beyond = |row: &Row| (signal.value_in(row) - last.setpoint_um) / step * 100.0;
+                let beyond = |row: &Row| (signal.value(row) - last.setpoint_um) / step * 100.0;
                 let worst = largest(&beyond).filter(|_| step != 0.0)?;
                 let level = |percent: &f64| constant(&(last.setpoint_um + percent / 100.0 * step));
                 let levels = ends.iter().map(level).collect();
                 Some(Self { value: beyond(worst), levels, points: vec![point(worst)] })
             }
             Metric::Ripple | Metric::RipplePercent => {
-                let (high, low) = (largest(&|row| signal.value_in(row))?, largest(&|row| -signal.value_in(row))?);
-                let value = signal.value_in(high) - signal.value_in(low);
+                let (high, low) = (largest(&|row| signal.value(row))?, largest(&|row| -signal.value(row))?);
+                let value = signal.value(high) - signal.value(low);
                 Some(Self { value, levels: Vec::new(), points: vec![point(high), point(low)] })
             }
             Metric::DrivePeak => {
@@ -200,17 +200,17 @@ impl WindowResult {
                 Some(Self { value: of(worst), levels: ends.iter().map(constant).collect(), points: vec![point(worst)] })
             }
             Metric::FinalAmplitude => {
-                let value = signal.value_in(last);
+                let value = signal.value(last);
                 Some(Self { value, levels: ends.iter().map(constant).collect(), points: vec![point(last)] })
             }
             Metric::FrequencyError => {
-                let level = |offset: f64| Level { base: Some(PlotSignal::Resonance), share: 1.0, offset };
+                let level = |offset: f64| Level { base: Some(Column::Resonance), share: 1.0, offset };
                 let levels = ends.iter().flat_map(|end| [level(*end), level(-end)]).collect();
                 let value = (last.frequency_hz - last.resonance_hz).abs();
                 Some(Self { value, levels, points: vec![point(last)] })
             }
             Metric::QuadratureRatio => {
-                let level = |share: f64| Level { base: Some(PlotSignal::InPhase), share, offset: 0.0 };
+                let level = |share: f64| Level { base: Some(Column::Wd), share, offset: 0.0 };
                 let levels = ends.iter().flat_map(|end| [level(*end), level(-end)]).collect();
                 Some(Self { value: (last.wq_um / last.wd_um).abs(), levels, points: vec![point(last)] })
             }
@@ -219,10 +219,10 @@ impl WindowResult {
     }
 }
 
-fn time_weighted_mean(signal: PlotSignal, rows: &[Row]) -> Option<f64> {
+fn time_weighted_mean(signal: Column, rows: &[Row]) -> Option<f64> {
     let (mut area, mut length) = (0.0, 0.0);
     for [left, right] in rows.array_windows() {
-        area += (right.t_s - left.t_s) * f64::midpoint(signal.value_in(left), signal.value_in(right));
+        area += (right.t_s - left.t_s) * f64::midpoint(signal.value(left), signal.value(right));
         length += right.t_s - left.t_s;
     }
     (length > 0.0).then(|| area / length)

@@ -1,6 +1,6 @@
 //! Finds start, end and deadline of the times that expectations measure in a trial.
 
-use crate::{format, record_queries};
+use crate::format;
 use platebench_record::{ExpectationRecord, Limit, Metric, MetricDefinition, ScenarioRecord, TrialRecord, Verdict};
 
 /// Metrics measured from `from_ms`, with labels for "reached" and "not reached".
@@ -47,7 +47,7 @@ pub(crate) fn settling(scenario: &ScenarioRecord, trial: &TrialRecord, index: us
     else {
         return Settling::Unknown;
     };
-    match trial.metrics.get(&record_queries::metric_key(scenario, index)) {
+    match trial.metrics.get(&scenario.metric_key(index)) {
         None => Settling::Unknown,
         Some(None) => Settling::Never,
         Some(Some(after_ms)) => settling_start_ms(&expectation.definition, steps_ms)
@@ -107,7 +107,7 @@ fn elapsed_marker(
 ) -> Option<TimeMarker> {
     let expectation = scenario.expectations.get(index)?;
     let from_ms = expectation.definition.from_ms?;
-    let after_ms = trial.metrics.get(&record_queries::metric_key(scenario, index))?;
+    let after_ms = trial.metrics.get(&scenario.metric_key(index))?;
     let text = after_ms
         .map_or_else(|| not_reached.to_owned(), |after_ms| format!("{reached} {} ms", format::number(after_ms)));
     Some(TimeMarker {

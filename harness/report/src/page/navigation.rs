@@ -1,11 +1,11 @@
 //! Writes the list of scenarios next to the page: verdict, title, response, smallest margin.
 
-use super::curves::PlotSignal;
 use super::elements::{scenario_anchor, sorted_by_verdict};
 use super::trace_data::TraceData;
 use crate::{format, record_queries};
 use maud::{Markup, html};
 use platebench_record::{RunRecord, ScenarioRecord, Verdict};
+use platebench_trace::Column;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
@@ -52,7 +52,7 @@ fn entry(index: usize, scenario: &ScenarioRecord, data: Option<&TraceData>) -> M
 }
 
 fn sparkline(data: &TraceData) -> Markup {
-    let line = data.sampled_trials.first().and_then(|trial| trial.peak_lines.get(&PlotSignal::Amplitude));
+    let line = data.sampled_trials.first().and_then(|trial| trial.peak_lines.get(&Column::Amplitude));
     let (Some(line), Some(whole)) = (line, data.views.last().map(|view| view.window)) else { return Markup::default() };
     let known = data.grid.t_ms.iter().zip(line).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
     let known: Vec<(f64, f64)> = known.collect();

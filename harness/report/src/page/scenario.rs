@@ -8,9 +8,9 @@ use super::script;
 use super::trace_data::TraceData;
 use super::trend::trend;
 use crate::error::ReportError;
+use crate::format;
 use crate::text::history::TrendPoint;
 use crate::text::timing;
-use crate::{format, record_queries};
 use maud::{Markup, html};
 use platebench_record::{ExpectationRecord, Metric, ScenarioRecord, Statistic, TrialRecord, Verdict};
 
@@ -207,7 +207,7 @@ fn unreadable_traces(data: &TraceData) -> Markup {
 
 fn trials_table(scenario: &ScenarioRecord) -> Markup {
     let metrics: Vec<String> = (0..scenario.expectations.len())
-        .map(|index| record_queries::metric_key(scenario, index))
+        .map(|index| scenario.metric_key(index))
         .filter(|key| scenario.trials.iter().any(|trial| trial.metrics.get(key).is_some()))
         .collect();
     let metric_columns: Vec<String> = metrics.iter().map(|metric| format!("#{metric}")).collect();

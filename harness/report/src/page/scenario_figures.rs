@@ -1,12 +1,13 @@
 //! Builds the figures of a scenario from its traces.
 
-use super::curves::PlotSignal;
+use super::curves;
 use super::figure::{Content, Figure, SampledLine};
 use super::golden::GoldenCurves;
 use super::grid::percentiles;
 use super::trace_data::{SampledTrial, TraceData};
 use crate::chart::svg::Role;
 use crate::format;
+use platebench_trace::Column;
 use platebench_verdict::tube::Exceedance;
 
 /// With fewer trials the figures show the range, because 5 % of the trials is less than one.
@@ -25,8 +26,8 @@ pub(crate) fn scenario_figures(data: &TraceData, references: &ReferenceCurves<'_
     }
     let builder = FigureBuilder { data, references, overlaid };
     let mut figures = vec![builder.amplitude()];
-    figures.extend(builder.stimulus(PlotSignal::Force, "Finger force"));
-    figures.extend(builder.stimulus(PlotSignal::Temperature, "Temperature above the reference"));
+    figures.extend(builder.stimulus(Column::Force, "Finger force"));
+    figures.extend(builder.stimulus(Column::Temperature, "Temperature above the reference"));
     figures.extend([builder.drive(), builder.frequency(), builder.components()]);
     figures
 }
@@ -37,16 +38,16 @@ struct FigureBuilder<'a> {
     overlaid: usize,
 }
 
-fn trial_line(trial: &SampledTrial, signal: PlotSignal) -> SampledLine {
+fn trial_line(trial: &SampledTrial, signal: Column) -> SampledLine {
     trial.peak_lines.get(&signal).cloned().unwrap_or_default()
 }
 
-fn one_line(signal: PlotSignal, line: SampledLine) -> Content {
-    Content::Lines { is_stepped: signal.is_zero_order_hold(), lines: vec![line] }
+fn one_line(signal: Column, line: SampledLine) -> Content {
+    Content::Lines { is_stepped: curves::is_zero_order_hold(signal), lines: vec![line] }
 }
 
 impl FigureBuilder<'_> {
-    fn first_trial_line(&self, signal: PlotSignal) -> SampledLine {
+    fn first_trial_line(&self, signal: Column) -> SampledLine {
         self.data.sampled_trials.first().map(|trial| trial_line(trial, signal)).unwrap_or_default()
     }
 
@@ -55,7 +56,7 @@ impl FigureBuilder<'_> {
     }
 
     fn add_setpoint(&self, figure: &mut Figure, with_band: bool) {
-        let setpoint = self.first_trial_line(PlotSignal::Setpoint);
+        let setpoint = self.first_trial_line(Column::Setpoint);
         if let Some(band) = self.data.band.filter(|_| with_band)
             && setpoint.iter().flatten().any(|value| *value != 0.0)
         {
@@ -63,20 +64,20 @@ impl FigureBuilder<'_> {
             let text = format!("{} % band", format::number(band.percent));
             figure.add(Role::Band, text, Content::Area { is_stepped: true, upper: edge(1.0), lower: edge(-1.0) });
         }
-        figure.add(Role::Setpoint, "setpoint", one_line(PlotSignal::Setpoint, setpoint));
+        figure.add(Role::Setpoint, "setpoint", one_line(Column::Setpoint, setpoint));
     }
 
-    fn add_references(&self, figure: &mut Figure, signal: PlotSignal) {
+    fn add_references(&self, figure: &mut Figure, signal: Column) {
         if let Some(golden) = self.references.golden
             && let Some(tube) = golden.tube_of(signal)
         {
             let [lower, upper] = tube.edges.clone();
-            let area = Content::Area { is_stepped: signal.is_zero_order_hold(), upper, lower };
+            let area = Content::Area { is_stepped: curves::is_zero_order_hold(signal), upper, lower };
             figure.add(Role::Tube, format!("tolerance tube of the {}", golden.text), area);
             figure.add(Role::Golden, &golden.text, one_line(signal, tube.line.clone()));
-            let outside = self.data.golden.exceedances.iter().filter(|worst| worst.signal.parse() == Ok(signal));
+            let outside = self.data.golden.exceedances.iter().filter(|worst| worst.signal == signal.name());
             let point = |worst: &Exceedance| {
-                let (distance, unit) = (format::number(worst.distance), signal.unit());
+                let (distance, unit) = (format::number(worst.distance), curves::unit(signal));
                 (worst.t_ms, worst.value, format!("{distance} {unit} outside the tube"))
             };
             figure.add(Role::Worst, "outside the tube", Content::Points(outside.map(point).collect()));
@@ -88,7 +89,7 @@ impl FigureBuilder<'_> {
 
     /// Adds percentiles of many trials or the range of few trials, but nothing if all trials are
     /// equal.
-    fn add_spread(&self, figure: &mut Figure, signal: PlotSignal, role: Role, name: &str) {
+    fn add_spread(&self, figure: &mut Figure, signal: Column, role: Role, name: &str) {
         let lines = self.data.sampled_trials.iter().filter_map(|trial| trial.values.get(&signal).map(Vec::as_slice));
         let lines: Vec<&[Option<f64>]> = lines.collect();
         if !lines.array_windows().any(|[one, other]| one != other) {
@@ -100,14 +101,14 @@ impl FigureBuilder<'_> {
         let [lower, middle, upper] = percentiles(&lines, shares);
         let text =
             if has_percentiles { format!("5 % to 95 % of {count} trials") } else { format!("range of {count} trials") };
-        let is_stepped = signal.is_zero_order_hold();
+        let is_stepped = curves::is_zero_order_hold(signal);
         figure.add(role, format!("{name}{text}"), Content::Area { is_stepped, upper, lower });
         if has_percentiles && role == Role::Spread {
             figure.add(Role::Median, format!("{name}median"), one_line(signal, middle));
         }
     }
 
-    fn add_trials(&self, figure: &mut Figure, signal: PlotSignal, all: bool) {
+    fn add_trials(&self, figure: &mut Figure, signal: Column, all: bool) {
         self.add_spread(figure, signal, Role::Spread, "");
         let trials = &self.data.sampled_trials;
         let first = self.first_trial_line(signal);
@@ -116,7 +117,7 @@ impl FigureBuilder<'_> {
             let lines: Vec<SampledLine> =
                 others.map(|trial| trial_line(trial, signal)).filter(|line| *line != first).collect();
             let text = format::count(lines.len(), "more trial");
-            figure.add(Role::Trial, text, Content::Lines { is_stepped: signal.is_zero_order_hold(), lines });
+            figure.add(Role::Trial, text, Content::Lines { is_stepped: curves::is_zero_order_hold(signal), lines });
         }
         figure.add(Role::First, self.first_trial_name(), one_line(signal, first.clone()));
         for (index, metric) in &self.data.deciding_trials {
@@ -141,7 +142,7 @@ impl FigureBuilder<'_> {
         }
     }
 
-    fn add_limits(&self, figure: &mut Figure, signal: PlotSignal) {
+    fn add_limits(&self, figure: &mut Figure, signal: Column) {
         let t_ms = &self.data.grid.t_ms;
         for limit in self.data.limits.iter().filter(|limit| limit.signal == signal) {
             let window = limit.window;
@@ -172,23 +173,23 @@ impl FigureBuilder<'_> {
     fn amplitude(&self) -> Figure {
         let mut figure = Figure::new("Amplitude |W|", "µm", true, 0.1);
         self.add_setpoint(&mut figure, self.data.band.is_none_or(|band| !band.is_for_components));
-        self.add_references(&mut figure, PlotSignal::Amplitude);
-        self.add_trials(&mut figure, PlotSignal::Amplitude, true);
+        self.add_references(&mut figure, Column::Amplitude);
+        self.add_trials(&mut figure, Column::Amplitude, true);
         self.add_markers(&mut figure, false);
-        self.add_limits(&mut figure, PlotSignal::Amplitude);
+        self.add_limits(&mut figure, Column::Amplitude);
         figure.add(Role::Lost, "link lost", Content::Spans(self.data.link_lost.clone()));
         figure
     }
 
     fn drive(&self) -> Figure {
         let mut figure = Figure::new("Drive", "Vpp", true, 10.0);
-        self.add_references(&mut figure, PlotSignal::Drive);
-        self.add_trials(&mut figure, PlotSignal::Drive, true);
+        self.add_references(&mut figure, Column::Drive);
+        self.add_trials(&mut figure, Column::Drive, true);
         let text = if self.data.trial_count > 1 { "saturated in a trial" } else { "saturated" };
         figure.add(Role::Saturated, text, Content::Spans(self.data.saturated.clone()));
         figure.add(Role::Lost, "link lost", Content::Spans(self.data.link_lost.clone()));
         self.add_markers(&mut figure, true);
-        self.add_limits(&mut figure, PlotSignal::Drive);
+        self.add_limits(&mut figure, Column::Drive);
         let overruns = &self.data.overruns;
         let text = format!("overrun of the bench ({})", overruns.len());
         figure.add(Role::Overrun, text, Content::Marks(overruns.iter().map(|at_ms| (*at_ms, None)).collect()));
@@ -197,32 +198,31 @@ impl FigureBuilder<'_> {
 
     fn frequency(&self) -> Figure {
         let mut figure = Figure::new("Excitation frequency against resonance", "Hz", false, 20.0);
-        self.add_references(&mut figure, PlotSignal::Frequency);
-        let first = self.first_trial_line(PlotSignal::Frequency);
+        self.add_references(&mut figure, Column::Frequency);
+        let first = self.first_trial_line(Column::Frequency);
         // 0 Hz before the first command would flatten all other values.
         if first.iter().flatten().all(|value| *value > 0.0) {
-            self.add_trials(&mut figure, PlotSignal::Frequency, false);
+            self.add_trials(&mut figure, Column::Frequency, false);
         } else {
             let excited = first.into_iter().map(|value| value.filter(|value| *value > 0.0)).collect();
-            figure.add(Role::First, self.first_trial_name(), one_line(PlotSignal::Frequency, excited));
+            figure.add(Role::First, self.first_trial_name(), one_line(Column::Frequency, excited));
         }
-        let resonance = self.first_trial_line(PlotSignal::Resonance);
-        figure.add(Role::Resonance, "resonance", one_line(PlotSignal::Resonance, resonance));
-        self.add_limits(&mut figure, PlotSignal::Frequency);
+        let resonance = self.first_trial_line(Column::Resonance);
+        figure.add(Role::Resonance, "resonance", one_line(Column::Resonance, resonance));
+        self.add_limits(&mut figure, Column::Frequency);
         figure
     }
 
     fn components(&self) -> Figure {
         let mut figure = Figure::new("Components Wd and Wq", "µm", false, 0.1);
         self.add_setpoint(&mut figure, self.data.band.is_some_and(|band| band.is_for_components));
-        for (signal, role, spread, name) in [
-            (PlotSignal::InPhase, Role::First, Role::Spread, "Wd"),
-            (PlotSignal::Quadrature, Role::Second, Role::SecondSpread, "Wq"),
-        ] {
+        for (signal, role, spread, name) in
+            [(Column::Wd, Role::First, Role::Spread, "Wd"), (Column::Wq, Role::Second, Role::SecondSpread, "Wq")]
+        {
             self.add_spread(&mut figure, signal, spread, &format!("{name}: "));
             let text = format!("{name}, {}", self.first_trial_name());
             figure.add(role, text, one_line(signal, self.first_trial_line(signal)));
-            if self.data.golden.exceedances.iter().any(|worst| worst.signal.parse() == Ok(signal)) {
+            if self.data.golden.exceedances.iter().any(|worst| worst.signal == signal.name()) {
                 self.add_references(&mut figure, signal);
             }
             self.add_limits(&mut figure, signal);
@@ -231,10 +231,10 @@ impl FigureBuilder<'_> {
     }
 
     /// Figure of a profile of the scenario; `None` if the profile is zero throughout.
-    fn stimulus(&self, signal: PlotSignal, title: &'static str) -> Option<Figure> {
+    fn stimulus(&self, signal: Column, title: &'static str) -> Option<Figure> {
         let mut values = self.data.sampled_trials.iter().filter_map(|trial| trial.peak_lines.get(&signal)).flatten();
         values.any(|value| value.is_some_and(|value| value != 0.0)).then(|| {
-            let mut figure = Figure { is_stimulus: true, ..Figure::new(title, signal.unit(), true, 0.1) };
+            let mut figure = Figure { is_stimulus: true, ..Figure::new(title, curves::unit(signal), true, 0.1) };
             self.add_trials(&mut figure, signal, false);
             figure
         })

@@ -1,6 +1,6 @@
 //! Reads each trace of a scenario once and samples it. Lists unreadable traces instead of failing.
 
-use super::curves::{self, PlotSignal};
+use super::curves;
 use super::golden::GoldenDifference;
 use super::grid::TimeGrid;
 use super::kept_rows::RowCache;
@@ -10,7 +10,7 @@ use super::resolution::PlotResolution;
 use crate::chart::time_chart::{CurvePoint, TimeWindow};
 use crate::record_queries;
 use platebench_record::{Metric, ScenarioRecord, TrialRecord, Verdict};
-use platebench_trace::{Flags, Row, TraceError};
+use platebench_trace::{Column, Flags, Row, TraceError};
 use platebench_verdict::golden::{Baseline, ResponseFeatures};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -62,9 +62,9 @@ pub(crate) struct View {
 pub(crate) struct SampledTrial {
     pub(crate) index: u32,
     /// Keeps every peak.
-    pub(crate) peak_lines: BTreeMap<PlotSignal, Vec<Option<f64>>>,
+    pub(crate) peak_lines: BTreeMap<Column, Vec<Option<f64>>>,
     /// Values exactly at the instants of the grid.
-    pub(crate) values: BTreeMap<PlotSignal, Vec<Option<f64>>>,
+    pub(crate) values: BTreeMap<Column, Vec<Option<f64>>>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -137,7 +137,7 @@ impl TraceData {
 
     pub(crate) fn first_trial_on(&self, grid: &TimeGrid) -> Option<SampledTrial> {
         let first = self.sampled_trials.first()?;
-        let resample = |signal: PlotSignal, line: &Vec<Option<f64>>| {
+        let resample = |signal: Column, line: &Vec<Option<f64>>| {
             let known = self.grid.t_ms.iter().zip(line).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
             let known: Vec<CurvePoint> = known.collect();
             grid.t_ms.iter().map(|t_ms| curves::interpolate(&known, signal, *t_ms)).collect()
@@ -157,7 +157,7 @@ impl TraceData {
         let room = MAX_OVERRUN_MARKS.saturating_sub(self.overruns.len());
         self.overruns.extend(curves::overrun_instants(rows).take(room));
         let rows = self.grid.align(rows);
-        let signals = PlotSignal::ALL.iter().copied();
+        let signals = curves::PLOTTED_COLUMNS.into_iter();
         self.sampled_trials.push(SampledTrial {
             index: trial.index,
             peak_lines: signals.clone().map(|signal| (signal, rows.sample_peaks(signal))).collect(),
@@ -218,7 +218,7 @@ fn deciding_trials(scenario: &ScenarioRecord, shown: &[(usize, &TrialRecord)]) -
         if scenario.expectations.get(*index).is_none_or(|expectation| expectation.verdict == Verdict::Pass) {
             continue;
         }
-        let key = record_queries::metric_key(scenario, *index);
+        let key = scenario.metric_key(*index);
         match found.iter_mut().find(|(number, _)| *number == trial.index) {
             Some((_, keys)) => *keys = format!("{keys}, {key}"),
             None => found.push((trial.index, key)),

@@ -4,7 +4,7 @@
 use crate::charts::section::{ChartError, play_hosted};
 use platebench_plate::{Profile, Tier, Time};
 use platebench_runner::trial::TrialResult;
-use platebench_scenario::{Aggregation, Expectation, Limit, Metric, Scenario, Window, load};
+use platebench_scenario::{Expectation, Metric, Scenario, Window, load};
 use platebench_verdict::statistics::SampleSummary;
 use platebench_verdict::{Measure, metrics};
 use platebench_wire::LawId;
@@ -34,19 +34,9 @@ impl LawScenario {
         let first_step = scenario.setpoint.next_point_after(Time::ZERO).unwrap_or(Time::ZERO);
         let response_window = Window { from: disturbed.unwrap_or(first_step), to: scenario.duration };
         let expected = |metric: Metric, judged: Window| Expectation {
-            name: metric.name().to_owned(),
-            windows: vec![judged],
-            after: None,
-            metric,
-            limit: Limit::AtMost(0.0),
-            tolerance_percent: 0.0,
-            paper: None,
-            requirement: None,
-            confidence: 0.95,
-            aggregation: Aggregation::default_for(metric),
             band_percent: BAND_PERCENT,
             from: disturbed,
-            signal: "amplitude_um",
+            ..Expectation::for_window(metric, judged)
         };
         let (response, window_mean) = (expected(metric, response_window), expected(Metric::StaticError, last_third));
         // Because of this expectation, the trace has a row at every crossing of the band.

@@ -49,19 +49,6 @@ pub struct StepMatrix<const N: usize> {
 impl FixedStepMethod {
     pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
-    /// Order of the error in the step. `None` if the error does not depend on the step. With a
-    /// varying matrix, methods with a step matrix have order 2, because they use the matrix at
-    /// mid-step.
-    pub const fn order(self) -> Option<u32> {
-        match self {
-            Self::Euler => Some(1),
-            Self::Midpoint | Self::Verlet | Self::Splitting => Some(2),
-            Self::RungeKutta4 | Self::Gauss4 => Some(4),
-            Self::Gauss6 => Some(6),
-            Self::Exponential | Self::KeptExponential => None,
-        }
-    }
-
     /// M of `x(h) = x + h M(hA) (Ax + b)`. `None` if it has no M or a singular denominator.
     fn increment<const N: usize>(self, matrix: &[[f64; N]; N], step: f64) -> Option<[[f64; N]; N]> {
         let z = scaled(matrix, step);

@@ -26,13 +26,6 @@ impl IntegrationMethod {
         }
     }
 
-    pub const fn is_from_a_crate(self) -> bool {
-        match self {
-            Self::Fixed(_) => false,
-            Self::Adaptive(_) => true,
-        }
-    }
-
     /// For a fixed step, `setting` is the longest step in s. It is reduced until whole steps fill
     /// the interval. For an adaptive method, `setting` is the relative tolerance and the absolute
     /// one in µm. [`FixedStepMethod::advance`] defines `kept`.

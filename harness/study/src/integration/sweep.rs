@@ -65,10 +65,7 @@ impl Solver {
     }
 
     pub const fn is_from_a_crate(&self) -> bool {
-        match self {
-            Self::Exact(_) => false,
-            Self::General(_, method, _) => method.is_from_a_crate(),
-        }
+        matches!(self, Self::General(_, IntegrationMethod::Adaptive(_), _))
     }
 }
 

@@ -1,12 +1,11 @@
 //! Defines a case (law, plate, condition) and derives the law's linear form.
 
-use crate::loops::bisection::bisect;
 use crate::loops::controller::{LinearController, LoopChannel, PiGains};
 use crate::loops::plant::{LinearPlant, steady_state};
 use platebench_controller::design;
 use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
+use platebench_verdict::bisection::bisect;
 use platebench_wire::{Configure, Gains, LawId};
-use std::convert::Infallible;
 use std::f64::consts::TAU;
 
 const UNREACHED_LIMIT_VPP: f64 = 1e5;
@@ -122,7 +121,7 @@ impl<'a> LoopCase<'a> {
                 if !reaches(low) || reaches(high) {
                     return None;
                 }
-                let Ok([low, _]) = bisect([low, high], BISECTIONS, |omega| Ok::<_, Infallible>(reaches(omega)));
+                let [low, _] = bisect([low, high], BISECTIONS, reaches);
                 Drive { vpp, omega: low }
             }
             LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed | LawId::BangBang | LawId::Deadbeat => {

@@ -1,12 +1,11 @@
 //! Computes gain, phase and delay margins.
 
-use crate::loops::bisection::bisect;
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
 use crate::loops::controller::LinearController;
 use crate::loops::plant::LinearPlant;
 use platebench_plate::Complex64;
 use platebench_runner::delay_boundary::DelayBoundary;
-use std::convert::Infallible;
+use platebench_verdict::bisection::{bisect, try_bisect};
 use std::f64::consts::PI;
 
 const FREQUENCIES: u32 = 400;
@@ -67,7 +66,7 @@ fn frequency_grid() -> Vec<f64> {
 fn root(low: f64, high: f64, value: impl Fn(f64) -> Option<f64>) -> f64 {
     let sign = |at: f64| value(at).unwrap_or(0.0).signum();
     let first = sign(low);
-    let Ok([low, high]) = bisect([low, high], BISECTIONS, |at| Ok::<_, Infallible>(sign(at) == first));
+    let [low, high] = bisect([low, high], BISECTIONS, |at| sign(at) == first);
     f64::midpoint(low, high)
 }
 
@@ -89,7 +88,7 @@ pub fn delay_boundary(
     for step in 1..=steps {
         let high = (f64::from(step) * SCAN_STEP * period).min(longest);
         if !stable(high)? {
-            return Ok(DelayBoundary::At(bisect([low, high], BISECTIONS, stable)?[0]));
+            return Ok(DelayBoundary::At(try_bisect([low, high], BISECTIONS, stable)?[0]));
         }
         low = high;
     }

@@ -53,6 +53,19 @@ fn integration_error(
     passage.relative_error(&outcome.samples, truth)
 }
 
+/// With a varying matrix, methods with a step matrix have order 2, because they use the matrix at
+/// mid-step.
+fn order(method: FixedStepMethod) -> u32 {
+    match method {
+        FixedStepMethod::Euler => 1,
+        FixedStepMethod::Midpoint | FixedStepMethod::Verlet | FixedStepMethod::Splitting => 2,
+        FixedStepMethod::RungeKutta4 | FixedStepMethod::Gauss4 => 4,
+        FixedStepMethod::Gauss6 => 6,
+        // Their error does not depend on the step.
+        FixedStepMethod::Exponential | FixedStepMethod::KeptExponential => 0,
+    }
+}
+
 #[rstest]
 #[case(EquationForm::Envelope, FixedStepMethod::Euler, 6)]
 #[case(EquationForm::Envelope, FixedStepMethod::RungeKutta4, 3)]
@@ -80,7 +93,7 @@ fn each_method_converges_with_its_order(
         integration_error(&passage, frame, IntegrationMethod::Fixed(method), 1e-3 * 0.5_f64.powi(power), &truth)
     };
     let slope = (error(power) / error(power + 1)).log2();
-    assert!((slope - f64::from(method.order().unwrap())).abs() < 0.12, "{slope}");
+    assert!((slope - f64::from(order(method))).abs() < 0.12, "{slope}");
 }
 
 #[rstest]
@@ -99,7 +112,7 @@ fn a_varying_mode_keeps_the_order(#[case] frame: EquationForm, #[case] method: F
         integration_error(&passage, frame, IntegrationMethod::Fixed(method), 1e-3 * 0.5_f64.powi(power), &truth)
     };
     let slope = (error(power) / error(power + 1)).log2();
-    assert!((slope - f64::from(method.order().unwrap())).abs() < 0.15, "{slope}");
+    assert!((slope - f64::from(order(method))).abs() < 0.15, "{slope}");
 }
 
 #[test]

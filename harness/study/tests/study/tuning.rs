@@ -201,7 +201,7 @@ fn margins_end_at_the_last_settling_response(
         let settled = closed.step_response(2.0, long.horizon()).settling;
         assert_eq!(settled.is_some(), settles, "{share} of the gain margin {gain}");
         let later = TuningTarget { delay: demand.delay + share * delay, ..long };
-        let settled = found.design.simulate_step(&later, &plate, 0.0).settling;
+        let settled = found.design.simulate_step(&later, &plate).settling;
         assert_eq!(settled.is_some(), settles, "{share} of the delay margin {delay}");
     }
 }
@@ -223,10 +223,7 @@ fn worst_case_is_the_worst_and_repeats_with_its_seed() {
     // With less gain and a pole faster than the controller's zero, |W| rises slowly at the end.
     assert_eq!((slowest.gain_percent, slowest.time_constant_percent), (-5.0, -6.0));
     let there = Plate { gain: 0.95 * plate.gain, sigma0: plate.sigma0 / 0.94, ..plate.clone() };
-    assert_eq!(
-        design.simulate_step(&demand, &there, 0.0).settling.map(|seconds| seconds * 1e3),
-        slowest.plate.settling_ms
-    );
+    assert_eq!(design.simulate_step(&demand, &there).settling.map(|seconds| seconds * 1e3), slowest.plate.settling_ms);
     let in_time = found.corners.iter().filter(|other| settling(other) <= 2.0).count();
     assert_eq!(found.worst_corner.meeting, in_time);
     assert!(0 < in_time && in_time < 8);
@@ -238,7 +235,7 @@ fn worst_case_is_the_worst_and_repeats_with_its_seed() {
         &design,
         &PlateSpread { gain_percent: 0.0, time_constant_percent: 0.0, ..SPREAD },
     );
-    let nominal = design.simulate_step(&demand, &plate, 0.0).settling.map(|seconds| seconds * 1e3);
+    let nominal = design.simulate_step(&demand, &plate).settling.map(|seconds| seconds * 1e3);
     assert_eq!(none.unwrap().worst_corner.settling_ms, nominal);
 }
 

@@ -6,7 +6,7 @@ use crate::metrics::{self, Measure};
 use crate::tube::{TUBE_SIGNALS, Tolerance, Tube, TubePoint, TubeSignal};
 use platebench_plate::Time;
 use platebench_record::{Telemetry, sha256};
-use platebench_scenario::{Aggregation, Expectation, Limit, Metric, Window};
+use platebench_scenario::{Expectation, Metric, Window};
 use platebench_trace::{AtPath, FileError, Row, read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -87,21 +87,7 @@ impl ResponseFeatures {
     pub fn of(rows: &[Row]) -> Self {
         let end = rows.last().and_then(|row| Time::from_seconds(row.t_s)).unwrap_or(Time::ZERO);
         let number = |metric: Metric, grain: f64| {
-            let expectation = Expectation {
-                name: metric.name().to_owned(),
-                windows: vec![Window { from: Time::ZERO, to: end }],
-                after: None,
-                metric,
-                limit: Limit::AtLeast(0.0),
-                tolerance_percent: 0.0,
-                paper: None,
-                requirement: None,
-                confidence: 0.95,
-                aggregation: Aggregation::Each,
-                band_percent: 5.0,
-                from: None,
-                signal: "amplitude_um",
-            };
+            let expectation = Expectation::for_window(metric, Window { from: Time::ZERO, to: end });
             match metrics::measure(&expectation, rows, &Telemetry::default()) {
                 // A division gives the double nearest to the decimal number, for example
                 // 195/100 = 1.95.
@@ -207,7 +193,7 @@ impl Baseline {
             let Tolerance { absolute, relative, time_ms } = *tolerance;
             let line = line_of(&format!("tolerance.{signal}"));
             if TubeSignal::from_name(signal).is_none() {
-                let known = TUBE_SIGNALS.iter().map(|signal| signal.name).collect::<Vec<_>>().join(", ");
+                let known = TUBE_SIGNALS.iter().map(TubeSignal::name).collect::<Vec<_>>().join(", ");
                 return Err(content_error(line, format!("tolerance of `{signal}`, expected one of {known}")));
             }
             let fits = absolute > 0.0
@@ -264,19 +250,22 @@ fn parse_tubes(head: &BaselineHeader, path: &Path, table: &str) -> Result<Vec<Tu
         return Err(content_error(1, format!("column `{strange}` has no tolerance")));
     }
     let mut tubes = Vec::new();
-    for signal in TUBE_SIGNALS.iter().filter(|signal| head.tolerance.contains_key(signal.name)) {
-        let Some(value) = column(signal.name) else {
-            return Err(content_error(1, format!("no column `{}`, expected one for each tolerance", signal.name)));
+    for signal in TUBE_SIGNALS.iter().filter(|signal| head.tolerance.contains_key(signal.name())) {
+        let Some(value) = column(signal.name()) else {
+            return Err(content_error(1, format!("no column `{}`, expected one for each tolerance", signal.name())));
         };
-        let width = column(&format!("{}{WIDTH}", signal.name));
+        let width = column(&format!("{}{WIDTH}", signal.name()));
         if width.is_some() != head.learned.is_some() {
             return Err(content_error(
                 1,
-                format!("the table [learned] needs a column `{}{WIDTH}`, and this column needs the table", signal.name),
+                format!(
+                    "the table [learned] needs a column `{}{WIDTH}`, and this column needs the table",
+                    signal.name()
+                ),
             ));
         }
-        let tolerance = head.tolerance.get(signal.name).copied().unwrap_or(signal.tolerance);
-        tubes.push((Tube { signal: signal.name.to_owned(), tolerance, points: Vec::new() }, value, width));
+        let tolerance = head.tolerance.get(signal.name()).copied().unwrap_or(signal.tolerance);
+        tubes.push((Tube { signal: signal.name().to_owned(), tolerance, points: Vec::new() }, value, width));
     }
     let mut before = f64::NEG_INFINITY;
     for (line, text) in lines {

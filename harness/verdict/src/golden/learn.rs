@@ -76,7 +76,7 @@ impl GoldenTubes {
             for point in &mut points {
                 point.width = point.width.max(least);
             }
-            Tube { signal: signal.name.to_owned(), tolerance: signal.tolerance, points }
+            Tube { signal: signal.name().to_owned(), tolerance: signal.tolerance, points }
         };
         let mut tubes: Vec<Tube> = TUBE_SIGNALS.iter().enumerate().map(shape).collect();
         thin(&mut tubes);
@@ -118,7 +118,7 @@ impl GoldenTubes {
             }
         }
         let low = if high > 1.0 { high / 2.0 } else { 0.0 };
-        bisect(low, high, BISECTION_STEPS, is_inside)
+        bisect([low, high], BISECTION_STEPS, |factor| !is_inside(factor))[1]
     }
 }
 

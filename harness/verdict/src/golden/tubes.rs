@@ -44,7 +44,7 @@ impl GoldenTubes {
     pub fn from_rows(rows: &[Row]) -> Option<Self> {
         let point = |(t_ms, value)| TubePoint { t_ms, value, width: 0.0 };
         let tube = |signal: &TubeSignal| Tube {
-            signal: signal.name.to_owned(),
+            signal: signal.name().to_owned(),
             tolerance: signal.tolerance,
             points: signal_response(signal, rows).into_iter().map(point).collect(),
         };

@@ -1,20 +1,19 @@
 //! Reads a column of a trace as a signal.
 
 use platebench_scenario::Expectation;
-use platebench_trace::{AmplitudeColumn, Row};
+use platebench_trace::{Column, Row};
 
 #[derive(Clone, Copy)]
 pub(super) struct MetricSignal {
-    column: AmplitudeColumn,
+    column: Column,
     /// True for samples, which stay constant until the next one. False for the motion of the plate.
     pub(super) is_zero_order_hold: bool,
 }
 
 impl MetricSignal {
     pub(super) fn from_name(name: &str, sensed: bool) -> Self {
-        let column =
-            AmplitudeColumn::ALL.into_iter().find(|column| column.name() == name).unwrap_or(AmplitudeColumn::Amplitude);
-        let is_sample = matches!(column, AmplitudeColumn::SensedWd | AmplitudeColumn::SensedWq);
+        let column = Column::from_name(name).unwrap_or(Column::Amplitude);
+        let is_sample = matches!(column, Column::SensedWd | Column::SensedWq);
         Self { column, is_zero_order_hold: sensed || is_sample }
     }
 

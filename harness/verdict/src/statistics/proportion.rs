@@ -17,12 +17,12 @@ pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2
     let lower = if seen == 0 {
         0.0
     } else {
-        bisect(0.0, 1.0, BISECTION_STEPS, |p| probability_at_least(seen, count, p) >= tail)
+        bisect([0.0, 1.0], BISECTION_STEPS, |p| probability_at_least(seen, count, p) < tail)[1]
     };
     let upper = if seen == count {
         1.0
     } else {
-        bisect(0.0, 1.0, BISECTION_STEPS, |p| probability_at_most(seen, count, p) < tail)
+        bisect([0.0, 1.0], BISECTION_STEPS, |p| probability_at_most(seen, count, p) >= tail)[1]
     };
     Some([lower, upper])
 }

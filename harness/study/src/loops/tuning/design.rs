@@ -3,8 +3,6 @@
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
 use crate::loops::controller::{Discretisation, LinearController, LoopChannel, PiGains};
 use crate::loops::plant::LinearPlant;
-use crate::loops::step_response::StepResponse;
-use crate::loops::tuning::transient::StepSimulation;
 use platebench_plate::{Conditions, Drive, Mode, Plate, Tier};
 use platebench_wire::Gains;
 
@@ -112,11 +110,5 @@ impl GainDesign {
             feedforward: 0.0,
         };
         (plant, controller)
-    }
-
-    pub fn simulate_step(&self, target: &TuningTarget<'_>, plate: &Plate, force_n: f64) -> StepResponse {
-        let TuningTarget { period_us, delay, setpoint, .. } = *target;
-        let gains = self.firmware_gains(target.period());
-        StepSimulation { plate, force_n, gains, period_us, delay, setpoint }.step(target.horizon())
     }
 }

@@ -95,7 +95,7 @@ pub fn evaluate_design(target: &TuningTarget<'_>, design: GainDesign) -> Result<
     let GainDesign { amplitude, frequency, discretisation, response } = design;
     let both = design.closed_loop(target, target.plate, Tier::Modal, [true; 2])?;
     let alone = design.closed_loop(target, target.plate, Tier::Envelope, [true, false])?;
-    let transient = design.simulate_step(target, target.plate, target.force_n);
+    let transient = design.simulate_step(target, target.plate);
     Ok(DesignEvaluation {
         discretisation,
         designed_for_ms: response * 1e3,

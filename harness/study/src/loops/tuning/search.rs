@@ -3,12 +3,12 @@
 //! The response is not smooth in the design. Therefore designs with logarithmically spaced response
 //! times are simulated.
 
-use crate::loops::bisection::bisect;
 use crate::loops::closed_loop::AnalysisError;
 use crate::loops::controller::Discretisation;
 use crate::loops::tuning::design::{GainDesign, TuningTarget};
 use crate::loops::tuning::transient::BAND;
 use platebench_plate::Tier;
+use platebench_verdict::bisection::try_bisect;
 
 const DESIGNS: u32 = 160;
 const REFINEMENT: u32 = 24;
@@ -55,7 +55,7 @@ impl<'a> DesignSearch<'a> {
     /// `None` if the design does not settle or its overshoot almost fills the band.
     fn evaluate(&self, response: f64) -> Option<DesignCandidate> {
         let design = GainDesign::new(&self.target, self.discretisation, response);
-        let transient = design.simulate_step(&self.target, self.target.plate, self.target.force_n);
+        let transient = design.simulate_step(&self.target, self.target.plate);
         let by_a_hair = (MAX_OVERSHOOT_BAND_SHARE * BAND..=BAND).contains(&transient.overshoot);
         Some(DesignCandidate { design, settling: transient.settling.filter(|_| !by_a_hair)? })
     }
@@ -111,7 +111,7 @@ impl<'a> DesignSearch<'a> {
                 continue;
             }
             let is_met = |response| meets(response).map(|candidate| candidate.is_some());
-            let [low, _] = bisect([*response, slower.unwrap_or(*response)], BISECTIONS, is_met)?;
+            let [low, _] = try_bisect([*response, slower.unwrap_or(*response)], BISECTIONS, is_met)?;
             for inside in SAFETY_FACTORS {
                 if let Some(candidate) = meets(inside * low)? {
                     return Ok(Some(candidate));

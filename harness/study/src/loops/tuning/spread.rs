@@ -94,7 +94,7 @@ fn evaluate_variant(
         gain_percent: gain,
         time_constant_percent: tau,
         force_n: target.force_n,
-        plate: design.simulate_step(target, &plate, target.force_n).into(),
+        plate: design.simulate_step(target, &plate).into(),
         gain_margin: margins.gain,
         phase_margin_deg: margins.phase_deg,
         delay_margin_ms: delay_margin_ms(target, design_delay_boundary(target, &plate, design)?),

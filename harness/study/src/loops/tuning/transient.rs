@@ -2,10 +2,12 @@
 //! In contrast to [`crate::loops::ClosedLoop::step_response`] the drive saturates with anti-windup,
 //! |W| includes the ripple of the fast mode, and the frequency loop is inactive while Wd is small.
 
+use crate::loops::case::{LoopCase, OperatingCondition};
 use crate::loops::step_response::StepResponse;
+use crate::loops::tuning::design::{GainDesign, TuningTarget};
 use platebench_controller::{Law, Measurement};
 use platebench_plate::{BandMonitor, BandSignal, ConditionProfiles, Drive, Plant, Plate, Profile, Tier, Time};
-use platebench_wire::{Configure, Gains, LawId, flags};
+use platebench_wire::{Configure, LawId, flags};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 
@@ -18,55 +20,34 @@ const LATEST_ENTRY_SHARE: f64 = 0.9;
 const RANGE_HZ: f32 = 250.0;
 const SLEW_HZ: f32 = 100.0;
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct StepSimulation<'a> {
-    pub plate: &'a Plate,
-    pub force_n: f64,
-    pub gains: Gains,
-    pub period_us: u32,
-    pub delay: f64,
-    pub setpoint: f64,
-}
-
-impl StepSimulation<'_> {
-    fn law(&self) -> Option<Law> {
-        let configure = Configure {
-            law: LawId::DqPiFixed,
-            paced_by_target: false,
-            drives_own_plate: false,
-            watchdog_timeout_ms: 0,
-            loop_delay_us: 0,
-            period_us: self.period_us,
-            start_frequency_mhz: (self.plate.omega0 / TAU * 1e3).round() as u32,
-            gain_um_per_vpp: self.plate.gain as f32,
-            time_constant_s: (1.0 / self.plate.sigma0) as f32,
-            response_time_s: 0.0,
-            drive_limit_vpp: self.plate.drive_limit_vpp as f32,
-            frequency_range_hz: RANGE_HZ,
-            frequency_slew_hz: SLEW_HZ,
-            gains: Some(self.gains),
-        };
-        Law::design(&configure).ok().map(|(law, _)| law)
-    }
-
+impl GainDesign {
     /// Steps the setpoint from rest. The excitation starts at the untouched plate's resonance.
     /// Settling is the last entry of |W| into the band. Returns the default response if the
     /// firmware rejects the gains.
-    pub fn step(&self, periods: u32) -> StepResponse {
-        let Some(mut law) = self.law() else { return StepResponse::default() };
-        let (plate, setpoint) = (self.plate, self.setpoint);
+    pub fn simulate_step(&self, target: &TuningTarget<'_>, plate: &Plate) -> StepResponse {
+        let TuningTarget { period_us, delay, setpoint, force_n, .. } = *target;
+        let gains = Some(self.firmware_gains(target.period()));
+        let case =
+            LoopCase { period_us, gains, ..LoopCase::new(plate, LawId::DqPiFixed, OperatingCondition::Resonant) };
+        let configure = Configure {
+            drive_limit_vpp: plate.drive_limit_vpp as f32,
+            frequency_range_hz: RANGE_HZ,
+            frequency_slew_hz: SLEW_HZ,
+            ..case.configure()
+        };
+        let Ok((mut law, _)) = Law::design(&configure) else { return StepResponse::default() };
         let scene = ConditionProfiles {
             temperature_offset_k: Profile::constant(0.0),
-            finger_force_n: Profile::constant(self.force_n),
+            finger_force_n: Profile::constant(force_n),
         };
         let mut plant = Plant::new(plate.clone(), scene, Tier::Modal);
         plant.set_drive(Drive { vpp: 0.0, omega: plate.omega0 });
         let band =
             BandMonitor { signal: BandSignal::Amplitude, low: (1.0 - BAND) * setpoint, high: (1.0 + BAND) * setpoint };
-        let (period, delay) = (u64::from(self.period_us) * 1_000, (self.delay * 1e9).round() as u64);
+        let (period, delay) = (u64::from(period_us) * 1_000, (delay * 1e9).round() as u64);
         let mut pending: VecDeque<(u64, Drive)> = VecDeque::new();
         let (mut found, mut inside, mut crossings) = (StepResponse::default(), None, Vec::new());
-        for number in 0..periods {
+        for number in 0..target.horizon() {
             let now = u64::from(number) * period;
             let w = plant.state().w;
             let measurement = Measurement { setpoint_um: setpoint as f32, wd_um: w.re as f32, wq_um: w.im as f32 };
@@ -101,7 +82,7 @@ impl StepSimulation<'_> {
                 return StepResponse { settling: None, diverged: true, ..found };
             }
         }
-        let latest = LATEST_ENTRY_SHARE * f64::from(periods) * (f64::from(self.period_us) * 1e-6);
+        let latest = LATEST_ENTRY_SHARE * f64::from(target.horizon()) * (f64::from(period_us) * 1e-6);
         StepResponse { settling: inside.filter(|entered| *entered <= latest), ..found }
     }
 }
