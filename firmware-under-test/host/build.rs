@@ -1,4 +1,4 @@
-//! Computes the source hash for the handshake, as the build of the board's image does.
+//! Computes the source hash that the program reports, as the build of the board's image does.
 
 #[path = "../stm32f4/source_hash.rs"]
 mod source_hash;
@@ -14,7 +14,7 @@ fn main() -> Result<(), Box<dyn error::Error>> {
     for file in source_hash::files(root)? {
         println!("cargo:rerun-if-changed=../{file}");
     }
-    // A new file changes its folder, not a listed file.
+    // Cargo must also watch the folders, because a new file is not in this list.
     for package in ["controller", "stm32f4", "wire"] {
         println!("cargo:rerun-if-changed=../{package}/src");
     }

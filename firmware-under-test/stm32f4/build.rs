@@ -1,4 +1,4 @@
-//! Passes the linker script and the source hash for the handshake to the build.
+//! Passes the linker script to the linker and the source hash to the firmware's identity.
 
 #[path = "source_hash.rs"]
 mod source_hash;
@@ -21,7 +21,7 @@ fn main() -> Result<(), Box<dyn error::Error>> {
     for file in source_hash::files(root)? {
         println!("cargo:rerun-if-changed=../{file}");
     }
-    // A new file changes its folder, not a listed file.
+    // Cargo must also watch the folders, because a new file is not in this list.
     for package in ["controller", "stm32f4", "wire"] {
         println!("cargo:rerun-if-changed=../{package}/src");
     }

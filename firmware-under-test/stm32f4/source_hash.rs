@@ -1,7 +1,7 @@
-// Computes the SHA-256 over the output of `sha256sum` for the firmware's files, run in
-// `firmware-under-test/`, with the paths in byte order. The files are `SINGLE` and `src/**.rs` of
-// `wire`, `controller` and `stm32f4` without `tests.rs`. `ci/firmware` computes the same hash in
-// shell.
+// Computes the source hash: the SHA-256 of the output of `sha256sum` for the firmware's files. The
+// paths are relative to `firmware-under-test/` and in byte order. The files are `SINGLE` and
+// `src/**.rs` of `wire`, `controller` and `stm32f4` without `tests.rs`. `ci/firmware` does the
+// same.
 
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;

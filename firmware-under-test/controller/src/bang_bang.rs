@@ -1,11 +1,11 @@
-//! Implements `bang-bang`: a PI loop for the amplitude, a fixed frequency step per period (\[10\],
-//! \[11\]).
+//! Implements `bang-bang`: a PI loop controls the amplitude, and the frequency moves by a fixed
+//! step per period (\[10\], \[11\] of the paper).
 //!
 //! The paper describes \[10\] as good close to the resonance and slow "with unsuited initial
-//! condition". Assumptions: the amplitude loop is that of `voltage-only`; the sign of Wq gives the
-//! direction (Wq/Wd → −τΔω, equation 19); the step is a twentieth of the plate's half bandwidth,
-//! `1/(20 τ)` or 4.2 Hz, which changes the amplitude by 0.1 %. A start that is 9 K off needs twenty
-//! periods.
+//! condition". Assumptions: the amplitude loop is that of `voltage-only`. The sign of Wq gives the
+//! direction (Wq/Wd → −τΔω, equation 19). The step is a twentieth of the plate's half bandwidth,
+//! `1/(20 τ)` or 4.2 Hz, which changes the amplitude by 0.1 %. If the resonance at the start is
+//! shifted by 9 K (545 rad/s), the law needs twenty periods to reach it.
 
 use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};
@@ -13,7 +13,7 @@ use crate::loops::{self, AmplitudeLoop, Excitation};
 use platebench_wire::{Configure, Gains, flags};
 
 const STEPS_PER_HALF_BANDWIDTH: f32 = 20.0;
-/// Fraction of the setpoint below which the sign of Wq is noise.
+/// Fraction of the setpoint. Below this amplitude the sign of Wq is mostly noise.
 const MIN_AMPLITUDE_SHARE: f32 = 0.1;
 
 #[derive(Debug, Clone, Copy, PartialEq)]

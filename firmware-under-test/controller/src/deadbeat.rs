@@ -1,5 +1,4 @@
-//! Implements `deadbeat`: identifies the plate, steers to the setpoint, and holds it with two PI
-//! loops.
+//! Implements `deadbeat`: identifies the plate, steers to the setpoint, holds it with two PI loops.
 //!
 //! ```text
 //!          setpoint             one sample later                 as predicted, on the setpoint
@@ -11,27 +10,27 @@
 //! ```
 //!
 //! *Derived*, not published for this plate, after Kalman's idea to bring a state to rest in a
-//! finite number of periods. N/m is a constant of the plate, so one complex sample gives the only
-//! unknown, λ = −σ − jΔω ([`crate::envelope`]).
+//! finite number of periods. Only λ = −σ − jΔω is unknown, because N/m is a constant of the plate.
+//! One complex sample gives λ ([`crate::envelope`]).
 //!
 //! * **Learning.** The finger is unknown. The drive brings the untouched plate nearly to the
 //!   setpoint; a finger or a detuning only lowers the amplitude.
-//! * **Steering.** λ follows from the last drive and its sample. V and ω then bring W to the
-//!   setpoint, with Wq = 0, at the end of the period. At the slew limit |W| has priority over its
-//!   angle.
-//! * **Holding.** The PI loops are matched to the zero-order hold for the plant of their own
-//!   integrals: σ = bV/W, and the resonance is the excitation frequency. They start with the
-//!   integrals of the steady state.
-//! * **Prediction.** If noise does not explain the error of a prediction, either the plate has
+//! * **Steering.** The last drive and its sample give λ. From λ the law computes the V and ω that
+//!   bring W to the setpoint, with Wq = 0, at the end of the period. At the slew limit of ω, |W|
+//!   has priority over its angle.
+//! * **Holding.** Two PI loops start with the integrals of the steady state. Their gains are
+//!   matched to the zero-order hold for the plant that the integrals show: σ = bV/W, and the
+//!   resonance is the excitation frequency.
+//! * **Prediction.** Noise does not explain a large error of a prediction. Either the plate has
 //!   changed and is identified again, or the drive acts late and the law adopts the loop delay that
-//!   explains the last two samples. After four misses in a row it uses its PI loops for twenty
+//!   explains the last two samples. After four misses in a row the law uses its PI loops for twenty
 //!   periods and raises [`flags::PREDICTION_MISSED`].
-//! * **Configured delay.** It applies from the first drive on. High damping in the first sample is
-//!   then a heavy finger.
+//! * **Configured delay.** It applies from the first drive on. A high damping in the first sample
+//!   then means a heavy finger, not a late drive.
 //!
 //! A step needs a bounded number of exponentials of [`crate::envelope`], each about 100
-//! multiplications and additions: 1 while holding, at most 14 while steering, 19 with a delay, and
-//! 100 more in a step that searches the delay.
+//! multiplications and additions: 1 while holding, at most 15 while steering, 19 if the first
+//! sample shows a delay, and 90 more in a step that searches the delay.
 
 use crate::envelope::{Complex, Drive, DriveBounds, EnvelopeModel, PlateMode};
 use crate::law::{Actuation, Law, Measurement};
@@ -39,26 +38,26 @@ use crate::loops::{self, Excitation};
 use crate::pi::{Pi, Tracking};
 use platebench_wire::{Configure, Gains, flags};
 
-/// Fraction of the setpoint. A plate with 8 % more gain then stays within the 5 % band.
+/// Fraction of the setpoint at which the first drive aims, so that 8 % more gain stays within 5 %.
 const FIRST_TARGET_SHARE: f32 = 0.97;
-/// Fraction of the larger of setpoint and last amplitude. Noise of 0.5 % causes an error of a third
-/// of it.
+/// Allowed error of a prediction, as a fraction of the setpoint or of the last amplitude if it is
+/// larger. Noise of 0.5 % causes an error of a third of this tolerance.
 const PREDICTION_TOLERANCE: f32 = 0.08;
-/// Relative change. The law steers to a setpoint that changes by more; the PI loops follow a
-/// smaller change.
+/// Relative change of the setpoint. The law steers to a setpoint that changes by more; the PI loops
+/// follow a smaller change.
 const SETPOINT_STEP: f32 = 0.02;
-/// Fraction of the setpoint.
+/// Largest distance of W from the setpoint at which steering ends, as a fraction of the setpoint.
 const ARRIVAL_BAND: f32 = 0.03;
 /// Largest amplitude of a plate at rest, as a fraction of the setpoint.
 const REST_BAND: f32 = 0.1;
-/// After this number of periods with a drive, for example at the drive limit, the PI loops take
-/// over.
+/// After this number of steering periods with a drive above 0 V, the PI loops take over, for
+/// example if the drive limit is too low for the setpoint.
 const MAX_STEERING_PERIODS: u8 = 12;
 /// After this number of drives that aim at the setpoint, the PI loops take over.
 const MAX_ATTEMPTS: u8 = 3;
-/// A missed prediction adds this weight to the score, every other prediction subtracts 1.
+/// A missed prediction adds this weight to the score; every other prediction subtracts 1.
 const MISSED_WEIGHT: u8 = 2;
-/// Four missed predictions in a row start the fallback. A start with an unknown delay misses one or
+/// Four missed predictions in a row start the fallback. A start with unknown delay misses one or
 /// two.
 const FALLBACK_MISS_SCORE: u8 = 8;
 const FALLBACK_PERIODS: u8 = 20;
@@ -66,11 +65,10 @@ const FALLBACK_PERIODS: u8 = 20;
 const MAX_FINGER_DAMPING: f32 = 2.5;
 /// Largest loop delay that the law searches, as a fraction of the period.
 const MAX_DELAY_SHARE: f32 = 0.9;
-/// With a configured delay, the law skips a first sample after a drive that acted for less than
-/// this fraction of a period. After a third of a period, noise of 0.5 % causes 15 % of overshoot.
+/// With a configured delay, the law ignores the first sample if the drive acted for less than this
+/// fraction of a period. With a third of a period, noise of 0.5 % would cause 15 % of overshoot.
 const MIN_ACTING_SHARE: f32 = 0.45;
 const DELAY_ITERATIONS: u32 = 6;
-/// Limit of |Wq/Wd| as in `dq-pi`.
 const LARGEST_RATIO: f32 = 2.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -85,8 +83,8 @@ enum Phase {
 struct Steering {
     periods: u8,
     attempts: u8,
-    /// True if the law, not a disturbance, started the motion. Only then can a delay explain a
-    /// missed prediction.
+    /// True if the law itself started the motion, not a disturbance. Only then can a loop delay
+    /// explain a missed prediction.
     is_commanded: bool,
 }
 
@@ -109,12 +107,11 @@ pub struct Deadbeat {
     excitation: Excitation,
     phase: Phase,
     mode: PlateMode,
-    /// From sampling to actuation, s.
+    /// Loop delay from sampling to actuation, s.
     delay: f32,
-    /// True if the delay is configured. Then only a missed prediction changes it, not the first
-    /// sample.
+    /// If the delay is configured, only a missed prediction changes it, not the first sample.
     is_delay_given: bool,
-    /// Samples and drives, the latest first.
+    /// Samples of W and drives of the last periods, the latest first.
     samples: [Complex; 2],
     drives: [Drive; 3],
     expected: Complex,
@@ -168,7 +165,7 @@ impl Deadbeat {
         } else {
             self.phase = Phase::Rest;
         }
-        // W when this step's drive begins to act.
+        // W at the time at which this step's drive begins to act.
         let begins = self.envelope.propagate(self.mode, w, self.drives[0], self.delay);
         let drive = match self.phase {
             Phase::Rest => {
@@ -188,12 +185,11 @@ impl Deadbeat {
         Actuation { drive_vpp: drive.vpp, frequency_offset_hz: self.excitation.offset_hz(), flags }
     }
 
-    /// Allowed error of a prediction, µm.
     fn tolerance(&self, setpoint: f32) -> f32 {
         PREDICTION_TOLERANCE * self.samples[0].norm().max(setpoint)
     }
 
-    /// Tolerates one missed prediction in three periods, not several in a row.
+    /// One missed prediction in three periods never starts the fallback.
     fn update_miss_score(&mut self, missed: bool) {
         self.fallback_periods = self.fallback_periods.saturating_sub(1);
         self.miss_score = if missed { self.miss_score + MISSED_WEIGHT } else { self.miss_score.saturating_sub(1) };
@@ -235,13 +231,13 @@ impl Deadbeat {
         self.is_delay_given && self.drives[1].vpp == 0.0 && self.period - self.delay < MIN_ACTING_SHARE * self.period
     }
 
-    /// If the damping is above that of a heavy finger, the drive acted late.
+    /// Above the damping of a heavy finger, the law assumes a late drive and computes the delay.
     fn learn_from_first_sample(&mut self, w: Complex) {
         let untouched = self.mode;
         self.mode = self.identify_mode(w);
         let from_rest = self.samples[0].norm() < REST_BAND * w.norm();
         if self.mode.sigma > MAX_FINGER_DAMPING * self.envelope.sigma && from_rest && !self.is_delay_given {
-            // |W| = bV/σ (1 − e^(−σ(T − d)))
+            // The untouched plate from rest, driven for T − d: |W| = bV/σ (1 − e^(−σ(T − d))).
             let acted = -libm::logf(1.0 - w.norm() * untouched.sigma / (self.envelope.force * self.drives[0].vpp))
                 / untouched.sigma;
             if acted >= (1.0 - MAX_DELAY_SHARE) * self.period && acted < self.period {
@@ -256,7 +252,7 @@ impl Deadbeat {
         let off = |w: Complex| (w.norm() - setpoint).abs().max(w.im.abs());
         let arrived = off(w) < ARRIVAL_BAND * setpoint;
         let Steering { periods, attempts, is_commanded } = steering;
-        // A drive at a limit is no attempt, because its prediction was off the setpoint.
+        // A drive at a limit is not counted, because its prediction was off the setpoint.
         let attempts = attempts + u8::from(missed || off(self.expected) < ARRIVAL_BAND * setpoint);
         let gives_up = attempts >= MAX_ATTEMPTS || periods >= MAX_STEERING_PERIODS;
         if missed
@@ -270,7 +266,7 @@ impl Deadbeat {
         if arrived || gives_up {
             return self.start_holding(setpoint);
         }
-        // Periods at 0 V do not count, because the plate decays to a lower setpoint.
+        // At 0 V the plate decays to a lower setpoint, so these periods are not counted.
         let periods = periods + u8::from(self.drives[0].vpp > 0.0);
         Phase::Steering(Steering { periods, attempts, is_commanded })
     }
@@ -288,12 +284,12 @@ impl Deadbeat {
             self.envelope.propagate(mode, begins, self.drives[0], self.period - delay)
         };
         let explains = |delay: f32| (predicted(delay) - w).norm() < 0.5 * self.tolerance(setpoint);
-        // A delay of 0 explains the samples, so the cause is a finger above `MAX_FINGER_DAMPING`.
+        // If a delay of 0 explains the samples, the cause is a finger above `MAX_FINGER_DAMPING`.
         if explains(0.0) {
             return Some(0.0);
         }
         let excess = |delay: f32| predicted(delay).norm() - w.norm();
-        // False position, Illinois variant.
+        // Root of `excess` by false position, Illinois variant.
         let (mut low, mut high) = (0.0, MAX_DELAY_SHARE * self.period);
         let (mut below, mut above) = (excess(low), excess(high));
         if below * above > 0.0 {

@@ -37,7 +37,8 @@ impl Device {
         }
     }
 
-    /// Call it at least once per period, and at [`Device::next_tick_us`].
+    /// Checks the watchdog and sends a due tick. Needs a call per period and at
+    /// [`Device::next_tick_us`].
     pub fn tick(&mut self, now_us: u32, mut send: impl FnMut(&[u8])) {
         if let Some(command) = self.machine.tick(now_us) {
             send(self.unsolicited(command).encode().as_bytes());
@@ -72,14 +73,14 @@ impl Device {
             Message::Hello => Message::Identity(self.identity),
             Message::Configure(configure) => Message::Configured(self.configure(configure, now_us)),
             Message::Sample(sample) => {
-                // The line repeated a frame. The answer is repeated too, without a control step.
+                // The line repeated the frame, so the device repeats its answer without a step.
                 let repeated = self.last_sequence.replace(packet.sequence) == Some(packet.sequence);
                 let command = if repeated { *self.machine.output() } else { self.machine.sample(sample, now_us) };
                 Message::Command(Command { compute_us: self.compute_us, ..command })
             }
             Message::Safe => Message::Command(self.machine.enter_safe(now_us)),
-            // `Setpoint` requires an own plate. Only a target sends the others, so they are an echo
-            // of the line.
+            // This device has no own plate, so it ignores `Setpoint`. Only a target sends the other
+            // messages, so the line must have echoed them.
             Message::Setpoint(_)
             | Message::Identity(_)
             | Message::Configured(_)

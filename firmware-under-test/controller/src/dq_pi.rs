@@ -1,40 +1,39 @@
-//! Implements `dq-pi`, `dq-pi-fixed` and `dq-pi-euler`: two PI loops in the d-q frame (section V of
-//! the paper).
+//! Implements `dq-pi`, `dq-pi-fixed`, `dq-pi-euler`: two PI loops in the d-q frame (paper, section
+//! V).
 //!
-//! Amplitude loop: the drive from `Wd_ref − Wd`, plant K1/(1 + τp) (equation 13). Frequency loop: ω
-//! from `Wq/Wd → 0`, plant −τ/(1 + τp) (equation 19). The minus sign turns the loop's error
-//! `0 − Wq/Wd` into `+Wq/Wd`.
+//! Amplitude loop: `Wd_ref − Wd` gives the drive V; the plant is K1/(1 + τp) (equation 13).
+//! Frequency loop: ω brings `Wq/Wd` to 0; the plant is −τ/(1 + τp) (equation 19). Because of the
+//! minus sign, the error is `+Wq/Wd`.
 //!
 //! The paper, `dq-pi-euler` and `dq-pi-fixed` design the gains once, for the untouched plate. A
-//! finger moves the plate's pole away from the controller's zero, which leaves a slow residue (9 ms
-//! under 2 N). `dq-pi` uses the same design for the present damping (*derived*). The last drive and
-//! sample give λ ([`crate::envelope`]), and its σ gives both plants, K = b/σ and τ = 1/σ. Two
-//! periods in a row must agree on a large change, and the smaller change counts, because after one
-//! sample a finger and a late drive look the same. Configured gains are constant.
+//! finger moves the plate's pole away from the controller's zero, so the error decays slowly (9 ms
+//! under 2 N). `dq-pi` repeats the design for the present damping (*derived*). The last drive and
+//! sample give λ ([`crate::envelope`]), and its σ gives both plants, K = b/σ and 1/σ, τ = 1/σ. One
+//! sample cannot distinguish a finger from a late drive. A large change therefore needs two periods
+//! in a row, and the smaller change counts. Configured gains are constant.
 //!
 //! The law compensates a configured loop delay (O. J. M. Smith's predictor, with the plate's
 //! state). Both loops use W at the time at which their drive begins to act, predicted from λ and
-//! the previous drive. λ follows from the samples, so the prediction leaves no static error for any
-//! b.
+//! the previous drive. λ is fitted to the samples, so a wrong b causes no static error.
 //!
-//! A step needs 4 exponentials of [`crate::envelope`], 9 with a loop delay.
+//! A step evaluates 4 exponentials of [`crate::envelope`], 9 with a loop delay.
 
 use crate::envelope::{Complex, Drive, EnvelopeModel, PlateMode};
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops::{self, AmplitudeLoop, FrequencyLoop};
 use platebench_wire::{Configure, Gains, LawId, flags};
 
-/// Fraction of the setpoint. For a smaller Wd, near rest, `Wq/Wd` is noise.
+/// Fraction of the setpoint. For a smaller Wd, near rest, `Wq/Wd` is mostly noise.
 const SMALLEST_WD: f32 = 0.1;
-/// A phase of 63°, at a detuning of two half bandwidths. Beyond it, the ratio gives only the
-/// direction.
+/// Limit of |Wq/Wd|, a phase of 63° at a detuning of two half bandwidths. Beyond it only the sign
+/// of the ratio is useful.
 const LARGEST_RATIO: f32 = 2.0;
 
-/// A larger relative change of the damping means another plate; a smaller one is tracked.
+/// Relative change of σ. A larger one means a new finger; a smaller one is drift.
 const PLATE_CHANGE_SHARE: f32 = 0.25;
-/// If the first drive after a start acted for a smaller fraction of the period, λ is noise.
+/// If the first drive after a start acted for a smaller fraction of the period, λ is mostly noise.
 const MIN_ACTING_SHARE: f32 = 0.25;
-/// Fraction of a change that tracking adopts in each period.
+/// Fraction of a small change that the law adopts in each period.
 const TRACKING_SHARE: f32 = 0.125;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,23 +43,21 @@ pub struct DqPi {
     schedule: Option<GainSchedule>,
 }
 
-/// Only `dq-pi` has a schedule.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct GainSchedule {
     envelope: EnvelopeModel,
     period: f32,
-    /// Closed-loop pole per period.
     pole: f32,
-    /// 1/s.
+    /// Present damping σ, 1/s.
     sigma: f32,
     /// Relative to the start frequency, rad/s.
     resonance: f32,
-    /// Large change of σ that only the last period shows.
+    /// Large change of σ that the next period has to confirm, 1/s; 0 if none.
     suspected_change: f32,
     previous: Complex,
-    /// The latest first.
+    /// Drives of the last two periods, the latest first.
     drives: [Drive; 2],
-    /// From sampling to actuation, s.
+    /// Loop delay from sampling to actuation, s.
     delay: f32,
     fixed_gains: bool,
 }
@@ -85,11 +82,11 @@ impl GainSchedule {
     }
 
     fn is_sample_too_early(&self) -> bool {
-        // Not 0, because noise causes some drive at rest.
+        // Sensor noise causes a small drive at rest, so the test cannot be for 0.
         self.drives[1].vpp < 0.1 * self.drives[0].vpp && self.period - self.delay < MIN_ACTING_SHARE * self.period
     }
 
-    /// Returns true if the damping changed by more than the law tracks.
+    /// Returns true if it adopted a large change of the damping.
     fn learn(&mut self, w: Complex) -> bool {
         let mode = PlateMode { sigma: self.sigma, resonance: self.drives[0].offset };
         let drives = [(self.drives[1], self.delay), (self.drives[0], self.period - self.delay)];
@@ -111,14 +108,14 @@ impl GainSchedule {
         is_other_plate
     }
 
-    /// Adopts a distant resonance at once, because no delay resembles it, and tracks a near one.
+    /// A late drive does not shift the identified resonance, so a large change is adopted at once.
     fn track_resonance(&mut self, identified: f32) {
         let change = identified - self.resonance;
         self.resonance +=
             if change.abs() > PLATE_CHANGE_SHARE * self.envelope.sigma { change } else { TRACKING_SHARE * change };
     }
 
-    /// W at the time at which the next drive begins to act.
+    /// The measurement with W at the time at which the next drive begins to act.
     fn predict(&self, measurement: &Measurement) -> Measurement {
         let w = Complex::new(measurement.wd_um, measurement.wq_um);
         let mode = PlateMode { sigma: self.sigma, resonance: self.resonance };
@@ -170,14 +167,14 @@ impl DqPi {
         self.amplitude.pi.set_gains(amplitude);
         self.frequency.pi.set_gains(frequency);
         if is_other_plate {
-            // The drive that holds the present amplitude.
+            // The integral restarts at the drive that holds the present amplitude, V = σ Wd / b.
             self.amplitude.pi.seed(sigma * ahead.wd_um / envelope.force);
         }
         ahead
     }
 }
 
-/// `None` if Wd is too small to divide by.
+/// Wq/Wd; `None` if Wd is too small to divide by.
 pub(crate) fn quadrature_ratio(measurement: &Measurement) -> Option<f32> {
     let divisible = measurement.setpoint_um > 0.0 && measurement.wd_um > SMALLEST_WD * measurement.setpoint_um;
     divisible.then(|| (measurement.wq_um / measurement.wd_um).clamp(-LARGEST_RATIO, LARGEST_RATIO))

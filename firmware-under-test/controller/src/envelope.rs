@@ -1,14 +1,14 @@
 //! Models the plate's envelope for the laws: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0`.
 //!
-//! Only λ is unknown. A finger changes σ, the temperature changes the resonance, and b is a
-//! constant of the plate (N/m). Over an interval h of constant drive
+//! Only λ is unknown. A finger changes σ, the temperature changes the resonance and with it Δω. b
+//! does not change, because N/m is a constant of the plate. Over an interval h of constant drive
 //!
 //! `W(h) = e^z W(0) + b V h φ(z)`, `z = λh`, `φ(z) = (e^z − 1)/z`.
 //!
-//! [`EnvelopeModel::identify`] solves it for λ, [`EnvelopeModel::steer`] for V and ω. The
-//! exponential is a polynomial with a fixed number of doublings, so the number of instructions does
-//! not depend on the argument. `sinf` and `cosf` of `libm` are not used: they calculate in f64,
-//! which a Cortex-M4F must emulate.
+//! [`EnvelopeModel::identify`] solves this equation for λ, [`EnvelopeModel::steer`] for V and ω.
+//! The exponential is a polynomial with a fixed number of doublings, so the number of instructions
+//! does not depend on the argument. `sinf` and `cosf` of `libm` are not used, because they
+//! calculate in f64, which a Cortex-M4F must emulate.
 
 use crate::design::PiGains;
 use core::ops::{Add, Mul, Sub};
@@ -30,7 +30,6 @@ impl Complex {
         Self::new(self.re * by, self.im * by)
     }
 
-    /// `self · conj(other)`
     fn times_conjugate(self, other: Self) -> Self {
         Self::new(self.re * other.re + self.im * other.im, self.im * other.re - self.re * other.im)
     }
@@ -80,9 +79,9 @@ struct Exponentials {
 }
 
 impl Exponentials {
-    /// Exact to f32 rounding up to `|z| = 2^(doublings − 1)`.
+    /// Exact to f32 rounding if `|z|` is at most `2^(doublings − 1)`.
     fn of(z: Complex, doublings: u32) -> Self {
-        // 1/(n+1)! of φ(y) = Σ yⁿ/(n+1)!: at |y| = 0.5 the first omitted term is 2e-7.
+        // Coefficients 1/(n+1)! of φ(y) = Σ yⁿ/(n+1)!. The first omitted term is 2e-7 at |y| = 0.5.
         const COEFFICIENTS: [f32; 7] = [1.0 / 5040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0];
         let mut half_y = z.scaled(0.5 / (1_u32 << doublings) as f32);
         let y = half_y + half_y;
@@ -96,7 +95,7 @@ impl Exponentials {
             half_y = half_y + half_y;
         }
         let exp = Complex::ONE + z * phi;
-        // φ' = (e^z − φ)/z loses digits for small z; there φ' = 1/2 + z/3.
+        // φ' = (e^z − φ)/z loses digits for small z. The series is φ' ≈ 1/2 + z/3.
         let slope = if z.norm_squared() < 1e-3 {
             Complex::new(0.5, 0.0) + z.scaled(1.0 / 3.0)
         } else {
@@ -110,7 +109,7 @@ impl Exponentials {
 pub(crate) struct PlateMode {
     /// σ, 1/s.
     pub(crate) sigma: f32,
-    /// Relative to the start frequency, rad/s.
+    /// Resonance relative to the start frequency, rad/s.
     pub(crate) resonance: f32,
 }
 
@@ -123,7 +122,7 @@ impl PlateMode {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Drive {
     pub(crate) vpp: f32,
-    /// Relative to the start frequency, rad/s.
+    /// Excitation frequency relative to the start frequency, rad/s.
     pub(crate) offset: f32,
 }
 
@@ -141,10 +140,10 @@ pub(crate) struct DriveBounds {
     pub(crate) highest_offset: f32,
 }
 
-/// Convergence is quadratic, so four iterations suffice from a start within a factor of two.
+/// Newton iterations. Four suffice from a start within a factor of two (quadratic convergence).
 const ITERATIONS: u32 = 4;
-/// Bounds of σ: the untouched plate's σ times and divided by this factor. A finger of 4.5 N has a
-/// factor of 4.
+/// The identified σ is limited to the untouched plate's σ times and divided by this factor. A
+/// finger of 4.5 N raises σ by a factor of 4.
 const LARGEST_DAMPING: f32 = 6.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -172,7 +171,7 @@ impl EnvelopeModel {
         PlateMode { sigma: self.sigma, resonance }
     }
 
-    /// W and dW/dλ after `seconds` of `drive`.
+    /// W and dW/dλ after `seconds` of `drive`, from the pair at the start.
     fn propagate_with_derivative(
         &self,
         mode: PlateMode,
@@ -190,8 +189,8 @@ impl EnvelopeModel {
         if seconds > 0.0 { self.propagate_with_derivative(mode, (w, Complex::default()), drive, seconds).0 } else { w }
     }
 
-    /// Newton's method from `mode`, with two samples and the two drives (and their durations in s)
-    /// between them.
+    /// Fits λ by Newton's method, starting at `mode`. `drives` act one after the other between the
+    /// samples `before` and `after`, each for its duration in s.
     pub(crate) fn identify(
         &self,
         mode: PlateMode,
@@ -204,8 +203,8 @@ impl EnvelopeModel {
             let next = self.newton_step(mode, before, drives, after);
             let is_final = next == mode;
             mode = next;
-            // Further iterations give the same mode. A board executes them, so that the time of a
-            // step is constant.
+            // Further iterations give the same mode. A board executes them nevertheless, so that
+            // the time of a step is constant.
             if cfg!(not(target_os = "none")) && is_final {
                 break;
             }
@@ -224,7 +223,7 @@ impl EnvelopeModel {
         self.clamped(PlateMode { sigma: mode.sigma - step.re, resonance: mode.resonance + step.im })
     }
 
-    /// The static gains of the plants are b/σ (equation 13) and 1/σ (equation 19).
+    /// Gains of both loops. The static gains of their plants are b/σ and 1/σ (equations 13, 19).
     pub(crate) fn matched_gains(&self, sigma: f32, closed_loop_pole: f32, period: f32) -> (PiGains, PiGains) {
         let plant_pole = libm::expf(-sigma * period);
         let gains = |gain| PiGains::from_poles(gain, plant_pole, closed_loop_pole);
@@ -238,8 +237,8 @@ impl EnvelopeModel {
         }
     }
 
-    /// Brings W to the real `target` within `seconds`. If `bounds` prevent this, |W| has priority
-    /// over its angle.
+    /// Drive that brings W to the real `target` within `seconds`. If `bounds` prevent this, |W| has
+    /// priority over its angle.
     pub(crate) fn steer(
         &self,
         mode: PlateMode,
@@ -259,10 +258,10 @@ impl EnvelopeModel {
             drive.vpp = drive_to(free, push, target).clamp(0.0, bounds.limit_vpp);
             reached = free + push.scaled(drive.vpp);
             if iteration < ITERATIONS {
-                // d/dω at this drive: −j h (e^z W + b V h φ').
+                // Derivative of the end W by ω at this drive: −j h (e^z W + b V h φ').
                 let turn = free + slope.scaled(self.force * seconds * drive.vpp);
                 let by_offset = Complex::new(turn.im, -turn.re).scaled(seconds);
-                // arg W falls by Im(dW conj W)/|W|² per rad/s.
+                // One rad/s turns arg W by −Im(dW conj W)/|W|², with dW = `by_offset`.
                 let rate = by_offset.times_conjugate(reached).im;
                 let angle = libm::atan2f(reached.im, reached.re);
                 let step = angle * reached.norm_squared() / rate;
@@ -275,7 +274,7 @@ impl EnvelopeModel {
     }
 }
 
-/// The larger root V of `|free + push·V| = target`; negative if |free| already exceeds `target`.
+/// The larger root V of `|free + push·V| = target`. Negative if |free| already exceeds `target`.
 fn drive_to(free: Complex, push: Complex, target: f32) -> f32 {
     let squared = push.norm_squared();
     let along = free.times_conjugate(push).re;

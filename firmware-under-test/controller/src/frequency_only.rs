@@ -4,12 +4,12 @@
 //! The plate is not necessarily at resonance. Assumptions beyond the paper:
 //!
 //! * The excitation stays above the start frequency, which is assumed to be the resonance. Below
-//!   the resonance the loop's sign is wrong and it diverges.
-//! * The voltage is half of the limit while the setpoint is positive. On the untouched plate, 450
-//!   Vpp reach from 1.0 µm at the end of a range of 250 Hz to 3.1 µm at resonance.
+//!   the resonance a rise of the frequency raises the amplitude, so the loop would diverge.
+//! * The voltage is half of the drive limit while the setpoint is positive. On the untouched plate,
+//!   450 Vpp give 1.0 µm at 250 Hz above the resonance and 3.1 µm at resonance.
 //! * A new setpoint starts at the detuning `Δω = √((K1 V / setpoint)² − 1)/τ` of the nominal plate.
 //!   Then an integral controller acts on the relative error of |W|. Its gain is `1 − e^(−3 Ts/t_r)`
-//!   times the inverse slope of the resonance curve, `d ln|W|/dΔω = −τ x/(1 + x²)` with `x = τΔω`.
+//!   divided by the slope of the resonance curve, `−d ln|W|/dΔω = τ x/(1 + x²)` with `x = τΔω`.
 
 use crate::design::{FREQUENCY_ONLY_DRIVE_SHARE, PiGains, inverse_slope};
 use crate::law::{Actuation, Law, Measurement};
@@ -27,7 +27,7 @@ pub struct FrequencyOnly {
     setpoint_um: f32,
 }
 
-/// Fraction of the error to remove per period, or the configured gain in rad/s per unit.
+/// Fraction of the error that a period removes, or the configured gain in rad/s per relative error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Gain {
     Designed { share: f32 },
@@ -43,7 +43,8 @@ impl FrequencyOnly {
             (Gain::Given { rad_per_unit }, rad_per_unit)
         } else {
             let share = 1.0 - loops::closed_loop_pole(configure);
-            // Reported at a detuning of one half bandwidth, at which the slope is steepest.
+            // The slope depends on the detuning. The reported gain is that at one half bandwidth,
+            // at which the slope is steepest.
             (Gain::Designed { share }, share * inverse_slope(1.0, configure.time_constant_s))
         };
         let law = Self {
@@ -66,7 +67,7 @@ impl FrequencyOnly {
             return Actuation { drive_vpp: 0.0, frequency_offset_hz, flags: flags::FREQUENCY_HELD };
         }
         let ratio = self.highest_um / setpoint_um;
-        // τΔω at which the nominal plate vibrates with the setpoint.
+        // τΔω at which the amplitude of the nominal plate equals the setpoint.
         let nominal = libm::sqrtf((ratio * ratio - 1.0).max(0.0));
         let flags = if setpoint_um == self.setpoint_um {
             let error = 1.0 - measurement.amplitude_um() / setpoint_um;

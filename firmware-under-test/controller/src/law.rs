@@ -1,4 +1,4 @@
-//! Defines the interface of a control law and dispatches to the laws.
+//! Defines the input and output of a control law and calls the configured law.
 
 use crate::bang_bang::BangBang;
 use crate::deadbeat::Deadbeat;
@@ -9,7 +9,7 @@ use crate::pll::Pll;
 use crate::voltage_only::VoltageOnly;
 use platebench_wire::{Configure, Gains, LawId, Rejection};
 
-/// Sample at a control instant, peak to peak.
+/// Sample at a control instant. All amplitudes are peak to peak.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measurement {
     pub setpoint_um: f32,
@@ -55,8 +55,8 @@ pub enum Law {
 }
 
 impl Law {
-    /// Designs the law at rest. Fails with [`Rejection::Value`] if a number is not finite or out of
-    /// range.
+    /// Returns the law at rest and its gains. Fails with [`Rejection::Value`] if a number is not
+    /// finite or out of range.
     pub fn design(configure: &Configure) -> Result<(Self, Gains), Rejection> {
         let positive = [
             configure.gain_um_per_vpp,

@@ -1,8 +1,9 @@
 //! Implements the control laws and the controller's state machine, as they run on the STM32F4.
 //!
-//! Board, emulated board and hosted rig compile the same source and give the same bits, because the
-//! source uses f32 throughout, `libm` for the functions that `core` lacks, and no `mul_add`.
-//! Clocks, registers and allocation do not belong here; time and bytes are arguments.
+//! The board, the emulated board and the hosted rig compile the same source. Their results are
+//! equal bit for bit, because the source uses f32 throughout, `libm` for the functions that `core`
+//! lacks, and no `mul_add`. Callers pass time and bytes as arguments; this crate accesses no clock
+//! and no register and allocates no memory.
 #![no_std]
 
 #[cfg(test)]

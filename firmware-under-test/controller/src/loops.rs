@@ -5,14 +5,14 @@ use crate::pi::{Pi, Tracking};
 use core::f32::consts::TAU;
 use platebench_wire::{Configure, Gains, flags};
 
-/// At the drive limit, full tracking settles 16 % above the shortest possible time at 400 Vpp, and
-/// no tracking overshoots by 14 % at 340 Vpp. With 0.6 the response settles within 10 % of the
-/// shortest time from 300 to 416 Vpp and overshoots by less than 4 %. At 0 V only damping reduces
-/// the amplitude, so tracking is full.
+/// Measured at the drive limit: full tracking (1) settles 16 % above the shortest possible time at
+/// 400 Vpp, and no tracking (0) overshoots by 14 % at 340 Vpp. With 0.6 the response settles within
+/// 10 % of the shortest time from 300 to 416 Vpp and overshoots by less than 4 %. At 0 V only the
+/// damping reduces the amplitude, so tracking is full.
 pub(crate) const AMPLITUDE_TRACKING: Tracking = Tracking { low: 1.0, high: 0.6 };
 
-/// Gains of the amplitude loop (plant K1/(1 + τp), equation 13) and of the frequency loop (−τ/(1 +
-/// τp), equation 19).
+/// Gains of the amplitude loop (plant K1/(1 + τp), equation 13) and of the frequency loop (plant
+/// −τ/(1 + τp), equation 19).
 pub(crate) fn loop_gains(configure: &Configure) -> (PiGains, PiGains) {
     let period = period_s(configure);
     let (gain, tau) = (configure.gain_um_per_vpp, configure.time_constant_s);
@@ -28,7 +28,7 @@ pub(crate) fn period_s(configure: &Configure) -> f32 {
     configure.period_us as f32 * 1e-6
 }
 
-/// 0 if the delay is unknown.
+/// Loop delay from sampling to actuation; 0 if it is unknown.
 pub(crate) fn loop_delay_s(configure: &Configure) -> f32 {
     configure.loop_delay_us as f32 * 1e-6
 }
@@ -45,7 +45,7 @@ pub(crate) fn closed_loop_pole(configure: &Configure) -> f32 {
     design::closed_loop_pole(response_time_s(configure), period_s(configure))
 }
 
-/// In the units of the protocol.
+/// Converts the integral gains from per period to per second, as the protocol states them.
 pub(crate) fn reported_gains(amplitude: PiGains, frequency: PiGains, period: f32) -> Gains {
     Gains {
         amplitude_kp: amplitude.proportional,
@@ -91,7 +91,7 @@ impl Excitation {
         ((self.offset - self.slew).max(-self.range), (self.offset + self.slew).min(self.range))
     }
 
-    /// Respects range and slew limit; returns [`flags::FREQUENCY_LIMITED`] at a limit.
+    /// Moves as far as range and slew limit allow. Returns [`flags::FREQUENCY_LIMITED`] at a limit.
     pub(crate) fn move_to(&mut self, offset_rad: f32) -> u8 {
         let (low, high) = self.offset_limits();
         self.offset = offset_rad.clamp(low, high);
@@ -122,7 +122,7 @@ impl FrequencyLoop {
         Self { pi: Pi::new(gains, Tracking::CONDITIONED), excitation: Excitation::new(configure) }
     }
 
-    /// A positive `ratio` raises the frequency. Returns the flags.
+    /// A positive `ratio` (Wq/Wd or arg W) raises the frequency. Returns [`flags`] of the command.
     pub(crate) fn step(&mut self, ratio: f32) -> u8 {
         let (low, high) = self.excitation.offset_limits();
         let offset = self.pi.step(ratio, low, high);

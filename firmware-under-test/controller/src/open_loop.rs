@@ -1,11 +1,11 @@
-//! Implements `open-loop`: the drive of an undisturbed plate at a fixed frequency (Fig. 13 to 16).
+//! Implements `open-loop`: applies the drive of an undisturbed plate at a fixed frequency.
 
 use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};
 use crate::loops;
 use platebench_wire::{Configure, Gains, flags};
 
-/// Constant drive `V = setpoint / K1` (equation 13 at rest).
+/// Constant drive `V = setpoint / K1`, from equation 13 in the steady state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OpenLoop {
     gain_um_per_vpp: f32,

@@ -1,11 +1,11 @@
-//! Paces the control by the target's own timer.
+//! Sends a tick per control period if the target's own timer paces the control.
 
 use platebench_wire::{Configure, ControllerState, Message, Packet, Tick};
 
-/// The target stops sending ticks if no sample arrives within this time after the configuration.
+/// If no sample arrives within this time after the configuration, the target stops sending ticks.
 const FIRST_SAMPLE_TIMEOUT_US: u32 = 1_000_000;
 
-/// Periods are counted from the configuration, so delays of calls do not accumulate.
+/// Counts periods from the configuration, so that a late call does not shift later periods.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Pacer {
     period_us: u32,
@@ -32,7 +32,7 @@ impl Pacer {
         }
     }
 
-    /// Skips missed periods, because their samples would be too late.
+    /// Returns one tick for all elapsed periods; samples of missed periods would be too late.
     pub(crate) fn tick(&mut self, now_us: u32) -> Option<Packet> {
         let elapsed_us = now_us.wrapping_sub(self.period_start_us);
         let periods = elapsed_us.checked_div(self.period_us)?;

@@ -5,8 +5,9 @@
 
 use crate::design::PiGains;
 
-/// Tracking constant c at each limit, as a fraction of `Ki·Ts/Kp`. With 1 (conditioning technique)
-/// the loop leaves saturation with the closed-loop pole of the design. 0 is no anti-windup.
+/// Tracking constant c at the lower and the upper limit, as a fraction of `Ki·Ts/Kp`. With 1
+/// (conditioning technique) the loop leaves saturation with the closed-loop pole of the design.
+/// With 0 there is no anti-windup.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tracking {
     pub low: f32,
@@ -18,7 +19,7 @@ impl Tracking {
 }
 
 fn tracking_gain(gains: PiGains, share: f32) -> f32 {
-    // Without a proportional part the integral is held at the limit.
+    // Without a proportional gain, c is `share`. With 1, the integral stays at the limit.
     let ratio = if gains.proportional > 0.0 { gains.integral_per_period / gains.proportional } else { 1.0 };
     (share * ratio).min(1.0)
 }
@@ -35,7 +36,6 @@ impl Pi {
         Self { gains, tracking, integral: 0.0 }
     }
 
-    /// Keeps the integral.
     pub fn set_gains(&mut self, gains: PiGains) {
         self.gains = gains;
     }
@@ -55,7 +55,6 @@ impl Pi {
         output
     }
 
-    /// The part of the output that does not depend on the present error.
     pub fn integral(&self) -> f32 {
         self.integral
     }
@@ -100,7 +99,7 @@ mod tests {
             pi.step(0.5, 0.0, 400.0);
         }
         assert_eq!(pi.step(0.5, 0.0, 400.0), 400.0);
-        // Equilibrium: Ki e = c·Ki/Kp (u − sat u), an excess of Kp e / c over the limit.
+        // In equilibrium Ki·Ts e = c (u − sat u) with c = 0.5 Ki·Ts/Kp: an excess of Kp e / 0.5.
         assert!(pi.integral() < 400.0 + 270.0 * 0.5 / 0.5);
     }
 

@@ -1,8 +1,8 @@
 //! Implements `pll`: locks the phase to the resonance at a constant voltage (\[13\] of the paper).
 //!
-//! Assumptions: the loop locks the vibration 90° behind the voltage, which is the resonance; the
-//! voltage is that of an undisturbed plate, `V = setpoint / K1`. The bench's frame rotates with the
-//! voltage, so the loop brings arg W to 0. The law does not control the amplitude.
+//! Assumptions: at resonance the vibration lags the voltage by 90°, and the loop holds this phase.
+//! The voltage is that of an undisturbed plate, `V = setpoint / K1`. W is given in a frame that
+//! rotates with the voltage, and at resonance arg W is 0. The law does not control the amplitude.
 
 use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};
@@ -10,7 +10,7 @@ use crate::loops::{self, FrequencyLoop};
 use crate::open_loop::OpenLoop;
 use platebench_wire::{Configure, Gains, flags};
 
-/// Fraction of the setpoint below which the phase is noise.
+/// Fraction of the setpoint. Below this amplitude the measured phase is mostly noise.
 const MIN_AMPLITUDE_SHARE: f32 = 0.1;
 
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,4 +1,4 @@
-//! Decides whether the plate is driven.
+//! Decides whether the plate is driven, and detects lost samples and a noisy line.
 //!
 //! ```text
 //!                    configure                 first sample
@@ -10,16 +10,16 @@
 //!                                    └────────────────── Safe  Fault      both at 0 V
 //! ```
 //!
-//! `safe` and `configure` act in every state.
+//! `safe` and `configure` act in every state, also those without an arrow.
 
 use crate::law::{Actuation, Law, Measurement};
 use platebench_wire::{Command, Configure, Configured, ControllerState, Rejection, Sample, StateCause};
 
 pub const DEFAULT_WATCHDOG_PERIODS: u32 = 5;
 
-/// A rejected frame adds this weight to the score, a sample subtracts 1. The score reaches its
-/// limit after five rejected frames in a row, or if every second frame is rejected for about twenty
-/// periods.
+/// Leaky counter of rejected frames: a rejected frame adds this weight to the score, a sample
+/// subtracts 1. Five rejected frames in a row reach the limit, and so do about twenty periods in
+/// which every second frame is rejected.
 const REJECTED_FRAME_WEIGHT: u8 = 2;
 const MAX_REJECTED_FRAME_SCORE: u8 = 10;
 
@@ -87,7 +87,7 @@ impl StateMachine {
         }
     }
 
-    /// Designs the law and waits at 0 V for the first sample. A rejection leaves no configuration.
+    /// Waits at 0 V for the first sample. After a rejection there is no configuration.
     pub fn configure(&mut self, configure: &Configure) -> Configured {
         let outcome = match Law::design(configure) {
             Ok((law, gains)) => {
@@ -149,7 +149,7 @@ impl StateMachine {
         self.last_command
     }
 
-    /// Returns the command with 0 V if the score reaches its limit.
+    /// Returns a command with 0 V if the score of rejected frames reaches its limit.
     pub fn count_rejected_frame(&mut self, now_us: u32) -> Option<Command> {
         let MachineState::Running(run) = &mut self.mode else { return None };
         run.rejected_frame_score = run.rejected_frame_score.saturating_add(REJECTED_FRAME_WEIGHT);
@@ -160,7 +160,7 @@ impl StateMachine {
         Some(self.enter_fault(StateCause::LineNoise))
     }
 
-    /// Returns the command with 0 V if the watchdog has expired.
+    /// Returns a command with 0 V if the watchdog has expired.
     pub fn tick(&mut self, now_us: u32) -> Option<Command> {
         match self.mode {
             MachineState::Running(run) if run.is_watchdog_expired(now_us) => {

@@ -1,7 +1,7 @@
 //! Implements `voltage-only`: a PI controller on |W| at a fixed frequency (\[7\] of the paper).
 //!
-//! Assumption: the design is that of `dq-pi`'s amplitude loop. Off resonance it needs more drive:
-//! `|W|/V = K1/√(1 + (τΔω)²)`.
+//! Assumption: the gains are those of `dq-pi`'s amplitude loop. Off resonance the law needs more
+//! drive, because `|W|/V = K1/√(1 + (τΔω)²)`.
 
 use crate::design::PiGains;
 use crate::law::{Actuation, Law, Measurement};

@@ -1,4 +1,4 @@
-//! Compares the control steps of `docs/wire-protocol.md` with the controller.
+//! Compares the control steps in the example of `docs/wire-protocol.md` with the controller.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a panic fails the test")]
 
@@ -8,7 +8,6 @@ use platebench_wire::{Configure, Message, Packet, Sample};
 const PAGE: &str = include_str!("../../../docs/wire-protocol.md");
 const COLUMNS: usize = 12;
 
-/// Of the test vector that the example uses.
 fn configuration() -> Configure {
     let body = PAGE.lines().find_map(|line| line.strip_prefix("body  13 02 ")).unwrap();
     let mut bytes = vec![0x13, 0x02];
@@ -19,7 +18,8 @@ fn configuration() -> Configure {
     }
 }
 
-/// Number after the last of `names`, which follow each other in the debug text of `machine`.
+/// Number after the last name of `names`. The names follow each other in the debug text of
+/// `machine`.
 fn value(machine: &StateMachine, names: &[&str]) -> f64 {
     let text = format!("{machine:?}");
     let rest = names.iter().fold(text.as_str(), |rest, name| rest.split_once(&format!("{name}: ")).unwrap().1);
@@ -27,7 +27,7 @@ fn value(machine: &StateMachine, names: &[&str]) -> f64 {
     rest.split_at(end).0.parse().unwrap()
 }
 
-/// The law keeps only σ and the pending change.
+/// The law stores only σ and the pending change. This function inverts its update of σ.
 fn identified_sigma(before: f64, after: f64, pending: f64) -> f64 {
     let step = after - before;
     if pending != 0.0 {

@@ -1,6 +1,6 @@
-//! Feeds random, mutated and spliced byte strings to the frame reader, the decoder and the device.
-//! A second reader after `docs/wire-protocol.md` shares no code with them. Deterministic: a failure
-//! names the round, and the same round fails again.
+//! Sends random, mutated and spliced byte strings to frame reader, decoder and device. Compares the
+//! frame reader with a second one that is written after `docs/wire-protocol.md` without common
+//! code. The random numbers are deterministic, so a round that fails, fails again.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "a panic fails the test")]
 
@@ -15,7 +15,7 @@ const STRINGS_PER_DEVICE: u64 = 200;
 
 const LIMIT_VPP: f32 = 900.0;
 
-/// Marsaglia's xorshift64*.
+/// Marsaglia's random generator xorshift64*.
 struct Random(u64);
 
 impl Random {
@@ -32,7 +32,7 @@ impl Random {
 
     fn bytes(&mut self, into: &mut Vec<u8>, count: usize) {
         for _ in 0..count {
-            // Zeros, which end frames, are rare among random bytes.
+            // A zero ends a frame and is rare among random bytes, so a sixteenth is set to 0.
             let byte = self.next() as u16;
             into.push(if byte < 0x1000 { 0 } else { byte as u8 });
         }
@@ -264,14 +264,14 @@ fn only_a_complete_sample_drives_the_plate() {
             }
         });
     }
-    // The random strings reached every branch often enough.
+    // Checks that the random strings reached every branch often enough.
     assert!(counts.bodies > ROUNDS / 4 && counts.refused > ROUNDS / 8, "{} {}", counts.bodies, counts.refused);
     assert!(counts.driven > ROUNDS / 20 && counts.ticks > ROUNDS / 100, "{} {}", counts.driven, counts.ticks);
 }
 
 #[test]
 fn a_device_has_a_fixed_size() {
-    // It has no heap, so this bounds its memory.
+    // The device uses no heap, so its size limits its memory.
     assert!(size_of::<FrameReader>() <= MAX_ENCODED + 32);
     assert!(size_of::<Device>() <= 512, "{}", size_of::<Device>());
 }

@@ -9,7 +9,7 @@ pub(crate) struct Arguments {
     pub(crate) port: String,
     pub(crate) baud: u32,
     pub(crate) log: Option<String>,
-    /// Reported in place of a chip's unique number.
+    /// Value that the program reports as unique number, because a computer has no chip number.
     pub(crate) unique: [u8; 12],
 }
 

@@ -5,7 +5,7 @@
 //! ```
 //!
 //! `event` is `start`, `state`, `hang-up` or `end`. `since_sample_us` is the time since the last
-//! sample with a control step, or `null`. The log also shows what happened after the bench ended.
+//! sample with a control step, or `null`. The program also logs after the bench has ended.
 
 use crate::error::HostError;
 use platebench_wire::{Command, ControllerState, StateCause};

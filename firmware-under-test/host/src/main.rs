@@ -1,4 +1,4 @@
-//! Starts the program; the library lets the workspace's tests start it under another name.
+//! Calls the library's `main`, which the workspace's tests also start under another program name.
 
 use std::process::ExitCode;
 

@@ -1,4 +1,4 @@
-//! Runs the controller as a board's main loop does.
+//! Receives bytes, advances the controller and logs its state, as the main loop of a board does.
 
 use crate::arguments::Arguments;
 use crate::error::HostError;
@@ -58,7 +58,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), HostError> {
                     let since = clock.now_us();
                     device.receive(bytes, since, |frame| port.send(frame));
                     let took_us = clock.now_us().wrapping_sub(since);
-                    // Zero would mean "not measured".
+                    // At least 1 µs, because the protocol reserves 0 for "not measured".
                     device.set_compute_us(u16::try_from(took_us).unwrap_or(u16::MAX).max(1));
                 }
                 PortInput::TimedOut => {}
@@ -79,10 +79,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), HostError> {
 fn receive_timeout(device: &Device, now_us: u32) -> Duration {
     let quarter = device.period_us().map_or(IDLE_WAIT, |period| Duration::from_micros(u64::from(period) / 4));
     let tick = device.next_tick_us().map_or(IDLE_WAIT, |at| {
-        // A past instant wraps to a large distance.
+        // `at` may have passed; the difference then wraps to more than half of the range.
         let left = at.wrapping_sub(now_us);
         Duration::from_micros(if left > u32::MAX / 2 { 0 } else { left.into() })
     });
-    // Rounded up, so that the clock has reached the instant.
+    // One microsecond more, so that the clock has reached `at` after the wait.
     quarter.clamp(MIN_WAIT, IDLE_WAIT).min(tick + Duration::from_micros(u64::from(tick > Duration::ZERO)))
 }

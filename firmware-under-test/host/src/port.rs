@@ -50,7 +50,7 @@ impl Port {
         }
     }
 
-    /// Sends the bytes that the line accepts at once and drops the rest, as a UART does.
+    /// Drops the bytes that the line does not accept at once, as a UART does.
     pub(crate) fn send(&self, mut bytes: &[u8]) {
         while !bytes.is_empty() {
             match rustix::io::write(&self.0, bytes) {

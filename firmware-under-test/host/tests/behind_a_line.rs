@@ -85,8 +85,7 @@ fn target_pacing_sends_ticks_until_safe() {
     let mut session = Session::open(start(None)).unwrap();
     session.start_trial(&Configure { paced_by_target: true, ..CONFIGURE }).unwrap();
     let (mut ticks, mut last_us) = (0_u8, 0);
-    // On a busy machine the first ticks arrive together with the answer to the configuration, and
-    // answers arrive late.
+    // On a busy machine ticks may arrive with the answer to the configuration, and answers late.
     let mut last_sequence: Option<u8> = None;
     let mut unanswered = BTreeSet::new();
     while ticks < 50 || unanswered.len() > 1 {
@@ -126,7 +125,7 @@ fn a_lost_bench_leads_to_0_v_and_ends_the_program() {
     for (sequence, message) in (1..).zip(messages) {
         line.exchange(Duration::ZERO, Packet { sequence, message }.encode().as_bytes(), &mut answer).unwrap();
     }
-    // Without a request for 0 V: as after SIGKILL.
+    // Closes the line without a request for 0 V, as after SIGKILL.
     drop(line);
     let log_text = fs::read_to_string(&log).unwrap();
     let field = |line: &str, name: &str| {
@@ -160,7 +159,7 @@ fn a_killed_program_is_a_lost_rig() {
         }
     };
     assert!(error.ends_with("was ended by signal 9"), "{error}");
-    // A pseudo-terminal accepts bytes without a reader; only receiving reports the lost program.
+    // A pseudo-terminal accepts bytes without a reader, so only a receive detects the lost program.
     let _ = session.send(Message::Hello);
     assert!(session.receive(Instant::now() + TIMEOUT).is_err());
     assert!(!session.request_safe_state());

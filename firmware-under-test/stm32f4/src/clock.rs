@@ -1,7 +1,7 @@
-//! Starts clocks, microsecond counter, alarm, tick and watchdog. Every wait is bounded.
+//! Starts clocks, microsecond counter, alarm, 1 ms tick and watchdog. Every wait is bounded.
 //!
-//! The clock is crystal and PLL at 168 MHz, otherwise internal oscillator and PLL at 168 MHz,
-//! otherwise internal oscillator at 16 MHz. The baud rate divides all three.
+//! Crystal and PLL give 168 MHz. If the crystal fails, internal oscillator and PLL give 168 MHz; if
+//! the PLL fails, the internal oscillator gives 16 MHz. The baud rate divides APB1 in all cases.
 
 use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
@@ -18,7 +18,7 @@ const INTERNAL_MHZ: u32 = 16;
 
 const CHANNEL_1: u32 = 1 << 1;
 
-/// Bound of every wait. A round takes at least 6 cycles; a crystal starts within a few ms.
+/// Largest number of rounds of a wait, at least 6 cycles each. A crystal starts within a few ms.
 const ROUNDS: u32 = 30_000;
 
 #[derive(Clone, Copy)]
@@ -50,7 +50,7 @@ pub(crate) fn start(p: &pac::Peripherals) -> Clocks {
             }
             ready
         });
-        // The PLL multiplies 1 MHz by 336 and halves it: 168 MHz. Q = 7 gives 48 MHz.
+        // PLL: 1 MHz times 336, divided by 2, is 168 MHz. Q = 7 divides 336 MHz to 48 MHz.
         let source = u32::from(crystal_mhz.is_some()) << 22;
         rcc.pllcfgr().write(|w| w.bits(crystal_mhz.unwrap_or(INTERNAL_MHZ) | 336 << 6 | source | 7 << 24));
         rcc.cr().modify(|_, w| w.pllon().set_bit());
@@ -58,7 +58,7 @@ pub(crate) fn start(p: &pac::Peripherals) -> Clocks {
             rcc.cr().modify(|_, w| w.pllon().clear_bit());
             return SLOW;
         }
-        // 5 wait states at 168 MHz and 3.3 V; prefetch and both caches.
+        // Flash: 5 wait states for 168 MHz at 3.3 V; prefetch and both caches are on.
         p.FLASH.acr().write(|w| w.bits(5 | 0b111 << 8));
         if !wait_until(|| p.FLASH.acr().read().bits() & 0b111 == 5) {
             return SLOW;
@@ -90,8 +90,8 @@ pub(crate) fn now_us(p: &pac::Peripherals) -> u32 {
     p.TIM2.cnt().read().bits()
 }
 
-/// Alarm of the microsecond counter's first compare channel, so that interrupt delays do not shift
-/// the periods.
+/// Wakes the main loop for the next tick by the counter's first compare channel, so that interrupt
+/// delays do not shift the periods.
 pub(crate) struct Alarm {
     at_us: Option<u32>,
 }
@@ -104,8 +104,8 @@ impl Alarm {
         Self { at_us: None }
     }
 
-    /// `None` switches the alarm off. Returns false if `at_us` has already passed, since the alarm
-    /// will not fire.
+    /// `None` switches the alarm off. Returns false if `at_us` has already passed, because the
+    /// alarm then never fires.
     #[must_use]
     pub(crate) fn set(&mut self, p: &pac::Peripherals, at_us: Option<u32>) -> bool {
         if self.at_us == at_us {
@@ -132,9 +132,9 @@ impl Alarm {
     }
 }
 
-/// Starts the independent watchdog: LSI / 4, 32 counts, 4 ms (2.7 to 7.5 ms over the oscillator's
-/// tolerance). With 4 ms, a stopped main loop holds the drive for less than five periods of 1 ms.
-/// The watchdog cannot be stopped; a debugger that halts the core pauses it.
+/// Starts the independent watchdog with LSI / 4 and 32 counts: 4 ms, 2.7 to 7.5 ms over the
+/// oscillator's tolerance. After 4 ms a stopped main loop has held the drive for less than five
+/// periods of 1 ms. The watchdog cannot be stopped; a debugger that halts the core pauses it.
 pub(crate) fn start_watchdog(p: &pac::Peripherals) {
     // SAFETY: RM0090, 21.3 and 32.16.4.
     unsafe {
@@ -144,8 +144,8 @@ pub(crate) fn start_watchdog(p: &pac::Peripherals) {
     set_watchdog(p, 0, 32);
 }
 
-/// LSI / 64, 256 counts, 0.5 s (0.35 to 0.96 s). A debugger then has time to read after a trap, at
-/// 0 V.
+/// LSI / 64 and 256 counts: 0.5 s, 0.35 to 0.96 s over the oscillator's tolerance. After a trap at
+/// 0 V a debugger has this time to read the state.
 pub(crate) fn lengthen_watchdog(p: &pac::Peripherals) {
     set_watchdog(p, 4, 256);
 }
@@ -161,7 +161,7 @@ fn set_watchdog(p: &pac::Peripherals, prescaler: u16, reload: u16) {
     feed_watchdog(p);
 }
 
-/// Only the main loop calls it, so that the watchdog detects a stopped main loop.
+/// Only the main loop calls this function, so that the watchdog detects a stopped main loop.
 pub(crate) fn feed_watchdog(p: &pac::Peripherals) {
     // SAFETY: only reloads the counter.
     p.IWDG.kr().write(|w| unsafe { w.bits(0xAAAA) });

@@ -1,11 +1,11 @@
-//! Builds the firmware's identity for the handshake and as text in the image.
+//! Builds the firmware's identity for the bench and as text in the image.
 
 use platebench_wire::{Identity, LawId, capabilities};
 use stm32f4::stm32f405 as pac;
 
 const SOURCE_HASH: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/source_hash.bin"));
 
-/// Readable by `strings`, a debugger and `ci/firmware`.
+/// `strings`, a debugger and `ci/firmware` can read this text in the image.
 #[used]
 static TEXT: [u8; 90] = {
     let text = concat!("platebench-stm32f4 ", env!("CARGO_PKG_VERSION"), " ", env!("PLATEBENCH_SOURCE_HASH"), "\n");
@@ -17,7 +17,7 @@ static TEXT: [u8; 90] = {
     padded
 };
 
-/// Unique device identifier, 96 bits. RM0090, 39.1.
+/// Address of the unique device identifier, 96 bits (RM0090, 39.1).
 const UNIQUE: *const [u8; 12] = 0x1FFF_7A10 as *const [u8; 12];
 
 const QEMU: bool = cfg!(feature = "qemu");
@@ -45,7 +45,7 @@ pub(crate) fn identity(p: &pac::Peripherals) -> Identity {
         capabilities: capabilities::TARGET_PACED | capabilities::COMPUTE_TIME | capabilities::LOOP_DELAY,
         laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
         build,
-        // QEMU models neither register; an access traps.
+        // QEMU models neither this register nor `UNIQUE`, and a read of them traps.
         chip: if QEMU { 0 } else { p.DBGMCU.idcode().read().bits() },
         // SAFETY: readable on every STM32F4, aligned for bytes, never written.
         unique: if QEMU { *b"qemu-f405\0\0\0" } else { unsafe { UNIQUE.read_volatile() } },

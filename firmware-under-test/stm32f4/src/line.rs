@@ -1,6 +1,6 @@
 //! Receives and sends bytes on USART2: PA2 (TX), PA3 (RX), 8N1.
 //!
-//! DMA1 stream 5 receives into a ring, stream 6 sends (both channel 4, RM0090 table 42).
+//! DMA1 stream 5 writes received bytes to a ring, stream 6 sends (both channel 4, RM0090 table 42).
 
 use crate::clock;
 use core::cell::UnsafeCell;
@@ -8,7 +8,7 @@ use core::sync::atomic::{AtomicBool, Ordering, compiler_fence};
 use pac::interrupt;
 use stm32f4::stm32f405 as pac;
 
-/// A divisor of both APB1 clocks: 42 MHz and 16 MHz.
+/// 1 Mbaud divides both possible APB1 clocks, 42 MHz and 16 MHz.
 const BAUD: u32 = 1_000_000;
 const BITS_PER_BYTE: u32 = 10;
 
@@ -86,8 +86,9 @@ impl Inbox {
         IDLE.load(Ordering::Relaxed)
     }
 
-    /// Returns the bytes since the last call if the line is idle or [`TAKE_WITHOUT_IDLE`] bytes
-    /// wait. Stops at the end of the ring, so the caller repeats the call until it returns nothing.
+    /// Returns the bytes since the last call, if the line is idle or at least [`TAKE_WITHOUT_IDLE`]
+    /// bytes are available. Ends at the end of the ring, so the caller repeats the call until it
+    /// returns nothing.
     pub(crate) fn take(&mut self, p: &pac::Peripherals) -> &[u8] {
         let idle = IDLE.swap(false, Ordering::Acquire);
         let written = (RING - p.DMA1.st(5).ndtr().read().bits() as usize) % RING;
@@ -152,8 +153,8 @@ fn USART2() {
     IDLE.store(true, Ordering::Release);
 }
 
-/// Sends `frame` after a delimiter that ends an unfinished frame. For fault handlers: no
-/// interrupts, no DMA, bounded.
+/// Sends a delimiter, which ends an unfinished frame, and then `frame`. Fault handlers call it, so
+/// it uses neither interrupts nor DMA, and its waits are bounded.
 pub(crate) fn send_by_polling(frame: &[u8]) {
     // SAFETY: all other code has stopped for good.
     let usart = unsafe { &*pac::USART2::ptr() };

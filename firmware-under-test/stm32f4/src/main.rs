@@ -6,8 +6,7 @@
 //! | PB0 | amplifier enable, high while the controller runs |
 //! | PH0, PH1 | crystal, 8 MHz (features `crystal-25mhz`, `no-crystal`); internal oscillator if it does not start |
 //!
-//! The main loop sleeps until the line is idle after a frame, 1 ms has passed or the alarm of
-//! target pacing fires.
+//! The main loop sleeps until the line is idle after a frame, 1 ms has passed or the alarm fires.
 #![no_std]
 #![no_main]
 
@@ -32,7 +31,7 @@ static TICK: AtomicBool = AtomicBool::new(false);
 
 #[entry]
 fn main() -> ! {
-    // All state of the control law. A debugger and the chip fault `bit-flip` find it by this name.
+    // State of the control law. A debugger and the chip fault `bit-flip` find it by this name.
     static mut CONTROLLER: MaybeUninit<Device> = MaybeUninit::uninit();
 
     // SAFETY: called once, at the start; only this function owns them.
@@ -55,8 +54,7 @@ fn main() -> ! {
     #[cfg(feature = "plant-faults")]
     let mut planted = planted_faults::SampleWatcher::new();
     loop {
-        // Interrupts are masked until the sleep, so that none is missed. A masked interrupt ends
-        // the sleep too.
+        // Masked until the core sleeps, so that none is missed. A masked interrupt ends the sleep.
         cortex_m::interrupt::disable();
         if !Inbox::went_idle() && !TICK.load(Ordering::Relaxed) {
             cortex_m::asm::wfi();

@@ -1,9 +1,9 @@
 //! Drives the board's outputs.
 //!
-//! The bench replaces the converters, so drive and frequency travel as a [`Command`] on the line.
-//! PB0, *amplifier enable*, is high while the controller runs and low in every other state and
-//! after reset (the amplifier needs a pull-down). A fault handler sets it low first. A board with
-//! converters extends [`Output::apply`]; [`off`] must silence them by plain register writes.
+//! The board has no converters, so drive and frequency go to the bench as a [`Command`]. PB0,
+//! *amplifier enable*, is high while the controller runs, and low in every other state and after
+//! reset (the amplifier needs a pull-down). A fault handler sets it low first. A board with
+//! converters extends [`Output::apply`], and [`off`] for 0 V by plain register writes.
 
 use platebench_wire::{Command, ControllerState};
 use stm32f4::stm32f405 as pac;
@@ -37,7 +37,7 @@ impl Output {
     }
 }
 
-/// Sets 0 V; safe in every state, with almost no stack.
+/// Disables the amplifier; safe in every state, with almost no stack.
 pub(crate) fn off() {
     // SAFETY: one store that clears only PB0.
     unsafe { (*pac::GPIOB::ptr()).bsrr().write(|w| w.bits(ENABLE << 16)) };

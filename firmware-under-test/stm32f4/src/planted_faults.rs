@@ -1,4 +1,4 @@
-//! Causes fault n at a sample with setpoint `900 + n` µm, for the bench's tests.
+//! Causes fault n if a sample has the setpoint `900 + n` µm; the bench's tests use these faults.
 
 use core::arch::asm;
 use core::hint::black_box;
@@ -27,8 +27,8 @@ impl SampleWatcher {
     }
 }
 
-// The fault report shows the function's name. Different constants keep the linker from merging two
-// functions.
+// Each fault has its own function, because the fault report shows the name. Different constants
+// prevent the linker from merging two functions.
 fn trigger(which: u8) {
     match which {
         1 => unaligned_access(),

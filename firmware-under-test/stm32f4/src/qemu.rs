@@ -1,9 +1,8 @@
-//! Runs `platebench-controller` on QEMU's `netduinoplus2`, as a second check of every bit of the
-//! law.
+//! Runs the controller on QEMU's `netduinoplus2`, which checks every bit of the law a second time.
 //!
-//! QEMU models no clock tree, DMA, pins or watchdog, and its timers run at wrong rates. So
-//! interrupts serve USART2, and the time is that of the last sample. The reset after a fault report
-//! ends QEMU if it runs with `-no-reboot`.
+//! QEMU models no clock tree, DMA, pins or watchdog, and its timers run at wrong rates. Therefore
+//! interrupts serve USART2, and the time is that of the last sample. After a fault report the
+//! firmware resets; QEMU with `-no-reboot` then ends.
 #![no_std]
 #![no_main]
 
@@ -18,7 +17,7 @@ use platebench_controller::Device;
 use platebench_wire::{FaultReport, FrameReader, Message, Packet};
 use stm32f4::stm32f405 as pac;
 
-/// More bytes than a bench sends before it reads the answers.
+/// Size of the ring, more bytes than a bench sends before it reads the answers.
 const RING: usize = 4_096;
 const ROUNDS: u32 = 20_000;
 
@@ -44,8 +43,8 @@ fn main() -> ! {
     let mut reader = FrameReader::new();
     let (mut taken, mut now_us) = (0_usize, 0);
     loop {
-        // Interrupts are masked until the sleep, so that no byte is missed. A masked interrupt ends
-        // the sleep too.
+        // Interrupts are masked until the core sleeps, so that no byte is missed. A masked
+        // interrupt also ends the sleep.
         cortex_m::interrupt::disable();
         if STORED.load(Ordering::Acquire) == taken {
             cortex_m::asm::wfi();

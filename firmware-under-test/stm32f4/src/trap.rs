@@ -1,8 +1,8 @@
 //! Handles a panic and a `HardFault`: 0 V, then a fault report on the line, then the watchdog's
 //! reset.
 //!
-//! The report survives the reset. A panic has no faulting instruction, so its `pc` is the caller of
-//! the handler and its `address` is that of the panic's `core::panic::Location` in the image.
+//! The report survives the reset. A panic has no faulting instruction: its `pc` is the caller of
+//! the handler, and its `address` is that of the panic's `core::panic::Location` in the image.
 
 use crate::{clock, line, output};
 use core::arch::global_asm;
@@ -22,14 +22,14 @@ const BUS_ADDRESS_VALID: u32 = 1 << 15;
 const MEMORY_ADDRESS_VALID: u32 = 1 << 7;
 const MARK: u32 = 0x504C_4154;
 
-/// A mark and the last report, in memory that the start-up code does not clear.
+/// `MARK` and the last report, in memory that the start-up code does not clear.
 struct SavedReport(UnsafeCell<MaybeUninit<[u32; 5]>>);
 // SAFETY: accessed once at the start and once after all other code has stopped.
 unsafe impl Sync for SavedReport {}
 #[unsafe(link_section = ".uninit.trap")]
 static SAVED: SavedReport = SavedReport(UnsafeCell::new(MaybeUninit::uninit()));
 
-/// The fault handler has its own stack, because the normal one may have overflowed.
+/// Stack of the fault handler, because the normal one may have overflowed.
 #[repr(C, align(8))]
 struct FaultStack(UnsafeCell<[u8; FAULT_STACK_BYTES]>);
 // SAFETY: only the fault handler uses it, and it never returns.
@@ -37,7 +37,7 @@ unsafe impl Sync for FaultStack {}
 const FAULT_STACK_BYTES: usize = 2_048;
 static FAULT_STACK: FaultStack = FaultStack(UnsafeCell::new([0; FAULT_STACK_BYTES]));
 
-/// Unaligned access does not trap, because the compiler uses it.
+/// The trap for unaligned access stays off, because the compiler generates such accesses.
 pub(crate) fn enable_division_trap(scb: &mut SCB) {
     // SAFETY: DIV_0_TRP.
     unsafe { scb.ccr.modify(|ccr| ccr | 1 << 4) };
@@ -56,8 +56,7 @@ pub(crate) fn report_before_reset(p: &pac::Peripherals) -> Option<FaultReport> {
     Some(if mark == MARK { FaultReport { pc, lr, cfsr, address, ..unknown } } else { unknown })
 }
 
-// The normal stack may be the cause, so the handler switches to its own stack before its first
-// push.
+// A stack overflow may be the cause, so the handler uses its own stack from its first push on.
 global_asm!(
     ".section .HardFault.user, \"ax\"",
     ".global HardFault",
@@ -82,7 +81,7 @@ global_asm!(
     handler = sym on_hard_fault,
 );
 
-/// `frame` points to r0 to r3, r12, lr, pc and xpsr, if the processor could store them.
+/// `frame` points to r0 to r3, r12, lr, pc and xpsr, unless the processor failed to store them.
 extern "C" fn on_hard_fault(frame: *const u32) -> ! {
     output::off();
     // SAFETY: reads of the fault status registers.

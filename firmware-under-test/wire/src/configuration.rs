@@ -1,4 +1,4 @@
-//! Defines the configuration of a trial and its answer.
+//! Defines the configuration message of a trial and the target's answer to it.
 
 use crate::field::{Field, MessageError, Reader, Writer, layout};
 use crate::identity::LawId;
@@ -31,20 +31,20 @@ pub struct Configure {
     /// Time without a sample or setpoint after which the drive goes to 0 V; 0 means five periods.
     pub watchdog_timeout_ms: u16,
     pub period_us: u32,
-    /// From sampling to actuation; 0 if unknown. Other values require
+    /// Time from sampling to actuation; 0 if unknown. Other values require
     /// [`LOOP_DELAY`](crate::capabilities::LOOP_DELAY).
     pub loop_delay_us: u32,
     pub start_frequency_mhz: u32,
-    /// K1.
+    /// Gain K1 of the untouched plate.
     pub gain_um_per_vpp: f32,
-    /// τ.
+    /// Time constant τ of the untouched plate.
     pub time_constant_s: f32,
     /// 5 % response time (equation 24); 0 means the law's default.
     pub response_time_s: f32,
     pub drive_limit_vpp: f32,
-    /// Largest distance from the start frequency.
+    /// Largest distance of the excitation from the start frequency.
     pub frequency_range_hz: f32,
-    /// Largest change per period.
+    /// Largest change of the excitation frequency per period.
     pub frequency_slew_hz: f32,
     pub gains: Option<Gains>,
 }
@@ -52,7 +52,7 @@ pub struct Configure {
 /// Bits of the second byte of a configuration.
 const HAS_GAINS: u8 = 1;
 const PACED_BY_TARGET: u8 = 2;
-/// The loop delay follows in four more bytes at the end of the body.
+/// Marks a loop delay in four more bytes at the end of the body.
 const HAS_LOOP_DELAY: u8 = 4;
 const DRIVES_OWN_PLATE: u8 = 8;
 

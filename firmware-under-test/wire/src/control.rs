@@ -2,7 +2,6 @@
 
 use crate::field::{Field, MessageError, Reader, Writer, layout};
 
-/// Setpoint and in-phase and quadrature component of the plate at a control instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     /// Time on the bench's clock; wraps.
@@ -62,19 +61,18 @@ pub mod flags {
     pub const FREQUENCY_LIMITED: u8 = 2;
     /// The frequency loop is inactive because the in-phase component is too small to divide by.
     pub const FREQUENCY_HELD: u8 = 4;
-    /// The plate differs from the law's prediction, and the law uses its fallback.
+    /// The plate differs from the law's prediction, and the law uses its PI loops instead.
     pub const PREDICTION_MISSED: u8 = 8;
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Command {
-    /// Time at which the sample was received, on the target's clock; wraps.
+    /// Time at which the target received the sample, on the target's clock; wraps.
     pub target_time_us: u32,
     pub drive_vpp: f32,
     pub frequency_mhz: u32,
     pub state: ControllerState,
     pub cause: StateCause,
-    /// Four bits, see [`flags`].
     pub flags: u8,
     /// Duration of the previous control step; 0 if not measured.
     pub compute_us: u16,
@@ -105,12 +103,12 @@ impl Field for Command {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FaultReport {
-    /// 1 panic, 2 `HardFault`, 3 watchdog reset before this start.
+    /// Cause of the report: 1 panic, 2 `HardFault`, 3 watchdog reset before this start.
     pub code: u16,
     pub pc: u32,
     pub lr: u32,
     pub cfsr: u32,
-    /// Faulting address, zero if none is valid.
+    /// Faulting address; zero if the fault has none.
     pub address: u32,
 }
 layout!(FaultReport { code, pc, lr, cfsr, address });
@@ -130,7 +128,7 @@ layout!(Setpoint { setpoint_um });
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Telemetry {
-    /// Counted from 0 at the first setpoint after the configuration; wraps.
+    /// Number of the control period; 0 at the first setpoint after the configuration; wraps.
     pub period: u32,
     /// Time of sampling on the target's clock; wraps.
     pub target_time_us: u32,

@@ -2,7 +2,7 @@
 
 use crate::frame::MAX_BODY;
 
-/// Why a body with a correct checksum was rejected.
+/// Reason why a body with a correct checksum was rejected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MessageError {
     Version(u8),
@@ -72,7 +72,7 @@ impl<'a> Reader<'a> {
 
 impl<const N: usize> Field for [u8; N] {
     fn write(&self, writer: &mut Writer) {
-        // No check: every message fits, since the tests of `packet` encode each of them.
+        // Every message fits: the tests of `packet` encode each of them.
         if let Some(place) = writer.bytes.get_mut(writer.length..writer.length + N) {
             place.copy_from_slice(self);
             writer.length += N;

@@ -1,22 +1,22 @@
-//! Frames a body as `COBS(body ‖ CRC-32(body)) ‖ 0x00` and reads such frames.
+//! Frames a body as `COBS(body ‖ CRC-32(body)) ‖ 0x00` and reads frames of this form.
 //!
-//! COBS removes every zero from the frame and adds one byte. A zero on the line therefore always
-//! ends a frame, and a reader that starts in the middle is synchronised after one delimiter. The
-//! CRC is CRC-32/ISO-HDLC (Ethernet, zlib), little-endian, over the body alone.
+//! COBS replaces every zero in the frame and adds one byte. A zero on the line therefore always
+//! ends a frame. A reader that starts in the middle of a frame is synchronised after the next zero.
+//! The CRC is CRC-32/ISO-HDLC (Ethernet, zlib), little-endian, over the body alone.
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
-/// Bytes of the largest body, without the CRC.
+/// Largest length of a body in bytes, without the CRC.
 pub const MAX_BODY: usize = 64;
-/// Body, CRC, one COBS byte, delimiter.
+/// Largest length of a frame: body, CRC, one COBS byte, delimiter.
 pub const MAX_ENCODED: usize = MAX_BODY + CRC_BYTES + 2;
 
 const CRC_BYTES: usize = 4;
-/// A board has tables of 1 KiB; a PC has 16 KiB and checks 16 bytes at once.
+/// CRC tables: one of 1 KiB on a board; with 16 tables, a PC processes 16 bytes at once.
 const TABLES: usize = if cfg!(target_os = "none") { 1 } else { 16 };
 static CHECKSUM: Crc<u32, Table<TABLES>> = Crc::<u32, Table<TABLES>>::new(&CRC_32_ISO_HDLC);
 
-/// The content of a frame with an error must not be used.
+/// A frame with an error has no usable content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FrameError {
     InvalidCobs,
@@ -38,7 +38,7 @@ impl EncodedFrame {
         let mut bytes = [0; MAX_ENCODED];
         let end = 1 + body.len();
         let last = end + CRC_BYTES;
-        // The last byte is the delimiter, already zero.
+        // The last byte is the delimiter and is already zero.
         let frame = bytes.get_mut(..MAX_ENCODED - 1)?.get_mut(..last)?;
         frame.get_mut(1..end)?.copy_from_slice(body);
         frame.get_mut(end..)?.copy_from_slice(&CHECKSUM.checksum(body).to_le_bytes());
@@ -69,8 +69,8 @@ impl FrameReader {
         Self { buffer: [0; MAX_ENCODED], length: 0, overlong: false }
     }
 
-    /// Takes `bytes` up to the end of the first frame. Returns the frame's body or error, `None` if
-    /// no frame ends.
+    /// Takes `bytes` up to the end of the first frame and returns the body or the error of this
+    /// frame. Returns `None` if no frame ends within `bytes`.
     pub fn read(&mut self, bytes: &mut &[u8]) -> Option<Result<&[u8], FrameError>> {
         loop {
             let Some(delimiter) = bytes.iter().position(|&byte| byte == 0) else {
@@ -86,7 +86,7 @@ impl FrameReader {
         }
     }
 
-    /// As [`FrameReader::read`], for one byte.
+    /// Does the same as [`FrameReader::read`] for one byte.
     pub fn push(&mut self, byte: u8) -> Option<Result<&[u8], FrameError>> {
         self.read(&mut [byte].as_slice())
     }
@@ -118,8 +118,8 @@ impl FrameReader {
     }
 }
 
-/// Applies COBS in place. Each zero becomes the distance to the next zero or to the end; the first
-/// byte is a zero. [`MAX_ENCODED`] is below 255, so a distance always fits.
+/// Applies COBS in place; the first byte of `frame` must be zero. Each zero becomes the distance to
+/// the next zero or to the end. [`MAX_ENCODED`] is below 255, so a distance always fits in a byte.
 fn stuff(frame: &mut [u8]) {
     let mut next = frame.len();
     for (index, byte) in frame.iter_mut().enumerate().rev() {
@@ -130,7 +130,7 @@ fn stuff(frame: &mut [u8]) {
     }
 }
 
-/// Inverts [`stuff`] for bytes without a zero.
+/// Inverts [`stuff`]; `frame` contains no zero.
 fn unstuff(frame: &mut [u8]) -> Result<(), FrameError> {
     let mut next = 0;
     while let Some(byte) = frame.get_mut(next) {
@@ -168,7 +168,6 @@ mod tests {
 
     #[test]
     fn a_frame_is_body_and_checksum_stuffed_and_a_zero() {
-        // CRC-32 of 11 00 2a is 0x391ED983.
         let frame = EncodedFrame::new(&[0x11, 0x00, 0x2a]).unwrap();
         assert_eq!(frame.as_bytes(), [0x02, 0x11, 0x06, 0x2a, 0x83, 0xd9, 0x1e, 0x39, 0x00]);
     }
@@ -242,7 +241,8 @@ mod tests {
             for bit in 0..frame.as_bytes().len() * 8 {
                 let mut flipped = frame.as_bytes().to_vec();
                 flipped[bit / 8] ^= 1 << (bit % 8);
-                // A flipped delimiter must not let anything of the next frame through either.
+                // Without its delimiter the frame joins the next one, which must not be accepted
+                // either.
                 flipped.extend_from_slice(frame.as_bytes());
                 let bodies: Vec<_> = read_all(&flipped).into_iter().filter_map(Result::ok).collect();
                 let flip_in_delimiter = bit / 8 == frame.as_bytes().len() - 1;

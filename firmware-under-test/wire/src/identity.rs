@@ -1,23 +1,23 @@
-//! Defines the target's identity and the control laws.
+//! Defines the identity message of the target and the numbers and names of the control laws.
 
 use crate::field::{Field, MessageError, Reader, Writer, layout};
 
-/// The numbers are part of the protocol. The names are those of scenario files and `--law`.
+/// The numbers are part of the protocol. Scenario files and the option `--law` use the names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum LawId {
     OpenLoop = 0,
-    /// Two PI loops; equation 24 matched to the zero-order hold and to the plate's damping.
+    /// Two PI loops. Their gains are those of equation 24, matched to the zero-order hold and to
+    /// the plate's present damping.
     DqPi = 1,
-    /// Two PI loops; equation 24 as printed, with a forward-Euler integral.
+    /// Two PI loops with the gains of equation 24 as printed and a forward-Euler integral.
     DqPiEuler = 2,
     VoltageOnly = 3,
     /// At constant drive, the frequency adjusts the amplitude.
     FrequencyOnly = 4,
     BangBang = 5,
     Pll = 6,
-    /// Identifies the plate in one period, steers to the setpoint in the next, then holds it with
-    /// PI loops.
+    /// Identifies the plate in one period, steers to the setpoint in the next, then holds it by PI.
     Deadbeat = 7,
     /// `DqPi` with the constant gains of the untouched plate.
     DqPiFixed = 8,
@@ -66,8 +66,8 @@ impl Field for LawId {
     }
 }
 
-/// Bits of [`Identity::capabilities`] for `paced_by_target`, `compute_us`, `loop_delay_us` and
-/// `drives_own_plate`.
+/// Bits of [`Identity::capabilities`]. The target supports `paced_by_target`, `compute_us`,
+/// `loop_delay_us` and `drives_own_plate`, in this order.
 pub mod capabilities {
     pub const TARGET_PACED: u8 = 1;
     pub const COMPUTE_TIME: u8 = 2;
@@ -79,7 +79,7 @@ pub mod capabilities {
 pub struct Identity {
     /// Major, minor, patch.
     pub version: [u8; 3],
-    /// See [`capabilities`]; readers ignore other bits.
+    /// Bits of [`capabilities`]; readers ignore unknown bits.
     pub capabilities: u8,
     /// Bit n is set if the target has the law with number n.
     pub laws: u32,
@@ -87,7 +87,7 @@ pub struct Identity {
     pub build: [u8; 8],
     /// `DBGMCU_IDCODE` on an STM32; zero for a program on a computer.
     pub chip: u32,
-    /// Number of the chip; zero for a program on a computer, unless its option `--unique` sets it.
+    /// Unique number of the chip. On a computer it is zero unless the option `--unique` sets it.
     pub unique: [u8; 12],
     /// ASCII, padded with zeros.
     pub name: [u8; 16],

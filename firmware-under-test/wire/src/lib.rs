@@ -1,9 +1,9 @@
 //! Encodes and decodes the messages between the bench and the controller under test.
 //!
-//! [`FrameReader`] and [`EncodedFrame`] turn a body into a frame on the line and back. [`Packet`]
-//! gives the body its meaning and holds only valid messages. `docs/wire-protocol.md` describes the
-//! protocol, and the tests here pin every byte. Timing, retries and session state do not belong
-//! here.
+//! [`EncodedFrame`] turns a body into a frame on the line, [`FrameReader`] turns a frame back into
+//! its body. [`Packet`] decodes a body and holds only valid messages. `docs/wire-protocol.md`
+//! describes the protocol, and the tests of this crate check every byte. Timing, retries and
+//! session state are not part of this crate.
 #![no_std]
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 //! Encodes and decodes a message with its sequence number.
 //!
-//! Every body starts with two bytes: version (upper four bits) and kind (lower four bits), then the
-//! sequence number. An answer repeats the sequence number of its request. All numbers are
-//! little-endian, floats are IEEE 754 binary32, amplitudes and voltages are peak to peak.
+//! A body starts with two bytes. The first contains the version (upper four bits) and the kind
+//! (lower four bits), the second is the sequence number. An answer repeats the sequence number of
+//! its request. All numbers are little-endian, floats are IEEE 754 binary32, amplitudes and
+//! voltages are peak to peak.
 //!
 //! | kind | message | from | body bytes |
 //! |---|---|---|---|
@@ -24,13 +25,12 @@ use crate::field::{MessageError, Reader, Writer};
 use crate::frame::EncodedFrame;
 use crate::identity::Identity;
 
-/// Upper four bits of the first byte of every body.
 pub const VERSION: u8 = 1;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Packet {
-    /// The bench increments it per message, modulo 256; answers repeat it. Ticks and telemetry have
-    /// their own counters.
+    /// The bench increments this number per message, modulo 256, and answers repeat it. Ticks and
+    /// telemetry have their own counters.
     pub sequence: u8,
     pub message: Message,
 }
@@ -46,11 +46,11 @@ pub enum Message {
     Command(Command),
     /// Requests 0 V until the next `Configure`. The answer is a `Command` with 0 V in state `Safe`.
     Safe,
-    /// The processor crashed; sent once, with the drive already at 0 V.
+    /// Reports a crash of the processor. The target sends it once, with the drive already at 0 V.
     Fault(FaultReport),
-    /// Starts a period that the target paces.
+    /// Starts a control period if the target paces the control.
     Tick(Tick),
-    /// For a target that drives its own plate. The answer is a `Command`.
+    /// Setpoint for a target that drives its own plate. The answer is a `Command`.
     Setpoint(Setpoint),
     /// One period of the target's own plate.
     Telemetry(Telemetry),
@@ -95,14 +95,13 @@ impl Packet {
             Message::Setpoint(setpoint) => writer.write(setpoint),
             Message::Telemetry(telemetry) => writer.write(telemetry),
         }
-        // A writer holds at most MAX_BODY bytes, and every such body has a frame.
+        // `Writer` holds at most `MAX_BODY` bytes, and each body of this length fits in a frame.
         match EncodedFrame::new(writer.body()) {
             Some(frame) => frame,
             None => unreachable!(),
         }
     }
 
-    /// Fails if version, kind, length or a field is invalid.
     pub fn decode(body: &[u8]) -> Result<Self, MessageError> {
         let mut reader = Reader::new(body);
         let first: u8 = reader.read()?;

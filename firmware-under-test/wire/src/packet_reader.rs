@@ -7,11 +7,10 @@ use crate::packet::Packet;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PacketError {
     Frame(FrameError),
-    /// The frame is intact, but its body is no message of the protocol.
+    /// The frame is intact, but its body is not a message of the protocol.
     Message(MessageError),
 }
 
-/// Stores at most one frame.
 #[derive(Debug, Clone, Default)]
 pub struct PacketReader(FrameReader);
 
@@ -20,19 +19,19 @@ impl PacketReader {
         Self::default()
     }
 
-    /// Takes `bytes` up to the end of a frame. Returns its packet or error, `None` if no frame
-    /// ends.
+    /// Takes `bytes` up to the end of a frame and returns the packet or the error of this frame.
+    /// Returns `None` if no frame ends within `bytes`.
     pub fn read(&mut self, bytes: &mut &[u8]) -> Option<Result<Packet, PacketError>> {
         let body = self.0.read(bytes)?.map_err(PacketError::Frame);
         Some(body.and_then(|body| Packet::decode(body).map_err(PacketError::Message)))
     }
 
-    /// As [`PacketReader::read`], for one byte.
+    /// Does the same as [`PacketReader::read`] for one byte.
     pub fn push(&mut self, byte: u8) -> Option<Result<Packet, PacketError>> {
         self.read(&mut [byte].as_slice())
     }
 
-    /// Takes `bytes`. Yields the packet or the error of each frame that ends within them.
+    /// Yields the packet or the error of each frame that ends within `bytes`.
     pub fn packets<'a>(&'a mut self, mut bytes: &'a [u8]) -> impl Iterator<Item = Result<Packet, PacketError>> + 'a {
         core::iter::from_fn(move || self.read(&mut bytes))
     }

@@ -1,4 +1,4 @@
-//! Checks the test vectors of `docs/wire-protocol.md`.
+//! Compares encoder and decoder with the test vectors of `docs/wire-protocol.md`.
 
 #![allow(clippy::unwrap_used, reason = "a panic fails the test")]
 

@@ -1,11 +1,11 @@
-//! Fits ARX models of order one at the control period (section IV.B, reference \[24\]).
+//! Fits ARX models of order one at the control period (paper, section IV.B and reference \[24\]).
 //!
-//! `y[k+1] = a y[k] + Σ c_i u_i[k] + e[k]`, so `τ = −Ts / ln a`, and a static gain is
-//! `c / (1 − a)`. Least squares assume that `y[k]` is exact. Noise makes `a` and τ too small for
+//! The model is `y[k+1] = a y[k] + Σ c_i u_i[k] + e[k]`, so `τ = −Ts / ln a`, and a static gain is
+//! `c / (1 − a)`. Least squares assume that `y[k]` is exact, so noise makes `a` and τ too small for
 //! any number of samples. Instrumental variables (T. Söderström, P. Stoica, *System
 //! Identification*, 1989, chapter 8) use the noise-free response of an auxiliary model in three
-//! iterations. They are consistent. Their intervals include that the error `e[k] = v[k+1] − a v[k]`
-//! of white noise v is not white.
+//! iterations and are consistent. Their intervals allow for the colour of the error
+//! `e[k] = v[k+1] − a v[k]` of white noise v.
 
 use crate::estimate::Estimate;
 use nalgebra::{DMatrix, DVector};
@@ -18,13 +18,13 @@ pub enum ArxMethod {
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct ArxModel {
-    /// s.
+    /// Time constant τ, s.
     pub time_constant: Estimate,
     pub gains: Vec<Estimate>,
 }
 
-/// Outputs and inputs are `period` s apart, inputs are constant between samples. `None` if there
-/// are too few samples, the inputs are dependent, or `a` is not between 0 and 1.
+/// Samples are `period` s apart, and inputs are constant between them. `None` if there are too few
+/// samples, the inputs are linearly dependent, or `a` is not between 0 and 1.
 pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: ArxMethod) -> Option<ArxModel> {
     let (rows, width) = (y.len().checked_sub(1)?, inputs.len() + 1);
     let freedom = rows.checked_sub(width).filter(|&freedom| freedom > 0)? as f64;
@@ -50,7 +50,7 @@ pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: ArxMethod) -> Op
     let middle = match method {
         ArxMethod::LeastSquares => instruments.transpose() * &instruments * power,
         ArxMethod::InstrumentalVariables => {
-            // E[e e'] of e = v[k+1] − a v[k]: (1 + a²)σ² on the diagonal, −aσ² next to it.
+            // E[e eᵀ]: (1 + a²)σ² on the diagonal, −aσ² next to it; σ² is the power of v.
             let noise = power / (1.0 + a * a);
             let mut coloured = &instruments * power;
             for row in 1..rows {
@@ -87,7 +87,7 @@ fn solve(instruments: &DMatrix<f64>, regressors: &DMatrix<f64>, target: &DVector
     theta.iter().all(|value| value.is_finite()).then_some(theta)
 }
 
-/// Starts in the steady state of the first inputs.
+/// Response of the model, from the steady state of the first inputs on.
 fn response(theta: &DVector<f64>, inputs: &[Vec<f64>], length: usize) -> Option<Vec<f64>> {
     let a = theta.get(0).copied().filter(|a| a.abs() < 1.0)?;
     let forced = |k: usize| -> f64 {

@@ -1,11 +1,10 @@
-//! Defines the effects that a fit may find besides one mode.
+//! Defines the second mode and the self-heating that a fit may find.
 
 use crate::estimate::Estimate;
 use serde::Serialize;
 
-/// Largest relative standard error of the second mode's gain, or of the resonance's shift by
-/// heating. Noise alone does not give a value of five standard errors, even as the best of some
-/// twenty fits with different start points.
+/// Largest relative standard error of the second mode's gain, or of the shift by self-heating.
+/// Noise alone does not reach five standard errors, even as the best of about twenty start points.
 const MAX_STRENGTH_ERROR: f64 = 0.2;
 const MAX_TIME_CONSTANT_ERROR: f64 = 0.5;
 
@@ -35,7 +34,6 @@ pub struct IdentifiedSecondMode {
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct IdentifiedHeating {
-    /// Shift of the resonance in the steady state.
     pub shift_hz_per_um2: Estimate,
     pub time_constant_s: Estimate,
 }

@@ -1,9 +1,9 @@
 //! Fits a second mode or self-heating to a recording that one mode does not explain.
 //!
 //! The model is that of `fit.rs` with more parameters, for a recording under one temperature and
-//! force. Both modes have the same drive, and W is their sum. Self-heating gives the resonance
-//! `ω0 + s T` with `T' = (|W|² − T)/τ_h`, T in µm², 0 at the first sample. Each interval between
-//! samples or inputs uses the mode at its middle.
+//! force. A second mode has the same drive, and W is the sum of both modes. Self-heating gives the
+//! resonance `ω0 + s T` with `T' = (|W|² − T)/τ_h`, T in µm² and 0 at the first sample. Each
+//! interval between samples or inputs uses the resonance at its middle.
 
 use crate::effect::{EffectFit, IdentifiedHeating, IdentifiedSecondMode};
 use crate::estimate::{Estimate, WhitenessTest};
@@ -13,13 +13,13 @@ use nalgebra::{DMatrix, DVector};
 use platebench_plate::{Complex64, Drive, Flow, Mode, State, Tier};
 use std::f64::consts::TAU;
 
-/// A longer interval is divided. |W|² and T are nearly linear in the parts.
+/// Longest interval of the model. In longer ones |W|² and T are not nearly linear.
 const LONGEST_PIECE_S: f64 = 1e-3;
-/// Unit of the parameter s, rad/s per µm².
+/// Unit of the parameter s of self-heating, rad/s per µm².
 const SHIFT_UNIT: f64 = 10.0;
-/// Start values, below half of the sampling frequency of 1 kHz with a reserve for the detuning.
+/// Start values, below the Nyquist frequency of 500 Hz with a reserve for the detuning.
 const SECOND_MODE_DISTANCES_HZ: [f64; 10] = [-420.0, -300.0, -200.0, -120.0, -60.0, 60.0, 120.0, 200.0, 300.0, 420.0];
-/// Start values as a share of K1.
+/// Start values as a fraction of K1.
 const SECOND_GAINS: [f64; 2] = [0.1, -0.1];
 const HEATING_TIME_CONSTANTS_S: [f64; 3] = [0.05, 0.3, 2.0];
 
@@ -29,7 +29,7 @@ enum EffectKind {
     Heating,
 }
 
-/// The parameters are `[ln K1, ln τ, resonance, Re W, Im W]`, then `[ln τ2, resonance, gain/K1]` of
+/// Parameters `[ln K1, ln τ, resonance, Re W, Im W]`, followed by `[ln τ2, resonance, gain/K1]` of
 /// a second mode or `[s, ln τ_h]` of self-heating.
 struct EffectModel<'a> {
     recording: &'a Recording,
@@ -112,7 +112,7 @@ impl EffectModel<'_> {
         })
     }
 
-    /// Start parameters with the modes exchanged if the second mode has the larger gain.
+    /// Parameters with exchanged modes as a new start, if the second mode has the larger gain.
     fn exchange_modes(&self, theta: &DVector<f64>) -> Option<DVector<f64>> {
         if self.kind != EffectKind::SecondMode || theta[7].abs() <= 1.0 {
             return None;
@@ -139,7 +139,6 @@ impl EffectModel<'_> {
         let effect = match self.kind {
             EffectKind::SecondMode => {
                 let (gain, share) = (theta[0].exp(), theta[7]);
-                // The gain is a product of two parameters.
                 let variance =
                     share * share * covariance[(0, 0)] + covariance[(7, 7)] + 2.0 * share * covariance[(0, 7)];
                 EffectFit::SecondMode(IdentifiedSecondMode {
@@ -173,8 +172,8 @@ impl EffectModel<'_> {
     }
 }
 
-/// Returns the fit with the smaller residuals of those that `is_explained` accepts, with a second
-/// mode or self-heating. `None` if there is no such fit, or under several temperatures or forces.
+/// Fits a second mode and self-heating, and returns the fit with the smaller residuals that
+/// `is_explained` accepts. `None` if it accepts none, or if temperature or force changes.
 pub(crate) fn fit_effect(
     recording: &Recording,
     one_mode: &DirectFit,

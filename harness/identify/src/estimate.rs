@@ -1,4 +1,4 @@
-//! Defines estimates with intervals, and a test of residuals.
+//! Defines estimates with confidence intervals, and a test of residuals.
 
 use serde::Serialize;
 use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
@@ -25,7 +25,7 @@ impl Estimate {
         Self { value, error, low: value - reach, high: value + reach, freedom }
     }
 
-    /// A positive value whose logarithm has a normal error.
+    /// Estimate of a positive value whose logarithm has a normal error.
     pub fn from_logarithm(logarithm: f64, error: f64, freedom: f64) -> Self {
         let reach = quantile(freedom) * error;
         let value = logarithm.exp();
@@ -47,7 +47,7 @@ impl Estimate {
         (self.low..=self.high).contains(&truth)
     }
 
-    /// Mean of estimates of one quantity with independent errors, weighted by their precision.
+    /// Mean of independent estimates of one quantity, weighted with their inverse variances.
     pub(crate) fn combine_independent(estimates: &[Self]) -> Option<Self> {
         if let [] | [_] = estimates {
             return estimates.first().copied();
@@ -58,7 +58,7 @@ impl Estimate {
         Some(Self::new(value, sum.sqrt().recip(), FREEDOM_OF_KNOWN_ERRORS))
     }
 
-    /// Each estimate has the name of its recording. Estimates of one recording count as one.
+    /// Pools estimates with the names of their recordings. Estimates of one recording count as one.
     pub fn pool_by_recording(estimates: &[(String, Self)]) -> Option<Self> {
         let mut sorted = estimates.to_vec();
         sorted.sort_by(|a, b| a.0.cmp(&b.0));
@@ -67,8 +67,8 @@ impl Estimate {
         Self::pool(&groups.filter_map(own).collect::<Vec<_>>())
     }
 
-    /// Mean. Its error is the larger one of the error from the scatter and the error from the
-    /// estimates' errors.
+    /// Mean of the estimates. Its error is the error from their scatter or from their stated
+    /// errors, whichever is larger.
     pub fn pool(estimates: &[Self]) -> Option<Self> {
         let (first, count) = (*estimates.first()?, estimates.len() as f64);
         if estimates.len() == 1 {
@@ -88,7 +88,7 @@ fn quantile(freedom: f64) -> f64 {
 /// Ljung-Box test for white residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct WhitenessTest {
-    /// `Q = n(n+2) Σ ρ²/(n−k)` over all lags and both components.
+    /// Statistic `Q = n(n+2) Σ ρ²/(n−k)` over all lags k and both components.
     pub statistic: f64,
     /// Degrees of freedom: lags times components.
     pub freedom: usize,
@@ -97,9 +97,9 @@ pub struct WhitenessTest {
 }
 
 impl WhitenessTest {
-    /// Tests lags up to 10 or a fifth of the length. `None` for fewer than ten or constant
-    /// residuals. The model has no past outputs, so the freedom is not reduced (G. M. Ljung, G. E.
-    /// P. Box, Biometrika 65, 1978).
+    /// Tests lags up to 10 or a fifth of the length. `None` for fewer than ten residuals or
+    /// constant residuals. The model uses no past outputs, so the degrees of freedom are not
+    /// reduced (G. M. Ljung, G. E. P. Box, Biometrika 65, 1978).
     pub fn ljung_box(components: &[Vec<f64>]) -> Option<Self> {
         let mut whole = Self { statistic: 0.0, freedom: 0, p_value: 1.0 };
         for residuals in components {

@@ -18,9 +18,9 @@ enum ColumnRole {
     Setpoint,
 }
 
-/// Units with their factors to s, Vpp, rad/s, µm, K and N. The first one is the default.
+/// Names of units with their factors to s, Vpp, rad/s, µm, K and N. The first unit is the default.
 type Units = &'static [(&'static str, f64)];
-/// Name, role, units, and whether the column is required.
+/// Name of the role, role, units, and whether the column is required.
 const ROLES: [(&str, ColumnRole, Units, bool); 8] = [
     ("time", ColumnRole::Time, &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)], true),
     ("drive", ColumnRole::Drive, &[("Vpp", 1.0), ("V", 2.0)], true),
@@ -34,10 +34,10 @@ const ROLES: [(&str, ColumnRole, Units, bool); 8] = [
 
 /// `time=NAME[:UNIT],drive=…,frequency=…,wd=…,wq=…[,temperature=…][,force=…][,setpoint=…]`
 ///
-/// Units are time s, ms, us · drive Vpp, V (amplitude, half of Vpp) · frequency Hz, kHz, rad/s · wd
-/// and wq um, nm, m, peak to peak · temperature K above the reference · force N · setpoint as wd.
-/// The first one is the default. Drive and frequency of a row act from its time on. Wd and Wq are
-/// sampled at this time.
+/// The units are time s, ms, us · drive Vpp, V (amplitude, half of Vpp) · frequency Hz, kHz, rad/s
+/// · wd and wq um, nm, m, peak to peak · temperature K above the reference · force N · setpoint um,
+/// nm, m. The first unit is the default. Drive and frequency of a row act from the time of the row
+/// on; Wd and Wq are sampled at this time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnMapping(Vec<(ColumnRole, String, f64)>);
 
@@ -80,12 +80,11 @@ pub enum ExternalCsvError {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TelemetryRow {
-    /// s.
+    /// Time since the table's origin, s.
     pub t: f64,
     pub vpp: f64,
-    /// rad/s.
+    /// Excitation frequency, rad/s.
     pub omega: f64,
-    /// Wd and Wq, µm.
     pub w: Complex64,
     pub conditions: Conditions,
     pub setpoint_um: Option<f64>,

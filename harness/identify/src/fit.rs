@@ -2,14 +2,14 @@
 //!
 //! The model is the modal tier with piecewise constant drive, frequency, temperature and force. Its
 //! parameters are K1, one time constant per force, one resonance per temperature and force, the
-//! instant of each change of force, and W at the first sample. Noise is an error of the output, so
-//! the estimates are unbiased to first order, and the residuals of the right model are white.
-//! Levenberg-Marquardt minimises them over logarithms of positive parameters. Intervals follow from
-//! the curvature at the minimum and the power of the residuals.
+//! time of each change of force, and W at the first sample. Noise is modelled as an error of the
+//! output. Therefore the estimates are unbiased to first order, and the residuals of the right
+//! model are white. The Levenberg-Marquardt method minimises them over logarithms of positive
+//! parameters. The curvature at the minimum and the power of the residuals give the intervals.
 //!
-//! A finger touches between two rows, and the table has the new force from the next row on.
-//! Therefore the instant is known only to one period. Its error δ changes the first sample by
-//! `ΔW(1 − e^(−δ/τ))` and biases τ.
+//! A finger touches between two rows, and the recording contains the new force from the next row
+//! on. The time of a touch is therefore known only to one period. Its error δ changes the first
+//! sample by `ΔW(1 − e^(−δ/τ))` and biases τ.
 
 use crate::arx::{ArxMethod, arx};
 use crate::effect::EffectFit;
@@ -21,28 +21,27 @@ use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, State, Tier};
 const MAX_ITERATIONS: usize = 80;
 const CONVERGENCE_TOLERANCE: f64 = 1e-10;
 const DIFFERENCE_STEP: f64 = 1e-6;
-/// Unit of the resonance parameters, which are relative to the mean excitation frequency, rad/s.
+/// Unit of the resonance parameters, rad/s. They are relative to the mean excitation frequency.
 pub(crate) const OMEGA_UNIT: f64 = 500.0;
-/// Largest relative error of K1 or τ. A fit with a larger one fails.
+/// A fit fails if the relative error of K1 or τ is larger.
 const MAX_RELATIVE_ERROR: f64 = 0.5;
-/// Number of fits with instants of touch. Each takes its `touch_weight` from the noise of the
-/// previous fit.
+/// Fits with variable touch times. Each derives `touch_weight` from the noise of the previous one.
 const TOUCH_FITS: usize = 2;
-/// Lower limit of `touch_weight`, below rounding. Otherwise an instant without effect makes a
-/// noise-free fit singular.
+/// Lower limit of `touch_weight`, below rounding errors. Without this limit, a touch time without
+/// effect would make a noise-free fit singular.
 const SMALLEST_NOISE_UM: f64 = 1e-12;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct DirectFit {
     /// K1 at the lowest force, µm/Vpp.
     pub gain: Estimate,
-    /// Force in N, lowest first, and τ in s.
+    /// Pairs of force in N, lowest first, and τ in s.
     pub time_constants: Vec<(f64, Estimate)>,
-    /// Force in N, and σ relative to that at the lowest force.
+    /// Pairs of force in N and σ relative to σ at the lowest force.
     pub damping: Vec<(f64, Estimate)>,
     /// ω0 in rad/s for each temperature and force.
     pub resonances: Vec<(Conditions, Estimate)>,
-    /// In (rad/s)². An error of τ moves all resonances that are excited off resonance.
+    /// Covariance in (rad/s)². An error of τ shifts all resonances that are excited off resonance.
     pub resonance_covariance: DMatrix<f64>,
     /// Standard deviation of the residuals on each component.
     pub noise_um: f64,
@@ -59,10 +58,10 @@ impl DirectFit {
 }
 
 struct LevelChange {
-    /// Time in the table, s.
+    /// Time in the recording, s.
     t: f64,
     conditions: usize,
-    /// Number of the touch. `None` if the force does not change.
+    /// Number of the touch; `None` if the force does not change.
     touch: Option<usize>,
 }
 
@@ -72,10 +71,9 @@ struct ParameterLayout<'a> {
     changes: Vec<LevelChange>,
     touches: usize,
     period: f64,
-    /// Converts an instant of touch in periods to a residual in µm. 0 keeps the instants of the
-    /// table.
+    /// Factor from a touch time in periods to a residual in µm; 0 keeps the recorded touch times.
     touch_weight: f64,
-    /// Lowest first, N.
+    /// Finger forces in N, lowest first.
     forces: Vec<f64>,
     force_index: Vec<usize>,
     mean_omega: f64,
@@ -113,8 +111,7 @@ impl<'a> ParameterLayout<'a> {
         }
     }
 
-    /// The parameters are
-    /// `[ln K1, ln τ …, resonance …, Re W, Im W, instant of touch in periods …]`.
+    /// Number of parameters `[ln K1, ln τ …, resonance …, Re W, Im W, touch time in periods …]`.
     fn parameter_count(&self) -> usize {
         self.touch_index(if self.touch_weight > 0.0 { self.touches } else { 0 })
     }
@@ -249,8 +246,8 @@ pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
     })
 }
 
-/// Start values `(τ in s, Δω in rad/s)`: a first-order fit of Wd at resonance, and two around the
-/// paper's plate.
+/// Start values `(τ in s, Δω in rad/s)`: one from a first-order fit of Wd at resonance, and two
+/// around the paper's plate.
 fn start_points(recording: &Recording) -> Vec<(f64, f64)> {
     let wd: Vec<f64> = recording.outputs.iter().map(|output| output.w.re).collect();
     let drive: Vec<f64> = recording.inputs_at_samples().iter().map(|input| input.vpp).collect();
@@ -272,8 +269,8 @@ fn jacobian(
     DMatrix::from_columns(&(0..theta.len()).map(column).collect::<Vec<_>>())
 }
 
-/// Covariance of the parameters for residuals of variance 1. `None` if the parameters are not
-/// determined.
+/// Covariance of the parameters if the residuals have the variance 1. `None` if the samples do not
+/// determine the parameters.
 pub(crate) fn covariance_of(
     residuals: &impl Fn(&DVector<f64>) -> DVector<f64>,
     theta: &DVector<f64>,
@@ -282,7 +279,8 @@ pub(crate) fn covariance_of(
     (jacobian.transpose() * &jacobian).cholesky().map(|factor| factor.inverse())
 }
 
-/// Levenberg-Marquardt. Returns the parameters and the sum of squares of the residuals `of` them.
+/// Minimises the residuals `of` the parameters by the Levenberg-Marquardt method. Returns the
+/// parameters and the sum of squares.
 pub(crate) fn minimise(
     of: &impl Fn(&DVector<f64>) -> DVector<f64>,
     mut theta: DVector<f64>,

@@ -1,4 +1,4 @@
-//! Identifies the plate from all recordings together.
+//! Identifies one plate from all recordings together.
 
 use crate::effect::{EffectFit, IdentifiedHeating, IdentifiedSecondMode, pool_heating, pool_second_modes};
 use crate::effect_fit::fit_effect;
@@ -18,12 +18,12 @@ use std::f64::consts::TAU;
 pub struct RecordingFit {
     pub recording: String,
     pub samples: usize,
-    /// At the lowest force, like `time_constant_s`.
+    /// Gain at the lowest force; `time_constant_s` is that at the same force.
     pub gain_um_per_vpp: Estimate,
     pub time_constant_s: Estimate,
-    /// Under the first temperature and force of the recording.
+    /// Resonance at the first temperature and force of the recording.
     pub resonance_hz: Estimate,
-    /// First excitation frequency above `resonance_hz`.
+    /// First excitation frequency minus `resonance_hz`.
     pub detuning_hz: Estimate,
     pub noise_um: f64,
     pub whiteness: Option<WhitenessTest>,
@@ -36,17 +36,17 @@ pub struct Identification {
     pub frequency_steps: Vec<FrequencyStep>,
     pub recordings: Vec<RecordingFit>,
     pub undetermined: Vec<String>,
-    /// By direct fits without a finger, like `time_constant_s`.
+    /// Gain and time constant are from direct fits without a finger.
     pub gain_um_per_vpp: Option<Estimate>,
     pub time_constant_s: Option<Estimate>,
-    /// K2 by ARX with instrumental variables.
+    /// K2 of the paper's Table II, by ARX with instrumental variables.
     pub frequency_gain_s: Option<Estimate>,
-    /// τ2 by direct fits of the steps of the frequency.
+    /// τ2 of the paper's Table II, by direct fits of the frequency steps.
     pub frequency_time_constant_s: Option<Estimate>,
-    /// At the reference temperature.
+    /// Resonance at the reference temperature.
     pub resonance_hz: Option<Estimate>,
     pub slope_hz_per_k: Option<Estimate>,
-    /// Force in N and σ/σ0.
+    /// Pairs of force in N and σ/σ0.
     pub damping_ratio: Vec<(f64, Estimate)>,
     pub shift_hz_per_n: Option<Estimate>,
     /// Change of K1 from the lowest to the highest drive.
@@ -61,9 +61,9 @@ pub struct Identification {
     pub inconsistencies: Vec<Inconsistency>,
 }
 
-/// Returns the fits in the order of [`Identification::recordings`]. Temperature steps count as
-/// frequency steps only if the slope of the resonance is given or follows from recordings. Fails if
-/// no recording determines the parameters.
+/// Returns the identification and the fits in the order of [`Identification::recordings`].
+/// Temperature steps count as frequency steps only if the slope of the resonance is given or
+/// follows from recordings. Fails if no recording determines the parameters.
 pub fn identify(
     recordings: &[Recording],
     slope_hz_per_k: Option<f64>,
@@ -142,8 +142,8 @@ pub fn identify(
     Ok((identification, fitted.into_iter().map(|(_, fit)| fit).collect()))
 }
 
-/// Replaces fits whose residuals are not white by fits with a second mode or self-heating whose
-/// residuals are white. Keeps the fits if chance explains their number.
+/// Replaces a fit with coloured residuals by a fit with a second mode or self-heating, if this
+/// makes the residuals white. Changes nothing if chance explains the number of coloured residuals.
 fn with_effects(mut fitted: Vec<(&Recording, DirectFit)>) -> Vec<(&Recording, DirectFit)> {
     let coloured = fitted.iter().filter(|(recording, fit)| is_coloured(recording, fit)).count();
     let tested = fitted.iter().filter(|(_, fit)| fit.whiteness.is_some()).count();
@@ -184,7 +184,7 @@ fn temperature_line(fit: &DirectFit) -> Option<TemperatureLine> {
     line.map(|(start, slope)| (start, Some(slope))).or_else(only)
 }
 
-/// Slope of the resonance in rad/s per newton, at the temperature of the first conditions.
+/// Change of the resonance in rad/s per newton, at the temperature of the first conditions.
 fn force_slope(fit: &DirectFit) -> Option<Estimate> {
     let warm = fit.resonances.first()?.0.temperature_offset_k;
     let line = fit_resonance_line(fit, |conditions| {
@@ -193,7 +193,7 @@ fn force_slope(fit: &DirectFit) -> Option<Estimate> {
     line.map(|(_, slope)| slope)
 }
 
-/// σ/σ0 over all recordings with an untouched plate, by rising force.
+/// Pairs of force in N and σ/σ0, by rising force, from recordings with the untouched plate.
 fn damping_ratios(fitted: &[(&Recording, DirectFit)]) -> Vec<(f64, Estimate)> {
     let untouched = fitted
         .iter()
@@ -208,7 +208,7 @@ fn damping_ratios(fitted: &[(&Recording, DirectFit)]) -> Vec<(f64, Estimate)> {
     groups.filter_map(pool).collect()
 }
 
-/// Percent of the mean. `None` for fewer than three steps.
+/// Change in percent of the mean gain. `None` for fewer than three steps.
 fn gain_change_percent(steps: &[VoltageStep]) -> Option<Estimate> {
     let points: Vec<_> = steps.iter().filter_map(|step| Some((step.vpp, step.direct?[0]))).collect();
     let drives = points.iter().map(|point| point.0);
@@ -230,15 +230,15 @@ fn fit_resonance_line(fit: &DirectFit, abscissa: impl Fn(&Conditions) -> Option<
     fit_line(&points, &fit.resonance_covariance.select_rows(&numbers).select_columns(&numbers))
 }
 
-/// Fits a line by generalised least squares. Returns its value at 0 and its slope. The errors grow
-/// if the points scatter more than their covariance. `None` if all points have the same abscissa.
+/// Fits a line by generalised least squares and returns its value at 0 and its slope. If the points
+/// scatter more than their covariance, the errors grow. `None` if all abscissas are equal.
 fn fit_line(points: &[(f64, f64)], covariance: &DMatrix<f64>) -> Option<(Estimate, Estimate)> {
     let first = points.first()?;
     if points.iter().all(|point| point.0 == first.0) {
         return None;
     }
     let places = DMatrix::from_fn(points.len(), 2, |row, column| if column == 0 { 1.0 } else { points[row].0 });
-    // Subtracts the first value to keep digits.
+    // Differences to the first value, because they keep more digits.
     let values = DVector::from_iterator(points.len(), points.iter().map(|point| point.1 - first.1));
     let factor = covariance.clone().cholesky()?;
     let known = (places.transpose() * factor.solve(&places)).try_inverse()?;

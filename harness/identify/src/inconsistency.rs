@@ -9,30 +9,29 @@ use statrs::distribution::{Binomial, DiscreteCDF};
 use std::f64::consts::PI;
 
 const LEVEL: f64 = 0.01;
-/// Smaller residuals, as a share of the largest |W|, are rounding, because the wire carries single
-/// precision.
+/// Smallest residuals, as a fraction of the largest |W|, that are tested. Smaller ones are rounding
+/// errors, because the protocol uses f32.
 const ROUNDING: f64 = 1e-5;
-/// A component is clipped if more than this share of its samples is the largest or the smallest
-/// value.
+/// A component is clipped if a larger fraction of samples equals its largest or smallest value.
 const CLIPPED_SHARE: f64 = 0.02;
-/// Fewer samples at a limit are not clipping.
+/// Smallest number of samples at a limit that count as clipping.
 const MIN_CLIPPED: usize = 5;
-/// Quality factors from a strongly damped plate to a nearly undamped one.
+/// Plausible quality factors, from a strongly damped to a nearly undamped plate.
 const QUALITY: [f64; 2] = [5.0, 20_000.0];
-/// Largest change of K1 over the drives of a linear plate.
+/// Largest change of K1 between the drives of a linear plate, percent.
 const LINEAR_PERCENT: f64 = 2.0;
 
-/// A reason why the identified parameters are doubtful.
+/// Reason why the identified parameters are doubtful.
 #[derive(Debug, Clone, PartialEq, Serialize, thiserror::Error)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum Inconsistency {
-    /// The residuals are not white. The plate changed in a way that the model does not include.
+    /// The residuals are not white, because the model does not describe a change of the plate.
     #[error(
         "{rejected} of {tested} recordings have residuals that are not white: the plate changed (drift, \
          amplitude-dependent damping) or the columns are wrong"
     )]
     Residuals {
-        /// Number of recordings.
+        /// Number of recordings with such residuals.
         rejected: usize,
         tested: usize,
     },
@@ -51,7 +50,7 @@ pub enum Inconsistency {
         QUALITY[0], QUALITY[1]
     )]
     QualityFactor {
-        /// π · resonance · τ.
+        /// Quality factor Q = π · resonance · τ.
         value: f64,
     },
     #[error("K1 changes by {change_percent:.1} % from the lowest to the highest drive, expected a linear plate")]
@@ -108,7 +107,7 @@ fn find_clipping(recording: &Recording) -> Vec<Inconsistency> {
         let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         for limit_um in [low, high] {
             let samples = values.iter().filter(|value| **value == limit_um).count();
-            // A plate at rest is at 0, and a constant column is not clipped.
+            // A plate at rest gives 0, and a constant column has equal limits; neither is clipping.
             let enough = samples >= MIN_CLIPPED && samples as f64 > CLIPPED_SHARE * values.len() as f64;
             if limit_um != 0.0 && low < high && enough {
                 inconsistencies.push(Inconsistency::Clipped {
@@ -129,10 +128,10 @@ fn fits_better_with_exchanged_components(recording: &Recording, fit: &DirectFit)
     fit_direct(&exchanged).is_ok_and(|other| other.noise_um < 0.5 * fit.noise_um)
 }
 
-/// True if so many rejections of white residuals have a probability above 1 % in independent tests.
+/// True if chance gives this many rejections of white residuals with a probability above 1 %.
 pub(crate) fn is_explained_by_chance(rejected: usize, tests: usize) -> bool {
     let Some(fewer) = (rejected as u64).checked_sub(1) else { return true };
-    // The computed probability of 1 % has a rounding error.
+    // Allows for the rounding error of the computed probability.
     Binomial::new(LEVEL, tests as u64).is_ok_and(|count| count.sf(fewer) > LEVEL * (1.0 + 1e-9))
 }
 
@@ -142,7 +141,7 @@ mod tests {
 
     #[test]
     fn rejections_explained_by_chance() {
-        // Binomial: 1 of 2: 1.99 %; 2 of 15: 0.96, of 16: 1.09; 3 of 66: 2.9, 4 of 66: 0.44.
+        // Probabilities in %: 1 of 2 1.99; 2 of 15 0.96, 2 of 16 1.09; 3 of 66 2.9, 4 of 66 0.44.
         let cases =
             [(1, 1, false), (1, 2, true), (2, 15, false), (2, 16, true), (3, 66, true), (4, 66, false), (0, 5, true)];
         for (rejected, tests, expected) in cases {

@@ -1,4 +1,4 @@
-//! Combines the errors of identified parameters with a budget of the measurement.
+//! Combines the errors of identified parameters with the uncertainty budget of the measurement.
 
 use crate::estimate::Estimate;
 use crate::identification::Identification;
@@ -10,13 +10,11 @@ use serde::Serialize;
 pub struct ParameterUncertainty {
     pub quantity: String,
     pub value: f64,
-    /// Value ± expanded uncertainty.
     pub interval: [f64; 2],
     pub combined: CombinedUncertainty,
 }
 
-/// Takes the repeatability from the fit if the budget states none. Omits parameters without a
-/// budget or an estimate.
+/// Omits parameters without budget or estimate. The fit gives a repeatability that is not stated.
 pub fn parameter_uncertainties(
     found: &Identification,
     budget: &Budget,

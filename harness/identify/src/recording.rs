@@ -1,4 +1,4 @@
-//! Defines a recording: inputs and samples of a plate.
+//! Defines a recording: the inputs and the measured W of a plate over time.
 
 use platebench_plate::{Complex64, Conditions};
 use platebench_trace::{Flags, Row};
@@ -6,17 +6,17 @@ use std::f64::consts::TAU;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordedInput {
-    /// s
+    /// Time in s from which the input acts.
     pub t: f64,
     pub vpp: f64,
-    /// rad/s.
+    /// Excitation frequency, rad/s.
     pub omega: f64,
     pub conditions: Conditions,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordedSample {
-    /// s
+    /// Time of the sample, s.
     pub t: f64,
     /// `Wd + jWq`, µm peak to peak.
     pub w: Complex64,
@@ -24,7 +24,7 @@ pub struct RecordedSample {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SampleSource {
-    /// Samples that the controller received, with noise.
+    /// W as the controller received it, with the sensor's errors.
     Sensed,
     True,
 }
@@ -51,13 +51,13 @@ pub enum RecordingError {
     Undetermined,
 }
 
-/// Fewer samples determine no parameter.
+/// With fewer samples no parameter is determined.
 const FEWEST: usize = 8;
-/// 100 s at 1 kHz.
+/// Largest number of samples, 100 s at 1 kHz.
 const MOST: usize = 100_000;
-/// More levels of temperature and force count as a ramp.
+/// Largest number of levels of temperature and force. With more the conditions count as a ramp.
 const MOST_CONDITIONS: usize = 64;
-/// A level with fewer samples counts as part of a ramp.
+/// Smallest number of samples of a level. With fewer the level counts as part of a ramp.
 const FEWEST_HELD: usize = 5;
 const SAME_TEMPERATURE_K: f64 = 0.05;
 const SAME_FORCE_N: f64 = 0.02;
@@ -65,14 +65,14 @@ const SAME_FORCE_N: f64 = 0.02;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
     pub name: String,
-    /// Changes of the inputs in order. The first one is not after the first output.
+    /// Changes of the inputs in order of time. The first one is not after the first output.
     pub inputs: Vec<RecordedInput>,
     pub outputs: Vec<RecordedSample>,
     pub conditions: Vec<Conditions>,
 }
 
 impl Recording {
-    /// Drops inputs that repeat the previous one, and unifies close temperatures and forces.
+    /// Removes inputs that repeat the previous one, and unifies close temperatures and forces.
     pub fn new(name: String, inputs: Vec<RecordedInput>, outputs: Vec<RecordedSample>) -> Result<Self, RecordingError> {
         if outputs.len() < FEWEST {
             return Err(RecordingError::TooShort(outputs.len()));
@@ -108,7 +108,7 @@ impl Recording {
         if is_varying { Err(RecordingError::VaryingConditions) } else { Ok(whole) }
     }
 
-    /// Inputs from every row, outputs from rows flagged `control` whose sample arrived.
+    /// Takes the inputs from every row, and the outputs from control instants whose sample arrived.
     pub fn from_trace(name: String, rows: &[Row], signal: SampleSource) -> Result<Self, RecordingError> {
         let input = |row: &Row| RecordedInput {
             t: row.t_s,
@@ -137,7 +137,7 @@ impl Recording {
         spacings.get(spacings.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// The input that acts from the instant of each output on.
+    /// Input that acts from the time of each output on.
     pub fn inputs_at_samples(&self) -> Vec<RecordedInput> {
         let at = |t: f64| self.inputs.partition_point(|input| input.t <= t).saturating_sub(1);
         self.outputs.iter().filter_map(|output| self.inputs.get(at(output.t)).copied()).collect()

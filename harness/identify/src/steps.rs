@@ -1,4 +1,4 @@
-//! Finds the steps in a recording and fits each by every method: the rows of Tables I and II.
+//! Finds the steps in a recording and fits each step by three methods: the rows of Tables I and II.
 
 use crate::arx::{ArxMethod, ArxModel, arx};
 use crate::estimate::Estimate;
@@ -7,41 +7,41 @@ use crate::recording::{RecordedInput, Recording};
 use serde::Serialize;
 
 const MIN_SAMPLES: usize = 6;
-/// Drives that differ by at most this share of the largest drive are equal.
+/// Largest difference of two drives that count as equal, as a fraction of the largest drive.
 const SAME_DRIVE: f64 = 0.01;
-/// Smallest step as a share of the largest drive. Smaller changes are made by a control loop.
+/// Smallest step as a fraction of the largest drive. Smaller changes come from a control loop.
 const SMALLEST_STEP: f64 = 0.05;
-/// Largest |τΔω| of a voltage step. At a larger one Wd alone is not of first order.
+/// Largest |τΔω| of a voltage step. At a larger detuning Wd does not respond with first order.
 const MAX_TAU_DETUNING: f64 = 0.1;
-/// Wd counts as constant if it deviates by less than this share.
+/// Largest relative deviation of Wd from its mean while a control loop keeps Wd constant.
 const HELD_BAND: f64 = 0.1;
-/// The loop has started when Wd deviates by less than this share.
+/// Largest relative deviation of Wd at which the loop counts as settled before the first step.
 const STARTED_BAND: f64 = 0.03;
-/// Both bands are at least this many standard deviations of the noise.
+/// Smallest width of both bands, in standard deviations of the noise.
 const NOISE_BAND: f64 = 4.0;
 const SAME_DETUNING: f64 = 1.0;
 
-/// A step of the drive, open loop: a row of Table I.
+/// Step of the drive without control: a row of Table I.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct VoltageStep {
     pub recording: String,
     pub t: f64,
     pub from_vpp: f64,
     pub vpp: f64,
-    /// Mean of Wd over the last third of the step: a point of Fig. 7.
+    /// Mean of Wd over the last third of the step, a point of Fig. 7.
     pub settled_um: f64,
-    /// K1 in µm/Vpp and τ1 in s by ARX with least squares. `None` without a stable first order.
+    /// K1 in µm/Vpp and τ1 in s by ARX with least squares; `None` if the model is not stable.
     pub least_squares: Option<[Estimate; 2]>,
     pub instruments: Option<[Estimate; 2]>,
     pub direct: Option<[Estimate; 2]>,
 }
 
-/// A step of the detuning at constant Wd: a row of Table II.
+/// Step of the detuning at constant Wd: a row of Table II.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrequencyStep {
     pub recording: String,
     pub t: f64,
-    /// rad/s, relative to the resonance of the recording's direct fit.
+    /// Detuning in rad/s, relative to the resonance from the recording's direct fit.
     pub from_detuning: f64,
     pub detuning: f64,
     /// Largest deviation of Wd from its mean, percent (Fig. 10).
@@ -51,13 +51,12 @@ pub struct FrequencyStep {
     pub instruments: Option<[Estimate; 2]>,
     /// τ in s by the direct fit. The gain K2 equals τ (equation 19).
     pub direct: Option<Estimate>,
-    /// First sample of both levels, and one past the last.
+    /// First sample of both levels, and the index after the last sample.
     #[serde(skip)]
     window: (usize, usize),
 }
 
-/// Intervals in which each input is the `same` as the first one, as first sample and one past the
-/// last.
+/// Index ranges (first, after the last) in which each input is the `same` as the first one.
 fn constant_intervals(
     acting: &[RecordedInput],
     same: impl Fn(&RecordedInput, &RecordedInput) -> bool,
@@ -72,7 +71,7 @@ fn constant_intervals(
     runs
 }
 
-/// Upward steps of a drive that is constant before and after, near the resonance of `whole`.
+/// Finds upward steps between two constant drives, close to the resonance that `whole` identified.
 pub fn voltage_steps(recording: &Recording, whole: &DirectFit) -> Vec<VoltageStep> {
     let Some(tau) = whole.time_constant() else { return Vec::new() };
     let is_near = |input: &RecordedInput| {
@@ -87,7 +86,7 @@ pub fn voltage_steps(recording: &Recording, whole: &DirectFit) -> Vec<VoltageSte
     let runs = constant_intervals(&acting, same);
     let mut steps = Vec::new();
     for (index, &(start, end)) in runs.iter().enumerate() {
-        // The first level may have started before the recording.
+        // The first level is not a step, because it may have started before the recording.
         let Some(before) = index.checked_sub(1).and_then(|index| runs.get(index)) else { continue };
         let (Some(from), Some(to)) = (acting.get(before.0), acting.get(start)) else { continue };
         let alike = from.omega == to.omega && from.conditions == to.conditions;
@@ -100,7 +99,7 @@ pub fn voltage_steps(recording: &Recording, whole: &DirectFit) -> Vec<VoltageSte
         {
             continue;
         }
-        // The sample at the instant of the step is from before the step.
+        // The sample at the time of the step still belongs to the earlier drive.
         let (first, last) = (start.saturating_sub(1), (end + 1).min(acting.len()));
         let Ok(part) = recording.slice(first, last) else { continue };
         let wd: Vec<f64> = part.outputs.iter().map(|output| output.w.re).collect();
@@ -127,9 +126,9 @@ fn estimate_pair(arx: &ArxModel) -> Option<[Estimate; 2]> {
     Some([*arx.gains.first()?, arx.time_constant])
 }
 
-/// Steps of the detuning while a loop keeps Wd constant. `slope` is that of the resonance in rad/s
-/// per K. A step of the resonance by `−Δ` equals a step of the frequency by `+Δ`, because only Δω
-/// matters (equations 11 and 18).
+/// Finds steps of the detuning while a loop keeps Wd constant. `slope` is the change of the
+/// resonance in rad/s per K. A step of the resonance by `−Δ` equals a step of the frequency by
+/// `+Δ`, because only Δω matters (equations 11 and 18).
 pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f64>) -> Vec<FrequencyStep> {
     let acting = recording.inputs_at_samples();
     let Some((reference, resonance)) = whole.resonances.first() else { return Vec::new() };
@@ -171,13 +170,13 @@ pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f
         }
         let window = (first, (end + 1).min(acting.len()));
         let Ok(part) = recording.slice(window.0, window.1) else { continue };
-        // At a constant drive no loop controls Wd.
+        // A constant drive means that no loop controls Wd.
         if part.inputs.iter().all(|input| input.vpp == to.vpp) {
             continue;
         }
         let length = end - first;
         let ratio: Vec<f64> = part.outputs.iter().take(length + 1).map(|output| output.w.im / output.w.re).collect();
-        // The gain from Δω to Wq/Wd is −K2.
+        // The static gain from Δω to Wq/Wd is −K2.
         let input: Vec<f64> = part.inputs_at_samples().iter().map(|input| detuning(from) - detuning(input)).collect();
         let ones = vec![1.0; input.len()];
         let by = |method| {
@@ -198,8 +197,8 @@ pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f
     steps
 }
 
-/// τ2 in s by direct fits of all steps of one recording. Neighbouring steps share a level, so
-/// separate fits would not be independent. Steps without a gap are one fit.
+/// τ2 in s by direct fits of all steps of one recording. Neighbouring steps share a level, and
+/// separate fits of them would not be independent. Therefore connected steps are one fit.
 pub fn frequency_time_constant(recording: &Recording, steps: &[FrequencyStep]) -> Option<Estimate> {
     let mut parts: Vec<(usize, usize)> = Vec::new();
     for step in steps {

@@ -1,4 +1,4 @@
-//! Formats the identification as tables, compared with the paper, and as a plate file.
+//! Formats the identification as tables beside the paper's values, and as a plate file.
 
 use crate::effect::IdentifiedHeating;
 use crate::estimate::Estimate;
@@ -7,22 +7,21 @@ use crate::inconsistency::is_explained_by_chance;
 use crate::steps::{FrequencyStep, VoltageStep};
 use std::fmt::Write as _;
 
-/// Table I as printed: Vpp, K1 in pm/V, τ1 in ms.
+/// Rows of Table I as printed: Vpp, K1 in pm/V, τ1 in ms.
 const TABLE_I: [[f64; 3]; 4] =
     [[120.0, 7108.0, 1.85], [208.0, 6547.0, 1.71], [312.0, 6620.0, 1.94], [370.0, 7103.0, 2.07]];
 const TABLE_I_MEANS: [f64; 2] = [6980.0, 1.88];
-/// K2 and τ2 at the end of section IV, s.
+/// K2 and τ2 in s, from the end of section IV of the paper.
 const TABLE_II: [f64; 2] = [1.812e-3, 1.624e-3];
-/// From the resonances of the paper: 202 995 rad/s at 24 °C and 202 450 rad/s at 33 °C.
+/// Slope from two resonances of the paper: 202 995 rad/s at 24 °C and 202 450 rad/s at 33 °C.
 const SLOPE_HZ_PER_K: f64 = -9.638;
-/// σ/σ0 at 1.5 N: the amplitude is halved (Fig. 3).
+/// Force in N and σ/σ0: at 1.5 N the amplitude is halved (Fig. 3).
 const FINGER_DAMPING: [f64; 2] = [1.5, 2.0];
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct IdentificationTable {
     pub title: String,
     pub header: Vec<String>,
-    /// Each row is as long as the header.
     pub rows: Vec<Vec<String>>,
     pub notes: Vec<String>,
 }
@@ -48,7 +47,7 @@ impl IdentificationTable {
     }
 }
 
-/// Formats value and half the interval as `1.88 ± 0.02`. A dash stands for a missing estimate.
+/// Formats value and half of the interval as `1.88 ± 0.02`. A dash means a missing estimate.
 fn format_estimate(estimate: Option<Estimate>, factor: f64, decimals: usize) -> String {
     estimate.map_or("–".to_owned(), |estimate| {
         let estimate = estimate.scaled(factor);
@@ -56,7 +55,7 @@ fn format_estimate(estimate: Option<Estimate>, factor: f64, decimals: usize) -> 
     })
 }
 
-/// Standard deviation in percent of the mean. Empty for fewer than two values.
+/// Standard deviation in percent of the mean; empty for fewer than two values.
 fn format_scatter(values: &[f64]) -> String {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
@@ -80,7 +79,7 @@ fn estimates_of_steps<T>(group: &[&T], of: impl Fn(&T) -> NamedEstimates<'_>, in
 
 type NamedEstimates<'a> = Option<(&'a str, [Estimate; 2])>;
 
-/// Label of the row, the paper's values, and the steps.
+/// Label of the row, values of the paper, and the steps.
 type VoltageRow<'a> = (String, Option<[f64; 2]>, Vec<&'a VoltageStep>);
 
 fn voltage_table(found: &Identification) -> IdentificationTable {
@@ -161,7 +160,7 @@ fn frequency_table(found: &Identification) -> IdentificationTable {
     let mut steps: Vec<&FrequencyStep> = found.frequency_steps.iter().collect();
     steps.sort_by(|a, b| b.detuning.total_cmp(&a.detuning));
     let mut rows: Vec<(String, String, &[&FrequencyStep])> = Vec::new();
-    // Steps whose detuning differs by less than a quarter of a step are one row.
+    // Steps are in one row if their detunings differ by less than a quarter of a step.
     for group in steps.chunk_by(|a, b| (a.detuning - b.detuning).abs() < 0.25 * (a.detuning - a.from_detuning).abs()) {
         let count = group.len() as f64;
         let mean = |of: &dyn Fn(&FrequencyStep) -> f64| group.iter().map(|step| of(step)).sum::<f64>() / count;
@@ -279,18 +278,18 @@ fn residuals_table(found: &Identification) -> IdentificationTable {
     table
 }
 
-/// Content of a plate file that no recording determines.
+/// Values of a plate file that no recording determines.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlateFileDetails {
     pub name: String,
     pub source: String,
     pub reference_temperature_c: f64,
-    /// `None` stands for the highest drive of the recordings.
+    /// Drive limit; `None` means the highest drive of the recordings.
     pub limit_vpp: Option<f64>,
     pub slope_hz_per_k: Option<f64>,
 }
 
-/// Intervals are comments and `[uncertainty]`. `None` without gain, time constant or resonance.
+/// Intervals become comments and `[uncertainty]`. `None` without gain, time constant or resonance.
 pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<String> {
     let line = |key: &str, estimate: Estimate, factor: f64, decimals: usize| {
         let Estimate { value, low, high, .. } = estimate.scaled(factor);
@@ -351,8 +350,8 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
     Some(text)
 }
 
-/// The rise is the shift per µm² divided by the shift per kelvin. Without a slope `[heating]` is a
-/// comment.
+/// Lines of `[heating]`. The rise is the shift per µm² divided by the shift per kelvin. Without the
+/// shift per kelvin, the lines are a comment.
 fn heating_lines(found: &Identification, named: &PlateFileDetails, heating: IdentifiedHeating) -> String {
     let slope = found.slope_hz_per_k.map(|slope| slope.value).or(named.slope_hz_per_k).unwrap_or(0.0);
     let (shift, seconds) = (heating.shift_hz_per_um2, heating.time_constant_s);
@@ -371,17 +370,17 @@ fn heating_lines(found: &Identification, named: &PlateFileDetails, heating: Iden
     )
 }
 
-/// At least [`DOUBTFUL_PERCENT`] if doubtful, because the interval is valid only for one plate with
-/// white noise.
+/// At least [`DOUBTFUL_PERCENT`] if the recordings are inconsistent, because the interval assumes
+/// one plate and white noise.
 fn uncertainty_percent(found: &Identification, estimate: Estimate) -> f64 {
     let floor = if found.inconsistencies.is_empty() { 0.0 } else { DOUBTFUL_PERCENT };
     reach_percent(estimate).max(floor)
 }
 
-/// Covers a damping that changes by 5 % per µm up to 4 µm.
+/// Uncertainty that covers a damping that changes by 5 % per µm up to 4 µm.
 const DOUBTFUL_PERCENT: f64 = 25.0;
 
-/// Larger half of the interval in percent of the value, rounded up to the printed digits.
+/// Larger half of the interval in percent of the value, rounded up to two decimals.
 fn reach_percent(Estimate { value, low, high, .. }: Estimate) -> f64 {
     ((high - value).max(value - low) / value * 1e4).ceil() / 100.0
 }

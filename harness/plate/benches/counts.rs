@@ -1,8 +1,8 @@
 //! Counts the instructions of a step and compares them with `counts.toml`; `ci/counts` runs it.
 //!
-//! Callgrind counts do not depend on clock or load. The difference of a run with 400 steps and one
-//! with 200 excludes start and end. Counts are compared only for the same compiler, C library,
-//! Valgrind and vector instructions; otherwise a message is printed.
+//! Callgrind counts do not depend on clock or load. The difference between runs with 400 and with
+//! 200 steps excludes start and end. Counts are comparable only for the same compiler, C library,
+//! Valgrind and vector instructions; if one differs, the program prints a message instead.
 
 #![allow(clippy::format_push_string, reason = "twenty lines, once")]
 

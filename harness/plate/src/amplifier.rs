@@ -1,11 +1,10 @@
-//! Models the amplifier between a command and the plate: converter, dead time, slew rate,
-//! bandwidth, offset. The dead time delays amplitude and frequency; the other effects act on the
-//! amplitude.
+//! Models the amplifier: converter, dead time, slew rate, bandwidth, offset. The dead time delays
+//! amplitude and frequency of a command; the other effects change the amplitude only.
 //!
 //! Without limits the output v equals the input u. With the bandwidth p and the slew rate S,
-//! `v' = p (u − v)` with `|v'| ≤ S`, so v is a ramp while `|u − v| > S/p` and then an exponential.
-//! u is constant between commands, so each part has the closed form `c + s t + a e^{−pt}`. The ramp
-//! ends on a whole nanosecond. The remaining change of v, below S · 1 ns, becomes a step. The
+//! `v' = p (u − v)` with `|v'| ≤ S`. v is a ramp while `|u − v| > S/p` and then an exponential. u
+//! is constant between commands, so each part has the closed form `c + s t + a e^{−pt}`. The ramp
+//! ends on a whole nanosecond; the remaining change of v, below S · 1 ns, becomes a step. The
 //! integral of v then has an error of at most S · (1 ns)²/2.
 
 use crate::plate_error::{PlateError, check, finite, positive};
@@ -13,10 +12,10 @@ use crate::raw_plate::RawDrive;
 use crate::time::Time;
 use std::f64::consts::TAU;
 
-/// Largest dead time of the amplifier and latency of the sensor, µs.
+/// Limit for the dead time of the amplifier and for the latency of the sensor, µs.
 pub(crate) const MAX_DELAY_US: f64 = 1e5;
 
-/// Vpp. A smaller distance between output and input is set to 0, see `flow.rs`.
+/// Smallest distance between output and input, Vpp. A smaller one becomes 0, as in `flow.rs`.
 const NEGLIGIBLE_VPP: f64 = 1e-150;
 
 /// Converter of the drive's amplitude: 2^bits codes from 0 to `range_vpp`.
@@ -36,15 +35,15 @@ impl DriveConverter {
 pub struct Amplifier {
     pub converter: Option<DriveConverter>,
     pub dead_time: Time,
-    /// p = 2π · bandwidth, 1/s.
+    /// Pole p = 2π · bandwidth, 1/s.
     pub pole: Option<f64>,
-    /// S, Vpp/s.
+    /// Slew rate S, Vpp/s.
     pub slew_rate: Option<f64>,
     pub offset_vpp: f64,
 }
 
-/// Output of the amplifier, `constant + slope t + decaying e^{−rate t}`: Vpp, Vpp/s for `slope` and
-/// 1/s for `rate`.
+/// Output of the amplifier, `constant + slope t + decaying e^{−rate t}`. `slope` is in Vpp/s,
+/// `rate` in 1/s, the other fields are in Vpp.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Forcing {
     pub(crate) constant: f64,
@@ -98,8 +97,8 @@ impl Amplifier {
         (vpp.clamp(0.0, converter.range_vpp) / step).round() * step
     }
 
-    /// Output that starts at the amplitude `vpp`, without offset, and moves towards `input`. Also
-    /// returns the duration of this segment if another one follows.
+    /// Output from the amplitude `vpp` (without offset) towards `input`. The time is the duration
+    /// of this segment; `None` if no other segment follows.
     pub(crate) fn segment(&self, vpp: f64, input: f64) -> (Forcing, Option<Time>) {
         let distance = input - vpp;
         let settled = Forcing { constant: input + self.offset_vpp, ..Forcing::default() };
@@ -159,7 +158,7 @@ mod tests {
     fn a_slew_rate_and_a_bandwidth_follow_each_other() {
         let (slew_rate, pole) = (1e6, 1e4);
         let amplifier = Amplifier { pole: Some(pole), slew_rate: Some(slew_rate), ..Amplifier::default() };
-        // 300 Vpp: a ramp of 200 µs down to a distance of 100 Vpp, then e^{−t/100 µs}.
+        // A step of 300 Vpp: a ramp of 200 µs to a distance of 100 Vpp, then e^{−t/100 µs}.
         for (us, expected) in [(100.0, 100.0), (200.0, 200.0), (300.0, 300.0 - 100.0 / 1.0_f64.exp())] {
             let found = output(&amplifier, 0.0, 300.0, us * 1e-6);
             assert!((found - expected).abs() < 1e-9, "{us} µs: {found}");

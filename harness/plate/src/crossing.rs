@@ -3,9 +3,9 @@
 use crate::flow::State;
 use crate::time::Time;
 
-/// Spacing of the search for crossings, about 15 points per period of the fast pole.
+/// Spacing of the points at which the band is checked, about 15 points per period of the fast pole.
 const SCAN_STEP_NS: u64 = 1_000;
-/// Larger than the rounding error of a state.
+/// Margin above the rounding error of a state.
 const ROUNDING_UM: f64 = 1e-9;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -55,7 +55,7 @@ pub struct Crossing {
 
 /// Appends the crossings between `start` and `end` to `found`. The state is `from` at `start` and
 /// `after(t)` t seconds later. From t on, W changes by less than d µm for `seconds_within(t, d)`
-/// seconds. If d is the distance to the band, the search skips this time.
+/// seconds. The search skips this time if d is the distance to the band.
 pub(crate) fn find_crossings(
     monitor: &BandMonitor,
     after: &impl Fn(f64) -> State,
@@ -73,7 +73,7 @@ pub(crate) fn find_crossings(
     let mut inside = monitor.contains(from);
     loop {
         let seconds = seconds_within(seconds_at(low), monitor.distance(&state) - ROUNDING_UM);
-        // Skip whole steps, so that the points of the search do not depend on the bound.
+        // Skips whole steps, so that the checked points do not depend on the bound.
         low = low.saturating_add((seconds * 1e9) as u64 / SCAN_STEP_NS * SCAN_STEP_NS);
         if low >= end {
             return;

@@ -1,14 +1,13 @@
-//! Models the sensor's electronics in the carrier tier: a sampling converter and a lock-in
-//! demodulator.
+//! Models the sensor's electronics in the carrier tier: sampling converter and lock-in demodulator.
 //!
 //! The converter samples `y = Re(W e^{jθ})` at multiples of its own period, clips and rounds it.
-//! The demodulator multiplies each sample by `2 e^{−jθ}` with the excitation's phase and returns
-//! the mean of these products over the last N carrier periods. This mean is W, delayed by half of
-//! the window. Before the start the plate is at rest.
+//! The demodulator multiplies each sample by `2 e^{−jθ}`, with the phase θ of the excitation. Its
+//! output is the mean of these products over the last N carrier periods, which is W delayed by half
+//! of this window. Before the start the plate is at rest.
 //!
 //! The window is N periods of the present excitation, L samples. If L is not an integer, the oldest
-//! sample has a fractional weight. The component at twice the carrier frequency is then at most
-//! `πN/2L²` of |W|; with a window of whole samples it would be up to `1/2L`.
+//! sample has a fractional weight. The error at twice the carrier frequency is then at most
+//! `πN/2L²` of |W|; with whole samples it would be up to `1/2L`.
 
 use crate::lockin::{Lockin, MAX_WINDOW_SAMPLES};
 use crate::phase::Phase;
@@ -17,10 +16,10 @@ use num_complex::Complex64;
 use std::array;
 use std::f64::consts::TAU;
 
-/// Samples between direct evaluations. In between, complex multiplication causes an error of about
-/// 2e-16 per sample.
+/// Number of samples after which the wave is evaluated directly. In between it is multiplied from
+/// sample to sample, with an error of about 2e-16 per sample.
 const REFRESH_INTERVAL: u32 = 64;
-/// µm; smaller components are set to 0, see `flow.rs`.
+/// Smaller terms of W, in µm, become 0 as in `flow.rs`.
 const NEGLIGIBLE: f64 = 1e-150;
 
 #[derive(Debug, Clone)]
@@ -29,9 +28,9 @@ pub struct Demodulator {
     /// Converter period, ns times 2⁶⁴.
     period: u128,
     spacing: f64,
-    /// Number of the next sample. Sample k is k converter periods after the start.
+    /// Number of the next sample. Sample k is at k converter periods after the start.
     next: u64,
-    /// `2 y e^{−jθ}` of the last samples, the oldest at `oldest`.
+    /// Products `2 y e^{−jθ}` of the last samples in a ring; the oldest is at `oldest`.
     products: Box<[Complex64]>,
     oldest: usize,
 }
@@ -61,8 +60,8 @@ impl<const N: usize> Wave<N> {
 }
 
 impl Demodulator {
-    /// Allocates a buffer for excitation frequencies down to `omega`/2 rad/s. No other function
-    /// allocates.
+    /// Allocates a buffer for excitation frequencies of at least `omega`/2 rad/s. The other
+    /// functions do not allocate.
     pub fn new(lockin: Lockin, omega: f64) -> Self {
         let longest = 2.0 * f64::from(lockin.periods) * lockin.converter_hz * TAU / omega;
         let period = 1e9 / lockin.converter_hz;
@@ -81,7 +80,7 @@ impl Demodulator {
     }
 
     /// Takes the samples up to and including `end`. From `start` on, W is
-    /// `rest + Σ amplitude e^{pole t}`. `phase` is the phase at `start`.
+    /// `rest + Σ amplitude e^{pole t}`; `phase` is the carrier's phase at `start`.
     pub fn advance<const N: usize>(
         &mut self,
         rest: Complex64,
@@ -126,10 +125,9 @@ impl Demodulator {
         }
     }
 
-    /// Demodulated W for an excitation of `omega` rad/s, µm.
     pub fn read(&self, omega: f64) -> Complex64 {
         let window = f64::from(self.lockin.periods) * self.lockin.converter_hz * TAU / omega.abs();
-        // At ω = 0 the window is as long as the buffer. It has at least one sample.
+        // At least one sample, at most the whole buffer, also at ω = 0 (infinite window).
         let window = if window.is_nan() { 1.0 } else { window.clamp(1.0, (self.products.len() - 1) as f64) };
         let whole = window as usize;
         let (newer, older) = self.products.split_at(self.oldest.min(self.products.len()));
@@ -166,7 +164,7 @@ mod tests {
 
     #[test]
     fn every_sample_equals_the_closed_form() {
-        // Samples on whole nanoseconds, so that the phase at each is known exactly.
+        // The samples are at whole nanoseconds, so that the phase of each is exact.
         let converter_hz = 1.25e6;
         for tier in Tier::ALL {
             let flow = flow(tier);

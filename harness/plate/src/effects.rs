@@ -1,5 +1,4 @@
-//! Holds the state of a plate's optional effects: second mode, amplifier, self-heating, sensor
-//! latency and drift.
+//! Holds the state of the optional effects: second mode, amplifier, self-heating, sensor latency.
 
 use crate::flow::State;
 use crate::mode::Drive;
@@ -12,9 +11,9 @@ use std::collections::VecDeque;
 #[derive(Debug, Clone)]
 pub(crate) struct Effects {
     pub(crate) states: PerMode<State>,
-    /// The last command, which may not have reached the amplifier.
+    /// Last command of the controller, which may not have reached the amplifier.
     pub(crate) commanded: Drive,
-    /// Commands that have not reached the amplifier, each with the time of its arrival.
+    /// Commands in the dead time of the amplifier, each with its arrival time.
     pending: VecDeque<(Time, Drive)>,
     /// Output of the amplifier without its offset.
     pub(crate) output_vpp: f64,
@@ -38,8 +37,8 @@ impl Effects {
         }))
     }
 
-    /// Returns `drive` if it acts now, otherwise stores it for the dead time. The first command
-    /// acts at once.
+    /// Returns `drive` if it acts now, else stores it for the dead time. The first one acts at
+    /// once.
     pub(crate) fn command(&mut self, drive: Drive, now: Time, dead_time: Time) -> Option<Drive> {
         let is_first = self.commanded == Drive::default();
         self.commanded = drive;
@@ -63,7 +62,7 @@ impl Effects {
         self.pending.pop_front().map(|(_, drive)| drive)
     }
 
-    /// Reading at `now` with latency and drift. Without them the sensor would read `w`.
+    /// Reading at `now`. A sensor without latency and drift would read `w`.
     pub(crate) fn sensor_reading(&self, w: Complex64, now: Time) -> Complex64 {
         let w = self.history.as_ref().map_or(w, |history| history.read(now));
         w * (1.0 + self.gain_drift_per_s * now.seconds())

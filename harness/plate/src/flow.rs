@@ -3,17 +3,16 @@
 //! With `y = Re(W e^{jθ})`, `θ' = ω` and the voltage on the q axis, equation 1 is
 //! `y'' + 2σy' + ω0²y = (N/m) Re(jV e^{jθ})`.
 //!
-//! * **modal**: the states are `W` and `U = W' + jωW`, so that `y' = Re(U e^{jθ})`. U, not W', is
-//!   continuous when ω steps. The two poles are `s± = −σ ± j√(ω0² − σ²)`, the steady state is
+//! * **modal**: the states are `W` and `U = W' + jωW`, so that `y' = Re(U e^{jθ})`. If ω steps, U
+//!   is continuous and W' is not. The two poles are `s± = −σ ± j√(ω0² − σ²)`, the steady state is
 //!   `W∞ = (N/m) jV / (ω0² − ω² + 2jσω)`.
 //! * **carrier**: the same W and U; [`crate::Plant`] adds the phase of the carrier.
-//! * **envelope**: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0`. This approximation for ω ≈ ω0 omits
-//!   the pole `s−`, which is about 64 kHz away in this frame (equations 11 and 18 without their
-//!   linearisation).
+//! * **envelope**: `W' = λW + bV`, `λ = −σ − jΔω`, `b = K1 σ0` (equations 11 and 18 without their
+//!   linearisation). This approximation for ω ≈ ω0 omits the pole `s−`, which is about 64 kHz away
+//!   in this frame.
 //! * **linear**: `Wd' = −σWd + bV` and, for the ratio `r = Wq/Wd`, `r' = −σr − Δω`. These are
 //!   equations 13 and 19 with the static gains `K1 σ0/σ` and `−1/σ` and the time constant 1/σ. The
-//!   ratio is a separate state, because it must be defined while Wd is 0. It starts at 0 and
-//!   follows the detuning with or without vibration.
+//!   ratio is a separate state that starts at 0, so that it is defined while Wd is 0.
 
 use crate::mode::{Drive, Mode};
 use crate::tier::Tier;
@@ -21,14 +20,14 @@ use num_complex::Complex64;
 
 const J: Complex64 = Complex64::I;
 
-/// µm or µm/s. Smaller components are set to 0, because subnormal arithmetic is many times slower.
+/// Smaller components, µm or µm/s, become 0, because subnormal arithmetic is many times slower.
 const NEGLIGIBLE: f64 = 1e-150;
 
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct State {
     /// `W = Wd + jWq`, µm.
     pub w: Complex64,
-    /// `U = W' + jωW`, µm/s; 0 in the envelope tier. In the linear tier its real part is the ratio
+    /// `U = W' + jωW`, µm/s; 0 in the envelope tier. In the linear tier the real part is the ratio
     /// Wq/Wd, and `w` is `Wd (1 + j Wq/Wd)`.
     pub u: Complex64,
 }
@@ -51,7 +50,7 @@ impl State {
     }
 }
 
-/// In t seconds W changes by at most `speed · t + min(ripple, ripple_speed · t)`, µm.
+/// Bound on the change of W: in t seconds at most `speed · t + min(ripple, ripple_speed · t)`, µm.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ExcursionBound {
     pub(crate) speed: f64,
@@ -68,14 +67,13 @@ impl ExcursionBound {
         }
     }
 
-    /// Time in s during which W changes by less than `distance` µm; may be negative, infinite or
+    /// Time in s during which W changes by less than `distance` µm. It may be negative, infinite or
     /// NaN.
     pub(crate) fn seconds_within(&self, distance: f64) -> f64 {
         ((distance - self.ripple) / self.speed).max(distance / (self.speed + self.ripple_speed))
     }
 }
 
-/// Motion of the plate while mode and drive are constant.
 #[derive(Debug, Clone, Copy)]
 pub struct Flow {
     steady_state: Complex64,
@@ -85,11 +83,10 @@ pub struct Flow {
 
 #[derive(Debug, Clone, Copy)]
 enum SecondTerm {
-    /// Envelope tier.
     Envelope,
-    /// Modal and carrier tier: fast pole, and ω.
+    /// Fast pole, and the excitation frequency ω. Modal and carrier tier.
     FastPole(ExponentialTerm, f64),
-    /// Linear tier: ratio Wq/Wd. The slow pole is that of Wd.
+    /// Ratio Wq/Wd of the linear tier. `slow_pole` is then the pole of Wd.
     Ratio { rest: f64, amplitude: f64 },
 }
 
@@ -142,7 +139,7 @@ impl Flow {
         let damped = ((omega0 - sigma) * (omega0 + sigma)).sqrt();
         let stiffness = Complex64::new((omega0 - omega) * (omega0 + omega), 2.0 * sigma * omega);
         let rest = J * (mode.force_constant * drive.vpp) / stiffness;
-        // Deviation from the steady state, split over both poles: w = A + B, u = s₊A + s₋B.
+        // Deviation from the steady state as the sum over both poles: w = A + B, u = s₊A + s₋B.
         let w = state.w - rest;
         let u = state.u - J * omega * rest;
         let (plus, minus) = (Complex64::new(-sigma, damped), Complex64::new(-sigma, -damped));
@@ -164,7 +161,7 @@ impl Flow {
                 let slow = self.slow_pole.after(seconds);
                 let fast = term.after(seconds);
                 let frame = J * *omega;
-                // The poles of U' in the fixed frame are those of the rotating frame plus jω.
+                // U is in the fixed frame, so its poles are those of the rotating frame plus jω.
                 let u = frame * self.steady_state + (self.slow_pole.pole + frame) * slow + (term.pole + frame) * fast;
                 State { w: self.steady_state + slow + fast, u }
             }
@@ -178,9 +175,9 @@ impl Flow {
         state.flush_negligible()
     }
 
-    /// The bound is valid from any instant on.
+    /// The bound is valid from any instant of the flow on.
     pub(crate) fn excursion_bound(&self) -> ExcursionBound {
-        // One root instead of two calls of `hypot`, which took a tenth of a trial's time.
+        // One square root instead of two calls of `hypot`, which took 10 % of a trial's time.
         let speed = |term: &ExponentialTerm| (term.amplitude.norm_sqr() * term.pole.norm_sqr()).sqrt();
         let slow = speed(&self.slow_pole);
         match &self.second_term {
@@ -190,7 +187,7 @@ impl Flow {
                 ripple: 2.0 * term.amplitude.norm_sqr().sqrt(),
                 ripple_speed: speed(term),
             },
-            // Δ(r Wd) = r ΔWd + Wd Δr, with the largest |r| and |Wd|.
+            // Change of Wq = r Wd: Δ(r Wd) = r ΔWd + Wd Δr, with the largest |r| and |Wd|.
             SecondTerm::Ratio { rest, amplitude } => {
                 let in_phase = self.steady_state.re.abs() + self.slow_pole.amplitude.re.abs();
                 let turned = amplitude.abs() * self.slow_pole.pole.norm();
@@ -200,14 +197,14 @@ impl Flow {
         }
     }
 
-    /// W as `rest + Σ amplitude e^{pole t}` in every tier: `rest` and pairs (amplitude in µm, pole
-    /// in 1/s).
+    /// Constant part of W and pairs (amplitude in µm, pole in 1/s), so that
+    /// `W = rest + Σ amplitude e^{pole t}` in every tier.
     pub(crate) fn terms(&self) -> (Complex64, [(Complex64, Complex64); 2]) {
         let slow = (self.slow_pole.amplitude, self.slow_pole.pole);
         let other = match &self.second_term {
             SecondTerm::Envelope => (Complex64::ZERO, Complex64::ZERO),
             SecondTerm::FastPole(term, _) => (term.amplitude, term.pole),
-            // (Wd∞ + a e)(1 + j (r∞ + c e)) with e = e^{−σt}.
+            // W = (Wd∞ + a e)(1 + j (r∞ + c e)) with e = e^{−σt}.
             SecondTerm::Ratio { rest, amplitude } => {
                 let first = slow.0 * (1.0 + J * rest) + J * *amplitude * self.steady_state.re;
                 return (self.steady_state, [(first, slow.1), (slow.0 * J * *amplitude, 2.0 * slow.1)]);
@@ -216,7 +213,6 @@ impl Flow {
         (self.steady_state, [slow, other])
     }
 
-    /// The steady state W∞, µm.
     pub fn steady_state(&self) -> Complex64 {
         self.steady_state
     }

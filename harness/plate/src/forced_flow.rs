@@ -1,9 +1,9 @@
 //! Propagates one mode exactly under an amplifier's output `V(t) = c + m t + a e^{−rt}`.
 //!
-//! In the frame of `flow.rs`, the response to a drive `e^{st}` is `H(s) e^{st}` with
+//! In the rotating frame of `flow.rs`, the response to a drive `e^{st}` is `H(s) e^{st}` with
 //! `H(s) = j(N/m)/((q − s₊)(q − s₋))`, `q = s + jω`. The response to the ramp t is
-//! `H(0) t + H'(0)`, with `H'/H = −1/(q − s₊) − 1/(q − s₋)`. The remainder of the state decays with
-//! both poles, as in `flow.rs`.
+//! `H(0) t + H'(0)`, with `H'/H = −1/(q − s₊) − 1/(q − s₋)`. The rest of the state decays with both
+//! poles, as in `flow.rs`.
 
 use crate::amplifier::Forcing;
 use crate::flow::{ExcursionBound, State};
@@ -11,9 +11,8 @@ use crate::mode::Mode;
 use num_complex::Complex64;
 
 const J: Complex64 = Complex64::I;
-/// Smallest relative distance between the poles of amplifier and plate. Below it, the response
-/// loses digits as a difference of nearly equal terms, so the amplifier's pole is moved by this
-/// distance.
+/// Smallest relative distance between the poles of amplifier and plate. Below it the response is a
+/// difference of nearly equal terms, so the amplifier's pole is moved.
 const MIN_POLE_DISTANCE: f64 = 1e-8;
 
 #[derive(Debug, Clone, Copy)]
@@ -22,8 +21,7 @@ pub(crate) struct ForcedFlow {
     rest: Complex64,
     /// Slope of the response to the ramp, µm/s.
     slope: Complex64,
-    /// Amplitude in µm and pole in 1/s, in the rotating frame, of slow pole, fast pole and
-    /// amplifier.
+    /// Amplitude in µm and pole in 1/s of slow pole, fast pole and amplifier; rotating frame.
     terms: [(Complex64, Complex64); 3],
 }
 
@@ -72,8 +70,8 @@ impl ForcedFlow {
         ExcursionBound { speed: slow + amplifier + self.slope.norm(), ripple: 2.0 * ripple.norm(), ripple_speed: fast }
     }
 
-    /// W without the response to the ramp, `rest + Σ amplitude e^{pole t}`: `rest` and pairs
-    /// (amplitude µm, pole 1/s).
+    /// W without the response to the ramp, `rest + Σ amplitude e^{pole t}`, as `rest` and pairs
+    /// (amplitude in µm, pole in 1/s).
     pub(crate) fn terms(&self) -> (Complex64, [(Complex64, Complex64); 3]) {
         (self.rest, self.terms)
     }

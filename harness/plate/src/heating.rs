@@ -1,8 +1,8 @@
-//! Computes the temperature of a plate that its own vibration warms.
+//! Computes the temperature rise that the plate's own vibration causes.
 //!
 //! The temperature rise T follows `T' = κ (R |W|² − T)`, with R in K/µm². The loss of a mode is
-//! proportional to y'². Its mean over a carrier period is proportional to |W|², and the time
-//! constant 1/κ is many periods. While the modes are constant, W is a sum `Σ aᵢ e^{pᵢt}`, hence
+//! proportional to y'². Its mean over a carrier period is proportional to |W|², and 1/κ is many
+//! carrier periods. While the modes are constant, W is a sum `Σ aᵢ e^{pᵢt}`, hence
 //!
 //! `T(t) = T e^{−κt} + κR Σᵢⱼ aᵢ āⱼ (e^{(pᵢ + p̄ⱼ)t} − e^{−κt})/(pᵢ + p̄ⱼ + κ)`.
 
@@ -13,7 +13,7 @@ use num_complex::Complex64;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Heating {
     pub rise_k_per_um2: f64,
-    /// κ, 1/s.
+    /// Rate κ, the inverse of the time constant, 1/s.
     pub rate: f64,
 }
 
@@ -28,7 +28,7 @@ impl Heating {
         Ok(Self { rise_k_per_um2, rate: 1.0 / seconds })
     }
 
-    /// T after `seconds`, K. `terms` are the pairs (aᵢ, pᵢ) of W.
+    /// Temperature rise T after `seconds`, K. `terms` are the pairs (aᵢ, pᵢ) of W.
     pub(crate) fn after(&self, start_k: f64, terms: &[(Complex64, Complex64)], seconds: f64) -> f64 {
         let kept = (-self.rate * seconds).exp();
         let mut sum = 0.0;
@@ -46,7 +46,7 @@ impl Heating {
         let sum = pole + self.rate;
         let x = sum * seconds;
         if x.norm_sqr() < 1e-6 {
-            // The quotient loses digits for small x. The series omits x⁴/120.
+            // The quotient below loses digits for small x. This series omits terms from x⁴/120 on.
             seconds * kept * (((x / 24.0 + 1.0 / 6.0) * x + 0.5) * x + 1.0)
         } else {
             ((pole * seconds).exp() - kept) / sum

@@ -1,22 +1,20 @@
-//! Reads input files of limited size. Refuses pipes and devices, which may never end. `-` is
-//! standard input.
+//! Reads input files of limited size, and standard input if the path is `-`. Refuses pipes and
+//! devices, because they may never end.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 use std::sync::OnceLock;
 
-/// A CSV profile of 10⁶ points is smaller.
+/// Largest size of an input. A CSV profile of 10⁶ points is smaller.
 const MAX_BYTES: u64 = 64 << 20;
-/// Path that means standard input or output. `./-` is a file of this name.
+/// Path that means standard input or output. `./-` is a file named `-`.
 pub const STANDARD_STREAM: &str = "-";
-/// File name of standard input in records and in copies of the input.
 pub const STANDARD_INPUT_NAME: &str = "stdin.toml";
-/// Content of standard input. Callers read an input more than once, but the stream can be read only
-/// once.
+/// Content of standard input, stored because the stream can be read only once.
 static STDIN: OnceLock<Result<Vec<u8>, ErrorKind>> = OnceLock::new();
 
-/// Fails with `InvalidInput` for a pipe, device or socket, which is not opened, and with
+/// Fails with `InvalidInput` for a pipe, device or socket, without opening it, and with
 /// `FileTooLarge` above 64 MiB.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     if path == Path::new(STANDARD_STREAM) {

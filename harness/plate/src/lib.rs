@@ -1,9 +1,9 @@
 //! Simulates a plate with one or two bending modes, in the frame that rotates with the excitation.
 //!
-//! Symbols and equations are those of Ben Messaoud et al., "Amplitude control of an ultrasonic
-//! vibration for a tactile stimulator", IEEE/ASME Transactions on Mechatronics, 2016;
-//! `docs/mathematics.md` derives the others. Amplitudes are µm and voltages Vpp, both peak to peak;
-//! angular frequencies are rad/s; times are s unless a name has another unit.
+//! Symbols and equation numbers are those of Ben Messaoud et al., "Amplitude control of an
+//! ultrasonic vibration for a tactile stimulator", IEEE/ASME Transactions on Mechatronics, 2016.
+//! `docs/mathematics.md` derives the other equations. Amplitudes are in µm and voltages in Vpp,
+//! both peak to peak. Angular frequencies are in rad/s, times in s unless a name has another unit.
 
 mod amplifier;
 mod crossing;

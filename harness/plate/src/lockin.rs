@@ -3,16 +3,16 @@
 use crate::plate_error::{PlateError, check, positive};
 use crate::raw_plate::RawSensor;
 
-/// Largest window of the lock-in at the plate's resonance.
+/// Largest window of the lock-in in samples, if the excitation is at the plate's resonance.
 pub(crate) const MAX_WINDOW_SAMPLES: f64 = 1e6;
-/// 1.5 · 2⁵². Adding and subtracting it rounds to the nearest integer, ties to even.
+/// Constant 1.5 · 2⁵². Adding and subtracting it rounds to the nearest integer, ties to even.
 const ROUNDING_OFFSET: f64 = 6_755_399_441_055_744.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ConverterResolution {
-    /// 2 to 32, including the sign bit.
+    /// Number of bits from 2 to 32, including the sign bit.
     pub bits: u32,
-    /// Largest peak-to-peak amplitude that is not clipped.
+    /// Largest peak-to-peak amplitude that the converter does not clip.
     pub range_um: f64,
 }
 
@@ -38,7 +38,6 @@ impl ConverterResolution {
         ((code + ROUNDING_OFFSET) - ROUNDING_OFFSET) * step
     }
 
-    /// Quantisation step, µm. The 2^bits codes cover twice the range.
     pub fn step_um(&self) -> f64 {
         self.range_um / f64::from(1_u32 << (self.bits - 1))
     }

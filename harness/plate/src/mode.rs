@@ -15,13 +15,12 @@ pub struct Mode {
     pub sigma: f64,
     /// Undamped resonance ω0, rad/s.
     pub omega0: f64,
-    /// Constant N/m of the plate, µm/s² per Vpp.
+    /// Constant N/m of the plate (equation 8), µm/s² per Vpp.
     pub force_constant: f64,
     /// Constant of the envelope, `b = K1 σ0`, µm/s per Vpp.
     pub envelope_constant: f64,
 }
 
-/// Excitation of the plate, constant between two actuations.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Drive {
     pub vpp: f64,
@@ -42,7 +41,7 @@ impl Plate {
         }
     }
 
-    /// Damping and resonance of the second mode change in proportion to those of the first mode.
+    /// A finger and the temperature change its σ and ω0 in proportion to those of the first mode.
     pub fn second_mode(&self, conditions: &Conditions) -> Option<Mode> {
         self.second_mode.map(|second| {
             let first = self.mode(conditions);
@@ -72,9 +71,9 @@ impl Mode {
         amplitude * self.sigma / self.envelope_constant
     }
 
-    /// Shortest time in s from rest to `share · setpoint` µm at resonance:
-    /// `−ln(1 − share·setpoint/W∞)/σ`, with W∞ the amplitude at `limit` Vpp. `None` if the limit is
-    /// too low.
+    /// Shortest time in s from rest to the amplitude `share · setpoint` µm at resonance:
+    /// `−ln(1 − share·setpoint/W∞)/σ`. W∞ is the steady amplitude at `limit` Vpp. `None` if W∞ is
+    /// too small.
     pub fn min_rise_time(&self, setpoint: f64, share: f64, limit: f64) -> Option<f64> {
         let missing = 1.0 - share * self.drive_for(setpoint) / limit;
         (missing > 0.0).then(|| -missing.ln() / self.sigma)

@@ -1,4 +1,4 @@
-//! Adds up the modes of a plate over a step. Keeps past steps for a sensor with latency.
+//! Combines the modes of a plate over a step, and stores past steps for a sensor with latency.
 
 use crate::amplifier::Forcing;
 use crate::flow::{ExcursionBound, State};
@@ -9,13 +9,13 @@ use crate::varying::VaryingFlow;
 use num_complex::Complex64;
 use std::collections::VecDeque;
 
-/// Steady state, and slow pole, fast pole and amplifier of each of two modes.
+/// Number of terms: one steady state, and slow pole, fast pole and amplifier of each of two modes.
 const TERMS: usize = 7;
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum ModeMotion {
     Constant(ForcedFlow),
-    /// The response to the constant part of the drive, and the drive.
+    /// The flow under the constant part of the drive, and the whole drive.
     Varying(VaryingFlow, Forcing),
 }
 
@@ -46,7 +46,6 @@ impl<T: Copy> PerMode<T> {
         PerMode { first: of(self.first), second: self.second.map(of) }
     }
 
-    /// The result has a second mode only if both arguments have one.
     pub(crate) fn zip<U: Copy>(self, other: PerMode<U>) -> PerMode<(T, U)> {
         PerMode { first: (self.first, other.first), second: self.second.zip(other.second) }
     }
@@ -61,7 +60,7 @@ impl PerMode<State> {
 
 pub(crate) type Motion = PerMode<ModeMotion>;
 
-/// Motion with constant modes.
+/// Motion while the modes are constant.
 pub(crate) type FrozenMotion = PerMode<ForcedFlow>;
 
 impl Motion {
@@ -80,7 +79,8 @@ impl FrozenMotion {
         self.second.map_or(first, |second| first.plus(&second.excursion_bound()))
     }
 
-    /// Pairs (amplitude in µm, pole in 1/s) of `W = Σ amplitude e^{pole t}`. The first pole is 0.
+    /// Pairs (amplitude in µm, pole in 1/s) of `W = Σ amplitude e^{pole t}`. The first pair is the
+    /// steady state with pole 0.
     pub(crate) fn terms(&self) -> [(Complex64, Complex64); TERMS] {
         let (rest, [slow, fast, amplifier]) = self.first.terms();
         let (second_rest, second) = self.second.map_or_else(Default::default, |flow| flow.terms());
@@ -93,7 +93,7 @@ impl FrozenMotion {
 #[derive(Debug, Clone)]
 pub(crate) struct MotionHistory {
     latency: Time,
-    /// Each motion of the last `latency`, with its start time.
+    /// Start time and motion of each step that is needed for the last `latency`.
     motions: VecDeque<(Time, Motion)>,
 }
 
@@ -109,7 +109,7 @@ impl MotionHistory {
         self.motions.push_back((start, *motion));
     }
 
-    /// W at `now` minus the latency; 0 before the start of the trial.
+    /// W at `now` minus the latency; 0 if this is before the start of the trial.
     pub(crate) fn read(&self, now: Time) -> Complex64 {
         if now < self.latency {
             return Complex64::ZERO;

@@ -1,10 +1,10 @@
-//! Accumulates the carrier's phase θ over intervals without an error that grows.
+//! Accumulates the carrier's phase θ over intervals without a growing error.
 //!
 //! θ is in turns, as a fixed-point fraction of 128 bits that wraps. ω is in turns per nanosecond in
-//! the same format. Time is an integer of nanoseconds, so an interval adds an integer product. No
-//! interval rounds, and intervals may be split anywhere. The only error is the rounding of ω to
-//! 2⁻¹²⁸ turns/ns, which is below 1e-22 turns in 104 days, the range of [`Time`]. A sum of `ω Δt`
-//! in f64, wrapped after each interval, has an error of 2e-7 rad after 1e9 periods.
+//! the same format, and time is an integer of nanoseconds. An interval therefore adds an integer
+//! product without rounding, and intervals may be split anywhere. The only error is the rounding of
+//! ω to 2⁻¹²⁸ turns/ns, below 1e-22 turns in 104 days, the range of [`Time`]. A sum of `ω Δt` in
+//! f64 that wraps after each interval has an error of 2e-7 rad after 1e9 periods.
 
 use crate::time::Time;
 use num_complex::Complex64;
@@ -40,14 +40,14 @@ impl Phase {
 }
 
 impl PhaseRate {
-    /// Rate of `omega` rad/s, exact to 2⁻¹²⁸ turns/ns. 0 for NaN, infinity and above 2⁸⁵ rad/s: f64
-    /// resolves no turn there.
+    /// Rate of `omega` rad/s, exact to 2⁻¹²⁸ turns/ns. 0 for NaN, for infinity and from 2⁸⁵ rad/s
+    /// on, because an f64 of this size does not resolve one turn.
     pub const fn from_omega(omega: f64) -> Self {
         const MANTISSA: u64 = (1 << 52) - 1;
         let bits = omega.abs().to_bits();
         let exponent = (bits >> 52) as i32 - 1075;
         let mantissa = ((bits & MANTISSA) | (1 << 52)) as u128;
-        // Subnormal numbers become 0.
+        // Subnormal numbers get a shift above 191 and become 0.
         let shift = 32 - exponent;
         let high = mantissa * (TURNS_PER_RADIAN >> 64);
         let low = mantissa * (TURNS_PER_RADIAN as u64 as u128);
@@ -70,14 +70,14 @@ mod tests {
         (phase.radians() / TAU).rem_euclid(1.0)
     }
 
-    /// Expected: the fraction of ωt/2π, computed from the doubles with 120 decimal digits.
+    /// Expected is the fraction of ωt/2π, computed from the f64 values with 120 decimal digits.
     #[test]
     fn the_phase_is_exact_after_a_billion_periods() {
         for (omega, nanos, turns) in [
-            // 1 001 537 387 periods.
+            // This is after 1 001 537 387 periods.
             (202_995.0, 31_000_000_000_000, 0.861_118_104_216_541_3),
             (202_995.3, 30_954_321_987_654, 0.235_069_502_160_185_88),
-            // 2.25e13 periods: the fastest carrier over the longest time.
+            // This is the highest carrier frequency over the longest time, 2.25e13 periods.
             (15_707_500.0, 9_007_199_254_740_991, 0.975_168_623_413_995_6),
             (202_450.0, 1, 3.222_091_822_895_421e-5),
         ] {
@@ -116,7 +116,7 @@ mod tests {
         for omega in [0.0, f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e-310, 1e-60, 1e30] {
             assert_eq!(PhaseRate::from_omega(omega), PhaseRate::default(), "{omega}");
         }
-        // The largest valid one: 2⁸⁵ rad/s.
+        // The largest valid exponent: from 2⁸⁴ to below 2⁸⁵ rad/s.
         assert_ne!(PhaseRate::from_omega(f64::from_bits(((1023 + 84) << 52) | 1)), PhaseRate::default());
     }
 

@@ -18,16 +18,16 @@ use std::f64::consts::PI;
 
 /// Allowed error of a varying mode relative to its amplitude at resonance (`docs/mathematics.md`).
 ///
-/// For a pole λ with the rate λ', two terms of the Magnus series (`varying.rs`) leave the error
-/// `λ'² bV h⁵/240` in a substep h. This error decays with σ, so the total is at most
-/// `λ'² h⁴/240 · bV/σ`. A mode that is frozen at its midpoint leaves the first commutator,
-/// `|λ'| h²/12 · bV/σ`.
+/// λ is a pole and λ' its rate. Two terms of the Magnus series (`varying.rs`) leave the error
+/// `λ'² bV h⁵/240` in a substep h. The error decays with σ, so its sum is at most
+/// `λ'² h⁴/240 · bV/σ`. A mode that is frozen at its midpoint leaves `|λ'| h²/12 · bV/σ`, the first
+/// commutator.
 pub(crate) const VARYING_ERROR: f64 = 1e-7;
-/// Shortest substep, s. A profile that needs shorter ones lasts only microseconds.
+/// Shortest substep, s. A profile that would need a shorter one changes only for microseconds.
 const MIN_SUBSTEP: f64 = 1e-7;
 /// Largest rate of a pole for `varying.rs`, as a fraction of Ω³/ω0 (Ω: frequency of the free
 /// oscillation). The equations there require a slow change; a faster mode is frozen per substep.
-/// For the paper's plate the limit is about 1e6 rad/s² or 1 N in 0.35 ms.
+/// For the paper's plate the limit is about 1e6 rad/s², which is 1 N in 0.35 ms.
 const SLOW_POLE_SHARE: f64 = 1.0 / 40_000.0;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -54,13 +54,13 @@ impl ConditionProfiles {
     }
 }
 
-/// Interval in which neither a profile nor the damping curve jumps or bends.
+/// Interval without a jump or a bend of a profile or of the damping curve.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SmoothInterval {
     pub(crate) end: Time,
     /// Upper bound on |λ'|, rad/s².
     pub(crate) rate: f64,
-    /// Mode at the start of the interval; constant if `rate` is 0.
+    /// Mode at the start of the interval; it is constant if `rate` is 0.
     mode: Mode,
 }
 
@@ -76,16 +76,15 @@ pub struct Plant {
     pub(crate) phase: Phase,
     pub(crate) rate: PhaseRate,
     pub(crate) demodulator: Option<Demodulator>,
-    /// Largest |λ'| for [`VaryingFlow`], rad/s².
     pub(crate) max_pole_rate: f64,
     interval: Option<SmoothInterval>,
-    /// `None` for a plate without optional effects, and in the tiers `linear` and `envelope`.
+    /// `None` in the tiers `linear` and `envelope`, and for a plate without optional effects.
     effects: Option<Box<Effects>>,
 }
 
 impl Plant {
-    /// The plate is at rest and without drive. In the carrier tier its sensor is the demodulator,
-    /// if it has one.
+    /// The plate starts at rest without drive. In the carrier tier the lock-in demodulator is the
+    /// sensor, if the plate has one.
     pub fn new(plate: Plate, scene: ConditionProfiles, tier: Tier) -> Self {
         let lockin = plate.lockin.filter(|_| tier == Tier::Carrier);
         Self {
@@ -121,13 +120,13 @@ impl Plant {
         (self.state.w * self.phase.rotation()).re
     }
 
-    /// W or the demodulator's output, with the sensor's latency and drift, µm.
+    /// Output of the sensor in µm: W or the demodulator's output, with latency and drift.
     pub fn sensor_reading(&self) -> Complex64 {
         let w = self.demodulator.as_ref().map_or(self.state.w, |demodulator| demodulator.read(self.drive.omega));
         self.effects.as_ref().map_or(w, |effects| effects.sensor_reading(w, self.time))
     }
 
-    /// The last commanded drive; the amplifier's output may differ.
+    /// Last command of the controller; the amplifier's output may differ.
     pub fn drive(&self) -> Drive {
         self.effects.as_ref().map_or(self.drive, |effects| effects.commanded)
     }
@@ -144,7 +143,7 @@ impl Plant {
         self.scene.at(time)
     }
 
-    /// The first mode with the present self-heating.
+    /// First mode at the conditions of `time` and the present self-heating.
     pub fn mode_at(&self, time: Time) -> Mode {
         let mut conditions = self.scene.at(time);
         if let Some(effects) = &self.effects {
@@ -165,7 +164,7 @@ impl Plant {
         self.interval = None;
     }
 
-    /// W, U and θ do not jump.
+    /// Changes the command; W, U and θ are continuous.
     pub fn set_drive(&mut self, drive: Drive) {
         if self.effects.is_some() {
             self.set_drive_with_effects(drive);
@@ -196,8 +195,8 @@ impl Plant {
         self.drive = drive;
     }
 
-    /// No effect if `end` has passed. Appends to `crossings` in order of time; may miss an
-    /// excursion shorter than 1 µs.
+    /// Moves the plate to `end`; no effect if `end` has passed. Appends to `crossings` in order of
+    /// time. Excursions below 1 µs may be missed.
     pub fn advance(&mut self, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
         if self.effects.is_some() {
             return self.advance_with_effects(end, monitors, crossings);
@@ -212,15 +211,14 @@ impl Plant {
             let frequency = self.scene.angular_frequency();
             let fast = interval.rate > self.max_pole_rate || frequency > self.plate.omega0 / 10.0;
             let longest = if fast {
-                // A substep is shorter than a turn of the fast pole, otherwise the substeps would
-                // excite this pole.
+                // Substeps of a turn of the fast pole or more would excite this pole.
                 let rate = interval.rate * 1.0_f64.hypot(frequency / (2.0 * self.plate.sigma0));
                 max_frozen_substep(rate).min(0.75 * PI / self.plate.omega0)
             } else {
                 self.max_varying_substep(interval.rate, frequency, self.pole_norm(frequency))
             };
             for end in split_interval(self.time, interval_end, longest) {
-                // A parabola needs three instants, which less than 3 ns do not contain.
+                // A parabola needs three different instants; less than 3 ns do not contain them.
                 if fast || (end - self.time).as_nanos() < 3 {
                     let mode = self.mode_at(self.time.midpoint(end));
                     self.advance_frozen(&mode, end, monitors, crossings);
@@ -246,7 +244,7 @@ impl Plant {
         interval
     }
 
-    /// |λ|, 1/s; 0 if no profile is a sine, because only the error bound of a sine needs |λ|.
+    /// |λ|, 1/s. 0 if no profile is a sine, because only the error bound of a sine uses |λ|.
     fn pole_norm(&self, frequency: f64) -> f64 {
         if frequency == 0.0 {
             return 0.0;
@@ -255,8 +253,8 @@ impl Plant {
         mode.sigma.hypot(mode.omega0 - self.drive.omega)
     }
 
-    /// Longest substep in s for a pole λ of norm `pole`, 1/s, and rate `rate`, rad/s², if a profile
-    /// has the frequency ν = `frequency`, rad/s. The error is
+    /// Longest substep in s. `pole` is |λ| in 1/s, `rate` is |λ'| in rad/s², `frequency` is ν of a
+    /// sine profile in rad/s. The error is
     /// `h⁴ |λ'| (|λ'|/240 + ν|λ|/720 + ν²/240 + ν³/2880σ) bV/σ`.
     pub(crate) fn max_varying_substep(&self, rate: f64, frequency: f64, pole: f64) -> f64 {
         let mut sum = rate;
@@ -279,7 +277,7 @@ impl Plant {
     }
 
     fn next_bend(&self) -> Option<Time> {
-        // The last segment is extended, so its end is not a bend.
+        // The last segment of the damping curve is extended, so its end is not a bend.
         let (_, bends) = self.plate.damping_ratio.split_last()?;
         bends.iter().filter_map(|[force, _]| self.scene.finger_force_n.next_crossing(*force, self.time)).min()
     }
@@ -299,23 +297,23 @@ impl Plant {
         self.finish_step(end, flow.after(seconds));
     }
 
-    /// The demodulator advances in pieces of at most `longest` s.
+    /// Advances with varying modes; the demodulator advances in pieces of at most `longest` s.
     fn advance_varying(&mut self, end: Time, longest: f64, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
         let start = self.time;
-        // A `hold` profile may jump at `end` itself.
+        // A `hold` profile may jump at `end`, so the last point is 1 ns earlier.
         let last = end - Time::from_nanos(1);
         let [middle, last] = [start.midpoint(last), last].map(|time| ((time - start).seconds(), self.mode_at(time)));
         let varying = VaryingFlow::new(self.tier, &self.mode_at(start), middle, last, &self.drive, &self.state);
         let seconds = (end - start).seconds();
         if !monitors.is_empty() {
-            // This bound is valid only from the start of the interval.
+            // The bound is valid only from the start of the interval.
             let reach = varying.max_excursion(seconds);
             let seconds_within = |from, distance| if from == 0.0 && reach < distance { seconds } else { 0.0 };
             self.find_crossings(end, |seconds| varying.after(seconds), seconds_within, monitors, crossings);
         }
         if let Some(mut demodulator) = self.demodulator.take() {
-            // The demodulator requires exponentials, so each piece has a frozen mode. Each piece
-            // starts at the plate's exact state, so errors do not accumulate.
+            // The demodulator requires exponentials, so the mode is frozen for each piece. Each
+            // piece starts at the exact state, so errors do not accumulate.
             let mut from = start;
             for to in split_interval(start, end, longest) {
                 let (mode, state) = (self.mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
@@ -359,8 +357,7 @@ impl Plant {
     }
 }
 
-/// Largest |λ'| that [`VaryingFlow`] accepts under every condition of `scene`, rad/s²; see
-/// [`SLOW_POLE_SHARE`].
+/// Largest |λ'| for which [`VaryingFlow`] is used under every condition of `scene`, rad/s².
 fn max_slow_pole_rate(plate: &Plate, scene: &ConditionProfiles) -> f64 {
     let largest = |profile: &Profile| profile.range().0.abs().max(profile.range().1.abs());
     let shift = plate.omega0_per_k.abs() * largest(&scene.temperature_offset_k)
@@ -371,22 +368,19 @@ fn max_slow_pole_rate(plate: &Plate, scene: &ConditionProfiles) -> f64 {
     SLOW_POLE_SHARE * squared * squared.sqrt() / plate.omega0
 }
 
-/// Longest substep in s for a mode that is frozen at its midpoint while the pole changes at `rate`
-/// rad/s².
+/// Longest substep in s for a frozen mode whose pole changes at `rate` rad/s².
 #[inline]
 pub(crate) fn max_frozen_substep(rate: f64) -> f64 {
     (12.0 * VARYING_ERROR / rate).sqrt().max(MIN_SUBSTEP)
 }
 
-/// Splits the time from `start` to `end` into equal pieces of at most `longest` s. Yields the end
-/// of each piece.
+/// Splits `start` to `end` into equal pieces of at most `longest` s; yields the end of each.
 #[inline]
 pub(crate) fn split_interval(start: Time, end: Time, longest: f64) -> impl Iterator<Item = Time> {
     let span = end - start;
     let pieces = ((span.seconds() / longest).ceil().max(1.0) as u64).min(span.as_nanos());
     (1..=pieces).map(move |piece| {
-        // The last end is exactly `end`. Usually it is the only one, and then no 128-bit division
-        // is needed.
+        // The last end is exactly `end`. Usually it is the only one: no 128-bit division.
         if piece == pieces {
             end
         } else {

@@ -1,10 +1,10 @@
 //! Advances a plate with optional effects: second mode, amplifier, self-heating, sensor latency.
 //!
 //! A step ends at each command, at each point of a profile and at the end of the amplifier's ramp.
-//! With constant modes a step of any length is exact. If the conditions or the self-heating change
-//! the modes, each follows a parabola as in `varying.rs`. The self-heating is first computed from
-//! the closed form of |W|², including its ripple, for constant modes at the middle of the step. The
-//! error of |W|², up to a fraction `|λ'|h²/8`, is corrected by Simpson's rule.
+//! While the modes are constant, a step of any length is exact. If the conditions or the
+//! self-heating change the modes, σ and ω0 follow parabolas as in `varying.rs`. The self-heating is
+//! first computed from the closed form of |W|², including its ripple, with the modes of the middle
+//! of the step. This |W|² has a relative error of up to `|λ'|h²/8`; Simpson's rule corrects it.
 
 use crate::amplifier::Forcing;
 use crate::crossing::{BandMonitor, Crossing};
@@ -18,15 +18,13 @@ use crate::varying::VaryingFlow;
 use num_complex::Complex64;
 use std::f64::consts::PI;
 
-/// Step as a fraction of the substep of `plant.rs`. The error has order four, so it is a sixteenth.
+/// Step relative to the substep of `plant.rs`. The error has order four, so it is a sixteenth.
 const SUBSTEP_FACTOR: f64 = 0.5;
-/// Upper limit of a step with self-heating, as a fraction of 1/|λ|. The temperature is then nearly
-/// a parabola.
+/// Largest step with self-heating relative to 1/|λ|; the temperature is then nearly a parabola.
 const HEATING_SUBSTEP_FACTOR: f64 = 0.25;
 
 struct Step {
     motion: Motion,
-    /// `Some` if the modes are constant.
     frozen: Option<FrozenMotion>,
     /// Self-heating at the middle and at the end of the step, K.
     heat_k: [f64; 2],
@@ -78,8 +76,8 @@ impl Plant {
     fn effects_rate(&self, effects: &Effects, rate: f64, seconds: f64) -> f64 {
         let plate = &self.plate;
         let heating = plate.heating.map_or(0.0, |heating| {
-            // The amplitude rises by at most b V t = K1 σ0 V t per mode. With t of 1 ms or more,
-            // the distance of rows has no influence on the steps.
+            // Per mode the amplitude rises by at most b V t = K1 σ0 V t. A t of at least 1 ms keeps
+            // the steps independent of the distance between rows of the trace.
             let second = plate.second_mode.map_or(0.0, |second| second.gain.abs());
             let rise = (plate.gain + second) * (plate.drive_limit_vpp + plate.amplifier.offset_vpp.abs());
             let largest = self.state.w.norm() + rise.min(rise * plate.sigma0 * seconds.max(1e-3));
@@ -92,8 +90,8 @@ impl Plant {
         scale * (rate + heating)
     }
 
-    /// Longest step for `varying.rs`, s. A ramp of the drive that lasts at least a step adds the
-    /// error `|λ||λ'|h³/240`.
+    /// Longest step for `varying.rs`, s. A ramp of the drive over the whole step adds the error
+    /// `|λ||λ'|h³/240`.
     fn longest_step(&self, effects: &Effects, forcing: &Forcing, rate: f64, frequency: f64) -> f64 {
         let modes = self.modes_at(self.time, effects.heat_k);
         let poles = modes.map(|mode| mode.sigma.hypot(mode.omega0 - self.drive.omega));
@@ -115,7 +113,7 @@ impl Plant {
         let mut heat_k = [effects.heat_k; 2];
         let mut frozen = frozen_with(effects.heat_k);
         if let Some(heating) = &self.plate.heating {
-            // The second pass uses the modes at the temperature from the first pass.
+            // The second pass uses the modes at the temperature that the first pass found.
             for _ in 0..2 {
                 let terms = frozen.terms();
                 heat_k = [(middle - start).seconds(), seconds].map(|t| heating.after(effects.heat_k, &terms, t));
@@ -126,7 +124,7 @@ impl Plant {
             return Step { motion: frozen.map(ModeMotion::Constant), frozen: Some(frozen), heat_k };
         }
         let varying_with = |heat_k: [f64; 2]| {
-            // A `hold` profile may jump at `end` itself.
+            // A `hold` profile may jump at `end`, so the last point is 1 ns earlier.
             let last = end - Time::from_nanos(1);
             let instants = [(start, effects.heat_k), (middle, heat_k[0]), (last, heat_k[1])];
             let [first, second, third] = instants.map(|(time, heat)| self.modes_at(time, heat));
@@ -145,7 +143,7 @@ impl Plant {
                     [&motion, &frozen].map(|motion| motion.after(share * seconds).sum().w.norm_sqr());
                 moving - frozen
             };
-            // Simpson's rule from the start, where the error is 0, to the middle and to the end.
+            // Simpson's rule for the error of |W|² (0 at the start) to the middle and to the end.
             let [quarter, half, whole] = [0.25, 0.5, 1.0].map(error);
             let scale = heating.rate * heating.rise_k_per_um2 * seconds / 6.0;
             heat_k[0] += scale / 2.0 * (4.0 * quarter + half);

@@ -1,4 +1,4 @@
-//! Checks a plate file and holds its numbers in the units of the equations.
+//! Checks a plate file and converts its numbers to the units of the equations.
 
 use crate::amplifier::{Amplifier, MAX_DELAY_US};
 use crate::heating::Heating;
@@ -16,7 +16,7 @@ pub struct Plate {
     /// Resonance ω0 at the reference temperature, rad/s.
     pub omega0: f64,
     pub reference_temperature_c: f64,
-    /// rad/s per kelvin.
+    /// Change of the resonance per kelvin, rad/s.
     pub omega0_per_k: f64,
     /// Damping σ = d/2m = 1/τ of the untouched plate, 1/s.
     pub sigma0: f64,
@@ -24,12 +24,12 @@ pub struct Plate {
     pub gain: f64,
     /// At least one point [force in N, σ/σ0]. Forces increase, ratios are positive.
     pub damping_ratio: Vec<[f64; 2]>,
-    /// rad/s per newton.
+    /// Change of the resonance per newton of finger force, rad/s.
     pub omega0_per_n: f64,
     pub drive_limit_vpp: f64,
     /// Standard deviation of the noise on each of Wd and Wq.
     pub noise_um_rms: f64,
-    /// `None` if the sensor measures W directly. Only the carrier tier uses the lock-in.
+    /// Lock-in of the carrier tier; `None` if the sensor measures W directly.
     pub lockin: Option<Lockin>,
     /// Resolution of Wd and Wq if the sensor has a converter but no lock-in.
     pub resolution: Option<ConverterResolution>,
@@ -42,7 +42,7 @@ pub struct Plate {
     pub uncertainty: Uncertainty,
 }
 
-/// Half widths of the 95 % intervals, percent of the value; `None` if unknown.
+/// Half widths of the 95 % intervals of K1 and τ, in percent of the value; `None` if unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Uncertainty {
     pub gain_percent: Option<f64>,
@@ -61,8 +61,8 @@ fn uncertainty(raw: &RawUncertainty) -> Result<Uncertainty, PlateError> {
 }
 
 impl RawPlate {
-    /// A slew rate makes the drive a ramp, under which lock-in samples and self-heating have no
-    /// closed form.
+    /// With a slew rate, lock-in samples and self-heating have no closed form, so these are
+    /// refused.
     fn check_combinations(&self) -> Result<(), PlateError> {
         const SLEW_RATE: &str = "drive.slew_rate_vpp_per_ms";
         let slew_rate = self.drive.slew_rate_vpp_per_ms;
@@ -142,14 +142,13 @@ fn damping_curve(points: Vec<[f64; 2]>) -> Result<Vec<[f64; 2]>, PlateError> {
 }
 
 impl Plate {
-    /// `N/m = K1 · 2σ0 · ω0` (equation 8), µm/s² per Vpp. A finger and the temperature do not
-    /// change it.
+    /// `N/m = K1 · 2σ0 · ω0` (equation 8), µm/s² per Vpp. Finger and temperature do not change it.
     pub fn force_constant(&self) -> f64 {
         self.gain * 2.0 * self.sigma0 * self.omega0
     }
 
-    /// Key of the plate file's first optional effect. The models `linear` and `envelope` cannot
-    /// simulate these effects.
+    /// Key of the first optional effect in the plate file. The models `linear` and `envelope`
+    /// cannot simulate these effects.
     pub fn first_effect(&self) -> Option<&'static str> {
         let Amplifier { converter, dead_time, pole, slew_rate, offset_vpp } = self.amplifier;
         let effects = [
@@ -179,7 +178,7 @@ impl Plate {
         if force_n <= first[0] {
             return first[1];
         }
-        // The segment that contains the force. The last segment is extended.
+        // The segment that contains the force; the last segment is extended to any force.
         let segment = points.array_windows().find(|[_, to]| force_n <= to[0]).or_else(|| points.array_windows().last());
         segment.map_or(first[1], |[from, to]| {
             let slope = (to[1] - from[1]) / (to[0] - from[0]);
@@ -215,7 +214,7 @@ mod tests {
     #[case("time_constant_ms = 1.88", "time_constant_ms = -1.88", "mode.time_constant_ms")]
     #[case("time_constant_ms = 1.88", "time_constant_ms = 0.0", "mode.time_constant_ms")]
     #[case("time_constant_ms = 1.88", "time_constant_ms = inf", "mode.time_constant_ms")]
-    // Q = π f τ is 1 at 9.853 µs.
+    // Below a time constant of 9.853 µs, Q = π f τ is less than 1.
     #[case("time_constant_ms = 1.88", "time_constant_ms = 0.00985", "mode.time_constant_ms")]
     #[case("gain_um_per_vpp = 0.00698", "gain_um_per_vpp = inf", "mode.gain_um_per_vpp")]
     #[case("reference_temperature_c = 24.0", "reference_temperature_c = -274.0", "mode.reference_temperature_c")]
@@ -320,7 +319,7 @@ mod tests {
     #[case("periods = 8", "periods = 0", "sensor.demodulator_periods")]
     #[case("periods = 8", "periods = -1", "sensor.demodulator_periods")]
     #[case("periods = 8", "periods = 10001", "sensor.demodulator_periods")]
-    // 10 000 periods of 32.3076 kHz at 4 MHz are 1.24e6 samples.
+    // 10 000 periods of 32.3076 kHz at 4 MHz are 1.24e6 samples, above the limit of 1e6.
     #[case("periods = 8\nconverter_hz = 1e6", "periods = 10000\nconverter_hz = 4e6", "sensor.demodulator_periods")]
     #[case("demodulator_periods = 8\n", "", "sensor.converter_hz")]
     #[case("demodulator_periods = 8\nconverter_hz = 1e6\nconverter_bits = 12\n", "", "sensor.converter_bits")]

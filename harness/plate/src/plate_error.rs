@@ -3,7 +3,6 @@
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("`{key}` is {value}, expected {expected}")]
 pub struct PlateError {
-    /// Dotted path of the key in the plate file.
     pub key: &'static str,
     pub value: String,
     pub expected: &'static str,

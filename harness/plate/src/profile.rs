@@ -1,12 +1,11 @@
-//! Evaluates setpoint, temperature offset or finger force over time.
+//! Evaluates a setpoint, a temperature offset or a finger force over time.
 
 use crate::time::Time;
 use std::f64::consts::{PI, TAU};
 
 #[derive(Debug, Clone, PartialEq)]
 pub enum Profile {
-    /// Each value holds from its point to the next one. The first value also holds before its
-    /// point.
+    /// Each value holds until the next point. Before the first point the first value holds.
     Hold(Vec<(Time, f64)>),
     /// Linear between the points, constant before the first and after the last.
     Linear(Vec<(Time, f64)>),
@@ -25,7 +24,7 @@ impl Profile {
         Self::Hold(vec![(Time::ZERO, value)])
     }
 
-    /// At a point of [`Self::Hold`] the new value already holds.
+    /// A [`Self::Hold`] has the new value at the time of its point.
     pub fn at(&self, time: Time) -> f64 {
         match self {
             Self::Hold(points) => {
@@ -56,7 +55,7 @@ impl Profile {
         }
     }
 
-    /// Upper bound on |slope| between `from` and the next point, per second.
+    /// Upper bound on |slope| between `from` and the next point, in units per second.
     pub fn max_slope_after(&self, from: Time) -> f64 {
         match self {
             Self::Hold(_) => 0.0,
@@ -67,7 +66,7 @@ impl Profile {
         }
     }
 
-    /// rad/s; 0 if the profile does not oscillate.
+    /// Angular frequency of a sine in rad/s; 0 for other profiles.
     pub fn angular_frequency(&self) -> f64 {
         match self {
             Self::Sine { amplitude, omega, .. } if *amplitude != 0.0 => *omega,
@@ -75,8 +74,8 @@ impl Profile {
         }
     }
 
-    /// First nanosecond after `after` at which the profile passes `value`; `None` if not before the
-    /// next point.
+    /// First nanosecond after `after` at which the profile passes `value`; `None` if it does not
+    /// pass it before the next point.
     pub fn next_crossing(&self, value: f64, after: Time) -> Option<Time> {
         match self {
             Self::Hold(_) => None,
@@ -91,7 +90,8 @@ impl Profile {
             }
             Self::Sine { mean, amplitude, omega, phase } => {
                 let angle = ((value - mean) / amplitude).asin();
-                // The rising and the falling passage; NaN if the sine does not reach `value`.
+                // Angles of the rising and the falling passage; NaN if the sine does not reach
+                // `value`.
                 let passages = [angle, PI - angle].map(|angle| {
                     let turns = ((omega * after.seconds() + phase - angle) / TAU).floor();
                     let instants = [turns, turns + 1.0, turns + 2.0].map(|turns| (angle + turns * TAU - phase) / omega);

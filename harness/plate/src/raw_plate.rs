@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// The protocol carries at most 4.3 MHz (32 bits, mHz). This limit leaves room for a range above
-/// the resonance.
+/// Largest resonance. The protocol encodes the frequency in mHz with 32 bits, at most 4.3 MHz. The
+/// rest is for a frequency range above the resonance.
 pub(crate) const HIGHEST_RESONANCE_HZ: f64 = 2.5e6;
 
 /// The plate file, unchecked.

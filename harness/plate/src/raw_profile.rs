@@ -1,4 +1,4 @@
-//! Reads and checks a profile as a scenario file writes it.
+//! Reads and checks the profiles of a scenario file.
 
 use crate::input;
 use crate::profile::Profile;
@@ -58,7 +58,6 @@ pub enum ProfileError {
     Empty,
     #[error("point {index}: {value} is not a finite number")]
     NotFinite {
-        /// Counted from 1.
         index: usize,
         value: f64,
     },
@@ -87,7 +86,7 @@ impl RawProfile {
         }
     }
 
-    /// A CSV file name is relative to `folder`. Fails at the first invalid point.
+    /// A CSV path is relative to `folder`. Fails at the first invalid point.
     pub fn check(&self, folder: &Path) -> Result<Profile, ProfileError> {
         match self {
             Self::Number(value) => points(&[[0.0, *value]]).map(Profile::Hold),

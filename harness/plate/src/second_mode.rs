@@ -4,15 +4,15 @@ use crate::plate_error::{PlateError, check, finite, positive};
 use crate::raw_plate::{HIGHEST_RESONANCE_HZ, RawSecondMode};
 use std::f64::consts::TAU;
 
-/// The waveform is the sum of both modes. Each obeys equation 1 with its own constants.
+/// The waveform is the sum of both modes, and each obeys equation 1 with its own constants.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SecondMode {
     /// Resonance at the reference temperature, rad/s.
     pub omega0: f64,
     /// Damping of the untouched plate, 1/s.
     pub sigma0: f64,
-    /// Gain of the untouched plate at this mode's resonance, µm/Vpp; negative if the sensor
-    /// measures the opposite sign.
+    /// Gain of the untouched plate at this mode's resonance, µm/Vpp. It is negative if the sensor
+    /// measures the mode with the opposite sign.
     pub gain: f64,
 }
 
@@ -36,7 +36,7 @@ impl SecondMode {
         Ok(Self { omega0, sigma0, gain })
     }
 
-    /// N/m as for the first mode: `gain · 2σ0 · ω0`, µm/s² per Vpp.
+    /// `N/m = gain · 2σ0 · ω0` of this mode, µm/s² per Vpp.
     pub fn force_constant(&self) -> f64 {
         self.gain * 2.0 * self.sigma0 * self.omega0
     }

@@ -1,4 +1,4 @@
-//! Measures W with a gain error, white noise on both components, and a converter.
+//! Measures W with a gain error, white noise on both components, and rounding by a converter.
 
 use crate::lockin::ConverterResolution;
 use num_complex::Complex64;
@@ -15,8 +15,7 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// The sensor measures `gain · W` plus noise of standard deviation `noise_um_rms` on each
-    /// component.
+    /// Measures `gain · W` plus noise with standard deviation `noise_um_rms` on each component.
     pub fn new(gain: f64, noise_um_rms: f64, seed: u64) -> Self {
         Self { gain, noise_um_rms, resolution: None, random: ChaCha8Rng::seed_from_u64(seed) }
     }
@@ -37,7 +36,7 @@ impl Sensor {
 
     fn noise(&mut self) -> Complex64 {
         if self.noise_um_rms == 0.0 {
-            // Adding −0 changes no bit of a sum.
+            // A sum with −0 keeps its bits, unlike a sum with +0.
             return Complex64::new(-0.0, -0.0);
         }
         let mut noise = || -> f64 { StandardNormal.sample(&mut self.random) };
@@ -73,7 +72,7 @@ mod tests {
         for component in [|z: &Complex64| z.re, |z: &Complex64| z.im] {
             let squares: f64 = noise.iter().map(|z| component(z).powi(2)).sum();
             let deviation = (squares / noise.len() as f64).sqrt();
-            // Three standard errors of a standard deviation over 20 000 draws: 1.5 %.
+            // Limit: three standard errors of a standard deviation from 20 000 draws, 1.5 %.
             assert!((deviation / 0.01 - 1.0).abs() < 0.015, "{deviation}");
         }
         assert_eq!(noise, draw(1));

@@ -1,19 +1,20 @@
-//! Names the models of the plate, from simplest to most complete.
+//! Names the models of the plate, ordered from the simplest to the most complete.
 
 use crate::plate::Plate;
 
-/// The key `model` of a scenario. `docs/mathematics.md` states the terms that each tier omits, and
-/// its error.
+/// Model of the plate, the key `model` of a scenario. `docs/mathematics.md` states the terms that
+/// each tier omits, and its error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub enum Tier {
-    /// Equations 13 and 19: Wd from V and Wq/Wd from Δω, two decoupled first-order systems.
+    /// Equations 13 and 19: V gives Wd and Δω gives Wq/Wd, by two decoupled first-order systems.
     Linear,
-    /// First order in complex W, with the slow pole only.
+    /// First order in the complex W, with the slow pole only.
     Envelope,
     /// Second order, exact for one mode.
     #[default]
     Modal,
-    /// The modal plate with carrier, converter and demodulator. W and U are the same, bit for bit.
+    /// Modal plate with carrier, converter and demodulator. W and U equal the modal ones bit for
+    /// bit.
     Carrier,
 }
 

@@ -4,11 +4,10 @@ use std::fmt;
 use std::ops::{Add, Sub};
 use std::time::Duration;
 
-/// Time since the start of a trial, or a time span, in ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct Time(u64);
 
-/// 104 days. Up to this time an f64 represents every nanosecond.
+/// Largest time, 104 days. Up to it an f64 represents every nanosecond.
 const LARGEST_NS: u64 = 1 << 53;
 
 impl Time {
@@ -37,7 +36,7 @@ impl Time {
         self.0
     }
 
-    /// Time stamp of the protocol: whole µs, modulo 2³².
+    /// Time stamp as in the protocol: whole µs, modulo 2³².
     pub const fn wrapping_micros(self) -> u32 {
         (self.0 / 1000) as u32
     }
@@ -50,7 +49,7 @@ impl Time {
         self.0 as f64 / 1e6
     }
 
-    /// Zero if `earlier` is later.
+    /// Time since `earlier`; zero if `earlier` is later than `self`.
     #[must_use]
     pub const fn since(self, earlier: Self) -> Self {
         Self(self.0.saturating_sub(earlier.0))
@@ -66,7 +65,7 @@ impl Time {
         Self(self.0.saturating_mul(count))
     }
 
-    /// The largest time if `self` is zero.
+    /// First multiple of `self` after `instant`; the largest time if `self` is zero.
     #[must_use]
     pub const fn next_multiple_after(self, instant: Self) -> Self {
         match instant.0.checked_div(self.0) {

@@ -1,14 +1,14 @@
 //! Propagates the plate while a finger or the temperature changes its mode.
 //!
-//! Over a step, damping and resonance each follow a parabola. Every tier is transformed to scalar
-//! equations `x' = λ(t)x + g(t)`, one per pole. Each is solved by the first two terms of its Magnus
-//! series (Blanes, Casas, Oteo, Ros, "The Magnus expansion and some of its applications", Physics
-//! Reports 470, 2009). With λ the mean over the step t, λ' its slope and `E = e^{λt}`,
+//! Over a step, σ and ω0 follow a parabola each. Every tier is transformed to scalar equations
+//! `x' = λ(t)x + g(t)`, one per pole. The first two terms of the Magnus series solve each of them
+//! (Blanes, Casas, Oteo, Ros, "The Magnus expansion and some of its applications", Physics Reports
+//! 470, 2009). With λ the mean over the step t, λ' its slope and `E = e^{λt}`,
 //!
 //! `x(t) = E x + g ((E − 1)/λ + λ' G)`, `G = (λt/2 (E + 1) − (E − 1))/λ³ = t³/12 + …`.
 //!
-//! The free motion is exact to this order, the forced motion up to `λ'² t⁵/240 · g`. A force
-//! `g + g's`, with the time s from the middle of the step, adds `−g'λ G`. Under a force
+//! The free motion is exact to this order. The forced motion has the error `λ'² t⁵/240 · g`. A
+//! force `g + g's`, with s the time from the middle of the step, adds `−g'λ G`. Under a force
 //! `g e^{−rt}`, the variable `x e^{rt}` has the constant force g and the pole `λ + r`.
 //!
 //! The transformation of Liouville and Green (Olver, "Asymptotics and Special Functions", chapter
@@ -25,7 +25,7 @@ use num_complex::Complex64;
 
 const J: Complex64 = Complex64::I;
 
-/// A parameter at the time t of a step: `start + slope t + curvature t²`.
+/// Parameter at the time t of a step: `start + slope t + curvature t²`.
 #[derive(Debug, Clone, Copy)]
 struct Parabola {
     start: f64,
@@ -63,16 +63,15 @@ impl Parabola {
     }
 }
 
-/// Frequency Ω of the free oscillation in rad/s, and its slope Ω' in rad/s².
+/// Frequency Ω of the free oscillation in rad/s, its slope Ω' in rad/s², and `σ + Ω'/2Ω` in 1/s.
 #[derive(Debug, Clone, Copy)]
 struct Oscillation {
     omega: f64,
     slope: f64,
-    /// `σ + Ω'/2Ω`
     shear: f64,
 }
 
-/// E, `(E − 1)/λ` and G of the module's equations for one pole.
+/// E, `(E − 1)/λ` and G of the module's equations, for one pole.
 #[derive(Debug, Clone, Copy)]
 struct PoleStep {
     free: Complex64,
@@ -86,7 +85,7 @@ impl PoleStep {
         let free = x.exp();
         let rise = free - 1.0;
         let commutator = if x.norm_sqr() < 0.1 {
-            // The closed form loses digits for small x. The series omits 3e-6 of the correction.
+            // The closed form loses digits for small x. The series has a relative error of 3e-6.
             t.powi(3) * (((x / 2016.0 + 1.0 / 360.0) * x + 1.0 / 80.0) * x * x + x / 24.0 + 1.0 / 12.0)
         } else {
             (x / 2.0 * (free + 1.0) - rise) / (pole * pole * pole)
@@ -109,13 +108,13 @@ impl PoleStep {
     }
 }
 
-/// Response of a pole with the rate `pole_slope` to the ramp and to the decaying part of the drive,
-/// per unit of force. The force changes by the fraction `−force_slope` per second.
+/// Response of one pole to ramp and decaying part of the drive, per unit of force. The pole has the
+/// rate `pole_slope`, the force changes by the fraction `−force_slope` per second.
 fn forced_part(forcing: &Forcing, pole: Complex64, pole_slope: Complex64, force_slope: f64, t: f64) -> Complex64 {
     let Forcing { slope: ramp, decaying, rate, .. } = *forcing;
     let passage = PoleStep::new(pole, t);
     let total = pole_slope + pole * force_slope;
-    // Response to the ramp's mean, and to its slope about the middle of the step.
+    // Response to the ramp's mean over the step, plus the response to its slope around the mean.
     let ramp = ramp * t / 2.0 * (passage.forced + total * passage.commutator) - ramp * pole * passage.commutator;
     let decay = PoleStep::decaying(pole, rate, t);
     let total = pole_slope + (pole + rate) * force_slope;
@@ -165,7 +164,7 @@ impl VaryingFlow {
         state.flush_negligible()
     }
 
-    /// Upper bound on the change of W, µm, from its initial speed and from the change of the pole.
+    /// Upper bound on |ΔW| in µm, from the initial speed of W and the change of the pole.
     pub(crate) fn max_excursion(&self, seconds: f64) -> f64 {
         let State { w, u } = self.state;
         let force = self.envelope_constant * self.drive.vpp;
@@ -187,7 +186,7 @@ impl VaryingFlow {
                 let pole = Complex64::new(-damping, now.omega - self.drive.omega);
                 let slow_reach = seconds * ((pole * slow + force).norm() + swing * (slow.norm() + force / now.omega));
                 let fast_reach = 2.0 * (fast.norm() + force / (now.omega + self.drive.omega));
-                // The factor adds 1 %, because Ω changes while it scales both terms.
+                // The factor allows for the change of Ω, which scales both terms, by 1 %.
                 1.01 * (slow_reach + fast_reach) + swing / now.omega * w.norm()
             }
         }
@@ -210,7 +209,7 @@ impl VaryingFlow {
         let (free, forced, commutator) = (free.re, forced.re, commutator.re);
         let response = forced + slope * commutator;
         let in_phase = free * self.state.w.re + self.envelope_constant * self.drive.vpp * response;
-        // The detuning drives the ratio and changes with ω0.
+        // The detuning is the force of the ratio's equation, and it changes with ω0.
         let drift = self.omega0.mean_slope(t) * damping * commutator;
         let ratio = free * self.state.u.re + (self.omega0.mean(t) - self.drive.omega) * response + drift;
         State { w: Complex64::new(in_phase, in_phase * ratio), u: ratio.into() }
@@ -236,8 +235,8 @@ impl VaryingFlow {
         State { w, u: J * (end.omega * scale) * (slow - fast) - end.shear * w }
     }
 
-    /// Response of the modal plate at rest to the ramp and to the decaying part of the drive.
-    /// [`Self::after`] is the response to the constant part.
+    /// Response of the modal plate at rest to ramp and decaying part of the drive. [`Self::after`]
+    /// contains the response to the constant part.
     pub(crate) fn response_to(&self, forcing: &Forcing, t: f64) -> State {
         let (start, middle, end) = (self.oscillation(0.0), self.oscillation(t / 2.0), self.oscillation(t));
         let omega = (start.omega + 4.0 * middle.omega + end.omega) / 6.0;
@@ -254,7 +253,7 @@ impl VaryingFlow {
         State { w, u: J * (end.omega * scale) * (slow - fast) - end.shear * w }
     }
 
-    /// Parts of W, µm, with the frequencies `ω − ω_e` and `−ω − ω_e`. `ω_e` is the excitation.
+    /// Parts of W in µm with the frequencies `Ω − ω` and `−Ω − ω` in the rotating frame.
     fn pole_amplitudes(&self, now: Oscillation) -> (Complex64, Complex64) {
         let State { w, u } = self.state;
         let quadrature = -J * (u + now.shear * w) / now.omega;
@@ -282,7 +281,6 @@ mod tests {
         Mode { sigma, omega0: OMEGA0 + shift, force_constant: 1.5e6, envelope_constant: 3.71 }
     }
 
-    /// Modes at 0, 0.5 and 1 ms.
     fn varying(tier: Tier, modes: [(f64, f64); 3], drive: Drive, state: State) -> VaryingFlow {
         let [first, middle, last] = modes.map(|(sigma, shift)| mode(sigma, shift));
         VaryingFlow::new(tier, &first, (0.5e-3, middle), (1e-3, last), &drive, &state)
@@ -329,7 +327,7 @@ mod tests {
             let drive = Drive { vpp, omega: OMEGA0 + detuning };
             let mut w = Complex64::new(w[0], w[1]);
             if at_rest {
-                // The steady state of the first mode, so that only the change of the mode moves W.
+                // Start in the steady state of the first mode: only the change of the mode moves W.
                 w = 3.71 * vpp / Complex64::new(sigmas[0], drive.omega - OMEGA0 - shifts[0]);
             }
             let u = match tier {

@@ -1,4 +1,4 @@
-//! Replaces a file as a whole: after a kill or a power cut it has its old content or its new one.
+//! Replaces a file as a whole. After a kill or a power cut the file has its old or its new content.
 
 use crate::file_error::{AtPath, FileError};
 use std::fs::{self, File};
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 const TEMPORARY_SUFFIX: &str = ".part";
 
-/// The file gets its name at the commit. A drop before the commit removes the file.
+/// File with a temporary name until the commit. A drop before the commit removes it.
 #[derive(Debug)]
 pub struct AtomicFile {
     file: File,
@@ -33,20 +33,19 @@ impl AtomicFile {
         Ok(Self { file: File::create(&temporary.0)?, temporary, path: path.to_owned() })
     }
 
-    /// For writers that seek.
     pub fn file(&self) -> &File {
         &self.file
     }
 
-    /// Gives the file its name and waits until content and name are on the disk.
+    /// Renames the file to its final name and waits until content and name are on the disk.
     pub fn commit(self) -> io::Result<()> {
         self.file.sync_all()?;
         fs::rename(&self.temporary.0, &self.path)?;
         self.path.parent().map_or(Ok(()), sync)
     }
 
-    /// Does not wait for the disk. After a kill the file is complete, after a power cut it may be
-    /// incomplete.
+    /// Renames the file without waiting for the disk. It is complete after a kill, but may be
+    /// incomplete after a power cut.
     pub fn commit_without_sync(self) -> io::Result<()> {
         fs::rename(&self.temporary.0, &self.path)
     }
@@ -62,15 +61,14 @@ impl Write for AtomicFile {
     }
 }
 
-/// After an error, the earlier file still exists.
+/// Replaces the content of `path`. After an error, the earlier file still exists.
 pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
     let mut file = AtomicFile::create(path)?;
     file.write_all(content)?;
     file.commit()
 }
 
-/// Fails with [`io::ErrorKind::AlreadyExists`] if the file exists. Removes the new file after a
-/// failed write.
+/// Fails with [`io::ErrorKind::AlreadyExists`] if the file exists. Leaves no unfinished file.
 pub fn write_new(path: &Path, content: &[u8]) -> io::Result<()> {
     let mut file = File::create_new(path)?;
     file.write_all(content).and_then(|()| file.sync_all()).inspect_err(|_| {
@@ -92,7 +90,7 @@ pub fn sync_tree(folder: &Path) -> Result<(), FileError> {
     sync(folder).and_then(|()| folder.parent().map_or(Ok(()), sync)).at(folder)
 }
 
-/// Removes the files directly in `folder` that a kill left unfinished.
+/// Removes the temporary files directly in `folder` that a killed program left behind.
 pub fn remove_temporary_files(folder: &Path) -> Result<(), FileError> {
     for entry in fs::read_dir(folder).at(folder)? {
         let path = entry.at(folder)?.path();

@@ -1,4 +1,4 @@
-//! Names the file of an input or output error.
+//! Adds the path of the file to an error of input or output.
 
 use std::io;
 use std::path::{Path, PathBuf};

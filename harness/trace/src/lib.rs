@@ -1,8 +1,8 @@
 //! Reads and writes traces. A trace is a CSV file with the rows of one trial.
 //!
-//! A row contains the plate state **at** `t_s`, and the drive and frequency applied **from** `t_s`
-//! until the next row. Floats have the shortest form that parses back to the same double, so equal
-//! trials have equal bytes.
+//! A row contains the plate state **at** `t_s`, and the drive and frequency that act **from** `t_s`
+//! until the next row. Floats have the shortest text that gives the same f64 again, so equal trials
+//! have equal bytes.
 
 mod atomic_file;
 mod file_error;

@@ -1,7 +1,7 @@
-//! Opens files that a person or another program may have replaced.
+//! Opens files that another program may have replaced by a pipe, a device or a huge file.
 //!
-//! A FIFO blocks, a device may never end, and a huge file exhausts the memory. So the bench reads
-//! every file of a run folder, every baseline and every key through this module.
+//! A FIFO blocks, a device may never end, and a huge file exhausts the memory. Therefore the bench
+//! reads every file of a run folder, every baseline and every key through this module.
 
 use rustix::fs::OFlags;
 use std::fs::{File, OpenOptions};
@@ -26,14 +26,13 @@ pub fn open_regular_file(path: &Path, max_bytes: u64) -> io::Result<io::Take<Fil
     Ok(file.take(max_bytes))
 }
 
-/// Has the errors of [`open_regular_file`].
 pub fn read_regular_file(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     let mut content = Vec::new();
     open_regular_file(path, max_bytes)?.read_to_end(&mut content)?;
     Ok(content)
 }
 
-/// Has the errors of [`open_regular_file`], and [`io::ErrorKind::InvalidData`] if the file is not
+/// Fails like [`open_regular_file`], and with [`io::ErrorKind::InvalidData`] if the file is not
 /// UTF-8.
 pub fn read_text_file(path: &Path, max_bytes: u64) -> io::Result<String> {
     let mut text = String::new();

@@ -7,14 +7,13 @@ bitflags::bitflags! {
         const CONTROL = 1;
         /// The drive is at the amplifier's limit.
         const SATURATED = 1 << 1;
-        /// The bench was too late for this instant.
+        /// The bench reached this control instant too late.
         const OVERRUN = 1 << 2;
-        /// A reply is missing, and the last drive remains.
+        /// A reply of the controller is missing, so the last drive continues.
         const LINK_LOST = 1 << 3;
         /// The controller has stopped, and the drive is 0 V.
         const SAFE = 1 << 4;
-        /// The row is of a real plate: the amplitudes come from its sensor, and unmeasured
-        /// quantities are empty.
+        /// Row of a real plate: amplitudes are from its sensor, unmeasured quantities are empty.
         const SENSED = 1 << 5;
     }
 }
@@ -33,7 +32,7 @@ impl Flags {
         NAMES.iter().filter(move |(flag, _)| self.contains(*flag)).map(|(_, name)| *name)
     }
 
-    /// The error is the unknown name.
+    /// On failure, the error is the unknown name.
     pub(crate) fn parse(text: &str) -> Result<Self, &str> {
         text.split('|').filter(|name| !name.is_empty()).try_fold(Self::empty(), |flags, name| {
             NAMES.iter().find(|(_, known)| *known == name).map(|(flag, _)| flags | *flag).ok_or(name)
@@ -93,9 +92,7 @@ macro_rules! define_row {
     };
 }
 
-// Names and order of the columns in a file.
 define_row! {
-    /// Time since the start of the trial.
     Time t_s,
     Setpoint setpoint_um,
     /// In-phase component of W.
@@ -111,9 +108,9 @@ define_row! {
     Temperature temperature_offset_k,
     /// Normal force of the finger, N; NaN, and empty in the file, if not measured.
     Force finger_force_n,
-    /// In-phase component that the controller received last.
+    /// In-phase component that the controller received last, with the sensor's errors.
     SensedWd sensed_wd_um,
-    /// Quadrature component that the controller received last.
+    /// Quadrature component that the controller received last, with the sensor's errors.
     SensedWq sensed_wq_um,
     Lateness lateness_us,
 }

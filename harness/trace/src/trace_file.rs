@@ -8,10 +8,10 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// 4 GiB, about 10⁷ rows.
+/// Largest size of a trace that is read: 4 GiB, about 10⁷ rows.
 const MAX_BYTES: u64 = 4 << 30;
 const BUFFER_BYTES: usize = 64 << 10;
-/// 13 numbers of at most 24 characters, every flag, separators.
+/// Largest row: 13 numbers of at most 24 characters, every flag, separators.
 const MAX_ROW_BYTES: usize = 400;
 
 #[derive(Debug, thiserror::Error)]
@@ -21,19 +21,19 @@ pub enum TraceError {
     #[error("{}:{line}: {message}", path.display())]
     Content {
         path: PathBuf,
-        /// Counted from 1.
+        /// Line number, counted from 1.
         line: u64,
         message: String,
     },
 }
 
-/// The file gets its name in [`TraceWriter::finish`], so a file of that name is complete.
+/// The file gets its name in [`TraceWriter::finish`], so a file with this name is complete.
 #[derive(Debug)]
 pub struct TraceWriter {
     file: AtomicFile,
     hash: Sha256,
     buffer: Vec<u8>,
-    /// Numbers of the last row as text, because most numbers repeat.
+    /// Numbers of the last row as text. Most numbers repeat and are formatted only once.
     cells: [Cell; NUMBERS],
     path: PathBuf,
 }
@@ -45,7 +45,7 @@ struct Cell {
 }
 
 impl Cell {
-    /// The text of NaN is an empty field.
+    /// The text for NaN is an empty field.
     fn new() -> Self {
         Self { value: f64::NAN, text: String::new() }
     }
@@ -59,7 +59,7 @@ impl Cell {
         let mut digits = zmij::Buffer::new();
         match value.abs() {
             ..1e16 => self.text.push_str(digits.format_finite(value)),
-            // The file has no plus sign in an exponent.
+            // The format has no plus sign in an exponent.
             1e16.. => self.text.extend(digits.format(value).split('+')),
             _ => {}
         }
@@ -67,7 +67,6 @@ impl Cell {
 }
 
 impl TraceWriter {
-    /// The folder of `path` must exist.
     pub fn create(path: &Path) -> Result<Self, TraceError> {
         let file = AtomicFile::create(path).map_err(|source| TraceError::Io { path: path.to_owned(), source })?;
         let mut buffer = Vec::with_capacity(BUFFER_BYTES + MAX_ROW_BYTES);
@@ -101,14 +100,14 @@ impl TraceWriter {
     /// Gives the trace its final name and returns its SHA-256.
     pub fn finish(mut self) -> Result<[u8; 32], TraceError> {
         self.flush()?;
-        // `run.json` holds the hash of every trace, which reveals a trace that a power cut damaged.
+        // `run.json` contains the hash of every trace, which reveals damage by a power cut.
         self.file.commit_without_sync().map_err(|source| TraceError::Io { path: self.path, source })?;
         Ok(self.hash.finalize().into())
     }
 }
 
-/// Reads one row at a time, so memory does not grow. Ends after an error. A trace without rows
-/// gives one error.
+/// Reads one row at a time, so the memory does not grow with the file. The iterator ends after an
+/// error. A trace without rows gives an error.
 #[derive(Debug)]
 pub struct TraceReader {
     reader: csv::Reader<io::Take<File>>,
@@ -207,8 +206,7 @@ impl Iterator for TraceReader {
     }
 }
 
-/// Fails unless there is a row, times do not decrease and every number is finite. Unmeasured
-/// quantities become NaN.
+/// Fails without rows, for decreasing times and for numbers that are not finite.
 pub fn read_trace(path: &Path) -> Result<Vec<Row>, TraceError> {
     TraceReader::open(path)?.collect()
 }

@@ -1,4 +1,4 @@
-//! Defines a checked budget: instruments, and the components of each quantity.
+//! Defines a checked uncertainty budget: instruments, and the components of each quantity.
 
 use jiff::civil::Date;
 use schemars::JsonSchema;
@@ -70,11 +70,11 @@ impl Instrument {
 pub struct Component {
     pub kind: ComponentKind,
     pub distribution: Distribution,
-    /// Standard uncertainty in the unit of the quantity or in percent of its value. `None` if the
-    /// trials give it.
+    /// Standard uncertainty in the unit of the quantity or in percent of its value. `None` if it is
+    /// computed from the trials.
     pub standard: Option<f64>,
     pub is_percent_of_value: bool,
-    /// Infinite if the budget does not state them.
+    /// Degrees of freedom; infinite if the budget states none.
     pub degrees_of_freedom: f64,
     pub source: String,
     pub date: Date,
@@ -83,7 +83,6 @@ pub struct Component {
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct QuantityBudget {
-    /// Name of a metric or of a plate parameter.
     pub quantity: String,
     pub components: Vec<Component>,
 }
@@ -92,7 +91,7 @@ pub struct QuantityBudget {
 pub struct Budget {
     pub bytes: Vec<u8>,
     pub title: String,
-    /// Share of values within the expanded uncertainty, 0 to 1.
+    /// Probability that the expanded uncertainty contains the true value, 0 to 1.
     pub coverage: f64,
     pub instruments: Vec<Instrument>,
     pub quantities: Vec<QuantityBudget>,

@@ -1,4 +1,4 @@
-//! Reads and checks a budget file (TOML).
+//! Reads and checks an uncertainty budget from a TOML file.
 
 use crate::budget::{Budget, Component, ComponentKind, Distribution, Instrument, QuantityBudget};
 use jiff::civil::Date;
@@ -11,7 +11,7 @@ use std::path::Path;
 #[serde(deny_unknown_fields)]
 struct RawBudget {
     title: String,
-    /// Share of values within an expanded uncertainty, percent.
+    /// Coverage probability of the expanded uncertainty, percent.
     #[serde(default = "default_coverage")]
     coverage_percent: f64,
     #[serde(default)]
@@ -68,13 +68,12 @@ const fn default_sensitivity() -> f64 {
 /// Plate parameters that `platebench identify` estimates.
 const PLATE_QUANTITIES: [&str; 4] = ["gain_um_per_vpp", "time_constant_s", "resonance_hz", "slope_hz_per_k"];
 
-/// Names that a budget file accepts as `quantity`.
 pub fn known_quantities() -> Vec<&'static str> {
     Metric::NAMES.iter().copied().chain(PLATE_QUANTITIES).collect()
 }
 
 impl Budget {
-    /// `quantities` are the accepted names. Returns all faults of the file.
+    /// Returns the budget or all faults of the file. `quantities` are the accepted names.
     pub fn load(path: &Path, quantities: &[&str]) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawBudget>(path)?;
         let mut checker = BudgetChecker { path, text: &text, quantities, faults: Vec::new() };

@@ -1,12 +1,14 @@
-//! Combines the independent components uᵢ of a quantity, which include their sensitivities, to
-//! `u² = Σ uᵢ²`. The effective degrees of freedom are `ν = u⁴ / Σ uᵢ⁴/νᵢ` (Welch and Satterthwaite;
-//! JCGM 100:2008, G.4), the expanded uncertainty for a coverage p is `U = t_ν((1 + p)/2) u`.
+//! Combines the uncertainty components of a quantity by the equations of JCGM 100:2008.
+//!
+//! The components uᵢ are independent and contain their sensitivities, so `u² = Σ uᵢ²`. The
+//! effective degrees of freedom are `ν = u⁴ / Σ uᵢ⁴/νᵢ` (Welch and Satterthwaite; G.4). The
+//! expanded uncertainty for a coverage p is `U = t_ν((1 + p)/2) u`.
 
 use crate::budget::{ComponentKind, Distribution, QuantityBudget};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
-/// From this number of degrees of freedom on, Student's t equals the normal distribution to 1e-8.
+/// For more degrees of freedom, Student's t equals the normal distribution to 1e-8.
 const MAX_FREEDOM: f64 = 1e7;
 
 /// Standard uncertainty that was evaluated from observations (JCGM 100:2008, 4.2).
@@ -23,8 +25,7 @@ impl TypeA {
         Some(Self { standard: single.standard / (values.len() as f64).sqrt(), ..single })
     }
 
-    /// Standard uncertainty of one value, from the scatter of all `values`. `None` for fewer than
-    /// two values.
+    /// Standard uncertainty of one value from the scatter of all; `None` for fewer than two.
     pub fn of_single(values: &[f64]) -> Option<Self> {
         let count = values.len() as f64;
         let mean = values.iter().sum::<f64>() / count;
@@ -33,8 +34,8 @@ impl TypeA {
         (values.len() > 1).then(|| Self { standard: (squares / degrees_of_freedom).sqrt(), degrees_of_freedom })
     }
 
-    /// Standard uncertainty `s/√(2(n − 1))` of a deviation s over n normal values. `None` for fewer
-    /// than two values.
+    /// Standard uncertainty `s/√(2(n − 1))` of the standard deviation s of n normal values. `None`
+    /// for fewer than two values.
     pub fn of_stated_deviation(deviation: f64, count: usize) -> Option<Self> {
         let degrees_of_freedom = count.checked_sub(1).filter(|freedom| *freedom > 0)? as f64;
         Some(Self { standard: deviation / (2.0 * degrees_of_freedom).sqrt(), degrees_of_freedom })
@@ -47,7 +48,7 @@ pub struct Contribution {
     pub distribution: Distribution,
     /// Standard uncertainty in the unit of the quantity.
     pub standard: f64,
-    /// `null` if unlimited.
+    /// Degrees of freedom; `null` in the file if unlimited.
     pub degrees_of_freedom: Option<f64>,
     pub source: String,
     pub date: String,
@@ -57,7 +58,7 @@ pub struct Contribution {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CombinedUncertainty {
     pub standard: f64,
-    /// Effective degrees of freedom; `null` if unlimited.
+    /// Effective degrees of freedom; `null` in the file if unlimited.
     pub degrees_of_freedom: Option<f64>,
     pub coverage: f64,
     pub coverage_factor: f64,
@@ -74,8 +75,7 @@ pub enum EvaluationError {
 }
 
 impl QuantityBudget {
-    /// `observed` is the repeatability of `value` from trials; it is used if the budget does not
-    /// state one.
+    /// `observed` is the repeatability from trials, used if the budget states none.
     pub fn combine(
         &self,
         value: f64,
@@ -132,7 +132,6 @@ impl CombinedUncertainty {
         quantile(self.degrees_of_freedom, 1.0 - probability) * self.standard
     }
 
-    /// Probability that the true value is above `limit`, if `value` was measured.
     pub fn probability_above(&self, value: f64, limit: f64) -> f64 {
         let distance = limit - value;
         if self.standard <= 0.0 {

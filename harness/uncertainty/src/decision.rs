@@ -27,8 +27,8 @@ impl DecisionRule {
     }
 }
 
-/// One-sided, of a normal error at k = 2. It is smaller than 2.5 %, because Welch-Satterthwaite is
-/// an approximation.
+/// Probability that a normal error exceeds 2 standard deviations on one side. It is below 2.5 % as
+/// a reserve, because the Welch-Satterthwaite equation is an approximation.
 pub const GUARD_PROBABILITY: f64 = 0.022_75;
 
 /// Result of a decision rule for a value that meets its limits.
@@ -36,21 +36,20 @@ pub const GUARD_PROBABILITY: f64 = 0.022_75;
 #[serde(rename_all = "kebab-case")]
 pub enum Conformity {
     Accepted,
-    /// The value is closer to the limit than the guard band.
+    /// The distance from the value to the limit is smaller than the guard band.
     WithinGuardBand {
         guard_band: f64,
     },
-    /// The expanded uncertainty is `share_percent` of the tolerance, more than the allowed
-    /// `largest_percent`.
+    /// The expanded uncertainty is `share_percent` of the tolerance; allowed is `largest_percent`.
     TooUncertain {
         share_percent: f64,
         largest_percent: f64,
     },
 }
 
-/// `value` must be in `range`, the smallest and the largest conforming value. For
-/// [`DecisionRule::SharedRisk`] the expanded uncertainty may be `largest_percent` of `tolerance`,
-/// the scale of the limit.
+/// `range` contains the smallest and the largest conforming value, and `value` must be within it.
+/// For [`DecisionRule::SharedRisk`] the expanded uncertainty must be at most `largest_percent` of
+/// `tolerance`, the scale of the limit.
 pub fn decide(
     rule: DecisionRule,
     value: f64,
@@ -63,7 +62,7 @@ pub fn decide(
         DecisionRule::Simple => Conformity::Accepted,
         DecisionRule::Guarded => {
             let guard_band = uncertainty.one_sided_reach(GUARD_PROBABILITY);
-            // False for NaN.
+            // The comparison is false for NaN, so NaN is not accepted.
             let is_inside = range.0 + guard_band <= value && value <= range.1 - guard_band;
             if is_inside { Conformity::Accepted } else { Conformity::WithinGuardBand { guard_band } }
         }

@@ -1,4 +1,4 @@
-//! Tests the law on its envelope model in f64. `harness/runner/tests` plays it on the modal plate.
+//! Tests the law on the envelope in f64. `harness/runner/tests` tests it on the modal plate.
 
 use super::Phase;
 use crate::law::example::CONFIGURE;
@@ -24,7 +24,7 @@ fn settles_in_two_periods() {
             let periods = LawSimulation::new(&DEADBEAT, damping, resonance).run_periods(2.0, 40);
             let at_two = periods[2];
             assert!((at_two.amplitude - 2.0).abs() < 1e-3, "σ × {damping}, {resonance} rad/s: {at_two:?}");
-            // 628 rad/s per period are not always enough to turn W at once.
+            // The slew limit of 628 rad/s per period does not always suffice to bring Wq to 0.
             assert!(at_two.wq.abs() < 0.2, "σ × {damping}, {resonance} rad/s: {at_two:?}");
             let peak = periods.iter().map(|period| period.actuation.drive_vpp).fold(0.0, f32::max);
             assert!(peak <= 800.0, "σ × {damping}, {resonance} rad/s: {peak} Vpp");
@@ -140,7 +140,7 @@ fn a_sudden_finger_is_corrected_at_once() {
     }
 }
 
-/// Within a period the sample fits no single damping, but it would fit a delay.
+/// The finger arrives within the period, so its sample fits no constant damping, but a delay.
 #[test]
 fn a_finger_within_a_period_is_not_taken_for_a_delay() {
     for (before, after) in [(1.0, 2.0), (7.0 / 3.0, 1.0)] {
@@ -207,7 +207,7 @@ fn a_very_heavy_finger_costs_one_period() {
     }
 }
 
-/// Exception: a gain below nominal under 2 N is identified as a tenth of a period.
+/// Exception: with a gain below nominal under 2 N, the law identifies a delay of up to 0.1 ms.
 #[test]
 fn a_gain_error_is_not_taken_for_a_delay() {
     for gain in [0.9, 0.95, 1.05, 1.1] {
@@ -248,7 +248,7 @@ fn an_unpredictable_plate_ends_in_the_fallback() {
 fn a_given_delay_never_overshoots() {
     for loop_delay_us in [100, 300, 500, 550, 600, 800, 1_000] {
         let delay = f64::from(loop_delay_us) * 1e-6;
-        // A first sample after less than 0.45 periods of drive is ignored.
+        // The law ignores a first sample after less than 0.45 periods of drive.
         let settled = if loop_delay_us <= 550 { 3 } else { 4 };
         for (damping, resonance) in [(1.0, 0.0), (1.0, NINE_KELVIN), (2.0, 0.0), (7.0 / 3.0, NINE_KELVIN)] {
             let configure = Configure { loop_delay_us, ..DEADBEAT };

@@ -1,4 +1,4 @@
-//! Tests the device over its line.
+//! Tests the device through encoded frames.
 
 use super::*;
 use crate::law::example::CONFIGURE;
@@ -132,10 +132,9 @@ fn a_pacing_target_sends_a_tick_per_period() {
     assert_eq!(device.next_tick_us(), Some(at(1_000)));
     assert_eq!(ticks(&mut device, at(1_000)), [tick(1, at(1_000))]);
     assert_eq!(ticks(&mut device, at(1_000)), []);
-    // Late by 900 µs, but the period after it begins on time.
+    // This call is 900 µs late, but the next period begins on time.
     assert_eq!(ticks(&mut device, at(2_900)), [tick(2, at(2_900))]);
     assert_eq!(ticks(&mut device, at(3_000)), [tick(3, at(3_000))]);
-    // Two missed periods are skipped.
     assert_eq!(ticks(&mut device, at(6_001)), [tick(4, at(6_001))]);
     assert_eq!(ticks(&mut device, at(6_999)), []);
     assert_eq!(ticks(&mut device, at(7_000)), [tick(5, at(7_000))]);
@@ -176,7 +175,7 @@ fn ticks_end_with_the_trial() {
     receive(&mut again, 2_500, &frame(3, Message::Configure(CONFIGURE)));
     assert_eq!(ticks(&mut again, 3_000), []);
 
-    // Five periods after the sample at 1.1 ms the drive goes to 0 V, sent once.
+    // Five periods after the sample at 1.1 ms the device sends 0 V, once.
     let mut deserted = running();
     assert_eq!(ticks(&mut deserted, 6_099).len(), 1);
     let packets_sent = ticks(&mut deserted, 6_100);

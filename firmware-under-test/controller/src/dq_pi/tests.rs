@@ -1,4 +1,4 @@
-//! Compares the scheduled gains with the fixed ones.
+//! Compares `dq-pi`, whose gains follow the damping, with the laws with constant gains.
 
 use super::*;
 use crate::law::example::CONFIGURE;

@@ -1,4 +1,4 @@
-//! Compares polynomial, identification and steering with the envelope in f64.
+//! Compares the f32 polynomial, identification and steering with the envelope in f64.
 
 use super::*;
 use proptest::prelude::*;
@@ -25,7 +25,7 @@ fn reference_exponentials(re: f64, im: f64) -> [(f64, f64); 2] {
     [exp, phi]
 }
 
-/// b in µm/s per Vpp, σ in 1/s, Δω in rad/s.
+/// `force` is b in µm/s per Vpp, `sigma` in 1/s, `detuning` Δω in rad/s.
 pub(crate) fn reference_propagation(
     w: (f64, f64),
     force: f64,
@@ -45,8 +45,7 @@ fn distance(a: Complex, b: (f64, f64)) -> f64 {
 
 #[test]
 fn the_polynomial_is_the_exponential() {
-    // At 1 ms the model halves the argument z = λh four times. The grid below has the largest |z|
-    // that remains.
+    // The model halves z = λh four times. The grid contains the largest |z| for this.
     assert_eq!(envelope().doublings, 4);
     let mut worst = 0.0_f64;
     for (re, im) in (0..=40).flat_map(|r| (-30..=30).map(move |i| (f64::from(r) * -0.08, f64::from(i) * 0.1))) {
@@ -76,7 +75,7 @@ fn long_periods_get_enough_doublings() {
 
 #[test]
 fn the_larger_root_is_the_drive() {
-    // |0.5 + 0.01 V| = 2: V = 150 rather than −250.
+    // |0.5 + 0.01 V| = 2 has the roots V = 150 and −250.
     assert!((drive_to(Complex::new(0.5, 0.0), Complex::new(0.01, 0.0), 2.0) - 150.0).abs() < 1e-3);
     assert!(drive_to(Complex::new(2.5, 0.0), Complex::new(0.01, 0.0), 2.0) < 0.0);
     assert_eq!(drive_to(Complex::new(0.5, 0.0), Complex::default(), 2.0), 0.0);
@@ -119,8 +118,6 @@ proptest! {
         prop_assert!((f64::from(mode.resonance) + detuning).abs() < 0.2, "{} instead of {}", mode.resonance, -detuning);
     }
 
-    /// From a wrong start the last iterations may change nothing; from the result the first ones
-    /// may.
     #[test]
     fn an_early_end_gives_the_same_mode(
         damping in 0.8_f64..3.0, detuning in -1000.0_f64..1000.0, vpp in 200.0_f64..900.0,

@@ -1,4 +1,4 @@
-//! Tests each law's reaction to its samples. `harness/runner/tests` plays the laws on a plate.
+//! Tests each law's reaction to single samples. `harness/runner/tests` tests the laws on a plate.
 
 use super::example::CONFIGURE;
 use super::*;
@@ -35,7 +35,7 @@ fn every_law_keeps_range_slew_and_limit_for_any_sample() {
     for (id, loop_delay_us) in LawId::ALL.into_iter().flat_map(|id| [(id, 0), (id, 350), (id, 1_000)]) {
         let mut law = Law::design(&Configure { law: id, loop_delay_us, ..CONFIGURE }).unwrap().0;
         let mut before = 0.0;
-        // All pairs of extremes in a fixed order, with the setpoint switched on and off in between.
+        // All pairs of extreme values in a fixed order; every 17th setpoint is 0.
         for (number, (wd_um, wq_um)) in
             extremes.iter().flat_map(|&wd| extremes.map(|wq| (wd, wq))).cycle().take(400).enumerate()
         {
@@ -110,7 +110,7 @@ fn the_pll_turns_towards_the_resonance_at_a_constant_voltage() {
         let low = law.step(&Measurement { wd_um: 0.5, ..REST });
         assert_eq!(low.drive_vpp, actuation.drive_vpp, "the amplitude is left to the plate");
     }
-    // The phase is read in all four quadrants.
+    // The phase is atan2(Wq, Wd), so a negative Wd gives an angle near 180°.
     let offset = |wd_um, wq_um| design_law(LawId::Pll).step(&Measurement { wd_um, wq_um, ..REST }).frequency_offset_hz;
     assert!(offset(-1.0, 0.1) > offset(1.0, 0.1) * 5.0);
 }
@@ -119,7 +119,7 @@ fn the_pll_turns_towards_the_resonance_at_a_constant_voltage() {
 fn frequency_only_stays_above_the_resonance() {
     let mut law = design_law(LawId::FrequencyOnly);
     let first = law.step(&REST);
-    // √((0.00698 · 450 / 2)² − 1) / (2π · 1.88 ms) = 102.58 Hz, reached at 100 Hz per period.
+    // Detuning √((0.00698 · 450 / 2)² − 1) / (2π · 1.88 ms) = 102.58 Hz; the slew limit is 100 Hz.
     assert_eq!((first.drive_vpp, first.frequency_offset_hz), (450.0, CONFIGURE.frequency_slew_hz));
     let high = law.step(&Measurement { wd_um: 2.1, ..REST }).frequency_offset_hz;
     assert!(high > first.frequency_offset_hz, "too much amplitude leads away from the resonance");
@@ -138,7 +138,7 @@ fn given_gains_replace_every_designed_one() {
     let given = Configure { law: LawId::FrequencyOnly, gains: Some(gains), ..CONFIGURE };
     let mut law = Law::design(&given).unwrap().0;
     law.step(&REST);
-    // 200 rad/s per unit and second over 1 ms, at an error of one half.
+    // The gain of 200 rad/s per unit and second acts for 1 ms on an error of one half: 0.1 rad/s.
     let moved = law.step(&Measurement { wd_um: 1.0, ..REST }).frequency_offset_hz - CONFIGURE.frequency_slew_hz;
     assert!((moved + 0.1 / TAU).abs() < 1e-4, "{moved} Hz");
 }
@@ -148,23 +148,23 @@ fn given_gains_replace_every_designed_one() {
 pub(crate) const SIGMA: f64 = 1.0 / 1.88e-3;
 pub(crate) const FORCE: f64 = 0.00698 * SIGMA;
 pub(crate) const PERIOD: f64 = 1e-3;
-/// 9 K, rad/s.
+/// Shift of the resonance by 9 K, rad/s.
 pub(crate) const NINE_KELVIN: f64 = 544.8;
 
 pub(crate) struct LawSimulation {
     pub(crate) law: Law,
     pub(crate) w: (f64, f64),
-    /// Vpp and offset in rad/s.
+    /// Drive in Vpp and frequency offset in rad/s.
     pub(crate) acting_drive: (f64, f64),
     /// σ/σ0
     pub(crate) damping: f64,
-    /// Above the start frequency, rad/s.
+    /// Resonance relative to the start frequency, rad/s.
     pub(crate) resonance: f64,
     /// b, µm/s per Vpp.
     pub(crate) force: f64,
-    /// From sampling to actuation, s.
+    /// Loop delay from sampling to actuation, s.
     pub(crate) delay: f64,
-    /// The next damping, and when in the next period, s.
+    /// The next `damping` and the time within the next period at which it begins, s.
     pub(crate) next_damping: Option<(f64, f64)>,
 }
 
@@ -190,7 +190,6 @@ impl LawSimulation {
         }
     }
 
-    /// After `share` of the next period.
     pub(crate) fn change_damping(&mut self, damping: f64, share: f64) {
         self.next_damping = Some((damping, share * PERIOD));
     }

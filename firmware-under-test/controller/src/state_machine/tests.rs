@@ -1,4 +1,4 @@
-//! Tests each edge of the diagram, and the last good and the first bad value of each bound.
+//! Tests each transition of the state diagram, and both sides of each limit.
 
 use super::*;
 use crate::law::example::CONFIGURE;
@@ -128,7 +128,7 @@ fn a_value_that_is_not_finite_is_a_lasting_fault() {
             assert_eq!(machine.sample(&AT_SETPOINT, 2_000).drive_vpp, 0.0);
         }
     }
-    // Finite in, infinite out: the law's own arithmetic overflows.
+    // The sample is finite, but the law's arithmetic overflows.
     let mut machine = running_machine();
     machine.sample(&Sample { setpoint_um: f32::MAX, wd_um: f32::MIN, ..AT_SETPOINT }, 1_000);
     let command = machine.sample(&AT_SETPOINT, 2_000);
@@ -167,7 +167,7 @@ fn the_frequency_loop_is_held_at_start_up_and_then_bounded() {
 
 #[test]
 fn driven_below_resonance_the_frequency_rises() {
-    // Wq > 0 where ω < ω0: steady state Wq/Wd = −τ Δω.
+    // Wq > 0 means ω < ω0, because in the steady state Wq/Wd = −τ Δω.
     let mut machine = running_machine();
     let command = machine.sample(&Sample { wq_um: 0.1, ..AT_SETPOINT }, 1_000);
     assert!(command.frequency_mhz > CONFIGURE.start_frequency_mhz);

@@ -1,4 +1,4 @@
-//! Pins every byte of every message, the round trip and the rejections.
+//! Checks every byte of every message, the round trip and the rejections.
 
 use super::*;
 use crate::frame::{FrameReader, MAX_BODY};
@@ -115,7 +115,7 @@ fn a_loop_delay_makes_configure_four_bytes_longer() {
     assert_eq!((body[3], &body[54..]), (0b101, &[4, 3, 2, 1][..]));
     assert_eq!(body[6..14], [period_us.to_le_bytes(), start_frequency_mhz.to_le_bytes()].concat());
     assert_eq!(Packet::decode(&body).unwrap().message, Message::Configure(delayed));
-    // Invalid: the bit without the bytes, the bytes without the bit, a delay of zero.
+    // Invalid: the bit without the four bytes, the bytes without the bit, a delay of zero.
     assert_eq!(Packet::decode(&body[..54]), Err(MessageError::Length));
     let mut other = body.clone();
     other[3] = 1;
@@ -204,7 +204,6 @@ fn telemetry_is_thirty_seven_bytes() {
     };
     let head = "1b 05 04 03 02 01 0d 0c 0b 0a 00 00 00 40 00 00 c0 3f 00 00 80 be 00 00 c8 43 90 f9 ec 01";
     assert_bytes(5, Message::Telemetry(telemetry), &std::format!("{head} 00 00 00 3f 01 01 01"));
-    // A force of zero differs from a missing one.
     let force = |force_n| Message::Telemetry(Telemetry { force_n, ..telemetry });
     assert_bytes(5, force(Some(0.0)), &std::format!("{head} 00 00 00 00 01 01 01"));
     assert_bytes(5, force(None), &std::format!("{head} 00 00 00 00 01 01 00"));
@@ -213,7 +212,7 @@ fn telemetry_is_thirty_seven_bytes() {
     for wrong in ["04 01 01", "01 41 01", "01 01 02", "01 01"] {
         assert!(Packet::decode(&hex(&std::format!("{head} 00 00 00 3f {wrong}"))).is_err(), "{wrong}");
     }
-    // At 1 kHz and ten bits a byte: 430 kbaud.
+    // 43 bytes per message at 1 kHz and ten bits a byte are 430 kbit/s.
     assert_eq!(Packet { sequence: 1, message: Message::Telemetry(telemetry) }.encode().as_bytes().len(), 43);
 }
 

@@ -10,9 +10,9 @@ use rand_distr::{Distribution, Uniform};
 use std::f64::consts::TAU;
 
 const PLATES: u64 = 300;
-/// µm: 0.1 to 1 % of 2 µm …
+/// Low noise in µm: 0.1 to 1 % of 2 µm.
 const LOW_NOISE_UM: [f64; 2] = [0.002, 0.02];
-/// … and 2.5 to 10 %, with a visible bias of least squares.
+/// High noise in µm: 2.5 to 10 % of 2 µm. Least squares then have a visible bias.
 const HIGH_NOISE_UM: [f64; 2] = [0.05, 0.2];
 
 struct RandomPlate {
@@ -36,7 +36,7 @@ fn random_plate(seed: u64, farthest_hz: f64, noise_um: [f64; 2]) -> RandomPlate 
     RandomPlate { plate, omega, seed }
 }
 
-/// `levels` are [ms, Vpp].
+/// `levels` are pairs of start time in ms and drive in Vpp.
 fn simulate_recording(drawn: &RandomPlate, levels: &[[f64; 2]], scene: &ConditionProfiles, samples: u32) -> Recording {
     simulate(&drawn.plate, drawn.seed, scene, samples, |ms, _| {
         let level = levels.iter().rev().find(|level| level[0] <= f64::from(ms)).unwrap();
@@ -49,7 +49,7 @@ fn check_coverage(results: &[(Estimate, f64)]) -> Result<(), String> {
     let covered = results.iter().filter(|(estimate, truth)| estimate.contains(*truth)).count() as f64 / count;
     let scores: Vec<f64> = results.iter().map(|(estimate, truth)| (estimate.value - truth) / estimate.error).collect();
     let bias = scores.iter().sum::<f64>() / count;
-    // Three binomial standard errors around 95 %; a mean of standard scores has the error 1/√n.
+    // Three binomial standard errors around 95 %, and three standard errors 1/√n of the mean score.
     let reach = 3.0 * (0.95_f64 * 0.05 / count).sqrt();
     if (covered - 0.95).abs() > reach {
         return Err(format!("{:.1} % covered", covered * 100.0));
@@ -91,7 +91,7 @@ fn direct_fit_intervals_cover_random_plates() {
             );
         }
     }
-    // 1 % of white residuals are rejected; the bound adds twice four standard errors.
+    // The test rejects 1 % of white residuals: 3 of 300, with a standard error of 1.7.
     assert!(white >= PLATES - 13, "{white} of {PLATES} white");
 }
 

@@ -1,4 +1,4 @@
-//! Identification of plates with a second mode or self-heating.
+//! Identifies plates with a second mode or self-heating.
 
 use crate::simulation::{STILL, details, scene, simulate};
 use platebench_identify::{Identification, PlateFileDetails, Recording, identify, plate_file, tables};
@@ -12,12 +12,12 @@ fn quiet_plate() -> Plate {
     Plate { noise_um_rms: NOISE_UM, ..paper_plate() }
 }
 
-/// 60 rad/s above the resonance.
+/// Excites the plate 60 rad/s above the resonance.
 fn record(plate: &Plate, seed: u64, samples: u32, level: impl Fn(u32) -> f64) -> Recording {
     simulate(plate, seed, &scene(STILL, STILL), samples, |ms, _| (level(ms), plate.omega0 + 60.0))
 }
 
-/// Levels from rest, 20 ms on and 20 ms off.
+/// Drives of 20 ms, each after 20 ms at 0 V.
 fn steps(sample: u32) -> f64 {
     if sample % 40 < 20 { 0.0 } else { [208.0, 312.0, 370.0][(sample / 40) as usize % 3] }
 }

@@ -1,4 +1,4 @@
-//! Checks that recordings that no single plate can produce are doubtful, and clean ones are not.
+//! Checks that recordings that no single plate can produce are reported, and clean ones are not.
 
 use crate::simulation::details;
 use platebench_identify::{
@@ -14,7 +14,7 @@ const NOISE_UM: f64 = 0.004;
 
 #[derive(Clone, Copy, Default)]
 struct Defect {
-    /// Relative increase per µm.
+    /// Relative increase of the damping per µm of amplitude.
     damping_per_um: f64,
     /// Change of the resonance during the capture, rad/s.
     drift: f64,
@@ -23,7 +23,7 @@ struct Defect {
     time_factor: Option<f64>,
 }
 
-/// Steps to 100, 200, 300 and 400 Vpp, 40 samples at 1 kHz each, 30 Hz above the resonance.
+/// Records steps from 0 V to 100, 200, 300 and 400 Vpp at 1 kHz, 30 Hz above the resonance.
 fn capture(defect: Defect, seed: u64) -> Recording {
     let omega = OMEGA0 + 190.0;
     let mut sensor = Sensor::new(1.0, NOISE_UM, seed);

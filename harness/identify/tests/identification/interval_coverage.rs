@@ -1,5 +1,4 @@
-//! Counts how often intervals contain the truth: τ with and without a finger, τ2 of frequency
-//! steps.
+//! Counts how often intervals contain the true τ, with and without a finger, and the true τ2.
 
 use crate::simulation::{STILL, scene, simulate};
 use platebench_identify::{Estimate, fit_direct, identify};
@@ -20,7 +19,7 @@ struct Draw {
     phase: f64,
 }
 
-/// Relative spread of K1 and τ.
+/// Draws a plate. `gain` and `tau` are the relative spreads of K1 and τ.
 fn draw(seed: u64, noise_um: f64, [gain, tau]: [f64; 2]) -> Draw {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut between = |low: f64, high: f64| Uniform::new_inclusive(low, high).unwrap().sample(&mut random);
@@ -35,7 +34,7 @@ fn draw(seed: u64, noise_um: f64, [gain, tau]: [f64; 2]) -> Draw {
     Draw { plate, seed, phase: between(0.0, 1.0) }
 }
 
-/// τ under a force from 40 ms on, touched at any instant of the period before.
+/// Tests τ under a force recorded from 40 ms on, with the touch at a random time up to 1 ms before.
 fn finger_case(seed: u64, noise_um: f64, force_n: f64) -> bool {
     let drawn = draw(seed, noise_um, [0.2, 0.4]);
     let scene = scene(STILL, &[(0.0, 0.0), (39.001 + 0.999 * drawn.phase, force_n)]);
@@ -45,7 +44,7 @@ fn finger_case(seed: u64, noise_um: f64, force_n: f64) -> bool {
     tau.contains(1.0 / drawn.plate.sigma0 / drawn.plate.damping_ratio_at(force_n))
 }
 
-/// τ2: Wd held at 2 µm, the detuning falls by 77 rad/s at 40, 60 and 80 ms.
+/// Tests τ2: Wd is held at 2 µm, and the detuning falls by 77 rad/s at 40, 60 and 80 ms.
 fn frequency_case(seed: u64, noise_um: f64) -> bool {
     let drawn = draw(seed, noise_um, [0.06, 0.12]);
     let omega0 = drawn.plate.omega0;
@@ -61,7 +60,7 @@ fn frequency_case(seed: u64, noise_um: f64) -> bool {
     tau2.contains(1.0 / drawn.plate.sigma0)
 }
 
-/// 0.93 to 0.97 over all cases together, three binomial standard errors in each.
+/// Checks 0.93 to 0.97 for all cases together, and three binomial standard errors for each.
 fn assert_covered(name: &str, counts: &[usize]) {
     println!("{name}: {counts:?} of {RECORDINGS}");
     let n = RECORDINGS as f64;

@@ -1,5 +1,4 @@
-//! Tests of identification: simulated recordings, coverage of intervals, inconsistencies, tables of
-//! other programs.
+//! Tests identification: simulated recordings, coverage of intervals, inconsistencies, CSV tables.
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 

@@ -1,4 +1,4 @@
-//! Tables and plate file of simulated recordings.
+//! Checks tables and plate file from simulated recordings.
 
 use crate::simulation::{STILL, details, scene, simulate};
 use platebench_identify::{
@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 
 const RESONANCE: f64 = 32_307.6;
 
-/// `drive` returns Vpp and Hz from the millisecond and Wd.
+/// `drive` computes Vpp and Hz from the time in ms and Wd.
 fn simulate_recording(
     scene: &ConditionProfiles,
     samples: u32,
@@ -128,7 +128,7 @@ fn a_trace_gives_the_samples_of_the_controller() {
         sensed_wq_um: -0.6,
         drive_vpp: if step < 7 { 0.0 } else { 300.0 },
         frequency_hz: RESONANCE,
-        // Every other row is a control instant; the sample of one of them never arrived.
+        // Every second row is a control instant. In row 8 the sample did not arrive.
         flags: match step {
             8 => Flags::CONTROL | Flags::LINK_LOST,
             step if step.is_multiple_of(2) => Flags::CONTROL,
@@ -155,7 +155,7 @@ fn a_trace_gives_the_samples_of_the_controller() {
 
 #[test]
 fn parameters_without_evidence_stay_empty() {
-    // 3 K throughout, without a slope: the resonance at the reference is not known.
+    // The plate is always 3 K warm. Without a slope, the resonance at 0 K is unknown.
     let level = |ms: u32, _: f64| (if ms < 5 { 0.0 } else { 300.0 }, RESONANCE);
     let warm = simulate_recording(&scene(&[(0.0, 3.0)], STILL), 40, level);
     let named = details("");
@@ -163,7 +163,7 @@ fn parameters_without_evidence_stay_empty() {
     assert_eq!((found.resonance_hz, plate_file(&found, &named)), (None, None));
     let (found, _) = identify(&[warm], Some(-9.638)).unwrap();
     assert!((found.resonance_hz.unwrap().value - RESONANCE).abs() < 0.5);
-    // Steady from the first sample: two numbers for three unknowns.
+    // W is constant, so it gives two numbers for three unknown parameters.
     let whole = simulate_recording(&scene(STILL, STILL), 80, |_, _| (300.0, RESONANCE));
     assert_eq!(identify(&[whole.slice(50, 80).unwrap()], None).unwrap_err(), RecordingError::Undetermined);
     let jumping = |held: u32| {

@@ -1,4 +1,4 @@
-//! Simulates recordings of plates with the period 1 ms.
+//! Simulates recordings of plates with a period of 1 ms.
 
 use platebench_identify::{PlateFileDetails, RecordedInput, RecordedSample, Recording};
 use platebench_plate::{ConditionProfiles, Drive, Plant, Plate, Profile, Sensor, Tier, Time};
@@ -7,15 +7,15 @@ pub(crate) fn hold_profile(points: &[(f64, f64)]) -> Profile {
     Profile::Hold(points.iter().map(|(ms, value)| (Time::from_ms(*ms).unwrap(), *value)).collect())
 }
 
-/// Of the temperature in K and the force in N over ms.
+/// Temperature in K and force in N, each as points (time in ms, value).
 pub(crate) fn scene(temperature: &[(f64, f64)], force: &[(f64, f64)]) -> ConditionProfiles {
     ConditionProfiles { temperature_offset_k: hold_profile(temperature), finger_force_n: hold_profile(force) }
 }
 
 pub(crate) const STILL: &[(f64, f64)] = &[(0.0, 0.0)];
 
-/// The sensor has the noise of the plate and `seed`. `drive` returns Vpp and rad/s from the
-/// millisecond and Wd.
+/// The sensor has the noise of the plate, drawn from `seed`. `drive` computes Vpp and rad/s from
+/// the time in ms and Wd.
 pub(crate) fn simulate(
     plate: &Plate,
     seed: u64,

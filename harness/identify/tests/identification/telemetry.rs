@@ -1,4 +1,4 @@
-//! Reads CSV tables of other programs: units, and errors with line and column.
+//! Checks the units of CSV tables from other programs, and their errors with line and column.
 
 use platebench_identify::{ColumnMapping, external_csv};
 use rstest::rstest;

@@ -11,7 +11,7 @@ use std::hint::black_box;
 const PERIOD: Time = Time::from_nanos(1_000_000);
 pub(crate) struct Step {
     pub(crate) name: &'static str,
-    /// Control periods or samples per step.
+    /// Number of control periods or samples per step.
     pub(crate) items: usize,
     make: fn() -> Box<dyn FnMut()>,
 }
@@ -79,7 +79,7 @@ fn plant(tier: Tier) -> Box<dyn FnMut()> {
     })
 }
 
-/// The force rises and falls by 10 N/s, for 0.1 s each.
+/// The finger force rises for 0.1 s and falls for 0.1 s, at 10 N/s.
 fn ramp(tier: Tier) -> Box<dyn FnMut()> {
     let points = (0..=100).map(|turn| (PERIOD.times(100 * turn), f64::from(turn % 2 == 1)));
     let scene = ConditionProfiles {

@@ -71,7 +71,7 @@ fn the_waveform_equals_the_reference() {
     assert!(worst <= 1e-10, "{worst:e}");
 }
 
-/// Loops: those of the paper, matched to the zero-order hold (2 ms, no limit).
+/// Loops of the paper, matched to the zero-order hold (response time 2 ms, no drive limit).
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum ControlLoop {
     Open,
@@ -79,7 +79,7 @@ enum ControlLoop {
     ThroughLockin,
 }
 
-/// W at the control instants, and the error of the lock-in at the control instants and at any time.
+/// W at the control instants; largest error of the lock-in at these instants and at any time.
 fn run_loop(control: ControlLoop, plate: &Plate, detuning: f64) -> (Vec<Complex64>, [f64; 2]) {
     let (plant_pole, loop_pole) = ((-1.0_f64 / 1.88).exp(), (-1.5_f64).exp());
     let normalised = (1.0 - loop_pole) / (1.0 - plant_pole);
@@ -113,8 +113,8 @@ fn run_loop(control: ControlLoop, plate: &Plate, detuning: f64) -> (Vec<Complex6
     (at_instants, worst)
 }
 
-/// Expected, in 1/1000 of the setpoint: the error of a lock-in of one period at the control
-/// instants and at any time, and the change of W at the control instants by that error.
+/// Expected values in 1/1000 of the setpoint: the error of a lock-in of one period at the control
+/// instants and at any time, and the change of W at the control instants that this error causes.
 #[rstest]
 #[case::step_open(0.0, ControlLoop::Open, [5.90, 10.36, 0.0])]
 #[case::step_closed(0.0, ControlLoop::ThroughLockin, [11.11, 19.52, 8.65])]
@@ -155,7 +155,7 @@ fn the_ripple_of_a_steady_reading_is_bounded(
         worst = worst.max((plant.sensor_reading() - w).norm() / w.norm());
     }
     println!("{periods} periods at {converter_hz} Hz, steady: {worst:.1e}, bound {bound:.1e}");
-    // The bound is of first order in 1/L; 20 % for higher orders at 6 samples per period.
+    // The bound is of first order in 1/L; 20 % are for higher orders at 6 samples per period.
     assert!(worst <= 1.2 * bound + 1e-12, "{worst:e} > {bound:e}");
     assert!(periods > 8 || worst >= 0.02 * bound, "{worst:e} << {bound:e}");
 }
@@ -163,7 +163,7 @@ fn the_ripple_of_a_steady_reading_is_bounded(
 #[rstest]
 fn a_lock_in_delays_by_half_its_window(#[values(1, 8, 32)] periods: u32) {
     let plate = with_lockin(periods, 2e6, None);
-    // The mean age of the samples in the window; the newest has age 0.
+    // Mean age of the samples in the window; the newest sample has age 0.
     let latency = (f64::from(periods) * TAU / plate.omega0 - 0.5e-6) / 2.0;
     let mut plant = holding_plant(&plate, Tier::Carrier, 0.0);
     let mut earlier = plant.clone();
@@ -175,7 +175,7 @@ fn a_lock_in_delays_by_half_its_window(#[values(1, 8, 32)] periods: u32) {
         "{periods} periods: latency {:.1} µs, {late:.1e} µm from the earlier W, {prompt:.1e} µm from W",
         latency * 1e6
     );
-    // With one period the ripple at twice the carrier remains: 1/2ω against half a window of π/ω.
+    // One period leaves the ripple at twice the carrier: 1/2ω, compared with half a window, π/ω.
     assert!(late < 0.35 * prompt, "{late:e} against {prompt:e}");
 }
 
@@ -211,7 +211,7 @@ fn a_converter_rounds_and_clips() {
         let resolution = ConverterResolution { bits, range_um: 4.0 };
         let error = (reading(Some(resolution)) - ideal).norm();
         println!("{bits} bits over 4 µm: {error:.1e} µm off, half a step is {:.1e} µm", resolution.step_um() / 2.0);
-        // Each product has an error of at most 2 · step/2, their mean a smaller one.
+        // Each product has an error of at most 2 · step/2; their mean has a smaller one.
         assert!(error > 0.0 && error < resolution.step_um(), "{bits} bits: {error:e}");
     }
     let amplitude = ideal.norm();

@@ -41,7 +41,7 @@ fn crossing_intervals(flow: &Flow, is_inside: impl Fn(&State) -> bool, end_ns: u
     (0..end_ns / 50).map(|step| 50 * step).filter(|ns| side(*ns) != side(ns + 50)).collect()
 }
 
-/// Drops excursions of less than 1 µs, which `Plant::advance` may miss.
+/// Removes excursions of at most 1 µs, which `Plant::advance` may miss.
 fn without_short_excursions(brackets: &[u64], found: &[Crossing]) -> Vec<u64> {
     let mut kept = Vec::new();
     let mut rest = brackets;
@@ -175,7 +175,7 @@ fn crossings_of_several_bands_are_in_order_of_time() {
     let expected = [0.2, 1.0, 1.5, 1.6, 1.9, 1.98].map(at);
     assert_eq!(times.len(), expected.len());
     for (time, expected) in times.iter().zip(expected) {
-        // A band is left up to 1 ns after its edge.
+        // A crossing out of a band is reported up to 1 ns after its edge.
         assert!(time.abs_diff(expected) <= 1, "{times:?} instead of {expected:?}");
     }
     plant.set_drive(Drive { vpp: 0.0, omega: plate.omega0 });
@@ -206,6 +206,6 @@ fn a_finger_moves_the_amplitude_out_of_its_band() {
         }
     }
     println!("1 N in 0.1 s moves |W| out of 5 % at {times:?} ns");
-    // |W| changes by 7 µm/s: 1e-7 of the setpoint is about 30 ns.
+    // |W| changes by 7 µm/s, so an error of 1e-7 of the setpoint shifts a crossing by about 30 ns.
     assert!(times.iter().all(|time| time.abs_diff(times[0]) < 200), "{times:?}");
 }

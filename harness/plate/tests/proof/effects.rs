@@ -13,7 +13,7 @@ use std::f64::consts::TAU;
 
 const MAX_ERROR: f64 = 1e-7;
 
-/// 300 Hz above the first mode, with a third of its gain.
+/// Second mode 300 Hz above the first one, with a third of its gain and the opposite sign.
 fn second_mode() -> SecondMode {
     let plate = paper_plate();
     SecondMode { omega0: plate.omega0 + TAU * 300.0, sigma0: 1e3 / 1.2, gain: -0.3 * plate.gain }
@@ -32,7 +32,7 @@ fn amplified(bandwidth_hz: Option<f64>, slew_rate_vpp_per_ms: Option<f64>) -> Pl
     Plate { amplifier, ..paper_plate() }
 }
 
-/// 5 µm warm the node by 20 K with 0.5 s: far more than a plate does.
+/// 5 µm warm this plate by 20 K with a time constant of 0.5 s, far more than a real plate.
 fn heated(plate: Plate) -> Plate {
     Plate { heating: Some(Heating { rise_k_per_um2: 0.8, rate: 2.0 }), ..plate }
 }
@@ -41,7 +41,7 @@ fn ramps() -> ConditionProfiles {
     ConditionProfiles { temperature_offset_k: line(0.0, 0.0, 50.0, 3.0), finger_force_n: line(0.0, 0.2, 100.0, 1.2) }
 }
 
-/// Drives: 0 to 800 Vpp and ±600 rad/s at random, a new one each period of 1 ms.
+/// Applies a random drive of 0 to 800 Vpp within ±600 rad/s in each period of 1 ms.
 fn largest_error(plate: &Plate, scene: &ConditionProfiles, periods: u32) -> f64 {
     let mut plant = Plant::new(plate.clone(), scene.clone(), Tier::Modal);
     let mut reference = EffectsReference::at_rest(plate, scene);
@@ -98,7 +98,7 @@ fn effects_equal_the_reference(#[case] plate: Plate, #[values(false, true)] chan
 
 #[rstest]
 #[case::paper(1.0, MAX_ERROR)]
-// A disturbance decays a hundred times more slowly, so errors of more steps add up.
+// Disturbances decay a hundred times more slowly than in the paper's plate, so errors add up.
 #[case::slow(0.01, 3.0 * MAX_ERROR)]
 fn self_heating_detunes_a_held_drive_as_the_reference_does(#[case] damping: f64, #[case] at_most: f64) {
     let heating = Some(Heating { rise_k_per_um2: 0.5, rate: 10.0 });
@@ -113,7 +113,7 @@ fn self_heating_detunes_a_held_drive_as_the_reference_does(#[case] damping: f64,
         reference.advance(0.05, drive.vpp, drive.omega);
         plant.advance(Time::from_nanos(50_000_000).times(step), &[], &mut Vec::new());
         worst = worst.max(distance(&plant.state(), &reference.state(), plate.omega0));
-        // Relative to the error of W that it causes after one time constant.
+        // The error of T is weighted with the error of W that it causes after one time constant.
         let heat_error = (plant.self_heating_k() - reference.heat_k()).abs();
         worst = worst.max(heat_error * plate.omega0_per_k.abs() / plate.sigma0);
     }
@@ -185,7 +185,7 @@ fn a_lock_in_reads_both_modes(#[values(false, true)] changing: bool) {
     let mut whole = plant.clone();
     let w = state_at(&mut plant, 40.0).w;
     let error = (plant.sensor_reading() - w).norm() / SETPOINT;
-    // Half of 8 periods at the speed of W; 1.4e-4 is the ripple of a steady reading.
+    // Half of 8 periods at the speed of W; a steady reading has a ripple of 1.4e-4.
     assert!(error < if changing { 2e-3 } else { 1e-4 }, "{error:e}");
     for piece in 1..=400 {
         state_at(&mut whole, f64::from(piece) / 10.0);

@@ -1,18 +1,18 @@
-//! Provides the reference for the optional effects: both modes on the carrier, the amplifier and
-//! the thermal node as one system of differential equations.
+//! Integrates both modes on the carrier, the amplifier and the temperature as one system of
+//! differential equations, as the reference for the optional effects.
 
 use ode_solvers::dop_shared::OutputType;
 use ode_solvers::{Dop853, SVector, System};
 use platebench_plate::{Complex64, ConditionProfiles, Plate, State, Time};
 use std::f64::consts::TAU;
 
-/// Re z, Re z'/ω0, Im z, Im z'/ω0 of both modes; the amplifier's output; T; time.
+/// Components: Re z, Re z'/ω0, Im z, Im z'/ω0 of both modes; amplifier output; temperature; time.
 type Vector = SVector<f64, 11>;
 const VPP: usize = 8;
 const HEAT: usize = 9;
 const TIME: usize = 10;
 
-/// z of each mode obeys `z'' + 2σ z' + ω0² z = (N/m) jV e^{jθ}`, as in `reference.rs`.
+/// The variable z of each mode obeys `z'' + 2σ z' + ω0² z = (N/m) jV e^{jθ}`, as in `reference.rs`.
 pub(crate) struct EffectsReference {
     plate: Plate,
     scene: ConditionProfiles,
@@ -32,12 +32,11 @@ struct Equations<'a> {
 }
 
 impl Equations<'_> {
-    /// (σ, ω0, N/m) of each mode.
     fn modes(&self, t: f64, heat_k: f64) -> [(f64, f64, f64); 2] {
         let plate = self.plate;
         let time = Time::from_seconds((self.start + t).max(0.0)).unwrap();
         let conditions = self.scene.at(time);
-        // The profiles of the tests are linear between whole nanoseconds.
+        // The profiles are linear here: two points 1 µs apart give values between nanoseconds.
         let after = self.scene.at(time + Time::from_nanos(1_000));
         let share = (self.start + t - time.seconds()) / 1e-6;
         let force = conditions.finger_force_n + share * (after.finger_force_n - conditions.finger_force_n);
@@ -53,7 +52,7 @@ impl Equations<'_> {
         [first, second]
     }
 
-    /// Output without offset; with a bandwidth it is a component of the state.
+    /// Amplifier output without offset. With a bandwidth it is a component of the state.
     fn vpp(&self, x: &Vector) -> f64 {
         match (self.plate.amplifier.pole, self.plate.amplifier.slew_rate) {
             (Some(_), _) => x[VPP],

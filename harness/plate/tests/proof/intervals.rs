@@ -1,4 +1,4 @@
-//! Checks that the length of intervals changes nothing while the mode varies.
+//! Checks that results do not depend on the length of intervals while the mode varies.
 
 use crate::reference::{
     HOLDING_DRIVE_VPP, ReferencePlate, SETPOINT, distance, driven_plant, finger_profile, line, paper_plate, state_at,
@@ -33,7 +33,7 @@ fn largest_error(plate: &Plate, tier: Tier, short_ns: u64, error: impl Fn(&Plant
     worst
 }
 
-/// In intervals of 1 µs the remainder of the first commutator is below 1e-9.
+/// The reference uses intervals of 1 µs; their error (first commutator) is below 1e-9.
 #[rstest]
 fn every_tier_is_accurate_in_long_intervals(#[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier) {
     let plate = Plate { omega0_per_n: 50.0, ..paper_plate() };

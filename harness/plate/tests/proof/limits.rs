@@ -36,7 +36,7 @@ fn without_drive_the_plate_reaches_exactly_zero(
     }
     let from = at_rest_from.unwrap();
     println!("{}, intervals of {interval_ms} ms: exactly at rest from {from} on", tier.name());
-    // From 2 µm to 1e-150 µm in τ · 346 = 0.65 s; U, in µm/s, about 20 ms later.
+    // The decay from 2 µm to 1e-150 µm takes τ · 346 = 0.65 s, that of U in µm/s about 20 ms more.
     assert!((600.0..800.0).contains(&from.ms()));
     assert_eq!(plant.state().w, Complex64::ZERO);
 }
@@ -91,12 +91,12 @@ fn no_excitation_frequency_makes_the_plate_diverge(
         largest = largest.max(state.amplitude());
     }
     if tier == Tier::Linear {
-        // No resonance curve: Wd is that at resonance, and Wq = −τΔω Wd.
+        // The linear tier has no resonance curve: Wd is that at resonance, and Wq = −τΔω Wd.
         let furthest = (omega - plate.omega0).abs() / plate.sigma0;
         assert!(largest <= plate.gain * 900.0 * (1.0 + furthest), "{largest} µm");
         return;
     }
-    // Far from resonance the static response is (N/m) V/ω0² = 0.03 µm, at most twice per step.
+    // Far from resonance a drive step gives at most twice the static (N/m) V/ω0² = 0.03 µm.
     assert!(largest <= before + 1.0, "{largest} µm after {before} µm");
 }
 
@@ -106,12 +106,11 @@ fn at_quality_1e6_the_amplitude_follows_the_closed_form() {
     let sigma0 = plate.omega0 / 2e6;
     let plate = Plate { sigma0, gain: plate.gain * plate.sigma0 / sigma0, ..plate };
     let mut plant = driven_plant(&plate, &constant_conditions(), Tier::Modal, Drive { vpp: 10.0, omega: plate.omega0 });
-    // τ is 9.85 s.
     for seconds in [1.0, 10.0, 100.0] {
         let w = state_at(&mut plant, 1e3 * seconds).w;
         let expected = plate.gain * 10.0 * -(-sigma0 * seconds).exp_m1();
         println!("quality 1e6, {seconds} s: {:.1e} off", (w.re / expected - 1.0).abs());
-        // The fast pole contributes σ/2ω0 of the steady state.
+        // The limit allows for the fast pole, which contributes σ/2ω0 of the steady state.
         assert!((w.re / expected - 1.0).abs() < 1e-5 && w.im.abs() < 1e-5 * expected, "{w} instead of {expected}");
     }
 }

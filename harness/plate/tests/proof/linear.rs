@@ -43,12 +43,12 @@ fn the_ratio_does_not_depend_on_the_vibration() {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum StartCondition {
     Rest,
-    /// As equation 19 assumes.
+    /// The plate vibrates in the steady state, which equation 19 assumes.
     Settled,
 }
 
-/// Both loops of the paper, matched to the zero-order hold (2 ms, no limit), control the modal
-/// plate; the linear plate gets the same drives.
+/// Controls the modal plate by both loops of the paper, matched to the zero-order hold (2 ms, no
+/// drive limit). The linear plate gets the same drives.
 fn closed_loop_error(start: StartCondition, detuning: f64) -> f64 {
     let plate = paper_plate();
     let (plant_pole, loop_pole) = ((-1.0_f64 / 1.88).exp(), (-1.5_f64).exp());
@@ -66,7 +66,7 @@ fn closed_loop_error(start: StartCondition, detuning: f64) -> f64 {
         let error = SETPOINT - w.re;
         drive.vpp = normalised / plate.gain * error + voltage;
         voltage += normalised * (1.0 - plant_pole) / plate.gain * error;
-        // The gain of the plant is −τ. Near rest the ratio is undefined.
+        // The static gain of the plant is −τ. Near rest the ratio Wq/Wd is undefined.
         let ratio = if w.re > 0.1 { w.im / w.re * plate.sigma0 } else { 0.0 };
         drive.omega = frequency + normalised * ratio;
         frequency += normalised * (1.0 - plant_pole) * ratio;
@@ -90,7 +90,7 @@ fn open_loop_error(detuning: f64) -> [f64; 2] {
     [error / SETPOINT, error / modal.norm()]
 }
 
-/// Expected: errors from rest and from a settled plate relative to the setpoint, open loop to |W|.
+/// Expected errors: from rest and from a settled plate per setpoint, open loop per |W|.
 #[rstest]
 #[case::at_resonance(0.0, [3.44e-3, 0.0, 0.0])]
 #[case::one_step_of_figure_9(77.0, [2.24e-2, 2.19e-3, 2.13e-2])]

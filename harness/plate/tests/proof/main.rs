@@ -1,5 +1,5 @@
-//! Compares the plate with an independent reference: equation 1 on the real carrier, integrated
-//! with order 8. Every test prints its error for the table of `docs/mathematics.md`.
+//! Compares the plate with an independent reference: equation 1 on the real carrier, integrated by
+//! a method of order 8. Every test prints its error for the table of `docs/mathematics.md`.
 
 #![allow(clippy::unwrap_used, reason = "a failed fixture fails the test")]
 

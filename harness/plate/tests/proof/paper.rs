@@ -22,13 +22,13 @@ fn the_steady_state_is_on_the_resonance_curve() {
             let omega = plate.omega0 + 250.0 * f64::from(step);
             let sigma = plate.sigma0 * (1.0 + force / 1.5);
             let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega };
-            // Magnitude and phase of (N/m) jV / (ω0² − ω² + 2jσω), in real numbers.
+            // Reference in real numbers: magnitude and phase of (N/m) jV / (ω0² − ω² + 2jσω).
             let (spring, damper) = (plate.omega0.powi(2) - omega.powi(2), 2.0 * sigma * omega);
             let magnitude = plate.gain * 2.0 * plate.sigma0 * plate.omega0 * HOLDING_DRIVE_VPP / spring.hypot(damper);
             let phase = TAU / 4.0 - damper.atan2(spring);
             let modal = steady_state(&plate, Tier::Modal, [0.0, force], drive);
             worst = worst.max((modal - Complex64::from_polar(magnitude, phase)).norm() / SETPOINT);
-            // First order: K1 V σ0 / (σ + jΔω).
+            // Reference for the envelope (first order): K1 V σ0 / (σ + jΔω).
             let detuning = omega - plate.omega0;
             let lorentz = plate.gain * HOLDING_DRIVE_VPP * plate.sigma0 / sigma.hypot(detuning);
             let envelope = steady_state(&plate, Tier::Envelope, [0.0, force], drive);
@@ -64,12 +64,12 @@ fn nine_kelvin_shift_the_resonance_as_in_fig_4() {
     let response =
         |omega: f64| steady_state(&plate, Tier::Modal, [9.0, 0.0], Drive { vpp: HOLDING_DRIVE_VPP, omega }).norm();
     let resonance = mode(&plate, 9.0, 0.0).omega0;
-    // The largest |W| of a damped mode lies σ²/ω0 = 1.4 rad/s below ω0.
+    // A damped mode has its largest |W| σ²/ω0 = 1.4 rad/s below ω0.
     let top = resonance - plate.sigma0.powi(2) / resonance;
     assert!(response(top) > response(top + 5.0) && response(top) > response(top - 5.0));
 }
 
-/// −20 % and −8 % in the paper; a linear resonator with the paper's τ differs.
+/// The paper reports −20 % (1.6 µm) and −8 % (1.84 µm). A linear resonator with its τ differs.
 #[rstest]
 #[case::tau1_9k(1.88, 9.0, 1.40, 1.6)]
 #[case::tau2_9k(1.62, 9.0, 1.50, 1.6)]

@@ -1,4 +1,4 @@
-//! Provides the paper's plate, profiles, and the reference: equation 1 on the carrier.
+//! Provides the paper's plate, profiles, and the reference: equation 1 integrated on the carrier.
 
 use ode_solvers::dop_shared::OutputType;
 use ode_solvers::{Dop853, System, Vector5};
@@ -8,9 +8,9 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Uniform};
 use std::f64::consts::TAU;
 
-/// µm, peak to peak. Errors are relative to it.
+/// Amplitude in µm, peak to peak. Errors are relative to it.
 pub(crate) const SETPOINT: f64 = 2.0;
-/// Holds [`SETPOINT`] at resonance, Vpp.
+/// Drive that holds [`SETPOINT`] at resonance, Vpp.
 pub(crate) const HOLDING_DRIVE_VPP: f64 = SETPOINT / 0.006_98;
 
 pub(crate) fn paper_plate() -> Plate {
@@ -38,7 +38,6 @@ pub(crate) fn temperature_profile(temperature_offset_k: Profile) -> ConditionPro
     ConditionProfiles { temperature_offset_k, ..constant_conditions() }
 }
 
-/// `detuning` in rad/s.
 pub(crate) fn holding_plant(plate: &Plate, tier: Tier, detuning: f64) -> Plant {
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
     driven_plant(plate, &constant_conditions(), tier, drive)
@@ -55,7 +54,7 @@ pub(crate) fn state_at(plant: &mut Plant, ms: f64) -> State {
     plant.state()
 }
 
-/// Relative to the setpoint, the velocity scaled by the carrier.
+/// Largest difference of W and of U/ω, relative to the setpoint.
 pub(crate) fn distance(a: &State, b: &State, omega: f64) -> f64 {
     (a.w - b.w).norm().max((a.u - b.u).norm() / omega) / SETPOINT
 }
@@ -72,12 +71,12 @@ impl Random {
     }
 }
 
-/// `z'' + 2σ(t) z' + ω0(t)² z = (N/m) jV e^{jθ}`: its real part is equation 1, its imaginary part
-/// the same a quarter period later. Uses no rotating frame; only [`Self::state`] rotates back by θ.
+/// Solution of `z'' + 2σ(t) z' + ω0(t)² z = (N/m) jV e^{jθ}`. The real part is equation 1, the
+/// imaginary part is the same a quarter period later. Only [`Self::state`] uses a rotating frame.
 pub(crate) struct ReferencePlate {
     time: f64,
     theta: f64,
-    /// Re z, Re z'/scale, Im z, Im z'/scale, seconds into the interval.
+    /// Components: Re z, Re z'/scale, Im z, Im z'/scale, time in the interval in s.
     z: Vector5<f64>,
     scale: f64,
 }
@@ -94,8 +93,8 @@ struct Equation1<'a> {
     scale: f64,
 }
 
-/// Autonomous, with time as the fifth component: DOP853 of `ode_solvers` 0.6.2 has a wrong node in
-/// the twelfth stage, which costs seven digits if the right-hand side uses the time.
+/// Time is the fifth component, because DOP853 of `ode_solvers` 0.6.2 has a wrong node in the
+/// twelfth stage. It costs seven digits if the right-hand side uses the time argument.
 impl System<f64, Vector5<f64>> for Equation1<'_> {
     fn system(&self, _: f64, z: &Vector5<f64>, change: &mut Vector5<f64>) {
         let t = z[4];
@@ -112,7 +111,7 @@ impl System<f64, Vector5<f64>> for Equation1<'_> {
 }
 
 impl ReferencePlate {
-    /// `scale`: about the carrier's angular frequency, so that z and z'/scale are similar.
+    /// `scale` is about the carrier's angular frequency, so that z and z'/scale have similar sizes.
     pub(crate) fn at_rest(scale: f64) -> Self {
         Self { time: 0.0, theta: 0.0, z: Vector5::zeros(), scale }
     }
@@ -120,7 +119,7 @@ impl ReferencePlate {
     pub(crate) fn advance(&mut self, seconds: f64, force_constant: f64, drive: &Drive, mode: ModeOverTime<'_>) {
         let (theta, omega, scale) = (self.theta, drive.omega, self.scale);
         let equation = Equation1 { mode, start: self.time, theta, omega, force: force_constant * drive.vpp, scale };
-        // A fortieth of a carrier period: at rest the error estimate does not see the drive.
+        // A fortieth of a carrier period: at rest the solver's error estimate ignores the drive.
         let longest = TAU / scale / 40.0;
         let out = OutputType::Sparse;
         let mut solver = Dop853::from_param(
@@ -143,7 +142,6 @@ impl ReferencePlate {
         }
     }
 
-    /// y and y'/ω of equation 1: the real carrier.
     pub(crate) fn waveform(&self) -> [f64; 2] {
         [self.z[0], self.z[1]]
     }

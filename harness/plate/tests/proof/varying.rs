@@ -26,12 +26,12 @@ fn force_at(t: f64, amplitude: f64, hertz: f64) -> f64 {
 #[derive(Debug, Clone, Copy)]
 enum DrivePattern {
     Hold,
-    /// Random every millisecond: 0 or 800 Vpp, within ±600 rad/s.
+    /// Each millisecond has a random drive: 0 or 800 Vpp, within ±600 rad/s.
     Bang,
 }
 
 impl DrivePattern {
-    /// `docs/mathematics.md`: three times `VARYING_ERROR` of the amplitude at resonance.
+    /// Three times `VARYING_ERROR` of the amplitude at resonance (`docs/mathematics.md`).
     fn bound(self) -> f64 {
         match self {
             Self::Hold => 3e-7,
@@ -40,7 +40,7 @@ impl DrivePattern {
     }
 }
 
-/// Largest error of W and U/ω relative to the setpoint for each of the intervals in ns.
+/// Largest error of W and U/ω relative to the setpoint, for each length of `intervals` in ns.
 fn errors(
     plate: &Plate,
     scene: &ConditionProfiles,
@@ -66,7 +66,7 @@ fn errors(
         let end = Time::from_nanos(period * 1_000_000);
         for ((plant, interval), worst) in plants.iter_mut().zip(intervals).zip(&mut worst) {
             plant.set_drive(drive);
-            // An interval above 1 ms is compared at its end.
+            // A plant with intervals above 1 ms is compared only at the ends of its intervals.
             let interval = Time::from_nanos(*interval);
             while plant.time() + interval <= end {
                 plant.advance(plant.time() + interval, &[], &mut Vec::new());
@@ -94,7 +94,7 @@ fn check(what: &str, end: u64, plate: &Plate, scene: &ConditionProfiles, mode: M
     }
 }
 
-/// 0.4 ms is the shortest ramp with separate poles, 0.3 ms the longest that is frozen.
+/// A ramp of 0.4 ms is the shortest for `varying.rs`; with 0.3 ms the mode is frozen per substep.
 #[rstest]
 #[case::press(100.0, 140)]
 #[case::quick(0.4, 40)]
@@ -129,7 +129,7 @@ fn a_rising_temperature(#[case] end_ms: f64, #[case] end: u64) {
     check(&format!("9 K in {end_ms} ms"), end, &plate, &scene, &mode);
 }
 
-/// Bends of the damping curve that are not in the middle of a substep.
+/// The damping curve has bends that are not in the middle of a substep.
 #[rstest]
 #[case::ramp([[0.4317, 1.05], [0.8, 2.5]], None, 100)]
 #[case::oscillation([[0.9, 1.3], [1.2345, 2.5]], Some(31.0), 80)]
@@ -179,12 +179,12 @@ fn half_the_substep_has_a_sixteenth_of_the_error() {
     for pair in found.windows(2) {
         assert!((14.0..=18.0).contains(&(pair[0] / pair[1])), "{found:?}");
     }
-    // λ'²h⁴/240 of the amplitude at 800 Vpp, if the drive were constant and the damping nominal.
+    // The error for a constant drive of 800 Vpp and nominal damping is λ'²h⁴/240 of the amplitude.
     let predicted = (plate.sigma0 * 10.0 / 1.5).powi(2) * 1e-12 / 240.0 * 800.0 / HOLDING_DRIVE_VPP;
     assert!((0.5..1.0).contains(&(found[0] / predicted)), "{found:?} {predicted:e}");
 }
 
-/// With 65 and 13 whole turns of the fast pole per substep, errors of each substep would add up.
+/// The fast pole makes 65 and 13 whole turns per substep, so errors of the substeps would add up.
 #[test]
 fn substeps_do_not_excite_the_fast_pole() {
     let plate = Plate { omega0: 32_500.0 * TAU, ..paper_plate() };
@@ -195,7 +195,7 @@ fn substeps_do_not_excite_the_fast_pole() {
     assert_errors("1.41 N in 0.1 s at 32.5 kHz", DrivePattern::Hold, &intervals, &found);
 }
 
-/// One interval of a whole period, in which three samples of the slope are zero.
+/// The interval is a whole period of the force, in which three samples of the slope are zero.
 #[rstest]
 #[case::slow(2.0, 500)]
 #[case::quick(20.0, 100)]
@@ -238,7 +238,7 @@ fn the_state_within_a_substep_is_accurate() {
     assert!(worst <= 1e-7, "{worst:e}");
 }
 
-/// The reference stops at the jump.
+/// The mode jumps at 5.25 ms, and the reference stops there.
 #[test]
 fn a_jump_during_a_ramp_acts_at_its_time() {
     let plate = paper_plate();

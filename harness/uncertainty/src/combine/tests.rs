@@ -26,7 +26,7 @@ fn draw(random: &mut ChaCha8Rng, distribution: Distribution, standard: f64) -> f
     unit * standard
 }
 
-/// JCGM 100:2008, H.1: end gauge, nm. The example rounds u to 32 nm and ν to 16.
+/// Example H.1 of JCGM 100:2008, an end gauge, in nm. It rounds u to 32 nm and ν to 16.
 #[test]
 fn the_end_gauge_of_the_guide() {
     let normal = |standard, freedom| part(ComponentKind::Bench, Distribution::Normal, standard, Some(freedom));
@@ -60,7 +60,7 @@ const LABORATORY: [(ComponentKind, Distribution, f64, f64); 7] = [
 const TRIALS: usize = 10;
 const SCATTER: f64 = 1.0;
 
-/// Returns a measured value and its stated uncertainty; the true value is 0.
+/// Returns a measured value and its stated uncertainty. The true value is 0.
 pub(crate) fn measure_in_laboratory(random: &mut ChaCha8Rng, coverage: f64) -> (f64, CombinedUncertainty) {
     let trials: Vec<f64> = (0..TRIALS).map(|_| draw(random, Distribution::Normal, SCATTER)).collect();
     let mut value = trials.iter().sum::<f64>() / TRIALS as f64;
@@ -69,7 +69,8 @@ pub(crate) fn measure_in_laboratory(random: &mut ChaCha8Rng, coverage: f64) -> (
     let mut parts = vec![part(ComponentKind::Repeatability, Distribution::Normal, observed.standard, freedom)];
     for (kind, distribution, standard, freedom) in LABORATORY {
         value += draw(random, distribution, standard);
-        // A calibration with few observations knows its own deviation by chi-square only.
+        // The standard deviation of a calibration is itself an estimate with a chi-square
+        // distribution.
         let known = if freedom.is_finite() {
             standard * (ChiSquared::new(freedom).unwrap().sample(random) / freedom).sqrt()
         } else {
@@ -80,7 +81,7 @@ pub(crate) fn measure_in_laboratory(random: &mut ChaCha8Rng, coverage: f64) -> (
     (value, CombinedUncertainty::of(parts, coverage))
 }
 
-/// The share of one block of 1,000 laboratories has a standard deviation of 0.7 %.
+/// Among 1,000 laboratories, the share of intervals with the true value has a deviation of 0.7 %.
 #[test]
 fn expanded_intervals_contain_the_true_value() {
     let mut random = ChaCha8Rng::seed_from_u64(1);
@@ -90,11 +91,10 @@ fn expanded_intervals_contain_the_true_value() {
         .collect();
     let share = blocks.iter().sum::<f64>() / 50.0;
     assert!((0.94..=0.96).contains(&share), "{share}, {blocks:?}");
-    // Four standard deviations around 95 %.
     assert!(blocks.iter().all(|block| (0.922..=0.978).contains(block)), "{share}, {blocks:?}");
 }
 
-/// JCGM 101:2008: the same distributions, propagated by random numbers.
+/// Propagates the same distributions by the Monte Carlo method of JCGM 101:2008.
 #[test]
 fn monte_carlo_gives_the_same_uncertainty() {
     let budget = LABORATORY.map(|(kind, distribution, standard, _)| part(kind, distribution, standard, None));

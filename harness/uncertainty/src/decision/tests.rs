@@ -14,7 +14,7 @@ fn accepted(rule: DecisionRule, distance: f64, laboratories: u32) -> f64 {
     count as f64 / f64::from(laboratories)
 }
 
-/// The true value is 0. A limit at or below it makes every acceptance false.
+/// The true value is 0, so with an upper limit of 0 or less every acceptance is false.
 #[test]
 fn the_guarded_rule_accepts_falsely_below_2_5_percent() {
     let at_limit = accepted(DecisionRule::Guarded, 0.0, 100_000);
