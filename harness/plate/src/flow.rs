@@ -87,7 +87,10 @@ enum SecondTerm {
     /// Fast pole, and the excitation frequency ω. Modal and carrier tier.
     FastPole(ExponentialTerm, f64),
     /// Ratio Wq/Wd of the linear tier. `slow_pole` is then the pole of Wd.
-    Ratio { rest: f64, amplitude: f64 },
+    Ratio {
+        rest: f64,
+        amplitude: f64,
+    },
 }
 
 /// `amplitude · e^{pole t}` in the rotating frame.

@@ -57,10 +57,7 @@ pub enum ProfileError {
     #[error("the profile has no points, expected at least one [t_ms, value]")]
     Empty,
     #[error("point {index}: {value} is not a finite number")]
-    NotFinite {
-        index: usize,
-        value: f64,
-    },
+    NotFinite { index: usize, value: f64 },
     #[error("point {index}: time {t_ms} ms is not between 0 and 9.0e9 ms")]
     Time { index: usize, t_ms: f64 },
     #[error("point {index}: time {t_ms} ms is not after the previous point; times must increase")]
