@@ -26,7 +26,7 @@ pub struct CodeMap {
 }
 
 impl CodeMap {
-    /// Empty without symbols.
+    /// The map is empty if the file has no symbols.
     pub fn read(elf: &[u8], symbols: &Symbols) -> Self {
         let file = object::File::parse(elf).ok();
         let mut sections = Vec::new();
@@ -101,7 +101,8 @@ impl CodeMap {
             leaders.extend(targets);
             leaders.insert(instruction.end());
         }
-        // Odd words may be addresses of functions or targets of `switch`.
+        // An odd word may be the address of a function or of a `switch` target: Thumb addresses
+        // have bit 0 set.
         let words =
             self.sections.iter().flat_map(|(_, bytes)| bytes.chunks_exact(4)).filter_map(|word| word.first_chunk());
         leaders.extend(words.map(|word| u32::from_le_bytes(*word)).filter(|word| word % 2 == 1).map(|word| word - 1));

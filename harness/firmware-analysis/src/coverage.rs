@@ -27,7 +27,7 @@ pub struct CoverageConfig {
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Coverage {
     pub files: BTreeMap<String, FileCoverage>,
-    /// Instructions of all functions in flash, also without debug information.
+    /// Instructions of all functions in flash, including those without debug information.
     pub instructions: Ratio,
 }
 
@@ -130,7 +130,8 @@ impl Coverage {
             return self.files.retain(|file, _| only.iter().any(|part| file.contains(part)));
         }
         self.files.retain(|file, _| !is_standard_library(file));
-        // Dependencies have no sources here, and genhtml stops at a missing source.
+        // The sources of dependencies are not on this computer, and genhtml stops at a missing
+        // source.
         if self.files.keys().any(|file| Path::new(file).is_file()) {
             self.files.retain(|file, _| Path::new(file).is_file());
         }
@@ -153,7 +154,7 @@ pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisErr
 
 /// Result of a scenario with the unchanged firmware.
 pub(crate) struct Baseline {
-    /// As in [`platebench_rig::EmulatedLink::executed_instructions`].
+    /// Executed blocks, as in [`platebench_rig::EmulatedLink::executed_instructions`].
     pub(crate) executed: BTreeMap<u32, bool>,
     pub(crate) duration: Duration,
     pub(crate) commands: u64,

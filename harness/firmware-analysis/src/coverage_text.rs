@@ -42,7 +42,7 @@ fn write_summary(text: &mut String, coverage: &Coverage) -> fmt::Result {
     )
 }
 
-/// Formats as `3, 7-9`.
+/// Formats line numbers as `3, 7-9`.
 fn ranges(lines: &[u32]) -> String {
     let mut ranges: Vec<(u32, u32)> = Vec::new();
     for &line in lines {

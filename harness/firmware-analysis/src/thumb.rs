@@ -6,7 +6,7 @@
 pub struct Instruction {
     pub address: u32,
     pub first: u16,
-    /// `None` if it has 16 bits.
+    /// Second halfword; `None` if the instruction has 16 bits.
     pub second: Option<u16>,
 }
 
@@ -104,8 +104,8 @@ impl Instruction {
     }
 }
 
-/// First condition and mask of an `IT` instruction. `None` for others, also for hints, which share
-/// the encoding.
+/// First condition and mask of an `IT` instruction. `None` for other instructions, including hints,
+/// which share the encoding.
 pub(crate) fn it_condition(instruction: &Instruction) -> Option<(u16, u16)> {
     let is_it = instruction.first & 0xFF00 == 0xBF00 && instruction.first & 0xF != 0;
     is_it.then_some((instruction.first >> 4 & 0xF, instruction.first & 0xF))

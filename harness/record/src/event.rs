@@ -15,10 +15,9 @@ pub enum Event {
     },
     TrialFinished {
         file: String,
-        /// The trace of this trial is complete.
+        /// The trace of this trial is complete when the event is sent.
         trial: Box<TrialRecord>,
-        /// Filled for the first trials of each scenario if the receiver wants rows, otherwise
-        /// empty.
+        /// Rows of the first trials of each scenario if the receiver wants rows; otherwise empty.
         rows: Vec<Row>,
     },
     ScenarioFinished(Box<FinishedScenario>),

@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 use std::fs;
 use std::sync::OnceLock;
 
-/// The program sets it, because a new commit recompiles only the program's crate.
+/// Build of the running program. The program's crate sets it, because a new commit recompiles only
+/// that crate.
 static RUNNING: OnceLock<Tool> = OnceLock::new();
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
@@ -29,7 +30,7 @@ impl Tool {
         RUNNING.get_or_init(|| self);
     }
 
-    /// Only name and version if [`Tool::set_running`] was not called.
+    /// Contains only name and version if [`Tool::set_running`] was not called.
     pub fn running() -> Self {
         let unnamed =
             || Self { name: "platebench".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned(), ..Self::default() };

@@ -13,7 +13,7 @@ pub struct RigRecord {
 }
 
 impl RigRecord {
-    /// The kind of rig, without port or file.
+    /// Kind of the rig without port or file, for example `emulated`.
     pub fn kind(&self) -> &str {
         self.name.split(':').next().unwrap_or_default()
     }

@@ -37,7 +37,8 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
-    /// Creates a folder at `path`, or below `runs/` without a path. Fails if it contains a run.
+    /// Creates a folder at `path` or, if `path` is `None`, below `runs/`. Fails if the folder
+    /// contains a run.
     pub fn create(path: Option<&Path>) -> Result<Self, FolderError> {
         let started = Timestamp::now();
         let path = path.map_or_else(|| Path::new("runs").join(generate_name(started)), Path::to_owned);
@@ -76,7 +77,7 @@ impl RunFolder {
         Ok(fs::create_dir_all(&folder).at(&folder)?)
     }
 
-    /// Copies all inputs with their relative paths. Returns them by scenario.
+    /// Copies all input files and keeps their relative paths. Returns their records by scenario.
     pub fn store_inputs(&self, scenarios: &[Scenario]) -> Result<Vec<Vec<InputRecord>>, FolderError> {
         // Paths in a scenario from standard input are relative to the current folder.
         let place = |input: &InputFile| match input.path.to_str() {
@@ -102,7 +103,7 @@ impl RunFolder {
     }
 }
 
-/// Relative to the run folder, with `/`.
+/// Path relative to the run folder, with `/` as separator.
 pub fn trace_path(scenario: &str, index: u32) -> String {
     format!("{TRACES}/{scenario}/{index:03}.csv")
 }

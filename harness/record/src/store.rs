@@ -12,7 +12,7 @@ use std::io::{self, BufReader, BufWriter, Write};
 use std::path::{Component, Path, PathBuf};
 
 pub const RECORD_FILE: &str = "run.json";
-/// A record of 10⁶ trials has some 600 MB.
+/// A record of 10⁶ trials has about 600 MB.
 const MAX_RECORD_BYTES: u64 = 1 << 30;
 const WRITE_BUFFER_BYTES: usize = 64 << 10;
 const MAX_EARLIER_RUNS: usize = 20;
@@ -53,7 +53,8 @@ impl RunRecord {
         }
     }
 
-    /// The first path that is absolute or contains `..`; readers join these paths to folders.
+    /// The first path that is absolute or contains `..`. Readers join paths to folders, so such a
+    /// path would leave the run folder.
     fn outside_path(&self) -> Option<(&'static str, &str)> {
         let paths = self.scenarios.iter().flat_map(|scenario| {
             let inputs = scenario.inputs.iter().map(|input| ("input", input.file.as_str()));
@@ -64,8 +65,8 @@ impl RunRecord {
         paths.into_iter().find(|(_, path)| is_outside(path))
     }
 
-    /// Up to 20 earlier runs in neighbouring folders, with folder names, newest first. `skipped`
-    /// gets faulty records.
+    /// Up to 20 earlier runs in neighbouring folders, with folder names, newest first. Calls
+    /// `skipped` for each record that cannot be read.
     pub fn earlier_runs<T: DeserializeOwned>(
         &self,
         folder: &Path,
@@ -78,7 +79,8 @@ impl RunRecord {
             .filter(|path| *path != own && path.join(RECORD_FILE).exists())
             .filter_map(|path| {
                 let started = read_started(&path).inspect_err(|error| skipped(&path, error)).ok()?;
-                // RFC 3339 in UTC sorts as text. Short runs may start in the same second.
+                // RFC 3339 in UTC sorts as text. Equal times are accepted, because short runs may
+                // start in the same second.
                 (started <= self.started).then_some((started, path))
             })
             .collect();

@@ -15,7 +15,8 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// One failure fails all. Otherwise one inconclusive verdict or an empty list is inconclusive.
+    /// One failure makes the result a failure. Otherwise, one inconclusive verdict or an empty list
+    /// makes it inconclusive.
     pub fn combine(verdicts: impl IntoIterator<Item = Self>) -> Self {
         verdicts
             .into_iter()

@@ -2,8 +2,8 @@
 
 use platebench_plate::Time;
 
-/// `ClockDrift` is in parts per million, positive if the clocks are fast. Without a `bit`, the
-/// trial's seed draws one.
+/// `ClockDrift` is the frequency error in parts per million, positive if the clocks are fast. If
+/// the `bit` of a `BitFlip` is `None`, the trial's seed selects the bit.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ChipFaultKind {
     BitFlip { target: BitFlipTarget, bit: Option<u32> },
@@ -26,7 +26,7 @@ pub enum BitFlipTarget {
     },
     /// Name of an ELF symbol, mangled or demangled.
     Variable(String),
-    /// 0 to 12 are r0 to r12, 13 is sp, 14 is lr, 15 is pc.
+    /// Register number: 0 to 12 are r0 to r12, 13 is sp, 14 is lr, 15 is pc.
     Register(usize),
 }
 
@@ -63,7 +63,7 @@ pub(crate) fn parse_address(text: &str) -> Option<u32> {
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChipFault {
     pub kind: ChipFaultKind,
-    /// `None`: drawn from the trial's seed.
+    /// Instant of the fault. If it is `None`, the trial's seed selects the instant.
     pub at: Option<Time>,
 }
 

@@ -19,7 +19,7 @@ const SERDE_WORDS: [(&str, &str); 6] = [
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnostic {
     pub path: PathBuf,
-    /// Empty if the file cannot be read.
+    /// Text of the file. It is empty if the file was not read.
     source: String,
     span: Range<usize>,
     pub message: String,
@@ -34,8 +34,9 @@ impl Diagnostic {
         Self { path: path.to_owned(), source: source.to_owned(), span, message: message.into() }
     }
 
-    /// `key` is a dotted path such as `expect.0.metric`. If it is missing, the diagnostic points at
-    /// its nearest parent. The message starts with the name of the key, unless it contains that name.
+    /// `key` is a dotted path such as `expect.0.metric`. If the file does not contain the key, the
+    /// diagnostic points at its nearest parent. The message starts with the name of the key, unless
+    /// it contains that name.
     pub fn at_key(path: &Path, source: &str, key: &str, message: impl Into<String>) -> Self {
         let message = message.into();
         let name = key.rsplit('.').find(|part| part.parse::<usize>().is_err()).unwrap_or(key);
@@ -59,7 +60,7 @@ impl Diagnostic {
         Self::at_span(path, source, span, format!("{message}{hint}"))
     }
 
-    /// Line and column, counted from 1. A column is a character.
+    /// Line and column, counted from 1. Columns count characters.
     pub fn position(&self) -> (usize, usize) {
         let before = self.source.get(..self.span.start).unwrap_or_default();
         let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
@@ -78,7 +79,7 @@ impl Diagnostic {
             return format!("error: {path}: {}", self.message);
         }
         let renderer = if colour { Renderer::styled() } else { Renderer::plain() };
-        // The renderer cannot draw an empty span or a part of a character.
+        // The renderer cannot draw an empty span or a span that ends within a character.
         let boundary = |from: usize| (from..=self.source.len()).find(|at| self.source.is_char_boundary(*at));
         let end = self.span.end.max(self.span.start + 1);
         let span = self.span.start..boundary(end).unwrap_or(self.source.len());
@@ -100,7 +101,8 @@ impl fmt::Display for Diagnostic {
 
 impl std::error::Error for Diagnostic {}
 
-/// `; did you mean …?` for a similar name, or the same quantity in another unit.
+/// Returns `; did you mean …?` if a known name is similar or names the same quantity in another
+/// unit, otherwise an empty text.
 pub fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     const CLOSE: f64 = 0.85;
     let known: Vec<_> = known.into_iter().collect();

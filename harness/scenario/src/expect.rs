@@ -73,14 +73,16 @@ pub enum Metric {
     /// Largest minus smallest value of the signal over the window.
     #[strum(serialize = "ripple_um")]
     Ripple,
-    /// Largest drive while the setpoint is 0, from one period and loop delay after it became 0.
+    /// Largest drive while the setpoint is 0. Each judged window starts one period and loop delay
+    /// after the change to 0.
     #[strum(serialize = "rest_drive_vpp")]
     RestDrive,
-    /// Largest difference of the signal from the first trial at the same control instant.
+    /// Largest difference between the signal and that of the first trial at the same control
+    /// instant.
     #[strum(serialize = "trial_difference_um")]
     TrialDifference,
-    /// Largest difference between a command and that of the reference implementation for the same
-    /// samples, as a share of the drive limit or of the frequency range.
+    /// Largest difference between a command and the reference implementation's command for the same
+    /// samples, relative to the drive limit (drive) or to the frequency range (frequency).
     #[strum(serialize = "reference_difference_percent")]
     ReferenceDifference,
     /// Number of message scripts that the controller answers differently from the reference
@@ -115,7 +117,7 @@ impl Metric {
         matches!(self, Self::StaticError | Self::Repeatability | Self::RipplePercent | Self::Ripple)
     }
 
-    /// True if `from_ms` and `until_ms` apply. The other metrics cover the whole trial.
+    /// True if the keys `from_ms` and `until_ms` apply. The other metrics cover the whole trial.
     pub const fn has_from_ms(self) -> bool {
         !matches!(
             self,
@@ -146,13 +148,13 @@ impl Metric {
         }
     }
 
-    /// True if `over` applies. The other metrics already compare trials.
+    /// True if the key `over` (statistic over trials) applies. The other metrics already compare
+    /// trials.
     pub const fn has_over(self) -> bool {
         !matches!(self, Self::Repeatability | Self::TrialDifference)
     }
 
-    /// True if the metric judges the motion of the plate, not only the line or the controller's
-    /// timing.
+    /// True if the metric depends on the motion of the plate, not only on messages and timing.
     pub const fn is_of_the_plate(self) -> bool {
         !matches!(
             self,
@@ -219,9 +221,9 @@ impl Limit {
         }
     }
 
-    /// Distance of `value` to the limit, divided by the limit's scale; negative if `value` breaks
-    /// the limit. The scale is the limit itself, half the range or the tolerance; it is 1 if that
-    /// is 0.
+    /// Distance of `value` from the limit, divided by a scale; negative if `value` breaks the
+    /// limit. The scale is the limit itself, half of the range, or the tolerance. A scale of 0 is
+    /// replaced by 1.
     pub fn margin(self, value: f64, tolerance_percent: f64) -> f64 {
         let over = |distance: f64, scale: f64| distance / if scale == 0.0 { 1.0 } else { scale.abs() };
         let (low, high) = self.range(tolerance_percent);
@@ -249,7 +251,7 @@ impl fmt::Display for Limit {
 pub enum Aggregation {
     Each,
     Mean,
-    /// The quantile at this share of the trials.
+    /// Quantile at this share of the trials, for example 0.95.
     Quantile(f64),
     StandardDeviation,
 }
@@ -268,8 +270,8 @@ impl Aggregation {
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct Expectation {
-    /// Unique in the scenario. Default: the metric, numbered from its second expectation:
-    /// `ripple_um 2`.
+    /// Unique name in the scenario. The default is the metric's name. From its second expectation
+    /// on, a number follows: `ripple_um 2`.
     pub name: String,
     pub metric: Metric,
     pub limit: Limit,
@@ -314,8 +316,8 @@ impl Expectation {
         self.limit.range(self.tolerance_percent)
     }
 
-    /// As [`Limit::margin`]. `None` for [`Limit::About`] of a standard deviation, which is a test
-    /// without a tolerance.
+    /// Margin as in [`Limit::margin`]. `None` if a standard deviation is compared with
+    /// [`Limit::About`], because that is a statistical test without a tolerance.
     pub fn margin(&self, value: f64) -> Option<f64> {
         let is_agreement = self.aggregation == Aggregation::StandardDeviation && matches!(self.limit, Limit::About(_));
         (!is_agreement).then(|| self.limit.margin(value, self.tolerance_percent))

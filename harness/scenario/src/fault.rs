@@ -54,11 +54,11 @@ impl Direction {
 pub struct Fault {
     pub kind: FaultKind,
     pub from: Time,
-    /// Exclusive. `None`: the line stays dead.
+    /// End of the fault, exclusive. It is `None` for a line that stays disconnected.
     pub until: Option<Time>,
     pub direction: Direction,
     pub every: u32,
-    /// `None`: the seed of the trial.
+    /// Seed of random effects. If it is `None`, the seed of the trial applies.
     pub seed: Option<u64>,
     pub reconfigure: bool,
 }
@@ -68,9 +68,10 @@ impl Fault {
         self.from <= time && self.until.is_none_or(|until| time < until)
     }
 
-    /// True if the fault can cause a missing answer or a stop at `time`: in its window, for one
-    /// period after it (a frame without a delimiter destroys the next one), and while delayed
-    /// messages arrive. A line that stays dead explains nothing, because its controller is lost.
+    /// True if the fault can cause a missing answer or a stop at `time`. The effect outlasts the
+    /// window by one period, because a frame without a delimiter destroys the next one, and by the
+    /// delay of delayed messages. A permanent disconnection explains nothing, because the
+    /// controller is lost.
     pub fn can_explain(&self, time: Time, period: Time) -> bool {
         let delay = match self.kind {
             FaultKind::Delay(delay) => delay,
@@ -79,7 +80,8 @@ impl Fault {
         self.until.is_some_and(|until| self.from <= time && time < until + period + delay)
     }
 
-    /// As [`Self::can_explain`], but only for faults that lose messages or delay them by a period.
+    /// True if the fault loses messages or delays them by at least a period, and
+    /// [`Self::can_explain`] is true.
     pub fn can_explain_silence(&self, time: Time, period: Time) -> bool {
         let loses = match self.kind {
             FaultKind::Drop | FaultKind::Flip | FaultKind::Truncate | FaultKind::Disconnect => true,

@@ -23,7 +23,8 @@ pub enum FileKind {
     Requirements,
 }
 
-/// The first entry with a key that the file contains gives the kind of the file.
+/// Top-level keys of each kind of file. The first entry with a key that the file contains
+/// determines the kind.
 const KEYS: [(FileKind, &[&str]); 6] = [
     (FileKind::Scenario, &["profile", "expect", "controller"]),
     (FileKind::Plan, &["requirement", "ask", "bench"]),

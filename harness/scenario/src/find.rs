@@ -9,8 +9,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// `find` skips these folders unless they are named. `identify` contains recordings, `hardware`
-/// assumed electronics.
+/// [`find`] skips these folders unless they are arguments. Scenarios in `identify` record responses
+/// for identification. Scenarios in `hardware` assume non-ideal electronics.
 const NON_SCENARIO_FOLDERS: [&str; 5] = ["plates", "baselines", "plans", "identify", "hardware"];
 const GENERATED_FOLDERS: [&str; 1] = ["baselines"];
 /// A folder with `run.json` and `traces` is a run folder. The scenarios in its `inputs` are copies.
@@ -24,12 +24,12 @@ pub struct FoundScenarios {
     pub scenarios: Vec<Scenario>,
     pub skipped: Vec<String>,
     pub empty_folders: Vec<PathBuf>,
-    /// Folders `inputs` of run folders, which are not searched.
+    /// Folders `inputs` of run folders. They are not searched, because they contain copies.
     pub copies: Vec<PathBuf>,
 }
 
-/// The nearest file `name` in `folder` or above it; relative if `folder`, the working directory,
-/// contains it.
+/// Path of the nearest file `name` in `folder`, the working directory, or above it. The path is
+/// relative if `folder` itself contains the file.
 pub fn find_file_above(folder: &Path, name: &str) -> Option<PathBuf> {
     let mut candidates = folder.ancestors().map(|ancestor| ancestor.join(name));
     let path = candidates.find(|path| path.symlink_metadata().is_ok())?;
@@ -39,7 +39,7 @@ pub fn find_file_above(folder: &Path, name: &str) -> Option<PathBuf> {
 #[derive(Default)]
 struct Search<'a> {
     excluded: &'a [&'a str],
-    /// Canonical paths, because a symbolic link may lead back to a folder.
+    /// Canonical paths of visited folders, because a symbolic link may lead back to a folder.
     visited: BTreeSet<PathBuf>,
     copies: BTreeSet<PathBuf>,
     empty_folders: Vec<PathBuf>,
@@ -49,7 +49,7 @@ struct Search<'a> {
 struct FoundFile {
     path: PathBuf,
     name: String,
-    /// True if the file or its own folder is an argument.
+    /// True if the file, or the folder that contains it, is an argument.
     is_named: bool,
 }
 
@@ -59,8 +59,8 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Loads the named scenarios and those below the named folders. Skips a scenario with
-/// `expected_exit` or with a fault of the chip unless it or its own folder is named.
+/// Loads the scenarios that are arguments or are below folders in `arguments`. Skips a scenario
+/// with `expected_exit` or with a fault of the chip unless it or its own folder is an argument.
 pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     let mut search = Search::new(&NON_SCENARIO_FOLDERS);
     let is_scenario = |path: &Path| FileKind::detect(path) == FileKind::Scenario;
@@ -90,8 +90,8 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     if faults.is_empty() { Ok(found) } else { Err(faults) }
 }
 
-/// Returns the named files and all TOML files below the named folders with their names in records,
-/// and the errors of unreadable folders. Skips baselines and the inputs of run folders.
+/// Returns each named file, and each TOML file below a named folder, with its name in records. Also
+/// returns the errors of unreadable folders. Skips baselines and the inputs of run folders.
 pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
     let mut search = Search::new(&GENERATED_FOLDERS);
     let files = search.files(arguments, |_| true);
@@ -159,7 +159,7 @@ impl Search<'_> {
     }
 }
 
-/// Reads the record, because any other `run.json` must not hide scenarios.
+/// Parses `run.json`, because another file of this name must not hide scenarios.
 fn is_run_folder(folder: &Path) -> bool {
     let parses = |text: Vec<u8>| {
         serde_json::from_slice::<serde_json::Value>(&text).is_ok_and(|record| record.get("scenarios").is_some())
@@ -167,7 +167,8 @@ fn is_run_folder(folder: &Path) -> bool {
     folder.join(RUN_TRACES).is_dir() && input::read(&folder.join(RUN_RECORD)).is_ok_and(parses)
 }
 
-/// Path below the nearest folder `scenarios`, else below the named folder, else the file name.
+/// Returns the path below the nearest folder `scenarios`. Without one, returns the path below a
+/// named folder, or the file name.
 fn record_name(path: &Path, argument: &Path) -> String {
     if argument == Path::new(input::STANDARD_STREAM) {
         return input::STANDARD_INPUT_NAME.to_owned();

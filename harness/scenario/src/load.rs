@@ -23,18 +23,19 @@ use crate::scenario::Scenario;
 use checker::Checker;
 use std::path::{Path, PathBuf};
 
-/// `file` is the name of the scenario in records. Returns the first error of its files.
+/// `file` is the name of the scenario in records. Returns only the first error.
 pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
     load_with_all_errors(path, file).map_err(|faults| first_diagnostic(path, faults))
 }
 
-/// As [`load()`], but with every error that does not depend on another one, one per `[[fault]]` and
-/// `[[expect]]`.
+/// Like [`load()`], but returns all errors that are not consequences of others, at most one per
+/// `[[fault]]` and `[[expect]]`.
 pub fn load_with_all_errors(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
     load_from(path, file, &[])
 }
 
-/// Loads a scenario whose values can be replaced. `edit` changes the scenario's own table first.
+/// Loads a scenario whose values can be replaced. `edit` changes the table of the scenario file
+/// first.
 pub fn load_template(
     path: &Path,
     file: &str,
@@ -59,12 +60,13 @@ fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Ve
     let text = crate::text::read_text(path).map_err(|fault| vec![fault])?;
     let mut raw: RawScenario = parse(path, &text)?;
     for (named, copy) in raw.files().zip(copies) {
-        // A relative path would start at the scenario.
+        // A relative path would be resolved from the scenario's folder.
         *named = std::path::absolute(copy).unwrap_or_else(|_| copy.clone());
     }
     let checker = Checker { path, text: &text, prefix: String::new(), plates: &[] };
     let mut scenario = checker.check(raw, file).map_err(|faults| with_truncation_note(path, faults))?;
-    // No `requirements.toml` is above the copies. The record of the run contains the texts.
+    // The folders above the copies contain no `requirements.toml`. The run record contains the
+    // texts.
     if copies.is_empty() {
         let used = scenario.expectations.iter().filter_map(|expectation| expectation.requirement.as_deref());
         scenario.requirement_texts = requirement_texts(path, used)?;

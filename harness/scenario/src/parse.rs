@@ -8,25 +8,25 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 
-/// Each reported error takes another pass over the whole file.
+/// Limits the time, because each reported error requires another pass over the whole file.
 pub(crate) const MAX_DIAGNOSTICS: usize = 50;
 
-/// Also returns the text. Errors as for [`parse`], or the file cannot be read.
+/// Also returns the text of the file. Fails as [`parse`] does, or if the file cannot be read.
 pub fn parse_file<T: DeserializeOwned>(path: &Path) -> Result<(String, T), Vec<Diagnostic>> {
     let text = read_text(path).map_err(|fault| vec![fault])?;
     let raw = parse(path, &text)?;
     Ok((text, raw))
 }
 
-/// As [`parse_file`], but for the content of a file that was already read.
+/// Like [`parse_file`], but for the content of a file that was already read.
 pub fn parse_bytes<T: DeserializeOwned>(path: &Path, bytes: Vec<u8>) -> Result<(String, T), Vec<Diagnostic>> {
     let text = decode_text(path, bytes).map_err(|fault| vec![fault])?;
     let raw = parse(path, &text)?;
     Ok((text, raw))
 }
 
-/// Errors: all syntax errors, otherwise all unknown keys and wrong types in their order, then all
-/// missing keys.
+/// Fails with all syntax errors. If there are none, fails with all unknown keys and wrong types in
+/// their order, then with all missing keys.
 pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
     let (document, errors) = DeTable::parse_recoverable(text);
     let mut faults: Vec<_> =
@@ -44,7 +44,7 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
             Err(error) => error,
         };
         let span = error.span().unwrap_or(0..0);
-        // A key that was removed here is not missing in the file.
+        // This loop removed the key, so the key is not missing in the file.
         let is_hole = error.message().starts_with("missing field") && holes.contains(&span);
         if !is_hole {
             faults.push(Diagnostic::from_toml(path, text, &error));
@@ -66,7 +66,8 @@ pub(crate) fn with_truncation_note(path: &Path, mut faults: Vec<Diagnostic>) -> 
     faults
 }
 
-/// Removes the element at `span`. Returns false if there is none. `own` is the span of `table`.
+/// Removes the element at `span`. Returns false if no element has this span. `own` is the span of
+/// `table`.
 fn remove_span(
     table: &mut DeTable<'_>,
     own: &Range<usize>,
@@ -95,8 +96,8 @@ fn remove_span_in_value(value: &mut Spanned<DeValue<'_>>, span: &Range<usize>, h
     }
 }
 
-/// A list of numbers is removed as a whole. A list of tables has the span of its first table and
-/// does not match.
+/// A list of numbers matches as a whole. A list of tables has the span of its first table, so only
+/// its tables can match.
 fn matches_span(value: &Spanned<DeValue<'_>>, span: &Range<usize>) -> bool {
     let own = value.span();
     match value.get_ref() {

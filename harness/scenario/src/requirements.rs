@@ -46,8 +46,8 @@ pub fn read_requirements(path: &Path) -> Result<Vec<Requirement>, Vec<Diagnostic
     if faults.is_empty() { Ok(raw.requirement) } else { Err(faults) }
 }
 
-/// Returns the texts of the identifiers in `used`. Empty if no folder above `scenario` contains the
-/// file.
+/// Returns the texts of the identifiers in `used`. Empty if no folder above `scenario` contains
+/// `requirements.toml`.
 pub(crate) fn requirement_texts<'a>(
     scenario: &Path,
     used: impl Iterator<Item = &'a str>,

@@ -23,7 +23,7 @@ pub struct InputFile {
 pub struct Scenario {
     /// Path below the scenario folder with `/`, for example `paper/fig13-closed-loop.toml`.
     pub file: String,
-    /// The scenario file is the first.
+    /// All input files. The first is the scenario file.
     pub inputs: Vec<InputFile>,
     pub title: String,
     pub source: Option<String>,
@@ -34,14 +34,14 @@ pub struct Scenario {
     pub trace_step: Time,
     pub expected_exit: Option<u8>,
     pub controller: Controller,
-    /// In µm.
+    /// Setpoint of the amplitude, µm.
     pub setpoint: Profile,
     pub conditions: ConditionProfiles,
     pub trials: Trials,
     pub faults: Vec<Fault>,
     pub chip_faults: Vec<ChipFault>,
     pub between: Vec<Self>,
-    /// At least one.
+    /// At least one expectation.
     pub expectations: Vec<Expectation>,
     /// Texts from `requirements.toml` by the identifier of the requirement.
     pub requirement_texts: BTreeMap<String, String>,
@@ -50,14 +50,14 @@ pub struct Scenario {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Controller {
     pub law: String,
-    /// Whole microseconds.
+    /// Control period, a whole number of microseconds.
     pub period: Time,
     pub start_frequency_hz: f64,
     pub loop_delay: Time,
     pub loop_delay_jitter: Time,
     /// Loop delay that the law is designed for, whole microseconds, at most one period.
     pub design_delay: Time,
-    /// 5 % response time of the design. `None`: the law's own.
+    /// 5 % response time that the law is designed for. `None` selects the law's default.
     pub response_time_ms: Option<f64>,
     pub frequency_range_hz: f64,
     pub frequency_slew_hz: f64,
@@ -129,13 +129,13 @@ impl Scenario {
         [AUTO_MODEL, linear, envelope, modal, carrier]
     }
 
-    /// Tier with the name `model`; `auto` is the exact one for `plate`. `None` if the name is
-    /// unknown.
+    /// Tier (kind of plate model) named `model`. `auto` selects the exact tier for `plate`. `None`
+    /// if the name is unknown.
     pub fn tier_for(model: &str, plate: &Plate) -> Option<Tier> {
         if model == AUTO_MODEL { Some(Tier::exact_for(plate)) } else { Tier::from_name(model) }
     }
 
-    /// Message if `tier` would omit an effect of `plate`.
+    /// Returns a message if `tier` would omit an effect of `plate`.
     pub fn omitted_effect(tier: Tier, plate: &Plate) -> Option<String> {
         let effect = plate.first_effect().filter(|_| !tier.has_both_poles())?;
         let [auto, modal, carrier] = [AUTO_MODEL, Tier::Modal.name(), Tier::Carrier.name()];

@@ -115,12 +115,12 @@ pub(crate) fn signals(_: &mut SchemaGenerator) -> Schema {
     name_schema(&SIGNALS)
 }
 
-/// If `key` is present and meets `condition`, `then` applies.
+/// Rule: if `key` is present and its value meets `condition`, `then` applies.
 fn rule(key: &str, condition: &serde_json::Value, then: &Schema) -> Schema {
     json_schema!({ "if": { "required": [key], "properties": { (key): condition } }, "then": then })
 }
 
-/// If `key` is none of `names`, none of `rejected` may be present.
+/// Rule: if the value of `key` is not in `names`, no key in `rejected` may be present.
 fn only_for_rule<'a>(key: &str, names: impl Iterator<Item = &'a str>, rejected: &[&str]) -> Schema {
     let names: Vec<_> = names.collect();
     let rejected: serde_json::Map<_, _> = rejected.iter().map(|name| ((*name).to_owned(), false.into())).collect();
@@ -131,13 +131,13 @@ fn required_for_rule(key: &str, name: &str, needed: &str) -> Schema {
     rule(key, &json!({ "const": name }), &required(needed))
 }
 
-/// `properties` contains the key, because validators in strict mode refuse a required key without a
+/// `properties` contains the key, because validators in strict mode reject a required key without a
 /// property.
 fn required(key: &str) -> Schema {
     json_schema!({ "required": [key], "properties": { (key): true } })
 }
 
-/// Rule for a metric without a default window.
+/// Rule: a metric without a default window requires `from_ms`, `until_ms` or `after`.
 fn required_one_for_rule(metric: Metric) -> Schema {
     let keys = ["from_ms", "until_ms", "after"].map(required);
     rule("metric", &json!({ "const": metric.name() }), &json_schema!({ "anyOf": keys }))

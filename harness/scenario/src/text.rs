@@ -4,7 +4,7 @@ use crate::diagnostic::Diagnostic;
 use platebench_plate::input;
 use std::path::Path;
 
-/// A TOML document takes some fifty times its size in memory.
+/// A parsed TOML document takes about fifty times its size in memory.
 const MAX_TOML_BYTES: usize = 4 << 20;
 
 pub fn read_text(path: &Path) -> Result<String, Diagnostic> {

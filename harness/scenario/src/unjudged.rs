@@ -8,7 +8,7 @@ use platebench_plate::Time;
 /// A message lists this many changes and counts the others.
 const MAX_TIMES: usize = 5;
 
-/// Warns of changes of force and temperature outside all windows of expectations about the plate.
+/// Warns if force or temperature changes outside the windows of all expectations about the plate.
 pub fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
     let conditions = &scenario.conditions;
     let changes = ProfileChanges::new(

@@ -6,8 +6,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Differs from the stream of the sensor's noise, so that one can be switched off without the
-/// other.
+/// Number of the random stream. The sensor's noise has another stream, so that either one can be
+/// switched off without a change of the other.
 const SPREAD_STREAM: u64 = 1;
 /// Largest deviation of a factor from 1. The largest permitted spread of 20 % reaches it at 4.5
 /// standard deviations.
@@ -16,9 +16,9 @@ const MAX_DEVIATION: f64 = 0.9;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Variation {
     pub seed: u64,
-    /// Factor on K1.
+    /// Factor on the plate's gain K1.
     pub gain: f64,
-    /// Factor on τ.
+    /// Factor on the plate's time constant τ.
     pub time_constant: f64,
     pub sensor_gain: f64,
     pub temperature_k: f64,

@@ -5,12 +5,11 @@ use platebench_plate::{Profile, Time};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Window {
     pub from: Time,
-    /// At most the end of the trial.
+    /// End of the window, exclusive; at most the end of the trial.
     pub to: Time,
 }
 
 impl Window {
-    /// True from `from` on and before `to`.
     pub fn contains(&self, time: Time) -> bool {
         self.from <= time && time < self.to
     }
@@ -71,7 +70,8 @@ impl ProfileChanges {
         }
     }
 
-    /// From each change of `profile` to the next change of any profile or the end of the trial.
+    /// Windows from each change of `profile` to the next change of any profile or the end of the
+    /// trial.
     pub(crate) fn windows(&self, profile: ChangingProfile) -> impl Iterator<Item = Window> + '_ {
         self.starts(profile).iter().map(|&from| {
             let next = self.all.get(self.all.partition_point(|start| *start <= from));
@@ -79,8 +79,8 @@ impl ProfileChanges {
         })
     }
 
-    /// From the last setpoint change up to `from` (otherwise the first one) to the next one or the
-    /// end of the trial.
+    /// Window from the last setpoint change at or before `from` to the next one or the end of the
+    /// trial. If no change precedes `from`, the window starts at the first one.
     pub(crate) fn response_window(&self, from: Option<Time>) -> Option<Window> {
         let starts = self.starts(ChangingProfile::Setpoint);
         let passed = from.map_or(0, |from| starts.partition_point(|start| *start <= from));
@@ -90,8 +90,8 @@ impl ProfileChanges {
     }
 }
 
-/// Connected segments of a `linear` profile that are not constant are one change. A sine is one
-/// change.
+/// Instants at which a change starts. Connected segments of a `linear` profile that are not
+/// constant are one change. A sine is one change.
 fn change_starts(profile: &Profile, from_rest: bool) -> Vec<Time> {
     let at_start = from_rest && profile.at(Time::ZERO) != 0.0;
     let mut starts = if at_start { vec![Time::ZERO] } else { Vec::new() };

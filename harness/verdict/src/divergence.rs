@@ -11,19 +11,19 @@ use platebench_record::{Divergence, Telemetry};
 use platebench_scenario::Scenario;
 use platebench_trace::{Flags, Row};
 
-/// Share of the setpoint.
+/// Half width of the band, as a share of the setpoint.
 const BAND_HALF_WIDTH: f64 = 0.05;
-/// A swing of fewer standard deviations of noise may be noise: 10⁵ samples reach 4.5, and a settled
-/// loop amplifies it.
+/// A swing below this many standard deviations of the sensor noise may be noise. The extreme of 10⁵
+/// samples is at 4.5 deviations, and a settled loop amplifies noise.
 const NOISE_DEVIATIONS: f64 = 25.0;
-/// Control periods in each third of the time after the last event.
+/// Least length of each third of the time after the last event, in control periods.
 const MIN_PERIODS: f64 = 10.0;
 const MIN_SIDE_CHANGES: u32 = 3;
-/// A swing that keeps this share from one third to the next would need some hundred thirds to
-/// decay.
+/// From this ratio of the last swing to the one before, the loop does not decay. At 0.98, the decay
+/// takes about a hundred thirds.
 const MIN_DECAY_RATIO: f64 = 0.98;
-/// Applies if the drive switches between 0 V and its limit in both thirds, because the effect of
-/// clipping varies.
+/// Replaces `MIN_DECAY_RATIO` if the drive switches between 0 V and its limit in both thirds,
+/// because the effect of clipping varies.
 const MIN_DECAY_RATIO_AT_LIMITS: f64 = 0.9;
 const CONVERGED_PERIODS: f64 = 10.0;
 const LIMIT_SHARE: f64 = 1.0 - 1e-6;
@@ -33,14 +33,15 @@ pub(crate) fn detect_divergence(scenario: &Scenario, rows: &[Row], telemetry: &T
     commanded.or_else(|| divergence_time_s(scenario, rows).map(|at_s| Divergence { at_s, is_non_finite: false }))
 }
 
-/// When the loop left the band for good; `None` if it converges or the trace is too short.
+/// Instant at which the loop left the band for good; `None` if it converges or the trace is too
+/// short.
 pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
     let period = scenario.controller.period.seconds();
     let held = rows.get(row_after_last_event(scenario, rows)..)?;
     let (first, last) = (held.first()?, held.last()?);
     let setpoint = first.setpoint_um;
     let third = (last.t_s - first.t_s) / 3.0;
-    // Instants are whole nanoseconds.
+    // Instants are rounded to nanoseconds, so 1 ns is tolerated.
     if setpoint <= 0.0 || third + 1e-9 < MIN_PERIODS * period {
         return None;
     }
@@ -49,7 +50,8 @@ pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
     let (second, last_third) = (cut(first.t_s + third), cut(last.t_s - third));
     let thirds = [held.get(second..last_third)?, held.get(last_third..)?];
     let deviation = |row: &Row| row.amplitude_um - setpoint;
-    // An offset may leave the band too, so the swing itself must be wider than the band.
+    // A constant offset is outside the band too. Therefore the swing itself must be wider than the
+    // band.
     let leaves = |rows: &&[Row]| {
         let span = |(low, high): (f64, f64), row: &Row| (low.min(deviation(row)), high.max(deviation(row)));
         let (low, high) = rows.iter().fold((f64::INFINITY, f64::NEG_INFINITY), span);
@@ -65,7 +67,8 @@ pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
         MIN_DECAY_RATIO
     };
     let [before, after] = thirds.map(|rows| standard_deviation(rows, &deviation));
-    // An oscillating frequency loop keeps the amplitude below the setpoint; Wq changes its sign.
+    // If the frequency loop oscillates, the amplitude stays below the setpoint, but Wq changes its
+    // sign.
     let swings = |signal: &dyn Fn(&Row) -> f64| {
         thirds.iter().all(|rows| count_side_changes(rows, reach, signal) >= MIN_SIDE_CHANGES)
     };
@@ -73,8 +76,8 @@ pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
     diverged.then(|| final_band_exit_s(held, reach, CONVERGED_PERIODS * period))
 }
 
-/// Index of the first row of the final part: constant setpoint and conditions, a controller that
-/// answers, no fault.
+/// Index of the first row after the last event. From this row on, setpoint and conditions are
+/// constant, the controller answers, and no fault acts.
 fn row_after_last_event(scenario: &Scenario, rows: &[Row]) -> usize {
     let moved = |[left, right]: &[Row; 2]| {
         left.setpoint_um != right.setpoint_um
@@ -103,7 +106,7 @@ fn count_side_changes(rows: &[Row], reach: f64, signal: &dyn Fn(&Row) -> f64) ->
     changes
 }
 
-/// Time-weighted, around the signal's own mean.
+/// Weights each row by its duration.
 fn standard_deviation(rows: &[Row], signal: &dyn Fn(&Row) -> f64) -> f64 {
     let (mut length, mut area, mut squares) = (0.0, 0.0, 0.0);
     for [left, right] in rows.array_windows() {
@@ -131,8 +134,8 @@ fn switches_between_limits(rows: &[Row], limit: f64) -> bool {
     changes >= MIN_SIDE_CHANGES
 }
 
-/// Time at which the signal left the band after its last stay of at least `stay` seconds, or after
-/// its first entry.
+/// Time of the last exit from the band after a stay of at least `stay` seconds. If no stay was as
+/// long, the time of the first exit.
 fn final_band_exit_s(rows: &[Row], reach: f64, stay: f64) -> f64 {
     let start = rows.first().map_or(0.0, |row| row.t_s);
     let mut left = None;

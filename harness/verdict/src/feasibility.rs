@@ -20,9 +20,9 @@ pub(crate) fn infeasibility_excuse(
     if !is_drive_limited(expectation.metric) || matches!(expectation.signal, "wq_um" | "sensed_wq_um") {
         return None;
     }
-    // The ideal response has one mode. Another mode or an offset may add to it, so nothing is
-    // excused. Bandwidth, slew rate, dead time and latency only slow a loop down, so the ideal
-    // response stays a bound.
+    // The ideal response has one mode. A second mode or an amplifier offset may add to it, so
+    // nothing is excused. Bandwidth, slew rate, dead time and latency only slow a loop down, so the
+    // ideal response stays a bound.
     if scenario.plate.second_mode.is_some() || scenario.plate.amplifier.offset_vpp != 0.0 {
         return None;
     }
@@ -44,8 +44,8 @@ pub(crate) fn infeasibility_excuse(
     })
 }
 
-/// Without a drive at its limit, or at 0 V with a setpoint below an earlier level, no simulation is
-/// necessary.
+/// False if the drive was neither at its limit nor at 0 V with a setpoint below an earlier level.
+/// The ideal response is then not simulated.
 fn may_be_limited(rows: &[Row]) -> bool {
     let mut highest = rows.first().map_or(0.0, |row| row.amplitude_um);
     rows.iter().any(|row| {
@@ -55,7 +55,7 @@ fn may_be_limited(rows: &[Row]) -> bool {
     })
 }
 
-/// `None` if the ideal controller meets the limit.
+/// Best value of the ideal controller if it misses the limit; `None` if it meets the limit.
 fn unreachable_best(expectation: &Expectation, best: Measure) -> Option<BestResponse> {
     let (lowest, highest) = expectation.range();
     let metric = expectation.metric;
@@ -93,9 +93,9 @@ const RATIO_TOLERANCE_PERCENT: f64 = 1e-6;
 
 struct IdealResponse {
     rows: Vec<Row>,
-    /// True if the amplitude must fall faster than the plate decays while the drive was at 0 V.
+    /// True if, with the drive at 0 V, the setpoint fell faster than the plate decays.
     falls_with_drive_off: bool,
-    /// Largest drive that holds the setpoint at resonance.
+    /// Largest drive that is needed to hold the setpoint at resonance, Vpp.
     required_drive_vpp: f64,
 }
 
@@ -112,7 +112,7 @@ impl IdealResponse {
             ideal.required_drive_vpp = ideal.required_drive_vpp.max(mode.drive_for(left.setpoint_um));
             let kept = (-mode.sigma * (right.t_s - left.t_s)).exp();
             let (lowest, highest) = (level * kept, strongest + (level - strongest) * kept);
-            // The setpoint of the right row is not known before its instant.
+            // The controller does not know the setpoint of the right row before its instant.
             let next = left.setpoint_um.clamp(lowest.min(highest), highest);
             ideal.falls_with_drive_off |=
                 lowest > left.setpoint_um && left.drive_vpp == 0.0 && !left.flags.contains(Flags::SAFE);

@@ -1,9 +1,9 @@
 //! Measures one trial from its trace.
 //!
 //! The runner adds a row on either side of every crossing of an expected band. The plate's signals
-//! count as linear between rows, which changes a settling time by less than 1 ns, or some µs for a
-//! band that the run did not know. The controller's samples are known at control instants only, so
-//! a time measured from them is an interval.
+//! count as linear between rows. This changes a settling time by less than 1 ns, or by some µs if
+//! the run did not know the band. The controller's samples are known at control instants only, so a
+//! time measured from them is an interval.
 
 mod band;
 mod measure;
@@ -34,8 +34,8 @@ pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -
 
 fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let Some(last) = rows.last() else { return Measure::Undefined(UndefinedValue::EmptyTrace) };
-    // A stop fails all other metrics, because nothing overshoots at rest. After a loss, the bench
-    // applied the 0 V.
+    // A stopped controller has a value of these two metrics only, because a plate at rest cannot
+    // overshoot. After a loss of the controller, the bench applied the 0 V.
     let allows_stop = matches!(expectation.metric, Metric::ShutdownTime | Metric::MissedReplies);
     if last.flags.contains(Flags::SAFE) && !(allows_stop && telemetry.ended.is_none()) {
         return Measure::Missing(MissingValue::NotRunning);
@@ -53,8 +53,8 @@ fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry)
     worst.map_or(Measure::Undefined(UndefinedValue::EmptyWindow), |(_, measure)| measure)
 }
 
-/// Rank and distance from the limit. Ranks: good value, undefined, value that breaks the limit,
-/// missing.
+/// Rank and distance from the limit. Ranks from 0 to 3: good value, undefined, value that breaks
+/// the limit, missing.
 fn severity(expectation: &Expectation, measure: &Measure) -> (u8, f64) {
     let (lowest, highest) = expectation.range();
     match measure {
@@ -62,7 +62,8 @@ fn severity(expectation: &Expectation, measure: &Measure) -> (u8, f64) {
         Measure::Undefined(_) => (1, 0.0),
         Measure::Samples(_) => (0, 0.0),
         Measure::Value(value) | Measure::Interval([_, value]) => {
-            // Only the static error has a sign.
+            // The absolute value matters for the static error only, because other values are not
+            // negative.
             let exceedance = (lowest - value.abs()).max(value.abs() - highest);
             (if exceedance > 0.0 { 2 } else { 0 }, exceedance)
         }

@@ -1,7 +1,8 @@
 //! Decides whether a trial on a real plate counts.
 //!
 //! The rows contain what the controller reports about itself. A trial counts if all reports were
-//! received, the controller held the setpoints that it was sent, and a person made the conditions.
+//! received, the controller held the setpoints that it was sent, and the operator produced the
+//! conditions.
 
 use crate::exclusion::{lost_rows, rounded_ms, wrong_clock};
 use crate::feasibility::is_drive_limited;
@@ -10,7 +11,7 @@ use platebench_record::{Exclusion, Excuse, RealPlateRecord};
 use platebench_scenario::{Expectation, Scenario};
 use platebench_trace::{Flags, Row};
 
-/// The previous setpoint may stay in force for this time.
+/// Time after a setpoint change in which the previous setpoint is accepted.
 const MAX_SETPOINT_DELAY: Time = Time::from_nanos(100_000_000);
 /// The wire carries setpoints as f32.
 const SETPOINT_TOLERANCE: f64 = 1e-6;
@@ -121,7 +122,7 @@ fn wrong_conditions(scenario: &Scenario, rows: &[Row], record: Option<&RealPlate
     })
 }
 
-/// Smallest and largest value from `within` before `t_s` to `within` after it.
+/// Smallest and largest value of `profile` from `within` before `t_s` to `within` after it.
 fn range_around(profile: &Profile, t_s: f64, within: Time) -> [f64; 2] {
     if let Profile::Sine { .. } = profile {
         let (low, high) = profile.range();
@@ -131,7 +132,8 @@ fn range_around(profile: &Profile, t_s: f64, within: Time) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
 }
 
-/// Values at the points from `within` before `t_s` to `within` after it, and at both ends.
+/// Values of `profile` at its points from `within` before `t_s` to `within` after it, and at both
+/// ends.
 fn values_around(profile: &Profile, t_s: f64, within: Time) -> Vec<f64> {
     let time = Time::from_seconds(t_s).unwrap_or(Time::ZERO);
     let (from, to) = (time.since(within), time + within);

@@ -14,7 +14,7 @@ pub struct ReplayCommand {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReplayStep {
-    /// Since the start of the recording.
+    /// Time since the start of the recording.
     pub t_s: f64,
     pub setpoint_um: f64,
     pub wd_um: f64,
@@ -90,7 +90,8 @@ pub struct Replay {
     pub rig: String,
     pub firmware: String,
     pub law: &'static str,
-    /// In the order of the steps; `None` without a reply. Shorter if the session ended early.
+    /// Replies in the order of the steps; `None` without a reply. Shorter if the session ended
+    /// early.
     pub replies: Vec<Option<ReplayCommand>>,
     pub telemetry: Telemetry,
     pub rig_lost: bool,
@@ -136,7 +137,7 @@ impl ReplayResult {
     }
 }
 
-/// Each pair: time in s, recorded and replayed command.
+/// `pairs` contains (time in s, recorded command, replayed command).
 fn compare_commands(pairs: &[(f64, ReplayCommand, ReplayCommand)]) -> Vec<CommandDifference> {
     type Value = fn(&ReplayCommand) -> f64;
     let values: [(&str, Value); 2] =
@@ -153,7 +154,7 @@ fn compare_commands(pairs: &[(f64, ReplayCommand, ReplayCommand)]) -> Vec<Comman
         let response: Vec<_> = pairs.iter().map(|(t_s, _, replayed)| (t_s * 1e3, value(replayed))).collect();
         let distances =
             pairs.iter().map(|(t_s, recorded, replayed)| ((value(replayed) - value(recorded)).abs(), t_s * 1e3));
-        // NaN is the largest in the total order; the first of equal ones is reported.
+        // `total_cmp` sorts NaN as the largest. Of equal differences, the first is reported.
         let (largest, at_ms) =
             distances.reduce(|worst, other| if other.0.total_cmp(&worst.0).is_gt() { other } else { worst })?;
         let exceedance = tube.worst_exceedance(&response, None);
@@ -200,7 +201,7 @@ mod tests {
         assert_eq!(result.differences.len(), 2);
     }
 
-    /// The tube allows 3 Vpp + 1 % and 0.5 Hz, plus what the recorded command moves in 0.05 ms.
+    /// The tube allows 3 Vpp + 1 % and 0.5 Hz, plus the change of the recorded command in 0.05 ms.
     #[rstest]
     #[case::drive_inside(5.9, 0.0, Verdict::Pass)]
     #[case::drive_outside(6.1, 0.0, Verdict::Fail)]

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 pub struct TrialMeasures {
     pub index: u32,
     pub seed: u64,
-    /// One per expectation of the scenario, as for `excuses`.
+    /// One measure per expectation of the scenario. `excuses` has the same order.
     pub measures: Vec<Measure>,
     pub excuses: Vec<Option<Excuse>>,
     /// The rig's message about the loss of the controller.

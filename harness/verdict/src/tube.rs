@@ -12,16 +12,16 @@ pub struct TubeSignal {
     pub column: Column,
     pub unit: &'static str,
     pub tolerance: Tolerance,
-    /// A thousandth of the absolute tolerance, or finer.
+    /// Decimals of values in files: the rounding is at most a thousandth of the absolute tolerance.
     pub decimals: usize,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tolerance {
-    /// In the signal's unit.
+    /// Tolerance in the signal's unit.
     pub absolute: f64,
-    /// Share of the golden value.
+    /// Tolerance as a share of the golden value.
     pub relative: f64,
     pub time_ms: f64,
 }
@@ -52,7 +52,7 @@ impl TubeSignal {
 pub struct TubePoint {
     pub t_ms: f64,
     pub value: f64,
-    /// Learned addition to the tolerance; 0 without learning.
+    /// Learned addition to the tolerance; 0 if the tube was not learned.
     pub width: f64,
 }
 
@@ -60,7 +60,7 @@ pub struct TubePoint {
 pub struct Tube {
     pub signal: String,
     pub tolerance: Tolerance,
-    /// At least one, in order of time.
+    /// Points in order of time; at least one.
     pub points: Vec<TubePoint>,
 }
 
@@ -76,12 +76,12 @@ pub struct Exceedance {
 }
 
 impl Exceedance {
-    /// Deviation divided by the allowed one; above 1.
+    /// Deviation divided by the allowed deviation; above 1.
     pub fn ratio(&self) -> f64 {
         1.0 + self.distance / self.allowed
     }
 
-    /// The first one with the largest ratio.
+    /// Returns the exceedance with the largest ratio; of equal ones, the first.
     pub(crate) fn worst(all: impl Iterator<Item = Self>) -> Option<Self> {
         all.reduce(|worst, other| if other.ratio() > worst.ratio() { other } else { worst })
     }
@@ -107,18 +107,18 @@ impl Tube {
         }
     }
 
-    /// Excludes the tolerance in time.
+    /// Half height without the tolerance in time.
     pub fn half_height(&self, point: TubePoint) -> f64 {
         self.tolerance.absolute + self.tolerance.relative * point.value.abs() + point.width
     }
 
-    /// Lower and upper edge over the tolerance in time.
+    /// Lowest and highest edge within the tolerance in time around `t_ms`.
     pub fn edges(&self, t_ms: f64) -> [f64; 2] {
         let (from, to) = (t_ms - self.tolerance.time_ms, t_ms + self.tolerance.time_ms);
         let start = self.points.partition_point(|point| point.t_ms <= from);
         let end = self.points.partition_point(|point| point.t_ms < to);
         let inside = self.points.get(start..end).unwrap_or_default().iter().copied();
-        // Edges are linear between points, so the extreme edges are at one of them.
+        // The edges are linear between points, so their extremes are at one of these points.
         let around = inside.chain([self.point_at(from), self.point_at(t_ms), self.point_at(to)]);
         around.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], point| {
             let half = self.half_height(point);
@@ -133,7 +133,7 @@ impl Tube {
         (0..=steps).map(move |index| from + index as f64 * step).chain(self.points.iter().map(|point| point.t_ms))
     }
 
-    /// `response` contains (ms, value) in order of time. `None` if it is inside.
+    /// `response` contains (ms, value) in order of time. `None` if the response is inside the tube.
     pub fn worst_exceedance(&self, response: &[(f64, f64)], step_ms: Option<f64>) -> Option<Exceedance> {
         let outside = self.comparison_instants(step_ms).filter_map(|t_ms| {
             let value = value_at(response, t_ms)?;
@@ -151,7 +151,7 @@ impl Tube {
     }
 }
 
-/// `None` before the start and after the end.
+/// `None` before the start and after the end of the response.
 fn value_at(response: &[(f64, f64)], t_ms: f64) -> Option<f64> {
     let next = response.partition_point(|(t, _)| *t <= t_ms);
     let (left, before) = *response.get(next.checked_sub(1)?)?;

@@ -13,14 +13,15 @@ use std::collections::{BTreeMap, BTreeSet};
 
 #[derive(Debug, Clone, Default)]
 pub struct MutantFilter {
-    /// Parts of names, also of inlined functions. If both lists are empty, the filter selects the
-    /// functions of the control step without those that the compiler adds, such as `memcpy`.
+    /// Parts of names of functions, including inlined ones. If both lists are empty, the filter
+    /// selects the functions of the control step without those that the compiler adds, such as
+    /// `memcpy`.
     pub functions: Vec<String>,
-    /// Parts of paths.
+    /// Parts of paths of source files.
     pub files: Vec<String>,
 }
 
-/// Sorted by address. `executed` is that of
+/// Returns the selected mutants, sorted by address. `executed` is the result of
 /// [`platebench_rig::EmulatedLink::executed_instructions`].
 pub fn all_mutants(
     map: &CodeMap,
@@ -45,7 +46,7 @@ pub fn all_mutants(
         let Some(place) = places.get(address) else { continue };
         if filter.selects(place, &step_functions) {
             for change in changes(map, instruction, context) {
-                // Several instructions may load one constant.
+                // Several instructions may load the same constant, whose changes are listed once.
                 if seen.insert((change.address, change.bytes.clone())) {
                     let mutant = mutant(map, disassembler, instruction, change, place);
                     mutants.extend(mutant.map(|mutant| Mutant { in_control_step: in_step(address), ..mutant }));

@@ -61,8 +61,8 @@ fn with_condition(instruction: &Instruction, condition: u16) -> Code {
         return (first & !0x03C0 | condition << 6, Some(second));
     }
     let Some((old, mask)) = it_condition(instruction) else { return (first & !0x0F00 | condition << 8, None) };
-    // The mask holds bit 0 of each further condition. It changes too, so that the pattern of then
-    // and else stays.
+    // The mask contains bit 0 of each further condition. These bits change too, so that the pattern
+    // of `then` and `else` stays.
     let last = mask & mask.wrapping_neg();
     let mask = if (old ^ condition) & 1 == 1 { !mask & 0xF & !(last | (last - 1)) | last } else { mask };
     (first & 0xFF00 | condition << 4 | mask, None)

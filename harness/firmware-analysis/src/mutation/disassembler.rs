@@ -14,7 +14,7 @@ impl Disassembler {
         built.map(Self).map_err(|error: Error| AnalysisError::Disassembler(error.to_string()))
     }
 
-    /// Formats as `vadd.f32 s0, s1, s2`. `None` if `bytes` are no instruction.
+    /// Returns assembly such as `vadd.f32 s0, s1, s2`. `None` if `bytes` are no instruction.
     pub fn text(&self, address: u32, bytes: &[u8]) -> Option<String> {
         let instructions = self.0.disasm_count(bytes, u64::from(address), 1).ok()?;
         let instruction = instructions.iter().next().filter(|one| one.bytes().len() == bytes.len())?;

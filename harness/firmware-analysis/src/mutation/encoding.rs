@@ -8,14 +8,14 @@ use crate::thumb::{Flow, Instruction};
 
 const NOP: u16 = 0xBF00;
 const WIDE_NOP: (u16, Option<u16>) = (0xF3AF, Some(0x8000));
-/// Compilers place `MOVT` only a few instructions after its `MOVW`.
+/// Instructions after a `MOVW` that may contain its `MOVT`. Compilers place both close together.
 const MAX_MOVT_DISTANCE: usize = 8;
 const SP: u16 = 13;
 const PC: u16 = 15;
 
 type Code = (u16, Option<u16>);
 
-/// State that the instructions before leave.
+/// State that the preceding instructions leave.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Context {
     /// True if the processor's flags are those of a comparison of floats.

@@ -16,7 +16,7 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Longest time of a mutant, relative to the unchanged firmware.
+/// Longest time of a mutant, relative to the time of the unchanged firmware.
 const TIMEOUT_FACTOR: u32 = 10;
 const MIN_TIMEOUT: Duration = Duration::from_secs(20);
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
@@ -27,7 +27,8 @@ pub struct MutationConfig {
     pub filter: MutantFilter,
     /// Number of mutants to draw at random. `None` tests all mutants.
     pub sample: Option<usize>,
-    /// Ends once the 95 % interval of the score is at most this wide, in percentage points.
+    /// The measurement ends when the 95 % interval of the score is at most this wide, in percentage
+    /// points.
     pub until_width: Option<f64>,
     pub seed: u64,
     pub jobs: usize,

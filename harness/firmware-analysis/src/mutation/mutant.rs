@@ -45,7 +45,7 @@ pub(crate) struct Change {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Mutant {
     pub operator: Operator,
-    /// The instruction whose effect changes.
+    /// Address of the instruction whose effect changes.
     pub instruction: u32,
     /// Address of `original`, which is the instruction or its constant.
     pub address: u32,
@@ -55,7 +55,7 @@ pub struct Mutant {
     pub in_control_step: bool,
     pub function: String,
     pub line: Option<SourceLine>,
-    /// Disassembly or value of the constant.
+    /// Disassembly of the instruction, or value of the constant.
     pub before: String,
     pub after: String,
 }

@@ -33,7 +33,7 @@ pub enum Status {
 }
 
 impl Status {
-    /// As in the schema of mutation reports.
+    /// Name of the status in the schema of mutation reports.
     pub const fn name(&self) -> &'static str {
         self.into_str()
     }
@@ -59,7 +59,7 @@ pub struct MutantResult {
 #[derive(Debug, Clone, PartialEq)]
 pub struct MutationReport {
     pub results: Vec<MutantResult>,
-    /// Number of selected mutants, also of those that were not drawn.
+    /// Number of selected mutants, including those that were not drawn.
     pub population: usize,
     pub scenarios: Vec<String>,
 }
@@ -79,7 +79,7 @@ impl Score {
         })
     }
 
-    /// 100 without mutants.
+    /// Score in percent; 100 if there are no mutants.
     pub fn percent(self) -> f64 {
         if self.valid == 0 { 100.0 } else { f64::from(self.detected) / f64::from(self.valid) * 100.0 }
     }
@@ -117,7 +117,8 @@ impl MutationReport {
         self.score_if(|result| result.mutant.in_control_step)
     }
 
-    /// As [`Self::score_of_control_step`], without survivors that change no drive and no frequency.
+    /// Like [`Self::score_of_control_step`], without survivors that change no drive and no
+    /// frequency.
     pub fn score_of_changed_control_step(&self) -> Score {
         let is_same = |status: &Status| matches!(status, Status::Survived { same_commands: true, .. });
         self.score_if(|result| result.mutant.in_control_step && !is_same(&result.status))

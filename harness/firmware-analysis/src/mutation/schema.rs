@@ -6,7 +6,7 @@ use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
-/// Scores in percent that only choose colours in viewers.
+/// Thresholds of the score in percent. Viewers use them only to choose colours.
 const HIGH: u8 = 90;
 const LOW: u8 = 70;
 

@@ -10,7 +10,7 @@ fn coverage(scenarios: &[&str], only: &[&str]) -> Result<Coverage, AnalysisError
     measure_coverage(&CoverageConfig { suite: suite(scenarios), jobs: 1, only, cancel: CancelToken::never() })
 }
 
-/// Executed functions of a file whose name contains `law`.
+/// True if more than three lines of the file were executed.
 fn executes(coverage: &Coverage, file: &str) -> bool {
     let (_, file) = coverage.files.iter().find(|(path, _)| path.ends_with(file)).unwrap();
     file.lines.values().filter(|line| line.executed).count() > 3

@@ -34,7 +34,7 @@ fn objdump(codes: &[&[u8]]) -> Vec<(String, String)> {
     (0..codes.len()).map(|index| instructions[&(index * SLOT)].clone()).collect()
 }
 
-/// Without the width: `.n`, `.w`.
+/// Removes the suffix of the width: `.n` or `.w`.
 fn plain(mnemonic: &str) -> &str {
     mnemonic.trim_end_matches(".n").trim_end_matches(".w")
 }
@@ -58,7 +58,7 @@ fn is_swap(before: &str, after: &str) -> bool {
     SWAPS.iter().any(|&(one, other)| pair == (one, other) || pair == (other, one)) || ONE_WAY.contains(&pair)
 }
 
-/// `eq` of `beq`, and of `it` with `eq` as operand.
+/// Returns the condition, for example `eq` for `beq` and for `it eq`.
 fn condition<'a>(mnemonic: &'a str, operands: &'a str) -> &'a str {
     if mnemonic.starts_with("it") { operands } else { plain(mnemonic).trim_start_matches('b') }
 }
@@ -147,7 +147,7 @@ fn no_half_of_an_address_changes() {
     }
     let text = disassembly();
     let lines: Vec<&str> = text.lines().collect();
-    // `movw r1, #36052` and then `movt r1, #2048`: 0x08008cd4 in flash.
+    // `movw r1, #36052` and `movt r1, #2048` together load 0x08008cd4, an address in flash.
     let value = |operand: &str| operand.split_whitespace().next()?.parse::<u32>().ok();
     let operands = |line: &str, name: &str| {
         let (register, immediate) = line.split_once(name)?.1.trim().split_once(", #")?;

@@ -9,7 +9,7 @@ use platebench_rig::{BUILT_IN_IMAGE, RigSpec, Symbols};
 use platebench_test_kit::{load_scenario, workspace_root};
 
 fn suite(scenarios: &[&str]) -> Suite {
-    // Relative paths of the debug information start here.
+    // Relative paths in the debug information start at the workspace root.
     std::env::set_current_dir(workspace_root()).unwrap();
     let scenarios = scenarios.iter().map(|name| load_scenario(name));
     Suite::new(&RigSpec::Emulated(None), scenarios.collect()).unwrap()

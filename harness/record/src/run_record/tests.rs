@@ -159,7 +159,8 @@ fn finds_earlier_runs_in_neighbouring_folders() {
     fs::create_dir(runs.path().join("damaged")).unwrap();
     fs::write(runs.path().join("damaged").join(RECORD_FILE), "{}").unwrap();
     let skipped = std::cell::RefCell::new(Vec::new());
-    // Only the start of a record decides whether it is read, so this one is read and refused.
+    // The start of a record determines whether the rest is read. This start is valid, so the rest
+    // is read and rejected.
     let cut = RunRecord { started: "2026-01-01T00:00:05Z".to_owned(), ..record.clone() };
     fs::create_dir(runs.path().join("cut")).unwrap();
     let text = serde_json::to_string_pretty(&cut).unwrap();

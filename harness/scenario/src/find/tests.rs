@@ -5,7 +5,7 @@ const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138
 const GOOD: &str = "title = \"Good\"\nplate = \"PLATE\"\nduration_ms = 60.0\n[profile]\nsetpoint_um = 2.0\n\
                     [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 2.0\n";
 
-/// A scenario whose name starts with `limit` must end with 1.
+/// Creates scenarios at `paths`. A file whose name starts with `limit` has `expected_exit = 1`.
 fn create_tree(paths: &[&str]) -> TempDir {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("plate"), PLATE).unwrap();

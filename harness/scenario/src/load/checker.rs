@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 pub(super) struct KnownPlate {
     pub(super) path: PathBuf,
     pub(super) plate: Plate,
-    /// Empty if no file contains the plate.
+    /// Text of the plate file; empty if no file contains the plate.
     pub(super) text: String,
 }
 
@@ -75,8 +75,8 @@ impl<'a> Checker<'a> {
         if holds { Ok(()) } else { self.error(key, message()) }
     }
 
-    /// Each option has a name and is present or not. The last value is true if it applies to
-    /// `subject`.
+    /// Rejects a present option that does not apply. Each option is (name, is present, applies to
+    /// `subject`).
     pub(super) fn check_options(&self, subject: &str, options: &[(&str, bool, bool)]) -> Result<(), Diagnostic> {
         match options.iter().find(|(_, is_given, applies)| *is_given && !applies) {
             Some((name, ..)) => self.error(name, format!("`{name}` does not apply to {subject}")),

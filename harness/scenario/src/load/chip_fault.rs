@@ -6,7 +6,7 @@ use crate::diagnostic::Diagnostic;
 use crate::raw::RawFault;
 use platebench_plate::Time;
 
-/// A UART misreads bytes at a larger drift.
+/// Largest clock error. A UART misreads bytes at a larger one.
 const MAX_DRIFT_PPM: f64 = 20_000.0;
 
 impl Checker<'_> {

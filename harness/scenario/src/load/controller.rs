@@ -10,10 +10,10 @@ use std::f64::consts::TAU;
 
 const DEFAULT_LAW: &str = "dq-pi";
 const DEFAULT_PERIOD_MS: f64 = 1.0;
-/// A day's temperature moves the paper's resonance by 87 Hz; a resonance at twice that is another
-/// mode.
+/// Temperature changes of one day move the resonance of the paper's plate by 87 Hz. A resonance at
+/// twice this distance belongs to another mode.
 const DEFAULT_FREQUENCY_RANGE_HZ: f64 = 250.0;
-/// Enough to cross these 87 Hz in one period of 1 ms.
+/// The controller can correct these 87 Hz within one period of 1 ms.
 const DEFAULT_FREQUENCY_SLEW_HZ: f64 = 100.0;
 
 impl Checker<'_> {
@@ -77,7 +77,7 @@ impl Checker<'_> {
         Ok(period)
     }
 
-    /// Returns `loop_delay_ms` and `loop_delay_jitter_ms`.
+    /// Returns the loop delay and its jitter.
     fn loop_delay(&self, raw: &RawController, period: Time) -> Result<[Time; 2], Diagnostic> {
         let key = "controller.loop_delay_ms";
         let loop_delay = self.time_from_ms(key, raw.loop_delay_ms)?;

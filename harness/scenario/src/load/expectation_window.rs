@@ -8,7 +8,8 @@ use crate::raw::{RawExpectation, RawWindow};
 use crate::window::{ChangingProfile, Window};
 use platebench_plate::{Profile, Time};
 
-/// Instant until which a controller that stops after `from` must stay at 0 V.
+/// End of the interval in which a controller that stops after `from` must stay at 0 V. A fault with
+/// `reconfigure` starts the controller again at its own end.
 fn reconfiguration_time(faults: &[Fault], from: Time, duration: Time) -> Time {
     let ends = faults.iter().filter(|fault| fault.reconfigure).filter_map(|fault| fault.until);
     ends.filter(|until| *until > from).fold(duration, Time::min)

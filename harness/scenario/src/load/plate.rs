@@ -9,13 +9,13 @@ use crate::text::{decode_text, read_text};
 use platebench_plate::{Plate, RawPlate, input};
 use std::path::Path;
 
-/// Errors: every wrong key. If there is none, the first wrong value.
+/// Fails with all wrong keys or, if there are none, with the first wrong value.
 pub fn load_plate(path: &Path) -> Result<Plate, Vec<Diagnostic>> {
     parse_plate(path, &read_text(path).map_err(|fault| vec![fault])?)
 }
 
-/// Rejects optional effects of the plate. `user` is the calculation that assumes one mode and ideal
-/// electronics.
+/// Rejects a plate with an optional effect, such as a second mode. `user` names the calculation,
+/// which assumes one mode and ideal electronics.
 pub fn require_no_effects(path: &Path, plate: &Plate, user: &str) -> Result<(), Diagnostic> {
     let Some(effect) = plate.first_effect() else { return Ok(()) };
     let text = read_text(path)?;

@@ -183,8 +183,8 @@ impl Checker<'_> {
             |value| exists(0.0, value),
             |value| format!("a force of {value} N leaves the plate without a resonance, {EXPECTED}"),
         )?;
-        // The damping curve is linear between its corners, so only corners and extreme forces
-        // matter.
+        // The damping curve is linear between its corners. Therefore only the corners and the
+        // extreme forces need a check.
         let (lightest, heaviest) = scene.finger_force_n.range();
         let corners =
             plate.damping_ratio.iter().map(|point| point[0]).filter(|force| (lightest..heaviest).contains(force));
@@ -205,7 +205,8 @@ impl Checker<'_> {
     }
 }
 
-/// Span of the record `number`. The header is record 0; comments and empty lines are no records.
+/// Byte range of the CSV record `number`. The header is record 0; comments and empty lines are no
+/// records.
 fn record_span(text: &str, number: u64) -> Range<usize> {
     let mut start = 0;
     let mut counted = 0;
@@ -222,7 +223,7 @@ fn record_span(text: &str, number: u64) -> Range<usize> {
     0..0
 }
 
-/// `column` counts from 0.
+/// Byte range of a field of `line`. `column` counts from 0.
 fn field_span(text: &str, line: Range<usize>, column: usize) -> Range<usize> {
     let mut start = line.start;
     for (index, field) in text.get(line.clone()).unwrap_or_default().split(',').enumerate() {

@@ -17,7 +17,7 @@ use std::path::Path;
 const DEFAULT_TRACE_STEP_MS: f64 = 0.05;
 /// A longer scenario has one row per control period by default.
 const MAX_FINE_TRACE_MS: f64 = 1_000.0;
-/// All rows of a trial are in memory: this many have some 250 MB.
+/// Largest number of rows of a trial. All rows are in memory; 2 million need about 250 MB.
 const MAX_ROWS: f64 = 2e6;
 const MAX_EXPECTATIONS: usize = 2_000;
 
@@ -115,7 +115,7 @@ impl Checker<'_> {
             None if duration.ms() > MAX_FINE_TRACE_MS => period,
             None => self.time_from_ms(key, DEFAULT_TRACE_STEP_MS)?,
         };
-        // Every control instant has a row too.
+        // The trace also has a row at every control instant.
         let spacing = step.min(period);
         let rows = duration.seconds() / spacing.seconds();
         let key = if raw.is_some() && step <= period { key } else { "duration_ms" };

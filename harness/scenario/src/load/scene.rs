@@ -1,4 +1,5 @@
-//! Checks what a scenario and a scene between its trials have in common.
+//! Checks the parts that a scenario shares with a scene between its trials: controller and
+//! profiles.
 
 use super::checker::{Checker, Diagnostics};
 use crate::bounds::MAX_BETWEEN;
@@ -13,7 +14,7 @@ pub(super) struct SceneSource<'a> {
     pub(super) profile: &'a RawProfiles,
 }
 
-/// A part is `None` if it has an error.
+/// Checked parts of a scene. A part with an error is `None`.
 pub(super) struct Scene {
     pub(super) controller: Option<Controller>,
     pub(super) duration: Option<Time>,
@@ -65,7 +66,7 @@ impl Checker<'_> {
         Scene { controller, duration, setpoint, conditions }
     }
 
-    /// The scenes have the trials and the spacing of rows of `scenario`.
+    /// The scenes take the trials and the spacing of trace rows from `scenario`.
     pub(super) fn scenes_between(
         &self,
         folder: &Path,

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 pub const PLATE_PREFIX: &str = "plate.";
-/// Name of a changed plate next to the scenario. No file has this name.
+/// Name of a changed plate in the scenario's folder. No file has this name.
 const CHANGED_PLATE: &str = "changed-plate.toml";
 
 #[derive(Debug, Clone)]
@@ -36,7 +36,7 @@ pub struct ScenarioTables {
 }
 
 impl ScenarioTemplate {
-    /// `scenario` must be loaded from `path`. `edit` changes its table first.
+    /// `scenario` must be loaded from `path`. `edit` changes the table of the scenario file first.
     pub(super) fn new(path: &Path, scenario: Scenario, edit: impl FnOnce(&mut Table)) -> Result<Self, Vec<Diagnostic>> {
         let read = |path: &Path| read_text(path).map_err(|fault| vec![fault]);
         let parse = |path: &Path, text: &str| {
@@ -55,8 +55,8 @@ impl ScenarioTemplate {
         Ok(Self { path, text, file, table, plate_name, plate, plate_table, scenario })
     }
 
-    /// Replaces values by their keys. Fails if a key leads through a number, a text or a missing
-    /// element of a list.
+    /// Replaces the values at dotted keys. Fails if a key leads through a number, a text or a
+    /// missing element of a list.
     pub fn tables<'a>(&self, changes: impl IntoIterator<Item = (&'a str, Value)>) -> Result<ScenarioTables, String> {
         let mut tables = ScenarioTables { scenario: self.table.clone(), plate: None };
         for (key, value) in changes {
@@ -66,7 +66,7 @@ impl ScenarioTemplate {
             }
         }
         if tables.plate.is_some() {
-            // The controller is configured for the unchanged plate.
+            // Keeps the controller configured for the unchanged plate.
             let controller = tables.scenario.entry("controller").or_insert_with(|| Value::Table(Table::new()));
             if let Value::Table(controller) = controller {
                 controller.entry("design_plate").or_insert_with(|| Value::String(self.plate_name.clone()));

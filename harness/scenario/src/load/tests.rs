@@ -102,7 +102,8 @@ from_ms = 30.0
 
 const FORCE: &str = "# a finger\nt_ms, value\n20.0, 0.0\n\n  30.0, 1.0\n";
 
-/// The base scenario after each replacement `(good, bad)`, in the file that contains `good`.
+/// Creates the files of the base scenario. Replaces each `good` by `bad` in the file that contains
+/// it.
 fn create_folder(changes: &[(&str, &str)]) -> TempDir {
     let folder = TempDir::new().unwrap();
     std::fs::create_dir(folder.path().join("plates")).unwrap();

@@ -19,7 +19,7 @@ fn parses_a_valid_file() {
     assert_eq!((raw.duration_ms, raw.expect.len()), (60.0, 2));
 }
 
-/// No position occurs twice, and no error causes another one.
+/// Each wrong place is reported once, and no error causes another one.
 #[rstest]
 #[case::two_keys_of_a_table(&[("title", "titel"), ("plate", "plte")], &["1:1", "2:1"])]
 #[case::kinds(&[("\"t\"", "3"), ("60.0", "\"60\"")], &["1:9", "3:15"])]

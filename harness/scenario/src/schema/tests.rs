@@ -48,7 +48,7 @@ fn every_key_has_a_description() {
     }
 }
 
-/// Other crates check that the committed schemas of plans and settings are current.
+/// Checks `text` against a committed schema. Other crates check that these schemas are current.
 fn accepts(schema: &str, text: &str) -> bool {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/schema").join(schema);
     let schema: serde_json::Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();

@@ -18,7 +18,7 @@ fn starts_ms(profile: &Profile, from_rest: bool) -> Vec<f64> {
 #[case::at_rest(&[(0.0, 0.0)], &[], &[])]
 #[case::step(&[(0.0, 0.0), (1.0, 2.0)], &[1.0], &[1.0])]
 #[case::same_value_again(&[(0.0, 1.0), (5.0, 1.0), (9.0, 2.0)], &[0.0, 9.0], &[9.0])]
-// The first value holds from the start.
+// Before its first point, a profile has the value of this point.
 #[case::late_first_point(&[(5.0, 1.0), (9.0, 2.0)], &[0.0, 9.0], &[9.0])]
 fn a_hold_profile_changes_where_its_value_does(
     #[case] hold: &[(f64, f64)],
@@ -59,7 +59,7 @@ fn a_window_ends_at_the_next_change_of_any_profile() {
     assert_eq!(windows(ChangingProfile::Temperature), [(15.0, 20.0)]);
     let response =
         |from: Option<f64>| changes.response_window(from.map(ms)).map(|window| (window.from.ms(), window.to.ms()));
-    // A step response ends at the next setpoint step only.
+    // Only a setpoint step ends a step response; force and temperature do not.
     assert_eq!(response(None), Some((0.0, 30.0)));
     assert_eq!(response(Some(29.0)), Some((0.0, 30.0)));
     assert_eq!(response(Some(30.0)), Some((30.0, 60.0)));

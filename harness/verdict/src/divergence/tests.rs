@@ -20,7 +20,7 @@ fn scenario(noise_um: f64, more: &str) -> Scenario {
     platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
 }
 
-/// A row every 50 µs up to `end_ms`; deviation and quadrature in units of the setpoint.
+/// Creates a row every 50 µs up to `end_ms`. Deviation and Wq are shares of the setpoint of 2 µm.
 fn rows(end_ms: f64, deviation: impl Fn(f64) -> f64, quadrature: impl Fn(f64) -> f64) -> Vec<Row> {
     let count = (end_ms / 0.05).round() as u32;
     let row = |number: u32| {
@@ -72,21 +72,21 @@ fn ignores_deviations_without_a_swing(#[case] deviation: fn(f64) -> f64) {
     assert_eq!(divergence_of(&rows(120.0, deviation, zero)), None);
 }
 
-/// |W| stays on one side of the setpoint.
+/// The amplitude |W| swings on one side of the setpoint only, but Wq changes its sign.
 #[test]
 fn counts_a_quadrature_swing_with_an_amplitude_swing() {
     let one_sided = |t_ms: f64| 0.2 * (TAU * 0.2 * t_ms).sin().powi(2);
     let quadrature = oscillation(|_| 0.6);
     assert!(divergence_of(&rows(120.0, one_sided, &quadrature)).is_some());
     assert_eq!(divergence_of(&rows(120.0, one_sided, zero)), None);
-    // Around the resonance at an offset the amplitude hardly moves.
+    // This amplitude swings by 5 % of the setpoint around an offset, which is less than the band.
     let offset = |t_ms: f64| -0.3 + one_sided(t_ms) / 4.0;
     assert_eq!(divergence_of(&rows(120.0, offset, &quadrature)), None);
 }
 
 #[test]
 fn ignores_swings_that_noise_could_cause() {
-    // 25 times 8 nm are 10 % of 2 µm.
+    // 25 standard deviations of 8 nm are 10 % of the setpoint of 2 µm.
     let noisy = scenario(0.008, "");
     assert!(divergence_time_s(&noisy, &rows(120.0, oscillation(|_| 0.101), zero)).is_some());
     assert_eq!(divergence_time_s(&noisy, &rows(120.0, oscillation(|_| 0.099), zero)), None);
@@ -148,9 +148,9 @@ fn allows_uneven_swings_between_the_drive_limits() {
 }
 
 #[rstest]
-// Never in the band for ten periods: diverged when it first left the band.
+// The signal is never inside the band for ten periods, so the time is the first exit.
 #[case(oscillation(|_| 0.2), 0.25)]
-// Settles first, and leaves the band at ln(50)/0.06 = 65.2 ms.
+// The signal starts inside the band and leaves it at ln(50)/0.06 = 65.2 ms.
 #[case(oscillation(|t_ms| (0.001 * (0.06 * t_ms).exp()).min(0.4)), 66.0)]
 fn the_time_is_the_last_exit_from_the_band(#[case] deviation: impl Fn(f64) -> f64, #[case] expected_ms: f64) {
     let at_ms = divergence_of(&rows(120.0, deviation, zero)).unwrap() * 1e3;

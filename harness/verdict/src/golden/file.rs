@@ -45,7 +45,7 @@ pub struct BaselineBuild {
     pub id: String,
 }
 
-/// Rounded values; `None` if the trial has no such value.
+/// Rounded values of a trial; `None` if the trial has no value.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ResponseFeatures {
@@ -112,7 +112,8 @@ impl ResponseFeatures {
 }
 
 impl GoldenTubes {
-    /// Thins the curves. They are compared every `step_ms`.
+    /// Removes points that lines between their neighbours replace. The curves are compared every
+    /// `step_ms`.
     pub fn from_trial(rows: &[Row], step_ms: f64) -> Option<Self> {
         let mut golden = Self { step_ms: Some(step_ms), ..Self::from_rows(rows)? };
         thin(&mut golden.tubes);
@@ -297,7 +298,7 @@ fn parse_tubes(head: &BaselineHeader, path: &Path, table: &str) -> Result<Vec<Tu
     Ok(tubes.into_iter().map(|(tube, ..)| tube).collect())
 }
 
-/// At most `decimals` decimals, without trailing zeros.
+/// Formats with at most `decimals` decimals, without trailing zeros.
 fn format_decimal(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };

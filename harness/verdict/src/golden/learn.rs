@@ -14,7 +14,8 @@ use crate::statistics::SampleSummary;
 use crate::tube::{TUBE_SIGNALS, Tube, TubePoint, TubeSignal, signal_response};
 use platebench_trace::Row;
 
-/// Smallest width as a share of the largest one, because a constant signal may vary a little.
+/// Smallest width as a share of the largest one, because a signal that was constant may vary a
+/// little.
 const MIN_SHAPE_SHARE: f64 = 0.1;
 const MIN_CURVE_TRIALS: usize = 3;
 const BISECTION_STEPS: u32 = 40;
@@ -44,7 +45,7 @@ fn min_trials(rate: f64) -> usize {
 }
 
 impl GoldenTubes {
-    /// Learns a tube that a further trial leaves with probability `rate`.
+    /// Learns a tube that a further trial leaves with a probability of at most `rate`, on average.
     pub fn learn(trials: &[Vec<Row>], step_ms: f64, rate: f64) -> Result<Self, LearnError> {
         let needed = min_trials(rate);
         if trials.len() < needed {
@@ -83,7 +84,7 @@ impl GoldenTubes {
         let shape = Self { tubes, step_ms: Some(step_ms), false_alarm_rate: Some(rate) };
         let mut scores: Vec<f64> = scored.iter().map(|rows| shape.nonconformity_score(rows)).collect();
         scores.sort_by(f64::total_cmp);
-        // Rounding must not raise a rank that is a whole number.
+        // The subtraction prevents that rounding raises a rank that is a whole number.
         let rank = ((scores.len() + 1) as f64 * (1.0 - rate) - 1e-9).ceil() as usize;
         match rank.checked_sub(1).map_or(scores.first(), |index| scores.get(index)) {
             Some(score) if *score < MAX_SCORE => Ok(shape.scaled(*score)),
@@ -165,7 +166,8 @@ mod tests {
             outside += golden.compare(tried.iter().map(|rows| (0, rows.as_slice()))).outside as u32;
         }
         let found = f64::from(outside) / (tubes * further) as f64;
-        // The rate of one tube is Beta distributed (deviation 5 to 6 %); 60 tubes give 0.8 %.
+        // The rate of one tube is Beta distributed with a deviation of 5 to 6 %. The mean of 60
+        // tubes has 0.8 %.
         assert!((found - expected).abs() < 0.025, "{found}");
     }
 

@@ -6,7 +6,7 @@ use rstest::rstest;
 use std::fs;
 use tempfile::TempDir;
 
-/// A first-order response over 20 ms, `late` ms late and `factor` times as high.
+/// A first-order response over 20 ms, delayed by `late` ms and scaled by `factor`.
 fn rows(late: f64, factor: f64) -> Vec<Row> {
     rows_to(400, late, factor)
 }
@@ -46,7 +46,7 @@ fn matches_itself_and_its_thinned_curve() {
     assert_eq!(GoldenTubes::from_rows(&[]), None);
 }
 
-/// 2 µm have a tolerance of 0.01 + 0.5 % = 0.02 µm; thinning may use a tenth of it.
+/// At 2 µm the tolerance is 0.01 µm + 0.5 % = 0.02 µm. Thinning may use a tenth of it.
 #[rstest]
 #[case::just_inside(1.0088, Verdict::Pass)]
 #[case::just_outside(1.0112, Verdict::Fail)]
@@ -94,7 +94,8 @@ fn does_not_pass_without_trials() {
     assert_eq!(compare(&golden(), &[Vec::new()]).verdict, Verdict::Inconclusive);
 }
 
-/// P(B(30, 5 %) ≥ 4) = 0.061, ≥ 5: 0.016.
+/// At a rate of 5 %, at least 4 of 30 trials are outside with probability 0.061, at least 5 with
+/// 0.016.
 #[rstest]
 #[case(0.05, 30, 1, Verdict::Pass)]
 #[case(0.05, 30, 2, Verdict::Inconclusive)]

@@ -6,8 +6,8 @@ use crate::tube::{Tube, TubePoint};
 const TOLERANCE_SHARE: f64 = 0.1;
 
 /// Removes points near the line between their neighbours, by the algorithm of D. H. Douglas and T.
-/// K. Peucker (*Cartographica* 10, 1973, pp. 112-122). The distance is that of the values. An
-/// instant is removed from every tube.
+/// K. Peucker (*Cartographica* 10, 1973, pp. 112-122). The distance is the difference in value at
+/// one instant. All tubes keep the same instants.
 pub(super) fn thin(tubes: &mut [Tube]) {
     let count = tubes.first().map_or(0, |tube| tube.points.len());
     let mut kept = vec![false; count];

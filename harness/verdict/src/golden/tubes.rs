@@ -14,7 +14,8 @@ pub struct GoldenTubes {
     pub tubes: Vec<Tube>,
     /// Spacing of instants that are compared in addition to those of the curves.
     pub step_ms: Option<f64>,
-    /// Share of unchanged trials that leave a learned tube; `None` for a tube that was not learned.
+    /// Share of trials of an unchanged controller that leave a learned tube; `None` if the tube was
+    /// not learned.
     pub false_alarm_rate: Option<f64>,
 }
 
@@ -40,7 +41,7 @@ pub struct TubeComparison {
 }
 
 impl GoldenTubes {
-    /// With the default tolerances; `None` without rows.
+    /// Creates tubes with the default tolerances. `None` if `rows` is empty.
     pub fn from_rows(rows: &[Row]) -> Option<Self> {
         let point = |(t_ms, value)| TubePoint { t_ms, value, width: 0.0 };
         let tube = |signal: &TubeSignal| Tube {
@@ -72,7 +73,7 @@ impl GoldenTubes {
         let trial_ms = [ms(rows.first()), ms(rows.last())];
         let other_length = self.tubes.iter().find(|tube| {
             let (from, to) = tube.span_ms();
-            // Instants are whole nanoseconds.
+            // Instants are rounded to nanoseconds, so 0.5 ns is tolerated.
             let near = |one: f64, other: f64| (one - other).abs() <= tube.tolerance.time_ms + 0.5e-6;
             !(near(from, trial_ms[0]) && near(to, trial_ms[1]))
         });

@@ -13,10 +13,11 @@ use platebench_record::{
 };
 use platebench_scenario::{Aggregation, Expectation, Limit, Metric, Scenario};
 
-/// Percent of the setpoint; twice the bound of the plate's propagation error.
+/// Error of the simulation, percent of the setpoint: twice the error bound of the plate's
+/// propagation.
 const SIMULATION_ERROR_PERCENT: f64 = 2e-4;
 
-/// The true motion of a real plate is not known.
+/// Note on results of a real plate, because its true motion is not known.
 const OBSERVED_BY_SENSOR: &str = "by the controller's own sensor, at its control instants";
 
 pub(super) struct ExpectationJudge<'a> {
@@ -70,7 +71,8 @@ impl ExpectationJudge<'_> {
         counted.filter_map(|trial| Some((trial, trial.measures.get(self.expectation_index)?)))
     }
 
-    /// A static error counts without its sign. For a quantile, a missing value is the worst one.
+    /// A static error counts without its sign. For a quantile, a missing value counts as infinitely
+    /// bad.
     fn value_interval(&self, measure: &Measure) -> Option<[f64; 2]> {
         match measure {
             Measure::Value(value) if self.expectation.metric == Metric::StaticError => Some([value.abs(); 2]),
@@ -245,7 +247,8 @@ impl ExpectationJudge<'_> {
     fn add_failure_rate(&self, outcome: Outcome, failed: u32, not_passed: u32, count: u32) -> Outcome {
         let look_confidence = self.look.confidence(self.expectation.confidence);
         let bounds = |seen: u32| clopper_pearson(seen, count, look_confidence);
-        // An inconclusive trial may have failed or not.
+        // An inconclusive trial counts as passed in the lower bound and as failed in the upper
+        // bound.
         let (Some([low, _]), Some([_, high])) = (bounds(failed), bounds(not_passed)) else { return outcome };
         let confidence = percent(self.expectation.confidence);
         let trials = if count == 1 { "1 trial".to_owned() } else { format!("{count} trials") };

@@ -62,7 +62,7 @@ pub(super) fn containment((lowest, highest): (f64, f64), [low, high]: [f64; 2]) 
     }
 }
 
-/// Distance of the worst value from the range of good values; negative if all are good.
+/// Distance of the worst value from the permitted range; negative if all values are inside.
 pub(super) fn exceedance((lowest, highest): (f64, f64), [low, high]: [f64; 2]) -> f64 {
     (lowest - low).max(high - highest)
 }

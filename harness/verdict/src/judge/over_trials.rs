@@ -16,7 +16,7 @@ pub(super) struct OverTrials<'a> {
     pub(super) statistic: Statistic,
     pub(super) counted: usize,
     pub(super) confidence: f64,
-    /// In units of the metric.
+    /// Error of the simulation, in units of the metric.
     pub(super) simulation_error: f64,
     pub(super) is_deterministic: bool,
     pub(super) diverged: Option<DivergedTrials>,
@@ -51,7 +51,7 @@ impl OverTrials<'_> {
         Outcome { value, ..Outcome::pass(self.statistic) }.inconclusive(Cause::Evidence, reason)
     }
 
-    /// The common interval of all trials, if they cannot differ.
+    /// The interval of all trials, if the scenario is deterministic and all trials agree.
     fn certain_interval(&self, spans: &[[f64; 2]]) -> Option<[f64; 2]> {
         spans.first().copied().filter(|_| self.is_deterministic && all_equal(spans))
     }
@@ -96,7 +96,7 @@ impl OverTrials<'_> {
 
     fn judge_deviation(&self, spans: &[[f64; 2]]) -> Outcome {
         let values = column(spans, 1);
-        // Agreement with a value is a two-sided question.
+        // Agreement has a limit on both sides, so each side gets half of the error probability.
         let per_side = match self.expectation.limit {
             Limit::About(_) => f64::midpoint(1.0, self.confidence),
             _ => self.confidence,

@@ -42,7 +42,7 @@ pub(super) fn recovery_time(
     })
 }
 
-/// Percent of the step.
+/// Overshoot in percent of the step.
 pub(super) fn overshoot(window: &Window, signal: MetricSignal, rows: &[Row]) -> Result<f64, UndefinedValue> {
     let (rows, before) = step_response(window, rows).ok_or(UndefinedValue::NoSetpointStep)?;
     let last = rows.last().ok_or(UndefinedValue::EmptyTrace)?;
@@ -54,7 +54,7 @@ pub(super) fn overshoot(window: &Window, signal: MetricSignal, rows: &[Row]) -> 
     Ok(beyond * 100.0)
 }
 
-/// Percent of the setpoint.
+/// Largest deviation in percent of the setpoint.
 pub(super) fn peak_deviation(window: &Window, signal: MetricSignal, rows: &[Row]) -> Result<f64, UndefinedValue> {
     let deviations = window_rows(window, rows).iter().filter(|row| row.setpoint_um > 0.0);
     let peak = deviations.map(|row| (signal.value_in(row) - row.setpoint_um).abs() / row.setpoint_um).reduce(f64::max);
@@ -71,7 +71,7 @@ fn last_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]
         return rows.first().map(|row| [row.t_s; 2]);
     };
     let (left, entered) = (rows.get(outside)?, rows.get(outside + 1)?);
-    // Distance to the edge of entry. The edge may move between the rows.
+    // Distance from the edge through which the signal enters. The edge may move between the rows.
     let below = signal.value_in(left) < expectation.band(left.setpoint_um).0;
     let beyond = |row: &Row| {
         let (low, high) = expectation.band(row.setpoint_um);
@@ -83,8 +83,7 @@ fn last_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]
     Some([left.t_s + (entered.t_s - left.t_s) * share; 2])
 }
 
-/// As [`last_band_entry`], for a sampled signal: from its last sample outside to its first sample
-/// inside.
+/// Like [`last_band_entry`], for a sampled signal: from the last sample outside to the next sample.
 fn last_sampled_band_entry(expectation: &Expectation, signal: MetricSignal, rows: &[Row]) -> Option<[f64; 2]> {
     let has_flags = rows.iter().any(|row| row.flags.contains(Flags::CONTROL));
     // Rows between control instants repeat the last sample; a trace without flags has samples only.

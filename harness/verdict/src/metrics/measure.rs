@@ -6,7 +6,7 @@ use platebench_record::{MissingValue, UndefinedValue};
 pub enum Measure {
     /// The static error keeps its sign: mean − setpoint.
     Value(f64),
-    /// Contains the value of a signal that is known at control instants only.
+    /// Interval that contains the value, because the signal is known at control instants only.
     Interval([f64; 2]),
     /// The signal at the control instants of the window, for the comparison with the first trial.
     Samples(Vec<f64>),
@@ -15,7 +15,7 @@ pub enum Measure {
 }
 
 impl Measure {
-    /// For an interval, its upper end.
+    /// Returns the upper end of an interval.
     pub fn value(&self) -> Option<f64> {
         match self {
             Self::Value(value) | Self::Interval([_, value]) => Some(*value),

@@ -22,7 +22,7 @@ pub(super) fn shutdown_time(window: &Window, rows: &[Row]) -> Measure {
     match rows.get(ran + 1) {
         None => Measure::Missing(MissingValue::NotAtRest),
         Some(stopped) if stopped.t_s < from => Measure::Missing(MissingValue::StoppedBefore),
-        // On a real plate, the telemetry gives an interval.
+        // On a real plate, the stop is known only to lie between two rows of telemetry.
         Some(stopped) if stopped.flags.contains(Flags::SENSED) => {
             let last = rows.get(ran).map_or(from, |row| row.t_s).max(from);
             Measure::Interval([last, stopped.t_s].map(|t_s| rounded_ms((t_s - from) * 1e3)))

@@ -22,7 +22,7 @@ pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
                     moved += 1;
                 } else {
                     steps.push(start + offset);
-                    // The setpoint at the start of the trace is not a movement that could continue.
+                    // The initial setpoint is no change that a ramp could continue.
                     moved = u32::from(start > 0);
                 }
                 if moved == 2 && continues {
@@ -45,7 +45,7 @@ pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
 /// The telemetry of a real plate shows a setpoint up to this much later than the profile.
 const MAX_TELEMETRY_DELAY_S: f64 = 0.1;
 
-/// Rows up to the next step or the end of the window, and the setpoint before the step.
+/// Rows from the step to the next step or the end of the window, and the setpoint before the step.
 pub(super) fn step_response<'a>(window: &Window, rows: &'a [Row]) -> Option<(&'a [Row], f64)> {
     let delay = if rows.iter().any(|row| row.flags.contains(Flags::SENSED)) { MAX_TELEMETRY_DELAY_S } else { 0.0 };
     let from = window.from.seconds();

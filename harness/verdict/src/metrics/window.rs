@@ -33,8 +33,8 @@ pub(super) fn ripple_um(signal: MetricSignal, rows: &[Row]) -> Option<f64> {
     Some(values().reduce(f64::max)? - values().reduce(f64::min)?)
 }
 
-/// Time-weighted mean divided by the setpoint. Fails for a moving setpoint, whose mean a stuck
-/// signal could match.
+/// Time-weighted mean divided by the setpoint. Fails if the setpoint changes, because a stuck
+/// signal could match its mean.
 pub(super) fn window_mean_ratio(signal: MetricSignal, window: &Window, rows: &[Row]) -> Result<f64, UndefinedValue> {
     let (from, to) = (window.from.seconds(), window.to.seconds());
     let mut setpoint = None;

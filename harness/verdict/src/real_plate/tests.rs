@@ -33,7 +33,8 @@ fn row(t_ms: f64, setpoint_um: f64, amplitude_um: f64) -> Row {
     }
 }
 
-/// A step at 210 ms, 10 ms late, that settles at the sample at `settled_ms`.
+/// A step of the setpoint at 210 ms, 10 ms late. The sample at `settled_ms` is the first one at 2
+/// µm.
 fn rows(settled_ms: f64, end_ms: u32) -> Vec<Row> {
     let at = |t: f64| row(t, if t < 210.0 { 0.0 } else { 2.0 }, if t < settled_ms { 0.0 } else { 2.0 });
     (0..=end_ms).map(|t| at(f64::from(t))).collect()
@@ -53,7 +54,7 @@ fn decides_a_settling_time_only_if_the_samples_prove_it() {
     let proved = verdict(212.0);
     assert_eq!((proved.verdict, proved.interval), (Verdict::Pass, Some([1.0, 2.0])));
     assert!(proved.evidence.observed.is_some_and(|by| by.contains("sensor")));
-    // A real plate is random even if the scenario is not.
+    // Trials of a real plate may differ even if the scenario is deterministic.
     assert!(proved.evidence.failure_rate.is_some());
     let open = verdict(213.0);
     assert_eq!((open.verdict, open.cause), (Verdict::Inconclusive, Some(Cause::Evidence)));
@@ -111,7 +112,7 @@ fn excludes_a_trial_with_a_wrong_setpoint() {
     let mut between = rows(212.0, 400);
     between[205].setpoint_um = 1.0;
     assert!(exclusion(&scenario, &between).is_some());
-    // The old setpoint is allowed for 100 ms.
+    // The previous setpoint is accepted for 100 ms.
     let held_until = |last: usize| {
         let mut rows = rows(212.0, 400);
         rows[210..=last].iter_mut().for_each(|row| row.setpoint_um = 0.0);
@@ -137,7 +138,7 @@ fn excludes_a_trial_with_a_wrong_force() {
     assert!(pressed(0.0, "finger_force_n = 2.0").is_some());
     assert!(pressed(2.0, "").is_some(), "a hand rests on the plate");
     assert_eq!(pressed(f64::NAN, "finger_force_n = 2.0"), None);
-    // A force from 1.5 s must be present 1 s later.
+    // A force that starts at 1.5 s must be present at 2.5 s.
     let late = "finger_force_n = { hold = [[0.0, 0.0], [1500.0, 2.0]] }";
     assert!(pressed(0.0, late).is_some() && pressed(2.0, late).is_some());
 }

@@ -1,13 +1,13 @@
 //! Corrects the error rate of a test that is evaluated several times.
 //!
-//! A test that stops at the first favourable look exceeds its error rate. Here look k may be wrong
-//! with probability `α(t_k) − α(t_{k−1})`. By Boole's inequality the sum is at most 1 − c, for
-//! every test and every dependence between looks. Boundaries for Brownian motion are not used,
-//! because they need large samples.
+//! A test that stops at the first favourable look exceeds its error rate. Therefore look k, at the
+//! share `t_k` of the trials, may be wrong with probability `α(t_k) − α(t_{k−1})`. By Boole's
+//! inequality the sum is at most 1 − c (confidence c), for every test and every dependence between
+//! looks. Boundaries for Brownian motion are not used, because they need large samples.
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Look {
-    /// Counted from 1.
+    /// Number of the look, counted from 1.
     pub number: u32,
     pub planned_looks: u32,
     pub trials: u32,
@@ -43,10 +43,10 @@ pub fn plan_looks(count: u32, max_count: u32) -> Vec<Look> {
     (1..).zip(sizes).map(look).collect()
 }
 
-/// Share of the error probability that is spent after the share `t` of the trials:
-/// `ln(1 + (e − 1) t)`, of Pocock's type. It spends early, so a clear run ends at its first look;
-/// with O'Brien and Fleming's function hardly any would. K. K. G. Lan and D. L.
-/// DeMets, *Biometrika* 70, 1983, pp. 659-663.
+/// Share of the error probability that is spent after the share `t` of the trials: `ln(1 + (e − 1)
+/// t)`, of Pocock's type. It spends early, so a clear run ends at its first look. With O'Brien and
+/// Fleming's function hardly any run would end there. K. K. G. Lan and D. L. DeMets, *Biometrika*
+/// 70, 1983, pp. 659-663.
 fn spent_error_share(t: f64) -> f64 {
     if t >= 1.0 { 1.0 } else { ((std::f64::consts::E - 1.0) * t).ln_1p() }
 }
@@ -81,7 +81,7 @@ mod tests {
             assert!((sum - 0.1).abs() < 1e-12, "{sum}");
             assert!(planned.iter().all(|look| look.error_share > 0.0));
         }
-        // ln(1 + 1.71828 · 0.15) = 0.2294 of 5 %.
+        // The first look spends ln(1 + 1.71828 · 0.15) = 0.2294 of 5 %.
         assert!((plan_looks(30, 200)[0].confidence(0.95) - 0.988_53).abs() < 1e-5);
     }
 }

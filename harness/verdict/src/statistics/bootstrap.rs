@@ -6,14 +6,14 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// At a confidence of 95 %, 100 of 1999 resamples are outside a bound.
+/// At a confidence of 95 %, 100 of 1999 resamples are outside each bound.
 const MIN_RESAMPLES: usize = 1_999;
 const MIN_TAIL_RESAMPLES: f64 = 10.0;
-/// If more are needed, there are no bounds.
+/// If a bound needs more resamples, it is not computed.
 const MAX_RESAMPLES: usize = 20_000;
 
-/// Bias-corrected and accelerated bounds, each one-sided at `confidence`. `None` below three or for
-/// equal values.
+/// Bias-corrected and accelerated bounds, each one-sided at `confidence`. `None` for fewer than
+/// three values or for equal values.
 ///
 /// B. Efron, "Better bootstrap confidence intervals", *J. Am. Stat. Assoc.* 82, 1987, pp. 171-185:
 /// the percentile `Φ(z0 + (z0 + z)/(1 − a (z0 + z)))` of the resampled statistic. The bias `z0` is
@@ -27,7 +27,7 @@ pub fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence:
     let below = resampled.partition_point(|value| *value < estimate) as f64;
     let not_above = resampled.partition_point(|value| *value <= estimate) as f64;
     let count = resampled.len() as f64;
-    // Ties count half.
+    // A resample that equals the estimate counts half.
     let bias = normal.inverse_cdf((f64::midpoint(below, not_above) / count).clamp(0.5 / count, 1.0 - 0.5 / count));
     let bound = |probability: f64| {
         let shifted = bias + normal.inverse_cdf(probability);
@@ -60,10 +60,10 @@ fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f6
     (squares > 0.0).then(|| sum(3) / (6.0 * squares.powf(1.5)))
 }
 
-/// Studentised one-sided bounds. `estimate` returns a value and its standard error. `None` below
-/// three values or without an error. P. Hall, *Ann. Stat.* 16, 1988, pp. 927-953: the pivot
-/// `(θ* − θ)/s*` replaces Student's t. Its upper end covers more than that of BCa for the mean of
-/// skewed data and for the logarithm of a deviation.
+/// Studentised one-sided bounds. `estimate` returns a value and its standard error. `None` for
+/// fewer than three values or a standard error of 0. P. Hall, *Ann. Stat.* 16, 1988, pp. 927-953:
+/// the pivot `(θ* − θ)/s*` replaces Student's t. Its upper end covers more than that of BCa for the
+/// mean of skewed data and for the logarithm of a deviation.
 pub fn studentised_bounds(
     values: &[f64],
     estimate: impl Fn(&[f64]) -> (f64, f64),
@@ -127,7 +127,8 @@ mod tests {
 
     #[test]
     fn the_acceleration_follows_the_skewness() {
-        // The leave-one-out means are mirrored and scaled: a = skewness/(6 √n), moments over n.
+        // The leave-one-out means are mirrored and scaled values. Therefore a = skewness/(6 √n),
+        // with moments over n.
         let centre = mean(&SKEWED);
         let moment = |power: i32| SKEWED.iter().map(|value| (value - centre).powi(power)).sum::<f64>();
         let expected = moment(3) / (6.0 * moment(2).powf(1.5));

@@ -5,7 +5,8 @@ use super::{bootstrap, normality};
 use platebench_record::EvidenceMethod;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// One-sided bounds by t, or by bootstrap if normality is rejected. `None` below two values.
+/// One-sided bounds by Student's t, or by bootstrap if normality is rejected. `None` for fewer than
+/// two values.
 pub fn mean_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], EvidenceMethod)> {
     let summary = SampleSummary::of(values)?;
     let normal = summary.mean_bounds(confidence)?;
@@ -16,18 +17,19 @@ pub fn mean_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Evidenc
     Some((bootstrap_bounds(values, mean_of, mean_and_error, confidence), EvidenceMethod::Bootstrap))
 }
 
-/// One-sided bounds by chi-square, or by bootstrap if normality is rejected. `None` below two
-/// values.
+/// One-sided bounds by chi-square, or by bootstrap if normality is rejected. `None` for fewer than
+/// two values.
 pub fn deviation_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], EvidenceMethod)> {
     let summary = SampleSummary::of(values)?;
     let normal = summary.deviation_bounds(confidence)?;
     if !normality::is_rejected(values) {
         return Some((normal, EvidenceMethod::ChiSquare));
     }
-    // The logarithm of a scale parameter is closer to a shift, and the bounds stay above 0.
+    // The logarithm turns a factor on the deviation into a shift, and its bounds stay above 0.
     let logarithm = |values: &[f64]| SampleSummary::of(values).map_or(0.0, |summary| summary.deviation.ln());
     let bounds = bootstrap_bounds(values, logarithm, logarithm_and_error, confidence).map(f64::exp);
-    // One of twenty normal samples is rejected by chance. Resampling must not narrow its bounds.
+    // The test rejects one of twenty normal samples by chance. Resampling must not narrow its
+    // bounds.
     Some((outer_bounds(normal, bounds), EvidenceMethod::Bootstrap))
 }
 

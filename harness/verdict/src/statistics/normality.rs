@@ -5,7 +5,7 @@ use statrs::distribution::{ContinuousCDF, Normal};
 
 /// Critical value of the modified statistic at the level of 5 % (Stephens 1986, table 4.7, case 3).
 const CRITICAL_VALUE: f64 = 0.752;
-/// The correction for small samples needs as many (Stephens 1986).
+/// The correction for small samples is valid from this number of values (Stephens 1986).
 const MIN_VALUES: usize = 8;
 
 /// The modified statistic A²\* for normal data; `None` below eight values or if all are equal.
@@ -32,7 +32,7 @@ pub fn anderson_darling(values: &[f64]) -> Option<f64> {
     Some(statistic * (1.0 + 0.75 / count + 2.25 / (count * count)))
 }
 
-/// The level is 5 %. False for too few values.
+/// True if normality is rejected at the level of 5 %. False for fewer than eight values.
 pub fn is_rejected(values: &[f64]) -> bool {
     anderson_darling(values).is_some_and(|statistic| statistic > CRITICAL_VALUE)
 }
@@ -43,8 +43,8 @@ mod tests {
 
     #[test]
     fn the_statistic_equals_a_published_example() {
-        // The weights of 11 men of Shapiro and Wilk 1965: A² = 0.947, and times 1 + 0.75/11 +
-        // 2.25/121. Their own test rejects normality too.
+        // Weights of 11 men (Shapiro and Wilk 1965): A² = 0.947, multiplied by 1 + 0.75/11 +
+        // 2.25/121. The test of Shapiro and Wilk rejects normality too.
         let weights = [148.0, 154.0, 158.0, 160.0, 161.0, 162.0, 166.0, 170.0, 182.0, 195.0, 236.0];
         let statistic = anderson_darling(&weights).unwrap();
         assert!((statistic - 0.947 * 1.086_78).abs() < 5e-3, "{statistic}");

@@ -6,9 +6,9 @@ use statrs::function::beta::beta_reg;
 /// Sufficient for the resolution of a double.
 const BISECTION_STEPS: u32 = 60;
 
-/// One-sided bounds with a coverage of at least `confidence`; `None` without trials. At a bound, as
-/// many or as few events have the probability `1 − confidence`: C. J. Clopper, E. S.
-/// Pearson, *Biometrika* 26, 1934, pp. 404-413.
+/// One-sided bounds with a coverage of at least `confidence`; `None` without trials. If the
+/// probability is the lower (upper) bound, at least (at most) `seen` events occur with probability
+/// `1 − confidence`: C. J. Clopper, E. S. Pearson, *Biometrika* 26, 1934, pp. 404-413.
 pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2]> {
     if count == 0 || seen > count {
         return None;
@@ -27,7 +27,7 @@ pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2
     Some([lower, upper])
 }
 
-/// `I_{1−p}(n − k, k + 1)`
+/// `I_{1−p}(n − k, k + 1)`, the regularised incomplete beta function, with k events in n trials.
 pub fn probability_at_most(seen: u32, count: u32, p: f64) -> f64 {
     if seen >= count {
         1.0
@@ -36,7 +36,7 @@ pub fn probability_at_most(seen: u32, count: u32, p: f64) -> f64 {
     }
 }
 
-/// `I_p(k, n − k + 1)`
+/// `I_p(k, n − k + 1)`, the regularised incomplete beta function, with k events in n trials.
 pub fn probability_at_least(seen: u32, count: u32, p: f64) -> f64 {
     match seen {
         0 => 1.0,
@@ -51,11 +51,11 @@ mod tests {
     use rstest::rstest;
 
     #[rstest]
-    // 1 − 0.05^(1/n): below 1 % needs 299 and below 0.1 % 2995 trials.
+    // Without events the bound is 1 − 0.05^(1/n): below 1 % it needs 299 trials, below 0.1 % 2995.
     #[case(0, 30, 0.0, 0.095_034)]
     #[case(0, 299, 0.0, 0.009_969)]
     #[case(0, 2_995, 0.0, 0.000_999_7)]
-    // 97.5 % each: the two-sided 95 % interval of the tables.
+    // Each end at 97.5 % gives the two-sided 95 % interval of the tables.
     #[case(5, 10, 0.187_086, 0.812_914)]
     #[case(10, 10, 0.691_503, 1.0)]
     fn the_bounds_are_the_tabulated_ones(#[case] seen: u32, #[case] count: u32, #[case] low: f64, #[case] high: f64) {

@@ -13,17 +13,17 @@ pub fn quantile_bounds(values: &[f64], share: f64, confidence: f64) -> Option<(f
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let ranked = |rank: u32| rank.checked_sub(1).and_then(|index| sorted.get(index as usize)).copied();
-    // P(B ≤ r − 1) rises with r.
+    // The probability P(B ≤ r − 1) rises with the rank r, so the ranks are found by bisection.
     let below = |rank: u32| probability_at_most(rank - 1, count, share);
     let upper = bisect_index(1, count, |rank| below(rank) >= confidence).and_then(ranked);
     let beyond = bisect_index(1, count, |rank| below(rank) > 1.0 - confidence).unwrap_or(count + 1);
     let lower = ranked(beyond - 1);
-    // The smallest value that at least this share of the values does not exceed.
+    // The estimate is the smallest value that at least this share of the values does not exceed.
     let estimate = ranked(((f64::from(count) * share).ceil() as u32).clamp(1, count))?;
     Some((estimate, [lower.unwrap_or(f64::NEG_INFINITY), upper.unwrap_or(f64::INFINITY)]))
 }
 
-/// Smallest sample with a finite bound on the side with fewer values.
+/// Smallest sample size with a finite bound on the side with fewer values.
 pub fn min_values_for_bound(share: f64, confidence: f64) -> u32 {
     let rarer = share.max(1.0 - share);
     ((1.0 - confidence).ln() / rarer.ln()).ceil().min(f64::from(u32::MAX)) as u32
@@ -49,9 +49,10 @@ mod tests {
 
     #[test]
     fn the_ranks_are_the_tabulated_ones() {
-        // Median of 30: ranks 11 and 20 at 95 % one-sided (P(B ≤ 10) = 0.0494, P(B ≤ 19) = 0.9506).
+        // The bounds of a median of 30 values are the ranks 11 and 20 (P(B ≤ 10) = 0.0494, P(B ≤
+        // 19) = 0.9506).
         assert_eq!(quantile_bounds(&ramp(30), 0.5, 0.95), Some((15.0, [11.0, 20.0])));
-        // 95 % quantile: 59 values are needed for an upper bound, and then it is the largest.
+        // An upper bound of the 95 % quantile needs 59 values and is then the largest one.
         assert_eq!(quantile_bounds(&ramp(58), 0.95, 0.95).unwrap().1[1], f64::INFINITY);
         assert_eq!(quantile_bounds(&ramp(59), 0.95, 0.95).unwrap().1[1], 59.0);
         assert_eq!((min_values_for_bound(0.95, 0.95), min_values_for_bound(0.05, 0.95)), (59, 59));

@@ -6,7 +6,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
 pub struct SampleSummary {
     pub count: usize,
     pub mean: f64,
-    /// With n − 1 in the denominator; 0 for one value.
+    /// Standard deviation with n − 1 in the denominator; 0 for one value.
     pub deviation: f64,
 }
 
@@ -22,7 +22,7 @@ impl SampleSummary {
         Some(Self { count, mean, deviation })
     }
 
-    /// One-sided, by Student's t (normal data). `None` below two values.
+    /// One-sided bounds by Student's t for normal data. `None` for fewer than two values.
     pub fn mean_bounds(&self, confidence: f64) -> Option<[f64; 2]> {
         let freedom = self.degrees_of_freedom()?;
         let quantile = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(confidence);
@@ -30,8 +30,8 @@ impl SampleSummary {
         Some([self.mean - half, self.mean + half])
     }
 
-    /// One-sided, of `self.mean − other.mean`, by Welch's t with Welch-Satterthwaite degrees of
-    /// freedom (normal data). `None` below two values in one of them.
+    /// One-sided bounds of `self.mean − other.mean` for normal data, by Welch's t with
+    /// Welch-Satterthwaite degrees of freedom. `None` if a sample has fewer than two values.
     pub fn difference_bounds(&self, other: &Self, confidence: f64) -> Option<[f64; 2]> {
         let difference = self.mean - other.mean;
         let share = |summary: &Self| {
@@ -49,7 +49,8 @@ impl SampleSummary {
         Some([difference - half, difference + half])
     }
 
-    /// One-sided, by chi-square: `s √(f/χ²)` (normal data). `None` below two values.
+    /// One-sided bounds by chi-square for normal data: `s √(f/χ²)` with f = n − 1. `None` for fewer
+    /// than two values.
     pub fn deviation_bounds(&self, confidence: f64) -> Option<[f64; 2]> {
         let freedom = self.degrees_of_freedom()?;
         let chi_squared = ChiSquared::new(freedom).ok()?;

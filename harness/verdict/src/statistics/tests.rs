@@ -1,4 +1,4 @@
-//! Simulates how often each interval contains the truth.
+//! Simulates how often each interval contains the true value.
 
 use super::proportion::clopper_pearson;
 use super::quantile::quantile_bounds;
@@ -56,7 +56,8 @@ impl TestDistribution {
     }
 }
 
-/// Percent of runs in which each end of mean and deviation is on its side of the truth.
+/// Percent of runs in which each end of the intervals of mean and deviation is on the correct side
+/// of the true value.
 fn coverage(data: TestDistribution, count: usize, confidence: f64, runs: u32) -> [[f64; 2]; 2] {
     let mut random = ChaCha8Rng::seed_from_u64(2016);
     let mut covered = [[0_u32; 2]; 2];
@@ -91,7 +92,7 @@ fn covers_normal_data_by_two_sided_intervals() {
     }
 }
 
-/// Lowest coverage in `docs/verdicts.md`, less two standard errors of the simulation.
+/// Lowest coverage in `docs/verdicts.md`, minus two standard errors of the simulation.
 #[rstest]
 #[case(TestDistribution::HalfNormal, 30, 92.5, 91.0)]
 #[case(TestDistribution::Exponential, 30, 91.5, 84.5)]
@@ -144,7 +145,8 @@ fn covers_proportions_at_least_at_the_nominal_rate(#[case] p: f64) {
         covered[0] += u32::from(bounds[happens][0] <= p);
         covered[1] += u32::from(p <= bounds[happens][1]);
     }
-    // Discrete: at least nominal, less the error of the simulation of 0.2 %.
+    // Counts are discrete, so the coverage is at least nominal. The standard error of the
+    // simulation is 0.2 %.
     assert!(covered.iter().all(|count| f64::from(*count) / f64::from(runs) >= 0.944), "{covered:?}");
 }
 
@@ -167,7 +169,8 @@ fn covers_quantiles_at_least_at_the_nominal_rate(
         covered[1] += u32::from(truth <= high);
     }
     let rates = covered.map(|count| f64::from(count) / f64::from(runs));
-    // Ranks are whole numbers: at least nominal.
+    // Ranks are whole numbers, so the coverage is at least nominal, apart from the error of the
+    // simulation.
     assert!(rates.iter().all(|rate| (0.942..0.99).contains(rate)), "{rates:?}");
 }
 

@@ -19,7 +19,7 @@ fn the_edge_is_inside(#[case] value: f64, #[case] inside: bool) {
     let golden = tube(STRICT, &[(0.0, 2.0), (10.0, 2.0)]);
     let found = golden.worst_exceedance(&[(0.0, 2.0), (5.0, value), (10.0, 2.0)], Some(1.0));
     if value.is_nan() {
-        // No trace contains NaN.
+        // NaN is outside every tube.
         assert!(found.is_some());
     } else {
         assert_eq!(found.is_none(), inside, "{found:?}");
@@ -57,7 +57,7 @@ fn late_step(late: f64) -> Vec<(f64, f64)> {
 #[case::in_time(0.0, true)]
 #[case::just_inside(0.25, true)]
 #[case::early_just_inside(-0.25, true)]
-// The height of the step over its own rise of 0.05 ms: 0.01 of tolerance is worth 0.00025 ms.
+// The step rises by 2 µm in 0.05 ms, so a tolerance of 0.01 µm is worth 0.00025 ms.
 #[case::just_outside(0.2503, false)]
 #[case::early_just_outside(-0.2503, false)]
 fn allows_a_step_within_the_tolerance_in_time(#[case] late: f64, #[case] inside: bool) {

@@ -36,7 +36,8 @@ fn load_expectation(expectation: &str) -> Result<Scenario, Diagnostic> {
 #[case("\"recovery_time_ms\"\nat_most = 2.0\nafter = \"temperature\"", &[(34.0, 40.0)])]
 #[case("\"static_error_percent\"\nat_most = 2.0\nwindow_ms = [20.0, 30.0]", &[(20.0, 30.0)])]
 #[case("\"static_error_percent\"\nat_most = 2.0\nfrom_ms = 20.0\nuntil_ms = 30.0", &[(20.0, 30.0)])]
-// The last third of each window; the level of 0 has no relative error.
+// A mean is judged in the last third of each window. Windows with a setpoint of 0 are omitted,
+// because a relative error needs a setpoint.
 #[case("\"static_error_percent\"\nat_most = 2.0\nafter = \"force\"",
     &[(16.666_666, 20.0), (26.666_666, 30.0), (46.666_666, 50.0)])]
 #[case("\"ripple_percent\"\nat_most = 2.0\nafter = \"setpoint\"", &[(8.333_332, 10.0), (32.666_666, 34.0)])]

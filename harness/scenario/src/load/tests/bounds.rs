@@ -1,4 +1,4 @@
-//! Accepts the last good values; the snapshots of `rejected` contain the first bad ones.
+//! Tests that values on a bound are accepted. The snapshots of `rejected` contain values beyond.
 
 use super::{create_folder, load_with_change, load_with_changes, render};
 use rstest::rstest;
@@ -108,7 +108,8 @@ fn checks_damping_corners_between_forces() {
     let fault = load_with_changes(&[curve]).err().unwrap();
     assert!(fault.message.contains("leave the plate without a resonance"), "{}", render(&fault));
     assert!(load_with_changes(&[curve, ("  30.0, 1.0", "  30.0, 0.3")]).is_ok());
-    // The lightest touch, not on a corner, and only when hot.
+    // With the lightest touch, 0.25 N between two corners, the resonance vanishes only if the plate
+    // is hot.
     let light = ("[[0.0, 1.0], [1.5, 2.0]]", "[[0.0, 560.0], [0.5, 2.0], [1.5, 2.0]]");
     let touch = ("20.0, 0.0", "20.0, 0.25");
     assert!(load_with_changes(&[light, touch]).is_ok());

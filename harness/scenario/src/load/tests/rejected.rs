@@ -249,7 +249,7 @@ fn a_window_needs_a_constant_setpoint() {
         "{ hold = [[0.0, 2.0], [59.9, 2.1]] }",
         "{ hold = [[0.0, 2.0], [50.0, 1.0], [55.0, 2.0]] }",
         "{ sine = { mean = 2.0, amplitude = 0.1, frequency_hz = 50.0 } }",
-        // At its maximum at both ends of the window.
+        // This sine is at its maximum at both ends of the window.
         "{ sine = { mean = 500.0, amplitude = 0.1, frequency_hz = 50.0, phase_deg = 90.0 } }",
     ] {
         let fault = load_with_change(hold, moving).unwrap_err();

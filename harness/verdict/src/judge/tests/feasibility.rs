@@ -45,7 +45,7 @@ fn two_newtons_at_400_vpp_cannot_be_held() {
 
 #[test]
 fn demands_what_the_drive_can_just_reach() {
-    // 2 N need 668.6 Vpp; 660 Vpp reach 1.974 µm, 1.28 % too low.
+    // With a force of 2 N, 2 µm need 668.6 Vpp. 660 Vpp reach 1.974 µm, which is 1.28 % too low.
     for (at_most, expected) in [(1.4, FAIL), (1.2, inconclusive(Cause::Infeasible))] {
         let expect = format!("metric = \"static_error_percent\", at_most = {at_most:?}");
         let scenario = ScenarioBuilder { expect: &[&expect], limit_vpp: 660.0, force: "2.0", ..BASE }.scenario();
@@ -55,7 +55,7 @@ fn demands_what_the_drive_can_just_reach() {
 
 #[test]
 fn settling_below_2_14_ms_is_infeasible_at_400_vpp() {
-    // −τ ln(1 − 0.95 · 2/(K1 · 400)) = 2.145 ms
+    // Time to 95 % of 2 µm at full drive: −τ ln(1 − 0.95 · 2/(K1 · 400)) = 2.145 ms
     let floor = -1.88 * (1.0 - 1.9 / (0.006_98 * 400.0_f64)).ln();
     assert!((floor - 2.145).abs() < 1e-3, "{floor}");
     for (at_most, late, expected) in [
@@ -79,7 +79,8 @@ fn settling_below_2_14_ms_is_infeasible_at_400_vpp() {
 #[test]
 fn a_later_step_has_its_own_floor() {
     let setpoint = "{ hold = [[0.0, 1.0], [30.0, 2.0]] }";
-    // From 1 µm: −τ ln((S − 1.9)/(S − 1)), S = 2.792 µm.
+    // From 1 µm to 95 % of 2 µm: −τ ln((S − 1.9)/(S − 1)), with the amplitude at full drive S =
+    // 2.792 µm.
     let floor = -1.88 * ((2.792_f64 - 1.9) / (2.792 - 1.0)).ln();
     for (at_most, expected) in [(floor + 1e-5, FAIL), (floor - 1e-5, inconclusive(Cause::Infeasible))] {
         let expect = format!("metric = \"settling_time_ms\", from_ms = 30.0, at_most = {at_most:?}");

@@ -82,14 +82,15 @@ fn one_trial_decides_a_deterministic_scenario() {
 #[case("at_most = 1.3", 1.015, PASS)]
 #[case("at_most = 1.3", 1.017, inconclusive(Cause::Evidence))]
 #[case("at_most = 1.3", 1.3, inconclusive(Cause::Evidence))]
-// s √(29/χ²) at 95 %: 0.8254 s, so that 1.58 fails and 1.57 does not.
+// The lower bound is 0.8254 times the deviation, √(29/χ²) at 95 %: a deviation of 1.58 fails, 1.57
+// does not.
 #[case("at_most = 1.3", 1.57, inconclusive(Cause::Evidence))]
 #[case("at_most = 1.3", 1.58, FAIL)]
 #[case("at_least = 1.0", 1.22, PASS)]
 #[case("at_least = 1.0", 1.20, inconclusive(Cause::Evidence))]
 #[case("within = [0.5, 2.0]", 1.3, PASS)]
 #[case("within = [1.2, 1.4]", 1.3, inconclusive(Cause::Evidence))]
-// Two-sided at 95 %: from 0.7964 s to 1.3443 s.
+// The two-sided interval at 95 % is 0.7964 to 1.3443 times the deviation.
 #[case("about = 1.3", 0.968, PASS)]
 #[case("about = 1.3", 0.966, FAIL)]
 #[case("about = 1.3", 1.631, PASS)]

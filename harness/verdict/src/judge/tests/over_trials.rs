@@ -55,7 +55,8 @@ fn judges_a_response_time_by_each_statistic(
 #[case::one_beyond(59, 1, inconclusive(Cause::Evidence))]
 #[case::one_beyond_of_92(92, 1, inconclusive(Cause::Evidence))]
 #[case::one_beyond_of_93(93, 1, PASS)]
-// P(B(93, 5 %) ≥ 9) = 0.045 and P(B(93, 5 %) ≥ 8) = 0.10.
+// If 5 % of all trials exceed the limit, at least 9 of 93 do with probability 0.045, at least 8
+// with 0.10.
 #[case::eight_beyond(93, 8, inconclusive(Cause::Evidence))]
 #[case::nine_beyond(93, 9, FAIL)]
 fn a_quantile_is_demonstrated_by_ranks(

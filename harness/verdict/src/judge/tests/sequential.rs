@@ -24,7 +24,7 @@ fn a_run_stops_at_the_first_deciding_look() {
         panic!()
     };
     assert_eq!(judgement.verdict, Verdict::Fail);
-    // At the limit no look decides, and the last one is inconclusive.
+    // If the mean is at the limit, no early look decides, and the last one is inconclusive.
     let repeated: Vec<f64> = (0..50).map(|index| if index % 2 == 0 { 0.9 } else { 1.1 }).collect();
     for (count, next) in [(10, 20), (19, 20), (20, 40), (39, 40), (40, 50), (49, 50)] {
         let some = trials_with_values(&repeated[..count]);

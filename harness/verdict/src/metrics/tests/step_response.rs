@@ -9,7 +9,8 @@ fn first_order(t: f64) -> f64 {
 #[test]
 fn a_first_order_response_settles_after_tau_ln_20() {
     let exact = TAU * 20.0_f64.ln();
-    // The chord error h²/8τ² · e^{-t/τ} · 2 µm over the slope there: h²/8τ.
+    // Between rows of distance h, a chord is too low by 2 µm · h²/8τ² · e^(−t/τ). Divided by the
+    // slope, this is a time of h²/8τ.
     for step in [0.05, 0.01] {
         assert_close(
             measured_value(&expectation_for(Metric::SettlingTime), &trace_at(grid(step, 60.0), |_| 2.0, first_order)),
@@ -100,7 +101,8 @@ fn finds_the_starts_of_setpoint_changes(#[case] points: &[(f64, f64)], #[case] s
     assert_eq!(setpoint_steps(&trace), steps);
 }
 
-/// 2 µm from 0 ms, 1 µm from 10 ms, 3 µm from 20 ms; reached in 2, 1 and 4 ms.
+/// The setpoint is 2 µm from 0 ms, 1 µm from 10 ms, 3 µm from 20 ms. It is reached in 2, 1 and 4
+/// ms.
 fn staircase_rows() -> Vec<Row> {
     let setpoint = |t: f64| {
         if t < 10.0 {
@@ -140,7 +142,7 @@ fn the_worst_window_decides() {
     assert_eq!(measure(&settling, &never, &EMPTY_TELEMETRY), Measure::Missing(MissingValue::NeverSettles));
 }
 
-/// A step of 0.0001 µm at 15 ms must not end the second window.
+/// A setpoint step of 0.0001 µm at 15 ms must not end a window.
 #[test]
 fn judges_each_tap_in_its_own_window() {
     let setpoint = |t: f64| if t < 15.0 { 2.0 } else { 2.0001 };
@@ -169,9 +171,10 @@ fn settling_of_a_ramp_ends_in_its_moving_band() {
     let setpoint = |t: f64| 1.0 + ((t - 10.0) / 10.0).clamp(0.0, 1.0);
     let trace = trace_at(grid(0.5, 30.0), setpoint, |t| setpoint(t - 1.0));
     let ramp = expectation_with_from(Metric::SettlingTime, 10.0);
-    // s(t) − s(t − 1) = 0.1 ≤ 0.05 s(t) first at s = 2, t = 20 ms.
+    // The amplitude is the setpoint s 1 ms earlier: s(t) − s(t − 1) = 0.1 ≤ 0.05 s(t) first at s =
+    // 2, t = 20 ms.
     assert_close(measured_value(&ramp, &trace), 10.0, 1e-9);
-    // With 6 %: 0.1 ≤ 0.06 s at s = 1.6667, t = 16.667 ms, between two rows.
+    // With a band of 6 %: 0.1 ≤ 0.06 s at s = 1.6667, t = 16.667 ms, between two rows.
     assert_close(measured_value(&Expectation { band_percent: 6.0, ..ramp }, &trace), 20.0 / 3.0, 1e-9);
 }
 
@@ -200,12 +203,14 @@ fn holds_sensed_values_between_rows() {
     assert_eq!(measure(&settling("sensed_wd_um"), &trace, &EMPTY_TELEMETRY), Measure::Interval([1.0, 2.0]));
     assert_close(measured_value(&settling("wd_um"), &trace), 1.9, 1e-12);
     let error = |signal| Expectation { signal, ..expectation_in(Metric::StaticError, &[[0.0, 3.0]]) };
-    // Held: 0, 1, 2 over a ms each, mean 1. Straight: 0.5, 1.5, 2, mean 4/3.
+    // The sampled signal holds 0, 1 and 2 µm for 1 ms each: mean 1 µm. The linear signal has the
+    // mean 4/3 µm.
     assert_close(measured_value(&error("sensed_wd_um"), &trace), -50.0, 1e-9);
     assert_close(measured_value(&error("wd_um"), &trace), -100.0 / 3.0, 1e-9);
 }
 
-/// Control instants at 0.5, 1.5, … ms, rows every 0.5 ms; the controller is given 0, 0, then 2 µm.
+/// Control instants are at 0.5, 1.5, … ms, rows every 0.5 ms. The controller receives 0, 0, then 2
+/// µm.
 #[test]
 fn a_time_from_samples_is_an_interval() {
     let mut trace = rows(&[

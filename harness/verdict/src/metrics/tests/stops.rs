@@ -68,7 +68,7 @@ fn other_stops_have_no_shutdown_time() {
     assert_eq!(missing(&rows_with_stop(|_| true), &EMPTY_TELEMETRY), MissingValue::NeverRan);
     assert_eq!(missing(&rows_with_stop(|t| t >= 39), &EMPTY_TELEMETRY), MissingValue::StoppedBefore);
     let stopped = rows_with_stop(|t| t >= 44);
-    // Running at 0 V is no stop, nor is a stop with a drive.
+    // A running controller at 0 V has not stopped, and a stopped controller must not drive.
     let with = |change: fn(&mut Row)| {
         let mut rows = stopped.clone();
         rows.iter_mut().for_each(change);
@@ -109,11 +109,11 @@ fn as_real_plate(rows: &[Row]) -> Vec<Row> {
 #[test]
 fn a_time_of_a_real_plate_is_an_interval() {
     let step = |t: f64| if t < 1.0 { 0.0 } else { 2.0 };
-    // Inside from the sample at 3 ms: it settled after 2 ms.
+    // The step is at 1 ms, and the sample at 3 ms is the first one inside the band.
     let rows = as_real_plate(&trace_at(grid(1.0, 60.0), step, |t| if t < 3.0 { 0.0 } else { 1.95 }));
     let measured = measure(&expectation_for(Metric::SettlingTime), &rows, &EMPTY_TELEMETRY);
     assert_eq!(measured, Measure::Interval([1.0, 2.0]));
-    // Time stamps in µs far from zero, whose differences round.
+    // Time stamps in µs far from zero have differences with rounding errors.
     let late: Vec<Row> = rows.iter().map(|row| Row { t_s: (row.t_s * 1e6 + 43_000.0) / 1e6, ..*row }).collect();
     assert_eq!(measure(&expectation_for(Metric::SettlingTime), &late, &EMPTY_TELEMETRY), Measure::Interval([1.0, 2.0]));
 }

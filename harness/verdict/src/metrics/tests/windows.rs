@@ -29,7 +29,7 @@ fn the_static_error_is_signed_and_time_weighted() {
             1e-9,
         );
     }
-    // 1 µm for 9 ms, then a thousand rows of 3 µm in 1 ms.
+    // 1 µm for 9 ms, then a thousand rows of 3 µm in 1 ms: the mean weights rows by their duration.
     let instants = [0.0, 9.0].into_iter().chain((0..=1_000).map(|index| 9.0 + 1e-6 + f64::from(index) * 0.000_999));
     let trace = trace_at(instants, |_| 2.0, |t| if t <= 9.0 { 1.0 } else { 3.0 });
     assert_close(error_over((0.0, 10.0), &trace).value().unwrap(), -40.0, 0.01);
@@ -37,7 +37,7 @@ fn the_static_error_is_signed_and_time_weighted() {
 
 #[test]
 fn cuts_a_window_between_rows() {
-    // A line of 1 µm per ms from 0: its mean over a window is its middle.
+    // The signal rises by 1 µm per ms, so its mean over a window is its value at the middle.
     let trace = trace_at([0.0, 0.7, 2.9, 3.0, 7.5, 10.0], |_| 2.0, |t| t);
     for (from, to) in [(0.0, 10.0), (1.0, 5.0), (3.1, 3.2), (2.95, 9.999)] {
         assert_close(error_over((from, to), &trace).value().unwrap(), ((from + to) / 4.0 - 1.0) * 100.0, 1e-9);
@@ -50,7 +50,7 @@ fn cuts_a_window_between_rows() {
 
 #[test]
 fn a_mean_over_a_changing_setpoint_is_undefined() {
-    // 2 µm for setpoints of 1 and 3 µm: right on average, wrong at any time.
+    // An amplitude of 2 µm for setpoints of 1 and 3 µm is right on average and wrong at any time.
     let trace = trace_at(grid(0.05, 60.0), |t| if t < 50.0 { 1.0 } else { 3.0 }, |_| 2.0);
     assert_eq!(error_over((40.0, 60.0), &trace), Measure::Undefined(UndefinedValue::SetpointChanges));
     assert_close(error_over((50.0, 60.0), &trace).value().unwrap(), -100.0 / 3.0, 1e-9);
