@@ -101,8 +101,7 @@ impl CodeMap {
             leaders.extend(targets);
             leaders.insert(instruction.end());
         }
-        // An odd word may be the address of a function or of a `switch` target: Thumb addresses
-        // have bit 0 set.
+        // Thumb addresses of functions and `switch` targets are odd words.
         let words =
             self.sections.iter().flat_map(|(_, bytes)| bytes.chunks_exact(4)).filter_map(|word| word.first_chunk());
         leaders.extend(words.map(|word| u32::from_le_bytes(*word)).filter(|word| word % 2 == 1).map(|word| word - 1));

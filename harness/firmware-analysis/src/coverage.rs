@@ -18,8 +18,7 @@ use std::time::{Duration, Instant};
 pub struct CoverageConfig {
     pub suite: Suite,
     pub jobs: usize,
-    /// Parts of the paths of the selected source files. If empty, all of the firmware's own files
-    /// are selected.
+    /// Parts of paths of source files. If empty, all of the firmware's own files are selected.
     pub only: Vec<String>,
     pub cancel: CancelToken,
 }
@@ -60,7 +59,6 @@ pub struct Ratio {
 }
 
 impl Ratio {
-    /// 100 if there is nothing to execute.
     pub fn percent(self) -> f64 {
         if self.total == 0 { 100.0 } else { self.executed as f64 / self.total as f64 * 100.0 }
     }
@@ -130,8 +128,7 @@ impl Coverage {
             return self.files.retain(|file, _| only.iter().any(|part| file.contains(part)));
         }
         self.files.retain(|file, _| !is_standard_library(file));
-        // The sources of dependencies are not on this computer, and genhtml stops at a missing
-        // source.
+        // Dependencies have no sources on this computer, and genhtml stops at a missing source.
         if self.files.keys().any(|file| Path::new(file).is_file()) {
             self.files.retain(|file, _| Path::new(file).is_file());
         }

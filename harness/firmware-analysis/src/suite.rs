@@ -79,7 +79,6 @@ impl Suite {
         if map.functions.is_empty() { Err(AnalysisError::NoFunctions) } else { Ok((symbols, map)) }
     }
 
-    /// Returns the emulated board of a worker. Starts the board at its first use.
     pub(crate) fn open<'a>(
         &self,
         session: &'a mut Option<BoardSession>,

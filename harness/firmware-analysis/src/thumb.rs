@@ -104,8 +104,7 @@ impl Instruction {
     }
 }
 
-/// First condition and mask of an `IT` instruction. `None` for other instructions, including hints,
-/// which share the encoding.
+/// Condition and mask of an `IT`. `None` for hints, which share the encoding, and others.
 pub(crate) fn it_condition(instruction: &Instruction) -> Option<(u16, u16)> {
     let is_it = instruction.first & 0xFF00 == 0xBF00 && instruction.first & 0xF != 0;
     is_it.then_some((instruction.first >> 4 & 0xF, instruction.first & 0xF))

@@ -79,7 +79,6 @@ impl CostTrend {
         let against = self.comparison_run()?;
         let EarlierCost { now, then, .. } = against;
         [("worst", now.worst, then.worst), ("mean", now.mean, then.mean)].into_iter().find_map(|(what, now, then)| {
-            // Without a division, the comparison of whole numbers is exact.
             let is_significant = (now - then).abs() * 100.0 > then * MIN_CHANGE_PERCENT;
             is_significant.then(|| CostChange {
                 statistic: what,

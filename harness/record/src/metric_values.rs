@@ -1,5 +1,4 @@
-//! Stores the metrics of a trial by name without copies of their names, because a run may have 10⁵
-//! trials.
+//! Stores the metrics of a trial by name without copies of names, for runs with 10⁵ trials.
 
 use platebench_scenario::Metric;
 use schemars::{JsonSchema, Schema, SchemaGenerator};

@@ -5,8 +5,7 @@ use serde::{Deserialize, Serialize};
 use std::fs;
 use std::sync::OnceLock;
 
-/// Build of the running program. The program's crate sets it, because a new commit recompiles only
-/// that crate.
+/// The program's crate sets this value, because a new commit recompiles only that crate.
 static RUNNING: OnceLock<Tool> = OnceLock::new();
 
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
@@ -25,7 +24,6 @@ pub struct Tool {
 }
 
 impl Tool {
-    /// Only the first call has an effect.
     pub fn set_running(self) {
         RUNNING.get_or_init(|| self);
     }

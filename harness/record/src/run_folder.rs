@@ -31,14 +31,12 @@ pub enum FolderError {
 pub struct RunFolder {
     path: PathBuf,
     started: Timestamp,
-    /// The open folder. It is locked until the run ends, so that no other process creates a run in
-    /// it.
+    /// The open folder, locked until the run ends, so that no other process uses it.
     _lock: Arc<File>,
 }
 
 impl RunFolder {
-    /// Creates a folder at `path` or, if `path` is `None`, below `runs/`. Fails if the folder
-    /// contains a run.
+    /// Creates a folder at `path` or below `runs/`. Fails if the folder contains a run.
     pub fn create(path: Option<&Path>) -> Result<Self, FolderError> {
         let started = Timestamp::now();
         let path = path.map_or_else(|| Path::new("runs").join(generate_name(started)), Path::to_owned);

@@ -79,8 +79,7 @@ impl RunRecord {
             .filter(|path| *path != own && path.join(RECORD_FILE).exists())
             .filter_map(|path| {
                 let started = read_started(&path).inspect_err(|error| skipped(&path, error)).ok()?;
-                // RFC 3339 in UTC sorts as text. Equal times are accepted, because short runs may
-                // start in the same second.
+                // RFC 3339 in UTC sorts as text. Short runs may start in the same second.
                 (started <= self.started).then_some((started, path))
             })
             .collect();
@@ -108,8 +107,7 @@ pub struct ScenarioSummary {
     pub expectations: Vec<ExpectationRecord>,
 }
 
-/// The keys that decide whether a record is read. They are at its start, and reading stops after
-/// them.
+/// Keys at the start of a record that decide whether the rest is read.
 #[derive(Default)]
 struct Head {
     format: Option<u32>,

@@ -15,8 +15,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// One failure makes the result a failure. Otherwise, one inconclusive verdict or an empty list
-    /// makes it inconclusive.
+    /// Fails if any fails, passes if all pass, and is otherwise, or without any, inconclusive.
     pub fn combine(verdicts: impl IntoIterator<Item = Self>) -> Self {
         verdicts
             .into_iter()

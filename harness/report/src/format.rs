@@ -49,7 +49,7 @@ impl fmt::Display for VerdictCounts {
     }
 }
 
-/// Settings that the command line or the environment overrides: `law = dq-pi, trials = 1`.
+/// Settings that the command line or the environment overrides, as `law = dq-pi, trials = 1`.
 pub(crate) fn overrides(record: &RunRecord) -> Option<String> {
     let overrides = &record.overrides;
     let changed = [
@@ -157,7 +157,7 @@ pub(crate) fn limit_ends(limit: Limit) -> Vec<f64> {
 /// From this number on, windows are counted instead of listed.
 const COUNTED_WINDOWS: usize = 4;
 
-/// The judged windows: `1 … 60 ms`, `1 … 10, 30 … 40 ms` or `12 windows, 1 … 190 ms`.
+/// The judged windows, as `1 … 60 ms`, `1 … 10, 30 … 40 ms` or `12 windows, 1 … 190 ms`.
 pub(crate) fn windows(expectation: &ExpectationRecord) -> Option<String> {
     window_list(&expectation.windows_ms)
 }
@@ -181,7 +181,7 @@ pub(crate) fn window_list(windows_ms: &[[f64; 2]]) -> Option<String> {
     }
 }
 
-/// `never` if the event that the metric times did not happen.
+/// The value, or `never` if the event that the metric times did not happen.
 pub(crate) fn value_or_not_reached(expectation: &ExpectationRecord) -> Option<String> {
     let is_time = unit(expectation.metric) == "ms";
     let missing = match &expectation.reason {
@@ -218,7 +218,7 @@ pub(crate) fn statistic(expectation: &ExpectationRecord) -> String {
     name.to_owned()
 }
 
-/// `1.9 … 1.96 (95 %)`. The range from best to worst trial has no confidence.
+/// The interval, as `1.9 … 1.96 (95 %)`. The range from best to worst trial has no confidence.
 pub(crate) fn interval(expectation: &ExpectationRecord) -> Option<String> {
     let [low, high] = expectation.interval?;
     let confidence = expectation

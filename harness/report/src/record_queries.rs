@@ -7,7 +7,7 @@ pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Optio
     deciding_trial(scenario, index)
 }
 
-/// The trial that decided, or else the first.
+/// The trial that decided the verdict of the expectation, otherwise the first trial.
 pub(crate) fn deciding_trial(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
     let expectation = scenario.expectations.get(index)?;
     let key = scenario.metric_key(index);
@@ -85,7 +85,7 @@ pub(crate) fn slowest_scenario(record: &RunRecord) -> Option<(&ScenarioRecord, f
     timed.max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-/// Files of the scenarios that `--fail-fast` left out.
+/// Files of the scenarios that `--fail-fast` did not play.
 pub(crate) fn unplayed_scenarios(record: &RunRecord) -> Vec<&str> {
     let is_unplayed =
         |scenario: &&ScenarioRecord| record.overrides.fail_fast && record.complete && scenario.trials.is_empty();

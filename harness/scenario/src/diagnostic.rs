@@ -68,7 +68,6 @@ impl Diagnostic {
         (before.matches('\n').count() + 1, column)
     }
 
-    /// `None` if the file was not read.
     pub fn location(&self) -> Option<(usize, usize)> {
         (!self.source.is_empty()).then(|| self.position())
     }

@@ -50,7 +50,6 @@ pub enum Metric {
     /// |W| at the end of the window.
     #[strum(serialize = "final_amplitude_um")]
     FinalAmplitude,
-    /// Largest drive in the window.
     #[strum(serialize = "drive_peak_vpp")]
     DrivePeak,
     /// Share of the time with the drive at the limit of the amplifier.
@@ -66,27 +65,23 @@ pub enum Metric {
     /// Time from a disturbance to 0 V.
     #[strum(serialize = "shutdown_time_ms")]
     ShutdownTime,
-    /// Number of control instants without an answer.
     MissedReplies,
     /// Largest minus smallest value of the signal over the window, relative to the setpoint.
     RipplePercent,
     /// Largest minus smallest value of the signal over the window.
     #[strum(serialize = "ripple_um")]
     Ripple,
-    /// Largest drive while the setpoint is 0. Each judged window starts one period and loop delay
-    /// after the change to 0.
+    /// Largest drive at a setpoint of 0, from one period and loop delay after the change to 0.
     #[strum(serialize = "rest_drive_vpp")]
     RestDrive,
-    /// Largest difference between the signal and that of the first trial at the same control
-    /// instant.
+    /// Largest difference of the signal from that of the first trial at the same instant.
     #[strum(serialize = "trial_difference_um")]
     TrialDifference,
     /// Largest difference between a command and the reference implementation's command for the same
     /// samples, relative to the drive limit (drive) or to the frequency range (frequency).
     #[strum(serialize = "reference_difference_percent")]
     ReferenceDifference,
-    /// Number of message scripts that the controller answers differently from the reference
-    /// implementation.
+    /// Number of message scripts whose answers differ from the reference implementation's.
     ProtocolDifferences,
 }
 
@@ -148,8 +143,7 @@ impl Metric {
         }
     }
 
-    /// True if the key `over` (statistic over trials) applies. The other metrics already compare
-    /// trials.
+    /// True if the key `over` (statistic over trials) applies. The others compare trials already.
     pub const fn has_over(self) -> bool {
         !matches!(self, Self::Repeatability | Self::TrialDifference)
     }
@@ -207,8 +201,7 @@ pub enum Limit {
 }
 
 impl Limit {
-    /// The smallest and the largest value that meet the limit. Only [`Self::About`] uses
-    /// `tolerance_percent`.
+    /// Smallest and largest permitted value. Only [`Self::About`] uses `tolerance_percent`.
     pub fn range(self, tolerance_percent: f64) -> (f64, f64) {
         match self {
             Self::AtMost(high) => (f64::NEG_INFINITY, high),

@@ -23,8 +23,7 @@ pub enum FileKind {
     Requirements,
 }
 
-/// Top-level keys of each kind of file. The first entry with a key that the file contains
-/// determines the kind.
+/// The first entry with a top-level key of the file determines the kind of the file.
 const KEYS: [(FileKind, &[&str]); 6] = [
     (FileKind::Scenario, &["profile", "expect", "controller"]),
     (FileKind::Plan, &["requirement", "ask", "bench"]),

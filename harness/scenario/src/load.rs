@@ -28,14 +28,12 @@ pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
     load_with_all_errors(path, file).map_err(|faults| first_diagnostic(path, faults))
 }
 
-/// Like [`load()`], but returns all errors that are not consequences of others, at most one per
-/// `[[fault]]` and `[[expect]]`.
+/// Like [`load()`], but returns all independent errors, one per `[[fault]]` and `[[expect]]`.
 pub fn load_with_all_errors(path: &Path, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
     load_from(path, file, &[])
 }
 
-/// Loads a scenario whose values can be replaced. `edit` changes the table of the scenario file
-/// first.
+/// Loads a scenario whose values can be replaced. `edit` first changes the scenario's table.
 pub fn load_template(
     path: &Path,
     file: &str,
@@ -65,8 +63,7 @@ fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Ve
     }
     let checker = Checker { path, text: &text, prefix: String::new(), plates: &[] };
     let mut scenario = checker.check(raw, file).map_err(|faults| with_truncation_note(path, faults))?;
-    // The folders above the copies contain no `requirements.toml`. The run record contains the
-    // texts.
+    // The run record contains the texts. There is no `requirements.toml` above the copies.
     if copies.is_empty() {
         let used = scenario.expectations.iter().filter_map(|expectation| expectation.requirement.as_deref());
         scenario.requirement_texts = requirement_texts(path, used)?;

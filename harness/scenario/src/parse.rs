@@ -18,7 +18,6 @@ pub fn parse_file<T: DeserializeOwned>(path: &Path) -> Result<(String, T), Vec<D
     Ok((text, raw))
 }
 
-/// Like [`parse_file`], but for the content of a file that was already read.
 pub fn parse_bytes<T: DeserializeOwned>(path: &Path, bytes: Vec<u8>) -> Result<(String, T), Vec<Diagnostic>> {
     let text = decode_text(path, bytes).map_err(|fault| vec![fault])?;
     let raw = parse(path, &text)?;
@@ -66,8 +65,7 @@ pub(crate) fn with_truncation_note(path: &Path, mut faults: Vec<Diagnostic>) -> 
     faults
 }
 
-/// Removes the element at `span`. Returns false if no element has this span. `own` is the span of
-/// `table`.
+/// Removes the element at `span`; false if no element has it. `own` is the span of `table`.
 fn remove_span(
     table: &mut DeTable<'_>,
     own: &Range<usize>,

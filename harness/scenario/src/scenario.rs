@@ -41,7 +41,6 @@ pub struct Scenario {
     pub faults: Vec<Fault>,
     pub chip_faults: Vec<ChipFault>,
     pub between: Vec<Self>,
-    /// At least one expectation.
     pub expectations: Vec<Expectation>,
     /// Texts from `requirements.toml` by the identifier of the requirement.
     pub requirement_texts: BTreeMap<String, String>,
@@ -110,8 +109,7 @@ impl Scenario {
         self.file.strip_suffix(".toml").unwrap_or(&self.file)
     }
 
-    /// True if one controller plays all trials in order, because its history is part of the
-    /// experiment.
+    /// True if one controller plays all trials in order, because its history is tested.
     pub fn keeps_controller(&self) -> bool {
         !self.between.is_empty() || self.expects(Metric::TrialDifference)
     }
@@ -135,7 +133,6 @@ impl Scenario {
         if model == AUTO_MODEL { Some(Tier::exact_for(plate)) } else { Tier::from_name(model) }
     }
 
-    /// Returns a message if `tier` would omit an effect of `plate`.
     pub fn omitted_effect(tier: Tier, plate: &Plate) -> Option<String> {
         let effect = plate.first_effect().filter(|_| !tier.has_both_poles())?;
         let [auto, modal, carrier] = [AUTO_MODEL, Tier::Modal.name(), Tier::Carrier.name()];

@@ -15,8 +15,7 @@ use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::json;
 
-/// Schema of a TOML file that serde reads as `T`. An optional key may be absent; TOML has no
-/// `null`.
+/// Schema of a TOML file. An optional key may be absent but not `null`, which TOML lacks.
 pub fn schema_of<T: JsonSchema>(title: &str) -> Schema {
     let mut schema = schemars::generate::SchemaSettings::draft2020_12().into_generator().into_root_schema_for::<T>();
     schema.insert("title".to_owned(), title.into());
@@ -131,8 +130,7 @@ fn required_for_rule(key: &str, name: &str, needed: &str) -> Schema {
     rule(key, &json!({ "const": name }), &required(needed))
 }
 
-/// `properties` contains the key, because validators in strict mode reject a required key without a
-/// property.
+/// Validators in strict mode reject a required key that is not in `properties`.
 fn required(key: &str) -> Schema {
     json_schema!({ "required": [key], "properties": { (key): true } })
 }

@@ -9,8 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 /// Number of the random stream. The sensor's noise has another stream, so that either one can be
 /// switched off without a change of the other.
 const SPREAD_STREAM: u64 = 1;
-/// Largest deviation of a factor from 1. The largest permitted spread of 20 % reaches it at 4.5
-/// standard deviations.
+/// Largest deviation of a factor from 1: 4.5 standard deviations of the largest spread, 20 %.
 const MAX_DEVIATION: f64 = 0.9;
 
 #[derive(Debug, Clone, Copy, PartialEq)]

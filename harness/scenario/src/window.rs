@@ -39,8 +39,7 @@ impl ChangingProfile {
 
 #[derive(Debug, Clone)]
 pub(crate) struct ProfileChanges {
-    /// Instants before the end of the trial at which setpoint, force and temperature change, in
-    /// rising order.
+    /// Instants at which setpoint, force and temperature change, in rising order.
     starts: [Vec<Time>; 3],
     all: Vec<Time>,
     duration: Time,
@@ -70,8 +69,7 @@ impl ProfileChanges {
         }
     }
 
-    /// Windows from each change of `profile` to the next change of any profile or the end of the
-    /// trial.
+    /// Windows from each change of `profile` to the next change of any profile or the end.
     pub(crate) fn windows(&self, profile: ChangingProfile) -> impl Iterator<Item = Window> + '_ {
         self.starts(profile).iter().map(|&from| {
             let next = self.all.get(self.all.partition_point(|start| *start <= from));

@@ -19,8 +19,7 @@ const NOISE_DEVIATIONS: f64 = 25.0;
 /// Least length of each third of the time after the last event, in control periods.
 const MIN_PERIODS: f64 = 10.0;
 const MIN_SIDE_CHANGES: u32 = 3;
-/// From this ratio of the last swing to the one before, the loop does not decay. At 0.98, the decay
-/// takes about a hundred thirds.
+/// With this ratio of a swing to the one before, the decay takes about a hundred thirds.
 const MIN_DECAY_RATIO: f64 = 0.98;
 /// Replaces `MIN_DECAY_RATIO` if the drive switches between 0 V and its limit in both thirds,
 /// because the effect of clipping varies.
@@ -33,8 +32,7 @@ pub(crate) fn detect_divergence(scenario: &Scenario, rows: &[Row], telemetry: &T
     commanded.or_else(|| divergence_time_s(scenario, rows).map(|at_s| Divergence { at_s, is_non_finite: false }))
 }
 
-/// Instant at which the loop left the band for good; `None` if it converges or the trace is too
-/// short.
+/// Instant at which the loop left the band for good. `None` if it converges or the trace is short.
 pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
     let period = scenario.controller.period.seconds();
     let held = rows.get(row_after_last_event(scenario, rows)..)?;
@@ -50,8 +48,7 @@ pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
     let (second, last_third) = (cut(first.t_s + third), cut(last.t_s - third));
     let thirds = [held.get(second..last_third)?, held.get(last_third..)?];
     let deviation = |row: &Row| row.amplitude_um - setpoint;
-    // A constant offset is outside the band too. Therefore the swing itself must be wider than the
-    // band.
+    // A constant offset is outside the band too, so the swing itself must be wider.
     let leaves = |rows: &&[Row]| {
         let span = |(low, high): (f64, f64), row: &Row| (low.min(deviation(row)), high.max(deviation(row)));
         let (low, high) = rows.iter().fold((f64::INFINITY, f64::NEG_INFINITY), span);
@@ -67,8 +64,7 @@ pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
         MIN_DECAY_RATIO
     };
     let [before, after] = thirds.map(|rows| standard_deviation(rows, &deviation));
-    // If the frequency loop oscillates, the amplitude stays below the setpoint, but Wq changes its
-    // sign.
+    // An oscillating frequency loop keeps the amplitude low, but Wq changes its sign.
     let swings = |signal: &dyn Fn(&Row) -> f64| {
         thirds.iter().all(|rows| count_side_changes(rows, reach, signal) >= MIN_SIDE_CHANGES)
     };

@@ -5,11 +5,9 @@ use platebench_record::{Exclusion, Telemetry};
 use platebench_scenario::{Metric, Scenario};
 use platebench_trace::{Flags, Row};
 
-/// Tolerated clock error: twice that of an on-chip oscillator, 1 %. A wrongly configured timer is
-/// off by a factor.
+/// Twice the error of an on-chip oscillator, 1 %. A wrongly configured timer is off by a factor.
 const CLOCK_TOLERANCE_PPM: f64 = 20_000.0;
-/// Tolerated stall of the computer at the start or at the end of a trial, which falsifies the
-/// measured clock.
+/// Longest stall of the computer that may falsify the measured clock.
 const STALL_S: f64 = 0.05;
 /// Instants are rounded to whole nanoseconds.
 const INSTANT_ROUNDING_S: f64 = 0.5e-9;

@@ -41,7 +41,6 @@ pub fn judge_sequentially(scenario: &Scenario, trials: &[TrialMeasures]) -> Sequ
     }
 }
 
-/// Judges the trials that were played, even if some are missing.
 pub fn judge(scenario: &Scenario, trials: &[TrialMeasures]) -> Judgement {
     let trials = sorted_by_index(trials);
     judge_at_deciding_look(scenario, &trials).unwrap_or_else(|next| judge_at_look(scenario, &trials, next))

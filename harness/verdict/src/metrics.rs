@@ -53,8 +53,7 @@ fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry)
     worst.map_or(Measure::Undefined(UndefinedValue::EmptyWindow), |(_, measure)| measure)
 }
 
-/// Rank and distance from the limit. Ranks from 0 to 3: good value, undefined, value that breaks
-/// the limit, missing.
+/// Rank (0 good, 1 undefined, 2 breaks the limit, 3 missing) and distance from the limit.
 fn severity(expectation: &Expectation, measure: &Measure) -> (u8, f64) {
     let (lowest, highest) = expectation.range();
     match measure {
@@ -62,8 +61,7 @@ fn severity(expectation: &Expectation, measure: &Measure) -> (u8, f64) {
         Measure::Undefined(_) => (1, 0.0),
         Measure::Samples(_) => (0, 0.0),
         Measure::Value(value) | Measure::Interval([_, value]) => {
-            // The absolute value matters for the static error only, because other values are not
-            // negative.
+            // The static error has a sign; other values are not negative.
             let exceedance = (lowest - value.abs()).max(value.abs() - highest);
             (if exceedance > 0.0 { 2 } else { 0 }, exceedance)
         }
@@ -129,7 +127,6 @@ fn measure_window(
     Ok(Measure::Value(value))
 }
 
-/// Metrics that the controller of a real plate cannot report.
 const fn unknown_on_a_real_plate(metric: Metric) -> Option<UndefinedValue> {
     match metric {
         Metric::FrequencyError => Some(UndefinedValue::UnknownResonance),

@@ -52,8 +52,7 @@ pub(crate) fn find_exclusion(scenario: &Scenario, rows: &[Row], record: Option<&
         .or_else(|| wrong_setpoint(scenario, rows))
 }
 
-/// The drive that a real plate needs is unknown, so every saturation excuses a metric that a drive
-/// limits.
+/// The drive that a real plate needs is unknown, so every saturation is an excuse.
 pub(crate) fn saturation_excuse(expectation: &Expectation, rows: &[Row]) -> Option<Excuse> {
     let saturated = rows.iter().find(|row| row.flags.contains(Flags::SATURATED))?;
     is_drive_limited(expectation.metric).then(|| Excuse::SaturatedRealPlate { at_ms: rounded_ms(saturated.t_s) })
@@ -132,8 +131,7 @@ fn range_around(profile: &Profile, t_s: f64, within: Time) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
 }
 
-/// Values of `profile` at its points from `within` before `t_s` to `within` after it, and at both
-/// ends.
+/// Values of `profile` at both ends of `t_s` ± `within` and at its points in between.
 fn values_around(profile: &Profile, t_s: f64, within: Time) -> Vec<f64> {
     let time = Time::from_seconds(t_s).unwrap_or(Time::ZERO);
     let (from, to) = (time.since(within), time + within);

@@ -90,8 +90,7 @@ pub struct Replay {
     pub rig: String,
     pub firmware: String,
     pub law: &'static str,
-    /// Replies in the order of the steps; `None` without a reply. Shorter if the session ended
-    /// early.
+    /// In the order of the steps; `None` without a reply. Shorter if the session ended early.
     pub replies: Vec<Option<ReplayCommand>>,
     pub telemetry: Telemetry,
     pub rig_lost: bool,

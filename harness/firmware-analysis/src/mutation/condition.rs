@@ -16,7 +16,6 @@ const ALWAYS: u16 = 14;
 
 type Code = (u16, Option<u16>);
 
-/// Negates the condition, for example `EQ` to `NE`.
 pub(super) fn negate(instruction: &Instruction) -> Option<Code> {
     match (condition(instruction), instruction.second) {
         (Some(condition), _) => Some(with_condition(instruction, condition ^ 1)),
@@ -61,8 +60,7 @@ fn with_condition(instruction: &Instruction, condition: u16) -> Code {
         return (first & !0x03C0 | condition << 6, Some(second));
     }
     let Some((old, mask)) = it_condition(instruction) else { return (first & !0x0F00 | condition << 8, None) };
-    // The mask contains bit 0 of each further condition. These bits change too, so that the pattern
-    // of `then` and `else` stays.
+    // The mask contains bit 0 of each further condition, so these bits change too.
     let last = mask & mask.wrapping_neg();
     let mask = if (old ^ condition) & 1 == 1 { !mask & 0xF & !(last | (last - 1)) | last } else { mask };
     (first & 0xFF00 | condition << 4 | mask, None)

@@ -27,8 +27,7 @@ pub struct MutationConfig {
     pub filter: MutantFilter,
     /// Number of mutants to draw at random. `None` tests all mutants.
     pub sample: Option<usize>,
-    /// The measurement ends when the 95 % interval of the score is at most this wide, in percentage
-    /// points.
+    /// Stops at this width of the 95 % interval of the score, in percentage points.
     pub until_width: Option<f64>,
     pub seed: u64,
     pub jobs: usize,

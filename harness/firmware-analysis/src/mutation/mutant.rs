@@ -21,8 +21,7 @@ pub enum Operator {
     RemovedCall,
     #[strum(serialize = "removed store")]
     RemovedStore,
-    /// Removes `SSAT`, `USAT`, and conditional moves after a comparison of floats, to which `clamp`
-    /// compiles.
+    /// Removes `SSAT`, `USAT` and the conditional moves to which `clamp` of floats compiles.
     #[strum(serialize = "removed saturation")]
     RemovedSaturation,
 }

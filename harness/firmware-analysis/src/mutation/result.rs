@@ -79,12 +79,10 @@ impl Score {
         })
     }
 
-    /// Score in percent; 100 if there are no mutants.
     pub fn percent(self) -> f64 {
         if self.valid == 0 { 100.0 } else { f64::from(self.detected) / f64::from(self.valid) * 100.0 }
     }
 
-    /// 95 % interval of the score in percent.
     pub fn interval(self) -> Option<[f64; 2]> {
         let bounds = clopper_pearson(self.detected, self.valid, ONE_SIDED_CONFIDENCE)?;
         Some(bounds.map(|bound| bound * 100.0))
@@ -117,8 +115,7 @@ impl MutationReport {
         self.score_if(|result| result.mutant.in_control_step)
     }
 
-    /// Like [`Self::score_of_control_step`], without survivors that change no drive and no
-    /// frequency.
+    /// Like `score_of_control_step`, without survivors that change no drive and no frequency.
     pub fn score_of_changed_control_step(&self) -> Score {
         let is_same = |status: &Status| matches!(status, Status::Survived { same_commands: true, .. });
         self.score_if(|result| result.mutant.in_control_step && !is_same(&result.status))

@@ -159,8 +159,7 @@ fn finds_earlier_runs_in_neighbouring_folders() {
     fs::create_dir(runs.path().join("damaged")).unwrap();
     fs::write(runs.path().join("damaged").join(RECORD_FILE), "{}").unwrap();
     let skipped = std::cell::RefCell::new(Vec::new());
-    // The start of a record determines whether the rest is read. This start is valid, so the rest
-    // is read and rejected.
+    // The start of this record is valid, so the rest is read too, and is rejected.
     let cut = RunRecord { started: "2026-01-01T00:00:05Z".to_owned(), ..record.clone() };
     fs::create_dir(runs.path().join("cut")).unwrap();
     let text = serde_json::to_string_pretty(&cut).unwrap();

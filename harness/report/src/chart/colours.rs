@@ -1,11 +1,11 @@
 //! Defines every colour once, for light and dark. Pages use CSS variables. SVG files contain
 //! values, because not every viewer of SVG supports variables.
 
-/// One rule per line.
+/// One rule per line, because `document_style` selects lines.
 pub(crate) const RULES: &str = include_str!("roles.css");
 
-/// Name, light, dark. The series have the colour-blind palette of Okabe and Ito, darkened and
-/// lightened.
+/// Name, light value and dark value. The series have the palette of Okabe and Ito for colour-blind
+/// readers, darkened for light and lightened for dark.
 const VALUES: [(&str, &str, &str); 39] = [
     ("page", "#f6f6f3", "#121518"),
     ("card", "#fff", "#1a1e23"),
@@ -59,7 +59,7 @@ pub(crate) fn variables() -> String {
     )
 }
 
-/// The rules that the elements of `body` need, with values in place of variables.
+/// Rules for the classes that occur in `body`, with values in place of variables.
 pub(crate) fn document_style(body: &str) -> String {
     let is_needed = |rule: &&str| {
         let class = rule.strip_prefix('.').and_then(|rule| rule.split_whitespace().next());

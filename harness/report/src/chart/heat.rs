@@ -4,7 +4,7 @@ use super::svg::{Canvas, DrawArea, DrawResult, Role, UNITS_PER_PIXEL, count_fact
 use crate::error::ReportError;
 use plotters::style::text_anchor::HPos;
 
-/// CSS pixels; two panels fit on a page, one on a telephone.
+/// Width and height, CSS pixels. A page is two panels wide, a telephone one.
 const PANEL_SIZE: (i32, i32) = (360, 280);
 const LEFT: i32 = 64;
 const TOP: i32 = 36;
@@ -25,7 +25,7 @@ pub struct HeatPanel {
     pub title: String,
     pub x: HeatAxis,
     pub y: HeatAxis,
-    /// By row (y) and then by column (x).
+    /// Values by row (y) and then by column (x).
     pub values: Vec<Vec<Option<f64>>>,
 }
 
@@ -65,7 +65,7 @@ impl HeatFigure {
         (PANEL_SIZE.0 * count_factor(columns), height, height + legend_lines * LEGEND_LINE_HEIGHT)
     }
 
-    /// Left, top, width and height of a cell, as shares of the drawing. `None` without such a cell.
+    /// Left, top, width, height of a cell, as shares of the drawing. `None` if it does not exist.
     pub fn cell_area(&self, panel: usize, column: usize, row: usize) -> Option<[f64; 4]> {
         let [(left, bottom), (right, top)] = cell_corners(self.panels.get(panel)?, column, row);
         let (width, _, height) = self.size();
@@ -151,7 +151,6 @@ fn cell_corners(panel: &HeatPanel, column: usize, row: usize) -> [(i32, i32); 2]
     [(x(column), y(row)), (x(column + 1), y(row + 1))]
 }
 
-/// At most [`MAX_TICKS`] positions, beginning with the first one.
 fn ticks(count: usize) -> impl Iterator<Item = usize> {
     (0..count).step_by(count.div_ceil(MAX_TICKS).max(1))
 }
@@ -188,7 +187,7 @@ mod tests {
     #[test]
     fn draws_a_rectangle_per_value_and_no_missing_one() {
         let svg = figure(vec![vec![Some(0.0), None], vec![Some(1.0), Some(f64::NEG_INFINITY)]]).svg().unwrap();
-        // The lowest class twice and the highest once, each once more in the legend.
+        // The lowest class occurs twice and the highest once, each once more in the legend.
         assert_eq!((svg.matches("class=\"f-radius-9\"").count(), svg.matches("class=\"f-radius-0\"").count()), (3, 2));
         assert!(svg.contains("finger_force_n, N") && svg.contains("dq-pi"));
     }

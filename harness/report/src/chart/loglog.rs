@@ -30,7 +30,7 @@ pub struct LogLogChart {
     pub title: String,
     pub x_label: String,
     pub y_label: String,
-    /// The first is in front.
+    /// The first series is drawn in front.
     pub series: Vec<LogLogSeries>,
     /// x and name of a dashed line.
     pub vertical_line: Option<(f64, String)>,
@@ -49,7 +49,7 @@ impl LogLogChart {
             series.points.iter().map(|point| point.1).chain(series.failed.clone()).collect::<Vec<_>>()
         };
         let ys = decades(self.series.iter().flat_map(costs));
-        // One more decade at the right for settings without a result.
+        // The x axis has one more decade at the right for settings without a result.
         let has_failed = self.series.iter().any(|series| !series.failed.is_empty());
         let edge = xs.end * 10.0_f64.sqrt();
         let right = if has_failed { xs.end * 10.0 } else { xs.end };
@@ -122,7 +122,6 @@ impl LogLogChart {
     }
 }
 
-/// A series that repeats a colour has rings instead of dots.
 fn repeats_a_colour(number: usize) -> bool {
     number >= COLOURS
 }

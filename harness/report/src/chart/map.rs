@@ -19,16 +19,16 @@ pub struct RigDelay {
     pub longest_ms: f64,
 }
 
-/// One law, operating condition and response time. Periods and delays are ascending, evenly spaced
-/// and at least two.
+/// Results of one law, operating condition and response time. Periods and delays are ascending and
+/// evenly spaced, at least two of each.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MapPanel {
     pub title: String,
     pub periods_ms: Vec<f64>,
     pub delays_ms: Vec<f64>,
-    /// Spectral radius by period and then by delay.
+    /// Spectral radius of the loop by period and then by delay. The loop is unstable from 1 on.
     pub radius: Vec<Vec<f64>>,
-    /// By period and then by delay; `None` if the response does not settle.
+    /// Settling time by period and then by delay; `None` if the response does not settle.
     pub settling_ms: Vec<Vec<Option<f64>>>,
     /// Period and delay of the measured boundary of stability, ms.
     pub measured: Vec<(f64, f64)>,
@@ -156,7 +156,7 @@ fn settling_class(settling_ms: Option<f64>) -> usize {
     edge.unwrap_or(CLASS_EDGES.len())
 }
 
-/// Joins rows of the same class: class, first row, last row.
+/// Joins neighbouring rows of the same class to (class, first row, last row).
 fn class_runs(settling_ms: &[Option<f64>]) -> Vec<(usize, usize, usize)> {
     let mut runs: Vec<(usize, usize, usize)> = Vec::new();
     for (row, settling) in settling_ms.iter().enumerate() {

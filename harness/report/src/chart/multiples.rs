@@ -5,7 +5,7 @@ use super::svg::{Canvas, DrawResult, Role, count_factor, logarithmic_extent, svg
 use crate::error::ReportError;
 use plotters::style::text_anchor::HPos;
 
-/// CSS pixels, like all lengths below.
+/// Width and height. All lengths below are in CSS pixels.
 const PANEL_SIZE: (i32, i32) = (216, 150);
 const HEAD: i32 = 62;
 const LEFT: i32 = 34;
@@ -22,7 +22,7 @@ const NO_VALUE_HEIGHT: i32 = 7;
 pub struct MultiplesPoint {
     pub series: usize,
     pub setting: usize,
-    /// Above 0. Without a value the point lies on the upper edge.
+    /// Value above 0. A point without a value lies on the upper edge.
     pub value: Option<f64>,
     pub is_hollow: bool,
 }
@@ -36,7 +36,7 @@ pub struct MultiplesChart {
     pub series: Vec<String>,
     pub rows: Vec<String>,
     pub columns: Vec<String>,
-    /// Meaning of the upper edge.
+    /// Text for points on the upper edge.
     pub edge_label: String,
     pub hollow_label: String,
     /// Points by row and then by column.
@@ -98,8 +98,7 @@ impl MultiplesChart {
         for (setting, text) in self.settings.iter().enumerate() {
             canvas.text(Role::Text, HPos::Center, (centre(setting) as i32, bottom + 11), text)?;
         }
-        // Points of different series are next to each other, so that equal values do not hide each
-        // other.
+        // Points of different series are side by side, so that equal values stay visible.
         let step = 0.8 * width / self.series.len().max(1) as f64;
         for point in points {
             let offset = (point.series as f64 - (self.series.len() as f64 - 1.0) / 2.0) * step;
@@ -152,7 +151,7 @@ mod tests {
         MultiplesPoint { series, setting: 1, value, is_hollow: false }
     }
 
-    /// Heights of the points of a series, the last one is that of the legend.
+    /// Heights of the points of a series. The last point is that of the legend.
     fn heights(svg: &str, series: usize) -> Vec<i64> {
         let circles = svg.split("<circle").filter(|part| part.contains(&format!("f-series-{series}\"")));
         circles.map(|part| part.split("cy=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap()).collect()

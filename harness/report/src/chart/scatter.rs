@@ -9,7 +9,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 use std::ops::Range;
 
-/// CSS pixels, like all lengths below.
+/// All lengths below are in CSS pixels.
 const WIDTH: i32 = 900;
 const PLOT_HEIGHT: i32 = 250;
 const MARGIN_TOP: i32 = 84;
@@ -19,7 +19,7 @@ const MARGIN_RIGHT: i32 = 330;
 const TITLE_HEIGHT: i32 = 30;
 const LINE_HEIGHT: i32 = 19;
 const RADIUS: f64 = 5.0;
-/// Corners in units of the radius; the first shape is almost a circle.
+/// Corners of the shapes in units of the radius. The first shape is almost a circle.
 const SHAPES: [&[(f64, f64)]; 5] = [
     &[
         (1.0, 0.0),
@@ -45,7 +45,7 @@ const SHAPES: [&[(f64, f64)]; 5] = [
 pub struct ScatterPoint {
     pub colour: usize,
     pub shape: usize,
-    /// Without a value the point lies at the right edge.
+    /// A point without a value lies at the right edge.
     pub x: Option<f64>,
     pub y: f64,
 }
@@ -66,7 +66,7 @@ pub struct ScatterChart {
     pub title: String,
     pub x_label: String,
     pub colours: Vec<String>,
-    /// Meaning of the right edge.
+    /// Text for points at the right edge.
     pub edge_label: String,
     pub panels: Vec<ScatterPanel>,
 }
@@ -131,7 +131,7 @@ impl ScatterChart {
             let label = format!("≤ {}", format_power_of_ten(panel.floor));
             canvas.text(Role::Text, HPos::Right, (MARGIN_LEFT - 8, MARGIN_TOP + PLOT_HEIGHT), &label)?;
         }
-        // Names of neighbouring limits have different heights.
+        // Names of neighbouring limits have different heights, so that they do not overlap.
         let mut x_limits = panel.x_limits.clone();
         x_limits.sort_by(|a, b| a.0.total_cmp(&b.0));
         for (number, (x, name)) in x_limits.iter().enumerate() {
@@ -207,7 +207,6 @@ fn padded_range(values: impl Iterator<Item = f64>) -> Range<f64> {
     logarithmic_extent(values).map_or(0.5..20.0, |(low, high)| low / 1.4..high * 1.4)
 }
 
-/// 1, 2 and 5 times powers of ten within a range.
 fn ticks(range: &Range<f64>) -> Vec<f64> {
     let decades = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
     let of_decade = |decade: i32| {
@@ -243,7 +242,7 @@ mod tests {
         }
     }
 
-    /// The first corners of a colour's shapes, the legend's last.
+    /// First corner of each shape with this colour. The last shape is that of the legend.
     fn corners(svg: &str, colour: usize) -> Vec<(i64, i64)> {
         let class = format!("<path class=\"f-series-{colour}\" d=\"m");
         let first = |path: &str| {

@@ -17,9 +17,9 @@ const ZERO_AREA_RATIO: f64 = 10.0;
 #[derive(Debug, Clone, PartialEq)]
 pub struct StripRow {
     pub name: String,
-    /// Drawn as a stroke across the line.
+    /// Limit, drawn as a stroke across the line.
     pub limit: Option<f64>,
-    /// Colour and value. 0 lies at the left edge.
+    /// Colour and value of each mark. A value of 0 lies at the left edge.
     pub values: Vec<(usize, f64)>,
     /// The value with this colour has a ring.
     pub chosen_colour: usize,
@@ -75,8 +75,8 @@ impl StripChart {
                 let half = LINE_HEIGHT / 2 - 1;
                 canvas.rectangle(Role::Shape, [(column(limit) - 1, y - half), (column(limit) + 1, y + half)])?;
             }
-            // The first circle is the smallest and is drawn last, so that circles with the same
-            // value are all visible.
+            // The circle of the first colour is the smallest and is drawn last, so that circles
+            // with the same value are all visible.
             for (colour, value) in row.values.iter().filter(|(_, value)| value.is_finite()).rev() {
                 let (at, role) = ((column(*value), y), Role::Series(*colour));
                 canvas.circle(role, at, 2.5 + f64::from(count_factor(*colour)))?;

@@ -57,7 +57,7 @@ pub(crate) enum Role {
     Radius(usize),
 }
 
-/// Higher numbers of series and radii begin again with the first colour.
+/// Number of colours. Higher numbers of series and radii begin again with the first colour.
 pub(crate) const COLOURS: usize = 10;
 
 impl Role {
@@ -157,7 +157,6 @@ impl Canvas<'_, '_> {
     }
 }
 
-/// Converts CSS pixels to units of the drawing.
 pub(crate) fn length(pixels: f64) -> i32 {
     (pixels * f64::from(UNITS_PER_PIXEL)).round() as i32
 }
@@ -173,7 +172,7 @@ pub(crate) fn text_style(role: Role, side: HPos) -> TextStyle<'static> {
     TextStyle { color: role.colour().to_backend_color(), ..style }
 }
 
-/// More items are not drawn to scale.
+/// A chart with more items is not drawn to scale.
 const MAX_COUNT: i32 = 20_000;
 
 pub(crate) fn count_factor(count: usize) -> i32 {
@@ -195,7 +194,7 @@ pub(crate) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
 }
 
 pub(crate) fn format_power_of_ten(value: f64) -> String {
-    // A whole number has no −0.
+    // The conversion to a whole number removes the sign of −0.
     let digits = (value.log10().round() as i64).to_string();
     let raised = |digit| match digit {
         '-' => '⁻',

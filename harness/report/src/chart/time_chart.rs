@@ -28,7 +28,6 @@ impl TimeWindow {
         self.to_ms - self.from_ms
     }
 
-    /// True for at least 80 % of `whole`.
     pub(crate) fn covers_most_of(self, whole: Option<Self>) -> bool {
         whole.is_some_and(|whole| self.span_ms() >= 0.8 * whole.span_ms())
     }
@@ -106,7 +105,7 @@ impl TimeChart {
         for (role, points) in &self.lines {
             chart.draw_series([PathElement::new(points.clone(), role.colour())])?;
         }
-        // A settled response leaves room right of early marks and left of late ones.
+        // Right of early marks and left of late ones, a settled response leaves room for text.
         let text_beside = |role: Role, text: &str, (at_ms, value): CurvePoint, distance: f64| {
             let is_left = at_ms - self.window.from_ms < 0.55 * self.window.span_ms();
             let (side, shift) = if is_left { (HPos::Left, distance) } else { (HPos::Right, -distance) };
@@ -130,7 +129,6 @@ impl TimeChart {
     }
 }
 
-/// The range of all values with a margin of 6 %.
 pub(crate) fn padded_range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let (low, high) = extent(values).unwrap_or((f64::MAX, f64::MIN));
     let margin = ((high - low) * 0.06).max(f64::EPSILON);

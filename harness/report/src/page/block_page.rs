@@ -45,7 +45,7 @@ pub enum PageBlock {
     Drawings(Vec<(String, String)>),
     LinkedDrawings(Vec<LinkedDrawing>),
     Table(Table),
-    /// The first cell of a row opens the page of the row, if there is one.
+    /// The first cell of a row links to the page of the same index, if there is one.
     LinkedTable(Table, Vec<Option<String>>),
     /// A link to a file in the page's folder.
     File(String),

@@ -6,7 +6,6 @@ use crate::text::cost;
 use maud::{Markup, html};
 use platebench_record::{CostTrend, EarlierCost, RunRecord};
 
-/// Empty if the rig counts no instructions.
 pub(super) fn section(record: &RunRecord) -> Markup {
     html! {
         @if !record.cost.is_empty() {

@@ -29,7 +29,7 @@ pub(crate) const fn unit(column: Column) -> &'static str {
     }
 }
 
-/// True for values that hold until the next row. The plate moves between rows.
+/// True for values that stay constant until the next row. Other signals are interpolated.
 pub(crate) const fn is_zero_order_hold(column: Column) -> bool {
     matches!(column, Column::Setpoint | Column::Drive | Column::Frequency)
 }

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
 const QUANTISATION_STEPS: f64 = 65_535.0;
 
-/// Returns the lowest value, the height of a step and the encoded differences.
+/// Returns the lowest value, the size of a step and the encoded differences.
 pub(crate) fn encode_values(values: impl IntoIterator<Item = Option<f64>>) -> Value {
     let values: Vec<Option<f64>> = values.into_iter().map(|value| value.filter(|value| value.is_finite())).collect();
     let known = || values.iter().flatten();
@@ -91,7 +91,7 @@ mod tests {
         assert_eq!(encode_values([]), json!([0.0, 0.0, ""]));
         assert_eq!(encode_values([None, Some(f64::NAN)]), json!([0.0, 0.0, "!!"]));
         assert_eq!(encode_values([Some(2.0), Some(2.0)]), json!([2.0, 0.0, "AA"]));
-        // 65 535 and back, lowest digit first.
+        // The differences are 65 535 and −65 535, each with its lowest digit first.
         assert_eq!(encode_values([Some(0.0), Some(1.0), Some(0.0)])[2], "A+//D//D".replace("//D//D", "//D///D"));
     }
 

@@ -3,7 +3,7 @@
 use crate::chart::svg::Role;
 use crate::chart::time_chart::{CurvePoint, Mark, TimeChart, TimeWindow};
 
-/// One value per instant of the grid.
+/// One value per instant of the time grid; `None` for a missing value.
 pub(crate) type SampledLine = Vec<Option<f64>>;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -14,7 +14,7 @@ pub(crate) struct Figure {
     pub(crate) min_span: f64,
     /// True for a stimulus, which shares the time axis of the figure above it.
     pub(crate) is_stimulus: bool,
-    /// From the back to the front.
+    /// Layers from the back to the front.
     pub(crate) layers: Vec<Layer>,
 }
 
@@ -67,7 +67,7 @@ impl Figure {
         }
     }
 
-    /// `t_ms` are the instants of the grid. A line has about `limit` points at most.
+    /// `t_ms` contains the instants of the time grid. Each line is reduced to about `limit` points.
     pub(crate) fn chart(&self, t_ms: &[f64], window: TimeWindow, limit: usize) -> TimeChart {
         let points = |line: &SampledLine, is_stepped| line_points(t_ms, line, is_stepped, window, limit);
         let mut chart = TimeChart::new(window, (0.0, 1.0), self.unit);

@@ -19,12 +19,12 @@ pub(crate) struct SampledTube {
     pub(crate) edges: [Vec<Option<f64>>; 2],
 }
 
-/// Empty without a baseline, or if the response stays inside the tubes.
+/// Differences from the baseline. Empty if there is none, or if the response is inside its tubes.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct GoldenDifference {
     /// The worst exceedance of each signal that leaves its tube.
     pub(crate) exceedances: Vec<Exceedance>,
-    /// Feature, golden value, value of this run; only those that differ.
+    /// Name, golden value and value of this run of each feature that differs.
     pub(crate) features: Vec<(&'static str, Option<f64>, Option<f64>)>,
 }
 
@@ -42,7 +42,6 @@ impl GoldenDifference {
 }
 
 impl GoldenCurves {
-    /// `None` if no baseline was accepted.
     pub(crate) fn read(folder: &Path, file: &str, grid: &TimeGrid) -> Result<Option<Self>, BaselineError> {
         Ok(Baseline::read(folder, file)?.map(|accepted| Self::from_baseline(&accepted, grid)))
     }

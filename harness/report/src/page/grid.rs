@@ -11,7 +11,7 @@ pub(crate) struct TimeGrid {
 }
 
 impl TimeGrid {
-    /// About `limit` instants, half of them in `response`. Fewer if all instants of `rows` fit.
+    /// Selects about `limit` instants, half in `response`, or all of `rows` if they are fewer.
     pub(crate) fn new(rows: &[Row], whole: TimeWindow, response: Option<TimeWindow>, limit: usize) -> Self {
         let mut t_ms = Vec::new();
         match response {
@@ -55,7 +55,7 @@ impl AlignedRows<'_> {
     }
 
     /// Keeps every peak. If the signal leaves the range of its values at three neighbouring
-    /// instants, its lowest and highest value replace the first two of them, in order of time.
+    /// instants, its lowest and highest value replace the first two values, in order of time.
     pub(crate) fn sample_peaks(&self, signal: Column) -> Vec<Option<f64>> {
         let mut line = self.sample(signal);
         for start in (0..line.len()).step_by(2) {
@@ -82,8 +82,7 @@ impl AlignedRows<'_> {
     }
 }
 
-/// Both ends and the instants of the rows between them, or `limit` equidistant instants if there
-/// are more rows.
+/// The instants of the rows in `window` with both ends, or `limit` equidistant instants.
 fn window_instants(rows: &[Row], window: TimeWindow, limit: usize) -> Vec<f64> {
     let limit = limit.max(4);
     let inside = curves::points_between(rows, Column::Setpoint, window.from_ms, window.to_ms).map(|(t_ms, _)| t_ms);
@@ -96,7 +95,7 @@ fn window_instants(rows: &[Row], window: TimeWindow, limit: usize) -> Vec<f64> {
     (0..limit).map(|index| window.from_ms + window.span_ms() * index as f64 / last).collect()
 }
 
-/// Interpolates linearly between trials. `None` at instants with fewer than two trials.
+/// Values are interpolated between trials. `None` at instants with fewer than two trials.
 pub(crate) fn percentiles(trials: &[&[Option<f64>]], shares: [f64; 3]) -> [Vec<Option<f64>>; 3] {
     let length = trials.iter().map(|trial| trial.len()).max().unwrap_or(0);
     let mut found: [Vec<Option<f64>>; 3] = std::array::from_fn(|_| Vec::with_capacity(length));

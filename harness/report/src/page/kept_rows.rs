@@ -3,7 +3,7 @@
 use platebench_trace::Row;
 use std::collections::BTreeMap;
 
-/// About 56 MB. The report reads the other traces from their files.
+/// Largest number of kept rows, about 56 MB. The report reads the other traces from their files.
 const MAX_ROWS: usize = 500_000;
 
 #[derive(Debug, Clone, Default)]
@@ -13,7 +13,7 @@ pub struct RowCache {
 }
 
 impl RowCache {
-    /// `trace` is relative to the run folder. Drops the rows if there is no room.
+    /// `trace` is relative to the run folder. Drops rows beyond `MAX_ROWS`.
     pub fn add(&mut self, trace: &str, rows: Vec<Row>) {
         if !rows.is_empty() && self.count + rows.len() <= MAX_ROWS {
             self.count += rows.len();

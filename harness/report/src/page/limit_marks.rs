@@ -23,7 +23,7 @@ pub(crate) struct LimitMark {
     pub(crate) worst: Vec<WorstPoint>,
 }
 
-/// Level `share · base + offset`; without a base only the offset.
+/// A limit with the value `share · base + offset`, or `offset` if there is no base.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Level {
     pub(crate) base: Option<Column>,
@@ -78,7 +78,7 @@ impl LimitMark {
         })
     }
 
-    /// The window if it is short, or else the time around the worst instant.
+    /// The judged window if it is short, otherwise the time around the worst instant.
     pub(crate) fn view(&self, whole: TimeWindow) -> Option<TimeWindow> {
         let around = |from_ms: f64, to_ms: f64| TimeWindow {
             from_ms: from_ms.max(whole.from_ms),
@@ -138,7 +138,7 @@ fn shown_signal(expectation: &ExpectationRecord) -> Option<Column> {
 }
 
 impl WindowResult {
-    /// `rows` are the rows of the window, `before` is the last row before it.
+    /// `rows` are the rows of the window. `before` is the last row before the window.
     fn of(expectation: &ExpectationRecord, signal: Column, before: Option<&Row>, rows: &[Row]) -> Option<Self> {
         let (first, last) = (rows.first()?, rows.last()?);
         let point = |row: &Row| (row.t_s * 1e3, signal.value(row));

@@ -32,8 +32,8 @@ pub(crate) enum Settling {
     },
 }
 
-/// Index of the first settling time that did not pass, else of the first one, else of the first
-/// metric with a band.
+/// Index of the first settling time that did not pass. If there is none, of the first settling
+/// time, then of the first metric with a band.
 pub(crate) fn settling_expectation(scenario: &ScenarioRecord) -> Option<usize> {
     let all = || scenario.expectations.iter().enumerate();
     let settling = || all().filter(|(_, found)| found.metric == Metric::SettlingTime);
@@ -55,14 +55,14 @@ pub(crate) fn settling(scenario: &ScenarioRecord, trial: &TrialRecord, index: us
     }
 }
 
-/// The last setpoint step up to `from_ms`, or the first step.
+/// Instant of the last setpoint step up to `from_ms`, or of the first step.
 fn settling_start_ms(definition: &MetricDefinition, steps_ms: &[f64]) -> Option<f64> {
     let passed = definition.from_ms.map_or(1, |from_ms| steps_ms.partition_point(|step_ms| *step_ms <= from_ms));
     steps_ms.get(passed.saturating_sub(1)).copied()
 }
 
-/// Markers of settling, and for each other metric of the expectations that did not pass, or else of
-/// the first one.
+/// Marker of settling, and for recovery and shutdown markers of the expectations that did not pass
+/// or, if all passed, of the first one.
 pub(crate) fn time_markers(
     scenario: &ScenarioRecord,
     trial: &TrialRecord,

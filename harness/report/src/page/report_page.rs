@@ -173,8 +173,8 @@ impl<'a> ReportPage<'a> {
         indices.map(|index| self.history.trend(self.record, scenario, index)).collect()
     }
 
-    /// Trial of the other run with the index of the trial that this page draws as a line, or else
-    /// its first trial.
+    /// The trial of the other run with the index of the trial that this page draws as a line. If
+    /// there is none, the first trial.
     fn other_run_trial(
         &self,
         scenario: &ScenarioRecord,

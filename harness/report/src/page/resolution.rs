@@ -2,7 +2,7 @@
 
 const MAX_CURVE_CHARS: usize = 2_000_000;
 const MAX_DRAWN_POINTS: usize = 100_000;
-/// Scenarios that did not pass have drawings first.
+/// Largest number of scenarios with drawings. Scenarios that did not pass have them first.
 const MAX_DRAWN_SCENARIOS: usize = 30;
 /// Lines of a scenario besides overlaid trials, such as percentiles, tubes and profiles.
 const OTHER_LINES: usize = 34;
@@ -22,7 +22,7 @@ impl PlotResolution {
     pub(crate) fn of(scenarios: usize, trials: usize) -> Self {
         let scenarios = scenarios.max(1);
         let curves = MAX_CURVE_CHARS / scenarios / CHARS_PER_POINT;
-        // Two figures overlay trials.
+        // Two figures contain the lines of overlaid trials.
         let overlaid = trials.min((curves / 100).saturating_sub(OTHER_LINES) / 2).max(1);
         Self {
             instants: (curves / (OTHER_LINES + 2 * overlaid)).clamp(60, 1_200),

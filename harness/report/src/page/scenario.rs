@@ -76,7 +76,7 @@ fn has_interval(scenario: &ScenarioRecord) -> bool {
     scenario.expectations.iter().any(|expectation| interval(expectation).is_some())
 }
 
-/// `None` if all trials have the same value.
+/// `None` if all trials have the same value, because the interval then adds nothing.
 fn interval(expectation: &ExpectationRecord) -> Option<String> {
     let is_one =
         expectation.statistic == Statistic::Worst && expectation.interval.is_some_and(|[low, high]| low == high);
@@ -156,7 +156,7 @@ fn requirement_texts(scenario: &ScenarioRecord) -> Markup {
     }
 }
 
-/// A response can meet its settling time although it overshoots.
+/// Remarks a large overshoot, because the response can meet its settling time in spite of it.
 fn overshoot_remark(scenario: &ScenarioRecord, data: &TraceData) -> Markup {
     let has_settled = scenario
         .expectations

@@ -87,8 +87,7 @@ impl FigureBuilder<'_> {
         }
     }
 
-    /// Adds percentiles of many trials or the range of few trials, but nothing if all trials are
-    /// equal.
+    /// Adds percentiles of many trials, or the range of few. Equal trials have no spread.
     fn add_spread(&self, figure: &mut Figure, signal: Column, role: Role, name: &str) {
         let lines = self.data.sampled_trials.iter().filter_map(|trial| trial.values.get(&signal).map(Vec::as_slice));
         let lines: Vec<&[Option<f64>]> = lines.collect();
@@ -230,7 +229,6 @@ impl FigureBuilder<'_> {
         figure
     }
 
-    /// Figure of a profile of the scenario; `None` if the profile is zero throughout.
     fn stimulus(&self, signal: Column, title: &'static str) -> Option<Figure> {
         let mut values = self.data.sampled_trials.iter().filter_map(|trial| trial.peak_lines.get(&signal)).flatten();
         values.any(|value| value.is_some_and(|value| value != 0.0)).then(|| {

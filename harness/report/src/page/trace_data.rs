@@ -19,30 +19,28 @@ use std::path::Path;
 /// The page shows this many trials, and those that decided a verdict.
 pub const MAX_TRIALS: usize = 30;
 pub(crate) const TRACE_CHANGED: &str = "changed after the run";
-/// The figures show no further missed expectations.
+/// Largest number of missed expectations whose limits the figures contain.
 const MAX_LIMITS: usize = 6;
 const MAX_OVERRUN_MARKS: usize = 200;
 
 #[derive(Debug, Clone, Default)]
 pub(crate) struct TraceData {
     /// Missed limits, differences from the baseline, the response, and last the whole trial. Empty
-    /// without a trace.
+    /// if there is no trace.
     pub(crate) views: Vec<View>,
     /// Limits of the expectations that did not pass, or else of the one with the smallest margin.
     pub(crate) limits: Vec<LimitMark>,
     /// Index of the trial that is drawn as a line.
     pub(crate) first_trial: u32,
     pub(crate) golden: GoldenDifference,
-    /// Trials except the first that decided missed expectations, with the metrics of these
-    /// expectations.
+    /// Other trials that decided missed expectations, with the metrics of these expectations.
     pub(crate) deciding_trials: Vec<(u32, String)>,
     pub(crate) trial_count: usize,
     pub(crate) markers: Vec<TimeMarker>,
     /// Traces without a plot, each with the reason.
     pub(crate) unreadable: Vec<String>,
     pub(crate) band: Option<Band>,
-    /// Overshoot of the first trial at its first setpoint step, until the finger or the next
-    /// setpoint changes it.
+    /// Overshoot of the first trial before the finger or the next setpoint changes it.
     pub(crate) overshoot_percent: Option<f64>,
     pub(crate) grid: TimeGrid,
     pub(crate) sampled_trials: Vec<SampledTrial>,
@@ -61,9 +59,9 @@ pub(crate) struct View {
 #[derive(Debug, Clone)]
 pub(crate) struct SampledTrial {
     pub(crate) index: u32,
-    /// Keeps every peak.
+    /// Values of each signal, with every peak.
     pub(crate) peak_lines: BTreeMap<Column, Vec<Option<f64>>>,
-    /// Values exactly at the instants of the grid.
+    /// Values of each signal exactly at the instants of the grid.
     pub(crate) values: BTreeMap<Column, Vec<Option<f64>>>,
 }
 

@@ -14,8 +14,7 @@ pub struct SourceLocation {
     pub line: usize,
 }
 
-/// `location` returns the line of the expectation with an index, or that of the scenario without an
-/// index.
+/// `location` returns the line of the expectation with the index or, for `None`, of the scenario.
 pub fn workflow_commands(
     record: &RunRecord,
     location: &dyn Fn(&ScenarioRecord, Option<usize>) -> Option<SourceLocation>,

@@ -47,7 +47,7 @@ pub fn run_table(record: &RunRecord, style: Style) -> String {
     run_text(record, style, Detail::Tables)
 }
 
-/// Ignores a closed pipe.
+/// Prints `text`. A closed pipe is no error.
 pub fn print(text: &str, out: &mut dyn Write) -> io::Result<()> {
     match writeln!(out, "{}", text.trim_end()).and_then(|()| out.flush()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
@@ -60,7 +60,7 @@ fn write_heading(text: &mut String, scenario: &ScenarioRecord, style: Style) {
     let trials = format::count(scenario.trials.len(), "trial");
     let file = style.paint("1", &printable(&scenario.file));
     let verdict = style.paint_verdict(scenario.verdict, &verdict);
-    // All other models are exact.
+    // The other models are exact and are not mentioned.
     let is_simplified = matches!(scenario.model.as_str(), "linear" | "envelope");
     let model = if is_simplified { format!("model {}, ", scenario.model) } else { String::new() };
     let _ = writeln!(text, "{verdict}  {file}  (law {}, {model}{trials})", printable(&scenario.law));

@@ -5,7 +5,7 @@ use platebench_record::CostTrend;
 
 pub(crate) const SHIPPED_IMAGE: &str = "the image that comes with the bench";
 
-/// `3 332 worst (dq-pi), 2.0 % of a period of 1 ms at 168 MHz`
+/// Formats as `3 332 worst (dq-pi), 2.0 % of a period of 1 ms at 168 MHz`.
 pub(crate) fn format_worst(trend: &CostTrend) -> String {
     let worst = format!("{} worst ({})", format_instructions(trend.cost.worst), trend.law);
     let Some(tightest) = trend.tightest else { return worst };
@@ -17,7 +17,7 @@ pub(crate) fn format_worst(trend: &CostTrend) -> String {
     }
 }
 
-/// `30 % more than 2 563 of build 1a2b3c4d`; `None` without a significant change.
+/// Formats as `30 % more than 2 563 of build 1a2b3c4d`. `None` if there is no significant change.
 pub(crate) fn describe_change(trend: &CostTrend) -> Option<String> {
     let change = trend.significant_change()?;
     let direction = if change.percent > 0.0 { "more" } else { "less" };

@@ -3,8 +3,7 @@
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-/// Writes control characters and characters that change the writing direction as escapes such as
-/// `\u{1b}`.
+/// Escapes control characters and changes of the writing direction, for example as `\u{1b}`.
 pub fn printable(text: &str) -> Cow<'_, str> {
     escape(text, is_active)
 }
@@ -59,8 +58,7 @@ pub(crate) fn markdown_cell(text: &str) -> String {
     cell
 }
 
-/// RFC 4180. Writes a `'` before `=`, `+`, `-` and `@`, with which a formula begins in a
-/// spreadsheet.
+/// RFC 4180. A `'` before `=`, `+`, `-` and `@` prevents that a spreadsheet reads a formula.
 pub(crate) fn csv_field(text: &str) -> String {
     let text = printable(text);
     let is_formula = text.starts_with(['=', '+', '-', '@']) && text.parse::<f64>().is_err();
@@ -68,7 +66,6 @@ pub(crate) fn csv_field(text: &str) -> String {
     if text.contains([',', '"']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.into_owned() }
 }
 
-/// Returns one line without directives.
 pub(crate) fn tap_description(text: &str) -> String {
     printable(&text.replace('\\', "\\\\").replace('#', "\\#")).into_owned()
 }

@@ -61,7 +61,7 @@ pub struct PlannedScenario<'a> {
     trials: u32,
 }
 
-/// Ignores a closed pipe.
+/// Writes event lines. A closed pipe is no error.
 pub struct EventWriter {
     out: Box<dyn Write + Send>,
 }

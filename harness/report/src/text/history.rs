@@ -1,5 +1,4 @@
-//! Finds since when an expectation does not pass, in earlier runs with the same kind of rig and the
-//! same law.
+//! Finds since when an expectation does not pass, in earlier runs with the same rig and law.
 
 use super::cost::short_build_id;
 use crate::format;
@@ -29,8 +28,8 @@ struct EarlierExpectation<'a> {
 }
 
 impl RunHistory {
-    /// Earlier results with the same kind of rig and law, the newest first. True if others differ
-    /// in rig or law.
+    /// Earlier results with the same kind of rig and law, the newest first. The flag is true if
+    /// earlier results with another rig or law exist.
     fn comparable(
         &self,
         record: &RunRecord,

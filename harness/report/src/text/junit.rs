@@ -113,7 +113,7 @@ fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>) ->
         if let Some(reason) = &expectation.reason {
             status.set_message(printable(&reason.to_string()).as_ref());
         }
-        // GitLab shows this text.
+        // GitLab displays the description.
         status.set_description(failure_text(expectation));
         status
     });
@@ -137,7 +137,7 @@ fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>) ->
         ("trace", trial.map(|trial| trial.trace.clone())),
     ];
     let lines = properties.into_iter().filter_map(|(name, value)| Some(format!("{name}: {}\n", printable(&value?))));
-    // Jenkins links the file to the case.
+    // Jenkins links the attached file to the test case.
     let attachment = trial.map(|trial| format!("[[ATTACHMENT|{}]]\n", printable(&trial.trace)));
     case.set_system_out(lines.chain(attachment).collect::<String>());
     Some(case)

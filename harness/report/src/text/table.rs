@@ -35,7 +35,7 @@ impl Table {
         format!("{}|{}\n{rows}", line(&self.header), "---|".repeat(self.header.len()))
     }
 
-    /// RFC 4180. Escapes formulas.
+    /// Writes CSV by RFC 4180. Escapes formulas of spreadsheets.
     pub fn csv(&self) -> String {
         let line = |row: &Vec<String>| row.iter().map(|cell| csv_field(cell)).collect::<Vec<_>>().join(",") + "\n";
         std::iter::once(&self.header).chain(&self.rows).map(line).collect()

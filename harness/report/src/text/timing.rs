@@ -3,8 +3,7 @@
 
 use platebench_record::{ScenarioRecord, TimingRecord};
 
-/// States the worst trial for each quantity, and the sum over trials for each count. `None` in
-/// lockstep.
+/// States the worst value of each quantity and the sum of each count. `None` in lockstep.
 pub(crate) fn summary(scenario: &ScenarioRecord) -> Option<String> {
     let trials: Vec<&TimingRecord> =
         scenario.trials.iter().filter_map(|trial| trial.telemetry.timing.as_deref()).collect();

@@ -33,7 +33,7 @@ pub(crate) struct Browser {
 }
 
 impl Browser {
-    /// `None`, with a message, if the driver is neither installed nor required.
+    /// Prints a message and returns `None` if the driver is neither installed nor required.
     pub(crate) fn start_if_installed(options: BrowserOptions) -> Option<Self> {
         match Command::new(PROGRAM).arg("--version").stdin(Stdio::null()).output() {
             Ok(_) => Some(Self::start(options)),
@@ -57,7 +57,7 @@ impl Browser {
         let output = driver.stdout.take().unwrap();
         let driver = ChildGuard(driver);
         let (sender, receiver) = mpsc::channel();
-        // Ends when the driver closes its output.
+        // The thread ends when the driver closes its output.
         thread::spawn(move || {
             for line in BufReader::new(output).lines().map_while(Result::ok) {
                 // An earlier line names the requested port 0.
@@ -134,7 +134,7 @@ impl Browser {
         }
     }
 
-    /// In coordinates of the window.
+    /// Both positions are in coordinates of the window.
     pub(crate) fn drag(&self, from: (f64, f64), to: (f64, f64)) {
         let pointer_to =
             |(x, y): (f64, f64)| json!({ "type": "pointerMove", "duration": 50, "x": x.round(), "y": y.round() });
@@ -159,7 +159,7 @@ impl Browser {
         entries.filter(|entry| ["SEVERE", "WARNING"].contains(&entry["level"].as_str().unwrap())).cloned().collect()
     }
 
-    /// If `REPORT_PICTURES` names a folder.
+    /// Saves nothing unless the variable `REPORT_PICTURES` names a folder.
     pub(crate) fn save_screenshot(&self, name: &str) {
         let Some(folder) = std::env::var_os("REPORT_PICTURES") else { return };
         let answer = self.devtools_command("Page.captureScreenshot", &json!({ "format": "png" }));

@@ -1,5 +1,5 @@
-//! Tests `report.html` in Chromium. Without it (`ci/install-test-tools`) they print a message and
-//! pass, unless `PLATEBENCH_REQUIRE_ALL=1`. `REPORT_PICTURES=FOLDER` keeps screenshots.
+//! Tests `report.html` in Chromium. Without Chromium (`ci/install-test-tools`) the tests print a
+//! message and pass, unless `PLATEBENCH_REQUIRE_ALL=1`. `REPORT_PICTURES=FOLDER` keeps screenshots.
 
 #![allow(
     clippy::unwrap_used,

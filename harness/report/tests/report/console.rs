@@ -46,7 +46,7 @@ fn passed_run(scenarios: u32) -> RunRecord {
 fn a_passed_run_is_summarised_in_few_lines() {
     let text = console::run_text(&passed_run(100), Style::default(), Detail::Summary);
     insta::assert_snapshot!(text);
-    // Paths of the run folder and of the report, and the number of skipped scenarios, follow.
+    // The command line adds paths and the number of skipped scenarios.
     assert!(text.lines().count() <= 15, "{text}");
 }
 

@@ -61,7 +61,7 @@ pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<Exp
     }
 }
 
-/// As the reader names them: the metric, `metric 2`, `metric 3`.
+/// Names expectations as the scenario reader does: the metric, `metric 2`, `metric 3`.
 fn with_default_names(mut expectations: Vec<ExpectationRecord>) -> Vec<ExpectationRecord> {
     for index in 0..expectations.len() {
         let metric = expectations[index].metric;
@@ -267,7 +267,7 @@ pub(crate) fn mixed_run() -> RunRecord {
     RunRecord { not_applicable: vec![not_applicable], ..run(vec![passing, failing, doubted]) }
 }
 
-/// One a third above an earlier run, one with a lower mean, one without an earlier run.
+/// One law costs a third more than in an earlier run, one has a lower mean, one has no earlier run.
 pub(crate) fn cost_trends() -> Vec<CostTrend> {
     let cost = |mean, worst| StepCost { mean, worst };
     let earlier = |run: Option<&str>, build: &str, then, now| EarlierCost {
@@ -286,7 +286,7 @@ pub(crate) fn cost_trends() -> Vec<CostTrend> {
         earlier,
     };
     let slower = cost(3_280.5, 3_332.0);
-    // At a quarter of the period.
+    // The control period of this step is a quarter of the usual one.
     let quarter = TightestStep { instructions: 2_400.0, period_ms: 0.25 };
     vec![
         trend(
@@ -306,7 +306,7 @@ pub(crate) fn cost_trends() -> Vec<CostTrend> {
     ]
 }
 
-/// Gains vary by ±`spread` around that of `response`.
+/// Writes traces. Their gains vary by ±`spread` around the gain of `response`.
 pub(crate) fn write_trials(scenario: &mut ScenarioRecord, folder: &Path, trials: u32, response: Response, spread: f64) {
     for index in 0..trials {
         let offset = (f64::from(index) * 2.399_963).sin() * spread;
@@ -319,7 +319,7 @@ pub(crate) fn write_trials(scenario: &mut ScenarioRecord, folder: &Path, trials:
     }
 }
 
-/// One passed, one failed, one is inconclusive and saturated.
+/// Three scenarios: one passed, one failed, one is inconclusive and saturated.
 pub(crate) fn run_with_traces(folder: &Path) -> RunRecord {
     let settling = |value: f64, paper: f64| ExpectationRecord {
         paper: Some(paper),

@@ -85,7 +85,7 @@ fn no_text_acts_on_a_terminal_a_ci_system_or_a_spreadsheet(#[case] render: fn(&R
     for character in ['\u{1b}', '\u{9b}', '\u{202e}'] {
         assert!(!text.contains(character), "{character:?} in {text:?}");
     }
-    // In HTML a line feed is a space.
+    // In HTML a line feed is a space, so no line can start a workflow command.
     let is_command = |line: &str| line.trim_start().starts_with("::") && !line.contains("title=");
     assert!(text.starts_with("<!DOCTYPE html>") || !text.lines().any(is_command), "{text}");
     assert!(!text.lines().flat_map(|line| line.split(',')).any(|field| field.starts_with('=')), "{text}");

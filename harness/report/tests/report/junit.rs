@@ -96,7 +96,7 @@ fn markup_in_titles_and_reasons_is_text() {
 }
 
 const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/test-readers/bin/python");
-/// From pytest's sources, MIT licence.
+/// Schema from pytest's sources, MIT licence.
 const SCHEMA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/report/junit-10.xsd");
 const VALIDATE: &str = "\
 import sys
@@ -105,7 +105,7 @@ schema = etree.XMLSchema(etree.parse(sys.argv[1]))
 schema.validate(etree.parse(sys.argv[2]))
 print(schema.error_log)";
 
-/// `None`, with a message, if the validator is neither installed nor required.
+/// Prints a message and returns `None` if the validator is neither installed nor required.
 fn schema_errors(text: &str) -> Option<String> {
     if !std::path::Path::new(PYTHON).exists() {
         platebench_test_kit::skip_without(&format!("lxml at {PYTHON}"));

@@ -7,7 +7,7 @@ use platebench_record::ScenarioRecord;
 use rstest::rstest;
 use serde_json::{Value, json};
 
-/// 0 ms to 60 ms lie at x = 264 to 2184.
+/// Instants of the marks in ms. The x axis from 0 ms to 60 ms reaches from 264 to 2184.
 fn marks(drawing: &str, ink: &str) -> Vec<f64> {
     let start = format!("class=\"s-{ink}\" d=\"m");
     let lines = drawing.split(&start).skip(1);

@@ -64,7 +64,7 @@ fn loads_nothing_and_no_title_ends_its_data() {
     closed.title = TITLE.to_owned();
     let page = write_page(&fixtures::run(vec![closed, open]), folder.path());
     assert!(page.contains("&lt;/script&gt;&lt;script&gt;alert(1)&lt;/script&gt; &amp;"));
-    // The data of one scenario, the library, the script.
+    // Three scripts: the data of one scenario, the library, the script of the page.
     assert_eq!((page.matches("<script").count(), page.matches("</script>").count()), (3, 3));
     assert_eq!(plot_data(&page)[0]["title"], TITLE);
     let own = strip_elements(&page, "script");
@@ -106,7 +106,7 @@ fn the_open_loop_is_behind_its_closed_loop_only() {
     fixtures::write_trials(&mut other, folder.path(), 1, Response::default(), 0.0);
     let page = write_page(&fixtures::run(vec![closed, open, other]), folder.path());
     let lines = |index| scenario_section(&page, index).matches("class=\"s-open-loop\" d=").count();
-    // Line and swatch each: |W| and drive twice, frequency once.
+    // |W| and drive have a line and an entry of the legend in two views, the frequency in one.
     assert_eq!([lines(0), lines(1), lines(2)], [5, 0, 0]);
     assert_eq!(scenario_section(&page, 0).matches("</svg>open loop (paper/fig13-open-loop.toml)").count(), 5);
 }
@@ -121,7 +121,7 @@ fn reads_the_trial_that_decided_beyond_the_limit() {
     let page = write_page(&fixtures::run(vec![open]), folder.path());
     let open = scenario_section(&page, 0);
     assert!(open.contains("5 % to 95 % of 31 trials"));
-    // In |W| and in the drive of both views; its frequency equals that of the first trial.
+    // Trial 35 is in |W| and drive of both views. Its frequency equals that of the first trial.
     assert_eq!(open.matches("</svg>trial 35, decided settling_time_ms").count(), 4);
     assert_eq!(open.matches("class=\"s-deciding-trial\" d=").count(), 4);
 }
@@ -146,7 +146,7 @@ fn marks_overruns_and_lost_links() {
     let folder = tempfile::tempdir().unwrap();
     let mut closed = closed_loop();
     fixtures::write_trials(&mut closed, folder.path(), 2, Response::default(), 0.0);
-    // In the second trial, whose curves equal those of the first.
+    // The flags are in the second trial, whose curves equal those of the first.
     let path = folder.path().join(&closed.trials[1].trace);
     let mut rows = platebench_trace::read_trace(&path).unwrap();
     rows[400].flags |= Flags::OVERRUN;

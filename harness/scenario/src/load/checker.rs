@@ -19,8 +19,7 @@ pub(super) struct KnownPlate {
 pub(super) struct Checker<'a> {
     pub(super) path: &'a Path,
     pub(super) text: &'a str,
-    /// Path of the table whose keys are checked, for example `between.0.`. Empty for the whole
-    /// file.
+    /// Path of the checked table, for example `between.0.`; empty for the whole file.
     pub(super) prefix: String,
     pub(super) plates: &'a [KnownPlate],
 }
@@ -75,8 +74,7 @@ impl<'a> Checker<'a> {
         if holds { Ok(()) } else { self.error(key, message()) }
     }
 
-    /// Rejects a present option that does not apply. Each option is (name, is present, applies to
-    /// `subject`).
+    /// Rejects an option that is present but does not apply: (name, is present, applies).
     pub(super) fn check_options(&self, subject: &str, options: &[(&str, bool, bool)]) -> Result<(), Diagnostic> {
         match options.iter().find(|(_, is_given, applies)| *is_given && !applies) {
             Some((name, ..)) => self.error(name, format!("`{name}` does not apply to {subject}")),

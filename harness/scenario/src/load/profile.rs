@@ -183,8 +183,7 @@ impl Checker<'_> {
             |value| exists(0.0, value),
             |value| format!("a force of {value} N leaves the plate without a resonance, {EXPECTED}"),
         )?;
-        // The damping curve is linear between its corners. Therefore only the corners and the
-        // extreme forces need a check.
+        // The damping curve is linear between corners, so corners and extreme forces suffice.
         let (lightest, heaviest) = scene.finger_force_n.range();
         let corners =
             plate.damping_ratio.iter().map(|point| point[0]).filter(|force| (lightest..heaviest).contains(force));
@@ -205,8 +204,7 @@ impl Checker<'_> {
     }
 }
 
-/// Byte range of the CSV record `number`. The header is record 0; comments and empty lines are no
-/// records.
+/// Byte range of the CSV record `number`. The header is record 0; comments do not count.
 fn record_span(text: &str, number: u64) -> Range<usize> {
     let mut start = 0;
     let mut counted = 0;

@@ -1,5 +1,4 @@
-//! Checks the parts that a scenario shares with a scene between its trials: controller and
-//! profiles.
+//! Checks what scenarios and the scenes between trials have in common: controller and profiles.
 
 use super::checker::{Checker, Diagnostics};
 use crate::bounds::MAX_BETWEEN;

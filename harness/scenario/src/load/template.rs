@@ -24,7 +24,6 @@ pub struct ScenarioTemplate {
     plate_name: String,
     plate: KnownPlate,
     plate_table: Table,
-    /// The unchanged scenario.
     pub scenario: Scenario,
 }
 
@@ -76,8 +75,7 @@ impl ScenarioTemplate {
         Ok(tables)
     }
 
-    /// Checks the tables as [`super::load`] checks a file. Diagnostics point into the unchanged
-    /// files.
+    /// Checks the tables like [`super::load`]. Diagnostics point into the unchanged files.
     pub fn check(&self, tables: &ScenarioTables) -> Result<Scenario, Vec<Diagnostic>> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
         let mut known = vec![self.plate.clone()];

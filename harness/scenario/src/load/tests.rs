@@ -102,8 +102,7 @@ from_ms = 30.0
 
 const FORCE: &str = "# a finger\nt_ms, value\n20.0, 0.0\n\n  30.0, 1.0\n";
 
-/// Creates the files of the base scenario. Replaces each `good` by `bad` in the file that contains
-/// it.
+/// Creates the files of the base scenario with each `good` replaced by `bad`.
 fn create_folder(changes: &[(&str, &str)]) -> TempDir {
     let folder = TempDir::new().unwrap();
     std::fs::create_dir(folder.path().join("plates")).unwrap();

@@ -14,7 +14,6 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Suffix of a column with a learned width.
 const WIDTH: &str = "_width";
 const TIME: &str = "t_ms";
 const MAX_BYTES: u64 = 64 << 20;
@@ -112,8 +111,7 @@ impl ResponseFeatures {
 }
 
 impl GoldenTubes {
-    /// Removes points that lines between their neighbours replace. The curves are compared every
-    /// `step_ms`.
+    /// Removes unnecessary points from the curves, which are compared every `step_ms`.
     pub fn from_trial(rows: &[Row], step_ms: f64) -> Option<Self> {
         let mut golden = Self { step_ms: Some(step_ms), ..Self::from_rows(rows)? };
         thin(&mut golden.tubes);

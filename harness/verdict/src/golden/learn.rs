@@ -14,8 +14,7 @@ use crate::statistics::SampleSummary;
 use crate::tube::{TUBE_SIGNALS, Tube, TubePoint, TubeSignal, signal_response};
 use platebench_trace::Row;
 
-/// Smallest width as a share of the largest one, because a signal that was constant may vary a
-/// little.
+/// Smallest width as a share of the largest, because a constant signal may vary later.
 const MIN_SHAPE_SHARE: f64 = 0.1;
 const MIN_CURVE_TRIALS: usize = 3;
 const BISECTION_STEPS: u32 = 40;
@@ -166,8 +165,7 @@ mod tests {
             outside += golden.compare(tried.iter().map(|rows| (0, rows.as_slice()))).outside as u32;
         }
         let found = f64::from(outside) / (tubes * further) as f64;
-        // The rate of one tube is Beta distributed with a deviation of 5 to 6 %. The mean of 60
-        // tubes has 0.8 %.
+        // The rates of tubes have a deviation of 5 to 6 %; the mean of 60 has 0.8 %.
         assert!((found - expected).abs() < 0.025, "{found}");
     }
 

@@ -94,8 +94,7 @@ fn does_not_pass_without_trials() {
     assert_eq!(compare(&golden(), &[Vec::new()]).verdict, Verdict::Inconclusive);
 }
 
-/// At a rate of 5 %, at least 4 of 30 trials are outside with probability 0.061, at least 5 with
-/// 0.016.
+/// At a rate of 5 %, P(at least 4 of 30 trials outside) = 0.061, P(at least 5) = 0.016.
 #[rstest]
 #[case(0.05, 30, 1, Verdict::Pass)]
 #[case(0.05, 30, 2, Verdict::Inconclusive)]

@@ -13,8 +13,7 @@ use platebench_record::{
 };
 use platebench_scenario::{Aggregation, Expectation, Limit, Metric, Scenario};
 
-/// Error of the simulation, percent of the setpoint: twice the error bound of the plate's
-/// propagation.
+/// Error of the simulation: twice the bound of propagation, percent of the setpoint.
 const SIMULATION_ERROR_PERCENT: f64 = 2e-4;
 
 /// Note on results of a real plate, because its true motion is not known.
@@ -71,8 +70,7 @@ impl ExpectationJudge<'_> {
         counted.filter_map(|trial| Some((trial, trial.measures.get(self.expectation_index)?)))
     }
 
-    /// A static error counts without its sign. For a quantile, a missing value counts as infinitely
-    /// bad.
+    /// A static error counts without its sign. For a quantile, a missing value is the worst one.
     fn value_interval(&self, measure: &Measure) -> Option<[f64; 2]> {
         match measure {
             Measure::Value(value) if self.expectation.metric == Metric::StaticError => Some([value.abs(); 2]),
@@ -247,8 +245,7 @@ impl ExpectationJudge<'_> {
     fn add_failure_rate(&self, outcome: Outcome, failed: u32, not_passed: u32, count: u32) -> Outcome {
         let look_confidence = self.look.confidence(self.expectation.confidence);
         let bounds = |seen: u32| clopper_pearson(seen, count, look_confidence);
-        // An inconclusive trial counts as passed in the lower bound and as failed in the upper
-        // bound.
+        // An inconclusive trial passes in the lower bound and fails in the upper bound.
         let (Some([low, _]), Some([_, high])) = (bounds(failed), bounds(not_passed)) else { return outcome };
         let confidence = percent(self.expectation.confidence);
         let trials = if count == 1 { "1 trial".to_owned() } else { format!("{count} trials") };

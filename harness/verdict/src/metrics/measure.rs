@@ -15,7 +15,6 @@ pub enum Measure {
 }
 
 impl Measure {
-    /// Returns the upper end of an interval.
     pub fn value(&self) -> Option<f64> {
         match self {
             Self::Value(value) | Self::Interval([_, value]) => Some(*value),

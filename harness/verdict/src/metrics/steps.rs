@@ -26,8 +26,8 @@ pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
                     moved = u32::from(start > 0);
                 }
                 if moved == 2 && continues {
-                    // The second change in a row shows a ramp, which started at the row before the
-                    // first change.
+                    // Two changes in a row are a ramp, which starts at the row before the first
+                    // change.
                     let began = steps.pop().map_or(0, |step| step.saturating_sub(1));
                     if steps.last() != Some(&began) {
                         steps.push(began);

@@ -50,8 +50,7 @@ pub(super) fn window_mean_ratio(signal: MetricSignal, window: &Window, rows: &[R
         let level = if signal.is_zero_order_hold {
             signal.value_in(left)
         } else {
-            // The signal is linear between rows, so its mean over a piece is the value at the
-            // middle.
+            // The mean over a linear piece is its value at the middle.
             let share = (f64::midpoint(start, end) - left.t_s) / (right.t_s - left.t_s);
             signal.value_in(left) + (signal.value_in(right) - signal.value_in(left)) * share
         };

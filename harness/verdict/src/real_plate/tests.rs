@@ -33,8 +33,7 @@ fn row(t_ms: f64, setpoint_um: f64, amplitude_um: f64) -> Row {
     }
 }
 
-/// A step of the setpoint at 210 ms, 10 ms late. The sample at `settled_ms` is the first one at 2
-/// µm.
+/// The setpoint steps 10 ms late at 210 ms. The plate reaches it at `settled_ms`.
 fn rows(settled_ms: f64, end_ms: u32) -> Vec<Row> {
     let at = |t: f64| row(t, if t < 210.0 { 0.0 } else { 2.0 }, if t < settled_ms { 0.0 } else { 2.0 });
     (0..=end_ms).map(|t| at(f64::from(t))).collect()
@@ -112,7 +111,6 @@ fn excludes_a_trial_with_a_wrong_setpoint() {
     let mut between = rows(212.0, 400);
     between[205].setpoint_um = 1.0;
     assert!(exclusion(&scenario, &between).is_some());
-    // The previous setpoint is accepted for 100 ms.
     let held_until = |last: usize| {
         let mut rows = rows(212.0, 400);
         rows[210..=last].iter_mut().for_each(|row| row.setpoint_um = 0.0);

@@ -1,5 +1,5 @@
-//! Computes bounds of data that are not normal. The seed is the number of values, so a stored run
-//! has the same bounds.
+//! Computes bounds of data that are not normal. The seed of the resamples is the number of values,
+//! so a stored run has the same bounds.
 
 use super::sample_summary::SampleSummary;
 use rand_chacha::ChaCha8Rng;
@@ -82,7 +82,6 @@ pub fn studentised_bounds(
     Some([centre - percentile(&pivots, confidence)? * error, centre - percentile(&pivots, 1.0 - confidence)? * error])
 }
 
-/// Interpolates between the sorted values.
 fn percentile(sorted: &[f64], share: f64) -> Option<f64> {
     let count = sorted.len() as f64;
     let position = (share * (count + 1.0)).clamp(1.0, count) - 1.0;
@@ -127,8 +126,7 @@ mod tests {
 
     #[test]
     fn the_acceleration_follows_the_skewness() {
-        // The leave-one-out means are mirrored and scaled values. Therefore a = skewness/(6 √n),
-        // with moments over n.
+        // a = skewness/(6 √n) with moments over n, because leave-one-out means mirror the values.
         let centre = mean(&SKEWED);
         let moment = |power: i32| SKEWED.iter().map(|value| (value - centre).powi(power)).sum::<f64>();
         let expected = moment(3) / (6.0 * moment(2).powf(1.5));

@@ -5,8 +5,7 @@ use super::{bootstrap, normality};
 use platebench_record::EvidenceMethod;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// One-sided bounds by Student's t, or by bootstrap if normality is rejected. `None` for fewer than
-/// two values.
+/// One-sided bounds by t, or by bootstrap if normality is rejected. `None` below two values.
 pub fn mean_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], EvidenceMethod)> {
     let summary = SampleSummary::of(values)?;
     let normal = summary.mean_bounds(confidence)?;
@@ -28,8 +27,7 @@ pub fn deviation_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], Ev
     // The logarithm turns a factor on the deviation into a shift, and its bounds stay above 0.
     let logarithm = |values: &[f64]| SampleSummary::of(values).map_or(0.0, |summary| summary.deviation.ln());
     let bounds = bootstrap_bounds(values, logarithm, logarithm_and_error, confidence).map(f64::exp);
-    // The test rejects one of twenty normal samples by chance. Resampling must not narrow its
-    // bounds.
+    // One of twenty normal samples is rejected by chance, which must not narrow its bounds.
     Some((outer_bounds(normal, bounds), EvidenceMethod::Bootstrap))
 }
 

@@ -49,8 +49,7 @@ mod tests {
 
     #[test]
     fn the_ranks_are_the_tabulated_ones() {
-        // The bounds of a median of 30 values are the ranks 11 and 20 (P(B ≤ 10) = 0.0494, P(B ≤
-        // 19) = 0.9506).
+        // Ranks 11 and 20 bound the median of 30: P(B ≤ 10) = 0.0494, P(B ≤ 19) = 0.9506.
         assert_eq!(quantile_bounds(&ramp(30), 0.5, 0.95), Some((15.0, [11.0, 20.0])));
         // An upper bound of the 95 % quantile needs 59 values and is then the largest one.
         assert_eq!(quantile_bounds(&ramp(58), 0.95, 0.95).unwrap().1[1], f64::INFINITY);

@@ -49,8 +49,8 @@ impl SampleSummary {
         Some([difference - half, difference + half])
     }
 
-    /// One-sided bounds by chi-square for normal data: `s √(f/χ²)` with f = n − 1. `None` for fewer
-    /// than two values.
+    /// One-sided bounds by chi-square (normal data), f = n − 1: `s √(f/χ²)`. `None` below two
+    /// values.
     pub fn deviation_bounds(&self, confidence: f64) -> Option<[f64; 2]> {
         let freedom = self.degrees_of_freedom()?;
         let chi_squared = ChiSquared::new(freedom).ok()?;

@@ -56,8 +56,7 @@ impl TestDistribution {
     }
 }
 
-/// Percent of runs in which each end of the intervals of mean and deviation is on the correct side
-/// of the true value.
+/// Percent of runs in which each bound of mean and deviation is on the correct side.
 fn coverage(data: TestDistribution, count: usize, confidence: f64, runs: u32) -> [[f64; 2]; 2] {
     let mut random = ChaCha8Rng::seed_from_u64(2016);
     let mut covered = [[0_u32; 2]; 2];
@@ -145,8 +144,7 @@ fn covers_proportions_at_least_at_the_nominal_rate(#[case] p: f64) {
         covered[0] += u32::from(bounds[happens][0] <= p);
         covered[1] += u32::from(p <= bounds[happens][1]);
     }
-    // Counts are discrete, so the coverage is at least nominal. The standard error of the
-    // simulation is 0.2 %.
+    // Counts are discrete: the coverage is at least nominal, with an error of 0.2 %.
     assert!(covered.iter().all(|count| f64::from(*count) / f64::from(runs) >= 0.944), "{covered:?}");
 }
 
@@ -169,8 +167,7 @@ fn covers_quantiles_at_least_at_the_nominal_rate(
         covered[1] += u32::from(truth <= high);
     }
     let rates = covered.map(|count| f64::from(count) / f64::from(runs));
-    // Ranks are whole numbers, so the coverage is at least nominal, apart from the error of the
-    // simulation.
+    // Ranks are whole numbers, so the coverage is at least nominal.
     assert!(rates.iter().all(|rate| (0.942..0.99).contains(rate)), "{rates:?}");
 }
 

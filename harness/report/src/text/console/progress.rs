@@ -53,7 +53,7 @@ impl Progress {
         Self { sink: Sink::Lines(Box::new(out)) }
     }
 
-    /// Without this call the bar is as long as the trials of the scenarios that started.
+    /// Sets the length of the bar. The default is the number of trials of the started scenarios.
     #[must_use]
     pub fn with_planned_trials(self, trials: u64) -> Self {
         if let Sink::Bar { bar, .. } = &self.sink {
@@ -62,7 +62,7 @@ impl Progress {
         self
     }
 
-    /// The bar shows the elapsed time during a step without trials, such as the kill rate.
+    /// The bar shows the elapsed time during a step without trials, such as mutation testing.
     #[must_use]
     pub fn with_elapsed_time(self, title: &str) -> Self {
         if let Sink::Bar { bar, .. } = &self.sink {

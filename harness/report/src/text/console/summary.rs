@@ -6,7 +6,7 @@ use crate::{format, record_queries};
 use platebench_record::{CostTrend, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 
-/// With `-v` the console contains longer lists.
+/// Longest list without `-v`.
 const MAX_LISTED: usize = 3;
 
 /// `in_full` lists every scenario that is not applicable and the cost of every law.

@@ -108,8 +108,7 @@ fn checks_damping_corners_between_forces() {
     let fault = load_with_changes(&[curve]).err().unwrap();
     assert!(fault.message.contains("leave the plate without a resonance"), "{}", render(&fault));
     assert!(load_with_changes(&[curve, ("  30.0, 1.0", "  30.0, 0.3")]).is_ok());
-    // With the lightest touch, 0.25 N between two corners, the resonance vanishes only if the plate
-    // is hot.
+    // With the lightest touch, 0.25 N between two corners, a hot plate has no resonance.
     let light = ("[[0.0, 1.0], [1.5, 2.0]]", "[[0.0, 560.0], [0.5, 2.0], [1.5, 2.0]]");
     let touch = ("20.0, 0.0", "20.0, 0.25");
     assert!(load_with_changes(&[light, touch]).is_ok());

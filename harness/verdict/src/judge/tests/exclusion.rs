@@ -54,8 +54,7 @@ fn a_trial_with_lost_rows_does_not_count() {
     assert_eq!((cause(0), cause(1)), (None, Some(Cause::Bench)));
 }
 
-/// Tolerated: 50 ms of stall in 60 ms (833 333 ppm), 2 % of clock error and four standard errors of
-/// 0.5 %.
+/// 50 ms of stall in 60 ms (833 333 ppm), 2 % of clock error, four standard errors of 0.5 %.
 #[rstest]
 #[case::in_step("target", 873_333.0, None)]
 #[case::fast("target", 873_334.0, Some(Cause::Rig))]

@@ -79,8 +79,7 @@ fn settling_below_2_14_ms_is_infeasible_at_400_vpp() {
 #[test]
 fn a_later_step_has_its_own_floor() {
     let setpoint = "{ hold = [[0.0, 1.0], [30.0, 2.0]] }";
-    // From 1 µm to 95 % of 2 µm: −τ ln((S − 1.9)/(S − 1)), with the amplitude at full drive S =
-    // 2.792 µm.
+    // From 1 µm to 1.9 µm: −τ ln((S − 1.9)/(S − 1)). Full drive gives S = 2.792 µm.
     let floor = -1.88 * ((2.792_f64 - 1.9) / (2.792 - 1.0)).ln();
     for (at_most, expected) in [(floor + 1e-5, FAIL), (floor - 1e-5, inconclusive(Cause::Infeasible))] {
         let expect = format!("metric = \"settling_time_ms\", from_ms = 30.0, at_most = {at_most:?}");

@@ -82,8 +82,7 @@ fn one_trial_decides_a_deterministic_scenario() {
 #[case("at_most = 1.3", 1.015, PASS)]
 #[case("at_most = 1.3", 1.017, inconclusive(Cause::Evidence))]
 #[case("at_most = 1.3", 1.3, inconclusive(Cause::Evidence))]
-// The lower bound is 0.8254 times the deviation, √(29/χ²) at 95 %: a deviation of 1.58 fails, 1.57
-// does not.
+// The lower bound is the deviation times √(29/χ²) = 0.8254: 1.58 fails, 1.57 does not.
 #[case("at_most = 1.3", 1.57, inconclusive(Cause::Evidence))]
 #[case("at_most = 1.3", 1.58, FAIL)]
 #[case("at_least = 1.0", 1.22, PASS)]

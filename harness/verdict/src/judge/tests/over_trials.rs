@@ -19,7 +19,6 @@ fn trials_without_a_failure_bound_the_failure_rate() {
     open[3].measures = vec![Measure::Interval([1.5, 2.5])];
     let [low, high] = judge_single_expectation(&scenario, &open).evidence.failure_rate.unwrap();
     assert!(low == 0.0 && (high - 0.148_6).abs() < 1e-3, "{low} {high}");
-    // A deterministic scenario has no failure rate, unless its trials differ.
     let certain =
         ScenarioBuilder { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], trials: 2, ..BASE }.scenario();
     assert!(judge_single_expectation(&certain, &trials_with_values(&[1.9, 1.9])).evidence.is_empty());
@@ -55,8 +54,7 @@ fn judges_a_response_time_by_each_statistic(
 #[case::one_beyond(59, 1, inconclusive(Cause::Evidence))]
 #[case::one_beyond_of_92(92, 1, inconclusive(Cause::Evidence))]
 #[case::one_beyond_of_93(93, 1, PASS)]
-// If 5 % of all trials exceed the limit, at least 9 of 93 do with probability 0.045, at least 8
-// with 0.10.
+// At 5 % beyond the limit, P(at least 9 of 93) = 0.045 and P(at least 8) = 0.10.
 #[case::eight_beyond(93, 8, inconclusive(Cause::Evidence))]
 #[case::nine_beyond(93, 9, FAIL)]
 fn a_quantile_is_demonstrated_by_ranks(

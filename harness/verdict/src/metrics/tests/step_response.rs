@@ -101,8 +101,7 @@ fn finds_the_starts_of_setpoint_changes(#[case] points: &[(f64, f64)], #[case] s
     assert_eq!(setpoint_steps(&trace), steps);
 }
 
-/// The setpoint is 2 µm from 0 ms, 1 µm from 10 ms, 3 µm from 20 ms. It is reached in 2, 1 and 4
-/// ms.
+/// Setpoints of 2, 1 and 3 µm from 0, 10 and 20 ms are reached in 2, 1 and 4 ms.
 fn staircase_rows() -> Vec<Row> {
     let setpoint = |t: f64| {
         if t < 10.0 {
@@ -171,8 +170,7 @@ fn settling_of_a_ramp_ends_in_its_moving_band() {
     let setpoint = |t: f64| 1.0 + ((t - 10.0) / 10.0).clamp(0.0, 1.0);
     let trace = trace_at(grid(0.5, 30.0), setpoint, |t| setpoint(t - 1.0));
     let ramp = expectation_with_from(Metric::SettlingTime, 10.0);
-    // The amplitude is the setpoint s 1 ms earlier: s(t) − s(t − 1) = 0.1 ≤ 0.05 s(t) first at s =
-    // 2, t = 20 ms.
+    // The signal is the setpoint s of 1 ms before: 0.1 ≤ 0.05 s(t) first at s = 2, t = 20 ms.
     assert_close(measured_value(&ramp, &trace), 10.0, 1e-9);
     // With a band of 6 %: 0.1 ≤ 0.06 s at s = 1.6667, t = 16.667 ms, between two rows.
     assert_close(measured_value(&Expectation { band_percent: 6.0, ..ramp }, &trace), 20.0 / 3.0, 1e-9);
@@ -203,14 +201,12 @@ fn holds_sensed_values_between_rows() {
     assert_eq!(measure(&settling("sensed_wd_um"), &trace, &EMPTY_TELEMETRY), Measure::Interval([1.0, 2.0]));
     assert_close(measured_value(&settling("wd_um"), &trace), 1.9, 1e-12);
     let error = |signal| Expectation { signal, ..expectation_in(Metric::StaticError, &[[0.0, 3.0]]) };
-    // The sampled signal holds 0, 1 and 2 µm for 1 ms each: mean 1 µm. The linear signal has the
-    // mean 4/3 µm.
+    // Held for 1 ms each: 0, 1, 2 µm, mean 1 µm. Linear: 0.5, 1.5, 2 µm, mean 4/3 µm.
     assert_close(measured_value(&error("sensed_wd_um"), &trace), -50.0, 1e-9);
     assert_close(measured_value(&error("wd_um"), &trace), -100.0 / 3.0, 1e-9);
 }
 
-/// Control instants are at 0.5, 1.5, … ms, rows every 0.5 ms. The controller receives 0, 0, then 2
-/// µm.
+/// Control instants are at 0.5, 1.5, … ms. The controller receives 0, 0, then 2 µm.
 #[test]
 fn a_time_from_samples_is_an_interval() {
     let mut trace = rows(&[
