@@ -61,12 +61,12 @@ impl FromStr for ColumnMapping {
                 }
             };
             if columns.iter().any(|(known, _, _)| known == role) {
-                return Err(format!("{key} is given twice"));
+                return Err(format!("two columns for the role {key}, expected one"));
             }
             columns.push((*role, name.trim().to_owned(), factor));
         }
         let missing = ROLES.iter().find(|role| role.3 && !columns.iter().any(|column| column.0 == role.1));
-        missing.map_or(Ok(Self(columns)), |role| Err(format!("no column for {}", role.0)))
+        missing.map_or(Ok(Self(columns)), |role| Err(format!("no column for the role {0}, expected {0}=NAME", role.0)))
     }
 }
 

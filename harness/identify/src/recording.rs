@@ -33,9 +33,9 @@ pub enum SampleSource {
 pub enum RecordingError {
     #[error("{0} samples at control instants, expected at least {FEWEST}")]
     TooShort(usize),
-    #[error("{0} samples at control instants, expected at most {MOST}")]
+    #[error("{0} samples at control instants, expected at most {MOST}; split the recording")]
     TooLong(usize),
-    #[error("the drive is 0 V throughout, expected a step")]
+    #[error("the drive is 0 V in the whole recording, expected at least one step")]
     NoDrive,
     #[error("sample {0}: its time is not after that of the previous sample; times must increase")]
     NotInOrder(usize),

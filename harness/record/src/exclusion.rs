@@ -51,9 +51,9 @@ pub enum Exclusion {
     },
     #[error("{why}")]
     ConditionsNotMade { why: String },
-    #[error("finger or temperature change within a trial of {duration_ms} ms, which no person can do")]
+    #[error("finger or temperature change within a trial of {duration_ms} ms, which is too short for an operator")]
     TooFastForOperator { duration_ms: f64 },
-    #[error("it is not known whether finger and temperature were those of the scenario")]
+    #[error("finger and temperature of this trial were neither measured nor confirmed by an operator")]
     UnknownConditions,
     #[error(
         "the finger pressed with {force_n:.2} N at {at_ms} ms, expected {}; {wrong_rows} of {rows} rows have another force",

@@ -35,7 +35,7 @@ pub fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
         };
         (!missed.is_empty()).then(|| {
             let message = format!(
-                "the {} changes at {}{more}, in no window of an expectation; add `after = \"{0}\"` or `from_ms`",
+                "no expectation judges the change of the {} at {}{more}; add `after = \"{0}\"` or `from_ms` to one",
                 profile.name(),
                 times.join(", "),
             );
@@ -70,17 +70,20 @@ mod tests {
     #[case::covered("\"peak_deviation_percent\"\nfrom_ms = 10.0", "")]
     #[case::starts_later(
         "\"peak_deviation_percent\"\nfrom_ms = 11.0",
-        "`finger_force_n`: the force changes at 10 ms, in no window"
+        "`finger_force_n`: no expectation judges the change of the force at 10 ms;"
     )]
     #[case::ends_before(
         "\"peak_deviation_percent\"\nuntil_ms = 20.0",
-        "`finger_force_n`: the force changes at 20 ms, in no window"
+        "`finger_force_n`: no expectation judges the change of the force at 20 ms;"
     )]
     #[case::steady_state_only(
         "\"static_error_percent\"",
-        "`finger_force_n`: the force changes at 10 ms, 20 ms, in no window"
+        "`finger_force_n`: no expectation judges the change of the force at 10 ms, 20 ms;"
     )]
-    #[case::not_about_the_plate("\"overruns\"", "`finger_force_n`: the force changes at 10 ms, 20 ms, in no window")]
+    #[case::not_about_the_plate(
+        "\"overruns\"",
+        "`finger_force_n`: no expectation judges the change of the force at 10 ms, 20 ms;"
+    )]
     fn warns_of_a_disturbance_outside_all_windows(#[case] expectation: &str, #[case] message: &str) {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("plate.toml"), PLATE).unwrap();

@@ -88,7 +88,7 @@ fn unusable_input_is_reported_with_its_line() {
         (&[], "required"),
         (&["t.csv"], "t.csv:1: columns `t,V,f,d,q`, expected"),
         (&["t.csv", "--columns", columns], "t.csv:3: column 4 (`d`) is `oops`, expected a finite number"),
-        (&["t.csv", "--columns", "time=t"], "no column for drive"),
+        (&["t.csv", "--columns", "time=t"], "no column for the role drive"),
     ] {
         run_bench(folder.path(), ["identify"].iter().chain(arguments)).assert_exit(2).assert_stderr(&[message]);
     }

@@ -54,17 +54,17 @@ fn rejects_an_unusable_recording() {
     assert!(read_error(&lines[..8]).contains("7 samples at control instants, expected at least 8"));
     external_csv::read("", lines[..9].join("\n").as_bytes(), &COLUMNS.parse().unwrap()).unwrap();
     let resting: Vec<String> = lines.iter().map(|line| line.replace(",300,", ",0,")).collect();
-    assert!(read_error(&resting).contains("the drive is 0 V throughout"));
+    assert!(read_error(&resting).contains("the drive is 0 V in the whole recording"));
     let mut short = lines.clone();
     "4,300".clone_into(&mut short[5]);
     assert!(read_error(&short).starts_with("plate.csv:6: "), "{}", read_error(&short));
 }
 
 #[rstest]
-#[case("time=t,drive=V,frequency=f,wd=Wd", "no column for wq")]
+#[case("time=t,drive=V,frequency=f,wd=Wd", "no column for the role wq")]
 #[case("time=t,drive=V,frequency=f,wd=Wd,wq=Wq,speed=v", "`speed`, expected a role of time, drive")]
 #[case("time=t:min,drive=V,frequency=f,wd=Wd,wq=Wq", "unit `min` of time, expected s, ms, us")]
-#[case("time=t,time=u,drive=V,frequency=f,wd=Wd,wq=Wq", "time is given twice")]
+#[case("time=t,time=u,drive=V,frequency=f,wd=Wd,wq=Wq", "two columns for the role time")]
 #[case("t,V", "`t`, expected ROLE=NAME")]
 fn rejects_invalid_column_mappings(#[case] text: &str, #[case] message: &str) {
     let error = text.parse::<ColumnMapping>().unwrap_err();
