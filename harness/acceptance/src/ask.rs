@@ -2,7 +2,7 @@
 
 use crate::error::AcceptError;
 use crate::plan::{AnswerKind, Ask, QuestionTime};
-use crate::session_record::{AnswerRecord, StepRecord, may_have_board};
+use crate::session_record::{AnswerRecord, StepRecord};
 use platebench_record::Verdict;
 use platebench_rig::RigSpec;
 use platebench_runner::{Answer, CancelToken, Operator, Question, QuestionKind};
@@ -29,7 +29,7 @@ pub(crate) fn ask_operator(
         if ask.when == QuestionTime::Before && !answer.is_yes() {
             let question = ask.question.clone();
             match answer {
-                Answer::Absent if may_have_board(rig) => {
+                Answer::Absent if !rig.is_simulated() => {
                     return Err(AcceptError::Unanswered { question, rig: rig.to_string() });
                 }
                 Answer::Absent => {}

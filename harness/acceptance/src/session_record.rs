@@ -258,7 +258,7 @@ impl SessionRecord {
 
     /// Returns the notice of a record without a board. `None` if a board may have been attached.
     pub fn no_board_notice(&self) -> Option<&'static str> {
-        match self.rig.parse().ok().filter(|rig| !may_have_board(rig))? {
+        match self.rig.parse().ok().filter(RigSpec::is_simulated)? {
             RigSpec::Hosted => {
                 Some("no board was attached: this record covers the control law on the bench's computer, not a board")
             }
@@ -277,16 +277,4 @@ impl SessionRecord {
 pub(crate) fn write_file(folder: &Path, name: &str, content: &[u8]) -> Result<(), FileError> {
     let path = folder.join(name);
     write_atomically(&path, content).at(&path)
-}
-
-/// An `exec:` rig counts as a board, because a foreign program may drive a plate.
-pub(crate) const fn may_have_board(rig: &RigSpec) -> bool {
-    match rig {
-        RigSpec::Hosted | RigSpec::Emulated(_) => false,
-        RigSpec::Exec(_)
-        | RigSpec::Serial { .. }
-        | RigSpec::Tcp(_)
-        | RigSpec::Rfc2217 { .. }
-        | RigSpec::Probe { .. } => true,
-    }
 }

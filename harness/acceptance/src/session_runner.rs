@@ -19,7 +19,7 @@ use crate::provenance::{
 use crate::scenario_run::ScenarioRun;
 use crate::session_record::{
     Attempt, BUDGET, FILE, FirmwareRecord, PLAN, STEPS, SessionDetails, SessionRecord, SignatureRecord, StepKind,
-    StepRecord, may_have_board, write_file,
+    StepRecord, write_file,
 };
 use crate::steps::{StepAction, step_actions};
 use crate::{manifest, page, self_test, signature};
@@ -154,10 +154,10 @@ impl<'a> SessionRunner<'a> {
     fn record_identity(&mut self, step: &mut StepRecord) -> Result<(), AcceptError> {
         let identity = self.read_firmware_identity()?;
         let Firmware { name, version, build, chip } = &identity.firmware;
-        let board = if may_have_board(&self.config.rig) {
-            format!("chip {chip}, number {}", identity.unique)
-        } else {
+        let board = if self.config.rig.is_simulated() {
             "no board".to_owned()
+        } else {
+            format!("chip {chip}, number {}", identity.unique)
         };
         step.reason = Some(format!("{name} {version}, build {build}, {board}"));
         step.verdict = Some(Verdict::Pass);

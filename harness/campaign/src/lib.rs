@@ -43,4 +43,4 @@ pub use merge::{Status, merge, status};
 pub use plan::{Plan, shards_of_run};
 pub use play::{PlayConfig, TrialEvent, play_shard};
 pub use summary::Summary;
-pub use worst_run::{ResponseLinks, play_worst, plays_worst, worst_trials};
+pub use worst_run::{ResponseLinks, play_worst, worst_trials};

@@ -190,11 +190,6 @@ pub(crate) fn firmware_digest(rig: &RigSpec) -> Result<String, CampaignError> {
     let content = match rig {
         RigSpec::Emulated(None) => BUILT_IN_IMAGE.to_vec(),
         RigSpec::Emulated(Some(path)) => read(path)?,
-        RigSpec::Hosted
-        | RigSpec::Serial { .. }
-        | RigSpec::Tcp(_)
-        | RigSpec::Rfc2217 { .. }
-        | RigSpec::Probe { .. } => identity(rig)?.into_bytes(),
         RigSpec::Exec(command) => {
             let mut content = identity(rig)?.into_bytes();
             for word in shlex::split(command).unwrap_or_default() {
@@ -205,6 +200,7 @@ pub(crate) fn firmware_digest(rig: &RigSpec) -> Result<String, CampaignError> {
             }
             content
         }
+        _ => identity(rig)?.into_bytes(),
     };
     Ok(sha256(&content))
 }

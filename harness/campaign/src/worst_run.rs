@@ -10,7 +10,7 @@ use crate::summary::Summary;
 use crate::tally::MAX_WORST;
 use platebench_record::{KeepTraces, Overrides, RunFolder};
 use platebench_report::page::{self, ReportPage, RowCache, scenario_anchor};
-use platebench_rig::{ConnectOptions, RigSpec};
+use platebench_rig::ConnectOptions;
 use platebench_runner::{Clock, Event, RunError, RunHooks, RunPlan, run};
 use platebench_scenario::load;
 use std::cmp::Ordering;
@@ -47,12 +47,7 @@ pub fn worst_trials(summary: &Summary<'_>) -> Result<Vec<Trial>, CampaignError> 
     trials.into_iter().take(MAX_TRIALS).map(trial).collect()
 }
 
-/// True if the rig needs no hardware and no other program.
-pub const fn plays_worst(rig: &RigSpec) -> bool {
-    matches!(rig, RigSpec::Hosted | RigSpec::Emulated(_))
-}
-
-/// Writes the trials as scenarios to `worst`, and plays them if [`plays_worst`].
+/// Writes the trials as scenarios to `worst`, and plays them if the rig is simulated.
 pub fn play_worst(
     folder: &Path,
     campaign: &Campaign,
@@ -61,7 +56,7 @@ pub fn play_worst(
 ) -> Result<ResponseLinks, CampaignError> {
     let scenario_folder = folder.join(FOLDER);
     scenario_files::write(&scenario_folder, campaign, trials)?;
-    if trials.is_empty() || !plays_worst(&config.rig) {
+    if trials.is_empty() || !config.rig.is_simulated() {
         return Ok(ResponseLinks::new());
     }
     let files = trials.iter().map(|trial| scenario_files::file_name(trial.number));

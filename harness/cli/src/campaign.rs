@@ -15,8 +15,8 @@ use arguments::{CampaignCommand, EngineName, PlayArgs, RunArgs, SubmitArgs};
 use platebench_boards::BoardOutcome;
 use platebench_campaign::submit::{Engine, command_line, submission};
 use platebench_campaign::{
-    Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, Summary, confirm, merge, play_shard, play_worst,
-    plays_worst, report, shards_of_run, status, worst_trials,
+    Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, Summary, confirm, merge, play_shard, play_worst, report,
+    shards_of_run, status, worst_trials,
 };
 use platebench_rig::{CancelToken, RigSpec};
 use progress::{CampaignProgress, PlayEvent};
@@ -105,7 +105,7 @@ fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFor
     let (plan, campaign) = Plan::open(folder)?;
     let rig = plan_rig(&plan, folder)?;
     // Other machines may have played the shards. Only the worst trials need the planned bench here.
-    let bench = if plays_worst(&rig) { plan.check_bench(&rig) } else { Ok(()) };
+    let bench = if rig.is_simulated() { plan.check_bench(&rig) } else { Ok(()) };
     merge_and_show(folder, (plan, Arc::new(campaign)), bench, jobs, quiet, format)
 }
 

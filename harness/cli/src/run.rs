@@ -48,7 +48,8 @@ fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Vec<Scenario>
         exit
     })?;
     if !found.skipped.is_empty() && detail != Detail::Failures {
-        let (scenarios, names) = (count(found.skipped.len(), "scenario"), found.skipped.join(", "));
+        let scenarios = count(found.skipped.len(), "scenario");
+        let names = found.skipped.iter().map(|scenario| &*scenario.file).collect::<Vec<_>>().join(", ");
         let list = if detail == Detail::Tables { format!(": {names}") } else { "; -v lists them".to_owned() };
         stdio::note(&format!("{scenarios} of known limits skipped, name one to run it{list}"));
     }

@@ -157,13 +157,13 @@ impl ScenarioWriter<'_> {
         let time_constant_ms = rounded(1e3 / plate.sigma0);
         let curve: Vec<_> =
             plate.damping_ratio.iter().map(|[force, ratio]| format!("[{force:?}, {ratio:?}]")).collect();
+        // The escapes of `{:?}` are not those of TOML.
+        let [name, source] = [&plate.name, &plate.source].map(|text| toml::Value::from(text.as_str()));
         format!(
-            "name = {:?}\nsource = {:?}\n\n[mode]\nresonance_hz = {:?}\nreference_temperature_c = {:?}\n\
+            "name = {name}\nsource = {source}\n\n[mode]\nresonance_hz = {:?}\nreference_temperature_c = {:?}\n\
              resonance_slope_hz_per_k = {:?}\ntime_constant_ms = {time_constant_ms:?}\ngain_um_per_vpp = {:?}\n\n\
              [finger]\ndamping_ratio = [{}]\nresonance_shift_hz_per_n = {:?}\n\n[drive]\nlimit_vpp = {:?}\n\n\
              [sensor]\nnoise_um_rms = {:?}\n",
-            plate.name,
-            plate.source,
             rounded(plate.omega0 / TAU),
             plate.reference_temperature_c,
             rounded(plate.omega0_per_k / TAU),

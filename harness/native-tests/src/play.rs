@@ -4,7 +4,7 @@ use platebench_record::{FolderError, Overrides, RECORD_FILE, RunFolder, RunRecor
 use platebench_report::console::{self, Style};
 use platebench_report::{ReportError, junit, page, traceability};
 use platebench_rig::{ConnectOptions, RigSpec};
-use platebench_runner::{Clock, Pacing, RunError, RunHooks, RunPlan, TimeBase, rejudge};
+use platebench_runner::{Clock, Pacing, RunError, RunHooks, RunPlan, TimeBase};
 use platebench_scenario::Scenario;
 use std::fs::{self, Permissions};
 use std::io;
@@ -52,12 +52,10 @@ impl TestContext {
         Self { rig, clock, out }
     }
 
-    pub(crate) fn run_scenario(&self, mut scenario: Scenario) -> Result<(), TestFailure> {
-        let overrides = Overrides::default();
-        rejudge::apply_overrides(&overrides, &mut scenario);
+    pub(crate) fn run_scenario(&self, scenario: Scenario) -> Result<(), TestFailure> {
         let folder = self.out.join(scenario.name());
         let expected = scenario.expected_exit.unwrap_or(0);
-        let plan = RunPlan::new(&self.rig, self.clock, 1, vec![scenario], overrides);
+        let plan = RunPlan::new(&self.rig, self.clock, 1, vec![scenario], Overrides::default());
         let record = self.run_and_replace(&plan, &folder)?;
         let code = exit_code(&record);
         if code == expected {

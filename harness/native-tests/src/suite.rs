@@ -4,8 +4,8 @@ use crate::error::SuiteError;
 use crate::play::TestContext;
 use libtest_mimic::{Arguments, Trial};
 use platebench_rig::RigSpec;
-use platebench_scenario::{Diagnostic, Scenario, find};
-use std::path::{Path, PathBuf};
+use platebench_scenario::{Scenario, find};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 
@@ -60,16 +60,13 @@ impl Suite {
         let rig: RigSpec = self.rig.parse().map_err(SuiteError::Rig)?;
         rig.check().map_err(SuiteError::Connect)?;
         let found = find(std::slice::from_ref(&self.scenarios)).map_err(SuiteError::Scenarios)?;
-        let limits =
-            found.skipped.iter().map(|name| load_limit_scenario(&self.scenarios, name)).collect::<Result<Vec<_>, _>>();
-        let limits = limits.map_err(SuiteError::Scenarios)?;
-        if found.scenarios.is_empty() && limits.is_empty() {
+        if found.scenarios.is_empty() && found.skipped.is_empty() {
             return Err(SuiteError::NoScenarios(self.scenarios.clone()));
         }
         let one_at_a_time = !rig.allows_parallel_links();
         let context = Arc::new(TestContext::new(rig, self.out.clone()));
         let judged = found.scenarios.into_iter().map(|scenario| (scenario, false));
-        let mut scenarios: Vec<_> = judged.chain(limits.into_iter().map(|scenario| (scenario, true))).collect();
+        let mut scenarios: Vec<_> = judged.chain(found.skipped.into_iter().map(|scenario| (scenario, true))).collect();
         scenarios.sort_by(|(a, _), (b, _)| a.file.cmp(&b.file));
         let test = |(scenario, ignored): (Scenario, bool)| {
             let context = Arc::clone(&context);
@@ -85,15 +82,4 @@ struct SuiteTests {
     trials: Vec<Trial>,
     /// True if all tests need the same line.
     one_at_a_time: bool,
-}
-
-/// Loads a scenario of a known limit, which [`find`] skipped below `folder`.
-fn load_limit_scenario(folder: &Path, name: &str) -> Result<Scenario, Vec<Diagnostic>> {
-    let missing = || vec![Diagnostic::for_file(folder, format!("{name} was deleted during the search"))];
-    let canonical = std::fs::canonicalize(folder).map_err(|_| missing())?;
-    // A name is a path below the folder or below one of its parents.
-    let path = canonical.ancestors().map(|folder| folder.join(name)).find(|path| path.is_file()).ok_or_else(missing)?;
-    let mut scenario = find(&[path])?.scenarios.pop().ok_or_else(missing)?;
-    name.clone_into(&mut scenario.file);
-    Ok(scenario)
 }

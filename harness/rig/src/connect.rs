@@ -126,11 +126,14 @@ impl RigSpec {
 
     /// True if the controller's clock runs while the plate waits. Such a controller needs a longer
     /// watchdog timeout in lockstep.
-    pub fn has_own_clock(&self) -> bool {
-        match self {
-            Self::Hosted | Self::Emulated(_) => false,
-            Self::Exec(_) | Self::Serial { .. } | Self::Tcp(_) | Self::Rfc2217 { .. } | Self::Probe { .. } => true,
-        }
+    pub const fn has_own_clock(&self) -> bool {
+        !self.is_simulated()
+    }
+
+    /// True if neither hardware nor another program takes part. An `exec:` rig counts as hardware,
+    /// because a foreign program may drive a plate.
+    pub const fn is_simulated(&self) -> bool {
+        matches!(self, Self::Hosted | Self::Emulated(_))
     }
 
     pub fn is_line(&self) -> bool {

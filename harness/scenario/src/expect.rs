@@ -50,6 +50,7 @@ pub enum Metric {
     /// |W| at the end of the window.
     #[strum(serialize = "final_amplitude_um")]
     FinalAmplitude,
+    /// Largest drive in the window.
     #[strum(serialize = "drive_peak_vpp")]
     DrivePeak,
     /// Share of the time with the drive at the limit of the amplifier.
@@ -65,23 +66,25 @@ pub enum Metric {
     /// Time from a disturbance to 0 V.
     #[strum(serialize = "shutdown_time_ms")]
     ShutdownTime,
+    /// Number of control instants without an answer.
     MissedReplies,
     /// Largest minus smallest value of the signal over the window, relative to the setpoint.
     RipplePercent,
     /// Largest minus smallest value of the signal over the window.
     #[strum(serialize = "ripple_um")]
     Ripple,
-    /// Largest drive at a setpoint of 0, from one period and loop delay after the change to 0.
+    /// Largest drive while the setpoint is 0, from one period and loop delay after it became 0.
     #[strum(serialize = "rest_drive_vpp")]
     RestDrive,
-    /// Largest difference of the signal from that of the first trial at the same instant.
+    /// Largest difference of the signal from the first trial at the same control instant.
     #[strum(serialize = "trial_difference_um")]
     TrialDifference,
-    /// Largest difference between a command and the reference implementation's command for the same
-    /// samples, relative to the drive limit (drive) or to the frequency range (frequency).
+    /// Largest difference between a command and that of the reference implementation for the same
+    /// samples, as a share of the drive limit or of the frequency range.
     #[strum(serialize = "reference_difference_percent")]
     ReferenceDifference,
-    /// Number of message scripts whose answers differ from the reference implementation's.
+    /// Number of message scripts that the controller answers differently from the reference
+    /// implementation.
     ProtocolDifferences,
 }
 

@@ -22,7 +22,7 @@ const SCENARIOS_FOLDER: &str = "scenarios";
 #[derive(Debug)]
 pub struct FoundScenarios {
     pub scenarios: Vec<Scenario>,
-    pub skipped: Vec<String>,
+    pub skipped: Vec<Scenario>,
     pub empty_folders: Vec<PathBuf>,
     /// Folders `inputs` of run folders. They are not searched, because they contain copies.
     pub copies: Vec<PathBuf>,
@@ -71,7 +71,7 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     for FoundFile { path, name, is_named } in files {
         match load_with_all_errors(&path, &name) {
             Ok(scenario) if (scenario.expected_exit.is_some() || !scenario.chip_faults.is_empty()) && !is_named => {
-                found.skipped.push(name);
+                found.skipped.push(scenario);
             }
             Ok(scenario) => found.scenarios.push(scenario),
             Err(found) => faults.extend(found),

@@ -38,6 +38,19 @@ fn every_scene_loads(#[case] law: LawId) {
     }
 }
 
+#[test]
+fn a_plate_keeps_its_name_and_source() {
+    let mut config = configuration(LawId::DqPi, 1);
+    let plate = &mut config.envelope.plate;
+    (plate.name, plate.source) = ("e\u{301} \"4\"\u{1b}".to_owned(), "two\nlines \\ '''\u{0}".to_owned());
+    let expected = (plate.name.clone(), plate.source.clone());
+    let scene = config.generator().tree(0).unwrap().current();
+    let folder = tempfile::tempdir().unwrap();
+    config.scene_text(&scene, "Scene").write(folder.path(), "scene").unwrap();
+    let plate = load(&folder.path().join("scene.toml"), "scene.toml").unwrap().plate;
+    assert_eq!((plate.name.clone(), plate.source.clone()), expected);
+}
+
 #[rstest]
 #[case::slower_than_a_sine_of_a_tenth_of_a_hertz(0.1)]
 #[case::faster(200.0)]

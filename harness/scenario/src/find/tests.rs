@@ -23,7 +23,7 @@ fn create_tree(paths: &[&str]) -> TempDir {
 fn found_names(folder: &TempDir, arguments: &[&str]) -> (Vec<String>, Vec<String>) {
     let arguments: Vec<_> = arguments.iter().map(|argument| folder.path().join(argument)).collect();
     let found = find(&arguments).unwrap();
-    (found.scenarios.into_iter().map(|scenario| scenario.file).collect(), found.skipped)
+    [found.scenarios, found.skipped].map(|all| all.into_iter().map(|scenario| scenario.file).collect()).into()
 }
 
 fn find_errors(folder: &TempDir, arguments: &[&str]) -> Vec<String> {
