@@ -5,7 +5,7 @@ use platebench_verdict::statistics::SampleSummary;
 use std::collections::BTreeMap;
 
 const CONFIDENCE: f64 = 0.95;
-/// Confidence of each end of the interval as a one-sided bound.
+/// One-sided confidence at each end of the interval, 0.975.
 const ONE_SIDED: f64 = f64::midpoint(1.0, CONFIDENCE);
 
 /// Compares each board with the first board that played the scenario.

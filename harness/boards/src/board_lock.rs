@@ -1,4 +1,4 @@
-//! Locks the files of a board.
+//! Locks a board and its debug probe through lock files in the state folder.
 
 use crate::error::BoardError;
 use crate::inventory::{Board, Inventory};
@@ -11,12 +11,11 @@ use std::path::PathBuf;
 #[derive(Debug, Clone)]
 pub(crate) struct BoardFiles {
     pub(crate) state: PathBuf,
-    /// Lock files of the board and of its probe.
     locks: Vec<PathBuf>,
 }
 
 impl BoardFiles {
-    /// Creates the state folder.
+    /// Creates the state folder if it does not exist.
     pub(crate) fn new(inventory: &Inventory, board: &Board) -> Result<Self, BoardError> {
         let folder = inventory.state_folder();
         fs::create_dir_all(&folder).at(&folder)?;

@@ -24,7 +24,7 @@ pub enum BoardError {
     Held {
         name: String,
         holder: LockHolder,
-        /// Text with a leading space, or empty.
+        /// Text ` since TIME` with the start of the reservation, or empty if it is unknown.
         since: String,
     },
     #[error(

@@ -10,7 +10,6 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 pub const INVENTORY_FILE: &str = "boards.toml";
-/// Hexadecimal digits of `Identity::unique`.
 const CHIP_ID_DIGITS: usize = 24;
 const MAX_NAME_LENGTH: usize = 64;
 
@@ -71,7 +70,7 @@ pub struct Board {
     #[serde(serialize_with = "serialize_rig")]
     pub rig: RigSpec,
     pub host: Option<String>,
-    /// Lower case.
+    /// Hexadecimal digits in lower case.
     pub chip_id: Option<String>,
     pub probe_serial: Option<String>,
     pub amplifier: Option<String>,

@@ -1,7 +1,7 @@
 //! Manages several boards: the inventory `boards.toml`, locks, quarantine and joined runs.
 //!
-//! One folder next to the inventory holds a lock and a state file per board. The kernel releases
-//! the lock when its process ends. The state file survives a power cut.
+//! One folder next to the inventory contains a lock file and a state file per board. The kernel
+//! releases the lock when the process ends that holds it. The state file survives a power cut.
 
 mod board_differences;
 mod board_lock;

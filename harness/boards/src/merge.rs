@@ -35,10 +35,9 @@ pub enum MergeError {
 struct StoredRun {
     folder: PathBuf,
     record: RunRecord,
-    /// Name of the board, or kind of the rig if the run has no board.
+    /// Name of the board, or the kind of the rig if the run names no board.
     board: String,
-    /// Folder of its scenarios in the joined run. Two runs of a scenario on one board have two
-    /// folders.
+    /// Folder of this run's scenarios in the joined run, unique for a board and a scenario.
     place: String,
 }
 
@@ -117,7 +116,7 @@ fn read_runs(folders: &[PathBuf]) -> Result<Vec<StoredRun>, MergeError> {
     Ok(runs)
 }
 
-/// Name of the board, with a number if an earlier run has one of the scenarios in this folder.
+/// Returns the name of the board, with a number if an earlier run has one of the scenarios there.
 fn free_place(runs: &[StoredRun], board: &str, record: &RunRecord) -> String {
     let is_used = |place: &str| {
         let there = runs.iter().filter(|run| run.place == place).flat_map(|run| &run.record.scenarios);
@@ -150,8 +149,8 @@ fn check_trials(runs: &[StoredRun]) -> Result<(), MergeError> {
     Ok(())
 }
 
-/// If boards played different shards of the same N, they share one set of shards. Otherwise each
-/// board has its own set.
+/// If no two boards played the same shard, all boards share one set of shards. Otherwise each board
+/// needs its own complete set.
 fn missing_shards(runs: &[StoredRun]) -> Vec<MissingShard> {
     let mut present: BTreeMap<usize, BTreeMap<&str, BTreeSet<usize>>> = BTreeMap::new();
     for run in runs {
@@ -208,7 +207,7 @@ fn joined_head(runs: &[StoredRun], out: &RunFolder) -> RunRecord {
     }
 }
 
-/// Copies inputs and traces. Fails if the hash of a trace is not that of the record.
+/// Copies inputs and traces. Fails if the hash of a trace differs from the record.
 fn copy_scenario(
     run: &StoredRun,
     scenario: &ScenarioRecord,

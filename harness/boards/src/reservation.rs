@@ -17,10 +17,10 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
-/// Shortest wait, because another command holds the lock for a moment to read the board's state.
+/// Shortest wait for the lock. Another command may hold it for a moment to read the board's state.
 const MIN_WAIT: Duration = Duration::from_millis(500);
 
-/// If it is dropped before [`Reservation::finish`], the board is in quarantine.
+/// A value that is dropped before [`Reservation::finish`] leaves its board in quarantine.
 #[derive(Debug)]
 pub struct Reservation {
     board: Board,
@@ -30,8 +30,8 @@ pub struct Reservation {
 }
 
 impl Reservation {
-    /// Waits at most `wait` for the holder and reports it to `on_wait` once. Checks the chip, then
-    /// marks the board.
+    /// Waits at most `wait` for another holder of the board and reports the holder to `on_wait`
+    /// once. Checks the chip, then marks the board as in use.
     pub fn new(
         inventory: &Inventory,
         name: &str,
@@ -63,12 +63,12 @@ impl Reservation {
         &self.board
     }
 
-    /// Time of the mark, UTC, RFC 3339.
+    /// Time at which the board was marked as in use, UTC, RFC 3339.
     pub fn started(&self) -> &str {
         &self.started
     }
 
-    /// Removes the mark. Puts the board into quarantine if `end` states a reason.
+    /// Removes the mark `in_use`. Puts the board into quarantine if `end` states a reason.
     pub fn finish(self, end: BoardOutcome) -> Result<(), BoardError> {
         let mut state = StoredState::read(&self.files.state)?;
         state.in_use = None;
@@ -111,7 +111,7 @@ fn wait_for_lock(
     }
 }
 
-/// Reads only the identity. The drop of the session requests 0 V.
+/// Reads only the identity of the controller. The drop of the session requests 0 V.
 fn check_chip(board: &Board) -> Result<(), BoardError> {
     let Some(expected) = &board.chip_id else { return Ok(()) };
     let options = ConnectOptions { cancel: CancelToken::never(), ..ConnectOptions::default() };

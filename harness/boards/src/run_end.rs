@@ -1,4 +1,4 @@
-//! Decides whether a board needs a person after a run.
+//! Decides after a run whether the board goes into quarantine.
 
 use crate::state::LastRun;
 use platebench_record::{RECORD_FILE, RunRecord};
@@ -7,18 +7,18 @@ use std::fs;
 use std::path::Path;
 
 const NOT_CONFIRMED: &str = "the controller did not confirm 0 V";
-/// Depth of the runs of an acceptance session below its folder.
+/// Runs of an acceptance session lie at most this number of folders below the session's folder.
 const MAX_DEPTH: usize = 4;
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct BoardOutcome {
-    /// Why no further run may start.
+    /// Reason why no further run may start on the board.
     pub quarantine: Option<String>,
     pub last_run: Option<LastRun>,
 }
 
 impl BoardOutcome {
-    /// No voltage was applied.
+    /// Outcome of a command that applied no voltage.
     pub fn untouched() -> Self {
         Self::default()
     }
@@ -27,7 +27,7 @@ impl BoardOutcome {
         Self { quarantine: Some(NOT_CONFIRMED.to_owned()), last_run: None }
     }
 
-    /// A fault of the bench with confirmed 0 V leaves the board usable.
+    /// An error of the bench leaves the board usable if the controller confirmed 0 V.
     pub fn of_run(result: Result<&RunRecord, &RunError>, folder: &Path) -> Self {
         match result {
             Ok(record) => Self::of_record(record, folder),
@@ -48,7 +48,7 @@ impl BoardOutcome {
         Self { quarantine, last_run: Some(LastRun { started: record.started.clone(), folder, verdict }) }
     }
 
-    /// A run without a record ended before it configured a controller.
+    /// A run without a record ended before the bench configured the controller.
     fn of_error(error: &RunError, folder: &Path) -> Self {
         let mut end = match RunRecord::read(folder) {
             Ok(record) => Self::of_record(&record, folder),
@@ -61,8 +61,7 @@ impl BoardOutcome {
         end
     }
 
-    /// Combines all runs in and below `folder` that started at `since` or later. `last_run` is the
-    /// newest of them.
+    /// Combines all runs in and below `folder` from `since` on. `last_run` is the newest of them.
     pub fn of_runs_below(folder: &Path, since: &str) -> Self {
         let mut end = Self::untouched();
         end.add_runs_below(folder, since, MAX_DEPTH);
@@ -77,7 +76,8 @@ impl BoardOutcome {
                 Err(_) => Self::unconfirmed(),
             };
             self.quarantine = self.quarantine.take().or(run.quarantine);
-            // If two runs started in the same second, the later one by name is the last.
+            // If two runs started in the same second, the one with the later folder name counts as
+            // newer.
             if run.last_run.as_ref().map(|run| &run.started) >= self.last_run.as_ref().map(|run| &run.started) {
                 self.last_run = run.last_run;
             }

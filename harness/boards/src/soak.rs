@@ -1,4 +1,5 @@
-//! Plays scenarios in rotation for hours, with advancing seeds and a record of bounded size.
+//! Plays scenarios in rotation for hours (soak test). Each round has new seeds, and the record has
+//! a bounded size.
 
 use crate::run_end::BoardOutcome;
 use crate::soak_record::{SOAK_FILE, SoakEnd, SoakRecord};
@@ -28,7 +29,7 @@ pub struct SoakResult {
     pub error: Option<RunError>,
 }
 
-/// Writes `soak.json` after each run. Keeps the newest run and the first 20 that did not pass.
+/// Writes `soak.json` after each run. Keeps the newest run and the first 20 runs that did not pass.
 pub fn soak(
     config: &SoakConfig,
     out: &Path,
@@ -99,7 +100,7 @@ fn end_after(
     }
 }
 
-/// Contains one scenario. Its seeds follow those of the round before.
+/// Makes a plan of one scenario. Its seeds follow the seeds of the round before.
 fn plan_of(plan: &RunPlan, scenario: &Scenario, round: u64) -> RunPlan {
     let trials = u64::from(scenario.trials.max_count.max(scenario.trials.count));
     let seed = scenario.trials.seed.wrapping_add(round.wrapping_mul(trials));

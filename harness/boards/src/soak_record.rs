@@ -1,4 +1,4 @@
-//! Records a soak: counts and running statistics, whose size does not grow with its runs.
+//! Records a soak test as counts and running statistics. Its size does not grow with its runs.
 
 use platebench_record::{RunRecord, Verdict, utc_timestamp};
 use platebench_report::text::Table;
@@ -21,10 +21,9 @@ pub struct SoakRecord {
     pub updated: String,
     /// The most severe verdict of all runs.
     pub verdict: Verdict,
-    /// Absent while the soak runs, and after it was killed.
+    /// Absent while the soak test runs, and after it was killed.
     pub end: Option<SoakEnd>,
     pub runs: u64,
-    /// True if the controller confirmed 0 V after each run.
     pub safe_confirmed: bool,
     pub scenarios: BTreeMap<String, SoakScenario>,
     pub newest: Option<String>,
@@ -50,7 +49,7 @@ pub struct SoakScenario {
     pub metrics: BTreeMap<String, RunningStatistics>,
 }
 
-/// Welford's sums (*Technometrics* 4, 1962, pp. 419-420).
+/// Mean and variance by Welford's method (*Technometrics* 4, 1962, pp. 419-420).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RunningStatistics {
     pub count: u64,
@@ -74,7 +73,7 @@ impl RunningStatistics {
         (self.minimum, self.maximum) = (self.minimum.min(value), self.maximum.max(value));
     }
 
-    /// With n − 1 in the denominator; zero for one value.
+    /// Standard deviation with n − 1 in the denominator, or 0 for one value.
     fn deviation(&self) -> f64 {
         if self.count > 1 { (self.squares / (self.count - 1) as f64).sqrt() } else { 0.0 }
     }

@@ -13,7 +13,7 @@ const MAX_STATE_BYTES: u64 = 1 << 20;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct StoredState {
     format: u32,
-    /// Present from before the first voltage until the controller has confirmed 0 V.
+    /// Mark that is present from before the first voltage until the controller has confirmed 0 V.
     pub(crate) in_use: Option<InUse>,
     pub(crate) quarantine: Option<Quarantine>,
     pub(crate) last_run: Option<LastRun>,
@@ -25,7 +25,7 @@ pub(crate) struct InUse {
     pub(crate) since: String,
     pub(crate) process: u32,
     pub(crate) user: Option<String>,
-    /// Subcommand of platebench.
+    /// Subcommand of platebench that reserved the board.
     pub(crate) command: String,
 }
 
@@ -42,7 +42,6 @@ pub struct LastRun {
     pub verdict: Option<Verdict>,
 }
 
-/// End of a quarantine by a person.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Clearance {
     at: String,
@@ -58,7 +57,7 @@ impl Default for StoredState {
 }
 
 impl StoredState {
-    /// A board without a file was never in use.
+    /// Returns the default if there is no file, because such a board was never in use.
     pub(crate) fn read(path: &Path) -> Result<Self, BoardError> {
         match read_text_file(path, MAX_STATE_BYTES) {
             Ok(text) => {
@@ -75,8 +74,7 @@ impl StoredState {
         Ok(write_atomically(path, format!("{text}\n").as_bytes()).at(path)?)
     }
 
-    /// If no process holds the lock, a mark `in_use` counts as a quarantine, because 0 V was not
-    /// confirmed.
+    /// Without a process that holds the lock, `in_use` means quarantine: 0 V was not confirmed.
     pub(crate) fn quarantine_without_holder(&self) -> Option<Quarantine> {
         let lost = |mark: &InUse| Quarantine {
             since: mark.since.clone(),

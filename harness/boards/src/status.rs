@@ -14,7 +14,7 @@ pub enum BoardState {
     Held {
         holder: String,
         user: Option<String>,
-        /// Absent until the board is marked.
+        /// Time of the mark `in_use`. Absent until the holder has marked the board.
         since: Option<String>,
     },
     Quarantined(Quarantine),
@@ -36,8 +36,8 @@ pub fn list(inventory: &Inventory) -> Result<Vec<BoardStatus>, BoardError> {
 fn status(inventory: &Inventory, board: &Board) -> Result<BoardStatus, BoardError> {
     let files = BoardFiles::new(inventory, board)?;
     let lock = files.lock()?;
-    // Read after the attempt to lock, so that the mark is not that of a process that has ended
-    // since.
+    // Read after the attempt to lock. A mark that was read earlier could be of a process that has
+    // ended since.
     let stored = StoredState::read(&files.state)?;
     let state = match (&lock, stored.quarantine_without_holder()) {
         (Err(holder), _) => BoardState::Held {
@@ -79,7 +79,6 @@ pub fn status_table(boards: &[BoardStatus]) -> Table {
     table
 }
 
-/// Ends a quarantine. Fails if a process holds the board.
 pub fn clear(inventory: &Inventory, name: &str, reason: &str) -> Result<(), BoardError> {
     if reason.trim().is_empty() {
         return Err(BoardError::NoReason);

@@ -1,8 +1,8 @@
-//! Encodes the columns as an Arrow schema. Parquet stores it as `ARROW:schema` and has no other
-//! metadata of columns.
+//! Encodes the columns as an Arrow schema. Parquet stores it under the key `ARROW:schema`, because
+//! it has no other metadata of columns.
 //!
-//! Source: Arrow columnar format, `Schema.fbs` and `Message.fbs`. Slots are numbered in the order
-//! of the fields there.
+//! Source: Arrow columnar format, `Schema.fbs` and `Message.fbs`. The slots are numbered in the
+//! order of the fields in these files.
 
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use base64::Engine;
@@ -41,7 +41,7 @@ const fn slot(number: VOffsetT) -> VOffsetT {
     4 + 2 * number
 }
 
-/// The schema of the table that [`crate::parquet`] writes, in base64.
+/// Returns the schema of the table that [`crate::parquet`] writes, in base64.
 pub(crate) fn encode() -> String {
     let mut builder = FlatBufferBuilder::new();
     let keys = [

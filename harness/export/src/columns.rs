@@ -1,5 +1,4 @@
-//! Lists the columns of a row, named as in the trace. Each flag is a column, so that programs can
-//! filter by it.
+//! Lists the columns of a row. Each flag is a column, so that programs can filter by it.
 
 use platebench_trace::{Column, Flags, Row};
 

@@ -4,7 +4,7 @@ use platebench_trace::{FileError, TraceError};
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-/// Files that were complete before the error remain.
+/// After an error, files that were complete before it remain.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
     #[error(transparent)]

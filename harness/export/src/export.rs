@@ -61,7 +61,7 @@ pub fn export(
         ExportFormat::Mf4 => {
             for source in &sources {
                 for trial in &source.trials {
-                    // The only trial of a scenario has the scenario's name.
+                    // If a scenario has only one trial, the file has the name of the scenario.
                     let name = match source.scenario.trials.len() {
                         1 => format!("{}.mf4", source.name),
                         _ => format!("{}/{:03}.mf4", source.name, trial.index),

@@ -1,8 +1,8 @@
 //! Writes MCAP: a file per scenario, a topic per trial, a JSON message per row.
 //!
 //! The schema contains the units. The log time of every trial begins at the start of the run, so
-//! that viewers overlay trials. `t_s` is the exact time; the log time is rounded to whole
-//! nanoseconds.
+//! that viewers overlay trials. The log time is rounded to whole nanoseconds. `t_s` is the exact
+//! time.
 
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
@@ -54,7 +54,7 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
     Ok(writer.into_inner().flush().at(path)?)
 }
 
-/// JSON Schema of a message; `unit` is an annotation.
+/// JSON Schema of a message. `unit` is an annotation, which validators ignore.
 fn schema() -> Value {
     let numbers = NUMBER_COLUMNS.iter().map(|number| {
         let description = format!("{}, {}", number.meaning, number.unit);
@@ -63,8 +63,7 @@ fn schema() -> Value {
     let flags =
         FLAG_COLUMNS.iter().map(|flag| (flag.name.to_owned(), json!({"type": "boolean", "description": flag.meaning})));
     let properties: Map<String, Value> = numbers.chain(flags).collect();
-    // Viewers reject a list of types such as number or null, so an unknown number is missing
-    // instead.
+    // Viewers reject a list of types such as number or null, so an unknown number is missing.
     let optional = |name: &str| NUMBER_COLUMNS.iter().any(|number| number.name() == name && number.can_be_unknown);
     let required: Vec<&String> = properties.keys().filter(|name| !optional(name)).collect();
     json!({"title": "platebench.Row", "type": "object", "required": required, "properties": properties})

@@ -1,8 +1,8 @@
 //! Writes Parquet: a table per scenario with all trials.
 //!
-//! The key-value metadata contain units as `unit.<column>`, meanings as `meaning.<column>`, the
-//! scenario, and the Arrow schema, whose columns contain `unit` and `meaning`. Memory holds one row
-//! group of at most [`ROW_GROUP_ROWS`] rows.
+//! The key-value metadata contain `unit.<column>`, `meaning.<column>`, the scenario and the Arrow
+//! schema. The Arrow schema repeats unit and meaning per column. Memory holds one row group of at
+//! most [`ROW_GROUP_ROWS`] rows.
 
 use crate::arrow_schema;
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
@@ -21,7 +21,7 @@ use std::fs::File;
 use std::path::Path;
 use std::sync::Arc;
 
-/// About 8 MB of numbers.
+/// A row group has about 7 MB of numbers: 13 columns of 8 bytes per row.
 const ROW_GROUP_ROWS: usize = 65_536;
 
 pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Result<(), ExportError> {
@@ -87,7 +87,7 @@ fn write_group(
 ) -> Result<(), ParquetError> {
     let mut group = writer.next_row_group()?;
     write_column::<ByteArrayType>(&mut group, &vec![ByteArray::from(scenario); rows.len()])?;
-    // Parquet stores unsigned numbers in the bits of signed ones.
+    // Parquet stores unsigned numbers in the bits of signed numbers.
     write_column::<Int32Type>(&mut group, &rows.iter().map(|(trial, ..)| trial.cast_signed()).collect::<Vec<_>>())?;
     write_column::<Int64Type>(&mut group, &rows.iter().map(|(_, seed, _)| seed.cast_signed()).collect::<Vec<_>>())?;
     let rows = || rows.iter().map(|(_, _, row)| row);

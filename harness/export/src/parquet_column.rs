@@ -21,7 +21,7 @@ pub fn write_optional_column<T: DataType>(
     write::<T>(group, &values.into_iter().flatten().collect::<Vec<_>>(), Some(&levels))
 }
 
-/// A level is 1 for a row with a value, else 0.
+/// `levels` are the definition levels of Parquet: 1 for a row with a value, 0 without.
 fn write<T: DataType>(
     group: &mut SerializedRowGroupWriter<'_, impl Write + Send>,
     values: &[T::T],

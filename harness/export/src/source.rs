@@ -6,7 +6,6 @@ use platebench_record::{RunRecord, ScenarioRecord};
 use platebench_trace::{Row, TraceReader};
 use std::path::{Component, Path, PathBuf};
 
-/// A trial with a complete trace.
 #[derive(Debug)]
 pub(crate) struct ExportTrial {
     pub(crate) index: u32,
@@ -52,8 +51,8 @@ impl<'a> ExportScenario<'a> {
                 return Err(outside(&trial.trace));
             }
             let trace = folder.join(&trial.trace);
-            // A trial without hash and file was cut off. If only the file is missing, reading it
-            // fails later.
+            // A trial without hash and file was cut off. If only the file is missing, the later
+            // read of the trace fails.
             if trial.sha256.is_none() && !trace.exists() {
                 cut_off += 1;
             } else {

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 pub(crate) const FILE: &str = "traces.csv";
 
-/// The W3C specifies the suffix.
+/// Appends `-metadata.json`, the suffix that the W3C specifies.
 pub(crate) fn description_path(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push("-metadata.json");

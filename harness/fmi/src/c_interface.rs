@@ -244,8 +244,8 @@ pub unsafe extern "C" fn fmi3FreeFMUState(_instance: *mut c_void, state: *mut *m
     OK
 }
 
-/// Functions that only return a status. They declare no arguments, which the caller owns in the C
-/// convention of Linux.
+/// Defines functions that only return a status. They declare no parameters: in the C convention of
+/// Linux, the caller owns the arguments, so a function may ignore them.
 macro_rules! status_functions {
     ($status:expr => $($name:ident)*) => {
         $(

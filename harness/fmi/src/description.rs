@@ -6,10 +6,10 @@ use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
 pub(crate) const MODEL_IDENTIFIER: &str = "platebench_fmi";
-/// The library rejects a description with another token.
+/// The shared library rejects a description with another token.
 pub(crate) const INSTANTIATION_TOKEN: &str = "platebench-plate-1";
 
-/// Name of each unit, factor to its SI base units, and their exponents.
+/// Name of each unit, factor to its SI base units, and exponents of these base units.
 const UNITS: [(&str, f64, &str); 6] = [
     ("V", 1.0, "kg=\"1\" m=\"2\" s=\"-3\" A=\"-1\""),
     ("Hz", 1.0, "s=\"-1\""),
@@ -70,7 +70,7 @@ pub(crate) fn model_description(plate: &Plate, title: &str) -> String {
     )
 }
 
-/// Omits control characters, which XML 1.0 forbids.
+/// Omits control characters, because XML 1.0 forbids most of them.
 fn escape_attribute(text: &str) -> String {
     let is_forbidden = |letter: char| letter.is_control() || "\u{fffe}\u{ffff}".contains(letter);
     text.replace(is_forbidden, "").replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;")

@@ -33,8 +33,7 @@ pub enum FmuError {
     Archive { path: PathBuf, source: zip::result::ZipError },
 }
 
-/// Searches the folder of `program`, its `deps` (built by cargo), and `../lib/platebench`
-/// (installed).
+/// Searches the folder of `program`, its `deps` (Cargo) and `../lib/platebench` (installed).
 pub fn find_library(program: &Path) -> Result<PathBuf, FmuError> {
     let folder = program.parent().unwrap_or(Path::new("."));
     let folders = [folder.to_owned(), folder.join("deps"), folder.join("../lib/platebench")];

@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 use std::fs;
 use std::path::Path;
 
-/// Plate file in the folder `resources` of the FMU.
+/// Name of the plate file in the folder `resources` of the FMU.
 pub(crate) const PLATE_FILE: &str = "plate.toml";
 
 #[derive(Debug, thiserror::Error)]

@@ -1,6 +1,6 @@
 //! Lists inputs and outputs of the FMU.
 
-/// A real variable. Value reference 0 is the time; from 1 on follow the inputs, then the outputs.
+/// Real variable. Value reference 0 is the time, then come the inputs, then the outputs.
 #[derive(Debug, Clone, Copy)]
 pub struct Variable {
     pub name: &'static str,
@@ -10,7 +10,7 @@ pub struct Variable {
 
 pub(crate) const TIME_REFERENCE: u32 = 0;
 
-/// The frequency starts at the resonance of the plate, the other inputs start at 0.
+/// The frequency starts at the resonance of the plate. The other inputs start at 0.
 pub const INPUTS: [Variable; 4] = [
     Variable { name: "drive", unit: "V", meaning: "drive voltage, peak to peak, constant during a step" },
     Variable { name: "frequency", unit: "Hz", meaning: "excitation frequency, constant during a step" },

@@ -1,5 +1,5 @@
-//! Draws the state of the view in two layouts, which `draw/snapshots` shows. Colour only repeats
-//! what the text says.
+//! Draws the view in two layouts, by the size of the terminal. `draw/snapshots` contains examples.
+//! Colour only repeats information of the text.
 
 mod charts;
 mod panels;
@@ -11,7 +11,7 @@ use ratatui::text::Line;
 use ratatui::widgets::Paragraph;
 
 const MIN_SIZE: [u16; 2] = [80, 24];
-/// From this size on, every signal has its own chart.
+/// From this size on, the view also has charts of drive and frequency.
 const LARGE_SIZE: [u16; 2] = [140, 36];
 const PANEL_WIDTH: u16 = 31;
 const LARGE_PANEL_WIDTH: u16 = 44;

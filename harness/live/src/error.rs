@@ -1,8 +1,8 @@
-//! Defines why the view cannot open.
+//! Defines the errors of a view that cannot open.
 
 use std::io;
 
-/// Largest terminal in cells. A frame is in memory twice, and a terminal may report any size.
+/// Largest terminal in cells. A terminal may report any size, and memory holds two frames.
 #[cfg(feature = "screen")]
 pub(crate) const MAX_CELLS: u32 = 1 << 20;
 

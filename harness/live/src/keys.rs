@@ -6,10 +6,10 @@ use std::time::Duration;
 
 const KEY_POLL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Ctrl-C if the terminal is raw. During a live view, Ctrl-C is a signal instead.
+/// Character for Ctrl-C if the terminal is raw. During a live view, Ctrl-C sends a signal instead.
 pub const INTERRUPT: char = '\u{3}';
 
-/// Returns at once if standard input is not a terminal.
+/// Calls `typed` for each key. Returns at once if standard input is not a terminal.
 pub fn watch_keys(is_over: impl Fn() -> bool, mut typed: impl FnMut(char)) {
     if !stdin().is_terminal() {
         return;

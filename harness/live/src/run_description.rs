@@ -2,10 +2,9 @@
 
 use platebench_scenario::Scenario;
 
-/// Half width of the band in percent if no expectation has a band. The paper uses it for the
-/// response time.
+/// Half width of the band in % if no expectation has one, as in the paper for the response time.
 const BAND_PERCENT: f64 = 5.0;
-/// The view draws at most this last part of a trial.
+/// Longest part of a trial that the view draws. It draws the last part.
 const MAX_WINDOW_S: f64 = 10.0;
 
 #[derive(Debug, Clone)]

@@ -1,4 +1,4 @@
-//! Takes the terminal for the view and restores it, however the program ends.
+//! Takes the terminal for the view and restores it, also after a panic.
 
 use crate::error::LiveViewError;
 use crossterm::cursor::{Hide, Show};
@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Longest wait for a terminal that accepts no output.
 const WRITE_TIMEOUT: Timespec = Timespec { tv_sec: 0, tv_nsec: 300_000_000 };
-/// Disables a control character (`_POSIX_VDISABLE` on Linux).
+/// Value that disables a control character (`_POSIX_VDISABLE` on Linux).
 const DISABLED: u8 = 0;
 
 #[derive(Debug)]
@@ -35,7 +35,7 @@ impl Screen {
             return Err(LiveViewError::Dumb);
         }
         let mut terminal = Self::open_terminal()?;
-        // A background process would be stopped (SIGTTOU) as soon as it changed the terminal.
+        // The kernel stops a background process (SIGTTOU) as soon as it changes the terminal.
         if tcgetpgrp(&terminal).is_ok_and(|foreground| foreground != getpgrp()) {
             return Err(LiveViewError::Background);
         }
@@ -63,8 +63,8 @@ impl Screen {
     }
 }
 
-/// Never fails, because ratatui's `drop` prints a failed write to standard error, which panics on
-/// the same terminal.
+/// Never fails, because ratatui's `drop` would print the error to standard error, which panics if
+/// the same terminal is gone.
 #[derive(Debug)]
 pub(crate) struct FrameWriter {
     terminal: File,
@@ -91,8 +91,7 @@ impl Write for FrameWriter {
     }
 }
 
-/// Delivers single keys without echo. Ctrl-C still interrupts. Ctrl-Z, Ctrl-\ and Ctrl-S have no
-/// effect.
+/// Delivers single keys without echo. Only Ctrl-C still sends a signal, and Ctrl-S does nothing.
 fn with_single_keys(saved: &Termios) -> Termios {
     let mut modes = saved.clone();
     modes.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);

@@ -1,10 +1,9 @@
-//! Decimates a trial: keeps minimum and maximum of each signal per time slice.
+//! Decimates the rows of a trial: keeps minimum and maximum of each signal per time slice.
 
 use platebench_trace::{Column, Row};
 use std::collections::VecDeque;
 
-/// Time slices per window: two for each character of the widest chart, because a Braille character
-/// has two columns of dots.
+/// Slices per window: two for each of 256 characters, because a Braille character has two columns.
 const SLICES: f64 = 512.0;
 /// The curve has a gap if two rows are further apart than this many times the usual distance.
 const GAP_SPACINGS: f64 = 3.5;

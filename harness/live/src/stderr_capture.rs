@@ -57,7 +57,7 @@ fn strip_control_sequences(text: &str) -> String {
     let mut characters = text.chars();
     while let Some(character) = characters.next() {
         if character == '\u{1b}' && characters.as_str().starts_with('[') {
-            // CSI, parameters and intermediates, one final byte from @ to ~ (ECMA-48).
+            // ESC [, then parameters and intermediates, then one final byte from @ to ~ (ECMA-48).
             characters.next();
             let _ = characters.by_ref().find(|last| ('@'..='~').contains(last));
         } else if character == '\t' {
@@ -78,7 +78,7 @@ pub(crate) struct StderrCapture {
 }
 
 impl StderrCapture {
-    /// `None` if standard error is not a terminal. It then stays unchanged.
+    /// `None` if standard error is not a terminal. Standard error then stays unchanged.
     pub(crate) fn start() -> io::Result<Option<Self>> {
         if !stderr().is_terminal() {
             return Ok(None);
@@ -101,7 +101,7 @@ impl StderrCapture {
     }
 }
 
-/// Ends after the capture even if a child process still holds the pipe.
+/// Reads until the capture ends, even if a child process still holds the pipe open.
 fn read_pipe(mut pipe: File, kept: &Mutex<CapturedLines>, over: &AtomicBool) {
     let mut bytes = [0; 4096];
     loop {

@@ -22,9 +22,9 @@ use std::time::{Duration, Instant};
 
 const FRAME_INTERVAL: Duration = Duration::from_millis(50);
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
-/// Needed because in lockstep rows may arrive as fast as the view reads them.
+/// Limits the rows of one poll, because in lockstep they may arrive as fast as the view reads them.
 const MAX_ROWS_PER_POLL: usize = 1 << 15;
-/// A whole frame fits, so each frame is one write.
+/// A usual frame fits into this buffer, so the terminal gets it in one write.
 const FRAME_CAPACITY: usize = 1 << 16;
 const LAST_FRAME_TIMEOUT: Duration = Duration::from_millis(500);
 const MAX_MESSAGES: usize = 64;
@@ -35,7 +35,7 @@ enum ViewMessage {
     End,
 }
 
-/// The drop ends the view and restores the terminal.
+/// The drop of this value ends the view and restores the terminal.
 #[derive(Debug)]
 pub struct LiveView {
     // The order of the fields is the order of their drops: frames, screen, standard error.
@@ -70,10 +70,9 @@ impl LiveView {
             is_stopped: Arc::clone(&is_stopped),
         };
         thread::Builder::new().name("view".to_owned()).spawn(move || {
-            // A panic drops it too, so that `LiveView::drop` does not wait.
+            // A panic of this thread also drops `end`, so that `LiveView::drop` does not wait.
             let _end = end;
-            // An error means that the terminal is gone. The hang-up signal of the terminal ends the
-            // run.
+            // An error means that the terminal is gone. Its hang-up signal then ends the run.
             let _ = view_thread.run(&mut terminal);
         })?;
         Ok(Self {
@@ -122,7 +121,7 @@ impl ViewSender {
 
 impl Drop for LiveView {
     fn drop(&mut self) {
-        // Other senders may still exist, so closing the channel is not enough.
+        // Clones of the sender may still exist, so a closed channel cannot signal the end.
         let _ = self.messages.send(ViewMessage::End);
         // The terminal is restored after the last frame or after the time-out.
         let _ = self.finished.recv_timeout(LAST_FRAME_TIMEOUT);

@@ -1,4 +1,4 @@
-//! Replaces the view in a build without the feature `screen`: it never opens.
+//! Replaces the view in a build without the feature `screen`. It cannot be opened.
 
 use crate::error::LiveViewError;
 use crate::run_description::RunDescription;
@@ -35,7 +35,7 @@ impl ViewSender {
     }
 }
 
-/// Exists because the view with a screen has a `Drop` too.
+/// The view with a screen has a `Drop` too, so callers compile with both.
 impl Drop for LiveView {
     fn drop(&mut self) {
         match *self {}

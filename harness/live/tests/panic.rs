@@ -10,7 +10,7 @@ use std::thread;
 
 const MESSAGE: &str = "a panic on purpose";
 
-/// Not a test: the test below starts it as a process in a terminal.
+/// This is not a test. The test below starts it as a process in a terminal.
 #[test]
 #[ignore = "started by the other one"]
 fn panics_on_purpose() {

@@ -6,7 +6,7 @@ use platebench_scenario::Diagnostic;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Stops the whole suite for any filter, because a partial suite could pass by mistake.
+/// Stops the whole suite, also with a filter, because a partial suite could pass by mistake.
 #[derive(Debug, thiserror::Error)]
 pub enum SuiteError {
     #[error("{0}")]
@@ -21,7 +21,7 @@ pub enum SuiteError {
 }
 
 impl SuiteError {
-    /// As for `platebench run`, 2 for invalid input and 4 without scenarios.
+    /// Equals the exit code of `platebench run`: 2 for invalid input, 4 if there is no scenario.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Rig(_) | Self::Connect(_) | Self::Scenarios(_) => 2,

@@ -42,7 +42,7 @@ impl From<FolderError> for TestFailure {
 }
 
 impl TestContext {
-    /// Uses real time on a serial line of a board and lockstep otherwise, like `platebench run`.
+    /// Selects the clock like `platebench run`: real time on a serial line, lockstep otherwise.
     pub(crate) fn new(rig: RigSpec, out: PathBuf) -> Self {
         let clock = if rig.is_line() {
             Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench })
@@ -65,8 +65,7 @@ impl TestContext {
         Err(TestFailure::Verdict { code, expected, table, folder })
     }
 
-    /// Runs into a temporary folder, which then replaces `folder`, so that `folder` contains only
-    /// one run.
+    /// Runs into a temporary folder, which then replaces an earlier run in `folder`.
     fn run_and_replace(&self, plan: &RunPlan, folder: &Path) -> Result<RunRecord, TestFailure> {
         let parent = folder.parent().unwrap_or(&self.out);
         fs::create_dir_all(parent).map_err(folder_error(parent))?;
@@ -75,7 +74,7 @@ impl TestContext {
         let new = new.map_err(folder_error(parent))?;
         let result = self.run_into(plan, new.path());
         if new.path().join(RECORD_FILE).exists() {
-            // Never delete a folder that is not a run folder.
+            // A folder without a record is not a run folder and must not be deleted.
             if folder.join(RECORD_FILE).exists() {
                 fs::remove_dir_all(folder).map_err(folder_error(folder))?;
             }

@@ -26,15 +26,14 @@ impl Suite {
         Self { scenarios: scenarios.into(), out: out.into(), rig: "emulated".to_owned() }
     }
 
-    /// As for `platebench run --rig`; `emulated` by default. [`RIG_VARIABLE`] overrides it.
+    /// Sets the rig, as `platebench run --rig` (default `emulated`). [`RIG_VARIABLE`] overrides it.
     #[must_use]
     pub fn rig(mut self, rig: impl Into<String>) -> Self {
         self.rig = rig.into();
         self
     }
 
-    /// Exit codes: 0 if all tests passed, 101 if a test failed, 2 for an invalid scenario or rig, 4
-    /// without scenarios.
+    /// Exit codes: 0 all tests passed, 101 a test failed, 2 invalid scenario or rig, 4 no scenario.
     pub fn run(mut self) -> ExitCode {
         if let Ok(rig) = std::env::var(RIG_VARIABLE) {
             self.rig = rig;
@@ -80,6 +79,6 @@ impl Suite {
 
 struct SuiteTests {
     trials: Vec<Trial>,
-    /// True if all tests need the same line.
+    /// True if all tests need the same line, so that they cannot run in parallel.
     one_at_a_time: bool,
 }

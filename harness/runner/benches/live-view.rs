@@ -1,5 +1,6 @@
-//! Measures how a live view slows down the trial loop, for the table of `docs/live-view.md`.
-//! Variants alternate and processor time is measured, so the ratios also hold on a busy computer.
+//! Measures by how much a live view slows down the trial loop, for the table of
+//! `docs/live-view.md`. Variants alternate and only processor time counts, so the ratios hold on a
+//! busy computer.
 
 use platebench_rig::{FaultInjector, HostedLink, Session};
 use platebench_runner::live_tap::{TapGuard, TapReader};
@@ -36,7 +37,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let live_taps = [LiveTap::default(), LiveTap::default(), active, stalled];
         let mut taps = live_taps.each_ref().map(|tap| tap.acquire(0, 0));
         let cancel = CancelToken::default();
-        // The first round also fills the queue of the stalled tap.
+        // The first round is not measured. It fills the queue that has no active reader.
         for round in 0..=ROUNDS {
             for place in 0..VARIANTS.len() {
                 let variant = (place + round) % VARIANTS.len();

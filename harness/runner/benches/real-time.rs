@@ -1,6 +1,6 @@
 //! Compares the lateness of the real-time loop with the limits of the computer, for
-//! `docs/real-time.md`. With a port as argument, the program is the controller on this port. With
-//! `--echo` and a port, it returns all bytes.
+//! `docs/real-time.md`. The benchmark starts itself as other programs: with a port as argument, it
+//! is the controller on this port. With `--echo` and a port, it returns all bytes.
 
 mod real_time {
     pub(crate) mod exchange;

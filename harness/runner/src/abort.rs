@@ -1,4 +1,4 @@
-//! Defines why a trial in real time, a trial on a real plate or a replay ended early.
+//! Defines why a replay, a trial in real time or a trial on a real plate ends early.
 
 use platebench_rig::RigError;
 

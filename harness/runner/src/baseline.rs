@@ -1,4 +1,4 @@
-//! Builds a baseline from the trials of a stored run.
+//! Builds a baseline (the accepted reference response) from the trials of a stored run.
 
 use crate::stored_trials::{CompareError, ScenarioTrials, StoredTrial};
 use platebench_record::{RunRecord, ScenarioRecord};
@@ -44,7 +44,7 @@ pub fn build_baseline(
 ) -> Result<Baseline, BaselineAcceptError> {
     let trials = stored.trials.iter().map(StoredTrial::rows).collect::<Result<Vec<_>, _>>()?;
     let Some(first) = trials.first() else { return Err(BaselineAcceptError::NoTrial) };
-    // The trace step is the longest time between two rows, in whole nanoseconds.
+    // Events add rows, so the longest time between two rows is the trace step, in whole ns.
     let gaps = first.iter().zip(first.iter().skip(1)).map(|(left, right)| right.t_s - left.t_s);
     let step_ms = (gaps.fold(0.0, f64::max) * 1e9).round() / 1e6;
     let differ = trials.iter().any(|rows| rows != first);
@@ -54,7 +54,7 @@ pub fn build_baseline(
     } else {
         (GoldenTubes::from_trial(first, step_ms).ok_or(BaselineAcceptError::NoTrial)?, None)
     };
-    // Keeps the tolerances of the old baseline, because a person may have edited them.
+    // A person may have edited the tolerances of the old baseline, so they are kept.
     for tube in &mut golden.tubes {
         if let Some(kept) = old.and_then(|old| old.golden.tubes.iter().find(|old| old.signal == tube.signal)) {
             tube.tolerance = kept.tolerance;

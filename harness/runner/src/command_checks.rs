@@ -1,5 +1,5 @@
-//! Checks every command against the configured limits before the bench clips its drive. Does not
-//! allocate.
+//! Checks every command against the configured limits, before the bench clips its drive. The
+//! real-time loop calls these checks, so they do not allocate.
 
 use crate::configure::start_frequency_mhz;
 use platebench_plate::Time;
@@ -7,10 +7,9 @@ use platebench_record::{Violation, ViolationKind};
 use platebench_scenario::Scenario;
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId};
 
-/// In f32, 32 kHz has a resolution of 2 mHz. The wire rounds to 1 mHz. A difference has both errors
-/// twice.
+/// Covers the rounding of two frequencies: f32 resolves 32 kHz to 2 mHz, the wire rounds to 1 mHz.
 const FREQUENCY_TOLERANCE_HZ: f64 = 5e-3;
-/// Relative tolerance, because the wire carries gains as f32.
+/// Relative tolerance for the rounding of gains to f32 on the wire.
 const GAIN_TOLERANCE: f32 = 1e-5;
 
 #[derive(Debug)]
@@ -19,10 +18,9 @@ pub(crate) struct CommandChecks {
     start_hz: f64,
     range_hz: f64,
     slew_hz: f64,
-    /// `None` after a stop of the controller, because the frequency may then start at any value.
+    /// `None` after a stop of the controller, because it may then restart at any frequency.
     last_hz: Option<f64>,
-    /// False if the scenario has faults, because they may repeat an earlier command or stop the
-    /// controller's clock.
+    /// False if the scenario has faults, because a fault may turn back the time of the commands.
     checks_clock: bool,
     last_us: Option<u32>,
     violations: [Option<Violation>; ViolationKind::COUNT],
@@ -43,8 +41,8 @@ impl CommandChecks {
         }
     }
 
-    /// `samples` is the largest number of samples that the command answers. Each allows one step of
-    /// the frequency.
+    /// `samples` is the maximum number of samples since the last command. Each sample allows a
+    /// frequency step of `slew_hz`.
     pub(crate) fn check_command(&mut self, command: &Command, samples: u32, now: Time) {
         let drive = command.drive_vpp;
         if drive.is_finite() && drive > self.drive_limit_vpp {
@@ -76,7 +74,7 @@ impl CommandChecks {
         }
     }
 
-    /// A law reports 0 for a gain that it does not use. The `dq-pi` laws use all gains.
+    /// A law may report 0 for a gain that it does not use. The `dq-pi` laws use all gains.
     pub(crate) fn check_gains(&mut self, configure: &Configure, gains: &Gains, now: Time) {
         let values = |gains: &Gains| [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
         let uses_all = matches!(configure.law, LawId::DqPi | LawId::DqPiFixed | LawId::DqPiEuler);
@@ -147,7 +145,7 @@ mod tests {
         Time::from_nanos(ms * 1_000_000)
     }
 
-    /// Drive, offset from the start frequency, and samples since the last command of a sequence.
+    /// Commands: drive in Vpp, offset from the start frequency in mHz, samples since the last one.
     #[rstest]
     #[case::within_limits(&[(0.0, 0, 1), (900.0, 100_004, 1), (900.0, 0, 1)], &[])]
     #[case::above_limit(&[(900.1, 0, 1), (1e30, 0, 1)], &[(ViolationKind::DriveAboveLimit, 2)])]

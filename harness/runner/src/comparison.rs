@@ -15,7 +15,7 @@ pub enum Reference {
 }
 
 impl Reference {
-    /// `against` is [`BASELINE_KEYWORD`], the TOML file of a baseline, a trace or a run folder.
+    /// `against` is [`BASELINE_KEYWORD`] or the path of a baseline (TOML), trace or run folder.
     pub fn find(
         subject: &Path,
         against: &str,
@@ -110,9 +110,9 @@ fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> 
     Ok(all)
 }
 
-/// Returns an inconclusive verdict instead of a pass if a trial does not count.
+/// Returns inconclusive instead of pass if the scenario has excluded trials.
 pub fn compare_with_tubes(golden: &GoldenTubes, scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
-    // Reads one trace at a time to bound memory.
+    // Reads one trace at a time, because all traces together may exceed the memory.
     let mut failed = None;
     let readable = scenario.trials.iter().map_while(|trial| match trial.rows() {
         Ok(rows) => Some((trial.index, rows)),

@@ -13,7 +13,7 @@ pub fn law(scenario: &Scenario) -> Result<LawId, Diagnostic> {
     })
 }
 
-/// Uses the nominal plate, not the trial's variation of it.
+/// Uses the nominal plate, because a controller does not know how a trial varies its plate.
 pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
     let controller = &scenario.controller;
     let plate = scenario.design_plate();
@@ -76,7 +76,7 @@ mod tests {
         assert_eq!(missing(&scenario, identity(0, u32::MAX)), None);
         let reason = missing(&scenario, identity(0, 1 << LawId::OpenLoop as u8)).unwrap();
         assert!(reason.contains("the law dq-pi"), "{reason}");
-        // The delay of the plate is not the delay for which the law is designed.
+        // `loop_delay` is the simulated delay. The controller gets only `design_delay`.
         scenario.controller.loop_delay = Time::from_nanos(700_000);
         assert_eq!(configure(&scenario, LawId::DqPi).loop_delay_us, 0);
         assert_eq!(missing(&scenario, identity(0, u32::MAX)), None);

@@ -1,4 +1,4 @@
-//! Records what a controller does during a trial, for both trial loops.
+//! Records commands, stops and violations of a controller during a trial, for both trial loops.
 
 use crate::command_checks::CommandChecks;
 use crate::configure::configure;
@@ -12,12 +12,11 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tracing::warn;
 
-/// Missed replies in a row after which a controller is lost. Its watchdog expires after five
-/// control periods.
+/// Missed replies in a row after which a controller is lost. Its watchdog expires after 5 periods.
 pub(crate) const MAX_MISSED_REPLIES: u32 = 20;
-/// Control periods in which the bench watches the controller after its confirmation of 0 V.
+/// Number of control periods in which the bench checks for 0 V after the controller confirmed 0 V.
 const WATCHED_PERIODS: u64 = 10;
-/// Large enough that every running law drives a resting plate.
+/// Least setpoint after confirmed 0 V, at which every running law would drive a resting plate.
 const SETPOINT_AFTER_SAFE_UM: f64 = 1.0;
 
 #[derive(Debug)]
@@ -51,7 +50,7 @@ impl<'a> ControllerLog<'a> {
         self.samples += 1;
     }
 
-    /// `newer_samples` is the number of samples that the bench sent after the answered one.
+    /// `newer_samples` is the number of samples sent after the sample of this command.
     pub(crate) fn record_command(&mut self, command: &Command, newer_samples: u8, now: Time) {
         self.missed_replies = 0;
         let samples = std::mem::replace(&mut self.samples, newer_samples.into());
@@ -88,7 +87,7 @@ impl<'a> ControllerLog<'a> {
         configure(self.scenario, self.law)
     }
 
-    /// Returns the configuration to send again if the fault that stopped the controller is over.
+    /// Returns the configuration to send again, if the fault that stopped the controller is over.
     pub(crate) fn reconfiguration(&self, now: Time) -> Option<Configure> {
         let stopped = self.stopped_since?;
         needs_reconfiguration(self.scenario, stopped, now).then(|| self.configuration())
@@ -101,7 +100,7 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    /// A planned fault `duplicate` excuses a repeated reply, but not a contradictory one.
+    /// A planned fault `duplicate` excuses a second reply, unless it differs from the first one.
     pub(crate) fn record_session<L: Link>(&mut self, session: &Session<FaultInjector<L>>, now: Time) {
         self.checks.set_count(ViolationKind::WrongSequence, session.wrong_sequences(), now);
         let is_planned = self.scenario.faults.iter().any(|fault| fault.kind == FaultKind::Duplicate);
@@ -113,8 +112,8 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    /// Plays the protocol scripts if the scenario expects them. They may leave the controller in
-    /// any state.
+    /// Plays the protocol scripts if the scenario expects [`Metric::ProtocolDifferences`].
+    /// Afterwards the controller may be in any state.
     pub(crate) fn check_protocol<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,
@@ -140,8 +139,8 @@ impl<'a> ControllerLog<'a> {
         self.checks.set_count(ViolationKind::IgnoredSafe, session.ignored_safe_requests(), now);
     }
 
-    /// Sends one more sample, of a resting plate, with the time stamp of `last`. The controller
-    /// must stay at 0 V.
+    /// Checks that the controller stays at 0 V. Sends one sample of a resting plate with the time
+    /// stamp of `last`, because a running law would answer it with a drive.
     pub(crate) fn watch_after_safe<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,
@@ -171,7 +170,8 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    /// Sends no sample, because the amplifier of a board may be on.
+    /// Checks that the controller stays at 0 V. Sends no sample, because a faulty controller could
+    /// answer with a drive, and the amplifier of a board may be on.
     pub(crate) fn watch_after_safe_in_real_time<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,
@@ -196,8 +196,8 @@ impl<'a> ControllerLog<'a> {
     }
 }
 
-/// True if the error fails the trial. Other errors, such as a dead line, make the trial
-/// inconclusive.
+/// True if the controller caused the error, so the trial fails. Any other error, such as a dead
+/// line, makes the trial inconclusive.
 pub(crate) fn is_controller_failure(error: &RigError) -> bool {
     match error {
         RigError::Trapped(_) | RigError::WrongSequence | RigError::Link(LinkError::Target(_)) => true,

@@ -1,5 +1,5 @@
-//! Excuses an expectation if the simulated law meets it without the rig's delay and misses it with
-//! this delay.
+//! Excuses a missed expectation if the delay of the rig explains it: the simulated law meets it
+//! without this delay and misses it with this delay.
 
 use crate::real_time::Pacing;
 use crate::trial;
@@ -27,7 +27,7 @@ pub(crate) fn measure_trial(
         return measures;
     }
     let simulate = |delay| simulate_trial(scenario, law, index, delay);
-    // In real time, the scenario's own loop delay does not act.
+    // In real time, the bench does not simulate the loop delay of the scenario.
     let without = simulate(Time::ZERO);
     let with = [typical, longest].map(simulate);
     for number in missed {
@@ -56,18 +56,16 @@ pub(crate) fn measure_trial(
     measures
 }
 
-/// Median and longest loop delay in real time. `None` in lockstep, where delay is part of the
-/// experiment.
+/// Median and longest loop delay. `None` in lockstep, because delay is then part of the experiment.
 fn rig_delay(telemetry: &Telemetry) -> Option<(Time, Time)> {
     let timing = telemetry.timing.as_ref()?;
     let delay = timing.loop_delay_us?;
-    // With target pacing, the measured delay excludes the lateness of the sample, which has the
-    // same effect.
+    // With target pacing, the measured delay begins at the tick. A late tick acts like delay too.
     let late = if timing.pacing == Pacing::Target.name() { timing.lateness_us.max } else { 0.0 };
     Some((Time::from_ms(delay.p50 / 1e3)?, Time::from_ms((delay.max + late) / 1e3)?))
 }
 
-/// Excuses a missed limit of the loop delay, because line and bench add to this delay in real time.
+/// Excuses a missed limit of the loop delay, because line and bench add to it in real time.
 fn excuse_loop_delay(scenario: &Scenario, measures: &mut TrialMeasures) {
     let both = scenario.expectations.iter().zip(&measures.measures);
     for ((expectation, measure), excuse) in both.zip(&mut measures.excuses) {
@@ -93,8 +91,7 @@ fn is_met(expectation: &Expectation, measure: &Measure) -> bool {
     value.is_some_and(|value| expectation.holds(value))
 }
 
-/// Plays the trial with the hosted firmware and a constant loop delay. `None` if the firmware does
-/// not answer.
+/// Plays the trial with the hosted firmware. `None` if the firmware does not answer.
 fn simulate_trial(scenario: &Scenario, law: LawId, index: u32, delay: Time) -> Option<TrialMeasures> {
     let mut delayed = scenario.clone();
     delayed.controller.loop_delay = delay;

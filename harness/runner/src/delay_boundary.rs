@@ -1,5 +1,5 @@
-//! Finds the longest constant loop delay at which a law still settles on a plate without noise and
-//! without a link.
+//! Finds the delay boundary: the longest constant loop delay at which a law still settles. The
+//! simulated plate has no noise, and no link lies between plate and controller.
 
 use crate::configure::configure;
 use platebench_controller::StateMachine;
@@ -11,10 +11,10 @@ use std::collections::VecDeque;
 use std::f64::consts::TAU;
 
 const MAX_PERIODS: f64 = 3.0;
-/// Step of the search in control periods. `BISECTIONS` then refine the boundary.
+/// Step of the first search, in control periods. `BISECTIONS` bisections of one step follow.
 const SCAN_STEP: f64 = 0.25;
 const BISECTIONS: u32 = 8;
-/// Length of a trial in control periods. A stable loop settles before its last `WINDOW_PERIODS`.
+/// Length of a trial in control periods. `WINDOW_PERIODS` at its end decide whether it settled.
 const TRIAL_PERIODS: u32 = 400;
 const WINDOW_PERIODS: u32 = 40;
 /// Half width of the settling band as a share of the setpoint.
@@ -25,9 +25,9 @@ const DIVERGED: f64 = 10.0;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DelayBoundary {
     Unstable,
-    /// Stable up to this delay, s.
+    /// The loop is stable up to this delay, s.
     At(f64),
-    /// Stable up to the end of the search, s.
+    /// The loop is stable up to the end of the search, at this delay in s.
     Beyond(f64),
 }
 
@@ -46,13 +46,12 @@ pub struct DelayedLoop {
     plant: Plant,
     setpoint: f64,
     period: Time,
-    /// Drives with the time from which each acts, earliest first.
+    /// Drives that do not act yet, each with the time from which it acts, earliest first.
     pending: VecDeque<(Time, Drive)>,
 }
 
 impl DelayedLoop {
-    /// Starts with a resting plate. `setpoint` is in µm. `None` if the controller rejects
-    /// `configure`.
+    /// Starts with a resting plate. `setpoint` is in µm. `None` if `configure` is invalid.
     pub fn new(
         configure: &Configure,
         plate: &Plate,
@@ -76,8 +75,8 @@ impl DelayedLoop {
         self.setpoint
     }
 
-    /// Returns W at the start of the control period, µm. Adds `perturbation` in µm to both measured
-    /// components. `None` if the controller stopped or W is not finite.
+    /// Simulates one control period and returns the vibration W at its start, µm. `perturbation` is
+    /// added to both measured components, µm. `None` if the controller stopped or W is not finite.
     pub fn step(&mut self, delay: Time, perturbation: f64) -> Option<Complex64> {
         let (now, w) = (self.plant.time(), self.plant.state().w);
         let sensed = self.plant.sensor_reading();
@@ -107,7 +106,6 @@ impl DelayedLoop {
         Some(w)
     }
 
-    /// True if |W| stays within `BAND` of the setpoint in the last `WINDOW_PERIODS`.
     fn settles(mut self, delay: Time) -> bool {
         (0..TRIAL_PERIODS).all(|number| {
             let is_early = number < TRIAL_PERIODS - WINDOW_PERIODS;
@@ -116,8 +114,8 @@ impl DelayedLoop {
         })
     }
 
-    /// Control instant in s from which |W| stays within `BAND` until `end` s. `None` if none
-    /// precedes the last quarter.
+    /// Returns the time in s from which |W| stays within `BAND` until `end`, s. `None` if the loop
+    /// diverges, stops, or settles only in the last quarter.
     pub fn settling_time(mut self, delay: Time, end: f64) -> Option<f64> {
         let period = self.period.seconds();
         let periods = (end / period).ceil() as u32;
@@ -137,7 +135,7 @@ impl DelayedLoop {
     }
 }
 
-/// Uses the highest setpoint. `None` if the law does not settle without delay.
+/// Uses the highest setpoint of the scenario. `None` if the law does not settle without delay.
 pub(crate) fn scenario_delay_boundary(scenario: &Scenario, law: LawId) -> Option<Time> {
     let (_, setpoint) = scenario.setpoint.range();
     let conditions = scenario.conditions.at(Time::ZERO);
@@ -148,7 +146,7 @@ pub(crate) fn scenario_delay_boundary(scenario: &Scenario, law: LawId) -> Option
     }
 }
 
-/// Searches up to `longest` s with a resolution of 1/1024 of `period`.
+/// Searches from 0 to `longest` s with a resolution of 1/1024 of `period`.
 pub fn search_boundary(period: f64, longest: f64, is_stable: impl Fn(Time) -> bool) -> DelayBoundary {
     let at = |seconds: f64| Time::from_seconds(seconds).is_some_and(&is_stable);
     if !at(0.0) {
@@ -200,14 +198,14 @@ mod tests {
 
     #[test]
     fn delay_boundary_is_the_stability_boundary() {
-        // Derived for a response of 2 ms at 1 kHz: 0.83 periods with the forward-Euler integral.
+        // Theory for a response of 2 ms at 1 kHz and forward Euler: stable up to 0.83 periods.
         let found = boundary_periods(LawId::DqPiEuler, 2.0);
         assert!((found - 0.83).abs() < 0.02, "{found}");
-        // The matched design is stable at one period (z² − z + 0.777 has its roots at 0.88), not at
-        // two (z³ − z² + 0.777 has a pair at 1.07).
+        // One period of delay is stable: z² − z + 0.777 has roots of magnitude 0.88. Two periods
+        // are unstable: z³ − z² + 0.777 has a pair of magnitude 1.07.
         let found = boundary_periods(LawId::DqPiFixed, 2.0);
         assert!((found - 1.64).abs() < 0.02, "{found}");
-        // A delay looks like damping, so gains that follow the damping tolerate less.
+        // A delay looks like damping, so gains that adapt to the damping tolerate less delay.
         let found = boundary_periods(LawId::DqPi, 2.0);
         assert!((found - 1.4).abs() < 0.02, "{found}");
     }

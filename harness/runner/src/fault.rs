@@ -13,15 +13,15 @@ pub(crate) fn wire_faults(scenario: &Scenario, index: u32) -> Vec<WireFault> {
     scenario.faults.iter().map(|fault| wire_fault(fault, seed)).collect()
 }
 
-/// Control periods without a sample until the controller stops, or without a command until the
-/// bench applies 0 V.
+/// The controller stops after this number of periods without a sample. After a chip fault, the
+/// bench applies 0 V after this number of periods without a command.
 pub(crate) const WATCHDOG_PERIODS: u64 = 5;
-/// Random streams below this number belong to sensor noise, plate spread and faults of the line.
+/// First random stream of chip faults. Noise, plate spread and faults of the line have lower ones.
 const FIRST_CHIP_STREAM: u64 = 1 << 32;
-/// A sample and its command take 0.5 ms at 1 Mbaud.
+/// Least time-out for an answer. A sample and its command take 0.5 ms at 1 Mbaud.
 const MIN_CHIP_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
 
-/// Draws the instants and bits that the scenario does not state from the trial's seed.
+/// Draws instants and bits that the scenario does not state, from the seed of the trial.
 pub(crate) fn chip_fault_plan(scenario: &Scenario, index: u32) -> ChipFaultPlan {
     let seed = Variation::of_trial(scenario, index).seed;
     let planned = (FIRST_CHIP_STREAM..).zip(&scenario.chip_faults);
@@ -56,12 +56,12 @@ fn chip_fault(fault: &ChipFault, seed: u64, stream: u64, duration: Time) -> RigC
     RigChipFault { at, kind }
 }
 
-/// Instants at which a planned silence triggers the watchdog, last one first.
+/// Returns the instants at which the watchdog expires because of a planned silence, last one first.
 pub(crate) fn planned_stops(scenario: &Scenario) -> Vec<Time> {
     let period = scenario.controller.period;
     let watchdog = period.times(WATCHDOG_PERIODS);
     let silences = scenario.faults.iter().filter(|fault| fault.exceeds_watchdog(watchdog, period));
-    // The last sample before the fault arrives up to one period earlier.
+    // The watchdog counts from the last sample, which arrives up to one period before the fault.
     let mut stops: Vec<Time> = silences.map(|fault| fault.from + period.times(WATCHDOG_PERIODS - 1)).collect();
     stops.sort_by(|one, other| other.cmp(one));
     stops

@@ -1,5 +1,4 @@
-//! Plays scenarios to a controller, in lockstep, in real time or on a real plate, and stores the
-//! results.
+//! Plays scenarios in lockstep, in real time or on a real plate, and stores the results.
 
 mod abort;
 pub mod baseline;

@@ -1,14 +1,14 @@
-//! Passes the rows of a trial to a live view, which may miss rows but no counts.
+//! Passes the rows of a trial to a live view through a queue of fixed size.
 //!
-//! The trial loop neither waits nor allocates for a reader. If the queue is full, the tap counts
-//! the row and drops it.
+//! The trial loop neither waits nor allocates for the reader of the queue. If the queue is full,
+//! the row is counted but dropped. So the view may miss rows, but its counts are complete.
 
 use platebench_trace::{Flags, Row};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Holds 0.5 s of the densest default trace in real time and takes 4 MB.
+/// Number of rows, 4 MB. They cover more than 1 s at a trace step of 0.05 ms and a period of 1 ms.
 const CAPACITY: usize = 1 << 15;
 pub const LATENESS_CLASSES: usize = 16;
 
@@ -25,11 +25,11 @@ pub struct TapCounts {
     pub rows: u64,
     pub dropped_rows: u64,
     pub overruns: u64,
-    /// Samples without a reply at the next control instant.
+    /// Number of samples without a reply at the next control instant.
     pub missed_replies: u64,
     pub rejected_frames: u64,
-    /// Control instants by lateness. Class n is below 2^n µs, and the last class has no upper
-    /// limit.
+    /// Number of control instants by lateness. Class n > 0 is from 2^(n−1) µs to below 2^n µs,
+    /// class 0 is below 1 µs. The last class has no upper limit.
     pub lateness: [u64; LATENESS_CLASSES],
 }
 
@@ -43,13 +43,13 @@ struct AtomicTapCounts {
     lateness: [AtomicU64; LATENESS_CLASSES],
 }
 
-/// Needs no locked processor instruction, because only one thread writes.
+/// Needs no atomic read-modify-write instruction, because only one thread writes the counter.
 fn add_unshared(counter: &AtomicU64, count: u64) {
     counter.store(counter.load(Ordering::Relaxed).wrapping_add(count), Ordering::Relaxed);
 }
 
 fn lateness_class(lateness_us: f64) -> usize {
-    // The bit length is the exponent of the next power of two. Negative values and NaN become 0.
+    // A number below 2^n has at most n bits. The cast turns negative values and NaN into 0.
     let bits = u64::BITS - (lateness_us as u64).leading_zeros();
     (bits as usize).min(LATENESS_CLASSES - 1)
 }
@@ -104,7 +104,7 @@ impl TapReader {
         self.consumer.pop().ok()
     }
 
-    /// Each count is read at a slightly different instant.
+    /// Reads the counts one after the other, so a row may be in one count and not yet in the next.
     pub fn counts(&self) -> TapCounts {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let AtomicTapCounts { rows, dropped_rows, overruns, missed_replies, rejected_frames, lateness } =
@@ -120,7 +120,7 @@ impl TapReader {
     }
 }
 
-/// Follows one trial at a time, then the next trial that starts. The default follows no trial.
+/// Lends the writer of the queue to one trial at a time. The default value has no queue.
 #[derive(Debug, Clone, Default)]
 pub struct LiveTap(Option<Arc<Mutex<Option<TapWriter>>>>);
 
@@ -137,8 +137,8 @@ impl LiveTap {
         (Self(Some(Arc::new(Mutex::new(Some(tap))))), tap_reader)
     }
 
-    /// The guard has no writer if another trial holds it. Takes a lock, so a trial's loop must not
-    /// call it.
+    /// The guard has no writer if another trial holds it. This call takes a lock, so a trial loop
+    /// must not make it.
     pub fn acquire(&self, scenario: usize, trial: u32) -> TapGuard<'_> {
         let slot = self.0.as_deref();
         let mut tap = slot.and_then(|slot| slot.lock().unwrap_or_else(PoisonError::into_inner).take());

@@ -5,10 +5,10 @@ use platebench_scenario::{Scenario, Variation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Random streams 0 and 1 of a seed belong to sensor noise and plate spread.
+/// Random stream of the jitter. Streams 0 and 1 of a seed belong to sensor noise and plate spread.
 const JITTER_STREAM: u64 = 2;
 
-/// Uniformly distributed from the scenario's loop delay to the sum of loop delay and jitter.
+/// Its values are uniform from the scenario's loop delay to the sum of loop delay and jitter.
 #[derive(Debug)]
 pub(crate) struct LoopDelay {
     smallest: Time,

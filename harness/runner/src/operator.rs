@@ -1,4 +1,4 @@
-//! Asks the person at the plate or at the terminal.
+//! Defines how a run asks its operator, the person at the plate or at the terminal.
 
 use platebench_plate::Time;
 use platebench_rig::CancelToken;
@@ -11,7 +11,7 @@ pub struct Question<'a> {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum QuestionKind {
-    /// The operator answers `yes` after the action.
+    /// Asks for an action. The operator answers `yes` after it.
     Action,
     Confirm,
     Text,
@@ -21,7 +21,7 @@ pub enum QuestionKind {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Answer {
     Terminal(String),
-    /// An option on the command line answered `yes`.
+    /// An option on the command line gave this answer in advance.
     CommandLine(String),
     /// No operator is present, none answered in time, or the question was cancelled.
     Absent,
@@ -40,12 +40,12 @@ impl Answer {
     }
 }
 
-/// Only [`Operator::ask`] may wait.
+/// Only [`Operator::ask`] may wait, because the trial continues during the other calls.
 pub trait Operator: Sync {
     /// Waits for the answer until `cancel` is cancelled, or for a bounded time.
     fn ask(&self, question: Question<'_>, cancel: &CancelToken) -> Answer;
 
-    /// `seconds` is the time until the action. 0 means now.
+    /// `seconds` is the time until the action. 0 means that the action is due now.
     fn announce(&self, _action: &str, _seconds: u32) {}
 
     fn show_force(&self, _now: Time, _demanded_n: f64, _measured_n: Option<f64>) {}
@@ -53,7 +53,7 @@ pub trait Operator: Sync {
     fn trial_ended(&self) {}
 }
 
-/// Expectations that need an operator become inconclusive.
+/// Never answers, so expectations that need an operator become inconclusive.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct NoOperator;
 

@@ -6,9 +6,9 @@ use std::sync::mpsc;
 use std::thread;
 use tracing::subscriber::{NoSubscriber, with_default};
 
-/// Calls `work` for each task on `jobs` threads, each with its own state. Passes the results to
-/// `receive` in the order of the tasks until it returns false. Ends at the first error. Suppresses
-/// log messages, because faults are intended.
+/// Calls `work` for each task on `jobs` threads. Each thread has its own state `S`. Passes the
+/// results to `receive` in the order of the tasks, until `receive` returns false. Ends at the first
+/// error. Suppresses log messages of `work`, because callers provoke faults on purpose.
 pub fn in_parallel<S: Default, T: Sync, R: Send, E: Send>(
     jobs: usize,
     tasks: &[T],

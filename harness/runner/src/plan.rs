@@ -8,12 +8,12 @@ use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, RigEr
 use platebench_scenario::{Diagnostic, Scenario};
 use platebench_trace::TraceError;
 
-/// Connects to the controller, once per worker and again after the controller was lost.
+/// Connects to the controller. A worker calls it at its start and after it has lost the controller.
 pub type LinkFactory<'a> = dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync + 'a;
 
 #[derive(Debug, Clone)]
 pub struct RunPlan {
-    /// Already contain the overrides.
+    /// Scenarios to which the overrides are already applied.
     pub scenarios: Vec<Scenario>,
     pub jobs: usize,
     pub clock: Clock,
@@ -84,7 +84,7 @@ pub struct RunHooks<'a> {
     pub operator: &'a dyn Operator,
     pub live_tap: LiveTap,
     pub on_event: Box<dyn FnMut(Event) + 'a>,
-    /// Number of trials of each scenario, from the first on, whose events contain the rows.
+    /// The events of this number of first trials of each scenario contain the rows.
     pub trials_with_rows: usize,
 }
 

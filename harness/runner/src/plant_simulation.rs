@@ -10,11 +10,11 @@ use platebench_trace::{Flags, Row};
 use platebench_wire::{Command, ControllerState as Mode, Sample};
 use std::f64::consts::TAU;
 
-/// Share of the drive limit from which the drive is saturated. The wire rounds the limit to f32.
+/// Share of the drive limit at which the drive is saturated. The wire rounds the limit to f32.
 pub(crate) const SATURATION_THRESHOLD: f64 = 1.0 - 1e-6;
 
 pub(crate) trait RowSink {
-    /// Must not wait.
+    /// Must not wait, because the real-time loop calls it.
     fn push(&mut self, row: Row);
 }
 
@@ -24,7 +24,7 @@ impl RowSink for Vec<Row> {
     }
 }
 
-/// Estimated from one row per trace step and two per control period.
+/// Estimates the number of rows: one per trace step and two per control period.
 pub(crate) fn expected_rows(scenario: &Scenario) -> usize {
     let of = |span: Time| (scenario.duration.seconds() / span.seconds()) as usize;
     of(scenario.trace_step) + 2 * of(scenario.controller.period) + 64
@@ -43,7 +43,7 @@ pub(crate) struct PlantSimulation<'a, R> {
     sensor: Sensor,
     sink: R,
     tap: Option<&'a mut TapWriter>,
-    /// Further events at the same instant still change this row.
+    /// Newest row. It is not in `sink` yet, because events at the same instant may still change it.
     pending_row: Option<Row>,
     crossings: Vec<Crossing>,
     bands: Vec<BandMonitor>,
@@ -96,7 +96,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         self.sink
     }
 
-    /// Holds these inputs instead of the scenario's profiles. Allocates.
+    /// Replaces the scenario's profiles by constant inputs. Allocates memory.
     pub(crate) fn set_manual_inputs(&mut self, held: &ManualInputs) {
         let ManualInputs { setpoint_um, temperature_offset_k, finger_force_n } = *held;
         self.manual_setpoint_um = Some(setpoint_um);
@@ -151,8 +151,8 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         points.into_iter().flatten().fold(step, Time::min)
     }
 
-    /// Adds a row before and after each crossing of an expectation's band. No scheduled row may lie
-    /// before `end`.
+    /// Simulates until `end`. Adds a row before and after each crossing of an expectation's band.
+    /// No scheduled row may lie before `end`.
     pub(crate) fn advance(&mut self, end: Time) {
         self.update_bands();
         self.plant.advance(end, &self.bands, &mut self.crossings);
@@ -160,7 +160,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         for crossing in crossings.drain(..) {
             let last = Time::from_nanos(crossing.time.as_nanos().saturating_sub(1));
             for (time, state) in [(last, crossing.before), (crossing.time, crossing.state)] {
-                // Both ends of the interval have their own rows.
+                // The instants at both ends of the interval have rows of their own.
                 if self.pending_row.is_none_or(|last| last.t_s < time.seconds()) && time < end {
                     self.push(time, &state, 0.0, Flags::empty());
                 }
@@ -169,7 +169,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         self.crossings = crossings;
     }
 
-    /// Adds every scheduled row before `end`.
+    /// Simulates until `end` and adds every scheduled row before it.
     pub(crate) fn advance_through(&mut self, end: Time) {
         let end = end.min(self.scenario.duration);
         while self.time() < end {
@@ -181,12 +181,12 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         }
     }
 
-    /// A fault may change the sample on its way.
+    /// Records the sample that the controller got. A fault of the line may have changed it.
     pub(crate) fn set_delivered_sample(&mut self, sensed: [f32; 2]) {
         self.sensed = sensed.map(|value| f64::from(to_wire(value.into())));
     }
 
-    /// Changes the last row instead if it has the same instant.
+    /// Adds a row for the present instant, or changes the last row if it has this instant.
     pub(crate) fn push_row(&mut self, lateness_us: f64, flags: Flags) {
         let (now, state) = (self.time(), self.plant.state());
         self.push(now, &state, lateness_us, flags);
@@ -197,7 +197,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         let conditions = self.plant.conditions_at(time);
         let resonance_hz = self.plant.mode_at(time).omega0 / TAU;
         if !state.is_finite() || !resonance_hz.is_finite() {
-            // The bench has a defect. The trace ends here, and the judge rejects the trial.
+            // The simulation has overflowed. The trace ends here, so the judge excludes the trial.
             return;
         }
         let saturated = drive.vpp >= self.scenario.plate.drive_limit_vpp * SATURATION_THRESHOLD;
@@ -219,8 +219,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
             flags: also.into_iter().filter(|(holds, _)| *holds).fold(flags, |flags, (_, flag)| flags | flag),
         };
         match &mut self.pending_row {
-            // The row of an instant has the state after its last event and the flags of all its
-            // events.
+            // A row has the state after the last event of its instant and all flags of the instant.
             Some(last) if last.t_s == row.t_s => {
                 let happened = last.flags & (Flags::CONTROL | Flags::OVERRUN | Flags::LINK_LOST);
                 *last = Row { lateness_us: row.lateness_us.max(last.lateness_us), flags: row.flags | happened, ..row };
@@ -272,8 +271,8 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     }
 }
 
-/// 0 or just before 2^16 ms, 2^31 µs or 2^32 µs, so that counters of these widths overflow in the
-/// trial.
+/// Returns the start of the sample clock: 0, or just before 2^16 ms, 2^31 µs or 2^32 µs. Counters
+/// of these widths then overflow within the trial.
 fn clock_start_us(scenario: &Scenario, index: u32) -> u32 {
     let before_us = (scenario.duration.wrapping_micros() / 2).min(20_000);
     match index % 4 {
@@ -284,13 +283,13 @@ fn clock_start_us(scenario: &Scenario, index: u32) -> u32 {
     }
 }
 
-/// Clamps to the range of f32, which the wire carries.
+/// Clamps to the range of f32, the number format of the wire.
 fn to_wire(value: f64) -> f32 {
     value.clamp(f32::MIN.into(), f32::MAX.into()) as f32
 }
 
 impl PlantSimulation<'_, Vec<Row>> {
-    /// Excludes the row of this instant, which is not written yet.
+    /// Excludes the row of the present instant, which the loop adds later.
     pub(crate) fn row_count(&self) -> usize {
         self.sink.len() + usize::from(self.pending_row.is_some())
     }

@@ -33,7 +33,7 @@ pub(crate) fn play<L: Link>(
 ) -> Result<Option<TrialResult>, RigError> {
     let scenario = spec.scenario;
     let Some(preparation) = prepare_plate(scenario, operator, cancel) else { return Ok(None) };
-    // Injects no faults, because a real plate can break.
+    // A fault could break a real plate, so the planned faults are removed.
     session.link_mut().set_faults(&[]);
     let (queue, consumer) = RowQueue::new();
     let is_attended = needs_operator(scenario) && preparation.not_done.is_none();
@@ -119,7 +119,7 @@ fn prepare_plate(scenario: &Scenario, operator: &dyn Operator, cancel: &CancelTo
     Some(preparation)
 }
 
-/// Asks only about actions that no sensor measured.
+/// Asks the operator to confirm the announced actions, unless a sensor measured them.
 fn confirm_actions(
     scenario: &Scenario,
     mut preparation: Preparation,

@@ -1,8 +1,8 @@
 //! Plays one trial in real time, so that delays of bench, line and controller act on the plate.
 //!
 //! The loop has its own thread and neither allocates nor logs. A sample contains the plate's state
-//! at the control instant, even if it leaves late. A command acts when it arrives. So lateness acts
-//! only as loop delay.
+//! at the control instant, even if the bench sends it late. A command acts when it arrives. So
+//! lateness of the bench acts only as loop delay.
 
 mod control_loop;
 mod manual_control;
@@ -29,8 +29,8 @@ use platebench_trace::Row;
 use std::panic::resume_unwind;
 use std::thread;
 
-/// Blocks the calling thread, which only collects rows. The rig must support real time. `None` if
-/// it was cancelled.
+/// Blocks the calling thread, which collects the rows. The link must support real time. `None` if
+/// the trial was cancelled.
 pub fn play<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -43,8 +43,8 @@ pub fn play<L: Link>(
     end.map(|(telemetry, link_error)| TrialResult { trace_rows, telemetry, link_error })
 }
 
-/// Runs until `cancel`, a lost controller or its stop. The first change of `manual` replaces the
-/// scenario's profiles.
+/// Runs until `cancel` is cancelled, or the controller stops or is lost. The scenario's profiles
+/// apply until the first change of `manual`.
 pub fn emulate_plate<L: Link>(
     session: &mut Session<FaultInjector<L>>,
     spec: &TrialSpec<'_>,
@@ -66,7 +66,7 @@ pub fn emulate_plate<L: Link>(
 pub enum EmulationEnd {
     Cancelled,
     Lost(RigError),
-    /// The controller reported this reason and waits for a configuration.
+    /// The controller stopped for this reason and waits for a configuration.
     Stopped(Option<String>),
 }
 
@@ -86,7 +86,8 @@ fn run_loop<L: Link, T>(
     thread::scope(|scope| {
         let real_time = scope.spawn(move || {
             let scheduling = ThreadScheduling::request();
-            // Comes last, because a target that paces itself ticks from its configuration on.
+            // The controller is configured last, because a target that paces itself ticks from then
+            // on.
             let configuration = time_base.with_target_timing(configure(spec.scenario, spec.law));
             let started = session.start_line().and_then(|()| session.begin_trial(&configuration, spec.continues));
             let started = started.map_err(TrialAbort::Lost);

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 const MIN_INTERVAL: Duration = Duration::from_millis(100);
 const INTERVAL_PER_WRITE: u32 = 20;
-/// Wait without a change. It bounds one wait of the caller, not the run.
+/// Time until the next write if nothing has changed. It bounds one wait of the caller, not the run.
 const MAX_WAIT: Duration = Duration::from_hours(1);
 
 #[derive(Debug)]

@@ -41,7 +41,7 @@ pub enum RejudgeError {
         path: PathBuf,
         t_s: f64,
         amplitude_um: f64,
-        /// √(Wd² + Wq²), µm.
+        /// Value of √(Wd² + Wq²), µm.
         expected_um: f64,
     },
     #[error("{}: trial {second} has the trace of trial {first}, expected one trace per trial", path.display())]
@@ -58,8 +58,8 @@ impl From<Diagnostic> for RejudgeError {
     }
 }
 
-/// The scenario file `replacement` replaces the expectations of the scenario with the same file
-/// name. A trial without a trace was interrupted and makes its scenario inconclusive.
+/// The file `replacement` replaces the expectations of the scenario with the same file name. A
+/// trial without a trace was interrupted and makes its scenario inconclusive.
 pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
     if record.overrides.keep_traces != KeepTraces::All {
@@ -73,7 +73,7 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
         let own = record.merge.as_ref().and_then(|merge| merge.overrides_of(&stored.file));
         let overrides = own.unwrap_or(&record.overrides);
         let mut scenario = load_stored_scenario(folder, stored)?;
-        // Uses the run's model, because the bench might choose another one today.
+        // Uses the model of the run, because this version of the bench might select another one.
         let tier = Tier::from_name(&stored.model).unwrap_or(scenario.tier);
         if let Some((path, _)) = replaced.filter(|(_, chosen)| *chosen == number) {
             scenario.expectations = replacement_expectations(path, &scenario, tier, overrides)?;
@@ -89,7 +89,7 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
 
 pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
     if let Some(law) = &overrides.law {
-        // Scenes between trials keep a law that differs on purpose.
+        // A scene between trials keeps its own law if this law differs from the scenario's law.
         let own = std::mem::replace(&mut scenario.controller.law, law.clone());
         let mut between = scenario.between.iter_mut().map(|scene| &mut scene.controller.law);
         between.by_ref().filter(|other| **other == own).for_each(|other| other.clone_from(law));
@@ -107,7 +107,7 @@ pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
     }
 }
 
-/// Fails if the model of the overrides omits an effect of a scenario's plate.
+/// Fails if the overrides select a model that omits an effect of a scenario's plate.
 pub fn check_overrides(overrides: &Overrides, scenarios: &[Scenario]) -> Result<(), Box<Diagnostic>> {
     let Some(model) = &overrides.model else { return Ok(()) };
     for scenario in scenarios {
@@ -119,7 +119,7 @@ pub fn check_overrides(overrides: &Overrides, scenarios: &[Scenario]) -> Result<
     Ok(())
 }
 
-/// Takes the only scenario, or the one with the same file name.
+/// Index of the only scenario of the run, or of the scenario with the file name of `path`.
 fn matching_scenario(record: &RunRecord, path: &Path) -> Result<usize, RejudgeError> {
     let file_name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let same_name = |scenario: &ScenarioRecord| scenario.file.rsplit('/').next() == Some(&*file_name);
@@ -132,7 +132,7 @@ fn matching_scenario(record: &RunRecord, path: &Path) -> Result<usize, RejudgeEr
     }
 }
 
-/// Except for its expectations, the scenario at `path` must equal the played one.
+/// Except for its expectations, the scenario at `path` must equal the played scenario.
 fn replacement_expectations(
     path: &Path,
     played: &Scenario,
@@ -189,13 +189,12 @@ fn check_hash(path: &Path, found: String, expected: &str) -> Result<(), RejudgeE
     Err(RejudgeError::Modified { path: path.to_owned(), found, expected: expected.to_owned() })
 }
 
-/// Fails if the trace is missing or was modified.
 pub fn read_trial_rows(folder: &Path, trial: &TrialRecord) -> Result<Vec<Row>, RejudgeError> {
     check_trace(folder, trial)?;
     Ok(read_trace(&folder.join(&trial.trace))?)
 }
 
-/// A trial without a hash was interrupted and is accepted.
+/// Fails if the SHA-256 of the trace differs from the record. Accepts a trial without a hash.
 pub fn check_trace(folder: &Path, trial: &TrialRecord) -> Result<(), RejudgeError> {
     let Some(expected) = trial.sha256.as_deref() else { return Ok(()) };
     let path = folder.join(&trial.trace);
@@ -203,7 +202,7 @@ pub fn check_trace(folder: &Path, trial: &TrialRecord) -> Result<(), RejudgeErro
     check_hash(&path, found, expected)
 }
 
-/// Stops at the interim look that decides, as the run did.
+/// Judges at the same interim looks as the run, and stops at the look that decides.
 fn rejudge_scenario(
     folder: &Path,
     scenario: &Scenario,
@@ -222,7 +221,7 @@ fn rejudge_scenario(
                     measures.push(done.measures);
                     records.push(done.record);
                 }
-                // With `--fail-fast`, a run is complete without this trial.
+                // A complete run lacks this trial only if `--fail-fast` ended it early.
                 None if complete && stored.trials.iter().all(|trial| trial.index != index) => ends_early = true,
                 None => measures.push(incomplete_trial(scenario, index)),
             }
@@ -230,7 +229,7 @@ fn rejudge_scenario(
         if ends_early {
             break;
         }
-        // A complete run has no further trials.
+        // No trace was found for this look, so the complete run ended before it.
         if complete && records.len() == played {
             measures.truncate(played);
             break;
@@ -244,7 +243,7 @@ fn rejudge_scenario(
     Ok(record)
 }
 
-/// Only trials of a deterministic scenario may have equal traces.
+/// Fails if trials have the same file, or equal traces although the scenario is random.
 fn check_distinct_traces(folder: &Path, scenario: &Scenario, stored: &ScenarioRecord) -> Result<(), RejudgeError> {
     let mut known: BTreeMap<&str, u32> = BTreeMap::new();
     for trial in &stored.trials {
@@ -260,7 +259,7 @@ fn check_distinct_traces(folder: &Path, scenario: &Scenario, stored: &ScenarioRe
 }
 
 fn check_amplitude(path: &Path, rows: &[Row]) -> Result<(), RejudgeError> {
-    // The bench computes the amplitude from the components, and the text of a trace is exact.
+    // Only rounding may differ, because the bench computes the amplitude from the components.
     const RELATIVE_ERROR: f64 = 1e-9;
     const ABSOLUTE_ERROR_UM: f64 = 1e-12;
     let expected = |row: &Row| row.wd_um.hypot(row.wq_um);
@@ -276,7 +275,6 @@ fn check_amplitude(path: &Path, rows: &[Row]) -> Result<(), RejudgeError> {
     })
 }
 
-/// `None` if the trace is missing.
 fn rejudge_trial(
     folder: &Path,
     scenario: &Scenario,

@@ -66,7 +66,7 @@ struct Player<'a> {
 }
 
 impl Player<'_> {
-    /// If this ends early, the drop of the session requests 0 V.
+    /// If the replay is cancelled, the drop of the session requests 0 V.
     fn play(
         &mut self,
         steps: &[ReplayStep],
@@ -118,7 +118,7 @@ impl Player<'_> {
         Ok(Some(self.within_range(&command)))
     }
 
-    /// Clips the drive to the amplifier's range, as in a trace.
+    /// Clips the drive to the amplifier's range, because the drive in a trace is clipped too.
     fn within_range(&self, command: &Command) -> ReplayCommand {
         let drive = f64::from(command.drive_vpp);
         let drive_vpp =

@@ -1,4 +1,4 @@
-//! Sums up delays and instructions of a trial's replies.
+//! Collects delays and instruction counts of the replies of a trial.
 
 use platebench_plate::Time;
 use platebench_record::Telemetry;
@@ -11,7 +11,7 @@ pub(crate) struct ReplyStats {
     late_replies: u64,
     longest_delay: Time,
     longest_rig_delay: Duration,
-    /// Sum over all control steps and maximum of one step.
+    /// Instructions: sum over all control steps, and maximum of one step.
     instructions: Option<(u64, u64)>,
 }
 

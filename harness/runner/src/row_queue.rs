@@ -6,9 +6,9 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use std::thread;
 use std::time::Duration;
 
-/// Holds more than 1 s of the densest default trace at 1 kHz.
+/// Number of rows, more than 1 s at a trace step of 0.05 ms and a control period of 1 ms.
 const CAPACITY: usize = 1 << 15;
-/// Filling the queue takes hundreds of times longer.
+/// Time between two reads. To fill the queue takes hundreds of times longer.
 const POLL_INTERVAL: Duration = Duration::from_millis(2);
 
 pub(crate) struct RowQueue {
@@ -37,12 +37,12 @@ impl RowSink for RowQueue {
     }
 }
 
-/// Runs until the producer is dropped. Allocates `expected` rows at the start.
+/// Collects rows until the producer is dropped. Allocates memory for `expected` rows at the start.
 pub(crate) fn collect_rows(consumer: Consumer<Row>, expected: usize) -> Vec<Row> {
     watch_rows(consumer, Vec::with_capacity(expected), POLL_INTERVAL, |_| {})
 }
 
-/// Adds to `rows` until the producer is dropped. Calls `watch` with all rows after each poll.
+/// Appends to `rows` until the producer is dropped. Calls `watch` with all rows after each read.
 pub(crate) fn watch_rows(
     mut consumer: Consumer<Row>,
     mut rows: Vec<Row>,
@@ -50,7 +50,7 @@ pub(crate) fn watch_rows(
     mut watch: impl FnMut(&[Row]),
 ) -> Vec<Row> {
     loop {
-        // Checked before the queue is emptied, so that the last rows are not missed.
+        // Checked before the queue is emptied. Otherwise rows that arrive in between would be lost.
         let is_over = consumer.is_abandoned();
         while let Ok(row) = consumer.pop() {
             rows.push(row);

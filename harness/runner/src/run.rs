@@ -1,4 +1,4 @@
-//! Plays all trials of all scenarios on several workers. No result depends on their order.
+//! Plays all trials of all scenarios on several workers. No result depends on the order of trials.
 
 use crate::configure;
 use crate::fault::chip_fault_plan;
@@ -28,8 +28,8 @@ use std::thread;
 use std::time::Instant;
 use tracing::info;
 
-/// Also writes the record into `folder`. After an error, `platebench judge` can still judge the
-/// complete trials.
+/// Plays the plan and writes record and traces into `folder`. After an error, `platebench judge`
+/// can still judge the complete trials.
 pub fn run(
     plan: &RunPlan,
     folder: &RunFolder,
@@ -74,7 +74,7 @@ pub fn run(
         stop: &stop,
     };
     let played = play_scenarios(context, &mut sessions, &mut record, &mut file, &mut hooks.on_event);
-    // The record states whether 0 V was confirmed, however the run ended.
+    // Also after an error, because the record must state whether 0 V was confirmed.
     for session in &mut sessions {
         close_session(session, &unconfirmed);
     }
@@ -114,8 +114,7 @@ fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError
     Ok(())
 }
 
-/// Returns why the rig cannot apply the faults of the chip. Fails if the firmware lacks their
-/// target.
+/// Returns why the rig cannot apply the chip faults. Fails if the firmware lacks a fault's target.
 fn missing_chip_faults(
     plan: &RunPlan,
     scenario: &Scenario,
@@ -167,7 +166,7 @@ fn select_applicable(
     Ok((selected, selected_laws, not_applicable))
 }
 
-/// Trials in order of completion. The next interim look needs `goal` trials.
+/// Played trials in order of completion. The next interim look needs `trials_until_look` trials.
 struct ScenarioProgress {
     measures: Vec<TrialMeasures>,
     records: Vec<TrialRecord>,
@@ -197,11 +196,11 @@ fn play_scenarios(
         let keeps_controller = plan.scenarios.get(number).is_some_and(Scenario::keeps_controller);
         trial_tasks(number, keeps_controller, trials)
     };
-    // First all scenarios are played up to their first look. Then the undecided scenarios continue.
+    // First all scenarios reach their first look. Then the undecided scenarios continue.
     let mut tasks: Vec<TrialTask> =
         (0..).zip(&progress).flat_map(|(number, progress)| tasks_of(number, 0..progress.trials_until_look)).collect();
     while !tasks.is_empty() && !run.stop.load(Ordering::Relaxed) {
-        // The longest trials come first, so that no worker ends long after the others.
+        // Long trials come first, so that no worker ends long after the others.
         tasks.sort_by_key(|task| Reverse(plan.scenarios.get(task.scenario).map(|scenario| scenario.duration)));
         let batch = std::mem::take(&mut tasks);
         let work = WorkQueue { run, tasks: &batch, next: AtomicUsize::new(0) };
@@ -282,7 +281,7 @@ fn play_scenarios(
     Ok(())
 }
 
-/// Judges the scenarios that `--fail-fast` stopped early by their played trials.
+/// Judges the scenarios that `--fail-fast` stopped early, by the trials that were played.
 fn judge_unfinished(
     plan: &RunPlan,
     progress: Vec<ScenarioProgress>,
@@ -305,8 +304,8 @@ pub(crate) fn complete_record(record: &mut ScenarioRecord, judgement: Judgement,
     record.trials = trials;
 }
 
-/// Keeps only the traces of the `count` trials with the smallest margins. Of equal margins, the
-/// earlier trial counts.
+/// Keeps only the traces of the `count` trials with the smallest margins. Of two equal margins, the
+/// earlier trial comes first.
 fn keep_worst(
     folder: &RunFolder,
     scenario: &Scenario,

@@ -6,10 +6,10 @@ use thread_priority::unix::{
 };
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
-/// Below the kernel's interrupt threads, which run at 50 and serve the line.
+/// Priority below the kernel's interrupt threads, which have 50 and serve the serial line.
 const RT_PRIORITY: u8 = 45;
 
-/// The scheduling class lasts until the thread ends, locked memory until the drop.
+/// The scheduling class lasts until the thread ends, the memory lock until this value is dropped.
 #[derive(Debug, Clone)]
 pub(crate) struct ThreadScheduling {
     /// Scheduling class, with the reason if it is not `SCHED_FIFO`.

@@ -1,9 +1,8 @@
-//! Measures the time that a hypervisor took from this machine, from `/proc/stat` (proc(5),
-//! "steal").
+//! Measures the time that a hypervisor took from this machine ("steal" in `/proc/stat`, proc(5)).
 
 use rustix::param::clock_ticks_per_second;
 
-/// In clock ticks since the start of the machine, summed over its processors. `None` if unknown.
+/// Stolen clock ticks since the boot, summed over all processors. `None` if unknown.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct StealTime(Option<u64>);
 

@@ -1,4 +1,4 @@
-//! Lists the stored trials of a run. Reads rows trial by trial to bound memory.
+//! Lists the stored trials of a run. Reads the rows of one trial at a time to limit memory.
 
 use crate::rejudge::{RejudgeError, read_trial_rows};
 use platebench_record::{RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord};
@@ -26,7 +26,7 @@ pub enum CompareError {
 }
 
 pub struct ScenarioTrials {
-    /// Scenario file as in `run.json`, or path of the trace if [`read_trials`] read a single trace.
+    /// Scenario file as in `run.json`, or path of the trace if the trials are a single trace.
     pub name: String,
     pub trials: Vec<StoredTrial>,
     pub excluded: Vec<String>,
@@ -55,7 +55,6 @@ pub fn is_run_folder(path: &Path) -> bool {
     path.join(RECORD_FILE).exists() || path.is_dir()
 }
 
-/// `path` is a run folder or one trace.
 pub fn read_trials(path: &Path) -> Result<Vec<ScenarioTrials>, CompareError> {
     if !is_run_folder(path) {
         let trials = vec![StoredTrial { index: 0, source: TraceSource::File(path.to_owned()) }];

@@ -4,7 +4,7 @@ use hdrhistogram::Histogram;
 use platebench_record::{Quantiles, TimingRecord};
 use std::time::Duration;
 
-/// The histogram has three significant digits up to 1 min.
+/// Longest recorded duration, 1 min. A longer duration is clamped to it.
 const MAX_DURATION_NS: u64 = 60_000_000_000;
 
 pub(crate) struct DurationHistogram(Histogram<u64>);
@@ -47,7 +47,7 @@ pub(crate) struct ClockDrift {
 }
 
 impl ClockDrift {
-    /// `target_us` is the target's counter, which wraps.
+    /// `target_us` is the target's time of the same event. Its counter wraps.
     pub(crate) fn record(&mut self, bench: Duration, target_us: u32) {
         let step = self.last_target_us.replace(target_us).map_or(0, |last| target_us.wrapping_sub(last));
         self.target_us += f64::from(step);
@@ -62,8 +62,7 @@ impl ClockDrift {
         self.square_ahead += from_ahead * (ahead - self.mean_ahead);
     }
 
-    /// Drift and its standard error, ppm. Positive if the target is fast. `None` for fewer than
-    /// three samples.
+    /// Drift and standard error, ppm, positive if the target is fast. `None` below three samples.
     pub(crate) fn ppm(&self) -> Option<(f64, f64)> {
         if self.count < 3.0 || self.square_bench <= 0.0 {
             return None;
@@ -76,12 +75,12 @@ impl ClockDrift {
 
 #[derive(Default)]
 pub(crate) struct TimingStats {
-    /// Contains only the counts. [`TimingStats::timing`] adds the other values.
+    /// Only its counts are used. [`TimingStats::timing`] adds the other values.
     pub(crate) counts: TimingRecord,
     pub(crate) lateness: DurationHistogram,
-    /// In plate time.
+    /// Time from sample to command, in plate time.
     pub(crate) loop_delay: DurationHistogram,
-    /// In wall time.
+    /// Longest time from sample to command, in wall time.
     pub(crate) longest_rig_delay: Duration,
     pub(crate) drift: ClockDrift,
 }
@@ -130,7 +129,6 @@ mod tests {
     #[test]
     fn finds_the_drift_across_the_wrap() {
         for ppm in [-80.0, 0.0, 40.0] {
-            // The counter wraps half-way.
             let (found, error) = drift(4_294_967_296.0 - 5e6, ppm, 30.0, 10_000).ppm().unwrap();
             assert!((found - ppm).abs() < 4.0 * error.max(0.01), "{found} ± {error}, expected {ppm}");
             assert!(error < 0.1, "{error}");

@@ -1,4 +1,4 @@
-//! Compares instructions per control step with earlier runs and with the shipped image.
+//! Compares the instructions per control step with earlier runs and with the shipped image.
 //!
 //! The plate's motion changes the count by 1 to 2 %, so only equal trials on the same kind of rig
 //! are compared.
@@ -11,11 +11,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use tracing::{info, warn};
 
-/// `ci/cost --update` writes this file.
+/// Counts of the shipped firmware image. `ci/cost --update` writes this file.
 const REFERENCE: &str = include_str!("../../../firmware-under-test/images/cost.toml");
 const EMULATED: &str = "emulated";
 
-/// Law, digest of the inputs, seed.
+/// Trial as law, digest of the input files, and seed.
 type TrialKey = (String, String, u64);
 type Costs = BTreeMap<TrialKey, StepCost>;
 
@@ -41,7 +41,6 @@ pub fn inputs_digest(scenario: &ScenarioRecord) -> String {
     sha256(digests.join("\n").as_bytes())
 }
 
-/// One trend per law, in the order of the first scenario of each law.
 pub(crate) fn cost_trends(record: &RunRecord, folder: &Path) -> Vec<CostTrend> {
     let here = trial_costs(record);
     if here.is_empty() {
@@ -99,8 +98,7 @@ fn law_trend(law: &str, record: &RunRecord, here: &Costs, earlier: &[(EarlierRun
     Some(CostTrend { tightest: tightest_step(&law, record), law, build, cost, earlier: earlier.collect() })
 }
 
-/// Step with the largest share of its control period. A step with more instructions may have a
-/// longer period.
+/// Control step with the largest share of its period. Control periods differ between scenarios.
 fn tightest_step(law: &str, record: &RunRecord) -> Option<TightestStep> {
     let of_law = record.scenarios.iter().filter(|scenario| scenario.law == law);
     let steps = of_law.flat_map(|scenario| {

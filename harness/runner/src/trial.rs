@@ -1,5 +1,5 @@
-//! Plays one trial in lockstep: the plate waits while a sample travels, the controller computes and
-//! the command returns. At one instant the order is sample, actuation, row.
+//! Plays one trial in lockstep: plate time stands still while a sample travels, the controller
+//! computes and the command returns. At one instant the order is sample, actuation, row.
 
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_failure};
 use crate::fault::{WATCHDOG_PERIODS, chip_fault_plan, planned_stops, wire_faults};
@@ -18,10 +18,11 @@ use std::collections::VecDeque;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Watchdog of a controller with its own clock. It is longer than a stall of the host, because the
-/// bench sets the pace.
+/// Watchdog time-out of a controller with its own clock. The bench sets the pace, so the time-out
+/// is longer than a stall of the host.
 pub(crate) const OWN_CLOCK_WATCHDOG_TIMEOUT_MS: u16 = 10_000;
-/// Shorter watchdog for a trial with a planned silence that must trigger it.
+/// Watchdog time-out if a planned silence must trigger the watchdog. It is shorter, because the
+/// bench waits for it in wall time.
 const SILENCE_WATCHDOG_TIMEOUT_MS: u16 = 1_000;
 const WATCHDOG_MARGIN: Duration = Duration::from_millis(100);
 
@@ -33,7 +34,7 @@ pub struct TrialSpec<'a> {
     pub wire_time: bool,
     /// True if the controller's clock runs while the plate waits.
     pub own_clock: bool,
-    /// True if the target continues from the trial before without a restart.
+    /// True if the target continues after the trial before it without a restart.
     pub continues: bool,
 }
 
@@ -47,7 +48,7 @@ impl<'a> TrialSpec<'a> {
 pub struct TrialResult {
     pub trace_rows: Vec<Row>,
     pub telemetry: Telemetry,
-    /// After this error, the rest of the trial has 0 V.
+    /// Error that ended the exchange with the controller. The rest of the trial has 0 V.
     pub link_error: Option<RigError>,
 }
 
@@ -94,14 +95,13 @@ struct Trial<'a, L: Link> {
     plant: PlantSimulation<'a, Vec<Row>>,
     next_control: Time,
     pending: VecDeque<PendingActuation>,
-    /// Control instant and row index of the last sample if it has no reply yet.
+    /// Control instant and row index of the last sample, if this sample has no reply yet.
     unanswered: Option<(Time, usize)>,
     last_sample_sent: Instant,
     watchdog_timeout_ms: u16,
     planned_stops: Vec<Time>,
     link_error: Option<RigError>,
-    /// Error with which a planned fault of the chip stopped the controller. The rest of the trial
-    /// has 0 V.
+    /// Error that a planned fault of the chip caused. The rest of the trial has 0 V.
     chip_stop: Option<RigError>,
 }
 
@@ -262,14 +262,14 @@ impl<'a, L: Link> Trial<'a, L> {
         if self.follows_chip_fault(sampled + self.scenario.controller.period) {
             self.controller.record_missed_reply();
             let is_silent = u64::from(self.controller.missed_replies()) >= WATCHDOG_PERIODS;
-            // If the firmware has no signal that enables the amplifier, the bench applies 0 V.
+            // The firmware has no signal that disables the amplifier, so the bench applies 0 V.
             if is_silent && !self.has_ended() && self.session.link_mut().amplifier_enabled().is_none() {
                 self.end_on_link_error(RigError::NoAnswer { expected: "command" });
             }
             return;
         }
         self.plant.add_flags(row, Flags::LINK_LOST);
-        // The bench waits for a planned silence to end.
+        // A planned fault causes this silence, so it does not count towards a lost controller.
         if self.scenario.explains_silence(sampled) {
             return;
         }
@@ -279,8 +279,7 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// Sends the configuration again after a fault that stopped the controller, as an operator
-    /// would.
+    /// Configures the controller again after a fault that stopped it, as an operator would.
     fn reconfigure(&mut self, now: Time) {
         let Some(configure) = self.controller.reconfiguration(now) else { return };
         let configure = self.with_watchdog(configure);
@@ -290,7 +289,7 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// Waits in wall time until the watchdog has stopped the controller. The plate waits meanwhile.
+    /// Waits in wall time until the watchdog has stopped the controller. Plate time stands still.
     fn wait_for_planned_stop(&mut self, now: Time) {
         if self.planned_stops.pop_if(|stop| *stop <= now).is_some() && !self.controller.is_stopped() {
             let timeout = Duration::from_millis(self.watchdog_timeout_ms.into()) + WATCHDOG_MARGIN;
@@ -307,7 +306,8 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// Plays the rest of the trial at 0 V. A planned fault of the chip explains the error.
+    /// Plays the rest of the trial at 0 V. After a planned fault of the chip, the error counts as a
+    /// stop, unless the emulator itself failed.
     fn end_on_link_error(&mut self, error: RigError) {
         self.pending.clear();
         self.plant.stop_drive();
@@ -320,7 +320,7 @@ impl<'a, L: Link> Trial<'a, L> {
         }
     }
 
-    /// The amplifier gives 0 V while the firmware holds PB0 low.
+    /// Applies 0 V if the firmware holds PB0 (amplifier enable) low after a fault of the chip.
     fn apply_amplifier_enable(&mut self, now: Time) {
         if self.follows_chip_fault(now) && self.session.link_mut().amplifier_enabled() == Some(false) {
             self.pending.clear();
@@ -336,8 +336,7 @@ impl<'a, L: Link> Trial<'a, L> {
         self.link_error.is_some() || self.chip_stop.is_some()
     }
 
-    /// Restarts the emulated board, because the request for 0 V and the next trial need a board
-    /// that answers.
+    /// Restarts the emulated board, because the request for 0 V needs a board that answers.
     fn restart_after_chip_faults(&mut self) -> Result<(), RigError> {
         let link = self.session.link_mut();
         if !self.chip_faults.faults.is_empty() && link.set_chip_faults(&ChipFaultPlan::default()).is_ok() {

@@ -24,7 +24,6 @@ use std::sync::mpsc;
 use std::time::Instant;
 use tracing::{debug, error, info_span};
 
-/// Number of results that workers can send without a wait.
 const RESULT_QUEUE: usize = 256;
 
 pub(crate) type RigSession = platebench_rig::Session<FaultInjector<BoxedLink>>;
@@ -33,7 +32,7 @@ pub(crate) type RigSession = platebench_rig::Session<FaultInjector<BoxedLink>>;
 pub(crate) struct RunContext<'a> {
     pub(crate) plan: &'a RunPlan,
     pub(crate) laws: &'a [LawId],
-    /// Longest loop delay at which the law settles, by scenario.
+    /// Longest loop delay at which the law settles, one cell per scenario.
     pub(crate) delay_boundaries: &'a [OnceLock<Option<Time>>],
     pub(crate) folder: &'a RunFolder,
     pub(crate) connect: &'a LinkFactory<'a>,
@@ -49,19 +48,18 @@ pub(crate) struct RunContext<'a> {
 
 pub(crate) fn close_session(session: &mut Option<RigSession>, unconfirmed: &AtomicBool) {
     let Some(session) = session.take() else { return };
-    // A link that panics confirms nothing.
+    // A panic of the link counts as a missing confirmation of 0 V.
     let confirmed = catch_unwind(AssertUnwindSafe(|| session.close())).unwrap_or(false);
     unconfirmed.fetch_or(!confirmed, Ordering::Relaxed);
 }
 
-/// Trials to play one after the other with one controller.
 #[derive(Clone)]
 pub(crate) struct TrialTask {
     pub(crate) scenario: usize,
     pub(crate) trials: Range<u32>,
 }
 
-/// One task per trial, or one for all if the history of the controller is part of the experiment.
+/// One task per trial, or one for all if the controller's history is part of the experiment.
 pub(crate) fn trial_tasks(scenario: usize, keeps_controller: bool, trials: Range<u32>) -> Vec<TrialTask> {
     if keeps_controller {
         return vec![TrialTask { scenario, trials }];
@@ -84,8 +82,7 @@ pub(crate) enum Progress {
 
 pub(crate) type ResultSender = mpsc::SyncSender<Result<Progress, RunError>>;
 
-/// With `fail_fast` the channel has no capacity, so a sender waits until its earlier results are
-/// handled.
+/// With `fail_fast` the channel has no capacity, so a send waits until earlier results are handled.
 pub(crate) fn result_channel(fail_fast: bool) -> (ResultSender, mpsc::Receiver<Result<Progress, RunError>>) {
     mpsc::sync_channel(if fail_fast { 0 } else { RESULT_QUEUE })
 }
@@ -114,7 +111,7 @@ impl WorkQueue<'_> {
         }
     }
 
-    /// With `--fail-fast`, waits until the worker's earlier results are judged.
+    /// With `--fail-fast`, waits until the earlier results of this worker are judged.
     fn may_start(&self, results: &ResultSender) -> bool {
         let is_judged = !self.run.plan.overrides.fail_fast || results.send(Ok(Progress::Ready)).is_ok();
         is_judged && !self.run.cancel.is_cancelled() && !self.run.stop.load(Ordering::Relaxed)
@@ -137,7 +134,7 @@ impl WorkQueue<'_> {
         };
         let is_over = result.is_err();
         if is_over {
-            // Requests 0 V before the error ends the other workers.
+            // The error ends the run, so 0 V is requested first.
             close_session(session, self.run.safe_unconfirmed);
         }
         results.send(result).is_ok() && !is_over
@@ -161,7 +158,7 @@ impl WorkQueue<'_> {
         }
     }
 
-    /// Plays the scenes before a further trial and returns their violations. `None` if they were
+    /// Plays the scenes between trials and returns their violations. `None` if the run was
     /// cancelled.
     fn play_between(
         &self,
@@ -182,7 +179,7 @@ impl WorkQueue<'_> {
         Ok(Some(violations))
     }
 
-    /// Connects again. Fails if the controller is not that of the record.
+    /// Fails if the controller is not the one with which the run began.
     fn connect_session(&self) -> Result<RigSession, RunError> {
         let session = RigSession::open(FaultInjector::new((self.run.connect)()?))?;
         let (found, expected) = (*session.identity(), self.run.identity);

@@ -1,4 +1,4 @@
-//! Writes the blocks of ASAM MDF 4.10; numbers are little-endian.
+//! Writes the blocks of ASAM MDF 4.10. Numbers are little-endian.
 //!
 //! A block has kind, length, links and data, and starts at a multiple of 8 bytes. A link is the
 //! position of another block, or 0. Links to later blocks are written after these blocks.
@@ -6,7 +6,7 @@
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 
-/// Kind, reserved, length, number of links.
+/// Size of the header fields: kind, reserved bytes, length, number of links.
 const BLOCK_HEADER_BYTES: u64 = 24;
 const LINK_BYTES: u64 = 8;
 /// The header block follows the identification block of 64 bytes.
@@ -28,7 +28,7 @@ pub(super) enum ChannelKind {
     },
 }
 
-/// Name, unit and comment are the positions of text blocks, 0 for none.
+/// Name, unit and comment are positions of text blocks, or 0 if the channel has none.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Channel {
     pub(super) name: u64,
@@ -65,12 +65,12 @@ impl<'a> BlockWriter<'a> {
     pub(super) fn write_header(&mut self, started_ns: u64, comment: &str, history: &str) -> io::Result<()> {
         let mut time = Vec::with_capacity(16);
         time.extend(started_ns.to_le_bytes());
-        // Offsets of time zone and daylight saving, minutes, which are 0 and valid.
+        // Offsets of time zone and daylight saving, min: 0. The next byte marks them as valid.
         time.extend([0; 4]);
         time.push(0b10);
         let mut data = time.clone();
         data.extend([0; 3]);
-        // Start angle and start distance; the flags above mark them as absent.
+        // Start angle and start distance. The header flags before them are 0, so both are absent.
         data.extend([0; 16]);
         let header = self.write_block(*b"HD", &[0; 6], &data)?;
         let comment = self.write_string(*b"MD", comment)?;
@@ -95,7 +95,6 @@ impl<'a> BlockWriter<'a> {
     ) -> io::Result<ChannelGroup> {
         let (name, comment) = (self.write_text(name)?, self.write_text(comment)?);
         let mut first = 0;
-        // Each channel links to the next one.
         for channel in channels.iter().rev() {
             first = self.write_channel(*channel, first)?;
         }
@@ -111,7 +110,7 @@ impl<'a> BlockWriter<'a> {
     }
 
     fn write_channel(&mut self, channel: Channel, next: u64) -> io::Result<u64> {
-        // Channel type 2: master; synchronisation type 1: time; data type 4: real, 0: unsigned.
+        // Channel type 2: master. Synchronisation type 1: time. Data types 4: real, 0: unsigned.
         let ((channel_type, sync, data_type), byte, bit, bits) = match channel.kind {
             ChannelKind::Time { byte } => ((2, 1, 4), byte, 0, 64_u32),
             ChannelKind::Real { byte } => ((0, 0, 4), byte, 0, 64),
@@ -120,7 +119,7 @@ impl<'a> BlockWriter<'a> {
         let mut data = vec![channel_type, sync, data_type, bit];
         data.extend(byte.to_le_bytes());
         data.extend(bits.to_le_bytes());
-        // No flags: no invalidation bit, precision, attachments, ranges or limits.
+        // The flags are 0: no invalidation bit, precision, attachments, ranges or limits.
         data.resize(72, 0);
         let Channel { name, unit, comment, .. } = channel;
         self.write_block(*b"CN", &[next, 0, name, 0, 0, 0, unit, comment], &data)
@@ -133,7 +132,7 @@ impl<'a> BlockWriter<'a> {
 
     pub(super) fn end_group(&mut self, group: &ChannelGroup) -> io::Result<()> {
         self.write_number_at(group.data + LINK_BYTES, BLOCK_HEADER_BYTES + group.records * group.record_bytes)?;
-        // The cycle count follows six links and the record identifier.
+        // The cycle count (number of records) follows six links and the record identifier.
         self.write_number_at(group.channels + BLOCK_HEADER_BYTES + 6 * LINK_BYTES + 8, group.records)
     }
 
@@ -148,7 +147,6 @@ impl<'a> BlockWriter<'a> {
         self.write_block(kind, &[], &data)
     }
 
-    /// Returns the position of the block.
     fn write_block(&mut self, kind: [u8; 2], links: &[u64], data: &[u8]) -> io::Result<u64> {
         let padding = self.position.next_multiple_of(8) - self.position;
         self.write_bytes([0; 8].get(..padding as usize).unwrap_or_default())?;

@@ -1,4 +1,4 @@
-//! Writes a run folder.
+//! Writes a synthetic run folder.
 
 use platebench_record::{ClockKind, FORMAT, Firmware, Host, InputRecord, MetricValues, Overrides, RigRecord, Tool};
 use platebench_record::{RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict};
@@ -14,7 +14,7 @@ pub(crate) struct StoredRun {
 
 const EDGE_VALUES: [f64; 8] = [0.0, -0.0, 0.1, -1.0 / 3.0, f64::MIN_POSITIVE, 5e-324, f64::MAX, -32_307.612_345_678_9];
 
-/// Rows that differ in every column; every fifth has unknown numbers.
+/// Makes rows that differ in every column. Every fifth row has unknown numbers.
 pub(crate) fn rows(count: usize, salt: usize) -> Vec<Row> {
     let row = |index: usize| {
         let edge = |column: usize| EDGE_VALUES[(index + column + salt) % EDGE_VALUES.len()];
@@ -35,7 +35,6 @@ pub(crate) fn rows(count: usize, salt: usize) -> Vec<Row> {
             flags: Flags::from_bits_truncate((index + salt) as u8),
         };
         if index % 5 == 4 {
-            // As of a real plate.
             row.flags |= Flags::SENSED;
             (row.resonance_hz, row.temperature_offset_k, row.finger_force_n) = (f64::NAN, f64::NAN, f64::NAN);
         }

@@ -1,4 +1,4 @@
-//! Names of files, and rejected runs.
+//! Tests the names of exported files, and the runs that an export rejects.
 
 use crate::fixtures::{self, StoredRun};
 use parquet::file::metadata::RowGroupMetaData;
@@ -115,7 +115,7 @@ fn names_the_line_of_a_broken_trace() {
         fs::write(&trace, broken).unwrap();
         let error = export_run(&run, &[], format).unwrap_err().to_string();
         assert!(error.contains("001.csv:4: "), "{error}");
-        // The file of an earlier trial is complete.
+        // MDF4 has a file per trial, so the file of the trial before the broken one is complete.
         let complete: &[&str] = if format == ExportFormat::Mf4 { &["paper/step/000.mf4"] } else { &[] };
         assert_eq!(relative_files(&export_folder(&run)), complete);
     }
@@ -153,7 +153,6 @@ fn rejects_an_invalid_start_time() {
     assert!(error.contains("`started` is yesterday, expected a time like"), "{error}");
 }
 
-/// One full row group, and one row more.
 #[test]
 fn splits_long_trials_into_row_groups() {
     for (rows, groups) in [(65_536, vec![65_536]), (65_537, vec![65_536, 1])] {

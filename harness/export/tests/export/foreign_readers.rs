@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// If `1`, a missing program is a failure.
+/// Environment variable. With the value `1`, a missing program is a failure.
 const REQUIRE_ALL: &str = "PLATEBENCH_REQUIRE_ALL";
 const PYTHON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/test-readers/bin/python");
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/export/read.py");
@@ -43,7 +43,7 @@ fn bits_of(value: f64) -> Value {
     json!(format!("{:016x}", value.to_bits()))
 }
 
-/// As the script prints a number that may be missing.
+/// Formats a number as `read.py` does. NaN is a missing number.
 fn known_bits(value: f64) -> Value {
     if value.is_nan() { Value::Null } else { bits_of(value) }
 }
@@ -174,7 +174,7 @@ fn the_mcap_library_reads_the_same_bits() {
     }
 }
 
-/// Foxglove and Lichtblick read MCAP with this library; they refuse a list of types in a schema.
+/// Foxglove and Lichtblick read MCAP with this library. They refuse a list of types in a schema.
 #[test]
 fn the_mcap_library_of_viewers_reads_the_same_numbers() {
     if !Path::new(NODE_MODULES).join("node_modules/@mcap/core").exists() {

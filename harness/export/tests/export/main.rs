@@ -1,4 +1,4 @@
-//! Exports of synthetic runs, also read by foreign programs.
+//! Tests exports of synthetic runs, also with foreign programs as readers.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a helper that cannot set up its case has failed the case")]
 

@@ -8,8 +8,7 @@ use ratatui::style::{Color, Style};
 use ratatui::symbols::Marker;
 use ratatui::widgets::{Axis, Block, Chart, Dataset, GraphType};
 
-/// For limits and resonance. Has one dash per three characters, so that the signal below stays
-/// visible.
+/// Marker of limits and resonance, at every third character. The signal below stays visible.
 const REFERENCE_MARKER: Marker = Marker::Custom('-');
 const SECOND_MARKER: Marker = Marker::Custom('o');
 
@@ -86,7 +85,7 @@ pub(super) fn draw_drive(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
 
 pub(super) fn draw_frequency(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
     let [lowest, highest] = state.history.range(&[Column::Frequency, Column::Resonance]).unwrap_or_default();
-    // At least 1 Hz, because smaller differences do not matter.
+    // The margin is at least 1 Hz, because smaller differences do not matter.
     let margin = (0.1 * (highest - lowest)).max(1.0);
     let curves = [
         ChartCurve::of(state, Column::Frequency, Marker::Braille, Color::Cyan),
@@ -129,7 +128,7 @@ fn draw_chart(
     frame.render_widget(chart.legend_position(None), area);
 }
 
-/// The next of 1, 1.5, 2, 2.5, 3, 4, 5, 8 times a power of ten, so that the axis rarely changes.
+/// Rounds up to 1, 1.5, 2, 2.5, 3, 4, 5 or 8 times a power of ten, so that the axis rarely changes.
 fn round_up(value: f64) -> f64 {
     const STEPS: [f64; 8] = [1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 8.0];
     if !(value > 0.0 && value < 1e12) {

@@ -19,7 +19,7 @@ pub(super) fn draw_head(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
     };
     let t_s = state.newest_row.map_or(0.0, |row| row.t_s);
     let (which, when) = match scenario.duration_s {
-        // Sequential judging may add trials to the planned ones.
+        // Interim looks may add trials to the planned number, so no total is shown.
         Some(duration_s) if trial > u64::from(scenario.trials) => {
             (format!("trial {trial}   "), format!("{t_s:.4} of {duration_s} s "))
         }
@@ -116,7 +116,7 @@ pub(super) fn draw_lateness(frame: &mut Frame<'_>, area: Rect, state: &ViewState
     frame.render_widget(Paragraph::new(lines), inner);
 }
 
-/// Merges neighbouring classes until there are at most `most`. The last class has no upper limit.
+/// Merges neighbouring classes into at most `most` groups. The last class has no upper limit.
 pub(super) fn group_lateness_classes(classes: &[u64; LATENESS_CLASSES], most: usize) -> Vec<(String, u64)> {
     let size = LATENESS_CLASSES.div_ceil(most.max(1));
     let micros = |class: usize| match 1_u64 << class {

@@ -32,7 +32,7 @@ fn run_description() -> RunDescription {
     }
 }
 
-/// First-order step with 0.65 ms; the frequency reaches the resonance meanwhile.
+/// First-order step: the amplitude has a time constant of 0.65 ms, the frequency one of 4 ms.
 fn row(t_s: f64) -> Row {
     let left = (-t_s / 0.65e-3).exp();
     let [wd_um, wq_um] = [2.0 * (1.0 - left), -0.4 * left * (t_s * 2e3).sin()];

@@ -28,7 +28,7 @@ impl SuiteProject {
         self.path().join("out").join(name)
     }
 
-    /// The step is to 2 µm; the limit is a settling time in ms.
+    /// Writes a step to 2 µm under 2 N. `at_most` is the limit of the settling time, ms.
     fn write_scenario(&self, name: &str, first: &str, at_most: f64) {
         let plate =
             self.path().join("scenarios/plates").join(if first.contains("weak") { "weak.toml" } else { "plate.toml" });
@@ -192,7 +192,6 @@ fn a_run_replaces_only_an_earlier_run_folder() {
     assert_eq!(project.run_tests(&["good", "--exact"]).0, 0);
     assert!(!project.run_folder("good/old-file").exists());
     assert!(project.run_folder("good/run.json").exists());
-    // Without a record it is not a run folder.
     fs::remove_file(project.run_folder("good/run.json")).unwrap();
     let (code, output) = project.run_tests(&["good", "--exact"]);
     assert_eq!(code, 101, "{output}");

@@ -19,7 +19,7 @@ pub(crate) struct ExchangeStats {
     pub(crate) missed: u32,
 }
 
-/// The watchdog is long enough for a busy computer.
+/// The watchdog time-out of 1 s also tolerates stalls of a busy computer.
 const CONFIGURE: Configure = Configure { watchdog_timeout_ms: 1_000, ..platebench_test_kit::CONFIGURE };
 
 fn sample(number: u32) -> Sample {

@@ -18,7 +18,7 @@ use thread_priority::unix::{
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 const PERIOD_NS: i64 = 1_000_000;
-/// Equals the control loop's priority.
+/// Equals the priority of the real-time loop.
 const PRIORITY: u8 = 45;
 const FRAME: usize = 24;
 
@@ -26,9 +26,9 @@ fn nanos(time: Timespec) -> i64 {
     time.tv_sec * 1_000_000_000 + time.tv_nsec
 }
 
-/// `None` if `realtime` scheduling is not permitted.
+/// `None` if `realtime` is true and the system does not permit real-time scheduling.
 pub(crate) fn measure_sleep(length: Duration, realtime: bool) -> Result<Option<Quantiles>, Box<dyn Error>> {
-    // A new thread, because the processes of the bench would inherit the priority.
+    // Uses a new thread, because child processes of this thread would inherit the priority.
     let thread = std::thread::spawn(move || {
         let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
         let priority = ThreadPriorityValue::try_from(PRIORITY).map(ThreadPriority::Crossplatform);
@@ -54,7 +54,6 @@ fn sleep_repeatedly(length: Duration) -> std::io::Result<Quantiles> {
     Ok(quantiles(&mut late))
 }
 
-/// `None` if `cyclictest` is not installed or not permitted.
 pub(crate) fn run_cyclictest(length: Duration) -> Result<Option<Reference>, Box<dyn Error>> {
     let loops = (length.as_millis()).to_string();
     let output =
@@ -115,7 +114,7 @@ pub(crate) fn measure_echo(length: Duration) -> Result<Quantiles, Box<dyn Error>
         return Err("the other process does not answer".into());
     }
     line.read_exact(&mut buffer)?;
-    // Now the line hangs up when the other process ends.
+    // From now on, the line hangs up if the echo process ends.
     drop(other);
     let count = length.as_millis() as u32;
     let mut times = Vec::with_capacity(count as usize);

@@ -5,7 +5,7 @@ pub(crate) use platebench_record::Quantiles;
 use platebench_record::TimingRecord;
 use std::time::Duration;
 
-/// In µs. All quantiles are 0 without values.
+/// Returns quantiles in µs. They are 0 if `spans` is empty.
 pub(crate) fn quantiles(spans: &mut [Duration]) -> Quantiles {
     spans.sort_unstable();
     let at = |share: f64| {

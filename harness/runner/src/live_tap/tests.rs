@@ -74,7 +74,7 @@ fn lateness_classes_are_powers_of_two() {
 #[test]
 fn counts_lateness_at_control_instants_only() {
     let (live_tap, reader) = LiveTap::with_capacity(8);
-    // Between instants, at an instant, at a skipped instant.
+    // The three rows lie between control instants, at one, and at a skipped one.
     push_rows(&live_tap, &[Flags::empty(), Flags::CONTROL, Flags::OVERRUN].map(|flags| row(0.0, 0.5, flags)));
     assert_eq!(reader.counts().lateness.iter().sum::<u64>(), 2);
 }

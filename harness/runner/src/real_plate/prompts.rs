@@ -4,7 +4,7 @@ use platebench_plate::{Profile, Time};
 use platebench_scenario::Scenario;
 
 const COUNTDOWN_STEPS_S: [u32; 4] = [3, 2, 1, 0];
-/// Of two actions that are closer in time, only the earlier is announced.
+/// If two actions are closer in time, only the earlier one is announced.
 const MIN_PROMPT_SPACING: Time = Time::from_nanos(500_000_000);
 
 #[derive(Debug, Clone, PartialEq)]
@@ -16,7 +16,7 @@ struct Prompt {
 #[derive(Debug)]
 pub(super) struct Prompts {
     list: Vec<Prompt>,
-    /// Time of announcement, seconds until the action, number of the prompt.
+    /// Time of the announcement, seconds until the action, and index in `list`.
     schedule: Vec<(Time, u32, usize)>,
     next: usize,
 }
@@ -34,7 +34,6 @@ fn temperature_prompt(scenario: &Scenario, offset_k: f64) -> String {
     format!("bring the plate to {} °C ({offset_k:+} K)", ((reference + offset_k) * 1e3).round() / 1e3)
 }
 
-/// Actions before the trial, in the order in which the operator can do them.
 pub(super) fn initial_prompts(scenario: &Scenario) -> Vec<String> {
     let start = scenario.conditions.at(Time::ZERO);
     let mut asked = Vec::new();

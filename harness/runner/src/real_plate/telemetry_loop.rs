@@ -1,8 +1,8 @@
 //! Exchanges setpoints and telemetry with a controller that drives its own plate.
 //!
-//! The loop is one thread and does not allocate after the first setpoint. Setpoints follow the
-//! profile by the controller's clock. The loop repeats them for the controller's watchdog and ends
-//! with a request for 0 V.
+//! The loop runs on one thread and does not allocate after the first setpoint. Setpoints follow the
+//! scenario's profile at the time of the controller's clock. The loop repeats unchanged setpoints
+//! to keep the controller's watchdog from expiring. It ends with a request for 0 V.
 
 use super::telemetry_rows::TelemetryRows;
 use crate::abort::TrialAbort;
@@ -21,13 +21,13 @@ use platebench_trace::Flags;
 use platebench_wire::{Command, Configure, ControllerState, LawId, Message, Setpoint, StateCause};
 use std::time::{Duration, Instant};
 
-/// Without a setpoint for this time, the controller goes to 0 V.
+/// The controller goes to 0 V if it gets no setpoint for this time.
 const WATCHDOG_TIMEOUT_MS: u16 = 250;
 const KEEP_ALIVE_INTERVAL: Duration = Duration::from_millis(50);
-/// A later repetition is an overrun of the bench.
+/// If this time has passed since the last setpoint, the next one is an overrun of the bench.
 const LATE_SETPOINT: Duration = Duration::from_millis(200);
 const ACKNOWLEDGE_TIMEOUT: Duration = Duration::from_millis(100);
-/// Without telemetry for this time, the controller is lost.
+/// The controller is lost if it sends no telemetry for this time.
 const SILENCE_TIMEOUT: Duration = Duration::from_millis(500);
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
@@ -53,7 +53,7 @@ pub(super) struct TelemetryLoop<'a, L: Link> {
     next_flags: Flags,
     last_telemetry: Instant,
     last_setpoint: Option<(f32, Instant)>,
-    /// Indexed by sequence number.
+    /// Setpoints without acknowledgement, indexed by sequence number.
     pending_setpoints: [Option<PendingSetpoint>; 256],
     acknowledge_time: DurationHistogram,
     setpoints: u64,
@@ -132,7 +132,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
             if self.telemetry.time().is_some_and(|time| time >= self.scenario.duration) {
                 return Ok(());
             }
-            // Silence counts only once all messages are read.
+            // Silence counts only if all messages are read, because they may contain telemetry.
             if received.is_none() && self.last_telemetry.elapsed() > SILENCE_TIMEOUT {
                 // A stopped controller may send nothing more.
                 let silent = RigError::NoAnswer { expected: "telemetry" };
@@ -172,8 +172,8 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
         Ok(())
     }
 
-    /// Counts a setpoint only if later telemetry shows that the bench has read the line for the
-    /// whole time-out.
+    /// Counts setpoints without acknowledgement. Telemetry must be newer by the whole time-out,
+    /// because this shows that the bench has read the line.
     fn count_unacknowledged(&mut self, now: Instant) {
         let within = Time::from_nanos(ACKNOWLEDGE_TIMEOUT.as_nanos() as u64);
         let last = self.telemetry.time().unwrap_or(Time::ZERO);
@@ -214,7 +214,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
             self.acknowledge_time.record(at.saturating_duration_since(sent.sent_at));
         }
         match command.state {
-            // A configured controller that is idle has lost its configuration.
+            // A controller that is idle after its configuration has restarted.
             ControllerState::Idle if sent.is_some() => Err(RigError::Restarted.into()),
             ControllerState::Fault | ControllerState::Safe => {
                 self.stop_reason.get_or_insert(setpoint_stop_reason(command.cause));

@@ -5,7 +5,7 @@ use platebench_plate::Time;
 use platebench_trace::{Flags, Row};
 use platebench_wire::{ControllerState, Telemetry};
 
-/// Orders telemetry by the target's clock. The trial starts with the target's period 0.
+/// Converts telemetry in the order of the target's clock. The trial starts with period 0.
 pub(super) struct TelemetryRows {
     period_us: u32,
     limit_vpp: f64,
@@ -32,21 +32,21 @@ impl TelemetryRows {
         self.last.map(|last| Time::from_nanos(last.since_start_us * 1_000))
     }
 
-    /// `None` for a duplicate, an older period, or a value that is not finite.
+    /// Returns `None` for a duplicate, an older period, or a value that is not finite.
     pub(super) fn accept(&mut self, telemetry: &Telemetry) -> Option<Row> {
         let numbers = [telemetry.setpoint_um, telemetry.wd_um, telemetry.wq_um, telemetry.drive_vpp];
         if !numbers.iter().all(|number| number.is_finite()) {
             return None;
         }
         let since_start_us = match self.last {
-            // The periods before the first telemetry belong to the trial.
+            // Periods before the first telemetry belong to the trial.
             None => u64::from(telemetry.period) * u64::from(self.period_us),
             Some(last) => {
                 let (periods, span) = (
                     telemetry.period.wrapping_sub(last.period),
                     telemetry.target_time_us.wrapping_sub(last.target_time_us),
                 );
-                // A step of more than half the range is a step back.
+                // The counters wrap, so a step of more than half their range is a step back.
                 if periods == 0 || span == 0 || periods > u32::MAX / 2 || span > u32::MAX / 2 {
                     return None;
                 }
@@ -85,8 +85,7 @@ impl TelemetryRows {
         Some(row)
     }
 
-    /// Row with 0 V one period after the last telemetry. `None` if that telemetry shows the stop
-    /// already.
+    /// Row with 0 V one period after the last telemetry. `None` if this telemetry shows the stop.
     pub(super) fn stop_row(&self) -> Option<Row> {
         let last = self.last.filter(|last| !last.row.flags.contains(Flags::SAFE))?;
         let t_s = (last.since_start_us + u64::from(self.period_us)) as f64 / 1e6;

@@ -22,9 +22,9 @@ use std::time::{Duration, Instant};
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// The thread polls for this time before a deadline, because a timer would wake it some 10 µs late.
 const SPIN_TIME: Duration = Duration::from_micros(80);
-/// A sample that is later than this share of the control period is an overrun of the bench.
+/// A sample is an overrun of the bench if it is later than this share of the control period.
 const OVERRUN_SHARE: f64 = 0.25;
-/// Shortest silence of a lost controller. A shared host may stall for some 10 ms.
+/// A controller is lost only after this silence, because a shared host may stall for some 10 ms.
 const MIN_SILENT_TIME: Duration = Duration::from_millis(250);
 /// Time from the configuration to the first control instant.
 const START_DELAY: Duration = Duration::from_millis(2);
@@ -34,14 +34,14 @@ pub(super) struct RealTimeLoop<'a, L: Link> {
     scenario: &'a Scenario,
     controller: ControllerLog<'a>,
     plant: PlantSimulation<'a, RowQueue>,
-    /// The number counts the changes that the plate has received.
+    /// Manual inputs, and the number of their changes that the plate has received.
     manual_control: Option<(&'a ManualControl, u64)>,
     time_base: TimeBase,
     period: Time,
     duration: Time,
     start: Instant,
     next_control: Time,
-    /// Control instants of samples without a reply, indexed by sequence number.
+    /// Control instants of the samples that have no reply yet, indexed by sequence number.
     unanswered: [Option<Time>; 256],
     last_sent: Option<u8>,
     last_received: Instant,
@@ -130,7 +130,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         let lateness = now.saturating_duration_since(self.wall_instant(due));
         self.plant.advance_through(due);
         if now >= self.wall_instant(self.next_control) {
-            // Skips this sample, because it would delay the next one.
+            // Skips this sample, because it would delay the next one, which is already due.
             self.timing.counts.periods += 1;
             self.timing.counts.overruns += 1;
             self.timing.counts.skipped += 1;
@@ -141,7 +141,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.send_sample(lateness, 0)
     }
 
-    /// The target's ticks are the control instants. The trial starts with the first tick.
+    /// Each tick of the target is a control instant. The trial starts with the first tick.
     fn run_target_paced(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
         let mut ticks = TickTracker::default();
         let first = Instant::now() + MIN_SILENT_TIME;
@@ -184,7 +184,8 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         Ok(())
     }
 
-    /// A reported stop other than a sample time-out explains missing ticks.
+    /// Counts the ticks that are missing at the end, unless a reported stop explains them. A sample
+    /// time-out explains nothing, because missing ticks cause it.
     fn count_missed_ticks(&mut self, last_tick: Time) {
         let periods = (self.duration - last_tick).as_nanos() / self.period.as_nanos().max(1);
         let has_stopped = self.controller.stop_cause().is_some_and(|cause| cause != StateCause::SampleTimeout);
@@ -200,8 +201,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         Instant::now() >= self.wall_instant(self.duration)
     }
 
-    /// The plate must be at the control instant. `missing` is the number of earlier control
-    /// instants without a tick.
+    /// The plate must be at the control instant. `missing` counts earlier instants without a tick.
     fn send_sample(&mut self, lateness: Duration, missing: u64) -> Result<(), TrialAbort> {
         let now = self.plant.time();
         if let Some(inputs) = self.manual_control.as_mut().and_then(|(manual, seen)| manual.changed_inputs(seen)) {
@@ -234,13 +234,12 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.plant.push_row(to_micros(lateness), flags);
         let sequence = outcome?;
         if let Some(unanswered) = self.unanswered.get_mut(usize::from(sequence)) {
-            // Sequence numbers repeat after 256 samples, so a reply to the older sample would
-            // belong to this one.
+            // Sequence numbers repeat: a later reply to the older sample would match this one.
             self.timing.counts.lost_replies += u64::from(unanswered.replace(now).is_some());
         }
         self.last_sent = Some(sequence);
         if self.scenario.explains_silence(now) {
-            // The bench waits for a planned silence to end.
+            // A planned fault causes the silence, so it does not show that the controller is lost.
             self.last_received = sent;
             self.controller.reset_missed_replies();
         }
@@ -256,15 +255,15 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.last_received = received.received_at;
         self.controller.reset_missed_replies();
         let sampled = self.unanswered.get_mut(usize::from(received.sequence)).and_then(Option::take);
-        // A second reply is a duplicated frame, unless it reports a stop.
+        // A second reply to a sample is a duplicated frame, unless it reports a stop.
         if sampled.is_none() && command.state == ControllerState::Running {
             return Ok(());
         }
-        // An idle controller has lost its configuration.
+        // A controller that is idle after its configuration has restarted.
         if sampled.is_some() && command.state == ControllerState::Idle {
             return Err(RigError::Restarted.into());
         }
-        // A control instant after the arrival may have moved the plate already.
+        // The plate may already be at a later control instant. The command then acts there.
         let instant = self.plate_time(received.received_at).max(self.plant.time()).min(self.duration);
         self.plant.advance_through(instant);
         if let Some(sampled) = sampled {
@@ -298,7 +297,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
                 self.handle_message(&received)?;
             }
         }
-        // The bound is for a controller that never stops sending.
+        // The number of reads is bounded, because a faulty controller may never stop sending.
         for _ in 0..self.unanswered.len() {
             let Some(received) = self.session.receive(Instant::now())? else { break };
             self.handle_message(&received)?;
@@ -311,13 +310,13 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         Ok(())
     }
 
-    /// No later control instant notices this missing reply.
+    /// True if the last sample has no reply. No later control instant notices this.
     fn is_last_reply_missing(&self) -> bool {
         let sampled = self.last_sent.and_then(|last| self.unanswered.get(usize::from(last)).copied().flatten());
         sampled.is_some_and(|sampled| self.duration.since(sampled) >= self.period)
     }
 
-    /// Requests 0 V. `None` if the trial was cancelled.
+    /// Requests 0 V and returns the results. `None` if the trial was cancelled.
     pub(super) fn finish(
         mut self,
         abort: Option<TrialAbort>,
@@ -335,7 +334,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             Some(TrialAbort::Lost(error)) => Some(error),
         };
         if let Some(error) = &lost {
-            // Plays the rest of the trial at 0 V without waiting.
+            // Simulates the rest of the trial at 0 V, without a wait for wall time.
             let flags = if is_controller_failure(error) { Flags::empty() } else { Flags::LINK_LOST };
             self.plant.stop_drive();
             self.plant.push_row(0.0, flags);

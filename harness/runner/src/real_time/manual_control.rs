@@ -16,7 +16,8 @@ impl ManualControl {
         self.change_count.fetch_add(1, Ordering::Release);
     }
 
-    /// Does not wait. Reads a change in progress in the next control period.
+    /// Returns changed inputs without a wait. Inputs that are being written follow one period
+    /// later.
     pub(super) fn changed_inputs(&self, seen: &mut u64) -> Option<ManualInputs> {
         let changes = self.change_count.load(Ordering::Acquire);
         if changes == *seen {

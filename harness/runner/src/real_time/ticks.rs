@@ -3,30 +3,29 @@
 use platebench_plate::Time;
 use std::time::{Duration, Instant};
 
-/// The earliest recent arrival counts as punctual. The time stamp of a tick does not show the
-/// target's own lateness, because the target sets it when it handles the tick.
+/// Measures lateness against the earliest recent tick, which counts as punctual. The time stamp of
+/// a tick does not show lateness, because the target sets it when it handles the tick.
 #[derive(Debug, Default)]
 pub(super) struct TickTracker {
     first: Option<Instant>,
     last_us: u32,
-    /// Target time without wrap, µs.
+    /// Time of the target since the first tick, without wrap, µs.
     target_us: u64,
     period: u64,
-    /// Least delay of a tick after the start of its period, µs, in the current and the previous
-    /// interval.
+    /// Least delay of a tick after its period starts, µs, in this and the last `DRIFT_INTERVAL`.
     earliest: [Option<f64>; 2],
     interval: u64,
 }
 
 impl TickTracker {
-    /// Two clocks drift by about 0.1 µs per ms at most, so by 50 µs in this interval.
+    /// Two clocks drift apart by at most about 0.1 µs per ms, so by 50 µs in this interval.
     const DRIFT_INTERVAL: Duration = Duration::from_millis(500);
 
     pub(super) fn has_ticks(&self) -> bool {
         self.first.is_some()
     }
 
-    /// Returns the lateness within the period and the number of periods without a tick. If this
+    /// Returns the lateness of the tick and the number of periods without a tick before it. If this
     /// tick is the earliest, the ticks before it were late, and their lateness is returned.
     pub(super) fn record(&mut self, at: Instant, target_us: u32, period: Time) -> (Duration, u64) {
         if self.first.is_none() {
@@ -34,7 +33,7 @@ impl TickTracker {
         }
         let since = at.saturating_duration_since(*self.first.get_or_insert(at));
         let step = target_us.wrapping_sub(std::mem::replace(&mut self.last_us, target_us));
-        // A step back looks like a step of more than half the counter's range.
+        // The counter wraps, so a step back looks like a step of more than half its range.
         self.target_us += if step > u32::MAX / 2 { 0 } else { u64::from(step) };
         let period_us = period.seconds() * 1e6;
         let number = (self.target_us as f64 / period_us).round();
@@ -63,7 +62,6 @@ mod tests {
     fn measures_lateness_against_punctual_ticks() {
         let start = Instant::now();
         let mut ticks = TickTracker::default();
-        // The target's counter wraps and runs 50 ppm slow.
         let mut tick = |number: u32, late_us: u64| {
             let at = start + Duration::from_micros(u64::from(number) * 1_000 + 100 + late_us);
             let target = (f64::from(number) * 1_000.0 * (1.0 - 50e-6)) as u32;

@@ -6,10 +6,10 @@ use std::time::Duration;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Pacing {
-    /// The bench's sample triggers a control step.
+    /// A sample from the bench triggers each control step.
     #[default]
     Bench,
-    /// The target's tick requests a sample.
+    /// A tick from the target requests each sample.
     Target,
 }
 
@@ -24,7 +24,7 @@ impl Pacing {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimeBase {
-    /// Plate seconds per wall second, above 0.
+    /// Seconds of plate time per second of wall time, above 0.
     pub time_scale: f64,
     pub pacing: Pacing,
 }
@@ -38,7 +38,7 @@ impl TimeBase {
         Time::from_nanos((span.as_nanos() as f64 * self.time_scale).round() as u64)
     }
 
-    /// Sets pacing and watchdog, which both use wall time.
+    /// Sets the pacing and the watchdog, which runs in wall time.
     pub(super) fn with_target_timing(&self, configure: Configure) -> Configure {
         let period = Duration::from_micros(u64::from(configure.period_us)).as_secs_f64();
         // 0 keeps the controller's default of five control periods.

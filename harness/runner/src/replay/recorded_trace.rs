@@ -1,7 +1,7 @@
 //! Extracts samples and commands from a trace.
 //!
-//! A row with the flag `control` holds the sample. The last row before the next command acts holds
-//! the command.
+//! A row with the flag `control` contains the sample. The last row before the next command acts
+//! contains the command for this sample.
 
 use super::error::ReplayError;
 use super::input::ReplayInput;
@@ -13,14 +13,14 @@ use platebench_trace::{AtPath, Flags, Row, read_trace};
 use platebench_verdict::replay::{Recording, RecordingEnd, ReplayCommand, ReplayStep};
 use std::path::{Path, PathBuf};
 
-/// Half of a nanosecond, to which instants are rounded.
+/// Tolerance for the comparison of instants, which are rounded to whole nanoseconds.
 const HALF_NANOSECOND_S: f64 = 0.5e-9;
-/// In control periods. If two samples are further apart, a sample between them is missing.
+/// Longest distance of two samples, in periods. A sample is missing if they are further apart.
 const MAX_SAMPLE_DISTANCE: f64 = 1.5;
-/// In control periods. If two samples are closer, the recording has another control period.
+/// Shortest distance of two samples, in periods. If closer, the recording has another period.
 const MIN_SAMPLE_DISTANCE: f64 = 0.5;
 
-/// `scenario` replaces the scenario of the run folder.
+/// `scenario` replaces the scenario that the run folder contains.
 pub fn read_recorded_trace(trace: &Path, scenario: Option<&Path>) -> Result<ReplayInput, ReplayError> {
     if trace.is_dir() {
         return Err(ReplayError::Folder(trace.to_owned()));
@@ -50,7 +50,7 @@ struct StoredTrace {
     trial: TrialRecord,
 }
 
-/// `None` if no run folder above the trace lists it.
+/// `None` if the trace is in no run folder, or the record of the run does not list it.
 fn find_trial(trace: &Path) -> Result<Option<StoredTrace>, ReplayError> {
     let trace = trace.canonicalize().at(trace)?;
     let Some(folder) = trace.ancestors().skip(1).find(|folder| folder.join(RECORD_FILE).is_file()) else {
@@ -114,7 +114,7 @@ pub(super) fn check_recording(path: &Path, recording: &Recording, period_s: f64)
     }
 }
 
-/// Row that holds the command for the sample in row `index`. `None` if the command never acted.
+/// Returns the row with the command for the sample in row `index`. `None` if it never acted.
 fn acting_row<'a>(
     rows: &'a [Row],
     index: usize,
@@ -125,13 +125,13 @@ fn acting_row<'a>(
     let (row, last) = (rows.get(index)?, rows.last()?);
     let controller = &scenario.controller;
     let (delay_s, longest_s) = match clock {
-        // Telemetry holds a sample and its command in one row.
+        // Telemetry of a real plate has a sample and its command in one row.
         ClockKind::RealPlate => return Some(row),
         ClockKind::Lockstep => {
             let delay = controller.loop_delay;
             (delay.seconds(), (delay + controller.loop_delay_jitter).seconds())
         }
-        // The delay of the line is unknown but shorter than a control period.
+        // The delay of the line is unknown. It is assumed to be shorter than a control period.
         ClockKind::RealTime => (0.0, controller.period.seconds()),
     };
     if row.t_s + longest_s > last.t_s + HALF_NANOSECOND_S {

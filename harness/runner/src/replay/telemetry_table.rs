@@ -13,7 +13,7 @@ use std::f64::consts::TAU;
 use std::fs::File;
 use std::path::Path;
 
-/// Setpoints come from the table, or else from the scenario's profile.
+/// Setpoints come from the table, or from the scenario's profile if the table has none.
 pub fn read_telemetry_table(
     table: &Path,
     columns: &ColumnMapping,

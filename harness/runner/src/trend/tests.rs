@@ -60,7 +60,7 @@ fn record(build: &str, second: u32, scenarios: Vec<ScenarioRecord>) -> RunRecord
     }
 }
 
-/// The last run is the present one.
+/// Folder with the earlier runs and the present run `now`.
 struct RunsFolder(TempDir);
 
 impl RunsFolder {

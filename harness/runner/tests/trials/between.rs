@@ -15,7 +15,7 @@ const SCENARIO: &str = "title = \"History\"\nplate = \"plate.toml\"\nduration_ms
 
 const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
 
-/// Drives less after it has run `deadbeat`, and counts configurations.
+/// Counts configurations. With `has_fault`, drives less after it has run `deadbeat`.
 struct Remembering<'a> {
     inner: HostedLink,
     has_fault: bool,
@@ -59,7 +59,7 @@ impl Link for Remembering<'_> {
     }
 }
 
-/// The record, the number of connections and of configurations.
+/// Returns the record, the number of connections and the number of configurations.
 fn play(text: &str, has_fault: bool, jobs: usize) -> (RunRecord, u32, u32) {
     let folder = tempfile::tempdir().unwrap();
     let scenario = write_scenario(folder.path(), text, PLATE);
@@ -83,7 +83,7 @@ fn one_controller_plays_trials_and_the_scenes_between_them() {
     for jobs in [1, 4] {
         let (record, connections, configurations) = play(SCENARIO, false, jobs);
         assert_eq!(record.verdict, Verdict::Pass, "{:?}", record.scenarios[0].expectations);
-        // One connection to read the identity, one for the trials: three trials, two scenes.
+        // Connections: for the identity and for the trials. Configurations: 3 trials, 2 scenes.
         assert_eq!((connections, configurations), (2, 5), "{jobs} jobs");
     }
 }

@@ -23,8 +23,8 @@ fn scenario_with_delay(periods: f64, duration_ms: f64) -> Scenario {
     scenario
 }
 
-/// At the boundary the spectral radius is 1. At 1.5 % from it an oscillation changes by at least
-/// 0.5 % per period, so 2 s decide.
+/// At the boundary the spectral radius of the loop is 1. At a delay 1.5 % away from it, an
+/// oscillation changes by at least 0.5 % per period. So a trial of 2 s shows the difference.
 #[test]
 fn a_loop_diverges_just_past_its_stability_limit() {
     for (law, boundary) in [(LawId::DqPiEuler, 0.8302), (LawId::DqPiFixed, 1.6685)] {
@@ -71,7 +71,7 @@ fn files(folder: &str) -> impl Iterator<Item = String> {
     names.into_iter().map(move |entry| format!("{folder}/{}", entry.file_name().into_string().unwrap()))
 }
 
-/// The limit of the forward-Euler integral is 0.83 periods.
+/// Only true alarms may remain: `dq-pi-euler` is stable up to a delay of 0.83 periods.
 #[test]
 fn scenarios_raise_no_false_alarm_under_any_law() {
     let names = ["paper", "guards", "laws", "faults", "limits"].into_iter().flat_map(files);
@@ -98,7 +98,7 @@ fn scenarios_raise_no_false_alarm_under_any_law() {
     );
 }
 
-/// Noise of 0.4 % to 50 % of the setpoint: at resonance, detuned, under a finger, with delay.
+/// Tests noise of 0.4 % to 50 % of the setpoint: at resonance, detuned, under a finger, with delay.
 #[test]
 fn noise_raises_no_false_alarm() {
     for law in LawId::ALL {

@@ -13,12 +13,12 @@ struct Response {
     frequency_error_hz: f64,
 }
 
-/// `controller` and `profile` are TOML.
+/// `controller` and `profile` are TOML lines for the sections of these names.
 fn play(law: &str, controller: &str, profile: &str) -> Response {
     play_with_noise(law, controller, profile, 0.0)
 }
 
-/// µm on each component; the step follows 3 ms of noise.
+/// `noise_um` acts on Wd and on Wq, µm RMS. With noise, the setpoint steps only after 3 ms.
 fn play_with_noise(law: &str, controller: &str, profile: &str, noise_um: f64) -> Response {
     let plate = PLATE.replace("noise_um_rms = 0.0", &format!("noise_um_rms = {noise_um:?}"));
     let expectations =
@@ -47,7 +47,7 @@ fn paper_response(law: &str, controller: &str, force_n: f64) -> Response {
     play(law, controller, &format!("finger_force_n = {force_n:?}"))
 }
 
-/// Fig. 13, 14 and 16, and forces in between.
+/// Tests the cases of Fig. 13, 14 and 16 of the paper, and finger forces between them.
 #[test]
 fn deadbeat_needs_two_periods_and_800_vpp() {
     for start in [AT_RESONANCE, NINE_KELVIN_OFF, "start_frequency_hz = 32394.3"] {
@@ -70,7 +70,7 @@ fn deadbeat_needs_one_period_without_a_finger() {
     }
 }
 
-/// Below about 0.3 periods a start overshoots; above, the first sample shows the delay.
+/// Up to a delay of about 0.3 periods, the start overshoots. The first sample shows a longer delay.
 #[test]
 fn deadbeat_identifies_an_unknown_delay() {
     for (delay_ms, settling_ms, overshoot_percent) in
@@ -87,10 +87,10 @@ fn deadbeat_identifies_an_unknown_delay() {
     }
 }
 
-/// Settling times in ms for Fig. 13, 14 and 16.
+/// The limits are settling times in ms for the cases of Fig. 13, 14 and 16 of the paper.
 #[test]
 fn a_configured_delay_costs_little_more_than_itself() {
-    // The first sample is ignored from 0.75 periods on, by deadbeat from 0.55 on.
+    // `dq-pi` ignores the first sample from a delay of 0.75 periods on, `deadbeat` from 0.55 on.
     let expected = [
         ("dq-pi", 0.2, [2.2, 2.2, 3.7]),
         ("dq-pi", 0.5, [2.5, 2.5, 4.0]),
@@ -114,7 +114,7 @@ fn a_configured_delay_costs_little_more_than_itself() {
             assert!(response.settling_ms.is_some_and(|ms| ms < at_most), "{case}");
             assert!(response.overshoot_percent < 7.0 && response.static_error_percent < 0.01, "{case}");
             let unconfigured = paper_response(law, &format!("{start}\nloop_delay_ms = {delay_ms}"), force_n);
-            // Deadbeat mostly identifies 0.5 and 0.8 ms itself.
+            // `deadbeat` usually identifies a delay of 0.5 ms or 0.8 ms without its configuration.
             if force_n == 0.0 && (law == "dq-pi" || delay_ms == 0.2) {
                 assert!(
                     unconfigured.overshoot_percent > response.overshoot_percent + 2.0,
@@ -125,7 +125,7 @@ fn a_configured_delay_costs_little_more_than_itself() {
     }
 }
 
-/// A long delay makes the effect of the drive smaller than the noise.
+/// With a long delay, the drive changes the first sample by less than the noise.
 #[test]
 fn noise_in_the_first_sample_is_not_identified_as_a_mode() {
     for (law, delay_ms, overshoot_percent, settling_ms) in
@@ -140,7 +140,7 @@ fn noise_in_the_first_sample_is_not_identified_as_a_mode() {
     }
 }
 
-/// Limit cycles of the gain schedule blur the limit by about a tenth of a period.
+/// Limit cycles of the gain schedule blur the stability limit by about a tenth of a period.
 #[test]
 fn a_configured_delay_shifts_the_stability_limit() {
     let settles = |configured: f64, delay: f64| {
@@ -153,7 +153,7 @@ fn a_configured_delay_shifts_the_stability_limit() {
     assert!(settles(1.0, 0.5) && settles(1.0, 1.5) && settles(1.0, 2.0));
 }
 
-/// Fixed gains need 9 ms under 2 N; matched gains tolerate the same delays.
+/// Under 2 N, fixed gains need 9 ms. Matched gains are faster and tolerate the same delays.
 #[test]
 fn dq_pi_is_faster_under_a_finger_and_no_slower_without() {
     for start in [AT_RESONANCE, NINE_KELVIN_OFF] {
@@ -185,9 +185,10 @@ fn voltage_only_is_slow_off_resonance() {
 fn frequency_only_holds_the_amplitude_off_resonance() {
     let untouched = paper_response("frequency-only", AT_RESONANCE, 0.0);
     assert!(untouched.settling_ms.is_some_and(|ms| ms > 5.0) && untouched.static_error_percent < 0.1, "{untouched:?}");
-    // √((0.00698 · 450 / 2)² − 1) / (2π · 1.88 ms)
+    // Detuning = √((gain · drive / setpoint)² − 1) / (2π · time constant), with 0.00698 µm/Vpp, 450
+    // Vpp, 2 µm, 1.88 ms.
     assert!((untouched.frequency_error_hz - 102.5).abs() < 1.0, "{untouched:?}");
-    // 450 Vpp hold 2 µm up to σ/σ0 = 1.57, 0.85 N.
+    // 450 Vpp hold 2 µm up to a damping of σ/σ0 = 1.57, which a finger force of 0.85 N causes.
     assert!(paper_response("frequency-only", AT_RESONANCE, 0.8).static_error_percent < 0.5);
     assert!(paper_response("frequency-only", AT_RESONANCE, 1.0).static_error_percent > 5.0);
 }
@@ -199,7 +200,7 @@ fn bang_bang_is_slow_off_resonance_only() {
     let unsuited = paper_response("bang-bang", NINE_KELVIN_OFF, 0.0);
     assert!(unsuited.settling_ms.is_some_and(|ms| ms > 5.0), "{unsuited:?}");
     for response in [suited, unsuited] {
-        // It oscillates by one step of 4.2 Hz.
+        // The frequency of this law oscillates by one step of 4.2 Hz.
         assert!(response.frequency_error_hz < 4.3 && response.static_error_percent < 0.1, "{response:?}");
     }
 }
@@ -213,7 +214,7 @@ fn the_pll_holds_the_resonance_but_not_the_amplitude() {
     assert!(finger.frequency_error_hz < 0.01 && (finger.static_error_percent - 50.0).abs() < 0.1, "{finger:?}");
 }
 
-/// Table I varies by 5 %; the law assumes N/m, so another gain costs one or two periods.
+/// The gain in Table I of the paper varies by 5 %. A gain other than assumed costs 1 or 2 periods.
 #[test]
 fn deadbeat_tolerates_the_spread_of_table_1() {
     let spread = "[trials]\ncount = 20\nseed = 7\n[trials.spread]\ngain_percent = 5.0\ntime_constant_percent = 5.0";

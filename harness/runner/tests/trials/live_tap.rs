@@ -55,7 +55,7 @@ fn a_reader_does_not_change_the_traces() {
         let (stalled, reader) = LiveTap::new();
         assert!(run_with_tap(&plan, &stalled).1 == expected, "{jobs} jobs, a reader that never reads");
         let counts = reader.counts();
-        // Only one trial at a time has the tap; with several jobs its rows may fit into the queue.
+        // With several jobs, the tap follows only some trials. Their rows may fit into the queue.
         assert!(counts.rows > counts.dropped_rows && (counts.dropped_rows > 0 || jobs > 1), "{counts:?}");
 
         let (active, mut reader) = LiveTap::new();

@@ -1,4 +1,4 @@
-//! Tests samples behind a lock-in: in the carrier tier its output, in the other tiers W.
+//! Tests samples behind a lock-in: its output in the carrier tier, W in the other tiers.
 
 use crate::fixtures::{LOCKSTEP, plan, run_hosted};
 use platebench_test_kit::{PLATE, write_scenario};
@@ -6,7 +6,7 @@ use std::fs;
 
 const LOCKIN: &str = "[sensor]\ndemodulator_periods = 8\nconverter_hz = 1e6";
 
-/// Wd and the controller's sample of it, per control instant.
+/// Returns Wd and the sample of Wd at each control instant, µm.
 fn play(model: &str, sensor: &str) -> Vec<[f64; 2]> {
     assert!(PLATE.contains("[sensor]"));
     let text = format!(
@@ -33,7 +33,7 @@ fn play(model: &str, sensor: &str) -> Vec<[f64; 2]> {
 fn the_carrier_tier_samples_the_delayed_lock_in() {
     let samples = play("carrier", LOCKIN);
     assert!(samples.len() >= 10);
-    // 286 Vpp from rest: Wd rises with τ; a lock-in of eight periods delays by 124 µs.
+    // At 286 Vpp, Wd rises to 2 µm with the time constant τ. Eight periods delay it by 124 µs.
     let tau = 1.88e-3_f64;
     for (period, [wd, sensed]) in samples.iter().enumerate().take(5).skip(1) {
         let slope = (2.0 - wd) / tau;

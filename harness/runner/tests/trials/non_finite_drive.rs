@@ -9,7 +9,7 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-/// Replaces the drive, except in the confirmation of 0 V.
+/// Replaces the drive of every command after `from`, except in the confirmation of 0 V.
 struct FixedDriveLink {
     inner: HostedLink,
     drive_vpp: f32,
@@ -48,7 +48,7 @@ fn assert_finite_numbers(folder: &Path) {
             assert_finite_numbers(&path);
             continue;
         }
-        // The reason itself names NaN.
+        // The reason of the failure contains NaN as a word, so this text is removed.
         let text = fs::read_to_string(&path).unwrap().to_lowercase().replace("nan or infinite", "");
         let mut words = text.split(|c: char| !c.is_alphanumeric());
         assert!(words.all(|word| !["nan", "inf", "infinity"].contains(&word)), "{}", path.display());
@@ -94,7 +94,7 @@ fn a_non_finite_drive_is_the_reason_of_the_failure() {
     }
 }
 
-/// The drive is clamped to 0 V and the limit.
+/// The bench clamps such a drive to the range from 0 V to the drive limit.
 #[test]
 fn a_drive_beyond_the_amplifier_is_no_divergence() {
     for drive in [f32::MAX, f32::MIN] {
@@ -104,7 +104,7 @@ fn a_drive_beyond_the_amplifier_is_no_divergence() {
     }
 }
 
-/// Only the bench's 0 V let the plate rest.
+/// The plate rests only because the bench replaces NaN by 0 V, so the trial must fail.
 #[test]
 fn a_stop_with_a_non_finite_drive_fails() {
     // The controller stops at 41 ms.
@@ -112,7 +112,6 @@ fn a_stop_with_a_non_finite_drive_fails() {
     assert_eq!([verdict(0.0), verdict(f32::NAN)], [Verdict::Pass, Verdict::Fail]);
 }
 
-/// The trace ends at the last finite state.
 #[test]
 fn a_plate_that_overflows_excludes_the_trial() {
     let mut scenario = load_scenario(FIG13);

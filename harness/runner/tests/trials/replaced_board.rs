@@ -120,6 +120,5 @@ fn only_the_same_board_may_continue_a_run() {
     assert!(matches!(error, RunError::DifferentController { .. }), "{error}");
     let message = error.to_string();
     assert!(message.contains("number 020000") && message.contains("but was platebench-host"), "{message}");
-    // The unplugged board did not confirm 0 V.
     assert_eq!((record.complete, record.safe_confirmed), (false, Some(false)));
 }

@@ -81,7 +81,7 @@ impl Link for FailingLink {
         }
         let from = answer.len();
         let delay = self.inner.exchange(now, bytes, answer)?;
-        // Earlier commands may arrive before the answer.
+        // Commands to earlier samples may arrive before the answer to the request for 0 V.
         for packet in packets(&answer[from..]) {
             match (packet.message, safe) {
                 (Message::Command(command), Some(safe)) if packet.sequence == safe.sequence => {

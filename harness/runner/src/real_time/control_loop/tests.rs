@@ -67,7 +67,7 @@ fn count_allocations<L: Link>(
     (allocated, periods)
 }
 
-/// Plays until there were more than 10 periods: a busy machine leaves out control instants.
+/// Repeats the trial until it had more than 10 periods, because a busy host skips some.
 fn assert_no_allocations<L: Link>(name: &str, session: &mut Session<FaultInjector<L>>, pacing: Pacing) {
     let scenario = scenario(name);
     let mut periods = 0;
@@ -121,7 +121,7 @@ fn the_loop_allocates_nothing_over_a_terminal() {
     let mut terminal = PtyLink::open().unwrap();
     let port = SerialLink::open(Path::new(terminal.path()), 1_000_000).unwrap();
     let board = thread::spawn(|| run_controller(port));
-    // On a busy machine the controller may miss the first requests.
+    // On a busy host, the controller may miss the first requests.
     let opened = (0..100).find_map(|_| Session::open(FaultInjector::new(&mut terminal)).ok().map(|_| ()));
     assert!(opened.is_some(), "the controller does not send its identity");
     let mut session = Session::open(FaultInjector::new(terminal)).unwrap();
@@ -168,7 +168,7 @@ fn a_last_sample_without_an_answer_is_a_missing_answer() {
     let result = crate::real_time::play(&mut session, &spec, time_base, &CancelToken::never(), None).unwrap();
     let last = result.trace_rows.last().unwrap();
     let timing = result.telemetry.timing.unwrap();
-    // A host that stalls may skip it; then its instant is an overrun.
+    // A host that stalls may skip the last sample. Its control instant is then an overrun.
     let is_marked = last.flags.contains(Flags::LINK_LOST) || timing.skipped > 0;
     assert!(is_marked && result.link_error.is_none(), "{last:?} {timing:?}");
     assert!(timing.missed_replies > 0 || timing.skipped > 0, "{timing:?}");
