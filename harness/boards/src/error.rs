@@ -36,7 +36,9 @@ pub enum BoardError {
     NotQuarantined { name: String },
     #[error("--reason is empty, expected a text that states what was checked on the board")]
     NoReason,
-    #[error("board {name}: the chip has the number {found}, boards.toml has {expected}; nothing was configured")]
+    #[error(
+        "board {name}: the connected chip has the number {found}, boards.toml has {expected}; connect the right board or correct boards.toml"
+    )]
     WrongChip { name: String, found: String, expected: String },
     #[error(transparent)]
     Connect(#[from] ConnectError),

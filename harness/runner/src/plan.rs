@@ -65,9 +65,11 @@ pub enum RunError {
     Rig(#[from] RigError),
     #[error("the controller is now {found}, but was {expected} when the run began; keep the same controller connected")]
     DifferentController { found: String, expected: String },
-    #[error("{0} does not announce that it can pace itself, expected --pacing bench")]
+    #[error("{0} does not announce that it can pace itself, which --pacing target needs; use --pacing bench")]
     NoTargetPacing(String),
-    #[error("{0} does not announce that it drives its own plate, expected --plate-mode emulated")]
+    #[error(
+        "{0} does not announce that it drives its own plate, which --plate-mode real needs; use --plate-mode emulated"
+    )]
     NoRealPlate(String),
     #[error(transparent)]
     Folder(#[from] FolderError),

@@ -30,7 +30,7 @@ pub enum RejudgeError {
     Folder(#[from] FolderError),
     #[error("{}: {what} differs from the scenario that was played; only expectations may differ", path.display())]
     DifferentExperiment { path: PathBuf, what: &'static str },
-    #[error("{}: SHA-256 {found}, expected {expected}: not the file that the run was made with", path.display())]
+    #[error("{}: changed after the run: SHA-256 {found}, run.json has {expected}; restore the file", path.display())]
     Modified { path: PathBuf, found: String, expected: String },
     #[error(
         "{}: the amplitude at {t_s} s is {amplitude_um} µm, its components give {expected_um} µm; \
@@ -46,7 +46,7 @@ pub enum RejudgeError {
     },
     #[error("{}: trial {second} has the trace of trial {first}, expected one trace per trial", path.display())]
     SameTrace { path: PathBuf, first: u32, second: u32 },
-    #[error("{}: the run did not keep all traces, expected a run with --keep-traces all", .0.display())]
+    #[error("{}: the run did not keep all traces, so it cannot be judged again; run with --keep-traces all", .0.display())]
     NotKept(PathBuf),
     #[error("{}: no scenario of the run has this file name, expected one of {known}", path.display())]
     NoSuchScenario { path: PathBuf, known: String },

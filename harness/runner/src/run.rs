@@ -103,11 +103,12 @@ fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError
             return Err(RunError::NoRealPlate(session.firmware_name()));
         }
         if let Some(scenario) = plan.scenarios.iter().find(|scenario| !scenario.faults.is_empty()) {
-            let what = "faults are for an emulated plate; a real one can break, expected no [[fault]]";
+            let what = "a fault could break a real plate; remove [[fault]], or use --plate-mode emulated";
             return Err(RunError::Scenario(Box::new(scenario.diagnostic("fault", what))));
         }
         if let Some(scenario) = plan.scenarios.iter().find(|scenario| !scenario.between.is_empty()) {
-            let what = "scenes between trials are for an emulated plate, expected no [[between]]";
+            let what =
+                "a real plate cannot play scenes between trials; remove [[between]], or use --plate-mode emulated";
             return Err(RunError::Scenario(Box::new(scenario.diagnostic("between", what))));
         }
     }
