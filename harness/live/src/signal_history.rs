@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_and_time_are_those_of_the_window_however_much_passes() {
+    fn the_window_bounds_the_memory() {
         let mut history = SignalHistory::new(512.0, 1.0);
         (0..100_000).for_each(|second| history.push(&row(f64::from(second), f64::from(second))));
         assert!(history.slices.len() <= 513, "{}", history.slices.len());
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_apart_where_rows_are_missing_and_nowhere_else() {
+    fn a_line_has_gaps_only_at_missing_rows() {
         let of_gap = |gap: f64| {
             let mut history = SignalHistory::new(512.0, 1.0);
             for t_s in [0.0, 1.0, 1.0 + gap] {
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_is_left_out() {
+    fn ignores_rows_with_numbers_that_are_not_finite() {
         let mut history = SignalHistory::new(1.0, 0.1);
         history.push(&row(f64::NAN, 1.0));
         history.push(&row(0.0, f64::INFINITY));

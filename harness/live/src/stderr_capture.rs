@@ -146,7 +146,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_are_kept_whole_and_without_what_moves_a_cursor() {
+    fn keeps_whole_lines_without_cursor_sequences() {
         let mut kept = CapturedLines::default();
         kept.push_bytes(b"\r\x1b[Kwaiting for a con");
         assert!(kept.last_lines(5).is_empty());
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn of_very_much_the_newest_is_kept_and_the_rest_counted() {
+    fn keeps_the_newest_lines_and_counts_the_others() {
         let mut kept = CapturedLines::default();
         (0..MAX_LINES + 7).for_each(|number| kept.push_bytes(format!("{number}\n").as_bytes()));
         assert_eq!((kept.lines.len(), kept.dropped_lines), (MAX_LINES, 7));
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sequence_that_never_ends_swallows_its_line_alone() {
+    fn an_unterminated_sequence_removes_only_its_line() {
         assert_eq!(strip_control_sequences("a\u{1b}[12;"), "a");
         assert_eq!(strip_control_sequences("a\u{1b}b\u{7}c"), "abc");
     }

@@ -56,7 +56,7 @@ mod tests {
     }
 
     #[test]
-    fn rejects_what_is_not_a_regular_file() {
+    fn rejects_irregular_files() {
         let folder = tempfile::tempdir().unwrap();
         let fifo = folder.path().join("fifo");
         mknodat(CWD, &fifo, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();

@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn rejects_what_is_not_a_trace_with_its_line() {
+    fn rejects_invalid_traces_with_their_line() {
         let header = COLUMNS.join(",");
         let zeros = "0,0,0,0,0,0,0,0,0,0,0,0,0,";
         assert!(read_error("").starts_with(":1: columns ``, expected `t_s,"));

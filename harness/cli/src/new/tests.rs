@@ -6,7 +6,7 @@ use std::fs;
 use tempfile::tempdir;
 
 #[test]
-fn what_is_written_can_be_read_for_every_law() {
+fn a_new_scenario_is_valid_for_every_law() {
     for law in LawId::ALL.map(LawId::name) {
         let folder = tempdir().unwrap();
         let files = write_files(folder.path(), "mine", law).unwrap();
@@ -19,7 +19,7 @@ fn what_is_written_can_be_read_for_every_law() {
 }
 
 #[test]
-fn what_is_commented_out_can_be_read_as_well() {
+fn the_commented_keys_are_valid() {
     let folder = tempdir().unwrap();
     let files = write_files(folder.path(), "mine", "dq-pi").unwrap();
     let is_key = |line: &str| {
@@ -53,7 +53,7 @@ fn nothing_is_ever_overwritten() {
 #[case("a.toml", "scenarios/a.toml", "plates/")]
 #[case("scenarios/deep/er/a b", "scenarios/deep/er/a b.toml", "../../plates/")]
 #[case("scenarios/deep/er/est/one/a", "scenarios/deep/er/est/one/a.toml", "plates/")]
-fn it_goes_to_the_scenarios_and_finds_their_plate(#[case] name: &str, #[case] file: &str, #[case] plate: &str) {
+fn a_new_scenario_is_below_scenarios_and_finds_its_plate(#[case] name: &str, #[case] file: &str, #[case] plate: &str) {
     let folder = tempdir().unwrap();
     for (path, text) in [(PLATE_FILE, PLATE), (SCHEMA_FILE, "{}")] {
         let path = folder.path().join("scenarios").join(path);
@@ -76,7 +76,7 @@ fn it_goes_to_the_scenarios_and_finds_their_plate(#[case] name: &str, #[case] fi
 #[case("..")]
 #[case(".toml")]
 #[case("two\nlines")]
-fn what_is_no_name_is_refused(#[case] name: &str) {
+fn rejects_invalid_names(#[case] name: &str) {
     let folder = tempdir().unwrap();
     let message = format!("{name:?} is not a file name, expected one without control characters");
     assert_eq!(write_files(folder.path(), name, "dq-pi"), Err(Failure::invalid(&message)));
