@@ -30,7 +30,7 @@ pub enum RejudgeError {
     Folder(#[from] FolderError),
     #[error("{}: {what} differs from the scenario that was played; only expectations may differ", path.display())]
     DifferentExperiment { path: PathBuf, what: &'static str },
-    #[error("{}: changed after the run: SHA-256 {found}, run.json has {expected}; restore the file", path.display())]
+    #[error("{}: SHA-256 {found}, expected {expected}: changed after the run; restore the file", path.display())]
     Modified { path: PathBuf, found: String, expected: String },
     #[error(
         "{}: the amplitude at {t_s} s is {amplitude_um} µm, its components give {expected_um} µm; \
