@@ -37,7 +37,8 @@ pub enum BoardError {
     #[error("--reason is empty, expected a text that states what was checked on the board")]
     NoReason,
     #[error(
-        "board {name}: the connected chip has the number {found}, boards.toml has {expected}; connect the right board or correct boards.toml"
+        "board {name}: the connected chip has the number {found}, boards.toml has {expected}; connect the right board \
+         or correct boards.toml"
     )]
     WrongChip { name: String, found: String, expected: String },
     #[error(transparent)]

@@ -132,7 +132,8 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
     if files.is_empty() {
         return Err(Failure::new(
             Exit::NothingToRun,
-            &"no file was found, so there is nothing to check; name a scenario, plate, plan or configuration file, or a folder with such files",
+            &"no file was found, so there is nothing to check; name a scenario, plate, plan or configuration file, or \
+              a folder with such files",
         ));
     }
     for warning in &warnings {

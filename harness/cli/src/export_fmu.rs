@@ -21,7 +21,7 @@ pub(crate) struct ExportFmuArgs {
     /// The FMU (FMI 3.0, co-simulation), see docs/fmi.md. No file is overwritten
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Shared library of the plate; default: the one near this program
+    /// Shared library of the plate; default: next to this program, or in ../lib/platebench
     #[arg(long, value_name = "FILE")]
     library: Option<PathBuf>,
 }

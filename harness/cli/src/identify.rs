@@ -163,7 +163,8 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
     stdio::note(&format!("plate file: {}", path.display()));
     if details.limit_vpp.is_none() {
         stdio::note(
-            "the plate file has the highest recorded drive as drive limit; --drive-limit-vpp VPP sets the amplifier's limit",
+            "the plate file has the highest recorded drive as drive limit; --drive-limit-vpp VPP sets the amplifier's \
+             limit",
         );
     }
     Ok(exit)

@@ -21,7 +21,8 @@ pub(crate) fn check_not_empty(found: &FoundScenarios) -> Result<(), Failure> {
 pub(crate) fn nothing_to_run() -> Failure {
     Failure::new(
         Exit::NothingToRun,
-        &"no scenario was found or selected, so there is nothing to run; name a scenario file or a folder with scenarios",
+        &"no scenario was found or selected, so there is nothing to run; name a scenario file or a folder with \
+          scenarios",
     )
 }
 

@@ -15,7 +15,8 @@ pub enum ExploreError {
     #[error("the controller does not announce the law {0}, expected --law with one of its laws")]
     LawNotAnnounced(&'static str),
     #[error(
-        "the law {0} cannot be explored, because it has no limits to check; expected --law dq-pi, dq-pi-fixed or deadbeat"
+        "the law {0} cannot be explored, because it has no limits to check; expected --law dq-pi, dq-pi-fixed or \
+         deadbeat"
     )]
     LawWithoutProperties(&'static str),
     #[error("internal error: the bench generated an invalid scenario ({0}); report this message and the seed")]

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 pub const FILE: &str = "report.html";
 
-/// Size of a field of a drawing, and width of the names beside the fields, px.
+/// Size of a field of a drawing, and width of the names next to the fields, px.
 const FIELD: usize = 22;
 const NAMES: usize = 210;
 

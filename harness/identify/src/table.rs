@@ -1,4 +1,4 @@
-//! Formats the identification as tables beside the paper's values, and as a plate file.
+//! Formats the identification as tables next to the paper's values, and as a plate file.
 
 use crate::effect::IdentifiedHeating;
 use crate::estimate::Estimate;

@@ -13,7 +13,7 @@ pub(crate) const HIGHEST_RESONANCE_HZ: f64 = 2.5e6;
 pub struct RawPlate {
     /// Name of the plate.
     pub name: String,
-    /// Source of the numbers.
+    /// Origin of the numbers, such as a publication or a measurement.
     pub source: String,
     /// The bending mode.
     pub mode: RawMode,

@@ -56,7 +56,8 @@ pub enum Exclusion {
     #[error("finger and temperature of this trial were neither measured nor confirmed by an operator")]
     UnknownConditions,
     #[error(
-        "the finger pressed with {force_n:.2} N at {at_ms} ms, expected {}; {wrong_rows} of {rows} rows have another force",
+        "the finger pressed with {force_n:.2} N at {at_ms} ms, expected {}; {wrong_rows} of {rows} rows have another \
+         force",
         range(*expected_n)
     )]
     WrongForce {

@@ -24,7 +24,8 @@ pub enum Excuse {
     #[error("saturated: from 0 to {limit_vpp:.0} Vpp no controller does better than {best}")]
     DriveLimited { limit_vpp: f64, best: BestResponse },
     #[error(
-        "the drive was at its limit at {at_ms} ms; for a real plate the bench cannot compute whether another controller would do better"
+        "the drive was at its limit at {at_ms} ms; for a real plate the bench cannot compute whether another \
+         controller would do better"
     )]
     SaturatedRealPlate { at_ms: f64 },
     #[error(

@@ -46,7 +46,7 @@ pub enum RejudgeError {
     },
     #[error("{}: trial {second} has the trace of trial {first}, expected one trace per trial", path.display())]
     SameTrace { path: PathBuf, first: u32, second: u32 },
-    #[error("{}: the run did not keep all traces, so it cannot be judged again; run with --keep-traces all", .0.display())]
+    #[error("{}: the run did not keep all traces, so it cannot be judged; run with --keep-traces all", .0.display())]
     NotKept(PathBuf),
     #[error("{}: no scenario of the run has this file name, expected one of {known}", path.display())]
     NoSuchScenario { path: PathBuf, known: String },

@@ -108,7 +108,8 @@ fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError
             return Err(RunError::Scenario(Box::new(scenario.diagnostic("fault", what))));
         }
         if let Some(scenario) = plan.scenarios.iter().find(|scenario| !scenario.between.is_empty()) {
-            let what = "a real plate cannot play scenes between trials, expected no [[between]]; remove it, or use --plate-mode emulated";
+            let what = "a real plate cannot play scenes between trials, expected no [[between]]; remove it, or use \
+                        --plate-mode emulated";
             return Err(RunError::Scenario(Box::new(scenario.diagnostic("between", what))));
         }
     }

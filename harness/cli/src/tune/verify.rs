@@ -113,7 +113,8 @@ fn configure_rig(
     if !session.close() {
         *end = BoardOutcome::unconfirmed();
         stdio::note(
-            "the controller did not confirm 0 V after it was configured: check the amplifier before you touch the plate",
+            "the controller did not confirm 0 V after it was configured: check the amplifier before you touch the \
+             plate",
         );
     }
     Ok((firmware, accepted?))

@@ -32,7 +32,8 @@ pub enum ReplayError {
     #[error("{}: no row is a sample that the controller answered, expected at least one", .0.display())]
     NoSample(PathBuf),
     #[error(
-        "{}: the first two samples are {found_ms:.3} ms apart, expected the period of the scenario, {expected_ms:.3} ms",
+        "{}: the first two samples are {found_ms:.3} ms apart, expected the period of the scenario, {expected_ms:.3} \
+         ms",
         path.display()
     )]
     OtherPeriod { path: PathBuf, found_ms: f64, expected_ms: f64 },

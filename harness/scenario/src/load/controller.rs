@@ -110,7 +110,10 @@ impl Checker<'_> {
         let start_frequency_hz = self.positive(key, raw.start_frequency_hz.unwrap_or(resonance_hz))?;
         let share = start_frequency_hz / resonance_hz;
         self.require((0.5..=1.5).contains(&share), key, || {
-            format!("{start_frequency_hz} Hz, expected between 0.5 and 1.5 times the plate's resonance of {resonance_hz:.1} Hz")
+            format!(
+                "{start_frequency_hz} Hz, expected between 0.5 and 1.5 times the plate's resonance of \
+                 {resonance_hz:.1} Hz"
+            )
         })?;
         Ok(start_frequency_hz)
     }

@@ -41,7 +41,11 @@ impl Checker<'_> {
         })?;
         let until = raw.until_ms.map(|ms| self.time_from_ms("until_ms", ms)).transpose()?;
         self.require(until.is_some() || kind == FaultKind::Disconnect, "until_ms", || {
-            format!("`{}` without `until_ms`, expected the end of its window; only `disconnect` may last until the end of the trial", raw.kind)
+            format!(
+                "`{}` without `until_ms`, expected the end of its window; only `disconnect` may last until the \
+                 end of the trial",
+                raw.kind
+            )
         })?;
         self.require(until.is_none_or(|until| from < until && until <= duration), "until_ms", || {
             let until = raw.until_ms.unwrap_or_default();
