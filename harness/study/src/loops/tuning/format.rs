@@ -192,7 +192,10 @@ fn format_cause(target: &TuningTarget<'_>, obstacle: &InfeasibilityCause) -> Str
             "period: the first command with feedback acts after {first_feedback_ms:.3} ms, later than the target time"
         ),
         InfeasibilityCause::Delay { boundary_ms } => {
-            format!("delay: equation 24 for this response time is stable up to {boundary_ms:.3} ms only")
+            format!(
+                "delay: the gains for this response time (paper, equation 24) are stable up to a delay of \
+                 {boundary_ms:.3} ms only; a longer response time permits a longer delay"
+            )
         }
         InfeasibilityCause::PhaseMargin { found_deg } => format!(
             "phase margin: designs that are fast enough have {found_deg:.1}°, the target is {}°",
