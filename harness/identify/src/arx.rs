@@ -87,7 +87,8 @@ fn solve(instruments: &DMatrix<f64>, regressors: &DMatrix<f64>, target: &DVector
     theta.iter().all(|value| value.is_finite()).then_some(theta)
 }
 
-/// Response of the model, from the steady state of the first inputs on.
+/// Response of the model, which starts in the steady state of the first inputs. `None` if the model
+/// is unstable.
 fn response(theta: &DVector<f64>, inputs: &[Vec<f64>], length: usize) -> Option<Vec<f64>> {
     let a = theta.get(0).copied().filter(|a| a.abs() < 1.0)?;
     let forced = |k: usize| -> f64 {

@@ -9,8 +9,9 @@ use rand_distr::{Distribution as _, StandardNormal};
 const PILOT_TRIALS: u32 = 40;
 const MIN_PILOT_FAILURES: u32 = 4;
 
-/// Probability and coefficient of variation from all remaining trials, or the reason why the method
-/// does not fit. `None` if fewer than [`PILOT_TRIALS`] trials remain.
+/// Plays all remaining trials of the chain. Returns the probability of failure and its coefficient
+/// of variation, or the reason why the method does not fit. `None` if fewer than [`PILOT_TRIALS`]
+/// trials remain.
 pub(crate) fn estimate(
     design_point: &[f64],
     random: &mut ChaCha8Rng,
