@@ -118,8 +118,8 @@ fn parse_percent(text: &str) -> Result<f64, String> {
 }
 
 impl TuneArgs {
-    /// Returns the control period in µs. Fails if period, response time and delay do not fit
-    /// together.
+    /// Returns the control period in µs. Fails if it is too short or not a multiple of 1 µs, or if
+    /// response time or delay are outside the range that the period permits.
     fn period_us(&self) -> Result<u32, String> {
         let micros = self.period_ms * 1e3;
         if (micros - micros.round()).abs() > 1e-6 || micros < MIN_PERIOD_US {
