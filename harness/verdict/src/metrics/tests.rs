@@ -1,7 +1,7 @@
 use super::*;
 use platebench_plate::Time;
 use platebench_record::NonFiniteDrive;
-use platebench_scenario::{Aggregation, Limit, Window};
+use platebench_scenario::{Limit, Window};
 use rstest::rstest;
 use std::collections::BTreeMap;
 
@@ -42,21 +42,8 @@ fn expectation_in(metric: Metric, windows: &[[f64; 2]]) -> Expectation {
 }
 
 fn expectation_for(metric: Metric) -> Expectation {
-    Expectation {
-        name: metric.name().to_owned(),
-        windows: vec![window(if metric.has_window_ms() { [40.0, 60.0] } else { [0.0, END_MS] })],
-        after: None,
-        metric,
-        limit: Limit::AtMost(2.0),
-        tolerance_percent: 5.0,
-        paper: None,
-        requirement: None,
-        confidence: 0.95,
-        aggregation: Aggregation::default_for(metric),
-        band_percent: 5.0,
-        from: None,
-        signal: "amplitude_um",
-    }
+    let judged = window(if metric.has_window_ms() { [40.0, 60.0] } else { [0.0, END_MS] });
+    Expectation { limit: Limit::AtMost(2.0), tolerance_percent: 5.0, ..Expectation::for_window(metric, judged) }
 }
 
 fn expectation_with_from(metric: Metric, from_ms: f64) -> Expectation {
