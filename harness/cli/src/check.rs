@@ -15,7 +15,7 @@ use platebench_explore::Envelope;
 use platebench_report::format::count;
 use platebench_runner::law;
 use platebench_scenario::{
-    Diagnostic, FileKind, list_files, load, load_with_all_errors, read_requirements, unjudged_changes,
+    Diagnostic, FileKind, list_files, load, load_with_all_errors, read_requirements, repeated_names, unjudged_changes,
 };
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -106,16 +106,11 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
             }
         }
     }
-    let mut names = BTreeMap::new();
-    for ((path, name), _) in files.iter().zip(&kinds).filter(|(_, kind)| **kind == FileKind::Scenario) {
-        if let Some(other) = names.insert(name, path) {
-            let message = format!("has the name {name} in records, like {}; rename one of them", other.display());
-            faults.push(Diagnostic::for_file(path, message));
-        }
-    }
+    let scenarios = || files.iter().zip(&kinds).filter(|(_, kind)| **kind == FileKind::Scenario).map(|(file, _)| file);
+    faults.extend(repeated_names(scenarios()));
     let mut warnings = Vec::new();
     if faults.is_empty() {
-        for ((path, name), _) in files.iter().zip(&kinds).filter(|(_, kind)| **kind == FileKind::Scenario) {
+        for (path, name) in scenarios() {
             warnings.extend(load(path, name).map(|scenario| unjudged_changes(&scenario)).unwrap_or_default());
         }
     }

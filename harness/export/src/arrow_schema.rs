@@ -55,7 +55,7 @@ pub(crate) fn encode() -> String {
     }
     for number in NUMBER_COLUMNS {
         let metadata = [("unit", number.unit), ("meaning", number.meaning)];
-        fields.push(field(&mut builder, number.name(), ArrowType::Double, number.can_be_unknown, &metadata));
+        fields.push(field(&mut builder, number.name(), ArrowType::Double, number.can_be_unknown(), &metadata));
     }
     for flag in FLAG_COLUMNS {
         fields.push(field(&mut builder, flag.name, ArrowType::Boolean, false, &[("meaning", flag.meaning)]));

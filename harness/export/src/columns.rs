@@ -1,19 +1,22 @@
 //! Lists the columns of a row. Each flag is a column, so that programs can filter by it.
 
-use platebench_trace::{Column, Flags, Row};
+use platebench_trace::{Column, Flags, OPTIONAL_COLUMNS, Row};
 
 #[derive(Debug, Clone, Copy)]
 pub struct Number {
     pub column: Column,
     pub unit: &'static str,
     pub meaning: &'static str,
-    /// True if the number is unknown for a real plate.
-    pub can_be_unknown: bool,
 }
 
 impl Number {
     pub const fn name(&self) -> &'static str {
         self.column.name()
+    }
+
+    /// True if the number is unknown for a real plate.
+    pub fn can_be_unknown(&self) -> bool {
+        OPTIONAL_COLUMNS.contains(&self.column)
     }
 
     pub fn known_value(&self, row: &Row) -> Option<f64> {
@@ -30,8 +33,7 @@ pub struct FlagColumn {
 }
 
 const fn number(column: Column, unit: &'static str, meaning: &'static str) -> Number {
-    let can_be_unknown = matches!(column, Column::Resonance | Column::Temperature | Column::Force);
-    Number { column, unit, meaning, can_be_unknown }
+    Number { column, unit, meaning }
 }
 
 /// Time is the first column. Amplitudes and voltages are peak to peak.
@@ -71,14 +73,15 @@ pub const FLAG_COLUMNS: [FlagColumn; 6] = [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_trace::{COLUMNS, OPTIONAL_COLUMNS};
+    use platebench_trace::COLUMNS;
 
     #[test]
     fn contains_every_column_of_a_trace() {
         let names: Vec<_> = NUMBER_COLUMNS.iter().map(Number::name).chain(["flags"]).collect();
         assert_eq!(names, COLUMNS);
-        let optional: Vec<_> = NUMBER_COLUMNS.iter().filter(|number| number.can_be_unknown).map(Number::name).collect();
-        assert_eq!(optional, OPTIONAL_COLUMNS);
+        let optional: Vec<_> =
+            NUMBER_COLUMNS.iter().filter(|number| number.can_be_unknown()).map(Number::name).collect();
+        assert_eq!(optional, ["resonance_hz", "temperature_offset_k", "finger_force_n"]);
         let all = FLAG_COLUMNS.iter().fold(Flags::empty(), |all, column| all | column.flag);
         assert_eq!((all, FLAG_COLUMNS.len()), (Flags::all(), Flags::all().iter().count()));
     }

@@ -64,7 +64,7 @@ fn schema() -> Value {
         FLAG_COLUMNS.iter().map(|flag| (flag.name.to_owned(), json!({"type": "boolean", "description": flag.meaning})));
     let properties: Map<String, Value> = numbers.chain(flags).collect();
     // Viewers reject a list of types such as number or null, so an unknown number is missing.
-    let optional = |name: &str| NUMBER_COLUMNS.iter().any(|number| number.name() == name && number.can_be_unknown);
+    let optional = |name: &str| NUMBER_COLUMNS.iter().any(|number| number.name() == name && number.can_be_unknown());
     let required: Vec<&String> = properties.keys().filter(|name| !optional(name)).collect();
     json!({"title": "platebench.Row", "type": "object", "required": required, "properties": properties})
 }

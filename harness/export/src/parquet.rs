@@ -71,7 +71,7 @@ fn schema() -> Result<TypePtr, ParquetError> {
         column("seed", Physical::INT64, unsigned(64))?,
     ];
     for number in NUMBER_COLUMNS {
-        let repetition = if number.can_be_unknown { Repetition::OPTIONAL } else { Repetition::REQUIRED };
+        let repetition = if number.can_be_unknown() { Repetition::OPTIONAL } else { Repetition::REQUIRED };
         fields.push(repeated(number.name(), Physical::DOUBLE, None, repetition)?);
     }
     for flag in FLAG_COLUMNS {
@@ -92,7 +92,7 @@ fn write_group(
     write_column::<Int64Type>(&mut group, &rows.iter().map(|(_, seed, _)| seed.cast_signed()).collect::<Vec<_>>())?;
     let rows = || rows.iter().map(|(_, _, row)| row);
     for number in NUMBER_COLUMNS {
-        if number.can_be_unknown {
+        if number.can_be_unknown() {
             write_optional_column::<DoubleType>(&mut group, rows().map(|row| number.known_value(row)))?;
         } else {
             write_column::<DoubleType>(&mut group, &rows().map(|row| number.column.value(row)).collect::<Vec<_>>())?;

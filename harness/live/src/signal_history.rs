@@ -9,6 +9,9 @@ const SLICES: f64 = 512.0;
 const GAP_SPACINGS: f64 = 3.5;
 
 const SIGNALS: usize = Column::ALL.len();
+/// Columns that the charts draw.
+const DRAWN: [Column; 7] =
+    [Column::Setpoint, Column::Amplitude, Column::Wd, Column::Wq, Column::Drive, Column::Frequency, Column::Resonance];
 
 #[derive(Debug, Clone, Copy)]
 struct HistorySlice {
@@ -35,12 +38,13 @@ impl SignalHistory {
         self.window_s / SLICES
     }
 
-    /// The row must not be older than the last one. Ignores a row with a number that is not finite.
+    /// The row must not be older than the last one. Ignores a row if its time
+    /// or a drawn number is not finite.
     pub(crate) fn push(&mut self, row: &Row) {
-        let values = Column::ALL.map(|column| column.value(row));
-        if !row.t_s.is_finite() || values.iter().any(|value| !value.is_finite()) {
+        if !row.t_s.is_finite() || DRAWN.iter().any(|column| !column.value(row).is_finite()) {
             return;
         }
+        let values = Column::ALL.map(|column| column.value(row));
         let number = (row.t_s / self.slice_s()) as i64;
         match self.slices.back_mut() {
             Some(last) if last.number == number => {
@@ -140,5 +144,7 @@ mod tests {
         history.push(&row(0.0, f64::INFINITY));
         assert_eq!(history.range(&[Column::Amplitude]), None);
         assert_eq!(history.span_s(), [0.0, 1.0]);
+        history.push(&Row { sensed_wd_um: f64::INFINITY, ..row(0.0, 1.0) });
+        assert_eq!(history.range(&[Column::Amplitude]), Some([1.0, 1.0]));
     }
 }

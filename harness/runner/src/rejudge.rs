@@ -44,7 +44,7 @@ pub enum RejudgeError {
         /// Value of √(Wd² + Wq²), µm.
         expected_um: f64,
     },
-    #[error("{}: run.json names the same trace for the trials {first} and {second}, expected one trace per trial", path.display())]
+    #[error("{}: run.json has one trace for the trials {first} and {second}, expected one per trial", path.display())]
     SameTrace { path: PathBuf, first: u32, second: u32 },
     #[error("{}: the run did not keep all traces, so it cannot be judged; run with --keep-traces all", .0.display())]
     NotKept(PathBuf),

@@ -78,16 +78,22 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
         }
     }
     found.scenarios.sort_by(|a, b| a.file.cmp(&b.file));
-    for [first, second] in found.scenarios.array_windows() {
-        if first.name() == second.name() {
-            let path =
-                |scenario: &Scenario| scenario.inputs.first().map(|input| input.path.clone()).unwrap_or_default();
-            let message =
-                format!("has the name {} in records, like {}; rename one of them", first.file, path(first).display());
-            faults.push(Diagnostic::for_file(&path(second), message));
-        }
-    }
+    let path = |scenario: &Scenario| scenario.inputs.first().map(|input| input.path.clone()).unwrap_or_default();
+    let named: Vec<_> = found.scenarios.iter().map(|scenario| (path(scenario), scenario.file.clone())).collect();
+    faults.extend(repeated_names(&named));
     if faults.is_empty() { Ok(found) } else { Err(faults) }
+}
+
+/// Returns an error for each scenario that has the name in records of an earlier one. `files` are
+/// paths and names.
+pub fn repeated_names<'a>(files: impl IntoIterator<Item = &'a (PathBuf, String)>) -> Vec<Diagnostic> {
+    let mut names = BTreeMap::new();
+    let fault = |(path, name): &'a (PathBuf, String)| {
+        let other = names.insert(name.strip_suffix(".toml").unwrap_or(name), path)?;
+        let message = format!("has the name {name} in records, like {}; rename one of them", other.display());
+        Some(Diagnostic::for_file(path, message))
+    };
+    files.into_iter().filter_map(fault).collect()
 }
 
 /// Returns each named file, and each TOML file below a named folder, with its name in records. Also

@@ -23,7 +23,7 @@ pub use diagnostic::{Diagnostic, suggestion};
 pub use expect::{Aggregation, Expectation, Limit, Metric};
 pub use fault::{Direction, Fault, FaultKind};
 pub use file_kind::{FileKind, SETTINGS_FILE};
-pub use find::{FoundScenarios, find, find_file_above, list_files};
+pub use find::{FoundScenarios, find, find_file_above, list_files, repeated_names};
 pub use load::{load, load_copies, load_with_all_errors};
 pub use parse::{parse, parse_bytes, parse_file};
 pub use platebench_plate::input;

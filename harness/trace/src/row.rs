@@ -116,4 +116,4 @@ define_row! {
 }
 
 /// Columns that may be empty in a row with the flag `sensed`.
-pub const OPTIONAL_COLUMNS: [&str; 3] = ["resonance_hz", "temperature_offset_k", "finger_force_n"];
+pub const OPTIONAL_COLUMNS: [Column; 3] = [Column::Resonance, Column::Temperature, Column::Force];

@@ -2,7 +2,7 @@
 
 use crate::atomic_file::AtomicFile;
 use crate::regular_file::open_regular_file;
-use crate::row::{COLUMNS, Flags, NUMBERS, OPTIONAL_COLUMNS, Row};
+use crate::row::{COLUMNS, Column, Flags, NUMBERS, OPTIONAL_COLUMNS, Row};
 use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io::{self, Write};
@@ -171,7 +171,7 @@ impl TraceReader {
             )
         })?;
         let mut numbers = [f64::NAN; NUMBERS];
-        for ((text, column), number) in self.record.iter().zip(COLUMNS).zip(&mut numbers) {
+        for ((text, column), number) in self.record.iter().zip(Column::ALL).zip(&mut numbers) {
             let may_be_empty = flags.contains(Flags::SENSED) && OPTIONAL_COLUMNS.contains(&column);
             if text.is_empty() && may_be_empty {
                 continue;
@@ -179,7 +179,9 @@ impl TraceReader {
             match text.parse() {
                 Ok(value) if f64::is_finite(value) => *number = value,
                 _ => {
-                    return Err(self.content_error(line, format!("`{column}` is `{text}`, expected a finite number")));
+                    return Err(
+                        self.content_error(line, format!("`{}` is `{text}`, expected a finite number", column.name()))
+                    );
                 }
             }
         }

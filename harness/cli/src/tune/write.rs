@@ -26,7 +26,7 @@ pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) 
     }
     if scenario.controller.period.wrapping_micros() != target.period_us {
         let message =
-            format!("differs from the period of the gains, expected {} ms", f64::from(target.period_us) * 1e-3);
+            format!("differs from the period of the gains, expected {} ms", f64::from(target.period_us) / 1e3);
         return Err(scenario.diagnostic("controller.period_ms", message));
     }
     let law = LawId::from_name(&scenario.controller.law);

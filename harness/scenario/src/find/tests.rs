@@ -182,3 +182,11 @@ fn skips_only_the_copies_in_a_run_folder() {
     assert_eq!(found.scenarios.into_iter().map(|scenario| scenario.file).collect::<Vec<_>>(), ["sub/y.toml", "x.toml"]);
     assert_eq!(found.copies, [folder.path().join("a/sub/inputs")]);
 }
+
+#[test]
+fn the_extension_does_not_distinguish_names() {
+    let files = [("a/x.toml", "x.toml"), ("b/x", "x"), ("c/y.toml", "y.toml")];
+    let files = files.map(|(path, name)| (PathBuf::from(path), name.to_owned()));
+    let errors: Vec<_> = repeated_names(&files).iter().map(ToString::to_string).collect();
+    assert_eq!(errors, ["b/x: has the name x in records, like a/x.toml; rename one of them"]);
+}
