@@ -9,6 +9,7 @@ use crate::windows::{Change, Window, windows};
 use platebench_plate::Plate;
 use platebench_scenario::Metric;
 use serde::Serialize;
+use std::f64::consts::TAU;
 
 #[derive(
     Debug,
@@ -315,10 +316,13 @@ impl WindowJudge<'_> {
         let noise = self.noise_percent(level);
         let mismatch = self.mismatch * self.limits.tracking_remainder(from_us - change.to_us) * 100.0;
         let moved_hz = self.moved_hz * self.limits.tracking_remainder(until_us - change.to_us);
+        // tan φ = Δω/σ: an error of the phase looks like a detuning, the larger the more the finger
+        // damps.
+        let noise_hz = noise / 100.0 * self.limits.mode(change.to_us).sigma / TAU;
         let pairs = [
             (Property::StaticError, STATIC_ERROR_PERCENT + STATIC_OF_MISMATCH * mismatch + noise),
             (Property::Ripple, RIPPLE_PERCENT + RIPPLE_OF_MISMATCH * mismatch + 2.0 * noise),
-            (Property::Frequency, FREQUENCY_ERROR_HZ + FREQUENCY_OF_MOVE * moved_hz + noise),
+            (Property::Frequency, FREQUENCY_ERROR_HZ + FREQUENCY_OF_MOVE * moved_hz + noise_hz),
         ];
         demands.extend(pairs.map(|(property, at_most)| self.demand(property, from_us, until_us, at_most)));
     }

@@ -1,8 +1,10 @@
 //! Tests that scene i depends only on envelope, seed and i, and that scenes are valid scenarios.
 
 use crate::fixtures::configuration;
+use platebench_explore::Property;
 use platebench_explore::coverage::{ChangeKind, Coverage};
-use platebench_explore::scene::Course;
+use platebench_explore::scene::{Course, PlateChoice, Scene, SceneTrial};
+use platebench_explore::tuning::Tuning;
 use platebench_scenario::load;
 use platebench_wire::LawId;
 use rstest::rstest;
@@ -85,4 +87,39 @@ fn a_hundred_scenes_cover_every_kind_of_change_and_history() {
     for range in coverage.ranges().filter(|range| range.quantity == "setpoint_um" || range.quantity == "period_ms") {
         assert!(range.counts.iter().filter(|count| **count > 0).count() >= 8, "{range:?}");
     }
+}
+
+#[test]
+fn the_noise_of_the_frequency_limit_grows_with_the_damping() {
+    let config = configuration(LawId::DqPi, 1);
+    let plate = PlateChoice {
+        limit_vpp: 900,
+        noise_pm: 2500,
+        nominal_gain_permille: 0,
+        nominal_time_constant_permille: 0,
+        gain_permille: 0,
+        time_constant_permille: 0,
+    };
+    let limit = |force: i32| {
+        let judged = SceneTrial {
+            law: LawId::DqPi,
+            plate,
+            period_us: 900,
+            delay_us: 0,
+            start_frequency_tenths: 323_076,
+            duration_us: 170_200,
+            setpoint: vec![(0, 500)],
+            force: Course::Hold(vec![(0, force)]),
+            temperature: Course::Hold(vec![(0, 0)]),
+            tuning: Tuning::default(),
+            faults: Vec::new(),
+        };
+        let demands = config.demands(&Scene { earlier: Vec::new(), judged, count: 1, script_seed: None });
+        demands.iter().find(|demand| demand.property == Property::Frequency).unwrap().at_most
+    };
+    // Six standard deviations of 2.5 nm are 3 % of 0.5 µm. A finger of 1.5 N doubles the damping.
+    let of_noise = 0.03 / (TAU * 1.88e-3);
+    let (free, damped) = (limit(0), limit(150));
+    assert!((free - 0.5 - of_noise).abs() < 1e-3, "{free}");
+    assert!((damped - 0.5 - 2.0 * of_noise).abs() < 1e-3, "{damped}");
 }
