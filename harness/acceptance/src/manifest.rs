@@ -4,7 +4,7 @@
 use crate::error::AcceptError;
 use crate::session_record::write_file;
 use crate::signature;
-use platebench_record::sha256;
+use platebench_record::sha256_of_file;
 use platebench_trace::{AtPath, FileError};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -14,6 +14,8 @@ use std::path::Path;
 
 pub const FILE: &str = "manifest.sha256";
 const MAX_DEPTH: usize = 32;
+/// Largest manifest, about half a million files.
+pub(crate) const MAX_BYTES: u64 = 64 << 20;
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Difference {
@@ -47,8 +49,7 @@ pub(crate) fn write(folder: &Path) -> Result<(), AcceptError> {
             return Err(FileError { path: folder.join(name), source: io::Error::other(message) }.into());
         }
         let path = folder.join(name);
-        let bytes = fs::read(&path).at(&path)?;
-        let _ = writeln!(text, "{}  {name}", sha256(&bytes));
+        let _ = writeln!(text, "{}  {name}", sha256_of_file(&path).at(&path)?);
     }
     Ok(write_file(folder, FILE, text.as_bytes())?)
 }
@@ -70,10 +71,10 @@ pub(crate) fn check(folder: &Path, text: &str) -> Vec<Difference> {
     found.collect_below(folder, "", 0);
     differences.extend(found.not_files.into_values());
     for name in &found.files {
-        match (listed.get(name.as_str()), fs::read(folder.join(name))) {
+        match (listed.get(name.as_str()), sha256_of_file(&folder.join(name))) {
             (None, _) => differences.push(Difference::Added(name.clone())),
             (Some(_), Err(error)) => differences.push(Difference::Unreadable(name.clone(), error.to_string())),
-            (Some(hash), Ok(bytes)) if sha256(&bytes) != *hash => differences.push(Difference::Changed(name.clone())),
+            (Some(hash), Ok(found)) if found != *hash => differences.push(Difference::Changed(name.clone())),
             (Some(_), Ok(_)) => {}
         }
     }
@@ -135,6 +136,7 @@ impl FolderContents {
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on ends by panicking")]
 mod tests {
     use super::*;
+    use platebench_record::sha256;
     use rstest::rstest;
 
     fn sealed_record() -> (tempfile::TempDir, String) {

@@ -6,7 +6,9 @@ use crate::decision::today;
 use crate::error::AcceptError;
 use crate::session_record::{BenchRecord, ClockRecord, FORMAT, FirmwareRecord, PLAN, STEPS, SessionRecord};
 use crate::steps::step_records;
-use platebench_record::{self as record, Firmware, Host, InputRecord, Tool, Verdict, sha256, utc_timestamp};
+use platebench_record::{
+    self as record, Firmware, Host, InputRecord, Tool, Verdict, sha256, sha256_of_file, utc_timestamp,
+};
 use platebench_rig::{BUILT_IN_IMAGE, RigSpec};
 use platebench_runner::{Clock, Pacing};
 use platebench_trace::AtPath;
@@ -65,9 +67,7 @@ fn bench_record() -> Result<BenchRecord, AcceptError> {
 pub(crate) fn image_sha256(rig: &RigSpec) -> Result<Option<String>, AcceptError> {
     match rig {
         RigSpec::Emulated(None) | RigSpec::Probe { elf: None, .. } => Ok(Some(sha256(BUILT_IN_IMAGE))),
-        RigSpec::Emulated(Some(elf)) | RigSpec::Probe { elf: Some(elf), .. } => {
-            Ok(Some(sha256(&fs::read(elf).at(elf)?)))
-        }
+        RigSpec::Emulated(Some(elf)) | RigSpec::Probe { elf: Some(elf), .. } => Ok(Some(sha256_of_file(elf).at(elf)?)),
         RigSpec::Hosted | RigSpec::Exec(_) | RigSpec::Serial { .. } | RigSpec::Tcp(_) | RigSpec::Rfc2217 { .. } => {
             Ok(None)
         }
@@ -88,7 +88,7 @@ pub(crate) fn check_run_hashes(folder: &Path, record: &SessionRecord) -> Result<
 
 pub(crate) fn run_sha256(folder: &Path) -> Result<String, AcceptError> {
     let path = folder.join(record::RECORD_FILE);
-    Ok(sha256(&fs::read(&path).at(&path)?))
+    Ok(sha256_of_file(&path).at(&path)?)
 }
 
 pub(crate) fn changed_error(what: &str, then: &str, now: &str) -> AcceptError {

@@ -3,13 +3,14 @@
 use crate::error::AcceptError;
 use platebench_record::{Firmware, Host, InputRecord, Quantiles, Tool, Verdict};
 use platebench_rig::RigSpec;
-use platebench_trace::{AtPath, FileError, write_atomically};
+use platebench_trace::{AtPath, FileError, read_regular_file, write_atomically};
 use platebench_uncertainty::{CombinedUncertainty, Conformity, DecisionRule};
 use serde::{Deserialize, Serialize};
-use std::fs;
 use std::io;
 use std::path::Path;
 
+/// Largest record of a session.
+const MAX_RECORD_BYTES: u64 = 1 << 30;
 pub const FILE: &str = "session.json";
 pub(crate) const PLAN: &str = "plan.toml";
 pub(crate) const BUDGET: &str = "budget.toml";
@@ -247,7 +248,12 @@ impl SessionRecord {
             format: u32,
         }
         let path = folder.join(FILE);
-        let bytes = fs::read(&path).map_err(|_| AcceptError::NoSession(folder.to_owned()))?;
+        let bytes = match read_regular_file(&path, MAX_RECORD_BYTES) {
+            Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
+                return Err(AcceptError::NoSession(folder.to_owned()));
+            }
+            read => read.at(&path)?,
+        };
         let content = |message: String| AcceptError::InvalidRecord { path: path.clone(), message };
         let head: FormatVersion = serde_json::from_slice(&bytes).map_err(|error| content(error.to_string()))?;
         if head.format != FORMAT {

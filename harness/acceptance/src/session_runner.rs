@@ -27,7 +27,7 @@ use platebench_record::{Firmware, RunRecord, Verdict, to_hex, utc_timestamp};
 use platebench_report::format::count;
 use platebench_report::traceability;
 use platebench_runner::{Clock, Question, QuestionKind, RunError};
-use platebench_trace::{AtPath, remove_temporary_files, sync_tree};
+use platebench_trace::{AtPath, read_regular_file, remove_temporary_files, sync_tree};
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::Path;
@@ -243,7 +243,7 @@ impl<'a> SessionRunner<'a> {
         manifest::write(folder)?;
         if let Some(key) = &self.config.signing_key {
             let path = folder.join(manifest::FILE);
-            write_file(folder, signature::FILE, &key.sign(&fs::read(&path).at(&path)?))?;
+            write_file(folder, signature::FILE, &key.sign(&read_regular_file(&path, manifest::MAX_BYTES).at(&path)?))?;
         }
         Ok(self.record)
     }

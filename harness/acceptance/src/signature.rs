@@ -7,11 +7,12 @@ use ed25519_dalek::pkcs8::spki::der::pem::{LineEnding, decode_label};
 use ed25519_dalek::pkcs8::{DecodePrivateKey, DecodePublicKey, EncodePublicKey};
 use ed25519_dalek::{Signature, Signer as _, SigningKey, VerifyingKey};
 use platebench_record::sha256;
-use platebench_trace::AtPath;
-use std::fs;
+use platebench_trace::{AtPath, read_text_file};
 use std::path::Path;
 
 pub const FILE: &str = "manifest.sha256.sig";
+/// Largest file of a key. A PEM of ed25519 has about 120 bytes.
+const MAX_KEY_BYTES: u64 = 64 << 10;
 
 #[derive(Clone)]
 pub struct SecretKey(SigningKey);
@@ -21,7 +22,7 @@ pub struct PublicKey(VerifyingKey);
 
 impl SecretKey {
     pub fn read(path: &Path) -> Result<Self, AcceptError> {
-        let text = fs::read_to_string(path).at(path)?;
+        let text = read_text_file(path, MAX_KEY_BYTES).at(path)?;
         SigningKey::from_pkcs8_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
     }
 
@@ -42,7 +43,7 @@ impl std::fmt::Debug for SecretKey {
 
 impl PublicKey {
     pub fn read(path: &Path) -> Result<Self, AcceptError> {
-        let text = fs::read_to_string(path).at(path)?;
+        let text = read_text_file(path, MAX_KEY_BYTES).at(path)?;
         VerifyingKey::from_public_key_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
     }
 

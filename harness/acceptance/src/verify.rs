@@ -11,8 +11,14 @@ use crate::signature::{self, PublicKey};
 use platebench_record::sha256;
 use platebench_record::{self as record, RunRecord};
 use platebench_runner::{RejudgeError, rejudge};
-use std::fs;
+use platebench_trace::{FileError, read_regular_file};
+use std::io;
 use std::path::Path;
+
+/// A valid signature has 64 bytes. A longer one is wrong, and a much longer one is not read.
+const MAX_SIGNATURE_BYTES: u64 = 64 << 10;
+/// Largest plan, as for every TOML file that a user writes.
+const MAX_PLAN_BYTES: u64 = 4 << 20;
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Finding {
@@ -54,7 +60,7 @@ impl Verification {
 
 /// Verifies manifest, traces and signature. Fails if `folder` contains no record.
 pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, AcceptError> {
-    let manifest = fs::read(folder.join(manifest::FILE)).ok();
+    let manifest = read_if_present(&folder.join(manifest::FILE), manifest::MAX_BYTES)?;
     let session = match (SessionRecord::read(folder), &manifest) {
         (Err(error), None) => return Err(error),
         (session, _) => session,
@@ -86,13 +92,22 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, Ac
         }
         Err(error) => found.findings.push(contradiction(FILE, error.to_string())),
     }
-    let signature = fs::read(folder.join(signature::FILE)).ok();
+    let signature = read_if_present(&folder.join(signature::FILE), MAX_SIGNATURE_BYTES)?;
     let named = found.session.as_ref().and_then(|session| session.signature.as_ref());
     match check_signature(manifest.as_deref().unwrap_or_default(), signature.as_deref(), named, key) {
         Ok(signer) => found.signer = signer,
         Err(finding) => found.findings.push(finding),
     }
     Ok(found)
+}
+
+/// `None` if the file does not exist. Fails if it cannot be read.
+fn read_if_present(path: &Path, max_bytes: u64) -> Result<Option<Vec<u8>>, AcceptError> {
+    match read_regular_file(path, max_bytes) {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(source) => Err(FileError { path: path.to_owned(), source }.into()),
+    }
 }
 
 /// `named` is the public key in the session record, `given` the key that the caller trusts.
@@ -164,7 +179,7 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
         }
     }
     let path = folder.join(PLAN);
-    let plan = fs::read(&path).ok().filter(|bytes| sha256(bytes) == session.plan.sha256);
+    let plan = read_regular_file(&path, MAX_PLAN_BYTES).ok().filter(|bytes| sha256(bytes) == session.plan.sha256);
     let read = |bytes: Vec<u8>| plan::read_recorded_plan(&path, bytes, &folder.join(BUDGET)).ok();
     let Some((requirements, decision)) = plan.and_then(read) else {
         findings.push(contradiction(PLAN, "this is not the plan of the session".to_owned()));

@@ -4,7 +4,7 @@ use crate::campaign::{Campaign, Method};
 use crate::error::CampaignError;
 use platebench_record::{sha256, sha256_of_file, to_hex};
 use platebench_rig::{BUILT_IN_IMAGE, FaultInjector, RigSpec, Session, printable_name};
-use platebench_trace::{AtPath, read_text_file, write_atomically};
+use platebench_trace::{AtPath, MAX_IMAGE_BYTES, read_regular_file, read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::io;
@@ -186,7 +186,7 @@ fn bench_digest() -> Result<String, CampaignError> {
 }
 
 pub(crate) fn firmware_digest(rig: &RigSpec) -> Result<String, CampaignError> {
-    let read = |path: &Path| fs::read(path).at(path);
+    let read = |path: &Path| read_regular_file(path, MAX_IMAGE_BYTES).at(path);
     let content = match rig {
         RigSpec::Emulated(None) => BUILT_IN_IMAGE.to_vec(),
         RigSpec::Emulated(Some(path)) => read(path)?,

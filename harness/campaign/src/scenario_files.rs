@@ -3,12 +3,15 @@
 use crate::campaign::Campaign;
 use crate::draw::Trial;
 use crate::error::CampaignError;
-use platebench_trace::{AtPath, write_atomically};
+use platebench_trace::{AtPath, read_regular_file, write_atomically};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
+
+/// Largest plate or profile, as for the scenario that names it.
+const MAX_INPUT_BYTES: u64 = 64 << 20;
 
 const PLATES: &str = "plates";
 const PROFILES: &str = "profiles";
@@ -91,7 +94,7 @@ impl Copies<'_> {
             let file = source.file_name().unwrap_or_default().to_string_lossy();
             // Files in two folders may have the same name.
             let copy = format!("{below}/{}-{file}", self.names.len());
-            let content = fs::read(&source).at(&source)?;
+            let content = read_regular_file(&source, MAX_INPUT_BYTES).at(&source)?;
             let path = self.folder.join(&copy);
             write_atomically(&path, &content).at(&path)?;
             self.names.insert(named.clone(), copy);

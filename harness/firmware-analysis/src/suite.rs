@@ -10,10 +10,10 @@ use platebench_rig::{
 use platebench_runner::trial::{self, TrialSpec};
 use platebench_runner::{law, missing_capability};
 use platebench_scenario::Scenario;
+use platebench_trace::{MAX_IMAGE_BYTES, read_regular_file};
 use platebench_verdict::{Judgement, SequentialDecision, judge_sequentially, measure};
 use platebench_wire::LawId;
 use serde::Serialize;
-use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
 
@@ -69,7 +69,8 @@ impl Suite {
 
     fn elf(&self) -> Result<Vec<u8>, AnalysisError> {
         let Some(path) = &self.elf else { return Ok(BUILT_IN_IMAGE.to_vec()) };
-        fs::read(path).map_err(|error| EmulatedError::Read { path: path.clone(), error }.into())
+        read_regular_file(path, MAX_IMAGE_BYTES)
+            .map_err(|error| EmulatedError::Read { path: path.clone(), error }.into())
     }
 
     pub(crate) fn code(&self) -> Result<(Symbols, CodeMap), AnalysisError> {

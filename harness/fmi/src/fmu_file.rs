@@ -3,8 +3,7 @@
 use crate::description::{MODEL_IDENTIFIER, model_description};
 use crate::instance::PLATE_FILE;
 use platebench_plate::Plate;
-use platebench_trace::{AtPath as _, AtomicFile, FileError};
-use std::fs;
+use platebench_trace::{AtPath as _, AtomicFile, FileError, MAX_IMAGE_BYTES, read_regular_file};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use zip::write::SimpleFileOptions;
@@ -54,7 +53,7 @@ const fn platform() -> Option<&'static str> {
 /// `plate_text` is the content of the plate file. Fails if `out` exists.
 pub fn write(plate: &Plate, plate_text: &str, title: &str, library: &Path, out: &Path) -> Result<(), FmuError> {
     let platform = platform().ok_or(FmuError::Architecture(std::env::consts::ARCH))?;
-    let content = fs::read(library).at(library)?;
+    let content = read_regular_file(library, MAX_IMAGE_BYTES).at(library)?;
     if !content.starts_with(b"\x7fELF") {
         return Err(FmuError::NotALibrary(library.to_owned()));
     }

@@ -3,9 +3,12 @@
 
 use crate::variables::{INPUTS, OUTPUTS, TIME_REFERENCE};
 use platebench_plate::{ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, RawPlate, Tier, Time};
+use platebench_trace::read_text_file;
 use std::f64::consts::TAU;
-use std::fs;
 use std::path::Path;
+
+/// Largest plate file, as for every TOML file that a user writes.
+const MAX_PLATE_BYTES: u64 = 4 << 20;
 
 /// Name of the plate file in the folder `resources` of the FMU.
 pub(crate) const PLATE_FILE: &str = "plate.toml";
@@ -49,7 +52,7 @@ impl Instance {
     }
 
     pub fn from_resources(folder: &Path) -> Result<Self, InstanceError> {
-        let text = fs::read_to_string(folder.join(PLATE_FILE))?;
+        let text = read_text_file(&folder.join(PLATE_FILE), MAX_PLATE_BYTES)?;
         Ok(Self::new(toml::from_str::<RawPlate>(&text)?.check()?))
     }
 

@@ -12,6 +12,6 @@ mod trace_file;
 
 pub use atomic_file::{AtomicFile, remove_temporary_files, sync_tree, write_atomically, write_new};
 pub use file_error::{AtPath, FileError};
-pub use regular_file::{open_regular_file, read_regular_file, read_text_file};
+pub use regular_file::{MAX_IMAGE_BYTES, MAX_TABLE_BYTES, open_regular_file, read_regular_file, read_text_file};
 pub use row::{COLUMNS, Column, Flags, OPTIONAL_COLUMNS, Row};
 pub use trace_file::{TraceError, TraceReader, TraceWriter, read_trace};

@@ -1,7 +1,8 @@
-//! Opens files that another program may have replaced by a pipe, a device or a huge file.
+//! Opens files that may be a pipe, a device or a huge file.
 //!
 //! A FIFO blocks, a device may never end, and a huge file exhausts the memory. Therefore the bench
-//! reads every file of a run folder, every baseline and every key through this module.
+//! reads every file of a run folder, every baseline, key, record, table of telemetry and program
+//! image through this module, and every text that a user writes through `platebench_plate::input`.
 
 use rustix::fs::OFlags;
 use std::fs::{File, OpenOptions};
@@ -17,14 +18,22 @@ pub fn open_regular_file(path: &Path, max_bytes: u64) -> io::Result<io::Take<Fil
     let file = OpenOptions::new().read(true).custom_flags(nonblock).open(path)?;
     let metadata = file.metadata()?;
     let refuse = |what: String| Err(io::Error::new(io::ErrorKind::InvalidInput, what));
+    if metadata.is_dir() {
+        return refuse("it is a folder, expected a file".to_owned());
+    }
     if !metadata.is_file() {
-        return refuse("not a regular file".to_owned());
+        return refuse("it is a pipe or a device, expected a file".to_owned());
     }
     if metadata.len() > max_bytes {
         return refuse(format!("{} bytes, expected at most {max_bytes}", metadata.len()));
     }
     Ok(file.take(max_bytes))
 }
+
+/// Largest program image: an ELF with debug information, or a shared library.
+pub const MAX_IMAGE_BYTES: u64 = 256 << 20;
+/// Largest table of telemetry: about an hour at 1 kHz with twenty columns.
+pub const MAX_TABLE_BYTES: u64 = 1 << 30;
 
 pub fn read_regular_file(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     let mut content = Vec::new();

@@ -2,7 +2,7 @@
 
 use super::arguments::LAWS;
 use platebench_plate::Time;
-use platebench_scenario::{Diagnostic, load};
+use platebench_scenario::{Diagnostic, load, read_text};
 use platebench_study::loops::tuning::design::TuningTarget;
 use platebench_study::loops::tuning::verification::shortest_decimal;
 use platebench_wire::{Gains, LawId};
@@ -49,7 +49,7 @@ pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) 
     if has_gains(&scenario) {
         return Ok(format!("{name} has these gains already and is unchanged"));
     }
-    let text = fs::read_to_string(&file).map_err(|error| refuse(format!("cannot be read: {error}")))?;
+    let text = read_text(&file)?;
     let mut document: DocumentMut = text.parse().map_err(|error| refuse(format!("cannot be edited: {error}")))?;
     let keys = ["amplitude_kp", "amplitude_ki", "frequency_kp", "frequency_ki"];
     let pairs = keys.into_iter().zip(wanted.map(shortest_decimal));

@@ -2,9 +2,13 @@
 //! `mutation-testing-report-schema`.
 
 use super::result::{MutantResult, MutationReport, Status};
+use platebench_trace::read_text_file;
 use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
+use std::path::Path;
+
+/// Largest source file in the report. The image names the files, so they may be anything.
+const MAX_SOURCE_BYTES: u64 = 16 << 20;
 
 /// Thresholds of the score in percent. Viewers use them only to choose colours.
 const HIGH: u8 = 90;
@@ -79,9 +83,9 @@ fn language(file: &str) -> &'static str {
     }
 }
 
-/// Returns empty lines if the file does not exist here, because viewers place mutants on lines.
+/// Returns empty lines if the file cannot be read here, because viewers place mutants on lines.
 fn source(file: &str, mutants: &[Value]) -> String {
-    fs::read_to_string(file).unwrap_or_else(|_| {
+    read_text_file(Path::new(file), MAX_SOURCE_BYTES).unwrap_or_else(|_| {
         let lines: BTreeSet<u64> =
             mutants.iter().filter_map(|mutant| mutant["location"]["start"]["line"].as_u64()).collect();
         "\n".repeat(lines.last().copied().unwrap_or(1) as usize)

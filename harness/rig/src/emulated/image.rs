@@ -2,7 +2,7 @@
 
 use object::LittleEndian;
 use object::read::elf::{ElfFile32, ProgramHeader as _};
-use std::fs;
+use platebench_trace::{MAX_IMAGE_BYTES, read_regular_file};
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
@@ -124,13 +124,8 @@ fn check_header(elf: &[u8]) -> Result<(), ImageError> {
     }
 }
 
-/// Rejects pipes and devices, whose reading may never end.
 pub(crate) fn read_elf(elf: &Path) -> io::Result<Vec<u8>> {
-    let kind = fs::metadata(elf)?.file_type();
-    if !kind.is_file() && !kind.is_dir() {
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is a pipe or a device, expected an ELF file"));
-    }
-    fs::read(elf)
+    read_regular_file(elf, MAX_IMAGE_BYTES)
 }
 
 #[cfg(test)]
@@ -140,7 +135,7 @@ mod tests {
     #[test]
     fn rejects_a_device_as_firmware() {
         let error = read_elf(Path::new("/dev/zero")).unwrap_err().to_string();
-        assert_eq!(error, "it is a pipe or a device, expected an ELF file");
-        assert_eq!(read_elf(Path::new("/")).unwrap_err().kind(), io::ErrorKind::IsADirectory);
+        assert_eq!(error, "it is a pipe or a device, expected a file");
+        assert_eq!(read_elf(Path::new("/")).unwrap_err().to_string(), "it is a folder, expected a file");
     }
 }

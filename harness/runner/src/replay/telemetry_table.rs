@@ -7,10 +7,9 @@ use platebench_identify::ColumnMapping;
 use platebench_identify::external_csv::read_rows;
 use platebench_plate::Time;
 use platebench_scenario::load;
-use platebench_trace::AtPath as _;
+use platebench_trace::{AtPath as _, MAX_TABLE_BYTES, open_regular_file};
 use platebench_verdict::replay::{Recording, ReplayCommand, ReplayStep};
 use std::f64::consts::TAU;
-use std::fs::File;
 use std::path::Path;
 
 /// Setpoints come from the table, or from the scenario's profile if the table has none.
@@ -21,7 +20,7 @@ pub fn read_telemetry_table(
 ) -> Result<ReplayInput, ReplayError> {
     let scenario = load(scenario, &scenario.display().to_string())?;
     let name = table.display().to_string();
-    let file = File::open(table).at(table)?;
+    let file = open_regular_file(table, MAX_TABLE_BYTES).at(table)?;
     let rows = read_rows(&name, file, columns)?;
     let first_s = rows.first().map_or(0.0, |row| row.t);
     let period_s = scenario.controller.period.seconds();

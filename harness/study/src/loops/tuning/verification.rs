@@ -1,7 +1,7 @@
 //! Writes the scenario that verifies gains on a rig.
 
 use crate::loops::tuning::design::TuningTarget;
-use platebench_scenario::{Diagnostic, Scenario, load};
+use platebench_scenario::{Diagnostic, Scenario, input, load};
 use platebench_wire::{Gains, LawId};
 use serde_json::json;
 use std::fs;
@@ -58,7 +58,8 @@ pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -
             { "metric": "drive_peak_vpp", "at_most": tuned.drive_limit_vpp * (1.0 + 1e-6) },
         ],
     });
-    fs::copy(plate, folder.join("plate.toml"))?;
+    // `-` is standard input, which the command line has read before.
+    fs::write(folder.join("plate.toml"), input::read(plate)?)?;
     let path = folder.join("tune.toml");
     fs::write(&path, toml::to_string(&content)?)?;
     load(&path, "tune.toml").map_err(|fault| VerificationError::Scenario(Box::new(fault)))
