@@ -34,10 +34,12 @@ pub enum ViolationKind {
     DriveAfterSafe,
     IgnoredSafe,
     ClockBackwards,
+    /// A command in the state *safe* that no request for 0 V caused.
+    UnrequestedSafe,
 }
 
 impl ViolationKind {
-    pub const COUNT: usize = 10;
+    pub const COUNT: usize = 11;
 }
 
 impl fmt::Display for Violation {
@@ -58,7 +60,7 @@ impl fmt::Display for Violation {
                 write!(formatter, "commanded frequency changed by {} per period, limit {limit} Hz", worst("Hz"))
             }
             ViolationKind::WrongSequence => write!(formatter, "reply with a sequence number that was not sent"),
-            ViolationKind::SecondReply => write!(formatter, "second reply to one sample"),
+            ViolationKind::SecondReply => write!(formatter, "second reply to one message"),
             ViolationKind::WrongConfiguration => {
                 write!(formatter, "configuration answered with other gains or gains that are not finite")
             }
@@ -67,6 +69,9 @@ impl fmt::Display for Violation {
             }
             ViolationKind::IgnoredSafe => write!(formatter, "request for 0 V answered with a running state or a drive"),
             ViolationKind::ClockBackwards => write!(formatter, "time stamp of a command before that of the last one"),
+            ViolationKind::UnrequestedSafe => {
+                write!(formatter, "0 V confirmed without a request, or under the number of an answered sample")
+            }
         }?;
         write!(formatter, ", first at {:.1} ms, {count} in total", at_s * 1e3)
     }

@@ -134,7 +134,6 @@ impl<L: Link> Session<L> {
     /// it had stopped.
     pub fn reconfigure(&mut self, now: Duration, configure: &Configure) -> Result<Gains, RigError> {
         self.now = now;
-        self.audit.record_configuration();
         self.pending_command = None;
         match self.request(Message::Configure(*configure))? {
             Some((Message::Configured(Configured { outcome }), _)) => {
@@ -183,11 +182,18 @@ impl<L: Link> Session<L> {
         Ok(last.map(|(_, command)| command))
     }
 
+    /// Returns true if the controller confirmed 0 V under the number of the request.
     pub fn request_safe_state(&mut self) -> bool {
+        // A line that cannot be read may still carry the request.
+        if let Err(error) = self.receive_before_request() {
+            debug!(%error, "nothing was received before the request for 0 V");
+        }
         for _ in 0..SAFE_ATTEMPTS {
+            let drives = self.audit.drives_after_safe;
             match self.request(Message::Safe) {
-                Ok(Some((Message::Command(command), _))) => {
-                    return self.audit.record_safe_reply(&command);
+                // A second answer with a drive contradicts the confirmation.
+                Ok(Some((Message::Command(_), _))) => {
+                    return self.audit.is_safe() && self.audit.drives_after_safe == drives;
                 }
                 Ok(_) => {}
                 Err(error) => {
@@ -218,7 +224,7 @@ impl<L: Link> Session<L> {
     pub fn send(&mut self, message: Message) -> Result<u8, RigError> {
         let frame = Packet { sequence: self.sequence.wrapping_add(1), message }.encode();
         self.link.real_time_line().ok_or(RigError::NoRealTime)?.send(frame.as_bytes())?;
-        Ok(self.next_sequence())
+        Ok(self.next_sequence(&message))
     }
 
     /// Waits for one message in real time. Counts invalid frames. Neither allocates nor logs.
@@ -244,9 +250,9 @@ impl<L: Link> Session<L> {
         self.rejected_frames
     }
 
-    /// Number of commands whose drive or frequency differs from an earlier answer to the same
-    /// sample. Repeated frames do not count. Reports of a stop do not count either, although they
-    /// have the number of the last command.
+    /// Number of commands that differ from an earlier answer to the same message. Repeated frames
+    /// do not count. Reports of a stop do not count either, although they have the number of the
+    /// last command, and confirmations of 0 V without a request have their own count.
     pub fn contradictions(&self) -> u64 {
         self.audit.contradictions
     }
@@ -270,15 +276,21 @@ impl<L: Link> Session<L> {
         self.audit.ignored_safe_requests
     }
 
+    /// Number of commands in the state *safe* without a request for 0 V, or under the number of a
+    /// sample that has another answer.
+    pub fn unrequested_confirmations(&self) -> u64 {
+        self.audit.unrequested_confirmations
+    }
+
     /// Numbers wrap, so the audit forgets the answer to the earlier message with this number.
-    fn next_sequence(&mut self) -> u8 {
+    fn next_sequence(&mut self, message: &Message) -> u8 {
         self.sequence = self.sequence.wrapping_add(1);
-        self.audit.record_sent(self.sequence);
+        self.audit.record_sent(self.sequence, message);
         self.sequence
     }
 
     fn request(&mut self, message: Message) -> Result<Option<(Message, Duration)>, RigError> {
-        let sequence = self.next_sequence();
+        let sequence = self.next_sequence(&message);
         self.discard_consumed();
         let frame = Packet { sequence, message }.encode();
         let delay = self.link.exchange(self.now, frame.as_bytes(), &mut self.bytes)?;
@@ -286,7 +298,10 @@ impl<L: Link> Session<L> {
         let filter = self.command_filter();
         self.read_packets(|packet| {
             if packet.sequence == sequence && !packet.message.is_unsolicited() {
-                answer = Some((packet.message, delay));
+                // The first answer counts, as in real time, but a stop after it takes its place.
+                if answer.is_none() || is_stop(&packet.message) {
+                    answer = Some((packet.message, delay));
+                }
             } else {
                 other = filter.new_command(packet).or(other);
             }
@@ -297,6 +312,16 @@ impl<L: Link> Session<L> {
             self.pending_command = other;
         }
         Ok(answer)
+    }
+
+    /// Reads what arrived before a request, so that it cannot count as the answer.
+    fn receive_before_request(&mut self) -> Result<(), RigError> {
+        self.discard_consumed();
+        self.link.advance_to(self.now, &mut self.bytes)?;
+        let (mut last, filter) = (self.pending_command.take(), self.command_filter());
+        self.read_packets(|packet| last = filter.new_command(packet).or(last))?;
+        self.pending_command = last;
+        Ok(())
     }
 
     fn command_filter(&self) -> CommandFilter {
@@ -339,6 +364,10 @@ impl<L: Link> Session<L> {
             self.consumed = 0;
         }
     }
+}
+
+fn is_stop(message: &Message) -> bool {
+    matches!(message, Message::Command(Command { state: ControllerState::Fault, .. }))
 }
 
 /// Replaces all but printable ASCII, because a terminal might interpret other bytes.

@@ -100,12 +100,17 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    /// A planned fault `duplicate` excuses a second reply, unless it differs from the first one.
+    /// Call it after the request for 0 V, which is checked too. A planned fault `duplicate` excuses a
+    /// second reply, unless it differs from the first one.
     pub(crate) fn record_session<L: Link>(&mut self, session: &Session<FaultInjector<L>>, now: Time) {
         self.checks.set_count(ViolationKind::WrongSequence, session.wrong_sequences(), now);
         let is_planned = self.scenario.faults.iter().any(|fault| fault.kind == FaultKind::Duplicate);
         let repeated = if is_planned { 0 } else { session.second_replies() };
         self.checks.set_count(ViolationKind::SecondReply, session.contradictions() + repeated, now);
+        // A repeated sample that arrives after the request for 0 V is answered with 0 V.
+        let unrequested = if is_planned { 0 } else { session.unrequested_confirmations() };
+        self.checks.set_count(ViolationKind::UnrequestedSafe, unrequested, now);
+        self.checks.set_count(ViolationKind::IgnoredSafe, session.ignored_safe_requests(), now);
         let rejected = session.rejected_frames();
         if rejected > 0 && self.scenario.faults.is_empty() {
             warn!(scenario = self.scenario.file, frames = rejected, "frames from the controller rejected");
@@ -133,10 +138,6 @@ impl<'a> ControllerLog<'a> {
         }
         self.protocol_differences = Some(differences);
         Ok(())
-    }
-
-    pub(crate) fn record_safe_request<L: Link>(&mut self, session: &Session<FaultInjector<L>>, now: Time) {
-        self.checks.set_count(ViolationKind::IgnoredSafe, session.ignored_safe_requests(), now);
     }
 
     /// Checks that the controller stays at 0 V. Sends one sample of a resting plate with the time

@@ -128,12 +128,11 @@ impl Player<'_> {
 
     fn finish(mut self, rig: &str, firmware: String, law: LawId, own_clock: bool, lost: Option<&RigError>) -> Replay {
         let now = self.last + self.scenario.controller.period;
-        self.controller.record_session(&self.session, now);
         if lost.is_none() && self.session.request_safe_state() {
             let rest = Sample { time_us: now.wrapping_micros(), setpoint_um: 0.0, wd_um: 0.0, wq_um: 0.0 };
             self.controller.watch_after_safe(&mut self.session, own_clock, now, rest);
         }
-        self.controller.record_safe_request(&self.session, now);
+        self.controller.record_session(&self.session, now);
         Replay {
             rig: rig.to_owned(),
             firmware,

@@ -363,7 +363,6 @@ impl<'a, L: Link> Trial<'a, L> {
 
     fn finish(mut self) -> TrialResult {
         let now = self.plant.time();
-        self.controller.record_session(self.session, now);
         if let Err(error) = self.restart_after_chip_faults() {
             self.link_error.get_or_insert(error);
         }
@@ -371,7 +370,7 @@ impl<'a, L: Link> Trial<'a, L> {
             let sample = self.plant.sense();
             self.controller.watch_after_safe(self.session, self.own_clock, now, sample);
         }
-        self.controller.record_safe_request(self.session, now);
+        self.controller.record_session(self.session, now);
         let mut telemetry = Telemetry {
             not_finite: self.plant.not_finite(),
             watchdog_timeout_ms: self.own_clock.then_some(self.watchdog_timeout_ms),

@@ -380,3 +380,116 @@ fn counts_a_drive_that_a_sample_causes_after_0_v() {
     assert_eq!(drives(open(Box::new(RestartsAfterSafe(HostedLink::new())))), (1, 0));
     assert_eq!(drives(open(Box::<HostedLink>::default())), (0, 0));
 }
+
+/// Controller that sends something besides its answers.
+struct ChattyDevice {
+    inner: HostedLink,
+    chatter: Chatter,
+    /// Bytes that arrive between two requests.
+    queued: Vec<u8>,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Chatter {
+    /// Sends each answer twice.
+    Doubled,
+    /// Reports 0 V under the number of each sample, besides the answer.
+    SafeForSample,
+    /// Confirms 0 V before it is requested, and never afterwards.
+    SafeBeforeRequest,
+    /// Answers the request for 0 V with a drive, then confirms 0 V.
+    DriveThenSafe,
+    /// Confirms 0 V under the number of the last sample.
+    SafeWithOldNumber,
+}
+
+fn chatty_session(chatter: Chatter) -> Session<ChattyDevice> {
+    let mut session = Session::open(ChattyDevice { inner: HostedLink::new(), chatter, queued: Vec::new() }).unwrap();
+    session.start_trial(&CONFIGURE).unwrap();
+    session
+}
+
+impl Link for ChattyDevice {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        let mut own = Vec::new();
+        let delay = self.inner.exchange(now, bytes, &mut own)?;
+        answer.append(&mut self.queued);
+        let Some(request) = PacketReader::new().packets(bytes).flatten().next() else { return Ok(delay) };
+        let Some(reply) = PacketReader::new().packets(&own).flatten().next() else { return Ok(delay) };
+        let command = |sequence: u8, state, drive_vpp| {
+            let Message::Command(command) = reply.message else { return Vec::new() };
+            let message = Message::Command(Command { state, drive_vpp, ..command });
+            Packet { sequence, message }.encode().as_bytes().to_vec()
+        };
+        let (safe, number) = (ControllerState::Safe, request.sequence);
+        match (self.chatter, request.message) {
+            (Chatter::Doubled, _) => answer.extend([&own[..], &own[..]].concat()),
+            (Chatter::SafeForSample, Message::Sample(_)) => {
+                answer.extend(own);
+                answer.extend(command(number, safe, 0.0));
+            }
+            (Chatter::SafeBeforeRequest, Message::Sample(_)) => {
+                answer.extend(own);
+                self.queued = command(number.wrapping_add(1), safe, 0.0);
+            }
+            (Chatter::SafeBeforeRequest, Message::Safe) => {}
+            (Chatter::DriveThenSafe, Message::Safe) => {
+                answer.extend(command(number, ControllerState::Running, 400.0));
+                answer.extend(own);
+            }
+            (Chatter::SafeWithOldNumber, Message::Safe) => {
+                // The number of the sample, after those of hello and configuration.
+                answer.extend(command(3, safe, 0.0));
+            }
+            _ => answer.extend(own),
+        }
+        Ok(delay)
+    }
+
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        received.append(&mut self.queued);
+        self.inner.advance_to(now, received)
+    }
+}
+
+#[test]
+fn doubled_answers_are_no_invented_confirmation() {
+    let mut session = chatty_session(Chatter::Doubled);
+    session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
+    assert!(session.request_safe_state());
+    session.send_sample(Duration::from_millis(1), &AT_REST).unwrap().unwrap();
+    // The sample, the request for 0 V, and the sample in the state *safe*.
+    assert_eq!((session.second_replies(), session.contradictions()), (3, 0));
+    assert_eq!((session.unrequested_confirmations(), session.drives_after_safe()), (0, 0));
+}
+
+#[test]
+fn an_invented_confirmation_is_no_second_answer() {
+    for chatter in [Chatter::SafeForSample, Chatter::SafeBeforeRequest, Chatter::SafeWithOldNumber] {
+        let mut session = chatty_session(chatter);
+        session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
+        let confirmed = session.request_safe_state();
+        assert_eq!(confirmed, chatter == Chatter::SafeForSample);
+        assert!(session.unrequested_confirmations() > 0);
+        assert_eq!((session.second_replies(), session.contradictions()), (0, 0));
+    }
+}
+
+#[test]
+fn the_first_answer_to_a_request_for_0_v_counts() {
+    let mut session = chatty_session(Chatter::DriveThenSafe);
+    session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
+    assert!(!session.request_safe_state());
+    assert_eq!((session.ignored_safe_requests(), session.contradictions()), (1, 1));
+    assert_eq!(session.unrequested_confirmations(), 0);
+}
+
+#[test]
+fn the_report_of_a_stop_is_no_second_answer() {
+    let mut session = chatty_session(Chatter::SafeBeforeRequest);
+    session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
+    session.link_mut().queued.clear();
+    let stopped = session.advance_to(Duration::from_millis(5)).unwrap().unwrap();
+    assert_eq!(stopped.state, ControllerState::Fault);
+    assert_eq!((session.second_replies(), session.contradictions(), session.unrequested_confirmations()), (0, 0, 0));
+}

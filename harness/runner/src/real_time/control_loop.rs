@@ -322,12 +322,11 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         abort: Option<TrialAbort>,
         scheduling: &ThreadScheduling,
     ) -> Option<(Telemetry, Option<RigError>)> {
-        self.controller.record_session(self.session, self.plant.time());
         let safe_confirmed = self.session.request_safe_state();
         if safe_confirmed {
             self.controller.watch_after_safe_in_real_time(self.session, self.plant.time());
         }
-        self.controller.record_safe_request(self.session, self.plant.time());
+        self.controller.record_session(self.session, self.plant.time());
         let lost = match abort {
             None => None,
             Some(TrialAbort::Cancelled) => return None,

@@ -10,3 +10,4 @@ mod model;
 mod non_finite_drive;
 mod replaced_board;
 mod safe_end;
+mod second_answers;
