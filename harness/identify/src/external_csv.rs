@@ -18,7 +18,7 @@ enum ColumnRole {
     Setpoint,
 }
 
-/// Names of units with their factors to s, Vpp, rad/s, µm, K and N. The first unit is the default.
+/// Names of units with their factors to s, Vpp, rad/s, µm, K and N.
 type Units = &'static [(&'static str, f64)];
 /// Name of the role, role, units, and whether the column is required.
 const ROLES: [(&str, ColumnRole, Units, bool); 8] = [
@@ -32,12 +32,12 @@ const ROLES: [(&str, ColumnRole, Units, bool); 8] = [
     ("setpoint", ColumnRole::Setpoint, &[("um", 1.0), ("nm", 1e-3), ("m", 1e6)], false),
 ];
 
-/// `time=NAME[:UNIT],drive=…,frequency=…,wd=…,wq=…[,temperature=…][,force=…][,setpoint=…]`
+/// `time=COLUMN:UNIT,drive=…,frequency=…,wd=…,wq=…[,temperature=…][,force=…][,setpoint=…]`
 ///
-/// The units are time s, ms, us · drive Vpp, V (amplitude, half of Vpp) · frequency Hz, kHz, rad/s
+/// Every role needs a unit, because `drive=V` could name a column or a unit. The units are time s, ms, us · drive Vpp, V (amplitude, half of Vpp) · frequency Hz, kHz, rad/s
 /// · wd and wq um, nm, m, peak to peak · temperature K above the reference · force N · setpoint um,
-/// nm, m. The first unit is the default. Drive and frequency of a row act from the time of the row
-/// on; Wd and Wq are sampled at this time.
+/// nm, m. Drive and frequency of a row act from the time of the row on; Wd and Wq are sampled at
+/// this time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnMapping(Vec<(ColumnRole, String, f64)>);
 
@@ -49,24 +49,27 @@ impl FromStr for ColumnMapping {
         for part in text.split(',') {
             let known = ROLES.map(|role| role.0).join(", ");
             let (key, rest) =
-                part.split_once('=').ok_or(format!("`{part}`, expected ROLE=NAME with a role of {known}"))?;
+                part.split_once('=').ok_or(format!("`{part}`, expected ROLE=COLUMN:UNIT with a role of {known}"))?;
             let found = ROLES.iter().find(|role| role.0 == key.trim());
             let (_, role, units, _) = found.ok_or(format!("`{key}`, expected a role of {known}"))?;
-            let (name, factor) = match rest.rsplit_once(':') {
-                None => (rest, units.first().map_or(1.0, |unit| unit.1)),
-                Some((name, unit)) => {
-                    let listed = units.iter().map(|unit| unit.0).collect::<Vec<_>>().join(", ");
-                    let known = units.iter().find(|known| known.0 == unit);
-                    (name, known.ok_or(format!("unit `{unit}` of {key}, expected {listed}"))?.1)
-                }
-            };
+            let listed = units.iter().map(|unit| unit.0).collect::<Vec<_>>().join(" or ");
+            let (name, unit) = rest.rsplit_once(':').ok_or_else(|| {
+                format!("`{part}` names the column `{rest}` without its unit, expected {part}:UNIT with {listed}")
+            })?;
+            let known = units.iter().find(|known| known.0 == unit.trim());
+            let factor = known.ok_or(format!("unit `{unit}` of {key}, expected {listed}"))?.1;
+            if name.trim().is_empty() {
+                return Err(format!("`{part}` names no column, expected {key}=COLUMN:{unit}"));
+            }
             if columns.iter().any(|(known, _, _)| known == role) {
                 return Err(format!("two columns for the role {key}, expected one"));
             }
             columns.push((*role, name.trim().to_owned(), factor));
         }
         let missing = ROLES.iter().find(|role| role.3 && !columns.iter().any(|column| column.0 == role.1));
-        missing.map_or(Ok(Self(columns)), |role| Err(format!("no column for the role {0}, expected {0}=NAME", role.0)))
+        missing.map_or(Ok(Self(columns)), |role| {
+            Err(format!("no column for the role {0}, expected {0}=COLUMN:UNIT", role.0))
+        })
     }
 }
 

@@ -5,7 +5,8 @@ use crate::effect_fit::fit_effect;
 use crate::estimate::{Estimate, FREEDOM_OF_KNOWN_ERRORS, WhitenessTest};
 use crate::fit::{DirectFit, fit_direct};
 use crate::inconsistency::{
-    Inconsistency, implausible_parameters, inconsistent_recordings, is_coloured, is_explained_by_chance,
+    Inconsistency, has_exchanged_components, implausible_parameters, inconsistent_recordings, is_coloured,
+    is_explained_by_chance,
 };
 use crate::recording::{Recording, RecordingError};
 use crate::steps::{FrequencyStep, VoltageStep, frequency_steps, frequency_time_constant, voltage_steps};
@@ -69,6 +70,11 @@ pub fn identify(
     slope_hz_per_k: Option<f64>,
 ) -> Result<(Identification, Vec<DirectFit>), RecordingError> {
     let fitted: Vec<_> = recordings.iter().map(|recording| (recording, fit_direct(recording))).collect();
+    let exchanged: Vec<&Recording> = fitted
+        .iter()
+        .filter(|(recording, fit)| has_exchanged_components(recording, fit.as_ref().ok()))
+        .map(|(recording, _)| *recording)
+        .collect();
     let undetermined = fitted.iter().filter(|(_, fit)| fit.is_err()).map(|(recording, _)| recording.name.clone());
     let undetermined: Vec<String> = undetermined.collect();
     let fitted: Vec<(&Recording, DirectFit)> =
@@ -76,7 +82,7 @@ pub fn identify(
     if fitted.is_empty() {
         return Err(RecordingError::Undetermined);
     }
-    let fitted = with_effects(fitted);
+    let fitted = with_effects(fitted, &exchanged);
     let effects: Vec<EffectFit> = fitted.iter().filter_map(|(_, fit)| fit.effect).collect();
     let pooled = |values: Vec<Estimate>| Estimate::pool(&values);
     let lines: Vec<_> = fitted.iter().map(|(_, fit)| temperature_line(fit)).collect();
@@ -130,27 +136,35 @@ pub fn identify(
         frequency_steps: frequency.into_iter().flatten().collect(),
         inconsistencies: Vec::new(),
     };
-    identification.inconsistencies = [
-        inconsistent_recordings(&fitted),
-        implausible_parameters(
-            identification.resonance_hz,
-            identification.time_constant_s,
-            identification.gain_change_percent,
-        ),
-    ]
-    .concat();
+    let swapped = exchanged.iter().map(|recording| Inconsistency::Swapped { recording: recording.name.clone() });
+    let implausible = implausible_parameters(
+        identification.resonance_hz,
+        identification.time_constant_s,
+        identification.gain_um_per_vpp,
+        identification.second_mode,
+        identification.gain_change_percent,
+    );
+    identification.inconsistencies = [swapped.collect(), inconsistent_recordings(&fitted), implausible].concat();
     Ok((identification, fitted.into_iter().map(|(_, fit)| fit).collect()))
 }
 
 /// Replaces a fit with coloured residuals by a fit with a second mode or self-heating, if this
-/// makes the residuals white. Changes nothing if chance explains the number of coloured residuals.
-fn with_effects(mut fitted: Vec<(&Recording, DirectFit)>) -> Vec<(&Recording, DirectFit)> {
+/// makes the residuals white. Changes nothing if chance explains the number of coloured residuals,
+/// and no recording with exchanged components, whose second mode would be invented.
+fn with_effects<'a>(
+    mut fitted: Vec<(&'a Recording, DirectFit)>,
+    exchanged: &[&Recording],
+) -> Vec<(&'a Recording, DirectFit)> {
     let coloured = fitted.iter().filter(|(recording, fit)| is_coloured(recording, fit)).count();
     let tested = fitted.iter().filter(|(_, fit)| fit.whiteness.is_some()).count();
     if coloured == 0 || is_explained_by_chance(coloured, tested) {
         return fitted;
     }
+    let is_exchanged = |recording: &Recording| exchanged.iter().any(|other| std::ptr::eq(*other, recording));
     for (recording, fit) in fitted.iter_mut().filter(|(recording, fit)| is_coloured(recording, fit)) {
+        if is_exchanged(recording) {
+            continue;
+        }
         if let Some(better) = fit_effect(recording, fit, |other| !is_coloured(recording, other)) {
             *fit = better;
         }

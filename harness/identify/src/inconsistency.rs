@@ -1,12 +1,16 @@
 //! Finds recordings that no single plate can produce, and parameters that no plate has.
 
+use crate::effect::IdentifiedSecondMode;
 use crate::estimate::Estimate;
 use crate::fit::{DirectFit, fit_direct};
 use crate::recording::{RecordedSample, Recording};
-use platebench_plate::Complex64;
+use platebench_plate::plausible::{
+    GAIN, MAX_DETUNING_HZ, NOISE, PlausibleRange, QUALITY_FACTOR, RESONANCE, TIME_CONSTANT,
+};
+use platebench_plate::{Complex64, Conditions, ImplausibleValue};
 use serde::Serialize;
 use statrs::distribution::{Binomial, DiscreteCDF};
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 
 const LEVEL: f64 = 0.01;
 /// Smallest residuals, as a fraction of the largest |W|, that are tested. Smaller ones are rounding
@@ -16,8 +20,6 @@ const ROUNDING: f64 = 1e-5;
 const CLIPPED_SHARE: f64 = 0.02;
 /// Smallest number of samples at a limit that count as clipping.
 const MIN_CLIPPED: usize = 5;
-/// Plausible quality factors, from a strongly damped to a nearly undamped plate.
-const QUALITY: [f64; 2] = [5.0, 20_000.0];
 /// Largest change of K1 between the drives of a linear plate, percent.
 const LINEAR_PERCENT: f64 = 2.0;
 
@@ -43,20 +45,40 @@ pub enum Inconsistency {
         limit_um: f64,
         samples: usize,
     },
-    #[error("{recording}: the model fits better with Wd and Wq exchanged; check the columns")]
+    #[error("{recording}: the model fits better with Wd and Wq exchanged; check the columns of wd and wq")]
     Swapped { recording: String },
-    #[error(
-        "the quality factor is {value:.3e}, expected {} to {}; check the units of time and frequency",
-        QUALITY[0], QUALITY[1]
-    )]
-    QualityFactor {
-        /// Quality factor Q = π · resonance · τ.
+    /// A parameter outside the range of `platebench_plate::plausible`.
+    #[error("{text}")]
+    Implausible {
+        quantity: &'static str,
         value: f64,
+        low: f64,
+        high: f64,
+        #[serde(skip)]
+        text: String,
+    },
+    #[error(
+        "{recording}: the resonance is {distance_hz:.0} Hz from the excitation, expected at most {MAX_DETUNING_HZ} \
+         Hz; check the unit of the frequency, the drive, and that wd and wq are not exchanged"
+    )]
+    Detuned {
+        recording: String,
+        /// Distance of the resonance from the nearest excitation frequency.
+        distance_hz: f64,
     },
     #[error("K1 changes by {change_percent:.1} % from the lowest to the highest drive, expected a linear plate")]
     NotLinear { change_percent: f64 },
 }
 
+impl Inconsistency {
+    fn implausible(found: &ImplausibleValue, recording: Option<&Recording>) -> Self {
+        let PlausibleRange { quantity, low, high, .. } = found.range;
+        let text = recording.map_or_else(|| found.to_string(), |recording| format!("{}: {found}", recording.name));
+        Self::Implausible { quantity, value: found.value, low, high, text }
+    }
+}
+
+/// Clipped samples, residuals that are not white, and estimates that do not fit the recording.
 pub(crate) fn inconsistent_recordings(fitted: &[(&Recording, DirectFit)]) -> Vec<Inconsistency> {
     let mut inconsistencies: Vec<Inconsistency> =
         fitted.iter().flat_map(|(recording, _)| find_clipping(recording)).collect();
@@ -64,25 +86,51 @@ pub(crate) fn inconsistent_recordings(fitted: &[(&Recording, DirectFit)]) -> Vec
     let tested = fitted.iter().filter(|(_, fit)| fit.whiteness.is_some()).count();
     if !coloured.is_empty() && !is_explained_by_chance(coloured.len(), tested) {
         inconsistencies.push(Inconsistency::Residuals { rejected: coloured.len(), tested });
-        let swapped = coloured.iter().filter(|(recording, fit)| fits_better_with_exchanged_components(recording, fit));
-        inconsistencies
-            .extend(swapped.map(|(recording, _)| Inconsistency::Swapped { recording: recording.name.clone() }));
+    }
+    for (recording, fit) in fitted {
+        if let Some(distance_hz) = Some(detuning_hz(recording, fit)).filter(|distance| *distance > MAX_DETUNING_HZ) {
+            inconsistencies.push(Inconsistency::Detuned { recording: recording.name.clone(), distance_hz });
+        }
+        let noise = NOISE.check(fit.noise_um / largest_amplitude(recording) * 100.0);
+        inconsistencies.extend(noise.map(|found| Inconsistency::implausible(&found, Some(recording))));
     }
     inconsistencies
+}
+
+/// Largest distance of a resonance from the nearest excitation under the same temperature and
+/// force, Hz. 0 without such an excitation.
+fn detuning_hz(recording: &Recording, fit: &DirectFit) -> f64 {
+    let distance = |(conditions, resonance): &(Conditions, Estimate)| {
+        let driven = recording.inputs.iter().filter(|input| input.vpp > 0.0 && input.conditions == *conditions);
+        driven.map(|input| (input.omega - resonance.value).abs()).reduce(f64::min)
+    };
+    fit.resonances.iter().filter_map(distance).fold(0.0, f64::max) / TAU
+}
+
+fn largest_amplitude(recording: &Recording) -> f64 {
+    recording.outputs.iter().map(|output| output.w.norm()).fold(0.0, f64::max)
 }
 
 pub(crate) fn implausible_parameters(
     resonance_hz: Option<Estimate>,
     time_constant_s: Option<Estimate>,
+    gain_um_per_vpp: Option<Estimate>,
+    second_mode: Option<IdentifiedSecondMode>,
     gain_change_percent: Option<Estimate>,
 ) -> Vec<Inconsistency> {
-    let mut inconsistencies = Vec::new();
-    if let (Some(resonance), Some(tau)) = (resonance_hz, time_constant_s) {
-        let value = PI * resonance.value * tau.value;
-        if !(QUALITY[0]..=QUALITY[1]).contains(&value) {
-            inconsistencies.push(Inconsistency::QualityFactor { value });
-        }
-    }
+    let value = |estimate: Option<Estimate>| estimate.map(|estimate| estimate.value);
+    let quality = value(resonance_hz).zip(value(time_constant_s)).map(|(resonance, tau)| PI * resonance * tau);
+    let second_tau = PlausibleRange { quantity: "time constant of the second mode", ..TIME_CONSTANT };
+    let checks = [
+        (RESONANCE, value(resonance_hz)),
+        (TIME_CONSTANT, value(time_constant_s).map(|tau| tau * 1e3)),
+        (GAIN, value(gain_um_per_vpp)),
+        (QUALITY_FACTOR, quality),
+        (second_tau, second_mode.map(|second| second.time_constant_s.value * 1e3)),
+    ];
+    let implausible = checks.into_iter().filter_map(|(range, value)| range.check(value?));
+    let mut inconsistencies: Vec<Inconsistency> =
+        implausible.map(|found| Inconsistency::implausible(&found, None)).collect();
     if let Some(change) = gain_change_percent
         && change.value.abs() > LINEAR_PERCENT
         && !change.contains(0.0)
@@ -93,8 +141,7 @@ pub(crate) fn implausible_parameters(
 }
 
 pub(crate) fn is_coloured(recording: &Recording, fit: &DirectFit) -> bool {
-    let largest = recording.outputs.iter().map(|output| output.w.norm()).fold(0.0, f64::max);
-    fit.whiteness.is_some_and(|white| white.is_rejected()) && fit.noise_um > ROUNDING * largest
+    fit.whiteness.is_some_and(|white| white.is_rejected()) && fit.noise_um > ROUNDING * largest_amplitude(recording)
 }
 
 fn find_clipping(recording: &Recording) -> Vec<Inconsistency> {
@@ -122,10 +169,22 @@ fn find_clipping(recording: &Recording) -> Vec<Inconsistency> {
     inconsistencies
 }
 
-fn fits_better_with_exchanged_components(recording: &Recording, fit: &DirectFit) -> bool {
+/// True if the columns of Wd and Wq are probably exchanged: the fit is poor, far from the
+/// excitation or impossible, and the fit with exchanged components is better. `fit` has no effects,
+/// because a second mode describes exchanged components well.
+pub(crate) fn has_exchanged_components(recording: &Recording, fit: Option<&DirectFit>) -> bool {
+    let is_detuned = |fit: &DirectFit| detuning_hz(recording, fit) > MAX_DETUNING_HZ;
+    if fit.is_some_and(|fit| !is_coloured(recording, fit) && !is_detuned(fit)) {
+        return false;
+    }
     let exchange = |output: &RecordedSample| RecordedSample { w: Complex64::new(output.w.im, output.w.re), ..*output };
     let exchanged = Recording { outputs: recording.outputs.iter().map(exchange).collect(), ..recording.clone() };
-    fit_direct(&exchanged).is_ok_and(|other| other.noise_um < 0.5 * fit.noise_um)
+    let Ok(other) = fit_direct(&exchanged) else { return false };
+    match fit {
+        Some(fit) if is_detuned(fit) => !is_detuned(&other) && other.noise_um < 2.0 * fit.noise_um,
+        Some(fit) => other.noise_um < 0.5 * fit.noise_um,
+        None => !is_detuned(&other) && NOISE.check(other.noise_um / largest_amplitude(recording) * 100.0).is_none(),
+    }
 }
 
 /// True if chance gives this many rejections of white residuals with a probability above 1 %.

@@ -165,6 +165,11 @@ impl Plate {
         effects.into_iter().find(|(_, given)| *given).map(|(key, _)| key)
     }
 
+    /// False for a plate without `[finger]`.
+    pub fn depends_on_force(&self) -> bool {
+        self.omega0_per_n != 0.0 || self.damping_ratio.iter().any(|point| point[1] != self.damping_ratio_at(0.0))
+    }
+
     pub fn max_damping_slope(&self) -> f64 {
         let slopes = self.damping_ratio.array_windows().map(|[from, to]| (to[1] - from[1]) / (to[0] - from[0]));
         slopes.fold(0.0, |steepest, slope| slope.abs().max(steepest))

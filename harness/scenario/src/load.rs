@@ -12,7 +12,7 @@ mod scenario;
 mod scene;
 mod template;
 
-pub use plate::{load_plate, require_no_effects};
+pub use plate::{implausible_values, load_plate, require_no_effects};
 pub use template::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate};
 
 use crate::diagnostic::Diagnostic;

@@ -21,11 +21,15 @@ struct Defect {
     clip_um: Option<f64>,
     swapped: bool,
     time_factor: Option<f64>,
+    /// Factor from a wrong unit of W.
+    amplitude_factor: Option<f64>,
+    /// Excitation above the resonance, rad/s; default: 190.
+    detuning: Option<f64>,
 }
 
 /// Records steps from 0 V to 100, 200, 300 and 400 Vpp at 1 kHz, 30 Hz above the resonance.
 fn capture(defect: Defect, seed: u64) -> Recording {
-    let omega = OMEGA0 + 190.0;
+    let omega = OMEGA0 + defect.detuning.unwrap_or(190.0);
     let mut sensor = Sensor::new(1.0, NOISE_UM, seed);
     let mut state = State::default();
     let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
@@ -40,6 +44,7 @@ fn capture(defect: Defect, seed: u64) -> Recording {
         if defect.swapped {
             w = Complex64::new(w.im, w.re);
         }
+        w *= defect.amplitude_factor.unwrap_or(1.0);
         let vpp = levels[sample / 40];
         inputs.push(RecordedInput { t, vpp, omega, conditions: Conditions::default() });
         outputs.push(RecordedSample { t, w });
@@ -75,7 +80,13 @@ fn a_clean_capture_is_not_doubtful() {
 #[case::swapped(Defect { swapped: true, ..Defect::default() },
     |found: &Inconsistency| matches!(found, Inconsistency::Swapped { .. }))]
 #[case::seconds_for_milliseconds(Defect { time_factor: Some(1e3), ..Defect::default() },
-    |found: &Inconsistency| matches!(found, Inconsistency::QualityFactor { .. } | Inconsistency::Residuals { .. }))]
+    |found: &Inconsistency| matches!(found, Inconsistency::Implausible { quantity: "time constant", .. }))]
+#[case::nanometres_for_micrometres(Defect { amplitude_factor: Some(1e3), ..Defect::default() },
+    |found: &Inconsistency| matches!(found, Inconsistency::Implausible { quantity: "gain K1", .. }))]
+#[case::swapped_at_the_resonance(Defect { swapped: true, detuning: Some(5.0), ..Defect::default() },
+    |found: &Inconsistency| matches!(found, Inconsistency::Swapped { .. }))]
+#[case::swapped_far_from_the_resonance(Defect { swapped: true, detuning: Some(-545.0), ..Defect::default() },
+    |found: &Inconsistency| matches!(found, Inconsistency::Swapped { .. }))]
 #[case::damping_grows_with_the_amplitude(Defect { damping_per_um: 0.05, ..Defect::default() },
     |found: &Inconsistency| matches!(found, Inconsistency::Residuals { .. }))]
 #[case::resonance_drifts(Defect { drift: -120.0, ..Defect::default() },
@@ -86,6 +97,7 @@ fn a_capture_that_no_single_plate_produces_is_doubtful(
 ) {
     let found = identified(defect);
     assert!(found.inconsistencies.iter().any(expected), "{:?}", found.inconsistencies);
+    assert_eq!(found.second_mode, None);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use rstest::rstest;
 use std::f64::consts::TAU;
 
 const HEADER: &str = "t,V,f,Wd,Wq,T";
-const COLUMNS: &str = "time=t:ms,drive=V,frequency=f:kHz,wd=Wd:nm,wq=Wq:nm,temperature=T";
+const COLUMNS: &str = "time=t:ms,drive=V:Vpp,frequency=f:kHz,wd=Wd:nm,wq=Wq:nm,temperature=T:K";
 
 fn step_table() -> Vec<String> {
     let row = |k: u32| {
@@ -61,11 +61,13 @@ fn rejects_an_unusable_recording() {
 }
 
 #[rstest]
-#[case("time=t,drive=V,frequency=f,wd=Wd", "no column for the role wq")]
-#[case("time=t,drive=V,frequency=f,wd=Wd,wq=Wq,speed=v", "`speed`, expected a role of time, drive")]
-#[case("time=t:min,drive=V,frequency=f,wd=Wd,wq=Wq", "unit `min` of time, expected s, ms, us")]
-#[case("time=t,time=u,drive=V,frequency=f,wd=Wd,wq=Wq", "two columns for the role time")]
-#[case("t,V", "`t`, expected ROLE=NAME")]
+#[case("time=t:s,drive=V:V,frequency=f:Hz,wd=Wd:um", "no column for the role wq, expected wq=COLUMN:UNIT")]
+#[case("time=t:s,drive=V:V,frequency=f:Hz,wd=Wd:um,wq=Wq:um,speed=v", "`speed`, expected a role of time, drive")]
+#[case("time=t:min,drive=V:V,frequency=f:Hz,wd=Wd:um,wq=Wq:um", "unit `min` of time, expected s or ms or us")]
+#[case("time=t:ms,drive=V", "`drive=V` names the column `V` without its unit, expected drive=V:UNIT with Vpp or V")]
+#[case("time=t:ms,drive=:V", "`drive=:V` names no column, expected drive=COLUMN:V")]
+#[case("time=t:s,time=u:s,drive=V:V,frequency=f:Hz,wd=Wd:um,wq=Wq:um", "two columns for the role time")]
+#[case("t,V", "`t`, expected ROLE=COLUMN:UNIT")]
 fn rejects_invalid_column_mappings(#[case] text: &str, #[case] message: &str) {
     let error = text.parse::<ColumnMapping>().unwrap_err();
     assert!(error.starts_with(message), "{error}");

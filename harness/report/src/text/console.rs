@@ -43,6 +43,11 @@ pub fn run_text(record: &RunRecord, style: Style, detail: Detail) -> String {
     text
 }
 
+/// Reason of the verdict in one line. The verdict may be that of an interrupted run.
+pub fn verdict_reason(record: &RunRecord) -> String {
+    summary::verdict_reason(record)
+}
+
 pub fn run_table(record: &RunRecord, style: Style) -> String {
     run_text(record, style, Detail::Tables)
 }

@@ -14,6 +14,16 @@ pub fn load_plate(path: &Path) -> Result<Plate, Vec<Diagnostic>> {
     parse_plate(path, &read_text(path).map_err(|fault| vec![fault])?)
 }
 
+/// Values of the plate file that no ultrasonic tactile plate has, at their keys.
+pub fn implausible_values(path: &Path, plate: &Plate) -> Result<Vec<Diagnostic>, Diagnostic> {
+    let found = plate.implausible_values();
+    if found.is_empty() {
+        return Ok(Vec::new());
+    }
+    let text = read_text(path)?;
+    Ok(found.iter().map(|value| Diagnostic::at_key(path, &text, value.range.key, value.to_string())).collect())
+}
+
 /// Rejects a plate with an optional effect, such as a second mode. `user` names the calculation,
 /// which assumes one mode and ideal electronics.
 pub fn require_no_effects(path: &Path, plate: &Plate, user: &str) -> Result<(), Diagnostic> {

@@ -3,7 +3,7 @@
 use super::lines::{Style, write_wrapped};
 use crate::text::cost;
 use crate::{format, record_queries};
-use platebench_record::{CostTrend, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
+use platebench_record::{Cause, CostTrend, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 
 /// Longest list without `-v`.
@@ -39,8 +39,27 @@ pub(super) fn write(text: &mut String, record: &RunRecord, style: Style, in_full
     write_list_of_not_passed(text, record, style);
 }
 
+pub(super) fn verdict_reason(record: &RunRecord) -> String {
+    let lost = record.scenarios.iter().flat_map(|scenario| &scenario.trials).find_map(|trial| {
+        let ended = trial.telemetry.ended.as_ref().filter(|_| trial.cause == Some(Cause::Rig))?;
+        Some(format!("the controller was lost: {ended}"))
+    });
+    let reasons = record_queries::expectations_not_passed(record).into_iter().filter_map(|(scenario, index)| {
+        let expectation = scenario.expectations.get(index)?;
+        let reason = format::remaining_reason(expectation).map_or_else(String::new, |reason| format!(" ({reason})"));
+        Some(format!("{}{reason}", result(expectation)))
+    });
+    let not_applicable = record.not_applicable.iter().map(|scenario| format!("not applicable: {}", scenario.reason));
+    let unsafe_end = "the controller did not confirm 0 V".to_owned();
+    let unsafe_end = (record.safe_confirmed == Some(false)).then_some(unsafe_end);
+    let unfinished = (!record.complete).then(|| "the run was not finished".to_owned());
+    let all: Vec<String> =
+        lost.into_iter().chain(unsafe_end).chain(reasons).chain(not_applicable).chain(unfinished).collect();
+    if all.is_empty() { "every expectation is met".to_owned() } else { all.join("; ") }
+}
+
 pub(super) fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
-    if record.overrides.require_all {
+    if record.overrides.require_all || record.scenarios.is_empty() {
         write_not_applicable(text, record, true);
     }
     write_verdict(text, record, style);

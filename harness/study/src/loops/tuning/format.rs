@@ -164,7 +164,11 @@ fn format_sensitivity(spread: &PlateSpread, found: &Sensitivity) -> String {
     if let Some(worst) = &found.worst_sample {
         row("worst random plate", worst);
     }
-    let PlateVariant { force_n, plate, gain_margin, phase_margin_deg, delay_margin_ms, .. } = &found.other_finger;
+    let Some(other_finger) = &found.other_finger else {
+        text += "  finger: the plate file has no [finger], so a force changes nothing\n";
+        return text;
+    };
+    let PlateVariant { force_n, plate, gain_margin, phase_margin_deg, delay_margin_ms, .. } = other_finger;
     let _ = writeln!(
         text,
         "  {:<24} {:>12} {:>8.1} % {:>7} {:>8} {:>9}",
@@ -176,6 +180,12 @@ fn format_sensitivity(spread: &PlateSpread, found: &Sensitivity) -> String {
         format_optional(*delay_margin_ms, 3),
     );
     text
+}
+
+/// Reason why the target cannot be met. Empty if it is met.
+pub fn infeasibility_reason(target: &TuningTarget<'_>, tuning: &TuningResult) -> String {
+    let causes: Vec<_> = tuning.obstacles.iter().map(|cause| format_cause(target, cause)).collect();
+    causes.join("; ")
 }
 
 fn format_cause(target: &TuningTarget<'_>, obstacle: &InfeasibilityCause) -> String {

@@ -51,7 +51,8 @@ pub struct Sensitivity {
     pub worst_corner: WorstCase,
     pub worst_sample: Option<WorstCase>,
     /// The nominal plate without the design's finger, or under 2 N if the design has no finger.
-    pub other_finger: PlateVariant,
+    /// `None` if the plate file has no `[finger]`, because a force then changes nothing.
+    pub other_finger: Option<PlateVariant>,
 }
 
 /// Unexpected finger for a design without a finger, N (Fig. 16 of the paper).
@@ -77,7 +78,11 @@ pub fn evaluate_sensitivity(
         worst_corner: worst_case(target, &corners),
         worst_sample: (!drawn.is_empty()).then(|| worst_case(target, &drawn)),
         corners,
-        other_finger: evaluate_variant(&TuningTarget { force_n, ..*target }, design, [0.0; 2])?,
+        other_finger: target
+            .plate
+            .depends_on_force()
+            .then(|| evaluate_variant(&TuningTarget { force_n, ..*target }, design, [0.0; 2]))
+            .transpose()?,
     })
 }
 
