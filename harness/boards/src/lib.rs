@@ -21,6 +21,6 @@ pub use merge::{MergeError, merge_runs};
 pub use reservation::Reservation;
 pub use run_end::BoardOutcome;
 pub use soak::{SoakConfig, SoakResult, soak};
-pub use soak_record::{SOAK_FILE, SoakEnd, SoakRecord};
+pub use soak_record::{SOAK_FILE, SoakEnd, SoakRecord, SoakScenario};
 pub use state::{LastRun, Quarantine};
 pub use status::{BoardState, BoardStatus, clear, list, status_table};

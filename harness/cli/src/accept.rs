@@ -7,7 +7,7 @@ use crate::clock::{ClockRequest, check_line_speed};
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::live::SessionView;
-use crate::options::{ClockArg, PacingArg, job_count, parse_time_scale};
+use crate::options::{ClockArg, OutputFormat, PacingArg, job_count, parse_time_scale};
 use crate::prompt::TerminalOperator;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
@@ -17,6 +17,7 @@ use platebench_acceptance::{
     play_session, verify,
 };
 use platebench_boards::BoardOutcome;
+use platebench_record::Verdict;
 use platebench_report::ProgressKind;
 use platebench_rig::RigSpec;
 use platebench_runner::{CancelToken, RunError};
@@ -149,7 +150,10 @@ fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, fo
         Ok(record) => {
             print_session(&record);
             stdio::note(&format!("record: {}", folder.join(page::FILE).display()));
-            if record.lost_a_controller() { Exit::Unreachable } else { Exit::of_verdict(record.verdict) }
+            let lost = record.lost_a_controller();
+            let exit = if lost { Exit::Unreachable } else { Exit::of_verdict(record.verdict) };
+            stdio::verdict(exit, &reason(&record), OutputFormat::Human);
+            exit
         }
         Err(error) => {
             let is_resumable = is_resumable(&error);
@@ -216,6 +220,29 @@ fn new_folder() -> PathBuf {
     Path::new("runs").join(format!("acceptance-{seconds}-{}", std::process::id()))
 }
 
+/// Reason of the verdict: what the requirements that are not met lack.
+fn reason(record: &SessionRecord) -> String {
+    let lost = record.lost_a_controller().then(|| "the controller was lost".to_owned());
+    let open = record.requirements.iter().filter(|requirement| requirement.verdict != Verdict::Pass);
+    let requirements = open.map(|requirement| {
+        let evidence = requirement.evidence.iter().filter(|evidence| evidence.verdict != Verdict::Pass);
+        let evidence: Vec<_> = evidence
+            .map(|evidence| {
+                let found = evidence.found.as_deref().unwrap_or("no value");
+                format!("{} is {found}, expected {}", evidence.metric, evidence.demanded)
+            })
+            .collect();
+        let evidence = if evidence.is_empty() { "no evidence".to_owned() } else { evidence.join(", ") };
+        format!("{} ({evidence})", requirement.id)
+    });
+    let reasons: Vec<String> = lost.into_iter().chain(requirements).collect();
+    match (reasons.is_empty(), record.verdict) {
+        (true, Verdict::Pass) => "every requirement is met".to_owned(),
+        (true, _) => "a step without a requirement did not pass; the record names it".to_owned(),
+        (false, _) => reasons.join("; "),
+    }
+}
+
 fn print_session(record: &SessionRecord) {
     for requirement in &record.requirements {
         stdio::show(&format!("{:<12}  {:<8} {}\n", requirement.verdict, requirement.id, requirement.text));
@@ -251,7 +278,8 @@ fn verify_record(record: &Path, key: Option<&Path>) -> CommandResult {
         stdio::error(&finding.to_string());
     }
     if !verified.findings.is_empty() {
-        stdio::show("rejected: the record was changed after it was sealed\n");
+        let reason = "rejected: the record was changed after it was sealed";
+        stdio::verdict(Exit::Failed, reason, OutputFormat::Human);
         return Ok(Exit::Failed);
     }
     let signer = match &verified.signer {

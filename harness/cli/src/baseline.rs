@@ -2,10 +2,11 @@
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
-use crate::options::{BASELINES, parse_number};
+use crate::options::{BASELINES, OutputFormat, parse_number};
 use crate::{prompt, stdio};
 use clap::{Args, Subcommand};
 use platebench_record::{RunRecord, ScenarioRecord, Verdict};
+use platebench_report::format::count;
 use platebench_report::{comparison, tube_plot};
 use platebench_runner::baseline::{BaselineAcceptError, build_baseline, check_acceptable};
 use platebench_runner::comparison::compare_with_tubes;
@@ -113,7 +114,20 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
             }
         }
     }
-    Ok(if invalid { Exit::Invalid } else { Exit::of_verdict(Verdict::combine(verdicts)) })
+    let exit = if invalid { Exit::Invalid } else { Exit::of_verdict(Verdict::combine(verdicts.iter().copied())) };
+    stdio::verdict(exit, &reason(&verdicts), OutputFormat::Human);
+    Ok(exit)
+}
+
+fn reason(verdicts: &[Verdict]) -> String {
+    let number = |wanted: Verdict| verdicts.iter().filter(|verdict| **verdict == wanted).count();
+    format!(
+        "of {}, {} agree with their golden traces, {} differ or did not pass, {} have no golden trace or no decision",
+        count(verdicts.len(), "scenario"),
+        number(Verdict::Pass),
+        number(Verdict::Fail),
+        number(Verdict::Inconclusive)
+    )
 }
 
 fn print_difference(

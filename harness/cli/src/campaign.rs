@@ -9,6 +9,7 @@ use crate::board_args::{BoardArgs, release};
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure};
 use crate::options::{OutputFormat, job_count};
+use crate::plate_warnings::warn_of_scenarios;
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use arguments::{CampaignCommand, EngineName, PlayArgs, RunArgs, SubmitArgs};
@@ -42,6 +43,7 @@ pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> CommandResult {
 
 fn plan(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Plan, CampaignError> {
     rig.check()?;
+    warn_of_scenarios(std::slice::from_ref(&campaign.template.scenario));
     if campaign.confirm.is_some() && *rig != RigSpec::Hosted {
         return Err(CampaignError::ConfirmedRig(rig.to_string()));
     }
@@ -238,6 +240,8 @@ fn show_status(folder: &Path) -> CommandResult {
     }
     let shards: Vec<_> = status.missing.iter().map(ToString::to_string).collect();
     stdio::show(&format!("missing: {}\n", shards.join(" ")));
+    let reason = format!("{missing} of {} shards are missing; `campaign play` plays them", plan.shards);
+    stdio::verdict(Exit::Inconclusive, &reason, OutputFormat::Human);
     Ok(Exit::Inconclusive)
 }
 

@@ -15,7 +15,8 @@ use platebench_explore::Envelope;
 use platebench_report::format::count;
 use platebench_runner::law;
 use platebench_scenario::{
-    Diagnostic, FileKind, list_files, load, load_with_all_errors, read_requirements, repeated_names, unjudged_changes,
+    Diagnostic, FileKind, list_files, load, load_with_all_errors, plate_warnings, read_requirements, repeated_names,
+    unjudged_changes,
 };
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -111,7 +112,14 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
     let mut warnings = Vec::new();
     if faults.is_empty() {
         for (path, name) in scenarios() {
-            warnings.extend(load(path, name).map(|scenario| unjudged_changes(&scenario)).unwrap_or_default());
+            if let Ok(scenario) = load(path, name) {
+                warnings.extend(plate_warnings(&scenario));
+                warnings.extend(unjudged_changes(&scenario));
+            }
+        }
+        for ((path, _), _) in files.iter().zip(&kinds).filter(|(_, kind)| **kind == FileKind::Plate) {
+            let found = load::load_plate(path).ok().and_then(|plate| load::implausible_values(path, &plate).ok());
+            warnings.extend(found.unwrap_or_default());
         }
     }
     if arguments.format == OutputFormat::Json {

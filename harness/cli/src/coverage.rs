@@ -2,7 +2,7 @@
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
-use crate::options::{SCENARIOS, job_count, parse_percent};
+use crate::options::{OutputFormat, SCENARIOS, job_count, parse_percent};
 use crate::selection::{TagFilter, find_scenarios};
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
@@ -64,8 +64,11 @@ pub(crate) fn coverage(arguments: &CoverageArgs) -> CommandResult {
     let text = coverage_text::summary(&coverage);
     write_files(arguments, &coverage, &text)?;
     stdio::show(&text);
-    let is_met = arguments.at_least.is_none_or(|limit| coverage.line_ratio().percent() >= limit);
-    Ok(if is_met { Exit::Passed } else { Exit::Failed })
+    let Some(limit) = arguments.at_least else { return Ok(Exit::Passed) };
+    let percent = coverage.line_ratio().percent();
+    let exit = if percent >= limit { Exit::Passed } else { Exit::Failed };
+    stdio::verdict(exit, &format!("lines executed {percent:.2} %, expected at least {limit} %"), OutputFormat::Human);
+    Ok(exit)
 }
 
 fn write_files(arguments: &CoverageArgs, coverage: &Coverage, text: &str) -> Result<(), Failure> {

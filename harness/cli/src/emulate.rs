@@ -4,6 +4,7 @@ use crate::board_args::{BoardArgs, release};
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{PacingArg, law_names, parse_seconds};
+use crate::plate_warnings::warn_of_scenarios;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
 use crate::{live, stdio};
 use clap::Args;
@@ -66,6 +67,7 @@ const KEYS: &str =
 
 pub(crate) fn emulate(arguments: &EmulateArgs) -> CommandResult {
     let scenario = load(&arguments.scenario, &arguments.scenario.display().to_string())?;
+    warn_of_scenarios(std::slice::from_ref(&scenario));
     let name = arguments.law.as_ref().unwrap_or(&scenario.controller.law);
     let law = LawId::from_name(name).ok_or_else(|| format!("unknown law `{name}`")).or_invalid()?;
     let named = match arguments.board.find_rig()? {

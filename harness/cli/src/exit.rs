@@ -1,4 +1,5 @@
 use platebench_record::{RunRecord, Verdict};
+use platebench_report::format::sign;
 use std::process::ExitCode;
 
 /// Exit code of the program. If several codes apply, the first of this order counts: invalid,
@@ -34,6 +35,32 @@ impl Exit {
             Verdict::Fail => Self::Failed,
             Verdict::Inconclusive => Self::Inconclusive,
         }
+    }
+
+    /// Verdict, and the cause if the bench and not the controller decided it.
+    pub(crate) const fn word(self) -> &'static str {
+        match self {
+            Self::Passed => "pass",
+            Self::Failed => "fail",
+            Self::Inconclusive => "inconclusive",
+            Self::NothingToRun => "inconclusive (nothing to run)",
+            Self::Unreachable => "inconclusive (rig)",
+            Self::Invalid | Self::Signal(_) => "error",
+        }
+    }
+
+    /// The sign before the verdict in every text.
+    fn sign(self) -> &'static str {
+        sign(match self {
+            Self::Passed => Verdict::Pass,
+            Self::Failed => Verdict::Fail,
+            _ => Verdict::Inconclusive,
+        })
+    }
+
+    /// `verdict: ✗ fail: REASON`
+    pub(crate) fn verdict_line(self, reason: &str) -> String {
+        format!("verdict: {} {}: {reason}", self.sign(), self.word())
     }
 
     pub(crate) const fn code(self) -> u8 {

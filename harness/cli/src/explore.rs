@@ -93,7 +93,9 @@ pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> CommandResult {
     stdio::show_as(arguments.format, &report, || text::summary(&report));
     stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
     stdio::note(&format!("report: {}", folder.path().join(page::FILE).display()));
-    Ok(signal.map_or_else(|| Exit::of_verdict(report.verdict), Exit::Signal))
+    let exit = signal.map_or_else(|| Exit::of_verdict(report.verdict), Exit::Signal);
+    stdio::verdict(exit, &report.reason(), arguments.format);
+    Ok(exit)
 }
 
 fn prepare(arguments: &ExploreArgs) -> Result<ExploreSession, Failure> {

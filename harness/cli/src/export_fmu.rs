@@ -2,6 +2,7 @@
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, OrInvalid};
+use crate::plate_warnings::warn_of_plate;
 use crate::stdio;
 use clap::Args;
 use platebench_fmi::find_library;
@@ -28,6 +29,7 @@ pub(crate) struct ExportFmuArgs {
 
 pub(crate) fn export_fmu(arguments: &ExportFmuArgs) -> CommandResult {
     let plate = load_plate(&arguments.plate)?;
+    warn_of_plate(&arguments.plate, &plate);
     let text = read_text(&arguments.plate)?;
     let library = match &arguments.library {
         Some(library) => library.clone(),

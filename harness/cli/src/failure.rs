@@ -41,7 +41,7 @@ impl Failure {
     pub(crate) fn report(self) -> Exit {
         match self.report {
             Report::Done => {}
-            Report::Message(message) => stdio::error(&message),
+            Report::Message(message) => stdio::reason(self.exit, &message),
             Report::Faults(faults) => faults.iter().for_each(stdio::diagnostic),
         }
         self.exit

@@ -16,7 +16,7 @@ use platebench_report::chart::FitChart;
 use platebench_report::format::count;
 use platebench_report::page::{BlockPage, PageBlock};
 use platebench_report::text::Table;
-use platebench_trace::{write_atomically, write_new};
+use platebench_trace::{MAX_TABLE_BYTES, open_regular_file, write_atomically, write_new};
 use platebench_uncertainty::{Budget, known_quantities};
 use serde::Serialize;
 use std::fs;
@@ -29,11 +29,11 @@ const MAX_DRAWN_RECORDINGS: usize = 12;
 Examples:
   platebench run scenarios/identify --out runs/plate
   platebench identify runs/plate --out plate.toml --drive-limit-vpp 900 --page identification.html
-  platebench identify telemetry.csv --columns time=t:ms,drive=V,frequency=f,wd=Wd,wq=Wq
+  platebench identify telemetry.csv --columns time=t:ms,drive=V:Vpp,frequency=f:Hz,wd=Wd:nm,wq=Wq:nm
 
-Columns: ROLE=NAME[:UNIT]; roles and units: time (s, ms, us), drive (Vpp, V for an amplitude),
+Columns: ROLE=COLUMN:UNIT; roles and units: time (s, ms, us), drive (Vpp, V for an amplitude),
 frequency (Hz, kHz, rad/s), wd and wq (um, nm, m, peak to peak), temperature (K above the reference)
-and force (N); the first unit is the default.
+and force (N).
 
 Exit codes: 0 identified, 2 unusable input, 3 the input does not determine the plate or is doubtful, 4 no recording")]
 pub(crate) struct IdentifyArgs {
@@ -53,9 +53,10 @@ pub(crate) struct IdentifyArgs {
     /// Write a page: Markdown if the name ends in .md, else HTML with the fitted curves
     #[arg(long, value_name = "FILE")]
     page: Option<PathBuf>,
-    /// Write the plate file although the recordings are doubtful; the file states the reasons
-    #[arg(long)]
-    even_if_doubtful: bool,
+    /// Write the plate file although the recordings are doubtful or a parameter is impossible; the
+    /// file states the reasons
+    #[arg(long, alias = "even-if-doubtful")]
+    force: bool,
     /// Name of the plate in its file
     #[arg(long, default_value = "identified plate")]
     name: String,
@@ -139,12 +140,13 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         let page = render_page(path, arguments, &tables, &recordings, &found, &fits)?;
         write_atomically(path, page.as_bytes()).or_invalid_at(path)?;
     }
-    found.inconsistencies.iter().for_each(|inconsistency| stdio::error(&format!("doubtful: {inconsistency}")));
     let exit = if found.inconsistencies.is_empty() { Exit::Passed } else { Exit::Inconclusive };
+    for inconsistency in &found.inconsistencies {
+        stdio::reason(exit, &format!("doubtful: {inconsistency}"));
+    }
     let Some(path) = &arguments.out else { return Ok(exit) };
-    if exit != Exit::Passed && !arguments.even_if_doubtful {
-        let message =
-            "no plate file: the identification is doubtful; --even-if-doubtful writes it with the reasons in it";
+    if exit != Exit::Passed && !arguments.force {
+        let message = "no plate file was written, because the identification is doubtful; --force writes it with the reasons in it";
         return Err(Failure::new(exit, &message));
     }
     let details = PlateFileDetails {
@@ -205,7 +207,7 @@ fn collect_tables(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> 
 fn read_recording(path: &Path, arguments: &IdentifyArgs) -> Result<Recording, Failure> {
     let name = path.display().to_string();
     if let Some(columns) = &arguments.columns {
-        let file = fs::File::open(path).or_invalid_at(path)?;
+        let file = open_regular_file(path, MAX_TABLE_BYTES).or_invalid_at(path)?;
         return external_csv::read(&name, file, columns).or_invalid();
     }
     let signal = match arguments.signal {

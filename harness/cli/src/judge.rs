@@ -32,6 +32,7 @@ pub(crate) fn judge(arguments: &JudgeArgs, detail: Detail) -> CommandResult {
     if arguments.scenario.is_none() {
         note_changed_verdicts(arguments, &record);
     }
+    stdio::warn_if_not_safe(&record);
     Ok(Exit::of_record(&record))
 }
 

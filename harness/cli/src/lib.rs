@@ -45,6 +45,7 @@ mod mutate;
 mod new;
 mod options;
 mod outputs;
+mod plate_warnings;
 mod program;
 mod prompt;
 mod replay;

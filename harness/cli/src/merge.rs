@@ -50,6 +50,7 @@ pub(crate) fn merge(arguments: &MergeArgs, detail: Detail) -> CommandResult {
         .and_then(|()| traceability::write(&record, folder.path()));
     stdio::note(&format!("report: {}", page.display()));
     written.or_invalid()?;
+    stdio::warn_if_not_safe(&record);
     Ok(Exit::of_record(&record))
 }
 

@@ -3,7 +3,7 @@
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, OrInvalid};
-use crate::options::{SCENARIOS, job_count, law_names, parse_percent};
+use crate::options::{OutputFormat, SCENARIOS, job_count, law_names, parse_percent};
 use crate::selection::{TagFilter, find_scenarios};
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
@@ -92,8 +92,11 @@ pub(crate) fn mutate(arguments: &MutateArgs, quiet: bool) -> CommandResult {
         write_report(&report, &text, folder).or_invalid_at(folder)?;
     }
     stdio::show(&text);
-    let is_met = arguments.at_least.is_none_or(|limit| report.score().percent() >= limit);
-    Ok(if is_met { Exit::Passed } else { Exit::Failed })
+    let Some(limit) = arguments.at_least else { return Ok(Exit::Passed) };
+    let percent = report.score().percent();
+    let exit = if percent >= limit { Exit::Passed } else { Exit::Failed };
+    stdio::verdict(exit, &format!("mutation score {percent:.2} %, expected at least {limit} %"), OutputFormat::Human);
+    Ok(exit)
 }
 
 fn write_report(report: &MutationReport, text: &str, folder: &Path) -> io::Result<()> {

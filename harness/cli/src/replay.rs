@@ -19,8 +19,8 @@ use std::path::PathBuf;
 Examples:
   platebench replay runs/tonight/traces/paper/fig13-closed-loop/000.csv --rig emulated
   platebench replay runs/tonight/traces/paper/fig13-closed-loop/000.csv --rig serial:/dev/ttyUSB0@921600
-  platebench replay telemetry.csv --columns time=t:ms,drive=V,frequency=f,wd=Wd,wq=Wq,setpoint=W \\
-      --scenario scenarios/paper/fig13-closed-loop.toml --rig hosted
+  platebench replay telemetry.csv --scenario scenarios/paper/fig13-closed-loop.toml --rig hosted \\
+      --columns time=t:ms,drive=V:Vpp,frequency=f:Hz,wd=Wd:nm,wq=Wq:nm,setpoint=W:um
 
 Columns as for identify, with setpoint (um, nm, m) besides; without that column the scenario's profile counts from the
 first row.

@@ -9,6 +9,7 @@ pub(crate) use arguments::RunArgs;
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure};
 use crate::options::SCENARIOS;
+use crate::plate_warnings::warn_of_scenarios;
 use crate::selection::{check_not_empty, nothing_to_run};
 use crate::stdio;
 use platebench_report::format::count;
@@ -58,5 +59,6 @@ fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Vec<Scenario>
     }
     check_not_empty(&found)?;
     let scenarios = play::prepare_scenarios(found.scenarios, arguments)?;
+    warn_of_scenarios(&scenarios);
     if scenarios.is_empty() { Err(nothing_to_run()) } else { Ok(scenarios) }
 }

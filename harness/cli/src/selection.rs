@@ -13,7 +13,7 @@ pub(crate) fn check_not_empty(found: &FoundScenarios) -> Result<(), Failure> {
         return Err(nothing_to_run());
     }
     for folder in &found.empty_folders {
-        stdio::error(&format!("{}: no scenario was found below this folder", folder.display()));
+        stdio::reason(Exit::NothingToRun, &format!("{}: no scenario was found below this folder", folder.display()));
     }
     if found.empty_folders.is_empty() { Ok(()) } else { Err(Exit::NothingToRun.into()) }
 }

@@ -4,12 +4,12 @@ use crate::board_args::{BoardArgs, release};
 use crate::clock::{ClockRequest, check_line_speed};
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
-use crate::options::{ClockArg, SCENARIOS, law_names, parse_number};
+use crate::options::{ClockArg, OutputFormat, SCENARIOS, law_names, parse_number};
 use crate::selection::{TagFilter, find_scenarios};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
 use clap::Args;
-use platebench_boards::{BoardOutcome, SoakConfig, SoakEnd, SoakRecord, SoakResult, soak as play};
+use platebench_boards::{BoardOutcome, SoakConfig, SoakEnd, SoakRecord, SoakResult, SoakScenario, soak as play};
 use platebench_record::Overrides;
 use platebench_report::page::{self, BlockPage, PageBlock};
 use platebench_rig::ConnectOptions;
@@ -86,6 +86,7 @@ pub(crate) fn soak(arguments: &SoakArgs) -> CommandResult {
             stdio::show(&format!("{}\n", record.table().lines().join("\n")));
             let written = write_page(&record, &arguments.out).err().map(Failure::report);
             let exit = error.map_or_else(|| exit_of(&record), |error| Failure::from(error).report());
+            stdio::verdict(exit, &reason(&record), OutputFormat::Human);
             (board, written.unwrap_or(exit))
         }
         Err(error) => {
@@ -101,15 +102,28 @@ fn exit_of(record: &SoakRecord) -> Exit {
     if record.end == Some(SoakEnd::Lost) { Exit::Unreachable } else { Exit::of_verdict(record.verdict) }
 }
 
-/// Writes the report. This is also possible while the soak still runs.
-pub(crate) fn write_page(record: &SoakRecord, folder: &Path) -> CommandResult {
-    let path = folder.join(page::FILE);
-    let state = record.end.map_or("not ended", |end| match end {
+fn reason(record: &SoakRecord) -> String {
+    let count = |of: fn(&SoakScenario) -> u64| record.scenarios.values().map(of).sum::<u64>();
+    let end = describe_end(record);
+    let [failed, inconclusive, trials] =
+        [count(|one| one.failed), count(|one| one.inconclusive), count(|one| one.trials)];
+    let safe = if record.safe_confirmed { "" } else { "; 0 V was not confirmed after each run" };
+    format!("{failed} failed and {inconclusive} inconclusive of {trials} trials in {} runs; {end}{safe}", record.runs)
+}
+
+fn describe_end(record: &SoakRecord) -> &'static str {
+    record.end.map_or("not ended", |end| match end {
         SoakEnd::Time => "ended after its time",
         SoakEnd::Cancelled => "cancelled",
         SoakEnd::Failed => "ended at the first failure",
         SoakEnd::Lost => "ended because the board was lost",
-    });
+    })
+}
+
+/// Writes the report. This is also possible while the soak still runs.
+pub(crate) fn write_page(record: &SoakRecord, folder: &Path) -> CommandResult {
+    let path = folder.join(page::FILE);
+    let state = describe_end(record);
     let intro = format!(
         "{} runs on {}, {}, from {} to {}: {state}. 0 V {} after each run.",
         record.runs,

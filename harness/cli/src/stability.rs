@@ -4,6 +4,7 @@ use crate::chart_page::write_page;
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{job_count, law_names, parse_number};
+use crate::plate_warnings::warn_of_plate;
 use crate::stdio;
 use clap::Args;
 use platebench_record::RunRecord;
@@ -57,6 +58,7 @@ pub(crate) fn stability(arguments: &StabilityArgs) -> CommandResult {
 
 fn analyse(arguments: &StabilityArgs) -> Result<String, Failure> {
     let plate = load_plate(&arguments.plate)?;
+    warn_of_plate(&arguments.plate, &plate);
     require_no_effects(&arguments.plate, &plate, "stability")?;
     let rig = match (&arguments.run, arguments.measured_delay_us) {
         (Some(run), _) => Some(delay_of_run(run)?),

@@ -65,6 +65,24 @@ pub(crate) fn error(message: &str) {
     let _ = writeln!(stderr().lock(), "error: {}", escape_commands(message));
 }
 
+/// Reports the reason of an exit code, after the verdict that the code means.
+pub(crate) fn reason(exit: Exit, message: &str) {
+    let _ = writeln!(stderr().lock(), "{}: {}", exit.word(), escape_commands(message));
+}
+
+/// Ends a text on standard output with the verdict, if there is one. Beside JSON, which has its own verdict, it is on
+/// standard error.
+pub(crate) fn verdict(exit: Exit, reason: &str, format: OutputFormat) {
+    if matches!(exit, Exit::Invalid | Exit::Signal(_)) {
+        return;
+    }
+    let line = escape_commands(&exit.verdict_line(reason));
+    match format {
+        OutputFormat::Human => show(&format!("{line}\n")),
+        OutputFormat::Json => note(&line),
+    }
+}
+
 /// Escapes control characters, and `::` at a line's start, which is a command for GitHub Actions.
 fn escape_commands(message: &str) -> String {
     let message = printable_lines(message);
@@ -106,6 +124,12 @@ pub(crate) fn show_as(format: OutputFormat, value: &impl Serialize, text: impl F
 pub(crate) fn record(record: &RunRecord, format: OutputFormat, detail: Detail) {
     let style = Style { colour: color::applies_to(&stdout()) };
     show_as(format, record, || console::run_text(record, style, detail));
+}
+
+pub(crate) fn warn_if_not_safe(record: &RunRecord) {
+    if record.safe_confirmed == Some(false) {
+        error("the controller did not confirm 0 V at the end: check the amplifier before you touch the plate");
+    }
 }
 
 pub(crate) fn record_to_stderr(record: &RunRecord, detail: Detail) {

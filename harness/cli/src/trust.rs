@@ -9,6 +9,7 @@ use clap::Args;
 use platebench_explore::Envelope;
 use platebench_explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
 use platebench_record::Verdict;
+use platebench_report::format::count;
 use platebench_rig::CancelToken;
 use platebench_trace::write_atomically;
 use platebench_trust::{TrustConfig, TrustReport, catalogue, clean_variants, format, measure};
@@ -82,8 +83,13 @@ pub(crate) fn trust(arguments: &TrustArgs) -> CommandResult {
         let explored = exploration.as_ref().map(|exploration| exploration.summary(&report));
         format::summary(&report) + &explored.unwrap_or_default()
     });
-    let blames = exploration.is_some_and(|exploration| !exploration.alarms.is_empty());
-    Ok(Exit::of_verdict(if blames { Verdict::Fail } else { report.verdict }))
+    let blames = exploration.map_or(0, |exploration| exploration.alarms.len());
+    let exit = Exit::of_verdict(if blames > 0 { Verdict::Fail } else { report.verdict });
+    let caught =
+        format!("{} of {} mutants were caught for the right reason", report.kill_rate.seen, report.kill_rate.count);
+    let alarms = format!("{}, {} in generated scenes", count(report.clean.alarms.len(), "false alarm"), blames);
+    stdio::verdict(exit, &format!("{caught}; {alarms}"), arguments.format);
+    Ok(exit)
 }
 
 fn write_report(report: &TrustReport, exploration: Option<&KillRateReport>, folder: &Path) -> io::Result<()> {

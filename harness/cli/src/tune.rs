@@ -10,15 +10,16 @@ use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::OutputFormat;
 use crate::stdio;
-use platebench_plate::Tier;
+use platebench_plate::{Plate, Tier};
 use platebench_rig::RigSpec;
-use platebench_scenario::load::{load_plate, require_no_effects};
+use platebench_scenario::load::{implausible_values, load_plate, require_no_effects};
 use platebench_study::loops::tuning::design::TuningTarget;
 use platebench_study::loops::tuning::spread::PlateSpread;
 use platebench_study::loops::tuning::verification::{VerificationStep, shortest_decimal};
 use platebench_study::loops::tuning::{DesignEvaluation, TuningResult, format, tune as design};
 use platebench_wire::{Gains, LawId};
 use serde_json::json;
+use std::path::Path;
 use verify::{RigVerification, VerificationConfig, verify_on_rig};
 use write::write_gains;
 
@@ -32,11 +33,17 @@ pub(crate) fn tune(arguments: &TuneArgs) -> CommandResult {
     let target = arguments.target(&plate).or_invalid()?;
     send.map(RigSpec::check).transpose().or_invalid()?;
     let spread = arguments.spread(path, &plate)?;
+    refuse_implausible(path, &plate, arguments.force)?;
     let tuning = design(&target, arguments.discretisation(), &spread).or_invalid()?;
     if arguments.format == OutputFormat::Human {
         stdio::show(&format::format_tuning(&target, &spread, &tuning));
     }
-    let (mut exit, mut verification) = (if tuning.met { Exit::Passed } else { Exit::Failed }, None);
+    let (mut exit, mut reason) = if tuning.met {
+        (Exit::Passed, "the target is met".to_owned())
+    } else {
+        (Exit::Failed, format!("the target cannot be met: {}", format::infeasibility_reason(&target, &tuning)))
+    };
+    let mut verification = None;
     if let Some(chosen) = &tuning.chosen {
         let gains = chosen.design.firmware_gains(target.period());
         if let Some(scenario) = &arguments.write {
@@ -52,19 +59,41 @@ pub(crate) fn tune(arguments: &TuneArgs) -> CommandResult {
                 step: VerificationStep { target: &target, law: arguments.law(), gains, real_time: false },
                 out: arguments.out.as_deref(),
             };
-            (exit, verification) = match verify_on_rig(rig, &config) {
-                Ok(done) => (done.exit, Some(done)),
-                Err(failure) => (failure.report(), None),
-            };
+            match verify_on_rig(rig, &config) {
+                Ok(done) => {
+                    (exit, reason) = (done.exit, done.reason.clone());
+                    verification = Some(done);
+                }
+                Err(failure) => {
+                    (exit, reason) = (failure.report(), "the gains were not verified on the rig".to_owned());
+                }
+            }
         }
     } else if arguments.write.is_some() || send.is_some() {
         stdio::note("the target is not met: nothing was written or sent");
     }
     match arguments.format {
         OutputFormat::Human => verification.iter().for_each(|done| stdio::show(&comparison_table(&tuning, done))),
-        OutputFormat::Json => show_json(&target, &spread, arguments.law(), &tuning, verification.as_ref()),
+        OutputFormat::Json => {
+            let verdict = (exit, reason.as_str());
+            show_json(&target, &spread, arguments.law(), &tuning, verification.as_ref(), verdict);
+        }
     }
+    stdio::verdict(exit, &reason, arguments.format);
     Ok(exit)
+}
+
+/// Gains for a plate that cannot exist fail on the real plate, so `force` must ask for them.
+fn refuse_implausible(path: &Path, plate: &Plate, force: bool) -> Result<(), Failure> {
+    let mut faults = implausible_values(path, plate)?;
+    if force {
+        faults.iter().for_each(|fault| stdio::note(&format!("warning: {fault}")));
+        return Ok(());
+    }
+    for fault in &mut faults {
+        fault.message += "; --force designs for it nevertheless";
+    }
+    if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
 }
 
 fn comparison_table(tuning: &TuningResult, measured: &RigVerification) -> String {
@@ -93,6 +122,7 @@ fn show_json(
     law: LawId,
     tuning: &TuningResult,
     verification: Option<&RigVerification>,
+    (exit, reason): (Exit, &str),
 ) {
     let gains = |evaluation: &DesignEvaluation| {
         let Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki } =
@@ -103,6 +133,8 @@ fn show_json(
         })
     };
     stdio::show_json(&json!({
+        "verdict": exit.word(),
+        "reason": reason,
         "plate": target.plate.name,
         "law": law.name(),
         "model": Tier::Modal.name(),

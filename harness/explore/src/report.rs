@@ -130,6 +130,21 @@ impl ExploreReport {
         }
     }
 
+    /// Reason of the verdict.
+    pub fn reason(&self) -> String {
+        let Self { scenes, failed, undecided, failed_regressions, is_interrupted, .. } = self;
+        match self.verdict {
+            Verdict::Fail if failed_regressions.is_empty() => format!("{failed} of {scenes} scenes violate a property"),
+            Verdict::Fail => format!(
+                "{failed} of {scenes} scenes and {} scenarios of earlier explorations violate a property",
+                failed_regressions.len()
+            ),
+            Verdict::Inconclusive if *is_interrupted => "a signal ended the exploration".to_owned(),
+            Verdict::Inconclusive => format!("{undecided} of {scenes} scenes are undecided, because of the rig"),
+            Verdict::Pass => format!("no property was violated in {scenes} scenes"),
+        }
+    }
+
     pub fn conclusion(&self) -> String {
         let Self { failed, scenes, .. } = self;
         let interrupted = if self.is_interrupted { " A signal ended the exploration." } else { "" };

@@ -1,7 +1,7 @@
 //! Checks exit codes and the messages that explain them.
 
 use crate::test_folder::{
-    ChildGuard, FAILED_SETTLING, ProgramOutput, SETTLING, TestFolder, bench_command, run_bench, start_bench,
+    ChildGuard, FAILED_SETTLING, PLATE, ProgramOutput, SETTLING, TestFolder, bench_command, run_bench, start_bench,
     step_scenario, step_text, wait_until, workspace_root,
 };
 use rstest::rstest;
@@ -9,6 +9,7 @@ use serde_json::Value;
 use std::fs;
 use std::process::{Command, Stdio};
 
+const COLUMNS: &str = "time=t:s,drive=V:V,frequency=f:Hz,wd=d:um,wq=q:um";
 const UNDECIDED: &str = "metric = \"repeatability_percent\"\nat_most = 1.0";
 
 #[rstest]
@@ -40,12 +41,32 @@ fn a_failure_outweighs_an_inconclusive_verdict() {
 #[case::tune(&["tune", "--plate", "pipe.toml"])]
 #[case::firmware(&["run", "good.toml", "--rig", "emulated:pipe.toml"])]
 #[case::plan(&["accept", "--rig", "hosted", "--plan", "pipe.toml"])]
+#[case::public_key(&["accept", "verify", "folder", "--key", "pipe.toml"])]
+#[case::secret_key(&["accept", "--rig", "hosted", "--plan", "plan.toml", "--out", "a", "--sign", "pipe.toml"])]
+#[case::telemetry(&["identify", "pipe.toml", "--columns", COLUMNS])]
+#[case::trace(&["identify", "pipe.toml"])]
+#[case::replayed_telemetry(&["replay", "pipe.toml", "--columns", COLUMNS, "--scenario", "good.toml"])]
+#[case::replayed_trace(&["replay", "pipe.toml", "--scenario", "good.toml"])]
+#[case::analysed_firmware(&["coverage", "good.toml", "--rig", "emulated:pipe.toml"])]
+#[case::replayed_firmware(&["replay", "run/traces/s/000.csv", "--rig", "emulated:pipe.toml"])]
+#[case::envelope(&["explore", "pipe.toml", "--rig", "hosted", "--scenes", "1"])]
+#[case::campaign(&["campaign", "run", "pipe.toml", "--out", "c"])]
+#[case::boards(&["boards", "--boards", "pipe.toml"])]
+#[case::fmu_library(&["export-fmu", PLATE, "--out", "p.fmu", "--library", "pipe.toml"])]
 fn a_pipe_as_input_is_rejected_without_waiting(#[case] arguments: &[&str]) {
     let folder = TestFolder::new();
-    let good = step_text(SETTLING).replace("plates/", "scenarios/plates/");
+    let expect = format!("{SETTLING}\nrequirement = \"R-1\"");
+    let good = step_text(&expect).replace("plates/", "scenarios/plates/");
     folder.write("good.toml", &good);
     folder.write("plate.toml", &good.replace("scenarios/plates/aluminium-198x138.toml", "pipe.toml"));
     folder.write("profile.toml", &good.replace("setpoint_um = 2.0", "setpoint_um = { csv = \"pipe.toml\" }"));
+    folder.write(
+        "plan.toml",
+        "title = \"a\"\nrepetitions = 1\n[[requirement]]\nid = \"R-1\"\ntext = \"It settles.\"\n\
+         [[scenario]]\nfile = \"good.toml\"\n",
+    );
+    folder.write_scenario("s.toml", &step_text(SETTLING));
+    folder.run_hosted("run");
     fs::create_dir(folder.join("folder")).unwrap();
     for pipe in ["pipe.toml", "folder/pipe.toml"] {
         assert!(Command::new("mkfifo").arg(folder.join(pipe)).status().unwrap().success());
@@ -218,4 +239,37 @@ fn the_default_run_needs_only_the_repository() {
         run_bench(&workspace_root(), ["run", "--trials", "2", "--out", "target/tests/default-run", "--shard", "1/40"]);
     let _ = fs::remove_dir_all(workspace_root().join("target/tests/default-run"));
     output.assert_exit(0);
+}
+
+#[rstest]
+#[case::unmet_target(&["tune", "--plate", PLATE, "--samples", "0", "--response-ms", "0.5"], 1, "✗ fail: the target cannot")]
+#[case::no_baseline(&["baseline", "diff", "run"], 3, "? inconclusive: of 1 scenario, 0 agree")]
+#[case::no_scenario(&["run", "empty"], 4, "inconclusive (nothing to run): ")]
+#[case::empty_folder(&["run", "scenarios", "empty"], 4, "inconclusive (nothing to run): ")]
+#[case::no_recording(&["identify", "empty"], 4, "inconclusive (nothing to run): ")]
+#[case::absent_rig(&["run", "--rig", "exec:false {port}", "--out", "a"], 5, "inconclusive (rig): ")]
+#[case::tuned_for_an_absent_rig(
+    &["tune", "--plate", PLATE, "--samples", "0", "--send", "exec:false {port}", "--out", "a"],
+    5,
+    "? inconclusive (rig): the gains were not verified"
+)]
+#[case::coverage(
+    &["coverage", "scenarios/s.toml", "--at-least", "100"],
+    1,
+    "✗ fail: lines executed "
+)]
+#[case::unplayed_campaign(&["campaign", "status", "c"], 3, "? inconclusive: 2 of 2 shards are missing")]
+fn every_exit_code_but_0_and_2_has_a_verdict_and_a_reason(
+    #[case] arguments: &[&str],
+    #[case] expected: i32,
+    #[case] verdict: &str,
+) {
+    let folder = TestFolder::with_step(SETTLING);
+    fs::create_dir(folder.join("empty")).unwrap();
+    folder.run_hosted("run");
+    let campaign = "title = \"c\"\nscenario = \"scenarios/s.toml\"\n[vary]\n\"controller.loop_delay_ms\" = \
+                    { uniform = [0.0, 0.1] }\n[plan]\nmethod = \"random\"\ntrials = 4\nseed = 1\n";
+    folder.write("c.toml", campaign);
+    folder.bench(["campaign", "plan", "c.toml", "--out", "c", "--shards", "2", "--rig", "hosted"]).assert_exit(0);
+    folder.bench(arguments).assert_exit(expected).assert_output(&[verdict]);
 }

@@ -127,13 +127,15 @@ fn replays_a_table_of_telemetry() {
         let arguments = ["replay", "telemetry.csv", "--columns", columns, "--scenario", "s.toml", "--format", "json"];
         folder.bench(arguments)
     };
-    let columns = "time=ms:ms,drive=V:V,frequency=f,wd=d,wq=q";
+    let columns = "time=ms:ms,drive=V:V,frequency=f:Hz,wd=d:um,wq=q:um";
     for columns in [columns.to_owned(), format!("{columns},setpoint=W:um")] {
         let result = replay(&columns).assert_exit(0).json();
         assert_eq!((&result["compared"], &result["verdict"]), (&60.into(), &"pass".into()), "{result}");
         assert!(result["differences"][1]["largest"].as_f64().unwrap() < 1e-3, "{result}");
     }
-    replay("time=ms:us,drive=V:V,frequency=f,wd=d,wq=q").assert_exit(2).assert_stderr(&["expected the period"]);
-    replay("time=ms:ms,drive=V:V,frequency=f,wd=d,wq=q,setpoint=X").assert_exit(2).assert_stderr(&["no column `X`"]);
+    replay("time=ms:us,drive=V:V,frequency=f:Hz,wd=d:um,wq=q:um")
+        .assert_exit(2)
+        .assert_stderr(&["expected the period"]);
+    replay(&format!("{columns},setpoint=X:um")).assert_exit(2).assert_stderr(&["no column `X`"]);
     assert!(folder.join(PLATE).is_file());
 }

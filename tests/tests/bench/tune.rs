@@ -1,7 +1,7 @@
 //! Tests `platebench tune`: predictions against the firmware, and gains written into scenarios.
 
 use crate::test_folder::{
-    PLATE, ProgramOutput, SETTLING, TestFolder, controller_rig, step_scenario, step_text, workspace_root,
+    PLATE, ProgramOutput, SETTLING, TestFolder, bench_command, controller_rig, step_scenario, step_text, workspace_root,
 };
 use rstest::rstest;
 use serde_json::Value;
@@ -338,4 +338,31 @@ fn a_too_large_plate_uncertainty_is_rejected() {
 
 fn append_uncertainty(folder: &TestFolder, keys: &str) {
     folder.write(PLATE, &format!("{}\n[uncertainty]\n{keys}", folder.read(PLATE)));
+}
+
+#[test]
+fn a_plate_without_a_finger_has_no_prediction_with_one() {
+    let folder = TestFolder::new();
+    let text = folder.read(PLATE);
+    let start = text.find("[finger]").unwrap();
+    let end = start + text[start..].find("[drive]").unwrap();
+    folder.write(PLATE, &format!("{}{}", &text[..start], &text[end..]));
+    run_tune(&folder, &[])
+        .assert_exit(0)
+        .assert_stdout(&["the plate file has no [finger]", "verdict: ✓ pass: the target is met"])
+        .assert_output_without("finger of 2 N");
+    run_tune(&folder, &["--force-n", "2"])
+        .assert_exit(2)
+        .assert_stderr(&["--force-n 2: the plate file has no [finger]"]);
+}
+
+#[test]
+fn a_plate_from_standard_input_is_tuned_and_sent() {
+    let folder = TestFolder::new();
+    let mut bench = bench_command(folder.path());
+    bench.args(["tune", "--plate", "-", "--samples", "0", "--send", "hosted", "--out", "run"]);
+    bench.stdin(fs::File::open(folder.join(PLATE)).unwrap());
+    ProgramOutput::from(bench.output().unwrap())
+        .assert_exit(0)
+        .assert_stdout(&["accepted the gains", "verdict: ✓ pass: "]);
 }

@@ -181,7 +181,7 @@ fn write_reports(
         stdio::note(&format!("run folder: {}", folder.path().display()));
         stdio::note(&format!("report: {}", page.display()));
     }
-    warn_if_not_safe(record);
+    stdio::warn_if_not_safe(record);
     written.or_invalid()?;
     Ok(Exit::of_record(record))
 }
@@ -194,13 +194,7 @@ fn report_run_error(error: RunError, folder: &RunFolder) -> Exit {
     stdio::note(&format!("run folder: {}", folder.path().display()));
     if let Ok(record) = RunRecord::read(folder.path()) {
         stdio::note(&format!("`platebench report {}` shows the complete trials", folder.path().display()));
-        warn_if_not_safe(&record);
+        stdio::warn_if_not_safe(&record);
     }
     exit
-}
-
-fn warn_if_not_safe(record: &RunRecord) {
-    if record.safe_confirmed == Some(false) {
-        stdio::error("the controller did not confirm 0 V at the end: check the amplifier before you touch the plate");
-    }
 }

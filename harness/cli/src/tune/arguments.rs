@@ -33,6 +33,7 @@ Examples:
   platebench tune --plate plate.toml --response-ms 4 --delay-ms 0.52  over a serial line
   platebench tune --plate plate.toml --write my-scenario.toml         write the gains into [controller.gains]
   platebench tune --plate plate.toml --send serial:/dev/ttyACM0       send the gains to a board and play one step
+  platebench tune --plate - < plate.toml                              the plate from standard input
 
 Exit codes: 0 the target is met, 1 it cannot be met or the rig does not meet it, 2 wrong usage or invalid input,
 3 the rig's step is inconclusive, 5 the rig could not be reached")]
@@ -85,6 +86,10 @@ pub(crate) struct TuneArgs {
     pub(super) send: Option<RigSpec>,
     #[command(flatten)]
     pub(super) board: BoardArgs,
+    /// Design gains although the plate file has values that no such plate has, such as a gain in the
+    /// wrong unit
+    #[arg(long)]
+    pub(super) force: bool,
     /// The run folder of that step; default: a new folder below runs/
     #[arg(long, value_name = "FOLDER", requires = "target_rig")]
     pub(super) out: Option<PathBuf>,
@@ -144,6 +149,12 @@ impl TuneArgs {
     }
 
     pub(super) fn target<'a>(&self, plate: &'a Plate) -> Result<TuningTarget<'a>, String> {
+        if self.force_n > 0.0 && !plate.depends_on_force() {
+            return Err(format!(
+                "--force-n {}: the plate file has no [finger], expected its damping_ratio there, or 0 N",
+                self.force_n
+            ));
+        }
         let target = TuningTarget {
             plate,
             force_n: self.force_n,

@@ -10,6 +10,7 @@ use crate::run_plan::{EventSinks, run_plan};
 use crate::stdio;
 use platebench_boards::BoardOutcome;
 use platebench_record::{Overrides, RunFolder, TrialRecord};
+use platebench_report::console;
 use platebench_rig::{ConnectOptions, RigSpec, Session, check_baud};
 use platebench_runner::{Clock, LiveTap, Pacing, RunError, RunPlan, TimeBase, configure};
 use platebench_scenario::Scenario;
@@ -34,6 +35,8 @@ pub(super) struct RigVerification {
     pub(super) overshoot_percent: Option<f64>,
     pub(super) peak_drive_vpp: Option<f64>,
     pub(super) exit: Exit,
+    /// Reason of the exit code.
+    pub(super) reason: String,
 }
 
 pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> Result<RigVerification, Failure> {
@@ -95,6 +98,7 @@ fn play_step(
         overshoot_percent: metric("overshoot_percent"),
         peak_drive_vpp: metric("drive_peak_vpp"),
         exit: Exit::of_record(&record),
+        reason: console::verdict_reason(&record),
     })
 }
 

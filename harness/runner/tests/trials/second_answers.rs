@@ -56,9 +56,10 @@ fn doubled_answers_fail_as_second_replies() {
 
 #[test]
 fn a_doubled_confirmation_of_0_v_fails_as_a_second_reply() {
-    let is_safe =
-        |packet: &Packet| matches!(packet.message, Message::Command(Command { state: ControllerState::Safe, .. }));
-    let record = run_with(|packet| is_safe(packet).then_some(*packet));
+    let record = run_with(|packet| {
+        let is_safe = matches!(packet.message, Message::Command(Command { state: ControllerState::Safe, .. }));
+        is_safe.then_some(*packet)
+    });
     assert_eq!((record.verdict, violations(&record)), (Verdict::Fail, vec![ViolationKind::SecondReply]));
 }
 
