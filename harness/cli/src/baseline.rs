@@ -115,7 +115,9 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
         }
     }
     let exit = if invalid { Exit::Invalid } else { Exit::of_verdict(Verdict::combine(verdicts.iter().copied())) };
-    stdio::verdict(exit, &reason(&verdicts), OutputFormat::Human);
+    if exit != Exit::Passed {
+        stdio::verdict(exit, &reason(&verdicts), OutputFormat::Human);
+    }
     Ok(exit)
 }
 
