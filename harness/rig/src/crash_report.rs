@@ -3,7 +3,10 @@
 
 mod backtrace;
 
-pub(crate) use backtrace::{MAX_STACK_WORDS, StackReader, StoppedAt, callers, exception_frame};
+pub(crate) use backtrace::{
+    CallChain, MAX_STACK_WORDS, StackReader, StoppedAt, call_chain, calls_before_overflow, calls_before_panic,
+    exception_frame,
+};
 
 use crate::symbols::CodeLocation;
 use std::fmt;
@@ -89,8 +92,12 @@ pub struct CrashReport {
     pub status: FaultStatus,
     /// The failed instruction, or the innermost known call.
     pub place: Option<CodeLocation>,
-    /// Innermost first, as found on the stack.
+    /// Innermost first, by the call frame information of the image. Ends at the first function
+    /// without it.
     pub callers: Vec<CodeLocation>,
+    /// The call before the return address in the link register, if no caller is known. It has
+    /// returned if the function at `place` has called another one.
+    pub link: Option<CodeLocation>,
     /// The peripheral or memory at the failed address.
     pub address_owner: Option<&'static str>,
     pub sp: u32,
@@ -119,6 +126,9 @@ impl fmt::Display for CrashReport {
         }
         for (index, call) in self.callers.iter().enumerate() {
             write!(formatter, "{}{call}", if index == 0 { "; called from " } else { ", from " })?;
+        }
+        if let Some(link) = &self.link {
+            write!(formatter, "; callers unknown, the link register has the return address of the call at {link}")?;
         }
         write!(formatter, "; cfsr {:#010x}, hfsr {:#010x}", self.status.cfsr, self.status.hfsr)?;
         self.at_us.map_or(Ok(()), |at_us| write!(formatter, ", {at_us} µs after power-on"))?;

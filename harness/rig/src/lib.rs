@@ -11,6 +11,7 @@ compile_error!("the bench needs Linux: pseudo-terminals, signals and real-time s
 
 pub mod baud;
 mod built_in_image;
+mod call_frames;
 pub mod cancel;
 pub mod chip_fault;
 mod command_audit;

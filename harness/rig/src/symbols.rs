@@ -1,5 +1,6 @@
 //! Finds the function and the source line of an address in a firmware image.
 
+use crate::call_frames::CallFrames;
 use addr2line::Context;
 use gimli::{Dwarf, EndianArcSlice, RunTimeEndian, SectionId};
 use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
@@ -57,6 +58,7 @@ pub struct Symbols {
     functions: Vec<Function>,
     all: Vec<(String, u64)>,
     lines: Option<Context<DebugSlice>>,
+    call_frames: CallFrames,
 }
 
 impl Symbols {
@@ -73,6 +75,7 @@ impl Symbols {
             functions: functions(&named),
             all: named.into_iter().map(|(name, symbol)| (name, symbol.address())).collect(),
             lines: Dwarf::load(load).and_then(Context::from_dwarf).ok(),
+            call_frames: CallFrames::new(section(file, SectionId::DebugFrame)),
         }
     }
 
@@ -100,6 +103,10 @@ impl Symbols {
             .iter()
             .find(|function| function.name.ends_with("rust_begin_unwind"))
             .map(|function| function.address)
+    }
+
+    pub(crate) fn call_frames(&self) -> &CallFrames {
+        &self.call_frames
     }
 
     pub(crate) fn is_code(&self, address: u64) -> bool {

@@ -4,9 +4,10 @@ use super::board::EmulatedBoard;
 use super::bus::SystemBus;
 use super::image::{FLASH_START, Image};
 use super::memory::Memory;
+use crate::call_frames::FrameRegisters;
 use crate::crash_report::{
-    CrashReport, FaultStatus, MAX_STACK_WORDS, StackReader, StoppedAt, callers, exception_frame, fault_handler,
-    fault_handlers,
+    CallChain, CrashReport, FaultStatus, MAX_STACK_WORDS, StackReader, StoppedAt, call_chain, calls_before_overflow,
+    calls_before_panic, exception_frame, fault_handler, fault_handlers,
 };
 use crate::symbols::Symbols;
 use crate::target_error::UnsupportedAccess;
@@ -16,9 +17,11 @@ use rigless::session::Session;
 use rigless::soc::Width;
 use std::convert::Infallible;
 
+const R4: usize = 4;
 const SP: usize = 13;
 const LR: usize = 14;
 const XPSR: usize = 16;
+const PSP: usize = 35;
 
 #[derive(Debug)]
 pub(super) struct FaultHandlers {
@@ -63,26 +66,33 @@ impl FaultHandlers {
         let now = bus.time_at(core.retired());
         let read = |address| Ok(core.debugger_access(None, address, Width::W32, now).unwrap_or(0) as u32);
         let Ok(status) = FaultStatus::read::<Infallible>(read);
-        let (lr, sp, symbols) = (register(core, LR), register(core, SP), Symbols::read(&image.elf));
+        let symbols = Symbols::read(&image.elf);
+        let (lr, sp) = (register(core, LR), register(core, SP));
+        // At its first instruction, the handler has changed none of these registers.
+        let saved = std::array::from_fn(|index| Some(register(core, R4 + index)));
+        let at_entry = FrameRegisters { sp, lr: Some(lr), saved };
         let mut stack = EmulatedStack { memory: &bus.memory, top: image.initial_stack };
-        let frame = if is_panic || status.is_stacking_failure() {
-            None
-        } else {
-            // Assumes that the firmware does not use the process stack: `sp` also stands for PSP.
-            exception_frame(&mut stack, StoppedAt::Entry, [lr, sp, sp])
-        };
-        let lr = if is_panic { Some(lr) } else { frame.map(|frame| frame.lr) };
-        let mut place = frame.map(|frame| symbols.locate(frame.pc));
-        let mut callers = callers(&mut stack, &symbols, lr, frame.map_or(sp, |frame| frame.end), is_panic);
-        if place.is_none() && !callers.is_empty() {
-            place = Some(callers.remove(0));
+        let mut chain = CallChain::default();
+        let mut place = None;
+        if is_panic {
+            chain.callers = calls_before_panic(&mut stack, &symbols, core.pc() as u32, at_entry);
+        } else if status.is_stacking_failure() {
+            chain.callers = calls_before_overflow(&mut stack, &symbols, at_entry);
+        } else if let Some(frame) = exception_frame(&mut stack, StoppedAt::Entry, [lr, sp, register(core, PSP)]) {
+            place = Some(symbols.locate(frame.pc));
+            let interrupted = FrameRegisters { sp: frame.end, lr: Some(frame.lr), saved };
+            chain = call_chain(&mut stack, &symbols, frame.pc, interrupted);
+        }
+        if place.is_none() && !chain.callers.is_empty() {
+            place = Some(chain.callers.remove(0));
         }
         let owner = |address| session.board().part.instance_at(u64::from(address)).unwrap_or("nothing answers there");
         Some(CrashReport {
             exception,
             status,
             place,
-            callers,
+            callers: chain.callers,
+            link: chain.link,
             address_owner: status.address.map(owner),
             sp,
             at_us: Some(now.0 / 1_000),

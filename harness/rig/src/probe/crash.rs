@@ -4,8 +4,9 @@
 
 use super::error::ProbeError;
 use super::image::Image;
+use crate::call_frames::FrameRegisters;
 use crate::crash_report::{
-    CrashReport, FaultStatus, ICSR, StackReader, StoppedAt, callers, exception_frame, fault_handler,
+    CallChain, CrashReport, FaultStatus, ICSR, StackReader, StoppedAt, call_chain, exception_frame, fault_handler,
 };
 use probe_rs::{Core, MemoryInterface, RegisterId};
 use std::time::Duration;
@@ -32,13 +33,17 @@ pub(super) fn read_crash(core: &mut Core<'_>, image: &Image) -> Result<Option<Cr
     let symbols = image.symbols();
     let mut stack = ProbeStack { core, image };
     let frame = exception_frame(&mut stack, StoppedAt::Body, [lr, sp, psp]);
-    let from = frame.map_or((pc, lr, sp), |frame| (frame.pc, frame.lr, frame.end));
-    let callers = callers(&mut stack, &symbols, Some(from.1), from.2, false);
+    // The handler may have changed r4 to r11, so the chain ends at a function whose frame they give.
+    let chain = frame.map_or_else(CallChain::default, |frame| {
+        let registers = FrameRegisters { sp: frame.end, lr: Some(frame.lr), saved: [None; 8] };
+        call_chain(&mut stack, &symbols, frame.pc, registers)
+    });
     let crash = CrashReport {
         exception,
         status,
-        place: Some(symbols.locate(from.0 & !1)),
-        callers,
+        place: Some(symbols.locate(frame.map_or(pc, |frame| frame.pc) & !1)),
+        callers: chain.callers,
+        link: chain.link,
         address_owner: None,
         sp,
         at_us: None,
@@ -47,7 +52,7 @@ pub(super) fn read_crash(core: &mut Core<'_>, image: &Image) -> Result<Option<Cr
     if active_handler(core)? == Some(exception) {
         return Ok(Some(crash));
     }
-    Ok(Some(CrashReport { place: None, callers: Vec::new(), watchdog_reset: true, ..crash }))
+    Ok(Some(CrashReport { place: None, callers: Vec::new(), link: None, watchdog_reset: true, ..crash }))
 }
 
 fn active_handler(core: &mut Core<'_>) -> Result<Option<&'static str>, ProbeError> {

@@ -2,7 +2,7 @@
 
 use super::{CONFIGURE, PERIOD, image, sample};
 use platebench_rig::emulated::EmulatedOptions;
-use platebench_rig::{EmulatedLink, LinkError, RigError, Session, TargetError};
+use platebench_rig::{EmulatedLink, LinkError, RigError, Session, Symbols, TargetError};
 use platebench_wire::FaultReport;
 use rstest::rstest;
 use std::time::{Duration, Instant};
@@ -43,7 +43,7 @@ fn planted_fault(number: u8) -> platebench_wire::Sample {
     "planted_faults.rs:",
 ])]
 #[case::jump_into_nothing(8, &[
-    "instruction bus error, at 0x30000000", "called from", "planted_faults::jump_into_nothing",
+    "instruction bus error, at 0x30000000", "; called from", "planted_faults::jump_into_nothing",
 ])]
 #[case::unmodelled_peripheral(9, &[
     "does not support this access", "TIM6.ARR written, address 0x4000102c", "planted_faults::unmodelled_peripheral",
@@ -72,6 +72,71 @@ fn reports_a_planted_fault(#[case] number: u8, #[case] expected: &[&str]) {
     assert_eq!(again, error);
     session.start_trial(&CONFIGURE).unwrap();
     assert!(session.send_sample(Duration::ZERO, &sample(2.0, 0.0)).unwrap().is_some());
+}
+
+/// Callers of a fault, without addresses and lines.
+fn callers(error: RigError) -> Vec<String> {
+    let RigError::Link(LinkError::Target(target)) = error else { panic!("{error:?}") };
+    let TargetError::Trap(crash) = *target else { panic!("{target:?}") };
+    assert_eq!(crash.link, None, "{crash}");
+    crash.callers.into_iter().map(|call| call.symbol.unwrap()).collect()
+}
+
+/// The expected calls follow from the disassembly: the planted faults are called in the main loop,
+/// whose function is `__cortex_m_rt_main`.
+#[rstest]
+#[case::leaf(2, &[])]
+#[case::with_a_frame(7, &[])]
+#[case::panic(6, &[])]
+#[case::jump_into_nothing(8, &["platebench_stm32f4::planted_faults::jump_into_nothing"])]
+fn lists_the_callers_of_a_planted_fault(#[case] number: u8, #[case] inner: &[&str]) {
+    let error = session(EmulatedOptions::default()).send_sample(PERIOD, &planted_fault(number)).unwrap_err();
+    let callers = callers(error);
+    let (found_inner, outer) = callers.split_at(inner.len());
+    assert_eq!(found_inner, inner);
+    let [main_loop, main, reset] = outer else { panic!("{callers:?}") };
+    assert!(main_loop.ends_with("inlined into platebench_stm32f4::__cortex_m_rt_main"), "{callers:?}");
+    assert_eq!((&**main, &**reset), ("main", "Reset"));
+}
+
+/// `Exponentials::of` is called by `EnvelopeModel::identify`, and this by the main loop. Earlier calls
+/// of the configuration and of the steps have left return addresses on the stack.
+#[test]
+fn omits_callers_that_have_returned() {
+    const UNDEFINED: [u8; 2] = 0xde00_u16.to_le_bytes();
+    const TRAP_IN: &str = "platebench_controller::envelope::Exponentials::of";
+    let elf = image("platebench-stm32f4.elf");
+    let symbols = Symbols::read(&elf);
+    let function = symbols.functions().iter().find(|function| function.name == TRAP_IN).unwrap();
+    let mut session = Session::open(EmulatedLink::new(&elf, EmulatedOptions::default()).unwrap()).unwrap();
+    session.start_trial(&CONFIGURE).unwrap();
+    session.send_sample(Duration::ZERO, &sample(2.0, 0.0)).unwrap().unwrap();
+    assert!(session.link_mut().patch(function.address as u32, &UNDEFINED));
+    let steps = (1..100_u8).map(|step| (u32::from(step), sample(2.0, f32::from(step) / 50.0)));
+    let error = steps.map(|(step, sample)| session.send_sample(step * PERIOD, &sample)).find_map(Result::err).unwrap();
+    let callers = callers(error);
+    let [identify, main_loop, main, reset] = &callers[..] else { panic!("{callers:?}") };
+    assert!(identify.ends_with("platebench_controller::envelope::EnvelopeModel::identify"), "{callers:?}");
+    assert!(main_loop.ends_with("inlined into platebench_stm32f4::__cortex_m_rt_main"), "{callers:?}");
+    assert_eq!((&**main, &**reset), ("main", "Reset"));
+}
+
+/// Without `.debug_frame`, nothing shows which words on the stack are return addresses.
+#[test]
+fn names_only_the_link_register_without_call_frame_information() {
+    let mut elf = image("planted-faults.elf");
+    let name = b".debug_frame";
+    let at = elf.windows(name.len()).position(|part| part == name).unwrap();
+    elf[at + 1] = b'X';
+    let mut session = Session::open(EmulatedLink::new(&elf, EmulatedOptions::default()).unwrap()).unwrap();
+    session.start_trial(&CONFIGURE).unwrap();
+    let message = session.send_sample(Duration::ZERO, &planted_fault(2)).unwrap_err().to_string();
+    assert!(message.contains("planted_faults::division_by_zero"), "{message}");
+    assert!(
+        message.contains("; callers unknown, the link register has the return address of the call at"),
+        "{message}"
+    );
+    assert!(!message.contains("called from"), "{message}");
 }
 
 fn fault_report<T: std::fmt::Debug>(result: Result<T, RigError>) -> FaultReport {

@@ -1,4 +1,5 @@
-//! Builds firmware images: an ELF with three functions and optionally an RTT control block.
+//! Builds firmware images: an ELF with three functions, call frame information of one of them, and
+//! optionally an RTT control block.
 
 pub(crate) const FLASH: u32 = 0x0800_0000;
 pub(crate) const RTT: u32 = 0x2000_0400;
@@ -85,21 +86,23 @@ fn assemble(spec: &ImageSpec, code: &[u8]) -> Vec<u8> {
     if spec.rtt {
         symbol("_SEGGER_RTT", RTT, 120, 1, 2);
     }
-    let titles = b"\0.text\0.bss\0.symtab\0.strtab\0.shstrtab\0";
+    let titles = b"\0.text\0.bss\0.symtab\0.strtab\0.shstrtab\0.debug_frame\0";
+    let frames = call_frames();
     let title = |name: &str| titles.windows(name.len()).position(|part| part == name.as_bytes()).unwrap() as u32;
     let at_code = HEADERS;
     let at_symbols = at_code + code.len() as u32;
     let at_names = at_symbols + symbols.len() as u32;
     let at_titles = at_names + names.len() as u32;
-    let at_sections = (at_titles + titles.len() as u32).next_multiple_of(4);
+    let at_frames = at_titles + titles.len() as u32;
+    let at_sections = (at_frames + frames.len() as u32).next_multiple_of(4);
     let length = |bytes: &[u8]| bytes.len() as u32;
 
     let mut elf = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();
     push_half_words(&mut elf, &[2, spec.machine]);
     push_words(&mut elf, &[1, MAIN_LOOP | 1, 52, at_sections, 0x0500_0000]);
-    push_half_words(&mut elf, &[52, 32, 1, 40, 6, 5]);
+    push_half_words(&mut elf, &[52, 32, 1, 40, 7, 5]);
     push_words(&mut elf, &[1, at_code, spec.address, spec.address, length(code), length(code), 5, 4]);
-    for part in [code, &symbols, &names, titles] {
+    for part in [code, &symbols, &names, titles, &frames] {
         elf.extend_from_slice(part);
     }
     elf.resize(at_sections as usize, 0);
@@ -109,7 +112,21 @@ fn assemble(spec: &ImageSpec, code: &[u8]) -> Vec<u8> {
     push_words(&mut elf, &[title(".symtab"), 2, 0, 0, at_symbols, length(&symbols), 4, 1, 4, 16]);
     push_words(&mut elf, &[title(".strtab"), 3, 0, 0, at_names, length(&names), 0, 0, 1, 0]);
     push_words(&mut elf, &[title(".shstrtab"), 3, 0, 0, at_titles, length(titles), 0, 0, 1, 0]);
+    push_words(&mut elf, &[title(".debug_frame"), 1, 0, 0, at_frames, length(&frames), 0, 0, 1, 0]);
     elf
+}
+
+/// `control_step` has a frame of 16 bytes, whose last word is the return address.
+fn call_frames() -> Vec<u8> {
+    let mut frames = Vec::new();
+    // Common information: version 4, addresses of 4 bytes, data alignment -4, return address in r14,
+    // and at the function's start the frame address in r13.
+    push_words(&mut frames, &[16, u32::MAX]);
+    frames.extend_from_slice(&[4, 0, 4, 0, 1, 0x7c, 14, 0x0c, 13, 0, 0, 0]);
+    // The frame address is r13 + 16; r14 is stored at the frame address - 4.
+    push_words(&mut frames, &[16, 0, CONTROL_STEP, FUNCTION_BYTES]);
+    frames.extend_from_slice(&[0x0e, 16, 0x8e, 1]);
+    frames
 }
 
 fn push_words(to: &mut Vec<u8>, values: &[u32]) {
