@@ -37,6 +37,9 @@ impl Reference {
             return Ok(one(GoldenTubes::from_rows(&read_trace(reference)?)));
         }
         let mut others = read_trials(reference)?;
+        for other in &mut others {
+            other.trials.retain(StoredTrial::is_complete);
+        }
         if is_run_folder(subject) {
             let other = others.into_iter().find(|other| other.name == scenario.name);
             return Ok(other.map_or(Self::Nothing, |other| Self::PerTrial(other.trials)));
@@ -82,7 +85,7 @@ fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> 
     let mut reasons = scenario.excluded.clone();
     for trial in &scenario.trials {
         let Some(golden) = tubes_of_trial(others, trial.index)? else {
-            reasons.push(format!("the reference has no trial {}", trial.index));
+            reasons.push(format!("the reference has no complete trial {}", trial.index));
             continue;
         };
         let one = golden.compare([(trial.index, trial.rows()?)]);

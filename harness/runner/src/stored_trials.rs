@@ -49,6 +49,14 @@ impl StoredTrial {
             TraceSource::Run { folder, trial } => Ok(read_trial_rows(folder, trial)?),
         }
     }
+
+    /// False if the controller was lost, so that the rest of the trace is a plate at 0 V.
+    pub(crate) fn is_complete(&self) -> bool {
+        match &self.source {
+            TraceSource::File(_) => true,
+            TraceSource::Run { trial, .. } => trial.telemetry.ended.is_none(),
+        }
+    }
 }
 
 pub fn is_run_folder(path: &Path) -> bool {

@@ -1,11 +1,12 @@
 //! Compares the instructions per control step with earlier runs and with the shipped image.
 //!
 //! The plate's motion changes the count by 1 to 2 %, so only equal trials on the same kind of rig
-//! are compared.
+//! are compared. A trial that ended early has other control steps, so only complete trials of
+//! complete runs are compared.
 
 use platebench_record::sha256;
 use platebench_record::{CostTrend, EarlierCost, RecordError, RigRecord, StepCost};
-use platebench_record::{RunRecord, ScenarioRecord, TightestStep};
+use platebench_record::{RunRecord, ScenarioRecord, TightestStep, TrialRecord};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,8 +16,8 @@ use tracing::{info, warn};
 const REFERENCE: &str = include_str!("../../../firmware-under-test/images/cost.toml");
 const EMULATED: &str = "emulated";
 
-/// Trial as law, digest of the input files, and seed.
-type TrialKey = (String, String, u64);
+/// Trial as law, digest of the input files, seed, and whether the controller stopped.
+type TrialKey = (String, String, u64, bool);
 type Costs = BTreeMap<TrialKey, StepCost>;
 
 #[derive(Deserialize)]
@@ -42,20 +43,18 @@ pub fn inputs_digest(scenario: &ScenarioRecord) -> String {
 }
 
 pub(crate) fn cost_trends(record: &RunRecord, folder: &Path) -> Vec<CostTrend> {
-    let here = trial_costs(record);
-    if here.is_empty() {
+    if trial_costs(record, |_| true).is_empty() {
         return Vec::new();
     }
     let log_unreadable =
         |path: &Path, error: &RecordError| info!(run = %path.display(), %error, "earlier run ignored by the trend");
     let mut earlier = record.earlier_runs(folder, log_unreadable);
-    earlier.retain(|(_, earlier): &(String, RunRecord)| is_comparable(&record.rig, &earlier.rig));
-    compare_costs(record, &here, earlier.into_iter().map(earlier_run).collect(), load_reference())
+    earlier.retain(|(_, earlier): &(String, RunRecord)| earlier.complete && is_comparable(&record.rig, &earlier.rig));
+    compare_costs(record, earlier.into_iter().map(earlier_run).collect(), load_reference())
 }
 
 fn compare_costs(
     record: &RunRecord,
-    here: &Costs,
     mut earlier: Vec<(EarlierRun, Costs)>,
     reference: Option<Reference>,
 ) -> Vec<CostTrend> {
@@ -69,7 +68,7 @@ fn compare_costs(
             laws.push(&scenario.law);
         }
     }
-    laws.into_iter().filter_map(|law| law_trend(law, record, here, &earlier)).collect()
+    laws.into_iter().filter_map(|law| law_trend(law, record, &earlier)).collect()
 }
 
 struct EarlierRun {
@@ -78,13 +77,17 @@ struct EarlierRun {
     build: String,
 }
 
-fn law_trend(law: &str, record: &RunRecord, here: &Costs, earlier: &[(EarlierRun, Costs)]) -> Option<CostTrend> {
-    let of_law: Vec<(&TrialKey, StepCost)> =
-        here.iter().filter(|((of, ..), _)| of == law).map(|(key, &cost)| (key, cost)).collect();
-    let cost = average_cost(of_law.iter().map(|&(_, cost)| cost))?;
+fn law_trend(law: &str, record: &RunRecord, earlier: &[(EarlierRun, Costs)]) -> Option<CostTrend> {
+    let of_law = |mut costs: Costs| {
+        costs.retain(|(of, ..), _| of == law);
+        costs
+    };
+    let all = of_law(trial_costs(record, |_| true));
+    let cost = average_cost(all.values().copied())?;
+    let complete = of_law(trial_costs(record, is_complete));
     let earlier = earlier.iter().filter_map(|(run, costs)| {
         let both: Vec<(StepCost, StepCost)> =
-            of_law.iter().filter_map(|&(key, now)| Some((*costs.get(key)?, now))).collect();
+            complete.iter().filter_map(|(key, &now)| Some((*costs.get(key)?, now))).collect();
         Some(EarlierCost {
             run: run.run.clone(),
             started: run.started.clone(),
@@ -114,17 +117,24 @@ fn average_cost(costs: impl ExactSizeIterator<Item = StepCost>) -> Option<StepCo
     Some(StepCost { mean: sum.mean / count, ..sum })
 }
 
-fn trial_costs(record: &RunRecord) -> Costs {
+/// Costs of the trials that `counts` selects.
+fn trial_costs(record: &RunRecord, counts: impl Fn(&TrialRecord) -> bool) -> Costs {
     let of_scenario = |scenario: &ScenarioRecord| {
         let digest = inputs_digest(scenario);
-        let counted = scenario.trials.iter().filter_map(|trial| {
+        let counted = scenario.trials.iter().filter(|trial| counts(trial)).filter_map(|trial| {
             let cost =
                 StepCost { mean: trial.telemetry.instructions_mean?, worst: trial.telemetry.instructions_worst? };
-            Some(((scenario.law.clone(), digest.clone(), trial.seed), cost))
+            let stopped = trial.telemetry.stopped.is_some();
+            Some(((scenario.law.clone(), digest.clone(), trial.seed, stopped), cost))
         });
         counted.collect::<Vec<_>>()
     };
     record.scenarios.iter().flat_map(of_scenario).collect()
+}
+
+/// True if the controller was not lost and the trial counts.
+fn is_complete(trial: &TrialRecord) -> bool {
+    trial.telemetry.ended.is_none() && trial.cause.is_none()
 }
 
 fn firmware_name(rig: &RigRecord) -> Option<&String> {
@@ -140,7 +150,7 @@ fn is_comparable(one: &RigRecord, other: &RigRecord) -> bool {
 }
 
 fn earlier_run((run, record): (String, RunRecord)) -> (EarlierRun, Costs) {
-    let costs = trial_costs(&record);
+    let costs = trial_costs(&record, is_complete);
     (EarlierRun { run: Some(run), build: firmware_build(&record.rig), started: Some(record.started) }, costs)
 }
 
@@ -154,7 +164,7 @@ fn reference_run(reference: Reference) -> (EarlierRun, Costs) {
     let costs = reference
         .trial
         .into_iter()
-        .map(|trial| ((trial.law, trial.inputs, trial.seed), StepCost { mean: trial.mean, worst: trial.worst }));
+        .map(|trial| ((trial.law, trial.inputs, trial.seed, false), StepCost { mean: trial.mean, worst: trial.worst }));
     (EarlierRun { run: None, started: None, build: reference.build }, costs.collect())
 }
 

@@ -182,7 +182,7 @@ fn a_tube_is_learned_from_varying_trials() {
     compare(&folder, "other", "run").assert_exit(1);
     folder.bench(["run", "--rig", "hosted", "--out", "few", "--trials", "3"]);
     compare(&folder, "few", "run").assert_exit(0);
-    compare(&folder, "run", "few").assert_exit(3).assert_output(&["the reference has no trial 3"]);
+    compare(&folder, "run", "few").assert_exit(3).assert_output(&["the reference has no complete trial 3"]);
 }
 
 #[rstest]

@@ -100,6 +100,22 @@ fn a_trap_is_reported_with_function_and_address(#[case] number: u32, #[case] fun
     assert_eq!(record.scenarios[0].trials[0].cause, None, "a failure of the firmware");
 }
 
+#[test]
+fn a_run_that_crashed_is_no_reference() {
+    let text = step_text(SETTLING).replace("setpoint_um = 2.0", "setpoint_um = { hold = [[0.0, 2.0], [10.0, 902.0]] }");
+    let folder = TestFolder::with_scenario(&text);
+    let image = workspace_root().join("firmware-under-test/images/planted-faults.elf");
+    let crash = |out: &str| {
+        let rig = format!("emulated:{}", image.display());
+        folder.bench(["run", "--rig", &rig, "--out", out]).assert_exit(1)
+    };
+    crash("runs/first");
+    let second = crash("runs/second").stdout;
+    assert!(second.contains("instructions per step: ") && !second.contains('↳'), "{second}");
+    let compared = folder.bench(["compare", "runs/second", "--against", "runs/first"]).assert_exit(3);
+    compared.assert_output(&["the reference has no complete trial 0"]);
+}
+
 #[rstest]
 #[case::not_there("no-such.elf", "no-such.elf")]
 #[case::not_an_elf("Cargo.toml", "not a firmware for the emulated board")]

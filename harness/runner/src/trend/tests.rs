@@ -1,6 +1,6 @@
 use super::*;
+use platebench_record::{Cause, Telemetry, Verdict};
 use platebench_record::{ClockKind, FORMAT, Firmware, Host, InputRecord, Overrides, RECORD_FILE, Tool};
-use platebench_record::{Telemetry, TrialRecord, Verdict};
 use std::fs;
 use std::path::PathBuf;
 use tempfile::TempDir;
@@ -141,6 +141,30 @@ fn ignores_other_firmware_rigs_and_damaged_records() {
 }
 
 #[test]
+fn ignores_runs_and_trials_that_ended_early() {
+    let played = |worst| vec![scenario("dq-pi", "1", &[worst])];
+    let aborted = RunRecord { complete: false, ..record("old", 1, played(90.0)) };
+    let changed = |change: fn(&mut TrialRecord)| {
+        let mut changed = record("old", 1, played(90.0));
+        change(&mut changed.scenarios[0].trials[0]);
+        changed
+    };
+    let crashed = changed(|trial| trial.telemetry.ended = Some("the firmware trapped: HardFault".to_owned()));
+    let excluded = changed(|trial| trial.cause = Some(Cause::Rig));
+    let stopped = changed(|trial| trial.telemetry.stopped = Some("too many rejected frames".to_owned()));
+    let runs =
+        RunsFolder::new(&[("aborted", aborted), ("crashed", crashed), ("excluded", excluded), ("stopped", stopped)]);
+    let trends = runs.cost(&record("new", 2, played(4_000.0)));
+    assert_eq!((trends[0].cost.worst, &trends[0].earlier[..]), (4_000.0, &[][..]));
+
+    let runs = RunsFolder::new(&[("whole", record("old", 1, played(4_000.0)))]);
+    let mut now = record("new", 2, played(90.0));
+    now.scenarios[0].trials[0].telemetry.ended = Some("the firmware trapped: HardFault".to_owned());
+    let trends = runs.cost(&now);
+    assert_eq!((trends[0].cost.worst, &trends[0].earlier[..]), (90.0, &[][..]), "this run ended early");
+}
+
+#[test]
 fn reads_the_twenty_newest_runs() {
     let earlier: Vec<_> = (0..22).map(|second| record("old", second, vec![scenario("dq-pi", "1", &[1e3])])).collect();
     let names: Vec<String> = (0..22).map(|second| format!("run-{}", 99 - second)).collect();
@@ -167,19 +191,16 @@ fn reference_comes_last_and_for_its_firmware_only() {
     };
     let now = record("new", 2, vec![played()]);
     let earlier = || vec![earlier_run(("a".to_owned(), record("new", 1, vec![played()])))];
-    let trends = compare_costs(&now, &trial_costs(&now), earlier(), Some(reference("own")));
+    let trends = compare_costs(&now, earlier(), Some(reference("own")));
     let builds: Vec<_> = trends[0].earlier.iter().map(|earlier| earlier.build.as_str()).collect();
     assert_eq!(builds, ["new", "shipped"]);
     let change = trends[0].significant_change().unwrap();
     assert_eq!((change.percent, change.earlier.run.as_ref()), (100.0, None));
 
-    assert_eq!(compare_costs(&now, &trial_costs(&now), earlier(), Some(reference("other")))[0].earlier.len(), 1);
+    assert_eq!(compare_costs(&now, earlier(), Some(reference("other")))[0].earlier.len(), 1);
     let mut on_a_board = now.clone();
     on_a_board.rig.name = "probe:STM32F407VG".to_owned();
-    assert_eq!(
-        compare_costs(&on_a_board, &trial_costs(&on_a_board), earlier(), Some(reference("own")))[0].earlier.len(),
-        1
-    );
+    assert_eq!(compare_costs(&on_a_board, earlier(), Some(reference("own")))[0].earlier.len(), 1);
 }
 
 #[test]
