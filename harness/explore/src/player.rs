@@ -94,15 +94,14 @@ impl<'a> Player<'a> {
         self.scenes += 1;
         let mut trials = Vec::with_capacity(scenario.trials.count as usize);
         for index in 0..scenario.trials.count {
-            let mut violations = Vec::new();
+            let mut scenes = Telemetry::default();
             for scene in scenario.between.iter().filter(|_| index > 0) {
                 let Some(played) = self.play_trial(scene, index)? else { return Ok(None) };
-                violations.extend(played.telemetry.violations);
+                scenes.include_scene(played.telemetry);
             }
-            let Some(played) = self.play_trial(scenario, index)? else { return Ok(None) };
-            let violations = violations.into_iter().chain(played.telemetry.violations.clone()).collect();
-            let telemetry = Telemetry { violations, ..played.telemetry };
-            trials.push(measure(scenario, index, &played.trace_rows, &telemetry));
+            let Some(mut played) = self.play_trial(scenario, index)? else { return Ok(None) };
+            played.telemetry.include_scene(scenes);
+            trials.push(measure(scenario, index, &played.trace_rows, &played.telemetry));
             if played.link_error.is_some() {
                 self.renew();
                 self.losses += 1;

@@ -16,6 +16,7 @@ mod reason;
 mod rig_record;
 mod run_folder;
 mod run_record;
+mod step_time;
 mod store;
 mod timing;
 mod trial_record;
@@ -39,6 +40,7 @@ pub use reason::{DivergedTrials, Divergence, Reason, TrialFinding, TrialReason, 
 pub use rig_record::{Firmware, RigRecord};
 pub use run_folder::{FolderError, RunFolder, sha256, sha256_of_file, to_hex, trace_path, utc_timestamp};
 pub use run_record::{ClockKind, FORMAT, InputRecord, NotApplicable, RunRecord, ScenarioRecord};
+pub use step_time::StepTime;
 pub use store::{RECORD_FILE, RecordError, RunSummary, ScenarioSummary};
 pub use timing::{Quantiles, TimingRecord};
 pub use trial_record::{NonFiniteDrive, Telemetry, TrialRecord};

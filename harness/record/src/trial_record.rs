@@ -3,6 +3,7 @@
 use crate::metric_values::MetricValues;
 use crate::real_plate::RealPlateRecord;
 use crate::reason::{self, TrialReason};
+use crate::step_time::StepTime;
 use crate::timing::TimingRecord;
 use crate::verdict::Cause;
 use crate::violation::Violation;
@@ -44,6 +45,9 @@ pub struct Telemetry {
     pub rig_delay_us: Option<f64>,
     pub instructions_mean: Option<f64>,
     pub instructions_worst: Option<f64>,
+    /// Absent on rigs that do not count instructions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub step_time: Option<StepTime>,
     /// Largest difference of a command from the reference implementation; absent without a
     /// comparison.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -75,6 +79,17 @@ pub struct Telemetry {
     pub watchdog_timeout_ms: Option<u16>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub violations: Vec<Violation>,
+}
+
+impl Telemetry {
+    /// Adds what a scene between the trials shows about the controller. Its motion of the plate is
+    /// not judged.
+    pub fn include_scene(&mut self, scene: Self) {
+        self.violations.extend(scene.violations);
+        if let Some(steps) = scene.step_time {
+            self.step_time.get_or_insert_default().include(&steps);
+        }
+    }
 }
 
 /// Commands that were NaN or infinite. The bench applied 0 V, so the trace does not contain them.

@@ -1,4 +1,4 @@
-//! Defines violations of the protocol, which fail a trial independently of its expectations.
+//! Defines violations of the protocol and of the control period, which fail a trial independently of its expectations.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,7 @@ pub struct Violation {
     pub kind: ViolationKind,
     pub at_s: f64,
     pub count: u64,
-    /// Worst commanded value, Vpp or Hz; absent if the kind has no value or the value was not
+    /// Worst value, Vpp, Hz or percent; absent if the kind has no value or the value was not
     /// finite.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub worst: Option<f64>,
@@ -36,10 +36,13 @@ pub enum ViolationKind {
     ClockBackwards,
     /// A command in the state *safe* that no request for 0 V caused.
     UnrequestedSafe,
+    /// A control step that takes longer than the control period on the emulated chip, percent of
+    /// the period. A scenario with an expectation of `step_time_percent` has its own limit.
+    StepTime,
 }
 
 impl ViolationKind {
-    pub const COUNT: usize = 11;
+    pub const COUNT: usize = 12;
 }
 
 impl fmt::Display for Violation {
@@ -47,7 +50,7 @@ impl fmt::Display for Violation {
         let Self { kind, at_s, count, worst, limit } = *self;
         let worst =
             |unit| worst.map_or_else(|| "a value that is not finite".to_owned(), |value| format!("{value} {unit}"));
-        let limit = limit.unwrap_or(f64::NAN);
+        let (limit, worst_percent) = (limit.unwrap_or(f64::NAN), self.worst);
         match kind {
             ViolationKind::DriveAboveLimit => {
                 write!(formatter, "commanded drive of {} above the limit of {limit} Vpp", worst("Vpp"))
@@ -72,6 +75,11 @@ impl fmt::Display for Violation {
             ViolationKind::UnrequestedSafe => {
                 write!(formatter, "0 V confirmed without a request, or under the number of an answered sample")
             }
+            ViolationKind::StepTime => write!(
+                formatter,
+                "the longest control step takes {:.1} % of the control period on the emulated chip, limit {limit} %",
+                worst_percent.unwrap_or(f64::NAN)
+            ),
         }?;
         write!(formatter, ", first at {:.1} ms, {count} in total", at_s * 1e3)
     }

@@ -1,6 +1,8 @@
 //! Finds keys, trials and missed expectations in a record.
 
-use platebench_record::{Cause, ExpectationRecord, Limit, RunRecord, ScenarioRecord, Statistic, TrialRecord, Verdict};
+use platebench_record::{
+    Cause, ExpectationRecord, Limit, Metric, RunRecord, ScenarioRecord, Statistic, TrialRecord, Verdict,
+};
 
 pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
     scenario.expectations.get(index).filter(|found| found.verdict != Verdict::Pass)?;
@@ -85,6 +87,25 @@ pub(crate) fn slowest_scenario(record: &RunRecord) -> Option<(&ScenarioRecord, f
     timed.max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
+/// Scenarios whose longest control step fits barely into the period on the emulated chip, with its
+/// share in percent, the largest first. Omits scenarios that state a limit of their own.
+pub(crate) fn tight_steps(record: &RunRecord) -> Vec<(&ScenarioRecord, f64)> {
+    let states_limit =
+        |scenario: &ScenarioRecord| scenario.expectations.iter().any(|found| found.metric == Metric::StepTime);
+    let mut tight: Vec<_> = record
+        .scenarios
+        .iter()
+        .filter(|scenario| !states_limit(scenario))
+        .filter_map(|scenario| {
+            let steps = scenario.trials.iter().filter_map(|trial| trial.telemetry.step_time);
+            let longest = steps.max_by(|a, b| a.longest_percent.total_cmp(&b.longest_percent))?;
+            longest.is_tight().then_some((scenario, longest.longest_percent))
+        })
+        .collect();
+    tight.sort_by(|a, b| b.1.total_cmp(&a.1));
+    tight
+}
+
 /// Files of the scenarios that `--fail-fast` did not play.
 pub(crate) fn unplayed_scenarios(record: &RunRecord) -> Vec<&str> {
     let is_unplayed =
@@ -125,7 +146,7 @@ pub(crate) fn open_loop_counterpart(record: &RunRecord, scenario: &ScenarioRecor
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_record::{Evidence, Metric, MetricDefinition, MetricValues, Telemetry};
+    use platebench_record::{Evidence, MetricDefinition, MetricValues, Telemetry};
 
     #[test]
     fn behind_a_mean_stands_the_trial_that_is_farthest_off() {

@@ -72,6 +72,7 @@ pub struct EmulatedLink {
     received: Vec<ReceivedByte>,
     pending_requests: PendingRequests,
     instructions: Option<u64>,
+    computing_ns: Option<u64>,
     target_error: Option<TargetError>,
     chip_faults: ChipFaults,
     /// True after the handshake. Faults of the chip act only then.
@@ -115,6 +116,7 @@ impl EmulatedLink {
             received: Vec::with_capacity(2 * MAX_ENCODED),
             pending_requests: PendingRequests::default(),
             instructions: None,
+            computing_ns: None,
             target_error: None,
             chip_faults: ChipFaults::default(),
             has_started: false,
@@ -159,6 +161,7 @@ impl EmulatedLink {
         self.target.set_control_step(false);
         self.has_started = false;
         self.instructions = None;
+        self.computing_ns = None;
         self.byte_ns = 0;
         self.target.power_on()?;
         let deadline = Instant::now() + HANDSHAKE_WALL_TIMEOUT;
@@ -300,6 +303,12 @@ impl EmulatedLink {
         };
         let answered = self.run_until_answer(until_ns)?;
         self.instructions = answered.map(|_| self.target.instructions() - instructions);
+        let sent_back = self.received.iter().filter(|received| received.at_ns > start_ns).count();
+        let line_ns = (bytes.len() + sent_back) as u64 * self.byte_ns;
+        let executed_ns = self.instructions.map(|count| self.target.nanoseconds_of(count));
+        let exchange_ns = answered.map(|at_ns| at_ns - start_ns);
+        self.computing_ns =
+            executed_ns.zip(exchange_ns).map(|(executed, exchange)| computing_ns(executed, exchange, line_ns));
         match answered {
             Some(at_ns) => Ok(Duration::from_nanos(at_ns - start_ns)),
             None if !asks || self.chip_faults.is_active() => Ok(Duration::ZERO),
@@ -330,6 +339,12 @@ impl EmulatedLink {
     }
 }
 
+/// Time of the instructions of an exchange, without those of firmware that polls the line during
+/// its transmission.
+fn computing_ns(executed_ns: u64, exchange_ns: u64, line_ns: u64) -> u64 {
+    executed_ns.min(exchange_ns.saturating_sub(line_ns))
+}
+
 impl Link for EmulatedLink {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         self.run_unless_failed(answer, |emulated| emulated.send_and_wait(now, bytes))
@@ -357,6 +372,10 @@ impl Link for EmulatedLink {
         self.instructions
     }
 
+    fn computing_time(&self) -> Option<Duration> {
+        self.computing_ns.map(Duration::from_nanos)
+    }
+
     fn amplifier_enabled(&mut self) -> Option<bool> {
         let enabled = self.target.amplifier_enabled();
         self.chip_faults.uses_amplifier |= enabled;
@@ -371,5 +390,17 @@ impl Link for EmulatedLink {
         plan.faults.iter().try_for_each(|fault| self.target.flipped_memory(&fault.kind).map(drop))?;
         self.chip_faults.plan = plan.clone();
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::computing_ns;
+
+    #[test]
+    fn polling_during_the_transmission_is_no_computing_time() {
+        assert_eq!(computing_ns(20_000, 520_000, 480_000), 20_000, "the firmware slept during the transmission");
+        assert_eq!(computing_ns(520_000, 520_000, 480_000), 40_000, "the firmware polled during the transmission");
+        assert_eq!(computing_ns(1_100_000, 1_600_000, 480_000), 1_100_000, "a long step");
     }
 }

@@ -55,6 +55,12 @@ pub trait Link: Send {
         None
     }
 
+    /// Time that the target computed for the last [`Link::exchange`] with an answer, without the
+    /// transmission. `None` on rigs that do not measure it.
+    fn computing_time(&self) -> Option<Duration> {
+        None
+    }
+
     /// RTT text of the firmware in this trial; `None` without text or without access to it.
     fn firmware_output(&self) -> Option<String> {
         None
@@ -97,6 +103,10 @@ impl<P: DerefMut<Target: Link> + Send> Link for P {
 
     fn instruction_count(&self) -> Option<u64> {
         (**self).instruction_count()
+    }
+
+    fn computing_time(&self) -> Option<Duration> {
+        (**self).computing_time()
     }
 
     fn firmware_output(&self) -> Option<String> {

@@ -15,6 +15,7 @@ pub struct Reply {
     /// Time from the request to the answer, see [`Link::exchange`].
     pub delay: Duration,
     pub instructions: Option<u64>,
+    pub computing_time: Option<Duration>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -150,7 +151,8 @@ impl<L: Link> Session<L> {
         match self.request(Message::Sample(*sample))? {
             Some((Message::Command(command), delay)) => {
                 trace!(?now, ?sample, ?command, ?delay, "control step");
-                Ok(Some(Reply { command, delay, instructions: self.link.instruction_count() }))
+                let (instructions, computing_time) = (self.link.instruction_count(), self.link.computing_time());
+                Ok(Some(Reply { command, delay, instructions, computing_time }))
             }
             _ => Ok(None),
         }

@@ -94,6 +94,10 @@ impl<L: Link> Link for WallClockLink<L> {
         self.link.instruction_count()
     }
 
+    fn computing_time(&self) -> Option<Duration> {
+        self.link.computing_time()
+    }
+
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
         Some(self)
     }

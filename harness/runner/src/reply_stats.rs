@@ -1,7 +1,7 @@
 //! Collects delays and instruction counts of the replies of a trial.
 
 use platebench_plate::Time;
-use platebench_record::Telemetry;
+use platebench_record::{StepTime, Telemetry};
 use platebench_rig::Reply;
 use std::time::Duration;
 
@@ -13,16 +13,22 @@ pub(crate) struct ReplyStats {
     longest_rig_delay: Duration,
     /// Instructions: sum over all control steps, and maximum of one step.
     instructions: Option<(u64, u64)>,
+    step_time: Option<StepTime>,
 }
 
 impl ReplyStats {
-    pub(crate) fn record(&mut self, reply: &Reply, delay: Time) {
+    /// `now` is the control instant.
+    pub(crate) fn record(&mut self, reply: &Reply, delay: Time, now: Time, period: Time) {
         self.replies += 1;
         self.longest_delay = self.longest_delay.max(delay);
         self.longest_rig_delay = self.longest_rig_delay.max(reply.delay);
         if let Some(count) = reply.instructions {
             let (sum, worst) = self.instructions.unwrap_or_default();
             self.instructions = Some((sum + count, worst.max(count)));
+        }
+        if let Some(computing) = reply.computing_time {
+            let percent = computing.as_secs_f64() / period.seconds() * 100.0;
+            self.step_time.get_or_insert_default().record(percent, now.seconds());
         }
     }
 
@@ -38,6 +44,7 @@ impl ReplyStats {
             rig_delay_us: has_replies.then_some(self.longest_rig_delay.as_secs_f64() * 1e6),
             instructions_mean: self.instructions.map(|(sum, _)| sum as f64 / self.replies as f64),
             instructions_worst: self.instructions.map(|(_, worst)| worst as f64),
+            step_time: self.step_time,
             ..telemetry
         }
     }

@@ -137,6 +137,14 @@ fn missing_chip_faults(
     }
 }
 
+/// Returns why the rig cannot measure the time of a control step, if the scenario expects it.
+fn missing_step_time(plan: &RunPlan, scenario: &Scenario, session: &RigSession) -> Option<String> {
+    // The handshake was an exchange, so a rig that measures has a value.
+    let is_measured = matches!(plan.clock, Clock::Lockstep { .. }) && session.link().computing_time().is_some();
+    let why = format!("{} needs the emulated chip and the clock lockstep", Metric::StepTime);
+    (scenario.expects(Metric::StepTime) && !is_measured).then_some(why)
+}
+
 fn select_applicable(
     plan: &RunPlan,
     laws: Vec<LawId>,
@@ -152,6 +160,7 @@ fn select_applicable(
         let missing = (is_compared && !matches!(plan.clock, Clock::Lockstep { .. }))
             .then(|| "the metrics that compare the controller with the reference need the clock lockstep".to_owned())
             .or(missing_chip_faults(plan, scenario, session)?)
+            .or_else(|| missing_step_time(plan, scenario, session))
             .or_else(|| configure::missing_capability(scenario, law, &identity))
             .or_else(|| between.find_map(|(scene, law)| configure::missing_capability(scene, law, &identity)));
         match missing {

@@ -216,7 +216,7 @@ impl<'a, L: Link> Trial<'a, L> {
                 let rig_delay = Time::from_nanos(reply.delay.as_nanos() as u64);
                 let acting = if self.wire_time { rig_delay } else { Time::ZERO };
                 let delay = self.loop_delay.draw() + acting;
-                self.replies.record(&reply, delay);
+                self.replies.record(&reply, delay, now, self.scenario.controller.period);
                 self.schedule_command(now, now + delay, reply.command);
             }
             Ok(None) => {

@@ -9,7 +9,7 @@ use crate::plan::{Clock, LinkFactory, RunError, RunPlan};
 use crate::trial::{self, TrialResult, TrialSpec};
 use crate::{real_plate, real_time};
 use platebench_plate::Time;
-use platebench_record::{KeepTraces, RunFolder, TrialRecord, Violation, to_hex, trace_path};
+use platebench_record::{KeepTraces, RunFolder, Telemetry, TrialRecord, to_hex, trace_path};
 use platebench_rig::{BoxedLink, CancelToken, FaultInjector, RigError};
 use platebench_scenario::Scenario;
 use platebench_trace::{Row, TraceError, TraceWriter};
@@ -158,15 +158,15 @@ impl WorkQueue<'_> {
         }
     }
 
-    /// Plays the scenes between trials and returns their violations. `None` if the run was
-    /// cancelled.
+    /// Plays the scenes between trials and returns what they show about the controller. `None` if the
+    /// run was cancelled.
     fn play_between(
         &self,
         session: &mut RigSession,
         scenario: &Scenario,
         index: u32,
-    ) -> Result<Option<Vec<Violation>>, RunError> {
-        let mut violations = Vec::new();
+    ) -> Result<Option<Telemetry>, RunError> {
+        let mut scenes = Telemetry::default();
         for scene in scenario.between.iter().filter(|_| index > 0) {
             let law = configure::law(scene).map_err(|unknown| RunError::Scenario(Box::new(unknown)))?;
             let spec = TrialSpec { continues: true, ..self.spec(scene, law, index) };
@@ -174,9 +174,9 @@ impl WorkQueue<'_> {
             if let Some(refused @ RigError::ConfigurationRejected(_)) = played.link_error {
                 return Err(refused.into());
             }
-            violations.extend(played.telemetry.violations);
+            scenes.include_scene(played.telemetry);
         }
-        Ok(Some(violations))
+        Ok(Some(scenes))
     }
 
     /// Fails if the controller is not the one with which the run began.
@@ -209,14 +209,14 @@ impl WorkQueue<'_> {
             Some(open) => open,
             None => session.insert(self.connect_session()?),
         };
-        let Some(violations) = self.play_between(open, scenario, index)? else { return Ok(None) };
+        let Some(scenes) = self.play_between(open, scenario, index)? else { return Ok(None) };
         let mut tap = self.run.live_tap.acquire(number, index);
         let continues = index > 0 && scenario.keeps_controller();
         let spec = TrialSpec { continues, ..self.spec(scenario, law, index) };
         let played = self.play_on_clock(open, &spec, tap.tap())?;
         drop(tap);
         let Some(mut played) = played else { return Ok(None) };
-        played.telemetry.violations.extend(violations);
+        played.telemetry.include_scene(scenes);
         if let Some(timing) = &mut played.telemetry.timing {
             let boundary = self.run.delay_boundaries.get(number);
             let boundary = boundary.and_then(|cell| *cell.get_or_init(|| scenario_delay_boundary(scenario, law)));

@@ -61,6 +61,9 @@ pub enum Metric {
     LoopDelay,
     /// Largest number of instructions per control step in the trial.
     InstructionsPerStep,
+    /// Longest control step in the trial on the emulated chip, relative to the control period.
+    #[strum(serialize = "step_time_percent")]
+    StepTime,
     /// Number of control instants at which the bench was too late.
     Overruns,
     /// Time from a disturbance to 0 V.
@@ -119,7 +122,11 @@ impl Metric {
     pub const fn has_from_ms(self) -> bool {
         !matches!(
             self,
-            Self::LoopDelay | Self::InstructionsPerStep | Self::ReferenceDifference | Self::ProtocolDifferences
+            Self::LoopDelay
+                | Self::InstructionsPerStep
+                | Self::StepTime
+                | Self::ReferenceDifference
+                | Self::ProtocolDifferences
         )
     }
 
@@ -135,6 +142,7 @@ impl Metric {
         match self {
             Self::LoopDelay
             | Self::InstructionsPerStep
+            | Self::StepTime
             | Self::ReferenceDifference
             | Self::ProtocolDifferences
             | Self::ShutdownTime
@@ -157,6 +165,7 @@ impl Metric {
             self,
             Self::LoopDelay
                 | Self::InstructionsPerStep
+                | Self::StepTime
                 | Self::ReferenceDifference
                 | Self::ProtocolDifferences
                 | Self::Overruns

@@ -165,6 +165,10 @@ impl<L: Link> Link for MutantController<L> {
     fn instruction_count(&self) -> Option<u64> {
         self.inner.instruction_count()
     }
+
+    fn computing_time(&self) -> Option<Duration> {
+        self.inner.computing_time()
+    }
 }
 
 fn decode(frame: &[u8]) -> Option<Packet> {

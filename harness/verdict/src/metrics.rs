@@ -113,6 +113,7 @@ fn measure_window(
         Metric::Saturated => flagged_share(in_force(), Flags::SATURATED) * 100.0,
         Metric::LoopDelay => reported(telemetry.loop_delay_us)?,
         Metric::InstructionsPerStep => reported(telemetry.instructions_worst)?,
+        Metric::StepTime => reported(telemetry.step_time.map(|step| step.longest_percent))?,
         Metric::ReferenceDifference => reported(telemetry.reference_difference_percent)?,
         Metric::ProtocolDifferences => reported(telemetry.protocol_differences.as_ref().map(|all| all.len() as f64))?,
         Metric::Overruns => count_flagged(inside, Flags::OVERRUN),
@@ -136,7 +137,7 @@ const fn unknown_on_a_real_plate(metric: Metric) -> Option<UndefinedValue> {
         | Metric::LoopDelay
         | Metric::ReferenceDifference
         | Metric::ProtocolDifferences => Some(UndefinedValue::NotInLoop),
-        Metric::InstructionsPerStep => Some(UndefinedValue::UncountedInstructions),
+        Metric::InstructionsPerStep | Metric::StepTime => Some(UndefinedValue::UncountedInstructions),
         Metric::SettlingTime
         | Metric::StaticError
         | Metric::Repeatability

@@ -47,7 +47,7 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
         measures: expectations.iter().map(|expectation| metrics::measure(expectation, rows, telemetry)).collect(),
         excuses: excuses.collect(),
         ended: telemetry.ended.clone(),
-        violations: telemetry.violations.clone(),
+        violations: violations(scenario, telemetry),
         divergence: detect_divergence(scenario, rows, telemetry),
         exclusion: if is_real_plate {
             real_plate::find_exclusion(scenario, rows, telemetry.real_plate.as_deref())
@@ -56,6 +56,12 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
         },
         is_real_plate,
     }
+}
+
+/// A step longer than its period is a violation, unless the scenario states a limit of its own.
+fn violations(scenario: &Scenario, telemetry: &Telemetry) -> Vec<Violation> {
+    let step_time = telemetry.step_time.filter(|_| !scenario.expects(Metric::StepTime));
+    telemetry.violations.iter().copied().chain(step_time.and_then(|steps| steps.violation())).collect()
 }
 
 impl TrialMeasures {

@@ -4,7 +4,10 @@ use crate::test_folder::{
     SETTLING, TestFolder, assert_same_traces, run_bench, step_scenario, step_text, workspace_root,
 };
 use platebench_record::{Cause, RunRecord, Verdict};
+use platebench_rig::Symbols;
+use platebench_runner::rejudge;
 use rstest::rstest;
+use std::fs;
 
 #[rstest]
 #[case::own_laws(&[])]
@@ -78,6 +81,115 @@ fn the_share_of_a_step_belongs_to_its_control_period() {
     assert_eq!(tightest.period_ms, 0.25);
     assert_eq!(Some(tightest.instructions), fast.trials[0].telemetry.instructions_worst);
     assert!((tightest.share() - tightest.instructions / 42_000.0).abs() < 1e-12, "{}", tightest.share());
+}
+
+/// The shipped image with `rounds` of a loop of two instructions in each answer. The loop replaces
+/// code of the panic handler, which never runs here.
+fn slow_image(rounds: u16) -> Vec<u8> {
+    let mut elf = fs::read(workspace_root().join("firmware-under-test/images/platebench-stm32f4.elf")).unwrap();
+    let symbols = Symbols::read(&elf);
+    let find = |name: &str| {
+        let function = symbols.functions().iter().find(|function| function.name.ends_with(name)).unwrap();
+        function.address as u32
+    };
+    let (encode, handler) = (find("::Packet::encode"), find("rust_begin_unwind"));
+    // The first instruction of the handler has a breakpoint of the bench.
+    let detour = handler + 4;
+    let word = |elf: &[u8], at: usize| u32::from_le_bytes(*elf[at..].first_chunk().unwrap()) as usize;
+    let headers = word(&elf, 28);
+    let segments = (headers..).step_by(32).map(|at| [4, 8, 16].map(|field| word(&elf, at + field)));
+    let offset = |address: u32| {
+        let holds = |[_, start, bytes]: &[usize; 3]| (*start..start + bytes).contains(&(address as usize));
+        let [at, start, _] = segments.clone().find(holds).unwrap();
+        at + address as usize - start
+    };
+    let (at_encode, at_detour) = (offset(encode), offset(detour));
+    let start: [u8; 4] = *elf[at_encode..].first_chunk().unwrap();
+    let movw = [0xf240 | rounds >> 1 & 0x400 | rounds >> 12, rounds << 4 & 0x7000 | rounds & 0xff];
+    let code = [0xb401, movw[0], movw[1], 0x3801, 0xd1fd, 0xbc01]; // push r0; movw r0; subs; bne; pop r0
+    let code = code.into_iter().flat_map(u16::to_le_bytes).chain(start);
+    let code: Vec<u8> = code.chain(branch(detour + 16, encode + 4)).collect();
+    elf[at_detour..at_detour + code.len()].copy_from_slice(&code);
+    elf[at_encode..at_encode + 4].copy_from_slice(&branch(encode, detour).collect::<Vec<_>>());
+    elf
+}
+
+/// B.W (A7.7.12, T4).
+fn branch(at: u32, target: u32) -> impl Iterator<Item = u8> {
+    let offset = target.wrapping_sub(at + 4);
+    let sign = offset >> 24 & 1;
+    let bit = |index: u32| (offset >> index & 1 ^ 1) ^ sign;
+    let high = 0xf000 | sign << 10 | offset >> 12 & 0x3ff;
+    let low = 0x9000 | bit(23) << 13 | bit(22) << 11 | offset >> 1 & 0x7ff;
+    [high as u16, low as u16].into_iter().flat_map(u16::to_le_bytes)
+}
+
+/// 42 000 instructions fit into the period. A step of the shipped image has some 2 300 of them.
+fn step_time_scenario(expect: &str) -> String {
+    let expect = format!("metric = \"drive_peak_vpp\"\nat_most = 2000.0\n{expect}");
+    step_scenario("aluminium-198x138", "law = \"open-loop\"\nperiod_ms = 0.25", "", &expect)
+}
+
+fn step_time_limit(percent: f64) -> String {
+    format!("[[expect]]\nmetric = \"step_time_percent\"\nat_most = {percent:?}")
+}
+
+fn step_time(record: &RunRecord) -> f64 {
+    record.scenarios[0].trials[0].telemetry.step_time.unwrap().longest_percent
+}
+
+#[test]
+fn a_step_longer_than_its_period_fails_any_scenario() {
+    let folder = TestFolder::with_scenario(&step_time_scenario(""));
+    fs::write(folder.join("slow.elf"), slow_image(22_000)).unwrap();
+    let message = "of the control period on the emulated chip, limit 100 %";
+    folder.bench(["run", "--rig", "emulated:slow.elf", "--out", "slow"]).assert_exit(1);
+    let record = folder.record("slow");
+    assert!((105.0..115.0).contains(&step_time(&record)), "{}", step_time(&record));
+    let reason = record.scenarios[0].expectations[0].reason.as_ref().unwrap().to_string();
+    assert!(reason.contains(&format!("takes {:.1} % {message}", step_time(&record))), "{reason}");
+    for file in ["report.html", "junit.xml"] {
+        assert!(folder.read(&format!("slow/{file}")).contains(message), "{file}");
+    }
+    folder.bench(["judge", "slow"]).assert_exit(1);
+    assert_eq!(
+        rejudge(&folder.join("slow"), None).unwrap().scenarios[0].expectations,
+        record.scenarios[0].expectations
+    );
+
+    // A judgement with another limit needs no other run.
+    folder.write_scenario("other.toml", &step_time_scenario(&step_time_limit(150.0)));
+    folder.bench(["judge", "slow", "--scenario", "scenarios/other.toml"]).assert_exit(0);
+}
+
+#[test]
+fn a_step_close_to_its_period_is_a_warning() {
+    let folder = TestFolder::with_scenario(&step_time_scenario(""));
+    fs::write(folder.join("tight.elf"), slow_image(17_000)).unwrap();
+    for (rig, warns) in [("emulated:tight.elf", true), ("emulated", false)] {
+        let out = format!("warns-{warns}");
+        let text = folder.bench(["run", "--rig", rig, "--out", &out]).assert_exit(0).stdout;
+        assert_eq!(text.contains("warning: s.toml: the longest control step takes 8"), warns, "{text}");
+        assert_eq!(folder.read(&format!("{out}/report.html")).contains("Warning: "), warns, "{rig}");
+    }
+}
+
+#[test]
+fn a_scenario_can_limit_the_time_of_a_step() {
+    let folder = TestFolder::with_scenario(&step_time_scenario(&step_time_limit(150.0)));
+    fs::write(folder.join("slow.elf"), slow_image(22_000)).unwrap();
+    let allowed = run_and_read(&folder, &["--rig", "emulated:slow.elf"], 0);
+    assert_eq!(allowed.scenarios[0].expectations[1].value, Some(step_time(&allowed)));
+    folder.write_scenario("s.toml", &step_time_scenario(&step_time_limit(1.0)));
+    let missed = run_and_read(&folder, &["--rig", "emulated"], 1);
+    let verdicts: Vec<_> = missed.scenarios[0].expectations.iter().map(|expectation| expectation.verdict).collect();
+    assert_eq!(verdicts, [Verdict::Pass, Verdict::Fail]);
+    for arguments in [&["--rig", "hosted"][..], &["--rig", "emulated", "--clock", "real-time"]] {
+        let elsewhere = run_and_read(&folder, arguments, 4);
+        assert!(elsewhere.scenarios.is_empty(), "{arguments:?}");
+        assert!(elsewhere.not_applicable[0].reason.contains("step_time_percent needs the emulated chip"));
+    }
+    run_and_read(&folder, &["--rig", "hosted", "--require-all"], 1);
 }
 
 /// A setpoint of 900 + n µm triggers fault n of `stm32f4/src/planted_faults.rs`: here a trap, a

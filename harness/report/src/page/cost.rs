@@ -1,14 +1,15 @@
 //! Writes the section on instructions per control step, compared with earlier runs.
 
 use super::elements::scroll_table;
-use crate::format;
 use crate::text::cost;
+use crate::{format, record_queries};
 use maud::{Markup, html};
 use platebench_record::{CostTrend, EarlierCost, RunRecord};
 
 pub(super) fn section(record: &RunRecord) -> Markup {
+    let tight = record_queries::tight_steps(record);
     html! {
-        @if !record.cost.is_empty() {
+        @if !record.cost.is_empty() || !tight.is_empty() {
             section aria-labelledby="cost" {
                 h2 id="cost" { "Instructions per control step" }
                 @for trend in &record.cost {
@@ -16,6 +17,9 @@ pub(super) fn section(record: &RunRecord) -> Markup {
                         (cost::format_worst(trend)) ", mean " (cost::format_instructions(trend.cost.mean)) "."
                         @if let Some(change) = cost::describe_change(trend) { " " strong { (change) } "." }
                     }
+                }
+                @for (scenario, percent) in tight {
+                    p { strong { "Warning: " (cost::describe_tight_step(scenario, percent)) "." } }
                 }
                 @if record.cost.iter().any(|trend| !trend.earlier.is_empty()) { (earlier_runs_table(&record.cost)) }
                 p { "Instructions, not cycles. The comparison counts only trials that both runs played." }

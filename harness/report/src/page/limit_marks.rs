@@ -128,6 +128,7 @@ fn shown_signal(expectation: &ExpectationRecord) -> Option<Column> {
         | Metric::Saturated
         | Metric::LoopDelay
         | Metric::InstructionsPerStep
+        | Metric::StepTime
         | Metric::Overruns
         | Metric::ShutdownTime
         | Metric::MissedReplies

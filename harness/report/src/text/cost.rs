@@ -1,7 +1,7 @@
 //! Describes the instructions per control step.
 
 use crate::format;
-use platebench_record::CostTrend;
+use platebench_record::{CostTrend, ScenarioRecord};
 
 pub(crate) const SHIPPED_IMAGE: &str = "the image that comes with the bench";
 
@@ -15,6 +15,17 @@ pub(crate) fn format_worst(trend: &CostTrend) -> String {
     } else {
         format!("{worst}; {} are {share}", format_instructions(tightest.instructions))
     }
+}
+
+/// Formats as `fast.toml: the longest control step takes 85.2 % of its period of 0.05 ms at one
+/// instruction per cycle; a real chip takes longer`.
+pub(crate) fn describe_tight_step(scenario: &ScenarioRecord, percent: f64) -> String {
+    let period = scenario.period_ms.map_or_else(String::new, |period_ms| format!(" of {period_ms} ms"));
+    format!(
+        "{}: the longest control step takes {percent:.1} % of its period{period} at one instruction per cycle; a real \
+         chip takes longer",
+        scenario.file
+    )
 }
 
 /// Formats as `30 % more than 2 563 of build 1a2b3c4d`. `None` if there is no significant change.

@@ -71,6 +71,10 @@ impl SystemBus {
         VirtualNanos(self.slept_ns + self.rate.nanoseconds(instructions))
     }
 
+    pub(super) fn nanoseconds_of(&self, instructions: u64) -> u64 {
+        self.rate.nanoseconds(instructions)
+    }
+
     pub(super) fn instructions_until(&self, instructions: u64, target: VirtualNanos) -> u32 {
         let needed = self.rate.instructions(target.0.saturating_sub(self.slept_ns));
         needed.saturating_sub(instructions).clamp(1, MAX_RUN_INSTRUCTIONS) as u32

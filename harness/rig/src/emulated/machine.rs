@@ -236,6 +236,11 @@ impl Machine {
         self.core.retired()
     }
 
+    /// Time of `instructions` at one instruction per cycle.
+    pub(super) fn nanoseconds_of(&self, instructions: u64) -> u64 {
+        self.bus.nanoseconds_of(instructions)
+    }
+
     pub(super) fn send(&mut self, bytes: &[u8]) {
         let now = VirtualNanos(self.now_ns());
         let board = self.session.board_mut();

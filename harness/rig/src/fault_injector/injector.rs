@@ -178,6 +178,10 @@ impl<L: Link> Link for FaultInjector<L> {
         self.inner.link.instruction_count()
     }
 
+    fn computing_time(&self) -> Option<Duration> {
+        self.inner.link.computing_time()
+    }
+
     fn firmware_output(&self) -> Option<String> {
         self.inner.link.firmware_output()
     }

@@ -16,6 +16,7 @@ const EMPTY_TELEMETRY: Telemetry = Telemetry {
     rig_delay_us: None,
     instructions_mean: None,
     instructions_worst: None,
+    step_time: None,
     reference_difference_percent: None,
     protocol_differences: None,
     ended: None,

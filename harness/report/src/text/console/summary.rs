@@ -32,6 +32,7 @@ pub(super) fn write(text: &mut String, record: &RunRecord, style: Style, in_full
         write_wrapped(text, &margin, "  ", &result);
     }
     write_cost(text, &record.cost, in_full);
+    write_tight_steps(text, record, in_full);
     if let Some(overrides) = format::overrides(record) {
         write_wrapped(text, "", "  ", &format!("overridden: {overrides}"));
     }
@@ -95,6 +96,18 @@ fn write_cost(text: &mut String, trends: &[CostTrend], in_full: bool) {
     if further > 0 {
         let laws = format::count(further, "more law");
         let _ = writeln!(text, "instructions per step: {laws} with a change, listed with -v");
+    }
+}
+
+fn write_tight_steps(text: &mut String, record: &RunRecord, in_full: bool) {
+    let tight = record_queries::tight_steps(record);
+    let listed = if in_full { tight.len() } else { MAX_LISTED };
+    for (scenario, percent) in tight.iter().take(listed) {
+        write_wrapped(text, "warning: ", "  ", &cost::describe_tight_step(scenario, *percent));
+    }
+    if tight.len() > listed {
+        let further = format::count(tight.len() - listed, "more scenario");
+        let _ = writeln!(text, "warning: {further} with a long control step, listed with -v");
     }
 }
 

@@ -131,6 +131,7 @@ fn unknown_quantities_of_a_real_plate_are_undefined() {
                 | Metric::MissedReplies
                 | Metric::LoopDelay
                 | Metric::InstructionsPerStep
+                | Metric::StepTime
                 | Metric::ReferenceDifference
                 | Metric::ProtocolDifferences
                 | Metric::QuadratureRatio

@@ -1,4 +1,5 @@
 use super::*;
+use platebench_record::StepTime;
 
 #[test]
 fn ripple_and_rest_drive_take_the_worst_window() {
@@ -103,13 +104,20 @@ fn saturation_is_time_weighted() {
     );
     let costly = Telemetry { instructions_mean: Some(900.0), instructions_worst: Some(950.0), ..EMPTY_TELEMETRY };
     assert_eq!(measure(&expectation_for(Metric::InstructionsPerStep), &trace, &costly), Measure::Value(950.0));
+    let step_time = StepTime { longest_percent: 6.2, ..StepTime::default() };
+    let timed = Telemetry { step_time: Some(step_time), ..EMPTY_TELEMETRY };
+    assert_eq!(measure(&expectation_for(Metric::StepTime), &trace, &timed), Measure::Value(6.2));
     let differing = Telemetry { reference_difference_percent: Some(0.25), ..EMPTY_TELEMETRY };
     assert_eq!(measure(&expectation_for(Metric::ReferenceDifference), &trace, &differing), Measure::Value(0.25));
     let differing = Telemetry { protocol_differences: Some(vec!["one".to_owned()]), ..EMPTY_TELEMETRY };
     assert_eq!(measure(&expectation_for(Metric::ProtocolDifferences), &trace, &differing), Measure::Value(1.0));
-    for unreported in
-        [Metric::LoopDelay, Metric::InstructionsPerStep, Metric::ReferenceDifference, Metric::ProtocolDifferences]
-    {
+    for unreported in [
+        Metric::LoopDelay,
+        Metric::InstructionsPerStep,
+        Metric::StepTime,
+        Metric::ReferenceDifference,
+        Metric::ProtocolDifferences,
+    ] {
         assert!(matches!(measure(&expectation_for(unreported), &trace, &EMPTY_TELEMETRY), Measure::Undefined(_)));
     }
 }
