@@ -34,11 +34,11 @@ pub struct BandMonitor {
 }
 
 impl BandMonitor {
-    pub(crate) fn contains(&self, state: &State) -> bool {
+    fn contains(&self, state: &State) -> bool {
         (self.low..=self.high).contains(&self.signal.value(state))
     }
 
-    pub(crate) fn distance(&self, state: &State) -> f64 {
+    fn distance(&self, state: &State) -> f64 {
         let value = self.signal.value(state);
         (value - self.low).abs().min((value - self.high).abs())
     }
@@ -53,16 +53,42 @@ pub struct Crossing {
     pub before: State,
 }
 
-/// Appends the crossings between `start` and `end` to `found`. The state is `from` at `start` and
-/// `after(t)` t seconds later. From t on, W changes by less than d µm for `seconds_within(t, d)`
-/// seconds. The search skips this time if d is the distance to the band.
-pub(crate) fn find_crossings(
+/// Bands to monitor, and the crossings found so far.
+pub(crate) struct BandSearch<'a> {
+    pub(crate) monitors: &'a [BandMonitor],
+    pub(crate) found: &'a mut Vec<Crossing>,
+}
+
+impl BandSearch<'_> {
+    /// Appends the crossings between `start` and `end` in order of time. The state is `from` at
+    /// `start` and `after(t)` t seconds later. From t on, W changes by less than d µm for
+    /// `seconds_within(t, d)` seconds. The search skips this time if d is the distance to the band.
+    #[inline]
+    pub(crate) fn find(
+        &mut self,
+        after: impl Fn(f64) -> State,
+        seconds_within: impl Fn(f64, f64) -> f64,
+        from: &State,
+        (start, end): (Time, Time),
+    ) {
+        let known = self.found.len();
+        for monitor in self.monitors {
+            find_crossings(monitor, &after, &seconds_within, from, (start, end), self.found);
+        }
+        if self.monitors.len() > 1
+            && let Some(new) = self.found.get_mut(known..)
+        {
+            new.sort_by_key(|crossing| crossing.time);
+        }
+    }
+}
+
+fn find_crossings(
     monitor: &BandMonitor,
     after: &impl Fn(f64) -> State,
     seconds_within: &impl Fn(f64, f64) -> f64,
     from: &State,
-    start: Time,
-    end: Time,
+    (start, end): (Time, Time),
     found: &mut Vec<Crossing>,
 ) {
     let seconds_at = |nanos: u64| Time::from_nanos(nanos).since(start).seconds();
@@ -101,9 +127,8 @@ pub(crate) fn find_crossings(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flow::Flow;
+    use crate::flow::{ExponentialSum, Flow, Tier};
     use crate::mode::{Drive, Mode};
-    use crate::tier::Tier;
     use num_complex::Complex64;
     use proptest::prelude::*;
 
@@ -136,7 +161,8 @@ mod tests {
             let (start, end) = (Time::from_nanos(5_000_123), Time::from_nanos(6_000_400));
             let search = |seconds_within: &dyn Fn(f64, f64) -> f64| {
                 let mut found = Vec::new();
-                find_crossings(&monitor, &|t| flow.after(t), &seconds_within, &state, start, end, &mut found);
+                let mut bands = BandSearch { monitors: &[monitor], found: &mut found };
+                bands.find(|t| flow.after(t), seconds_within, &state, (start, end));
                 found
             };
             prop_assert_eq!(search(&|_, distance| bound.seconds_within(distance)), search(&|_, _| 0.0));

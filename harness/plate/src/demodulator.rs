@@ -9,7 +9,9 @@
 //! sample has a fractional weight. The error at twice the carrier frequency is then at most
 //! `πN/2L²` of |W|; with whole samples it would be up to `1/2L`.
 
-use crate::lockin::{Lockin, MAX_WINDOW_SAMPLES};
+use crate::effect::{PlateError, check, missing, positive};
+use crate::effects::{ConverterResolution, RawSensor};
+use crate::flow::Term;
 use crate::phase::Phase;
 use crate::time::Time;
 use num_complex::Complex64;
@@ -19,8 +21,51 @@ use std::f64::consts::TAU;
 /// Number of samples after which the wave is evaluated directly. In between it is multiplied from
 /// sample to sample, with an error of about 2e-16 per sample.
 const REFRESH_INTERVAL: u32 = 64;
+/// Largest window of the lock-in in samples, if the excitation is at the plate's resonance.
+const MAX_WINDOW_SAMPLES: f64 = 1e6;
 /// Smaller terms of W, in µm, become 0 as in `flow.rs`.
 const NEGLIGIBLE: f64 = 1e-150;
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lockin {
+    pub converter_hz: f64,
+    /// Window length in carrier periods.
+    pub periods: u32,
+    /// `None` if the converter neither rounds nor clips.
+    pub resolution: Option<ConverterResolution>,
+}
+
+impl Lockin {
+    pub(crate) fn check(table: &RawSensor, resonance_hz: f64) -> Result<Option<Self>, PlateError> {
+        const PERIODS: &str = "sensor.demodulator_periods";
+        const RATE: &str = "sensor.converter_hz";
+        let Some(periods) = table.demodulator_periods else {
+            let rate = table.converter_hz;
+            check(rate.is_none(), RATE, &rate.unwrap_or(0.0), "the key `demodulator_periods` as well")?;
+            return Ok(None);
+        };
+        check((1..=10_000).contains(&periods), PERIODS, &periods, "a whole number of carrier periods from 1 to 10000")?;
+        let converter_hz = table
+            .converter_hz
+            .ok_or_else(|| missing(RATE, "the converter's rate, since `demodulator_periods` is given"))?;
+        positive(RATE, converter_hz)?;
+        check(
+            converter_hz > 4.0 * resonance_hz,
+            RATE,
+            &converter_hz,
+            "more than 4 samples per period of mode.resonance_hz",
+        )?;
+        check(converter_hz <= 1e9, RATE, &converter_hz, "at most 1e9, a sample per nanosecond")?;
+        let window = periods as f64 * converter_hz / resonance_hz;
+        check(window <= MAX_WINDOW_SAMPLES, PERIODS, &periods, "a window of at most 1e6 samples of the converter")?;
+        let resolution = ConverterResolution::check(table)?;
+        Ok(Some(Self { converter_hz, periods: periods as u32, resolution }))
+    }
+
+    fn convert(&self, y: f64) -> f64 {
+        self.resolution.as_ref().map_or(y, |resolution| resolution.convert(y))
+    }
+}
 
 #[derive(Debug, Clone)]
 pub struct Demodulator {
@@ -40,9 +85,6 @@ struct Wave<const N: usize> {
     parts: [Complex64; N],
     carrier: Complex64,
 }
-
-/// Amplitude in µm and pole in 1/s of a term of W.
-type Term = (Complex64, Complex64);
 
 impl<const N: usize> Wave<N> {
     fn at(rest: Complex64, terms: [Term; N], phase: Phase, omega: f64, seconds: f64) -> Self {
@@ -144,10 +186,9 @@ impl Demodulator {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flow::{Flow, State};
+    use crate::flow::{ExponentialSum, Flow, State, Tier};
     use crate::mode::{Drive, Mode};
     use crate::phase::PhaseRate;
-    use crate::tier::Tier;
 
     const OMEGA: f64 = 203_540.0;
 

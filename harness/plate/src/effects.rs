@@ -1,70 +1,177 @@
-//! Holds the state of the optional effects: second mode, amplifier, self-heating, sensor latency.
+//! Lists the optional effects of a plate. Each has a file in this folder: its table of the plate
+//! file, its numbers, and its functions during a trial ([`crate::effect`]).
 
-use crate::flow::State;
+mod amplifier;
+mod heating;
+mod second_mode;
+mod sensor;
+
+pub use amplifier::{Amplifier, DriveConverter, RawDrive};
+pub use heating::{Heating, RawHeating};
+pub use second_mode::{RawSecondMode, SecondMode};
+pub use sensor::{ConverterResolution, RawSensor, Sensor, SensorElectronics};
+
+use crate::effect::{ActiveEffect, Effect, HIGHEST_RESONANCE_HZ, PlateError};
+use crate::flow::{Forcing, State};
 use crate::mode::Drive;
-use crate::motion::{MotionHistory, PerMode};
-use crate::plate::Plate;
+use crate::motion::PerMode;
 use crate::time::Time;
-use num_complex::Complex64;
-use std::collections::VecDeque;
+use schemars::JsonSchema;
+use serde::Deserialize;
 
-#[derive(Debug, Clone)]
-pub(crate) struct Effects {
-    pub(crate) states: PerMode<State>,
-    /// Last command of the controller, which may not have reached the amplifier.
-    pub(crate) commanded: Drive,
-    /// Commands in the dead time of the amplifier, each with its arrival time.
-    pending: VecDeque<(Time, Drive)>,
-    /// Output of the amplifier without its offset.
-    pub(crate) output_vpp: f64,
-    pub(crate) heat_k: f64,
-    pub(crate) history: Option<MotionHistory>,
-    gain_drift_per_s: f64,
+macro_rules! effects {
+    ($($name:ident: $effect:ty = $table:ident,)*) => {
+        /// The optional effects of a plate.
+        #[derive(Debug, Clone, Copy, PartialEq, Default)]
+        pub struct Effects {
+            $(pub $name: $effect,)*
+        }
+
+        impl Effects {
+            pub(crate) fn check(raw: &RawPlate) -> Result<Self, PlateError> {
+                Ok(Self { $($name: Effect::check(&raw.$table)?,)* })
+            }
+
+            fn list(&self) -> impl Iterator<Item = &dyn Effect> {
+                [$(&self.$name as &dyn Effect,)*].into_iter()
+            }
+        }
+    };
+}
+
+// `field of Effects: type = table of the plate file`. Drives and readings pass the effects in this
+// order.
+effects! {
+    second_mode: Option<SecondMode> = second_mode,
+    heating: Option<Heating> = heating,
+    amplifier: Amplifier = drive,
+    sensor: SensorElectronics = sensor,
+}
+
+/// The plate file, unchecked.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawPlate {
+    /// Name of the plate.
+    pub name: String,
+    /// Origin of the numbers, such as a publication or a measurement.
+    pub source: String,
+    /// The bending mode.
+    pub mode: RawMode,
+    /// Another bending mode that the drive excites and the sensor measures; none by default.
+    pub second_mode: Option<RawSecondMode>,
+    /// Effect of a finger; none by default.
+    #[serde(default)]
+    pub finger: RawFinger,
+    /// The amplifier.
+    pub drive: RawDrive,
+    /// The sensor; without noise by default.
+    #[serde(default)]
+    pub sensor: RawSensor,
+    /// Warming by the plate's own vibration; none by default.
+    pub heating: Option<RawHeating>,
+    /// Uncertainty of the numbers; unknown by default.
+    #[serde(default)]
+    pub uncertainty: Uncertainty,
+}
+
+/// `[mode]`
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawMode {
+    /// Resonance at the reference temperature, Hz.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = HIGHEST_RESONANCE_HZ))]
+    pub resonance_hz: f64,
+    /// Temperature at an offset of 0 K, °C.
+    #[schemars(extend("exclusiveMinimum" = -273.15))]
+    pub reference_temperature_c: f64,
+    /// Change of the resonance per kelvin, Hz.
+    pub resonance_slope_hz_per_k: f64,
+    /// Time constant τ = 1/σ of the untouched plate, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub time_constant_ms: f64,
+    /// Gain K1 of the untouched plate at resonance, µm/Vpp.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub gain_um_per_vpp: f64,
+}
+
+/// `[finger]`
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawFinger {
+    /// Points [force in N, σ/σ0], linear in between; the last segment is extended to any force.
+    #[serde(default = "unit_damping")]
+    #[schemars(length(min = 1))]
+    pub damping_ratio: Vec<[f64; 2]>,
+    /// Change of the resonance per newton, Hz.
+    #[serde(default)]
+    pub resonance_shift_hz_per_n: f64,
+}
+
+impl Default for RawFinger {
+    fn default() -> Self {
+        Self { damping_ratio: unit_damping(), resonance_shift_hz_per_n: 0.0 }
+    }
+}
+
+fn unit_damping() -> Vec<[f64; 2]> {
+    vec![[0.0, 1.0]]
+}
+
+/// `[uncertainty]`
+#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Uncertainty {
+    /// Half width of the 95 % interval of K1, percent.
+    #[schemars(range(min = 0.0))]
+    pub gain_percent: Option<f64>,
+    /// Half width of the 95 % interval of τ, percent.
+    #[schemars(range(min = 0.0))]
+    pub time_constant_percent: Option<f64>,
 }
 
 impl Effects {
-    pub(crate) fn new(plate: &Plate) -> Option<Box<Self>> {
-        plate.first_effect()?;
-        let latency = plate.sensor_latency;
+    /// Key of the first effect in the plate file. The models `linear` and `envelope` cannot
+    /// simulate effects.
+    pub(crate) fn first_key(&self) -> Option<&'static str> {
+        self.list().find_map(Effect::key)
+    }
+}
+
+/// The effects during a trial, with the state of each mode.
+#[derive(Debug, Clone)]
+pub(crate) struct ActiveEffects {
+    pub(crate) list: Vec<Box<dyn ActiveEffect>>,
+    pub(crate) states: PerMode<State>,
+    /// Last command of the controller, which may not act yet.
+    pub(crate) command: Drive,
+}
+
+impl ActiveEffects {
+    /// `None` for a plate without effects.
+    pub(crate) fn start(effects: &Effects) -> Option<Box<Self>> {
+        effects.first_key()?;
         Some(Box::new(Self {
-            states: PerMode { first: State::default(), second: plate.second_mode.map(|_| State::default()) },
-            commanded: Drive::default(),
-            pending: VecDeque::with_capacity(64),
-            output_vpp: 0.0,
-            heat_k: 0.0,
-            history: (latency > Time::ZERO).then(|| MotionHistory::new(latency)),
-            gain_drift_per_s: plate.sensor_gain_drift_per_s,
+            list: effects.list().filter_map(Effect::start).collect(),
+            states: PerMode { first: State::default(), second: effects.second_mode.map(|_| State::default()) },
+            command: Drive::default(),
         }))
     }
 
-    /// Returns `drive` if it acts now, else stores it for the dead time. The first one acts at
-    /// once.
-    pub(crate) fn command(&mut self, drive: Drive, now: Time, dead_time: Time) -> Option<Drive> {
-        let is_first = self.commanded == Drive::default();
-        self.commanded = drive;
-        if is_first || dead_time == Time::ZERO {
-            return Some(drive);
-        }
-        let at = now + dead_time;
-        match self.pending.back_mut() {
-            Some(last) if last.0 == at => last.1 = drive,
-            _ => self.pending.push_back((at, drive)),
-        }
-        None
+    /// Drive from `now` on, and its end if it has one.
+    pub(crate) fn shape(&self, vpp: f64, now: Time) -> (Forcing, Option<Time>) {
+        let input = (Forcing { constant: vpp, ..Forcing::default() }, None::<Time>);
+        self.list.iter().fold(input, |(forcing, end), effect| {
+            let (forcing, until) = effect.shape(forcing, now);
+            (forcing, end.into_iter().chain(until).min())
+        })
     }
 
-    pub(crate) fn next_command(&self) -> Option<Time> {
-        self.pending.front().map(|(at, _)| *at)
-    }
-
-    pub(crate) fn take_due_command(&mut self, now: Time) -> Option<Drive> {
-        self.next_command().filter(|at| *at <= now)?;
-        self.pending.pop_front().map(|(_, drive)| drive)
-    }
-
-    /// Reading at `now`. A sensor without latency and drift would read `w`.
-    pub(crate) fn sensor_reading(&self, w: Complex64, now: Time) -> Complex64 {
-        let w = self.history.as_ref().map_or(w, |history| history.read(now));
-        w * (1.0 + self.gain_drift_per_s * now.seconds())
+    /// At start, middle and end of the present step.
+    pub(crate) fn temperature_rise_k(&self) -> [f64; 3] {
+        self.list.iter().fold([0.0; 3], |sum, effect| {
+            let rise = effect.temperature_rise_k();
+            [sum[0] + rise[0], sum[1] + rise[1], sum[2] + rise[2]]
+        })
     }
 }

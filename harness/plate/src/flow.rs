@@ -15,13 +15,52 @@
 //!   ratio is a separate state that starts at 0, so that it is defined while Wd is 0.
 
 use crate::mode::{Drive, Mode};
-use crate::tier::Tier;
 use num_complex::Complex64;
 
 const J: Complex64 = Complex64::I;
 
 /// Smaller components, µm or µm/s, become 0, because subnormal arithmetic is many times slower.
 const NEGLIGIBLE: f64 = 1e-150;
+/// Smallest relative distance between the poles of amplifier and plate. Below it the response is a
+/// difference of nearly equal terms, so the amplifier's pole is moved.
+const MIN_POLE_DISTANCE: f64 = 1e-8;
+
+/// Model of the plate, the key `model` of a scenario. `docs/mathematics.md` states the terms that
+/// each tier omits, and its error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+pub enum Tier {
+    /// Equations 13 and 19: V gives Wd and Δω gives Wq/Wd, by two decoupled first-order systems.
+    Linear,
+    /// First order in the complex W, with the slow pole only.
+    Envelope,
+    /// Second order, exact for one mode.
+    #[default]
+    Modal,
+    /// Modal plate with carrier, converter and demodulator. W and U equal the modal ones bit for
+    /// bit.
+    Carrier,
+}
+
+impl Tier {
+    pub const ALL: [Self; 4] = [Self::Linear, Self::Envelope, Self::Modal, Self::Carrier];
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Linear => "linear",
+            Self::Envelope => "envelope",
+            Self::Modal => "modal",
+            Self::Carrier => "carrier",
+        }
+    }
+
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|tier| tier.name() == name)
+    }
+
+    pub const fn has_both_poles(self) -> bool {
+        matches!(self, Self::Modal | Self::Carrier)
+    }
+}
 
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct State {
@@ -72,6 +111,20 @@ impl ExcursionBound {
     pub(crate) fn seconds_within(&self, distance: f64) -> f64 {
         ((distance - self.ripple) / self.speed).max(distance / (self.speed + self.ripple_speed))
     }
+}
+
+/// Amplitude in µm and pole in 1/s of `amplitude e^{pole t}`.
+pub(crate) type Term = (Complex64, Complex64);
+
+/// Motion while the modes are constant, `W = rest + Σ amplitude e^{pole t}`, with N terms.
+pub(crate) trait ExponentialSum<const N: usize> {
+    fn after(&self, seconds: f64) -> State;
+
+    /// The bound is valid from any instant on.
+    fn excursion_bound(&self) -> ExcursionBound;
+
+    /// `rest` and the terms. The response to a ramp of the drive is not part of them.
+    fn terms(&self) -> (Complex64, [Term; N]);
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -178,8 +231,18 @@ impl Flow {
         state.flush_negligible()
     }
 
-    /// The bound is valid from any instant of the flow on.
-    pub(crate) fn excursion_bound(&self) -> ExcursionBound {
+    pub fn steady_state(&self) -> Complex64 {
+        self.steady_state
+    }
+}
+
+impl ExponentialSum<2> for Flow {
+    #[inline]
+    fn after(&self, seconds: f64) -> State {
+        self.after(seconds)
+    }
+
+    fn excursion_bound(&self) -> ExcursionBound {
         // One square root instead of two calls of `hypot`, which took 10 % of a trial's time.
         let speed = |term: &ExponentialTerm| (term.amplitude.norm_sqr() * term.pole.norm_sqr()).sqrt();
         let slow = speed(&self.slow_pole);
@@ -200,9 +263,7 @@ impl Flow {
         }
     }
 
-    /// Constant part of W and pairs (amplitude in µm, pole in 1/s), so that
-    /// `W = rest + Σ amplitude e^{pole t}` in every tier.
-    pub(crate) fn terms(&self) -> (Complex64, [(Complex64, Complex64); 2]) {
+    fn terms(&self) -> (Complex64, [Term; 2]) {
         let slow = (self.slow_pole.amplitude, self.slow_pole.pole);
         let other = match &self.second_term {
             SecondTerm::Envelope => (Complex64::ZERO, Complex64::ZERO),
@@ -215,8 +276,111 @@ impl Flow {
         };
         (self.steady_state, [slow, other])
     }
+}
 
-    pub fn steady_state(&self) -> Complex64 {
-        self.steady_state
+/// Output of the amplifier, `constant + slope t + decaying e^{−rate t}`. `slope` is in Vpp/s,
+/// `rate` in 1/s, the other fields are in Vpp.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Forcing {
+    pub(crate) constant: f64,
+    pub(crate) slope: f64,
+    pub(crate) decaying: f64,
+    pub(crate) rate: f64,
+}
+
+impl Forcing {
+    pub(crate) fn at(&self, seconds: f64) -> f64 {
+        self.constant + self.slope * seconds + self.decaying * (-self.rate * seconds).exp()
+    }
+
+    /// The same output with its time origin moved to `seconds`.
+    pub(crate) fn from(&self, seconds: f64) -> Self {
+        Self {
+            constant: self.constant + self.slope * seconds,
+            decaying: self.decaying * (-self.rate * seconds).exp(),
+            ..*self
+        }
+    }
+}
+
+/// Flow of one mode under an amplifier's output `V(t) = c + m t + a e^{−rt}`.
+///
+/// The response to a drive `e^{st}` is `H(s) e^{st}` with `H(s) = j(N/m)/((q − s₊)(q − s₋))`,
+/// `q = s + jω`. The response to the ramp t is `H(0) t + H'(0)`, with
+/// `H'/H = −1/(q − s₊) − 1/(q − s₋)`. The rest of the state decays with both poles.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ForcedFlow {
+    omega: f64,
+    rest: Complex64,
+    /// Slope of the response to the ramp, µm/s.
+    slope: Complex64,
+    /// Terms of slow pole, fast pole and amplifier; rotating frame.
+    terms: [Term; 3],
+}
+
+impl ForcedFlow {
+    pub(crate) fn new(mode: &Mode, omega: f64, forcing: &Forcing, state: &State) -> Self {
+        let Mode { sigma, omega0, .. } = *mode;
+        let frame = J * omega;
+        let damped = ((omega0 - sigma) * (omega0 + sigma)).sqrt();
+        let (plus, minus) = (Complex64::new(-sigma, damped), Complex64::new(-sigma, -damped));
+        let stiffness = Complex64::new((omega0 - omega) * (omega0 + omega), 2.0 * sigma * omega);
+        let response = J * mode.force_constant / stiffness;
+        let slope = response * forcing.slope;
+        let rest = response * forcing.constant - slope * ((frame - plus).inv() + (frame - minus).inv());
+        let mut rate = forcing.rate;
+        if (frame - rate - plus).norm() < MIN_POLE_DISTANCE * rate {
+            rate *= 1.0 + MIN_POLE_DISTANCE;
+        }
+        let drive = frame - rate;
+        let amplifier = J * (mode.force_constant * forcing.decaying) / ((drive - plus) * (drive - minus));
+        let w = state.w - rest - amplifier;
+        let u = state.u - frame * rest - slope - drive * amplifier;
+        let slow = (u - minus * w) / (plus - minus);
+        Self {
+            omega,
+            rest,
+            slope,
+            terms: [(slow, plus - frame), (w - slow, minus - frame), (amplifier, Complex64::from(-rate))],
+        }
+    }
+}
+
+impl ExponentialSum<3> for ForcedFlow {
+    fn after(&self, seconds: f64) -> State {
+        let frame = J * self.omega;
+        let mut w = self.rest + self.slope * seconds;
+        let mut u = frame * w + self.slope;
+        for (amplitude, pole) in self.terms {
+            let term = amplitude * (pole * seconds).exp();
+            w += term;
+            u += (pole + frame) * term;
+        }
+        State { w, u }.flush_negligible()
+    }
+
+    fn excursion_bound(&self) -> ExcursionBound {
+        let [slow, fast, amplifier] = self.terms.map(|(amplitude, pole)| amplitude.norm() * pole.norm());
+        let [_, (ripple, _), _] = self.terms;
+        ExcursionBound { speed: slow + amplifier + self.slope.norm(), ripple: 2.0 * ripple.norm(), ripple_speed: fast }
+    }
+
+    fn terms(&self) -> (Complex64, [Term; 3]) {
+        (self.rest, self.terms)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiers_are_ordered_and_found_by_name() {
+        for tier in Tier::ALL {
+            assert_eq!(Tier::from_name(tier.name()), Some(tier));
+        }
+        assert!(Tier::ALL.is_sorted());
+        assert_eq!(Tier::from_name("Modal"), None);
+        assert_eq!(Tier::default(), Tier::Modal);
     }
 }

@@ -1,12 +1,37 @@
-//! Computes damping and resonance of the mode under a finger force and at a temperature.
+//! Defines what a mode depends on: temperature, finger force and drive.
 
-use crate::plate::Plate;
+use crate::profile::Profile;
+use crate::time::Time;
 
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Conditions {
     /// Temperature minus the plate's reference temperature.
     pub temperature_offset_k: f64,
     pub finger_force_n: f64,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct ConditionProfiles {
+    pub temperature_offset_k: Profile,
+    pub finger_force_n: Profile,
+}
+
+impl ConditionProfiles {
+    pub fn at(&self, time: Time) -> Conditions {
+        Conditions {
+            temperature_offset_k: self.temperature_offset_k.at(time),
+            finger_force_n: self.finger_force_n.at(time),
+        }
+    }
+
+    pub fn next_point_after(&self, time: Time) -> Option<Time> {
+        let points = [&self.temperature_offset_k, &self.finger_force_n].map(|profile| profile.next_point_after(time));
+        points.into_iter().flatten().min()
+    }
+
+    pub(crate) fn angular_frequency(&self) -> f64 {
+        self.temperature_offset_k.angular_frequency().max(self.finger_force_n.angular_frequency())
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,39 +51,6 @@ pub struct Drive {
     pub vpp: f64,
     /// Excitation frequency ω, rad/s.
     pub omega: f64,
-}
-
-impl Plate {
-    pub fn mode(&self, conditions: &Conditions) -> Mode {
-        let omega0 = self.omega0
-            + self.omega0_per_k * conditions.temperature_offset_k
-            + self.omega0_per_n * conditions.finger_force_n;
-        Mode {
-            sigma: self.sigma0 * self.damping_ratio_at(conditions.finger_force_n),
-            omega0,
-            force_constant: self.force_constant(),
-            envelope_constant: self.gain * self.sigma0,
-        }
-    }
-
-    /// A finger and the temperature change its σ and ω0 in proportion to those of the first mode.
-    pub fn second_mode(&self, conditions: &Conditions) -> Option<Mode> {
-        self.second_mode.map(|second| {
-            let first = self.mode(conditions);
-            Mode {
-                sigma: second.sigma0 * (first.sigma / self.sigma0),
-                omega0: second.omega0 * (first.omega0 / self.omega0),
-                force_constant: second.force_constant(),
-                envelope_constant: second.gain * second.sigma0,
-            }
-        })
-    }
-
-    /// Largest σ for forces from `low` to `high` N, 1/s.
-    pub(crate) fn max_sigma(&self, (low, high): (f64, f64)) -> f64 {
-        let bends = self.damping_ratio.iter().map(|point| point[0]).filter(|force| (low..=high).contains(force));
-        self.sigma0 * bends.chain([low, high]).map(|force| self.damping_ratio_at(force)).fold(0.0_f64, f64::max)
-    }
 }
 
 impl Mode {

@@ -1,13 +1,9 @@
-//! Combines the modes of a plate over a step, and stores past steps for a sensor with latency.
+//! Combines the modes of a plate with optional effects over a step.
 
-use crate::amplifier::Forcing;
-use crate::flow::{ExcursionBound, State};
-use crate::forced_flow::ForcedFlow;
+use crate::flow::{ExcursionBound, ExponentialSum, ForcedFlow, Forcing, State, Term};
 use crate::mode::Mode;
-use crate::time::Time;
 use crate::varying::VaryingFlow;
 use num_complex::Complex64;
-use std::collections::VecDeque;
 
 /// Number of terms: one steady state, and slow pole, fast pole and amplifier of each of two modes.
 const TERMS: usize = 7;
@@ -73,49 +69,24 @@ impl FrozenMotion {
     pub(crate) fn new(modes: PerMode<Mode>, omega: f64, forcing: &Forcing, states: PerMode<State>) -> Self {
         modes.zip(states).map(|(mode, state)| ForcedFlow::new(&mode, omega, forcing, &state))
     }
+}
 
-    pub(crate) fn excursion_bound(&self) -> ExcursionBound {
+/// The first term is the steady state with pole 0.
+impl ExponentialSum<TERMS> for FrozenMotion {
+    fn after(&self, seconds: f64) -> State {
+        self.map(|flow| flow.after(seconds)).sum()
+    }
+
+    fn excursion_bound(&self) -> ExcursionBound {
         let first = self.first.excursion_bound();
         self.second.map_or(first, |second| first.plus(&second.excursion_bound()))
     }
 
-    /// Pairs (amplitude in µm, pole in 1/s) of `W = Σ amplitude e^{pole t}`. The first pair is the
-    /// steady state with pole 0.
-    pub(crate) fn terms(&self) -> [(Complex64, Complex64); TERMS] {
+    fn terms(&self) -> (Complex64, [Term; TERMS]) {
         let (rest, [slow, fast, amplifier]) = self.first.terms();
         let (second_rest, second) = self.second.map_or_else(Default::default, |flow| flow.terms());
         let [second_slow, second_fast, second_amplifier] = second;
         let rest = (rest + second_rest, Complex64::ZERO);
-        [rest, slow, fast, amplifier, second_slow, second_fast, second_amplifier]
-    }
-}
-
-#[derive(Debug, Clone)]
-pub(crate) struct MotionHistory {
-    latency: Time,
-    /// Start time and motion of each step that is needed for the last `latency`.
-    motions: VecDeque<(Time, Motion)>,
-}
-
-impl MotionHistory {
-    pub(crate) fn new(latency: Time) -> Self {
-        Self { latency, motions: VecDeque::with_capacity(1024) }
-    }
-
-    pub(crate) fn push(&mut self, start: Time, motion: &Motion) {
-        while self.motions.get(1).is_some_and(|(next, _)| *next + self.latency <= start) {
-            self.motions.pop_front();
-        }
-        self.motions.push_back((start, *motion));
-    }
-
-    /// W at `now` minus the latency; 0 if this is before the start of the trial.
-    pub(crate) fn read(&self, now: Time) -> Complex64 {
-        if now < self.latency {
-            return Complex64::ZERO;
-        }
-        let then = now - self.latency;
-        let motion = self.motions.iter().rev().find(|(start, _)| *start <= then);
-        motion.map_or(Complex64::ZERO, |(start, motion)| motion.after((then - *start).seconds()).sum().w)
+        (Complex64::ZERO, [rest, slow, fast, amplifier, second_slow, second_fast, second_amplifier])
     }
 }

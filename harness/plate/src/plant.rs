@@ -1,16 +1,20 @@
 //! Advances a plate in time under its drive, its temperature profile and its force profile.
+//!
+//! A step ends at each command, at each point of a profile and if an effect changes the drive. While
+//! the modes are constant, a step of any length is exact. If the conditions or an effect change the
+//! modes, σ and ω0 follow parabolas as in `varying.rs`. A temperature rise that depends on |W| is
+//! first computed with the modes of the middle of the step, and then corrected.
 
-use crate::crossing::{BandMonitor, Crossing};
-
-use crate::crossing::find_crossings;
+use crate::crossing::{BandMonitor, BandSearch, Crossing};
 use crate::demodulator::Demodulator;
-use crate::effects::Effects;
-use crate::flow::{Flow, State};
-use crate::mode::{Conditions, Drive, Mode};
+use crate::effect::Step;
+use crate::effects::ActiveEffects;
+use crate::flow::{ExponentialSum, Flow, Forcing, State, Tier};
+use crate::mode::{ConditionProfiles, Conditions, Drive, Mode};
+use crate::motion::{FrozenMotion, ModeMotion, Motion, PerMode};
 use crate::phase::{Phase, PhaseRate};
 use crate::plate::Plate;
 use crate::profile::Profile;
-use crate::tier::Tier;
 use crate::time::Time;
 use crate::varying::VaryingFlow;
 use num_complex::Complex64;
@@ -22,64 +26,46 @@ use std::f64::consts::PI;
 /// `λ'² bV h⁵/240` in a substep h. The error decays with σ, so its sum is at most
 /// `λ'² h⁴/240 · bV/σ`. A mode that is frozen at its midpoint leaves `|λ'| h²/12 · bV/σ`, the first
 /// commutator.
-pub(crate) const VARYING_ERROR: f64 = 1e-7;
+const VARYING_ERROR: f64 = 1e-7;
 /// Shortest substep, s. A profile that would need a shorter one changes only for microseconds.
 const MIN_SUBSTEP: f64 = 1e-7;
 /// Largest rate of a pole for `varying.rs`, as a fraction of Ω³/ω0 (Ω: frequency of the free
 /// oscillation). The equations there require a slow change; a faster mode is frozen per substep.
 /// For the paper's plate the limit is about 1e6 rad/s², which is 1 N in 0.35 ms.
 const SLOW_POLE_SHARE: f64 = 1.0 / 40_000.0;
-
-#[derive(Debug, Clone, PartialEq)]
-pub struct ConditionProfiles {
-    pub temperature_offset_k: Profile,
-    pub finger_force_n: Profile,
-}
-
-impl ConditionProfiles {
-    pub fn at(&self, time: Time) -> Conditions {
-        Conditions {
-            temperature_offset_k: self.temperature_offset_k.at(time),
-            finger_force_n: self.finger_force_n.at(time),
-        }
-    }
-
-    pub fn next_point_after(&self, time: Time) -> Option<Time> {
-        let points = [&self.temperature_offset_k, &self.finger_force_n].map(|profile| profile.next_point_after(time));
-        points.into_iter().flatten().min()
-    }
-
-    pub(crate) fn angular_frequency(&self) -> f64 {
-        self.temperature_offset_k.angular_frequency().max(self.finger_force_n.angular_frequency())
-    }
-}
+/// Step of a plate with effects relative to one without. The error has order four, so it is a
+/// sixteenth.
+const EFFECTS_SUBSTEP: f64 = 0.5;
+/// Largest step with a temperature rise by an effect, relative to 1/|λ|; the temperature is then
+/// nearly a parabola.
+const WARMING_SUBSTEP: f64 = 0.25;
 
 /// Interval without a jump or a bend of a profile or of the damping curve.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct SmoothInterval {
-    pub(crate) end: Time,
+struct SmoothInterval {
+    end: Time,
     /// Upper bound on |λ'|, rad/s².
-    pub(crate) rate: f64,
+    rate: f64,
     /// Mode at the start of the interval; it is constant if `rate` is 0.
     mode: Mode,
 }
 
 #[derive(Debug, Clone)]
 pub struct Plant {
-    pub(crate) plate: Plate,
-    pub(crate) scene: ConditionProfiles,
+    plate: Plate,
+    scene: ConditionProfiles,
     tier: Tier,
-    pub(crate) time: Time,
-    pub(crate) state: State,
+    time: Time,
+    state: State,
     /// Drive at the amplifier's input.
-    pub(crate) drive: Drive,
-    pub(crate) phase: Phase,
-    pub(crate) rate: PhaseRate,
-    pub(crate) demodulator: Option<Demodulator>,
-    pub(crate) max_pole_rate: f64,
+    drive: Drive,
+    phase: Phase,
+    rate: PhaseRate,
+    demodulator: Option<Demodulator>,
+    max_pole_rate: f64,
     interval: Option<SmoothInterval>,
     /// `None` in the tiers `linear` and `envelope`, and for a plate without optional effects.
-    effects: Option<Box<Effects>>,
+    effects: Option<Box<ActiveEffects>>,
 }
 
 impl Plant {
@@ -91,7 +77,7 @@ impl Plant {
             demodulator: lockin.map(|lockin| Demodulator::new(lockin, plate.omega0)),
             max_pole_rate: max_slow_pole_rate(&plate, &scene),
             interval: None,
-            effects: Effects::new(&plate).filter(|_| tier.has_both_poles()),
+            effects: ActiveEffects::start(&plate.effects).filter(|_| tier.has_both_poles()),
             plate,
             scene,
             tier,
@@ -123,16 +109,16 @@ impl Plant {
     /// Output of the sensor in µm: W or the demodulator's output, with latency and drift.
     pub fn sensor_reading(&self) -> Complex64 {
         let w = self.demodulator.as_ref().map_or(self.state.w, |demodulator| demodulator.read(self.drive.omega));
-        self.effects.as_ref().map_or(w, |effects| effects.sensor_reading(w, self.time))
+        self.effects.as_ref().map_or(w, |effects| effects.list.iter().fold(w, |w, effect| effect.read(w, self.time)))
     }
 
     /// Last command of the controller; the amplifier's output may differ.
     pub fn drive(&self) -> Drive {
-        self.effects.as_ref().map_or(self.drive, |effects| effects.commanded)
+        self.effects.as_ref().map_or(self.drive, |effects| effects.command)
     }
 
     pub fn self_heating_k(&self) -> f64 {
-        self.effects.as_ref().map_or(0.0, |effects| effects.heat_k)
+        self.effects.as_ref().map_or(0.0, |effects| effects.temperature_rise_k()[0])
     }
 
     pub fn plate(&self) -> &Plate {
@@ -147,7 +133,7 @@ impl Plant {
     pub fn mode_at(&self, time: Time) -> Mode {
         let mut conditions = self.scene.at(time);
         if let Some(effects) = &self.effects {
-            conditions.temperature_offset_k += effects.heat_k;
+            conditions.temperature_offset_k += effects.temperature_rise_k()[0];
         }
         self.plate.mode(&conditions)
     }
@@ -175,22 +161,16 @@ impl Plant {
 
     #[cold]
     fn set_drive_with_effects(&mut self, drive: Drive) {
-        if let Some(mut effects) = self.effects.take() {
-            self.command_drive(&mut effects, drive);
-            self.effects = Some(effects);
-        }
-    }
-
-    #[cold]
-    fn advance_with_effects(&mut self, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
-        if let Some(mut effects) = self.effects.take() {
-            self.advance_effects(&mut effects, end, monitors, crossings);
-            self.effects = Some(effects);
+        let Some(effects) = &mut self.effects else { return };
+        effects.command = drive;
+        let received = effects.list.iter_mut().try_fold(drive, |drive, effect| effect.receive(drive, self.time));
+        if let Some(drive) = received {
+            self.apply_drive(drive);
         }
     }
 
     #[inline]
-    pub(crate) fn apply_drive(&mut self, drive: Drive) {
+    fn apply_drive(&mut self, drive: Drive) {
         self.rate = PhaseRate::from_omega(drive.omega);
         self.drive = drive;
     }
@@ -198,40 +178,38 @@ impl Plant {
     /// Moves the plate to `end`; no effect if `end` has passed. Appends to `crossings` in order of
     /// time. Excursions below 1 µs may be missed.
     pub fn advance(&mut self, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
-        if self.effects.is_some() {
-            return self.advance_with_effects(end, monitors, crossings);
-        }
+        let mut bands = BandSearch { monitors, found: crossings };
         while self.time < end {
             let interval = self.smooth_interval();
             let interval_end = interval.end.min(end);
-            if interval.rate == 0.0 {
-                self.advance_frozen(&interval.mode, interval_end, monitors, crossings);
-                continue;
-            }
-            let frequency = self.scene.angular_frequency();
-            let fast = interval.rate > self.max_pole_rate || frequency > self.plate.omega0 / 10.0;
-            let longest = if fast {
-                // Substeps of a turn of the fast pole or more would excite this pole.
-                let rate = interval.rate * 1.0_f64.hypot(frequency / (2.0 * self.plate.sigma0));
-                max_frozen_substep(rate).min(0.75 * PI / self.plate.omega0)
+            if self.effects.is_some() {
+                self.advance_with_effects(interval.rate, interval_end, &mut bands);
+            } else if interval.rate == 0.0 {
+                self.advance_frozen(&interval.mode, interval_end, &mut bands);
             } else {
-                self.max_varying_substep(interval.rate, frequency, self.pole_norm(frequency))
-            };
-            for end in split_interval(self.time, interval_end, longest) {
-                // A parabola needs three different instants; less than 3 ns do not contain them.
-                if fast || (end - self.time).as_nanos() < 3 {
-                    let mode = self.mode_at(self.time.midpoint(end));
-                    self.advance_frozen(&mode, end, monitors, crossings);
-                } else {
-                    self.advance_varying(end, max_frozen_substep(interval.rate), monitors, crossings);
-                }
+                self.advance_changing(interval.rate, interval_end, &mut bands);
+            }
+        }
+    }
+
+    /// Advances by substeps while the conditions change the mode.
+    fn advance_changing(&mut self, rate: f64, end: Time, bands: &mut BandSearch<'_>) {
+        let (longest, is_fast) = self
+            .longest_substep(rate, |frequency| self.max_varying_substep(rate, frequency, self.pole_norm(frequency)));
+        for end in split_interval(self.time, end, longest) {
+            // A parabola needs three different instants; less than 3 ns do not contain them.
+            if is_fast || (end - self.time).as_nanos() < 3 {
+                let mode = self.mode_at(self.time.midpoint(end));
+                self.advance_frozen(&mode, end, bands);
+            } else {
+                self.advance_varying(end, max_frozen_substep(rate), bands);
             }
         }
     }
 
     #[expect(clippy::inline_always, reason = "ci/counts: 4 % of a step")]
     #[inline(always)]
-    pub(crate) fn smooth_interval(&mut self) -> SmoothInterval {
+    fn smooth_interval(&mut self) -> SmoothInterval {
         if let Some(interval) = self.interval.filter(|interval| self.time < interval.end) {
             return interval;
         }
@@ -253,10 +231,23 @@ impl Plant {
         mode.sigma.hypot(mode.omega0 - self.drive.omega)
     }
 
+    /// Longest substep in s, and true if the mode is frozen in it, because it changes too fast for
+    /// `varying.rs`. `varying` computes the length without this; its argument is ν in rad/s.
+    #[inline]
+    fn longest_substep(&self, rate: f64, varying: impl FnOnce(f64) -> f64) -> (f64, bool) {
+        let frequency = self.scene.angular_frequency();
+        if rate <= self.max_pole_rate && frequency <= self.plate.omega0 / 10.0 {
+            return (varying(frequency), false);
+        }
+        // Substeps of a turn of the fast pole or more would excite this pole.
+        let rate = rate * 1.0_f64.hypot(frequency / (2.0 * self.plate.sigma0));
+        (max_frozen_substep(rate).min(0.75 * PI / self.plate.omega0), true)
+    }
+
     /// Longest substep in s. `pole` is |λ| in 1/s, `rate` is |λ'| in rad/s², `frequency` is ν of a
     /// sine profile in rad/s. The error is
     /// `h⁴ |λ'| (|λ'|/240 + ν|λ|/720 + ν²/240 + ν³/2880σ) bV/σ`.
-    pub(crate) fn max_varying_substep(&self, rate: f64, frequency: f64, pole: f64) -> f64 {
+    fn max_varying_substep(&self, rate: f64, frequency: f64, pole: f64) -> f64 {
         let mut sum = rate;
         if frequency > 0.0 {
             sum += frequency * (pole / 3.0 + frequency * (1.0 + frequency / (12.0 * self.plate.sigma0)));
@@ -282,75 +273,197 @@ impl Plant {
         bends.iter().filter_map(|[force, _]| self.scene.finger_force_n.next_crossing(*force, self.time)).min()
     }
 
-    fn advance_frozen(&mut self, mode: &Mode, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
-        let seconds = (end - self.time).seconds();
+    fn advance_frozen(&mut self, mode: &Mode, end: Time, bands: &mut BandSearch<'_>) {
         let flow = Flow::new(self.tier, mode, &self.drive, &self.state);
-        if !monitors.is_empty() {
-            let bound = flow.excursion_bound();
-            let seconds_within = |_, distance| bound.seconds_within(distance);
-            self.find_crossings(end, |seconds| flow.after(seconds), seconds_within, monitors, crossings);
-        }
-        if let Some(demodulator) = &mut self.demodulator {
-            let (rest, terms) = flow.terms();
-            demodulator.advance(rest, terms, self.time, end, self.phase, self.drive.omega);
-        }
-        self.finish_step(end, flow.after(seconds));
+        self.observe_frozen(&flow, end, bands);
+        self.finish_step(end, flow.after((end - self.time).seconds()));
     }
 
     /// Advances with varying modes; the demodulator advances in pieces of at most `longest` s.
-    fn advance_varying(&mut self, end: Time, longest: f64, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
+    fn advance_varying(&mut self, end: Time, longest: f64, bands: &mut BandSearch<'_>) {
         let start = self.time;
         // A `hold` profile may jump at `end`, so the last point is 1 ns earlier.
         let last = end - Time::from_nanos(1);
         let [middle, last] = [start.midpoint(last), last].map(|time| ((time - start).seconds(), self.mode_at(time)));
         let varying = VaryingFlow::new(self.tier, &self.mode_at(start), middle, last, &self.drive, &self.state);
         let seconds = (end - start).seconds();
-        if !monitors.is_empty() {
+        if !bands.monitors.is_empty() {
             // The bound is valid only from the start of the interval.
             let reach = varying.max_excursion(seconds);
             let seconds_within = |from, distance| if from == 0.0 && reach < distance { seconds } else { 0.0 };
-            self.find_crossings(end, |seconds| varying.after(seconds), seconds_within, monitors, crossings);
+            bands.find(|seconds| varying.after(seconds), seconds_within, &self.state, (start, end));
         }
-        if let Some(mut demodulator) = self.demodulator.take() {
-            // The demodulator requires exponentials, so the mode is frozen for each piece. Each
-            // piece starts at the exact state, so errors do not accumulate.
-            let mut from = start;
-            for to in split_interval(start, end, longest) {
-                let (mode, state) = (self.mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
-                let flow = Flow::new(self.tier, &mode, &self.drive, &state);
-                let phase = self.phase.after(from - start, self.rate);
-                let (rest, terms) = flow.terms();
-                demodulator.advance(rest, terms, from, to, phase, self.drive.omega);
-                from = to;
-            }
-            self.demodulator = Some(demodulator);
-        }
+        self.demodulate_pieces(end, longest, |plant, from, to| {
+            let (mode, state) = (plant.mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
+            Flow::new(plant.tier, &mode, &plant.drive, &state)
+        });
         self.finish_step(end, varying.after(seconds));
     }
 
-    #[inline]
-    pub(crate) fn find_crossings(
+    /// Advances by one step with the optional effects. `rate` is the bound on |λ'| by the conditions.
+    #[cold]
+    fn advance_with_effects(&mut self, rate: f64, interval_end: Time, bands: &mut BandSearch<'_>) {
+        let Some(mut effects) = self.effects.take() else { return };
+        for effect in &mut effects.list {
+            while let Some(drive) = effect.release(self.time) {
+                self.apply_drive(drive);
+            }
+        }
+        let (forcing, forcing_end) = effects.shape(self.drive.vpp, self.time);
+        let piece_end = forcing_end.map_or(interval_end, |end| end.min(interval_end));
+        // At least 1 ms keeps the steps independent of the distance between rows of the trace.
+        let amplitude = self.plate.max_amplitude(self.state.w.norm(), (piece_end - self.time).seconds().max(1e-3));
+        let warming = effects.list.iter().map(|effect| effect.max_warming(amplitude)).sum::<f64>();
+        let is_warming = warming > 0.0;
+        let rate = self.plate.max_mode_scale() * (rate + self.plate.omega0_per_k.abs() * warming);
+        let (longest, is_fast) = if rate == 0.0 {
+            (f64::INFINITY, false)
+        } else {
+            self.longest_substep(rate, |frequency| {
+                self.max_substep_with_effects(&effects, &forcing, is_warming, rate, frequency)
+            })
+        };
+        let end = Time::from_seconds(longest).map_or(piece_end, |step| (self.time + step).min(piece_end));
+        let (start, omega) = (self.time, self.drive.omega);
+        let (middle, seconds) = (start.midpoint(end), (end - start).seconds());
+        let frozen_with = |plant: &Self, effects: &ActiveEffects| {
+            let [_, rise_k, _] = effects.temperature_rise_k();
+            FrozenMotion::new(plant.modes_at(middle, rise_k), omega, &forcing, effects.states)
+        };
+        let mut frozen = frozen_with(self, &effects);
+        if is_warming {
+            // The second pass uses the modes at the temperature that the first pass found.
+            for _ in 0..2 {
+                let (_, terms) = frozen.terms();
+                effects.list.iter_mut().for_each(|effect| effect.predict(&terms, (middle - start).seconds(), seconds));
+                frozen = frozen_with(self, &effects);
+            }
+        }
+        let motion = if rate > 0.0 && !is_fast && (end - start).as_nanos() >= 3 {
+            let motion = self.varying_motion(&mut effects, &forcing, end, is_warming.then_some(&frozen));
+            if !bands.monitors.is_empty() {
+                bands.find(|seconds| motion.after(seconds).sum(), |_, _| 0.0, &self.state, (start, end));
+            }
+            let [_, rise_k, _] = effects.temperature_rise_k();
+            self.demodulate_pieces(end, max_frozen_substep(rate), |plant, from, to| {
+                let since = (from - start).seconds();
+                let modes = plant.modes_at(from.midpoint(to), rise_k);
+                FrozenMotion::new(modes, omega, &forcing.from(since), motion.after(since))
+            });
+            motion
+        } else {
+            self.observe_frozen(&frozen, end, bands);
+            frozen.map(ModeMotion::Constant)
+        };
+        let step = Step { start, seconds, forcing: &forcing, motion: &motion };
+        effects.list.iter_mut().for_each(|effect| effect.finish(&step));
+        effects.states = motion.after(seconds);
+        self.finish_step(end, effects.states.sum());
+        self.effects = Some(effects);
+    }
+
+    /// Motion to `end` while the modes vary. `frozen` is the motion that predicted the temperature.
+    fn varying_motion(
         &self,
+        effects: &mut ActiveEffects,
+        forcing: &Forcing,
         end: Time,
-        after: impl Fn(f64) -> State,
-        seconds_within: impl Fn(f64, f64) -> f64,
-        monitors: &[BandMonitor],
-        crossings: &mut Vec<Crossing>,
+        frozen: Option<&FrozenMotion>,
+    ) -> Motion {
+        let (start, states) = (self.time, effects.states);
+        let varying = |effects: &ActiveEffects| {
+            // A `hold` profile may jump at `end`, so the last point is 1 ns earlier.
+            let (middle, last) = (start.midpoint(end), end - Time::from_nanos(1));
+            let [start_k, middle_k, end_k] = effects.temperature_rise_k();
+            let [first, second, third] =
+                [(start, start_k), (middle, middle_k), (last, end_k)].map(|(time, rise_k)| self.modes_at(time, rise_k));
+            let [middle, last] = [middle, last].map(|time| (time - start).seconds());
+            first.zip(second).zip(third).zip(states).map(|(((first, second), third), state)| {
+                let drive = Drive { vpp: forcing.constant, omega: self.drive.omega };
+                let flow = VaryingFlow::new(Tier::Modal, &first, (middle, second), (last, third), &drive, &state);
+                ModeMotion::Varying(flow, *forcing)
+            })
+        };
+        let motion = varying(effects);
+        let Some(frozen) = frozen else { return motion };
+        let seconds = (end - start).seconds();
+        let errors = [0.25, 0.5, 1.0].map(|share| {
+            let at = share * seconds;
+            motion.after(at).sum().w.norm_sqr() - frozen.after(at).w.norm_sqr()
+        });
+        effects.list.iter_mut().for_each(|effect| effect.correct(errors, seconds));
+        varying(effects)
+    }
+
+    /// Finds the crossings of a step with constant modes and takes its samples.
+    #[inline]
+    fn observe_frozen<const N: usize>(
+        &mut self,
+        motion: &impl ExponentialSum<N>,
+        end: Time,
+        bands: &mut BandSearch<'_>,
     ) {
-        let known = crossings.len();
-        for monitor in monitors {
-            find_crossings(monitor, &after, &seconds_within, &self.state, self.time, end, crossings);
+        if !bands.monitors.is_empty() {
+            let bound = motion.excursion_bound();
+            let seconds_within = |_, distance| bound.seconds_within(distance);
+            bands.find(|seconds| motion.after(seconds), seconds_within, &self.state, (self.time, end));
         }
-        if monitors.len() > 1
-            && let Some(new) = crossings.get_mut(known..)
-        {
-            new.sort_by_key(|crossing| crossing.time);
+        if let Some(demodulator) = &mut self.demodulator {
+            let (rest, terms) = motion.terms();
+            demodulator.advance(rest, terms, self.time, end, self.phase, self.drive.omega);
         }
+    }
+
+    /// Takes the samples of a step with varying modes. The demodulator requires exponentials, so the
+    /// modes are frozen for pieces of at most `longest` s. Each piece starts at the exact state, so
+    /// errors do not accumulate.
+    #[inline]
+    fn demodulate_pieces<const N: usize, M: ExponentialSum<N>>(
+        &mut self,
+        end: Time,
+        longest: f64,
+        motion_between: impl Fn(&Self, Time, Time) -> M,
+    ) {
+        let Some(mut demodulator) = self.demodulator.take() else { return };
+        let (start, mut from) = (self.time, self.time);
+        for to in split_interval(start, end, longest) {
+            let (rest, terms) = motion_between(self, from, to).terms();
+            let phase = self.phase.after(from - start, self.rate);
+            demodulator.advance(rest, terms, from, to, phase, self.drive.omega);
+            from = to;
+        }
+        self.demodulator = Some(demodulator);
+    }
+
+    fn modes_at(&self, time: Time, temperature_rise_k: f64) -> PerMode<Mode> {
+        let mut conditions = self.scene.at(time);
+        conditions.temperature_offset_k += temperature_rise_k;
+        PerMode { first: self.plate.mode(&conditions), second: self.plate.second_mode(&conditions) }
+    }
+
+    /// Longest step in s for `varying.rs`. A ramp of the drive over the whole step adds the error
+    /// `|λ||λ'|h³/240`.
+    fn max_substep_with_effects(
+        &self,
+        effects: &ActiveEffects,
+        forcing: &Forcing,
+        is_warming: bool,
+        rate: f64,
+        frequency: f64,
+    ) -> f64 {
+        let modes = self.modes_at(self.time, effects.temperature_rise_k()[0]);
+        let poles = modes.map(|mode| mode.sigma.hypot(mode.omega0 - self.drive.omega));
+        let pole = poles.second.map_or(poles.first, |second| poles.first.max(second));
+        let mut longest = EFFECTS_SUBSTEP * self.max_varying_substep(rate, frequency, pole);
+        if forcing.slope != 0.0 {
+            longest = longest.min(EFFECTS_SUBSTEP * (240.0 * VARYING_ERROR / (pole * rate)).cbrt());
+        }
+        if is_warming { longest.min(WARMING_SUBSTEP / pole) } else { longest }
     }
 
     #[expect(clippy::inline_always, reason = "ci/counts: 4 % of a step")]
     #[inline(always)]
-    pub(crate) fn finish_step(&mut self, end: Time, state: State) {
+    fn finish_step(&mut self, end: Time, state: State) {
         self.phase = self.phase.after(end - self.time, self.rate);
         self.state = state;
         self.time = end;
@@ -370,13 +483,13 @@ fn max_slow_pole_rate(plate: &Plate, scene: &ConditionProfiles) -> f64 {
 
 /// Longest substep in s for a frozen mode whose pole changes at `rate` rad/s².
 #[inline]
-pub(crate) fn max_frozen_substep(rate: f64) -> f64 {
+fn max_frozen_substep(rate: f64) -> f64 {
     (12.0 * VARYING_ERROR / rate).sqrt().max(MIN_SUBSTEP)
 }
 
 /// Splits `start` to `end` into equal pieces of at most `longest` s; yields the end of each.
 #[inline]
-pub(crate) fn split_interval(start: Time, end: Time, longest: f64) -> impl Iterator<Item = Time> {
+fn split_interval(start: Time, end: Time, longest: f64) -> impl Iterator<Item = Time> {
     let span = end - start;
     let pieces = ((span.seconds() / longest).ceil().max(1.0) as u64).min(span.as_nanos());
     (1..=pieces).map(move |piece| {

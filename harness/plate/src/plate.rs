@@ -1,12 +1,10 @@
 //! Checks a plate file and converts its numbers to the units of the equations.
 
-use crate::amplifier::{Amplifier, MAX_DELAY_US};
-use crate::heating::Heating;
-use crate::lockin::{ConverterResolution, Lockin};
-use crate::plate_error::{PlateError, check, finite, positive};
-use crate::raw_plate::{HIGHEST_RESONANCE_HZ, RawPlate, RawUncertainty};
-use crate::second_mode::SecondMode;
-use crate::time::Time;
+use crate::demodulator::Lockin;
+use crate::effect::{PlateError, check, finite, positive, resonance};
+use crate::effects::{ConverterResolution, Effects, RawPlate, Uncertainty};
+use crate::flow::Tier;
+use crate::mode::{Conditions, Mode};
 use std::f64::consts::TAU;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -33,76 +31,38 @@ pub struct Plate {
     pub lockin: Option<Lockin>,
     /// Resolution of Wd and Wq if the sensor has a converter but no lock-in.
     pub resolution: Option<ConverterResolution>,
-    pub sensor_latency: Time,
-    /// Change of the sensor's gain per second, as a fraction of the gain.
-    pub sensor_gain_drift_per_s: f64,
-    pub second_mode: Option<SecondMode>,
-    pub amplifier: Amplifier,
-    pub heating: Option<Heating>,
+    pub effects: Effects,
     pub uncertainty: Uncertainty,
-}
-
-/// Half widths of the 95 % intervals of K1 and τ, in percent of the value; `None` if unknown.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Uncertainty {
-    pub gain_percent: Option<f64>,
-    pub time_constant_percent: Option<f64>,
-}
-
-fn uncertainty(raw: &RawUncertainty) -> Result<Uncertainty, PlateError> {
-    let checked = |key, value: Option<f64>| {
-        let holds = value.is_none_or(|value| value.is_finite() && value >= 0.0);
-        check(holds, key, &value.unwrap_or_default(), "a finite number, 0 or more").map(|()| value)
-    };
-    Ok(Uncertainty {
-        gain_percent: checked("uncertainty.gain_percent", raw.gain_percent)?,
-        time_constant_percent: checked("uncertainty.time_constant_percent", raw.time_constant_percent)?,
-    })
 }
 
 impl RawPlate {
     /// With a slew rate, lock-in samples and self-heating have no closed form, so these are
     /// refused.
-    fn check_combinations(&self) -> Result<(), PlateError> {
-        const SLEW_RATE: &str = "drive.slew_rate_vpp_per_ms";
-        let slew_rate = self.drive.slew_rate_vpp_per_ms;
-        let value = slew_rate.unwrap_or_default();
+    fn check_slew_rate(&self) -> Result<(), PlateError> {
+        const KEY: &str = "drive.slew_rate_vpp_per_ms";
+        let Some(value) = self.drive.slew_rate_vpp_per_ms else { return Ok(()) };
         let has_lockin = self.sensor.demodulator_periods.is_some();
-        check(slew_rate.is_none() || !has_lockin, SLEW_RATE, &value, "a plate without `sensor.demodulator_periods`")?;
-        check(slew_rate.is_none() || self.heating.is_none(), SLEW_RATE, &value, "a plate without `[heating]`")?;
-        let latency_us = self.sensor.latency_us;
-        check(
-            latency_us == 0.0 || !has_lockin,
-            "sensor.latency_us",
-            &latency_us,
-            "0 with `demodulator_periods`, because the demodulator has its own latency",
-        )
+        check(!has_lockin, KEY, &value, "a plate without `sensor.demodulator_periods`")?;
+        check(self.heating.is_none(), KEY, &value, "a plate without `[heating]`")
     }
 
     pub fn check(self) -> Result<Plate, PlateError> {
-        let resonance_hz = positive("mode.resonance_hz", self.mode.resonance_hz)?;
-        check(
-            resonance_hz <= HIGHEST_RESONANCE_HZ,
-            "mode.resonance_hz",
-            &resonance_hz,
-            "at most 2.5e6: the wire carries the excitation frequency in millihertz",
-        )?;
-        let omega0 = resonance_hz * TAU;
-        let sigma0 = 1e3 / positive("mode.time_constant_ms", self.mode.time_constant_ms)?;
-        check(
-            omega0 / (2.0 * sigma0) > 1.0,
-            "mode.time_constant_ms",
-            &self.mode.time_constant_ms,
-            "a time constant with Q = π · resonance_hz · τ above 1",
-        )?;
+        let resonance_hz = self.mode.resonance_hz;
+        let keys = ["mode.resonance_hz", "mode.time_constant_ms"];
+        let (omega0, sigma0) = resonance(keys, resonance_hz, self.mode.time_constant_ms)?;
         let reference = finite("mode.reference_temperature_c", self.mode.reference_temperature_c)?;
         check(reference > -273.15, "mode.reference_temperature_c", &reference, "a temperature above -273.15")?;
         let noise = finite("sensor.noise_um_rms", self.sensor.noise_um_rms)?;
         check(noise >= 0.0, "sensor.noise_um_rms", &noise, "0 or more")?;
-        let latency_us = finite("sensor.latency_us", self.sensor.latency_us)?;
-        check((0.0..=MAX_DELAY_US).contains(&latency_us), "sensor.latency_us", &latency_us, "0 to 1e5 µs")?;
-        let drift = finite("sensor.gain_drift_percent_per_s", self.sensor.gain_drift_percent_per_s)?;
-        self.check_combinations()?;
+        let Uncertainty { gain_percent, time_constant_percent } = self.uncertainty;
+        for (key, percent) in
+            [("uncertainty.gain_percent", gain_percent), ("uncertainty.time_constant_percent", time_constant_percent)]
+        {
+            let percent = percent.unwrap_or_default();
+            check(percent.is_finite() && percent >= 0.0, key, &percent, "a finite number, 0 or more")?;
+        }
+        self.check_slew_rate()?;
+        let effects = Effects::check(&self)?;
         let lockin = Lockin::check(&self.sensor, resonance_hz)?;
         let resolution = ConverterResolution::check(&self.sensor)?.filter(|_| lockin.is_none());
         Ok(Plate {
@@ -116,15 +76,11 @@ impl RawPlate {
             damping_ratio: damping_curve(self.finger.damping_ratio)?,
             omega0_per_n: finite("finger.resonance_shift_hz_per_n", self.finger.resonance_shift_hz_per_n)? * TAU,
             drive_limit_vpp: positive("drive.limit_vpp", self.drive.limit_vpp)?,
-            amplifier: Amplifier::check(&self.drive)?,
-            second_mode: self.second_mode.as_ref().map(SecondMode::check).transpose()?,
-            heating: self.heating.as_ref().map(Heating::check).transpose()?,
             noise_um_rms: noise,
             lockin,
             resolution,
-            sensor_latency: Time::from_ms(latency_us / 1e3).unwrap_or_default(),
-            sensor_gain_drift_per_s: drift / 100.0,
-            uncertainty: uncertainty(&self.uncertainty)?,
+            effects,
+            uncertainty: self.uncertainty,
         })
     }
 }
@@ -150,19 +106,47 @@ impl Plate {
     /// Key of the first optional effect in the plate file. The models `linear` and `envelope`
     /// cannot simulate these effects.
     pub fn first_effect(&self) -> Option<&'static str> {
-        let Amplifier { converter, dead_time, pole, slew_rate, offset_vpp } = self.amplifier;
-        let effects = [
-            ("second_mode", self.second_mode.is_some()),
-            ("heating", self.heating.is_some()),
-            ("drive.converter_bits", converter.is_some()),
-            ("drive.bandwidth_hz", pole.is_some()),
-            ("drive.slew_rate_vpp_per_ms", slew_rate.is_some()),
-            ("drive.dead_time_us", dead_time > Time::ZERO),
-            ("drive.offset_vpp", offset_vpp != 0.0),
-            ("sensor.latency_us", self.sensor_latency > Time::ZERO),
-            ("sensor.gain_drift_percent_per_s", self.sensor_gain_drift_per_s != 0.0),
-        ];
-        effects.into_iter().find(|(_, given)| *given).map(|(key, _)| key)
+        self.effects.first_key()
+    }
+
+    pub fn mode(&self, conditions: &Conditions) -> Mode {
+        let omega0 = self.omega0
+            + self.omega0_per_k * conditions.temperature_offset_k
+            + self.omega0_per_n * conditions.finger_force_n;
+        Mode {
+            sigma: self.sigma0 * self.damping_ratio_at(conditions.finger_force_n),
+            omega0,
+            force_constant: self.force_constant(),
+            envelope_constant: self.gain * self.sigma0,
+        }
+    }
+
+    pub fn second_mode(&self, conditions: &Conditions) -> Option<Mode> {
+        self.effects.second_mode.map(|second| {
+            let first = self.mode(conditions);
+            second.mode(first.sigma / self.sigma0, first.omega0 / self.omega0)
+        })
+    }
+
+    /// Largest σ for forces from `low` to `high` N, 1/s.
+    pub(crate) fn max_sigma(&self, (low, high): (f64, f64)) -> f64 {
+        let bends = self.damping_ratio.iter().map(|point| point[0]).filter(|force| (low..=high).contains(force));
+        self.sigma0 * bends.chain([low, high]).map(|force| self.damping_ratio_at(force)).fold(0.0_f64, f64::max)
+    }
+
+    /// Upper bound on |W| after `seconds`, if it is `amplitude` µm now. Per mode the amplitude rises
+    /// by at most b V t = K1 σ0 V t.
+    pub(crate) fn max_amplitude(&self, amplitude: f64, seconds: f64) -> f64 {
+        let second = self.effects.second_mode.map_or(0.0, |second| second.gain.abs());
+        let rise = (self.gain + second) * (self.drive_limit_vpp + self.effects.amplifier.offset_vpp.abs());
+        amplitude + rise.min(rise * self.sigma0 * seconds)
+    }
+
+    /// Factor by which σ or ω0 of any mode changes at most, relative to the first mode.
+    pub(crate) fn max_mode_scale(&self) -> f64 {
+        self.effects
+            .second_mode
+            .map_or(1.0, |second| (second.omega0 / self.omega0).max(second.sigma0 / self.sigma0).max(1.0))
     }
 
     /// False for a plate without `[finger]`.
@@ -192,10 +176,17 @@ impl Plate {
     }
 }
 
+impl Tier {
+    pub const fn exact_for(plate: &Plate) -> Self {
+        if plate.lockin.is_some() { Self::Carrier } else { Self::Modal }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::amplifier::DriveConverter;
+    use crate::effects::{Amplifier, DriveConverter, SecondMode};
+    use crate::time::Time;
     use rstest::rstest;
 
     const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
@@ -296,9 +287,9 @@ mod tests {
             slew_rate: Some(2000.0),
             offset_vpp: -1.5,
         };
-        assert_eq!(plate.amplifier, expected);
+        assert_eq!(plate.effects.amplifier, expected);
         let second = SecondMode { omega0: 32607.6 * TAU, sigma0: 1000.0, gain: -0.001 };
-        assert_eq!(plate.second_mode, Some(second));
+        assert_eq!(plate.effects.second_mode, Some(second));
         assert_eq!(plate.first_effect(), Some("second_mode"));
         assert_eq!(read(PAPER).unwrap().first_effect(), None);
     }

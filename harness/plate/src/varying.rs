@@ -17,10 +17,8 @@
 //! `√Ω (W ∓ jv/Ω)/2` has one of the poles `−σ ± jΩ − jω`, so no step excites the fast pole.
 //! `docs/mathematics.md` derives the error.
 
-use crate::amplifier::Forcing;
-use crate::flow::State;
+use crate::flow::{Forcing, State, Tier};
 use crate::mode::{Drive, Mode};
-use crate::tier::Tier;
 use num_complex::Complex64;
 
 const J: Complex64 = Complex64::I;

@@ -23,7 +23,8 @@ pub(crate) fn infeasibility_excuse(
     // The ideal response has one mode. A second mode or an amplifier offset may add to it, so
     // nothing is excused. Bandwidth, slew rate, dead time and latency only slow a loop down, so the
     // ideal response stays a bound.
-    if scenario.plate.second_mode.is_some() || scenario.plate.amplifier.offset_vpp != 0.0 {
+    let effects = &scenario.plate.effects;
+    if effects.second_mode.is_some() || effects.amplifier.offset_vpp != 0.0 {
         return None;
     }
     if !may_be_limited(rows) {

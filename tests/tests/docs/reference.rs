@@ -46,7 +46,7 @@ fn the_key_reference_matches_the_loader() {
     append_metrics(&mut page);
     for (title, files, top) in [
         ("Scenario file", &["harness/scenario/src/raw.rs", "harness/scenario/src/scenario.rs"][..], "RawScenario"),
-        ("Plate file", &["harness/plate/src/raw_plate.rs"], "RawPlate"),
+        ("Plate file", &["harness/plate/src/effects.rs", "harness/plate/src/effects"], "RawPlate"),
         (
             "Plan of an acceptance session",
             &["harness/acceptance/src/plan.rs", "harness/scenario/src/requirements.rs"],
@@ -54,7 +54,7 @@ fn the_key_reference_matches_the_loader() {
         ),
     ] {
         write!(page, "\n## {title}\n").unwrap();
-        let types = files.iter().flat_map(|file| structs_by_name(file)).collect();
+        let types = files.iter().flat_map(|path| source_files(path)).flat_map(|file| structs_by_name(&file)).collect();
         append_keys(&types, top, "", &mut page);
     }
     check_or_update("docs/reference-keys.md", &page);
@@ -95,6 +95,14 @@ fn append_metrics(page: &mut String) {
 
 fn parse_source(file: &str) -> syn::File {
     syn::parse_file(&fs::read_to_string(workspace_root().join(file)).unwrap()).unwrap()
+}
+
+/// The files of a folder, or the file itself.
+fn source_files(path: &str) -> Vec<String> {
+    match fs::read_dir(workspace_root().join(path)) {
+        Ok(files) => files.map(|file| format!("{path}/{}", file.unwrap().file_name().display())).collect(),
+        Err(_) => vec![path.to_owned()],
+    }
 }
 
 fn structs_by_name(file: &str) -> BTreeMap<String, ItemStruct> {

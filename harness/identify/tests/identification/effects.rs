@@ -2,7 +2,7 @@
 
 use crate::simulation::{STILL, details, scene, simulate};
 use platebench_identify::{Identification, PlateFileDetails, Recording, identify, plate_file, tables};
-use platebench_plate::{Heating, Plate, RawPlate, SecondMode};
+use platebench_plate::{Effects, Heating, Plate, RawPlate, SecondMode};
 use platebench_test_kit::paper_plate;
 use std::f64::consts::TAU;
 
@@ -30,7 +30,7 @@ fn written_plate(found: &Identification, slope_hz_per_k: Option<f64>) -> Plate {
 #[test]
 fn finds_a_second_mode_and_writes_it() {
     let second = SecondMode { omega0: TAU * 32_607.6, sigma0: 1e3 / 1.5, gain: 0.0021 };
-    let plate = Plate { second_mode: Some(second), ..quiet_plate() };
+    let plate = Plate { effects: Effects { second_mode: Some(second), ..Effects::default() }, ..quiet_plate() };
     let recordings: Vec<Recording> = (0..3).map(|seed| record(&plate, seed, 120, steps)).collect();
     let (found, fits) = identify(&recordings, None).unwrap();
     let mode = found.second_mode.unwrap();
@@ -42,7 +42,7 @@ fn finds_a_second_mode_and_writes_it() {
     assert!((found.gain_um_per_vpp.unwrap().value / plate.gain - 1.0).abs() < 0.01);
     assert!((found.resonance_hz.unwrap().value - 32_307.6).abs() < 1.0);
     assert!(fits.iter().all(|fit| fit.effect.is_some()));
-    let written = written_plate(&found, None).second_mode.unwrap();
+    let written = written_plate(&found, None).effects.second_mode.unwrap();
     assert!((written.omega0 / second.omega0 - 1.0).abs() < 1e-3);
     assert!(tables(&found)[0].markdown().contains("second mode: resonance"));
 }
@@ -50,7 +50,7 @@ fn finds_a_second_mode_and_writes_it() {
 #[test]
 fn finds_self_heating_and_writes_it() {
     let heating = Heating { rise_k_per_um2: 0.8, rate: 1.0 / 0.15 };
-    let plate = Plate { heating: Some(heating), ..quiet_plate() };
+    let plate = Plate { effects: Effects { heating: Some(heating), ..Effects::default() }, ..quiet_plate() };
     let level = |sample: u32| if (20..400).contains(&sample) { 370.0 } else { 0.0 };
     let recordings: Vec<Recording> = (0..2).map(|seed| record(&plate, seed, 500, level)).collect();
     let (found, _) = identify(&recordings, None).unwrap();
@@ -60,9 +60,9 @@ fn finds_self_heating_and_writes_it() {
     assert!((node.shift_hz_per_um2.value / shift - 1.0).abs() < 0.05, "{node:?}, expected {shift}");
     assert!((node.time_constant_s.value / 0.15 - 1.0).abs() < 0.05, "{node:?}");
     assert!(found.second_mode.is_none() && found.inconsistencies.is_empty(), "{:?}", found.inconsistencies);
-    let written = written_plate(&found, Some(-9.638)).heating.unwrap();
+    let written = written_plate(&found, Some(-9.638)).effects.heating.unwrap();
     assert!((written.rise_k_per_um2 / 0.8 - 1.0).abs() < 0.05);
-    assert_eq!(written_plate(&found, None).heating, None);
+    assert_eq!(written_plate(&found, None).effects.heating, None);
 }
 
 #[test]

@@ -5,8 +5,8 @@ use crate::reference::{
     HOLDING_DRIVE_VPP, Random, SETPOINT, constant_conditions, distance, driven_plant, line, paper_plate, state_at,
 };
 use platebench_plate::{
-    Amplifier, BandMonitor, BandSignal, Complex64, ConditionProfiles, Drive, DriveConverter, Heating, Lockin, Plant,
-    Plate, SecondMode, Tier, Time,
+    Amplifier, BandMonitor, BandSignal, Complex64, ConditionProfiles, Drive, DriveConverter, Effects, Heating, Lockin,
+    Plant, Plate, SecondMode, SensorElectronics, Tier, Time,
 };
 use rstest::rstest;
 use std::f64::consts::TAU;
@@ -19,22 +19,26 @@ fn second_mode() -> SecondMode {
     SecondMode { omega0: plate.omega0 + TAU * 300.0, sigma0: 1e3 / 1.2, gain: -0.3 * plate.gain }
 }
 
-fn two_modes() -> Plate {
-    Plate { second_mode: Some(second_mode()), ..paper_plate() }
+fn plate_with(effects: Effects) -> Plate {
+    Plate { effects, ..paper_plate() }
 }
 
-fn amplified(bandwidth_hz: Option<f64>, slew_rate_vpp_per_ms: Option<f64>) -> Plate {
+fn two_modes() -> Effects {
+    Effects { second_mode: Some(second_mode()), ..Effects::default() }
+}
+
+fn amplified(bandwidth_hz: Option<f64>, slew_rate_vpp_per_ms: Option<f64>) -> Effects {
     let amplifier = Amplifier {
         pole: bandwidth_hz.map(|hz| TAU * hz),
         slew_rate: slew_rate_vpp_per_ms.map(|rate| 1e3 * rate),
         ..Amplifier::default()
     };
-    Plate { amplifier, ..paper_plate() }
+    Effects { amplifier, ..Effects::default() }
 }
 
 /// 5 µm warm this plate by 20 K with a time constant of 0.5 s, far more than a real plate.
-fn heated(plate: Plate) -> Plate {
-    Plate { heating: Some(Heating { rise_k_per_um2: 0.8, rate: 2.0 }), ..plate }
+fn heated(effects: Effects) -> Effects {
+    Effects { heating: Some(Heating { rise_k_per_um2: 0.8, rate: 2.0 }), ..effects }
 }
 
 fn ramps() -> ConditionProfiles {
@@ -46,7 +50,7 @@ fn largest_error(plate: &Plate, scene: &ConditionProfiles, periods: u32) -> f64 
     let mut plant = Plant::new(plate.clone(), scene.clone(), Tier::Modal);
     let mut reference = EffectsReference::at_rest(plate, scene);
     let mut random = Random::new(31);
-    let (dead, period) = (plate.amplifier.dead_time, Time::from_nanos(1_000_000));
+    let (dead, period) = (plate.effects.amplifier.dead_time, Time::from_nanos(1_000_000));
     let mut acting = Drive::default();
     let mut worst = 0.0_f64;
     for number in 0..periods {
@@ -66,7 +70,7 @@ fn largest_error(plate: &Plate, scene: &ConditionProfiles, periods: u32) -> f64 
             acting = next;
         }
     }
-    if plate.heating.is_some() {
+    if plate.effects.heating.is_some() {
         println!("    self-heating {:.3} K, reference {:.3} K", plant.self_heating_k(), reference.heat_k());
         assert!(plant.self_heating_k() > 0.1);
     }
@@ -80,16 +84,17 @@ fn largest_error(plate: &Plate, scene: &ConditionProfiles, periods: u32) -> f64 
 #[case::bandwidth_of_the_plate(amplified(Some(1e3 / 1.88 / TAU), None))]
 #[case::slew_rate(amplified(None, Some(500.0)))]
 #[case::slew_rate_and_bandwidth(amplified(Some(2e3), Some(700.0)))]
-#[case::offset(Plate { amplifier: Amplifier { offset_vpp: 4.0, ..Amplifier::default() }, ..paper_plate() })]
-#[case::dead_time(Plate {
+#[case::offset(Effects { amplifier: Amplifier { offset_vpp: 4.0, ..Amplifier::default() }, ..Effects::default() })]
+#[case::dead_time(Effects {
     amplifier: Amplifier { dead_time: Time::from_nanos(137_000), pole: Some(3e4), ..Amplifier::default() },
     ..two_modes()
 })]
-#[case::all_of_the_drive(Plate { second_mode: Some(second_mode()), ..amplified(Some(5e3), Some(1500.0)) })]
-#[case::heating(heated(paper_plate()))]
+#[case::all_of_the_drive(Effects { second_mode: Some(second_mode()), ..amplified(Some(5e3), Some(1500.0)) })]
+#[case::heating(heated(Effects::default()))]
 #[case::heating_with_two_modes_and_bandwidth(
-    heated(Plate { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) }))]
-fn effects_equal_the_reference(#[case] plate: Plate, #[values(false, true)] changing: bool) {
+    heated(Effects { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) }))]
+fn effects_equal_the_reference(#[case] effects: Effects, #[values(false, true)] changing: bool) {
+    let plate = plate_with(effects);
     let scene = if changing { ramps() } else { constant_conditions() };
     let error = largest_error(&plate, &scene, 40);
     println!("{:?}, changing conditions: {changing}: {error:.1e}", plate.first_effect().unwrap());
@@ -102,7 +107,8 @@ fn effects_equal_the_reference(#[case] plate: Plate, #[values(false, true)] chan
 #[case::slow(0.01, 3.0 * MAX_ERROR)]
 fn self_heating_detunes_a_held_drive_as_the_reference_does(#[case] damping: f64, #[case] at_most: f64) {
     let heating = Some(Heating { rise_k_per_um2: 0.5, rate: 10.0 });
-    let plate = Plate { heating, sigma0: damping * paper_plate().sigma0, ..paper_plate() };
+    let effects = Effects { heating, ..Effects::default() };
+    let plate = Plate { sigma0: damping * paper_plate().sigma0, ..plate_with(effects) };
     let scene = constant_conditions();
     let mut plant = Plant::new(plate.clone(), scene.clone(), Tier::Modal);
     let mut reference = EffectsReference::at_rest(&plate, &scene);
@@ -126,9 +132,10 @@ fn self_heating_detunes_a_held_drive_as_the_reference_does(#[case] damping: f64,
 #[test]
 fn a_sensor_with_latency_reads_the_earlier_state_with_its_drift() {
     let latency = Time::from_nanos(1_234_567);
-    let plate = Plate { sensor_latency: latency, sensor_gain_drift_per_s: 0.2, ..two_modes() };
+    let sensor = SensorElectronics { latency, gain_drift_per_s: 0.2 };
+    let plate = plate_with(Effects { sensor, ..two_modes() });
     let mut now = Plant::new(plate.clone(), ramps(), Tier::Modal);
-    let mut earlier = Plant::new(two_modes(), ramps(), Tier::Modal);
+    let mut earlier = Plant::new(plate_with(two_modes()), ramps(), Tier::Modal);
     let mut random = Random::new(5);
     let mut changes = Vec::new();
     let mut worst = 0.0_f64;
@@ -160,7 +167,8 @@ fn a_sensor_with_latency_reads_the_earlier_state_with_its_drift() {
 #[test]
 fn a_converter_gives_the_plate_its_nearest_step() {
     let converter = Some(DriveConverter { bits: 10, range_vpp: 900.0 });
-    let plate = Plate { amplifier: Amplifier { converter, ..Amplifier::default() }, ..paper_plate() };
+    let amplifier = Amplifier { converter, ..Amplifier::default() };
+    let plate = plate_with(Effects { amplifier, ..Effects::default() });
     let step = 900.0 / 1023.0;
     let run = |plate: &Plate, vpp| {
         let mut plant = driven_plant(plate, &constant_conditions(), Tier::Modal, Drive { vpp, omega: plate.omega0 });
@@ -178,7 +186,8 @@ fn a_converter_gives_the_plate_its_nearest_step() {
 #[rstest]
 fn a_lock_in_reads_both_modes(#[values(false, true)] changing: bool) {
     let lockin = Some(Lockin { converter_hz: 4e6, periods: 8, resolution: None });
-    let plate = Plate { lockin, second_mode: Some(second_mode()), ..amplified(Some(5e3), None) };
+    let effects = Effects { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) };
+    let plate = Plate { lockin, ..plate_with(effects) };
     let scene = if changing { ramps() } else { constant_conditions() };
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 100.0 };
     let mut plant = driven_plant(&plate, &scene, Tier::Carrier, drive);
@@ -196,7 +205,7 @@ fn a_lock_in_reads_both_modes(#[values(false, true)] changing: bool) {
 
 #[test]
 fn crossings_are_found_with_both_modes() {
-    let plate = Plate { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) };
+    let plate = plate_with(Effects { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) });
     let monitor = BandMonitor { signal: BandSignal::Amplitude, low: 1.2, high: 1.6 };
     for scene in [constant_conditions(), ramps()] {
         let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
@@ -216,7 +225,7 @@ fn crossings_are_found_with_both_modes() {
 
 #[rstest]
 fn simple_models_omit_the_effects(#[values(Tier::Linear, Tier::Envelope)] tier: Tier) {
-    let plate = Plate { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) };
+    let plate = plate_with(Effects { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) });
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
     let run = |plate: &Plate| state_at(&mut driven_plant(plate, &constant_conditions(), tier, drive), 3.0);
     assert_eq!(run(&plate), run(&paper_plate()));

@@ -46,7 +46,7 @@ impl Equations<'_> {
         let ratio = plate.damping_ratio_at(force);
         let shift = (plate.omega0_per_k * offset + plate.omega0_per_n * force) / plate.omega0;
         let first = (plate.sigma0 * ratio, plate.omega0 * (1.0 + shift), plate.force_constant());
-        let second = plate.second_mode.map_or((1.0, plate.omega0, 0.0), |second| {
+        let second = plate.effects.second_mode.map_or((1.0, plate.omega0, 0.0), |second| {
             (second.sigma0 * ratio, second.omega0 * (1.0 + shift), 2.0 * second.gain * second.sigma0 * second.omega0)
         });
         [first, second]
@@ -54,7 +54,7 @@ impl Equations<'_> {
 
     /// Amplifier output without offset. With a bandwidth it is a component of the state.
     fn vpp(&self, x: &Vector) -> f64 {
-        match (self.plate.amplifier.pole, self.plate.amplifier.slew_rate) {
+        match (self.plate.effects.amplifier.pole, self.plate.effects.amplifier.slew_rate) {
             (Some(_), _) => x[VPP],
             (None, Some(rate)) => {
                 let reach = rate * x[TIME];
@@ -69,7 +69,7 @@ impl System<f64, Vector> for Equations<'_> {
     fn system(&self, _: f64, x: &Vector, change: &mut Vector) {
         let (plate, t) = (self.plate, x[TIME]);
         let (sin, cos) = (self.theta + self.omega * t).sin_cos();
-        let vpp = self.vpp(x) + plate.amplifier.offset_vpp;
+        let vpp = self.vpp(x) + plate.effects.amplifier.offset_vpp;
         let scale = plate.omega0;
         for (mode, (sigma, omega0, force)) in self.modes(t, x[HEAT]).into_iter().enumerate() {
             let (at, force) = (4 * mode, force * vpp / scale);
@@ -79,10 +79,10 @@ impl System<f64, Vector> for Equations<'_> {
             change[at + 2] = scale * x[at + 3];
             change[at + 3] = force * cos - 2.0 * sigma * x[at + 3] - stiffness * x[at + 2];
         }
-        let limit = plate.amplifier.slew_rate.unwrap_or(f64::INFINITY);
-        let pole = plate.amplifier.pole.unwrap_or(0.0);
+        let limit = plate.effects.amplifier.slew_rate.unwrap_or(f64::INFINITY);
+        let pole = plate.effects.amplifier.pole.unwrap_or(0.0);
         change[VPP] = (pole * (self.input_vpp - x[VPP])).clamp(-limit, limit);
-        change[HEAT] = plate.heating.map_or(0.0, |heating| {
+        change[HEAT] = plate.effects.heating.map_or(0.0, |heating| {
             let squared = (x[0] + x[4]).powi(2) + (x[2] + x[6]).powi(2);
             heating.rate * (heating.rise_k_per_um2 * squared - x[HEAT])
         });
@@ -108,9 +108,9 @@ impl EffectsReference {
         solver.integrate().unwrap();
         assert_eq!(solver.x_out().last(), Some(&seconds));
         let mut x = *solver.y_out().last().unwrap();
-        if plate.amplifier.pole.is_none() {
+        if plate.effects.amplifier.pole.is_none() {
             let start_vpp = self.x[VPP];
-            let reach = plate.amplifier.slew_rate.map_or(f64::INFINITY, |rate| rate * seconds);
+            let reach = plate.effects.amplifier.slew_rate.map_or(f64::INFINITY, |rate| rate * seconds);
             x[VPP] = start_vpp + (input_vpp - start_vpp).clamp(-reach, reach);
         }
         x[TIME] = 0.0;

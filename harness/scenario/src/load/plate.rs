@@ -68,7 +68,7 @@ fn parse_plate(path: &Path, text: &str) -> Result<Plate, Vec<Diagnostic>> {
 pub(super) fn check_plate(path: &Path, text: &str, raw: RawPlate) -> Result<Plate, Vec<Diagnostic>> {
     let error_at = |key: &str, message: String| vec![Diagnostic::at_key(path, text, key, message)];
     let plate = raw.check().map_err(|error| error_at(error.key, error.to_string()))?;
-    let second = plate.second_mode.map(|second| ("second_mode.time_constant_ms", second.omega0, second.sigma0));
+    let second = plate.effects.second_mode.map(|second| ("second_mode.time_constant_ms", second.omega0, second.sigma0));
     let first = Some(("mode.time_constant_ms", plate.omega0, plate.sigma0));
     for (key, omega0, sigma0) in [first, second].into_iter().flatten() {
         let quality = omega0 / (2.0 * sigma0);
