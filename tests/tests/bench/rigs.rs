@@ -219,11 +219,10 @@ fn a_run_that_crashed_is_no_reference() {
     let image = workspace_root().join("firmware-under-test/images/planted-faults.elf");
     let crash = |out: &str| {
         let rig = format!("emulated:{}", image.display());
-        folder.bench(["run", "--rig", &rig, "--out", out]).assert_exit(1)
+        folder.bench(["run", "--rig", &rig, "--out", out]).assert_exit(1);
     };
     crash("runs/first");
-    let second = crash("runs/second").stdout;
-    assert!(second.contains("instructions per step: ") && !second.contains('↳'), "{second}");
+    crash("runs/second");
     let compared = folder.bench(["compare", "runs/second", "--against", "runs/first"]).assert_exit(3);
     compared.assert_output(&["the reference has no complete trial 0"]);
 }
