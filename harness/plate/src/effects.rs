@@ -168,6 +168,7 @@ impl ActiveEffects {
     }
 
     /// At start, middle and end of the present step.
+    #[cold]
     pub(crate) fn temperature_rise_k(&self) -> [f64; 3] {
         self.list.iter().fold([0.0; 3], |sum, effect| {
             let rise = effect.temperature_rise_k();

@@ -193,13 +193,14 @@ impl Plant {
     }
 
     /// Advances by substeps while the conditions change the mode.
+    #[inline]
     fn advance_changing(&mut self, rate: f64, end: Time, bands: &mut BandSearch<'_>) {
         let (longest, is_fast) = self
             .longest_substep(rate, |frequency| self.max_varying_substep(rate, frequency, self.pole_norm(frequency)));
         for end in split_interval(self.time, end, longest) {
             // A parabola needs three different instants; less than 3 ns do not contain them.
             if is_fast || (end - self.time).as_nanos() < 3 {
-                let mode = self.mode_at(self.time.midpoint(end));
+                let mode = self.ideal_mode_at(self.time.midpoint(end));
                 self.advance_frozen(&mode, end, bands);
             } else {
                 self.advance_varying(end, max_frozen_substep(rate), bands);
@@ -217,7 +218,7 @@ impl Plant {
         let bend = if rate == 0.0 { None } else { self.next_bend() };
         let ends = [self.scene.next_point_after(self.time), bend];
         let end = ends.into_iter().flatten().min().unwrap_or(Time::from_nanos(u64::MAX));
-        let interval = SmoothInterval { end, rate, mode: self.mode_at(self.time) };
+        let interval = SmoothInterval { end, rate, mode: self.ideal_mode_at(self.time) };
         self.interval = Some(interval);
         interval
     }
@@ -227,7 +228,7 @@ impl Plant {
         if frequency == 0.0 {
             return 0.0;
         }
-        let mode = self.mode_at(self.time);
+        let mode = self.ideal_mode_at(self.time);
         mode.sigma.hypot(mode.omega0 - self.drive.omega)
     }
 
@@ -284,8 +285,9 @@ impl Plant {
         let start = self.time;
         // A `hold` profile may jump at `end`, so the last point is 1 ns earlier.
         let last = end - Time::from_nanos(1);
-        let [middle, last] = [start.midpoint(last), last].map(|time| ((time - start).seconds(), self.mode_at(time)));
-        let varying = VaryingFlow::new(self.tier, &self.mode_at(start), middle, last, &self.drive, &self.state);
+        let [middle, last] =
+            [start.midpoint(last), last].map(|time| ((time - start).seconds(), self.ideal_mode_at(time)));
+        let varying = VaryingFlow::new(self.tier, &self.ideal_mode_at(start), middle, last, &self.drive, &self.state);
         let seconds = (end - start).seconds();
         if !bands.monitors.is_empty() {
             // The bound is valid only from the start of the interval.
@@ -294,7 +296,7 @@ impl Plant {
             bands.find(|seconds| varying.after(seconds), seconds_within, &self.state, (start, end));
         }
         self.demodulate_pieces(end, longest, |plant, from, to| {
-            let (mode, state) = (plant.mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
+            let (mode, state) = (plant.ideal_mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
             Flow::new(plant.tier, &mode, &plant.drive, &state)
         });
         self.finish_step(end, varying.after(seconds));
@@ -433,6 +435,13 @@ impl Plant {
             from = to;
         }
         self.demodulator = Some(demodulator);
+    }
+
+    /// First mode without effects.
+    #[expect(clippy::inline_always, reason = "ci/counts: 5 % of a step with a ramp")]
+    #[inline(always)]
+    fn ideal_mode_at(&self, time: Time) -> Mode {
+        self.plate.mode(&self.scene.at(time))
     }
 
     fn modes_at(&self, time: Time, temperature_rise_k: f64) -> PerMode<Mode> {
