@@ -19,7 +19,8 @@ const MAX_CELLS: u64 = 1_000_000;
 const DEFAULT_CONFIDENCE: f64 = 0.95;
 /// Largest number of listed values per key that are checked before the campaign starts.
 const MAX_CHECKED_VALUES: usize = 100;
-const FIXED_KEYS: [&str; 7] = ["title", "source", "tags", "trials", "between", "expected_exit", "plate"];
+const FIXED_KEYS: [&str; 8] =
+    ["title", "source", "tags", "trials", "between", "only_if_named", "expected_exit", "plate"];
 
 /// A campaign file.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -202,6 +203,7 @@ impl Campaign {
 fn prepare(scenario: &mut Table) {
     scenario.remove("trials");
     scenario.remove("expected_exit");
+    scenario.remove("only_if_named");
     for expectation in scenario.get_mut("expect").and_then(Value::as_array_mut).into_iter().flatten() {
         let metric = expectation.get("metric").and_then(Value::as_str).and_then(Metric::from_name);
         if let (Some(metric), Value::Table(expectation)) = (metric, expectation)

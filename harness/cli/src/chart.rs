@@ -3,10 +3,12 @@
 use crate::chart_page::write_page;
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
+use crate::selection::note_skipped;
 use crate::stdio;
 use clap::Args;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
+use platebench_report::Detail;
 use platebench_rig::RigSpec;
 use platebench_scenario::{Scenario, find};
 use platebench_study::charts::{ChartError, ladder, laws, load_law_scenarios, precision, scenes};
@@ -76,15 +78,15 @@ impl From<ChartError> for Failure {
     }
 }
 
-pub(crate) fn chart(arguments: &ChartArgs) -> CommandResult {
+pub(crate) fn chart(arguments: &ChartArgs, detail: Detail) -> CommandResult {
     let is_selected = |kind| arguments.only.is_empty() || arguments.only.contains(&kind);
     let default = DEFAULT_SCENARIOS.map(|file| arguments.scenes.join(file));
-    let methods = is_selected(ChartKind::Methods).then(|| find_scenarios(arguments, &default)).transpose()?;
+    let methods = is_selected(ChartKind::Methods).then(|| find_scenarios(arguments, &default, detail)).transpose()?;
     let scenes = is_selected(ChartKind::Scenes)
-        .then(|| find_scenarios(arguments, std::slice::from_ref(&arguments.scenes)))
+        .then(|| find_scenarios(arguments, std::slice::from_ref(&arguments.scenes), detail))
         .transpose()?;
     let rungs = is_selected(ChartKind::Ladder)
-        .then(|| find_scenarios(arguments, std::slice::from_ref(&arguments.scenes)))
+        .then(|| find_scenarios(arguments, std::slice::from_ref(&arguments.scenes), detail))
         .transpose()?;
     let laws =
         is_selected(ChartKind::Laws).then(|| load_law_scenarios(&arguments.scenes, arguments.quick)).transpose()?;
@@ -115,9 +117,11 @@ pub(crate) fn chart(arguments: &ChartArgs) -> CommandResult {
     Ok(Exit::Passed)
 }
 
-fn find_scenarios(arguments: &ChartArgs, default: &[PathBuf]) -> Result<Vec<Scenario>, Failure> {
+fn find_scenarios(arguments: &ChartArgs, default: &[PathBuf], detail: Detail) -> Result<Vec<Scenario>, Failure> {
     let named = if arguments.scenarios.is_empty() { default } else { &arguments.scenarios };
-    let scenarios = find(named)?.scenarios;
+    let found = find(named)?;
+    note_skipped(&found, detail);
+    let scenarios = found.scenarios;
     if scenarios.is_empty() {
         return Err(Failure::new(
             Exit::NothingToRun,

@@ -18,6 +18,9 @@ use platebench_scenario::{
     Diagnostic, FileKind, list_files, load, load_with_all_errors, plate_warnings, read_requirements, repeated_names,
     unjudged_changes,
 };
+use platebench_trace::FileError;
+use platebench_uncertainty::{Budget, known_quantities};
+use platebench_verdict::golden::{Baseline, BaselineError};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -82,14 +85,27 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
         FileKind::Boards => Inventory::read(path).err().unwrap_or_default(),
         FileKind::Requirements => read_requirements(path).err().unwrap_or_default(),
         FileKind::Config => Config::read(path, definition).err().unwrap_or_default(),
+        FileKind::Budget => Budget::load(path, &known_quantities()).err().unwrap_or_default(),
+        FileKind::Baseline => match Baseline::read_files(path, &path.with_extension("csv")) {
+            Ok(_) => Vec::new(),
+            Err(BaselineError::Content { path, line, message }) => {
+                vec![Diagnostic::for_file(&path, format!("line {line}: {message}"))]
+            }
+            Err(BaselineError::File(FileError { path, source })) => {
+                vec![Diagnostic::for_file(&path, format!("cannot be read: {source}"))]
+            }
+        },
     }
 }
 
-/// Selects a scenario by its tags. A scenario that cannot be loaded is selected, because its tags
-/// are unknown.
+/// Selects a scenario by its tags. A file that cannot be loaded or recognised is selected, because
+/// its tags are unknown.
 fn is_selected(tags: &TagFilter, path: &Path, name: &str) -> bool {
-    FileKind::detect(path) == FileKind::Scenario
-        && load_with_all_errors(path, name).map_or(true, |scenario| tags.selects(&scenario))
+    match FileKind::detect(path) {
+        Ok(FileKind::Scenario) => load_with_all_errors(path, name).map_or(true, |scenario| tags.selects(&scenario)),
+        Ok(_) => false,
+        Err(_) => true,
+    }
 }
 
 /// `definition` is the command line. It checks the values of settings.
@@ -100,14 +116,19 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
     }
     let kinds: Vec<_> = files.iter().map(|(path, _)| FileKind::detect(path)).collect();
     for ((path, name), kind) in files.iter().zip(&kinds) {
-        for fault in diagnostics(*kind, path, name, definition) {
+        let found = match kind {
+            Ok(kind) => diagnostics(*kind, path, name, definition),
+            Err(faults) => faults.clone(),
+        };
+        for fault in found {
             // A faulty plate reports its fault once for each scenario that uses it.
             if !faults.contains(&fault) {
                 faults.push(fault);
             }
         }
     }
-    let scenarios = || files.iter().zip(&kinds).filter(|(_, kind)| **kind == FileKind::Scenario).map(|(file, _)| file);
+    let is_scenario = |kind: &Result<_, _>| *kind == Ok(FileKind::Scenario);
+    let scenarios = || files.iter().zip(&kinds).filter(|(_, kind)| is_scenario(kind)).map(|(file, _)| file);
     faults.extend(repeated_names(scenarios()));
     let mut warnings = Vec::new();
     if faults.is_empty() {
@@ -143,7 +164,7 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
         stdio::note(&format!("warning: {warning}"));
     }
     let mut counts = BTreeMap::new();
-    for kind in kinds {
+    for kind in kinds.into_iter().flatten() {
         *counts.entry(kind).or_insert(0) += 1;
     }
     let counts: Vec<_> = counts.into_iter().map(|(kind, files)| count(files, kind.name())).collect();

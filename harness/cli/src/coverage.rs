@@ -10,6 +10,7 @@ use clap::Args;
 use platebench_firmware_analysis::{
     AnalysisError, Coverage, CoverageConfig, Suite, coverage_text, lcov, measure_coverage,
 };
+use platebench_report::Detail;
 use platebench_rig::{CancelToken, RigSpec};
 use platebench_trace::write_atomically;
 use std::fs;
@@ -49,8 +50,8 @@ pub(crate) struct CoverageArgs {
     out: Option<PathBuf>,
 }
 
-pub(crate) fn coverage(arguments: &CoverageArgs) -> CommandResult {
-    let scenarios = find_scenarios(&arguments.scenarios, &arguments.tags, |_| true)?;
+pub(crate) fn coverage(arguments: &CoverageArgs, detail: Detail) -> CommandResult {
+    let scenarios = find_scenarios(&arguments.scenarios, &arguments.tags, |_| true, detail)?;
     let (rig, only, jobs) = (arguments.rig.clone(), arguments.only.clone(), job_count(arguments.jobs));
     let work = move |cancel: &CancelToken, _: &mut EventSender<()>| {
         let suite = Suite::new(&rig, scenarios)?;

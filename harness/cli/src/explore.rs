@@ -6,6 +6,7 @@ mod budget;
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{OutputFormat, job_count, law_names};
+use crate::selection::note_skipped;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
 use crate::stdio;
 use budget::parse_duration;
@@ -13,6 +14,7 @@ use clap::Args;
 use platebench_explore::session::{ExploreSession, ProgressEvent};
 use platebench_explore::{Envelope, ExploreError, page, report, text};
 use platebench_record::RunFolder;
+use platebench_report::Detail;
 use platebench_rig::{CancelToken, RigSpec};
 use platebench_scenario::find;
 use platebench_wire::LawId;
@@ -68,8 +70,8 @@ pub(crate) struct ExploreArgs {
     format: OutputFormat,
 }
 
-pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> CommandResult {
-    let session = prepare(arguments)?;
+pub(crate) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult {
+    let session = prepare(arguments, detail)?;
     let folder = RunFolder::create(arguments.out.as_deref()).or_invalid()?;
     let path = folder.path().to_owned();
     let work = move |cancel: &CancelToken, events: &mut EventSender<ProgressEvent>| {
@@ -78,7 +80,7 @@ pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> CommandResult {
     let mut last = Duration::ZERO;
     let ended = run_until_signal(None, work, |event| {
         // In a log, a line every ten seconds shows that the work continues.
-        if !quiet && event.elapsed >= last + Duration::from_secs(10) {
+        if detail != Detail::Failures && event.elapsed >= last + Duration::from_secs(10) {
             last = event.elapsed;
             stdio::note(&event.to_string());
         }
@@ -98,11 +100,13 @@ pub(crate) fn explore(arguments: &ExploreArgs, quiet: bool) -> CommandResult {
     Ok(exit)
 }
 
-fn prepare(arguments: &ExploreArgs) -> Result<ExploreSession, Failure> {
+fn prepare(arguments: &ExploreArgs, detail: Detail) -> Result<ExploreSession, Failure> {
     let envelope = Envelope::load(&arguments.envelope)?;
     arguments.rig.check().or_invalid()?;
     let regressions = if arguments.regressions.is_dir() {
-        find(std::slice::from_ref(&arguments.regressions))?.scenarios
+        let found = find(std::slice::from_ref(&arguments.regressions))?;
+        note_skipped(&found, detail);
+        found.scenarios
     } else {
         Vec::new()
     };

@@ -10,6 +10,7 @@ use crate::stdio;
 use clap::Args;
 use platebench_firmware_analysis::mutation::{MutantFilter, mutation_json, summary};
 use platebench_firmware_analysis::{MutationConfig, MutationReport, Suite, measure_mutation};
+use platebench_report::Detail;
 use platebench_rig::{CancelToken, RigSpec};
 use platebench_scenario::Scenario;
 use platebench_trace::write_atomically;
@@ -67,9 +68,10 @@ pub(crate) struct MutateArgs {
     out: Option<PathBuf>,
 }
 
-pub(crate) fn mutate(arguments: &MutateArgs, quiet: bool) -> CommandResult {
+pub(crate) fn mutate(arguments: &MutateArgs, detail: Detail) -> CommandResult {
+    let quiet = detail == Detail::Failures;
     let has_law = |scenario: &Scenario| arguments.law.as_ref().is_none_or(|law| scenario.controller.law == *law);
-    let scenarios = find_scenarios(&arguments.scenarios, &arguments.tags, has_law)?;
+    let scenarios = find_scenarios(&arguments.scenarios, &arguments.tags, has_law, detail)?;
     let (rig, jobs) = (arguments.rig.clone(), job_count(arguments.jobs));
     let filter = MutantFilter { functions: arguments.function.clone(), files: arguments.file.clone() };
     let (sample, until_width, seed) =

@@ -10,9 +10,8 @@ use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure};
 use crate::options::SCENARIOS;
 use crate::plate_warnings::warn_of_scenarios;
-use crate::selection::{check_not_empty, nothing_to_run};
+use crate::selection::{check_not_empty, note_skipped, nothing_to_run};
 use crate::stdio;
-use platebench_report::format::count;
 use platebench_report::{Detail, scenario_list};
 use platebench_scenario::{Scenario, find};
 use std::path::Path;
@@ -48,12 +47,7 @@ fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Vec<Scenario>
         }
         exit
     })?;
-    if !found.skipped.is_empty() && detail != Detail::Failures {
-        let scenarios = count(found.skipped.len(), "scenario");
-        let names = found.skipped.iter().map(|scenario| &*scenario.file).collect::<Vec<_>>().join(", ");
-        let list = if detail == Detail::Tables { format!(": {names}") } else { "; -v lists them".to_owned() };
-        stdio::note(&format!("{scenarios} of known limits skipped, name one to run it{list}"));
-    }
+    note_skipped(&found, detail);
     for copies in &found.copies {
         stdio::note(&format!("{}: skipped, copies of scenarios in a run folder", copies.display()));
     }

@@ -4,9 +4,33 @@ use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::stdio;
 use clap::Args;
+use platebench_report::Detail;
+use platebench_report::format::count;
 use platebench_scenario::{FoundScenarios, Scenario, find, suggestion};
-use std::collections::BTreeSet;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
+
+/// Reports how many scenarios `only_if_named` excludes, for which reasons, and how to play them.
+pub(crate) fn note_skipped(found: &FoundScenarios, detail: Detail) {
+    if found.skipped.is_empty() || detail == Detail::Failures {
+        return;
+    }
+    let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
+    for reason in found.skipped.iter().filter_map(|scenario| scenario.only_if_named.as_deref()) {
+        *reasons.entry(reason).or_default() += 1;
+    }
+    let mut reasons: Vec<_> = reasons.into_iter().collect();
+    reasons.sort_by_key(|(_, number)| Reverse(*number));
+    let reasons: Vec<_> = reasons.into_iter().map(|(reason, number)| format!("{reason} {number}")).collect();
+    let names: Vec<_> = found.skipped.iter().map(|scenario| &*scenario.file).collect();
+    let names = if detail == Detail::Tables { format!(": {}", names.join(", ")) } else { "; -v lists them".to_owned() };
+    stdio::note(&format!(
+        "{} with `only_if_named` skipped ({}); name a file or its folder to play it{names}",
+        count(found.skipped.len(), "scenario"),
+        reasons.join(", ")
+    ));
+}
 
 pub(crate) fn check_not_empty(found: &FoundScenarios) -> Result<(), Failure> {
     if found.scenarios.is_empty() {
@@ -31,8 +55,10 @@ pub(crate) fn find_scenarios(
     paths: &[PathBuf],
     tags: &TagFilter,
     keep: impl Fn(&Scenario) -> bool,
+    detail: Detail,
 ) -> Result<Vec<Scenario>, Failure> {
     let mut found = find(paths)?;
+    note_skipped(&found, detail);
     tags.retain(&mut found.scenarios);
     found.scenarios.retain(keep);
     check_not_empty(&found)?;

@@ -11,6 +11,7 @@ use crate::stdio;
 use clap::Args;
 use platebench_boards::{BoardOutcome, SoakConfig, SoakEnd, SoakRecord, SoakResult, SoakScenario, soak as play};
 use platebench_record::Overrides;
+use platebench_report::Detail;
 use platebench_report::page::{self, BlockPage, PageBlock};
 use platebench_rig::ConnectOptions;
 use platebench_runner::{CancelToken, RunError, RunPlan, rejudge};
@@ -53,11 +54,11 @@ fn parse_hours(text: &str) -> Result<Duration, String> {
     Ok(Duration::from_secs_f64(hours * 3_600.0))
 }
 
-pub(crate) fn soak(arguments: &SoakArgs) -> CommandResult {
+pub(crate) fn soak(arguments: &SoakArgs, detail: Detail) -> CommandResult {
     let board = arguments.board.selection.find()?.ok_or("--board NAME is missing").or_invalid()?;
     board.rig.check().or_invalid()?;
     let clock = ClockRequest::new(&board.rig, arguments.clock).resolve().or_invalid()?;
-    let mut scenarios = find_scenarios(&arguments.scenarios, &TagFilter::default(), |_| true)?;
+    let mut scenarios = find_scenarios(&arguments.scenarios, &TagFilter::default(), |_| true, detail)?;
     let (law, name) = (arguments.law.clone(), Some(board.name.clone()));
     let overrides = Overrides { law, board: name, ..Overrides::default() };
     for scenario in &mut scenarios {

@@ -10,6 +10,7 @@ use platebench_explore::Envelope;
 use platebench_explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
 use platebench_record::Verdict;
 use platebench_report::format::count;
+use platebench_report::Detail;
 use platebench_rig::CancelToken;
 use platebench_trace::write_atomically;
 use platebench_trust::{TrustConfig, TrustReport, catalogue, clean_variants, format, measure};
@@ -20,7 +21,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench trust                          every scenario below scenarios/ except known limits
+  platebench trust                          every scenario below scenarios/ without `only_if_named`
   platebench trust --clean 30000 --seed 7 --out /tmp/trust
   platebench trust scenarios/faults --clean 0
   platebench trust --scenes 2000            the kill rate of platebench explore as well
@@ -56,9 +57,9 @@ pub(crate) struct TrustArgs {
     out: Option<PathBuf>,
 }
 
-pub(crate) fn trust(arguments: &TrustArgs) -> CommandResult {
+pub(crate) fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
     let config = TrustConfig {
-        scenarios: find_scenarios(&arguments.scenarios, &arguments.tags, |_| true)?,
+        scenarios: find_scenarios(&arguments.scenarios, &arguments.tags, |_| true, detail)?,
         mutants: catalogue(),
         variants: clean_variants(),
         clean_runs: arguments.clean,

@@ -1,9 +1,10 @@
-//! Recognises the kind of a TOML file.
+//! Recognises the kind of a TOML file by its top-level keys.
 
+use crate::diagnostic::Diagnostic;
+use crate::parse::parse_syntax;
 use crate::requirements::REQUIREMENTS_FILE;
-use platebench_plate::input;
+use crate::text::read_text;
 use std::path::Path;
-use toml::de::DeTable;
 
 pub const SETTINGS_FILE: &str = "platebench.toml";
 
@@ -21,32 +22,64 @@ pub enum FileKind {
     Boards,
     #[strum(serialize = "list of requirements")]
     Requirements,
+    Baseline,
+    #[strum(serialize = "uncertainty budget")]
+    Budget,
 }
 
+/// No other file has these keys, also not `platebench.toml`.
+const SCENARIO_KEYS: [&str; 9] = [
+    "profile",
+    "expect",
+    "controller",
+    "duration_ms",
+    "fault",
+    "between",
+    "trace_step_ms",
+    "expected_exit",
+    "only_if_named",
+];
+
 /// The first entry with a top-level key of the file determines the kind of the file.
-const KEYS: [(FileKind, &[&str]); 6] = [
-    (FileKind::Scenario, &["profile", "expect", "controller"]),
-    (FileKind::Plan, &["requirement", "ask", "bench"]),
+const KEYS: [(FileKind, &[&str]); 9] = [
+    (FileKind::Plan, &["ask", "bench", "repetitions", "decision"]),
     (FileKind::Boards, &["board"]),
-    (FileKind::Envelope, &["range"]),
-    (FileKind::Campaign, &["vary", "scenario", "plan"]),
-    (FileKind::Plate, &["mode", "drive", "sensor"]),
+    (FileKind::Envelope, &["range", "count"]),
+    (FileKind::Baseline, &["curves_sha256", "features", "tolerance"]),
+    (FileKind::Campaign, &["vary", "scenario", "plan", "judge"]),
+    (FileKind::Budget, &["instrument", "budget", "coverage_percent"]),
+    (FileKind::Plate, &["mode", "drive", "sensor", "finger", "second_mode", "heating"]),
+    (FileKind::Config, &["rig", "jobs", "format", "baselines", "scenarios", "runs", "out", "run"]),
+    (FileKind::Scenario, &["plate", "trials"]),
 ];
 
 impl FileKind {
-    /// A file that cannot be read counts as a scenario, whose reader reports the error.
-    pub fn detect(path: &Path) -> Self {
+    /// Fails if the file cannot be read, is not TOML, or has no key of a known kind.
+    pub fn detect(path: &Path) -> Result<Self, Vec<Diagnostic>> {
+        let text = read_text(path).map_err(|fault| vec![fault])?;
+        let document = parse_syntax(path, &text)?;
+        let document = document.get_ref();
+        let has = |key: &&str| document.contains_key(*key);
+        if SCENARIO_KEYS.iter().any(has) {
+            return Ok(Self::Scenario);
+        }
         if path.file_name().is_some_and(|name| name == SETTINGS_FILE) {
-            return Self::Config;
+            return Ok(Self::Config);
         }
-        if path.file_name().is_some_and(|name| name == REQUIREMENTS_FILE) {
-            return Self::Requirements;
+        let requirements = document.contains_key("requirement");
+        if path.file_name().is_some_and(|name| name == REQUIREMENTS_FILE) || (requirements && document.len() == 1) {
+            return Ok(Self::Requirements);
         }
-        let text = input::read(path).map(|content| String::from_utf8_lossy(&content).into_owned()).unwrap_or_default();
-        let (document, _) = DeTable::parse_recoverable(&text);
-        let has = |key: &&str| document.get_ref().contains_key(*key);
+        if requirements {
+            return Ok(Self::Plan);
+        }
         let kind = KEYS.iter().find(|(_, keys)| keys.iter().any(has));
-        kind.map_or(Self::Scenario, |(kind, _)| *kind)
+        kind.map(|(kind, _)| *kind).ok_or_else(|| {
+            let message = "is a file of no known kind, expected a top-level key of a scenario (`profile`), a plate \
+                           (`mode`), a plan (`requirement`), an envelope (`range`), a campaign (`vary`), a board \
+                           inventory (`board`), a baseline (`tolerance`), a budget (`budget`) or settings (`run`)";
+            vec![Diagnostic::for_file(path, message)]
+        })
     }
 
     pub const fn name(self) -> &'static str {
@@ -58,23 +91,49 @@ impl FileKind {
 mod tests {
     use super::*;
 
+    fn detect(name: &str, text: &str) -> Result<FileKind, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        FileKind::detect(&path).map_err(|faults| faults[0].to_string().replace(&path.display().to_string(), name))
+    }
+
     #[test]
     fn the_keys_of_a_file_decide_its_kind() {
-        let folder = tempfile::tempdir().unwrap();
         for (text, kind) in [
-            ("title = \"a\"", FileKind::Scenario),
+            ("duration_ms = 1", FileKind::Scenario),
             ("[profile]", FileKind::Scenario),
+            ("plate = \"a.toml\"", FileKind::Scenario),
             ("scenario = \"a.toml\"", FileKind::Campaign),
             ("[vary]", FileKind::Campaign),
             ("[plan]", FileKind::Campaign),
-            ("[range]", FileKind::Envelope),
+            ("plate = \"a.toml\"\n[range]", FileKind::Envelope),
             ("[bench]", FileKind::Plan),
+            ("title = \"a\"\n[[requirement]]\n[[scenario]]", FileKind::Plan),
+            ("[[requirement]]", FileKind::Requirements),
             ("[[board]]", FileKind::Boards),
             ("[mode]", FileKind::Plate),
+            ("scenario = \"a.toml\"\ncurves_sha256 = \"\"", FileKind::Baseline),
+            ("[[budget]]", FileKind::Budget),
+            ("[run]", FileKind::Config),
         ] {
-            let path = folder.path().join("file.toml");
-            std::fs::write(&path, text).unwrap();
-            assert_eq!(FileKind::detect(&path), kind, "{text}");
+            assert_eq!(detect("file.toml", text), Ok(kind), "{text}");
         }
+    }
+
+    #[test]
+    fn a_file_name_does_not_hide_a_scenario() {
+        assert_eq!(detect(SETTINGS_FILE, "[profile]"), Ok(FileKind::Scenario));
+        assert_eq!(detect(REQUIREMENTS_FILE, "[profile]"), Ok(FileKind::Scenario));
+        assert_eq!(detect(SETTINGS_FILE, ""), Ok(FileKind::Config));
+        assert_eq!(detect(REQUIREMENTS_FILE, ""), Ok(FileKind::Requirements));
+    }
+
+    #[test]
+    fn rejects_a_file_of_no_known_kind() {
+        let error = detect("Cargo.toml", "[package]").unwrap_err();
+        assert!(error.starts_with("Cargo.toml: is a file of no known kind, expected "), "{error}");
+        let error = detect("a.toml", "[mode]\n[profile\n").unwrap_err();
+        assert!(error.starts_with("a.toml:2:9: "), "{error}");
     }
 }

@@ -9,10 +9,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// [`find`] skips these folders unless they are arguments. Scenarios in `identify` record responses
-/// for identification. Scenarios in `hardware` assume non-ideal electronics.
-const NON_SCENARIO_FOLDERS: [&str; 5] = ["plates", "baselines", "plans", "identify", "hardware"];
-const GENERATED_FOLDERS: [&str; 1] = ["baselines"];
 /// A folder with `run.json` and `traces` is a run folder. The scenarios in its `inputs` are copies.
 const RUN_RECORD: &str = "run.json";
 const RUN_TRACES: &str = "traces";
@@ -22,6 +18,7 @@ const SCENARIOS_FOLDER: &str = "scenarios";
 #[derive(Debug)]
 pub struct FoundScenarios {
     pub scenarios: Vec<Scenario>,
+    /// Scenarios with `only_if_named` that were not named.
     pub skipped: Vec<Scenario>,
     pub empty_folders: Vec<PathBuf>,
     /// Folders `inputs` of run folders. They are not searched, because they contain copies.
@@ -37,8 +34,7 @@ pub fn find_file_above(folder: &Path, name: &str) -> Option<PathBuf> {
 }
 
 #[derive(Default)]
-struct Search<'a> {
-    excluded: &'a [&'a str],
+struct Search {
     /// Canonical paths of visited folders, because a symbolic link may lead back to a folder.
     visited: BTreeSet<PathBuf>,
     copies: BTreeSet<PathBuf>,
@@ -53,26 +49,18 @@ struct FoundFile {
     is_named: bool,
 }
 
-impl<'a> Search<'a> {
-    fn new(excluded: &'a [&'a str]) -> Self {
-        Self { excluded, ..Self::default() }
-    }
-}
-
 /// Loads the scenarios that are arguments or are below folders in `arguments`. Skips a scenario
-/// with `expected_exit` or with a fault of the chip unless it or its own folder is an argument.
+/// with `only_if_named` unless it or its own folder is an argument. Fails with all faulty scenarios
+/// and with all TOML files that do not parse or are of no known kind.
 pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
-    let mut search = Search::new(&NON_SCENARIO_FOLDERS);
-    let is_scenario = |path: &Path| FileKind::detect(path) == FileKind::Scenario;
-    let files = search.files(arguments, is_scenario);
+    let mut search = Search::default();
+    let files = search.files(arguments, |path| Ok(FileKind::detect(path)? == FileKind::Scenario));
     let Search { copies, empty_folders, mut faults, .. } = search;
     let copies = copies.into_iter().collect();
     let mut found = FoundScenarios { scenarios: Vec::new(), skipped: Vec::new(), empty_folders, copies };
     for FoundFile { path, name, is_named } in files {
         match load_with_all_errors(&path, &name) {
-            Ok(scenario) if (scenario.expected_exit.is_some() || !scenario.chip_faults.is_empty()) && !is_named => {
-                found.skipped.push(scenario);
-            }
+            Ok(scenario) if scenario.only_if_named.is_some() && !is_named => found.skipped.push(scenario),
             Ok(scenario) => found.scenarios.push(scenario),
             Err(found) => faults.extend(found),
         }
@@ -97,10 +85,10 @@ pub fn repeated_names<'a>(files: impl IntoIterator<Item = &'a (PathBuf, String)>
 }
 
 /// Returns each named file, and each TOML file below a named folder, with its name in records. Also
-/// returns the errors of unreadable folders. Skips baselines and the inputs of run folders.
+/// returns the errors of unreadable folders. Skips the inputs of run folders.
 pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
-    let mut search = Search::new(&GENERATED_FOLDERS);
-    let files = search.files(arguments, |_| true);
+    let mut search = Search::default();
+    let files = search.files(arguments, |_| Ok(true));
     (files.into_iter().map(|file| (file.path, file.name)).collect(), search.faults)
 }
 
@@ -109,13 +97,27 @@ fn canonical(path: &Path) -> PathBuf {
     is_file.then(|| fs::canonicalize(path).ok()).flatten().unwrap_or_else(|| path.to_owned())
 }
 
-impl Search<'_> {
-    fn files(&mut self, arguments: &[PathBuf], is_wanted: impl Fn(&Path) -> bool) -> Vec<FoundFile> {
+impl Search {
+    fn files(
+        &mut self,
+        arguments: &[PathBuf],
+        is_wanted: impl Fn(&Path) -> Result<bool, Vec<Diagnostic>>,
+    ) -> Vec<FoundFile> {
         let mut files: BTreeMap<PathBuf, FoundFile> = BTreeMap::new();
         for argument in arguments {
             self.visited.clear();
             let mut below = self.files_below(argument);
-            below.retain(|path| path == argument || is_wanted(path));
+            below.retain(|path| {
+                path == argument
+                    || is_wanted(path).unwrap_or_else(|faults| {
+                        for fault in faults {
+                            if !self.faults.contains(&fault) {
+                                self.faults.push(fault);
+                            }
+                        }
+                        false
+                    })
+            });
             if below.is_empty() {
                 self.empty_folders.push(argument.clone());
             }
@@ -150,7 +152,7 @@ impl Search<'_> {
             if path.is_dir() {
                 if is_run && name == RUN_INPUTS {
                     self.copies.insert(path);
-                } else if !self.excluded.contains(&&*name) && !name.starts_with('.') {
+                } else if !name.starts_with('.') {
                     files.extend(self.files_below(&path));
                 }
             } else if name.starts_with('.') {

@@ -27,14 +27,9 @@ pub fn parse_bytes<T: DeserializeOwned>(path: &Path, bytes: Vec<u8>) -> Result<(
 /// Fails with all syntax errors. If there are none, fails with all unknown keys and wrong types in
 /// their order, then with all missing keys.
 pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
-    let (document, errors) = DeTable::parse_recoverable(text);
-    let mut faults: Vec<_> =
-        errors.iter().take(MAX_DIAGNOSTICS).map(|error| Diagnostic::from_toml(path, text, error)).collect();
-    if !faults.is_empty() {
-        return Err(with_truncation_note(path, faults));
-    }
     // serde stops at the first error, so the wrong element is removed and the rest is read again.
-    let mut rest = document;
+    let mut rest = parse_syntax(path, text)?;
+    let mut faults = Vec::new();
     let mut holes: Vec<Range<usize>> = Vec::new();
     loop {
         let error = match T::deserialize(Deserializer::from(rest.clone())) {
@@ -56,6 +51,14 @@ pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diag
     // Missing keys come last, because a misspelt key may explain them.
     faults.sort_by_key(|fault| (fault.message.starts_with("missing key"), fault.position()));
     Err(with_truncation_note(path, faults))
+}
+
+/// Fails with all syntax errors.
+pub(crate) fn parse_syntax<'a>(path: &Path, text: &'a str) -> Result<Spanned<DeTable<'a>>, Vec<Diagnostic>> {
+    let (document, errors) = DeTable::parse_recoverable(text);
+    let faults: Vec<_> =
+        errors.iter().take(MAX_DIAGNOSTICS).map(|error| Diagnostic::from_toml(path, text, error)).collect();
+    if faults.is_empty() { Ok(document) } else { Err(with_truncation_note(path, faults)) }
 }
 
 pub(crate) fn with_truncation_note(path: &Path, mut faults: Vec<Diagnostic>) -> Vec<Diagnostic> {

@@ -30,6 +30,9 @@ pub struct RawScenario {
     #[serde(default)]
     #[schemars(schema_with = "crate::schema::models")]
     pub model: Option<String>,
+    /// Reason why `run` plays this scenario only if the file or its own folder is named, one line.
+    #[schemars(length(min = 1))]
+    pub only_if_named: Option<String>,
     /// Exit code that a scenario of a known limit must end with.
     #[schemars(extend("enum" = [1, 3, 5]))]
     pub expected_exit: Option<i64>,

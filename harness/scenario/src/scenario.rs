@@ -32,6 +32,8 @@ pub struct Scenario {
     pub tier: Tier,
     pub duration: Time,
     pub trace_step: Time,
+    /// Reason why the scenario is played only if it or its own folder is named.
+    pub only_if_named: Option<String>,
     pub expected_exit: Option<u8>,
     pub controller: Controller,
     /// Setpoint of the amplitude, µm.

@@ -84,7 +84,7 @@ fn a_passed_run_prints_a_summary_and_no_progress() {
     let folder = TestFolder::with_step(SETTLING);
     fs::create_dir(folder.join("scenarios/limits")).unwrap();
     let limit = step_text(BAD).replace("\"plates/", "\"../plates/");
-    folder.write_scenario("limits/limit.toml", &format!("expected_exit = 1\n{limit}"));
+    folder.write_scenario("limits/limit.toml", &format!("only_if_named = \"known limit\"\n{limit}"));
     let output = folder.run_hosted("run").assert_exit(0);
     let stdout = output.stdout.replace(|digit: char| digit.is_ascii_digit(), "#");
     assert_eq!(
@@ -92,7 +92,8 @@ fn a_passed_run_prints_a_summary_and_no_progress() {
         ["# scenario", "# expectation", "duration", "smallest margin", "verdict"]
     );
     assert!(output.stdout.contains(" %, s.toml: settling_time_ms: "), "{}", output.stdout);
-    let skipped = "1 scenario of known limits skipped, name one to run it; -v lists them";
+    let skipped =
+        "1 scenario with `only_if_named` skipped (known limit 1); name a file or its folder to play it; -v lists them";
     assert_eq!(output.stderr, format!("{skipped}\nrun folder: run\nreport: run/report.html\n"));
 }
 

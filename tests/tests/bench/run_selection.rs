@@ -5,6 +5,7 @@ use Verdict::{Fail, Inconclusive, Pass};
 use platebench_record::{Cause, RunRecord, ScenarioRecord, Verdict};
 use rstest::rstest;
 use serde_json::{Value, json};
+use std::fs;
 
 fn tagged(tags: &str, expect: &str) -> String {
     format!("tags = [{tags}]\n{}", step_text(expect))
@@ -143,4 +144,53 @@ fn assert_judged_again(folder: &TestFolder, expected: &[ScenarioRecord]) {
     for (scenario, expected) in judged["scenarios"].as_array().unwrap().iter().zip(expected) {
         assert_eq!(scenario["expectations"], serde_json::to_value(&expected.expectations).unwrap());
     }
+}
+
+#[test]
+fn the_name_of_a_folder_does_not_hide_scenarios() {
+    let folder = TestFolder::new();
+    let names = ["baselines", "hardware", "identify", "plans", "plates"];
+    for name in names {
+        fs::create_dir_all(folder.join("scenarios").join(name)).unwrap();
+        folder.write_scenario(&format!("{name}/mine.toml"), &step_text(SETTLING).replace("\"plates/", "\"../plates/"));
+    }
+    assert_eq!(listed_files(&folder, &[]), names.map(|name| format!("{name}/mine.toml")));
+    folder.run_hosted("run").assert_exit(0);
+    assert_eq!(folder.record("run").scenarios.len(), 5);
+    folder.bench(["check"]).assert_exit(0).assert_stdout(&["5 scenarios"]);
+}
+
+#[rstest]
+#[case::run(&["run", "--rig", "hosted", "--out", "run"])]
+#[case::list(&["run", "--list"])]
+#[case::check(&["check"])]
+#[case::trust(&["trust"])]
+fn a_faulty_or_unknown_file_is_an_error(#[case] command: &[&str]) {
+    let folder = TestFolder::with_step(SETTLING);
+    folder.write_scenario("plates/broken.toml", "[mode\n");
+    folder.bench(command).assert_exit(2).assert_stderr(&["plates/broken.toml:1:6"]);
+    fs::remove_file(folder.join("scenarios/plates/broken.toml")).unwrap();
+    folder.write_scenario("notes.toml", "[package]\n");
+    folder.bench(command).assert_exit(2).assert_stderr(&["notes.toml", "is a file of no known kind, expected "]);
+}
+
+#[test]
+fn scenarios_with_only_if_named_are_counted_with_their_reasons() {
+    let folder = TestFolder::with_step(SETTLING);
+    fs::create_dir(folder.join("scenarios/extra")).unwrap();
+    for (name, reason) in [("a", "known limit"), ("b", "assumed hardware"), ("c", "known limit")] {
+        let text = step_text(SETTLING).replace("\"plates/", "\"../plates/");
+        folder.write_scenario(&format!("extra/{name}.toml"), &format!("only_if_named = \"{reason}\"\n{text}"));
+    }
+    let list = |arguments: &[&str]| folder.bench(["run", "--list"].iter().chain(arguments)).assert_exit(0);
+    let note = "3 scenarios with `only_if_named` skipped (known limit 2, assumed hardware 1); name a file or its folder \
+                to play it";
+    list(&[]).assert_stderr(&[&format!("{note}; -v lists them\n")]);
+    list(&["-v"]).assert_stderr(&[&format!("{note}: extra/a.toml, extra/b.toml, extra/c.toml\n")]);
+    assert_eq!(list(&["-q"]).stderr, "");
+    assert_eq!(listed_files(&folder, &[]), ["s.toml"]);
+    assert_eq!(listed_files(&folder, &["scenarios/extra/b.toml"]), ["extra/b.toml"]);
+    assert_eq!(listed_files(&folder, &["scenarios/extra"]).len(), 3);
+    folder.write_scenario("bad.toml", &format!("only_if_named = \"\"\n{}", step_text(SETTLING)));
+    folder.bench(["check"]).assert_exit(2).assert_stderr(&["bad.toml:1", "expected one line of text"]);
 }

@@ -34,7 +34,7 @@ fn parse_csv(csv: &str) -> Vec<Vec<String>> {
 fn run_chart(only: ChartKind, named: &[PathBuf], csv: &str) -> (tempfile::TempDir, Vec<Vec<String>>) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("new");
-    assert_eq!(chart(&arguments(only, named, &out)), Ok(Exit::Passed));
+    assert_eq!(chart(&arguments(only, named, &out), Detail::Summary), Ok(Exit::Passed));
     let rows = parse_csv(&fs::read_to_string(out.join(csv)).unwrap());
     (folder, rows)
 }

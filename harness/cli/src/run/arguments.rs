@@ -18,7 +18,7 @@ use std::time::Duration;
 #[derive(Debug, Clone, Args)]
 #[command(after_help = "\
 Examples:
-  platebench run                                        every scenario below scenarios/ except known limits
+  platebench run                                        every scenario below scenarios/ without `only_if_named`
   platebench run scenarios/limits/one-period-delay.toml one scenario
   platebench run scenarios/paper --law dq-pi-euler      another law of the firmware
   platebench run --trials 300 --seed 7 --out /tmp/night

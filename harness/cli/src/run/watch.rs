@@ -5,6 +5,7 @@ use super::arguments::RunArgs;
 use super::play;
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure};
+use crate::selection::note_skipped;
 use crate::shutdown;
 use crate::stdio;
 use platebench_report::Detail;
@@ -41,6 +42,9 @@ pub(super) fn watch(arguments: &RunArgs, clock: Clock, detail: Detail) -> Comman
     loop {
         let before = file_stamps(arguments, &inputs);
         let found = find(&arguments.scenarios).and_then(|found| {
+            if played.is_empty() {
+                note_skipped(&found, detail);
+            }
             let scenarios = play::prepare_scenarios(found.scenarios, arguments).map_err(|fault| vec![*fault])?;
             Ok((scenarios, read_firmware(arguments).map_err(|fault| vec![fault])?))
         });

@@ -60,11 +60,13 @@ fn exit_code_and_output(output: &Output) -> (i32, String) {
     (output.status.code().expect("an exit code"), text)
 }
 
+const LIMIT: &str = "only_if_named = \"known limit\"";
+
 fn project_with_mixed_results() -> SuiteProject {
     let project = SuiteProject::new();
     project.write_scenario("good.toml", "", 20.0);
     project.write_scenario("slow.toml", "", 0.5);
-    project.write_scenario("limits/slow.toml", "expected_exit = 1", 0.5);
+    project.write_scenario("limits/slow.toml", &format!("{LIMIT}\nexpected_exit = 1"), 0.5);
     project
 }
 
@@ -123,14 +125,14 @@ fn a_limit_scenario_runs_on_request_and_ends_as_expected() {
     let (code, output) = project.run_tests(&["--ignored"]);
     assert_eq!(code, 0, "{output}");
     assert!(project.run_folder("limits/slow/run.json").exists(), "a run folder with the same name");
-    project.write_scenario("limits/slow.toml", "expected_exit = 1", 20.0);
+    project.write_scenario("limits/slow.toml", &format!("{LIMIT}\nexpected_exit = 1"), 20.0);
     let (code, output) = project.run_tests(&["--include-ignored", "limits"]);
     assert_eq!(code, 101);
     assert!(
         output.contains("the scenario ends with a pass (exit code 0), expected a failure (exit code 1)"),
         "{output}"
     );
-    project.write_scenario("limits/slow.toml", "expected_exit = 3", 0.5);
+    project.write_scenario("limits/slow.toml", &format!("{LIMIT}\nexpected_exit = 3"), 0.5);
     assert_eq!(project.run_tests(&["--include-ignored", "limits"]).0, 101);
 }
 

@@ -5,7 +5,7 @@ const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138
 const GOOD: &str = "title = \"Good\"\nplate = \"PLATE\"\nduration_ms = 60.0\n[profile]\nsetpoint_um = 2.0\n\
                     [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 2.0\n";
 
-/// Creates scenarios at `paths`. A file whose name starts with `limit` has `expected_exit = 1`.
+/// Creates scenarios at `paths`. A file whose name starts with `limit` has `only_if_named`.
 fn create_tree(paths: &[&str]) -> TempDir {
     let folder = TempDir::new().unwrap();
     fs::write(folder.path().join("plate"), PLATE).unwrap();
@@ -14,8 +14,8 @@ fn create_tree(paths: &[&str]) -> TempDir {
         let file = folder.path().join(path);
         fs::create_dir_all(file.parent().unwrap()).unwrap();
         let limit = file.file_name().unwrap().to_string_lossy().starts_with("limit");
-        let exit = if limit { "expected_exit = 1\n" } else { "" };
-        fs::write(file, format!("{exit}{}", GOOD.replace("PLATE", &plate))).unwrap();
+        let reason = if limit { "only_if_named = \"known limit\"\n" } else { "" };
+        fs::write(file, format!("{reason}{}", GOOD.replace("PLATE", &plate))).unwrap();
     }
     folder
 }
@@ -34,32 +34,45 @@ fn find_errors(folder: &TempDir, arguments: &[&str]) -> Vec<String> {
 
 #[test]
 fn searches_folders_for_scenarios_only() {
-    let folder = create_tree(&[
-        "a/z.toml",
-        "a/b/c.toml",
-        "a/plates/p.toml",
-        "a/baselines/d.toml",
-        "a/plans/d.toml",
-        "a/.hidden/e.toml",
-        "a/.f.toml",
-        "a/notes.md",
-    ]);
+    let folder = create_tree(&["a/z.toml", "a/b/c.toml", "a/.hidden/e.toml", "a/.f.toml", "a/notes.md"]);
     fs::write(folder.path().join("a/plate.toml"), PLATE).unwrap();
     fs::write(folder.path().join("a/platebench.toml"), "[run]\n").unwrap();
+    fs::write(folder.path().join("a/golden.toml"), "scenario = \"a.toml\"\ncurves_sha256 = \"\"\n").unwrap();
     assert_eq!(found_names(&folder, &["a"]).0, ["b/c.toml", "z.toml"]);
     assert_eq!(found_names(&folder, &["a/"]).0, ["b/c.toml", "z.toml"]);
 }
 
 #[test]
+fn the_name_of_a_folder_does_not_hide_scenarios() {
+    let names = ["baselines/a.toml", "hardware/b.toml", "identify/c.toml", "plans/d.toml", "plates/e.toml"];
+    let folder = create_tree(&names);
+    assert_eq!(found_names(&folder, &["."]).0, names);
+}
+
+#[test]
+fn reports_a_file_that_is_no_toml_or_of_no_known_kind() {
+    let folder = create_tree(&["a/x.toml"]);
+    fs::create_dir(folder.path().join("a/plates")).unwrap();
+    fs::write(folder.path().join("a/plates/broken.toml"), "[mode\n").unwrap();
+    fs::write(folder.path().join("a/Cargo.toml"), "[package]\n").unwrap();
+    let errors = find_errors(&folder, &["a", "a"]);
+    assert_eq!(errors.len(), 2, "{errors:#?}");
+    assert!(errors[0].starts_with("a/Cargo.toml: is a file of no known kind"), "{errors:#?}");
+    assert!(errors[1].starts_with("a/plates/broken.toml:1:6: "), "{errors:#?}");
+}
+
+#[test]
 fn finds_nothing_in_an_empty_folder() {
-    let folder = create_tree(&["a/plates/p.toml"]);
+    let folder = create_tree(&[]);
+    fs::create_dir(folder.path().join("a")).unwrap();
+    fs::write(folder.path().join("a/plate.toml"), PLATE).unwrap();
     assert_eq!(found_names(&folder, &["a"]), (vec![], vec![]));
     assert_eq!(found_names(&folder, &[]), (vec![], vec![]));
 }
 
 #[test]
 fn reports_a_named_folder_without_scenarios() {
-    let folder = create_tree(&["a/x.toml", "limits/limit.toml", "b/plates/p.toml"]);
+    let folder = create_tree(&["a/x.toml", "limits/limit.toml", "b/notes.md"]);
     let empty = |arguments: &[&str]| {
         let arguments: Vec<_> = arguments.iter().map(|argument| folder.path().join(argument)).collect();
         let empty = find(&arguments).unwrap().empty_folders;
@@ -110,7 +123,7 @@ fn a_name_elsewhere_is_the_path_below_the_named_folder_or_the_file_name() {
 }
 
 #[test]
-fn loads_a_limit_only_if_it_or_its_folder_is_named() {
+fn loads_a_scenario_with_only_if_named_only_if_it_or_its_folder_is_named() {
     let folder = create_tree(&["scenarios/x.toml", "scenarios/limits/limit.toml"]);
     let (x, limit) = (|| "x.toml".to_owned(), || "limits/limit.toml".to_owned());
     assert_eq!(found_names(&folder, &["scenarios"]), (vec![x()], vec![limit()]));
@@ -132,8 +145,8 @@ fn rejects_two_scenarios_of_one_name() {
 #[test]
 fn reports_every_invalid_file() {
     let folder = create_tree(&["a/good.toml"]);
-    fs::write(folder.path().join("a/bad.toml"), "title = 1").unwrap();
-    fs::write(folder.path().join("a/limit-bad.toml"), "expected_exit = 1\ntitle = 1").unwrap();
+    fs::write(folder.path().join("a/bad.toml"), "title = 1\ntrace_step_ms = 1.0").unwrap();
+    fs::write(folder.path().join("a/limit-bad.toml"), "only_if_named = \"a\"\ntitle = 1").unwrap();
     fs::create_dir(folder.path().join("a/sub")).unwrap();
     fs::write(folder.path().join("a/sub/worse.toml"), b"\xff").unwrap();
     let errors = find_errors(&folder, &["a", "no-such.toml"]);
@@ -163,7 +176,11 @@ fn loads_every_scenario_of_the_repository() {
     let scenarios = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios");
     let folders = ["", "limits"].map(|folder| scenarios.join(folder));
     match find(&folders) {
-        Ok(found) => assert!(!found.scenarios.is_empty()),
+        Ok(found) => {
+            let limits = found.scenarios.iter().filter(|scenario| scenario.expected_exit.is_some());
+            assert!(limits.into_iter().all(|scenario| scenario.file.starts_with("limits/")));
+            assert!(found.scenarios.len() > 90 && found.skipped.len() > 70);
+        }
         Err(faults) => panic!("{}", faults.iter().map(|fault| fault.render(false)).collect::<Vec<_>>().join("\n")),
     }
 }

@@ -31,6 +31,9 @@ impl Checker<'_> {
     fn scenario(&self, raw: RawScenario, file: &str, faults: &mut Diagnostics) -> Option<Scenario> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
         faults.record_error(self.one_line("title", &raw.title));
+        if let Some(reason) = &raw.only_if_named {
+            faults.record_error(self.one_line("only_if_named", reason));
+        }
         let mut inputs = vec![InputFile { path: self.path.to_owned(), bytes: self.text.as_bytes().to_vec() }];
         let trials = faults.record_error(self.trials(&raw.trials));
         let spread = trials.map(|trials| trials.spread);
@@ -88,6 +91,7 @@ impl Checker<'_> {
             source: raw.source,
             tags: raw.tags,
             tier: tier?,
+            only_if_named: raw.only_if_named,
             expected_exit: expected_exit?,
             expectations: expected,
             requirement_texts: BTreeMap::new(),

@@ -1,4 +1,5 @@
 use super::{plate_schema, scenario_schema};
+use crate::file_kind::FileKind;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -22,11 +23,10 @@ fn accepts_every_scenario_and_plate_of_the_project() {
     let (scenario, plate) = (validator(scenario_schema()), validator(plate_schema()));
     let mut counted = [0; 2];
     for file in files {
-        let folder = file.strip_prefix(&root).unwrap().iter().next().unwrap().to_str().unwrap().to_owned();
-        let (validator, count) = match folder.as_str() {
-            "plans" | "baselines" | "campaigns" | "envelope.toml" | "requirements.toml" => continue,
-            "plates" => (&plate, &mut counted[1]),
-            _ => (&scenario, &mut counted[0]),
+        let (validator, count) = match FileKind::detect(&file).unwrap() {
+            FileKind::Scenario => (&scenario, &mut counted[0]),
+            FileKind::Plate => (&plate, &mut counted[1]),
+            _ => continue,
         };
         let document: toml::Table = fs::read_to_string(&file).unwrap().parse().unwrap();
         if let Err(fault) = validator.validate(&serde_json::to_value(document).unwrap()) {
