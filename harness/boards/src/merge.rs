@@ -2,8 +2,8 @@
 
 use crate::board_differences::differences;
 use platebench_record::{
-    FORMAT, FolderError, Host, KeepTraces, MergeRecord, MergedRun, MergedScenario, MissingShard, NotApplicable,
-    Overrides, RigRecord, RunFolder, RunRecord, ScenarioRecord, Tool, Verdict, utc_timestamp,
+    FORMAT, FolderError, Host, MergeRecord, MergedRun, MergedScenario, MissingShard, NotApplicable, Overrides,
+    RigRecord, RunFolder, RunRecord, ScenarioRecord, Tool, Verdict, utc_timestamp,
 };
 use platebench_runner::rejudge::check_trace;
 use platebench_runner::{RejudgeError, rejudge};
@@ -20,6 +20,11 @@ pub enum MergeError {
     Folder(#[from] FolderError),
     #[error("{}: is a run that `platebench merge` wrote; name the runs that it was made of", .0.display())]
     AlreadyMerged(PathBuf),
+    #[error(
+        "{}: is shard {shard} and does not record the selection that it is a part of; run the shard again",
+        run.display()
+    )]
+    NoSelection { run: PathBuf, shard: usize },
     #[error(
         "{}: {what} is {found}, but {expected} in {}; only runs with the same value can be joined",
         run.display(), first.display()
@@ -84,13 +89,10 @@ fn read_runs(folders: &[PathBuf]) -> Result<Vec<StoredRun>, MergeError> {
     let mut runs: Vec<StoredRun> = Vec::new();
     let mut kinds: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for folder in folders {
-        let mut record = RunRecord::read(folder).map_err(RejudgeError::from)?;
-        if record.merge.is_some() {
+        if RunRecord::read(folder).map_err(RejudgeError::from)?.merge.is_some() {
             return Err(MergeError::AlreadyMerged(folder.clone()));
         }
-        if !record.complete && record.overrides.keep_traces == KeepTraces::All {
-            record = rejudge(folder, None)?;
-        }
+        let record = rejudge(folder, None)?;
         let rig = record.rig.name.clone();
         let board = record.overrides.board.clone().unwrap_or_else(|| {
             let names = kinds.entry(record.rig.kind().to_owned()).or_default();
@@ -102,14 +104,21 @@ fn read_runs(folders: &[PathBuf]) -> Result<Vec<StoredRun>, MergeError> {
             if number == 0 { record.rig.kind().to_owned() } else { format!("{}-{}", record.rig.kind(), number + 1) }
         });
         let place = free_place(&runs, &board, &record);
+        let different = |first: &StoredRun, what, found: &dyn ToString, expected: &dyn ToString| {
+            let (run, first) = (folder.clone(), first.folder.clone());
+            Err(MergeError::Different { run, first, what, found: found.to_string(), expected: expected.to_string() })
+        };
         if let Some(first) = runs.first().filter(|first| first.record.clock != record.clock) {
-            return Err(MergeError::Different {
-                run: folder.clone(),
-                first: first.folder.clone(),
-                what: "the clock",
-                found: record.clock.to_string(),
-                expected: first.record.clock.to_string(),
-            });
+            return different(first, "the clock", &record.clock, &first.record.clock);
+        }
+        if let Some([shard, _]) = record.overrides.shard {
+            let Some(selection) = &record.overrides.selection else {
+                return Err(MergeError::NoSelection { run: folder.clone(), shard });
+            };
+            let selections = runs.iter().filter_map(|run| Some((run, run.record.overrides.selection.as_ref()?)));
+            if let Some((first, expected)) = selections.into_iter().find(|(_, other)| *other != selection) {
+                return different(first, "the selection of scenarios (SHA-256)", selection, expected);
+            }
         }
         runs.push(StoredRun { folder: folder.clone(), record, board, place });
     }
@@ -178,12 +187,11 @@ fn missing_shards(runs: &[StoredRun]) -> Vec<MissingShard> {
 
 fn joined_head(runs: &[StoredRun], out: &RunFolder) -> RunRecord {
     let all = || runs.iter().map(|run| &run.record);
-    let common = |run: &RunRecord| Overrides { board: None, shard: None, ..run.overrides.clone() };
+    let common = |run: &RunRecord| Overrides { board: None, shard: None, selection: None, ..run.overrides.clone() };
     let first = all().next();
     let is_common = first.is_some_and(|first| all().all(|run| common(run) == common(first)));
-    let keep_traces = all().map(|run| run.overrides.keep_traces).find(|keep| *keep != KeepTraces::All);
     let require_all = all().any(|run| run.overrides.require_all);
-    let different = Overrides { keep_traces: keep_traces.unwrap_or_default(), require_all, ..Overrides::default() };
+    let different = Overrides { require_all, ..Overrides::default() };
     let boards: BTreeSet<_> = runs.iter().map(|run| run.board.as_str()).collect();
     let one_rig = first.filter(|first| all().all(|run| run.rig == first.rig)).map(|first| first.rig.clone());
     let names = boards.into_iter().collect::<Vec<_>>().join(", ");

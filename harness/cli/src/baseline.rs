@@ -10,6 +10,7 @@ use platebench_report::format::count;
 use platebench_report::{comparison, tube_plot};
 use platebench_runner::baseline::{BaselineAcceptError, build_baseline, check_acceptable};
 use platebench_runner::comparison::compare_with_tubes;
+use platebench_runner::rejudge;
 use platebench_runner::stored_trials::{CompareError, ScenarioTrials, read_scenario_trials};
 use platebench_verdict::golden::{Baseline, BaselineBuild, ResponseFeatures};
 use std::fs;
@@ -79,7 +80,9 @@ enum Action {
 
 fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
     let ReviewArgs { run, baselines, false_alarm_rate: rate } = arguments;
-    let (record, rate) = (&RunRecord::read(run).or_invalid()?, *rate);
+    // Only verdicts from the traces count, because the verdicts in run.json may have been edited.
+    let record = if action == Action::Show { RunRecord::read(run).or_invalid()? } else { rejudge(run, None)? };
+    let (record, rate) = (&record, *rate);
     if record.scenarios.is_empty() {
         return Err(Failure::new(Exit::NothingToRun, &"the run contains no scenario, so there is nothing to review"));
     }

@@ -1,13 +1,14 @@
 //! `platebench export`: exports the traces of a stored run to other programs.
 
 use crate::exit::Exit;
-use crate::failure::{CommandResult, Failure, OrInvalid};
+use crate::failure::{CommandResult, Failure};
+use crate::judge::StoredRun;
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_export::ExportError;
 use platebench_record::RunRecord;
+use platebench_runner::RejudgeError;
 use platebench_runner::rejudge::check_trace;
-use platebench_runner::{RejudgeError, rejudge};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -44,12 +45,19 @@ enum ExportFormatArg {
 }
 
 pub(crate) fn export(arguments: &ExportArgs) -> CommandResult {
-    let mut record = RunRecord::read(&arguments.run).or_invalid()?;
-    if !record.complete {
-        // The record of an interrupted run lacks its last trials, so the traces are judged again.
-        record = rejudge(&arguments.run, None)?;
+    let StoredRun { record, not_judged } = StoredRun::read(&arguments.run)?;
+    if record.complete {
+        check_traces(&record, arguments)?;
     }
-    check_traces(&record, arguments)?;
+    match not_judged {
+        // The record of an interrupted run lacks its last trials.
+        Some(error) if !record.complete => return Err(error.into()),
+        Some(RejudgeError::Modified { .. }) => {
+            stdio::note("a file of the run was changed, so the verdicts are those of run.json and were not checked");
+        }
+        Some(error) => stdio::note(&format!("{error}; the verdicts are those of run.json, which were not checked")),
+        None => {}
+    }
     let format = match arguments.format {
         ExportFormatArg::Parquet => platebench_export::ExportFormat::Parquet,
         ExportFormatArg::Mf4 => platebench_export::ExportFormat::Mf4,

@@ -7,8 +7,8 @@ use crate::stdio;
 use clap::Args;
 use platebench_record::RunRecord;
 use platebench_report::Detail;
-use platebench_runner::rejudge;
-use std::path::PathBuf;
+use platebench_runner::{RejudgeError, rejudge};
+use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -30,18 +30,46 @@ pub(crate) fn judge(arguments: &JudgeArgs, detail: Detail) -> CommandResult {
     let record = rejudge(&arguments.run, arguments.scenario.as_deref())?;
     stdio::record(&record, arguments.format, detail);
     if arguments.scenario.is_none() {
-        note_changed_verdicts(arguments, &record);
+        match RunRecord::read(&arguments.run) {
+            Ok(stored) if !stored.complete => {
+                stdio::note("the run was interrupted; only its complete trials were judged");
+            }
+            Ok(stored) => note_changed_verdicts(&stored, &record),
+            Err(_) => {}
+        }
     }
     stdio::warn_if_not_safe(&record);
     Ok(Exit::of_record(&record))
 }
 
-fn note_changed_verdicts(arguments: &JudgeArgs, again: &RunRecord) {
-    let Ok(stored) = RunRecord::read(&arguments.run) else { return };
-    if !stored.complete {
-        stdio::note("the run was interrupted; only its complete trials were judged");
-        return;
+/// A stored run for a report or an export.
+pub(crate) struct StoredRun {
+    pub(crate) record: RunRecord,
+    /// Why the verdicts are those of the record instead of those of the traces.
+    pub(crate) not_judged: Option<RejudgeError>,
+}
+
+impl StoredRun {
+    /// Judges the traces, because the verdicts in `run.json` may have been edited. Reports verdicts
+    /// that differ.
+    pub(crate) fn read(folder: &Path) -> Result<Self, RejudgeError> {
+        let mut record = RunRecord::read(folder)?;
+        if record.complete && record.discount_missing_traces(folder) {
+            return Ok(Self { record, not_judged: None });
+        }
+        match rejudge(folder, None) {
+            Ok(judged) => {
+                if record.complete {
+                    note_changed_verdicts(&record, &judged);
+                }
+                Ok(Self { record: judged, not_judged: None })
+            }
+            Err(error) => Ok(Self { record, not_judged: Some(error) }),
+        }
     }
+}
+
+fn note_changed_verdicts(stored: &RunRecord, again: &RunRecord) {
     for (then, now) in stored.scenarios.iter().zip(&again.scenarios) {
         for (before, after) in then.expectations.iter().zip(&now.expectations) {
             if before.verdict != after.verdict {

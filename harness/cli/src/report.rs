@@ -2,6 +2,7 @@
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, OrInvalid};
+use crate::judge::StoredRun;
 use crate::options::BASELINES;
 use crate::{soak, stdio};
 use clap::Args;
@@ -9,8 +10,8 @@ use platebench_boards::{SOAK_FILE, SoakRecord};
 use platebench_record::RunRecord;
 use platebench_report::page::{self, ReportPage};
 use platebench_report::traceability;
+use platebench_runner::RejudgeError;
 use platebench_runner::rejudge::check_trace;
-use platebench_runner::{RejudgeError, rejudge};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
@@ -51,18 +52,16 @@ pub(crate) fn report(arguments: &ReportArgs) -> CommandResult {
     Ok(Exit::Passed)
 }
 
-/// Judges the traces of an interrupted run first, unless a trace was changed or was not kept.
+/// Judges the traces. Shows the verdicts of the record if a trace was changed or was not kept, or
+/// if the run is complete and cannot be judged for another reason.
 fn read_record(folder: &Path) -> Result<RunRecord, RejudgeError> {
-    let mut record = RunRecord::read(folder)?;
-    if record.complete {
-        record.discount_missing_traces(folder);
-        return Ok(record);
-    }
-    match rejudge(folder, None) {
-        Err(error @ (RejudgeError::Modified { .. } | RejudgeError::NotKept(_))) => {
-            stdio::note(&format!("{error}; the report shows what was judged before the interruption"));
+    let StoredRun { record, not_judged } = StoredRun::read(folder)?;
+    match not_judged {
+        Some(error) if record.complete || matches!(error, RejudgeError::Modified { .. } | RejudgeError::NotKept(_)) => {
+            stdio::note(&format!("{error}; the report shows the verdicts of run.json, which were not checked"));
             Ok(record)
         }
-        judged => judged,
+        Some(error) => Err(error),
+        None => Ok(record),
     }
 }

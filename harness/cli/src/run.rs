@@ -13,12 +13,13 @@ use crate::plate_warnings::warn_of_scenarios;
 use crate::selection::{check_not_empty, note_skipped, nothing_to_run};
 use crate::stdio;
 use platebench_report::{Detail, scenario_list};
-use platebench_scenario::{Scenario, find};
+use platebench_scenario::find;
+use play::Selection;
 use std::path::Path;
 
 pub(crate) fn run(arguments: &RunArgs, detail: Detail) -> CommandResult {
     if arguments.list {
-        let scenarios = scenarios_to_run(arguments, detail)?;
+        let scenarios = scenarios_to_run(arguments, detail)?.scenarios;
         stdio::show_as(arguments.format, &scenario_list::json(&scenarios), || scenario_list::text(&scenarios));
         return Ok(Exit::Passed);
     }
@@ -33,13 +34,13 @@ pub(crate) fn run(arguments: &RunArgs, detail: Detail) -> CommandResult {
     }
     Ok(play::play_with_events(arguments, |events| {
         let clock = clock?;
-        let scenarios = scenarios_to_run(arguments, detail)?;
-        play::play(arguments, clock, scenarios, detail, events)
+        let selection = scenarios_to_run(arguments, detail)?;
+        play::play(arguments, clock, selection, detail, events)
     }))
 }
 
 /// Fails if no scenario is selected.
-fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Vec<Scenario>, Failure> {
+fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Selection, Failure> {
     let found = find(&arguments.scenarios).map_err(|faults| {
         let exit = Failure::from(faults).report();
         if arguments.scenarios == [Path::new(SCENARIOS)] && !Path::new(SCENARIOS).exists() {
@@ -52,7 +53,7 @@ fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Vec<Scenario>
         stdio::note(&format!("{}: skipped, copies of scenarios in a run folder", copies.display()));
     }
     check_not_empty(&found)?;
-    let scenarios = play::prepare_scenarios(found.scenarios, arguments)?;
-    warn_of_scenarios(&scenarios);
-    if scenarios.is_empty() { Err(nothing_to_run()) } else { Ok(scenarios) }
+    let selection = play::select_scenarios(found.scenarios, arguments)?;
+    warn_of_scenarios(&selection.scenarios);
+    if selection.scenarios.is_empty() { Err(nothing_to_run()) } else { Ok(selection) }
 }

@@ -4,6 +4,7 @@ use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::stdio;
 use clap::Args;
+use platebench_record::sha256;
 use platebench_report::Detail;
 use platebench_report::format::count;
 use platebench_scenario::{FoundScenarios, Scenario, find, suggestion};
@@ -91,6 +92,18 @@ impl TagFilter {
         }
         self.report_unknown_tags(scenarios);
         scenarios.retain(|scenario| self.selects(scenario));
+    }
+
+    /// SHA-256 over the filters and the names and inputs of the selected scenarios.
+    pub(crate) fn selection_digest(&self, scenarios: &[Scenario]) -> String {
+        let sorted = |tags: &[String]| tags.iter().cloned().collect::<BTreeSet<_>>();
+        let content = |scenario: &Scenario| {
+            let inputs = scenario.inputs.iter().map(|input| sha256(&input.bytes));
+            (scenario.file.clone(), inputs.collect::<Vec<_>>())
+        };
+        let scenarios: Vec<_> = scenarios.iter().map(content).collect();
+        let all = (sorted(&self.tags), sorted(&self.excluded), scenarios);
+        sha256(serde_json::to_string(&all).unwrap_or_default().as_bytes())
     }
 
     fn report_unknown_tags(&self, scenarios: &[Scenario]) {

@@ -25,6 +25,10 @@ pub struct Overrides {
     /// `--shard`: number of the shard, counted from 1, and number of shards.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shard: Option<[usize; 2]>,
+    /// SHA-256 over all selected scenarios, before the shard was taken of them: their names, their
+    /// inputs and the filters. Shards of different selections are not joined.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub selection: Option<String>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]

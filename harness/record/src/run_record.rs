@@ -137,11 +137,14 @@ impl RunRecord {
         };
     }
 
-    /// Turns passes of a scenario into inconclusive verdicts if one of its traces is missing.
-    pub fn discount_missing_traces(&mut self, folder: &Path) {
+    /// Turns passes of a scenario into inconclusive verdicts if one of its traces is missing. Returns
+    /// whether a trace is missing.
+    pub fn discount_missing_traces(&mut self, folder: &Path) -> bool {
+        let mut misses_traces = false;
         for scenario in &mut self.scenarios {
             let is_missing = |trial: &&TrialRecord| trial.sha256.is_some() && !folder.join(&trial.trace).is_file();
             let Some(trial) = scenario.trials.iter().find(is_missing).map(|trial| trial.index) else { continue };
+            misses_traces = true;
             for expectation in &mut scenario.expectations {
                 if expectation.verdict == Verdict::Pass {
                     let exclusion = Exclusion::MissingTrace;
@@ -153,6 +156,7 @@ impl RunRecord {
             scenario.verdict = Verdict::combine(scenario.expectations.iter().map(|expectation| expectation.verdict));
         }
         self.update_verdict();
+        misses_traces
     }
 
     /// True if a controller was lost and the rig caused it.

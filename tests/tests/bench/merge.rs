@@ -1,4 +1,5 @@
-use crate::test_folder::{TestFolder, controller_rig, step_scenario};
+use crate::test_folder::{FAILED_SETTLING, SETTLING, TestFolder, controller_rig, step_scenario, step_text};
+use platebench_record::{RunRecord, Verdict};
 
 fn noisy(expect: &str) -> String {
     step_scenario("aluminium-198x138-noisy", "", "", expect) + "[trials]\ncount = 5\n"
@@ -62,4 +63,79 @@ fn boards_are_compared_with_intervals() {
     folder.bench(["judge", "both"]).assert_exit(2).assert_stderr(&["SHA-256"]);
     folder.replace("b/traces/s/000.csv", "control", "");
     folder.bench(["merge", "a", "b", "--out", "changed"]).assert_exit(2).assert_stderr(&["SHA-256"]);
+}
+
+/// Sets every verdict of the run to pass, as an edited record may have.
+fn edit_verdicts(folder: &TestFolder, run: &str) {
+    let mut record = folder.record(run);
+    for scenario in &mut record.scenarios {
+        scenario.verdict = Verdict::Pass;
+        for expectation in &mut scenario.expectations {
+            (expectation.verdict, expectation.cause, expectation.reason) = (Verdict::Pass, None, None);
+        }
+    }
+    record.verdict = Verdict::Pass;
+    record.write(&folder.join(run)).unwrap();
+}
+
+#[test]
+fn shards_of_different_selections_are_refused() {
+    let folder = TestFolder::new();
+    for (name, expect) in [("a", SETTLING), ("b", SETTLING), ("c", FAILED_SETTLING), ("d", SETTLING)] {
+        folder.write_scenario(&format!("{name}.toml"), &format!("tags = [\"{name}\"]\n{}", step_text(expect)));
+    }
+    let shard = |shard: &str, out: &str, more: &[&str]| {
+        let run = ["run", "--rig", "hosted", "--shard", shard, "--out", out];
+        folder.bench(run.iter().chain(more)).assert_exit_in(&[0, 1]);
+    };
+    shard("1/2", "first", &["scenarios/a.toml", "scenarios/b.toml", "scenarios/c.toml"]);
+    shard("1/2", "one", &["--not-tag", "c"]);
+    shard("2/2", "two", &[]);
+    shard("2/2", "filtered", &["--not-tag", "c"]);
+    for [one, two] in [["first", "two"], ["one", "two"], ["first", "filtered"]] {
+        let merge = folder.bench(["merge", one, two, "--out", "all"]).assert_exit(2);
+        merge
+            .assert_stderr(&[&format!("{two}: the selection of scenarios (SHA-256) is "), &format!(" in {one}; only")]);
+        assert!(!folder.exists("all"));
+    }
+    folder.bench(["merge", "one", "filtered", "--out", "all"]).assert_exit(0);
+    let mut record: RunRecord = folder.record("one");
+    record.overrides.selection = None;
+    record.write(&folder.join("one")).unwrap();
+    let merge = folder.bench(["merge", "one", "filtered", "--out", "other"]).assert_exit(2);
+    merge.assert_stderr(&["one: is shard 1 and does not record the selection"]);
+}
+
+#[test]
+fn a_selection_depends_on_the_content_of_its_scenarios() {
+    let folder = lab();
+    let shard = |shard: &str, out: &str| {
+        folder.bench(["run", "--rig", "hosted", "--shard", shard, "--out", out]).assert_exit(0);
+    };
+    shard("1/2", "one");
+    folder.replace("scenarios/s.toml", "at_least = 0.5", "at_least = 0.4");
+    shard("2/2", "two");
+    folder.bench(["merge", "one", "two", "--out", "all"]).assert_exit(2).assert_stderr(&["the selection of scenarios"]);
+}
+
+#[test]
+fn edited_verdicts_have_no_effect() {
+    let folder = TestFolder::with_step(&format!("{FAILED_SETTLING}\nrequirement = \"R-1\""));
+    folder.run_hosted("run").assert_exit(1);
+    edit_verdicts(&folder, "run");
+    folder.bench(["merge", "run", "--out", "all"]).assert_exit(1);
+    assert_eq!(folder.record("all").verdict, Verdict::Fail);
+    let accept = folder.bench(["baseline", "accept", "run"]).assert_exit(1);
+    accept.assert_output(&["✗ not accepted  s.toml: it did not pass (fail)"]);
+    let note = "s.toml: settling_time_ms: pass in the record, fail now";
+    folder.bench(["report", "run"]).assert_exit(0).assert_stderr(&[note]);
+    assert!(folder.read("run/traceability.csv").contains("fail"));
+    folder.bench(["export", "run", "--format", "csv"]).assert_exit(0).assert_stderr(&[note]);
+}
+
+#[test]
+fn a_run_without_all_traces_is_not_joined() {
+    let folder = TestFolder::with_step(SETTLING);
+    folder.bench(["run", "--rig", "hosted", "--keep-traces", "failing", "--out", "run"]).assert_exit(0);
+    folder.bench(["merge", "run", "--out", "all"]).assert_exit(2).assert_stderr(&["did not keep all traces"]);
 }

@@ -126,7 +126,8 @@ impl RunArgs {
         }
     }
 
-    pub(crate) fn overrides(&self) -> Overrides {
+    /// `selection` is the digest of the scenarios before the shard was taken of them.
+    pub(crate) fn overrides(&self, selection: Option<String>) -> Overrides {
         Overrides {
             law: self.law.clone(),
             trials: self.trials,
@@ -137,6 +138,7 @@ impl RunArgs {
             keep_traces: self.keep_traces,
             board: self.board.selection.board.clone(),
             shard: self.shard.map(|shard| [shard.number, shard.count]),
+            selection,
         }
     }
 }

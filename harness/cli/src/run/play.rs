@@ -35,19 +35,26 @@ pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Failure> {
     Ok(clock)
 }
 
-pub(super) fn prepare_scenarios(
+pub(super) struct Selection {
+    pub(super) scenarios: Vec<Scenario>,
+    /// SHA-256 of all selected scenarios if `scenarios` is a shard of them.
+    pub(super) digest: Option<String>,
+}
+
+pub(super) fn select_scenarios(
     mut scenarios: Vec<Scenario>,
     arguments: &RunArgs,
-) -> Result<Vec<Scenario>, Box<Diagnostic>> {
+) -> Result<Selection, Box<Diagnostic>> {
     arguments.tags.retain(&mut scenarios);
-    let overrides = arguments.overrides();
+    let digest = arguments.shard.map(|_| arguments.tags.selection_digest(&scenarios));
+    let overrides = arguments.overrides(None);
     rejudge::check_overrides(&overrides, &scenarios)?;
     for scenario in &mut scenarios {
         rejudge::apply_overrides(&overrides, scenario);
     }
     let mut index = 0..;
     scenarios.retain(|_| arguments.shard.zip(index.next()).is_none_or(|(shard, index)| shard.contains(index)));
-    Ok(scenarios)
+    Ok(Selection { scenarios, digest })
 }
 
 /// Calls `play` and returns its exit code. With `--format json`, `play` gets the event stream, and
@@ -72,10 +79,11 @@ pub(super) fn play_with_events(
 pub(super) fn play(
     arguments: &RunArgs,
     clock: Clock,
-    scenarios: Vec<Scenario>,
+    selection: Selection,
     detail: Detail,
     events: &mut Option<EventWriter>,
 ) -> Result<(Exit, RunRecord), Failure> {
+    let Selection { scenarios, digest } = selection;
     check_line_speed(&arguments.rig, clock, &scenarios).or_invalid()?;
     let debug_port = arguments.gdb.map(DebugPort::bind).transpose().or_invalid()?;
     if let Some(port) = &debug_port {
@@ -99,7 +107,7 @@ pub(super) fn play(
         None if !matches!(clock, Clock::Lockstep { .. }) => 1,
         jobs => job_count(jobs),
     };
-    let plan = RunPlan::new(&arguments.rig, clock, jobs, scenarios, arguments.overrides());
+    let plan = RunPlan::new(&arguments.rig, clock, jobs, scenarios, arguments.overrides(digest));
     info!(folder = %folder.path().display(), scenarios = plan.scenarios.len(), jobs = plan.jobs, "run starts");
     if arguments.live && is_real {
         stdio::note("no live view with --plate-mode real, because the prompts use the terminal");

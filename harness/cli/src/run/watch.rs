@@ -2,7 +2,7 @@
 //! Polls time stamps and lengths of the files, because this works on every file system.
 
 use super::arguments::RunArgs;
-use super::play;
+use super::play::{self, Selection};
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure};
 use crate::selection::note_skipped;
@@ -45,7 +45,7 @@ pub(super) fn watch(arguments: &RunArgs, clock: Clock, detail: Detail) -> Comman
             if played.is_empty() {
                 note_skipped(&found, detail);
             }
-            let scenarios = play::prepare_scenarios(found.scenarios, arguments).map_err(|fault| vec![*fault])?;
+            let scenarios = play::select_scenarios(found.scenarios, arguments).map_err(|fault| vec![*fault])?.scenarios;
             Ok((scenarios, read_firmware(arguments).map_err(|fault| vec![fault])?))
         });
         let retry = found.is_err();
@@ -62,8 +62,10 @@ pub(super) fn watch(arguments: &RunArgs, clock: Clock, detail: Detail) -> Comman
                 inputs = scenarios.iter().flat_map(input_paths).collect();
                 let changed = changed_scenarios(scenarios, firmware.as_ref(), &mut played);
                 if !changed.is_empty() {
+                    // The run contains only a part of its shard, so it cannot be joined with others.
+                    let selection = Selection { scenarios: changed, digest: None };
                     let _ = play::play_with_events(arguments, |events| {
-                        play::play(arguments, clock, changed, detail, events)
+                        play::play(arguments, clock, selection, detail, events)
                     });
                     stdio::note(&format!("watching {}; Ctrl-C ends", count(played.len(), "scenario")));
                 }
