@@ -57,8 +57,8 @@ pub fn status(folder: &Path, plan: &Plan, campaign: &Campaign) -> Result<Status,
             status.missing.push(shard);
             continue;
         }
-        match PartReader::open(folder, plan, campaign, shard) {
-            Ok(_) => status.whole.push(shard),
+        match PartReader::open(folder, plan, campaign, shard).and_then(|part| part.check_rows()) {
+            Ok(()) => status.whole.push(shard),
             Err(error @ (CampaignError::Damaged { .. } | CampaignError::OtherPart(_))) => {
                 status.unusable.push((shard, error.to_string()));
             }

@@ -116,17 +116,17 @@ fn digest_place(bytes: &[u8]) -> Option<usize> {
 }
 
 /// Reads a part with one row group in memory at a time.
-pub(crate) struct PartReader {
+pub(crate) struct PartReader<'a> {
     path: PathBuf,
     reader: SerializedFileReader<std::fs::File>,
     columns: usize,
-    variables: usize,
+    campaign: &'a Campaign,
     first: u64,
 }
 
-impl PartReader {
-    /// Fails with [`CampaignError::Damaged`] or [`CampaignError::Foreign`].
-    pub(crate) fn open(folder: &Path, plan: &Plan, campaign: &Campaign, shard: u32) -> Result<Self, CampaignError> {
+impl<'a> PartReader<'a> {
+    /// Fails with [`CampaignError::Damaged`] or [`CampaignError::OtherPart`].
+    pub(crate) fn open(folder: &Path, plan: &Plan, campaign: &'a Campaign, shard: u32) -> Result<Self, CampaignError> {
         let path = plan.part_path(folder, shard);
         let damaged = |why| CampaignError::Damaged { path: path.clone(), why };
         let mut bytes = read_regular_file(&path, MAX_PART_BYTES).at(&path)?;
@@ -156,18 +156,27 @@ impl PartReader {
         if !is_complete {
             return Err(damaged("its rows or columns are not those of its shard"));
         }
-        Ok(Self { reader, columns, variables: campaign.variables.len(), first: trials.start, path })
+        Ok(Self { reader, columns, campaign, first: trials.start, path })
+    }
+
+    /// Fails with [`CampaignError::Damaged`] if a row contradicts itself.
+    pub(crate) fn check_rows(&self) -> Result<(), CampaignError> {
+        self.rows(&mut |_| Ok(()))
     }
 
     pub(crate) fn rows(&self, each: &mut dyn FnMut(Row) -> Result<(), CampaignError>) -> Result<(), CampaignError> {
         let mut trial = self.first;
-        let unreadable = || CampaignError::Damaged { path: self.path.clone(), why: "its rows cannot be read" };
+        let damaged = |why| CampaignError::Damaged { path: self.path.clone(), why };
         for group in 0..self.reader.num_row_groups() {
             let columns = self.group(group).map_err(CampaignError::write(&self.path))?;
             for row in 0..columns.first().map_or(0, Vec::len) {
                 let numbers: Option<Vec<f64>> = columns.iter().map(|column| column.get(row).copied()).collect();
-                let row = numbers.and_then(|numbers| Row::decode(trial, &numbers, self.variables));
-                each(row.ok_or_else(unreadable)?)?;
+                let row = numbers.and_then(|numbers| Row::decode(trial, &numbers, self.campaign.variables.len()));
+                let row = row.ok_or_else(|| damaged("its rows cannot be read"))?;
+                if !row.agrees_with_limits(self.campaign)? {
+                    return Err(damaged("a margin or a verdict contradicts the values"));
+                }
+                each(row)?;
                 trial += 1;
             }
         }
@@ -193,4 +202,70 @@ pub(crate) fn create(path: &Path) -> Result<AtomicFile, CampaignError> {
 
 pub(crate) fn finish(mut file: AtomicFile, path: &Path) -> Result<(), CampaignError> {
     Ok(file.flush().and_then(|()| file.commit()).at(path)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_record::Verdict;
+    use platebench_rig::RigSpec;
+    use rstest::rstest;
+    use std::fs;
+
+    const SCENARIO: &str = "title = \"Step\"\nplate = \"plate.toml\"\nduration_ms = 20.0\n[profile]\n\
+        setpoint_um = { hold = [[0.0, 0.0], [1.0, 2.0]] }\n[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 2.0\n";
+    const PLATE: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
+
+    /// Writes a part with one row and reads it. The digest of the part is always right.
+    fn read_back(vary: &str, value: f64, margin: f64, verdict: Verdict) -> Result<(), CampaignError> {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+        let plan = "[plan]\nmethod = \"random\"\ntrials = 1\n";
+        write("plate.toml", PLATE);
+        write("step.toml", SCENARIO);
+        write("campaign.toml", &format!("title = \"x\"\nscenario = \"step.toml\"\n[vary]\n{vary}\n{plan}"));
+        let campaign = Campaign::load(&folder.path().join("campaign.toml")).unwrap();
+        let plan = Plan::new(&campaign, folder.path(), &RigSpec::Hosted, 1).unwrap();
+        plan.write(folder.path()).unwrap();
+        let row =
+            Row { draws: vec![3.0], values: vec![value], margins: vec![margin], ..Row::example(0, verdict, margin) };
+        let mut part = PartWriter::new(plan.part_path(folder.path(), 1), &plan, &campaign, 1).unwrap();
+        part.push(row).unwrap();
+        part.commit().unwrap();
+        PartReader::open(folder.path(), &plan, &campaign, 1).unwrap().check_rows()
+    }
+
+    const FORCE: &str = "\"profile.finger_force_n\" = { uniform = [0.0, 5.0] }";
+    const LIMIT: &str = "\"expect.0.at_most\" = { uniform = [1.0, 5.0] }";
+
+    #[rstest]
+    #[case::pass(FORCE, 1.5, 0.25, Verdict::Pass)]
+    #[case::fail(FORCE, 2.5, -0.25, Verdict::Fail)]
+    #[case::fail_by_violation(FORCE, 1.5, 0.25, Verdict::Fail)]
+    #[case::no_value(FORCE, f64::NAN, f64::NEG_INFINITY, Verdict::Fail)]
+    #[case::varied_limit(LIMIT, 1.5, 0.5, Verdict::Pass)]
+    fn accepts_a_row_that_agrees_with_the_limit(
+        #[case] vary: &str,
+        #[case] value: f64,
+        #[case] margin: f64,
+        #[case] verdict: Verdict,
+    ) {
+        read_back(vary, value, margin, verdict).unwrap();
+    }
+
+    #[rstest]
+    #[case::margin(FORCE, 2.5, 0.25, Verdict::Pass)]
+    #[case::verdict(FORCE, 2.5, -0.25, Verdict::Pass)]
+    #[case::value(FORCE, 1.0, 0.25, Verdict::Pass)]
+    #[case::no_value(FORCE, f64::NAN, f64::NEG_INFINITY, Verdict::Pass)]
+    #[case::varied_limit(LIMIT, 1.5, 0.25, Verdict::Pass)]
+    fn rejects_an_edited_margin_or_verdict(
+        #[case] vary: &str,
+        #[case] value: f64,
+        #[case] margin: f64,
+        #[case] verdict: Verdict,
+    ) {
+        let error = read_back(vary, value, margin, verdict).unwrap_err();
+        assert!(error.to_string().contains("a margin or a verdict contradicts the values"), "{error}");
+    }
 }

@@ -58,8 +58,8 @@ pub fn play_shard(
     }
     let path = plan.part_path(folder, shard);
     if path.exists() {
-        match PartReader::open(folder, plan, campaign, shard) {
-            Ok(_) => return Ok(false),
+        match PartReader::open(folder, plan, campaign, shard).and_then(|part| part.check_rows()) {
+            Ok(()) => return Ok(false),
             Err(CampaignError::Damaged { .. }) => {}
             Err(error) => return Err(error),
         }

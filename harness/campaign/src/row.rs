@@ -4,6 +4,7 @@ use crate::campaign::Campaign;
 use crate::draw::Trial;
 use crate::error::CampaignError;
 use platebench_record::{Cause, Verdict};
+use platebench_scenario::Expectation;
 use platebench_verdict::{Judgement, TrialMeasures, judge};
 
 const VERDICTS: [Verdict; 3] = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
@@ -15,6 +16,9 @@ const FIXED_COLUMNS: usize = 4;
 const NO_VALUE_SCORE: f64 = -1e3;
 const MAX_DISTANCE: f64 = 1e3;
 const SMALLEST_SCORE: f64 = 1e-12;
+/// Other computers may round a margin differently.
+const MARGIN_ROUNDING: f64 = 1e-9;
+const EXPECT_PREFIX: &str = "expect.";
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
@@ -63,6 +67,21 @@ impl Row {
 
     pub(crate) fn trial_in(&self, campaign: &Campaign) -> Result<Trial, CampaignError> {
         campaign.trial_with(self.trial, self.draws.clone(), self.redraws)
+    }
+
+    /// False if a margin is not the one of its value, or if the row passes with a negative margin.
+    pub(crate) fn agrees_with_limits(&self, campaign: &Campaign) -> Result<bool, CampaignError> {
+        // Limits can be varied, so they may belong to the trial.
+        let varied = campaign.variables.iter().any(|variable| variable.key.starts_with(EXPECT_PREFIX));
+        let own = varied.then(|| self.trial_in(campaign)).transpose()?;
+        let scenario = own.as_ref().map_or(&campaign.template.scenario, |trial| &trial.scenario);
+        let agrees = |((expectation, value), found): ((&Expectation, &f64), &f64)| {
+            let margin = expectation.margin(*value);
+            let expected = margin.filter(|margin| margin.is_finite()).unwrap_or(f64::NEG_INFINITY);
+            let is_equal = *found == expected || (found - expected).abs() <= MARGIN_ROUNDING * expected.abs().max(1.0);
+            is_equal && !(self.verdict == Verdict::Pass && margin.is_some() && expected < -MARGIN_ROUNDING)
+        };
+        Ok(scenario.expectations.iter().zip(&self.values).zip(&self.margins).all(agrees))
     }
 
     pub(crate) const fn column_count(variables: usize, expectations: usize) -> usize {
