@@ -86,11 +86,12 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
     if record.scenarios.is_empty() {
         return Err(Failure::new(Exit::NothingToRun, &"the run contains no scenario, so there is nothing to review"));
     }
-    let (mut invalid, mut verdicts) = (false, Vec::new());
+    let (mut invalid, mut verdicts, mut compared) = (false, Vec::new(), false);
     for scenario in &record.scenarios {
         let trials = read_scenario_trials(run, scenario);
         let old = Baseline::read(baselines, &scenario.file).map_err(CompareError::from);
         let reviewed = old.map_err(BaselineAcceptError::from).and_then(|old| {
+            compared |= old.is_some();
             let show = || print_difference(record, scenario, &trials, old.as_ref(), rate);
             let accept = || accept_scenario(record, scenario, &trials, old.as_ref(), baselines, rate);
             match action {
@@ -116,6 +117,15 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
                 invalid = true;
             }
         }
+    }
+    if !invalid && !compared && action == Action::Show {
+        let message = format!(
+            "nothing was compared: {} has no golden trace for this run. Name another folder with --baselines, or \
+             create golden traces: `platebench baseline review {}`",
+            baselines.display(),
+            run.display()
+        );
+        return Err(Failure::new(Exit::NothingToRun, &message));
     }
     let exit = if invalid { Exit::Invalid } else { Exit::of_verdict(Verdict::combine(verdicts.iter().copied())) };
     if exit != Exit::Passed {

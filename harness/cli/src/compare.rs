@@ -22,7 +22,8 @@ Examples:
   platebench compare runs/tonight --against runs/yesterday
   platebench compare board.csv --against scenarios/baselines/paper/fig13-closed-loop.toml
 
-Exit codes: 0 all inside, 1 something outside, 3 no reference or not comparable to the end")]
+Exit codes: 0 all inside, 1 something outside, 3 a reference is missing or another time range,
+4 nothing was compared")]
 pub(crate) struct CompareArgs {
     /// A trace or a run folder
     #[arg(value_name = "TRACE|RUN")]
@@ -58,12 +59,11 @@ pub(crate) fn compare(arguments: &CompareArgs) -> CommandResult {
     if comparisons.is_empty() {
         return Err(Failure::new(Exit::NothingToRun, &"the run contains no scenario, so there is nothing to compare"));
     }
-    let exit = Exit::of_verdict(Verdict::combine(comparisons.iter().map(|one| one.comparison.verdict)));
-    if exit == Exit::Inconclusive && has_no_baseline(arguments) {
-        stdio::note(&first_run_note(arguments));
-        return Ok(Exit::Passed);
+    if comparisons.iter().all(|one| one.comparison.trials == 0) {
+        let reason = comparisons.iter().find_map(|one| one.comparison.reason.as_deref());
+        return Err(nothing_compared(arguments, reason.unwrap_or_default()));
     }
-    Ok(exit)
+    Ok(Exit::of_verdict(Verdict::combine(comparisons.iter().map(|one| one.comparison.verdict))))
 }
 
 impl ComparisonOutput {
@@ -74,18 +74,22 @@ impl ComparisonOutput {
     }
 }
 
-/// True if there is no baseline yet. The comparison then has no reference and finds no difference.
-fn has_no_baseline(arguments: &CompareArgs) -> bool {
-    let is_empty = fs::read_dir(&arguments.baselines).map_or(true, |mut entries| entries.next().is_none());
-    arguments.against == BASELINE_KEYWORD && is_empty
-}
-
-fn first_run_note(arguments: &CompareArgs) -> String {
-    let (run, baselines) = (arguments.subject.display(), arguments.baselines.display());
-    format!(
-        "there is no golden trace in {baselines} yet, so nothing was compared. To create them: play the scenarios, \
-         `platebench baseline review {run}`, and commit {baselines}"
-    )
+fn nothing_compared(arguments: &CompareArgs, reason: &str) -> Failure {
+    let (subject, baselines) = (arguments.subject.display(), arguments.baselines.display());
+    let hint = if arguments.against != BASELINE_KEYWORD {
+        reason.to_owned()
+    } else if arguments.baselines.is_dir() {
+        format!(
+            "{baselines} has no golden trace for {subject}. Name another folder with --baselines, or create golden \
+             traces: `platebench baseline review {subject}`"
+        )
+    } else {
+        format!(
+            "{baselines} is no folder. Name the folder with --baselines, or create golden traces there: `platebench \
+             baseline review {subject}`"
+        )
+    };
+    Failure::new(Exit::NothingToRun, &format!("nothing was compared: {hint}"))
 }
 
 fn compare_all(arguments: &CompareArgs) -> Result<Vec<ComparisonOutput>, CompareError> {

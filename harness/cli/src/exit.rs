@@ -19,7 +19,7 @@ pub(crate) enum Exit {
 
 impl Exit {
     pub(crate) fn of_record(record: &RunRecord) -> Self {
-        if record.scenarios.is_empty() && record.verdict != Verdict::Fail && !record.not_applicable.is_empty() {
+        if record.scenarios.is_empty() && record.verdict != Verdict::Fail {
             return Self::NothingToRun;
         }
         let unsafe_end = record.verdict == Verdict::Inconclusive && record.safe_confirmed == Some(false);

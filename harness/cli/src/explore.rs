@@ -32,7 +32,7 @@ Examples:
   platebench explore envelopes/warm.toml --regressions tests/found
 
 Exit codes: 0 no property was violated, 1 a property was violated, 2 invalid input, 3 the rig left scenes undecided,
-5 the rig could not be reached or was lost")]
+4 no scene was played, 5 the rig could not be reached or was lost")]
 pub(crate) struct ExploreArgs {
     /// The operating envelope
     #[arg(default_value = "scenarios/envelope.toml")]
@@ -95,7 +95,9 @@ pub(crate) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
     stdio::show_as(arguments.format, &report, || text::summary(&report));
     stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
     stdio::note(&format!("report: {}", folder.path().join(page::FILE).display()));
-    let exit = signal.map_or_else(|| Exit::of_verdict(report.verdict), Exit::Signal);
+    let is_empty = report.scenes == 0 && report.regressions == 0;
+    let exit = || if is_empty { Exit::NothingToRun } else { Exit::of_verdict(report.verdict) };
+    let exit = signal.map_or_else(exit, Exit::Signal);
     stdio::verdict(exit, &report.reason(), arguments.format);
     Ok(exit)
 }

@@ -86,7 +86,8 @@ impl ExploreReport {
     pub fn new(config: &ExploreConfig, exploration: &Exploration, rig: &str, firmware: &str) -> Self {
         let failed = exploration.failed.len() as u64;
         let has_failed = failed > 0 || !exploration.failed_regressions.is_empty();
-        let verdict = match (has_failed, exploration.undecided > 0 || exploration.is_interrupted) {
+        let is_empty = exploration.scenes == 0 && exploration.regressions == 0;
+        let verdict = match (has_failed, exploration.undecided > 0 || exploration.is_interrupted || is_empty) {
             (true, _) => Verdict::Fail,
             (false, false) => Verdict::Pass,
             (false, true) => Verdict::Inconclusive,

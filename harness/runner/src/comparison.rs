@@ -2,8 +2,8 @@
 
 use crate::stored_trials::{CompareError, ScenarioTrials, StoredTrial, is_run_folder, read_trials};
 use platebench_record::Verdict;
-use platebench_trace::read_trace;
-use platebench_verdict::golden::{Baseline, GoldenTubes, TubeComparison};
+use platebench_trace::{Row, read_trace};
+use platebench_verdict::golden::{Baseline, GoldenTubes, TubeComparison, gap_between_rows, row_step_ms};
 use std::path::Path;
 
 pub const BASELINE_KEYWORD: &str = "baseline";
@@ -11,8 +11,11 @@ pub const BASELINE_KEYWORD: &str = "baseline";
 pub enum Reference {
     SameTubes(Box<GoldenTubes>),
     PerTrial(Vec<StoredTrial>),
-    Nothing,
+    Nothing(&'static str),
 }
+
+const NO_SCENARIO: &str = "the reference does not contain this scenario";
+const NO_TIME_RANGE: &str = "the reference has fewer than two rows, expected rows over a time range";
 
 impl Reference {
     /// `against` is [`BASELINE_KEYWORD`] or the path of a baseline (TOML), trace or run folder.
@@ -22,19 +25,21 @@ impl Reference {
         baselines: &Path,
         scenario: &ScenarioTrials,
     ) -> Result<Self, CompareError> {
-        let one =
-            |golden: Option<GoldenTubes>| golden.map_or(Self::Nothing, |golden| Self::SameTubes(Box::new(golden)));
+        let one = |golden: Option<GoldenTubes>, otherwise| {
+            golden.map_or(Self::Nothing(otherwise), |golden| Self::SameTubes(Box::new(golden)))
+        };
         let reference = Path::new(against);
         if against == BASELINE_KEYWORD {
             let named = if is_run_folder(subject) { Some(scenario.name.clone()) } else { scenario_of(subject) };
             let Some(name) = named else { return Err(CompareError::NoScenario(subject.to_owned())) };
-            return Ok(one(Baseline::read(baselines, &name)?.map(|accepted| accepted.golden)));
+            return Ok(one(Baseline::read(baselines, &name)?.map(|accepted| accepted.golden), NO_SCENARIO));
         }
         if reference.extension().is_some_and(|extension| extension == "toml") {
-            return Ok(one(Some(Baseline::read_files(reference, &reference.with_extension("csv"))?.golden)));
+            let accepted = Baseline::read_files(reference, &reference.with_extension("csv"))?;
+            return Ok(one(Some(accepted.golden), NO_SCENARIO));
         }
         if !is_run_folder(reference) {
-            return Ok(one(GoldenTubes::from_rows(&read_trace(reference)?)));
+            return Ok(one(GoldenTubes::from_rows(&read_trace(reference)?), NO_TIME_RANGE));
         }
         let mut others = read_trials(reference)?;
         for other in &mut others {
@@ -42,12 +47,12 @@ impl Reference {
         }
         if is_run_folder(subject) {
             let other = others.into_iter().find(|other| other.name == scenario.name);
-            return Ok(other.map_or(Self::Nothing, |other| Self::PerTrial(other.trials)));
+            return Ok(other.map_or(Self::Nothing(NO_SCENARIO), |other| Self::PerTrial(other.trials)));
         }
         match (others.pop(), others.len()) {
             (Some(only), 0) => {
                 let first = only.trials.first().map(StoredTrial::rows).transpose()?;
-                Ok(one(first.and_then(|rows| GoldenTubes::from_rows(&rows))))
+                Ok(one(first.and_then(|rows| GoldenTubes::from_rows(&rows)), NO_TIME_RANGE))
             }
             (_, further) => Err(CompareError::SeveralScenarios { path: reference.to_owned(), count: further + 1 }),
         }
@@ -57,7 +62,7 @@ impl Reference {
         match self {
             Self::SameTubes(golden) => Ok(Some((**golden).clone())),
             Self::PerTrial(others) => tubes_of_trial(others, index),
-            Self::Nothing => Ok(None),
+            Self::Nothing(_) => Ok(None),
         }
     }
 
@@ -65,9 +70,33 @@ impl Reference {
         match self {
             Self::SameTubes(golden) => compare_with_tubes(golden, scenario),
             Self::PerTrial(others) => compare_trial_by_trial(others, scenario),
-            Self::Nothing => Ok(empty_comparison("the reference does not contain this scenario")),
+            Self::Nothing(why) => Ok(empty_comparison(why)),
         }
     }
+}
+
+/// Describes the first time without rows that is longer than the row step. Curves are linear
+/// between rows, so a difference in this time would not be found. The row step is that of the
+/// scenario, or else that of the other trace.
+fn describe_gap(
+    golden: &GoldenTubes,
+    golden_step_ms: Option<f64>,
+    trial: &StoredTrial,
+    rows: &[Row],
+) -> Option<String> {
+    let describe = |of: String, [from, to]: [f64; 2], step: f64| {
+        // Instants are whole nanoseconds.
+        let [from, to, step] = [from, to, step].map(|ms| (ms * 1e6).round() / 1e6);
+        format!("{of} has no rows between {from} and {to} ms, expected one at least every {step} ms")
+    };
+    let step = trial.row_step_ms.unwrap_or_else(|| golden.row_step_ms());
+    if let Some(gap) = gap_between_rows(rows, step) {
+        return Some(describe(format!("trial {}", trial.index), gap, step));
+    }
+    let step = golden_step_ms.unwrap_or_else(|| row_step_ms(rows));
+    // A trial of one row has another time range, which the comparison reports.
+    let gap = (step > 0.0).then(|| golden.gap(step)).flatten();
+    gap.map(|gap| describe("the reference".to_owned(), gap, step))
 }
 
 fn tubes_of_trial(trials: &[StoredTrial], index: u32) -> Result<Option<GoldenTubes>, CompareError> {
@@ -82,14 +111,22 @@ fn empty_comparison(why: &str) -> TubeComparison {
 fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
     let mut all = empty_comparison("no trial to compare");
     let mut verdicts = Vec::new();
+    let mut first_gap = None;
     let mut reasons = scenario.excluded.clone();
     for trial in &scenario.trials {
         let Some(golden) = tubes_of_trial(others, trial.index)? else {
-            reasons.push(format!("the reference has no complete trial {}", trial.index));
+            reasons.push(format!("the reference has no complete trial {} of two rows or more", trial.index));
             continue;
         };
-        let one = golden.compare([(trial.index, trial.rows()?)]);
+        let rows = trial.rows()?;
+        let other_step_ms = others.iter().find(|other| other.index == trial.index).and_then(|other| other.row_step_ms);
+        let gap = describe_gap(&golden, other_step_ms, trial, &rows);
+        let one = golden.compare([(trial.index, rows)]);
         verdicts.push(one.verdict);
+        if gap.is_some() {
+            verdicts.push(Verdict::Fail);
+            first_gap = first_gap.or(gap);
+        }
         all.trials += 1;
         all.outside += one.outside;
         if let Some((_, found)) = &one.worst
@@ -107,6 +144,7 @@ fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> 
     let (outside, trials) = (all.outside, all.trials);
     all.reason = match all.verdict {
         Verdict::Pass => None,
+        Verdict::Fail if outside == 0 => first_gap,
         Verdict::Fail => Some(format!("{outside} of {trials} trials are outside the tube")),
         Verdict::Inconclusive => reasons.into_iter().next().or(all.reason),
     };
@@ -117,8 +155,14 @@ fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> 
 pub fn compare_with_tubes(golden: &GoldenTubes, scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
     // Reads one trace at a time, because all traces together may exceed the memory.
     let mut failed = None;
+    let mut gap = None;
     let readable = scenario.trials.iter().map_while(|trial| match trial.rows() {
-        Ok(rows) => Some((trial.index, rows)),
+        Ok(rows) => {
+            if gap.is_none() {
+                gap = describe_gap(golden, None, trial, &rows);
+            }
+            Some((trial.index, rows))
+        }
         Err(error) => {
             failed = Some(error);
             None
@@ -129,6 +173,10 @@ pub fn compare_with_tubes(golden: &GoldenTubes, scenario: &ScenarioTrials) -> Re
         return Err(error);
     }
     Ok(match scenario.excluded.first() {
+        _ if gap.is_some() && comparison.outside == 0 => {
+            TubeComparison { verdict: Verdict::Fail, reason: gap, ..comparison }
+        }
+        _ if gap.is_some() => TubeComparison { verdict: Verdict::Fail, ..comparison },
         Some(what) if comparison.verdict == Verdict::Pass => {
             TubeComparison { verdict: Verdict::Inconclusive, reason: Some(what.clone()), ..comparison }
         }

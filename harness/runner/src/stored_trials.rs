@@ -1,6 +1,6 @@
 //! Lists the stored trials of a run. Reads the rows of one trial at a time to limit memory.
 
-use crate::rejudge::{RejudgeError, read_trial_rows};
+use crate::rejudge::{RejudgeError, load_stored_scenario, read_trial_rows};
 use platebench_record::{RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord};
 use platebench_trace::{FileError, Row, TraceError, read_trace};
 use platebench_verdict::golden::BaselineError;
@@ -34,6 +34,8 @@ pub struct ScenarioTrials {
 
 pub struct StoredTrial {
     pub index: u32,
+    /// Largest time between two rows that the scenario allows, ms. `None` if it is unknown.
+    pub row_step_ms: Option<f64>,
     source: TraceSource,
 }
 
@@ -65,13 +67,14 @@ pub fn is_run_folder(path: &Path) -> bool {
 
 pub fn read_trials(path: &Path) -> Result<Vec<ScenarioTrials>, CompareError> {
     if !is_run_folder(path) {
-        let trials = vec![StoredTrial { index: 0, source: TraceSource::File(path.to_owned()) }];
+        let trials = vec![StoredTrial { index: 0, row_step_ms: None, source: TraceSource::File(path.to_owned()) }];
         return Ok(vec![ScenarioTrials { name: path.display().to_string(), trials, excluded: Vec::new() }]);
     }
     Ok(RunRecord::read(path)?.scenarios.iter().map(|scenario| read_scenario_trials(path, scenario)).collect())
 }
 
 pub fn read_scenario_trials(folder: &Path, scenario: &ScenarioRecord) -> ScenarioTrials {
+    let played = load_stored_scenario(folder, scenario).ok();
     let mut trials = ScenarioTrials { name: scenario.file.clone(), trials: Vec::new(), excluded: Vec::new() };
     for trial in &scenario.trials {
         if let Some(cause) = trial.cause {
@@ -79,7 +82,10 @@ pub fn read_scenario_trials(folder: &Path, scenario: &ScenarioRecord) -> Scenari
             trials.excluded.push(format!("trial {} does not count ({cause}): {reason}", trial.index));
         } else {
             let source = TraceSource::Run { folder: folder.to_owned(), trial: Box::new(trial.clone()) };
-            trials.trials.push(StoredTrial { index: trial.index, source });
+            // A real plate has one row per control period.
+            let period = trial.telemetry.real_plate.as_ref().and(scenario.period_ms).unwrap_or_default();
+            let row_step_ms = played.as_ref().map(|played| played.trace_step.ms().max(period));
+            trials.trials.push(StoredTrial { index: trial.index, row_step_ms, source });
         }
     }
     trials

@@ -7,7 +7,7 @@ mod tubes;
 
 pub use file::{Baseline, BaselineBuild, BaselineError, LearningParameters, ResponseFeatures};
 pub use learn::LearnError;
-pub use tubes::{GoldenTubes, TubeComparison, TubeMatch};
+pub use tubes::{GoldenTubes, TubeComparison, TubeMatch, gap_between_rows, row_step_ms};
 
 #[cfg(test)]
 mod tests;

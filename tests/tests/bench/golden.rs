@@ -76,11 +76,10 @@ fn run_folder(text: &str) -> TestFolder {
 fn an_accepted_baseline_is_listed_and_compared() {
     let folder = run_folder(&step_text(SETTLING));
     compare(&folder, "run", "baseline")
-        .assert_exit(0)
-        .assert_output(&["no golden trace", "platebench baseline review run"]);
-    let review = folder.bench(["baseline", "diff", "run"]).assert_exit(3);
-    let lines = "? new  s.toml\nverdict: ? inconclusive: of 1 scenario, 0 agree with their golden traces, ";
-    assert!(review.text().starts_with(lines), "{}", review.text());
+        .assert_exit(4)
+        .assert_output(&["nothing was compared", "platebench baseline review run"]);
+    let review = folder.bench(["baseline", "diff", "run"]).assert_exit(4);
+    assert_eq!(review.stdout, "? new  s.toml\n");
     assert!(!folder.exists(HEAD), "a review writes nothing");
     let accepted = folder.bench(["baseline", "accept", "run"]).assert_exit(0).text();
     assert!(accepted.starts_with("✓ accepted  s.toml  (new, settling_time_ms 1.96,"), "{accepted}");
@@ -218,6 +217,57 @@ fn a_trace_of_another_length_is_inconclusive() {
             .assert_exit(3)
             .assert_output(&["ms, expected those of the baseline, from 0 to"]);
     }
+}
+
+#[test]
+fn nothing_compared_does_not_pass() {
+    let folder = run_folder(&step_text(SETTLING));
+    folder.bench(["baseline", "accept", "run"]).assert_exit(0);
+    fs::create_dir(folder.join("empty")).unwrap();
+    for (baselines, why) in [("baseline", "baseline is no folder"), ("empty", "empty has no golden trace for run")] {
+        let arguments = ["compare", "run", "--against", "baseline", "--baselines", baselines];
+        folder.bench(arguments).assert_exit(4).assert_stderr(&["nothing was compared", why]);
+        folder.bench(["baseline", "diff", "run", "--baselines", baselines]).assert_exit(4);
+    }
+    let mut record = folder.record("run");
+    record.scenarios.clear();
+    fs::create_dir(folder.join("nothing")).unwrap();
+    record.write(&folder.join("nothing")).unwrap();
+    for arguments in [
+        &["judge", "nothing"][..],
+        &["merge", "nothing", "--out", "joined"],
+        &["compare", "nothing", "--against", "run"],
+        &["compare", "run", "--against", "nothing"],
+        &["baseline", "accept", "nothing"],
+    ] {
+        folder.bench(arguments).assert_exit(4);
+    }
+}
+
+#[test]
+fn a_comparison_needs_a_time_range_without_holes() {
+    let folder = run_folder(&step_text(SETTLING));
+    folder.bench(["baseline", "accept", "run"]).assert_exit(0);
+    let trace = folder.read(TRACE);
+    let keep = |is_kept: &dyn Fn(usize, f64) -> bool| {
+        let time_ms = |line: &str| line.split(',').next().unwrap().parse().map_or(0.0, |t_s: f64| t_s * 1e3);
+        let lines = trace.split_inclusive('\n').enumerate();
+        lines.filter(|(index, line)| is_kept(*index, time_ms(line))).map(|(_, line)| line).collect::<String>()
+    };
+    folder.write("one.csv", &keep(&|index, _| index <= 1));
+    folder.write("other.csv", &keep(&|index, _| index <= 1));
+    compare(&folder, "one.csv", "other.csv").assert_exit(4).assert_output(&["fewer than two rows"]);
+    compare(&folder, "one.csv", TRACE).assert_exit(3);
+    folder.write("hole.csv", &keep(&|_, t_ms| !(30.0..50.0).contains(&t_ms)));
+    let gap = |subject: &str, reference: &str, place: &str| {
+        compare(&folder, subject, reference).assert_exit(1).assert_output(&[place, "no rows between 29.95 and 50 ms"]);
+    };
+    for reference in [TRACE, "run", HEAD] {
+        gap("hole.csv", reference, "trial 0 has");
+    }
+    gap(TRACE, "hole.csv", "the reference has");
+    gap("run", "hole.csv", "the reference has");
+    compare(&folder, "hole.csv", "hole.csv").assert_exit(0);
 }
 
 #[test]

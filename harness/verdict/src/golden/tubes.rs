@@ -8,6 +8,8 @@ use serde::Serialize;
 
 const SIGNIFICANCE_LEVEL: f64 = 0.05;
 const PROBABILITY_ROUNDING: f64 = 1e-12;
+/// Both instants of a step are rounded to nanoseconds.
+const INSTANT_ROUNDING_MS: f64 = 1.5e-6;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct GoldenTubes {
@@ -40,8 +42,27 @@ pub struct TubeComparison {
     pub reason: Option<String>,
 }
 
+/// Largest time between two rows, ms; 0 if there are fewer than two.
+pub fn row_step_ms(rows: &[Row]) -> f64 {
+    largest_step(rows.iter().map(|row| row.t_s * 1e3))
+}
+
+/// First time between two rows that is longer than `step_ms`, as start and end in ms.
+pub fn gap_between_rows(rows: &[Row], step_ms: f64) -> Option<[f64; 2]> {
+    first_gap(rows.iter().map(|row| row.t_s * 1e3), step_ms)
+}
+
+fn largest_step(instants: impl Iterator<Item = f64> + Clone) -> f64 {
+    instants.clone().zip(instants.skip(1)).map(|(left, right)| right - left).fold(0.0, f64::max)
+}
+
+fn first_gap(instants: impl Iterator<Item = f64> + Clone, step_ms: f64) -> Option<[f64; 2]> {
+    let is_gap = |(left, right): &(f64, f64)| right - left > step_ms + INSTANT_ROUNDING_MS;
+    instants.clone().zip(instants.skip(1)).find(is_gap).map(|(left, right)| [left, right])
+}
+
 impl GoldenTubes {
-    /// Creates tubes with the default tolerances. `None` if `rows` is empty.
+    /// Creates tubes with the default tolerances. `None` if `rows` cover no time range.
     pub fn from_rows(rows: &[Row]) -> Option<Self> {
         let point = |(t_ms, value)| TubePoint { t_ms, value, width: 0.0 };
         let tube = |signal: &TubeSignal| Tube {
@@ -49,11 +70,24 @@ impl GoldenTubes {
             tolerance: signal.tolerance,
             points: signal_response(signal, rows).into_iter().map(point).collect(),
         };
-        (!rows.is_empty()).then(|| Self {
+        (row_step_ms(rows) > 0.0).then(|| Self {
             tubes: TUBE_SIGNALS.iter().map(tube).collect(),
             step_ms: None,
             false_alarm_rate: None,
         })
+    }
+
+    /// Largest time between two rows of the reference, ms.
+    pub fn row_step_ms(&self) -> f64 {
+        let points = self.tubes.first().map(|tube| tube.points.as_slice()).unwrap_or_default();
+        self.step_ms.unwrap_or_else(|| largest_step(points.iter().map(|point| point.t_ms)))
+    }
+
+    /// First time between two points of the reference that is longer than `step_ms`, as start and
+    /// end in ms. `None` if unnecessary points were removed.
+    pub fn gap(&self, step_ms: f64) -> Option<[f64; 2]> {
+        let points = self.tubes.first().filter(|_| self.step_ms.is_none())?.points.iter();
+        first_gap(points.map(|point| point.t_ms), step_ms)
     }
 
     /// The worst exceedance of each signal that leaves its tube.
