@@ -3,7 +3,7 @@
 
 use crate::run_end::BoardOutcome;
 use crate::soak_record::{SOAK_FILE, SoakEnd, SoakRecord};
-use platebench_record::{FolderError, RunFolder, RunRecord, Verdict};
+use platebench_record::{FileLock, FolderError, RunFolder, RunRecord, Verdict};
 use platebench_runner::plan::LinkFactory;
 use platebench_runner::{CancelToken, RunError, RunHooks, RunPlan, rejudge, run};
 use platebench_scenario::Scenario;
@@ -36,10 +36,12 @@ pub fn soak(
     connect: &LinkFactory<'_>,
     cancel: &CancelToken,
 ) -> Result<SoakResult, RunError> {
+    fs::create_dir_all(out).at(out).map_err(FolderError::from)?;
+    let lock = FileLock::exclusive(out).map_err(FolderError::from)?;
+    let _lock = lock.ok_or_else(|| FolderError::InUse(out.to_owned()))?;
     if out.join(SOAK_FILE).exists() {
         return Err(FolderError::AlreadyUsed(out.to_owned()).into());
     }
-    fs::create_dir_all(out).at(out).map_err(FolderError::from)?;
     let (started, mut record) = (Instant::now(), SoakRecord::new(&config.board, &config.plan.rig));
     write(&record, out)?;
     let mut board = BoardOutcome::untouched();

@@ -53,6 +53,10 @@ pub enum CampaignError {
     OtherFirmware { rig: String, found: String, planned: String },
     #[error("{0}: `plan.confirm` plays trials of the hosted rig again, expected --rig hosted")]
     ConfirmedRig(String),
+    #[error("{}: is in use by another campaign command; wait for its end, or use another folder", .0.display())]
+    InUse(PathBuf),
+    #[error("{}: another process plays shard {shard}; wait for its end, or play another shard", folder.display())]
+    ShardInUse { folder: PathBuf, shard: u32 },
     #[error("shard {shard} is not in the plan, expected 1 to {shards}")]
     NoShard { shard: u32, shards: u32 },
     #[error("trial {trial} cannot be played with the values {values}: {fault}")]

@@ -16,11 +16,14 @@ use arguments::{CampaignCommand, EngineName, PlayArgs, RunArgs, SubmitArgs};
 use platebench_boards::BoardOutcome;
 use platebench_campaign::submit::{Engine, command_line, submission};
 use platebench_campaign::{
-    Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, Summary, confirm, merge, play_shard, play_worst, report,
-    shards_of_run, status, worst_trials,
+    Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, ShardLock, Summary, confirm, lock_folder, merge,
+    play_shard, play_worst, report, shards_of_run, status, worst_trials,
 };
+use platebench_record::FileLock;
 use platebench_rig::{CancelToken, RigSpec};
+use platebench_trace::AtPath;
 use progress::{CampaignProgress, PlayEvent};
+use std::fs;
 use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
@@ -30,7 +33,8 @@ pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> CommandResult {
     match &arguments.command {
         CampaignCommand::Run(arguments) => run(arguments, quiet),
         CampaignCommand::Plan(arguments) => {
-            let plan = plan(&Campaign::load(&arguments.file)?, &arguments.out, &arguments.rig, arguments.shards)?;
+            let campaign = Campaign::load(&arguments.file)?;
+            let (plan, _lock) = plan(&campaign, &arguments.out, &arguments.rig, arguments.shards)?;
             stdio::note(&format!("{} trials in {} shards: {}", plan.trials, plan.shards, arguments.out.display()));
             Ok(Exit::Passed)
         }
@@ -41,15 +45,18 @@ pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> CommandResult {
     }
 }
 
-fn plan(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Plan, CampaignError> {
+/// Creates the folder and reserves it until the lock is dropped.
+fn plan(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<(Plan, FileLock), CampaignError> {
     rig.check()?;
     warn_of_scenarios(std::slice::from_ref(&campaign.template.scenario));
     if campaign.confirm.is_some() && *rig != RigSpec::Hosted {
         return Err(CampaignError::ConfirmedRig(rig.to_string()));
     }
     let plan = Plan::new(campaign, folder, rig, shards)?;
+    fs::create_dir_all(folder).at(folder)?;
+    let lock = lock_folder(folder)?;
     plan.write(folder)?;
-    Ok(plan)
+    Ok((plan, lock))
 }
 
 fn run(arguments: &RunArgs, quiet: bool) -> CommandResult {
@@ -57,7 +64,7 @@ fn run(arguments: &RunArgs, quiet: bool) -> CommandResult {
     let rig = arguments.board.find_rig()?.unwrap_or_else(|| arguments.rig.clone());
     let planned = Plan::exists(&arguments.out).then(|| Plan::read(&arguments.out)).transpose()?;
     let shards = planned.map_or_else(|| shards_of_run(&campaign), |plan| plan.shards);
-    let plan = plan(&campaign, &arguments.out, &rig, shards)?;
+    let (plan, _lock) = plan(&campaign, &arguments.out, &rig, shards)?;
     let shards = (1..=plan.shards).collect();
     let context = (plan.clone(), Arc::clone(&campaign));
     play_on_board(&arguments.board, &arguments.out, context, shards, &rig, arguments.jobs, quiet)?;
@@ -71,8 +78,10 @@ fn play_one(arguments: &PlayArgs, quiet: bool) -> CommandResult {
         None => plan_rig(&plan, &arguments.folder)?,
     };
     plan.check_bench(&rig)?;
+    let lock = ShardLock::new(&arguments.folder, &plan, arguments.shard)?;
     let (context, shards) = ((plan, Arc::new(campaign)), vec![arguments.shard]);
     play_on_board(&arguments.board, &arguments.folder, context, shards, &rig, arguments.jobs, quiet)?;
+    lock.remove();
     Ok(Exit::Passed)
 }
 
@@ -105,6 +114,7 @@ fn submit(arguments: &SubmitArgs, quiet: bool) -> CommandResult {
 
 fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFormat) -> CommandResult {
     let (plan, campaign) = Plan::open(folder)?;
+    let _lock = lock_folder(folder)?;
     let rig = plan_rig(&plan, folder)?;
     // Other machines may have played the shards. Only the worst trials need the planned bench here.
     let bench = if rig.is_simulated() { plan.check_bench(&rig) } else { Ok(()) };

@@ -1,5 +1,6 @@
 //! Creates the run folder and stores the inputs in it.
 
+use crate::file_lock::FileLock;
 use crate::run_record::InputRecord;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
@@ -9,7 +10,7 @@ use platebench_trace::{AtPath, FileError, open_regular_file};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
-use std::fs::{self, File, TryLockError};
+use std::fs;
 use std::io::{self, BufRead, BufReader};
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
@@ -31,8 +32,8 @@ pub enum FolderError {
 pub struct RunFolder {
     path: PathBuf,
     started: Timestamp,
-    /// The open folder, locked until the run ends, so that no other process uses it.
-    _lock: Arc<File>,
+    /// Lock of the folder until the run ends, so that no other process uses it.
+    _lock: Arc<FileLock>,
 }
 
 impl RunFolder {
@@ -41,11 +42,7 @@ impl RunFolder {
         let started = Timestamp::now();
         let path = path.map_or_else(|| Path::new("runs").join(generate_name(started)), Path::to_owned);
         fs::create_dir_all(&path).at(&path)?;
-        let lock = File::open(&path).at(&path)?;
-        // Any other error means a file system without locks.
-        if matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
-            return Err(FolderError::InUse(path));
-        }
+        let Some(lock) = FileLock::exclusive(&path)? else { return Err(FolderError::InUse(path)) };
         if fs::symlink_metadata(path.join(crate::store::RECORD_FILE)).is_ok() {
             return Err(FolderError::AlreadyUsed(path));
         }

@@ -1,4 +1,5 @@
-use crate::test_folder::{bench_command, run_bench, start_bench, workspace_root};
+use crate::test_folder::{bench_command, run_bench, start_bench, wait_until, workspace_root};
+use platebench_record::FileLock;
 use rstest::rstest;
 use serde_json::Value;
 use std::fs;
@@ -364,4 +365,41 @@ fn jitter_follows_the_seed_of_the_trial() {
     assert!(jittered.iter().any(|delay| *delay != jittered[0]), "{jittered:?}");
     assert_eq!(jittered, delays("0.3", "1"));
     assert_ne!(jittered, delays("0.3", "2"));
+}
+
+#[test]
+fn one_campaign_folder_has_one_run() {
+    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 200000\n");
+    let folder = folder.path();
+    let mut running = start_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]);
+    wait_until("the run plays no shard", || folder.join("c/parts/1.parquet").exists());
+    let in_use = |arguments: &[&str]| {
+        let output = run_bench(folder, ["campaign"].iter().chain(arguments)).assert_exit(2);
+        output.assert_stderr(&["c: is in use by another campaign command"]);
+    };
+    in_use(&["run", "campaign.toml", "--out", "c"]);
+    in_use(&["plan", "campaign.toml", "--out", "c", "--shards", "100"]);
+    in_use(&["play", "c", "--shard", "100"]);
+    in_use(&["merge", "c"]);
+    assert!(!running.has_ended(), "the run ended before the other commands");
+    running.kill();
+    play(folder, "c", 100, 2);
+    assert!(!folder.join("c/parts/100.lock").exists());
+}
+
+#[test]
+fn only_one_process_plays_a_shard() {
+    let folder = folder(GRID);
+    let folder = folder.path();
+    plan(folder, "c", 2);
+    let other = folder.join("c/parts/1.lock");
+    fs::write(&other, "").unwrap();
+    let shared = FileLock::shared(&folder.join("c")).unwrap().unwrap();
+    let own = FileLock::exclusive(&other).unwrap().unwrap();
+    let play_first = || run_bench(folder, ["campaign", "play", "c", "--shard", "1"]);
+    play_first().assert_exit(2).assert_stderr(&["c: another process plays shard 1"]);
+    play(folder, "c", 2, 1);
+    drop((shared, own));
+    play_first().assert_exit(0);
+    run_bench(folder, ["campaign", "merge", "c"]).assert_exit(1);
 }
