@@ -206,6 +206,7 @@ fn joined_head(runs: &[StoredRun], out: &RunFolder) -> RunRecord {
         clock: first.map_or(platebench_record::ClockKind::Lockstep, |first| first.clock),
         overrides: if is_common { first.map(common).unwrap_or_default() } else { different },
         host: Host::current(),
+        drive_after_safe: all().any(|run| run.drive_after_safe),
         safe_confirmed: confirmed.reduce(|all, one| Some(all? && one?)).flatten(),
         wall_ms: all().map(|run| run.wall_ms).sum(),
         scenarios: Vec::new(),

@@ -69,8 +69,8 @@ pub enum CampaignError {
     Run(#[from] RunError),
     #[error(transparent)]
     Folder(#[from] FolderError),
-    #[error("the connection to the controller failed in {0} consecutive trials; check the controller and its line")]
-    Lost(u32),
+    #[error("the controller was lost or did not confirm 0 V: check the amplifier before you touch the plate")]
+    NotSafe,
     #[error("the campaign was cancelled")]
     Cancelled,
 }

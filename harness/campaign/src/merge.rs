@@ -28,7 +28,9 @@ pub fn merge<'a>(
             summary.missing.push(shard);
             continue;
         }
-        PartReader::open(folder, plan, campaign, shard)?.rows(&mut |row| {
+        let part = PartReader::open(folder, plan, campaign, shard)?;
+        summary.end.add(part.end());
+        part.rows(&mut |row| {
             summary.add(&row);
             results.push(row)
         })?;

@@ -8,6 +8,7 @@ use crate::campaign::Campaign;
 use crate::error::CampaignError;
 use crate::plan::Plan;
 use crate::row::Row;
+use crate::shard_end::{self, ShardEnd};
 use parquet::basic::{Compression, Repetition, Type as Physical};
 use parquet::column::reader::get_typed_column_reader;
 use parquet::data_type::DoubleType;
@@ -76,7 +77,10 @@ impl PartWriter {
         write().map_err(CampaignError::write(&self.path))
     }
 
-    pub(crate) fn commit(mut self) -> Result<(), CampaignError> {
+    pub(crate) fn commit(mut self, end: ShardEnd) -> Result<(), CampaignError> {
+        if let Some(end) = end.encode() {
+            self.writer.append_key_value_metadata(KeyValue::new(shard_end::KEY.to_owned(), end));
+        }
         if !self.rows.is_empty() {
             self.write_group()?;
         }
@@ -122,6 +126,7 @@ pub(crate) struct PartReader<'a> {
     columns: usize,
     campaign: &'a Campaign,
     first: u64,
+    end: ShardEnd,
 }
 
 impl<'a> PartReader<'a> {
@@ -156,12 +161,17 @@ impl<'a> PartReader<'a> {
         if !is_complete {
             return Err(damaged("its rows or columns are not those of its shard"));
         }
-        Ok(Self { reader, columns, campaign, first: trials.start, path })
+        let end = value(shard_end::KEY).map_or_else(ShardEnd::default, |end| ShardEnd::decode(&end));
+        Ok(Self { reader, columns, campaign, first: trials.start, end, path })
     }
 
     /// Fails with [`CampaignError::Damaged`] if a row contradicts itself.
     pub(crate) fn check_rows(&self) -> Result<(), CampaignError> {
         self.rows(&mut |_| Ok(()))
+    }
+
+    pub(crate) fn end(&self) -> ShardEnd {
+        self.end
     }
 
     pub(crate) fn rows(&self, each: &mut dyn FnMut(Row) -> Result<(), CampaignError>) -> Result<(), CampaignError> {

@@ -6,21 +6,20 @@ use crate::error::CampaignError;
 use crate::part::{PartReader, PartWriter};
 use crate::plan::Plan;
 use crate::row::Row;
+use crate::shard_end::ShardEnd;
 use platebench_record::Verdict;
-use platebench_rig::{BoxedLink, CancelToken, ConnectOptions, FaultInjector, RigError, RigSpec, Session};
-use platebench_runner::law;
-use platebench_runner::trial::{self, TrialSpec};
+use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
+use platebench_runner::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, law};
 use platebench_trace::{AtPath, Row as TraceRow};
 use platebench_verdict::measure;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{self, Receiver, SyncSender};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
-const MAX_LOSSES: u32 = 5;
 /// Number of results that workers can send before they wait for the writer.
 const RESULT_QUEUE: usize = 256;
 
@@ -29,13 +28,13 @@ pub struct PlayConfig {
     pub rig: RigSpec,
     pub jobs: usize,
     pub cancel: CancelToken,
-    /// Becomes true if a controller did not confirm 0 V.
-    pub unconfirmed: Arc<AtomicBool>,
+    /// Collects what happened to the controllers, also if the campaign ends with an error.
+    pub end: Arc<Mutex<ShardEnd>>,
 }
 
 impl PlayConfig {
     pub fn new(rig: RigSpec, jobs: usize) -> Self {
-        Self { rig, jobs, cancel: CancelToken::default(), unconfirmed: Arc::default() }
+        Self { rig, jobs, cancel: CancelToken::default(), end: Arc::default() }
     }
 }
 
@@ -67,11 +66,11 @@ pub fn play_shard(
     let parts = path.parent().unwrap_or(folder);
     std::fs::create_dir_all(parts).at(parts)?;
     let mut part = PartWriter::new(path, plan, campaign, shard)?;
-    play(campaign, &Source::Numbers(plan.trials_of(shard)), config, &mut |row| {
+    let end = play(campaign, &Source::Numbers(plan.trials_of(shard)), config, &mut |row| {
         on_trial(TrialEvent { is_failure: row.verdict == Verdict::Fail });
         part.push(row)
     })?;
-    part.commit()?;
+    part.commit(end)?;
     Ok(true)
 }
 
@@ -83,11 +82,14 @@ pub(crate) fn replay(
     on_trial: &mut dyn FnMut(TrialEvent),
 ) -> Result<Vec<Row>, CampaignError> {
     let mut replayed = Vec::new();
-    play(campaign, &Source::Rows(rows), config, &mut |row| {
+    let end = play(campaign, &Source::Rows(rows), config, &mut |row| {
         on_trial(TrialEvent { is_failure: row.verdict == Verdict::Fail });
         replayed.push(row);
         Ok(())
     })?;
+    if end.is_lost(end.failed) {
+        return Err(CampaignError::NotSafe);
+    }
     Ok(replayed)
 }
 
@@ -112,15 +114,23 @@ fn play(
     source: &Source<'_>,
     config: &PlayConfig,
     on_row: &mut dyn FnMut(Row) -> Result<(), CampaignError>,
-) -> Result<(), CampaignError> {
+) -> Result<ShardEnd, CampaignError> {
     let options = &ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
     let trials = source.places();
     let next = AtomicU64::new(trials.start);
+    let (ends, lost, mut failed) = (SafeEnds::default(), AtomicBool::new(false), false);
+    let connect = || config.rig.connect_with(options);
+    let settings = ExecutorSettings {
+        own_clock: config.rig.has_own_clock(),
+        max_losses: Some(MAX_LOSSES),
+        ..ExecutorSettings::lockstep(&config.cancel)
+    };
     let (sender, results) = mpsc::sync_channel(RESULT_QUEUE);
     let outcome = thread::scope(|scope| {
         for _ in 0..config.jobs.max(1) {
             let next = &next;
-            let worker = Worker { campaign, source, config, options, next, end: trials.end, session: None, losses: 0 };
+            let executor = Executor::new(&connect, settings.clone(), &ends);
+            let worker = Worker { campaign, source, config, next, end: trials.end, executor, lost: &lost };
             let sender = sender.clone();
             scope.spawn(move || {
                 let mut worker = worker;
@@ -128,15 +138,21 @@ fn play(
             });
         }
         drop(sender);
-        let outcome = collect(trials.start, &results, on_row);
+        let outcome = collect(trials.start, &results, &mut |row| {
+            failed |= row.verdict == Verdict::Fail;
+            on_row(row)
+        });
         // Marks all trials as taken, so each worker ends after its current trial.
         next.store(trials.end, Ordering::Relaxed);
         drop(results);
         outcome
     });
+    let (unconfirmed, driven) = (!ends.are_confirmed(), ends.have_drive());
+    let end = ShardEnd { unconfirmed, driven, lost: lost.load(Ordering::Relaxed), failed };
+    config.end.lock().unwrap_or_else(PoisonError::into_inner).add(end);
     let played = outcome?;
     // If a trial has no result, the campaign was cancelled or a worker panicked.
-    if config.cancel.is_cancelled() || played < trials.end { Err(CampaignError::Cancelled) } else { Ok(()) }
+    if config.cancel.is_cancelled() || played < trials.end { Err(CampaignError::Cancelled) } else { Ok(end) }
 }
 
 /// Passes the rows on in the order of their trials. Returns the first trial without a result.
@@ -162,11 +178,11 @@ struct Worker<'a> {
     campaign: &'a Campaign,
     source: &'a Source<'a>,
     config: &'a PlayConfig,
-    options: &'a ConnectOptions,
     next: &'a AtomicU64,
     end: u64,
-    session: Option<Session<FaultInjector<BoxedLink>>>,
-    losses: u32,
+    executor: Executor<'a>,
+    /// Becomes true if a controller was lost and the rig caused it.
+    lost: &'a AtomicBool,
 }
 
 impl Worker<'_> {
@@ -184,7 +200,6 @@ impl Worker<'_> {
                 break;
             }
         }
-        self.close_session();
     }
 
     /// Returns false if the worker must end after a cancellation or an error.
@@ -219,34 +234,12 @@ impl Worker<'_> {
         number == trials.end
     }
 
-    fn close_session(&mut self) {
-        let Some(session) = self.session.take() else { return };
-        self.config.unconfirmed.fetch_or(!session.close(), Ordering::Relaxed);
-    }
-
     /// `None` if the trial was cancelled.
     fn play(&mut self, trial: &Trial) -> Result<Option<Row>, CampaignError> {
         let law = law(&trial.scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
-        let open = match &mut self.session {
-            Some(open) => open,
-            None => {
-                self.session.insert(Session::open(FaultInjector::new(self.config.rig.connect_with(self.options)?))?)
-            }
-        };
-        let spec = TrialSpec { own_clock: self.config.rig.has_own_clock(), ..TrialSpec::new(&trial.scenario, law, 0) };
-        let Some(played) = trial::play(open, &spec, &self.config.cancel, None) else { return Ok(None) };
-        match played.link_error {
-            Some(rejected @ RigError::ConfigurationRejected(_)) => return Err(rejected.into()),
-            Some(_) => {
-                self.close_session();
-                self.losses += 1;
-                if self.losses >= MAX_LOSSES {
-                    return Err(CampaignError::Lost(self.losses));
-                }
-            }
-            None => self.losses = 0,
-        }
+        let Some(played) = self.executor.play(&trial.scenario, law, 0, None)? else { return Ok(None) };
         let measures = measure(&trial.scenario, 0, &played.trace_rows, &played.telemetry);
+        self.lost.fetch_or(measures.has_lost_controller(), Ordering::Relaxed);
         Ok(Some(Row::new(trial, measures, final_distance(&played.trace_rows))))
     }
 }

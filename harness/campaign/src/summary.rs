@@ -6,6 +6,7 @@ use crate::outcome::ChainOutcome;
 use crate::row::{CAUSES, Row};
 use crate::sample::Sample;
 use crate::sequential::SequentialDecision;
+use crate::shard_end::ShardEnd;
 use crate::tally::{Tally, keep_worst};
 use crate::variable::Variable;
 use platebench_record::{Cause, Verdict};
@@ -32,6 +33,7 @@ pub struct Summary<'a> {
     pub sample: Sample,
     pub sequential: SequentialDecision,
     pub agreement: Option<Agreement>,
+    pub end: ShardEnd,
 }
 
 impl<'a> Summary<'a> {
@@ -51,6 +53,7 @@ impl<'a> Summary<'a> {
             sample: Sample::default(),
             sequential: SequentialDecision::new(campaign.trials, campaign.at_most, campaign.confidence),
             agreement: None,
+            end: ShardEnd::default(),
         }
     }
 
@@ -80,7 +83,21 @@ impl<'a> Summary<'a> {
         }
     }
 
+    /// A drive after confirmed 0 V is a failure. A pass also needs confirmed 0 V.
     pub fn verdict(&self) -> Verdict {
+        match self.confirmed_verdict() {
+            _ if self.end.driven => Verdict::Fail,
+            Verdict::Pass if self.end.unconfirmed => Verdict::Inconclusive,
+            verdict => verdict,
+        }
+    }
+
+    /// True if the rig counts as lost, so that the command ends with exit code 5.
+    pub fn is_rig_lost(&self) -> bool {
+        self.end.is_lost(self.verdict() == Verdict::Fail)
+    }
+
+    fn confirmed_verdict(&self) -> Verdict {
         let missed = self.agreement.as_ref().map_or(0, |agreement| agreement.missed_failures);
         match (self.screened_verdict(), self.campaign.at_most) {
             (verdict, _) if missed == 0 => verdict,
@@ -125,10 +142,14 @@ impl<'a> Summary<'a> {
     }
 
     /// Cause of an inconclusive verdict: the most frequent cause of inconclusive trials. It is
-    /// [`Cause::Evidence`] if there is none or a shard is missing.
+    /// [`Cause::Evidence`] if there is none or a shard is missing, and [`Cause::Rig`] if 0 V was not
+    /// confirmed.
     pub fn cause(&self) -> Option<Cause> {
         if self.verdict() != Verdict::Inconclusive {
             return None;
+        }
+        if self.end.unconfirmed {
+            return Some(Cause::Rig);
         }
         let most =
             CAUSES.into_iter().zip(self.causes).rev().filter(|(_, count)| *count > 0).max_by_key(|entry| entry.1);
@@ -172,6 +193,12 @@ impl<'a> Summary<'a> {
             "overall": overall,
             "cells": cells,
         });
+        if self.end.unconfirmed {
+            summary["safe_confirmed"] = json!(false);
+        }
+        if self.end.lost {
+            summary["controller_lost"] = json!(true);
+        }
         if let Some(agreement) = &self.agreement {
             summary["confirm"] = agreement.json(campaign.confidence);
         }
@@ -243,6 +270,14 @@ impl<'a> Summary<'a> {
         }
         if self.redraws > 0 {
             let _ = writeln!(text, "the scenario refused {} draws, which were repeated", self.redraws);
+        }
+        if self.end.driven {
+            text += "the controller commanded a drive after it had confirmed 0 V\n";
+        } else if self.end.unconfirmed {
+            text += "the controller did not confirm 0 V at the end\n";
+        }
+        if self.end.lost {
+            text += "the controller was lost during a trial\n";
         }
         if !self.missing.is_empty() {
             let shards: Vec<_> = self.missing.iter().map(ToString::to_string).collect();

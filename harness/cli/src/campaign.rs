@@ -16,18 +16,18 @@ use arguments::{CampaignCommand, EngineName, PlayArgs, RunArgs, SubmitArgs};
 use platebench_boards::BoardOutcome;
 use platebench_campaign::submit::{Engine, command_line, submission};
 use platebench_campaign::{
-    Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, ShardLock, Summary, confirm, lock_folder, merge,
-    play_shard, play_worst, report, shards_of_run, status, worst_trials,
+    Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, ShardEnd, ShardLock, Summary, confirm, lock_folder,
+    merge, play_shard, play_worst, report, shards_of_run, status, worst_trials,
 };
 use platebench_record::FileLock;
 use platebench_rig::{CancelToken, RigSpec};
+use platebench_runner::RunError;
 use platebench_trace::AtPath;
 use progress::{CampaignProgress, PlayEvent};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> CommandResult {
     match &arguments.command {
@@ -80,9 +80,9 @@ fn play_one(arguments: &PlayArgs, quiet: bool) -> CommandResult {
     plan.check_bench(&rig)?;
     let lock = ShardLock::new(&arguments.folder, &plan, arguments.shard)?;
     let (context, shards) = ((plan, Arc::new(campaign)), vec![arguments.shard]);
-    play_on_board(&arguments.board, &arguments.folder, context, shards, &rig, arguments.jobs, quiet)?;
+    let is_lost = play_on_board(&arguments.board, &arguments.folder, context, shards, &rig, arguments.jobs, quiet)?;
     lock.remove();
-    Ok(Exit::Passed)
+    if is_lost { Err(CampaignError::NotSafe.into()) } else { Ok(Exit::Passed) }
 }
 
 fn submit(arguments: &SubmitArgs, quiet: bool) -> CommandResult {
@@ -161,6 +161,7 @@ fn merge_and_show(
     Ok(show(&summary, folder, format))
 }
 
+/// Returns true if the rig counts as lost, although the shards are complete.
 fn play_on_board(
     board: &BoardArgs,
     folder: &Path,
@@ -169,20 +170,18 @@ fn play_on_board(
     rig: &RigSpec,
     jobs: Option<u16>,
     quiet: bool,
-) -> Result<(), Failure> {
+) -> Result<bool, Failure> {
     let reservation = board.reserve("campaign")?;
-    let unconfirmed = Arc::new(AtomicBool::new(false));
+    let state = Arc::new(Mutex::new(ShardEnd::default()));
     let jobs = if board.allows_parallel_links(rig) { job_count(jobs) } else { 1 };
-    let config = PlayConfig { unconfirmed: Arc::clone(&unconfirmed), ..PlayConfig::new(rig.clone(), jobs) };
+    let config = PlayConfig { end: Arc::clone(&state), ..PlayConfig::new(rig.clone(), jobs) };
     let played = play(folder, context, shards, config, quiet);
-    let end = if unconfirmed.load(Ordering::Relaxed) || matches!(played, Ok(Err(CampaignError::Lost(_)))) {
-        BoardOutcome::unconfirmed()
-    } else {
-        BoardOutcome::untouched()
-    };
-    release(reservation, end)?;
+    let end = *state.lock().unwrap_or_else(PoisonError::into_inner);
+    let is_lost = end.lost || matches!(played, Ok(Err(CampaignError::Run(RunError::Lost(_)))));
+    let outcome = if end.unconfirmed || is_lost { BoardOutcome::unconfirmed() } else { BoardOutcome::untouched() };
+    release(reservation, outcome)?;
     played??;
-    Ok(())
+    Ok(end.is_lost(end.failed))
 }
 
 fn play(
@@ -226,7 +225,7 @@ fn run_campaign_work<R: Send + 'static>(
 fn show(summary: &Summary<'_>, folder: &Path, format: OutputFormat) -> Exit {
     stdio::show_as(format, &summary.json(), || summary.text());
     stdio::note(&format!("report: {}", folder.join(report::REPORT_FILE).display()));
-    Exit::of_verdict(summary.verdict())
+    if summary.is_rig_lost() { Exit::Unreachable } else { Exit::of_verdict(summary.verdict()) }
 }
 
 fn show_status(folder: &Path) -> CommandResult {
@@ -262,7 +261,7 @@ impl From<CampaignError> for Failure {
             CampaignError::Connect(error) => error.into(),
             CampaignError::Rig(error) => error.into(),
             CampaignError::Run(error) => error.into(),
-            CampaignError::Lost(_) => Self::new(Exit::Unreachable, &error),
+            CampaignError::NotSafe => Self::new(Exit::Unreachable, &error),
             CampaignError::Cancelled => Self::new(Exit::Inconclusive, &error),
             error => Self::invalid(&error),
         }

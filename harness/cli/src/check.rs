@@ -127,18 +127,17 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
             }
         }
     }
-    let is_scenario = |kind: &Result<_, _>| *kind == Ok(FileKind::Scenario);
-    let scenarios = || files.iter().zip(&kinds).filter(|(_, kind)| is_scenario(kind)).map(|(file, _)| file);
-    faults.extend(repeated_names(scenarios()));
+    let of_kind = |wanted| files.iter().zip(&kinds).filter(move |(_, kind)| **kind == Ok(wanted)).map(|(file, _)| file);
+    faults.extend(repeated_names(of_kind(FileKind::Scenario)));
     let mut warnings = Vec::new();
     if faults.is_empty() {
-        for (path, name) in scenarios() {
+        for (path, name) in of_kind(FileKind::Scenario) {
             if let Ok(scenario) = load(path, name) {
                 warnings.extend(plate_warnings(&scenario));
                 warnings.extend(unjudged_changes(&scenario));
             }
         }
-        for ((path, _), _) in files.iter().zip(&kinds).filter(|(_, kind)| **kind == FileKind::Plate) {
+        for (path, _) in of_kind(FileKind::Plate) {
             let found = load::load_plate(path).ok().and_then(|plate| load::implausible_values(path, &plate).ok());
             warnings.extend(found.unwrap_or_default());
         }

@@ -88,6 +88,9 @@ fn write_files(arguments: &CoverageArgs, coverage: &Coverage, text: &str) -> Res
 
 impl From<AnalysisError> for Failure {
     fn from(error: AnalysisError) -> Self {
-        Self::new(if error.is_invalid_input() { Exit::Invalid } else { Exit::Inconclusive }, &error)
+        match error {
+            AnalysisError::NotSafe => Self::new(Exit::Unreachable, &error),
+            error => Self::new(if error.is_invalid_input() { Exit::Invalid } else { Exit::Inconclusive }, &error),
+        }
     }
 }

@@ -12,7 +12,7 @@ use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 use platebench_boards::BoardOutcome;
 use platebench_live::{INTERRUPT, LiveView, RunDescription, ScenarioDescription, ViewEvent, ViewSender, watch_keys};
 use platebench_plate::Time;
-use platebench_rig::{BoxedLink, FaultInjector, PtyLink, RigSpec, Session, check_baud};
+use platebench_rig::{BoxedLink, FaultInjector, PtyLink, RigSpec, SafeEnd, Session, check_baud};
 use platebench_runner::real_time::{Consumer, EmulationEnd, emulate_plate as play};
 use platebench_runner::trial::TrialSpec;
 use platebench_runner::{CancelToken, LiveTap, ManualControl, ManualInputs, TimeBase};
@@ -226,7 +226,7 @@ impl PlateServer {
                     EmulationEnd::Cancelled => break,
                 }
             }
-            self.unconfirmed.store(!session.close(), Ordering::Relaxed);
+            self.unconfirmed.store(session.close() != SafeEnd::Confirmed, Ordering::Relaxed);
         }
         Ok(())
     }

@@ -13,7 +13,7 @@ use budget::parse_duration;
 use clap::Args;
 use platebench_explore::session::{ExploreSession, ProgressEvent};
 use platebench_explore::{Envelope, ExploreError, page, report, text};
-use platebench_record::RunFolder;
+use platebench_record::{RunFolder, Verdict};
 use platebench_report::Detail;
 use platebench_rig::{CancelToken, RigSpec};
 use platebench_scenario::find;
@@ -96,7 +96,11 @@ pub(crate) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
     stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
     stdio::note(&format!("report: {}", folder.path().join(page::FILE).display()));
     let is_empty = report.scenes == 0 && report.regressions == 0;
-    let exit = || if is_empty { Exit::NothingToRun } else { Exit::of_verdict(report.verdict) };
+    let exit = || match report.verdict {
+        _ if is_empty => Exit::NothingToRun,
+        Verdict::Inconclusive if !report.safe_confirmed => Exit::Unreachable,
+        verdict => Exit::of_verdict(verdict),
+    };
     let exit = signal.map_or_else(exit, Exit::Signal);
     stdio::verdict(exit, &report.reason(), arguments.format);
     Ok(exit)
@@ -134,7 +138,7 @@ impl From<ExploreError> for Failure {
         match error {
             ExploreError::Connect(error) => error.into(),
             ExploreError::Rig(error) => error.into(),
-            ExploreError::Lost(_) => Self::new(Exit::Unreachable, &error),
+            ExploreError::Run(error) => error.into(),
             ExploreError::LawNotAnnounced(_)
             | ExploreError::LawWithoutProperties(_)
             | ExploreError::File(_)

@@ -92,7 +92,7 @@ impl From<RunError> for Failure {
             RunError::Scenario(fault) => fault.into(),
             RunError::Connect(error) => error.into(),
             RunError::Rig(error) => error.into(),
-            RunError::DifferentController { .. } => Self::new(Exit::Unreachable, &error),
+            RunError::DifferentController { .. } | RunError::Lost(_) => Self::new(Exit::Unreachable, &error),
             RunError::Internal(_) | RunError::Cancelled => Self::new(Exit::Inconclusive, &error),
             RunError::Folder(_) | RunError::Trace(_) | RunError::NoTargetPacing(_) | RunError::NoRealPlate(_) => {
                 Self::invalid(&error)

@@ -1,6 +1,7 @@
 //! Defines the errors of an exploration.
 
 use platebench_rig::{ConnectError, RigError};
+use platebench_runner::RunError;
 use platebench_scenario::Diagnostic;
 use platebench_trace::FileError;
 
@@ -12,6 +13,8 @@ pub enum ExploreError {
     Connect(#[from] ConnectError),
     #[error(transparent)]
     Rig(#[from] RigError),
+    #[error(transparent)]
+    Run(#[from] RunError),
     #[error("the controller does not announce the law {0}, expected --law with one of its laws")]
     LawNotAnnounced(&'static str),
     #[error(
@@ -25,8 +28,6 @@ pub enum ExploreError {
     Strategy(String),
     #[error(transparent)]
     File(#[from] FileError),
-    #[error("the connection to the controller failed in {0} consecutive trials; check the controller and its line")]
-    Lost(u32),
     #[error("the exploration was cancelled")]
     Cancelled,
 }

@@ -4,12 +4,14 @@ use crate::coverage::Coverage;
 use crate::envelope::Envelope;
 use crate::error::ExploreError;
 use crate::generator::Generator;
-use crate::player::{Connect, Failure, Player, SceneResult, violated};
+use crate::player::{Failure, Player, SceneResult, violated};
 use crate::properties::{Demand, Property, demands, reference_demands};
 use crate::scenario_file::{ScenarioText, ScenarioWriter};
 use crate::scene::Scene;
 use crate::staging::Staging;
 use platebench_rig::CancelToken;
+use platebench_runner::SafeEnds;
+use platebench_runner::plan::LinkFactory;
 use platebench_scenario::Scenario;
 use platebench_wire::LawId;
 use serde::Serialize;
@@ -155,17 +157,19 @@ impl Exploration {
     }
 }
 
-/// `on_scene` receives the numbers of played and failed scenes. Violations are not errors.
+/// `ends` receives the ends of all sessions. `on_scene` receives the numbers of played and failed scenes. Violations are not errors.
 pub fn explore(
     config: &ExploreConfig,
-    connect: &Connect<'_>,
+    connect: &LinkFactory<'_>,
     cancel: &CancelToken,
+    ends: &SafeEnds,
     on_scene: &mut dyn FnMut(u64, u64),
 ) -> Result<Exploration, ExploreError> {
     let started = Instant::now();
     let mut exploration = Exploration::default();
-    play_regressions(config, connect, cancel, &mut exploration)?;
-    let state = WorkerState { config, connect, cancel, started, next: AtomicU64::new(0), failed: AtomicU64::new(0) };
+    play_regressions(config, connect, cancel, ends, &mut exploration)?;
+    let (next, failed) = (AtomicU64::new(0), AtomicU64::new(0));
+    let state = WorkerState { config, connect, cancel, ends, started, next, failed };
     let (sender, results) = mpsc::channel();
     thread::scope(|scope| {
         for _ in 0..config.jobs.max(1) {
@@ -199,11 +203,12 @@ pub fn explore(
 
 fn play_regressions(
     config: &ExploreConfig,
-    connect: &Connect<'_>,
+    connect: &LinkFactory<'_>,
     cancel: &CancelToken,
+    ends: &SafeEnds,
     exploration: &mut Exploration,
 ) -> Result<(), ExploreError> {
-    let mut player = Player::new(connect, config.own_clock, cancel);
+    let mut player = Player::new(connect, config.own_clock, cancel, ends);
     for scenario in &config.regressions {
         // Each scenario starts with a new controller, as in `platebench run`.
         player.renew();
@@ -226,8 +231,9 @@ struct PlayedScene {
 
 struct WorkerState<'a> {
     config: &'a ExploreConfig,
-    connect: &'a Connect<'a>,
+    connect: &'a LinkFactory<'a>,
     cancel: &'a CancelToken,
+    ends: &'a SafeEnds,
     started: Instant,
     next: AtomicU64,
     failed: AtomicU64,
@@ -252,7 +258,7 @@ impl WorkerState<'_> {
     fn play_scenes(&self, results: &mpsc::Sender<Result<PlayedScene, ExploreError>>) -> Result<(), ExploreError> {
         let generator = self.config.generator();
         let mut staging = Staging::new()?;
-        let mut player = Player::new(self.connect, self.config.own_clock, self.cancel);
+        let mut player = Player::new(self.connect, self.config.own_clock, self.cancel, self.ends);
         let mut history = Vec::new();
         loop {
             let index = self.next.fetch_add(1, Ordering::Relaxed);

@@ -7,6 +7,7 @@ use crate::law_properties::LawProperties;
 use crate::properties::Property;
 use crate::report::format_value;
 use platebench_rig::{BoxedLink, CancelToken, HostedLink};
+use platebench_runner::SafeEnds;
 use platebench_trust::format::format_rate;
 use platebench_trust::report::{MutantOutcome, Rate, TrustReport};
 use platebench_trust::{CleanVariant, MutantSpec};
@@ -151,7 +152,7 @@ impl KillRateConfig {
             compares_reference: false,
             regressions: Vec::new(),
         };
-        let exploration = explore(&config, &|| Ok(link()), cancel, &mut |_, _| {})?;
+        let exploration = explore(&config, &|| Ok(link()), cancel, &SafeEnds::default(), &mut |_, _| {})?;
         if exploration.is_interrupted { Err(ExploreError::Cancelled) } else { Ok(exploration) }
     }
 }

@@ -2,15 +2,13 @@
 
 use crate::error::ExploreError;
 use crate::properties::Property;
-use platebench_record::{Cause, Reason, Telemetry, Verdict, Violation};
-use platebench_rig::{BoxedLink, CancelToken, ConnectError, FaultInjector, RigError, Session};
-use platebench_runner::law;
-use platebench_runner::trial::{self, TrialResult, TrialSpec};
+use platebench_record::{Cause, Reason, Verdict, Violation};
+use platebench_rig::CancelToken;
+use platebench_runner::plan::LinkFactory;
+use platebench_runner::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, law};
 use platebench_scenario::{Limit, Scenario};
 use platebench_verdict::{TrialMeasures, judge, measure};
 use std::collections::BTreeSet;
-
-pub type Connect<'a> = dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync + 'a;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct Failure {
@@ -53,30 +51,27 @@ pub(crate) fn violated(failures: &[Failure]) -> Vec<Property> {
 /// Controllers play 20 and 200 scenes in turn, so scenes meet both new and old controllers.
 const SCENES_PER_CONTROLLER: [u32; 2] = [20, 200];
 
-const MAX_LOSSES: u32 = 5;
-
 pub struct Player<'a> {
-    connect: &'a Connect<'a>,
-    own_clock: bool,
-    cancel: &'a CancelToken,
-    session: Option<Session<FaultInjector<BoxedLink>>>,
+    executor: Executor<'a>,
     /// Scenes that this controller has played.
     scenes: u32,
     controllers: usize,
-    /// Number of consecutive trials in which the controller was lost.
-    losses: u32,
 }
 
 impl<'a> Player<'a> {
-    pub fn new(connect: &'a Connect<'a>, own_clock: bool, cancel: &'a CancelToken) -> Self {
-        Self { connect, own_clock, cancel, session: None, scenes: 0, controllers: 0, losses: 0 }
+    pub fn new(connect: &'a LinkFactory<'a>, own_clock: bool, cancel: &CancelToken, ends: &'a SafeEnds) -> Self {
+        let settings = ExecutorSettings {
+            own_clock,
+            max_losses: Some(MAX_LOSSES),
+            shares_controller: true,
+            ..ExecutorSettings::lockstep(cancel)
+        };
+        Self { executor: Executor::new(connect, settings, ends), scenes: 0, controllers: 0 }
     }
 
     /// Closes the controller, so that the next scene starts a new one.
     pub fn renew(&mut self) {
-        if let Some(session) = self.session.take() {
-            session.close();
-        }
+        self.executor.close();
         self.scenes = 0;
     }
 
@@ -92,47 +87,17 @@ impl<'a> Player<'a> {
             self.controllers += 1;
         }
         self.scenes += 1;
+        let law = law(scenario).map_err(|unknown| ExploreError::Generated(Box::new(unknown)))?;
         let mut trials = Vec::with_capacity(scenario.trials.count as usize);
         for index in 0..scenario.trials.count {
-            let mut scenes = Telemetry::default();
-            for scene in scenario.between.iter().filter(|_| index > 0) {
-                let Some(played) = self.play_trial(scene, index)? else { return Ok(None) };
-                scenes.include_scene(played.telemetry);
-            }
-            let Some(mut played) = self.play_trial(scenario, index)? else { return Ok(None) };
-            played.telemetry.include_scene(scenes);
+            let Some(played) = self.executor.play(scenario, law, index, None)? else { return Ok(None) };
             trials.push(measure(scenario, index, &played.trace_rows, &played.telemetry));
             if played.link_error.is_some() {
-                self.renew();
-                self.losses += 1;
-                if self.losses >= MAX_LOSSES {
-                    return Err(ExploreError::Lost(self.losses));
-                }
-            } else {
-                self.losses = 0;
+                // The executor has replaced the controller.
+                self.scenes = 0;
             }
         }
         Ok(Some(scene_result(scenario, &trials)))
-    }
-
-    fn play_trial(&mut self, scenario: &Scenario, index: u32) -> Result<Option<TrialResult>, ExploreError> {
-        let law = law(scenario).map_err(|unknown| ExploreError::Generated(Box::new(unknown)))?;
-        let session = match &mut self.session {
-            Some(open) => open,
-            None => self.session.insert(Session::open(FaultInjector::new((self.connect)()?))?),
-        };
-        let spec = TrialSpec { own_clock: self.own_clock, continues: true, ..TrialSpec::new(scenario, law, index) };
-        let Some(played) = trial::play(session, &spec, self.cancel, None) else { return Ok(None) };
-        match played.link_error {
-            Some(rejected @ RigError::ConfigurationRejected(_)) => Err(rejected.into()),
-            _ => Ok(Some(played)),
-        }
-    }
-}
-
-impl Drop for Player<'_> {
-    fn drop(&mut self) {
-        self.renew();
     }
 }
 

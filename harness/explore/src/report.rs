@@ -5,6 +5,7 @@ use crate::explore::{Exploration, ExploreConfig, FailedRegression, FailedScene, 
 use crate::player::violated;
 use crate::properties::Property;
 use platebench_record::Verdict;
+use platebench_runner::SafeEnds;
 use platebench_verdict::statistics::proportion::clopper_pearson;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -15,9 +16,11 @@ pub const FILE: &str = "explore.json";
 #[derive(Debug, Clone, Serialize)]
 pub struct ExploreReport {
     pub format: u32,
-    /// `fail` after a violation. Otherwise `inconclusive` if a scene is undecided or a signal ended
-    /// the exploration.
+    /// `fail` after a violation. Otherwise `inconclusive` if a scene is undecided, a signal ended the
+    /// exploration or a controller did not confirm 0 V.
     pub verdict: Verdict,
+    /// True if every controller confirmed 0 V and stayed there.
+    pub safe_confirmed: bool,
     /// True if a signal ended the exploration. Failing scenes are then not shrunk.
     pub is_interrupted: bool,
     pub envelope: String,
@@ -97,6 +100,7 @@ impl ExploreReport {
         Self {
             format: 1,
             verdict,
+            safe_confirmed: true,
             is_interrupted: exploration.is_interrupted,
             envelope: config.envelope.path.display().to_string(),
             rig: rig.to_owned(),
@@ -135,29 +139,48 @@ impl ExploreReport {
     pub fn reason(&self) -> String {
         let Self { scenes, failed, undecided, failed_regressions, is_interrupted, .. } = self;
         match self.verdict {
+            Verdict::Fail if *failed == 0 && failed_regressions.is_empty() => {
+                "the controller commanded a drive after it had confirmed 0 V".to_owned()
+            }
             Verdict::Fail if failed_regressions.is_empty() => format!("{failed} of {scenes} scenes violate a property"),
             Verdict::Fail => format!(
                 "{failed} of {scenes} scenes and {} scenarios of earlier explorations violate a property",
                 failed_regressions.len()
             ),
             Verdict::Inconclusive if *is_interrupted => "a signal ended the exploration".to_owned(),
+            Verdict::Inconclusive if !self.safe_confirmed => "the controller did not confirm 0 V at the end".to_owned(),
             Verdict::Inconclusive => format!("{undecided} of {scenes} scenes are undecided, because of the rig"),
             Verdict::Pass => format!("no property was violated in {scenes} scenes"),
+        }
+    }
+
+    /// A drive after confirmed 0 V is a failure. A pass also needs confirmed 0 V.
+    pub(crate) fn record_ends(&mut self, ends: &SafeEnds) {
+        self.safe_confirmed = ends.are_confirmed();
+        if ends.have_drive() {
+            self.verdict = Verdict::Fail;
+        } else if self.verdict == Verdict::Pass && !self.safe_confirmed {
+            self.verdict = Verdict::Inconclusive;
         }
     }
 
     pub fn conclusion(&self) -> String {
         let Self { failed, scenes, .. } = self;
         let interrupted = if self.is_interrupted { " A signal ended the exploration." } else { "" };
+        let unsafe_end = if self.safe_confirmed {
+            ""
+        } else {
+            " The controller did not confirm 0 V or did not stay there: check the amplifier before you touch the plate."
+        };
         match (failed, self.failing_share) {
             (0, Some([_, most])) => {
                 let percent = most * 100.0;
                 format!(
                     "No generated scene violates a property. \
-                     At 95 % confidence fewer than {percent:.3} % of all scenes fail.{interrupted}"
+                     At 95 % confidence fewer than {percent:.3} % of all scenes fail.{interrupted}{unsafe_end}"
                 )
             }
-            _ => format!("{failed} of {scenes} scenes violate a property.{interrupted}"),
+            _ => format!("{failed} of {scenes} scenes violate a property.{interrupted}{unsafe_end}"),
         }
     }
 }

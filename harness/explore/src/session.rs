@@ -11,7 +11,9 @@ use crate::regression;
 use crate::report::{self, ExploreReport, ViolationReport, violated_properties};
 use crate::shrink::Shrinker;
 use platebench_plate::Time;
-use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, FaultInjector, RigSpec, Session};
+use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, RigSpec, Session};
+use platebench_runner::SafeEnds;
+use platebench_runner::plan::LinkFactory;
 use platebench_scenario::{Scenario, load};
 use platebench_trace::{AtPath, write_atomically};
 use platebench_wire::{Identity, LawId, capabilities};
@@ -63,10 +65,11 @@ impl ExploreSession {
     ) -> Result<ExploreReport, ExploreError> {
         let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
         let connect = || self.rig.connect_with(&options);
-        let identity = identify(&connect)?;
+        let ends = SafeEnds::default();
+        let identity = identify(&connect, &ends)?;
         let config = self.config(&identity)?;
         let started = Instant::now();
-        let exploration = explore(&config, &connect, cancel, &mut |scenes, failed| {
+        let exploration = explore(&config, &connect, cancel, &ends, &mut |scenes, failed| {
             on_progress(ProgressEvent { elapsed: started.elapsed(), scenes, failed });
         })?;
         let rig = self.rig.to_string();
@@ -79,7 +82,7 @@ impl ExploreSession {
         for (position, (property, failed)) in violated.into_iter().take(MAX_MINIMAL).enumerate() {
             let rest = deadline.saturating_duration_since(Instant::now());
             let time = rest / (MAX_MINIMAL - position) as u32;
-            match self.minimise(&config, &connect, cancel, failed, property, time) {
+            match self.minimise(&config, &connect, (cancel, &ends), failed, property, time) {
                 Ok(violation) => report.violations.push(violation),
                 Err(ExploreError::Cancelled) => {
                     report.is_interrupted = true;
@@ -88,6 +91,7 @@ impl ExploreSession {
                 Err(error) => return Err(error),
             }
         }
+        report.record_ends(&ends);
         let text = serde_json::to_string_pretty(&report).unwrap_or_default();
         let path = folder.join(report::FILE);
         write_atomically(&path, text.as_bytes()).at(&path)?;
@@ -125,13 +129,13 @@ impl ExploreSession {
     fn minimise(
         &self,
         config: &ExploreConfig,
-        connect: &(dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync),
-        cancel: &CancelToken,
+        connect: &LinkFactory<'_>,
+        (cancel, ends): (&CancelToken, &SafeEnds),
         failed: &FailedScene,
         property: Property,
         time: Duration,
     ) -> Result<ViolationReport, ExploreError> {
-        let mut player = Player::new(connect, config.own_clock, cancel);
+        let mut player = Player::new(connect, config.own_clock, cancel, ends);
         let minimal = Shrinker::new(config, &mut player, time)?.shrink(failed, property)?;
         let rig = self.rig.to_string();
         let path = regression::write(&self.regression_folder, config, &rig, failed, &minimal)?;
@@ -168,10 +172,10 @@ fn envelope_for(envelope: &Envelope, identity: &Identity) -> Envelope {
     reduced
 }
 
-fn identify(connect: &dyn Fn() -> Result<BoxedLink, ConnectError>) -> Result<Identity, ExploreError> {
+fn identify(connect: &LinkFactory<'_>, ends: &SafeEnds) -> Result<Identity, ExploreError> {
     let session = Session::open(FaultInjector::new(connect()?))?;
     let identity = *session.identity();
-    session.close();
+    ends.record(session.close());
     Ok(identity)
 }
 
@@ -183,7 +187,7 @@ mod tests {
     fn a_controller_without_the_capability_gets_no_loop_delay() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml");
         let envelope = Envelope::load(&path).unwrap();
-        let identity = identify(&|| RigSpec::Hosted.connect()).unwrap();
+        let identity = identify(&|| RigSpec::Hosted.connect(), &SafeEnds::default()).unwrap();
         assert_eq!(envelope_for(&envelope, &identity).range.loop_delay_periods, envelope.range.loop_delay_periods);
         let without = Identity { capabilities: 0, ..identity };
         assert!(envelope.range.loop_delay_periods[1] > 0.0);

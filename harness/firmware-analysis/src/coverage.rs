@@ -3,9 +3,10 @@
 use crate::code_map::CodeMap;
 use crate::error::AnalysisError;
 use crate::source_map::SourceMap;
-use crate::suite::{BoardSession, Outcome, Suite, play};
+use crate::suite::{Outcome, Suite, new_executor, play};
 use platebench_record::Verdict;
 use platebench_rig::{CancelToken, Symbols};
+use platebench_runner::SafeEnds;
 use platebench_runner::parallel::in_parallel;
 use platebench_scenario::Scenario;
 use platebench_wire::LawId;
@@ -168,13 +169,14 @@ pub(crate) fn play_baselines(
     // The longest scenarios come first, so that no worker ends long after the others.
     let mut order: Vec<(usize, &(Scenario, LawId))> = suite.scenarios.iter().enumerate().collect();
     order.sort_by_key(|(_, (scenario, _))| Reverse(scenario.duration.as_nanos() * u64::from(scenario.trials.count)));
-    let work = |session: &mut Option<BoardSession>, (number, (scenario, law)): &(usize, &(Scenario, LawId))| {
-        let session = suite.open(session)?;
-        session.link_mut().inner_mut().record_execution(&map.leaders);
+    let (connect, ends) = (|| suite.connect(), SafeEnds::default());
+    let work = |executor: &mut Option<_>, (number, (scenario, law)): &(usize, &(Scenario, LawId))| {
+        let executor = executor.get_or_insert_with(|| new_executor(&connect, cancel, &ends));
+        executor.session()?.link_mut().inner_mut().record_execution(&map.leaders);
         let start = Instant::now();
-        let outcome = play(session, scenario, *law, cancel).ok_or(AnalysisError::Cancelled)??;
+        let outcome = play(executor, scenario, *law)?.ok_or(AnalysisError::Cancelled)?;
         check_baseline(scenario, &outcome)?;
-        let executed = session.link_mut().inner_mut().executed_instructions().clone();
+        let executed = executor.session()?.link_mut().inner_mut().executed_instructions().clone();
         let (commands, fails) = (outcome.commands, outcome.detection.is_some());
         Ok::<_, AnalysisError>((*number, Baseline { executed, duration: start.elapsed(), commands, fails }))
     };
@@ -196,6 +198,7 @@ pub(crate) fn executed_by_all(baselines: &[Baseline]) -> BTreeMap<u32, bool> {
 
 fn check_baseline(scenario: &Scenario, outcome: &Outcome) -> Result<(), AnalysisError> {
     match &outcome.detection {
+        Some(detection) if detection.is_unconfirmed => Err(AnalysisError::NotSafe),
         Some(detection) if outcome.verdict == Verdict::Fail && scenario.expected_exit.is_none_or(|exit| exit == 0) => {
             Err(AnalysisError::FailingScenario { file: scenario.file.clone(), reason: detection.reason.clone() })
         }

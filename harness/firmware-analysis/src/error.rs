@@ -1,6 +1,7 @@
 //! Defines the errors that end an analysis.
 
-use platebench_rig::{EmulatedError, RigError};
+use platebench_rig::{ConnectError, EmulatedError, RigError};
+use platebench_runner::RunError;
 use platebench_scenario::Diagnostic;
 
 #[derive(Debug, thiserror::Error)]
@@ -12,7 +13,15 @@ pub enum AnalysisError {
     #[error(transparent)]
     Emulated(#[from] EmulatedError),
     #[error(transparent)]
+    Connect(#[from] ConnectError),
+    #[error(transparent)]
     Rig(#[from] RigError),
+    #[error(transparent)]
+    Run(#[from] RunError),
+    #[error(
+        "the unchanged firmware did not confirm 0 V, or commanded a drive afterwards; expected an answer to `safe`"
+    )]
+    NotSafe,
     #[error("{file}: fails with the unchanged firmware ({reason}); expected a suite that passes")]
     FailingScenario { file: String, reason: String },
     #[error("the firmware can play none of the scenarios:\n  {}", .0.join("\n  "))]

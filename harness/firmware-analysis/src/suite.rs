@@ -4,20 +4,22 @@ use crate::code_map::CodeMap;
 use crate::error::AnalysisError;
 use platebench_record::Verdict;
 use platebench_rig::{
-    BUILT_IN_IMAGE, CancelToken, EmulatedError, EmulatedLink, FaultInjector, LinkError, RigError, RigSpec, Session,
-    Symbols, TargetError,
+    BUILT_IN_IMAGE, CancelToken, ConnectError, EmulatedError, EmulatedLink, FaultInjector, LinkError, RigError,
+    RigSpec, SafeEnd, Session, Symbols, TargetError,
 };
-use platebench_runner::trial::{self, TrialSpec};
-use platebench_runner::{law, missing_capability};
+use platebench_runner::plan::LinkFactory;
+use platebench_runner::trial::TrialResult;
+use platebench_runner::{Executor, ExecutorSettings, SafeEnds, ScenarioEnd, law, missing_capability};
 use platebench_scenario::Scenario;
 use platebench_trace::{MAX_IMAGE_BYTES, read_regular_file};
-use platebench_verdict::{Judgement, SequentialDecision, judge_sequentially, measure};
+use platebench_verdict::Judgement;
 use platebench_wire::LawId;
 use serde::Serialize;
 use std::hash::{DefaultHasher, Hash, Hasher};
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-pub(crate) type BoardSession = Session<FaultInjector<EmulatedLink>>;
+pub(crate) type BoardExecutor<'a> = Executor<'a, EmulatedLink>;
 
 /// Scenarios that the firmware can play, with their laws.
 #[derive(Debug)]
@@ -41,6 +43,8 @@ pub(crate) struct Detection {
     pub(crate) reason: String,
     /// True if the emulator failed and is in an unknown state.
     pub(crate) emulator_failed: bool,
+    /// True if only the confirmation of 0 V is missing.
+    pub(crate) is_unconfirmed: bool,
 }
 
 /// Distance of a metric from its limit, divided by the scale of the limit.
@@ -55,7 +59,7 @@ impl Suite {
     pub fn new(rig: &RigSpec, scenarios: Vec<Scenario>) -> Result<Self, AnalysisError> {
         let RigSpec::Emulated(elf) = rig else { return Err(AnalysisError::NotEmulated(rig.to_string())) };
         let mut suite = Self { elf: elf.clone(), scenarios: Vec::new(), not_applicable: Vec::new() };
-        let session = suite.connect()?;
+        let session = Session::open(FaultInjector::new(suite.connect()?))?;
         for scenario in scenarios {
             let law = law(&scenario).map_err(|fault| AnalysisError::Scenario(Box::new(fault)))?;
             match missing_capability(&scenario, law, session.identity()) {
@@ -63,7 +67,9 @@ impl Suite {
                 Some(reason) => suite.not_applicable.push(format!("{}: {reason}", scenario.file)),
             }
         }
-        session.close();
+        if session.close() != SafeEnd::Confirmed {
+            return Err(AnalysisError::NotSafe);
+        }
         if suite.scenarios.is_empty() { Err(AnalysisError::NothingApplicable(suite.not_applicable)) } else { Ok(suite) }
     }
 
@@ -80,62 +86,43 @@ impl Suite {
         if map.functions.is_empty() { Err(AnalysisError::NoFunctions) } else { Ok((symbols, map)) }
     }
 
-    pub(crate) fn open<'a>(
-        &self,
-        session: &'a mut Option<BoardSession>,
-    ) -> Result<&'a mut BoardSession, AnalysisError> {
-        match session {
-            Some(open) => Ok(open),
-            None => Ok(session.insert(self.connect()?)),
-        }
-    }
-
-    fn connect(&self) -> Result<BoardSession, AnalysisError> {
-        let link = self.elf.as_deref().map_or_else(EmulatedLink::built_in, EmulatedLink::open)?;
-        Ok(Session::open(FaultInjector::new(link))?)
+    pub(crate) fn connect(&self) -> Result<EmulatedLink, ConnectError> {
+        Ok(self.elf.as_deref().map_or_else(EmulatedLink::built_in, EmulatedLink::open)?)
     }
 }
 
-/// Plays trials until the verdict is decided or the controller is lost. `None` if `cancel` was
-/// cancelled.
+/// The executor keeps its link, because the analysis changes or observes the firmware behind it.
+pub(crate) fn new_executor<'a>(
+    connect: &'a LinkFactory<'a, EmulatedLink>,
+    cancel: &CancelToken,
+    ends: &'a SafeEnds,
+) -> BoardExecutor<'a> {
+    Executor::new(connect, ExecutorSettings { keeps_link: true, ..ExecutorSettings::lockstep(cancel) }, ends)
+}
+
+/// Plays trials until the verdict is decided or the controller is lost. `None` if it was cancelled.
 pub(crate) fn play(
-    session: &mut BoardSession,
+    executor: &mut BoardExecutor<'_>,
     scenario: &Scenario,
     law: LawId,
-    cancel: &CancelToken,
-) -> Option<Result<Outcome, AnalysisError>> {
-    let mut trials = Vec::new();
+) -> Result<Option<Outcome>, AnalysisError> {
     let mut commands = DefaultHasher::new();
-    loop {
-        let goal = match judge_sequentially(scenario, &trials) {
-            SequentialDecision::Stop(judgement) => {
-                return Some(Ok(Outcome { commands: commands.finish(), ..outcome(scenario, &judgement) }));
-            }
-            SequentialDecision::Continue { trials } => trials,
-        };
-        for index in trials.len() as u32..goal {
-            for scene in scenario.between.iter().filter(|_| index > 0) {
-                let law = match self::law(scene) {
-                    Ok(law) => law,
-                    Err(fault) => return Some(Err(AnalysisError::Scenario(Box::new(fault)))),
-                };
-                let spec = TrialSpec { continues: true, ..TrialSpec::new(scene, law, index) };
-                if let Some(detection) = detection(&trial::play(session, &spec, cancel, None)?) {
-                    return Some(Ok(detection.into()));
-                }
-            }
-            let continues = index > 0 && scenario.keeps_controller();
-            let spec = TrialSpec { continues, ..TrialSpec::new(scenario, law, index) };
-            let result = trial::play(session, &spec, cancel, None)?;
-            if let Some(detection) = detection(&result) {
-                return Some(Ok(detection.into()));
-            }
-            for row in &result.trace_rows {
-                (row.drive_vpp.to_bits(), row.frequency_hz.to_bits()).hash(&mut commands);
-            }
-            trials.push(measure(scenario, index, &result.trace_rows, &result.telemetry));
+    let end = executor.play_until_decided(scenario, scenario, law, |result| {
+        if let Some(detection) = detection(result) {
+            return ControlFlow::Break(detection);
         }
-    }
+        for row in &result.trace_rows {
+            (row.drive_vpp.to_bits(), row.frequency_hz.to_bits()).hash(&mut commands);
+        }
+        ControlFlow::Continue(())
+    })?;
+    Ok(match end {
+        ScenarioEnd::Judged(judgement) => {
+            Some(Outcome { commands: commands.finish(), ..outcome(scenario, &judgement) })
+        }
+        ScenarioEnd::Stopped(detection) => Some(detection.into()),
+        ScenarioEnd::Cancelled => None,
+    })
 }
 
 impl From<Detection> for Outcome {
@@ -144,17 +131,21 @@ impl From<Detection> for Outcome {
     }
 }
 
-/// Detects a lost controller or a violation, which fail a trial independently of its metrics.
-fn detection(result: &trial::TrialResult) -> Option<Detection> {
+/// Detects a lost controller, a violation or a missing confirmation of 0 V, which an expectation
+/// does not show.
+fn detection(result: &TrialResult) -> Option<Detection> {
     if let Some(error) = &result.link_error {
         let emulator_failed = matches!(
             error,
             RigError::Link(LinkError::Target(target)) if matches!(**target, TargetError::Emulator(_))
         );
-        return Some(Detection { reason: error.to_string(), emulator_failed });
+        return Some(Detection { reason: error.to_string(), emulator_failed, is_unconfirmed: false });
     }
-    let violation = result.telemetry.violations.first()?;
-    Some(Detection { reason: violation.to_string(), emulator_failed: false })
+    let violation = result.telemetry.violations.first().map(ToString::to_string);
+    let is_unconfirmed = violation.is_none();
+    let unconfirmed = (!result.safe_confirmed).then(|| "the controller did not confirm 0 V".to_owned());
+    let reason = violation.or(unconfirmed)?;
+    Some(Detection { reason, emulator_failed: false, is_unconfirmed })
 }
 
 fn outcome(scenario: &Scenario, judgement: &Judgement) -> Outcome {
@@ -170,7 +161,11 @@ fn outcome(scenario: &Scenario, judgement: &Judgement) -> Outcome {
     let closest = margins.min_by(|(_, one), (_, other)| one.total_cmp(other));
     Outcome {
         verdict: judgement.verdict,
-        detection: (judgement.verdict == Verdict::Fail).then_some(Detection { reason, emulator_failed: false }),
+        detection: (judgement.verdict == Verdict::Fail).then_some(Detection {
+            reason,
+            emulator_failed: false,
+            is_unconfirmed: false,
+        }),
         closest_margin: closest.map(|(expectation, margin)| Margin {
             scenario: scenario.file.clone(),
             expectation,

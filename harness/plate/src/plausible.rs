@@ -108,7 +108,7 @@ impl Plate {
     /// Parameters that no ultrasonic tactile plate has.
     pub fn implausible_values(&self) -> Vec<ImplausibleValue> {
         let largest = self.gain * self.drive_limit_vpp;
-        let second = self.second_mode.iter().flat_map(|second| {
+        let second = self.effects.second_mode.iter().flat_map(|second| {
             [
                 PlausibleRange { key: "second_mode.resonance_hz", quantity: "second resonance", ..RESONANCE }
                     .check(second.omega0 / TAU),
@@ -134,7 +134,7 @@ impl Plate {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::raw_plate::RawPlate;
+    use crate::effects::RawPlate;
     use rstest::rstest;
 
     const PAPER: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");

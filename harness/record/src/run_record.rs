@@ -35,6 +35,10 @@ pub struct RunRecord {
     /// killed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub safe_confirmed: Option<bool>,
+    /// True if a controller commanded a drive after it had confirmed 0 V, outside all trials. The run
+    /// then fails.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub drive_after_safe: bool,
     /// Wall-clock time of the run, ms; absent during the run or if it was killed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wall_ms: Option<f64>,
@@ -123,12 +127,13 @@ pub struct InputRecord {
 
 impl RunRecord {
     /// Combines the verdicts of all scenarios. A pass also needs a complete run, all shards and
-    /// confirmed 0 V.
+    /// confirmed 0 V. A drive after confirmed 0 V fails the run.
     pub fn update_verdict(&mut self) {
         let combined = Verdict::combine(self.scenarios.iter().map(|scenario| scenario.verdict));
         let misses_shards = self.merge.as_ref().is_some_and(|merge| !merge.missing_shards.is_empty());
         let is_inconclusive = !self.complete || misses_shards || self.safe_confirmed == Some(false);
-        self.verdict = if self.overrides.require_all && !self.not_applicable.is_empty() {
+        let misses_required = self.overrides.require_all && !self.not_applicable.is_empty();
+        self.verdict = if misses_required || self.drive_after_safe {
             Verdict::Fail
         } else if combined == Verdict::Pass && is_inconclusive {
             Verdict::Inconclusive

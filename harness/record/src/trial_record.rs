@@ -56,6 +56,10 @@ pub struct Telemetry {
     /// none was sent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub protocol_differences: Option<Vec<String>>,
+    /// Number of message scripts that were repeated because the line may have lost an answer or the
+    /// host stalled.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub protocol_repeats: u32,
     /// The rig's message about the loss of the controller.
     #[serde(default)]
     pub ended: Option<String>,
@@ -90,6 +94,11 @@ impl Telemetry {
             self.step_time.get_or_insert_default().include(&steps);
         }
     }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde fixes the signature")]
+const fn is_zero(count: &u32) -> bool {
+    *count == 0
 }
 
 /// Commands that were NaN or infinite. The bench applied 0 V, so the trace does not contain them.

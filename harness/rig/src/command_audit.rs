@@ -1,6 +1,14 @@
 //! Counts replies that break the protocol.
 
-use platebench_wire::{Command, ControllerState, Message};
+use platebench_wire::{Command, Configured, ControllerState, Message, Packet};
+
+/// Commands with a drive after the controller confirmed 0 V.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DrivesAfterSafe {
+    pub count: u64,
+    /// Largest of the drives, Vpp. NaN if a drive was NaN.
+    pub worst_vpp: f32,
+}
 
 /// Kind of the message that the bench sent under a sequence number in this trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -9,6 +17,7 @@ enum Request {
     None,
     Sample,
     Safe,
+    Configuration,
     Other,
 }
 
@@ -31,11 +40,11 @@ pub(crate) struct CommandAudit {
     exchanges: [Exchange; 256],
     /// True from the first request for 0 V to the next configuration.
     safe_requested: bool,
-    /// True from the confirmation of 0 V to the next configuration.
+    /// True from the confirmation of 0 V to the next accepted configuration.
     is_safe: bool,
     pub(crate) contradictions: u64,
     pub(crate) second_replies: u64,
-    pub(crate) drives_after_safe: u64,
+    drives_after_safe: Option<DrivesAfterSafe>,
     pub(crate) wrong_sequences: u64,
     pub(crate) ignored_safe_requests: u64,
     pub(crate) unrequested_confirmations: u64,
@@ -49,15 +58,16 @@ impl CommandAudit {
             is_safe: false,
             contradictions: 0,
             second_replies: 0,
-            drives_after_safe: 0,
+            drives_after_safe: None,
             wrong_sequences: 0,
             ignored_safe_requests: 0,
             unrequested_confirmations: 0,
         }
     }
 
+    /// Starts a trial. Keeps the drives after 0 V that no earlier trial has reported.
     pub(crate) fn reset(&mut self) {
-        *self = Self::new();
+        *self = Self { drives_after_safe: self.drives_after_safe, ..Self::new() };
     }
 
     /// True if the controller confirmed 0 V under the number of the request, and not before.
@@ -69,11 +79,12 @@ impl CommandAudit {
         let request = match message {
             Message::Sample(_) => Request::Sample,
             Message::Safe => Request::Safe,
+            Message::Configure(_) => Request::Configuration,
             _ => Request::Other,
         };
-        match message {
-            Message::Safe => self.safe_requested = true,
-            Message::Configure(_) => (self.safe_requested, self.is_safe) = (false, false),
+        match request {
+            Request::Safe => self.safe_requested = true,
+            Request::Configuration => self.safe_requested = false,
             _ => {}
         }
         if let Some(exchange) = self.exchanges.get_mut(usize::from(sequence)) {
@@ -81,11 +92,43 @@ impl CommandAudit {
         }
     }
 
-    pub(crate) fn record_command(&mut self, last_sent: u8, sequence: u8, command: &Command) {
-        // Only a reply to the last message counts, because a late one may have a drive.
-        if self.is_safe && sequence == last_sent && command.drive_vpp != 0.0 {
-            self.drives_after_safe += 1;
+    pub(crate) fn drives_after_safe(&self) -> Option<DrivesAfterSafe> {
+        self.drives_after_safe
+    }
+
+    pub(crate) fn take_drives_after_safe(&mut self) -> Option<DrivesAfterSafe> {
+        self.drives_after_safe.take()
+    }
+
+    /// Checks a message in the order of arrival. `last_sent` is the number of the last request.
+    pub(crate) fn record(&mut self, last_sent: u8, packet: &Packet) {
+        match &packet.message {
+            Message::Command(command) => {
+                self.check_drive(command.drive_vpp);
+                self.record_command(last_sent, packet.sequence, command);
+            }
+            Message::Telemetry(telemetry) => self.check_drive(telemetry.drive_vpp),
+            Message::Configured(Configured { outcome }) => {
+                let exchange = self.exchanges.get(usize::from(packet.sequence));
+                let is_answer = exchange.is_some_and(|exchange| exchange.request == Request::Configuration);
+                self.is_safe &= !is_answer || outcome.is_err();
+            }
+            _ => {}
         }
+    }
+
+    fn check_drive(&mut self, drive_vpp: f32) {
+        if !self.is_safe || drive_vpp == 0.0 {
+            return;
+        }
+        let drives = self.drives_after_safe.get_or_insert(DrivesAfterSafe { count: 0, worst_vpp: drive_vpp });
+        drives.count += 1;
+        if drive_vpp.is_nan() || drive_vpp.abs() > drives.worst_vpp.abs() {
+            drives.worst_vpp = drive_vpp;
+        }
+    }
+
+    fn record_command(&mut self, last_sent: u8, sequence: u8, command: &Command) {
         // Numbers wrap. The last number and the 127 before it were sent, the others not yet.
         if last_sent.wrapping_sub(sequence) > u8::MAX / 2 {
             match command.state {

@@ -7,7 +7,7 @@
 
 use crate::cancel::CancelToken;
 use crate::connect_options::ConnectOptions;
-use crate::link::{Link, LinkError, RealTimeLine};
+use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use crate::port::Port;
 use crate::program::Program;
 use crate::pty::open_pseudo_terminal;
@@ -20,9 +20,9 @@ const PORT_PLACEHOLDER: &str = "{port}";
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 /// The hello is repeated, because a program that flushes its port at its start loses earlier ones.
 const HANDSHAKE_INTERVAL: Duration = Duration::from_millis(100);
-/// Longest wait for the program's exit status after its line hung up, because the kernel may report
-/// the hang-up before the exit.
-const EXIT_DETECTION_TIMEOUT: Duration = Duration::from_millis(50);
+/// Longest wait for the program's exit status after its line hung up. A program may close its port
+/// and take some time to end, above all on a busy computer.
+const EXIT_DETECTION_TIMEOUT: Duration = Duration::from_secs(2);
 
 #[derive(Debug, thiserror::Error)]
 pub enum ExecError {
@@ -128,9 +128,7 @@ impl ExecLink {
     /// If the line is lost, the error says how the program ended.
     fn with_port<T>(&mut self, call: impl FnOnce(&mut Port<OwnedFd>) -> Result<T, LinkError>) -> Result<T, LinkError> {
         call(&mut self.port).map_err(|error| match (error, self.program.wait_for_exit(EXIT_DETECTION_TIMEOUT)) {
-            (LinkError::Disconnected(_), Some(how)) => {
-                LinkError::Disconnected(format!("`{}` {how}", self.program.name()))
-            }
+            (LinkError::Disconnected(_), Some(how)) => LinkError::Ended(format!("`{}` {how}", self.program.name())),
             (LinkError::Disconnected(_), None) => {
                 LinkError::Disconnected(format!("`{}` still runs, but has closed its serial port", self.program.name()))
             }
@@ -146,6 +144,10 @@ impl Link for ExecLink {
 
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
         self.with_port(|port| port.advance_to(now, received))
+    }
+
+    fn kind(&self) -> LinkKind {
+        LinkKind::Lossless
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

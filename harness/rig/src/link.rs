@@ -11,8 +11,23 @@ pub type BoxedLink = Box<dyn Link>;
 pub enum LinkError {
     #[error("the link to the controller is lost: {0}")]
     Disconnected(String),
+    /// The controller is a program that ended by itself. Contains its exit status or signal.
+    #[error("the program of the controller ended before 0 V was confirmed: {0}")]
+    Ended(String),
     #[error("{0}")]
     Target(Box<TargetError>),
+}
+
+/// Clock and reliability of a link.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LinkKind {
+    /// The target runs in simulated time. No byte is lost.
+    #[default]
+    Simulated,
+    /// The target runs in wall time. No byte is lost.
+    Lossless,
+    /// The target runs in wall time. Noise on the line may destroy bytes.
+    Lossy,
 }
 
 /// A line on which one thread sends and receives in real time.
@@ -40,6 +55,10 @@ pub trait Link: Send {
 
     /// Advances the target's time to `now` and appends the bytes that the target sends until then.
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError>;
+
+    fn kind(&self) -> LinkKind {
+        LinkKind::Simulated
+    }
 
     /// Restarts the target and sets trial time to zero. Returns false if the link cannot.
     fn restart(&mut self) -> Result<bool, LinkError> {
@@ -91,6 +110,10 @@ impl<P: DerefMut<Target: Link> + Send> Link for P {
 
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
         (**self).advance_to(now, received)
+    }
+
+    fn kind(&self) -> LinkKind {
+        (**self).kind()
     }
 
     fn restart(&mut self) -> Result<bool, LinkError> {

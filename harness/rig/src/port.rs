@@ -1,7 +1,7 @@
 //! Exchanges messages over an open terminal and waits for answers.
 
 use crate::line_reader::LineReader;
-use crate::link::{Link, LinkError, RealTimeLine};
+use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use crate::pending_requests::{PendingRequests, Request};
 use crate::tty::{Tty, disconnected};
 use rustix::fd::OwnedFd;
@@ -117,6 +117,10 @@ impl<T: Tty> Link for Port<T> {
         let now = Instant::now();
         while self.read(now, received)?.is_some_and(|at| at < now + OPTIONAL_ANSWER_TIMEOUT) {}
         Ok(())
+    }
+
+    fn kind(&self) -> LinkKind {
+        LinkKind::Lossy
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

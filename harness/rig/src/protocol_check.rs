@@ -11,7 +11,7 @@ mod ticks;
 mod timing;
 
 use crate::hosted::HostedLink;
-use crate::link::{Link, LinkError};
+use crate::link::{Link, LinkError, LinkKind};
 use builder::{Script, Variation};
 use comparison::{BenchCause, Comparison, Difference, ReceivedPackets};
 use platebench_wire::{Configure, Identity};
@@ -29,7 +29,8 @@ const VARIATIONS: [Variation; 4] = [
 ];
 /// Relative change of the components Wd and Wq, about 17 times the resolution of single precision.
 const ROUNDING: f32 = 2e-6;
-/// Largest number of attempts at a script. A lost answer or a stall of the host repeats the script.
+/// Largest number of attempts at a script. A lost answer repeats the script only if the line may
+/// have lost it, a stall of the host only if the target runs in wall time.
 const ATTEMPTS: usize = 3;
 /// Shortest watchdog timeout of scripts that do not test the watchdog, because an exchange over an
 /// emulated line takes milliseconds.
@@ -38,18 +39,25 @@ const MIN_WATCHDOG_MS: u16 = 1_000;
 /// the reference sends at most one tick per step.
 const STEP: Duration = Duration::from_millis(3);
 
-/// Plays every script on `link`. Returns one sentence for each script whose answers differ from
-/// those of the reference. Fails if the link is lost. Afterwards the controller may have stopped or
-/// have another configuration. `base` supplies the law, the watchdog timeout and the plate.
-/// `own_clock` is true if the controller's clock runs while the bench waits. `seed` selects the
-/// random samples.
-pub fn protocol_differences(
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ProtocolCheck {
+    /// One sentence for each script whose answers differ from those of the reference.
+    pub differences: Vec<String>,
+    /// Number of times that a script was repeated.
+    pub repeats: u32,
+}
+
+/// Plays every script on `link`. Fails if the link is lost. Afterwards the controller may have
+/// stopped or have another configuration. `base` supplies the law, the watchdog timeout and the
+/// plate. `own_clock` is true if the controller's clock runs while the bench waits. `seed` selects
+/// the random samples.
+pub fn check_protocol(
     link: &mut dyn Link,
     identity: &Identity,
     base: &Configure,
     own_clock: bool,
     seed: u64,
-) -> Result<Vec<String>, LinkError> {
+) -> Result<ProtocolCheck, LinkError> {
     if !link.restart()? {
         link.continue_trial();
     }
@@ -63,24 +71,31 @@ pub fn protocol_differences(
     };
     let period = Duration::from_micros(base.period_us.into());
     let mut player = Player { link, identity, period, own_clock, now: Duration::ZERO };
-    let mut differences = Vec::new();
+    let mut check = ProtocolCheck::default();
+    let kind = player.link.kind();
+    let may_repeat = |difference: &Difference| match difference.other_cause {
+        None => false,
+        Some(BenchCause::NoAnswer) => kind == LinkKind::Lossy,
+        Some(BenchCause::LateTicks | BenchCause::Stall) => kind != LinkKind::Simulated,
+    };
     let varied = VARIATIONS.map(|variation| scripts::scripts(&base, identity, variation, seed));
     for (position, script) in scripts::scripts(&base, identity, Variation::NONE, seed).iter().enumerate() {
         let varied = varied.iter().filter_map(|scripts| scripts.get(position));
         let varied: Vec<_> = varied.filter(|script| !script.exchanges.is_empty()).collect();
-        let mut difference = None;
-        for _ in 0..ATTEMPTS {
-            difference = player.play(script, &varied)?;
-            if difference.as_ref().is_none_or(|difference| difference.other_cause.is_none()) {
+        let mut difference = player.play(script, &varied)?;
+        for _ in 1..ATTEMPTS {
+            if !difference.as_ref().is_some_and(may_repeat) {
                 break;
             }
+            check.repeats += 1;
+            difference = player.play(script, &varied)?;
         }
         // If the host stalled, the stall may have caused the difference.
         let is_certain = |difference: &Difference| difference.other_cause != Some(BenchCause::Stall);
         let difference = difference.filter(is_certain);
-        differences.extend(difference.map(|difference| format!("{}: {}", script.name, difference.text)));
+        check.differences.extend(difference.map(|difference| format!("{}: {}", script.name, difference.text)));
     }
-    Ok(differences)
+    Ok(check)
 }
 
 struct Player<'a> {
@@ -156,6 +171,7 @@ mod tests {
     struct ChangedAnswers<F> {
         device: HostedLink,
         exchanges: usize,
+        kind: LinkKind,
         change: F,
     }
 
@@ -184,12 +200,20 @@ mod tests {
             self.append(&own, received);
             Ok(())
         }
+
+        fn kind(&self) -> LinkKind {
+            self.kind
+        }
+    }
+
+    fn check(kind: LinkKind, change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> ProtocolCheck {
+        let identity = *Session::open(HostedLink::new()).unwrap().identity();
+        let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind, change };
+        check_protocol(&mut link, &identity, &CONFIGURE, false, 1).unwrap()
     }
 
     fn differences(change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> Vec<String> {
-        let identity = *Session::open(HostedLink::new()).unwrap().identity();
-        let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, change };
-        protocol_differences(&mut link, &identity, &CONFIGURE, false, 1).unwrap()
+        check(LinkKind::Simulated, change).differences
     }
 
     /// Controller that designs its gains for a plate gain K1 multiplied by the second field.
@@ -221,7 +245,7 @@ mod tests {
     fn a_design_may_be_five_percent_off(#[case] gain: f32, #[case] expected: &[&str]) {
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
         let mut link = OtherGain(HostedLink::new(), gain);
-        let mut found = protocol_differences(&mut link, &identity, &CONFIGURE, false, 1).unwrap();
+        let mut found = check_protocol(&mut link, &identity, &CONFIGURE, false, 1).unwrap().differences;
         found.sort_unstable();
         assert_eq!(names(&found).iter().filter(|name| !expected.contains(name)).count(), 0, "{found:?}");
         assert_eq!(found.is_empty(), expected.is_empty());
@@ -354,9 +378,13 @@ mod tests {
         assert_eq!(names(&found), ["more samples than sixteen bits count"]);
     }
 
-    #[test]
-    fn one_lost_answer_is_the_lines() {
-        assert_eq!(differences(|number, packets| packets.retain(|_| number != 7)), Vec::<String>::new());
+    #[rstest]
+    #[case::simulated(LinkKind::Simulated, 1, 0)]
+    #[case::program(LinkKind::Lossless, 1, 0)]
+    #[case::serial_line(LinkKind::Lossy, 0, 1)]
+    fn only_a_lossy_line_may_lose_an_answer(#[case] kind: LinkKind, #[case] differences: usize, #[case] repeats: u32) {
+        let found = check(kind, |number, packets| packets.retain(|_| number != 7));
+        assert_eq!((found.differences.len(), found.repeats), (differences, repeats), "{found:?}");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Opens pseudo-terminals, for a program or for a controller that is started by hand.
 
-use crate::link::{Link, LinkError, RealTimeLine};
+use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use crate::port::Port;
 use rustix::fd::OwnedFd;
 use rustix::fs::{Mode, OFlags};
@@ -50,6 +50,10 @@ impl Link for PtyLink {
 
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
         self.port.advance_to(now, received)
+    }
+
+    fn kind(&self) -> LinkKind {
+        LinkKind::Lossless
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

@@ -1,11 +1,12 @@
 //! Runs the protocol with one controller: handshake, configuration, samples and 0 V over any link.
 
-use crate::command_audit::CommandAudit;
-use crate::link::Link;
+use crate::command_audit::{CommandAudit, DrivesAfterSafe};
+use crate::link::{Link, LinkError, LinkKind};
 use crate::rig_error::RigError;
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, Gains, Identity, Message, Packet, PacketReader, Sample,
 };
+use std::thread;
 use std::time::{Duration, Instant};
 use tracing::{debug, trace, warn};
 
@@ -29,6 +30,21 @@ pub struct ReceivedMessage {
 const RECEIVE_CAPACITY: usize = 8 * 1024;
 /// Largest number of requests for 0 V, because a frame may be lost.
 const SAFE_ATTEMPTS: u32 = 3;
+/// The session reads the line for the longer of these times after the controller confirmed 0 V.
+const MIN_OBSERVATION: Duration = Duration::from_millis(20);
+const OBSERVED_PERIODS: u32 = 10;
+/// Number of reads of an observation in simulated time.
+const OBSERVATION_STEPS: u32 = 20;
+const OBSERVATION_POLL_INTERVAL: Duration = Duration::from_millis(1);
+
+/// State of the controller at the end of a session.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum SafeEnd {
+    Confirmed,
+    Unconfirmed,
+    /// The controller commanded a drive after it had confirmed 0 V.
+    Driven(DrivesAfterSafe),
+}
 
 /// Dropping the session requests 0 V.
 #[derive(Debug)]
@@ -41,12 +57,16 @@ pub struct Session<L: Link> {
     /// Command that arrived during another request and that the caller has not received yet.
     pending_command: Option<(u8, Command)>,
     now: Duration,
+    /// Control period of the last configuration.
+    period: Duration,
     bytes: Vec<u8>,
     consumed: usize,
     /// Arrival of the last byte of `bytes`; used only in real time.
     received_at: Instant,
     has_identity: bool,
     is_closed: bool,
+    /// True if the controller is a program that has ended.
+    has_ended: bool,
     rejected_frames: u64,
     audit: CommandAudit,
 }
@@ -69,11 +89,13 @@ impl<L: Link> Session<L> {
             last_command_sequence: 0,
             pending_command: None,
             now: Duration::ZERO,
+            period: Duration::ZERO,
             bytes: Vec::with_capacity(RECEIVE_CAPACITY),
             consumed: 0,
             received_at: Instant::now(),
             has_identity: false,
             is_closed: false,
+            has_ended: false,
             rejected_frames: 0,
             audit: CommandAudit::new(),
         };
@@ -104,8 +126,14 @@ impl<L: Link> Session<L> {
         printable_name(&self.identity)
     }
 
+    /// True if the controller is a program that has ended, so that it needs a new session.
+    pub fn has_ended(&self) -> bool {
+        self.has_ended
+    }
+
     /// Restarts the target if the link can, so that no trial depends on earlier ones.
     pub fn start_trial(&mut self, configure: &Configure) -> Result<Gains, RigError> {
+        self.read_idle_line()?;
         if self.link.restart()? {
             self.sequence = 0;
             self.reader = PacketReader::new();
@@ -120,8 +148,17 @@ impl<L: Link> Session<L> {
         if !continues {
             return self.start_trial(configure);
         }
+        self.read_idle_line()?;
         self.link.continue_trial();
         self.configure_trial(configure)
+    }
+
+    /// Checks the messages since the last observation. Simulated time stood still since then.
+    fn read_idle_line(&mut self) -> Result<(), RigError> {
+        if self.link.kind() != LinkKind::Simulated {
+            self.advance_to(self.now)?;
+        }
+        Ok(())
     }
 
     fn configure_trial(&mut self, configure: &Configure) -> Result<Gains, RigError> {
@@ -135,6 +172,7 @@ impl<L: Link> Session<L> {
     /// it had stopped.
     pub fn reconfigure(&mut self, now: Duration, configure: &Configure) -> Result<Gains, RigError> {
         self.now = now;
+        self.period = Duration::from_micros(configure.period_us.into());
         self.pending_command = None;
         match self.request(Message::Configure(*configure))? {
             Some((Message::Configured(Configured { outcome }), _)) => {
@@ -174,7 +212,8 @@ impl<L: Link> Session<L> {
     pub fn advance_to(&mut self, now: Duration) -> Result<Option<Command>, RigError> {
         self.now = now;
         self.discard_consumed();
-        self.link.advance_to(now, &mut self.bytes)?;
+        let advanced = self.link.advance_to(now, &mut self.bytes);
+        self.check_link(advanced)?;
         let mut last = self.pending_command.take();
         let filter = self.command_filter();
         self.read_packets(|packet| last = filter.new_command(packet).or(last))?;
@@ -191,11 +230,11 @@ impl<L: Link> Session<L> {
             debug!(%error, "nothing was received before the request for 0 V");
         }
         for _ in 0..SAFE_ATTEMPTS {
-            let drives = self.audit.drives_after_safe;
+            let drives = self.audit.drives_after_safe();
             match self.request(Message::Safe) {
                 // A second answer with a drive contradicts the confirmation.
                 Ok(Some((Message::Command(_), _))) => {
-                    return self.audit.is_safe() && self.audit.drives_after_safe == drives;
+                    return self.audit.is_safe() && self.audit.drives_after_safe() == drives;
                 }
                 Ok(_) => {}
                 Err(error) => {
@@ -207,10 +246,44 @@ impl<L: Link> Session<L> {
         false
     }
 
-    /// Requests 0 V. Returns true if the controller confirmed it.
-    pub fn close(mut self) -> bool {
+    /// Reads the line after the controller confirmed 0 V, for at least 20 ms and 10 control periods
+    /// of the target's time. Requests 0 V again if the controller commanded a drive. Returns the
+    /// commands with a drive since the last call.
+    pub fn observe_safe_state(&mut self) -> Option<DrivesAfterSafe> {
+        let duration = MIN_OBSERVATION.max(self.period * OBSERVED_PERIODS);
+        let is_simulated = self.link.kind() == LinkKind::Simulated;
+        let (start, started) = (self.now, Instant::now());
+        let mut elapsed = Duration::ZERO;
+        while elapsed < duration {
+            if is_simulated {
+                elapsed += duration / OBSERVATION_STEPS + Duration::from_nanos(1);
+            } else {
+                thread::sleep(OBSERVATION_POLL_INTERVAL);
+                elapsed = started.elapsed();
+            }
+            if self.advance_to(start + elapsed).is_err() {
+                break;
+            }
+        }
+        let drives = self.audit.take_drives_after_safe();
+        if drives.is_some() {
+            self.request_safe_state();
+        }
+        drives
+    }
+
+    /// Requests 0 V and observes whether the controller stays there.
+    pub fn close(mut self) -> SafeEnd {
         self.is_closed = true;
-        self.request_safe_state()
+        let was_safe = self.audit.is_safe();
+        // A program that ended after it confirmed 0 V cannot confirm it again.
+        let confirmed = self.request_safe_state() || (was_safe && self.has_ended);
+        let drives = if confirmed { self.observe_safe_state() } else { self.audit.take_drives_after_safe() };
+        match (drives, confirmed) {
+            (Some(drives), _) => SafeEnd::Driven(drives),
+            (None, true) => SafeEnd::Confirmed,
+            (None, false) => SafeEnd::Unconfirmed,
+        }
     }
 
     pub fn supports_real_time(&mut self) -> bool {
@@ -219,13 +292,15 @@ impl<L: Link> Session<L> {
 
     /// Call it before a trial in real time, on the thread of the trial loop.
     pub fn start_line(&mut self) -> Result<(), RigError> {
-        Ok(self.link.real_time_line().ok_or(RigError::NoRealTime)?.start()?)
+        let started = self.link.real_time_line().ok_or(RigError::NoRealTime)?.start();
+        self.check_link(started)
     }
 
     /// Does not wait for the answer. Returns the sequence number. Neither allocates nor logs.
     pub fn send(&mut self, message: Message) -> Result<u8, RigError> {
         let frame = Packet { sequence: self.sequence.wrapping_add(1), message }.encode();
-        self.link.real_time_line().ok_or(RigError::NoRealTime)?.send(frame.as_bytes())?;
+        let sent = self.link.real_time_line().ok_or(RigError::NoRealTime)?.send(frame.as_bytes());
+        self.check_link(sent)?;
         Ok(self.next_sequence(&message))
     }
 
@@ -241,7 +316,8 @@ impl<L: Link> Session<L> {
             }
             self.discard_consumed();
             let line = self.link.real_time_line().ok_or(RigError::NoRealTime)?;
-            let Some(arrived) = line.receive(until, &mut self.bytes)? else { return Ok(None) };
+            let received = line.receive(until, &mut self.bytes);
+            let Some(arrived) = self.check_link(received)? else { return Ok(None) };
             self.received_at = arrived;
             // Ends the wait even if bytes arrive without a pause.
             is_over = arrived >= until;
@@ -261,11 +337,6 @@ impl<L: Link> Session<L> {
 
     pub fn second_replies(&self) -> u64 {
         self.audit.second_replies
-    }
-
-    /// Number of commands with a drive after the controller confirmed 0 V.
-    pub fn drives_after_safe(&self) -> u64 {
-        self.audit.drives_after_safe
     }
 
     /// Number of replies with a sequence number that was not sent yet.
@@ -295,7 +366,8 @@ impl<L: Link> Session<L> {
         let sequence = self.next_sequence(&message);
         self.discard_consumed();
         let frame = Packet { sequence, message }.encode();
-        let delay = self.link.exchange(self.now, frame.as_bytes(), &mut self.bytes)?;
+        let exchanged = self.link.exchange(self.now, frame.as_bytes(), &mut self.bytes);
+        let delay = self.check_link(exchanged)?;
         let (mut answer, mut other) = (None, self.pending_command.take());
         let filter = self.command_filter();
         self.read_packets(|packet| {
@@ -319,11 +391,24 @@ impl<L: Link> Session<L> {
     /// Reads what arrived before a request, so that it cannot count as the answer.
     fn receive_before_request(&mut self) -> Result<(), RigError> {
         self.discard_consumed();
-        self.link.advance_to(self.now, &mut self.bytes)?;
+        let advanced = self.link.advance_to(self.now, &mut self.bytes);
+        self.check_link(advanced)?;
         let (mut last, filter) = (self.pending_command.take(), self.command_filter());
         self.read_packets(|packet| last = filter.new_command(packet).or(last))?;
         self.pending_command = last;
         Ok(())
+    }
+
+    /// The end of a program after it confirmed 0 V is not its failure.
+    fn check_link<T>(&mut self, result: Result<T, LinkError>) -> Result<T, RigError> {
+        result.map_err(|error| match error {
+            LinkError::Ended(how) => {
+                self.has_ended = true;
+                let error = if self.audit.is_safe() { LinkError::Disconnected(how) } else { LinkError::Ended(how) };
+                error.into()
+            }
+            error => error.into(),
+        })
     }
 
     fn command_filter(&self) -> CommandFilter {
@@ -350,9 +435,7 @@ impl<L: Link> Session<L> {
                 Some(Err(_)) => self.rejected_frames += 1,
                 Some(Ok(Packet { message: Message::Fault(report), .. })) => return Err(RigError::Trapped(report)),
                 Some(Ok(packet)) => {
-                    if let Message::Command(command) = &packet.message {
-                        self.audit.record_command(self.sequence, packet.sequence, command);
-                    }
+                    self.audit.record(self.sequence, &packet);
                     return Ok(Some(packet));
                 }
             }

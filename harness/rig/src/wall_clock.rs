@@ -3,7 +3,7 @@
 //! the target's time advances in small steps to the end of the wait or to the target's next
 //! message. Then the thread sleeps until this instant.
 
-use crate::link::{Link, LinkError, RealTimeLine};
+use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use std::collections::VecDeque;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -77,6 +77,10 @@ impl<L: Link> Link for WallClockLink<L> {
         self.in_flight.clear();
         let now = self.elapsed();
         self.link.advance_to(now, received)
+    }
+
+    fn kind(&self) -> LinkKind {
+        LinkKind::Lossless
     }
 
     fn restart(&mut self) -> Result<bool, LinkError> {

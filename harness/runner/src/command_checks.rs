@@ -4,6 +4,7 @@
 use crate::configure::start_frequency_mhz;
 use platebench_plate::Time;
 use platebench_record::{Violation, ViolationKind};
+use platebench_rig::DrivesAfterSafe;
 use platebench_scenario::Scenario;
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId};
 
@@ -101,6 +102,12 @@ impl CommandChecks {
         }
     }
 
+    pub(crate) fn record_drives_after_safe(&mut self, drives: DrivesAfterSafe, now: Time) {
+        if let Some(slot) = self.violations.get_mut(ViolationKind::DriveAfterSafe as usize) {
+            *slot = Some(drive_violation(drives, now));
+        }
+    }
+
     pub(crate) fn violations(&self) -> Vec<Violation> {
         self.violations.iter().flatten().copied().collect()
     }
@@ -117,6 +124,11 @@ impl CommandChecks {
             *worst = value;
         }
     }
+}
+
+pub(crate) fn drive_violation(drives: DrivesAfterSafe, now: Time) -> Violation {
+    let worst = Some(f64::from(drives.worst_vpp)).filter(|drive| drive.is_finite());
+    Violation { kind: ViolationKind::DriveAfterSafe, at_s: now.seconds(), count: drives.count, worst, limit: None }
 }
 
 #[cfg(test)]

@@ -95,8 +95,7 @@ fn describe_gap(
     }
     let step = golden_step_ms.unwrap_or_else(|| row_step_ms(rows));
     // A trial of one row has another time range, which the comparison reports.
-    let gap = (step > 0.0).then(|| golden.gap(step)).flatten();
-    gap.map(|gap| describe("the reference".to_owned(), gap, step))
+    (step > 0.0).then(|| golden.gap(step)).flatten().map(|gap| describe("the reference".to_owned(), gap, step))
 }
 
 fn tubes_of_trial(trials: &[StoredTrial], index: u32) -> Result<Option<GoldenTubes>, CompareError> {

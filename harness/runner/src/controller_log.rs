@@ -5,17 +5,13 @@ use crate::configure::configure;
 use crate::fault::needs_reconfiguration;
 use platebench_plate::Time;
 use platebench_record::{Telemetry, ViolationKind};
-use platebench_rig::{FaultInjector, Link, LinkError, RigError, Session, protocol_differences};
+use platebench_rig::{FaultInjector, Link, LinkError, ProtocolCheck, RigError, Session, check_protocol};
 use platebench_scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
-use std::thread;
-use std::time::{Duration, Instant};
 use tracing::warn;
 
 /// Missed replies in a row after which a controller is lost. Its watchdog expires after 5 periods.
 pub(crate) const MAX_MISSED_REPLIES: u32 = 20;
-/// Number of control periods in which the bench checks for 0 V after the controller confirmed 0 V.
-const WATCHED_PERIODS: u64 = 10;
 /// Least setpoint after confirmed 0 V, at which every running law would drive a resting plate.
 const SETPOINT_AFTER_SAFE_UM: f64 = 1.0;
 
@@ -28,7 +24,7 @@ pub(crate) struct ControllerLog<'a> {
     stop_cause: Option<StateCause>,
     samples: u32,
     checks: CommandChecks,
-    protocol_differences: Option<Vec<String>>,
+    protocol_check: Option<ProtocolCheck>,
 }
 
 impl<'a> ControllerLog<'a> {
@@ -42,7 +38,7 @@ impl<'a> ControllerLog<'a> {
             stop_cause: None,
             samples: 0,
             checks,
-            protocol_differences: None,
+            protocol_check: None,
         }
     }
 
@@ -132,11 +128,11 @@ impl<'a> ControllerLog<'a> {
         let identity = *session.identity();
         let seed = Variation::of_trial(self.scenario, index).seed;
         let link = session.link_mut().inner_mut();
-        let differences = protocol_differences(link, &identity, base, own_clock, seed)?;
-        for difference in &differences {
+        let check = check_protocol(link, &identity, base, own_clock, seed)?;
+        for difference in &check.differences {
             warn!(scenario = self.scenario.file, "protocol: {difference}");
         }
-        self.protocol_differences = Some(differences);
+        self.protocol_check = Some(check);
         Ok(())
     }
 
@@ -145,42 +141,22 @@ impl<'a> ControllerLog<'a> {
     pub(crate) fn watch_after_safe<L: Link>(
         &mut self,
         session: &mut Session<FaultInjector<L>>,
-        own_clock: bool,
         now: Time,
         last: Sample,
     ) {
-        let period = self.scenario.controller.period;
-        let mut time = now;
         let setpoint_um = self.scenario.setpoint.range().1.max(SETPOINT_AFTER_SAFE_UM) as f32;
         let sample = Sample { setpoint_um, wd_um: 0.0, wq_um: 0.0, ..last };
-        if session.send_sample(now.into(), &sample).is_err() {
-            return;
-        }
-        for _ in 0..WATCHED_PERIODS {
-            if own_clock {
-                thread::sleep(period.into());
-            }
-            time = time + period;
-            if session.advance_to(time.into()).is_err() {
-                break;
-            }
-        }
-        self.checks.set_count(ViolationKind::DriveAfterSafe, session.drives_after_safe(), now);
-        if session.drives_after_safe() > 0 {
-            session.request_safe_state();
-        }
+        // A missing answer or a trap after 0 V has no effect on the plate.
+        let _ = session.send_sample(now.into(), &sample);
+        self.observe_safe_state(session, now);
     }
 
     /// Checks that the controller stays at 0 V. Sends no sample, because a faulty controller could
     /// answer with a drive, and the amplifier of a board may be on.
-    pub(crate) fn watch_after_safe_in_real_time<L: Link>(
-        &mut self,
-        session: &mut Session<FaultInjector<L>>,
-        now: Time,
-    ) {
-        let until = Instant::now() + Duration::from(self.scenario.controller.period.times(WATCHED_PERIODS));
-        while Instant::now() < until && matches!(session.receive(until), Ok(Some(_))) {}
-        self.checks.set_count(ViolationKind::DriveAfterSafe, session.drives_after_safe(), now);
+    pub(crate) fn observe_safe_state<L: Link>(&mut self, session: &mut Session<FaultInjector<L>>, now: Time) {
+        if let Some(drives) = session.observe_safe_state() {
+            self.checks.record_drives_after_safe(drives, now);
+        }
     }
 
     pub(crate) fn telemetry<L: Link>(&self, session: &Session<FaultInjector<L>>, lost: Option<&RigError>) -> Telemetry {
@@ -190,7 +166,8 @@ impl<'a> ControllerLog<'a> {
             faults: session.link().fault_counts().map(|(kind, count)| (kind.to_owned(), count)).collect(),
             violations: self.checks.violations(),
             reference_difference_percent: session.link().reference_difference_percent(),
-            protocol_differences: self.protocol_differences.clone(),
+            protocol_differences: self.protocol_check.as_ref().map(|check| check.differences.clone()),
+            protocol_repeats: self.protocol_check.as_ref().map_or(0, |check| check.repeats),
             firmware_output: session.link().firmware_output(),
             ..Telemetry::default()
         }
@@ -201,7 +178,9 @@ impl<'a> ControllerLog<'a> {
 /// line, makes the trial inconclusive.
 pub(crate) fn is_controller_failure(error: &RigError) -> bool {
     match error {
-        RigError::Trapped(_) | RigError::WrongSequence | RigError::Link(LinkError::Target(_)) => true,
+        RigError::Trapped(_) | RigError::WrongSequence | RigError::Link(LinkError::Target(_) | LinkError::Ended(_)) => {
+            true
+        }
         RigError::Link(LinkError::Disconnected(_))
         | RigError::NoAnswer { .. }
         | RigError::ConfigurationRejected(_)

@@ -8,6 +8,7 @@ mod configure;
 mod controller_log;
 mod delay_attribution;
 pub mod delay_boundary;
+pub mod executor;
 mod fault;
 pub mod live_tap;
 mod loop_delay;
@@ -32,6 +33,7 @@ pub mod trial;
 mod worker;
 
 pub use configure::{configure, law, missing_capability};
+pub use executor::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, ScenarioEnd};
 pub use fault::wire_fault_kind;
 pub use live_tap::{LiveTap, TapReader};
 pub use operator::{Answer, NoOperator, Operator, Question, QuestionKind};

@@ -8,8 +8,9 @@ use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, RigEr
 use platebench_scenario::{Diagnostic, Scenario};
 use platebench_trace::TraceError;
 
-/// Connects to the controller. A worker calls it at its start and after it has lost the controller.
-pub type LinkFactory<'a> = dyn Fn() -> Result<BoxedLink, ConnectError> + Send + Sync + 'a;
+/// Connects to the controller. An executor calls it at its start and after it has lost the
+/// controller.
+pub type LinkFactory<'a, L = BoxedLink> = dyn Fn() -> Result<L, ConnectError> + Send + Sync + 'a;
 
 #[derive(Debug, Clone)]
 pub struct RunPlan {
@@ -75,6 +76,8 @@ pub enum RunError {
     Folder(#[from] FolderError),
     #[error(transparent)]
     Trace(#[from] TraceError),
+    #[error("the connection to the controller failed in {0} consecutive trials; check the controller and its line")]
+    Lost(u32),
     #[error("the run was cancelled")]
     Cancelled,
     #[error("the bench has a defect, please report it: {0}")]

@@ -47,7 +47,7 @@ pub(crate) fn play<L: Link>(
         });
         (rows, telemetry_loop.join().unwrap_or_else(|panic| resume_unwind(panic)))
     });
-    let TelemetryLoopResult { abort, stop_reason, real_plate } = result;
+    let TelemetryLoopResult { abort, stop_reason, real_plate, violation } = result;
     let link_error = match abort {
         Some(TrialAbort::Cancelled) => return Ok(None),
         Some(TrialAbort::Lost(error)) if trace_rows.is_empty() => return Err(error),
@@ -58,13 +58,15 @@ pub(crate) fn play<L: Link>(
         return Ok(None);
     };
     let real_plate = RealPlateRecord { asked: preparation.requests, undone: preparation.not_done, ..real_plate };
+    let safe_confirmed = real_plate.safe_confirmed;
     let telemetry = Telemetry {
+        violations: violation.into_iter().collect(),
         ended: link_error.as_ref().map(ToString::to_string),
         stopped: stop_reason.map(str::to_owned),
         real_plate: Some(Box::new(real_plate)),
         ..Telemetry::default()
     };
-    Ok(Some(TrialResult { trace_rows, telemetry, link_error }))
+    Ok(Some(TrialResult { trace_rows, telemetry, link_error, safe_confirmed }))
 }
 
 #[derive(Default)]

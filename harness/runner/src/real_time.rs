@@ -40,7 +40,10 @@ pub fn play<L: Link>(
 ) -> Option<TrialResult> {
     let collect = |rows| collect_rows(rows, expected_rows(spec.scenario));
     let (trace_rows, end) = run_loop(session, spec, time_base, cancel, None, tap, collect);
-    end.map(|(telemetry, link_error)| TrialResult { trace_rows, telemetry, link_error })
+    end.map(|(telemetry, link_error)| {
+        let safe_confirmed = telemetry.timing.as_ref().is_some_and(|timing| timing.safe_confirmed);
+        TrialResult { trace_rows, telemetry, link_error, safe_confirmed }
+    })
 }
 
 /// Runs until `cancel` is cancelled, or the controller stops or is lost. The scenario's profiles

@@ -11,13 +11,14 @@ pub use recorded_trace::read_recorded_trace;
 pub use telemetry_table::read_telemetry_table;
 
 use crate::abort::TrialAbort;
+use crate::command_checks::drive_violation;
 use crate::configure::{configure, law, missing_capability};
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_failure};
+use crate::executor::RigSession;
 use crate::plan::{LinkFactory, RunError};
 use crate::trial::OWN_CLOCK_WATCHDOG_TIMEOUT_MS;
-use crate::worker::RigSession;
 use platebench_plate::Time;
-use platebench_rig::{CancelToken, FaultInjector, RigError};
+use platebench_rig::{CancelToken, FaultInjector, RigError, SafeEnd};
 use platebench_scenario::Scenario;
 use platebench_verdict::replay::{Replay, ReplayCommand, ReplayResult, ReplayStep};
 use platebench_wire::{Command, Configure, ControllerState, LawId, Sample};
@@ -53,7 +54,7 @@ pub fn replay(
         }
         Err(TrialAbort::Lost(error)) => Some(error),
     };
-    let replay = player.finish(rig, firmware, law, own_clock, lost.as_ref());
+    let replay = player.finish(rig, firmware, law, lost.as_ref());
     Ok(ReplayResult::new(&input.recording, replay))
 }
 
@@ -126,21 +127,26 @@ impl Player<'_> {
         ReplayCommand { drive_vpp, frequency_hz: f64::from(command.frequency_mhz) / 1e3 }
     }
 
-    fn finish(mut self, rig: &str, firmware: String, law: LawId, own_clock: bool, lost: Option<&RigError>) -> Replay {
+    fn finish(mut self, rig: &str, firmware: String, law: LawId, lost: Option<&RigError>) -> Replay {
         let now = self.last + self.scenario.controller.period;
         if lost.is_none() && self.session.request_safe_state() {
             let rest = Sample { time_us: now.wrapping_micros(), setpoint_um: 0.0, wd_um: 0.0, wq_um: 0.0 };
-            self.controller.watch_after_safe(&mut self.session, own_clock, now, rest);
+            self.controller.watch_after_safe(&mut self.session, now, rest);
         }
         self.controller.record_session(&self.session, now);
+        let mut telemetry = self.controller.telemetry(&self.session, lost);
+        let end = self.session.close();
+        if let SafeEnd::Driven(drives) = end {
+            telemetry.violations.push(drive_violation(drives, now));
+        }
         Replay {
             rig: rig.to_owned(),
             firmware,
             law: law.name(),
             replies: self.replies,
-            telemetry: self.controller.telemetry(&self.session, lost),
+            telemetry,
             rig_lost: lost.is_some_and(|error| !is_controller_failure(error)),
-            safe_confirmed: self.session.close(),
+            safe_confirmed: end == SafeEnd::Confirmed,
         }
     }
 }

@@ -1,14 +1,13 @@
 //! Plays all trials of all scenarios on several workers. No result depends on the order of trials.
 
 use crate::configure;
+use crate::executor::{Executor, ExecutorSettings, RigSession, SafeEnds};
 use crate::fault::chip_fault_plan;
 use crate::plan::{Clock, LinkFactory, RunError, RunHooks, RunPlan};
 use crate::real_time::{Pacing, TimeBase};
 use crate::record_file::RecordFile;
 use crate::trend;
-use crate::worker::{
-    CompletedTrial, Progress, RigSession, RunContext, TrialTask, WorkQueue, close_session, result_channel, trial_tasks,
-};
+use crate::worker::{CompletedTrial, Progress, RunContext, TrialTask, WorkQueue, result_channel, trial_tasks};
 use platebench_record::{
     Event, FinishedScenario, Firmware, FolderError, Host, InputRecord, KeepTraces, RigRecord, RunFolder, RunRecord,
 };
@@ -53,32 +52,32 @@ pub fn run(
     let identity = *first.identity();
     let mut file = RecordFile::new(folder);
     file.write(&record)?;
-    let mut sessions: Vec<Option<RigSession>> = (0..plan.jobs.max(1)).map(|_| None).collect();
-    if let Some(session) = sessions.first_mut() {
-        *session = Some(first);
-    }
-    let (unconfirmed, stop) = (AtomicBool::new(false), AtomicBool::new(false));
+    let (ends, stop) = (SafeEnds::default(), AtomicBool::new(false));
+    let settings = ExecutorSettings {
+        clock: plan.clock,
+        own_clock: plan.own_clock,
+        operator: hooks.operator,
+        identity: Some(identity),
+        ..ExecutorSettings::lockstep(&hooks.cancel)
+    };
+    let mut executors = vec![Executor::new(connect, settings.clone(), &ends).with_session(first)];
+    executors.extend((1..plan.jobs).map(|_| Executor::new(connect, settings.clone(), &ends)));
     let delay_boundaries: Vec<_> = plan.scenarios.iter().map(|_| OnceLock::new()).collect();
     let context = RunContext {
         plan,
         laws: &laws,
         delay_boundaries: &delay_boundaries,
         folder,
-        connect,
-        identity,
         cancel: &hooks.cancel,
-        operator: hooks.operator,
         live_tap: &hooks.live_tap,
         trials_with_rows: hooks.trials_with_rows,
-        safe_unconfirmed: &unconfirmed,
         stop: &stop,
     };
-    let played = play_scenarios(context, &mut sessions, &mut record, &mut file, &mut hooks.on_event);
+    let played = play_scenarios(context, &mut executors, &mut record, &mut file, &mut hooks.on_event);
     // Also after an error, because the record must state whether 0 V was confirmed.
-    for session in &mut sessions {
-        close_session(session, &unconfirmed);
-    }
-    record.safe_confirmed = Some(!unconfirmed.load(Ordering::Relaxed));
+    drop(executors);
+    record.safe_confirmed = Some(ends.are_confirmed());
+    record.drive_after_safe = ends.have_drive();
     if played.is_ok() {
         record.complete = true;
         record.update_verdict();
@@ -196,7 +195,7 @@ impl ScenarioProgress {
 
 fn play_scenarios(
     run: RunContext<'_>,
-    sessions: &mut [Option<RigSession>],
+    executors: &mut [Executor<'_>],
     record: &mut RunRecord,
     file: &mut RecordFile<'_>,
     on_event: &mut dyn FnMut(Event),
@@ -216,10 +215,10 @@ fn play_scenarios(
         let batch = std::mem::take(&mut tasks);
         let work = WorkQueue { run, tasks: &batch, next: AtomicUsize::new(0) };
         thread::scope(|scope| {
-            let (sender, results) = result_channel(plan.overrides.fail_fast);
-            for session in sessions.iter_mut().take(batch.len()) {
+            let (sender, results) = result_channel();
+            for executor in executors.iter_mut().take(batch.len()) {
                 let (work, sender) = (&work, sender.clone());
-                scope.spawn(move || work.run_worker(session, &sender));
+                scope.spawn(move || work.run_worker(executor, &sender));
             }
             drop(sender);
             loop {
@@ -231,8 +230,8 @@ fn play_scenarios(
                     }
                     Err(RecvTimeoutError::Disconnected) => break,
                 };
-                let (number, trial) = match result.inspect_err(|_| cancel.cancel())? {
-                    Progress::Ready => continue,
+                // Dropped at the end of the iteration, when the result is handled.
+                let (number, trial, _handled) = match result.inspect_err(|_| cancel.cancel())? {
                     Progress::Started(number) => {
                         if let Some(scenario) = plan.scenarios.get(number) {
                             let (file, trials) = (scenario.file.clone(), scenario.trials.count);
@@ -240,7 +239,7 @@ fn play_scenarios(
                         }
                         continue;
                     }
-                    Progress::Completed(number, trial) => (number, trial),
+                    Progress::Completed(number, trial, handled) => (number, trial, handled),
                 };
                 let (Some(scenario), Some(progress), Some(scenario_record)) =
                     (plan.scenarios.get(number), progress.get_mut(number), record.scenarios.get_mut(number))
@@ -374,6 +373,7 @@ fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inpu
         clock: plan.clock.kind(),
         overrides: plan.overrides.clone(),
         safe_confirmed: None,
+        drive_after_safe: false,
         wall_ms: None,
         host: Host::current(),
         scenarios: scenarios.collect(),

@@ -50,6 +50,8 @@ pub struct TrialResult {
     pub telemetry: Telemetry,
     /// Error that ended the exchange with the controller. The rest of the trial has 0 V.
     pub link_error: Option<RigError>,
+    /// True if the controller confirmed 0 V at the end of the trial.
+    pub safe_confirmed: bool,
 }
 
 /// `None` if the trial was cancelled.
@@ -366,9 +368,10 @@ impl<'a, L: Link> Trial<'a, L> {
         if let Err(error) = self.restart_after_chip_faults() {
             self.link_error.get_or_insert(error);
         }
-        if self.link_error.is_none() && self.session.request_safe_state() {
+        let safe_confirmed = self.link_error.is_none() && self.session.request_safe_state();
+        if safe_confirmed {
             let sample = self.plant.sense();
-            self.controller.watch_after_safe(self.session, self.own_clock, now, sample);
+            self.controller.watch_after_safe(self.session, now, sample);
         }
         self.controller.record_session(self.session, now);
         let mut telemetry = Telemetry {
@@ -386,6 +389,7 @@ impl<'a, L: Link> Trial<'a, L> {
             telemetry: self.replies.add_to(telemetry),
             trace_rows: self.plant.into_rows(),
             link_error: self.link_error,
+            safe_confirmed,
         }
     }
 }

@@ -1,20 +1,17 @@
-//! Plays and measures trials over one link to a controller.
+//! Takes trials of a run from a queue, plays and measures them, and stores their traces.
 
-use crate::configure;
 use crate::delay_attribution::measure_trial;
 use crate::delay_boundary::scenario_delay_boundary;
-use crate::live_tap::{LiveTap, TapWriter};
-use crate::operator::Operator;
-use crate::plan::{Clock, LinkFactory, RunError, RunPlan};
-use crate::trial::{self, TrialResult, TrialSpec};
-use crate::{real_plate, real_time};
+use crate::executor::Executor;
+use crate::live_tap::LiveTap;
+use crate::plan::{RunError, RunPlan};
 use platebench_plate::Time;
-use platebench_record::{KeepTraces, RunFolder, Telemetry, TrialRecord, to_hex, trace_path};
-use platebench_rig::{BoxedLink, CancelToken, FaultInjector, RigError};
-use platebench_scenario::Scenario;
+use platebench_record::{KeepTraces, RunFolder, TrialRecord, to_hex, trace_path};
+use platebench_rig::CancelToken;
 use platebench_trace::{Row, TraceError, TraceWriter};
 use platebench_verdict::{TrialMeasures, trial_record};
-use platebench_wire::{Identity, LawId};
+use platebench_wire::LawId;
+use std::convert::Infallible;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -22,11 +19,9 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc;
 use std::time::Instant;
-use tracing::{debug, error, info_span};
+use tracing::{debug, info_span};
 
 const RESULT_QUEUE: usize = 256;
-
-pub(crate) type RigSession = platebench_rig::Session<FaultInjector<BoxedLink>>;
 
 #[derive(Clone, Copy)]
 pub(crate) struct RunContext<'a> {
@@ -35,22 +30,11 @@ pub(crate) struct RunContext<'a> {
     /// Longest loop delay at which the law settles, one cell per scenario.
     pub(crate) delay_boundaries: &'a [OnceLock<Option<Time>>],
     pub(crate) folder: &'a RunFolder,
-    pub(crate) connect: &'a LinkFactory<'a>,
-    pub(crate) identity: Identity,
     pub(crate) cancel: &'a CancelToken,
-    pub(crate) operator: &'a dyn Operator,
     pub(crate) live_tap: &'a LiveTap,
     pub(crate) trials_with_rows: usize,
-    pub(crate) safe_unconfirmed: &'a AtomicBool,
     /// Set once no further trial may start. Trials in progress end normally.
     pub(crate) stop: &'a AtomicBool,
-}
-
-pub(crate) fn close_session(session: &mut Option<RigSession>, unconfirmed: &AtomicBool) {
-    let Some(session) = session.take() else { return };
-    // A panic of the link counts as a missing confirmation of 0 V.
-    let confirmed = catch_unwind(AssertUnwindSafe(|| session.close())).unwrap_or(false);
-    unconfirmed.fetch_or(!confirmed, Ordering::Relaxed);
 }
 
 #[derive(Clone)]
@@ -75,16 +59,15 @@ pub(crate) struct CompletedTrial {
 }
 
 pub(crate) enum Progress {
-    Ready,
     Started(usize),
-    Completed(usize, Box<CompletedTrial>),
+    /// The worker waits until the receiver drops the sender, if there is one.
+    Completed(usize, Box<CompletedTrial>, Option<mpsc::Sender<Infallible>>),
 }
 
 pub(crate) type ResultSender = mpsc::SyncSender<Result<Progress, RunError>>;
 
-/// With `fail_fast` the channel has no capacity, so a send waits until earlier results are handled.
-pub(crate) fn result_channel(fail_fast: bool) -> (ResultSender, mpsc::Receiver<Result<Progress, RunError>>) {
-    mpsc::sync_channel(if fail_fast { 0 } else { RESULT_QUEUE })
+pub(crate) fn result_channel() -> (ResultSender, mpsc::Receiver<Result<Progress, RunError>>) {
+    mpsc::sync_channel(RESULT_QUEUE)
 }
 
 pub(crate) struct WorkQueue<'a> {
@@ -94,8 +77,8 @@ pub(crate) struct WorkQueue<'a> {
 }
 
 impl WorkQueue<'_> {
-    pub(crate) fn run_worker(&self, session: &mut Option<RigSession>, results: &ResultSender) {
-        while self.may_start(results) {
+    pub(crate) fn run_worker(&self, executor: &mut Executor<'_>, results: &ResultSender) {
+        while self.may_start() {
             let Some(task) = self.tasks.get(self.next.fetch_add(1, Ordering::Relaxed)) else { break };
             if task.trials.start == 0 && results.send(Ok(Progress::Started(task.scenario))).is_err() {
                 break;
@@ -103,96 +86,42 @@ impl WorkQueue<'_> {
             let first = task.trials.start;
             let mut trials = task.trials.clone();
             if !trials.all(|index| {
-                (index == first || self.may_start(results))
-                    && self.play_and_send(session, task.scenario, index, results)
+                (index == first || self.may_start()) && self.play_and_send(executor, task.scenario, index, results)
             }) {
                 break;
             }
         }
     }
 
-    /// With `--fail-fast`, waits until the earlier results of this worker are judged.
-    fn may_start(&self, results: &ResultSender) -> bool {
-        let is_judged = !self.run.plan.overrides.fail_fast || results.send(Ok(Progress::Ready)).is_ok();
-        is_judged && !self.run.cancel.is_cancelled() && !self.run.stop.load(Ordering::Relaxed)
+    fn may_start(&self) -> bool {
+        !self.run.cancel.is_cancelled() && !self.run.stop.load(Ordering::Relaxed)
     }
 
-    /// Returns false if the worker must end.
-    fn play_and_send(
-        &self,
-        session: &mut Option<RigSession>,
-        scenario: usize,
-        index: u32,
-        results: &ResultSender,
-    ) -> bool {
-        let played = catch_unwind(AssertUnwindSafe(|| self.play_trial(session, scenario, index)));
-        let result = match played {
-            Ok(Ok(Some(done))) => Ok(Progress::Completed(scenario, Box::new(done))),
-            Ok(Ok(None)) => return false,
-            Ok(Err(error)) => Err(error),
-            Err(panic) => Err(RunError::Internal(panic_message(panic.as_ref()))),
-        };
-        let is_over = result.is_err();
-        if is_over {
-            // The error ends the run, so 0 V is requested first.
-            close_session(session, self.run.safe_unconfirmed);
-        }
-        results.send(result).is_ok() && !is_over
-    }
-
-    fn spec<'a>(&self, scenario: &'a Scenario, law: LawId, index: u32) -> TrialSpec<'a> {
-        let wire_time = self.run.plan.clock == Clock::Lockstep { wire_time: true };
-        TrialSpec { wire_time, own_clock: self.run.plan.own_clock, ..TrialSpec::new(scenario, law, index) }
-    }
-
-    fn play_on_clock(
-        &self,
-        session: &mut RigSession,
-        spec: &TrialSpec<'_>,
-        tap: Option<&mut TapWriter>,
-    ) -> Result<Option<TrialResult>, RunError> {
-        match self.run.plan.clock {
-            Clock::RealPlate => Ok(real_plate::play(session, spec, self.run.operator, self.run.cancel)?),
-            Clock::Lockstep { .. } => Ok(trial::play(session, spec, self.run.cancel, tap)),
-            Clock::RealTime(time_base) => Ok(real_time::play(session, spec, time_base, self.run.cancel, tap)),
-        }
-    }
-
-    /// Plays the scenes between trials and returns what they show about the controller. `None` if the
-    /// run was cancelled.
-    fn play_between(
-        &self,
-        session: &mut RigSession,
-        scenario: &Scenario,
-        index: u32,
-    ) -> Result<Option<Telemetry>, RunError> {
-        let mut scenes = Telemetry::default();
-        for scene in scenario.between.iter().filter(|_| index > 0) {
-            let law = configure::law(scene).map_err(|unknown| RunError::Scenario(Box::new(unknown)))?;
-            let spec = TrialSpec { continues: true, ..self.spec(scene, law, index) };
-            let Some(played) = self.play_on_clock(session, &spec, None)? else { return Ok(None) };
-            if let Some(refused @ RigError::ConfigurationRejected(_)) = played.link_error {
-                return Err(refused.into());
+    /// Returns false if the worker must end. With `--fail-fast`, waits until the result is judged.
+    fn play_and_send(&self, executor: &mut Executor<'_>, scenario: usize, index: u32, results: &ResultSender) -> bool {
+        let played = catch_unwind(AssertUnwindSafe(|| self.play_trial(executor, scenario, index)));
+        let error = match played {
+            Ok(Ok(Some(done))) => {
+                let (handled, until_handled) = mpsc::channel();
+                let handled = self.run.plan.overrides.fail_fast.then_some(handled);
+                let is_sent = results.send(Ok(Progress::Completed(scenario, Box::new(done), handled))).is_ok();
+                // The receiver sends nothing. The wait ends when it drops the sender.
+                let _ = until_handled.recv();
+                return is_sent;
             }
-            scenes.include_scene(played.telemetry);
-        }
-        Ok(Some(scenes))
-    }
-
-    /// Fails if the controller is not the one with which the run began.
-    fn connect_session(&self) -> Result<RigSession, RunError> {
-        let session = RigSession::open(FaultInjector::new((self.run.connect)()?))?;
-        let (found, expected) = (*session.identity(), self.run.identity);
-        if found == expected {
-            return Ok(session);
-        }
-        close_session(&mut Some(session), self.run.safe_unconfirmed);
-        Err(RunError::DifferentController { found: controller_name(&found), expected: controller_name(&expected) })
+            Ok(Ok(None)) => return false,
+            Ok(Err(error)) => error,
+            Err(panic) => RunError::Internal(panic_message(panic.as_ref())),
+        };
+        // The error ends the run, so 0 V is requested first.
+        executor.close();
+        let _ = results.send(Err(error));
+        false
     }
 
     fn play_trial(
         &self,
-        session: &mut Option<RigSession>,
+        executor: &mut Executor<'_>,
         number: usize,
         index: u32,
     ) -> Result<Option<CompletedTrial>, RunError> {
@@ -201,29 +130,14 @@ impl WorkQueue<'_> {
         };
         let _span = info_span!("trial", scenario = %scenario.file, index).entered();
         let started = Instant::now();
-        if !scenario.between.is_empty() && index == 0 {
-            // The first trial needs a controller without a history.
-            close_session(session, self.run.safe_unconfirmed);
-        }
-        let open = match session {
-            Some(open) => open,
-            None => session.insert(self.connect_session()?),
-        };
-        let Some(scenes) = self.play_between(open, scenario, index)? else { return Ok(None) };
         let mut tap = self.run.live_tap.acquire(number, index);
-        let continues = index > 0 && scenario.keeps_controller();
-        let spec = TrialSpec { continues, ..self.spec(scenario, law, index) };
-        let played = self.play_on_clock(open, &spec, tap.tap())?;
+        let played = executor.play(scenario, law, index, tap.tap())?;
         drop(tap);
         let Some(mut played) = played else { return Ok(None) };
-        played.telemetry.include_scene(scenes);
         if let Some(timing) = &mut played.telemetry.timing {
             let boundary = self.run.delay_boundaries.get(number);
             let boundary = boundary.and_then(|cell| *cell.get_or_init(|| scenario_delay_boundary(scenario, law)));
             timing.loop_delay_budget_us = boundary.map(|boundary| boundary.seconds() * 1e6);
-        }
-        if let Some(refused @ RigError::ConfigurationRejected(_)) = played.link_error {
-            return Err(refused.into());
         }
         let trace = trace_path(scenario.name(), index);
         let path = self.run.folder.path().join(&trace);
@@ -238,10 +152,6 @@ impl WorkQueue<'_> {
         debug!(rows = played.trace_rows.len(), wall_ms, measures = ?measures.measures, "trial measured");
         let mut record = trial_record(scenario, &measures, played.telemetry, trace, Some(wall_ms));
         record.sha256 = hash.as_ref().map(|hash| to_hex(hash));
-        if let Some(lost) = played.link_error {
-            error!(error = %lost, "controller lost");
-            close_session(session, self.run.safe_unconfirmed);
-        }
         let is_drawn = (index as usize) < self.run.trials_with_rows;
         let rows = if is_drawn { played.trace_rows } else { Vec::new() };
         Ok(Some(CompletedTrial { measures, record, rows }))
@@ -257,10 +167,4 @@ fn write_trace(path: &Path, rows: &[Row]) -> Result<[u8; 32], TraceError> {
 fn panic_message(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
     text.unwrap_or("no message").to_owned()
-}
-
-fn controller_name(identity: &Identity) -> String {
-    let [major, minor, patch] = identity.version;
-    let [build, unique] = [&identity.build[..], &identity.unique[..]].map(to_hex);
-    format!("{} {major}.{minor}.{patch}, build {build}, number {unique}", platebench_rig::printable_name(identity))
 }

@@ -34,16 +34,16 @@ pub struct TrustConfig {
 pub fn measure(config: &TrustConfig) -> Result<TrustReport, TrustError> {
     let (suite, faults) = (&config.scenarios, &config.mutants);
     let references =
-        run_suite(config.jobs, suite, &ReferenceController::ALL, |reference| ("reference", reference.link()))?;
+        run_suite(config.jobs, suite, &ReferenceController::ALL, |_| "reference", |reference| reference.link())?;
     let of_reference =
         |reference: ReferenceController| references.get(reference as usize).map_or(&[][..], Vec::as_slice);
-    let played = run_suite(config.jobs, suite, faults, |entry| (entry.name, entry.link()))?;
+    let played = run_suite(config.jobs, suite, faults, |entry| entry.name, MutantSpec::link)?;
     let results = faults.iter().zip(&played);
     let outcomes: Vec<MutantResult> =
         results.map(|(entry, judged)| mutant_result(entry, suite, judged, of_reference(entry.reference))).collect();
     let mut alarms = suite_alarms("reference", suite, of_reference(ReferenceController::Firmware));
     let by_firmware: Vec<FailedExpectation> = alarms.iter().map(|alarm| alarm.cell.clone()).collect();
-    let variants = run_suite(config.jobs, suite, &config.variants, |variant| (variant.name, variant.link()))?;
+    let variants = run_suite(config.jobs, suite, &config.variants, |variant| variant.name, CleanVariant::link)?;
     for (variant, judged) in config.variants.iter().zip(&variants) {
         let own = suite_alarms(variant.name, suite, judged).into_iter();
         alarms.extend(own.filter(|alarm| !by_firmware.contains(&alarm.cell)));
@@ -139,7 +139,7 @@ fn measure_false_alarms(config: &TrustConfig, mut alarms: Vec<FalseAlarm>) -> Re
         let (scenario, varied) = scenario;
         let mut scene = varied.clone();
         scene.trials.seed = config.seed.wrapping_add(u64::from(run).wrapping_mul(SEEDS_PER_RUN));
-        let judged = play_as(scenario, &scene, "reference", ReferenceController::Firmware.link())?;
+        let judged = play_as(scenario, &scene, "reference", &|| ReferenceController::Firmware.link())?;
         let cells: Vec<FailedExpectation> = failures(scenario, &judged).map(|(_, cell)| cell).collect();
         Ok((scene.trials.seed, judged.judgement.verdict, cells))
     })?;
@@ -184,7 +184,8 @@ fn run_suite<T: Sync>(
     jobs: usize,
     suite: &[Scenario],
     controllers: &[T],
-    link: impl Fn(&T) -> (&'static str, BoxedLink) + Sync,
+    name: impl Fn(&T) -> &'static str + Sync,
+    link: impl Fn(&T) -> BoxedLink + Send + Sync,
 ) -> Result<Vec<Vec<PlayResult>>, TrustError> {
     if suite.is_empty() {
         return Ok(controllers.iter().map(|_| Vec::new()).collect());
@@ -192,8 +193,7 @@ fn run_suite<T: Sync>(
     let pairs: Vec<(&T, &Scenario)> =
         controllers.iter().flat_map(|controller| suite.iter().map(move |scenario| (controller, scenario))).collect();
     let judged = collect_in_parallel(jobs, &pairs, |(controller, scenario)| {
-        let (name, link) = link(controller);
-        play(scenario, name, link)
+        play(scenario, name(controller), &|| link(controller))
     })?;
     Ok(judged.chunks(suite.len()).map(<[PlayResult]>::to_vec).collect())
 }

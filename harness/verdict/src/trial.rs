@@ -5,7 +5,9 @@ use crate::exclusion::find_exclusion;
 use crate::feasibility::infeasibility_excuse;
 use crate::metrics::{self, Measure};
 use crate::real_plate;
-use platebench_record::{Divergence, Exclusion, Excuse, MetricValues, Telemetry, TrialReason, TrialRecord, Violation};
+use platebench_record::{
+    Cause, Divergence, Exclusion, Excuse, MetricValues, Telemetry, TrialReason, TrialRecord, Violation,
+};
 use platebench_scenario::{Expectation, Metric, Scenario, Variation};
 use platebench_trace::{Flags, Row};
 use std::borrow::Cow;
@@ -65,6 +67,12 @@ fn violations(scenario: &Scenario, telemetry: &Telemetry) -> Vec<Violation> {
 }
 
 impl TrialMeasures {
+    /// True if the controller was lost and the rig caused it.
+    pub fn has_lost_controller(&self) -> bool {
+        let is_rig = self.exclusion.as_ref().is_some_and(|exclusion| exclusion.cause() == Cause::Rig);
+        is_rig && self.violations.is_empty() && self.ended.is_some()
+    }
+
     /// Smallest margin of the expectations that apply to one trial. Negative if the trial misses a
     /// limit; minus infinity if it lacks a value, violates the protocol, diverges, loses the
     /// controller or does not count.

@@ -11,7 +11,7 @@ use crate::stdio;
 use platebench_boards::BoardOutcome;
 use platebench_record::{Overrides, RunFolder, TrialRecord};
 use platebench_report::console;
-use platebench_rig::{ConnectOptions, RigSpec, Session, check_baud};
+use platebench_rig::{ConnectOptions, RigSpec, SafeEnd, Session, check_baud};
 use platebench_runner::{Clock, LiveTap, Pacing, RunError, RunPlan, TimeBase, configure};
 use platebench_scenario::Scenario;
 use platebench_study::loops::tuning::verification::{VerificationStep, gains_match, step_scenario};
@@ -89,6 +89,11 @@ fn play_step(
         None => Failure::from(error),
     })?;
     let trial: Option<&TrialRecord> = record.scenarios.first().and_then(|scenario| scenario.trials.first());
+    // The rule of `Exit::of_record` also holds for the session that configured the rig.
+    let exit = match Exit::of_record(&record) {
+        Exit::Passed | Exit::Inconclusive if end.quarantine.is_some() => Exit::Unreachable,
+        exit => exit,
+    };
     let metric = |name: &str| trial.and_then(|trial| trial.metrics.number(name));
     Ok(RigVerification {
         rig: rig.to_string(),
@@ -97,7 +102,7 @@ fn play_step(
         settling_ms: metric("settling_time_ms"),
         overshoot_percent: metric("overshoot_percent"),
         peak_drive_vpp: metric("drive_peak_vpp"),
-        exit: Exit::of_record(&record),
+        exit,
         reason: console::verdict_reason(&record),
     })
 }
@@ -114,11 +119,11 @@ fn configure_rig(
     let accepted = session.start_trial(&configure(scenario, law));
     let [major, minor, patch] = session.identity().version;
     let firmware = format!("{} {major}.{minor}.{patch}", session.firmware_name());
-    if !session.close() {
+    if session.close() != SafeEnd::Confirmed {
         *end = BoardOutcome::unconfirmed();
         stdio::note(
-            "the controller did not confirm 0 V after it was configured: check the amplifier before you touch the \
-             plate",
+            "the controller did not confirm 0 V after it was configured, or did not stay there: check the amplifier \
+             before you touch the plate",
         );
     }
     Ok((firmware, accepted?))

@@ -8,6 +8,7 @@ use platebench_explore::shrink::Shrinker;
 use platebench_explore::{Budget, ExploreConfig, Player, Property, explore};
 use platebench_record::Verdict;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, RigSpec};
+use platebench_runner::SafeEnds;
 use platebench_trust::{Mutant, MutantController, MutantSpec, clean_variants};
 use platebench_wire::{Command, LawId, Sample};
 use rstest::rstest;
@@ -57,7 +58,7 @@ fn low_drive() -> Result<BoxedLink, ConnectError> {
 #[case(LawId::Deadbeat)]
 fn correct_laws_violate_nothing(#[case] law: LawId) {
     let config = ExploreConfig { compares_reference: true, ..configuration(law, 240) };
-    let result = explore(&config, &firmware, &CancelToken::never(), &mut |_, _| {}).unwrap();
+    let result = explore(&config, &firmware, &CancelToken::never(), &SafeEnds::default(), &mut |_, _| {}).unwrap();
     assert_eq!((result.scenes, result.undecided), (240, 0));
     assert!(result.failed.is_empty(), "{:?}", result.failed);
     let judged = |property| result.properties.get(&property).map_or(0, |tally| tally.windows);
@@ -73,12 +74,13 @@ fn correct_laws_violate_nothing(#[case] law: LawId) {
 fn the_reference_finds_what_the_limits_allow(#[case] compares_reference: bool, #[case] violated: usize) {
     let config = ExploreConfig { compares_reference, jobs: 1, ..configuration(LawId::DqPi, 5) };
     let cancel = CancelToken::never();
-    let result = explore(&config, &low_drive, &cancel, &mut |_, _| {}).unwrap();
+    let result = explore(&config, &low_drive, &cancel, &SafeEnds::default(), &mut |_, _| {}).unwrap();
     let found = violated_properties(&result);
     assert_eq!(found.len(), violated, "{found:?}");
     for (property, failed) in found {
         assert!(matches!(property, Property::Reference | Property::Answers));
-        let mut player = Player::new(&low_drive, false, &cancel);
+        let ends = SafeEnds::default();
+        let mut player = Player::new(&low_drive, false, &cancel, &ends);
         let mut shrinker = Shrinker::new(&config, &mut player, SHRINK_TIME).unwrap();
         let minimal = shrinker.shrink(failed, property).unwrap();
         assert_eq!((minimal.is_reproduced, minimal.demands.len()), (true, 1));
@@ -90,10 +92,11 @@ fn the_reference_finds_what_the_limits_allow(#[case] compares_reference: bool, #
 fn a_mutant_is_found_and_its_scene_shrinks_to_one_level() {
     let config = configuration(LawId::DqPi, 60);
     let cancel = CancelToken::never();
-    let result = explore(&config, &mutant, &cancel, &mut |_, _| {}).unwrap();
+    let result = explore(&config, &mutant, &cancel, &SafeEnds::default(), &mut |_, _| {}).unwrap();
     let (_, failed) =
         violated_properties(&result).into_iter().find(|(property, _)| *property == Property::StaticError).unwrap();
-    let mut player = Player::new(&mutant, false, &cancel);
+    let ends = SafeEnds::default();
+    let mut player = Player::new(&mutant, false, &cancel, &ends);
     let mut shrinker = Shrinker::new(&config, &mut player, SHRINK_TIME).unwrap();
     let minimal = shrinker.shrink(failed, Property::StaticError).unwrap();
     assert!(minimal.is_reproduced);

@@ -6,3 +6,4 @@ mod envelope;
 mod exploration;
 mod fixtures;
 mod generation;
+mod ways_of_playing;

@@ -107,6 +107,7 @@ pub(crate) fn stored_run() -> StoredRun {
         clock: ClockKind::Lockstep,
         overrides: Overrides::default(),
         safe_confirmed: Some(true),
+        drive_after_safe: false,
         wall_ms: None,
         host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned(), ..Host::default() },
         scenarios,

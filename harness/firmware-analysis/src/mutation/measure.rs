@@ -7,9 +7,11 @@ use super::result::{MutantResult, MutationReport, Score, Status};
 use crate::code_map::CodeMap;
 use crate::coverage::{Baseline, executed_by_all, play_baselines};
 use crate::error::AnalysisError;
-use crate::suite::{BoardSession, Margin, Outcome, Suite, play};
-use platebench_rig::CancelToken;
+use crate::suite::{BoardExecutor, Margin, Outcome, Suite, new_executor, play};
+use platebench_rig::{CancelToken, EmulatedLink};
+use platebench_runner::SafeEnds;
 use platebench_runner::parallel::in_parallel;
+use platebench_runner::plan::LinkFactory;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::sync::mpsc::{self, RecvTimeoutError};
@@ -54,9 +56,11 @@ pub fn measure_mutation(
     }
     let mut order: Vec<usize> = (0..baselines.len()).collect();
     order.sort_by_key(|&index| baselines.get(index).map(|baseline| baseline.duration));
-    let runner = MutantRunner { config, map: &map, baselines: &baselines, order: &order };
+    let (connect, ends) = (|| suite.connect(), SafeEnds::default());
+    let runner =
+        MutantRunner { config, map: &map, baselines: &baselines, order: &order, connect: &connect, ends: &ends };
     let mut results: Vec<MutantResult> = Vec::new();
-    let work = |session: &mut Option<BoardSession>, mutant: &Mutant| runner.run(session, mutant);
+    let work = |executor: &mut Option<_>, mutant: &Mutant| runner.run(executor, mutant);
     in_parallel(config.jobs, &mutants, work, |result| {
         on_result(&result);
         results.push(result);
@@ -81,16 +85,18 @@ struct MutantRunner<'a> {
     baselines: &'a [Baseline],
     /// Indices of the scenarios, fastest first.
     order: &'a [usize],
+    connect: &'a LinkFactory<'a, EmulatedLink>,
+    ends: &'a SafeEnds,
 }
 
-impl MutantRunner<'_> {
-    fn run(&self, session: &mut Option<BoardSession>, mutant: &Mutant) -> Result<MutantResult, AnalysisError> {
+impl<'a> MutantRunner<'a> {
+    fn run(&self, executor: &mut Option<BoardExecutor<'a>>, mutant: &Mutant) -> Result<MutantResult, AnalysisError> {
         let start = Instant::now();
         let leader = self.map.leader_of(mutant.instruction);
         let covers = |baseline: &Baseline| !baseline.fails && baseline.executed.contains_key(&leader);
         let covering: Vec<usize> =
             self.order.iter().copied().filter(|&index| self.baselines.get(index).is_some_and(covers)).collect();
-        let status = if covering.is_empty() { Status::NoCoverage } else { self.play(session, mutant, &covering)? };
+        let status = if covering.is_empty() { Status::NoCoverage } else { self.play(executor, mutant, &covering)? };
         let file = |&index: &usize| Some(self.config.suite.scenarios.get(index)?.0.file.clone());
         let covered_by = covering.iter().filter_map(file).collect();
         Ok(MutantResult { mutant: mutant.clone(), status, covered_by, duration: start.elapsed() })
@@ -98,21 +104,25 @@ impl MutantRunner<'_> {
 
     fn play(
         &self,
-        session: &mut Option<BoardSession>,
+        executor: &mut Option<BoardExecutor<'a>>,
         mutant: &Mutant,
         covering: &[usize],
     ) -> Result<Status, AnalysisError> {
-        let open = self.config.suite.open(session)?;
-        open.link_mut().inner_mut().patch(mutant.address, &mutant.bytes);
+        let open = executor.get_or_insert_with(|| new_executor(self.connect, &self.config.cancel, self.ends));
+        open.session()?.link_mut().inner_mut().patch(mutant.address, &mutant.bytes);
         let status = self.play_until_detected(open, covering)?;
-        open.link_mut().inner_mut().patch(mutant.address, &mutant.original);
+        open.session()?.link_mut().inner_mut().patch(mutant.address, &mutant.original);
         if matches!(status, Status::RuntimeError { .. }) {
-            *session = None;
+            *executor = None;
         }
         Ok(status)
     }
 
-    fn play_until_detected(&self, session: &mut BoardSession, covering: &[usize]) -> Result<Status, AnalysisError> {
+    fn play_until_detected(
+        &self,
+        executor: &mut BoardExecutor<'_>,
+        covering: &[usize],
+    ) -> Result<Status, AnalysisError> {
         let mut closest: Option<Margin> = None;
         let mut same_commands = true;
         for &index in covering {
@@ -122,12 +132,15 @@ impl MutantRunner<'_> {
                 continue;
             };
             let limit = (baseline.duration * TIMEOUT_FACTOR).max(MIN_TIMEOUT);
-            let played = with_deadline(limit, &self.config.cancel, |cancel| play(session, scenario, *law, cancel));
+            let played = with_deadline(limit, &self.config.cancel, |cancel| {
+                executor.set_cancel(cancel);
+                play(executor, scenario, *law)
+            });
             if self.config.cancel.is_cancelled() {
                 return Err(AnalysisError::Cancelled);
             }
             let by = scenario.file.clone();
-            let Some(outcome) = played.transpose()? else { return Ok(Status::Timeout { by }) };
+            let Some(outcome) = played? else { return Ok(Status::Timeout { by }) };
             let Outcome { detection, closest_margin, commands, .. } = outcome;
             same_commands &= commands == baseline.commands;
             match detection {

@@ -98,6 +98,7 @@ fn record() -> RunRecord {
         clock: ClockKind::Lockstep,
         overrides: Overrides { law: None, trials: Some(1), ..Overrides::default() },
         safe_confirmed: None,
+        drive_after_safe: false,
         wall_ms: Some(12.5),
         host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned(), ..Host::default() },
         scenarios: vec![ScenarioRecord {

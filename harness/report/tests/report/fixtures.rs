@@ -31,6 +31,7 @@ pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
         clock: ClockKind::Lockstep,
         overrides: Overrides { seed: Some(7), ..Overrides::default() },
         safe_confirmed: Some(true),
+        drive_after_safe: false,
         wall_ms: Some(2_500.0),
         host: Host { os: "linux".to_owned(), arch: "x86_64".to_owned(), ..Host::default() },
         scenarios,

@@ -6,7 +6,7 @@ use super::trial_clock::TrialClock;
 use super::wire_fault::{Direction, WireFault};
 use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
 use crate::compared_link::ComparedLink;
-use crate::link::{Link, LinkError, RealTimeLine};
+use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use platebench_wire::{ControllerState, Message, Packet};
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -162,6 +162,10 @@ impl<L: Link> Link for FaultInjector<L> {
         } else {
             self.inner.advance_to(now, received)
         }
+    }
+
+    fn kind(&self) -> LinkKind {
+        self.inner.link.kind()
     }
 
     fn restart(&mut self) -> Result<bool, LinkError> {

@@ -3,7 +3,7 @@
 use super::attached_board::AttachedBoard;
 use super::error::ProbeError;
 use super::image::Image;
-use crate::link::{Link, LinkError, RealTimeLine};
+use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use crate::serial::SerialLink;
 use platebench_wire::{Message, Packet, PacketReader};
 use std::path::Path;
@@ -74,6 +74,10 @@ impl Link for PortLink {
 
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
         self.serial.advance_to(now, received)
+    }
+
+    fn kind(&self) -> LinkKind {
+        self.serial.kind()
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

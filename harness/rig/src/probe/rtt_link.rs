@@ -4,7 +4,7 @@ use super::attached_board::AttachedBoard;
 use super::error::ProbeError;
 use super::image::Image;
 use super::rtt_channels::RttChannels;
-use crate::link::{Link, LinkError};
+use crate::link::{Link, LinkError, LinkKind};
 use platebench_wire::{ControllerState, Message, Packet, PacketReader};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -89,6 +89,10 @@ impl Link for RttLink {
     fn advance_to(&mut self, _now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
         received.extend(self.exchange_bytes(&[])?);
         Ok(())
+    }
+
+    fn kind(&self) -> LinkKind {
+        LinkKind::Lossy
     }
 }
 

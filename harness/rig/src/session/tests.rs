@@ -310,12 +310,12 @@ fn counts_requests_for_0_v_that_were_ignored() {
 }
 
 #[derive(Default)]
-struct DrivesAfterSafe {
+struct LateDriver {
     inner: HostedLink,
     safe_sequence: Option<u8>,
 }
 
-impl Link for DrivesAfterSafe {
+impl Link for LateDriver {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let mut reader = platebench_wire::PacketReader::new();
         let is_safe = |packet: &Packet| matches!(packet.message, Message::Safe);
@@ -341,10 +341,10 @@ impl Link for DrivesAfterSafe {
 
 #[test]
 fn counts_drives_after_0_v_was_confirmed() {
-    let mut session = Session::open(DrivesAfterSafe::default()).unwrap();
+    let mut session = Session::open(LateDriver::default()).unwrap();
     assert!(session.request_safe_state());
-    session.advance_to(Duration::from_millis(5)).unwrap();
-    assert_eq!(session.drives_after_safe(), 1);
+    assert_eq!(session.observe_safe_state(), Some(DrivesAfterSafe { count: 1, worst_vpp: 100.0 }));
+    assert!(matches!(session.close(), SafeEnd::Driven(_)));
 }
 
 /// Controller that leaves the state *safe*: it configures itself again before each sample.
@@ -371,10 +371,10 @@ fn counts_a_drive_that_a_sample_causes_after_0_v() {
     let drives = |mut session: Session<BoxedLink>| {
         assert!(session.request_safe_state());
         session.send_sample(Duration::ZERO, &sample).unwrap();
-        let drives = session.drives_after_safe();
+        let drives = session.observe_safe_state().map_or(0, |drives| drives.count);
         session.start_trial(&CONFIGURE).unwrap();
         session.send_sample(Duration::ZERO, &sample).unwrap();
-        (drives, session.drives_after_safe())
+        (drives, session.observe_safe_state().map_or(0, |drives| drives.count))
     };
     let open = |link: BoxedLink| Session::open(link).unwrap();
     assert_eq!(drives(open(Box::new(RestartsAfterSafe(HostedLink::new())))), (1, 0));

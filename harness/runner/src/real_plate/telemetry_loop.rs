@@ -6,6 +6,7 @@
 
 use super::telemetry_rows::TelemetryRows;
 use crate::abort::TrialAbort;
+use crate::command_checks::drive_violation;
 use crate::configure::configure;
 use crate::controller_log::is_controller_failure;
 use crate::controller_log::stop_reason;
@@ -14,7 +15,7 @@ use crate::row_queue::RowQueue;
 use crate::timing_stats::{ClockDrift, DurationHistogram};
 use crate::trial::TrialSpec;
 use platebench_plate::Time;
-use platebench_record::RealPlateRecord;
+use platebench_record::{RealPlateRecord, Violation};
 use platebench_rig::{CancelToken, FaultInjector, Link, RigError, Session};
 use platebench_scenario::Scenario;
 use platebench_trace::Flags;
@@ -35,6 +36,7 @@ pub(super) struct TelemetryLoopResult {
     pub(super) abort: Option<TrialAbort>,
     pub(super) stop_reason: Option<&'static str>,
     pub(super) real_plate: RealPlateRecord,
+    pub(super) violation: Option<Violation>,
 }
 
 #[derive(Clone, Copy)]
@@ -88,6 +90,8 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
     pub(super) fn run(mut self, cancel: &CancelToken) -> TelemetryLoopResult {
         let ended = self.exchange_until_end(cancel).err();
         let safe_confirmed = self.session.request_safe_state();
+        let drives = if safe_confirmed { self.session.observe_safe_state() } else { None };
+        let violation = drives.map(|drives| drive_violation(drives, self.telemetry.time().unwrap_or(Time::ZERO)));
         let controller_failed = matches!(&ended, Some(TrialAbort::Lost(error)) if is_controller_failure(error));
         if (self.stop_reason.is_some() || controller_failed)
             && let Some(row) = self.telemetry.stop_row()
@@ -107,7 +111,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
             safe_confirmed,
             ..RealPlateRecord::default()
         };
-        TelemetryLoopResult { abort: ended, stop_reason: self.stop_reason, real_plate }
+        TelemetryLoopResult { abort: ended, stop_reason: self.stop_reason, real_plate, violation }
     }
 
     fn exchange_until_end(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {

@@ -324,7 +324,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
     ) -> Option<(Telemetry, Option<RigError>)> {
         let safe_confirmed = self.session.request_safe_state();
         if safe_confirmed {
-            self.controller.watch_after_safe_in_real_time(self.session, self.plant.time());
+            self.controller.observe_safe_state(self.session, self.plant.time());
         }
         self.controller.record_session(self.session, self.plant.time());
         let lost = match abort {

@@ -51,6 +51,7 @@ fn record(build: &str, second: u32, scenarios: Vec<ScenarioRecord>) -> RunRecord
         clock: ClockKind::Lockstep,
         overrides: Overrides::default(),
         safe_confirmed: None,
+        drive_after_safe: false,
         wall_ms: None,
         host: Host { os: String::new(), arch: String::new(), ..Host::default() },
         scenarios,

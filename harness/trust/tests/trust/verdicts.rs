@@ -2,9 +2,13 @@
 
 use platebench_record::Overrides;
 use platebench_record::RunFolder;
+use platebench_record::Verdict;
+use platebench_rig::{BoxedLink, HostedLink, Link, LinkError};
 use platebench_runner::{Clock, RunHooks, RunPlan, rejudge};
 use platebench_test_kit::load_scenario;
 use platebench_trust::{catalogue, play};
+use platebench_wire::{Message, PacketReader};
+use std::time::Duration;
 
 #[test]
 fn live_stored_and_in_memory_verdicts_are_equal() {
@@ -23,8 +27,58 @@ fn live_stored_and_in_memory_verdicts_are_equal() {
         };
         let live = platebench_runner::run(&plan, &out, &|| Ok(entry.link()), RunHooks::default()).unwrap();
         let stored = rejudge(out.path(), None).unwrap();
-        let judged = play(&scenario, entry.name, entry.link()).unwrap().judgement;
+        let judged = play(&scenario, entry.name, &|| entry.link()).unwrap().judgement;
         assert_eq!(live.scenarios[0].expectations, judged.expectations, "{name}");
         assert_eq!(stored.scenarios[0].expectations, judged.expectations, "{name}");
     }
+}
+
+/// Controller that doubles its drive after a second configuration without a restart between them.
+#[derive(Default)]
+struct LeftoverGain {
+    inner: HostedLink,
+    configurations: u32,
+}
+
+impl Link for LeftoverGain {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        let requests: Vec<_> = PacketReader::new().packets(bytes).flatten().collect();
+        self.configurations +=
+            requests.iter().filter(|packet| matches!(packet.message, Message::Configure(_))).count() as u32;
+        let mut own = Vec::new();
+        self.inner.exchange(now, bytes, &mut own)?;
+        for mut packet in PacketReader::new().packets(&own).flatten() {
+            if let Message::Command(command) = &mut packet.message
+                && self.configurations > 1
+            {
+                command.drive_vpp *= 2.0;
+            }
+            answer.extend_from_slice(packet.encode().as_bytes());
+        }
+        Ok(Duration::ZERO)
+    }
+
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.inner.advance_to(now, received)
+    }
+
+    fn restart(&mut self) -> Result<bool, LinkError> {
+        self.configurations = 0;
+        self.inner.restart()
+    }
+
+    fn continue_trial(&mut self) {
+        self.inner.continue_trial();
+    }
+}
+
+#[test]
+fn scenes_between_trials_find_a_leftover_configuration() {
+    let connect = || -> BoxedLink { Box::<LeftoverGain>::default() };
+    let mut scenario = load_scenario("reference/between.toml");
+    let judged = play(&scenario, "leftover", &connect).unwrap().judgement;
+    assert_eq!(judged.verdict, Verdict::Fail);
+    scenario.between.clear();
+    let judged = play(&scenario, "leftover", &connect).unwrap().judgement;
+    assert_eq!(judged.verdict, Verdict::Pass, "only the scenes between trials find it");
 }

@@ -19,6 +19,7 @@ const EMPTY_TELEMETRY: Telemetry = Telemetry {
     step_time: None,
     reference_difference_percent: None,
     protocol_differences: None,
+    protocol_repeats: 0,
     ended: None,
     stopped: None,
     firmware_output: None,

@@ -1,0 +1,261 @@
+//! Plays the trials of scenarios on one controller. Connects to the controller, plays the scenes
+//! between trials, replaces a lost controller and confirms 0 V at the end. Its callers choose,
+//! judge and store the trials.
+
+use crate::configure;
+use crate::controller_log::is_controller_failure;
+use crate::live_tap::TapWriter;
+use crate::operator::{NoOperator, Operator};
+use crate::plan::{Clock, LinkFactory, RunError};
+use crate::trial::{self, TrialResult, TrialSpec};
+use crate::{real_plate, real_time};
+use platebench_record::Telemetry;
+use platebench_rig::{BoxedLink, CancelToken, FaultInjector, Link, RigError, SafeEnd, Session};
+use platebench_scenario::Scenario;
+use platebench_verdict::{Judgement, SequentialDecision, judge_sequentially, measure};
+use platebench_wire::{Identity, LawId};
+use std::ops::ControlFlow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
+use tracing::error;
+
+/// Number of consecutive trials with a lost controller after which a search or a sweep ends.
+pub const MAX_LOSSES: u32 = 5;
+
+pub type RigSession<L = BoxedLink> = Session<FaultInjector<L>>;
+
+/// Ends of all sessions of several executors.
+#[derive(Debug, Default)]
+pub struct SafeEnds {
+    unconfirmed: AtomicBool,
+    driven: AtomicBool,
+}
+
+impl SafeEnds {
+    pub fn record(&self, end: SafeEnd) {
+        self.unconfirmed.fetch_or(end != SafeEnd::Confirmed, Ordering::Relaxed);
+        self.driven.fetch_or(matches!(end, SafeEnd::Driven(_)), Ordering::Relaxed);
+    }
+
+    /// True if every controller confirmed 0 V and stayed there.
+    pub fn are_confirmed(&self) -> bool {
+        !self.unconfirmed.load(Ordering::Relaxed)
+    }
+
+    /// True if a controller commanded a drive after it had confirmed 0 V, outside all trials.
+    pub fn have_drive(&self) -> bool {
+        self.driven.load(Ordering::Relaxed)
+    }
+}
+
+#[derive(Clone)]
+pub struct ExecutorSettings<'a> {
+    pub clock: Clock,
+    pub own_clock: bool,
+    pub cancel: CancelToken,
+    pub operator: &'a dyn Operator,
+    /// The executor fails if it connects to another controller. `None` accepts every controller.
+    pub identity: Option<Identity>,
+    /// Number of consecutive trials with a lost controller after which the executor fails.
+    pub max_losses: Option<u32>,
+    /// True if the controller keeps its history from one scenario to the next.
+    pub shares_controller: bool,
+    /// True if the executor never replaces its link, because the caller changes or observes the
+    /// target. The link must be able to restart the target.
+    pub keeps_link: bool,
+}
+
+impl ExecutorSettings<'_> {
+    pub fn lockstep(cancel: &CancelToken) -> Self {
+        Self {
+            clock: Clock::Lockstep { wire_time: false },
+            own_clock: false,
+            cancel: cancel.clone(),
+            operator: &NoOperator,
+            identity: None,
+            max_losses: None,
+            shares_controller: false,
+            keeps_link: false,
+        }
+    }
+}
+
+/// How the trials of a scenario ended.
+#[derive(Debug)]
+pub enum ScenarioEnd<B> {
+    Judged(Judgement),
+    Stopped(B),
+    Cancelled,
+}
+
+/// Dropping the executor requests 0 V and records the end of the session.
+pub struct Executor<'a, L: Link = BoxedLink> {
+    connect: &'a LinkFactory<'a, L>,
+    settings: ExecutorSettings<'a>,
+    ends: &'a SafeEnds,
+    session: Option<RigSession<L>>,
+    losses: u32,
+}
+
+impl<'a, L: Link> Executor<'a, L> {
+    /// Connects at the first trial.
+    pub fn new(connect: &'a LinkFactory<'a, L>, settings: ExecutorSettings<'a>, ends: &'a SafeEnds) -> Self {
+        Self { connect, settings, ends, session: None, losses: 0 }
+    }
+
+    pub(crate) fn with_session(mut self, session: RigSession<L>) -> Self {
+        self.session = Some(session);
+        self
+    }
+
+    pub fn set_cancel(&mut self, cancel: &CancelToken) {
+        self.settings.cancel = cancel.clone();
+    }
+
+    /// Returns the open session, or connects.
+    pub fn session(&mut self) -> Result<&mut RigSession<L>, RunError> {
+        let session = match self.session.take() {
+            Some(open) => open,
+            None => self.connect()?,
+        };
+        Ok(self.session.insert(session))
+    }
+
+    /// Requests 0 V and closes the session, so that the next trial connects again.
+    pub fn close(&mut self) {
+        let Some(session) = self.session.take() else { return };
+        // A panic of the link counts as a missing confirmation of 0 V.
+        let end = catch_unwind(AssertUnwindSafe(|| session.close())).unwrap_or(SafeEnd::Unconfirmed);
+        self.ends.record(end);
+    }
+
+    /// Plays trial `index` and, before it, the scenes between trials. `None` if it was cancelled.
+    /// Fails if the controller cannot be reached or refuses a configuration. A lost controller is no
+    /// error of the trial, unless it is lost too often.
+    pub fn play(
+        &mut self,
+        scenario: &Scenario,
+        law: LawId,
+        index: u32,
+        tap: Option<&mut TapWriter>,
+    ) -> Result<Option<TrialResult>, RunError> {
+        let keeps_controller = index > 0 && scenario.keeps_controller();
+        self.close_unusable_session(scenario, index, keeps_controller);
+        let mut scenes = Telemetry::default();
+        for scene in scenario.between.iter().filter(|_| index > 0) {
+            let law = configure::law(scene).map_err(|unknown| RunError::Scenario(Box::new(unknown)))?;
+            let Some(played) = self.play_on_clock(scene, law, index, true, None)? else { return Ok(None) };
+            if let Some(refused @ RigError::ConfigurationRejected(_)) = played.link_error {
+                return Err(refused.into());
+            }
+            scenes.include_scene(played.telemetry);
+        }
+        let continues = keeps_controller || self.settings.shares_controller;
+        let Some(mut played) = self.play_on_clock(scenario, law, index, continues, tap)? else { return Ok(None) };
+        played.telemetry.include_scene(scenes);
+        match &played.link_error {
+            None => self.losses = 0,
+            Some(RigError::ConfigurationRejected(rejection)) => {
+                return Err(RigError::ConfigurationRejected(*rejection).into());
+            }
+            Some(lost) => self.replace_lost_controller(lost)?,
+        }
+        Ok(Some(played))
+    }
+
+    /// Plays trials of `variant` until `scenario` is decided or `on_trial` stops it. The two differ
+    /// only in the spread of the trials.
+    pub fn play_until_decided<B>(
+        &mut self,
+        scenario: &Scenario,
+        variant: &Scenario,
+        law: LawId,
+        mut on_trial: impl FnMut(&TrialResult) -> ControlFlow<B>,
+    ) -> Result<ScenarioEnd<B>, RunError> {
+        let mut trials = Vec::new();
+        loop {
+            let goal = match judge_sequentially(scenario, &trials) {
+                SequentialDecision::Stop(judgement) => return Ok(ScenarioEnd::Judged(judgement)),
+                SequentialDecision::Continue { trials } => trials,
+            };
+            for index in trials.len() as u32..goal {
+                let Some(played) = self.play(variant, law, index, None)? else { return Ok(ScenarioEnd::Cancelled) };
+                if let ControlFlow::Break(reason) = on_trial(&played) {
+                    return Ok(ScenarioEnd::Stopped(reason));
+                }
+                trials.push(measure(variant, index, &played.trace_rows, &played.telemetry));
+            }
+        }
+    }
+
+    fn connect(&self) -> Result<RigSession<L>, RunError> {
+        let session = RigSession::open(FaultInjector::new((self.connect)()?))?;
+        let found = *session.identity();
+        match self.settings.identity {
+            Some(expected) if found != expected => {
+                self.ends.record(session.close());
+                Err(RunError::DifferentController {
+                    found: controller_name(&found),
+                    expected: controller_name(&expected),
+                })
+            }
+            _ => Ok(session),
+        }
+    }
+
+    /// Closes the session if the trial needs another one: for a controller without a history, or
+    /// after the end of a program that had confirmed 0 V.
+    fn close_unusable_session(&mut self, scenario: &Scenario, index: u32, keeps_controller: bool) {
+        let Some(session) = &self.session else { return };
+        let needs_new =
+            !scenario.between.is_empty() && index == 0 && !self.settings.shares_controller && !self.settings.keeps_link;
+        if needs_new || (session.has_ended() && !keeps_controller) {
+            self.close();
+        }
+    }
+
+    fn play_on_clock(
+        &mut self,
+        scenario: &Scenario,
+        law: LawId,
+        index: u32,
+        continues: bool,
+        tap: Option<&mut TapWriter>,
+    ) -> Result<Option<TrialResult>, RunError> {
+        let ExecutorSettings { clock, own_clock, operator, .. } = self.settings;
+        let cancel = self.settings.cancel.clone();
+        let wire_time = clock == Clock::Lockstep { wire_time: true };
+        let spec = TrialSpec { wire_time, own_clock, continues, ..TrialSpec::new(scenario, law, index) };
+        let session = self.session()?;
+        match clock {
+            Clock::RealPlate => Ok(real_plate::play(session, &spec, operator, &cancel)?),
+            Clock::Lockstep { .. } => Ok(trial::play(session, &spec, &cancel, tap)),
+            Clock::RealTime(time_base) => Ok(real_time::play(session, &spec, time_base, &cancel, tap)),
+        }
+    }
+
+    fn replace_lost_controller(&mut self, lost: &RigError) -> Result<(), RunError> {
+        error!(error = %lost, "controller lost");
+        if !self.settings.keeps_link {
+            self.close();
+        }
+        // A crash fails its trial and does not show that the connection fails.
+        self.losses = if is_controller_failure(lost) { 0 } else { self.losses + 1 };
+        match self.settings.max_losses {
+            Some(max) if self.losses >= max => Err(RunError::Lost(self.losses)),
+            _ => Ok(()),
+        }
+    }
+}
+
+impl<L: Link> Drop for Executor<'_, L> {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+fn controller_name(identity: &Identity) -> String {
+    let [major, minor, patch] = identity.version;
+    let [build, unique] = [&identity.build[..], &identity.unique[..]].map(platebench_record::to_hex);
+    format!("{} {major}.{minor}.{patch}, build {build}, number {unique}", platebench_rig::printable_name(identity))
+}
