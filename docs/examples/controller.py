@@ -267,7 +267,7 @@ def main():
     controller, received = Controller(), bytearray()
     try:
         # A read returns with the first byte, or after a millisecond to check the time.
-        with serial.Serial(sys.argv[1], baud, timeout=0.001, write_timeout=0.1) as port:
+        with serial.Serial(sys.argv[1], baud, timeout=0.001, write_timeout=10) as port:
             while True:
                 received += port.read(max(1, port.in_waiting))
                 *frames, rest = received.split(b"\0")
