@@ -37,7 +37,7 @@ fn a_controller_that_ends_leaves_0_v_unconfirmed() {
     let bench = start_bench(folder.path(), ["run", "minute.toml", "--board", "left", "--out", "run"]);
     wait_until("the run never began", || folder.exists("run/run.json"));
     assert!(Command::new("kill").args(["-KILL", &bench.child_id()]).status().unwrap().success());
-    bench.finish().assert_exit(5);
+    bench.finish().assert_exit(1);
     assert_only_left_is_quarantined(&folder, "did not confirm 0 V");
 }
 

@@ -48,7 +48,7 @@ fn the_minimal_scene_of_a_mutant_fails_under_run() {
 }
 
 #[test]
-fn a_controller_that_dies_once_leaves_its_scene_undecided() {
+fn a_controller_that_ends_once_fails_its_scene() {
     let Some(python) = python_with_pyserial() else { return };
     let folder = tempfile::tempdir().unwrap();
     let example = fs::read_to_string(workspace_root().join("docs/examples/controller.py")).unwrap();
@@ -59,9 +59,9 @@ fn a_controller_that_dies_once_leaves_its_scene_undecided() {
     fs::write(folder.path().join("dying.py"), format!("{head}{die}import {body}")).unwrap();
     let rig = format!("exec:{python} dying.py {{port}}");
     let arguments = ["explore", &envelope(), "--rig", &rig, "--scenes", "4", "--jobs", "1", "--out", "out"];
-    run_bench(folder.path(), arguments).assert_exit(3).assert_stdout(&["1 scenes undecided:", "scene 0: rig, "]);
+    run_bench(folder.path(), arguments).assert_exit(1);
     let report = report(folder.path());
-    assert_eq!((&report["verdict"], &report["undecided"]), (&"inconclusive".into(), &1.into()));
+    assert_eq!((&report["verdict"], &report["failed"]), (&"fail".into(), &1.into()));
 }
 
 #[test]

@@ -18,6 +18,7 @@ mod campaign_engines;
 mod campaign_responses;
 mod chip_faults;
 mod closed_loop;
+mod controller_end;
 mod crate_layers;
 mod debugger;
 mod determinism;
