@@ -40,7 +40,7 @@ fn run_chart(only: ChartKind, named: &[PathBuf], csv: &str) -> (tempfile::TempDi
 }
 
 fn exit_of(arguments: &ChartArgs) -> Exit {
-    chart(arguments).unwrap_or_else(Failure::report)
+    chart(arguments, Detail::Summary).unwrap_or_else(Failure::report)
 }
 
 fn parse_number(text: &str) -> f64 {
