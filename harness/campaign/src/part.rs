@@ -241,7 +241,7 @@ mod tests {
             Row { draws: vec![3.0], values: vec![value], margins: vec![margin], ..Row::example(0, verdict, margin) };
         let mut part = PartWriter::new(plan.part_path(folder.path(), 1), &plan, &campaign, 1).unwrap();
         part.push(row).unwrap();
-        part.commit().unwrap();
+        part.commit(ShardEnd::default()).unwrap();
         PartReader::open(folder.path(), &plan, &campaign, 1).unwrap().check_rows()
     }
 
