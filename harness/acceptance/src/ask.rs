@@ -3,7 +3,7 @@
 use crate::error::AcceptError;
 use crate::plan::{AnswerKind, Ask, QuestionTime};
 use crate::session_record::{AnswerRecord, StepRecord};
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use platebench_rig::RigSpec;
 use platebench_runner::{Answer, CancelToken, Operator, Question, QuestionKind};
 

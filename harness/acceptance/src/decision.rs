@@ -5,8 +5,8 @@ use crate::session_record::{BUDGET, DecisionRecord, EvidenceRecord, EvidenceUnce
 use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
-use platebench_record::{InputRecord, ScenarioRecord, Statistic, Verdict, sha256};
-use platebench_scenario::Limit;
+use platebench_model::record::{InputRecord, ScenarioRecord, Statistic, Verdict, sha256};
+use platebench_model::scenario::Limit;
 use platebench_uncertainty::{Budget, CombinedUncertainty, Conformity, DecisionRule, Instrument, TypeA, decide};
 
 #[derive(Debug, Clone, PartialEq)]

@@ -2,9 +2,9 @@
 
 use crate::decision::PlanDecision;
 use crate::session_record::{EvidenceRecord, RequirementRecord, StepRecord};
-use platebench_record::{ExpectationRecord, RunRecord, Verdict};
+use platebench_model::record::{ExpectationRecord, RunRecord, Verdict};
+use platebench_model::scenario::Requirement;
 use platebench_report::format;
-use platebench_scenario::Requirement;
 
 /// `runs` contains the step identifier and the run of each scenario step.
 pub(crate) fn judge_requirements(

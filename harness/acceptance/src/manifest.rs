@@ -4,13 +4,12 @@
 use crate::error::AcceptError;
 use crate::session_record::write_file;
 use crate::signature;
-use platebench_record::sha256_of_file;
-use platebench_trace::{AtPath, FileError};
+use platebench_model::record::sha256_of_file;
+use platebench_model::trace::{AtPath, FileError};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
-use std::fs;
-use std::io;
 use std::path::Path;
+use std::{fs, io};
 
 pub const FILE: &str = "manifest.sha256";
 const MAX_DEPTH: usize = 32;
@@ -136,7 +135,7 @@ impl FolderContents {
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on ends by panicking")]
 mod tests {
     use super::*;
-    use platebench_record::sha256;
+    use platebench_model::record::sha256;
     use rstest::rstest;
 
     fn sealed_record() -> (tempfile::TempDir, String) {

@@ -2,7 +2,7 @@
 
 use crate::session_record::{EvidenceRecord, RequirementRecord, STEPS, SessionRecord, StepRecord};
 use maud::{Markup, html};
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use platebench_report::page::{page_frame, verdict_badge};
 
 pub const FILE: &str = "record.html";

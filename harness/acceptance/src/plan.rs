@@ -1,7 +1,7 @@
 //! Reads the plan of a session: requirements, scenarios, questions.
 
 use crate::decision::PlanDecision;
-use platebench_scenario::{Diagnostic, Limit, Requirement, Scenario, find, parse_bytes, parse_file, schema};
+use platebench_model::scenario::{Diagnostic, Limit, Requirement, Scenario, find, parse_bytes, parse_file, schema};
 use platebench_uncertainty::{Budget, DecisionRule, known_quantities};
 use schemars::{JsonSchema, Schema};
 use serde::Deserialize;

@@ -6,17 +6,15 @@ use crate::error::AcceptError;
 use crate::plan::Plan;
 use crate::scenario_run::ScenarioRun;
 use crate::session_record::{SelfTestRecord, StepRecord, TrustRecord, write_file};
-use platebench_record::{Quantiles, RunRecord, Verdict};
+use platebench_model::record::{Quantiles, RunRecord, Verdict};
+use platebench_model::scenario::Scenario;
+use platebench_model::trace::AtPath;
 use platebench_rig::RigSpec;
 use platebench_runner::{CancelToken, Clock, Pacing, TimeBase};
-use platebench_scenario::Scenario;
-use platebench_trace::AtPath;
 use platebench_trust::report::{CONFIDENCE, MutantOutcome, Rate};
-use std::fs;
-use std::io;
 use std::path::Path;
-use std::thread;
 use std::time::Duration;
+use std::{fs, io, thread};
 
 /// Seed of the first clean run. It equals the default of `platebench trust --seed`.
 const SEED: u64 = 31_415;

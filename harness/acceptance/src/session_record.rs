@@ -1,9 +1,9 @@
 //! Defines `session.json`, the state of a session.
 
 use crate::error::AcceptError;
-use platebench_record::{Firmware, Host, InputRecord, Quantiles, Tool, Verdict};
+use platebench_model::record::{Firmware, Host, InputRecord, Quantiles, Tool, Verdict};
+use platebench_model::trace::{AtPath, FileError, read_regular_file, write_atomically};
 use platebench_rig::RigSpec;
-use platebench_trace::{AtPath, FileError, read_regular_file, write_atomically};
 use platebench_uncertainty::{CombinedUncertainty, Conformity, DecisionRule};
 use serde::{Deserialize, Serialize};
 use std::io;

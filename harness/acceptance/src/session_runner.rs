@@ -23,11 +23,11 @@ use crate::session_record::{
 };
 use crate::steps::{StepAction, step_actions};
 use crate::{manifest, page, self_test, signature};
-use platebench_record::{Firmware, RunRecord, Verdict, to_hex, utc_timestamp};
+use platebench_model::record::{Firmware, RunRecord, Verdict, to_hex, utc_timestamp};
+use platebench_model::trace::{AtPath, read_regular_file, remove_temporary_files, sync_tree};
 use platebench_report::format::count;
 use platebench_report::traceability;
 use platebench_runner::{Clock, Question, QuestionKind, RunError};
-use platebench_trace::{AtPath, read_regular_file, remove_temporary_files, sync_tree};
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::Path;

@@ -6,8 +6,8 @@ use crate::error::AcceptError;
 use ed25519_dalek::pkcs8::spki::der::pem::{LineEnding, decode_label};
 use ed25519_dalek::pkcs8::{DecodePrivateKey, DecodePublicKey, EncodePublicKey};
 use ed25519_dalek::{Signature, Signer as _, SigningKey, VerifyingKey};
-use platebench_record::sha256;
-use platebench_trace::{AtPath, read_text_file};
+use platebench_model::record::sha256;
+use platebench_model::trace::{AtPath, read_text_file};
 use std::path::Path;
 
 pub const FILE: &str = "manifest.sha256.sig";

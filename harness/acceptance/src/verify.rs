@@ -8,10 +8,10 @@ use crate::manifest::{self, Difference};
 use crate::plan;
 use crate::session_record::{BUDGET, FILE, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind};
 use crate::signature::{self, PublicKey};
-use platebench_record::sha256;
-use platebench_record::{self as record, RunRecord};
+use platebench_model::record::sha256;
+use platebench_model::record::{self as record, RunRecord};
+use platebench_model::trace::{FileError, read_regular_file};
 use platebench_runner::{RejudgeError, rejudge};
-use platebench_trace::{FileError, read_regular_file};
 use std::io;
 use std::path::Path;
 
@@ -160,7 +160,7 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
                     findings.push(contradiction(&file, "its verdicts differ from those of the traces".to_owned()));
                 }
                 if step.verdict != Some(again.verdict) {
-                    let stored = step.verdict.map_or("nothing", platebench_record::Verdict::name);
+                    let stored = step.verdict.map_or("nothing", platebench_model::record::Verdict::name);
                     let message =
                         format!("step {} has verdict {stored}, but its traces give {}", step.id, again.verdict);
                     findings.push(contradiction(FILE, message));

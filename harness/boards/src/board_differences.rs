@@ -1,6 +1,6 @@
 //! Compares the means of the metrics of several boards.
 
-use platebench_record::{BoardDifference, MergeRecord, ScenarioRecord};
+use platebench_model::record::{BoardDifference, MergeRecord, ScenarioRecord};
 use platebench_verdict::statistics::SampleSummary;
 use std::collections::BTreeMap;
 

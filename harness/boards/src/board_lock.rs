@@ -2,8 +2,8 @@
 
 use crate::error::BoardError;
 use crate::inventory::{Board, Inventory};
+use platebench_model::trace::AtPath;
 use platebench_rig::{LockHolder, port_lock};
-use platebench_trace::AtPath;
 use std::fs::{self, File};
 use std::io;
 use std::path::PathBuf;

@@ -1,8 +1,8 @@
 //! Defines the errors of the inventory and of a reservation.
 
+use platebench_model::scenario::Diagnostic;
+use platebench_model::trace::FileError;
 use platebench_rig::{ConnectError, LockHolder, RigError};
-use platebench_scenario::Diagnostic;
-use platebench_trace::FileError;
 use std::path::PathBuf;
 
 #[derive(Debug, thiserror::Error)]

@@ -2,8 +2,8 @@
 
 use crate::error::BoardError;
 use jiff::civil::Date;
+use platebench_model::scenario::{Diagnostic, find_file_above, parse_file};
 use platebench_rig::RigSpec;
-use platebench_scenario::{Diagnostic, find_file_above, parse_file};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize, Serializer};
 use std::collections::BTreeSet;

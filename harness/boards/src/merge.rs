@@ -1,13 +1,13 @@
 //! Joins the runs of shards and boards into one run folder.
 
 use crate::board_differences::differences;
-use platebench_record::{
+use platebench_model::record::{
     FORMAT, FolderError, Host, MergeRecord, MergedRun, MergedScenario, MissingShard, NotApplicable, Overrides,
     RigRecord, RunFolder, RunRecord, ScenarioRecord, Tool, Verdict, utc_timestamp,
 };
+use platebench_model::trace::AtPath as _;
 use platebench_runner::rejudge::check_trace;
 use platebench_runner::{RejudgeError, rejudge};
-use platebench_trace::AtPath as _;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -203,7 +203,7 @@ fn joined_head(runs: &[StoredRun], out: &RunFolder) -> RunRecord {
         tool: Tool::running(),
         started: if runs.is_empty() { utc_timestamp() } else { out.started() },
         rig: one_rig.unwrap_or(RigRecord { name: names, firmware: None }),
-        clock: first.map_or(platebench_record::ClockKind::Lockstep, |first| first.clock),
+        clock: first.map_or(platebench_model::record::ClockKind::Lockstep, |first| first.clock),
         overrides: if is_common { first.map(common).unwrap_or_default() } else { different },
         host: Host::current(),
         drive_after_safe: all().any(|run| run.drive_after_safe),

@@ -11,7 +11,7 @@ use crate::error::BoardError;
 use crate::inventory::{Board, Inventory};
 use crate::run_end::BoardOutcome;
 use crate::state::{Quarantine, StoredState};
-use platebench_record::{to_hex, utc_timestamp};
+use platebench_model::record::{to_hex, utc_timestamp};
 use platebench_rig::{CancelToken, ConnectOptions, Session};
 use std::thread::sleep;
 use std::time::{Duration, Instant};

@@ -1,8 +1,8 @@
 //! Records a soak test as counts and running statistics. Its size does not grow with its runs.
 
-use platebench_record::{RunRecord, Verdict, utc_timestamp};
+use platebench_model::record::{RunRecord, Verdict, utc_timestamp};
+use platebench_model::trace::{read_text_file, write_atomically};
 use platebench_report::text::Table;
-use platebench_trace::{read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io;

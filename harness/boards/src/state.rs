@@ -1,8 +1,8 @@
 //! Stores the state of a board so that it survives a power cut.
 
 use crate::error::BoardError;
-use platebench_record::{Verdict, utc_timestamp};
-use platebench_trace::{AtPath, FileError, read_text_file, write_atomically};
+use platebench_model::record::{Verdict, utc_timestamp};
+use platebench_model::trace::{AtPath, FileError, read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::{Path, PathBuf};

@@ -3,9 +3,9 @@
 use crate::correlation::{Correlation, RawCorrelation};
 use crate::distribution::RawDistribution;
 use crate::variable::Variable;
+use platebench_model::scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
+use platebench_model::scenario::{Diagnostic, Metric, Scenario, parse_file};
 use platebench_rig::RigSpec;
-use platebench_scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
-use platebench_scenario::{Diagnostic, Metric, Scenario, parse_file};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

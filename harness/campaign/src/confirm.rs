@@ -12,7 +12,7 @@ use crate::plan::{Plan, firmware_digest};
 use crate::play::{PlayConfig, TrialEvent, replay};
 use crate::row::Row;
 use crate::tally::{Tally, keep_worst};
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;

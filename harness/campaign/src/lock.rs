@@ -4,8 +4,8 @@
 
 use crate::error::CampaignError;
 use crate::plan::Plan;
-use platebench_record::FileLock;
-use platebench_trace::AtPath;
+use platebench_model::record::FileLock;
+use platebench_model::trace::AtPath;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 

@@ -8,7 +8,7 @@ use crate::plan::Plan;
 use crate::results::ResultsWriter;
 use crate::scenario_files;
 use crate::summary::{SUMMARY_FILE, Summary};
-use platebench_trace::{AtPath, write_atomically};
+use platebench_model::trace::{AtPath, write_atomically};
 use std::path::Path;
 
 const COUNTEREXAMPLES: &str = "counterexamples";

@@ -3,7 +3,7 @@
 use crate::campaign::{Campaign, Method};
 use crate::rare::{ChainEstimate, CombinedEstimate, RareMethod};
 use crate::row::Row;
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 

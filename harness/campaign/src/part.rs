@@ -18,8 +18,8 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
-use platebench_record::sha256;
-use platebench_trace::{AtPath, AtomicFile, read_regular_file, write_atomically};
+use platebench_model::record::sha256;
+use platebench_model::trace::{AtPath, AtomicFile, read_regular_file, write_atomically};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -217,7 +217,7 @@ pub(crate) fn finish(mut file: AtomicFile, path: &Path) -> Result<(), CampaignEr
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_record::Verdict;
+    use platebench_model::record::Verdict;
     use platebench_rig::RigSpec;
     use rstest::rstest;
     use std::fs;

@@ -2,14 +2,13 @@
 
 use crate::campaign::{Campaign, Method};
 use crate::error::CampaignError;
-use platebench_record::{sha256, sha256_of_file, to_hex};
+use platebench_model::record::{sha256, sha256_of_file, to_hex};
+use platebench_model::trace::{AtPath, MAX_IMAGE_BYTES, read_regular_file, read_text_file, write_atomically};
 use platebench_rig::{BUILT_IN_IMAGE, FaultInjector, RigSpec, Session, printable_name};
-use platebench_trace::{AtPath, MAX_IMAGE_BYTES, read_regular_file, read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};
-use std::fs;
-use std::io;
 use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
+use std::{fs, io};
 
 pub const PLAN_FILE: &str = "plan.json";
 const PARTS: &str = "parts";

@@ -7,7 +7,7 @@ use crate::row::Row;
 use crate::sample::Quantile;
 use crate::summary::{SUMMARY_FILE, Summary};
 use crate::worst_run::ResponseLinks;
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use platebench_report::page::{BlockPage, PageBlock};
 use platebench_report::text::Table;
 use std::path::Path;

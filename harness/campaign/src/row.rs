@@ -3,8 +3,8 @@
 use crate::campaign::Campaign;
 use crate::draw::Trial;
 use crate::error::CampaignError;
-use platebench_record::{Cause, Verdict};
-use platebench_scenario::Expectation;
+use platebench_model::record::{Cause, Verdict};
+use platebench_model::scenario::Expectation;
 use platebench_verdict::{Judgement, TrialMeasures, judge};
 
 const VERDICTS: [Verdict; 3] = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];

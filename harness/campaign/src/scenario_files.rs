@@ -3,11 +3,10 @@
 use crate::campaign::Campaign;
 use crate::draw::Trial;
 use crate::error::CampaignError;
-use platebench_trace::{AtPath, read_regular_file, write_atomically};
+use platebench_model::trace::{AtPath, read_regular_file, write_atomically};
 use std::collections::BTreeMap;
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 use toml::{Table, Value};
 
 /// Largest plate or profile, as for the scenario that names it.

@@ -6,7 +6,7 @@
 
 use crate::row::Row;
 use crate::tally::Tally;
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use platebench_verdict::statistics::alpha_spending::{Look, plan_looks};
 
 const FIRST_LOOK: u32 = 32;

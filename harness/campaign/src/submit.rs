@@ -2,7 +2,7 @@
 
 use crate::error::CampaignError;
 use crate::plan::Plan;
-use platebench_trace::AtPath;
+use platebench_model::trace::AtPath;
 use std::path::Path;
 
 /// Job scheduler that starts and restarts shards.

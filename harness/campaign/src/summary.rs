@@ -9,7 +9,7 @@ use crate::sequential::SequentialDecision;
 use crate::shard_end::ShardEnd;
 use crate::tally::{Tally, keep_worst};
 use crate::variable::Variable;
-use platebench_record::{Cause, Verdict};
+use platebench_model::record::{Cause, Verdict};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 
@@ -142,8 +142,8 @@ impl<'a> Summary<'a> {
     }
 
     /// Cause of an inconclusive verdict: the most frequent cause of inconclusive trials. It is
-    /// [`Cause::Evidence`] if there is none or a shard is missing, and [`Cause::Rig`] if 0 V was not
-    /// confirmed.
+    /// [`Cause::Evidence`] if there is none or a shard is missing, and [`Cause::Rig`] if 0 V was
+    /// not confirmed.
     pub fn cause(&self) -> Option<Cause> {
         if self.verdict() != Verdict::Inconclusive {
             return None;

@@ -1,7 +1,7 @@
 //! Counts trials, and keeps those with the smallest margins.
 
 use crate::row::Row;
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use platebench_verdict::statistics::proportion::clopper_pearson;
 
 /// Number of trials in the table of the report and in the folder of counterexamples.

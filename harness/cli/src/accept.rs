@@ -17,7 +17,7 @@ use platebench_acceptance::{
     play_session, verify,
 };
 use platebench_boards::BoardOutcome;
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use platebench_report::ProgressKind;
 use platebench_rig::RigSpec;
 use platebench_runner::{CancelToken, RunError};

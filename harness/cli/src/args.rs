@@ -1,12 +1,10 @@
 //! Defines the command line and parses it.
 
-use crate::build_info;
-use crate::color;
 use crate::config::{self, Config};
 use crate::logging::LoggingArgs;
 use crate::{
-    accept, baseline, boards, check, compare, completions, emulate, explore, identify, judge, man, merge, new, replay,
-    report, run, schema, soak, trust,
+    accept, baseline, boards, build_info, check, color, compare, completions, emulate, explore, identify, judge, man,
+    merge, new, replay, report, run, schema, soak, trust,
 };
 #[cfg(feature = "export")]
 use crate::{campaign, export, export_fmu};
@@ -16,7 +14,7 @@ use crate::{chart, stability, tune};
 use crate::{coverage, mutate};
 use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use platebench_scenario::Diagnostic;
+use platebench_model::scenario::Diagnostic;
 
 const EXIT_CODES: &str = "\
 Examples:

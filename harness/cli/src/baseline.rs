@@ -5,7 +5,7 @@ use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat, parse_number};
 use crate::{prompt, stdio};
 use clap::{Args, Subcommand};
-use platebench_record::{RunRecord, ScenarioRecord, Verdict};
+use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
 use platebench_report::format::count;
 use platebench_report::{comparison, tube_plot};
 use platebench_runner::baseline::{BaselineAcceptError, build_baseline, check_acceptable};

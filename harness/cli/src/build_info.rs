@@ -1,6 +1,6 @@
 //! Describes this build for `--version` and `run.json`.
 
-use platebench_record::Tool;
+use platebench_model::record::Tool;
 
 const COMMIT: &str = env!("PLATEBENCH_BUILD_COMMIT");
 const PROFILE: &str = env!("PLATEBENCH_BUILD_PROFILE");

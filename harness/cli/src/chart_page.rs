@@ -1,9 +1,9 @@
 //! Writes a page of charts and their files.
 
 use crate::failure::{Failure, OrInvalid};
+use platebench_model::trace::write_atomically;
 use platebench_report::page::{BlockPage, PageBlock};
 use platebench_study::charts::ChartSection;
-use platebench_trace::write_atomically;
 use std::path::{Path, PathBuf};
 
 /// Returns the path of the page. A section with the title of the page gets no heading of its own.

@@ -12,13 +12,13 @@ use platebench_boards::Inventory;
 #[cfg(feature = "export")]
 use platebench_campaign::Campaign;
 use platebench_explore::Envelope;
-use platebench_report::format::count;
-use platebench_runner::law;
-use platebench_scenario::{
+use platebench_model::scenario::{
     Diagnostic, FileKind, list_files, load, load_with_all_errors, plate_warnings, read_requirements, repeated_names,
     unjudged_changes,
 };
-use platebench_trace::FileError;
+use platebench_model::trace::FileError;
+use platebench_report::format::count;
+use platebench_runner::law;
 use platebench_uncertainty::{Budget, known_quantities};
 use platebench_verdict::golden::{Baseline, BaselineError};
 use serde::Serialize;

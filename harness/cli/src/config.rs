@@ -4,13 +4,13 @@
 //! variable of a setting is the `env` of the option, and the value in the file is its default.
 
 use clap::Command;
-use platebench_scenario::{Diagnostic, find_file_above, parse, parse_file};
+use platebench_model::scenario::{Diagnostic, find_file_above, parse, parse_file};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 /// Name of the settings file. The nearest one applies, from the working directory upwards.
-pub(crate) use platebench_scenario::SETTINGS_FILE as FILE;
+pub(crate) use platebench_model::scenario::SETTINGS_FILE as FILE;
 
 /// Keys of `platebench.toml`.
 // The type only checks the keys and the types of their values. `SETTINGS` reads the values.

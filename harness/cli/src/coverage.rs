@@ -10,9 +10,9 @@ use clap::Args;
 use platebench_firmware_analysis::{
     AnalysisError, Coverage, CoverageConfig, Suite, coverage_text, lcov, measure_coverage,
 };
+use platebench_model::trace::write_atomically;
 use platebench_report::Detail;
 use platebench_rig::{CancelToken, RigSpec};
-use platebench_trace::write_atomically;
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-use platebench_record::{RunRecord, Verdict};
+use platebench_model::record::{RunRecord, Verdict};
 use platebench_report::format::sign;
 use std::process::ExitCode;
 

@@ -6,7 +6,7 @@ use crate::judge::StoredRun;
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_export::ExportError;
-use platebench_record::RunRecord;
+use platebench_model::record::RunRecord;
 use platebench_runner::RejudgeError;
 use platebench_runner::rejudge::check_trace;
 use std::path::PathBuf;

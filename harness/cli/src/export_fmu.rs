@@ -6,8 +6,8 @@ use crate::plate_warnings::warn_of_plate;
 use crate::stdio;
 use clap::Args;
 use platebench_fmi::find_library;
-use platebench_scenario::load::load_plate;
-use platebench_scenario::read_text;
+use platebench_model::scenario::load::load_plate;
+use platebench_model::scenario::read_text;
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]

@@ -8,15 +8,18 @@ use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_boards::Board;
 use platebench_identify::{
-    ColumnMapping, DirectFit, Identification, IdentificationTable, ParameterUncertainty, PlateFileDetails, Recording,
-    external_csv, parameter_uncertainties, plate_file, tables, uncertainty_table,
+    DirectFit, Identification, IdentificationTable, ParameterUncertainty, PlateFileDetails, parameter_uncertainties,
+    plate_file, tables, uncertainty_table,
 };
+use platebench_model::external_csv;
+use platebench_model::external_csv::ColumnMapping;
+use platebench_model::recording::Recording;
+use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_atomically, write_new};
 use platebench_report::ReportError;
 use platebench_report::chart::FitChart;
 use platebench_report::format::count;
 use platebench_report::page::{BlockPage, PageBlock};
 use platebench_report::text::Table;
-use platebench_trace::{MAX_TABLE_BYTES, open_regular_file, write_atomically, write_new};
 use platebench_uncertainty::{Budget, known_quantities};
 use serde::Serialize;
 use std::fs;
@@ -211,10 +214,10 @@ fn read_recording(path: &Path, arguments: &IdentifyArgs) -> Result<Recording, Fa
         return external_csv::read(&name, file, columns).or_invalid();
     }
     let signal = match arguments.signal {
-        SignalSource::Sensed => platebench_identify::SampleSource::Sensed,
-        SignalSource::True => platebench_identify::SampleSource::True,
+        SignalSource::Sensed => platebench_model::recording::SampleSource::Sensed,
+        SignalSource::True => platebench_model::recording::SampleSource::True,
     };
-    let rows = platebench_trace::read_trace(path).or_invalid()?;
+    let rows = platebench_model::trace::read_trace(path).or_invalid()?;
     Recording::from_trace(name, &rows, signal).or_invalid_at(path)
 }
 

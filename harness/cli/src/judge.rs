@@ -5,7 +5,7 @@ use crate::failure::CommandResult;
 use crate::options::OutputFormat;
 use crate::stdio;
 use clap::Args;
-use platebench_record::RunRecord;
+use platebench_model::record::RunRecord;
 use platebench_report::Detail;
 use platebench_runner::{RejudgeError, rejudge};
 use std::path::{Path, PathBuf};

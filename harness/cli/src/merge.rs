@@ -6,7 +6,7 @@ use crate::options::{BASELINES, OutputFormat};
 use crate::stdio;
 use clap::Args;
 use platebench_boards::{MergeError, merge_runs};
-use platebench_record::{RunFolder, RunRecord};
+use platebench_model::record::{RunFolder, RunRecord};
 use platebench_report::page::{self, ReportPage};
 use platebench_report::text::board_matrix::{difference_table, missing_shards, verdict_matrix};
 use platebench_report::{Detail, junit, traceability};

@@ -10,13 +10,12 @@ use crate::stdio;
 use clap::Args;
 use platebench_firmware_analysis::mutation::{MutantFilter, mutation_json, summary};
 use platebench_firmware_analysis::{MutationConfig, MutationReport, Suite, measure_mutation};
+use platebench_model::scenario::Scenario;
+use platebench_model::trace::write_atomically;
 use platebench_report::Detail;
 use platebench_rig::{CancelToken, RigSpec};
-use platebench_scenario::Scenario;
-use platebench_trace::write_atomically;
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 /// Number of mutants between two lines of progress, which show in a log that the work continues.
 const PROGRESS_INTERVAL: usize = 50;

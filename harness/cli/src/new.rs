@@ -6,11 +6,10 @@ use crate::options::law_names;
 use crate::schema::SchemaKind;
 use crate::stdio;
 use clap::Args;
-use platebench_trace::write_new;
+use platebench_model::trace::write_new;
 use platebench_wire::LawId;
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 const PLATE: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
 const PLATE_FILE: &str = "plates/aluminium-198x138.toml";

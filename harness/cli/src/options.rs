@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 use clap::builder::PossibleValuesParser;
-use platebench_record::KeepTraces;
+use platebench_model::record::KeepTraces;
 use platebench_runner::Pacing;
 use platebench_wire::LawId;
 use std::num::NonZero;

@@ -4,16 +4,15 @@ use crate::exit::Exit;
 use crate::options::OutputFormat;
 use crate::stdio;
 use clap::{Args, ValueEnum};
+use platebench_model::record::{RunRecord, ScenarioRecord};
+use platebench_model::scenario::{Diagnostic, Scenario};
 use platebench_plate::input::STANDARD_STREAM;
-use platebench_record::{RunRecord, ScenarioRecord};
 use platebench_report::annotations::{self, SourceLocation};
 use platebench_report::tap::{self, TapVersion};
 use platebench_report::{ReportError, markdown};
-use platebench_scenario::{Diagnostic, Scenario};
-use std::env;
-use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
+use std::{env, fs};
 
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct Outputs {

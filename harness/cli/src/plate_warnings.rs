@@ -1,9 +1,9 @@
 //! Warns of plate files that no ultrasonic tactile plate resembles, such as a gain in a wrong unit.
 
 use crate::stdio;
+use platebench_model::scenario::load::implausible_values;
+use platebench_model::scenario::{Scenario, plate_warnings};
 use platebench_plate::Plate;
-use platebench_scenario::load::implausible_values;
-use platebench_scenario::{Scenario, plate_warnings};
 use std::collections::BTreeSet;
 use std::path::Path;
 

@@ -7,7 +7,7 @@ use crate::options::BASELINES;
 use crate::{soak, stdio};
 use clap::Args;
 use platebench_boards::{SOAK_FILE, SoakRecord};
-use platebench_record::RunRecord;
+use platebench_model::record::RunRecord;
 use platebench_report::page::{self, ReportPage};
 use platebench_report::traceability;
 use platebench_runner::RejudgeError;

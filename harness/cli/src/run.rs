@@ -12,8 +12,8 @@ use crate::options::SCENARIOS;
 use crate::plate_warnings::warn_of_scenarios;
 use crate::selection::{check_not_empty, note_skipped, nothing_to_run};
 use crate::stdio;
+use platebench_model::scenario::find;
 use platebench_report::{Detail, scenario_list};
-use platebench_scenario::find;
 use play::Selection;
 use std::path::Path;
 

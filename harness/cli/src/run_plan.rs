@@ -3,7 +3,7 @@
 use crate::prompt::TerminalOperator;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use platebench_live::{LiveView, ViewEvent};
-use platebench_record::{RunFolder, RunRecord};
+use platebench_model::record::{RunFolder, RunRecord};
 use platebench_report::events::EventWriter;
 use platebench_report::page::{MAX_TRIALS, RowCache};
 use platebench_report::{Progress, ProgressKind};

@@ -11,10 +11,10 @@ use platebench_boards::RawInventory;
 #[cfg(feature = "export")]
 use platebench_campaign::RawCampaign;
 use platebench_explore::RawEnvelope;
-use platebench_record::RunRecord;
+use platebench_model::record::RunRecord;
+use platebench_model::scenario::schema;
+use platebench_model::trace::write_atomically;
 use platebench_report::events::EventLine;
-use platebench_scenario::schema;
-use platebench_trace::write_atomically;
 use platebench_wire::LawId;
 use std::fs;
 use std::path::PathBuf;

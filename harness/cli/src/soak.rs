@@ -10,7 +10,7 @@ use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
 use clap::Args;
 use platebench_boards::{BoardOutcome, SoakConfig, SoakEnd, SoakRecord, SoakResult, SoakScenario, soak as play};
-use platebench_record::Overrides;
+use platebench_model::record::Overrides;
 use platebench_report::Detail;
 use platebench_report::page::{self, BlockPage, PageBlock};
 use platebench_rig::ConnectOptions;

@@ -3,10 +3,10 @@
 use crate::color;
 use crate::exit::Exit;
 use crate::options::OutputFormat;
-use platebench_record::RunRecord;
+use platebench_model::record::RunRecord;
+use platebench_model::scenario::Diagnostic;
 use platebench_report::text::{printable, printable_lines};
 use platebench_report::{Detail, Style, console};
-use platebench_scenario::Diagnostic;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use serde::Serialize;
@@ -70,8 +70,8 @@ pub(crate) fn reason(exit: Exit, message: &str) {
     let _ = writeln!(stderr().lock(), "{}: {}", exit.word(), escape_commands(message));
 }
 
-/// Ends a text on standard output with the verdict, if there is one. Beside JSON, which has its own verdict, it is on
-/// standard error.
+/// Ends a text on standard output with the verdict, if there is one. Beside JSON, which has its own
+/// verdict, it is on standard error.
 pub(crate) fn verdict(exit: Exit, reason: &str, format: OutputFormat) {
     if matches!(exit, Exit::Invalid | Exit::Signal(_)) {
         return;

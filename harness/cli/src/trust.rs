@@ -8,15 +8,14 @@ use crate::stdio;
 use clap::Args;
 use platebench_explore::Envelope;
 use platebench_explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
+use platebench_model::trace::write_atomically;
 use platebench_report::Detail;
 use platebench_report::format::count;
 use platebench_rig::CancelToken;
-use platebench_trace::write_atomically;
 use platebench_trust::{TrustConfig, TrustReport, catalogue, clean_variants, format, measure};
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -1,7 +1,7 @@
 //! Reads the operating envelope.
 
+use platebench_model::scenario::{Diagnostic, load, parse_file};
 use platebench_plate::Plate;
-use platebench_scenario::{Diagnostic, load, parse_file};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use sha2::{Digest, Sha256};

@@ -9,10 +9,10 @@ use crate::properties::{Demand, Property, demands, reference_demands};
 use crate::scenario_file::{ScenarioText, ScenarioWriter};
 use crate::scene::Scene;
 use crate::staging::Staging;
+use platebench_model::scenario::Scenario;
 use platebench_rig::CancelToken;
 use platebench_runner::SafeEnds;
 use platebench_runner::plan::LinkFactory;
-use platebench_scenario::Scenario;
 use platebench_wire::LawId;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -157,7 +157,8 @@ impl Exploration {
     }
 }
 
-/// `ends` receives the ends of all sessions. `on_scene` receives the numbers of played and failed scenes. Violations are not errors.
+/// `ends` receives the ends of all sessions. `on_scene` receives the numbers of played and failed
+/// scenes. Violations are not errors.
 pub fn explore(
     config: &ExploreConfig,
     connect: &LinkFactory<'_>,

@@ -6,8 +6,8 @@ use crate::limits::{BAND, Knowledge, Limits};
 use crate::scene::{Course, Scene, SceneTrial};
 use crate::tuning::Tuning;
 use crate::windows::{Change, Window, windows};
+use platebench_model::scenario::Metric;
 use platebench_plate::Plate;
-use platebench_scenario::Metric;
 use serde::Serialize;
 use std::f64::consts::TAU;
 

@@ -5,7 +5,7 @@ use crate::explore::{ExploreConfig, FailedScene};
 use crate::properties::Property;
 use crate::scenario_file::ScenarioWriter;
 use crate::shrink::MinimalScene;
-use platebench_trace::AtPath;
+use platebench_model::trace::AtPath;
 use std::fs;
 use std::path::{Path, PathBuf};
 

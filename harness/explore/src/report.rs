@@ -4,7 +4,7 @@ use crate::coverage::{ChangeKind, RangeCoverage};
 use crate::explore::{Exploration, ExploreConfig, FailedRegression, FailedScene, PropertyTally, UndecidedScene};
 use crate::player::violated;
 use crate::properties::Property;
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use platebench_runner::SafeEnds;
 use platebench_verdict::statistics::proportion::clopper_pearson;
 use serde::Serialize;
@@ -16,8 +16,8 @@ pub const FILE: &str = "explore.json";
 #[derive(Debug, Clone, Serialize)]
 pub struct ExploreReport {
     pub format: u32,
-    /// `fail` after a violation. Otherwise `inconclusive` if a scene is undecided, a signal ended the
-    /// exploration or a controller did not confirm 0 V.
+    /// `fail` after a violation. Otherwise `inconclusive` if a scene is undecided, a signal ended
+    /// the exploration or a controller did not confirm 0 V.
     pub verdict: Verdict,
     /// True if every controller confirmed 0 V and stayed there.
     pub safe_confirmed: bool,

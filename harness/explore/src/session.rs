@@ -10,17 +10,16 @@ use crate::properties::Property;
 use crate::regression;
 use crate::report::{self, ExploreReport, ViolationReport, violated_properties};
 use crate::shrink::Shrinker;
+use platebench_model::scenario::{Scenario, load};
+use platebench_model::trace::{AtPath, write_atomically};
 use platebench_plate::Time;
 use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, RigSpec, Session};
 use platebench_runner::SafeEnds;
 use platebench_runner::plan::LinkFactory;
-use platebench_scenario::{Scenario, load};
-use platebench_trace::{AtPath, write_atomically};
 use platebench_wire::{Identity, LawId, capabilities};
-use std::fmt;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+use std::{fmt, fs};
 
 /// Longest wall time for shrinking all properties together.
 const SHRINK_TIME: Duration = Duration::from_mins(1);

@@ -2,8 +2,8 @@
 
 use crate::error::ExploreError;
 use crate::scenario_file::ScenarioText;
-use platebench_scenario::{Scenario, load};
-use platebench_trace::AtPath;
+use platebench_model::scenario::{Scenario, load};
+use platebench_model::trace::AtPath;
 use std::collections::BTreeMap;
 use std::fs;
 use tempfile::TempDir;

@@ -1,6 +1,6 @@
 //! Lists the columns of a row. Each flag is a column, so that programs can filter by it.
 
-use platebench_trace::{Column, Flags, OPTIONAL_COLUMNS, Row};
+use platebench_model::trace::{Column, Flags, OPTIONAL_COLUMNS, Row};
 
 #[derive(Debug, Clone, Copy)]
 pub struct Number {
@@ -73,7 +73,7 @@ pub const FLAG_COLUMNS: [FlagColumn; 6] = [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_trace::COLUMNS;
+    use platebench_model::trace::COLUMNS;
 
     #[test]
     fn contains_every_column_of_a_trace() {

@@ -1,6 +1,6 @@
 //! Defines the errors of an export.
 
-use platebench_trace::{FileError, TraceError};
+use platebench_model::trace::{FileError, TraceError};
 use std::error::Error;
 use std::path::{Path, PathBuf};
 

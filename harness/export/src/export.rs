@@ -3,8 +3,8 @@
 use crate::error::ExportError;
 use crate::source::ExportScenario;
 use crate::{mcap, mf4, parquet, table};
-use platebench_record::{RECORD_FILE, RunRecord, ScenarioRecord};
-use platebench_trace::{AtPath, AtomicFile};
+use platebench_model::record::{RECORD_FILE, RunRecord, ScenarioRecord};
+use platebench_model::trace::{AtPath, AtomicFile};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 

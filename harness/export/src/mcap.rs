@@ -9,7 +9,7 @@ use crate::error::ExportError;
 use crate::source::ExportScenario;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions};
-use platebench_trace::AtPath;
+use platebench_model::trace::AtPath;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::fs::File;

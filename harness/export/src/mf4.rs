@@ -10,7 +10,7 @@ use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use crate::error::ExportError;
 use crate::source::{ExportScenario, ExportTrial};
 use blocks::{BlockWriter, Channel, ChannelKind};
-use platebench_trace::AtPath;
+use platebench_model::trace::AtPath;
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io;

@@ -16,7 +16,7 @@ use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::{Type, TypePtr};
-use platebench_trace::Row;
+use platebench_model::trace::Row;
 use std::fs::File;
 use std::path::Path;
 use std::sync::Arc;

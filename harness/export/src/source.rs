@@ -1,9 +1,8 @@
 //! Reads a scenario of a run for export: the traces of its trials, and metadata.
 
 use crate::error::ExportError;
-use platebench_record::RECORD_FILE;
-use platebench_record::{RunRecord, ScenarioRecord};
-use platebench_trace::{Row, TraceReader};
+use platebench_model::record::{RECORD_FILE, RunRecord, ScenarioRecord};
+use platebench_model::trace::{Row, TraceReader};
 use std::path::{Component, Path, PathBuf};
 
 #[derive(Debug)]

@@ -4,7 +4,7 @@
 use crate::columns::{FLAG_COLUMNS, NUMBER_COLUMNS, Number};
 use crate::error::ExportError;
 use crate::source::ExportScenario;
-use platebench_trace::AtPath;
+use platebench_model::trace::AtPath;
 use serde::Serialize;
 use serde_json::json;
 use std::fs::File;

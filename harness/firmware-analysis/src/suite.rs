@@ -2,7 +2,9 @@
 
 use crate::code_map::CodeMap;
 use crate::error::AnalysisError;
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
+use platebench_model::scenario::Scenario;
+use platebench_model::trace::{MAX_IMAGE_BYTES, read_regular_file};
 use platebench_rig::{
     BUILT_IN_IMAGE, CancelToken, ConnectError, EmulatedError, EmulatedLink, FaultInjector, LinkError, RigError,
     RigSpec, SafeEnd, Session, Symbols, TargetError,
@@ -10,8 +12,6 @@ use platebench_rig::{
 use platebench_runner::plan::LinkFactory;
 use platebench_runner::trial::TrialResult;
 use platebench_runner::{Executor, ExecutorSettings, SafeEnds, ScenarioEnd, law, missing_capability};
-use platebench_scenario::Scenario;
-use platebench_trace::{MAX_IMAGE_BYTES, read_regular_file};
 use platebench_verdict::Judgement;
 use platebench_wire::LawId;
 use serde::Serialize;

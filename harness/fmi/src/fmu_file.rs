@@ -2,8 +2,8 @@
 
 use crate::description::{MODEL_IDENTIFIER, model_description};
 use crate::instance::PLATE_FILE;
+use platebench_model::trace::{AtPath as _, AtomicFile, FileError, MAX_IMAGE_BYTES, read_regular_file};
 use platebench_plate::Plate;
-use platebench_trace::{AtPath as _, AtomicFile, FileError, MAX_IMAGE_BYTES, read_regular_file};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use zip::write::SimpleFileOptions;

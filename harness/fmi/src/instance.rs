@@ -2,8 +2,8 @@
 //! form is exact for every step size.
 
 use crate::variables::{INPUTS, OUTPUTS, TIME_REFERENCE};
+use platebench_model::trace::read_text_file;
 use platebench_plate::{ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, RawPlate, Tier, Time};
-use platebench_trace::read_text_file;
 use std::f64::consts::TAU;
 use std::path::Path;
 

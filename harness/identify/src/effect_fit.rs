@@ -8,8 +8,8 @@
 use crate::effect::{EffectFit, IdentifiedHeating, IdentifiedSecondMode};
 use crate::estimate::{Estimate, WhitenessTest};
 use crate::fit::{DirectFit, OMEGA_UNIT, covariance_of, minimise};
-use crate::recording::Recording;
 use nalgebra::{DMatrix, DVector};
+use platebench_model::recording::Recording;
 use platebench_plate::{Complex64, Drive, Flow, Mode, State, Tier};
 use std::f64::consts::TAU;
 

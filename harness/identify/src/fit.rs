@@ -14,8 +14,8 @@
 use crate::arx::{ArxMethod, arx};
 use crate::effect::EffectFit;
 use crate::estimate::{Estimate, WhitenessTest};
-use crate::recording::{Recording, RecordingError};
 use nalgebra::{DMatrix, DVector};
+use platebench_model::recording::{Recording, RecordingError};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, State, Tier};
 
 const MAX_ITERATIONS: usize = 80;

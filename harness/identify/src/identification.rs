@@ -8,9 +8,9 @@ use crate::inconsistency::{
     Inconsistency, has_exchanged_components, implausible_parameters, inconsistent_recordings, is_coloured,
     is_explained_by_chance,
 };
-use crate::recording::{Recording, RecordingError};
 use crate::steps::{FrequencyStep, VoltageStep, frequency_steps, frequency_time_constant, voltage_steps};
 use nalgebra::{DMatrix, DVector};
+use platebench_model::recording::{Recording, RecordingError};
 use platebench_plate::Conditions;
 use serde::Serialize;
 use std::f64::consts::TAU;

@@ -3,7 +3,7 @@
 use crate::effect::IdentifiedSecondMode;
 use crate::estimate::Estimate;
 use crate::fit::{DirectFit, fit_direct};
-use crate::recording::{RecordedSample, Recording};
+use platebench_model::recording::{RecordedSample, Recording};
 use platebench_plate::plausible::{
     GAIN, MAX_DETUNING_HZ, NOISE, PlausibleRange, QUALITY_FACTOR, RESONANCE, TIME_CONSTANT,
 };

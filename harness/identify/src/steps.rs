@@ -3,7 +3,7 @@
 use crate::arx::{ArxMethod, ArxModel, arx};
 use crate::estimate::Estimate;
 use crate::fit::{DirectFit, fit_direct};
-use crate::recording::{RecordedInput, Recording};
+use platebench_model::recording::{RecordedInput, Recording};
 use serde::Serialize;
 
 const MIN_SAMPLES: usize = 6;

@@ -1,6 +1,6 @@
 //! Describes the run before the first row arrives.
 
-use platebench_scenario::Scenario;
+use platebench_model::scenario::Scenario;
 
 /// Half width of the band in % if no expectation has one, as in the paper for the response time.
 const BAND_PERCENT: f64 = 5.0;

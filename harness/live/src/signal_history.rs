@@ -1,6 +1,6 @@
 //! Decimates the rows of a trial: keeps minimum and maximum of each signal per time slice.
 
-use platebench_trace::{Column, Row};
+use platebench_model::trace::{Column, Row};
 use std::collections::VecDeque;
 
 /// Slices per window: two for each of 256 characters, because a Braille character has two columns.

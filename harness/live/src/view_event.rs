@@ -1,6 +1,6 @@
 //! Defines the events that the view shows.
 
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use platebench_runner::Event;
 
 #[derive(Debug)]

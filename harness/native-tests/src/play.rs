@@ -1,11 +1,11 @@
 //! Runs one scenario as a test, with its own run folder.
 
-use platebench_record::{FolderError, Overrides, RECORD_FILE, RunFolder, RunRecord, Verdict};
+use platebench_model::record::{FolderError, Overrides, RECORD_FILE, RunFolder, RunRecord, Verdict};
+use platebench_model::scenario::Scenario;
 use platebench_report::console::{self, Style};
 use platebench_report::{ReportError, junit, page, traceability};
 use platebench_rig::{ConnectOptions, RigSpec};
 use platebench_runner::{Clock, Pacing, RunError, RunHooks, RunPlan, TimeBase};
-use platebench_scenario::Scenario;
 use std::fs::{self, Permissions};
 use std::io;
 use std::os::unix::fs::PermissionsExt;

@@ -3,8 +3,8 @@
 use crate::error::SuiteError;
 use crate::play::TestContext;
 use libtest_mimic::{Arguments, Trial};
+use platebench_model::scenario::{Scenario, find};
 use platebench_rig::RigSpec;
-use platebench_scenario::{Scenario, find};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;

@@ -1,6 +1,6 @@
 //! Defines the errors of reports.
 
-use platebench_trace::{AtPath, FileError, write_atomically};
+use platebench_model::trace::{AtPath, FileError, write_atomically};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, thiserror::Error)]

@@ -1,6 +1,6 @@
 //! Formats numbers, limits, verdicts and counts, without layout or markup.
 
-use platebench_record::{ExpectationRecord, Limit, Metric, Reason, RunRecord, Statistic, TrialFinding, Verdict};
+use platebench_model::record::{ExpectationRecord, Limit, Metric, Reason, RunRecord, Statistic, TrialFinding, Verdict};
 use platebench_verdict::tube::{Exceedance, TubeSignal};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -268,7 +268,7 @@ pub fn unit(metric: Metric) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_record::{Bounds, Divergence, Evidence, MetricDefinition, MissingValue};
+    use platebench_model::record::{Bounds, Divergence, Evidence, MetricDefinition, MissingValue};
     use rstest::rstest;
 
     #[rstest]

@@ -1,6 +1,6 @@
 //! Finds keys, trials and missed expectations in a record.
 
-use platebench_record::{
+use platebench_model::record::{
     Cause, ExpectationRecord, Limit, Metric, RunRecord, ScenarioRecord, Statistic, TrialRecord, Verdict,
 };
 
@@ -146,7 +146,7 @@ pub(crate) fn open_loop_counterpart(record: &RunRecord, scenario: &ScenarioRecor
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_record::{Evidence, MetricDefinition, MetricValues, Telemetry};
+    use platebench_model::record::{Evidence, MetricDefinition, MetricValues, Telemetry};
 
     #[test]
     fn behind_a_mean_stands_the_trial_that_is_farthest_off() {

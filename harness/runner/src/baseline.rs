@@ -1,7 +1,7 @@
 //! Builds a baseline (the accepted reference response) from the trials of a stored run.
 
 use crate::stored_trials::{CompareError, ScenarioTrials, StoredTrial};
-use platebench_record::{RunRecord, ScenarioRecord};
+use platebench_model::record::{RunRecord, ScenarioRecord};
 use platebench_verdict::golden::{
     Baseline, BaselineBuild, GoldenTubes, LearnError, LearningParameters, ResponseFeatures,
 };

@@ -2,10 +2,10 @@
 //! real-time loop calls these checks, so they do not allocate.
 
 use crate::configure::start_frequency_mhz;
+use platebench_model::record::{Violation, ViolationKind};
+use platebench_model::scenario::Scenario;
 use platebench_plate::Time;
-use platebench_record::{Violation, ViolationKind};
 use platebench_rig::DrivesAfterSafe;
-use platebench_scenario::Scenario;
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId};
 
 /// Covers the rounding of two frequencies: f32 resolves 32 kHz to 2 mHz, the wire rounds to 1 mHz.
@@ -141,7 +141,7 @@ mod tests {
 
     fn scenario() -> Scenario {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
-        let mut scenario = platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let mut scenario = platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
         scenario.plate.drive_limit_vpp = 900.0;
         scenario.controller.frequency_range_hz = 250.0;
         scenario.controller.frequency_slew_hz = 100.0;
@@ -187,7 +187,7 @@ mod tests {
     #[case::a_chip_with_faults("chip/stuck-microseconds.toml", &[5, 4], 0)]
     fn checks_the_clock(#[case] file: &str, #[case] times_us: &[u32], #[case] count: u64) {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
-        let scenario = platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let scenario = platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
         let mut checks = CommandChecks::new(&scenario);
         for (number, &target_time_us) in (1..).zip(times_us) {
             let command = Command { target_time_us, ..command(0.0, 0, ControllerState::Running) };

@@ -1,8 +1,8 @@
 //! Compares stored responses with a reference: a baseline, a trace or another run.
 
 use crate::stored_trials::{CompareError, ScenarioTrials, StoredTrial, is_run_folder, read_trials};
-use platebench_record::Verdict;
-use platebench_trace::{Row, read_trace};
+use platebench_model::record::Verdict;
+use platebench_model::trace::{Row, read_trace};
 use platebench_verdict::golden::{Baseline, GoldenTubes, TubeComparison, gap_between_rows, row_step_ms};
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 //! Translates the controller section of a scenario into the message `Configure`.
 
+use platebench_model::scenario::{Diagnostic, Scenario, suggestion};
 use platebench_plate::Time;
-use platebench_scenario::{Diagnostic, Scenario, suggestion};
 use platebench_wire::{Configure, Gains, Identity, LawId, capabilities};
 
 pub fn law(scenario: &Scenario) -> Result<LawId, Diagnostic> {
@@ -56,7 +56,7 @@ pub(crate) fn start_frequency_mhz(scenario: &Scenario) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_scenario::load;
+    use platebench_model::scenario::load;
     use std::path::Path;
 
     #[test]

@@ -3,10 +3,10 @@
 use crate::command_checks::CommandChecks;
 use crate::configure::configure;
 use crate::fault::needs_reconfiguration;
+use platebench_model::record::{Telemetry, ViolationKind};
+use platebench_model::scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_plate::Time;
-use platebench_record::{Telemetry, ViolationKind};
 use platebench_rig::{FaultInjector, Link, LinkError, ProtocolCheck, RigError, Session, check_protocol};
-use platebench_scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
 use tracing::warn;
 
@@ -96,8 +96,8 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    /// Call it after the request for 0 V, which is checked too. A planned fault `duplicate` excuses a
-    /// second reply, unless it differs from the first one.
+    /// Call it after the request for 0 V, which is checked too. A planned fault `duplicate` excuses
+    /// a second reply, unless it differs from the first one.
     pub(crate) fn record_session<L: Link>(&mut self, session: &Session<FaultInjector<L>>, now: Time) {
         self.checks.set_count(ViolationKind::WrongSequence, session.wrong_sequences(), now);
         let is_planned = self.scenario.faults.iter().any(|fault| fault.kind == FaultKind::Duplicate);

@@ -3,11 +3,10 @@
 
 use crate::real_time::Pacing;
 use crate::trial;
+use platebench_model::record::{Excuse, Telemetry};
+use platebench_model::scenario::{Expectation, Metric, Scenario};
+use platebench_model::trace::Row;
 use platebench_plate::Time;
-use platebench_record::Excuse;
-use platebench_record::Telemetry;
-use platebench_scenario::{Expectation, Metric, Scenario};
-use platebench_trace::Row;
 use platebench_verdict::metrics::Measure;
 use platebench_verdict::{TrialMeasures, measure};
 use platebench_wire::LawId;
@@ -106,8 +105,8 @@ fn simulate_rows(scenario: &Scenario, law: LawId, index: u32) -> Option<Vec<Row>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_record::{Cause, Quantiles, TimingRecord};
-    use platebench_scenario::load;
+    use platebench_model::record::{Cause, Quantiles, TimingRecord};
+    use platebench_model::scenario::load;
     use std::path::Path;
 
     fn scenario(name: &str) -> Scenario {

@@ -3,8 +3,8 @@
 
 use crate::configure::configure;
 use platebench_controller::StateMachine;
+use platebench_model::scenario::Scenario;
 use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, Tier, Time};
-use platebench_scenario::Scenario;
 use platebench_verdict::bisection::bisect;
 use platebench_wire::{Configure, ControllerState, LawId, Sample};
 use std::collections::VecDeque;
@@ -168,7 +168,7 @@ pub fn search_boundary(period: f64, longest: f64, is_stable: impl Fn(Time) -> bo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_scenario::load;
+    use platebench_model::scenario::load;
     use std::path::Path;
 
     fn boundary_periods(law: LawId, response_ms: f64) -> f64 {

@@ -2,16 +2,15 @@
 //! between trials, replaces a lost controller and confirms 0 V at the end. Its callers choose,
 //! judge and store the trials.
 
-use crate::configure;
 use crate::controller_log::is_controller_failure;
 use crate::live_tap::TapWriter;
 use crate::operator::{NoOperator, Operator};
 use crate::plan::{Clock, LinkFactory, RunError};
 use crate::trial::{self, TrialResult, TrialSpec};
-use crate::{real_plate, real_time};
-use platebench_record::Telemetry;
+use crate::{configure, real_plate, real_time};
+use platebench_model::record::Telemetry;
+use platebench_model::scenario::Scenario;
 use platebench_rig::{BoxedLink, CancelToken, FaultInjector, Link, RigError, SafeEnd, Session};
-use platebench_scenario::Scenario;
 use platebench_verdict::{Judgement, SequentialDecision, judge_sequentially, measure};
 use platebench_wire::{Identity, LawId};
 use std::ops::ControlFlow;
@@ -130,8 +129,8 @@ impl<'a, L: Link> Executor<'a, L> {
     }
 
     /// Plays trial `index` and, before it, the scenes between trials. `None` if it was cancelled.
-    /// Fails if the controller cannot be reached or refuses a configuration. A lost controller is no
-    /// error of the trial, unless it is lost too often.
+    /// Fails if the controller cannot be reached or refuses a configuration. A lost controller is
+    /// no error of the trial, unless it is lost too often.
     pub fn play(
         &mut self,
         scenario: &Scenario,
@@ -256,6 +255,6 @@ impl<L: Link> Drop for Executor<'_, L> {
 
 fn controller_name(identity: &Identity) -> String {
     let [major, minor, patch] = identity.version;
-    let [build, unique] = [&identity.build[..], &identity.unique[..]].map(platebench_record::to_hex);
+    let [build, unique] = [&identity.build[..], &identity.unique[..]].map(platebench_model::record::to_hex);
     format!("{} {major}.{minor}.{patch}, build {build}, number {unique}", platebench_rig::printable_name(identity))
 }

@@ -1,9 +1,11 @@
 //! Translates the faults of a scenario into faults of the rig.
 
+use platebench_model::scenario::{
+    BitFlipTarget, ChipFault, ChipFaultKind, Direction, Fault, FaultKind, Scenario, Variation,
+};
 use platebench_plate::Time;
 use platebench_rig::chip_fault::{ChipFault as RigChipFault, ChipFaultKind as RigChipFaultKind, ChipFaultPlan};
 use platebench_rig::{Direction as Way, WireFault, WireFaultKind};
-use platebench_scenario::{BitFlipTarget, ChipFault, ChipFaultKind, Direction, Fault, FaultKind, Scenario, Variation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::Duration;

@@ -39,7 +39,7 @@ pub use live_tap::{LiveTap, TapReader};
 pub use operator::{Answer, NoOperator, Operator, Question, QuestionKind};
 pub use plan::{Clock, RunError, RunHooks, RunPlan};
 pub use plant_simulation::ManualInputs;
-pub use platebench_record::Event;
+pub use platebench_model::record::Event;
 pub use platebench_rig::CancelToken;
 pub use real_time::{ManualControl, Pacing, TimeBase};
 pub use rejudge::{RejudgeError, rejudge};

@@ -3,7 +3,7 @@
 //! The trial loop neither waits nor allocates for the reader of the queue. If the queue is full,
 //! the row is counted but dropped. So the view may miss rows, but its counts are complete.
 
-use platebench_trace::{Flags, Row};
+use platebench_model::trace::{Flags, Row};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};

@@ -1,7 +1,7 @@
 //! Draws the loop delay of each control period.
 
+use platebench_model::scenario::{Scenario, Variation};
 use platebench_plate::Time;
-use platebench_scenario::{Scenario, Variation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 

@@ -3,10 +3,10 @@
 use crate::live_tap::LiveTap;
 use crate::operator::{NoOperator, Operator};
 use crate::real_time::TimeBase;
-use platebench_record::{ClockKind, Event, FolderError, Overrides};
+use platebench_model::record::{ClockKind, Event, FolderError, Overrides};
+use platebench_model::scenario::{Diagnostic, Scenario};
+use platebench_model::trace::TraceError;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, RigError, RigSpec};
-use platebench_scenario::{Diagnostic, Scenario};
-use platebench_trace::TraceError;
 
 /// Connects to the controller. An executor calls it at its start and after it has lost the
 /// controller.

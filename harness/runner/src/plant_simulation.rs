@@ -2,11 +2,10 @@
 
 use crate::configure::start_frequency_mhz;
 use crate::live_tap::TapWriter;
-use platebench_plate::BandSignal;
-use platebench_plate::{BandMonitor, Conditions, Crossing, Drive, Plant, Sensor, State, Time};
-use platebench_record::NonFiniteDrive;
-use platebench_scenario::{Metric, Scenario, Variation};
-use platebench_trace::{Flags, Row};
+use platebench_model::record::NonFiniteDrive;
+use platebench_model::scenario::{Metric, Scenario, Variation};
+use platebench_model::trace::{Flags, Row};
+use platebench_plate::{BandMonitor, BandSignal, Conditions, Crossing, Drive, Plant, Sensor, State, Time};
 use platebench_wire::{Command, ControllerState as Mode, Sample};
 use std::f64::consts::TAU;
 
@@ -310,7 +309,7 @@ mod tests {
     #[test]
     fn time_stamps_overflow_within_some_trials() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
-        let scenario = platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let scenario = platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
         let stamps = [0, 1, 2, 3, 4].map(|index| {
             let mut plant = PlantSimulation::new(&scenario, index, Vec::new(), None);
             let first = plant.sense().time_us;

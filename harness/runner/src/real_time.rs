@@ -23,9 +23,9 @@ use crate::scheduling::ThreadScheduling;
 use crate::steal_time::StealTime;
 use crate::trial::{TrialResult, TrialSpec};
 use control_loop::RealTimeLoop;
-use platebench_record::Telemetry;
+use platebench_model::record::Telemetry;
+use platebench_model::trace::Row;
 use platebench_rig::{CancelToken, FaultInjector, Link, RigError, Session};
-use platebench_trace::Row;
 use std::panic::resume_unwind;
 use std::thread;
 

@@ -1,8 +1,8 @@
 //! Writes `run.json` during a run, so that a killed run keeps the judged scenarios. Writes take at
 //! most 5 % of a run.
 
-use platebench_record::{FolderError, RunFolder, RunRecord};
-use platebench_trace::AtPath as _;
+use platebench_model::record::{FolderError, RunFolder, RunRecord};
+use platebench_model::trace::AtPath as _;
 use std::time::{Duration, Instant};
 
 const MIN_INTERVAL: Duration = Duration::from_millis(100);

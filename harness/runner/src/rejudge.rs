@@ -4,13 +4,13 @@ use crate::configure;
 use crate::delay_attribution::measure_trial;
 use crate::run::empty_record;
 use crate::worker::CompletedTrial;
-use platebench_plate::Tier;
-use platebench_record::{
+use platebench_model::record::{
     Exclusion, FolderError, KeepTraces, Overrides, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord,
     sha256, sha256_of_file, trace_path,
 };
-use platebench_scenario::{Diagnostic, Expectation, Scenario, Variation, load, load_copies};
-use platebench_trace::{AtPath, Row, TraceError, read_trace};
+use platebench_model::scenario::{Diagnostic, Expectation, Scenario, Variation, load, load_copies};
+use platebench_model::trace::{AtPath, Row, TraceError, read_trace};
+use platebench_plate::Tier;
 use platebench_verdict::{SequentialDecision, TrialMeasures, judge, judge_sequentially, trial_record};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -17,9 +17,9 @@ use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_fai
 use crate::executor::RigSession;
 use crate::plan::{LinkFactory, RunError};
 use crate::trial::OWN_CLOCK_WATCHDOG_TIMEOUT_MS;
+use platebench_model::scenario::Scenario;
 use platebench_plate::Time;
 use platebench_rig::{CancelToken, FaultInjector, RigError, SafeEnd};
-use platebench_scenario::Scenario;
 use platebench_verdict::replay::{Replay, ReplayCommand, ReplayResult, ReplayStep};
 use platebench_wire::{Command, Configure, ControllerState, LawId, Sample};
 use std::time::Duration;

@@ -1,7 +1,7 @@
 //! Collects delays and instruction counts of the replies of a trial.
 
+use platebench_model::record::{StepTime, Telemetry};
 use platebench_plate::Time;
-use platebench_record::{StepTime, Telemetry};
 use platebench_rig::Reply;
 use std::time::Duration;
 

@@ -1,7 +1,7 @@
 //! Passes rows out of a loop that must not wait, through a bounded queue without locks.
 
 use crate::plant_simulation::RowSink;
-use platebench_trace::Row;
+use platebench_model::trace::Row;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::thread;
 use std::time::Duration;

@@ -1,30 +1,28 @@
 //! Plays all trials of all scenarios on several workers. No result depends on the order of trials.
 
-use crate::configure;
 use crate::executor::{Executor, ExecutorSettings, RigSession, SafeEnds};
 use crate::fault::chip_fault_plan;
 use crate::plan::{Clock, LinkFactory, RunError, RunHooks, RunPlan};
 use crate::real_time::{Pacing, TimeBase};
 use crate::record_file::RecordFile;
-use crate::trend;
 use crate::worker::{CompletedTrial, Progress, RunContext, TrialTask, WorkQueue, result_channel, trial_tasks};
-use platebench_record::{
-    Event, FinishedScenario, Firmware, FolderError, Host, InputRecord, KeepTraces, RigRecord, RunFolder, RunRecord,
+use crate::{configure, trend};
+use platebench_model::record::{
+    Event, FinishedScenario, Firmware, FolderError, Host, InputRecord, KeepTraces, NotApplicable, RigRecord, RunFolder,
+    RunRecord, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex,
 };
-use platebench_record::{NotApplicable, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex};
+use platebench_model::scenario::{Metric, Scenario};
+use platebench_model::trace::AtPath as _;
 use platebench_rig::{ChipFaultError, FaultInjector, Link};
-use platebench_scenario::{Metric, Scenario};
-use platebench_trace::AtPath as _;
 use platebench_verdict::{Judgement, SequentialDecision, TrialMeasures, judge, judge_sequentially};
 use platebench_wire::{LawId, capabilities};
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
-use std::fs;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
-use std::thread;
 use std::time::Instant;
+use std::{fs, thread};
 use tracing::info;
 
 /// Plays the plan and writes record and traces into `folder`. After an error, `platebench judge`
@@ -356,7 +354,7 @@ fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inpu
     let identity = session.identity();
     let [major, minor, patch] = identity.version;
     RunRecord {
-        format: platebench_record::FORMAT,
+        format: platebench_model::record::FORMAT,
         verdict: Verdict::Inconclusive,
         complete: false,
         tool: Tool::running(),

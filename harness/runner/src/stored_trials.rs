@@ -1,8 +1,8 @@
 //! Lists the stored trials of a run. Reads the rows of one trial at a time to limit memory.
 
 use crate::rejudge::{RejudgeError, load_stored_scenario, read_trial_rows};
-use platebench_record::{RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord};
-use platebench_trace::{FileError, Row, TraceError, read_trace};
+use platebench_model::record::{RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord};
+use platebench_model::trace::{FileError, Row, TraceError, read_trace};
 use platebench_verdict::golden::BaselineError;
 use std::path::{Path, PathBuf};
 

@@ -1,7 +1,7 @@
 //! Collects the timing of a real-time loop without allocating.
 
 use hdrhistogram::Histogram;
-use platebench_record::{Quantiles, TimingRecord};
+use platebench_model::record::{Quantiles, TimingRecord};
 use std::time::Duration;
 
 /// Longest recorded duration, 1 min. A longer duration is clamped to it.

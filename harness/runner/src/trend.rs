@@ -4,9 +4,10 @@
 //! are compared. A trial that ended early has other control steps, so only complete trials of
 //! complete runs are compared.
 
-use platebench_record::sha256;
-use platebench_record::{CostTrend, EarlierCost, RecordError, RigRecord, StepCost};
-use platebench_record::{RunRecord, ScenarioRecord, TightestStep, TrialRecord};
+use platebench_model::record::{
+    CostTrend, EarlierCost, RecordError, RigRecord, RunRecord, ScenarioRecord, StepCost, TightestStep, TrialRecord,
+    sha256,
+};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;

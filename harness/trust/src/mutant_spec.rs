@@ -2,9 +2,9 @@
 
 use crate::mutant_controller::{Mutant, MutantController};
 use crate::mutants::loops::{HandwrittenLoops, Omission};
-use platebench_record::ViolationKind;
+use platebench_model::record::ViolationKind;
+use platebench_model::scenario::Metric;
 use platebench_rig::{BoxedLink, HostedLink};
-use platebench_scenario::Metric;
 
 /// Correct controller for comparison. An expectation that it fails catches no mutant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

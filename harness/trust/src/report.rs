@@ -1,6 +1,6 @@
 //! Defines the report of `platebench trust` (`trust.json`).
 
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use platebench_verdict::statistics::proportion::clopper_pearson;
 use serde::Serialize;
 

@@ -2,7 +2,7 @@
 
 use crate::budget::{Budget, Component, ComponentKind, Distribution, Instrument, QuantityBudget};
 use jiff::civil::Date;
-use platebench_scenario::{Diagnostic, Metric, parse_file};
+use platebench_model::scenario::{Diagnostic, Metric, parse_file};
 use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -6,10 +6,10 @@
 //! leaving the band around the setpoint to both sides and this swing does not decay. A trace cannot
 //! contain a NaN or infinite drive command; the rig reports it.
 
+use platebench_model::record::{Divergence, Telemetry};
+use platebench_model::scenario::Scenario;
+use platebench_model::trace::{Flags, Row};
 use platebench_plate::Time;
-use platebench_record::{Divergence, Telemetry};
-use platebench_scenario::Scenario;
-use platebench_trace::{Flags, Row};
 
 /// Half width of the band, as a share of the setpoint.
 const BAND_HALF_WIDTH: f64 = 0.05;

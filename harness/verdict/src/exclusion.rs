@@ -1,9 +1,9 @@
 //! Decides whether a trial on the simulated plate counts.
 
+use platebench_model::record::{Exclusion, Telemetry};
+use platebench_model::scenario::{Metric, Scenario};
+use platebench_model::trace::{Flags, Row};
 use platebench_plate::Time;
-use platebench_record::{Exclusion, Telemetry};
-use platebench_scenario::{Metric, Scenario};
-use platebench_trace::{Flags, Row};
 
 /// Twice the error of an on-chip oscillator, 1 %. A wrongly configured timer is off by a factor.
 const CLOCK_TOLERANCE_PPM: f64 = 20_000.0;

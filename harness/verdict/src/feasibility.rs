@@ -5,10 +5,10 @@
 //! `W' = −σ W + b V`; V is the limit while W must rise and 0 while it must fall.
 
 use crate::metrics::{self, Measure};
+use platebench_model::record::{BestResponse, Excuse, Telemetry};
+use platebench_model::scenario::{Expectation, Metric, Scenario};
+use platebench_model::trace::{Flags, Row};
 use platebench_plate::{Plant, Time};
-use platebench_record::{BestResponse, Excuse, Telemetry};
-use platebench_scenario::{Expectation, Metric, Scenario};
-use platebench_trace::{Flags, Row};
 
 /// Only a trial whose drive was at a limit is excused.
 pub(crate) fn infeasibility_excuse(

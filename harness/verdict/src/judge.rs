@@ -12,8 +12,8 @@ mod over_trials;
 use crate::statistics::alpha_spending::{Look, plan_looks};
 use crate::trial::TrialMeasures;
 use expectation_judge::ExpectationJudge;
-use platebench_record::{Cause, ExpectationRecord, Verdict};
-use platebench_scenario::Scenario;
+use platebench_model::record::{Cause, ExpectationRecord, Verdict};
+use platebench_model::scenario::Scenario;
 use std::borrow::Cow;
 
 #[derive(Debug, Clone, PartialEq)]

@@ -15,9 +15,9 @@ mod window;
 pub use measure::Measure;
 pub use steps::setpoint_steps;
 
-use platebench_record::{MissingValue, Telemetry, UndefinedValue};
-use platebench_scenario::{Expectation, Metric, Window};
-use platebench_trace::{Flags, Row};
+use platebench_model::record::{MissingValue, Telemetry, UndefinedValue};
+use platebench_model::scenario::{Expectation, Metric, Window};
+use platebench_model::trace::{Flags, Row};
 use signal::MetricSignal;
 use window::{flagged_share, ripple_um, window_mean_ratio, window_rows, window_rows_with_previous};
 

@@ -6,10 +6,10 @@
 
 use crate::exclusion::{lost_rows, rounded_ms, wrong_clock};
 use crate::feasibility::is_drive_limited;
+use platebench_model::record::{Exclusion, Excuse, RealPlateRecord};
+use platebench_model::scenario::{Expectation, Scenario};
+use platebench_model::trace::{Flags, Row};
 use platebench_plate::{Profile, Time};
-use platebench_record::{Exclusion, Excuse, RealPlateRecord};
-use platebench_scenario::{Expectation, Scenario};
-use platebench_trace::{Flags, Row};
 
 /// Time after a setpoint change in which the previous setpoint is accepted.
 const MAX_SETPOINT_DELAY: Time = Time::from_nanos(100_000_000);

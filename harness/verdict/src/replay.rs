@@ -2,7 +2,7 @@
 //! tube.
 
 use crate::tube::{Exceedance, Tube, TubePoint, TubeSignal};
-use platebench_record::{Telemetry, Verdict, Violation};
+use platebench_model::record::{Telemetry, Verdict, Violation};
 use serde::Serialize;
 
 #[derive(Debug, Clone, Copy, PartialEq)]

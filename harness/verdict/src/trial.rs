@@ -5,11 +5,11 @@ use crate::exclusion::find_exclusion;
 use crate::feasibility::infeasibility_excuse;
 use crate::metrics::{self, Measure};
 use crate::real_plate;
-use platebench_record::{
+use platebench_model::record::{
     Cause, Divergence, Exclusion, Excuse, MetricValues, Telemetry, TrialReason, TrialRecord, Violation,
 };
-use platebench_scenario::{Expectation, Metric, Scenario, Variation};
-use platebench_trace::{Flags, Row};
+use platebench_model::scenario::{Expectation, Metric, Scenario, Variation};
+use platebench_model::trace::{Flags, Row};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 

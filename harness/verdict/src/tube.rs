@@ -4,7 +4,7 @@
 //! every instant of the golden grid, the response must be within the tolerance of the golden curve
 //! at some time within the tolerance in time. Curves are linear between points.
 
-use platebench_trace::{Column, Row};
+use platebench_model::trace::{Column, Row};
 use serde::{Deserialize, Serialize};
 
 #[derive(Debug)]

@@ -2,8 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on ends by panicking")]
 
+use platebench_model::scenario::{Scenario, load};
 use platebench_plate::{Plate, RawPlate};
-use platebench_scenario::{Scenario, load};
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -11,8 +11,8 @@ use ed25519_dalek::SigningKey;
 use ed25519_dalek::pkcs8::spki::der::pem::LineEnding;
 use ed25519_dalek::pkcs8::{EncodePrivateKey, EncodePublicKey};
 use platebench_acceptance::{Plan, SessionRecord};
-use platebench_record::Verdict;
-use platebench_scenario::Limit;
+use platebench_model::record::Verdict;
+use platebench_model::scenario::Limit;
 use rstest::rstest;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -292,7 +292,7 @@ fn supplied_plan() -> Plan {
 fn the_supplied_plan_has_every_acceptance_scenario() {
     let plan = supplied_plan();
     let planned: Vec<_> = plan.scenarios.iter().map(|planned| planned.scenario.file.as_str()).collect();
-    let paper = platebench_scenario::find(&[workspace_root().join("scenarios/paper")]).unwrap().scenarios;
+    let paper = platebench_model::scenario::find(&[workspace_root().join("scenarios/paper")]).unwrap().scenarios;
     let tagged = paper.iter().filter(|scenario| scenario.tags.iter().any(|tag| tag == "acceptance"));
     assert_eq!(planned, tagged.map(|scenario| scenario.file.as_str()).collect::<Vec<_>>());
     let expectations = plan.scenarios.iter().flat_map(|planned| &planned.scenario.expectations);

@@ -10,7 +10,7 @@ mod labgrid;
 
 use crate::boards::{inventory, state_of};
 use crate::test_folder::{ChildGuard, SETTLING, TestFolder, bench_command, start_bench, step_text, wait_until};
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use platebench_test_kit::workspace_root;
 use std::fs;
 use std::os::unix::fs::symlink;

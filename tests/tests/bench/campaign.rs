@@ -1,5 +1,5 @@
 use crate::test_folder::{bench_command, run_bench, start_bench, wait_until, workspace_root};
-use platebench_record::FileLock;
+use platebench_model::record::FileLock;
 use rstest::rstest;
 use serde_json::Value;
 use std::fs;

@@ -1,8 +1,8 @@
 //! Tests planned faults of the chip on the emulated rig.
 
 use crate::test_folder::{TestFolder, run_bench, step_text, workspace_root};
-use platebench_record::{RunRecord, Verdict};
-use platebench_trace::Row;
+use platebench_model::record::{RunRecord, Verdict};
+use platebench_model::trace::Row;
 use rstest::rstest;
 use std::path::PathBuf;
 
@@ -14,7 +14,7 @@ fn run_with_fault(fault: &str) -> (RunRecord, Vec<Row>) {
     folder.bench(["run", "--rig", "emulated", "--out", "run"]).assert_exit(0);
     let run = folder.path().join("run");
     let record = RunRecord::read(&run).unwrap();
-    let rows = platebench_trace::read_trace(&run.join(&record.scenarios[0].trials[0].trace)).unwrap();
+    let rows = platebench_model::trace::read_trace(&run.join(&record.scenarios[0].trials[0].trace)).unwrap();
     (record, rows)
 }
 

@@ -1,7 +1,7 @@
 //! Checks how the bench judges a controller that ends, never confirms 0 V, or drives afterwards.
 
 use crate::test_folder::{FAILED_SETTLING, SETTLING, TestFolder, step_scenario, workspace_root};
-use platebench_record::{Verdict, ViolationKind};
+use platebench_model::record::{Verdict, ViolationKind};
 use platebench_test_kit::python_with_pyserial;
 use rstest::rstest;
 use serde_json::Value;

@@ -1,7 +1,7 @@
 //! Tests scenarios and plates at the limits of their ranges, and beyond.
 
 use crate::test_folder::{PLATE, TestFolder, run_bench, workspace_root};
-use platebench_record::RunRecord;
+use platebench_model::record::RunRecord;
 use platebench_runner::rejudge;
 use rstest::rstest;
 use std::fs;

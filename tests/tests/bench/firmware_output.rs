@@ -2,7 +2,7 @@
 
 use crate::starter_c::has_cross_compiler;
 use crate::test_folder::{TestFolder, run_bench, workspace_root};
-use platebench_record::RunRecord;
+use platebench_model::record::RunRecord;
 use platebench_test_kit::skip_without;
 use std::fs;
 use std::process::Command;

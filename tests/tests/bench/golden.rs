@@ -4,7 +4,7 @@ use crate::test_folder::{
     FAILED_SETTLING, ProgramOutput, SETTLING, TestFolder, bench_command, run_bench, step_scenario, step_text,
     workspace_root,
 };
-use platebench_record::RunRecord;
+use platebench_model::record::RunRecord;
 use platebench_verdict::golden::ResponseFeatures;
 use rstest::rstest;
 use std::fmt::Write as _;
@@ -57,7 +57,7 @@ fn another_law_differs_from_every_baseline() {
 fn feature_table(run: &Path) -> String {
     let mut table = String::new();
     for scenario in RunRecord::read(run).unwrap().scenarios {
-        let rows = platebench_trace::read_trace(&run.join(&scenario.trials[0].trace)).unwrap();
+        let rows = platebench_model::trace::read_trace(&run.join(&scenario.trials[0].trace)).unwrap();
         let features = ResponseFeatures::of(&rows).by_name().map(|(name, value)| {
             format!("{name} {}", value.map_or_else(|| "none".to_owned(), |value| value.to_string()))
         });

@@ -104,8 +104,8 @@ fn write_telemetry(folder: &TestFolder) {
     folder.bench(arguments);
     let trace = read_traces(&folder.join("run")).into_keys().next().unwrap();
     let mut table = "t,V,f,d,q\n".to_owned();
-    for row in platebench_trace::read_trace(&folder.join("run").join(trace)).unwrap() {
-        if row.flags.contains(platebench_trace::Flags::CONTROL) {
+    for row in platebench_model::trace::read_trace(&folder.join("run").join(trace)).unwrap() {
+        if row.flags.contains(platebench_model::trace::Flags::CONTROL) {
             let numbers =
                 [row.t_s * 1e3, row.drive_vpp, row.frequency_hz, row.sensed_wd_um * 1e3, row.sensed_wq_um * 1e3];
             table += &(numbers.map(|number| number.to_string()).join(",") + "\n");

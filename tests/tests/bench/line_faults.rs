@@ -1,8 +1,8 @@
 //! Tests how controller and bench react to faults on the line.
 
 use crate::test_folder::{TestFolder, run_bench, step_scenario, step_text, workspace_root};
-use platebench_record::{Cause, RunRecord, Telemetry, Verdict};
-use platebench_trace::{Flags, Row};
+use platebench_model::record::{Cause, RunRecord, Telemetry, Verdict};
+use platebench_model::trace::{Flags, Row};
 use rstest::rstest;
 use std::fs;
 use std::path::Path;

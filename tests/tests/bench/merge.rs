@@ -1,5 +1,5 @@
 use crate::test_folder::{FAILED_SETTLING, SETTLING, TestFolder, controller_rig, step_scenario, step_text};
-use platebench_record::{RunRecord, Verdict};
+use platebench_model::record::{RunRecord, Verdict};
 
 fn noisy(expect: &str) -> String {
     step_scenario("aluminium-198x138-noisy", "", "", expect) + "[trials]\ncount = 5\n"

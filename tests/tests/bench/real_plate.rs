@@ -1,8 +1,8 @@
 //! Tests `--plate-mode real` with a simulated board and plate, with and without an operator.
 
 use crate::test_folder::{ChildGuard, PLATE, ProgramOutput, TestFolder, bench_command, start_bench, wait_until};
-use platebench_record::{Cause, ClockKind, RealPlateRecord, RunRecord, TrialRecord, Verdict};
-use platebench_trace::{Flags, Row};
+use platebench_model::record::{Cause, ClockKind, RealPlateRecord, RunRecord, TrialRecord, Verdict};
+use platebench_model::trace::{Flags, Row};
 use rstest::rstest;
 use std::fs;
 use std::io::{BufRead, BufReader, Write};

@@ -6,8 +6,8 @@ use crate::test_folder::{
     ChildGuard, TestFolder, assert_same_traces, bench_command, controller_rig, run_bench, start_bench, step_scenario,
     wait_until, workspace_root,
 };
-use platebench_record::{ClockKind, RunRecord, TimingRecord, TrialRecord, Verdict};
-use platebench_trace::Flags;
+use platebench_model::record::{ClockKind, RunRecord, TimingRecord, TrialRecord, Verdict};
+use platebench_model::trace::Flags;
 use rstest::rstest;
 use std::fs;
 use std::io::{BufRead, BufReader};

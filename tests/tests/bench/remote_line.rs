@@ -2,7 +2,7 @@
 
 use crate::test_folder::{SETTLING, TestFolder};
 use platebench_controller::Device;
-use platebench_record::{ClockKind, RunRecord, Verdict};
+use platebench_model::record::{ClockKind, RunRecord, Verdict};
 use platebench_test_kit::IDENTITY;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener};

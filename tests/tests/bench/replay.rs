@@ -108,9 +108,9 @@ fn stops_where_a_planned_fault_acts() {
 #[test]
 fn replays_a_table_of_telemetry() {
     let folder = step_recording();
-    let trace = platebench_trace::read_trace(&folder.join(TRACE)).unwrap();
+    let trace = platebench_model::trace::read_trace(&folder.join(TRACE)).unwrap();
     let mut table = "ms,W,d,q,V,f\n".to_owned();
-    for row in trace.iter().filter(|row| row.flags.contains(platebench_trace::Flags::CONTROL)) {
+    for row in trace.iter().filter(|row| row.flags.contains(platebench_model::trace::Flags::CONTROL)) {
         let numbers = [
             row.t_s * 1e3 + 7.0,
             row.setpoint_um,

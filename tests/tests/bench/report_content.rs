@@ -67,7 +67,7 @@ fn the_report_of_three_taps_leads_to_the_cause() {
     }
     // The overshoot occurs after the third tap, so it must not be reported for the first step.
     assert!(!page.contains("The settling time passes, but"));
-    let rows = platebench_trace::read_trace(&folder.join("run/traces/three-taps/000.csv")).unwrap();
+    let rows = platebench_model::trace::read_trace(&folder.join("run/traces/three-taps/000.csv")).unwrap();
     let last = rows.last().unwrap();
     assert!((last.frequency_hz - 32_277.6).abs() < 1e-3 && last.resonance_hz < 32_255.0, "{last:?}");
 }

@@ -3,7 +3,7 @@
 use crate::test_folder::{
     SETTLING, TestFolder, assert_same_traces, run_bench, step_scenario, step_text, workspace_root,
 };
-use platebench_record::{Cause, RunRecord, Verdict};
+use platebench_model::record::{Cause, RunRecord, Verdict};
 use platebench_rig::Symbols;
 use platebench_runner::rejudge;
 use rstest::rstest;

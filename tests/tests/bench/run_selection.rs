@@ -2,7 +2,7 @@
 
 use crate::test_folder::{FAILED_SETTLING, SETTLING, TestFolder, step_text};
 use Verdict::{Fail, Inconclusive, Pass};
-use platebench_record::{Cause, RunRecord, ScenarioRecord, Verdict};
+use platebench_model::record::{Cause, RunRecord, ScenarioRecord, Verdict};
 use rstest::rstest;
 use serde_json::{Value, json};
 use std::fs;

@@ -1,7 +1,7 @@
 //! Runs every scenario of the repository and compares its exit code with `expected_exit`.
 
 use crate::test_folder::{run_bench, workspace_root};
-use platebench_record::{RunRecord, Verdict};
+use platebench_model::record::{RunRecord, Verdict};
 use rstest::rstest;
 use std::fs;
 use std::path::PathBuf;
@@ -31,7 +31,7 @@ fn each_scenario_has_its_expected_exit_code(
 
 #[rstest]
 fn paper_expectations_name_their_requirements(#[files("../scenarios/paper/*.toml")] path: PathBuf) {
-    let scenario = platebench_scenario::load(&path, "s.toml").unwrap();
+    let scenario = platebench_model::scenario::load(&path, "s.toml").unwrap();
     for expectation in scenario.expectations {
         assert!(expectation.requirement.is_some(), "{}", expectation.metric);
     }
@@ -66,7 +66,7 @@ fn each_law_behaves_as_documented(
     let folder = tempfile::tempdir().unwrap();
     run_bench(folder.path(), ["run", path.to_str().unwrap(), "--rig", "hosted", "--out", "run", "--quiet"]);
     let record = RunRecord::read(&folder.path().join("run")).unwrap();
-    let scenario = platebench_scenario::load(&path, "s.toml").unwrap();
+    let scenario = platebench_model::scenario::load(&path, "s.toml").unwrap();
     let results = &record.scenarios[0].expectations;
     assert_eq!(results.len(), scenario.expectations.len());
     for (expected, result) in scenario.expectations.iter().zip(results) {

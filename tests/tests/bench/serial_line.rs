@@ -3,9 +3,9 @@
 //! Results that depend on the load of the machine are checked only in runs without overruns.
 
 use crate::test_folder::{TestFolder, controller_rig, run_bench, start_bench, wait_until, workspace_root};
-use platebench_record::{RunRecord, Telemetry, Verdict};
+use platebench_model::record::{RunRecord, Telemetry, Verdict};
+use platebench_model::trace::{Flags, Row, read_trace};
 use platebench_rig::{HostedLink, Link, PtyLink};
-use platebench_trace::{Flags, Row, read_trace};
 use rstest::rstest;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};

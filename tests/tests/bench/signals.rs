@@ -3,7 +3,7 @@
 use crate::test_folder::{
     ChildGuard, TestFolder, bench_command, controller_rig, start_bench, step_scenario, wait_until,
 };
-use platebench_record::Cause;
+use platebench_model::record::Cause;
 use rstest::rstest;
 use std::fs;
 use std::process::{Command, Stdio};

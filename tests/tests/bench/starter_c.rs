@@ -3,7 +3,7 @@
 //! The firmware needs `make`, `gcc-arm-none-eabi` and newlib (`ci/install-test-tools`).
 
 use crate::test_folder::{TestFolder, run_bench, workspace_root};
-use platebench_record::{RunRecord, Verdict};
+use platebench_model::record::{RunRecord, Verdict};
 use platebench_test_kit::skip_without;
 use platebench_wire::{Configure, FrameReader, Gains, Message, Packet, Sample};
 use std::fmt::Write as _;

@@ -1,10 +1,10 @@
 //! Starts the bench in a folder of its own and checks its output.
 
-use platebench_record::{Overrides, RunFolder, RunRecord, TrialRecord};
+use platebench_model::record::{Overrides, RunFolder, RunRecord, TrialRecord};
+use platebench_model::scenario::load;
+use platebench_model::trace::{Row, read_trace};
 use platebench_rig::RigSpec;
 use platebench_runner::{Clock, RunHooks, RunPlan};
-use platebench_scenario::load;
-use platebench_trace::{Row, read_trace};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::ffi::OsStr;

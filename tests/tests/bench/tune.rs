@@ -231,7 +231,7 @@ fn writing_gains_keeps_the_rest_of_the_scenario(#[case] controller: &str) {
     let settling = record.scenarios[0].expectations[0].value.unwrap();
     let predicted = json_number(&tuning, "/tuning/chosen/plate/settling_ms");
     assert!((settling - predicted).abs() < 0.002, "{settling}\n{written}");
-    let scenario = platebench_scenario::load(&path, "mine.toml").unwrap();
+    let scenario = platebench_model::scenario::load(&path, "mine.toml").unwrap();
     assert_eq!(scenario.controller.gains.unwrap().amplitude_ki, json_number(&tuning, "/gains/amplitude_ki"));
     run_tune(&folder, &["--write", "scenarios/mine.toml"]).assert_exit(0).assert_stderr(&["already"]);
     assert_eq!(fs::read_to_string(&path).unwrap(), written);

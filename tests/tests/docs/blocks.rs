@@ -54,7 +54,7 @@ fn check_toml(text: &str) -> Result<TomlKind, String> {
     fs::write(&path, text).unwrap();
     let loaded = match kind {
         TomlKind::Scenario => {
-            platebench_scenario::load(&path, "block.toml").map(drop).map_err(|fault| fault.to_string())
+            platebench_model::scenario::load(&path, "block.toml").map(drop).map_err(|fault| fault.to_string())
         }
         TomlKind::Plate => check_plate(&path, &folder),
         TomlKind::Plan => platebench_acceptance::Plan::load(&path)
@@ -73,7 +73,7 @@ fn check_plate(plate: &Path, folder: &Path) -> Result<(), String> {
     );
     let scenario = folder.join("scenario.toml");
     fs::write(&scenario, text).unwrap();
-    platebench_scenario::load(&scenario, "scenario.toml").map(drop).map_err(|fault| fault.to_string())
+    platebench_model::scenario::load(&scenario, "scenario.toml").map(drop).map_err(|fault| fault.to_string())
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use crate::page::workspace_root;
 use crate::source::{describe_type, doc_comment, has_default};
 use clap::Command;
-use platebench_scenario::{Aggregation, Metric};
+use platebench_model::scenario::{Aggregation, Metric};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
@@ -45,11 +45,15 @@ fn the_key_reference_matches_the_loader() {
     );
     append_metrics(&mut page);
     for (title, files, top) in [
-        ("Scenario file", &["harness/scenario/src/raw.rs", "harness/scenario/src/scenario.rs"][..], "RawScenario"),
+        (
+            "Scenario file",
+            &["harness/model/src/scenario/raw.rs", "harness/model/src/scenario/definition.rs"][..],
+            "RawScenario",
+        ),
         ("Plate file", &["harness/plate/src/effects.rs", "harness/plate/src/effects"], "RawPlate"),
         (
             "Plan of an acceptance session",
-            &["harness/acceptance/src/plan.rs", "harness/scenario/src/requirements.rs"],
+            &["harness/acceptance/src/plan.rs", "harness/model/src/scenario/requirements.rs"],
             "RawPlan",
         ),
     ] {
@@ -61,7 +65,7 @@ fn the_key_reference_matches_the_loader() {
 }
 
 fn append_metrics(page: &mut String) {
-    let scenario = parse_source("harness/scenario/src/expect.rs");
+    let scenario = parse_source("harness/model/src/scenario/expect.rs");
     let listed = scenario.items.iter().find_map(|item| match item {
         Item::Enum(metric) if metric.ident == "Metric" => Some(metric),
         _ => None,

@@ -2,7 +2,7 @@ use super::{Config, FILE, SETTINGS, with_settings};
 use crate::args::{Arguments, Command};
 use crate::run::RunArgs;
 use clap::{CommandFactory, FromArgMatches};
-use platebench_scenario::Diagnostic;
+use platebench_model::scenario::Diagnostic;
 use rstest::rstest;
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,5 +1,5 @@
 use super::{Failure, PLATE, PLATE_FILE, PLATE_SCHEMA_FILE, SCHEMA_FILE, write_files};
-use platebench_scenario::load_with_all_errors;
+use platebench_model::scenario::load_with_all_errors;
 use platebench_wire::LawId;
 use rstest::rstest;
 use std::fs;

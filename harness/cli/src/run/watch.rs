@@ -6,12 +6,11 @@ use super::play::{self, Selection};
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure};
 use crate::selection::note_skipped;
-use crate::shutdown;
-use crate::stdio;
+use crate::{shutdown, stdio};
+use platebench_model::scenario::{Diagnostic, Scenario, find, input, list_files};
 use platebench_report::Detail;
 use platebench_report::format::count;
 use platebench_runner::Clock;
-use platebench_scenario::{Diagnostic, Scenario, find, input, list_files};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -62,7 +61,8 @@ pub(super) fn watch(arguments: &RunArgs, clock: Clock, detail: Detail) -> Comman
                 inputs = scenarios.iter().flat_map(input_paths).collect();
                 let changed = changed_scenarios(scenarios, firmware.as_ref(), &mut played);
                 if !changed.is_empty() {
-                    // The run contains only a part of its shard, so it cannot be joined with others.
+                    // The run contains only a part of its shard, so it cannot be joined with
+                    // others.
                     let selection = Selection { scenarios: changed, digest: None };
                     let _ = play::play_with_events(arguments, |events| {
                         play::play(arguments, clock, selection, detail, events)

@@ -4,9 +4,9 @@ use crate::board_args::BoardArgs;
 use crate::options::{OutputFormat, parse_number};
 use clap::builder::PossibleValuesParser;
 use clap::{ArgGroup, Args};
+use platebench_model::scenario::{Diagnostic, read_text};
 use platebench_plate::{Plate, Uncertainty};
 use platebench_rig::RigSpec;
-use platebench_scenario::{Diagnostic, read_text};
 use platebench_study::loops::Discretisation;
 use platebench_study::loops::tuning::design::TuningTarget;
 use platebench_study::loops::tuning::spread::PlateSpread;
@@ -86,8 +86,8 @@ pub(crate) struct TuneArgs {
     pub(super) send: Option<RigSpec>,
     #[command(flatten)]
     pub(super) board: BoardArgs,
-    /// Design gains although the plate file has values that no such plate has, such as a gain in the
-    /// wrong unit
+    /// Design gains although the plate file has values that no such plate has, such as a gain in
+    /// the wrong unit
     #[arg(long)]
     pub(super) force: bool,
     /// The run folder of that step; default: a new folder below runs/

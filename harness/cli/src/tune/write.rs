@@ -1,8 +1,8 @@
 //! Writes gains into a scenario file atomically. Comments and layout stay.
 
 use super::arguments::LAWS;
+use platebench_model::scenario::{Diagnostic, load, read_text};
 use platebench_plate::Time;
-use platebench_scenario::{Diagnostic, load, read_text};
 use platebench_study::loops::tuning::design::TuningTarget;
 use platebench_study::loops::tuning::verification::shortest_decimal;
 use platebench_wire::{Gains, LawId};
@@ -40,7 +40,7 @@ pub(crate) fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) 
     }
     let Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki } = gains;
     let wanted = [amplitude_kp, amplitude_ki, frequency_kp, frequency_ki];
-    let has_gains = |scenario: &platebench_scenario::Scenario| {
+    let has_gains = |scenario: &platebench_model::scenario::Scenario| {
         scenario.controller.gains.is_some_and(|gains| {
             [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki].map(|gain| gain as f32)
                 == wanted

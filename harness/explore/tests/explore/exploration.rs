@@ -6,7 +6,7 @@ use platebench_explore::report::violated_properties;
 use platebench_explore::session::ExploreSession;
 use platebench_explore::shrink::Shrinker;
 use platebench_explore::{Budget, ExploreConfig, Player, Property, explore};
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, RigSpec};
 use platebench_runner::SafeEnds;
 use platebench_trust::{Mutant, MutantController, MutantSpec, clean_variants};

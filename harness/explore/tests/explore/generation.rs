@@ -5,7 +5,7 @@ use platebench_explore::Property;
 use platebench_explore::coverage::{ChangeKind, Coverage};
 use platebench_explore::scene::{Course, PlateChoice, Scene, SceneTrial};
 use platebench_explore::tuning::Tuning;
-use platebench_scenario::load;
+use platebench_model::scenario::load;
 use platebench_wire::LawId;
 use rstest::rstest;
 use std::collections::BTreeSet;

@@ -1,8 +1,10 @@
 //! Writes a synthetic run folder.
 
-use platebench_record::{ClockKind, FORMAT, Firmware, Host, InputRecord, MetricValues, Overrides, RigRecord, Tool};
-use platebench_record::{RunRecord, ScenarioRecord, Telemetry, TrialRecord, Verdict};
-use platebench_trace::{Flags, Row, TraceWriter};
+use platebench_model::record::{
+    ClockKind, FORMAT, Firmware, Host, InputRecord, MetricValues, Overrides, RigRecord, RunRecord, ScenarioRecord,
+    Telemetry, Tool, TrialRecord, Verdict,
+};
+use platebench_model::trace::{Flags, Row, TraceWriter};
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;

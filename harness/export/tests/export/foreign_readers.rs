@@ -3,7 +3,7 @@
 use crate::fixtures::{self, StoredRun};
 use platebench_export::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use platebench_export::{ExportFormat, export};
-use platebench_trace::Row;
+use platebench_model::trace::Row;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -2,7 +2,7 @@
 //! `mutation-testing-report-schema`.
 
 use super::result::{MutantResult, MutationReport, Status};
-use platebench_trace::read_text_file;
+use platebench_model::trace::read_text_file;
 use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

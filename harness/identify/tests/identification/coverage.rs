@@ -1,7 +1,8 @@
 //! Checks the coverage of intervals over random plates, and that the check detects wrong intervals.
 
 use crate::simulation::{STILL, scene, simulate};
-use platebench_identify::{ArxMethod, Estimate, Recording, arx, fit_direct, identify};
+use platebench_identify::{ArxMethod, Estimate, arx, fit_direct, identify};
+use platebench_model::recording::Recording;
 use platebench_plate::{ConditionProfiles, Conditions, Plate};
 use platebench_test_kit::paper_plate;
 use rand_chacha::ChaCha8Rng;

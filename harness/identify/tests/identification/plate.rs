@@ -1,12 +1,11 @@
 //! Checks tables and plate file from simulated recordings.
 
 use crate::simulation::{STILL, details, scene, simulate};
-use platebench_identify::{
-    RecordedInput, RecordedSample, Recording, RecordingError, SampleSource, identify, plate_file, tables,
-};
+use platebench_identify::{identify, plate_file, tables};
+use platebench_model::recording::{RecordedInput, RecordedSample, Recording, RecordingError, SampleSource};
+use platebench_model::trace::{Flags, Row};
 use platebench_plate::{Complex64, ConditionProfiles, Conditions, Plate, RawPlate};
 use platebench_test_kit::paper_plate;
-use platebench_trace::{Flags, Row};
 use std::f64::consts::TAU;
 
 const RESONANCE: f64 = 32_307.6;

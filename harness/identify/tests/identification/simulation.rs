@@ -1,6 +1,7 @@
 //! Simulates recordings of plates with a period of 1 ms.
 
-use platebench_identify::{PlateFileDetails, RecordedInput, RecordedSample, Recording};
+use platebench_identify::PlateFileDetails;
+use platebench_model::recording::{RecordedInput, RecordedSample, Recording};
 use platebench_plate::{ConditionProfiles, Drive, Plant, Plate, Profile, Sensor, Tier, Time};
 
 pub(crate) fn hold_profile(points: &[(f64, f64)]) -> Profile {

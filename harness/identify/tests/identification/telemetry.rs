@@ -1,6 +1,7 @@
 //! Checks the units of CSV tables from other programs, and their errors with line and column.
 
-use platebench_identify::{ColumnMapping, external_csv};
+use platebench_model::external_csv;
+use platebench_model::external_csv::ColumnMapping;
 use rstest::rstest;
 use std::f64::consts::TAU;
 

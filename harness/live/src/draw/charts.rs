@@ -1,7 +1,7 @@
 //! Draws signals over time.
 
 use crate::view_state::ViewState;
-use platebench_trace::Column;
+use platebench_model::trace::Column;
 use ratatui::Frame;
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};

@@ -2,9 +2,9 @@ use super::*;
 use crate::run_description::{RunDescription, ScenarioDescription};
 use crate::view_event::ViewEvent;
 use insta::assert_snapshot;
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
+use platebench_model::trace::{Flags, Row};
 use platebench_runner::live_tap::{TapCounts, TapRow};
-use platebench_trace::{Flags, Row};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
@@ -188,7 +188,7 @@ fn setpoint_zero_has_no_band() {
 #[test]
 fn another_trial_or_restarted_time_clears_the_history() {
     let mut state = view_state();
-    let peak = |state: &ViewState| state.history.range(&[platebench_trace::Column::Wq]).unwrap()[0];
+    let peak = |state: &ViewState| state.history.range(&[platebench_model::trace::Column::Wq]).unwrap()[0];
     assert!(peak(&state) < -0.1);
     let settled = |t_s: f64| Row { t_s, ..row(1.0) };
     state.add_row(&TapRow { scenario: 0, trial: 4, row: settled(0.05) });

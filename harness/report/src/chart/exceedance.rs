@@ -4,7 +4,7 @@ use super::svg::Role;
 use super::time_chart::{CurvePoint, Mark, TimeChart, TimeWindow, padded_range};
 use crate::error::ReportError;
 use crate::format;
-use platebench_trace::Row;
+use platebench_model::trace::Row;
 use platebench_verdict::tube::{Exceedance, Tube, TubeSignal, signal_response};
 
 const MARGIN_MS: f64 = 5.0;

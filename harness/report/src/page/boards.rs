@@ -3,7 +3,7 @@
 use super::elements::text_table;
 use crate::text::board_matrix::{difference_table, missing_shards, verdict_matrix};
 use maud::{Markup, html};
-use platebench_record::RunRecord;
+use platebench_model::record::RunRecord;
 
 pub(crate) fn section(record: &RunRecord) -> Markup {
     let Some(merge) = &record.merge else { return html! {} };

@@ -4,7 +4,7 @@ use super::elements::scroll_table;
 use crate::text::cost;
 use crate::{format, record_queries};
 use maud::{Markup, html};
-use platebench_record::{CostTrend, EarlierCost, RunRecord};
+use platebench_model::record::{CostTrend, EarlierCost, RunRecord};
 
 pub(super) fn section(record: &RunRecord) -> Markup {
     let tight = record_queries::tight_steps(record);

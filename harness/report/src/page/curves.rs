@@ -1,7 +1,7 @@
 //! Reads signals, flagged windows and setpoint steps from the rows of a trace.
 
 use crate::chart::time_chart::{CurvePoint, TimeWindow};
-use platebench_trace::{Column, Flags, Row};
+use platebench_model::trace::{Column, Flags, Row};
 use platebench_verdict::metrics::setpoint_steps;
 
 /// Columns that the page draws.

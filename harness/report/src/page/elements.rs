@@ -3,7 +3,7 @@
 use crate::format;
 use crate::text::Table;
 use maud::{Markup, html};
-use platebench_record::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
+use platebench_model::record::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use std::fmt::Write as _;
 
 pub fn verdict_badge(verdict: Verdict, text: &str) -> Markup {

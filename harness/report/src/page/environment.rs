@@ -3,7 +3,7 @@
 use super::elements::scroll_table;
 use crate::format;
 use maud::{Markup, html};
-use platebench_record::RunRecord;
+use platebench_model::record::RunRecord;
 use std::collections::BTreeSet;
 
 pub(super) fn section(record: &RunRecord) -> Markup {

@@ -1,7 +1,7 @@
 //! Samples a scenario's baseline and its tolerance tube at the instants of its figures.
 
 use super::grid::TimeGrid;
-use platebench_trace::{Column, Row};
+use platebench_model::trace::{Column, Row};
 use platebench_verdict::golden::{Baseline, BaselineError, ResponseFeatures};
 use platebench_verdict::tube::Exceedance;
 use std::collections::BTreeMap;

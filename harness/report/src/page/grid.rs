@@ -2,7 +2,7 @@
 
 use super::curves;
 use crate::chart::time_chart::{CurvePoint, TimeWindow};
-use platebench_trace::{Column, Row};
+use platebench_model::trace::{Column, Row};
 
 /// Ascending instants at which all trials are sampled.
 #[derive(Debug, Clone, PartialEq, Default)]

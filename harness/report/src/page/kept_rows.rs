@@ -1,6 +1,6 @@
 //! Keeps rows of a run in memory, so that its report need not read the traces.
 
-use platebench_trace::Row;
+use platebench_model::trace::Row;
 use std::collections::BTreeMap;
 
 /// Largest number of kept rows, about 56 MB. The report reads the other traces from their files.

@@ -4,8 +4,8 @@
 use super::curves;
 use crate::chart::time_chart::TimeWindow;
 use crate::format;
-use platebench_record::{ExpectationRecord, Metric};
-use platebench_trace::{Column, Row};
+use platebench_model::record::{ExpectationRecord, Metric};
+use platebench_model::trace::{Column, Row};
 
 const LAST_OUTSIDE: &str = "last outside the band";
 

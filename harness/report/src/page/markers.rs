@@ -1,7 +1,9 @@
 //! Finds start, end and deadline of the times that expectations measure in a trial.
 
 use crate::format;
-use platebench_record::{ExpectationRecord, Limit, Metric, MetricDefinition, ScenarioRecord, TrialRecord, Verdict};
+use platebench_model::record::{
+    ExpectationRecord, Limit, Metric, MetricDefinition, ScenarioRecord, TrialRecord, Verdict,
+};
 
 /// Metrics measured from `from_ms`, with labels for "reached" and "not reached".
 const ELAPSED_METRICS: [(Metric, &str, &str); 2] = [

@@ -4,8 +4,8 @@ use super::elements::{scenario_anchor, sorted_by_verdict};
 use super::trace_data::TraceData;
 use crate::{format, record_queries};
 use maud::{Markup, html};
-use platebench_record::{RunRecord, ScenarioRecord, Verdict};
-use platebench_trace::Column;
+use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
+use platebench_model::trace::Column;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 

@@ -15,7 +15,7 @@ use crate::error::{ReportError, write_file};
 use crate::record_queries;
 use crate::text::history::{RunHistory, TrendPoint};
 use maud::{Markup, html};
-use platebench_record::{RunRecord, ScenarioRecord, TrialRecord};
+use platebench_model::record::{RunRecord, ScenarioRecord, TrialRecord};
 use platebench_verdict::golden::Baseline;
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -4,7 +4,7 @@ use super::elements::{scenario_anchor, scroll_table, verdict_badge};
 use crate::format;
 use crate::text::cost;
 use maud::{Markup, html};
-use platebench_record::{ExpectationRecord, Metric, RunRecord, ScenarioRecord};
+use platebench_model::record::{ExpectationRecord, Metric, RunRecord, ScenarioRecord};
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct OtherRun<'a> {

@@ -12,7 +12,7 @@ use crate::format;
 use crate::text::history::TrendPoint;
 use crate::text::timing;
 use maud::{Markup, html};
-use platebench_record::{ExpectationRecord, Metric, ScenarioRecord, Statistic, TrialRecord, Verdict};
+use platebench_model::record::{ExpectationRecord, Metric, ScenarioRecord, Statistic, TrialRecord, Verdict};
 
 /// A longer table would slow the page down.
 const MAX_LISTED_TRIALS: usize = 200;

@@ -7,7 +7,7 @@ use super::grid::percentiles;
 use super::trace_data::{SampledTrial, TraceData};
 use crate::chart::svg::Role;
 use crate::format;
-use platebench_trace::Column;
+use platebench_model::trace::Column;
 use platebench_verdict::tube::Exceedance;
 
 /// With fewer trials the figures show the range, because 5 % of the trials is less than one.

@@ -9,7 +9,7 @@ use crate::text::history::RunHistory;
 use crate::text::traceability::{self, RequirementLink};
 use crate::{format, record_queries};
 use maud::{Markup, html};
-use platebench_record::{ExpectationRecord, RunRecord, ScenarioRecord, Statistic, Verdict};
+use platebench_model::record::{ExpectationRecord, RunRecord, ScenarioRecord, Statistic, Verdict};
 use std::collections::BTreeSet;
 
 const MAX_CLOSEST: usize = 5;

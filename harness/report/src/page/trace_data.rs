@@ -9,8 +9,8 @@ use super::markers::{self, Settling, TimeMarker};
 use super::resolution::PlotResolution;
 use crate::chart::time_chart::{CurvePoint, TimeWindow};
 use crate::record_queries;
-use platebench_record::{Metric, ScenarioRecord, TrialRecord, Verdict};
-use platebench_trace::{Column, Flags, Row, TraceError};
+use platebench_model::record::{Metric, ScenarioRecord, TrialRecord, Verdict};
+use platebench_model::trace::{Column, Flags, Row, TraceError};
 use platebench_verdict::golden::{Baseline, ResponseFeatures};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -91,7 +91,7 @@ impl TraceData {
     ) -> Self {
         let mut data = Self::default();
         let read = |trial: &TrialRecord| {
-            let read = |()| platebench_trace::read_trace(&folder.join(&trial.trace)).map(Cow::Owned);
+            let read = |()| platebench_model::trace::read_trace(&folder.join(&trial.trace)).map(Cow::Owned);
             rows.get(&trial.trace).map(Cow::Borrowed).ok_or(()).or_else(read)
         };
         let shown = marked_expectations(scenario);

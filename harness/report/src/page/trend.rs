@@ -5,7 +5,7 @@ use crate::chart::svg::extent;
 use crate::format;
 use crate::text::history::TrendPoint;
 use maud::{Markup, html};
-use platebench_record::ExpectationRecord;
+use platebench_model::record::ExpectationRecord;
 
 /// Width and height, CSS pixels.
 const SIZE: (f64, f64) = (132.0, 34.0);

@@ -3,7 +3,7 @@
 
 use super::escape::{workflow_message, workflow_property};
 use crate::{format, record_queries};
-use platebench_record::{RunRecord, ScenarioRecord, Verdict};
+use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! Tabulates the verdicts of joined runs by scenario and board, and the differences between boards.
 
 use super::table::Table;
-use platebench_record::{MergeRecord, RunRecord, Verdict};
+use platebench_model::record::{MergeRecord, RunRecord, Verdict};
 use std::collections::{BTreeMap, BTreeSet};
 
 pub fn verdict_matrix(record: &RunRecord) -> Option<Table> {
@@ -45,7 +45,7 @@ pub fn difference_table(merge: &MergeRecord) -> Option<Table> {
 }
 
 pub fn missing_shards(merge: &MergeRecord) -> Vec<String> {
-    let line = |missing: &platebench_record::MissingShard| {
+    let line = |missing: &platebench_model::record::MissingShard| {
         format!("inconclusive: evidence: shard {}/{} of {} is missing", missing.shard, missing.shards, missing.board)
     };
     merge.missing_shards.iter().map(line).collect()

@@ -16,7 +16,7 @@ pub fn lines(name: &str, comparison: &TubeComparison) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_trace::Row;
+    use platebench_model::trace::Row;
     use platebench_verdict::golden::GoldenTubes;
 
     #[test]

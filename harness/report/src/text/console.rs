@@ -12,7 +12,7 @@ use super::table::Table;
 use super::timing;
 use crate::format;
 use lines::write_wrapped;
-use platebench_record::{RunRecord, ScenarioRecord, Verdict};
+use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 use std::io::{self, Write};
 

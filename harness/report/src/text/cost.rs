@@ -1,7 +1,7 @@
 //! Describes the instructions per control step.
 
 use crate::format;
-use platebench_record::{CostTrend, ScenarioRecord};
+use platebench_model::record::{CostTrend, ScenarioRecord};
 
 pub(crate) const SHIPPED_IMAGE: &str = "the image that comes with the bench";
 

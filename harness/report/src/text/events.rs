@@ -2,7 +2,7 @@
 
 use super::escape::json_line;
 use crate::format::VerdictCounts;
-use platebench_record::{Event, ExpectationRecord, RunRecord, TrialRecord, Verdict};
+use platebench_model::record::{Event, ExpectationRecord, RunRecord, TrialRecord, Verdict};
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::io::Write;

@@ -3,7 +3,7 @@
 use super::cost::short_build_id;
 use crate::format;
 use maud::{Markup, html};
-use platebench_record::{
+use platebench_model::record::{
     ExpectationRecord, MetricDefinition, RigRecord, RunRecord, RunSummary, ScenarioRecord, ScenarioSummary, Verdict,
 };
 

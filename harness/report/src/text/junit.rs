@@ -9,7 +9,7 @@
 use super::escape::printable;
 use crate::error::{ReportError, write_file};
 use crate::{format, record_queries};
-use platebench_record::{ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict};
+use platebench_model::record::{ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict};
 use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
 use std::path::Path;
 use std::time::Duration;

@@ -3,7 +3,7 @@
 use super::escape::printable;
 use super::table::Table;
 use crate::format;
-use platebench_scenario::{Aggregation, Expectation, Limit, Scenario};
+use platebench_model::scenario::{Aggregation, Expectation, Limit, Scenario};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 

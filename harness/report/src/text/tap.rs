@@ -5,7 +5,7 @@
 use super::escape::tap_description;
 use crate::error::{ReportError, write_file};
 use crate::{format, record_queries};
-use platebench_record::{ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
+use platebench_model::record::{ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 use std::path::Path;

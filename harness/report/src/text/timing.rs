@@ -1,7 +1,7 @@
 //! Summarises the timing of a scenario in real time: loop delay against the law's budget, lateness,
 //! losses.
 
-use platebench_record::{ScenarioRecord, TimingRecord};
+use platebench_model::record::{ScenarioRecord, TimingRecord};
 
 /// States the worst value of each quantity and the sum of each count. `None` in lockstep.
 pub(crate) fn summary(scenario: &ScenarioRecord) -> Option<String> {

@@ -3,7 +3,7 @@
 use super::table::Table;
 use crate::error::{ReportError, write_file};
 use crate::{format, record_queries};
-use platebench_record::{RunRecord, Verdict};
+use platebench_model::record::{RunRecord, Verdict};
 use std::path::Path;
 
 pub const FILE: &str = "traceability.csv";

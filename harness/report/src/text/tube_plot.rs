@@ -2,7 +2,7 @@
 
 use crate::chart::svg::extent;
 use crate::format;
-use platebench_trace::Row;
+use platebench_model::trace::Row;
 use platebench_verdict::tube::{Exceedance, Tube, TubeSignal, signal_response};
 
 const COLUMNS: usize = 64;

@@ -2,7 +2,7 @@
 
 use crate::driver::{Browser, BrowserOptions};
 use crate::fixtures;
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use platebench_report::page;
 use platebench_report::text::Table;
 use rstest::rstest;

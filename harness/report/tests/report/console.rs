@@ -2,7 +2,7 @@
 
 use crate::fixtures;
 use crate::hostile_text::written;
-use platebench_record::{Event, NotApplicable, Overrides, RunRecord};
+use platebench_model::record::{Event, NotApplicable, Overrides, RunRecord};
 use platebench_report::{Detail, Progress, Style, console};
 use rstest::rstest;
 use serde_json::json;
@@ -111,7 +111,7 @@ fn an_empty_run_does_not_pass() {
 #[test]
 fn lists_overrides() {
     let mut record = fixtures::run(Vec::new());
-    let overrides = |record: &platebench_record::RunRecord| {
+    let overrides = |record: &platebench_model::record::RunRecord| {
         let text = console::run_table(record, Style::default());
         text.lines().find(|line| line.starts_with("overridden")).map(str::to_owned)
     };

@@ -1,6 +1,6 @@
 //! Makes records and traces for the tests of all reports.
 
-use platebench_record::{
+use platebench_model::record::{
     BestResponse, Cause, ClockKind, CostTrend, EarlierCost, Evidence, Exclusion, Excuse, ExpectationRecord, FORMAT,
     Firmware, Host, InputRecord, Limit, Metric, MetricDefinition, MetricValues, MissingValue, NotApplicable, Overrides,
     Reason, RigRecord, RunRecord, ScenarioRecord, Statistic, StepCost, Telemetry, TightestStep, Tool, TrialFinding,
@@ -372,7 +372,7 @@ pub(crate) fn run_with_traces(folder: &Path) -> RunRecord {
 }
 
 pub(crate) fn write_baseline(scenario: &ScenarioRecord, folder: &Path, baselines: &Path) {
-    let rows = platebench_trace::read_trace(&folder.join(&scenario.trials[0].trace)).unwrap();
+    let rows = platebench_model::trace::read_trace(&folder.join(&scenario.trials[0].trace)).unwrap();
     let build =
         BaselineBuild { rig: "hosted".to_owned(), firmware: "dq-pi 0.1.0".to_owned(), id: "5f3a9c01".to_owned() };
     let baseline = Baseline {

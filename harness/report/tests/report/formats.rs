@@ -1,7 +1,7 @@
 //! Tests TAP, Markdown, annotations and JSON lines.
 
 use crate::fixtures;
-use platebench_record::{Event, MissingValue, Reason, RunRecord, ScenarioRecord, TrialFinding, Verdict};
+use platebench_model::record::{Event, MissingValue, Reason, RunRecord, ScenarioRecord, TrialFinding, Verdict};
 use platebench_report::annotations::{self, SourceLocation};
 use platebench_report::events::EventWriter;
 use platebench_report::markdown;

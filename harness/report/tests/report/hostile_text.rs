@@ -1,7 +1,7 @@
 //! Tests every report with ESC, right-to-left override, a workflow command and a formula.
 
 use crate::fixtures;
-use platebench_record::{Event, MissingValue, Reason, RunRecord, TrialFinding};
+use platebench_model::record::{Event, MissingValue, Reason, RunRecord, TrialFinding};
 use platebench_report::events::EventWriter;
 use platebench_report::tap::TapVersion;
 use platebench_report::{Progress, Style, annotations, console, junit, markdown, page, tap, traceability};

@@ -1,7 +1,7 @@
 //! Tests `junit.xml`.
 
 use crate::fixtures;
-use platebench_record::{Limit, MissingValue, Reason, RunRecord, TrialFinding, Verdict};
+use platebench_model::record::{Limit, MissingValue, Reason, RunRecord, TrialFinding, Verdict};
 use platebench_report::junit;
 use quick_xml::events::Event;
 use quick_xml::reader::Reader;

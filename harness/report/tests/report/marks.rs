@@ -3,7 +3,7 @@
 use crate::fixtures::{self, Response, closed_loop};
 use crate::page::{legend_texts, plot_data, write_page};
 use crate::page_text::section;
-use platebench_record::ScenarioRecord;
+use platebench_model::record::ScenarioRecord;
 use rstest::rstest;
 use serde_json::{Value, json};
 

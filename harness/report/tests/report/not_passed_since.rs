@@ -3,7 +3,7 @@
 use crate::fixtures;
 use crate::fixtures::open_loop;
 use crate::page::write_page;
-use platebench_record::{ExpectationRecord, Limit, MetricDefinition, RunRecord, Statistic, Verdict};
+use platebench_model::record::{ExpectationRecord, Limit, MetricDefinition, RunRecord, Statistic, Verdict};
 use platebench_report::page;
 use rstest::rstest;
 use std::fs;

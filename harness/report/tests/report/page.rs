@@ -2,11 +2,11 @@
 
 use crate::fixtures::{self, Response, closed_loop, open_loop};
 use crate::page_text::{assert_balanced, page_text, section, strip_elements};
-use platebench_record::{
+use platebench_model::record::{
     ExpectationRecord, Reason, RunRecord, ScenarioRecord, Statistic, TrialFinding, TrialRecord, UndefinedValue, Verdict,
 };
+use platebench_model::trace::{Flags, TraceWriter};
 use platebench_report::page::{self, IsTraceChanged, ReportPage};
-use platebench_trace::{Flags, TraceWriter};
 use rstest::rstest;
 use serde_json::{Value, json};
 use std::fs;
@@ -148,7 +148,7 @@ fn marks_overruns_and_lost_links() {
     fixtures::write_trials(&mut closed, folder.path(), 2, Response::default(), 0.0);
     // The flags are in the second trial, whose curves equal those of the first.
     let path = folder.path().join(&closed.trials[1].trace);
-    let mut rows = platebench_trace::read_trace(&path).unwrap();
+    let mut rows = platebench_model::trace::read_trace(&path).unwrap();
     rows[400].flags |= Flags::OVERRUN;
     for row in &mut rows[600..620] {
         row.flags |= Flags::LINK_LOST;
@@ -175,7 +175,7 @@ fn rows_in_memory_give_the_same_page_as_their_traces() {
     let mut rows = page::RowCache::default();
     for trial in &record.scenarios[0].trials {
         let path = folder.path().join(&trial.trace);
-        rows.add(&trial.trace, platebench_trace::read_trace(&path).unwrap());
+        rows.add(&trial.trace, platebench_model::trace::read_trace(&path).unwrap());
         fs::remove_file(&path).unwrap();
     }
     let path = folder.path().join(page::FILE);
@@ -342,7 +342,7 @@ fn remarks_on_a_settling_time_that_passes_with_a_large_overshoot(
     let touched = Response { force_n: 0.1, ..Response::default() };
     fixtures::write_trials(&mut closed, folder.path(), 1, touched, 0.0);
     let path = folder.path().join(&closed.trials[0].trace);
-    let mut rows = platebench_trace::read_trace(&path).unwrap();
+    let mut rows = platebench_model::trace::read_trace(&path).unwrap();
     rows[row].amplitude_um = 2.0 * peak;
     let mut writer = TraceWriter::create(&path).unwrap();
     for row in &rows {

@@ -2,7 +2,7 @@
 
 use crate::fixtures::{self, Response, closed_loop};
 use crate::page::{legend_texts, plot_data, write_page};
-use platebench_record::ScenarioRecord;
+use platebench_model::record::ScenarioRecord;
 use rstest::rstest;
 
 #[rstest]

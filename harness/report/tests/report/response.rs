@@ -1,7 +1,7 @@
 //! Makes traces of first-order responses.
 
-use platebench_record::TrialRecord;
-use platebench_trace::{Flags, Row, TraceWriter};
+use platebench_model::record::TrialRecord;
+use platebench_model::trace::{Flags, Row, TraceWriter};
 use std::fs;
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 //! Tests the summary of real-time runs in the console.
 
 use super::fixtures;
-use platebench_record::{Quantiles, Telemetry, TimingRecord, TrialRecord};
+use platebench_model::record::{Quantiles, Telemetry, TimingRecord, TrialRecord};
 use platebench_report::{Style, console};
 
 fn timing() -> TimingRecord {

@@ -2,7 +2,7 @@
 
 use object::LittleEndian;
 use object::read::elf::{ElfFile32, ProgramHeader as _};
-use platebench_trace::{MAX_IMAGE_BYTES, read_regular_file};
+use platebench_model::trace::{MAX_IMAGE_BYTES, read_regular_file};
 use std::io;
 use std::path::Path;
 use std::sync::Arc;

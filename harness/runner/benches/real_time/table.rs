@@ -1,8 +1,8 @@
 //! Prints the measurements as tables.
 
 use super::exchange::ExchangeStats;
-pub(crate) use platebench_record::Quantiles;
-use platebench_record::TimingRecord;
+pub(crate) use platebench_model::record::Quantiles;
+use platebench_model::record::TimingRecord;
 use std::time::Duration;
 
 /// Returns quantiles in µs. They are 0 if `spans` is empty.

@@ -1,7 +1,7 @@
 //! Describes a scenario's forces and temperatures as actions for the operator.
 
+use platebench_model::scenario::Scenario;
 use platebench_plate::{Profile, Time};
-use platebench_scenario::Scenario;
 
 const COUNTDOWN_STEPS_S: [u32; 4] = [3, 2, 1, 0];
 /// If two actions are closer in time, only the earlier one is announced.
@@ -136,7 +136,7 @@ mod tests {
     fn counts_down_each_action_once() {
         let path =
             std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
-        let mut scenario = platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let mut scenario = platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
         scenario.duration = ms(10_000.0);
         scenario.conditions.finger_force_n = Profile::Hold(vec![(Time::ZERO, 0.0), (ms(2_500.0), 2.0)]);
         scenario.conditions.temperature_offset_k = Profile::constant(9.0);

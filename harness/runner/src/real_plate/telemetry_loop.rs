@@ -8,17 +8,16 @@ use super::telemetry_rows::TelemetryRows;
 use crate::abort::TrialAbort;
 use crate::command_checks::drive_violation;
 use crate::configure::configure;
-use crate::controller_log::is_controller_failure;
-use crate::controller_log::stop_reason;
+use crate::controller_log::{is_controller_failure, stop_reason};
 use crate::plant_simulation::RowSink as _;
 use crate::row_queue::RowQueue;
 use crate::timing_stats::{ClockDrift, DurationHistogram};
 use crate::trial::TrialSpec;
+use platebench_model::record::{RealPlateRecord, Violation};
+use platebench_model::scenario::Scenario;
+use platebench_model::trace::Flags;
 use platebench_plate::Time;
-use platebench_record::{RealPlateRecord, Violation};
 use platebench_rig::{CancelToken, FaultInjector, Link, RigError, Session};
-use platebench_scenario::Scenario;
-use platebench_trace::Flags;
 use platebench_wire::{Command, Configure, ControllerState, LawId, Message, Setpoint, StateCause};
 use std::time::{Duration, Instant};
 
@@ -204,7 +203,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
                     self.stop_reason.get_or_insert(setpoint_stop_reason(telemetry.cause));
                 }
                 let flags = row.flags | std::mem::take(&mut self.next_flags);
-                self.queue.push(platebench_trace::Row { flags, ..row });
+                self.queue.push(platebench_model::trace::Row { flags, ..row });
                 Ok(())
             }
             Message::Command(command) => self.handle_acknowledgement(sequence, command, at),

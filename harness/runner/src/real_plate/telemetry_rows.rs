@@ -1,8 +1,8 @@
 //! Turns telemetry into trace rows.
 
 use crate::plant_simulation::SATURATION_THRESHOLD;
+use platebench_model::trace::{Flags, Row};
 use platebench_plate::Time;
-use platebench_trace::{Flags, Row};
 use platebench_wire::{ControllerState, Telemetry};
 
 /// Converts telemetry in the order of the target's clock. The trial starts with period 0.

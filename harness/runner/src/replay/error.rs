@@ -2,10 +2,10 @@
 
 use crate::plan::RunError;
 use crate::rejudge::RejudgeError;
-use platebench_identify::ExternalCsvError;
-use platebench_record::RecordError;
-use platebench_scenario::Diagnostic;
-use platebench_trace::{FileError, TraceError};
+use platebench_model::external_csv::ExternalCsvError;
+use platebench_model::record::RecordError;
+use platebench_model::scenario::Diagnostic;
+use platebench_model::trace::{FileError, TraceError};
 use std::path::PathBuf;
 
 #[derive(Debug, thiserror::Error)]

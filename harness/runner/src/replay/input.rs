@@ -1,6 +1,6 @@
 //! Holds a recording and the scenario that configures the controller for its replay.
 
-use platebench_scenario::Scenario;
+use platebench_model::scenario::Scenario;
 use platebench_verdict::replay::Recording;
 
 #[derive(Debug)]

@@ -6,10 +6,10 @@
 use super::error::ReplayError;
 use super::input::ReplayInput;
 use crate::rejudge::{apply_overrides, load_stored_scenario, read_trial_rows};
+use platebench_model::record::{ClockKind, RECORD_FILE, RunRecord, ScenarioRecord, TrialRecord};
+use platebench_model::scenario::{Scenario, load};
+use platebench_model::trace::{AtPath, Flags, Row, read_trace};
 use platebench_plate::Time;
-use platebench_record::{ClockKind, RECORD_FILE, RunRecord, ScenarioRecord, TrialRecord};
-use platebench_scenario::{Scenario, load};
-use platebench_trace::{AtPath, Flags, Row, read_trace};
 use platebench_verdict::replay::{Recording, RecordingEnd, ReplayCommand, ReplayStep};
 use std::path::{Path, PathBuf};
 

@@ -3,11 +3,10 @@
 use super::error::ReplayError;
 use super::input::ReplayInput;
 use super::recorded_trace::{check_recording, missing_sample};
-use platebench_identify::ColumnMapping;
-use platebench_identify::external_csv::read_rows;
+use platebench_model::external_csv::{ColumnMapping, read_rows};
+use platebench_model::scenario::load;
+use platebench_model::trace::{AtPath as _, MAX_TABLE_BYTES, open_regular_file};
 use platebench_plate::Time;
-use platebench_scenario::load;
-use platebench_trace::{AtPath as _, MAX_TABLE_BYTES, open_regular_file};
 use platebench_verdict::replay::{Recording, ReplayCommand, ReplayStep};
 use std::f64::consts::TAU;
 use std::path::Path;

@@ -1,6 +1,7 @@
 use super::*;
-use platebench_record::{Cause, Telemetry, Verdict};
-use platebench_record::{ClockKind, FORMAT, Firmware, Host, InputRecord, Overrides, RECORD_FILE, Tool};
+use platebench_model::record::{
+    Cause, ClockKind, FORMAT, Firmware, Host, InputRecord, Overrides, RECORD_FILE, Telemetry, Tool, Verdict,
+};
 use std::fs;
 use std::path::PathBuf;
 use tempfile::TempDir;
@@ -11,7 +12,7 @@ fn scenario(law: &str, input: &str, worst: &[f64]) -> ScenarioRecord {
         seed: index as u64 + 1,
         trace: String::new(),
         sha256: None,
-        metrics: platebench_record::MetricValues::default(),
+        metrics: platebench_model::record::MetricValues::default(),
         telemetry: Telemetry {
             instructions_mean: Some(0.9 * worst),
             instructions_worst: Some(worst),

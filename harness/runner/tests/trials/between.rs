@@ -1,7 +1,7 @@
 //! Tests scenes between trials: one controller plays everything, and its history must not matter.
 
 use crate::fixtures::{LOCKSTEP, packets, plan};
-use platebench_record::{RunFolder, RunRecord, Verdict};
+use platebench_model::record::{RunFolder, RunRecord, Verdict};
 use platebench_rig::{BoxedLink, HostedLink, Link, LinkError};
 use platebench_runner::{RunHooks, rejudge, run};
 use platebench_test_kit::write_scenario;

@@ -1,14 +1,13 @@
 use crate::fixtures::{LOCKSTEP, plan};
-use platebench_record::{RunFolder, RunRecord};
+use platebench_model::record::{RunFolder, RunRecord};
+use platebench_model::scenario::Direction;
+use platebench_model::trace::{Flags, Row, read_trace};
 use platebench_rig::RigSpec;
 use platebench_runner::live_tap::{TapCounts, TapRow};
 use platebench_runner::{Clock, LiveTap, Pacing, RunHooks, RunPlan, TapReader, TimeBase, run};
-use platebench_scenario::Direction;
 use platebench_test_kit::load_scenario;
-use platebench_trace::{Flags, Row, read_trace};
-use std::fs;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
+use std::{fs, thread};
 
 fn plan_of(names: &[&str], trials: u32, clock: Clock) -> RunPlan {
     let mut scenarios: Vec<_> = names.iter().map(|name| load_scenario(name)).collect();

@@ -1,5 +1,5 @@
 use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, packets, plan};
-use platebench_record::{Cause, RunFolder, RunRecord, Verdict};
+use platebench_model::record::{Cause, RunFolder, RunRecord, Verdict};
 use platebench_rig::{BoxedLink, HostedLink, Link, LinkError, RealTimeLine, WallClockLink};
 use platebench_runner::{Clock, RunError, RunHooks, run};
 use platebench_test_kit::load_scenario;

@@ -1,5 +1,5 @@
 use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, packets, plan};
-use platebench_record::{RunFolder, RunRecord};
+use platebench_model::record::{RunFolder, RunRecord};
 use platebench_rig::{BoxedLink, HostedLink, Link, LinkError, RealTimeLine, WallClockLink};
 use platebench_runner::{RunError, RunHooks, run};
 use platebench_test_kit::load_scenario;

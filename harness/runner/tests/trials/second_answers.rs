@@ -1,7 +1,7 @@
 //! Checks that doubled answers and an invented confirmation of 0 V have reasons of their own.
 
 use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
-use platebench_record::{RunFolder, RunRecord, Verdict, ViolationKind};
+use platebench_model::record::{RunFolder, RunRecord, Verdict, ViolationKind};
 use platebench_rig::{HostedLink, Link, LinkError};
 use platebench_runner::{RunHooks, run};
 use platebench_test_kit::load_scenario;

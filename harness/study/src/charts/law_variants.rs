@@ -2,11 +2,11 @@
 
 use crate::charts::law_results::LawScenario;
 use crate::charts::section::{ChartError, play_hosted};
+use platebench_model::scenario::Scenario;
 use platebench_plate::Time;
 use platebench_report::ReportError;
 use platebench_report::chart::{MultiplesChart, MultiplesPoint};
 use platebench_report::text::Table;
-use platebench_scenario::Scenario;
 use platebench_wire::LawId;
 
 pub(crate) const CSV: &str = "law-variants.csv";

@@ -3,13 +3,13 @@
 use crate::charts::measured_run::{LOCKSTEP, MeasuredRun};
 use crate::charts::section::{ChartError, ChartSection};
 use crate::cost::median;
+use platebench_model::record::{ExpectationRecord, RunRecord};
+use platebench_model::scenario::{Expectation, Scenario};
 use platebench_plate::Tier;
-use platebench_record::{ExpectationRecord, RunRecord};
 use platebench_report::chart::{StripChart, StripRow};
 use platebench_report::page::PageBlock;
 use platebench_report::text::Table;
 use platebench_rig::RigSpec;
-use platebench_scenario::{Expectation, Scenario};
 use std::collections::BTreeMap;
 
 const FILE: &str = "scenes.csv";

@@ -3,8 +3,8 @@
 use crate::charts::section::{ChartError, ChartSection};
 use crate::integration::stability::{NOTE, limits_table, step_limits, to_csv};
 use crate::loops::{AnalysisError, Discretisation, OperatingCondition, PlainLoops, Study, StudyConfig, study, table};
+use platebench_model::record::RunRecord;
 use platebench_plate::Plate;
-use platebench_record::RunRecord;
 use platebench_report::ReportError;
 use platebench_report::chart::{MapFigure, MapPanel, RigDelay};
 use platebench_report::page::PageBlock;

@@ -9,7 +9,7 @@ use crate::mutants::hooks::{on_command, on_configure, on_sample};
 use crate::mutants::loops::{HandwrittenLoops, Omission};
 use crate::mutants::timing::{CommandJitter, low_pass_filter, repeated_command, slow_setpoint, stale_sample};
 use crate::mutants::values::{TightPlausibilityLimit, round_to_step};
-use platebench_scenario::Metric;
+use platebench_model::scenario::Metric;
 use platebench_wire::LawId;
 use std::time::Duration;
 

@@ -8,8 +8,8 @@ use crate::mutants::hooks::{on_command, on_configure, on_sample};
 use crate::mutants::line::{NoBadFrameCount, NoChecksumCheck, NoSequenceCheck, RestartAfterStop};
 use crate::mutants::plate_changes::{PressLatch, RisingDampingOnly, alternating_drive};
 use crate::mutants::protocol::{IgnoredGains, LimitAfterLaw, WrappingCounter, gains_not_finite, stale_answer};
-use platebench_record::ViolationKind;
-use platebench_scenario::Metric;
+use platebench_model::record::ViolationKind;
+use platebench_model::scenario::Metric;
 
 pub(super) fn protocol_mutants() -> Vec<MutantSpec> {
     vec![

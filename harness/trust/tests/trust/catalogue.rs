@@ -1,7 +1,7 @@
 //! Checks that the witness scenario catches each mutant and does not fail a correct controller.
 
-use platebench_record::Verdict;
-use platebench_scenario::Metric;
+use platebench_model::record::Verdict;
+use platebench_model::scenario::Metric;
 use platebench_test_kit::{load_scenario, workspace_root};
 use platebench_trust::report::MutantOutcome;
 use platebench_trust::{Mutant, MutantSpec, TrustConfig, TrustReport, catalogue, measure};

@@ -1,8 +1,6 @@
 //! Compares verdicts of a live run, of its stored traces, and of a play in memory.
 
-use platebench_record::Overrides;
-use platebench_record::RunFolder;
-use platebench_record::Verdict;
+use platebench_model::record::{Overrides, RunFolder, Verdict};
 use platebench_rig::{BoxedLink, HostedLink, Link, LinkError};
 use platebench_runner::{Clock, RunHooks, RunPlan, rejudge};
 use platebench_test_kit::load_scenario;

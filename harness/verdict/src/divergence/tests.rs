@@ -1,5 +1,5 @@
 use super::*;
-use platebench_record::NonFiniteDrive;
+use platebench_model::record::NonFiniteDrive;
 use rstest::rstest;
 use std::f64::consts::TAU;
 
@@ -17,7 +17,7 @@ fn scenario(noise_um: f64, more: &str) -> Scenario {
     );
     let path = folder.path().join("s.toml");
     std::fs::write(&path, text).unwrap();
-    platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
+    platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
 }
 
 /// Creates a row every 50 µs up to `end_ms`. Deviation and Wq are shares of the setpoint of 2 µm.

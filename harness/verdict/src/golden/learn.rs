@@ -12,7 +12,7 @@ use super::tubes::GoldenTubes;
 use crate::bisection::bisect;
 use crate::statistics::SampleSummary;
 use crate::tube::{TUBE_SIGNALS, Tube, TubePoint, TubeSignal, signal_response};
-use platebench_trace::Row;
+use platebench_model::trace::Row;
 
 /// Smallest width as a share of the largest, because a constant signal may vary later.
 const MIN_SHAPE_SHARE: f64 = 0.1;
@@ -201,7 +201,7 @@ mod tests {
             .map(|rows| rows.into_iter().map(|row| Row { amplitude_um: row.amplitude_um * 0.95, ..row }).collect())
             .collect();
         let compare = |all: &[Vec<Row>]| golden.compare((0..).zip(all.iter().map(Vec::as_slice))).verdict;
-        assert_ne!(compare(&same), platebench_record::Verdict::Fail);
-        assert_eq!(compare(&slower), platebench_record::Verdict::Fail);
+        assert_ne!(compare(&same), platebench_model::record::Verdict::Fail);
+        assert_eq!(compare(&slower), platebench_model::record::Verdict::Fail);
     }
 }

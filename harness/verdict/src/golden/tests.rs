@@ -1,7 +1,7 @@
 use super::*;
 use crate::tube::Tolerance;
-use platebench_record::Verdict;
-use platebench_trace::Row;
+use platebench_model::record::Verdict;
+use platebench_model::trace::Row;
 use rstest::rstest;
 use std::fs;
 use tempfile::TempDir;

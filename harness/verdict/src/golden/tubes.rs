@@ -2,8 +2,8 @@
 
 use crate::statistics::proportion::probability_at_least;
 use crate::tube::{Exceedance, TUBE_SIGNALS, Tube, TubePoint, TubeSignal, signal_response};
-use platebench_record::Verdict;
-use platebench_trace::Row;
+use platebench_model::record::Verdict;
+use platebench_model::trace::Row;
 use serde::Serialize;
 
 const SIGNIFICANCE_LEVEL: f64 = 0.05;

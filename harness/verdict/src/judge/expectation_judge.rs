@@ -7,11 +7,11 @@ use crate::statistics::alpha_spending::Look;
 use crate::statistics::equivalence::widen_bounds;
 use crate::statistics::proportion::clopper_pearson;
 use crate::trial::TrialMeasures;
-use platebench_record::{
+use platebench_model::record::{
     Cause, DivergedTrials, Evidence, EvidenceMethod, ExpectationRecord, MetricDefinition, Reason, Statistic,
     TrialFinding, Verdict, percent,
 };
-use platebench_scenario::{Aggregation, Expectation, Limit, Metric, Scenario};
+use platebench_model::scenario::{Aggregation, Expectation, Limit, Metric, Scenario};
 
 /// Error of the simulation: twice the bound of propagation, percent of the setpoint.
 const SIMULATION_ERROR_PERCENT: f64 = 2e-4;

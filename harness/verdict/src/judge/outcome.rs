@@ -1,6 +1,6 @@
 //! Holds the verdict of one expectation before it is recorded.
 
-use platebench_record::{Cause, Evidence, Reason, Statistic, Verdict};
+use platebench_model::record::{Cause, Evidence, Reason, Statistic, Verdict};
 
 #[derive(Debug, Clone)]
 pub(super) struct Outcome {

@@ -5,8 +5,10 @@ use crate::statistics::bounds::agreement_power;
 use crate::statistics::equivalence::widen_bounds;
 use crate::statistics::quantile::{min_values_for_bound, quantile_bounds};
 use crate::statistics::{SampleSummary, deviation_bounds, mean_bounds};
-use platebench_record::{Cause, DivergedTrials, Evidence, EvidenceMethod, Reason, Statistic, WideBoundsCause, percent};
-use platebench_scenario::{Aggregation, Expectation, Limit};
+use platebench_model::record::{
+    Cause, DivergedTrials, Evidence, EvidenceMethod, Reason, Statistic, WideBoundsCause, percent,
+};
+use platebench_model::scenario::{Aggregation, Expectation, Limit};
 
 /// The interval of a deviation must exclude this multiple and this fraction of the expected value.
 const DISTINGUISHABLE_RATIO: f64 = 2.0;

@@ -2,13 +2,13 @@ use super::*;
 use crate::metrics::Measure;
 use crate::statistics::SampleSummary;
 use crate::trial::{measure, trial_record};
-use platebench_plate::Time;
-use platebench_record::{
+use platebench_model::record::{
     BestResponse, Divergence, Exclusion, Excuse, MissingValue, Reason, Statistic, Telemetry, TrialReason,
     UndefinedValue, Violation, ViolationKind,
 };
-use platebench_scenario::Metric;
-use platebench_trace::{Flags, Row};
+use platebench_model::scenario::Metric;
+use platebench_model::trace::{Flags, Row};
+use platebench_plate::Time;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -66,7 +66,7 @@ impl ScenarioBuilder<'_> {
         );
         let path = folder.path().join("s.toml");
         std::fs::write(&path, text).unwrap();
-        platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
+        platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
     }
 }
 

@@ -4,9 +4,9 @@ use super::measure::Measure;
 use super::signal::MetricSignal;
 use super::steps::step_response;
 use super::window::window_rows;
-use platebench_record::{MissingValue, UndefinedValue};
-use platebench_scenario::{Expectation, Window};
-use platebench_trace::{Flags, Row};
+use platebench_model::record::{MissingValue, UndefinedValue};
+use platebench_model::scenario::{Expectation, Window};
+use platebench_model::trace::{Flags, Row};
 
 pub(super) fn settling_time(
     expectation: &Expectation,

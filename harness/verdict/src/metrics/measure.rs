@@ -1,6 +1,6 @@
 //! Defines the value of a metric in one trial.
 
-use platebench_record::{MissingValue, UndefinedValue};
+use platebench_model::record::{MissingValue, UndefinedValue};
 
 #[derive(Debug, Clone, PartialEq)]
 pub enum Measure {

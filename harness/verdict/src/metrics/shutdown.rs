@@ -3,9 +3,9 @@
 use super::band::rounded_ms;
 use super::measure::Measure;
 use super::window::end_index;
-use platebench_record::MissingValue;
-use platebench_scenario::Window;
-use platebench_trace::{Flags, Row};
+use platebench_model::record::MissingValue;
+use platebench_model::scenario::Window;
+use platebench_model::trace::{Flags, Row};
 
 /// Time to the first row from which the controller is stopped at 0 V until the window ends.
 pub(super) fn shutdown_time(window: &Window, rows: &[Row]) -> Measure {

@@ -1,7 +1,7 @@
 //! Reads a column of a trace as a signal.
 
-use platebench_scenario::Expectation;
-use platebench_trace::{Column, Row};
+use platebench_model::scenario::Expectation;
+use platebench_model::trace::{Column, Row};
 
 #[derive(Clone, Copy)]
 pub(super) struct MetricSignal {

@@ -1,8 +1,8 @@
 //! Finds the setpoint steps of a trace.
 
 use super::window::end_index;
-use platebench_scenario::Window;
-use platebench_trace::{Flags, Row};
+use platebench_model::scenario::Window;
+use platebench_model::trace::{Flags, Row};
 
 /// Indices of the rows at which steps start. A constant setpoint above 0 steps at the start. A ramp
 /// or curve is one step from the row before its first change. It ends when two instants in a row do

@@ -1,7 +1,7 @@
 use super::*;
+use platebench_model::record::NonFiniteDrive;
+use platebench_model::scenario::{Limit, Window};
 use platebench_plate::Time;
-use platebench_record::NonFiniteDrive;
-use platebench_scenario::{Limit, Window};
 use rstest::rstest;
 use std::collections::BTreeMap;
 

@@ -1,9 +1,9 @@
 //! Selects the rows of a window and evaluates them.
 
 use super::signal::MetricSignal;
-use platebench_record::UndefinedValue;
-use platebench_scenario::Window;
-use platebench_trace::{Flags, Row};
+use platebench_model::record::UndefinedValue;
+use platebench_model::scenario::Window;
+use platebench_model::trace::{Flags, Row};
 
 /// The row at the end belongs to the next window, except at the end of the trace.
 pub(super) fn window_rows<'a>(window: &Window, rows: &'a [Row]) -> &'a [Row] {

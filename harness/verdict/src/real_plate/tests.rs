@@ -1,6 +1,6 @@
 use super::*;
 use crate::{judge, measure};
-use platebench_record::{Cause, Telemetry, Verdict};
+use platebench_model::record::{Cause, Telemetry, Verdict};
 use tempfile::TempDir;
 
 fn scenario(duration_ms: f64, profile: &str, expect: &str) -> Scenario {
@@ -13,7 +13,7 @@ fn scenario(duration_ms: f64, profile: &str, expect: &str) -> Scenario {
     );
     let path = folder.path().join("s.toml");
     std::fs::write(&path, text).unwrap();
-    platebench_scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
+    platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
 }
 
 const SETTLES: &str = "metric = \"settling_time_ms\", at_most = 2.0";

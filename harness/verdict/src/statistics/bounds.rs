@@ -2,7 +2,7 @@
 
 use super::sample_summary::SampleSummary;
 use super::{bootstrap, normality};
-use platebench_record::EvidenceMethod;
+use platebench_model::record::EvidenceMethod;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// One-sided bounds by t, or by bootstrap if normality is rejected. `None` below two values.

@@ -3,7 +3,7 @@
 use super::{plan_text, read_session_record, run_session, session_folder, verify};
 use crate::test_folder::{TestFolder, run_bench, workspace_root};
 use platebench_acceptance::SessionRecord;
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use rstest::rstest;
 
 /// Returns a budget for the settling time. The plate settles in 2 to 3 ms, and the limit is 4 ms.

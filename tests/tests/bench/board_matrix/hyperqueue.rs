@@ -4,7 +4,7 @@ use super::{DEAD, HEALTHY, KILLED, WRONG_CHIP, boards, clear_killed, kill_first_
 use crate::boards::state_of;
 use crate::campaign_engines;
 use crate::test_folder::{ChildGuard, TestFolder};
-use platebench_record::{RunRecord, Verdict};
+use platebench_model::record::{RunRecord, Verdict};
 use platebench_test_kit::{skip_without, workspace_root};
 use std::fs;
 use std::path::Path;

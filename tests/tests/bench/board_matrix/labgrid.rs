@@ -1,10 +1,12 @@
 //! Tests the labgrid commands of the documentation with a coordinator and one place per board.
 
-use super::{DEAD, HEALTHY, KILLED, WRONG_CHIP, assert_states, boards, clear_killed, kill_first_bench, lab};
-use super::{start_line, write_plan};
+use super::{
+    DEAD, HEALTHY, KILLED, WRONG_CHIP, assert_states, boards, clear_killed, kill_first_bench, lab, start_line,
+    write_plan,
+};
 use crate::remote_line::serve_board;
 use crate::test_folder::{ChildGuard, SETTLING, TestFolder, wait_until};
-use platebench_record::{ClockKind, RunRecord, Verdict};
+use platebench_model::record::{ClockKind, RunRecord, Verdict};
 use platebench_test_kit::{skip_without, workspace_root};
 use std::fs;
 use std::net::{Ipv4Addr, TcpListener};

@@ -1,7 +1,7 @@
 //! Writes coloured and wrapped lines.
 
 use crate::text::escape::printable;
-use platebench_record::Verdict;
+use platebench_model::record::Verdict;
 use std::fmt::Write as _;
 
 const WIDTH: usize = 100;

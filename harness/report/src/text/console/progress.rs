@@ -3,7 +3,7 @@
 use crate::format;
 use crate::text::escape::printable;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use platebench_record::{Event, Verdict};
+use platebench_model::record::{Event, Verdict};
 use std::io::{self, IsTerminal as _, Write};
 use std::time::Duration;
 

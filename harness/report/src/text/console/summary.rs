@@ -3,7 +3,7 @@
 use super::lines::{Style, write_wrapped};
 use crate::text::cost;
 use crate::{format, record_queries};
-use platebench_record::{Cause, CostTrend, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
+use platebench_model::record::{Cause, CostTrend, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 
 /// Longest list without `-v`.

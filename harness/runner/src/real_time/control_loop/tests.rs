@@ -4,10 +4,9 @@ use crate::fault::wire_faults;
 use crate::live_tap::LiveTap;
 use crate::row_queue::collect_rows;
 use allocation_counter::{AllocationInfo, measure, opt_out};
+use platebench_model::scenario::load;
 use platebench_rig::{CancelToken, HostedLink, LinkError, PtyLink, SerialLink, WallClockLink};
-use platebench_scenario::load;
-use platebench_wire::LawId;
-use platebench_wire::PacketReader;
+use platebench_wire::{LawId, PacketReader};
 use std::path::Path;
 use std::thread;
 

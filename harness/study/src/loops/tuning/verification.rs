@@ -1,12 +1,11 @@
 //! Writes the scenario that verifies gains on a rig.
 
 use crate::loops::tuning::design::TuningTarget;
-use platebench_scenario::{Diagnostic, Scenario, input, load};
+use platebench_model::scenario::{Diagnostic, Scenario, input, load};
 use platebench_wire::{Gains, LawId};
 use serde_json::json;
-use std::fs;
-use std::io;
 use std::path::Path;
+use std::{fs, io};
 
 /// Relative rounding error of an f32 gain that the controller multiplies by the period and divides.
 const ROUNDING: f32 = 4.0 * f32::EPSILON;

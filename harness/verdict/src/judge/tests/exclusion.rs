@@ -47,7 +47,7 @@ fn a_trial_with_lost_rows_does_not_count() {
     let scenario = ScenarioBuilder { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..BASE }.scenario();
     let rows = trace_rows(&scenario, |_| 2.0);
     let cause = |lost_rows| {
-        let timing = platebench_record::TimingRecord { lost_rows, ..Default::default() };
+        let timing = platebench_model::record::TimingRecord { lost_rows, ..Default::default() };
         let telemetry = Telemetry { timing: Some(Box::new(timing)), ..Telemetry::default() };
         measure(&scenario, 0, &rows, &telemetry).exclusion.as_ref().map(Exclusion::cause)
     };
@@ -66,7 +66,7 @@ fn excludes_a_pacing_target_with_a_wrong_clock(
     #[case] expected: Option<Cause>,
 ) {
     let scenario = ScenarioBuilder { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..BASE }.scenario();
-    let timing = platebench_record::TimingRecord {
+    let timing = platebench_model::record::TimingRecord {
         pacing: pacing.to_owned(),
         target_clock_ppm: Some(ppm),
         target_clock_error_ppm: Some(5_000.0),

@@ -1,5 +1,5 @@
 use super::*;
-use platebench_record::EvidenceMethod;
+use platebench_model::record::EvidenceMethod;
 use std::iter;
 
 #[test]

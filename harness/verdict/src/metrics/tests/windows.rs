@@ -1,5 +1,5 @@
 use super::*;
-use platebench_record::StepTime;
+use platebench_model::record::StepTime;
 
 #[test]
 fn ripple_and_rest_drive_take_the_worst_window() {

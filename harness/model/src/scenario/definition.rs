@@ -1,0 +1,164 @@
+//! Defines a checked scenario. `raw.rs` describes its keys.
+
+use crate::scenario::bounds::MAX_SPREAD_PERCENT;
+use crate::scenario::chip_fault::ChipFault;
+use crate::scenario::diagnostic::Diagnostic;
+use crate::scenario::expect::{Expectation, Metric};
+use crate::scenario::fault::Fault;
+use platebench_plate::{ConditionProfiles, Plate, Profile, Tier, Time};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+pub const AUTO_MODEL: &str = "auto";
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct InputFile {
+    pub path: PathBuf,
+    pub bytes: Vec<u8>,
+}
+
+#[derive(Debug, Clone)]
+pub struct Scenario {
+    /// Path below the scenario folder with `/`, for example `paper/fig13-closed-loop.toml`.
+    pub file: String,
+    /// All input files. The first is the scenario file.
+    pub inputs: Vec<InputFile>,
+    pub title: String,
+    pub source: Option<String>,
+    pub tags: Vec<String>,
+    pub plate: Plate,
+    pub tier: Tier,
+    pub duration: Time,
+    pub trace_step: Time,
+    /// Reason why the scenario is played only if it or its own folder is named.
+    pub only_if_named: Option<String>,
+    pub expected_exit: Option<u8>,
+    pub controller: Controller,
+    /// Setpoint of the amplitude, µm.
+    pub setpoint: Profile,
+    pub conditions: ConditionProfiles,
+    pub trials: Trials,
+    pub faults: Vec<Fault>,
+    pub chip_faults: Vec<ChipFault>,
+    pub between: Vec<Self>,
+    pub expectations: Vec<Expectation>,
+    /// Texts from `requirements.toml` by the identifier of the requirement.
+    pub requirement_texts: BTreeMap<String, String>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct Controller {
+    pub law: String,
+    /// Control period, a whole number of microseconds.
+    pub period: Time,
+    pub start_frequency_hz: f64,
+    pub loop_delay: Time,
+    pub loop_delay_jitter: Time,
+    /// Loop delay that the law is designed for, whole microseconds, at most one period.
+    pub design_delay: Time,
+    /// 5 % response time that the law is designed for. `None` selects the law's default.
+    pub response_time_ms: Option<f64>,
+    pub frequency_range_hz: f64,
+    pub frequency_slew_hz: f64,
+    pub gains: Option<Gains>,
+    pub design_plate: Option<Plate>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Gains {
+    /// Amplitude loop, Vpp per µm.
+    pub amplitude_kp: f64,
+    /// Amplitude loop, Vpp per µm and second.
+    pub amplitude_ki: f64,
+    /// Frequency loop, rad/s per unit of Wq/Wd.
+    pub frequency_kp: f64,
+    /// Frequency loop, rad/s per unit of Wq/Wd and second.
+    pub frequency_ki: f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Trials {
+    pub count: u32,
+    pub max_count: u32,
+    pub seed: u64,
+    pub spread: Spread,
+}
+
+/// Standard deviations from trial to trial.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Spread {
+    /// Spread of the plate's gain K1, percent.
+    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
+    pub gain_percent: f64,
+    /// Spread of the plate's time constant, percent.
+    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
+    pub time_constant_percent: f64,
+    /// Spread of the sensor's gain, percent.
+    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
+    pub sensor_gain_percent: f64,
+    /// Spread of the temperature, kelvin.
+    #[schemars(range(min = 0.0, max = MAX_SPREAD_PERCENT))]
+    pub temperature_k: f64,
+}
+
+impl Scenario {
+    /// [`Self::file`] without its extension. The folder of its traces has this name.
+    pub fn name(&self) -> &str {
+        self.file.strip_suffix(".toml").unwrap_or(&self.file)
+    }
+
+    /// True if one controller plays all trials in order, because its history is tested.
+    pub fn keeps_controller(&self) -> bool {
+        !self.between.is_empty() || self.expects(Metric::TrialDifference)
+    }
+
+    pub fn expects(&self, metric: Metric) -> bool {
+        self.expectations.iter().any(|expectation| expectation.metric == metric)
+    }
+
+    pub fn design_plate(&self) -> &Plate {
+        self.controller.design_plate.as_ref().unwrap_or(&self.plate)
+    }
+
+    pub(crate) fn models() -> [&'static str; 5] {
+        let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
+        [AUTO_MODEL, linear, envelope, modal, carrier]
+    }
+
+    /// Tier (kind of plate model) named `model`. `auto` selects the exact tier for `plate`. `None`
+    /// if the name is unknown.
+    pub fn tier_for(model: &str, plate: &Plate) -> Option<Tier> {
+        if model == AUTO_MODEL { Some(Tier::exact_for(plate)) } else { Tier::from_name(model) }
+    }
+
+    pub fn omitted_effect(tier: Tier, plate: &Plate) -> Option<String> {
+        let effect = plate.first_effect().filter(|_| !tier.has_both_poles())?;
+        let [auto, modal, carrier] = [AUTO_MODEL, Tier::Modal.name(), Tier::Carrier.name()];
+        Some(format!(
+            "the model {} omits `{effect}` of the plate file, expected {auto}, {modal} or {carrier}",
+            tier.name()
+        ))
+    }
+
+    pub fn is_deterministic(&self) -> bool {
+        self.trials.spread == Spread::default()
+            && self.plate.noise_um_rms == 0.0
+            && !self.chip_faults.iter().any(ChipFault::is_random)
+    }
+
+    /// True if a planned fault that ends explains a missing answer at `time`.
+    pub fn explains_silence(&self, time: Time) -> bool {
+        self.faults.iter().any(|fault| fault.can_explain_silence(time, self.controller.period))
+    }
+
+    pub fn diagnostic(&self, key: &str, message: impl Into<String>) -> Diagnostic {
+        match self.inputs.first() {
+            Some(input) => Diagnostic::at_key(&input.path, &String::from_utf8_lossy(&input.bytes), key, message),
+            None => Diagnostic::for_file(self.file.as_ref(), message),
+        }
+    }
+}

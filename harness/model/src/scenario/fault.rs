@@ -1,0 +1,139 @@
+//! Defines planned faults of line and sensor (`docs/scenarios.md`); `platebench-rig` applies them.
+
+use crate::scenario::chip_fault::ChipFaultKind;
+use platebench_plate::Time;
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum FaultKind {
+    Drop,
+    Flip,
+    Duplicate,
+    Delay(Time),
+    Truncate,
+    Babble,
+    Disconnect,
+    Freeze,
+    Scale(f64),
+}
+
+impl FaultKind {
+    pub const NAMES: [&'static str; 9] =
+        ["drop", "flip", "duplicate", "delay", "truncate", "babble", "disconnect", "freeze", "scale"];
+
+    pub fn all_names() -> Vec<&'static str> {
+        Self::NAMES.into_iter().chain(ChipFaultKind::NAMES).collect()
+    }
+
+    pub const fn affects_sensor(self) -> bool {
+        matches!(self, Self::Freeze | Self::Scale(_))
+    }
+
+    pub const fn is_random(self) -> bool {
+        matches!(self, Self::Flip | Self::Babble)
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, strum::IntoStaticStr)]
+#[strum(const_into_str, serialize_all = "kebab-case")]
+pub enum Direction {
+    ToController,
+    FromController,
+    #[default]
+    Both,
+}
+
+impl Direction {
+    pub const ALL: [Self; 3] = [Self::ToController, Self::FromController, Self::Both];
+
+    pub const fn name(self) -> &'static str {
+        self.into_str()
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fault {
+    pub kind: FaultKind,
+    pub from: Time,
+    /// End of the fault, exclusive. It is `None` for a line that stays disconnected.
+    pub until: Option<Time>,
+    pub direction: Direction,
+    pub every: u32,
+    /// Seed of random effects. If it is `None`, the seed of the trial applies.
+    pub seed: Option<u64>,
+    pub reconfigure: bool,
+}
+
+impl Fault {
+    pub fn is_active_at(&self, time: Time) -> bool {
+        self.from <= time && self.until.is_none_or(|until| time < until)
+    }
+
+    /// True if the fault can cause a missing answer or a stop at `time`. The effect outlasts the
+    /// window by one period, because a frame without a delimiter destroys the next one, and by the
+    /// delay of delayed messages. A permanent disconnection explains nothing, because the
+    /// controller is lost.
+    pub fn can_explain(&self, time: Time, period: Time) -> bool {
+        let delay = match self.kind {
+            FaultKind::Delay(delay) => delay,
+            _ => Time::ZERO,
+        };
+        self.until.is_some_and(|until| self.from <= time && time < until + period + delay)
+    }
+
+    /// True if the fault loses messages or delays them by at least a period, and
+    /// [`Self::can_explain`] is true.
+    pub fn can_explain_silence(&self, time: Time, period: Time) -> bool {
+        let loses = match self.kind {
+            FaultKind::Drop | FaultKind::Flip | FaultKind::Truncate | FaultKind::Disconnect => true,
+            FaultKind::Delay(delay) => delay.times(if self.direction == Direction::Both { 2 } else { 1 }) >= period,
+            FaultKind::Duplicate | FaultKind::Babble | FaultKind::Freeze | FaultKind::Scale(_) => false,
+        };
+        loses && self.can_explain(time, period)
+    }
+
+    pub fn exceeds_watchdog(&self, timeout: Time, period: Time) -> bool {
+        let silent = match self.kind {
+            FaultKind::Delay(delay) => Some(delay),
+            FaultKind::Drop | FaultKind::Disconnect => self.until.map(|until| until - self.from),
+            _ => return false,
+        };
+        // The watchdog counts from the last sample, which arrived one period before the window.
+        self.direction != Direction::FromController
+            && self.every == 1
+            && silent.is_none_or(|silent| silent + period >= timeout)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_silence_counts_from_the_last_sample() {
+        let ms = |ms: u64| Time::from_nanos(ms * 1_000_000);
+        let until = |until| Some(ms(40) + until);
+        let drop = Fault {
+            kind: FaultKind::Drop,
+            from: ms(40),
+            until: until(ms(4)),
+            direction: Direction::ToController,
+            every: 1,
+            seed: None,
+            reconfigure: false,
+        };
+        // The last sample arrives at 39 ms, the next one at 44 ms.
+        let exceeds = |fault: Fault| fault.exceeds_watchdog(ms(5), ms(1));
+        assert!(exceeds(drop));
+        assert!(!exceeds(Fault { until: until(ms(4) - Time::from_nanos(1)), ..drop }));
+        assert!(exceeds(Fault { kind: FaultKind::Disconnect, until: None, direction: Direction::Both, ..drop }));
+        assert!(exceeds(Fault { kind: FaultKind::Delay(ms(4)), ..drop }));
+        assert!(!exceeds(Fault { kind: FaultKind::Delay(ms(3)), ..drop }));
+        for unaffected in [
+            Fault { direction: Direction::FromController, ..drop },
+            Fault { every: 2, ..drop },
+            Fault { kind: FaultKind::Babble, ..drop },
+        ] {
+            assert!(!exceeds(unaffected), "{unaffected:?}");
+        }
+    }
+}

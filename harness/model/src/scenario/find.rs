@@ -1,0 +1,200 @@
+//! Searches for scenario files.
+
+use crate::scenario::definition::Scenario;
+use crate::scenario::diagnostic::Diagnostic;
+use crate::scenario::file_kind::FileKind;
+use crate::scenario::load::load_with_all_errors;
+use platebench_plate::input;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A folder with `run.json` and `traces` is a run folder. The scenarios in its `inputs` are copies.
+const RUN_RECORD: &str = "run.json";
+const RUN_TRACES: &str = "traces";
+const RUN_INPUTS: &str = "inputs";
+const SCENARIOS_FOLDER: &str = "scenarios";
+
+#[derive(Debug)]
+pub struct FoundScenarios {
+    pub scenarios: Vec<Scenario>,
+    /// Scenarios with `only_if_named` that were not named.
+    pub skipped: Vec<Scenario>,
+    pub empty_folders: Vec<PathBuf>,
+    /// Folders `inputs` of run folders. They are not searched, because they contain copies.
+    pub copies: Vec<PathBuf>,
+}
+
+/// Path of the nearest file `name` in `folder`, the working directory, or above it. The path is
+/// relative if `folder` itself contains the file.
+pub fn find_file_above(folder: &Path, name: &str) -> Option<PathBuf> {
+    let mut candidates = folder.ancestors().map(|ancestor| ancestor.join(name));
+    let path = candidates.find(|path| path.symlink_metadata().is_ok())?;
+    Some(if path.parent() == Some(folder) { PathBuf::from(name) } else { path })
+}
+
+#[derive(Default)]
+struct Search {
+    /// Canonical paths of visited folders, because a symbolic link may lead back to a folder.
+    visited: BTreeSet<PathBuf>,
+    copies: BTreeSet<PathBuf>,
+    empty_folders: Vec<PathBuf>,
+    faults: Vec<Diagnostic>,
+}
+
+struct FoundFile {
+    path: PathBuf,
+    name: String,
+    /// True if the file, or the folder that contains it, is an argument.
+    is_named: bool,
+}
+
+/// Loads the scenarios that are arguments or are below folders in `arguments`. Skips a scenario
+/// with `only_if_named` unless it or its own folder is an argument. Fails with all faulty scenarios
+/// and with all TOML files that do not parse or are of no known kind.
+pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
+    let mut search = Search::default();
+    let files = search.files(arguments, |path| Ok(FileKind::detect(path)? == FileKind::Scenario));
+    let Search { copies, empty_folders, mut faults, .. } = search;
+    let copies = copies.into_iter().collect();
+    let mut found = FoundScenarios { scenarios: Vec::new(), skipped: Vec::new(), empty_folders, copies };
+    for FoundFile { path, name, is_named } in files {
+        match load_with_all_errors(&path, &name) {
+            Ok(scenario) if scenario.only_if_named.is_some() && !is_named => found.skipped.push(scenario),
+            Ok(scenario) => found.scenarios.push(scenario),
+            Err(found) => faults.extend(found),
+        }
+    }
+    found.scenarios.sort_by(|a, b| a.file.cmp(&b.file));
+    let path = |scenario: &Scenario| scenario.inputs.first().map(|input| input.path.clone()).unwrap_or_default();
+    let named: Vec<_> = found.scenarios.iter().map(|scenario| (path(scenario), scenario.file.clone())).collect();
+    faults.extend(repeated_names(&named));
+    if faults.is_empty() { Ok(found) } else { Err(faults) }
+}
+
+/// Returns an error for each scenario that has the name in records of an earlier one. `files` are
+/// paths and names.
+pub fn repeated_names<'a>(files: impl IntoIterator<Item = &'a (PathBuf, String)>) -> Vec<Diagnostic> {
+    let mut names = BTreeMap::new();
+    let fault = |(path, name): &'a (PathBuf, String)| {
+        let other = names.insert(name.strip_suffix(".toml").unwrap_or(name), path)?;
+        let message = format!("has the name {name} in records, like {}; rename one of them", other.display());
+        Some(Diagnostic::for_file(path, message))
+    };
+    files.into_iter().filter_map(fault).collect()
+}
+
+/// Returns each named file, and each TOML file below a named folder, with its name in records. Also
+/// returns the errors of unreadable folders. Skips the inputs of run folders.
+pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
+    let mut search = Search::default();
+    let files = search.files(arguments, |_| Ok(true));
+    (files.into_iter().map(|file| (file.path, file.name)).collect(), search.faults)
+}
+
+fn canonical(path: &Path) -> PathBuf {
+    let is_file = path != Path::new(input::STANDARD_STREAM);
+    is_file.then(|| fs::canonicalize(path).ok()).flatten().unwrap_or_else(|| path.to_owned())
+}
+
+impl Search {
+    fn files(
+        &mut self,
+        arguments: &[PathBuf],
+        is_wanted: impl Fn(&Path) -> Result<bool, Vec<Diagnostic>>,
+    ) -> Vec<FoundFile> {
+        let mut files: BTreeMap<PathBuf, FoundFile> = BTreeMap::new();
+        for argument in arguments {
+            self.visited.clear();
+            let mut below = self.files_below(argument);
+            below.retain(|path| {
+                path == argument
+                    || is_wanted(path).unwrap_or_else(|faults| {
+                        for fault in faults {
+                            if !self.faults.contains(&fault) {
+                                self.faults.push(fault);
+                            }
+                        }
+                        false
+                    })
+            });
+            if below.is_empty() {
+                self.empty_folders.push(argument.clone());
+            }
+            for path in below {
+                let is_named = path == *argument || path.parent() == Some(argument.as_path());
+                let canonical = canonical(&path);
+                let name = record_name(&canonical, argument);
+                files.entry(canonical).or_insert(FoundFile { path, name, is_named: false }).is_named |= is_named;
+            }
+        }
+        files.into_values().collect()
+    }
+
+    fn files_below(&mut self, argument: &Path) -> Vec<PathBuf> {
+        if argument == Path::new(input::STANDARD_STREAM) || !argument.is_dir() {
+            return vec![argument.to_owned()];
+        }
+        if fs::canonicalize(argument).is_ok_and(|folder| !self.visited.insert(folder)) {
+            return Vec::new();
+        }
+        let entries = match fs::read_dir(argument).and_then(Iterator::collect::<Result<Vec<_>, _>>) {
+            Ok(entries) => entries,
+            Err(error) => {
+                self.faults.push(Diagnostic::for_file(argument, format!("cannot be read: {error}")));
+                return Vec::new();
+            }
+        };
+        let mut files = Vec::new();
+        let is_run = is_run_folder(argument);
+        for path in entries.into_iter().map(|entry| entry.path()) {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            if path.is_dir() {
+                if is_run && name == RUN_INPUTS {
+                    self.copies.insert(path);
+                } else if !name.starts_with('.') {
+                    files.extend(self.files_below(&path));
+                }
+            } else if name.starts_with('.') {
+            } else if path.is_symlink() && !path.exists() {
+                let message = "a broken symbolic link, expected a file";
+                self.faults.push(Diagnostic::for_file(&path, message));
+            } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
+                files.push(path);
+            }
+        }
+        files
+    }
+}
+
+/// Parses `run.json`, because another file of this name must not hide scenarios.
+fn is_run_folder(folder: &Path) -> bool {
+    let parses = |text: Vec<u8>| {
+        serde_json::from_slice::<serde_json::Value>(&text).is_ok_and(|record| record.get("scenarios").is_some())
+    };
+    folder.join(RUN_TRACES).is_dir() && input::read(&folder.join(RUN_RECORD)).is_ok_and(parses)
+}
+
+/// Returns the path below the nearest folder `scenarios`. Without one, returns the path below a
+/// named folder, or the file name.
+fn record_name(path: &Path, argument: &Path) -> String {
+    if argument == Path::new(input::STANDARD_STREAM) {
+        return input::STANDARD_INPUT_NAME.to_owned();
+    }
+    let components: Vec<_> = path.components().map(|component| component.as_os_str().to_string_lossy()).collect();
+    let folders = components.len().saturating_sub(1);
+    if let Some(root) = components.iter().take(folders).rposition(|component| component == SCENARIOS_FOLDER) {
+        return components.get(root + 1..).unwrap_or_default().join("/");
+    }
+    let below = fs::canonicalize(argument).ok().filter(|folder| folder.is_dir());
+    let relative = below.and_then(|folder| path.strip_prefix(folder).ok().map(Path::to_path_buf));
+    match relative {
+        Some(relative) => {
+            relative.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
+        }
+        None => components.last().map(ToString::to_string).unwrap_or_default(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,243 @@
+//! Checks profiles and that the plate has a resonance at all of their values.
+
+use super::checker::Checker;
+use crate::scenario::bounds::MAX_QUALITY;
+use crate::scenario::definition::{InputFile, Spread};
+use crate::scenario::diagnostic::Diagnostic;
+use crate::scenario::raw::RawProfiles;
+use platebench_plate::{ConditionProfiles, Conditions, Plate, Profile, ProfileError, RawProfile, RawShape, input};
+use std::f64::consts::TAU;
+use std::ops::Range;
+use std::path::Path;
+
+const MAX_SETPOINT_UM: f64 = 1_000.0;
+const ABSOLUTE_ZERO_C: f64 = -273.15;
+/// The wire carries the excitation frequency as a `u32` in millihertz.
+const MAX_RESONANCE_HZ: f64 = 2.5e6;
+const EXPECTED: &str = "expected one of at most 2.5e6 Hz with a quality factor from 0.5 to 1e9";
+const SPREAD_SIGMAS: f64 = 5.0;
+
+#[derive(Clone, Copy)]
+enum PointField {
+    Time,
+    Value,
+}
+
+impl Checker<'_> {
+    pub(super) fn profile(
+        &self,
+        folder: &Path,
+        key: &str,
+        raw: &RawProfile,
+        inputs: &mut Vec<InputFile>,
+    ) -> Result<Profile, Diagnostic> {
+        let profile = raw.check(folder).map_err(|error| self.profile_error(folder, key, raw, &error))?;
+        if let Some(path) = raw.file(folder) {
+            let bytes =
+                input::read(&path).map_err(|error| Diagnostic::for_file(&path, format!("cannot be read: {error}")))?;
+            inputs.push(InputFile { path, bytes });
+        }
+        Ok(profile)
+    }
+
+    fn profile_error(&self, folder: &Path, key: &str, raw: &RawProfile, error: &ProfileError) -> Diagnostic {
+        let (index, part) = match error {
+            ProfileError::NotFinite { index, .. } => (*index, PointField::Value),
+            ProfileError::Time { index, .. } | ProfileError::Unordered { index, .. } => (*index, PointField::Time),
+            ProfileError::Empty | ProfileError::Sine => (1, PointField::Value),
+            ProfileError::Csv { path, source } => return self.csv_error(key, path, source),
+        };
+        self.point_error(folder, key, raw, index, part, error.to_string())
+    }
+
+    fn csv_error(&self, key: &str, path: &Path, error: &csv::Error) -> Diagnostic {
+        let text = input::read(path).map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+        match (error.kind(), text) {
+            (csv::ErrorKind::Deserialize { pos: Some(position), err }, Ok(text)) => {
+                let line = record_span(&text, position.record());
+                let column = err.field().and_then(|field| usize::try_from(field).ok());
+                let span = column.map_or(line.clone(), |column| field_span(&text, line, column));
+                let message = format!("{}, expected a number in each of the columns `t_ms` and `value`", err.kind());
+                Diagnostic::at_span(path, &text, span, message)
+            }
+            (csv::ErrorKind::UnequalLengths { pos: Some(position), expected_len, len }, Ok(text)) => {
+                let span = record_span(&text, position.record());
+                Diagnostic::at_span(
+                    path,
+                    &text,
+                    span,
+                    format!("{len} fields, expected {expected_len} as in the header"),
+                )
+            }
+            (csv::ErrorKind::Utf8 { pos: Some(position), .. }, Ok(text)) => {
+                let span = record_span(&text, position.record());
+                Diagnostic::at_span(path, &text, span, "not UTF-8, expected a text file in UTF-8")
+            }
+            _ => {
+                let message = format!("profile file {} cannot be read: {error}", path.display());
+                self.diagnostic(&format!("{key}.csv"), message)
+            }
+        }
+    }
+
+    fn point_error(
+        &self,
+        folder: &Path,
+        key: &str,
+        raw: &RawProfile,
+        index: usize,
+        part: PointField,
+        message: String,
+    ) -> Diagnostic {
+        let place = |shape: &str| format!("{key}.{shape}.{}.{}", index - 1, part as usize);
+        let key = match raw {
+            RawProfile::Number(_) => key.to_owned(),
+            RawProfile::Shape(RawShape::Hold(_)) => place("hold"),
+            RawProfile::Shape(RawShape::Linear(_)) => place("linear"),
+            RawProfile::Shape(RawShape::Sine(_)) => format!("{key}.sine"),
+            RawProfile::Shape(RawShape::Csv(file)) => {
+                let path = folder.join(file);
+                let Ok(Ok(text)) = input::read(&path).map(String::from_utf8) else {
+                    return Diagnostic::for_file(&path, message);
+                };
+                let span = csv_point_span(&text, index, part);
+                return Diagnostic::at_span(&path, &text, span, message);
+            }
+        };
+        self.diagnostic(&key, message)
+    }
+
+    fn require_values(
+        &self,
+        folder: &Path,
+        key: &str,
+        (raw, profile): (&RawProfile, &Profile),
+        good: impl Fn(f64) -> bool,
+        message: impl Fn(f64) -> String,
+    ) -> Result<(), Diagnostic> {
+        let values = match profile {
+            Profile::Hold(points) | Profile::Linear(points) => points.iter().map(|(_, value)| *value).collect(),
+            Profile::Sine { .. } => vec![profile.range().0, profile.range().1],
+        };
+        match (1..).zip(values).find(|(_, value)| !good(*value)) {
+            Some((index, value)) => Err(self.point_error(folder, key, raw, index, PointField::Value, message(value))),
+            None => Ok(()),
+        }
+    }
+
+    pub(super) fn check_setpoints(
+        &self,
+        folder: &Path,
+        raw: &RawProfiles,
+        setpoint: &Profile,
+    ) -> Result<(), Diagnostic> {
+        self.require_values(
+            folder,
+            "profile.setpoint_um",
+            (&raw.setpoint_um, setpoint),
+            |value| (0.0..=MAX_SETPOINT_UM).contains(&value),
+            |value| format!("a setpoint of {value} µm, expected 0 to {MAX_SETPOINT_UM} µm"),
+        )
+    }
+
+    pub(super) fn check_conditions(
+        &self,
+        folder: &Path,
+        raw: &RawProfiles,
+        plate: &Plate,
+        scene: &ConditionProfiles,
+        spread: &Spread,
+    ) -> Result<(), Diagnostic> {
+        let force = (&raw.finger_force_n, &scene.finger_force_n);
+        let force_key = "profile.finger_force_n";
+        self.require_values(
+            folder,
+            force_key,
+            force,
+            |value| value >= 0.0,
+            |value| format!("a force of {value} N, expected 0 or more: a finger cannot pull"),
+        )?;
+        let temperature = (&raw.temperature_offset_k, &scene.temperature_offset_k);
+        let temperature_key = "profile.temperature_offset_k";
+        self.require_values(
+            folder,
+            temperature_key,
+            temperature,
+            |value| plate.reference_temperature_c + value > ABSOLUTE_ZERO_C,
+            |value| format!("an offset of {value} K, expected a temperature above {ABSOLUTE_ZERO_C} °C"),
+        )?;
+        let shortest = 1.0 - SPREAD_SIGMAS * spread.time_constant_percent / 100.0;
+        let worst = Plate { sigma0: plate.sigma0 / shortest.max(0.1), ..plate.clone() };
+        let exists = |temperature_offset_k: f64, finger_force_n: f64| {
+            let conditions = Conditions { temperature_offset_k, finger_force_n };
+            let (mode, least) = (worst.mode(&conditions), plate.mode(&conditions).sigma);
+            let quality = mode.omega0 / (2.0 * least);
+            mode.is_resonant() && quality <= MAX_QUALITY && mode.omega0 <= MAX_RESONANCE_HZ * TAU
+        };
+        self.require_values(
+            folder,
+            force_key,
+            force,
+            |value| exists(0.0, value),
+            |value| format!("a force of {value} N leaves the plate without a resonance, {EXPECTED}"),
+        )?;
+        // The damping curve is linear between corners, so corners and extreme forces suffice.
+        let (lightest, heaviest) = scene.finger_force_n.range();
+        let corners =
+            plate.damping_ratio.iter().map(|point| point[0]).filter(|force| (lightest..heaviest).contains(force));
+        let forces: Vec<f64> = corners.chain([lightest, heaviest]).collect();
+        let margin = SPREAD_SIGMAS * spread.temperature_k;
+        self.require_values(
+            folder,
+            temperature_key,
+            temperature,
+            |value| forces.iter().all(|force| exists(value - margin, *force) && exists(value + margin, *force)),
+            |value| {
+                format!(
+                    "{value} K (± {margin} K of spread) and up to {heaviest} N leave the plate without a resonance, \
+                     {EXPECTED}"
+                )
+            },
+        )
+    }
+}
+
+/// Byte range of the CSV record `number`. The header is record 0; comments do not count.
+fn record_span(text: &str, number: u64) -> Range<usize> {
+    let mut start = 0;
+    let mut counted = 0;
+    for line in text.split_inclusive('\n') {
+        let content = line.trim_end();
+        if !content.is_empty() && !line.starts_with('#') {
+            if counted == number {
+                return start..start + content.len();
+            }
+            counted += 1;
+        }
+        start += line.len();
+    }
+    0..0
+}
+
+/// Byte range of a field of `line`. `column` counts from 0.
+fn field_span(text: &str, line: Range<usize>, column: usize) -> Range<usize> {
+    let mut start = line.start;
+    for (index, field) in text.get(line.clone()).unwrap_or_default().split(',').enumerate() {
+        if index == column {
+            let from = start + field.len() - field.trim_start().len();
+            return from..from + field.trim().len();
+        }
+        start += field.len() + 1;
+    }
+    line
+}
+
+fn csv_point_span(text: &str, index: usize, part: PointField) -> Range<usize> {
+    let header = text.get(record_span(text, 0)).unwrap_or_default();
+    let name = match part {
+        PointField::Time => "t_ms",
+        PointField::Value => "value",
+    };
+    let column = header.split(',').position(|field| field.trim() == name).unwrap_or(0);
+    field_span(text, record_span(text, index as u64), column)
+}

@@ -1,0 +1,60 @@
+use super::{create_folder, load_with_change, render};
+use crate::scenario::load::{load, load_copies};
+use insta::assert_snapshot;
+use platebench_plate::Time;
+use std::fmt::Write;
+
+const END: &str = "[trials]\ncount = 30";
+const SCENE: &str = "[[between]]\nduration_ms = 20.0\nprofile = { setpoint_um = 1.0 }\n";
+
+fn with_scene(keys: &str) -> String {
+    format!("{SCENE}{keys}\n{END}")
+}
+
+#[test]
+fn a_scene_between_trials_has_its_own_controller_and_plate() {
+    let keys = "controller = { law = \"deadbeat\", period_ms = 0.5, design_plate = \"plates/plate.toml\" }";
+    let folder = create_folder(&[(END, &with_scene(&format!("plate = \"heavy.toml\"\n{keys}")))]);
+    let plate = super::PLATE.replace("limit_vpp = 900.0", "limit_vpp = 400.0");
+    std::fs::write(folder.path().join("heavy.toml"), plate).unwrap();
+    let scenario = load(&folder.path().join("s.toml"), "s.toml").unwrap();
+    let [scene] = &scenario.between[..] else { panic!("{:?}", scenario.between) };
+    assert_eq!((scene.controller.law.as_str(), scene.controller.period), ("deadbeat", Time::from_nanos(500_000)));
+    assert_eq!((scene.plate.drive_limit_vpp, scene.design_plate().drive_limit_vpp), (400.0, 900.0));
+    assert_eq!((scene.duration, scenario.duration), (Time::from_nanos(20_000_000), Time::from_nanos(60_000_000)));
+    assert!(scene.expectations.is_empty() && scene.faults.is_empty());
+    assert_eq!((scenario.keeps_controller(), scenario.design_plate() == &scenario.plate), (true, true));
+    let copies: Vec<_> = scenario.inputs.iter().map(|input| input.path.clone()).collect();
+    assert_eq!(copies.len(), 5);
+    let again = load_copies(&copies, "s.toml").unwrap();
+    assert_eq!((&again.between[0].plate, &again.between[0].controller), (&scene.plate, &scene.controller));
+}
+
+#[test]
+fn messages_point_into_the_scene() {
+    let mut table = String::new();
+    for (good, bad) in [
+        (END, with_scene("duration = 1")),
+        (END, with_scene("plate = \"missing.toml\"")),
+        (END, with_scene("controller = { period_ms = 30.0 }")),
+        (END, with_scene("controller = { design_plate = \"force.csv\" }")),
+        (END, with_scene("").replace("setpoint_um = 1.0", "setpoint_um = { hold = [[0.0, 1.0], [5.0, -1.0]] }")),
+        (END, SCENE.repeat(17) + END),
+        ("response_time_ms = 1.9", "design_plate = \"nowhere.toml\"".to_owned()),
+    ] {
+        let fault = load_with_change(good, &bad).err().unwrap_or_else(|| panic!("`{bad}` was accepted"));
+        write!(table, "{}\n\n", render(&fault)).unwrap();
+    }
+    assert_snapshot!(table);
+}
+
+#[test]
+fn a_difference_between_trials_needs_two() {
+    let expect = "metric = \"settling_time_ms\"\nat_most = 2.0\nband_percent = 5.0\nfrom_ms = 1.0\n";
+    let difference = "metric = \"trial_difference_um\"\nat_most = 0.001\nfrom_ms = 1.0\n";
+    let with_trials = |count: &str| super::load_with_changes(&[(expect, difference), ("count = 30", count)]);
+    assert!(with_trials("count = 2").unwrap().keeps_controller());
+    let fault = with_trials("count = 1").err().unwrap();
+    assert_eq!(fault.message, "`count`: 1 trial, expected at least 2 for trial_difference_um");
+    assert!(super::load_with_changes(&[(expect, &format!("{difference}over = \"mean\"\n"))]).is_err());
+}

@@ -1,0 +1,289 @@
+//! Defines the scenario file as serde reads it, before any check.
+
+use crate::scenario::bounds::{MAX_BETWEEN, MAX_PERIOD_MS, MAX_TRIALS};
+use crate::scenario::definition::{Gains, Spread};
+use platebench_plate::RawProfile;
+use schemars::JsonSchema;
+use serde::Deserialize;
+use std::path::PathBuf;
+
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawScenario {
+    /// Title, one line.
+    #[schemars(length(min = 1))]
+    pub title: String,
+    /// Source, such as a figure of the paper.
+    pub source: Option<String>,
+    /// Plate file, relative to this file.
+    pub plate: PathBuf,
+    /// Length of a trial, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub duration_ms: f64,
+    /// Words to select scenarios by.
+    #[serde(default)]
+    pub tags: Vec<String>,
+    /// Largest time between two rows of the trace, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub trace_step_ms: Option<f64>,
+    /// Model of the plate; `auto` by default.
+    #[serde(default)]
+    #[schemars(schema_with = "crate::scenario::schema::models")]
+    pub model: Option<String>,
+    /// Reason why `run` plays this scenario only if the file or its own folder is named, one line.
+    #[schemars(length(min = 1))]
+    pub only_if_named: Option<String>,
+    /// Exit code that a scenario of a known limit must end with.
+    #[schemars(extend("enum" = [1, 3, 5]))]
+    pub expected_exit: Option<i64>,
+    /// The controller and its timing.
+    #[serde(default)]
+    pub controller: RawController,
+    /// Setpoint and conditions.
+    pub profile: RawProfiles,
+    /// Number and spread of the trials.
+    #[serde(default)]
+    pub trials: RawTrials,
+    /// Planned faults of line and sensor.
+    #[serde(default)]
+    pub fault: Vec<RawFault>,
+    /// Scenes that the same controller plays before every trial but the first. They are not judged.
+    #[serde(default)]
+    #[schemars(length(max = MAX_BETWEEN))]
+    pub between: Vec<RawBetween>,
+    /// Expectations; at least one.
+    #[serde(default)]
+    #[schemars(length(min = 1))]
+    pub expect: Vec<RawExpectation>,
+}
+
+impl RawScenario {
+    /// The files that the scenario names, in the order in which they are read.
+    pub(crate) fn files(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        let own = scene_files(Some(&mut self.plate), &mut self.controller, &mut self.profile);
+        let between = self.between.iter_mut();
+        own.chain(
+            between.flat_map(|scene| scene_files(scene.plate.as_mut(), &mut scene.controller, &mut scene.profile)),
+        )
+    }
+}
+
+fn scene_files<'a>(
+    plate: Option<&'a mut PathBuf>,
+    controller: &'a mut RawController,
+    profiles: &'a mut RawProfiles,
+) -> impl Iterator<Item = &'a mut PathBuf> {
+    let RawProfiles { setpoint_um, temperature_offset_k, finger_force_n } = profiles;
+    let profiles = [setpoint_um, temperature_offset_k, finger_force_n].into_iter();
+    let plates = plate.into_iter().chain(&mut controller.design_plate);
+    plates.chain(profiles.filter_map(RawProfile::file_name_mut))
+}
+
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawBetween {
+    /// Plate file, relative to this file. Default: the plate of the scenario.
+    pub plate: Option<PathBuf>,
+    /// Length of the scene, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub duration_ms: f64,
+    /// The controller and its timing, independent of the scenario's.
+    #[serde(default)]
+    pub controller: RawController,
+    /// Setpoint and conditions.
+    pub profile: RawProfiles,
+}
+
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RawController {
+    /// Control law by name; `--law` overrides it.
+    #[schemars(length(min = 1))]
+    pub law: Option<String>,
+    /// Control period, ms.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = MAX_PERIOD_MS))]
+    pub period_ms: Option<f64>,
+    /// Excitation frequency at the start, Hz.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub start_frequency_hz: Option<f64>,
+    /// Time from sampling to actuation, ms.
+    #[schemars(range(min = 0.0))]
+    pub loop_delay_ms: f64,
+    /// Largest additional loop delay, ms. Each period draws one, uniformly from 0 to this value, by
+    /// the trial's seed.
+    #[schemars(range(min = 0.0))]
+    pub loop_delay_jitter_ms: f64,
+    /// Loop delay that the law is designed for, ms.
+    #[schemars(range(min = 0.0))]
+    pub design_delay_ms: f64,
+    /// Design value of the 5 % response time, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub response_time_ms: Option<f64>,
+    /// Largest distance of the excitation frequency from the start frequency, Hz.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub frequency_range_hz: Option<f64>,
+    /// Largest change of the excitation frequency per period, Hz.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub frequency_slew_hz: Option<f64>,
+    /// Gains instead of the law's own design.
+    pub gains: Option<Gains>,
+    /// Plate file that the controller is configured for, relative to this file. Default: the plate
+    /// of the scenario.
+    pub design_plate: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawProfiles {
+    /// Setpoint of the amplitude, µm.
+    pub setpoint_um: RawProfile,
+    /// Temperature above the plate's reference temperature, K.
+    #[serde(default = "zero")]
+    pub temperature_offset_k: RawProfile,
+    /// Normal force of the finger, N.
+    #[serde(default = "zero")]
+    pub finger_force_n: RawProfile,
+}
+
+fn zero() -> RawProfile {
+    RawProfile::Number(0.0)
+}
+
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RawTrials {
+    /// Number of trials.
+    #[schemars(range(min = 1, max = MAX_TRIALS))]
+    pub count: i64,
+    /// Largest number of trials, if a verdict needs more.
+    #[schemars(range(min = 1, max = MAX_TRIALS))]
+    pub max_count: Option<i64>,
+    /// Seed of the first trial. Each further trial has the next number.
+    #[schemars(range(min = 0))]
+    pub seed: i64,
+    /// Differences between trials.
+    pub spread: Spread,
+}
+
+impl Default for RawTrials {
+    fn default() -> Self {
+        Self { count: 1, max_count: None, seed: 1, spread: Spread::default() }
+    }
+}
+
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(transform = crate::scenario::schema::faults)]
+pub struct RawFault {
+    /// Kind of fault.
+    #[schemars(schema_with = "crate::scenario::schema::kinds")]
+    pub kind: String,
+    /// Start of the window in which the fault acts, ms.
+    #[schemars(range(min = 0.0))]
+    pub from_ms: Option<f64>,
+    /// End of the window in which the fault acts, exclusive, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub until_ms: Option<f64>,
+    /// Direction of the messages that the fault acts on.
+    #[serde(default)]
+    #[schemars(schema_with = "crate::scenario::schema::directions")]
+    pub direction: Option<String>,
+    /// The fault acts on every n-th message of each direction.
+    #[schemars(range(min = 1, max = u32::MAX))]
+    pub every: Option<i64>,
+    /// Delay of a message, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub delay_ms: Option<f64>,
+    /// Factor on the sensed components Wd and Wq.
+    pub factor: Option<f64>,
+    /// Seed of random effects.
+    #[schemars(range(min = 0))]
+    pub seed: Option<i64>,
+    /// Configures the controller again after the window if the fault stopped it.
+    #[serde(default)]
+    pub reconfigure: bool,
+    /// Instant of a fault of the chip, ms.
+    #[schemars(range(min = 0.0))]
+    pub at_ms: Option<f64>,
+    /// Draws the instant of a fault of the chip from the trial's seed.
+    #[serde(default)]
+    pub random: bool,
+    /// Place of a fault of the chip: `ram:START+LENGTH`, `variable:NAME`, `register:NAME` or
+    /// `peripheral:ADDRESS`.
+    pub target: Option<String>,
+    /// Number of the flipped bit from the start of the target. Default: drawn from the trial's
+    /// seed.
+    #[schemars(range(min = 0))]
+    pub bit: Option<i64>,
+    /// Value that every read of a stuck register returns.
+    #[schemars(range(min = 0, max = u32::MAX))]
+    pub value: Option<i64>,
+    /// Frequency error of the chip's clocks, positive if fast, parts per million.
+    pub ppm: Option<f64>,
+}
+
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(transform = crate::scenario::schema::expectations)]
+pub struct RawExpectation {
+    /// The measured quantity.
+    #[schemars(schema_with = "crate::scenario::schema::metrics")]
+    pub metric: String,
+    /// Name in reports, unique in the file. Default: the metric, numbered from its second
+    /// expectation: `ripple_um 2`.
+    pub name: Option<String>,
+    /// Upper limit.
+    pub at_most: Option<f64>,
+    /// Lower limit.
+    pub at_least: Option<f64>,
+    /// Lower and upper limit.
+    pub within: Option<[f64; 2]>,
+    /// Expected value.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub about: Option<f64>,
+    /// Tolerance around `about`, percent of it.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub tolerance_percent: Option<f64>,
+    /// The paper's value, for comparison.
+    pub paper: Option<f64>,
+    /// Identifier of a requirement.
+    pub requirement: Option<String>,
+    /// Confidence of a verdict over trials.
+    #[schemars(range(min = 0.5), extend("exclusiveMaximum" = 1))]
+    pub confidence: Option<f64>,
+    /// Statistic over trials: `each`, `mean` or `quantile`.
+    #[serde(default)]
+    #[schemars(schema_with = "crate::scenario::schema::overs")]
+    pub over: Option<String>,
+    /// Quantile as a share of the trials, for `over = "quantile"`.
+    #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 1))]
+    pub quantile: Option<f64>,
+    /// Half width of the band around the setpoint, percent of the setpoint.
+    #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 100))]
+    pub band_percent: Option<f64>,
+    /// Start of the judged window, ms.
+    #[schemars(range(min = 0.0))]
+    pub from_ms: Option<f64>,
+    /// End of the judged window, ms. Default: the end of the trial, or the next step of the
+    /// setpoint.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub until_ms: Option<f64>,
+    /// Judges after each change of this profile, until the next change of any profile.
+    #[serde(default)]
+    #[schemars(schema_with = "crate::scenario::schema::changing_profiles")]
+    pub after: Option<String>,
+    /// Window of a mean or a ripple, ms. Either its length at the end of the trial, or its start
+    /// and end.
+    pub window_ms: Option<RawWindow>,
+    /// Column of the trace that is judged.
+    #[serde(default)]
+    #[schemars(schema_with = "crate::scenario::schema::signals")]
+    pub signal: Option<String>,
+}
+
+#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
+#[serde(untagged, expecting = "expected a length in ms, counted back from the end, or [from_ms, to_ms]")]
+pub enum RawWindow {
+    Last(#[schemars(extend("exclusiveMinimum" = 0))] f64),
+    Between([f64; 2]),
+}

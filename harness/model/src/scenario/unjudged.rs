@@ -1,0 +1,104 @@
+//! Finds disturbances that no expectation judges.
+
+use crate::scenario::definition::Scenario;
+use crate::scenario::diagnostic::Diagnostic;
+use crate::scenario::window::{ChangingProfile, ProfileChanges, Window};
+use platebench_plate::Time;
+
+/// A message lists this many changes and counts the others.
+const MAX_TIMES: usize = 5;
+
+/// Warns if force or temperature changes outside the windows of all expectations about the plate.
+pub fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
+    let conditions = &scenario.conditions;
+    let changes = ProfileChanges::new(
+        &scenario.setpoint,
+        &conditions.finger_force_n,
+        &conditions.temperature_offset_k,
+        scenario.duration,
+    );
+    let judged = judged_intervals(scenario);
+    let is_judged = |time: &Time| {
+        let passed = judged.partition_point(|window| window.from <= *time);
+        passed.checked_sub(1).and_then(|last| judged.get(last)).is_some_and(|window| window.contains(*time))
+    };
+    let profiles = [
+        (ChangingProfile::Force, "profile.finger_force_n"),
+        (ChangingProfile::Temperature, "profile.temperature_offset_k"),
+    ];
+    let warning = |(profile, key): (ChangingProfile, &str)| {
+        let missed: Vec<&Time> = changes.starts(profile).iter().filter(|time| !is_judged(time)).collect();
+        let times: Vec<String> = missed.iter().take(MAX_TIMES).map(ToString::to_string).collect();
+        let more = match missed.len().saturating_sub(MAX_TIMES) {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        (!missed.is_empty()).then(|| {
+            let message = format!(
+                "no expectation judges the change of the {} at {}{more}; add `after = \"{0}\"` or `from_ms` to one",
+                profile.name(),
+                times.join(", "),
+            );
+            scenario.diagnostic(key, message)
+        })
+    };
+    profiles.into_iter().filter_map(warning).collect()
+}
+
+fn judged_intervals(scenario: &Scenario) -> Vec<Window> {
+    let plate = scenario.expectations.iter().filter(|expectation| expectation.metric.is_of_the_plate());
+    let mut windows: Vec<Window> = plate.flat_map(|expectation| expectation.windows.iter().copied()).collect();
+    windows.sort_unstable_by_key(|window| window.from);
+    let mut union: Vec<Window> = Vec::new();
+    for window in windows {
+        match union.last_mut() {
+            Some(last) if window.from <= last.to => last.to = last.to.max(window.to),
+            _ => union.push(window),
+        }
+    }
+    union
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
+
+    #[rstest]
+    #[case::covered("\"peak_deviation_percent\"\nfrom_ms = 10.0", "")]
+    #[case::starts_later(
+        "\"peak_deviation_percent\"\nfrom_ms = 11.0",
+        "`finger_force_n`: no expectation judges the change of the force at 10 ms;"
+    )]
+    #[case::ends_before(
+        "\"peak_deviation_percent\"\nuntil_ms = 20.0",
+        "`finger_force_n`: no expectation judges the change of the force at 20 ms;"
+    )]
+    #[case::steady_state_only(
+        "\"static_error_percent\"",
+        "`finger_force_n`: no expectation judges the change of the force at 10 ms, 20 ms;"
+    )]
+    #[case::not_about_the_plate(
+        "\"overruns\"",
+        "`finger_force_n`: no expectation judges the change of the force at 10 ms, 20 ms;"
+    )]
+    fn warns_of_a_disturbance_outside_all_windows(#[case] expectation: &str, #[case] message: &str) {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("plate.toml"), PLATE).unwrap();
+        let path = folder.path().join("s.toml");
+        let text = format!(
+            "title = \"s\"\nplate = \"plate.toml\"\nduration_ms = 60.0\n[profile]\nsetpoint_um = 2.0\n\
+             finger_force_n = {{ hold = [[0.0, 0.0], [10.0, 1.0], [20.0, 0.0]] }}\n\
+             [[expect]]\nmetric = {expectation}\nat_most = 2.0\n"
+        );
+        std::fs::write(&path, text).unwrap();
+        let warnings = unjudged_changes(&crate::scenario::load(&path, "s.toml").unwrap());
+        let messages: Vec<_> = warnings.iter().map(|warning| warning.message.as_str()).collect();
+        match message {
+            "" => assert!(messages.is_empty(), "{messages:?}"),
+            start => assert!(matches!(messages[..], [only] if only.starts_with(start)), "{messages:?}"),
+        }
+    }
+}

@@ -1,0 +1,157 @@
+//! Replaces a file as a whole. After a kill or a power cut the file has its old or its new content.
+
+use crate::trace::file_error::{AtPath, FileError};
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+const TEMPORARY_SUFFIX: &str = ".part";
+
+/// File with a temporary name until the commit. A drop before the commit removes it.
+#[derive(Debug)]
+pub struct AtomicFile {
+    file: File,
+    temporary: TemporaryPath,
+    path: PathBuf,
+}
+
+#[derive(Debug)]
+struct TemporaryPath(PathBuf);
+
+impl Drop for TemporaryPath {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(&self.0);
+    }
+}
+
+impl AtomicFile {
+    /// The folder of `path` must exist.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        let mut temporary = path.to_owned().into_os_string();
+        temporary.push(TEMPORARY_SUFFIX);
+        let temporary = TemporaryPath(temporary.into());
+        Ok(Self { file: File::create(&temporary.0)?, temporary, path: path.to_owned() })
+    }
+
+    pub fn file(&self) -> &File {
+        &self.file
+    }
+
+    /// Renames the file to its final name and waits until content and name are on the disk.
+    pub fn commit(self) -> io::Result<()> {
+        self.file.sync_all()?;
+        fs::rename(&self.temporary.0, &self.path)?;
+        self.path.parent().map_or(Ok(()), sync)
+    }
+
+    /// Renames the file without waiting for the disk. It is complete after a kill, but may be
+    /// incomplete after a power cut.
+    pub fn commit_without_sync(self) -> io::Result<()> {
+        fs::rename(&self.temporary.0, &self.path)
+    }
+}
+
+impl Write for AtomicFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+/// Replaces the content of `path`. After an error, the earlier file still exists.
+pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
+    let mut file = AtomicFile::create(path)?;
+    file.write_all(content)?;
+    file.commit()
+}
+
+/// Fails with [`io::ErrorKind::AlreadyExists`] if the file exists. Leaves no unfinished file.
+pub fn write_new(path: &Path, content: &[u8]) -> io::Result<()> {
+    let mut file = File::create_new(path)?;
+    file.write_all(content).and_then(|()| file.sync_all()).inspect_err(|_| {
+        let _ = fs::remove_file(path);
+    })
+}
+
+/// Waits until everything below `folder`, and the entry of `folder` itself, is on the disk.
+pub fn sync_tree(folder: &Path) -> Result<(), FileError> {
+    for entry in fs::read_dir(folder).at(folder)? {
+        let entry = entry.at(folder)?;
+        let path = entry.path();
+        if entry.file_type().at(&path)?.is_dir() {
+            sync_tree(&path)?;
+        } else {
+            sync(&path).at(&path)?;
+        }
+    }
+    sync(folder).and_then(|()| folder.parent().map_or(Ok(()), sync)).at(folder)
+}
+
+/// Removes the temporary files directly in `folder` that a killed program left behind.
+pub fn remove_temporary_files(folder: &Path) -> Result<(), FileError> {
+    for entry in fs::read_dir(folder).at(folder)? {
+        let path = entry.at(folder)?.path();
+        if path.is_file() && path.as_os_str().to_string_lossy().ends_with(TEMPORARY_SUFFIX) {
+            fs::remove_file(&path).at(&path)?;
+        }
+    }
+    Ok(())
+}
+
+fn sync(path: &Path) -> io::Result<()> {
+    // The parent of a bare file name is the empty path.
+    let path = if path.as_os_str().is_empty() { Path::new(".") } else { path };
+    File::open(path)?.sync_all()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn replaces_the_content_and_leaves_no_other_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        for content in ["first", "2"] {
+            write_atomically(&path, content.as_bytes()).unwrap();
+            assert_eq!(fs::read_to_string(&path).unwrap(), content);
+        }
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn keeps_the_old_content_until_the_commit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        write_atomically(&path, b"old").unwrap();
+        let mut file = AtomicFile::create(&path).unwrap();
+        file.write_all(b"new").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+        drop(file);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn writes_only_a_new_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.toml");
+        write_new(&path, b"first").unwrap();
+        assert_eq!(write_new(&path, b"second").unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "first");
+    }
+
+    #[test]
+    fn removes_unfinished_files_only() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.json", "b.json.part"] {
+            fs::write(folder.path().join(name), "").unwrap();
+        }
+        remove_temporary_files(folder.path()).unwrap();
+        sync_tree(folder.path()).unwrap();
+        assert!(folder.path().join("a.json").exists() && !folder.path().join("b.json.part").exists());
+    }
+}
