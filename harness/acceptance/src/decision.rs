@@ -7,7 +7,9 @@ use jiff::civil::Date;
 use jiff::tz::TimeZone;
 use platebench_model::record::{InputRecord, ScenarioRecord, Statistic, Verdict, sha256};
 use platebench_model::scenario::Limit;
-use platebench_uncertainty::{Budget, CombinedUncertainty, Conformity, DecisionRule, Instrument, TypeA, decide};
+use platebench_verdict::uncertainty::{
+    Budget, CombinedUncertainty, Conformity, DecisionRule, Instrument, TypeA, decide,
+};
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanDecision {

@@ -2,7 +2,7 @@
 
 use crate::decision::PlanDecision;
 use platebench_model::scenario::{Diagnostic, Limit, Requirement, Scenario, find, parse_bytes, parse_file, schema};
-use platebench_uncertainty::{Budget, DecisionRule, known_quantities};
+use platebench_verdict::uncertainty::{Budget, DecisionRule, known_quantities};
 use schemars::{JsonSchema, Schema};
 use serde::Deserialize;
 use std::collections::BTreeSet;

@@ -4,7 +4,7 @@ use crate::error::AcceptError;
 use platebench_model::record::{Firmware, Host, InputRecord, Quantiles, Tool, Verdict};
 use platebench_model::trace::{AtPath, FileError, read_regular_file, write_atomically};
 use platebench_rig::RigSpec;
-use platebench_uncertainty::{CombinedUncertainty, Conformity, DecisionRule};
+use platebench_verdict::uncertainty::{CombinedUncertainty, Conformity, DecisionRule};
 use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::Path;

@@ -19,8 +19,8 @@ use platebench_model::scenario::{
 use platebench_model::trace::FileError;
 use platebench_report::format::count;
 use platebench_runner::law;
-use platebench_uncertainty::{Budget, known_quantities};
 use platebench_verdict::golden::{Baseline, BaselineError};
+use platebench_verdict::uncertainty::{Budget, known_quantities};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

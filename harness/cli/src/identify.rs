@@ -20,7 +20,7 @@ use platebench_report::chart::FitChart;
 use platebench_report::format::count;
 use platebench_report::page::{BlockPage, PageBlock};
 use platebench_report::text::Table;
-use platebench_uncertainty::{Budget, known_quantities};
+use platebench_verdict::uncertainty::{Budget, known_quantities};
 use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -3,7 +3,7 @@
 use crate::estimate::Estimate;
 use crate::identification::Identification;
 use crate::table::IdentificationTable;
-use platebench_uncertainty::{Budget, CombinedUncertainty, EvaluationError, TypeA};
+use platebench_verdict::uncertainty::{Budget, CombinedUncertainty, EvaluationError, TypeA};
 use serde::Serialize;
 
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -15,6 +15,7 @@ pub mod replay;
 pub mod statistics;
 mod trial;
 pub mod tube;
+pub mod uncertainty;
 
 pub use divergence::divergence_time_s;
 pub use judge::{Judgement, SequentialDecision, judge, judge_sequentially};

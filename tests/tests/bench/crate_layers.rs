@@ -19,7 +19,7 @@ const LEVELS: [(&str, u8); 25] = [
     ("harness/model/src/scenario", 1),
     ("harness/model/src/record", 2),
     ("harness/fmi", 1),
-    ("harness/uncertainty", 2),
+    ("harness/verdict/src/uncertainty", 2),
     ("harness/identify", 3),
     ("harness/verdict", 3),
     ("harness/runner", 4),

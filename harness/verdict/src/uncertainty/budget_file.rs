@@ -1,6 +1,6 @@
 //! Reads and checks an uncertainty budget from a TOML file.
 
-use crate::budget::{Budget, Component, ComponentKind, Distribution, Instrument, QuantityBudget};
+use crate::uncertainty::budget::{Budget, Component, ComponentKind, Distribution, Instrument, QuantityBudget};
 use jiff::civil::Date;
 use platebench_model::scenario::{Diagnostic, Metric, parse_file};
 use serde::Deserialize;

@@ -1,6 +1,6 @@
 //! Decides whether a value conforms to its limits under a decision rule (ILAC-G8:09/2019, 4.2).
 
-use crate::combine::CombinedUncertainty;
+use crate::uncertainty::combine::CombinedUncertainty;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

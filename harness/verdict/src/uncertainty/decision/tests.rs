@@ -1,6 +1,6 @@
 use super::*;
-use crate::combine::CombinedUncertainty;
-use crate::combine::tests::measure_in_laboratory;
+use crate::uncertainty::combine::CombinedUncertainty;
+use crate::uncertainty::combine::tests::measure_in_laboratory;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 

@@ -4,7 +4,7 @@
 //! effective degrees of freedom are `ν = u⁴ / Σ uᵢ⁴/νᵢ` (Welch and Satterthwaite; G.4). The
 //! expanded uncertainty for a coverage p is `U = t_ν((1 + p)/2) u`.
 
-use crate::budget::{ComponentKind, Distribution, QuantityBudget};
+use crate::uncertainty::budget::{ComponentKind, Distribution, QuantityBudget};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
