@@ -3,9 +3,9 @@
 use crate::error::AcceptError;
 use crate::plan::{AnswerKind, Ask, QuestionTime};
 use crate::session_record::{AnswerRecord, StepRecord};
+use platebench_engine::{Answer, CancelToken, Operator, Question, QuestionKind};
 use platebench_model::record::Verdict;
 use platebench_rig::RigSpec;
-use platebench_runner::{Answer, CancelToken, Operator, Question, QuestionKind};
 
 /// Asks the question and stores the answer in `step`. Before the first scenario, a no stops the
 /// session. A missing answer stops it if the rig may drive a plate.

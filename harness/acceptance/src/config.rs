@@ -3,8 +3,8 @@
 use crate::plan::Plan;
 use crate::session_record::{SessionDetails, StepRecord};
 use crate::signature::SecretKey;
+use platebench_engine::{CancelToken, Clock, Event, LiveTap, Operator, RunPlan};
 use platebench_rig::RigSpec;
-use platebench_runner::{CancelToken, Clock, Event, LiveTap, Operator, RunPlan};
 use std::path::PathBuf;
 
 #[derive(Debug, Clone)]

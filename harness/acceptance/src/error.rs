@@ -1,8 +1,8 @@
 //! Defines the errors of a session and its record.
 
+use platebench_engine::{RejudgeError, RunError};
 use platebench_model::scenario::Diagnostic;
 use platebench_model::trace::FileError;
-use platebench_runner::{RejudgeError, RunError};
 use platebench_trust::TrustError;
 use std::path::PathBuf;
 

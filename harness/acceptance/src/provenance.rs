@@ -6,12 +6,12 @@ use crate::decision::today;
 use crate::error::AcceptError;
 use crate::session_record::{BenchRecord, ClockRecord, FORMAT, FirmwareRecord, PLAN, STEPS, SessionRecord};
 use crate::steps::step_records;
+use platebench_engine::{Clock, Pacing};
 use platebench_model::record::{
     self as record, Firmware, Host, InputRecord, Tool, Verdict, sha256, sha256_of_file, utc_timestamp,
 };
 use platebench_model::trace::AtPath;
 use platebench_rig::{BUILT_IN_IMAGE, RigSpec};
-use platebench_runner::{Clock, Pacing};
 use std::fs;
 use std::path::Path;
 

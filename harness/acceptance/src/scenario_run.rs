@@ -2,10 +2,10 @@
 
 use crate::config::SessionHooks;
 use crate::error::AcceptError;
+use platebench_engine::{Clock, RunError, RunHooks, RunPlan, rejudge, run};
 use platebench_model::record::{Overrides, RunFolder, RunRecord};
 use platebench_model::scenario::Scenario;
 use platebench_rig::{ConnectOptions, RigSpec};
-use platebench_runner::{Clock, RunError, RunHooks, RunPlan, rejudge, run};
 use std::path::Path;
 
 pub(crate) struct ScenarioRun<'a> {

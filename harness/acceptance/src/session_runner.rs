@@ -23,11 +23,11 @@ use crate::session_record::{
 };
 use crate::steps::{StepAction, step_actions};
 use crate::{manifest, page, self_test, signature};
+use platebench_engine::{Clock, Question, QuestionKind, RunError};
 use platebench_model::record::{Firmware, RunRecord, Verdict, to_hex, utc_timestamp};
 use platebench_model::trace::{AtPath, read_regular_file, remove_temporary_files, sync_tree};
 use platebench_report::format::count;
 use platebench_report::traceability;
-use platebench_runner::{Clock, Question, QuestionKind, RunError};
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::Path;
@@ -291,7 +291,7 @@ fn read_runs(folder: &Path, steps: &[StepRecord]) -> Result<Vec<(String, RunReco
     played
         .map(|step| {
             let run =
-                RunRecord::read(&folder.join(STEPS).join(&step.id)).map_err(platebench_runner::RejudgeError::from)?;
+                RunRecord::read(&folder.join(STEPS).join(&step.id)).map_err(platebench_engine::RejudgeError::from)?;
             Ok((step.id.clone(), run))
         })
         .collect()

@@ -8,10 +8,10 @@ use crate::manifest::{self, Difference};
 use crate::plan;
 use crate::session_record::{BUDGET, FILE, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind};
 use crate::signature::{self, PublicKey};
+use platebench_engine::{RejudgeError, rejudge};
 use platebench_model::record::sha256;
 use platebench_model::record::{self as record, RunRecord};
 use platebench_model::trace::{FileError, read_regular_file};
-use platebench_runner::{RejudgeError, rejudge};
 use std::io;
 use std::path::Path;
 

@@ -1,13 +1,13 @@
 //! Joins the runs of shards and boards into one run folder.
 
 use crate::board_differences::differences;
+use platebench_engine::rejudge::check_trace;
+use platebench_engine::{RejudgeError, rejudge};
 use platebench_model::record::{
     FORMAT, FolderError, Host, MergeRecord, MergedRun, MergedScenario, MissingShard, NotApplicable, Overrides,
     RigRecord, RunFolder, RunRecord, ScenarioRecord, Tool, Verdict, utc_timestamp,
 };
 use platebench_model::trace::AtPath as _;
-use platebench_runner::rejudge::check_trace;
-use platebench_runner::{RejudgeError, rejudge};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};

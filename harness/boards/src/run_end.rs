@@ -1,8 +1,8 @@
 //! Decides after a run whether the board goes into quarantine.
 
 use crate::state::LastRun;
+use platebench_engine::RunError;
 use platebench_model::record::{RECORD_FILE, RunRecord};
-use platebench_runner::RunError;
 use std::fs;
 use std::path::Path;
 

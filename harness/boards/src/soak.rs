@@ -3,11 +3,11 @@
 
 use crate::run_end::BoardOutcome;
 use crate::soak_record::{SOAK_FILE, SoakEnd, SoakRecord};
+use platebench_engine::plan::LinkFactory;
+use platebench_engine::{CancelToken, RunError, RunHooks, RunPlan, rejudge, run};
 use platebench_model::record::{FileLock, FolderError, RunFolder, RunRecord, Verdict};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::AtPath as _;
-use platebench_runner::plan::LinkFactory;
-use platebench_runner::{CancelToken, RunError, RunHooks, RunPlan, rejudge, run};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

@@ -324,7 +324,7 @@ impl Checker<'_> {
                 Ok(scenario) => scenario,
                 Err(faults) => return with_value(faults.first().map_or("refused", |fault| &*fault.message)),
             };
-            if let Err(fault) = platebench_runner::law(&scenario) {
+            if let Err(fault) = platebench_engine::law(&scenario) {
                 return with_value(&fault.message);
             }
             let is_pinned = |path: &Path| template.inputs().iter().any(|input| input.path == path);

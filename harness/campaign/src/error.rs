@@ -1,12 +1,12 @@
 //! Defines the errors of campaigns.
 
 use parquet::errors::ParquetError;
+use platebench_engine::RunError;
 use platebench_model::record::FolderError;
 use platebench_model::scenario::Diagnostic;
 use platebench_model::trace::FileError;
 use platebench_report::ReportError;
 use platebench_rig::{ConnectError, RigError};
-use platebench_runner::RunError;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, thiserror::Error)]

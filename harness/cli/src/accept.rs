@@ -17,10 +17,10 @@ use platebench_acceptance::{
     play_session, verify,
 };
 use platebench_boards::BoardOutcome;
+use platebench_engine::{CancelToken, RunError};
 use platebench_model::record::Verdict;
 use platebench_report::ProgressKind;
 use platebench_rig::RigSpec;
-use platebench_runner::{CancelToken, RunError};
 use progress::SessionProgress;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -195,7 +195,7 @@ fn session_config(arguments: &SessionArgs) -> Result<SessionConfig, Failure> {
     check_line_speed(&rig, clock, &scenarios).or_invalid()?;
     let key = arguments.sign.as_deref().map(SecretKey::read).transpose().or_invalid()?;
     let is_serial =
-        matches!(clock, platebench_runner::Clock::RealTime(_)) || !arguments.board.allows_parallel_links(&rig);
+        matches!(clock, platebench_engine::Clock::RealTime(_)) || !arguments.board.allows_parallel_links(&rig);
     let jobs = if is_serial { 1 } else { job_count(None) };
     let out = arguments.resume.clone().or_else(|| arguments.out.clone());
     Ok(SessionConfig {

@@ -19,10 +19,10 @@ use platebench_campaign::{
     Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, ShardEnd, ShardLock, Summary, confirm, lock_folder,
     merge, play_shard, play_worst, report, shards_of_run, status, worst_trials,
 };
+use platebench_engine::RunError;
 use platebench_model::record::FileLock;
 use platebench_model::trace::AtPath;
 use platebench_rig::{CancelToken, RigSpec};
-use platebench_runner::RunError;
 use progress::{CampaignProgress, PlayEvent};
 use std::fs;
 use std::path::Path;

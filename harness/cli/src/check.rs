@@ -11,6 +11,7 @@ use platebench_acceptance::Plan;
 use platebench_boards::Inventory;
 #[cfg(feature = "export")]
 use platebench_campaign::Campaign;
+use platebench_engine::law;
 use platebench_explore::Envelope;
 use platebench_model::scenario::{
     Diagnostic, FileKind, list_files, load, load_with_all_errors, plate_warnings, read_requirements, repeated_names,
@@ -18,7 +19,6 @@ use platebench_model::scenario::{
 };
 use platebench_model::trace::FileError;
 use platebench_report::format::count;
-use platebench_runner::law;
 use platebench_verdict::golden::{Baseline, BaselineError};
 use platebench_verdict::uncertainty::{Budget, known_quantities};
 use serde::Serialize;

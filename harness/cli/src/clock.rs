@@ -1,9 +1,9 @@
 //! Selects the clock from the command line and the rig.
 
 use crate::options::{ClockArg, PacingArg, PlateModeArg};
+use platebench_engine::{Clock, Pacing, TimeBase};
 use platebench_model::scenario::Scenario;
 use platebench_rig::{RigSpec, check_baud};
-use platebench_runner::{Clock, Pacing, TimeBase};
 
 pub(crate) fn default_clock(rig: &RigSpec) -> ClockArg {
     if rig.is_line() { ClockArg::RealTime } else { ClockArg::Lockstep }

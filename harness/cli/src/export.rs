@@ -5,10 +5,10 @@ use crate::failure::{CommandResult, Failure};
 use crate::judge::StoredRun;
 use crate::stdio;
 use clap::{Args, ValueEnum};
+use platebench_engine::RejudgeError;
+use platebench_engine::rejudge::check_trace;
 use platebench_export::ExportError;
 use platebench_model::record::RunRecord;
-use platebench_runner::RejudgeError;
-use platebench_runner::rejudge::check_trace;
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]

@@ -2,9 +2,9 @@
 
 use crate::exit::Exit;
 use crate::stdio;
+use platebench_engine::{RejudgeError, RunError};
 use platebench_model::scenario::Diagnostic;
 use platebench_rig::{ConnectError, RigError};
-use platebench_runner::{RejudgeError, RunError};
 use std::fmt::Display;
 use std::path::Path;
 

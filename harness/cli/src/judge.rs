@@ -5,9 +5,9 @@ use crate::failure::CommandResult;
 use crate::options::OutputFormat;
 use crate::stdio;
 use clap::Args;
+use platebench_engine::{RejudgeError, rejudge};
 use platebench_model::record::RunRecord;
 use platebench_report::Detail;
-use platebench_runner::{RejudgeError, rejudge};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]

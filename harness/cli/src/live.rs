@@ -1,8 +1,8 @@
 //! Opens the live view of the option `--live`.
 
 use crate::stdio;
+use platebench_engine::{Clock, Event, LiveTap, RunPlan};
 use platebench_live::{LiveView, RunDescription, ScenarioDescription, ViewEvent};
-use platebench_runner::{Clock, Event, LiveTap, RunPlan};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 pub(crate) const KEYS: &str = "q or Ctrl-C ends the run, with the plate at 0 V";

@@ -2,8 +2,8 @@
 
 use clap::ValueEnum;
 use clap::builder::PossibleValuesParser;
+use platebench_engine::Pacing;
 use platebench_model::record::KeepTraces;
-use platebench_runner::Pacing;
 use platebench_wire::LawId;
 use std::num::NonZero;
 use std::time::Duration;

@@ -6,8 +6,8 @@
 //! session asks only at a terminal.
 
 use crate::stdio::{self, NonBlockingStderr};
+use platebench_engine::{Answer, CancelToken, Operator, Question, QuestionKind};
 use platebench_plate::Time;
-use platebench_runner::{Answer, CancelToken, Operator, Question, QuestionKind};
 use std::io::{BufRead, IsTerminal, Write, stderr, stdin};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Mutex, PoisonError};

@@ -6,11 +6,11 @@ use crate::options::{OutputFormat, law_names};
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
+use platebench_engine::replay::{ReplayError, ReplayInput, read_recorded_trace, read_telemetry_table, replay as play};
 use platebench_model::external_csv::ColumnMapping;
 use platebench_model::record::Verdict;
 use platebench_report::text::replay::text;
 use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
-use platebench_runner::replay::{ReplayError, ReplayInput, read_recorded_trace, read_telemetry_table, replay as play};
 use platebench_verdict::replay::ReplayResult;
 use std::path::PathBuf;
 

@@ -7,11 +7,11 @@ use crate::options::BASELINES;
 use crate::{soak, stdio};
 use clap::Args;
 use platebench_boards::{SOAK_FILE, SoakRecord};
+use platebench_engine::RejudgeError;
+use platebench_engine::rejudge::check_trace;
 use platebench_model::record::RunRecord;
 use platebench_report::page::{self, ReportPage};
 use platebench_report::traceability;
-use platebench_runner::RejudgeError;
-use platebench_runner::rejudge::check_trace;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]

@@ -2,13 +2,13 @@
 
 use crate::prompt::TerminalOperator;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use platebench_engine::{CancelToken, Event, LiveTap, RunError, RunHooks, RunPlan};
 use platebench_live::{LiveView, ViewEvent};
 use platebench_model::record::{RunFolder, RunRecord};
 use platebench_report::events::EventWriter;
 use platebench_report::page::{MAX_TRIALS, RowCache};
 use platebench_report::{Progress, ProgressKind};
 use platebench_rig::{ConnectOptions, RigSpec};
-use platebench_runner::{CancelToken, Event, LiveTap, RunError, RunHooks, RunPlan};
 
 pub(crate) struct EventSinks<'a> {
     pub(crate) progress: Progress,
@@ -59,7 +59,7 @@ pub(crate) fn run_plan(
             on_event: Box::new(|event| events.send(event)),
             trials_with_rows,
         };
-        platebench_runner::run(&plan, &folder, &|| plan.clock.connect(&rig, &connect_options), hooks)
+        platebench_engine::run(&plan, &folder, &|| plan.clock.connect(&rig, &connect_options), hooks)
     };
     let result = run_until_signal(None, run, |event| sinks.send(event));
     sinks.progress.finish();

@@ -11,14 +11,13 @@ use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::stdio;
 use crossterm::terminal::disable_raw_mode;
-use platebench_runner::CancelToken;
+use platebench_engine::CancelToken;
 use std::future::poll_fn;
-use std::io;
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, channel, sync_channel};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::task::Poll;
-use std::thread;
 use std::time::{Duration, Instant};
+use std::{io, thread};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 const HANG_UP: u8 = 1;

@@ -10,11 +10,11 @@ use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
 use clap::Args;
 use platebench_boards::{BoardOutcome, SoakConfig, SoakEnd, SoakRecord, SoakResult, SoakScenario, soak as play};
+use platebench_engine::{CancelToken, RunError, RunPlan, rejudge};
 use platebench_model::record::Overrides;
 use platebench_report::Detail;
 use platebench_report::page::{self, BlockPage, PageBlock};
 use platebench_rig::ConnectOptions;
-use platebench_runner::{CancelToken, RunError, RunPlan, rejudge};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 

@@ -1,9 +1,9 @@
 //! Defines the errors of an exploration.
 
+use platebench_engine::RunError;
 use platebench_model::scenario::Diagnostic;
 use platebench_model::trace::FileError;
 use platebench_rig::{ConnectError, RigError};
-use platebench_runner::RunError;
 
 #[derive(Debug, thiserror::Error)]
 pub enum ExploreError {

@@ -1,8 +1,8 @@
 //! Defines planned faults of the line in the judged trial.
 
+use platebench_engine::wire_fault_kind;
 use platebench_model::scenario::{Direction, FaultKind};
 use platebench_plate::Time;
-use platebench_runner::wire_fault_kind;
 use proptest::prelude::{BoxedStrategy, Just, Strategy, any};
 use proptest::prop_oneof;
 use std::fmt::Write as _;

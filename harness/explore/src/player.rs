@@ -2,11 +2,11 @@
 
 use crate::error::ExploreError;
 use crate::properties::Property;
+use platebench_engine::plan::LinkFactory;
+use platebench_engine::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, law};
 use platebench_model::record::{Cause, Reason, Verdict, Violation};
 use platebench_model::scenario::{Limit, Scenario};
 use platebench_rig::CancelToken;
-use platebench_runner::plan::LinkFactory;
-use platebench_runner::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, law};
 use platebench_verdict::{TrialMeasures, judge, measure};
 use std::collections::BTreeSet;
 

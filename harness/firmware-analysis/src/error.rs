@@ -1,8 +1,8 @@
 //! Defines the errors that end an analysis.
 
+use platebench_engine::RunError;
 use platebench_model::scenario::Diagnostic;
 use platebench_rig::{ConnectError, EmulatedError, RigError};
-use platebench_runner::RunError;
 
 #[derive(Debug, thiserror::Error)]
 pub enum AnalysisError {

@@ -2,6 +2,9 @@
 
 use crate::code_map::CodeMap;
 use crate::error::AnalysisError;
+use platebench_engine::plan::LinkFactory;
+use platebench_engine::trial::TrialResult;
+use platebench_engine::{Executor, ExecutorSettings, SafeEnds, ScenarioEnd, law, missing_capability};
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{MAX_IMAGE_BYTES, read_regular_file};
@@ -9,9 +12,6 @@ use platebench_rig::{
     BUILT_IN_IMAGE, CancelToken, ConnectError, EmulatedError, EmulatedLink, FaultInjector, LinkError, RigError,
     RigSpec, SafeEnd, Session, Symbols, TargetError,
 };
-use platebench_runner::plan::LinkFactory;
-use platebench_runner::trial::TrialResult;
-use platebench_runner::{Executor, ExecutorSettings, SafeEnds, ScenarioEnd, law, missing_capability};
 use platebench_verdict::Judgement;
 use platebench_wire::LawId;
 use serde::Serialize;

@@ -9,7 +9,7 @@ use crate::stderr_capture::{CapturedLines, StderrCapture};
 use crate::view_event::ViewEvent;
 use crate::view_state::ViewState;
 use crossterm::terminal::size;
-use platebench_runner::TapReader;
+use platebench_engine::TapReader;
 use ratatui::Terminal;
 use ratatui::backend::{Backend, CrosstermBackend};
 use rustix::process::{Signal, getpid, kill_process};

@@ -1,7 +1,7 @@
 //! Defines the events that the view shows.
 
+use platebench_engine::Event;
 use platebench_model::record::Verdict;
-use platebench_runner::Event;
 
 #[derive(Debug)]
 pub enum ViewEvent {

@@ -3,9 +3,9 @@
 use crate::run_description::{RunDescription, ScenarioDescription};
 use crate::signal_history::SignalHistory;
 use crate::view_event::ViewEvent;
+use platebench_engine::live_tap::{TapCounts, TapRow};
 use platebench_model::record::Verdict;
 use platebench_model::trace::Row;
-use platebench_runner::live_tap::{TapCounts, TapRow};
 
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct FinishedCounts {

@@ -3,7 +3,7 @@
 use crate::error::LiveViewError;
 use crate::run_description::RunDescription;
 use crate::view_event::ViewEvent;
-use platebench_runner::TapReader;
+use platebench_engine::TapReader;
 
 #[derive(Debug)]
 pub enum LiveView {}

@@ -1,5 +1,5 @@
+use platebench_engine::LiveTap;
 use platebench_live::{LiveView, RunDescription};
-use platebench_runner::LiveTap;
 use rustix::fs::{Mode, OFlags, open};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Winsize, tcgetattr, tcsetwinsize};

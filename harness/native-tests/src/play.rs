@@ -1,11 +1,11 @@
 //! Runs one scenario as a test, with its own run folder.
 
+use platebench_engine::{Clock, Pacing, RunError, RunHooks, RunPlan, TimeBase};
 use platebench_model::record::{FolderError, Overrides, RECORD_FILE, RunFolder, RunRecord, Verdict};
 use platebench_model::scenario::Scenario;
 use platebench_report::console::{self, Style};
 use platebench_report::{ReportError, junit, page, traceability};
 use platebench_rig::{ConnectOptions, RigSpec};
-use platebench_runner::{Clock, Pacing, RunError, RunHooks, RunPlan, TimeBase};
 use std::fs::{self, Permissions};
 use std::io;
 use std::os::unix::fs::PermissionsExt;
@@ -86,7 +86,7 @@ impl TestContext {
     fn run_into(&self, plan: &RunPlan, folder: &Path) -> Result<RunRecord, TestFailure> {
         let run = RunFolder::create(Some(folder))?;
         let connect = || self.clock.connect(&self.rig, &ConnectOptions::default());
-        let record = platebench_runner::run(plan, &run, &connect, RunHooks::default())?;
+        let record = platebench_engine::run(plan, &run, &connect, RunHooks::default())?;
         junit::write(&record, &folder.join(junit::FILE))?;
         page::write(&record, folder)?;
         traceability::write(&record, folder)?;

@@ -7,10 +7,10 @@ use crate::report::{
     CONFIDENCE, FailedExpectation, FalseAlarm, FalseAlarmResult, MutantOutcome, MutantResult, Rate, ScenarioRate,
     TrustReport,
 };
+use platebench_engine::parallel::collect_in_parallel;
 use platebench_model::record::{Verdict, ViolationKind};
 use platebench_model::scenario::{Metric, Scenario, Spread};
 use platebench_rig::BoxedLink;
-use platebench_runner::parallel::collect_in_parallel;
 
 /// Standard deviations of the plate in clean runs. They replace zeros of the scenario.
 const GAIN_PERCENT: f64 = 0.3;

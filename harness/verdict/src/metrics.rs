@@ -1,6 +1,6 @@
 //! Measures one trial from its trace.
 //!
-//! The runner adds a row on either side of every crossing of an expected band. The plate's signals
+//! The engine adds a row on either side of every crossing of an expected band. The plate's signals
 //! count as linear between rows. This changes a settling time by less than 1 ns, or by some µs if
 //! the run did not know the band. The controller's samples are known at control instants only, so a
 //! time measured from them is an interval.

@@ -22,7 +22,7 @@ const LEVELS: [(&str, u8); 25] = [
     ("harness/verdict/src/uncertainty", 2),
     ("harness/identify", 3),
     ("harness/verdict", 3),
-    ("harness/runner", 4),
+    ("harness/engine", 4),
     ("harness/report", 4),
     ("harness/export", 4),
     ("harness/study", 5),

@@ -227,7 +227,7 @@ fn the_log_follows_its_switches() {
     };
     assert!(!log(&[], None).contains(LINE));
     assert!(log(&["-v"], None).contains(LINE));
-    assert!(log(&[], Some("platebench_runner=info")).contains(LINE));
+    assert!(log(&[], Some("platebench_engine=info")).contains(LINE));
     let json = log(&["-v", "--log-format", "json"], None);
     let line = json.lines().find(|line| line.contains(LINE)).unwrap();
     assert_eq!(serde_json::from_str::<Value>(line).unwrap()["level"], "INFO");

@@ -1,8 +1,8 @@
 //! Tests scenarios and plates at the limits of their ranges, and beyond.
 
 use crate::test_folder::{PLATE, TestFolder, run_bench, workspace_root};
+use platebench_engine::rejudge;
 use platebench_model::record::RunRecord;
-use platebench_runner::rejudge;
 use rstest::rstest;
 use std::fs;
 use std::path::Path;

@@ -3,9 +3,9 @@
 use crate::test_folder::{
     SETTLING, TestFolder, assert_same_traces, run_bench, step_scenario, step_text, workspace_root,
 };
+use platebench_engine::rejudge;
 use platebench_model::record::{Cause, RunRecord, Verdict};
 use platebench_rig::Symbols;
-use platebench_runner::rejudge;
 use rstest::rstest;
 use std::fs;
 

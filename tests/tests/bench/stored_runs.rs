@@ -3,8 +3,8 @@
 use crate::test_folder::{
     FAILED_SETTLING, PLATE, SETTLING, TestFolder, run_bench, step_scenario, step_text, workspace_root,
 };
+use platebench_engine::rejudge;
 use platebench_model::record::{Cause, RunRecord, Verdict};
-use platebench_runner::rejudge;
 use rstest::rstest;
 use std::fs;
 use std::os::unix::fs::symlink;

@@ -1,10 +1,10 @@
 //! Starts the bench in a folder of its own and checks its output.
 
+use platebench_engine::{Clock, RunHooks, RunPlan};
 use platebench_model::record::{Overrides, RunFolder, RunRecord, TrialRecord};
 use platebench_model::scenario::load;
 use platebench_model::trace::{Row, read_trace};
 use platebench_rig::RigSpec;
-use platebench_runner::{Clock, RunHooks, RunPlan};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -309,7 +309,7 @@ impl TestFolder {
             overrides: Overrides::default(),
         };
         let record =
-            platebench_runner::run(&plan, &folder, &|| RigSpec::Hosted.connect(), RunHooks::default()).unwrap();
+            platebench_engine::run(&plan, &folder, &|| RigSpec::Hosted.connect(), RunHooks::default()).unwrap();
         let trace = out.path().join(&record.scenarios[0].trials[0].trace);
         (record, read_trace(&trace).unwrap())
     }

@@ -1,10 +1,10 @@
 //! Compares the instructions of a control step with earlier runs and with the shipped image.
 
 use crate::test_folder::{SETTLING, TestFolder, workspace_root};
+use platebench_engine::{Clock, RunHooks, RunPlan, inputs_digest, rejudge, run};
 use platebench_model::record::{Overrides, RECORD_FILE, RunFolder, RunRecord};
 use platebench_model::scenario::find;
 use platebench_rig::RigSpec;
-use platebench_runner::{Clock, RunHooks, RunPlan, inputs_digest, rejudge, run};
 use platebench_wire::LawId;
 use std::fmt::Write as _;
 use std::fs;

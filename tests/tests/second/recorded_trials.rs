@@ -1,8 +1,8 @@
 //! Records trials of the hosted controller byte for byte.
 
+use platebench_engine::trial::{TrialSpec, play};
 use platebench_model::scenario::find;
 use platebench_rig::{CancelToken, FaultInjector, HostedLink, Link, LinkError, Session};
-use platebench_runner::trial::{TrialSpec, play};
 use platebench_wire::{Configure, Gains, LawId, Message, Packet, PacketReader, Sample};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};

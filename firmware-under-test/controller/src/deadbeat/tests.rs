@@ -1,4 +1,4 @@
-//! Tests the law on the envelope in f64. `harness/runner/tests` tests it on the modal plate.
+//! Tests the law on the envelope in f64. `harness/engine/tests` tests it on the modal plate.
 
 use super::Phase;
 use crate::law::example::CONFIGURE;

@@ -1,4 +1,4 @@
-//! Tests each law's reaction to single samples. `harness/runner/tests` tests the laws on a plate.
+//! Tests each law's reaction to single samples. `harness/engine/tests` tests the laws on a plate.
 
 use super::example::CONFIGURE;
 use super::*;

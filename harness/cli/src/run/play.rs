@@ -11,6 +11,7 @@ use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
 use crate::{live, stdio};
 use platebench_boards::BoardOutcome;
+use platebench_engine::{Clock, RunError, RunPlan, rejudge};
 use platebench_model::record::{RunFolder, RunRecord, Verdict};
 use platebench_model::scenario::{Diagnostic, Scenario};
 use platebench_report::events::EventWriter;
@@ -18,7 +19,6 @@ use platebench_report::format::count;
 use platebench_report::page::RowCache;
 use platebench_report::{Detail, Progress, ProgressKind, junit, page, traceability};
 use platebench_rig::{ConnectOptions, DebugPort, RigSpec};
-use platebench_runner::{Clock, RunError, RunPlan, rejudge};
 use std::path::Path;
 use tracing::info;
 

@@ -1,6 +1,7 @@
 //! Tests that correct laws pass, a mutant is found, and its scene shrinks to few inputs.
 
 use crate::fixtures::configuration;
+use platebench_engine::SafeEnds;
 use platebench_explore::kill_rate::{KillRateConfig, kill_rate};
 use platebench_explore::report::violated_properties;
 use platebench_explore::session::ExploreSession;
@@ -8,7 +9,6 @@ use platebench_explore::shrink::Shrinker;
 use platebench_explore::{Budget, ExploreConfig, Player, Property, explore};
 use platebench_model::record::Verdict;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, RigSpec};
-use platebench_runner::SafeEnds;
 use platebench_trust::{Mutant, MutantController, MutantSpec, clean_variants};
 use platebench_wire::{Command, LawId, Sample};
 use rstest::rstest;

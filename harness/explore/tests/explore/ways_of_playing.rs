@@ -1,11 +1,11 @@
 //! Checks that `run`, `explore` and `trust` send the same samples to the controller. A sample
 //! contains the state of the plate, so equal samples mean equal plates, commands and scenes.
 
+use platebench_engine::{Clock, RunHooks, RunPlan, SafeEnds, run};
 use platebench_explore::Player;
 use platebench_model::record::{Overrides, RunFolder};
 use platebench_model::scenario::{Scenario, load};
 use platebench_rig::{BoxedLink, CancelToken, HostedLink, Link, LinkError};
-use platebench_runner::{Clock, RunHooks, RunPlan, SafeEnds, run};
 use platebench_wire::{Message, PacketReader, Sample};
 use rstest::rstest;
 use std::path::Path;

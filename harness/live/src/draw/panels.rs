@@ -1,8 +1,8 @@
 //! Draws the text panels.
 
 use crate::view_state::ViewState;
+use platebench_engine::live_tap::LATENESS_CLASSES;
 use platebench_model::trace::{Flags, Row};
-use platebench_runner::live_tap::LATENESS_CLASSES;
 use ratatui::Frame;
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};

@@ -5,6 +5,7 @@ use crate::charts::measured_run::{LOCKSTEP, MeasuredRun};
 use crate::charts::scenes::models;
 use crate::charts::section::{ChartError, ChartSection};
 use crate::cost::median;
+use platebench_engine::{Clock, Pacing, TimeBase};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::{Metric, Scenario};
 use platebench_plate::Tier;
@@ -12,7 +13,6 @@ use platebench_report::chart::{LogLogChart, LogLogSeries};
 use platebench_report::page::PageBlock;
 use platebench_report::text::Table;
 use platebench_rig::RigSpec;
-use platebench_runner::{Clock, Pacing, TimeBase};
 
 const FILE: &str = "ladder.csv";
 /// Smaller differences are drawn at this value, because a logarithmic axis has no zero.

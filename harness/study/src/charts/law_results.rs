@@ -2,9 +2,9 @@
 //! repeatability.
 
 use crate::charts::section::{ChartError, play_hosted};
+use platebench_engine::trial::TrialResult;
 use platebench_model::scenario::{Expectation, Metric, Scenario, Window, load};
 use platebench_plate::{Profile, Tier, Time};
-use platebench_runner::trial::TrialResult;
 use platebench_verdict::statistics::SampleSummary;
 use platebench_verdict::{Measure, metrics};
 use platebench_wire::LawId;

@@ -2,10 +2,10 @@
 
 use crate::charts::section::ChartError;
 use crate::cost::process_cpu_time;
+use platebench_engine::{Clock, RunHooks, RunPlan, run};
 use platebench_model::record::{Overrides, RunFolder, RunRecord};
 use platebench_model::scenario::Scenario;
 use platebench_rig::{ConnectOptions, RigSpec};
-use platebench_runner::{Clock, RunHooks, RunPlan, run};
 
 pub(crate) const LOCKSTEP: Clock = Clock::Lockstep { wire_time: false };
 

@@ -6,12 +6,12 @@ use crate::integration::sweep::{cheapest_from_a_crate, cheapest_method};
 use crate::integration::{
     EquationForm, IntegrationMethod, Replay, ReplaySpec, Solver, SolverStatus, SweepConfig, SweepResult, sweep,
 };
+use platebench_engine::law;
 use platebench_model::scenario::{Scenario, Spread};
 use platebench_plate::{Drive, Time};
 use platebench_report::chart::{LogLogChart, LogLogSeries};
 use platebench_report::page::PageBlock;
 use platebench_report::text::Table;
-use platebench_runner::law;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::time::Duration;

@@ -1,14 +1,14 @@
 //! Defines the content of a chart and the errors of charts.
 
 use crate::loops::AnalysisError;
+use platebench_engine::RunError;
+use platebench_engine::trial::{self, TrialResult};
 use platebench_model::record::FolderError;
 use platebench_model::scenario::{Diagnostic, Scenario};
 use platebench_report::ReportError;
 use platebench_report::page::PageBlock;
 use platebench_report::text::Table;
 use platebench_rig::RigError;
-use platebench_runner::RunError;
-use platebench_runner::trial::{self, TrialResult};
 use platebench_wire::LawId;
 use std::io;
 

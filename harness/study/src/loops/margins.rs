@@ -3,8 +3,8 @@
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
 use crate::loops::controller::LinearController;
 use crate::loops::plant::LinearPlant;
+use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::Complex64;
-use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_verdict::bisection::{bisect, try_bisect};
 use std::f64::consts::PI;
 

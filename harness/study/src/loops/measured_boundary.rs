@@ -4,8 +4,8 @@
 //! and compensates none.
 
 use crate::loops::case::LoopCase;
+use platebench_engine::delay_boundary::{DelayBoundary, DelayedLoop, search_boundary};
 use platebench_plate::{Complex64, Tier, Time};
-use platebench_runner::delay_boundary::{DelayBoundary, DelayedLoop, search_boundary};
 use platebench_wire::LawId;
 
 /// Periods without delay until the steady state. [`AVERAGED_PERIODS`] at their end are averaged.

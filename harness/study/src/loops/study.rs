@@ -4,9 +4,9 @@ use crate::loops::case::{LoopCase, OperatingCondition};
 use crate::loops::closed_loop::{AnalysisError, ClosedLoop, LoopTiming};
 use crate::loops::margins::delay_boundary;
 use crate::loops::measured_boundary;
+use platebench_engine::delay_boundary::DelayBoundary;
+use platebench_engine::parallel::collect_in_parallel;
 use platebench_plate::{Plate, Tier, Time};
-use platebench_runner::delay_boundary::DelayBoundary;
-use platebench_runner::parallel::collect_in_parallel;
 use platebench_wire::LawId;
 
 pub const MAX_DELAY_S: f64 = 12e-3;

@@ -3,7 +3,7 @@
 use crate::loops::case::OperatingCondition;
 use crate::loops::plain_loops::StartResult;
 use crate::loops::study::{Study, StudyRow};
-use platebench_runner::delay_boundary::DelayBoundary;
+use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_wire::LawId;
 use std::fmt::Write;
 

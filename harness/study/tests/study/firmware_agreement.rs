@@ -1,7 +1,7 @@
 //! Compares predicted delay boundaries with boundaries of the firmware's code on the exact plate.
 
+use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::{Tier, Time};
-use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_study::loops::{
     ClosedLoop, LoopCase, LoopMotion, LoopSimulation, LoopTiming, OperatingCondition, delay_boundary, measured_boundary,
 };

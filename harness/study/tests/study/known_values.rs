@@ -1,8 +1,8 @@
 //! Compares loops with values derived by hand or with other programs.
 
 use crate::{assert_close, scaled};
+use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::{Conditions, Drive, Tier};
-use platebench_runner::delay_boundary::DelayBoundary;
 use platebench_study::loops::{
     AnalysisError, ClosedLoop, Discretisation, LinearController, LinearPlant, LoopChannel, LoopTiming, PiGains,
     delay_boundary,

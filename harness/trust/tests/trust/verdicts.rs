@@ -1,8 +1,8 @@
 //! Compares verdicts of a live run, of its stored traces, and of a play in memory.
 
+use platebench_engine::{Clock, RunHooks, RunPlan, rejudge};
 use platebench_model::record::{Overrides, RunFolder, Verdict};
 use platebench_rig::{BoxedLink, HostedLink, Link, LinkError};
-use platebench_runner::{Clock, RunHooks, RunPlan, rejudge};
 use platebench_test_kit::load_scenario;
 use platebench_trust::{catalogue, play};
 use platebench_wire::{Message, PacketReader};
@@ -23,7 +23,7 @@ fn live_stored_and_in_memory_verdicts_are_equal() {
             rig: "hosted".to_owned(),
             overrides: Overrides::default(),
         };
-        let live = platebench_runner::run(&plan, &out, &|| Ok(entry.link()), RunHooks::default()).unwrap();
+        let live = platebench_engine::run(&plan, &out, &|| Ok(entry.link()), RunHooks::default()).unwrap();
         let stored = rejudge(out.path(), None).unwrap();
         let judged = play(&scenario, entry.name, &|| entry.link()).unwrap().judgement;
         assert_eq!(live.scenarios[0].expectations, judged.expectations, "{name}");

@@ -5,8 +5,8 @@ use crate::loops::controller::{Discretisation, PiGains};
 use crate::loops::margins::delay_boundary;
 use crate::loops::step_response::StepResponse;
 use crate::loops::tuning::design::{GainDesign, TuningTarget};
+use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::{Plate, Tier};
-use platebench_runner::delay_boundary::DelayBoundary;
 use serde::Serialize;
 
 /// The delay search ends this many times (period + design time) above the target's delay.

@@ -6,8 +6,8 @@ use crate::loops::tuning::design::{GainDesign, TuningTarget};
 use crate::loops::tuning::evaluation::{DesignEvaluation, design_delay_boundary, evaluate_design};
 use crate::loops::tuning::search::DesignSearch;
 use crate::loops::tuning::spread::{PlateSpread, Sensitivity, evaluate_sensitivity};
+use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::Tier;
-use platebench_runner::delay_boundary::DelayBoundary;
 use serde::Serialize;
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]

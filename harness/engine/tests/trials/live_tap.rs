@@ -1,10 +1,10 @@
 use crate::fixtures::{LOCKSTEP, plan};
+use platebench_engine::live_tap::{TapCounts, TapRow};
+use platebench_engine::{Clock, LiveTap, Pacing, RunHooks, RunPlan, TapReader, TimeBase, run};
 use platebench_model::record::{RunFolder, RunRecord};
 use platebench_model::scenario::Direction;
 use platebench_model::trace::{Flags, Row, read_trace};
 use platebench_rig::RigSpec;
-use platebench_runner::live_tap::{TapCounts, TapRow};
-use platebench_runner::{Clock, LiveTap, Pacing, RunHooks, RunPlan, TapReader, TimeBase, run};
 use platebench_test_kit::load_scenario;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::{fs, thread};

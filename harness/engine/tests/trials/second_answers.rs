@@ -1,9 +1,9 @@
 //! Checks that doubled answers and an invented confirmation of 0 V have reasons of their own.
 
 use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
+use platebench_engine::{RunHooks, run};
 use platebench_model::record::{RunFolder, RunRecord, Verdict, ViolationKind};
 use platebench_rig::{HostedLink, Link, LinkError};
-use platebench_runner::{RunHooks, run};
 use platebench_test_kit::load_scenario;
 use platebench_wire::{Command, ControllerState, Message, Packet};
 use std::time::Duration;

@@ -1,7 +1,7 @@
 use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, packets, plan};
+use platebench_engine::{Clock, RunError, RunHooks, run};
 use platebench_model::record::{Cause, RunFolder, RunRecord, Verdict};
 use platebench_rig::{BoxedLink, HostedLink, Link, LinkError, RealTimeLine, WallClockLink};
-use platebench_runner::{Clock, RunError, RunHooks, run};
 use platebench_test_kit::load_scenario;
 use platebench_wire::Message;
 use std::sync::atomic::{AtomicU8, Ordering};

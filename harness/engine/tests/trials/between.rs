@@ -1,9 +1,9 @@
 //! Tests scenes between trials: one controller plays everything, and its history must not matter.
 
 use crate::fixtures::{LOCKSTEP, packets, plan};
+use platebench_engine::{RunHooks, rejudge, run};
 use platebench_model::record::{RunFolder, RunRecord, Verdict};
 use platebench_rig::{BoxedLink, HostedLink, Link, LinkError};
-use platebench_runner::{RunHooks, rejudge, run};
 use platebench_test_kit::write_scenario;
 use platebench_wire::{LawId, Message};
 use std::sync::atomic::{AtomicU32, Ordering};

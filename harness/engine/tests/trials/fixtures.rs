@@ -1,7 +1,7 @@
+use platebench_engine::{Clock, Pacing, RunHooks, RunPlan, TimeBase, run};
 use platebench_model::record::{Overrides, RunFolder, RunRecord};
 use platebench_model::scenario::Scenario;
 use platebench_rig::RigSpec;
-use platebench_runner::{Clock, Pacing, RunHooks, RunPlan, TimeBase, run};
 use platebench_wire::{Packet, PacketReader};
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, packets, plan};
+use platebench_engine::{RunError, RunHooks, run};
 use platebench_model::record::{RunFolder, RunRecord};
 use platebench_rig::{BoxedLink, HostedLink, Link, LinkError, RealTimeLine, WallClockLink};
-use platebench_runner::{RunError, RunHooks, run};
 use platebench_test_kit::load_scenario;
 use platebench_wire::{ControllerState, Message};
 use std::sync::{Arc, Mutex};

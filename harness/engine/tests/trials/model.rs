@@ -1,9 +1,9 @@
 use crate::fixtures::{FIG13, LOCKSTEP, plan, run_hosted};
+use platebench_engine::{RejudgeError, RunPlan, law, rejudge, trial};
 use platebench_model::record::{Overrides, RunRecord};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::Tier;
-use platebench_runner::{RejudgeError, RunPlan, law, rejudge, trial};
 use platebench_test_kit::{PLATE, load_scenario, write_scenario};
 use std::fs;
 use std::path::Path;

@@ -1,8 +1,8 @@
 use crate::fixtures::FIG13;
+use platebench_engine::trial::{self, TrialSpec};
 use platebench_model::scenario::Scenario;
 use platebench_plate::{Profile, Time};
 use platebench_rig::{CancelToken, FaultInjector, HostedLink, Session};
-use platebench_runner::trial::{self, TrialSpec};
 use platebench_test_kit::{load_scenario, scenario_path};
 use platebench_verdict::divergence_time_s;
 use platebench_wire::LawId;

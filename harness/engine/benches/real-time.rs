@@ -8,12 +8,12 @@ mod real_time {
     pub(crate) mod table;
 }
 
+use platebench_engine::real_time::{Pacing, TimeBase, play};
+use platebench_engine::trial::TrialSpec;
 use platebench_model::record::TimingRecord;
 use platebench_model::scenario::{Scenario, load};
 use platebench_model::trace::Flags;
 use platebench_rig::{BoxedLink, CancelToken, ExecLink, FaultInjector, Session};
-use platebench_runner::real_time::{Pacing, TimeBase, play};
-use platebench_runner::trial::TrialSpec;
 use platebench_wire::LawId;
 use real_time::{exchange, limits, table};
 use std::error::Error;

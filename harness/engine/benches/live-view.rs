@@ -2,11 +2,11 @@
 //! `docs/live-view.md`. Variants alternate and only processor time counts, so the ratios hold on a
 //! busy computer.
 
+use platebench_engine::live_tap::{TapGuard, TapReader};
+use platebench_engine::trial::{TrialSpec, play};
+use platebench_engine::{CancelToken, LiveTap};
 use platebench_model::scenario::load;
 use platebench_rig::{FaultInjector, HostedLink, Session};
-use platebench_runner::live_tap::{TapGuard, TapReader};
-use platebench_runner::trial::{TrialSpec, play};
-use platebench_runner::{CancelToken, LiveTap};
 use platebench_wire::LawId;
 use rustix::time::{ClockId, clock_gettime};
 use std::error::Error;

@@ -1,10 +1,10 @@
 use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
+use platebench_engine::{RunHooks, rejudge, run};
 use platebench_model::record::{
     Cause, Exclusion, NonFiniteDrive, RunFolder, RunRecord, ScenarioRecord, TrialReason, Verdict,
 };
 use platebench_model::scenario::Scenario;
 use platebench_rig::{HostedLink, Link, LinkError};
-use platebench_runner::{RunHooks, rejudge, run};
 use platebench_test_kit::load_scenario;
 use platebench_wire::{ControllerState, Message};
 use std::fs;
