@@ -13,10 +13,12 @@ use platebench_boards::BoardOutcome;
 use platebench_engine::real_time::{Consumer, EmulationEnd, emulate_plate as play};
 use platebench_engine::trial::TrialSpec;
 use platebench_engine::{CancelToken, LiveTap, ManualControl, ManualInputs, TimeBase};
-use platebench_live::{INTERRUPT, LiveView, RunDescription, ScenarioDescription, ViewEvent, ViewSender, watch_keys};
 use platebench_model::scenario::{Scenario, load};
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::Time;
+use platebench_report::live::{
+    INTERRUPT, LiveView, RunDescription, ScenarioDescription, ViewEvent, ViewSender, watch_keys,
+};
 use platebench_rig::{BoxedLink, FaultInjector, PtyLink, RigSpec, SafeEnd, Session, check_baud};
 use platebench_wire::LawId;
 use std::io::{IsTerminal, stdin, stdout};

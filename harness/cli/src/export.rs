@@ -7,8 +7,8 @@ use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_engine::RejudgeError;
 use platebench_engine::rejudge::check_trace;
-use platebench_export::ExportError;
 use platebench_model::record::RunRecord;
+use platebench_report::export::ExportError;
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -59,13 +59,13 @@ pub(crate) fn export(arguments: &ExportArgs) -> CommandResult {
         None => {}
     }
     let format = match arguments.format {
-        ExportFormatArg::Parquet => platebench_export::ExportFormat::Parquet,
-        ExportFormatArg::Mf4 => platebench_export::ExportFormat::Mf4,
-        ExportFormatArg::Csv => platebench_export::ExportFormat::Csv,
-        ExportFormatArg::Mcap => platebench_export::ExportFormat::Mcap,
+        ExportFormatArg::Parquet => platebench_report::export::ExportFormat::Parquet,
+        ExportFormatArg::Mf4 => platebench_report::export::ExportFormat::Mf4,
+        ExportFormatArg::Csv => platebench_report::export::ExportFormat::Csv,
+        ExportFormatArg::Mcap => platebench_report::export::ExportFormat::Mcap,
     };
     let out = arguments.out.clone().unwrap_or_else(|| arguments.run.join("export"));
-    let exported = platebench_export::export(&record, &arguments.run, &arguments.scenarios, format, &out)?;
+    let exported = platebench_report::export::export(&record, &arguments.run, &arguments.scenarios, format, &out)?;
     for file in exported.files {
         stdio::show(&format!("{}\n", file.display()));
     }
@@ -82,9 +82,10 @@ impl From<ExportError> for Failure {
     }
 }
 
-/// Fails if a trace was modified after the run. `platebench_export::export` reports missing traces.
+/// Fails if a trace was modified after the run. `platebench_report::export::export` reports missing
+/// traces.
 fn check_traces(record: &RunRecord, arguments: &ExportArgs) -> Result<(), Failure> {
-    for scenario in platebench_export::select_scenarios(record, &arguments.scenarios)? {
+    for scenario in platebench_report::export::select_scenarios(record, &arguments.scenarios)? {
         for trial in &scenario.trials {
             if let Err(error @ RejudgeError::Modified { .. }) = check_trace(&arguments.run, trial) {
                 return Err(error.into());

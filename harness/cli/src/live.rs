@@ -2,7 +2,7 @@
 
 use crate::stdio;
 use platebench_engine::{Clock, Event, LiveTap, RunPlan};
-use platebench_live::{LiveView, RunDescription, ScenarioDescription, ViewEvent};
+use platebench_report::live::{LiveView, RunDescription, ScenarioDescription, ViewEvent};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 pub(crate) const KEYS: &str = "q or Ctrl-C ends the run, with the plate at 0 V";

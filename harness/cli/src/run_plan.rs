@@ -3,9 +3,9 @@
 use crate::prompt::TerminalOperator;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use platebench_engine::{CancelToken, Event, LiveTap, RunError, RunHooks, RunPlan};
-use platebench_live::{LiveView, ViewEvent};
 use platebench_model::record::{RunFolder, RunRecord};
 use platebench_report::events::EventWriter;
+use platebench_report::live::{LiveView, ViewEvent};
 use platebench_report::page::{MAX_TRIALS, RowCache};
 use platebench_report::{Progress, ProgressKind};
 use platebench_rig::{ConnectOptions, RigSpec};

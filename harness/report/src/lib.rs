@@ -2,7 +2,10 @@
 
 pub mod chart;
 mod error;
+#[cfg(feature = "export")]
+pub mod export;
 pub mod format;
+pub mod live;
 pub mod page;
 mod record_queries;
 pub mod text;

@@ -1,0 +1,19 @@
+//! Exports the traces of a run to Parquet, MDF4, MCAP and CSV. `docs/formats.md` describes the
+//! formats.
+//!
+//! Every format has the same [`columns`]. Memory does not grow with the length of a trace. Existing
+//! files are kept.
+
+mod arrow_schema;
+pub mod columns;
+mod error;
+mod mcap;
+mod mf4;
+mod parquet;
+pub mod parquet_column;
+mod run_export;
+mod source;
+mod table;
+
+pub use error::ExportError;
+pub use run_export::{ExportFormat, ExportResult, export, select_scenarios};

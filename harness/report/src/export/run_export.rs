@@ -1,0 +1,119 @@
+//! Exports a run to new files.
+
+use crate::export::error::ExportError;
+use crate::export::source::ExportScenario;
+use crate::export::{mcap, mf4, parquet, table};
+use platebench_model::record::{RECORD_FILE, RunRecord, ScenarioRecord};
+use platebench_model::trace::{AtPath, AtomicFile};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ExportFormat {
+    Parquet,
+    Mf4,
+    Csv,
+    Mcap,
+}
+
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct ExportResult {
+    pub files: Vec<PathBuf>,
+    /// Number of trials that were skipped, because they have no complete trace.
+    pub incomplete_trials: usize,
+}
+
+/// Exports the named scenarios (with or without `.toml`) to the folder `out`, or all if `scenarios`
+/// is empty. Checks names, existing files and complete trials before it writes a file.
+pub fn export(
+    run: &RunRecord,
+    folder: &Path,
+    scenarios: &[String],
+    format: ExportFormat,
+    out: &Path,
+) -> Result<ExportResult, ExportError> {
+    let record = folder.join(RECORD_FILE);
+    let started = run.started.parse::<jiff::Timestamp>().map_err(|source| ExportError::InvalidStartTime {
+        record: record.clone(),
+        text: run.started.clone(),
+        source,
+    })?;
+    let started_ns = u64::try_from(started.as_nanosecond()).unwrap_or_default();
+    let mut sources = Vec::new();
+    let mut cut_off = 0;
+    for scenario in select_scenarios(run, scenarios)? {
+        let (source, without_trace) = ExportScenario::of(run, scenario, folder, started_ns)?;
+        cut_off += without_trace;
+        if !source.trials.is_empty() {
+            sources.push(source);
+        }
+    }
+    if sources.is_empty() {
+        return Err(ExportError::NoCompleteTrial(record));
+    }
+    let mut tasks: Vec<(PathBuf, Box<WriteFile<'_>>)> = Vec::new();
+    match format {
+        ExportFormat::Csv => {
+            let path = out.join(table::FILE);
+            tasks.push((path.clone(), Box::new(|file, path| table::write(&sources, file, path))));
+            tasks.push((table::description_path(&path), Box::new(table::write_description)));
+        }
+        ExportFormat::Mf4 => {
+            for source in &sources {
+                for trial in &source.trials {
+                    // If a scenario has only one trial, the file has the name of the scenario.
+                    let name = match source.scenario.trials.len() {
+                        1 => format!("{}.mf4", source.name),
+                        _ => format!("{}/{:03}.mf4", source.name, trial.index),
+                    };
+                    tasks.push((out.join(name), Box::new(move |file, path| mf4::write(source, trial, file, path))));
+                }
+            }
+        }
+        ExportFormat::Parquet | ExportFormat::Mcap => {
+            let (write, extension): (WriteScenario, _) =
+                if format == ExportFormat::Mcap { (mcap::write, "mcap") } else { (parquet::write, "parquet") };
+            for source in &sources {
+                let path = out.join(format!("{}.{extension}", source.name));
+                tasks.push((path, Box::new(move |file, path| write(source, file, path))));
+            }
+        }
+    }
+    if let Some((existing, _)) = tasks.iter().find(|(path, _)| path.exists()) {
+        return Err(ExportError::FileExists(existing.clone()));
+    }
+    let mut files = Vec::with_capacity(tasks.len());
+    for (path, write) in tasks {
+        write_new_file(&path, &*write)?;
+        files.push(path);
+    }
+    Ok(ExportResult { files, incomplete_trials: cut_off })
+}
+
+type WriteScenario = fn(&ExportScenario<'_>, &File, &Path) -> Result<(), ExportError>;
+
+type WriteFile<'a> = dyn Fn(&File, &Path) -> Result<(), ExportError> + 'a;
+
+fn write_new_file(path: &Path, write: &WriteFile<'_>) -> Result<(), ExportError> {
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder).at(folder)?;
+    }
+    let file = AtomicFile::create(path).at(path)?;
+    write(file.file(), path)?;
+    // Another process may have written the file in the meantime.
+    if path.exists() {
+        return Err(ExportError::FileExists(path.to_owned()));
+    }
+    Ok(file.commit_without_sync().at(path)?)
+}
+
+/// Returns the requested scenarios in the order of the run, or all if `requested` is empty.
+pub fn select_scenarios<'a>(run: &'a RunRecord, requested: &[String]) -> Result<Vec<&'a ScenarioRecord>, ExportError> {
+    let bare = |name: &str| name.strip_suffix(".toml").unwrap_or(name).to_owned();
+    let known: Vec<String> = run.scenarios.iter().map(|scenario| bare(&scenario.file)).collect();
+    if let Some(unknown) = requested.iter().find(|name| !known.contains(&bare(name))) {
+        return Err(ExportError::NoSuchScenario { requested: unknown.clone(), known: known.join(", ") });
+    }
+    let wanted = |file: &str| requested.is_empty() || requested.iter().any(|name| bare(name) == bare(file));
+    Ok(run.scenarios.iter().filter(|scenario| wanted(&scenario.file)).collect())
+}

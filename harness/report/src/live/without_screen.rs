@@ -1,0 +1,43 @@
+//! Replaces the view in a build without the feature `screen`. It cannot be opened.
+
+use crate::live::error::LiveViewError;
+use crate::live::run_description::RunDescription;
+use crate::live::view_event::ViewEvent;
+use platebench_engine::TapReader;
+
+#[derive(Debug)]
+pub enum LiveView {}
+
+#[derive(Debug, Clone)]
+pub enum ViewSender {}
+
+impl LiveView {
+    pub fn open(_: RunDescription, _: TapReader) -> Result<Self, LiveViewError> {
+        Err(LiveViewError::NotBuilt)
+    }
+
+    pub fn send(&self, _: ViewEvent) {
+        match *self {}
+    }
+
+    pub fn sender(&self) -> ViewSender {
+        match *self {}
+    }
+
+    pub fn quit_on_q(&self) {
+        match *self {}
+    }
+}
+
+impl ViewSender {
+    pub fn send(&self, _: ViewEvent) {
+        match *self {}
+    }
+}
+
+/// The view with a screen has a `Drop` too, so callers compile with both.
+impl Drop for LiveView {
+    fn drop(&mut self) {
+        match *self {}
+    }
+}
