@@ -1,9 +1,9 @@
 //! Defines the errors of a session and its record.
 
 use platebench_engine::{RejudgeError, RunError};
+use platebench_experiments::trust::TrustError;
 use platebench_model::scenario::Diagnostic;
 use platebench_model::trace::FileError;
-use platebench_trust::TrustError;
 use std::path::PathBuf;
 
 #[derive(Debug, thiserror::Error)]

@@ -159,7 +159,7 @@ fn step_row(step: &StepRecord) -> Markup {
 }
 
 fn mutant_description(name: &str) -> String {
-    let known = platebench_trust::catalogue().into_iter().find(|entry| entry.name == name);
+    let known = platebench_experiments::trust::catalogue().into_iter().find(|entry| entry.name == name);
     known.map_or_else(String::new, |entry| format!(", {}", entry.description))
 }
 

@@ -7,11 +7,11 @@ use crate::plan::Plan;
 use crate::scenario_run::ScenarioRun;
 use crate::session_record::{SelfTestRecord, StepRecord, TrustRecord, write_file};
 use platebench_engine::{CancelToken, Clock, Pacing, TimeBase};
+use platebench_experiments::trust::report::{CONFIDENCE, MutantOutcome, Rate};
 use platebench_model::record::{Quantiles, RunRecord, Verdict};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::AtPath;
 use platebench_rig::RigSpec;
-use platebench_trust::report::{CONFIDENCE, MutantOutcome, Rate};
 use std::path::Path;
 use std::time::Duration;
 use std::{fs, io, thread};
@@ -93,24 +93,24 @@ pub(crate) fn measure_trust(
     step: &mut StepRecord,
     cancel: &CancelToken,
 ) -> Result<(), AcceptError> {
-    let config = platebench_trust::TrustConfig {
+    let config = platebench_experiments::trust::TrustConfig {
         scenarios: plan.scenarios.iter().map(|planned| planned.scenario.clone()).collect(),
-        mutants: platebench_trust::catalogue(),
-        variants: platebench_trust::clean_variants(),
+        mutants: platebench_experiments::trust::catalogue(),
+        variants: platebench_experiments::trust::clean_variants(),
         clean_runs: plan.bench.clean_runs,
         seed: SEED,
         jobs: thread::available_parallelism().map_or(1, std::num::NonZero::get),
     };
     // If the session is cancelled, this thread runs on until the program ends. This is safe because
     // the measurement drives no plate.
-    let measurement = thread::spawn(move || platebench_trust::measure(&config));
+    let measurement = thread::spawn(move || platebench_experiments::trust::measure(&config));
     while !measurement.is_finished() {
         if cancel.is_cancelled() {
             return Err(AcceptError::Cancelled);
         }
         thread::sleep(CANCEL_POLL_INTERVAL);
     }
-    let report = measurement.join().unwrap_or(Err(platebench_trust::TrustError::Internal))?;
+    let report = measurement.join().unwrap_or(Err(platebench_experiments::trust::TrustError::Internal))?;
     fs::create_dir_all(folder).at(folder)?;
     let text = serde_json::to_vec_pretty(&report).map_err(io::Error::from).at(&folder.join(TRUST_FILE))?;
     write_file(folder, TRUST_FILE, &text)?;

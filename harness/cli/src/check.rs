@@ -9,10 +9,10 @@ use crate::stdio;
 use clap::{Args, Command};
 use platebench_acceptance::Plan;
 use platebench_boards::Inventory;
-#[cfg(feature = "export")]
-use platebench_campaign::Campaign;
 use platebench_engine::law;
-use platebench_explore::Envelope;
+#[cfg(feature = "export")]
+use platebench_experiments::campaign::Campaign;
+use platebench_experiments::explore::Envelope;
 use platebench_model::scenario::{
     Diagnostic, FileKind, list_files, load, load_with_all_errors, plate_warnings, read_requirements, repeated_names,
     unjudged_changes,

@@ -7,7 +7,7 @@ use crate::selection::{TagFilter, find_scenarios};
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
-use platebench_firmware_analysis::{
+use platebench_experiments::firmware_analysis::{
     AnalysisError, Coverage, CoverageConfig, Suite, coverage_text, lcov, measure_coverage,
 };
 use platebench_model::trace::write_atomically;

@@ -11,8 +11,8 @@ use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalle
 use crate::stdio;
 use budget::parse_duration;
 use clap::Args;
-use platebench_explore::session::{ExploreSession, ProgressEvent};
-use platebench_explore::{Envelope, ExploreError, page, report, text};
+use platebench_experiments::explore::session::{ExploreSession, ProgressEvent};
+use platebench_experiments::explore::{Envelope, ExploreError, page, report, text};
 use platebench_model::record::{RunFolder, Verdict};
 use platebench_model::scenario::find;
 use platebench_report::Detail;
@@ -119,7 +119,9 @@ fn prepare(arguments: &ExploreArgs, detail: Detail) -> Result<ExploreSession, Fa
     let law = arguments.law.as_deref().and_then(LawId::from_name).unwrap_or(DEFAULT_LAW);
     let jobs = if arguments.rig.allows_parallel_links() { job_count(arguments.jobs) } else { 1 };
     let time = arguments.time.unwrap_or(Duration::from_mins(1));
-    let budget = arguments.scenes.map_or(platebench_explore::Budget::Time(time), platebench_explore::Budget::Scenes);
+    let budget = arguments
+        .scenes
+        .map_or(platebench_experiments::explore::Budget::Time(time), platebench_experiments::explore::Budget::Scenes);
     Ok(ExploreSession {
         envelope,
         rig: arguments.rig.clone(),

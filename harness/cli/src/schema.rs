@@ -9,8 +9,8 @@ use clap::{Args, ValueEnum};
 use platebench_acceptance::plan::plan_schema;
 use platebench_boards::RawInventory;
 #[cfg(feature = "export")]
-use platebench_campaign::RawCampaign;
-use platebench_explore::RawEnvelope;
+use platebench_experiments::campaign::RawCampaign;
+use platebench_experiments::explore::RawEnvelope;
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::schema;
 use platebench_model::trace::write_atomically;

@@ -6,14 +6,14 @@ use crate::options::{OutputFormat, SCENARIOS, job_count};
 use crate::selection::{TagFilter, find_scenarios};
 use crate::stdio;
 use clap::Args;
-use platebench_explore::Envelope;
-use platebench_explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
+use platebench_experiments::explore::Envelope;
+use platebench_experiments::explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
+use platebench_experiments::trust::{TrustConfig, TrustReport, catalogue, clean_variants, format, measure};
 use platebench_model::record::Verdict;
 use platebench_model::trace::write_atomically;
 use platebench_report::Detail;
 use platebench_report::format::count;
 use platebench_rig::CancelToken;
-use platebench_trust::{TrustConfig, TrustReport, catalogue, clean_variants, format, measure};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 

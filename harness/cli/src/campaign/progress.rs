@@ -1,7 +1,7 @@
 //! Prints the progress of a campaign.
 
 use crate::stdio;
-use platebench_campaign::TrialEvent;
+use platebench_experiments::campaign::TrialEvent;
 use std::time::{Duration, Instant};
 
 const PROGRESS_INTERVAL: Duration = Duration::from_secs(10);

@@ -1,0 +1,364 @@
+//! Reads and checks campaign files.
+
+use crate::campaign::correlation::{Correlation, RawCorrelation};
+use crate::campaign::distribution::RawDistribution;
+use crate::campaign::variable::Variable;
+use platebench_model::scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
+use platebench_model::scenario::{Diagnostic, Metric, Scenario, parse_file};
+use platebench_rig::RigSpec;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use toml::de::{DeTable, DeValue};
+use toml::{Spanned, Table, Value};
+
+const MAX_TRIALS: u64 = 10_000_000_000;
+const MAX_CELLS: u64 = 1_000_000;
+const DEFAULT_CONFIDENCE: f64 = 0.95;
+/// Largest number of listed values per key that are checked before the campaign starts.
+const MAX_CHECKED_VALUES: usize = 100;
+const FIXED_KEYS: [&str; 8] =
+    ["title", "source", "tags", "trials", "between", "only_if_named", "expected_exit", "plate"];
+
+/// A campaign file.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawCampaign {
+    /// Title, one line.
+    #[schemars(length(min = 1))]
+    title: String,
+    /// Scenario file, relative to this file.
+    scenario: PathBuf,
+    /// Distribution of each varied value. A key is a path in the scenario, or `plate.` and a path
+    /// in its plate file. The first key varies slowest.
+    vary: BTreeMap<String, RawDistribution>,
+    /// Correlated normal values.
+    #[serde(default)]
+    correlate: Vec<RawCorrelation>,
+    /// Number and choice of the trials.
+    plan: RawPlan,
+    /// Demand on the share of failing trials.
+    #[serde(default)]
+    judge: RawJudge,
+}
+
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawPlan {
+    /// How the values of a trial are chosen.
+    method: Method,
+    /// Number of trials. For `grid`: number per combination of listed values.
+    #[schemars(range(min = 1))]
+    trials: i64,
+    /// Seed of the campaign. The seed of trial i is this number + i.
+    #[serde(default = "one")]
+    #[schemars(range(min = 0))]
+    seed: i64,
+    /// Rig that replays some trials of the hosted rig: the failing ones, the worst ones and a
+    /// random 1 %.
+    #[schemars(regex(pattern = "^emulated(:.+)?$"))]
+    confirm: Option<String>,
+}
+
+const fn one() -> i64 {
+    1
+}
+
+#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct RawJudge {
+    /// Largest allowed share of failing trials. Without it, one failing trial fails the campaign.
+    #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 1))]
+    at_most: Option<f64>,
+    /// One-sided confidence of each end of an interval.
+    #[schemars(range(min = 0.5), extend("exclusiveMaximum" = 1))]
+    confidence: Option<f64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    /// Every combination of listed values; the others are drawn at random.
+    Grid,
+    /// All values are drawn at random.
+    Random,
+    /// All values follow a scrambled Sobol sequence.
+    Sobol,
+    /// Search for the worst case over the whole range of every value.
+    Search,
+    /// Estimate of the probability of rare failures.
+    Rare,
+}
+
+/// Number of trials of one search. Several short searches find more failures than one long one.
+const SEARCH_CHAIN_TRIALS: u64 = 256;
+const RARE_CHAIN_TRIALS: u64 = 2_048;
+
+impl Method {
+    /// Number of trials in a chain of dependent trials. 1 if the trials are independent.
+    pub const fn chain_trials(self) -> u64 {
+        match self {
+            Self::Grid | Self::Random | Self::Sobol => 1,
+            Self::Search => SEARCH_CHAIN_TRIALS,
+            Self::Rare => RARE_CHAIN_TRIALS,
+        }
+    }
+}
+
+#[derive(Debug)]
+pub struct Campaign {
+    pub path: PathBuf,
+    pub text: String,
+    pub title: String,
+    /// Varied values in the order of the campaign file.
+    pub variables: Vec<Variable>,
+    pub method: Method,
+    pub trials: u64,
+    pub trials_per_cell: u64,
+    /// Number of combinations of listed values; 0 for a search or without listed values.
+    pub cells: u64,
+    pub seed: u64,
+    pub confirm: Option<RigSpec>,
+    pub at_most: Option<f64>,
+    pub confidence: f64,
+    pub(crate) correlation: Option<Correlation>,
+    pub template: ScenarioTemplate,
+}
+
+struct Checker<'a> {
+    path: &'a Path,
+    text: &'a str,
+}
+
+impl Campaign {
+    /// Reports all wrong keys at once. If every key is right, reports all wrong values.
+    pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
+        let (text, raw) = parse_file::<RawCampaign>(path)?;
+        let checker = Checker { path, text: &text };
+        let mut faults = checker.plain_faults(&raw);
+        let scenario_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&raw.scenario);
+        let name = scenario_path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let template = load_template(&scenario_path, &name, prepare).map_err(|found| faults.extend(found)).ok();
+        let variables = checker.variables(raw.vary, &mut faults);
+        if let Some(template) = &template {
+            faults.extend(checker.scenario_fault(&template.scenario));
+            for variable in &variables {
+                faults.extend(checker.value_fault(template, variable));
+            }
+        }
+        if raw.plan.method == Method::Rare {
+            faults.extend(checker.rare_fault(&variables));
+        }
+        let keys: Vec<_> =
+            variables.iter().map(|variable| (&*variable.key, variable.distribution.is_normal())).collect();
+        let correlation =
+            Correlation::new(&raw.correlate, &keys).map_err(|message| faults.push(checker.fault("correlate", message)));
+        let confirm = checker.confirming_rig(&raw.plan).map_err(|fault| faults.push(fault));
+        let counts = checker.counts(&raw.plan, &variables).map_err(|fault| faults.push(fault));
+        let (Some(template), Ok([trials, cells]), Ok(correlation), Ok(confirm), true) =
+            (template, counts, correlation, confirm, faults.is_empty())
+        else {
+            return Err(faults);
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            title: raw.title,
+            variables,
+            method: raw.plan.method,
+            trials,
+            trials_per_cell: raw.plan.trials.unsigned_abs(),
+            cells,
+            seed: raw.plan.seed.unsigned_abs(),
+            confirm,
+            at_most: raw.judge.at_most,
+            confidence: raw.judge.confidence.unwrap_or(DEFAULT_CONFIDENCE),
+            correlation,
+            template,
+            text,
+        })
+    }
+
+    pub fn tables(&self, seed: u64, values: &[f64]) -> Result<ScenarioTables, String> {
+        let changes = self
+            .variables
+            .iter()
+            .zip(values)
+            .map(|(variable, value)| (&*variable.key, variable.distribution.value(*value)));
+        let seed = ("trials.seed", Value::Integer(i64::try_from(seed).unwrap_or(i64::MAX)));
+        self.template.tables(changes.chain([seed]))
+    }
+
+    pub const fn chain_trials(&self) -> u64 {
+        self.method.chain_trials()
+    }
+
+    pub fn expectation_names(&self) -> Vec<String> {
+        self.template.scenario.expectations.iter().map(|expectation| expectation.name.clone()).collect()
+    }
+}
+
+/// Removes the keys that concern several trials, because a campaign judges each trial alone.
+fn prepare(scenario: &mut Table) {
+    scenario.remove("trials");
+    scenario.remove("expected_exit");
+    scenario.remove("only_if_named");
+    for expectation in scenario.get_mut("expect").and_then(Value::as_array_mut).into_iter().flatten() {
+        let metric = expectation.get("metric").and_then(Value::as_str).and_then(Metric::from_name);
+        if let (Some(metric), Value::Table(expectation)) = (metric, expectation)
+            && metric.has_over()
+        {
+            expectation.remove("quantile");
+            expectation.insert("over".to_owned(), Value::String("each".to_owned()));
+        }
+    }
+}
+
+impl Checker<'_> {
+    fn fault(&self, key: &str, message: impl Into<String>) -> Diagnostic {
+        Diagnostic::at_key(self.path, self.text, key, message)
+    }
+
+    fn vary_fault(&self, key: &str, message: impl Into<String>) -> Diagnostic {
+        Diagnostic::at_span(self.path, self.text, self.span_of_variable(key), format!("`{key}`: {}", message.into()))
+    }
+
+    /// [`Diagnostic::at_key`] cannot find a varied key, because the key contains dots.
+    fn span_of_variable(&self, key: &str) -> Range<usize> {
+        let document = DeTable::parse(self.text).ok();
+        let vary = document.as_ref().and_then(|document| document.get_ref().get("vary"));
+        let Some(DeValue::Table(vary)) = vary.map(Spanned::get_ref) else { return 0..0 };
+        vary.iter().find(|(name, _)| name.get_ref() == key).map_or(0..0, |(name, _)| name.span())
+    }
+
+    fn plain_faults(&self, raw: &RawCampaign) -> Vec<Diagnostic> {
+        let mut faults = Vec::new();
+        if raw.title.trim().is_empty() || raw.title.contains(char::is_control) {
+            faults.push(self.fault("title", format!("{:?}, expected one line of text", raw.title)));
+        }
+        if let Some(share) = raw.judge.at_most.filter(|share| !(*share > 0.0 && *share < 1.0)) {
+            faults.push(self.fault("judge.at_most", format!("{share}, expected a share above 0 and below 1")));
+        }
+        if let Some(confidence) = raw.judge.confidence.filter(|confidence| !(0.5..1.0).contains(confidence)) {
+            faults.push(self.fault("judge.confidence", format!("{confidence}, expected 0.5 or more and below 1")));
+        }
+        faults
+    }
+
+    fn variables(&self, raw: BTreeMap<String, RawDistribution>, faults: &mut Vec<Diagnostic>) -> Vec<Variable> {
+        if raw.is_empty() {
+            faults.push(self.fault("vary", "no varied value, expected at least one"));
+        }
+        let mut raw: Vec<_> = raw.into_iter().collect();
+        raw.sort_by_key(|(key, _)| self.span_of_variable(key).start);
+        let mut variables = Vec::new();
+        for (key, distribution) in raw {
+            let first = key.split('.').next().unwrap_or_default();
+            if FIXED_KEYS.contains(&first) && !key.starts_with(PLATE_PREFIX) {
+                let message = "cannot be varied; expected a key of the scenario's scene, controller or limits, \
+                               or a key of the plate file after `plate.`";
+                faults.push(self.vary_fault(&key, message));
+                continue;
+            }
+            match distribution.check() {
+                Ok(distribution) => variables.push(Variable { key, distribution }),
+                Err(message) => faults.push(self.vary_fault(&key, message)),
+            }
+        }
+        variables
+    }
+
+    fn confirming_rig(&self, plan: &RawPlan) -> Result<Option<RigSpec>, Diagnostic> {
+        let Some(text) = &plan.confirm else { return Ok(None) };
+        match text.parse() {
+            Ok(RigSpec::Emulated(elf)) => {
+                let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
+                let elf = elf.map(|elf| folder.join(elf));
+                match elf.as_ref().filter(|elf| !elf.is_file()) {
+                    Some(missing) => {
+                        let message = format!("{}: no such file, expected an ELF", missing.display());
+                        Err(self.fault("plan.confirm", message))
+                    }
+                    None => Ok(Some(RigSpec::Emulated(elf))),
+                }
+            }
+            _ => Err(self.fault("plan.confirm", format!("`{text}`, expected emulated or emulated:ELF"))),
+        }
+    }
+
+    /// Rejects listed values, because the method `rare` needs continuous distributions.
+    fn rare_fault(&self, variables: &[Variable]) -> Option<Diagnostic> {
+        let listed = variables.iter().find(|variable| variable.distribution.choices().is_some())?;
+        Some(
+            self.vary_fault(
+                &listed.key,
+                "listed values, expected `normal`, `lognormal` or `uniform` for method `rare`",
+            ),
+        )
+    }
+
+    fn scenario_fault(&self, scenario: &Scenario) -> Option<Diagnostic> {
+        let over_trials = scenario.expects(Metric::Repeatability) || scenario.keeps_controller();
+        over_trials.then(|| {
+            let message = "the scenario has [[between]] or a metric that compares trials; a campaign judges each trial \
+                           alone, expected another scenario";
+            self.fault("scenario", message)
+        })
+    }
+
+    fn value_fault(&self, template: &ScenarioTemplate, variable: &Variable) -> Option<Diagnostic> {
+        let values = variable.distribution.required_values();
+        let step = values.len().div_ceil(MAX_CHECKED_VALUES).max(1);
+        let checked = values.iter().step_by(step).chain(values.last());
+        let names = |scenario: &Scenario| -> Vec<String> {
+            scenario.expectations.iter().map(|expectation| expectation.name.clone()).collect()
+        };
+        for value in checked {
+            let with_value = |message: &str| Some(self.vary_fault(&variable.key, format!("{value}: {message}")));
+            let tables = match template.tables([(&*variable.key, value.clone())]) {
+                Ok(tables) => tables,
+                Err(message) => return Some(self.vary_fault(&variable.key, message)),
+            };
+            let scenario = match template.check(&tables) {
+                Ok(scenario) => scenario,
+                Err(faults) => return with_value(faults.first().map_or("refused", |fault| &*fault.message)),
+            };
+            if let Err(fault) = platebench_engine::law(&scenario) {
+                return with_value(&fault.message);
+            }
+            let is_pinned = |path: &Path| template.inputs().iter().any(|input| input.path == path);
+            if names(&scenario) != names(&template.scenario)
+                || !scenario.inputs.iter().all(|input| is_pinned(&input.path))
+            {
+                return with_value("the value changes a file or the name of an expectation; vary another key");
+            }
+        }
+        None
+    }
+
+    /// Returns the number of trials and the number of cells (combinations of listed values).
+    fn counts(&self, plan: &RawPlan, variables: &[Variable]) -> Result<[u64; 2], Diagnostic> {
+        let lists = variables.iter().filter_map(|variable| variable.distribution.choices());
+        let cells = lists.clone().try_fold(1_u64, |cells, list| cells.checked_mul(list.len() as u64));
+        let cells = cells.filter(|cells| *cells <= MAX_CELLS).ok_or_else(|| {
+            self.fault("vary", format!("more than {MAX_CELLS} combinations of listed values, expected fewer"))
+        })?;
+        let has_lists = lists.count() > 0;
+        if plan.method == Method::Grid && !has_lists {
+            let message = "a grid without `steps` or `each`, expected at least one of them, or method `random`";
+            return Err(self.fault("plan.method", message));
+        }
+        // A search selects its trials, so their share of failures says nothing about a cell.
+        let cells = if has_lists && plan.method != Method::Search { cells } else { 0 };
+        let planned = u64::try_from(plan.trials).ok().filter(|trials| *trials > 0);
+        let trials = planned.and_then(|trials| trials.checked_mul(if plan.method == Method::Grid { cells } else { 1 }));
+        let trials = trials.filter(|trials| *trials <= MAX_TRIALS).ok_or_else(|| {
+            self.fault("plan.trials", format!("{}, expected 1 to {MAX_TRIALS} trials in all", plan.trials))
+        })?;
+        if plan.seed < 0 || plan.seed > i64::MAX - MAX_TRIALS.cast_signed() {
+            return Err(self.fault("plan.seed", format!("{}, expected 0 to {}", plan.seed, i64::MAX / 2)));
+        }
+        Ok([trials, cells])
+    }
+}

@@ -1,0 +1,205 @@
+//! Writes `results.csv` and `results.parquet`: one row per trial.
+
+use crate::campaign::definition::Campaign;
+use crate::campaign::error::CampaignError;
+use crate::campaign::part::{create, finish};
+use crate::campaign::row::Row;
+use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
+use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, Int64Type};
+use parquet::errors::ParquetError;
+use parquet::file::metadata::KeyValue;
+use parquet::file::properties::WriterProperties;
+use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
+use parquet::schema::types::Type;
+use platebench_model::trace::{AtPath, AtomicFile};
+use platebench_report::export::parquet_column::{write_column, write_optional_column};
+use platebench_report::format;
+use std::fs::File;
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+pub const CSV_FILE: &str = "results.csv";
+pub const PARQUET_FILE: &str = "results.parquet";
+/// Row groups do not depend on shards, so that the number of shards does not change the file.
+const GROUP_ROWS: usize = 16_384;
+const UNIT_SUFFIXES: [(&str, &str); 12] = [
+    ("_n", "N"),
+    ("_k", "K"),
+    ("_ms", "ms"),
+    ("_hz", "Hz"),
+    ("_vpp", "Vpp"),
+    ("_um", "µm"),
+    ("_c", "°C"),
+    ("_percent", "%"),
+    ("_um_rms", "µm"),
+    ("_um_per_vpp", "µm/Vpp"),
+    ("_hz_per_k", "Hz/K"),
+    ("_hz_per_n", "Hz/N"),
+];
+
+/// Unit according to the suffix of the last name with `_` in the key; empty without a unit.
+pub fn unit_of_key(key: &str) -> &'static str {
+    let named = key.split('.').rev().find(|name| name.contains('_')).unwrap_or_default();
+    let fitting = UNIT_SUFFIXES.iter().filter(|(suffix, _)| named.ends_with(suffix));
+    fitting.max_by_key(|(suffix, _)| suffix.len()).map_or("", |(_, unit)| unit)
+}
+
+pub(crate) struct ResultsWriter<'a> {
+    campaign: &'a Campaign,
+    rows: Vec<Row>,
+    csv: csv::Writer<BufWriter<AtomicFile>>,
+    csv_path: PathBuf,
+    parquet: SerializedFileWriter<File>,
+    parquet_file: AtomicFile,
+    parquet_path: PathBuf,
+}
+
+impl<'a> ResultsWriter<'a> {
+    pub(crate) fn new(folder: &Path, campaign: &'a Campaign) -> Result<Self, CampaignError> {
+        let [csv_path, parquet_path] = [CSV_FILE, PARQUET_FILE].map(|name| folder.join(name));
+        let mut csv = csv::Writer::from_writer(BufWriter::new(create(&csv_path)?));
+        csv.write_record(columns(campaign)).map_err(io::Error::from).at(&csv_path)?;
+        let parquet_file = create(&parquet_path)?;
+        let file = parquet_file.file().try_clone().at(&parquet_path)?;
+        let properties = WriterProperties::builder()
+            .set_compression(Compression::SNAPPY)
+            .set_created_by(format!("platebench {}", env!("CARGO_PKG_VERSION")))
+            .set_key_value_metadata(Some(metadata(campaign)))
+            .build();
+        let parquet = schema(campaign)
+            .and_then(|schema| SerializedFileWriter::new(file, Arc::new(schema), Arc::new(properties)))
+            .map_err(CampaignError::write(&parquet_path))?;
+        Ok(Self { campaign, rows: Vec::with_capacity(GROUP_ROWS), csv, csv_path, parquet, parquet_file, parquet_path })
+    }
+
+    pub(crate) fn push(&mut self, row: Row) -> Result<(), CampaignError> {
+        self.write_csv(&row)?;
+        self.rows.push(row);
+        if self.rows.len() == GROUP_ROWS { self.write_group() } else { Ok(()) }
+    }
+
+    fn write_csv(&mut self, row: &Row) -> Result<(), CampaignError> {
+        let mut fields = vec![row.trial.to_string(), self.campaign.seed_of(row.trial).to_string()];
+        let variables = self.campaign.variables.iter().zip(&row.draws);
+        fields.extend(variables.map(|(variable, draw)| variable.distribution.text(*draw)));
+        for (value, margin) in row.values.iter().zip(&row.margins) {
+            fields.push(if value.is_nan() { String::new() } else { format!("{value:?}") });
+            fields.push(format!("{margin:?}"));
+        }
+        fields.push(row.verdict.to_string());
+        fields.push(row.cause.map(|cause| cause.to_string()).unwrap_or_default());
+        Ok(self.csv.write_record(fields).map_err(io::Error::from).at(&self.csv_path)?)
+    }
+
+    fn write_group(&mut self) -> Result<(), CampaignError> {
+        let rows = std::mem::take(&mut self.rows);
+        let mut write = || {
+            let mut group = self.parquet.next_row_group()?;
+            write_columns(&mut group, self.campaign, &rows)?;
+            group.close().map(drop)
+        };
+        write().map_err(CampaignError::write(&self.parquet_path))
+    }
+
+    pub(crate) fn commit(mut self) -> Result<(), CampaignError> {
+        if !self.rows.is_empty() {
+            self.write_group()?;
+        }
+        self.parquet.close().map_err(CampaignError::write(&self.parquet_path))?;
+        finish(self.parquet_file, &self.parquet_path)?;
+        let buffer = self.csv.into_inner().map_err(csv::IntoInnerError::into_error).at(&self.csv_path)?;
+        let file = buffer.into_inner().map_err(io::IntoInnerError::into_error).at(&self.csv_path)?;
+        finish(file, &self.csv_path)
+    }
+}
+
+fn columns(campaign: &Campaign) -> Vec<String> {
+    let mut columns = vec!["trial".to_owned(), "seed".to_owned()];
+    columns.extend(campaign.variables.iter().map(|variable| variable.key.clone()));
+    for name in campaign.expectation_names() {
+        columns.extend([name.clone(), format!("{name}_margin")]);
+    }
+    columns.extend(["verdict".to_owned(), "cause".to_owned()]);
+    columns
+}
+
+fn metadata(campaign: &Campaign) -> Vec<KeyValue> {
+    let keys = campaign.variables.iter().map(|variable| (variable.key.clone(), unit_of_key(&variable.key)));
+    let expectations = campaign.template.scenario.expectations.iter();
+    let values = expectations.map(|expectation| (expectation.name.clone(), format::unit(expectation.metric)));
+    let units = keys.chain(values).filter(|(_, unit)| !unit.is_empty());
+    let units = units.map(|(column, unit)| (format!("unit.{column}"), unit.to_owned()));
+    let title = ("title".to_owned(), campaign.title.clone());
+    std::iter::once(title).chain(units).map(|(key, value)| KeyValue::new(key, value)).collect()
+}
+
+fn schema(campaign: &Campaign) -> Result<Type, ParquetError> {
+    let column = |name: &str, physical, logical, repetition| {
+        let column = Type::primitive_type_builder(name, physical).with_repetition(repetition);
+        column.with_logical_type(logical).build().map(Arc::new)
+    };
+    let number = |name: &str, repetition| column(name, Physical::DOUBLE, None, repetition);
+    let text = |name: &str, repetition| column(name, Physical::BYTE_ARRAY, Some(LogicalType::String), repetition);
+    let whole = |name: &str| column(name, Physical::INT64, None, Repetition::REQUIRED);
+    let mut fields = vec![whole("trial")?, whole("seed")?];
+    for variable in &campaign.variables {
+        let (name, repetition) = (&*variable.key, Repetition::REQUIRED);
+        fields.push(if variable.is_number() { number(name, repetition) } else { text(name, repetition) }?);
+    }
+    for name in campaign.expectation_names() {
+        fields.push(number(&name, Repetition::OPTIONAL)?);
+        fields.push(number(&format!("{name}_margin"), Repetition::REQUIRED)?);
+    }
+    fields.push(text("verdict", Repetition::REQUIRED)?);
+    fields.push(text("cause", Repetition::OPTIONAL)?);
+    Type::group_type_builder("trials").with_fields(fields).build()
+}
+
+type Group<'a> = SerializedRowGroupWriter<'a, File>;
+
+fn write_columns(group: &mut Group<'_>, campaign: &Campaign, rows: &[Row]) -> Result<(), ParquetError> {
+    let whole = |of: &dyn Fn(&Row) -> u64| -> Vec<i64> { rows.iter().map(|row| of(row).cast_signed()).collect() };
+    write_column::<Int64Type>(group, &whole(&|row| row.trial))?;
+    write_column::<Int64Type>(group, &whole(&|row| campaign.seed_of(row.trial)))?;
+    for (index, variable) in campaign.variables.iter().enumerate() {
+        let draws = rows.iter().map(|row| row.draws.get(index).copied().unwrap_or(f64::NAN));
+        if variable.is_number() {
+            let numbers: Vec<_> = draws.map(|draw| variable.distribution.number(draw).unwrap_or(f64::NAN)).collect();
+            write_column::<DoubleType>(group, &numbers)?;
+        } else {
+            let texts: Vec<_> = draws.map(|draw| ByteArray::from(&*variable.distribution.text(draw))).collect();
+            write_column::<ByteArrayType>(group, &texts)?;
+        }
+    }
+    for index in 0..campaign.template.scenario.expectations.len() {
+        let values = rows.iter().map(|row| row.values.get(index).copied().filter(|value| !value.is_nan()));
+        write_optional_column::<DoubleType>(group, values)?;
+        let margins: Vec<_> = rows.iter().map(|row| row.margins.get(index).copied().unwrap_or(f64::NAN)).collect();
+        write_column::<DoubleType>(group, &margins)?;
+    }
+    let verdicts: Vec<_> = rows.iter().map(|row| ByteArray::from(row.verdict.name())).collect();
+    write_column::<ByteArrayType>(group, &verdicts)?;
+    write_optional_column::<ByteArrayType>(
+        group,
+        rows.iter().map(|row| Some(ByteArray::from(&*row.cause?.to_string()))),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_unit_of_a_key_is_in_its_last_name_with_one() {
+        for (key, unit) in [
+            ("profile.finger_force_n", "N"),
+            ("profile.setpoint_um.hold.1.1", "µm"),
+            ("plate.mode.gain_um_per_vpp", "µm/Vpp"),
+            ("plate.sensor.noise_um_rms", "µm"),
+            ("controller.law", ""),
+        ] {
+            assert_eq!(unit_of_key(key), unit, "{key}");
+        }
+    }
+}

@@ -1,0 +1,288 @@
+//! Counts the trials of a campaign and judges the share that fails.
+
+use crate::campaign::confirm::Agreement;
+use crate::campaign::definition::{Campaign, Method};
+use crate::campaign::outcome::ChainOutcome;
+use crate::campaign::row::{CAUSES, Row};
+use crate::campaign::sample::Sample;
+use crate::campaign::sequential::SequentialDecision;
+use crate::campaign::shard_end::ShardEnd;
+use crate::campaign::tally::{Tally, keep_worst};
+use crate::campaign::variable::Variable;
+use platebench_model::record::{Cause, Verdict};
+use serde_json::{Value, json};
+use std::fmt::Write as _;
+
+pub const SUMMARY_FILE: &str = "summary.json";
+
+#[derive(Debug)]
+pub struct Summary<'a> {
+    pub campaign: &'a Campaign,
+    pub missing: Vec<u32>,
+    pub overall: Tally,
+    /// One tally per cell (combination of listed values).
+    pub cells: Vec<Tally>,
+    pub redraws: u64,
+    /// Trials with the smallest margins, smallest first.
+    pub worst: Vec<Row>,
+    pub failing: Vec<Row>,
+    causes: [u64; 4],
+    /// Results of the chains of `search` and `rare`. Empty for other methods.
+    pub chains: ChainOutcome,
+    /// Sample of `grid`, `random` and `sobol`. Empty for other methods.
+    pub sample: Sample,
+    pub sequential: SequentialDecision,
+    pub agreement: Option<Agreement>,
+    pub end: ShardEnd,
+}
+
+impl<'a> Summary<'a> {
+    pub(crate) fn new(campaign: &'a Campaign) -> Self {
+        let expectations = campaign.template.scenario.expectations.len();
+        let cells = (0..campaign.cells).map(|_| Tally::new(expectations)).collect();
+        Self {
+            campaign,
+            missing: Vec::new(),
+            overall: Tally::new(expectations),
+            cells,
+            redraws: 0,
+            worst: Vec::new(),
+            failing: Vec::new(),
+            causes: [0; 4],
+            chains: ChainOutcome::default(),
+            sample: Sample::default(),
+            sequential: SequentialDecision::new(campaign.trials, campaign.at_most, campaign.confidence),
+            agreement: None,
+            end: ShardEnd::default(),
+        }
+    }
+
+    pub(crate) fn add(&mut self, row: &Row) {
+        self.overall.add(row);
+        if self.campaign.chain_trials() > 1 {
+            self.chains.add(self.campaign, row);
+        } else {
+            self.sample.add(self.campaign, row);
+        }
+        // With other methods, the first trials are not a random sample.
+        if self.campaign.method == Method::Random {
+            self.sequential.add(row);
+        }
+        if let Some(cell) = self.cells.get_mut(self.campaign.cell(&row.draws)) {
+            cell.add(row);
+        }
+        self.redraws += u64::from(row.redraws);
+        if let Some(position) = CAUSES.iter().position(|cause| Some(*cause) == row.cause)
+            && let Some(count) = self.causes.get_mut(position)
+        {
+            *count += 1;
+        }
+        keep_worst(&mut self.worst, row);
+        if row.verdict == Verdict::Fail {
+            keep_worst(&mut self.failing, row);
+        }
+    }
+
+    /// A drive after confirmed 0 V is a failure. A pass also needs confirmed 0 V.
+    pub fn verdict(&self) -> Verdict {
+        match self.confirmed_verdict() {
+            _ if self.end.driven => Verdict::Fail,
+            Verdict::Pass if self.end.unconfirmed => Verdict::Inconclusive,
+            verdict => verdict,
+        }
+    }
+
+    /// True if the rig counts as lost, so that the command ends with exit code 5.
+    pub fn is_rig_lost(&self) -> bool {
+        self.end.is_lost(self.verdict() == Verdict::Fail)
+    }
+
+    fn confirmed_verdict(&self) -> Verdict {
+        let missed = self.agreement.as_ref().map_or(0, |agreement| agreement.missed_failures);
+        match (self.screened_verdict(), self.campaign.at_most) {
+            (verdict, _) if missed == 0 => verdict,
+            (_, None) => Verdict::Fail,
+            // The hosted rig missed a failure, so its pass is not reliable.
+            (Verdict::Pass, Some(_)) => Verdict::Inconclusive,
+            (verdict, Some(_)) => verdict,
+        }
+    }
+
+    fn screened_verdict(&self) -> Verdict {
+        if !self.missing.is_empty() {
+            return Verdict::Inconclusive;
+        }
+        let Campaign { method, at_most, confidence, .. } = *self.campaign;
+        let is_decided = self.overall.inconclusive == 0;
+        match method {
+            // A search without a failure does not bound the share of failing trials.
+            Method::Search if self.overall.failures > 0 => Verdict::Fail,
+            Method::Search if at_most.is_some() || !is_decided => Verdict::Inconclusive,
+            Method::Search => Verdict::Pass,
+            Method::Rare => match self.chains.rare_verdict(at_most, confidence) {
+                Verdict::Pass if !is_decided => Verdict::Inconclusive,
+                verdict => verdict,
+            },
+            Method::Grid | Method::Random | Method::Sobol => self.verdict_of(&self.overall),
+        }
+    }
+
+    /// Interval of the share of failing trials. `None` for a search: it is not a random sample.
+    fn interval(&self) -> Option<[f64; 2]> {
+        let confidence = self.campaign.confidence;
+        match self.campaign.method {
+            Method::Search => None,
+            Method::Rare => self.chains.combine_chains().map(|combined| combined.interval(confidence)),
+            Method::Grid | Method::Random | Method::Sobol => self.overall.interval(confidence),
+        }
+    }
+
+    pub fn verdict_of(&self, tally: &Tally) -> Verdict {
+        tally.verdict(self.campaign.at_most, self.campaign.confidence)
+    }
+
+    /// Cause of an inconclusive verdict: the most frequent cause of inconclusive trials. It is
+    /// [`Cause::Evidence`] if there is none or a shard is missing, and [`Cause::Rig`] if 0 V was
+    /// not confirmed.
+    pub fn cause(&self) -> Option<Cause> {
+        if self.verdict() != Verdict::Inconclusive {
+            return None;
+        }
+        if self.end.unconfirmed {
+            return Some(Cause::Rig);
+        }
+        let most =
+            CAUSES.into_iter().zip(self.causes).rev().filter(|(_, count)| *count > 0).max_by_key(|entry| entry.1);
+        Some(most.filter(|_| self.missing.is_empty()).map_or(Cause::Evidence, |(cause, _)| cause))
+    }
+
+    pub fn json(&self) -> Value {
+        let campaign = self.campaign;
+        let add_counts = |mut entry: Value, tally: &Tally| {
+            entry["trials"] = json!(tally.trials);
+            entry["failures"] = json!(tally.failures);
+            entry["inconclusive"] = json!(tally.inconclusive);
+            entry["interval"] = json!(tally.interval(campaign.confidence));
+            entry["verdict"] = json!(self.verdict_of(tally));
+            entry
+        };
+        let cells = self.cells.iter().enumerate().map(|(number, cell)| {
+            let mut entry = add_counts(json!({ "values": self.cell_values(number) }), cell);
+            if cell.trials > 0 {
+                let margin = Some(cell.smallest_margin).filter(|margin| margin.is_finite());
+                entry["smallest_margin"] = json!(margin);
+                entry["worst_trial"] = json!(cell.worst_trial);
+            }
+            entry
+        });
+        let cells: Vec<_> = cells.collect();
+        let mut overall = add_counts(json!({}), &self.overall);
+        overall["verdict"] = json!(self.verdict());
+        overall["interval"] = json!(self.interval());
+        let mut summary = json!({
+            "format": 1,
+            "title": campaign.title,
+            "method": campaign.method,
+            "verdict": self.verdict(),
+            "cause": self.cause(),
+            "planned_trials": campaign.trials,
+            "missing_shards": self.missing,
+            "at_most": campaign.at_most,
+            "confidence": campaign.confidence,
+            "redrawn": self.redraws,
+            "overall": overall,
+            "cells": cells,
+        });
+        if self.end.unconfirmed {
+            summary["safe_confirmed"] = json!(false);
+        }
+        if self.end.lost {
+            summary["controller_lost"] = json!(true);
+        }
+        if let Some(agreement) = &self.agreement {
+            summary["confirm"] = agreement.json(campaign.confidence);
+        }
+        match campaign.method {
+            Method::Search => summary["search"] = self.chains.search_json(self.failing.first()),
+            Method::Rare => summary["rare"] = self.chains.rare_json(campaign.confidence),
+            Method::Grid | Method::Random | Method::Sobol => {
+                summary["sample"] = self.sample.json(campaign);
+                let decision = self.sequential.decision();
+                summary["sequential"] =
+                    json!(decision.map(|(trials, verdict)| json!({ "trials": trials, "verdict": verdict })));
+            }
+        }
+        summary
+    }
+
+    /// Returns each variable with listed values, and the index of its value in the cell.
+    pub fn cell_choices(&self, cell: usize) -> Vec<(&Variable, usize)> {
+        let mut place = cell;
+        let mut choices = Vec::new();
+        for variable in self.campaign.variables.iter().rev() {
+            if let Some(list) = variable.distribution.choices() {
+                choices.push((variable, place % list.len()));
+                place /= list.len();
+            }
+        }
+        choices.reverse();
+        choices
+    }
+
+    fn cell_values(&self, cell: usize) -> Value {
+        let values = self.cell_choices(cell).into_iter();
+        let values =
+            values.map(|(variable, choice)| (variable.key.clone(), json!(variable.distribution.value(choice as f64))));
+        Value::Object(values.collect())
+    }
+
+    pub fn text(&self) -> String {
+        let Tally { trials, failures, inconclusive, .. } = self.overall;
+        let mut text = format!("{}: {}", self.campaign.title, self.verdict());
+        if let Some(cause) = self.cause() {
+            let _ = write!(text, " ({cause})");
+        }
+        let _ =
+            write!(text, "\n{trials} of {} trials: {failures} fail, {inconclusive} inconclusive", self.campaign.trials);
+        let is_sample = self.campaign.chain_trials() == 1;
+        if let Some([low, high]) = self.interval().filter(|_| is_sample) {
+            let [low, high] = [low, high].map(|share| share * 100.0);
+            let confidence = self.campaign.confidence * 100.0;
+            let _ =
+                write!(text, "; {low:.4} % to {high:.4} % of all trials fail, each end at {confidence} % confidence");
+        }
+        if let Some(demanded) = self.campaign.at_most {
+            let _ = write!(text, ", at most {} % demanded", demanded * 100.0);
+        }
+        text += "\n";
+        match self.campaign.method {
+            Method::Search => text += &self.chains.search_text(self.failing.first()),
+            Method::Rare => text += &self.chains.rare_text(self.campaign.confidence),
+            Method::Grid | Method::Random | Method::Sobol => {
+                text += &self.sample.text(self.campaign);
+                if let Some((trials, verdict)) = self.sequential.decision() {
+                    let _ = writeln!(text, "the first {trials} trials alone give the verdict {verdict}");
+                }
+            }
+        }
+        if let Some(agreement) = &self.agreement {
+            text += &agreement.text(self.campaign.confidence);
+        }
+        if self.redraws > 0 {
+            let _ = writeln!(text, "the scenario refused {} draws, which were repeated", self.redraws);
+        }
+        if self.end.driven {
+            text += "the controller commanded a drive after it had confirmed 0 V\n";
+        } else if self.end.unconfirmed {
+            text += "the controller did not confirm 0 V at the end\n";
+        }
+        if self.end.lost {
+            text += "the controller was lost during a trial\n";
+        }
+        if !self.missing.is_empty() {
+            let shards: Vec<_> = self.missing.iter().map(ToString::to_string).collect();
+            let _ = writeln!(text, "missing shards: {}", shards.join(", "));
+        }
+        text
+    }
+}

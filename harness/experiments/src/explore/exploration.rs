@@ -1,0 +1,289 @@
+//! Plays generated scenes on several workers until the budget is used or enough scenes fail.
+
+use crate::explore::coverage::Coverage;
+use crate::explore::envelope::Envelope;
+use crate::explore::error::ExploreError;
+use crate::explore::generator::Generator;
+use crate::explore::player::{Failure, Player, SceneResult, violated};
+use crate::explore::properties::{Demand, Property, demands, reference_demands};
+use crate::explore::scenario_file::{ScenarioText, ScenarioWriter};
+use crate::explore::scene::Scene;
+use crate::explore::staging::Staging;
+use platebench_engine::SafeEnds;
+use platebench_engine::plan::LinkFactory;
+use platebench_model::scenario::Scenario;
+use platebench_rig::CancelToken;
+use platebench_wire::LawId;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Largest number of earlier scenes of the same controller that are stored with a failed scene.
+const MAX_HISTORY: usize = 8;
+const MAX_UNDECIDED: usize = 10;
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Budget {
+    Time(Duration),
+    Scenes(u64),
+}
+
+#[derive(Debug, Clone)]
+pub struct ExploreConfig {
+    pub envelope: Envelope,
+    pub seed: u64,
+    pub law: LawId,
+    /// Laws that earlier trials may use.
+    pub laws: Vec<LawId>,
+    pub budget: Budget,
+    /// The exploration ends after this number of failing scenes.
+    pub max_failed: u64,
+    pub jobs: usize,
+    /// True if the controller's clock runs while the simulated plate waits.
+    pub own_clock: bool,
+    /// True if every command is compared with the hosted reference.
+    pub compares_reference: bool,
+    /// Scenarios of earlier explorations, which are played first.
+    pub regressions: Vec<Scenario>,
+}
+
+impl ExploreConfig {
+    pub fn generator(&self) -> Generator<'_> {
+        Generator { envelope: &self.envelope, seed: self.seed, law: self.law, laws: &self.laws }
+    }
+
+    pub fn demands(&self, scene: &Scene) -> Vec<Demand> {
+        let mut demands = demands(scene, &self.envelope.plate);
+        if self.compares_reference {
+            demands.extend(reference_demands(scene));
+        }
+        demands
+    }
+
+    pub fn scene_text(&self, scene: &Scene, title: &str) -> ScenarioText {
+        let Envelope { title: envelope, plate, .. } = &self.envelope;
+        let source = format!("platebench explore {envelope}");
+        let writer = ScenarioWriter { base: plate, title, source: &source, comment: &[], plate_prefix: "" };
+        writer.text(scene, &self.demands(scene))
+    }
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct FailedScene {
+    pub index: u64,
+    pub failures: Vec<Failure>,
+    /// Scenes that the same controller played before, oldest first.
+    pub history: Vec<u64>,
+}
+
+impl FailedScene {
+    pub(crate) fn failure_of(&self, property: Property) -> Option<&Failure> {
+        self.failures.iter().find(|failure| failure.property == property)
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct UndecidedScene {
+    pub scene: u64,
+    /// Text with the cause (`rig` or `bench`) and the reason.
+    pub cause: String,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct FailedRegression {
+    pub file: String,
+    pub properties: Vec<Property>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PropertyTally {
+    pub windows: u64,
+    pub violations: u64,
+    /// Smallest relative distance from the limit. Not finite (JSON: `null`) if a value is missing.
+    pub smallest_margin: f64,
+    pub tightest_scene: u64,
+}
+
+impl Default for PropertyTally {
+    fn default() -> Self {
+        Self { windows: 0, violations: 0, smallest_margin: f64::INFINITY, tightest_scene: 0 }
+    }
+}
+
+#[derive(Debug, Clone, Default)]
+pub struct Exploration {
+    pub scenes: u64,
+    pub undecided: u64,
+    /// The first ten undecided scenes, in the order of play.
+    pub undecided_scenes: Vec<UndecidedScene>,
+    pub properties: BTreeMap<Property, PropertyTally>,
+    pub failed: Vec<FailedScene>,
+    pub regressions: usize,
+    pub failed_regressions: Vec<FailedRegression>,
+    pub coverage: Coverage,
+    pub elapsed: Duration,
+    pub is_interrupted: bool,
+}
+
+impl Exploration {
+    fn add(&mut self, scene: &Scene, index: u64, result: &SceneResult, envelope: &Envelope) {
+        self.scenes += 1;
+        if let Some(cause) = result.undecided.clone() {
+            self.undecided += 1;
+            if self.undecided_scenes.len() < MAX_UNDECIDED {
+                self.undecided_scenes.push(UndecidedScene { scene: index, cause });
+            }
+        }
+        self.coverage.add(scene, envelope);
+        for window in &result.windows {
+            let tally = self.properties.entry(window.property).or_default();
+            let Some(margin) = window.margin else { continue };
+            tally.windows += 1;
+            tally.violations += u64::from(margin < 0.0);
+            if margin < tally.smallest_margin {
+                (tally.smallest_margin, tally.tightest_scene) = (margin, index);
+            }
+        }
+        let protocol = result.failures.iter().filter(|failure| failure.property == Property::Protocol).count() as u64;
+        if protocol > 0 {
+            let tally = self.properties.entry(Property::Protocol).or_default();
+            tally.windows += protocol;
+            tally.violations += protocol;
+            (tally.smallest_margin, tally.tightest_scene) = (-1.0, index);
+        }
+    }
+}
+
+/// `ends` receives the ends of all sessions. `on_scene` receives the numbers of played and failed
+/// scenes. Violations are not errors.
+pub fn explore(
+    config: &ExploreConfig,
+    connect: &LinkFactory<'_>,
+    cancel: &CancelToken,
+    ends: &SafeEnds,
+    on_scene: &mut dyn FnMut(u64, u64),
+) -> Result<Exploration, ExploreError> {
+    let started = Instant::now();
+    let mut exploration = Exploration::default();
+    play_regressions(config, connect, cancel, ends, &mut exploration)?;
+    let (next, failed) = (AtomicU64::new(0), AtomicU64::new(0));
+    let state = WorkerState { config, connect, cancel, ends, started, next, failed };
+    let (sender, results) = mpsc::channel();
+    thread::scope(|scope| {
+        for _ in 0..config.jobs.max(1) {
+            let (state, sender) = (&state, sender.clone());
+            scope.spawn(move || state.run_worker(&sender));
+        }
+        drop(sender);
+        let mut outcome = Ok(());
+        for result in results {
+            match result {
+                Ok(PlayedScene { index, scene, result, history }) => {
+                    exploration.add(&scene, index, &result, &config.envelope);
+                    if !result.failures.is_empty() {
+                        exploration.failed.push(FailedScene { index, failures: result.failures, history });
+                    }
+                    on_scene(exploration.scenes, exploration.failed.len() as u64);
+                }
+                Err(error) => {
+                    state.next.store(u64::MAX / 2, Ordering::Relaxed);
+                    outcome = outcome.and(Err(error));
+                }
+            }
+        }
+        outcome
+    })?;
+    exploration.is_interrupted = cancel.is_cancelled();
+    exploration.failed.sort_by_key(|scene| scene.index);
+    exploration.elapsed = started.elapsed();
+    Ok(exploration)
+}
+
+fn play_regressions(
+    config: &ExploreConfig,
+    connect: &LinkFactory<'_>,
+    cancel: &CancelToken,
+    ends: &SafeEnds,
+    exploration: &mut Exploration,
+) -> Result<(), ExploreError> {
+    let mut player = Player::new(connect, config.own_clock, cancel, ends);
+    for scenario in &config.regressions {
+        // Each scenario starts with a new controller, as in `platebench run`.
+        player.renew();
+        let Some(result) = player.play(scenario)? else { return Ok(()) };
+        exploration.regressions += 1;
+        if !result.failures.is_empty() {
+            let (file, properties) = (scenario.file.clone(), violated(&result.failures));
+            exploration.failed_regressions.push(FailedRegression { file, properties });
+        }
+    }
+    Ok(())
+}
+
+struct PlayedScene {
+    index: u64,
+    scene: Scene,
+    result: SceneResult,
+    history: Vec<u64>,
+}
+
+struct WorkerState<'a> {
+    config: &'a ExploreConfig,
+    connect: &'a LinkFactory<'a>,
+    cancel: &'a CancelToken,
+    ends: &'a SafeEnds,
+    started: Instant,
+    next: AtomicU64,
+    failed: AtomicU64,
+}
+
+impl WorkerState<'_> {
+    fn is_over(&self, index: u64) -> bool {
+        let used = match self.config.budget {
+            Budget::Time(time) => self.started.elapsed() >= time,
+            Budget::Scenes(count) => index >= count,
+        };
+        used || self.cancel.is_cancelled() || self.failed.load(Ordering::Relaxed) >= self.config.max_failed
+    }
+
+    fn run_worker(&self, results: &mpsc::Sender<Result<PlayedScene, ExploreError>>) {
+        if let Err(error) = self.play_scenes(results) {
+            // Cannot fail, because the receiver ends after the last worker.
+            let _ = results.send(Err(error));
+        }
+    }
+
+    fn play_scenes(&self, results: &mpsc::Sender<Result<PlayedScene, ExploreError>>) -> Result<(), ExploreError> {
+        let generator = self.config.generator();
+        let mut staging = Staging::new()?;
+        let mut player = Player::new(self.connect, self.config.own_clock, self.cancel, self.ends);
+        let mut history = Vec::new();
+        loop {
+            let index = self.next.fetch_add(1, Ordering::Relaxed);
+            if self.is_over(index) || index >= u64::MAX / 2 {
+                return Ok(());
+            }
+            let scene = generator.tree(index).map_err(ExploreError::Strategy)?.current();
+            let title = format!("Scene {index} of seed {}", self.config.seed);
+            let scenario = staging.load(&self.config.scene_text(&scene, &title))?;
+            let Some(result) = player.play(&scenario)? else { return Ok(()) };
+            if player.is_young() {
+                history.clear();
+            }
+            if !result.failures.is_empty() {
+                self.failed.fetch_add(1, Ordering::Relaxed);
+            }
+            let played = PlayedScene { index, scene, result, history: history.clone() };
+            history.push(index);
+            if history.len() > MAX_HISTORY {
+                history.remove(0);
+            }
+            if results.send(Ok(played)).is_err() {
+                return Ok(());
+            }
+        }
+    }
+}

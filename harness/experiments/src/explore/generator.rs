@@ -1,0 +1,352 @@
+//! Generates scene i from the envelope, the seed and i alone.
+
+use crate::explore::course::CourseBuilder;
+use crate::explore::draw::{
+    self, ConfigurationDraw, DETUNING_STEP_HZ, DEVIATION_STEP_PERCENT, EventDraw, FORCE_STEP_N, Gap, LEVEL_STEP_UM,
+    LIMIT_STEP_VPP, NOISE_STEP_UM, PERIOD_STEP_MS, SceneDraw, TEMPERATURE_STEP_K, Target, TrialDraw, USUAL_LEVEL_UM,
+    USUAL_PERIOD_MS,
+};
+use crate::explore::envelope::Envelope;
+use crate::explore::event_kind::EventKind;
+use crate::explore::law_properties::LawProperties;
+use crate::explore::scene::{Course, PlateChoice, Scene, SceneTrial};
+use crate::explore::stratum::{SineOf, Stratum};
+use crate::explore::tuning::Tuning;
+use platebench_wire::LawId;
+use proptest::strategy::{BoxedStrategy, Strategy, ValueTree};
+use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
+use sha2::{Digest, Sha256};
+use std::f64::consts::TAU;
+
+/// Largest share of the drive limit that a setpoint may need in steady state. The rest is a reserve
+/// for control.
+pub(crate) const MAX_STEADY_DRIVE: f64 = 0.8;
+/// Like [`MAX_STEADY_DRIVE`], for overloaded trials. Their drive may stay at the limit.
+const MAX_OVERLOAD: f64 = 2.0;
+/// Steps of [`Target::Near`] for a setpoint (nm), a force (0.01 N) and a temperature (0.01 K).
+const NEAR_STEPS: [i32; 3] = [5, 2, 10];
+/// Times at which a time counter in a controller may overflow, µs.
+const COUNTERS_US: [u32; 2] = [100_000, 1_000_000];
+/// Shortest time between two steps of a staircase, in tenths of a control period.
+const STAIR_TENTHS: u32 = 7;
+const SINE_STEP_TENTHS: u32 = 20;
+
+#[derive(Debug, Clone)]
+pub struct Generator<'a> {
+    pub envelope: &'a Envelope,
+    pub seed: u64,
+    pub law: LawId,
+    pub laws: &'a [LawId],
+}
+
+pub struct SceneTree<'a> {
+    generator: Generator<'a>,
+    stratum: Stratum,
+    tree: Box<dyn ValueTree<Value = SceneDraw>>,
+}
+
+impl SceneTree<'_> {
+    pub fn current(&self) -> Scene {
+        self.generator.build(&self.stratum, &self.tree.current())
+    }
+
+    /// Returns false if the scene cannot become simpler.
+    pub fn simplify(&mut self) -> bool {
+        self.tree.simplify()
+    }
+
+    /// Reverts a part of the last simplification. Returns false if that is not possible.
+    pub fn complicate(&mut self) -> bool {
+        self.tree.complicate()
+    }
+}
+
+impl<'a> Generator<'a> {
+    pub fn tree(&self, index: u64) -> Result<SceneTree<'a>, String> {
+        let mut hash = Sha256::new_with_prefix(self.envelope.digest);
+        hash.update(self.seed.to_le_bytes());
+        hash.update(index.to_le_bytes());
+        let random = TestRng::from_seed(RngAlgorithm::ChaCha, &hash.finalize());
+        let mut runner = TestRunner::new_with_rng(Config::default(), random);
+        let stratum = Stratum::of(index);
+        let strategy: BoxedStrategy<SceneDraw> = draw::scene(self.envelope, &stratum);
+        let tree = strategy.new_tree(&mut runner).map_err(|reason| reason.to_string())?;
+        Ok(SceneTree { generator: self.clone(), stratum, tree })
+    }
+
+    fn build(&self, stratum: &Stratum, draw: &SceneDraw) -> Scene {
+        let judged_configuration = self.configuration(&draw.configuration, self.law);
+        let mut judged = SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum, 10) };
+        for fault in draw.faults.iter().filter_map(|fault| fault.place(judged.duration_us, judged.period_us)) {
+            if judged.faults.iter().all(|other| other.combines_with(&fault, judged.period_us)) {
+                judged.faults.push(fault);
+            }
+        }
+        let earlier_stratum = Stratum { sine: None, is_overloaded: stratum.is_overloaded_before, ..stratum.clone() };
+        let law = |draw: &ConfigurationDraw| self.laws.get(draw.law % self.laws.len().max(1)).copied();
+        let earlier: Vec<_> = draw
+            .earlier
+            .iter()
+            .map(|(own, trial)| {
+                let law = own.as_ref().and_then(law).unwrap_or(self.law);
+                let configuration = own.as_ref().map_or(judged_configuration, |own| self.configuration(own, law));
+                SceneTrial { law, ..self.trial(configuration, trial, &earlier_stratum, 1) }
+            })
+            .collect();
+        let shifts_time = stratum.shifts_time && !stratum.is_long && judged.plate.noise_pm == 0;
+        let count = match (earlier.is_empty(), shifts_time) {
+            (false, _) => 2,
+            (true, true) => 4,
+            (true, false) => 1,
+        };
+        // A seed in a scenario file is less than 2^63.
+        let script_seed = stratum.scripts.map(|index| index.wrapping_add(self.seed) & (u64::MAX >> 1));
+        Scene { earlier, judged, count, script_seed }
+    }
+
+    fn configuration(&self, draw: &ConfigurationDraw, law: LawId) -> Configuration {
+        let range = &self.envelope.range;
+        let usual_us = (USUAL_PERIOD_MS.clamp(range.period_ms[0], range.period_ms[1]) * 1e3).round();
+        let period_us = usual_us as u32;
+        let period_us = period_us.saturating_add_signed(draw.period * (PERIOD_STEP_MS * 1e3) as i32);
+        let has_delay = LawProperties::of(law).is_some_and(|properties| properties.compensates_delay);
+        let permille = (DEVIATION_STEP_PERCENT * 10.0) as i32;
+        Configuration {
+            period_us,
+            delay_us: if has_delay { (period_us * draw.delay / 20).min(period_us) } else { 0 },
+            plate: PlateChoice {
+                limit_vpp: range.drive_limit_vpp[1] as u32 - draw.limit * LIMIT_STEP_VPP as u32,
+                noise_pm: draw.noise * (NOISE_STEP_UM * 1e6).round() as u32,
+                nominal_gain_permille: draw.nominal_gain * permille,
+                nominal_time_constant_permille: draw.nominal_time_constant * permille,
+                gain_permille: draw.gain * permille,
+                time_constant_permille: draw.time_constant * permille,
+            },
+            tuning: draw.tuning,
+        }
+    }
+
+    /// `least_tail` is the smallest number of control periods after the last event.
+    fn trial(&self, configuration: Configuration, draw: &TrialDraw, stratum: &Stratum, least_tail: u32) -> SceneTrial {
+        let Configuration { period_us, delay_us, plate, tuning } = configuration;
+        let mut timeline = Timeline::new(self, configuration, draw);
+        for event in &draw.events {
+            timeline.add(event);
+        }
+        let tail_us = timeline.gap_us(draw.tail).max(least_tail * period_us);
+        let duration_us = timeline.now_us.max(1) + tail_us;
+        let Timeline { setpoint, force, temperature, .. } = timeline;
+        let mut trial = SceneTrial {
+            law: self.law,
+            plate,
+            period_us,
+            delay_us,
+            start_frequency_tenths: 0,
+            duration_us,
+            setpoint: Vec::new(),
+            force: force.finish(),
+            temperature: temperature.finish(),
+            tuning,
+            faults: Vec::new(),
+        };
+        self.add_sine(&mut trial, draw, stratum.sine);
+        let share = if stratum.is_overloaded { MAX_OVERLOAD } else { MAX_STEADY_DRIVE };
+        let highest = trial.largest_setpoint_nm(&self.envelope.plate, share);
+        let mut points: Vec<(u32, u32)> =
+            setpoint.into_iter().map(|(at, level)| (at, (level as u32).min(highest))).collect();
+        points.dedup_by(|next, last| next.1 == last.1);
+        trial.setpoint = points;
+        let resonance_hz = trial.mode_at(&self.envelope.plate, 0).omega0 / TAU;
+        let start_hz = resonance_hz + f64::from(draw.detuning) * DETUNING_STEP_HZ;
+        trial.start_frequency_tenths = (start_hz * 10.0).round() as u32;
+        trial
+    }
+
+    /// Replaces a course by a sine in its range; with the amplitude 0.25 if it is constant.
+    fn add_sine(&self, trial: &mut SceneTrial, draw: &TrialDraw, sine: Option<SineOf>) {
+        let range = &self.envelope.range;
+        let (course, full_rate) = match sine {
+            Some(SineOf::Force) => (&mut trial.force, range.force_rate_n_per_s[1]),
+            Some(SineOf::Temperature) => (&mut trial.temperature, range.temperature_rate_k_per_s[1]),
+            None => return,
+        };
+        let [low, high] = course.range();
+        let amplitude = if high > low { (high - low) / 2.0 } else { 0.25 };
+        let mean = f64::midpoint(low, high).max(amplitude);
+        // The slope of the sine does not exceed the largest rate. If even 0.1 Hz is too fast, the
+        // course stays without a sine.
+        let highest_tenths = (full_rate / (TAU * amplitude) * 10.0) as u32;
+        if highest_tenths == 0 {
+            return;
+        }
+        let frequency_tenths = (10 + draw.sine * SINE_STEP_TENTHS).min(highest_tenths);
+        let [mean, amplitude] = [mean, amplitude].map(|value| (value * 100.0).round() as i32);
+        *course = Course::Sine { mean, amplitude, frequency_tenths };
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Configuration {
+    period_us: u32,
+    delay_us: u32,
+    plate: PlateChoice,
+    tuning: Tuning,
+}
+
+struct Timeline<'a> {
+    envelope: &'a Envelope,
+    period_us: u32,
+    /// Factor of quiet times. It is larger for long periods and for slow laws.
+    stretch: f64,
+    now_us: u32,
+    /// Instants, µs, and setpoints, nm.
+    setpoint: Vec<(u32, i32)>,
+    force: CourseBuilder,
+    temperature: CourseBuilder,
+    /// Earlier setpoints, forces and temperatures.
+    values: [Vec<i32>; 3],
+}
+
+impl<'a> Timeline<'a> {
+    fn new(generator: &Generator<'a>, configuration: Configuration, draw: &TrialDraw) -> Self {
+        let period_ms = f64::from(configuration.period_us) / 1e3;
+        let adapts = LawProperties::of(generator.law).is_some_and(|properties| properties.adapts_to_damping);
+        let slow = if adapts { 1.0 } else { 2.0 };
+        let mut timeline = Self {
+            envelope: generator.envelope,
+            period_us: configuration.period_us,
+            stretch: period_ms.max(1.0) * slow,
+            now_us: 0,
+            setpoint: Vec::new(),
+            force: CourseBuilder::new(),
+            temperature: CourseBuilder::new(),
+            values: [Vec::new(), Vec::new(), Vec::new()],
+        };
+        let level = timeline.level(draw.level);
+        timeline.setpoint.push((0, level));
+        let [force, temperature] = [timeline.force(draw.force), timeline.temperature(draw.temperature)];
+        timeline.force.step(0, force);
+        timeline.temperature.step(0, temperature);
+        timeline
+    }
+
+    fn resolve(&mut self, kind: usize, target: Target, range: [f64; 2], usual: f64, step: f64, scale: f64) -> i32 {
+        let [low, high] = range.map(|value| (value * scale).round() as i32);
+        let usual = (usual * scale).round() as i32;
+        let usual = usual.clamp(low, high);
+        let step = (step * scale).round() as i32;
+        let Some((values, near)) = self.values.get_mut(kind).zip(NEAR_STEPS.get(kind)) else { return usual };
+        let last = values.last().copied().unwrap_or(usual);
+        let value = match target {
+            Target::At(offset) => usual + offset * step,
+            Target::Near(0) => last,
+            Target::Near(offset) => last + offset * near,
+            Target::Earlier(count) => {
+                values.len().checked_sub(count + 1).and_then(|at| values.get(at)).copied().unwrap_or(last)
+            }
+            Target::Least => low,
+            Target::Most => high,
+        };
+        let value = value.clamp(low, high);
+        values.push(value);
+        value
+    }
+
+    fn level(&mut self, target: Target) -> i32 {
+        self.resolve(0, target, self.envelope.range.setpoint_um, USUAL_LEVEL_UM, LEVEL_STEP_UM, 1e3)
+    }
+
+    fn force(&mut self, target: Target) -> i32 {
+        self.resolve(1, target, self.envelope.range.finger_force_n, 0.0, FORCE_STEP_N, 100.0)
+    }
+
+    fn temperature(&mut self, target: Target) -> i32 {
+        self.resolve(2, target, self.envelope.range.temperature_offset_k, 0.0, TEMPERATURE_STEP_K, 100.0)
+    }
+
+    fn gap_us(&self, gap: Gap) -> u32 {
+        let range = &self.envelope.range;
+        match gap {
+            Gap::Quiet(tenths) => ((range.quiet_ms[0] * 1e3 + f64::from(tenths) * 100.0) * self.stretch) as u32,
+            Gap::Short(tenths) => tenths * 100,
+            Gap::Long(ms) => ((range.long_quiet_ms[0] + f64::from(ms)) * 1e3) as u32,
+            Gap::AtCounterEnd(periods) => {
+                let next = COUNTERS_US.iter().find(|counter| **counter > self.now_us + 3 * self.period_us);
+                let until = next.copied().unwrap_or(self.now_us + 10 * self.period_us);
+                until.saturating_add_signed(periods * self.period_us.cast_signed()) - self.now_us
+            }
+        }
+    }
+
+    fn add(&mut self, event: &EventDraw) {
+        let mut at = self.now_us + self.gap_us(event.gap).max(100);
+        if event.is_aligned || matches!(event.gap, Gap::AtCounterEnd(_)) {
+            at = at.div_ceil(self.period_us) * self.period_us;
+        } else if at.is_multiple_of(self.period_us) {
+            at += self.period_us / 3;
+        }
+        self.now_us = match event.kind {
+            EventKind::Step => {
+                let level = self.level(event.level);
+                self.setpoint.push((at, level));
+                at
+            }
+            EventKind::Staircase => self.add_staircase(event, at),
+            EventKind::Rest => {
+                let end = at + self.gap_us(event.gap).max(2 * self.period_us);
+                let level = self.level(event.level);
+                self.setpoint.extend([(at, 0), (end, level)]);
+                end
+            }
+            EventKind::Touch => {
+                let force = self.force(event.force);
+                self.force.step(at, force);
+                at
+            }
+            EventKind::Shock => {
+                let temperature = self.temperature(event.temperature);
+                self.temperature.step(at, temperature);
+                at
+            }
+            EventKind::Press => self.press(event, at),
+            EventKind::Heat => self.heat(event, at),
+            EventKind::Both => self.press(event, at).max(self.heat(event, at)),
+        };
+    }
+
+    fn add_staircase(&mut self, event: &EventDraw, at: u32) -> u32 {
+        let from = self.values.first().and_then(|levels| levels.last()).copied().unwrap_or(0);
+        let to = self.level(event.level);
+        let step_us = self.period_us * (STAIR_TENTHS + event.slowness / 4) / 10;
+        let count = event.steps.cast_signed();
+        let mut end = at;
+        for step in 1..=count {
+            end = at + step_us * (step - 1) as u32;
+            self.setpoint.push((end, from + (to - from) * step / count));
+        }
+        end
+    }
+
+    fn press(&mut self, event: &EventDraw, at: u32) -> u32 {
+        let to = self.force(event.force);
+        let duration = ramp_us(self.force.last(), to, self.envelope.range.force_rate_n_per_s, event.slowness);
+        self.force.ramp(at, duration, to)
+    }
+
+    fn heat(&mut self, event: &EventDraw, at: u32) -> u32 {
+        let to = self.temperature(event.temperature);
+        let rates = self.envelope.range.temperature_rate_k_per_s;
+        let duration = ramp_us(self.temperature.last(), to, rates, event.slowness);
+        self.temperature.ramp(at, duration, to)
+    }
+}
+
+/// Longest duration of a ramp, µs. A ramp that would take longer gets a higher rate.
+const MAX_RAMP_US: f64 = 100_000.0;
+
+/// Duration of a ramp, µs, a multiple of 0.1 ms. [`EventDraw`] defines `slowness`.
+fn ramp_us(from: i32, to: i32, [slowest, fastest]: [f64; 2], slowness: u32) -> u32 {
+    let rate = fastest * (slowest / fastest).powf(f64::from(slowness) / 100.0);
+    let us = f64::from((to - from).abs()) / 100.0 / rate * 1e6;
+    ((us.min(MAX_RAMP_US) / 100.0).ceil() as u32).max(1) * 100
+}

@@ -1,0 +1,158 @@
+//! Measures the exploration itself: which mutants it finds, and how many false alarms it raises.
+
+use crate::explore::envelope::Envelope;
+use crate::explore::error::ExploreError;
+use crate::explore::exploration::{Budget, Exploration, ExploreConfig, explore};
+use crate::explore::law_properties::LawProperties;
+use crate::explore::properties::Property;
+use crate::explore::report::format_value;
+use crate::trust::format::format_rate;
+use crate::trust::report::{MutantOutcome, Rate, TrustReport};
+use crate::trust::{CleanVariant, MutantSpec};
+use platebench_engine::SafeEnds;
+use platebench_rig::{BoxedLink, CancelToken, HostedLink};
+use platebench_wire::LawId;
+use serde::Serialize;
+
+/// A mutant plays scenes until one fails. A correct controller plays all scenes.
+#[derive(Debug, Clone)]
+pub struct KillRateConfig {
+    pub envelope: Envelope,
+    pub mutants: Vec<MutantSpec>,
+    pub variants: Vec<CleanVariant>,
+    pub scenes: u64,
+    pub seed: u64,
+    pub jobs: usize,
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct KillRateReport {
+    pub format: u32,
+    pub scenes: u64,
+    pub seed: u64,
+    pub kill_rate: Rate,
+    pub mutants: Vec<MutantSearch>,
+    pub false_alarm_rate: Rate,
+    pub alarms: Vec<SceneAlarm>,
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct MutantSearch {
+    pub name: &'static str,
+    /// The first scene that fails. `None` if the mutant survived.
+    pub found: Option<FoundScene>,
+}
+
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct FoundScene {
+    pub scene: u64,
+    pub property: Property,
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct SceneAlarm {
+    /// `reference` or the name of a clean variant.
+    pub controller: &'static str,
+    pub law: &'static str,
+    pub scene: u64,
+    pub property: Property,
+    pub value: Option<f64>,
+    pub limit: Option<f64>,
+}
+
+/// Explores mutants and clean variants with `dq-pi`, and the firmware with every explored law.
+pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRateReport, ExploreError> {
+    let mut mutants = Vec::with_capacity(config.mutants.len());
+    for mutant in &config.mutants {
+        let result = config.explore(LawId::DqPi, 1, &|| mutant.link(), cancel)?;
+        mutants.push(MutantSearch { name: mutant.name, found: first_failure(&result) });
+    }
+    let (mut scenes, mut failed, mut alarms) = (0, 0, Vec::new());
+    for law in LawProperties::explored_laws() {
+        let firmware = (!config.variants.is_empty()).then_some(("reference", None));
+        let variants = config.variants.iter().map(|variant| (variant.name, Some(variant)));
+        let variants = variants.filter(|_| law == LawId::DqPi);
+        for (controller, variant) in firmware.into_iter().chain(variants) {
+            let link = || variant.map_or_else(|| -> BoxedLink { Box::new(HostedLink::new()) }, CleanVariant::link);
+            let result = config.explore(law, u64::MAX, &link, cancel)?;
+            scenes += result.scenes as usize;
+            failed += result.failed.len();
+            alarms.extend(result.failed.iter().flat_map(|scene| {
+                scene.failures.iter().map(move |failure| SceneAlarm {
+                    controller,
+                    law: law.name(),
+                    scene: scene.index,
+                    property: failure.property,
+                    value: failure.value,
+                    limit: failure.limit,
+                })
+            }));
+        }
+    }
+    let found = mutants.iter().filter(|mutant| mutant.found.is_some()).count();
+    Ok(KillRateReport {
+        format: 1,
+        scenes: config.scenes,
+        seed: config.seed,
+        kill_rate: Rate::new(found, mutants.len()),
+        mutants,
+        false_alarm_rate: Rate::new(failed, scenes),
+        alarms,
+    })
+}
+
+fn first_failure(result: &Exploration) -> Option<FoundScene> {
+    let failed = result.failed.first()?;
+    Some(FoundScene { scene: failed.index, property: failed.failures.first()?.property })
+}
+
+impl KillRateReport {
+    /// `suite` is the result of the repository's scenarios, without exploration.
+    pub fn summary(&self, suite: &TrustReport) -> String {
+        let caught =
+            |name: &str| suite.faults.iter().any(|fault| fault.name == name && fault.outcome == MutantOutcome::Caught);
+        let both = self.mutants.iter().filter(|mutant| mutant.found.is_some() || caught(mutant.name)).count();
+        let survivors: Vec<_> =
+            self.mutants.iter().filter(|mutant| mutant.found.is_none()).map(|mutant| mutant.name).collect();
+        let mut lines = vec![
+            format!("mutants that exploration finds in {} scenes: {}", self.scenes, format_rate(self.kill_rate)),
+            format!("mutants that scenarios or exploration find: {}", format_rate(Rate::new(both, self.mutants.len()))),
+            format!("scenes with a false alarm: {}", format_rate(self.false_alarm_rate)),
+        ];
+        if !survivors.is_empty() {
+            lines.insert(1, format!("mutants that survive exploration: {}", survivors.join(", ")));
+        }
+        lines.extend(self.alarms.iter().map(|alarm| {
+            let SceneAlarm { controller, law, scene, property, value, limit } = alarm;
+            let [value, limit] = [value, limit].map(|value| format_value(*value, 4));
+            format!("false alarm: {controller}, {law}, scene {scene}: {property} {value}, limit {limit}")
+        }));
+        lines.join("\n") + "\n"
+    }
+}
+
+impl KillRateConfig {
+    fn explore(
+        &self,
+        law: LawId,
+        max_failed: u64,
+        link: &(dyn Fn() -> BoxedLink + Send + Sync),
+        cancel: &CancelToken,
+    ) -> Result<Exploration, ExploreError> {
+        let config = ExploreConfig {
+            envelope: self.envelope.clone(),
+            seed: self.seed,
+            law,
+            laws: LawProperties::explored_laws().collect(),
+            budget: Budget::Scenes(self.scenes),
+            max_failed,
+            jobs: self.jobs,
+            own_clock: false,
+            // Clean variants may have other gains, so their commands may differ from the reference.
+            compares_reference: false,
+            regressions: Vec::new(),
+        };
+        let exploration = explore(&config, &|| Ok(link()), cancel, &SafeEnds::default(), &mut |_, _| {})?;
+        if exploration.is_interrupted { Err(ExploreError::Cancelled) } else { Ok(exploration) }
+    }
+}

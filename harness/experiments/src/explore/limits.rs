@@ -1,0 +1,197 @@
+//! Computes limits from plate, drive limit, period and delay, as `docs/exploration.md` derives
+//! them. Times are in s.
+
+use crate::explore::law_properties::LawProperties;
+use crate::explore::scene::SceneTrial;
+use platebench_plate::{Complex64, Mode, Plate};
+use std::f64::consts::TAU;
+
+/// Half width of the settled band, relative to the setpoint.
+pub(crate) const BAND: f64 = 0.05;
+/// Required time, s: the error is at most 5 % within 2 ms.
+const REQUIRED_S: f64 = 2e-3;
+/// Factor applied to the shortest time that the drive limit allows.
+const FLOOR_FACTOR: f64 = 1.5;
+/// Time constant, s, of the slowest loop that holds the amplitude. It reaches 5 % in 3 ms.
+const HOLD_TIME_CONSTANT_S: f64 = 1e-3;
+
+/// If the damping changes by more than this share, the law adopts it after two control periods.
+const MAX_MISMATCH: f64 = 0.3;
+
+pub(crate) struct Limits<'a> {
+    pub(crate) trial: &'a SceneTrial,
+    base: &'a Plate,
+    design: Plate,
+    pub(crate) properties: LawProperties,
+    pub(crate) period_s: f64,
+    pub(crate) delay_s: f64,
+}
+
+/// What the law knows about damping and resonance when a setpoint steps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Knowledge {
+    /// Damping and resonance are those of the last steady state.
+    Settled,
+    /// The trial starts, or damping or resonance changed after the last steady state.
+    Unknown,
+}
+
+impl<'a> Limits<'a> {
+    pub(crate) fn new(trial: &'a SceneTrial, base: &'a Plate, properties: LawProperties) -> Self {
+        Self {
+            trial,
+            base,
+            design: trial.plate.design().apply(base),
+            properties,
+            period_s: f64::from(trial.period_us) * 1e-6,
+            delay_s: f64::from(trial.delay_us) * 1e-6,
+        }
+    }
+
+    pub(crate) fn mode(&self, time_us: u32) -> Mode {
+        self.trial.mode_at(self.base, time_us)
+    }
+
+    fn limit_vpp(&self) -> f64 {
+        self.trial.plate.limit_vpp.into()
+    }
+
+    /// Standard deviation of each sensed component, µm.
+    pub(crate) fn noise_um(&self) -> f64 {
+        f64::from(self.trial.plate.noise_pm) * 1e-6
+    }
+
+    /// Time from `time_us` to the next control instant.
+    fn wait(&self, time_us: u32) -> f64 {
+        let period = self.trial.period_us;
+        f64::from(time_us.div_ceil(period) * period - time_us) * 1e-6
+    }
+
+    /// Largest magnitude of a pole of the closed loop, per control period.
+    fn pole(&self, mode: &Mode) -> f64 {
+        let designed = (-self.period_s / HOLD_TIME_CONSTANT_S).exp();
+        if self.properties.adapts_to_damping {
+            return designed;
+        }
+        // With gains for the plate without a finger, the poles solve (z − 1)(z − a) + g(z − a0) =
+        // 0.
+        let (nominal, actual) = (self.design.sigma0, mode.sigma);
+        let [a0, a] = [nominal, actual].map(|sigma| (-sigma * self.period_s).exp());
+        let gain = mode.envelope_constant / actual;
+        let fast = (-3.0 * self.period_s / REQUIRED_S).exp();
+        let g = (1.0 - fast) * gain * (1.0 - a) / (self.design.gain * (1.0 - a0));
+        let half = (1.0 + a - g) / 2.0;
+        let root = Complex64::new(half * half - (a - g * a0), 0.0).sqrt();
+        (half + root).norm().max((half - root).norm()).clamp(designed, 0.999)
+    }
+
+    /// Time in which the loop reduces an error to `share` of its value, in whole periods.
+    fn decay(&self, mode: &Mode, share: f64) -> f64 {
+        (share.ln() / self.pole(mode).ln()).ceil() * self.period_s
+    }
+
+    /// Shortest time from `from` µm to within 5 % of `to` µm, with the drive at its limit or 0.
+    pub(crate) fn floor(&self, mode: &Mode, from: f64, to: f64) -> f64 {
+        let strongest = self.limit_vpp() / mode.drive_for(1.0);
+        let (low, high) = (to * (1.0 - BAND), to * (1.0 + BAND));
+        if from < low {
+            ((strongest - from) / (strongest - low)).ln() / mode.sigma
+        } else if from > high {
+            (from / high).ln() / mode.sigma
+        } else {
+            0.0
+        }
+    }
+
+    /// Largest settling time of a step from `from` to `to` µm at `time_us`.
+    pub(crate) fn settling(&self, time_us: u32, from: f64, to: f64, knowledge: Knowledge) -> f64 {
+        let mode = self.mode(time_us);
+        let floor = (self.floor(&mode, from, to) / self.period_s).ceil() * self.period_s;
+        let designed = self.decay(&mode, Self::share(from, to, BAND)).max(REQUIRED_S);
+        let learning = match knowledge {
+            Knowledge::Settled => 1.0,
+            Knowledge::Unknown => 6.0,
+        };
+        let controlled = designed.max(FLOOR_FACTOR * floor) + learning * self.period_s;
+        self.wait(time_us) + self.delay_s + controlled
+    }
+
+    /// Time after a change until its effect is small compared with the limits of steady state.
+    pub(crate) fn steady(&self, time_us: u32, from: f64, to: f64) -> f64 {
+        let mode = self.mode(time_us);
+        self.settling(time_us, from, to, Knowledge::Unknown) + self.decay(&mode, 1.0 / 250.0)
+    }
+
+    /// The error `band · to` relative to the height of the step, at most `band`.
+    fn share(from: f64, to: f64, band: f64) -> f64 {
+        band * (to / (from - to).abs()).min(1.0)
+    }
+
+    /// Time at setpoint 0 in which amplitude and integral of the drive decay to a thousandth. The
+    /// integral decays with the time constant of the configured plate.
+    pub(crate) fn decay_at_rest(&self, time_us: u32) -> f64 {
+        let open = 8.0 / self.design.sigma0 + 2.0 * self.period_s + self.delay_s;
+        // With fixed gains under a finger, the drive rises again, and its slow pole dominates.
+        let closed = if self.properties.adapts_to_damping { 0.0 } else { self.decay(&self.mode(time_us), 1e-3) };
+        open + closed
+    }
+
+    /// Largest proportional gain of an amplitude loop, Vpp per µm.
+    pub(crate) fn strongest_gain(&self) -> f64 {
+        let heaviest = self.design.damping_ratio_at(self.trial.force.range()[1]);
+        let kept = (-self.design.sigma0 * heaviest * self.period_s).exp();
+        heaviest / (self.design.gain * (1.0 - kept))
+    }
+
+    /// Relative error of the damping that the law assumes at the start of the trial.
+    pub(crate) fn initial_mismatch(&self) -> f64 {
+        let plate = self.trial.plate;
+        let deviation = f64::from(plate.gain_permille.abs() + plate.time_constant_permille.abs()) * 1e-3;
+        self.bounded_mismatch(deviation + (self.mode(0).sigma / self.design.sigma0 - 1.0).abs())
+    }
+
+    /// Relative error of the damping that a change of the force adds.
+    pub(crate) fn mismatch_of(&self, from_us: u32, to_us: u32) -> f64 {
+        let [before, after] = [from_us.saturating_sub(1), to_us].map(|at| self.mode(at).sigma);
+        let ramp = f64::from(to_us - from_us) * 1e-6 / (self.period_s * self.properties.tracking_periods.max(1.0));
+        // The law already tracks the damping during a ramp.
+        let lag = if ramp > 0.0 { (1.0 - (-ramp).exp()) / ramp } else { 1.0 };
+        self.bounded_mismatch((after / before - 1.0).abs() * lag)
+    }
+
+    /// Relative change of the damping, at most [`MAX_MISMATCH`]; 0 with fixed gains.
+    pub(crate) fn change_of_damping(&self, from_us: u32, to_us: u32) -> f64 {
+        let [before, after] = [from_us.saturating_sub(1), to_us].map(|at| self.mode(at).sigma);
+        self.bounded_mismatch((after / before - 1.0).abs())
+    }
+
+    /// Error of the law's assumption at the start, that the start frequency is the resonance, Hz.
+    pub(crate) fn initial_detuning_hz(&self) -> f64 {
+        (self.mode(0).omega0 / TAU - f64::from(self.trial.start_frequency_tenths) / 10.0).abs()
+    }
+
+    pub(crate) fn change_of_resonance_hz(&self, from_us: u32, to_us: u32) -> f64 {
+        let [before, after] = [from_us.saturating_sub(1), to_us].map(|at| self.mode(at).omega0);
+        (after - before).abs() / TAU
+    }
+
+    fn bounded_mismatch(&self, mismatch: f64) -> f64 {
+        // With fixed gains, the slow pole of the loop already includes the effect.
+        if self.properties.adapts_to_damping { mismatch.min(MAX_MISMATCH) } else { 0.0 }
+    }
+
+    /// Share of an error of damping or resonance that the law has not corrected after `time_us`.
+    pub(crate) fn tracking_remainder(&self, time_us: u32) -> f64 {
+        (-f64::from(time_us) * 1e-6 / (self.period_s * self.properties.tracking_periods.max(1.0))).exp()
+    }
+
+    /// Largest relative change of |W| within `time` at constant drive, after the mode changes from
+    /// `before` to `after`.
+    pub(crate) fn effect(before: &Mode, after: &Mode, time: f64) -> f64 {
+        let rate = Complex64::new(-after.sigma, after.omega0 - before.omega0);
+        // Solution of W' = rate · W + σ (σ before the change) with W(0) = 1.
+        let settled = -Complex64::from(before.sigma) / rate;
+        let deviation = |share: f64| (((1.0 - settled) * (rate * time * share).exp() + settled).norm() - 1.0).abs();
+        (1..=16).map(|part| deviation(f64::from(part) / 16.0)).fold(0.0, f64::max)
+    }
+}

@@ -1,0 +1,147 @@
+//! Plays scenarios on one controller and judges them, as `run` does.
+
+use crate::explore::error::ExploreError;
+use crate::explore::properties::Property;
+use platebench_engine::plan::LinkFactory;
+use platebench_engine::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, law};
+use platebench_model::record::{Cause, Reason, Verdict, Violation};
+use platebench_model::scenario::{Limit, Scenario};
+use platebench_rig::CancelToken;
+use platebench_verdict::{TrialMeasures, judge, measure};
+use std::collections::BTreeSet;
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct Failure {
+    pub property: Property,
+    /// Name of the expectation. For [`Property::Protocol`] it is the text of the violation.
+    pub name: String,
+    /// `None` if nothing was measured, for example because a response never settles.
+    pub value: Option<f64>,
+    /// `None` for [`Property::Protocol`].
+    pub limit: Option<f64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WindowResult {
+    pub property: Property,
+    /// Distance of the value from the limit, relative to the limit. `None` if inconclusive.
+    pub margin: Option<f64>,
+}
+
+#[derive(Debug, Clone, Default)]
+pub struct SceneResult {
+    /// Violations of the protocol come first.
+    pub failures: Vec<Failure>,
+    pub windows: Vec<WindowResult>,
+    /// Cause (`rig` or `bench`) and reason, if the rig or the bench prevented a verdict.
+    pub undecided: Option<String>,
+}
+
+impl SceneResult {
+    pub fn failure_of(&self, property: Property) -> Option<&Failure> {
+        self.failures.iter().find(|failure| failure.property == property)
+    }
+}
+
+pub(crate) fn violated(failures: &[Failure]) -> Vec<Property> {
+    let properties: BTreeSet<_> = failures.iter().map(|failure| failure.property).collect();
+    properties.into_iter().collect()
+}
+
+/// Controllers play 20 and 200 scenes in turn, so scenes meet both new and old controllers.
+const SCENES_PER_CONTROLLER: [u32; 2] = [20, 200];
+
+pub struct Player<'a> {
+    executor: Executor<'a>,
+    /// Scenes that this controller has played.
+    scenes: u32,
+    controllers: usize,
+}
+
+impl<'a> Player<'a> {
+    pub fn new(connect: &'a LinkFactory<'a>, own_clock: bool, cancel: &CancelToken, ends: &'a SafeEnds) -> Self {
+        let settings = ExecutorSettings {
+            own_clock,
+            max_losses: Some(MAX_LOSSES),
+            shares_controller: true,
+            ..ExecutorSettings::lockstep(cancel)
+        };
+        Self { executor: Executor::new(connect, settings, ends), scenes: 0, controllers: 0 }
+    }
+
+    /// Closes the controller, so that the next scene starts a new one.
+    pub fn renew(&mut self) {
+        self.executor.close();
+        self.scenes = 0;
+    }
+
+    pub(crate) fn is_young(&self) -> bool {
+        self.scenes <= 1
+    }
+
+    /// `None` after a cancellation. Fails if the controller cannot be reached, rejects a
+    /// configuration or is lost in several trials in sequence.
+    pub fn play(&mut self, scenario: &Scenario) -> Result<Option<SceneResult>, ExploreError> {
+        if self.scenes >= SCENES_PER_CONTROLLER[self.controllers % 2] {
+            self.renew();
+            self.controllers += 1;
+        }
+        self.scenes += 1;
+        let law = law(scenario).map_err(|unknown| ExploreError::Generated(Box::new(unknown)))?;
+        let mut trials = Vec::with_capacity(scenario.trials.count as usize);
+        for index in 0..scenario.trials.count {
+            let Some(played) = self.executor.play(scenario, law, index, None)? else { return Ok(None) };
+            trials.push(measure(scenario, index, &played.trace_rows, &played.telemetry));
+            if played.link_error.is_some() {
+                // The executor has replaced the controller.
+                self.scenes = 0;
+            }
+        }
+        Ok(Some(scene_result(scenario, &trials)))
+    }
+}
+
+fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
+    let judgement = judge(scenario, trials);
+    let mut result = SceneResult::default();
+    let violations = trials.iter().flat_map(|trial| &trial.violations);
+    result.failures.extend(violations.map(protocol_failure));
+    let breaks_protocol = !result.failures.is_empty();
+    for record in &judgement.expectations {
+        let Some(property) = Property::of_name(&record.name) else { continue };
+        let limit = match record.limit {
+            Limit::AtMost(limit) | Limit::Within(_, limit) | Limit::AtLeast(limit) | Limit::About(limit) => limit,
+        };
+        let margin = match record.verdict {
+            Verdict::Inconclusive => None,
+            Verdict::Pass => record.margin,
+            // A failure without a margin counts as the worst failure.
+            Verdict::Fail => record.margin.or(Some(f64::NEG_INFINITY)),
+        };
+        result.windows.push(WindowResult { property, margin });
+        if record.verdict == Verdict::Fail && !matches!(record.reason, Some(Reason::Violation { .. })) {
+            let (name, value) = (record.name.clone(), record.value);
+            result.failures.push(Failure { property, name, value, limit: Some(limit) });
+        }
+        if record.verdict == Verdict::Inconclusive
+            && let Some(cause @ (Cause::Rig | Cause::Bench)) = record.cause
+        {
+            let reason = record.reason.as_ref().map_or_else(String::new, |reason| format!(", {reason}"));
+            result.undecided = Some(format!("{cause}{reason}"));
+        }
+    }
+    if !breaks_protocol {
+        let passed = WindowResult { property: Property::Protocol, margin: Some(1.0) };
+        result.windows.extend(std::iter::repeat_n(passed, trials.len()));
+    }
+    result
+}
+
+fn protocol_failure(violation: &Violation) -> Failure {
+    Failure {
+        property: Property::Protocol,
+        name: violation.to_string(),
+        value: violation.worst,
+        limit: violation.limit,
+    }
+}

@@ -1,0 +1,333 @@
+//! Turns the windows of a trial into expectations, the properties that every scene must have.
+
+use crate::explore::generator::MAX_STEADY_DRIVE;
+use crate::explore::law_properties::LawProperties;
+use crate::explore::limits::{BAND, Knowledge, Limits};
+use crate::explore::scene::{Course, Scene, SceneTrial};
+use crate::explore::tuning::Tuning;
+use crate::explore::windows::{Change, Window, windows};
+use platebench_model::scenario::Metric;
+use platebench_plate::Plate;
+use serde::Serialize;
+use std::f64::consts::TAU;
+
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    strum::VariantArray,
+    strum::Display,
+    strum::IntoStaticStr,
+)]
+#[serde(rename_all = "kebab-case")]
+#[strum(const_into_str, serialize_all = "kebab-case")]
+pub enum Property {
+    Settling,
+    Overshoot,
+    StaticError,
+    Ripple,
+    /// The excitation is at the resonance at the end of a window without changes.
+    Frequency,
+    /// The drive is near 0 Vpp at setpoint 0.
+    RestDrive,
+    /// A disturbance moves the amplitude only as far as physics requires.
+    Deviation,
+    Recovery,
+    /// Trials that differ only in history and time stamps have the same response.
+    SameResponse,
+    /// The rules of the protocol, checked in every trial.
+    Protocol,
+    /// The commands equal those of the hosted reference.
+    Reference,
+    /// The answers to scripts of messages equal those of the hosted reference.
+    Answers,
+}
+
+impl Property {
+    pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
+
+    pub const fn name(self) -> &'static str {
+        self.into_str()
+    }
+
+    pub(crate) const fn metric(self) -> Option<Metric> {
+        Some(match self {
+            Self::Settling => Metric::SettlingTime,
+            Self::Overshoot => Metric::Overshoot,
+            Self::StaticError => Metric::StaticError,
+            Self::Ripple => Metric::RipplePercent,
+            Self::Frequency => Metric::FrequencyError,
+            Self::RestDrive => Metric::RestDrive,
+            Self::Deviation => Metric::PeakDeviation,
+            Self::Recovery => Metric::RecoveryTime,
+            Self::Reference => Metric::ReferenceDifference,
+            Self::Answers => Metric::ProtocolDifferences,
+            Self::SameResponse | Self::Protocol => return None,
+        })
+    }
+
+    /// `name` is the name of an expectation: a property, possibly followed by a number.
+    pub fn of_name(name: &str) -> Option<Self> {
+        let name = name.split_once(' ').map_or(name, |(name, _)| name);
+        Self::ALL.iter().copied().find(|property| property.name() == name)
+    }
+}
+
+/// An upper limit of a property in a window.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Demand {
+    pub property: Property,
+    pub from_us: u32,
+    pub until_us: u32,
+    /// Largest value, in the unit of the metric.
+    pub at_most: f64,
+    /// Half width of the band, percent, if the metric has one.
+    pub band_percent: Option<f64>,
+}
+
+/// Largest drive at setpoint 0, Vpp, from the rest of the integral, which decays with the plate.
+const REST_DRIVE_VPP: f64 = 0.5;
+/// Number of standard deviations by which noise may change a value.
+const NOISE_SIGMAS: f64 = 6.0;
+/// Shortest steady window, control periods.
+const STEADY_PERIODS: u32 = 4;
+const STATIC_ERROR_PERCENT: f64 = 0.2;
+const RIPPLE_PERCENT: f64 = 0.25;
+/// Static error and ripple per relative error of the damping, until the law has corrected it.
+const STATIC_OF_MISMATCH: f64 = 0.5;
+const RIPPLE_OF_MISMATCH: f64 = 1.0;
+const FREQUENCY_ERROR_HZ: f64 = 0.5;
+/// Frequency error per change of the resonance, until the law has corrected it.
+const FREQUENCY_OF_MOVE: f64 = 0.5;
+const OVERSHOOT_PERCENT: f64 = 10.0;
+const UNKNOWN_OVERSHOOT_PERCENT: f64 = 30.0;
+/// Part of the overshoot that does not depend on the height of the step, percent of the setpoint.
+const OVERSHOOT_OF_SETPOINT_PERCENT: f64 = 1.0;
+/// Factor on the effect of a disturbance before the loop reacts.
+const DEVIATION_FACTOR: f64 = 2.0;
+/// Control periods after a setpoint step. In this time, a law that computes drives in advance
+/// mistakes a change of the damping for a late drive.
+const STEERING_PERIODS: u32 = 6;
+/// Closed-loop time constant of the slowest law that holds the amplitude (`deadbeat`), µs.
+const CLOSED_LOOP_US: u32 = 1_000;
+/// Relative change of the amplitude per relative change of the damping, if the law adopts it.
+const DEVIATION_OF_MISMATCH: f64 = 0.2;
+const DEVIATION_PERCENT: f64 = 1.0;
+
+/// Allowed difference of commands, percent of the drive limit or of the frequency range. f32
+/// rounding causes about a hundredth of it.
+const REFERENCE_DIFFERENCE_PERCENT: f64 = 0.1;
+
+/// Demands that commands and answers in the judged trial of `scene` equal those of the reference.
+pub fn reference_demands(scene: &Scene) -> Vec<Demand> {
+    let demand = |property, at_most| Demand {
+        property,
+        from_us: 0,
+        until_us: scene.judged.duration_us,
+        at_most,
+        band_percent: None,
+    };
+    let answers = scene.script_seed.map(|_| demand(Property::Answers, 0.0));
+    [demand(Property::Reference, REFERENCE_DIFFERENCE_PERCENT)].into_iter().chain(answers).collect()
+}
+
+/// Demands on the judged trial of `scene` that follow from the physics of the plate.
+pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
+    let trial = &scene.judged;
+    let Some(properties) = LawProperties::of(trial.law) else { return Vec::new() };
+    let limits = Limits::new(trial, base, properties);
+    // The limits are derived for gains of the law's own design, without tuning.
+    if trial.tuning != Tuning::default() {
+        return Vec::new();
+    }
+    let has_sine = [&trial.force, &trial.temperature].iter().any(|course| matches!(course, Course::Sine { .. }));
+    if has_sine {
+        return Vec::new();
+    }
+    let highest = trial.largest_setpoint_nm(base, MAX_STEADY_DRIVE);
+    if trial.setpoint.iter().any(|(_, level)| *level > highest) {
+        return Vec::new();
+    }
+    let mut demands = Vec::new();
+    // True while damping and resonance are those of the last steady state, which the law knows.
+    let mut is_known = false;
+    let mut was_steady = false;
+    let mut mismatch = limits.initial_mismatch();
+    let mut moved_hz = limits.initial_detuning_hz();
+    let mut last_from_us = 0;
+    for window in windows(trial) {
+        let change = window.change;
+        let since_last = last_from_us..=change.from_us;
+        if trial.faults.iter().any(|fault| fault.may_stop() && since_last.contains(&fault.until_us)) {
+            // The controller is configured again and forgets damping and resonance.
+            is_known = false;
+            mismatch = f64::max(mismatch, limits.initial_mismatch());
+            moved_hz = f64::max(moved_hz, limits.initial_detuning_hz());
+        }
+        last_from_us = change.from_us;
+        mismatch += limits.mismatch_of(change.from_us, change.to_us);
+        moved_hz += limits.change_of_resonance_hz(change.from_us, change.to_us);
+        if limits.properties.steers && resembles_late_drive(trial, change) {
+            break;
+        }
+        let judge = WindowJudge { limits: &limits, trial, window, is_known, was_steady, mismatch, moved_hz };
+        judge.add_demands(&mut demands);
+        if change.force || change.temperature {
+            is_known = false;
+        }
+        let is_driven = trial.setpoint_at(change.to_us) > 0.0;
+        if is_driven {
+            mismatch *= limits.tracking_remainder(window.quiet_us());
+            moved_hz *= limits.tracking_remainder(window.quiet_us());
+        }
+        was_steady = window.quiet_us() >= judge.steady_us();
+        // At rest the law measures neither damping nor resonance.
+        is_known |= was_steady && is_driven;
+    }
+    let recovered_us = trial.faults.iter().map(|fault| fault.recovered_us(trial.period_us)).max().unwrap_or(0);
+    demands.retain(|demand| demand.from_us >= recovered_us);
+    demands
+}
+
+struct WindowJudge<'a> {
+    limits: &'a Limits<'a>,
+    trial: &'a SceneTrial,
+    window: Window,
+    is_known: bool,
+    /// True if the previous window was long enough to settle.
+    was_steady: bool,
+    /// Relative error of the damping that the law assumes at the end of the change.
+    mismatch: f64,
+    /// Sum of the changes of the resonance that the law has not tracked yet.
+    moved_hz: f64,
+}
+
+/// True if the damping changes so soon after a step that the law mistakes it for a late drive.
+fn resembles_late_drive(trial: &SceneTrial, change: Change) -> bool {
+    let mut steps = trial.setpoint.iter().map(|(at, _)| *at).filter(|at| *at <= change.to_us);
+    let steered_us = STEERING_PERIODS * trial.period_us;
+    change.force && steps.next_back().is_some_and(|step| change.from_us <= step + steered_us)
+}
+
+impl WindowJudge<'_> {
+    /// Setpoints before and after the change, µm.
+    fn levels(&self) -> (f64, f64) {
+        let change = self.window.change;
+        let before = if change.from_us == 0 { 0.0 } else { self.trial.setpoint_at(change.from_us - 1) };
+        (before, self.trial.setpoint_at(change.to_us))
+    }
+
+    /// Time from the end of the change until the state is steady, µs.
+    fn steady_us(&self) -> u32 {
+        let (before, after) = self.levels();
+        if after == 0.0 {
+            return to_us(self.limits.decay_at_rest(self.window.change.to_us));
+        }
+        to_us(self.limits.steady(self.window.change.to_us, before, after))
+    }
+
+    fn add_demands(&self, demands: &mut Vec<Demand>) {
+        let Window { change, until_us } = self.window;
+        let (before, after) = self.levels();
+        if after == 0.0 {
+            // At setpoint 0 the drive loop is active, so the drive may rise again during the decay.
+            let from_us = change.to_us + self.steady_us();
+            if from_us + STEADY_PERIODS * self.trial.period_us <= until_us {
+                let noise_vpp = NOISE_SIGMAS * self.limits.noise_um() * self.limits.strongest_gain();
+                demands.push(self.demand(Property::RestDrive, from_us, until_us, REST_DRIVE_VPP + noise_vpp));
+            }
+            return;
+        }
+        if self.noise_percent(after) > 3.0 {
+            return;
+        }
+        if change.setpoint && !change.force && !change.temperature {
+            self.add_step(demands, before, after);
+        } else if !change.setpoint {
+            self.add_disturbance(demands, after);
+        }
+        self.add_steady_state(demands, after);
+    }
+
+    fn noise_percent(&self, setpoint: f64) -> f64 {
+        NOISE_SIGMAS * self.limits.noise_um() / setpoint * 100.0
+    }
+
+    fn demand(&self, property: Property, from_us: u32, until_us: u32, at_most: f64) -> Demand {
+        let band = matches!(property, Property::Settling | Property::Recovery | Property::Deviation);
+        let level = self.trial.setpoint_at(from_us);
+        let band_percent = band.then(|| BAND * 100.0 + self.noise_percent(level));
+        Demand { property, from_us, until_us, at_most, band_percent }
+    }
+
+    fn add_step(&self, demands: &mut Vec<Demand>, before: f64, after: f64) {
+        let Window { change, until_us } = self.window;
+        let is_first = change.from_us == 0;
+        if !(is_first || self.was_steady) || change.from_us != change.to_us {
+            return;
+        }
+        let is_forgotten = before == 0.0 && self.limits.properties.steers;
+        let knowledge = if self.is_known && !is_forgotten { Knowledge::Settled } else { Knowledge::Unknown };
+        let allowed = self.limits.settling(change.to_us, before, after, knowledge);
+        if self.window.quiet_us() > to_us(allowed) + self.trial.period_us {
+            demands.push(self.demand(Property::Settling, change.to_us, until_us, allowed * 1e3));
+        }
+        if self.window.quiet_us() > 2 * self.trial.period_us {
+            let is_known = self.is_known && before > 0.0;
+            let of_step = if is_known { OVERSHOOT_PERCENT } else { UNKNOWN_OVERSHOOT_PERCENT };
+            let of_mismatch = STATIC_OF_MISMATCH * self.mismatch * 100.0;
+            let of_setpoint = OVERSHOOT_OF_SETPOINT_PERCENT + of_mismatch + self.noise_percent(after.max(before));
+            let at_most = of_step + of_setpoint * after.max(before) / (after - before).abs();
+            demands.push(self.demand(Property::Overshoot, change.to_us, until_us, at_most));
+        }
+    }
+
+    fn add_disturbance(&self, demands: &mut Vec<Demand>, level: f64) {
+        let Window { change, until_us } = self.window;
+        if !self.was_steady {
+            return;
+        }
+        let allowed = self.limits.settling(change.to_us, level, level, Knowledge::Unknown);
+        if self.window.quiet_us() > to_us(allowed) + self.trial.period_us {
+            demands.push(self.demand(Property::Recovery, change.to_us, until_us, allowed * 1e3));
+        }
+        let reaction_us = self.trial.period_us + self.trial.delay_us + self.trial.period_us.max(CLOSED_LOOP_US);
+        let moved_us = change.to_us.min(change.from_us + reaction_us).max(change.from_us);
+        let [mode_before, mode_after] = [change.from_us.saturating_sub(1), moved_us].map(|at| self.limits.mode(at));
+        let effect = Limits::effect(&mode_before, &mode_after, f64::from(reaction_us) * 1e-6) * 100.0;
+        let change_of_damping = self.limits.change_of_damping(change.from_us, change.to_us).max(self.mismatch);
+        let adoption = DEVIATION_OF_MISMATCH * change_of_damping * 100.0;
+        let at_most = DEVIATION_FACTOR * effect + adoption + DEVIATION_PERCENT + self.noise_percent(level);
+        demands.push(self.demand(Property::Deviation, change.from_us, until_us, at_most));
+    }
+
+    fn add_steady_state(&self, demands: &mut Vec<Demand>, level: f64) {
+        let Window { change, until_us } = self.window;
+        let from_us = change.to_us + self.steady_us();
+        if from_us + STEADY_PERIODS * self.trial.period_us > until_us {
+            return;
+        }
+        let noise = self.noise_percent(level);
+        let mismatch = self.mismatch * self.limits.tracking_remainder(from_us - change.to_us) * 100.0;
+        let moved_hz = self.moved_hz * self.limits.tracking_remainder(until_us - change.to_us);
+        // tan φ = Δω/σ: an error of the phase looks like a detuning, the larger the more the finger
+        // damps.
+        let noise_hz = noise / 100.0 * self.limits.mode(change.to_us).sigma / TAU;
+        let pairs = [
+            (Property::StaticError, STATIC_ERROR_PERCENT + STATIC_OF_MISMATCH * mismatch + noise),
+            (Property::Ripple, RIPPLE_PERCENT + RIPPLE_OF_MISMATCH * mismatch + 2.0 * noise),
+            (Property::Frequency, FREQUENCY_ERROR_HZ + FREQUENCY_OF_MOVE * moved_hz + noise_hz),
+        ];
+        demands.extend(pairs.map(|(property, at_most)| self.demand(property, from_us, until_us, at_most)));
+    }
+}
+
+fn to_us(seconds: f64) -> u32 {
+    (seconds * 1e6).ceil() as u32
+}

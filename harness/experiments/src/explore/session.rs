@@ -1,0 +1,195 @@
+//! Runs a whole exploration: plays scenes, shrinks failing scenes, writes scenarios and the result.
+
+use crate::explore::envelope::Envelope;
+use crate::explore::error::ExploreError;
+use crate::explore::exploration::{Budget, ExploreConfig, FailedScene, explore};
+use crate::explore::law_properties::LawProperties;
+use crate::explore::page::{self, page};
+use crate::explore::player::Player;
+use crate::explore::properties::Property;
+use crate::explore::regression;
+use crate::explore::report::{self, ExploreReport, ViolationReport, violated_properties};
+use crate::explore::shrink::Shrinker;
+use platebench_engine::SafeEnds;
+use platebench_engine::plan::LinkFactory;
+use platebench_model::scenario::{Scenario, load};
+use platebench_model::trace::{AtPath, write_atomically};
+use platebench_plate::Time;
+use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, RigSpec, Session};
+use platebench_wire::{Identity, LawId, capabilities};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use std::{fmt, fs};
+
+/// Longest wall time for shrinking all properties together.
+const SHRINK_TIME: Duration = Duration::from_mins(1);
+/// The exploration ends after this many failing scenes, because more add little information.
+const ENOUGH_FAILURES: u64 = 10;
+const MAX_MINIMAL: usize = 3;
+
+#[derive(Debug, Clone)]
+pub struct ExploreSession {
+    pub envelope: Envelope,
+    pub rig: RigSpec,
+    pub law: LawId,
+    pub seed: u64,
+    pub budget: Budget,
+    pub jobs: usize,
+    pub compares_reference: bool,
+    pub regressions: Vec<Scenario>,
+    pub regression_folder: PathBuf,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ProgressEvent {
+    pub elapsed: Duration,
+    pub scenes: u64,
+    pub failed: u64,
+}
+
+impl fmt::Display for ProgressEvent {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { elapsed, scenes, failed } = self;
+        write!(formatter, "{:.0} s: {scenes} scenes, {failed} failed", elapsed.as_secs_f64())
+    }
+}
+
+impl ExploreSession {
+    /// Writes `explore.json` and `report.html` to `folder`. A violated property is no error.
+    pub fn run(
+        self,
+        cancel: &CancelToken,
+        folder: &Path,
+        on_progress: &mut dyn FnMut(ProgressEvent),
+    ) -> Result<ExploreReport, ExploreError> {
+        let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
+        let connect = || self.rig.connect_with(&options);
+        let ends = SafeEnds::default();
+        let identity = identify(&connect, &ends)?;
+        let config = self.config(&identity)?;
+        let started = Instant::now();
+        let exploration = explore(&config, &connect, cancel, &ends, &mut |scenes, failed| {
+            on_progress(ProgressEvent { elapsed: started.elapsed(), scenes, failed });
+        })?;
+        let rig = self.rig.to_string();
+        let mut report = ExploreReport::new(&config, &exploration, &rig, &platebench_rig::printable_name(&identity));
+        let mut violated = violated_properties(&exploration);
+        if exploration.is_interrupted {
+            violated.clear();
+        }
+        let deadline = Instant::now() + SHRINK_TIME;
+        for (position, (property, failed)) in violated.into_iter().take(MAX_MINIMAL).enumerate() {
+            let rest = deadline.saturating_duration_since(Instant::now());
+            let time = rest / (MAX_MINIMAL - position) as u32;
+            match self.minimise(&config, &connect, (cancel, &ends), failed, property, time) {
+                Ok(violation) => report.violations.push(violation),
+                Err(ExploreError::Cancelled) => {
+                    report.is_interrupted = true;
+                    break;
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        report.record_ends(&ends);
+        let text = serde_json::to_string_pretty(&report).unwrap_or_default();
+        let path = folder.join(report::FILE);
+        write_atomically(&path, text.as_bytes()).at(&path)?;
+        page(&report).write(&folder.join(page::FILE))?;
+        Ok(report)
+    }
+
+    fn config(&self, identity: &Identity) -> Result<ExploreConfig, ExploreError> {
+        if LawProperties::of(self.law).is_none() {
+            return Err(ExploreError::LawWithoutProperties(self.law.name()));
+        }
+        if !identity.has_law(self.law) {
+            return Err(ExploreError::LawNotAnnounced(self.law.name()));
+        }
+        let laws = LawProperties::explored_laws().filter(|law| identity.has_law(*law));
+        let knows_delay = identity.has_capability(capabilities::LOOP_DELAY);
+        let announced = |scenario: &Scenario| {
+            LawId::from_name(&scenario.controller.law).is_some_and(|law| identity.has_law(law))
+                && (knows_delay || scenario.controller.design_delay == Time::ZERO)
+        };
+        Ok(ExploreConfig {
+            envelope: envelope_for(&self.envelope, identity),
+            seed: self.seed,
+            law: self.law,
+            laws: laws.collect(),
+            budget: self.budget,
+            max_failed: ENOUGH_FAILURES,
+            jobs: self.jobs,
+            own_clock: self.rig.has_own_clock(),
+            compares_reference: self.compares_reference,
+            regressions: self.regressions.iter().filter(|scenario| announced(scenario)).cloned().collect(),
+        })
+    }
+
+    fn minimise(
+        &self,
+        config: &ExploreConfig,
+        connect: &LinkFactory<'_>,
+        (cancel, ends): (&CancelToken, &SafeEnds),
+        failed: &FailedScene,
+        property: Property,
+        time: Duration,
+    ) -> Result<ViolationReport, ExploreError> {
+        let mut player = Player::new(connect, config.own_clock, cancel, ends);
+        let minimal = Shrinker::new(config, &mut player, time)?.shrink(failed, property)?;
+        let rig = self.rig.to_string();
+        let path = regression::write(&self.regression_folder, config, &rig, failed, &minimal)?;
+        // Checks that the written file also fails with a new controller, as in `platebench run`.
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let scenario = load(&path, &name).map_err(|fault| ExploreError::Generated(Box::new(fault)))?;
+        player.renew();
+        let again = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
+        let original = failed.failure_of(property);
+        let tree = config.generator().tree(failed.index).map_err(ExploreError::Strategy)?;
+        let title = format!("Scene {} of seed {}", failed.index, config.seed);
+        Ok(ViolationReport {
+            property,
+            scene: failed.index,
+            value: original.and_then(|failure| failure.value),
+            limit: original.and_then(|failure| failure.limit),
+            original: config.scene_text(&tree.current(), &title).scenario,
+            minimal: fs::read_to_string(&path).at(&path)?,
+            minimal_value: minimal.failure.value,
+            minimal_limit: minimal.failure.limit,
+            file: path.display().to_string(),
+            is_reproduced: again.failure_of(property).is_some(),
+            replays: minimal.replays,
+        })
+    }
+}
+
+/// Removes loop delays from the envelope if the controller does not announce support for them.
+fn envelope_for(envelope: &Envelope, identity: &Identity) -> Envelope {
+    let mut reduced = envelope.clone();
+    if !identity.has_capability(capabilities::LOOP_DELAY) {
+        reduced.range.loop_delay_periods = [0.0; 2];
+    }
+    reduced
+}
+
+fn identify(connect: &LinkFactory<'_>, ends: &SafeEnds) -> Result<Identity, ExploreError> {
+    let session = Session::open(FaultInjector::new(connect()?))?;
+    let identity = *session.identity();
+    ends.record(session.close());
+    Ok(identity)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_controller_without_the_capability_gets_no_loop_delay() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml");
+        let envelope = Envelope::load(&path).unwrap();
+        let identity = identify(&|| RigSpec::Hosted.connect(), &SafeEnds::default()).unwrap();
+        assert_eq!(envelope_for(&envelope, &identity).range.loop_delay_periods, envelope.range.loop_delay_periods);
+        let without = Identity { capabilities: 0, ..identity };
+        assert!(envelope.range.loop_delay_periods[1] > 0.0);
+        assert_eq!(envelope_for(&envelope, &without).range.loop_delay_periods, [0.0; 2]);
+    }
+}

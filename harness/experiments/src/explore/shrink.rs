@@ -1,0 +1,272 @@
+//! Makes a failing scene minimal: fewer trials, events and digits, and a shorter trial.
+
+use crate::explore::error::ExploreError;
+use crate::explore::exploration::{ExploreConfig, FailedScene};
+use crate::explore::player::{Failure, Player};
+use crate::explore::properties::{Demand, Property};
+use crate::explore::scene::{Course, Scene, SceneTrial};
+use crate::explore::staging::Staging;
+use crate::explore::tuning::Tuning;
+use std::time::{Duration, Instant};
+
+const MAX_REPLAYS: u32 = 2_000;
+/// Largest number of trials between two judged trials.
+const MAX_EARLIER: usize = 16;
+
+#[derive(Debug, Clone)]
+pub struct MinimalScene {
+    pub scene: Scene,
+    /// The violated demand, or all demands of the property if several are possible.
+    pub demands: Vec<Demand>,
+    pub failure: Failure,
+    /// False if the scene did not fail again with a new controller. It is then not minimal.
+    pub is_reproduced: bool,
+    pub replays: u32,
+}
+
+/// Replays candidates with new controllers until the time is used.
+pub struct Shrinker<'a, 'p> {
+    pub config: &'a ExploreConfig,
+    pub player: &'a mut Player<'p>,
+    pub deadline: Instant,
+    staging: Staging,
+    replays: u32,
+}
+
+impl<'a, 'p> Shrinker<'a, 'p> {
+    /// `time` limits the search, counted from now. Fails if no temporary folder can be created.
+    pub fn new(config: &'a ExploreConfig, player: &'a mut Player<'p>, time: Duration) -> Result<Self, ExploreError> {
+        Ok(Self { config, player, deadline: Instant::now() + time, staging: Staging::new()?, replays: 0 })
+    }
+
+    /// Searches the smallest scene that violates the property.
+    pub fn shrink(&mut self, failed: &FailedScene, property: Property) -> Result<MinimalScene, ExploreError> {
+        self.replays = 0;
+        let generator = self.config.generator();
+        let mut tree = generator.tree(failed.index).map_err(ExploreError::Strategy)?;
+        let original = tree.current();
+        let Some((earlier, mut best)) = self.reproduce(&original, failed, property)? else {
+            let none = Failure { property, name: String::new(), value: None, limit: None };
+            let failure = failed.failure_of(property).cloned().unwrap_or(none);
+            let demands = self.config.demands(&original);
+            return Ok(MinimalScene { scene: original, demands, failure, is_reproduced: false, replays: self.replays });
+        };
+        let with_history = |scene: Scene| match &earlier {
+            Some(earlier) => Scene { earlier: earlier.clone(), count: 2, ..scene },
+            None => scene,
+        };
+        if tree.simplify() {
+            loop {
+                let scene = with_history(tree.current());
+                let failure = self.replay(&scene, property)?;
+                let goes_on = if let Some(failure) = failure {
+                    best = (scene, failure);
+                    tree.simplify()
+                } else {
+                    tree.complicate()
+                };
+                if !goes_on || self.is_over() {
+                    break;
+                }
+            }
+        }
+        self.simplify_directly(&mut best, property)?;
+        let (scene, failure) = best;
+        let demands = self.config.demands(&scene);
+        let of_property: Vec<_> = demands.into_iter().filter(|demand| demand.property == property).collect();
+        let number = failure.name.rsplit(' ').next().and_then(|number| number.parse::<usize>().ok());
+        let only = number.and_then(|number| of_property.get(number - 1)).copied();
+        let demands = only.map_or(of_property, |only| vec![only]);
+        Ok(MinimalScene { scene, demands, failure, is_reproduced: true, replays: self.replays })
+    }
+
+    /// Finds out whether the scene fails with a new controller, alone or after trials of earlier
+    /// scenes. `None` if it does not fail.
+    #[expect(clippy::type_complexity, reason = "history, scene and failure belong together here only")]
+    fn reproduce(
+        &mut self,
+        original: &Scene,
+        failed: &FailedScene,
+        property: Property,
+    ) -> Result<Option<(Option<Vec<SceneTrial>>, (Scene, Failure))>, ExploreError> {
+        if let Some(failure) = self.replay(original, property)? {
+            return Ok(Some((None, (original.clone(), failure))));
+        }
+        let generator = self.config.generator();
+        let mut trials = Vec::new();
+        for index in failed.history.iter().rev() {
+            let scene = generator.tree(*index).map_err(ExploreError::Strategy)?.current();
+            trials.splice(0..0, scene.earlier.into_iter().chain([scene.judged]));
+            trials.drain(..trials.len().saturating_sub(MAX_EARLIER));
+            let scene = Scene { earlier: trials.clone(), count: 2, ..original.clone() };
+            if let Some(failure) = self.replay(&scene, property)? {
+                let (earlier, best) = self.remove_earlier(scene, failure, property)?;
+                return Ok(Some((Some(earlier), best)));
+            }
+        }
+        Ok(None)
+    }
+
+    fn remove_earlier(
+        &mut self,
+        scene: Scene,
+        failure: Failure,
+        property: Property,
+    ) -> Result<(Vec<SceneTrial>, (Scene, Failure)), ExploreError> {
+        let mut best = (scene, failure);
+        let mut chunk = best.0.earlier.len().div_ceil(2);
+        while chunk > 0 && !self.is_over() {
+            let mut at = 0;
+            while at < best.0.earlier.len() {
+                let mut scene = best.0.clone();
+                let end = (at + chunk).min(scene.earlier.len());
+                scene.earlier.drain(at..end);
+                match self.replay(&scene, property)? {
+                    Some(failure) if !scene.earlier.is_empty() => best = (scene, failure),
+                    _ => at = end,
+                }
+            }
+            chunk /= 2;
+        }
+        Ok((best.0.earlier.clone(), best))
+    }
+
+    /// Tries changes that shrinking of drawn numbers cannot make: rounder values, fewer points, an
+    /// earlier end.
+    fn simplify_directly(&mut self, best: &mut (Scene, Failure), property: Property) -> Result<(), ExploreError> {
+        let mut has_changed = true;
+        while has_changed && !self.is_over() {
+            has_changed = false;
+            for scene in simpler_scenes(&best.0, self.end_of(best, property)) {
+                if scene == best.0 || self.is_over() {
+                    continue;
+                }
+                if let Some(failure) = self.replay(&scene, property)? {
+                    *best = (scene, failure);
+                    has_changed = true;
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// End, µs, of the first window with a demand of `property`.
+    fn end_of(&self, best: &(Scene, Failure), property: Property) -> Option<u32> {
+        let demands = self.config.demands(&best.0);
+        demands.iter().filter(|demand| demand.property == property).map(|demand| demand.until_us).min()
+    }
+
+    fn is_over(&self) -> bool {
+        self.replays >= MAX_REPLAYS || Instant::now() >= self.deadline
+    }
+
+    /// Plays `scene` with a new controller. `None` if it does not violate `property`.
+    fn replay(&mut self, scene: &Scene, property: Property) -> Result<Option<Failure>, ExploreError> {
+        self.replays += 1;
+        let scenario = self.staging.load(&self.config.scene_text(scene, "Replay"))?;
+        self.player.renew();
+        let result = self.player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
+        Ok(result.failure_of(property).cloned())
+    }
+}
+
+fn simpler_scenes(scene: &Scene, end_us: Option<u32>) -> Vec<Scene> {
+    let mut scenes = Vec::new();
+    if scene.script_seed.is_some() {
+        scenes.push(Scene { script_seed: None, ..scene.clone() });
+    }
+    if scene.count > 1 && scene.earlier.is_empty() {
+        scenes.push(Scene { count: scene.count - 1, ..scene.clone() });
+    }
+    if scene.count > 1 && !scene.earlier.is_empty() {
+        scenes.push(Scene { count: 1, earlier: Vec::new(), ..scene.clone() });
+    }
+    scenes.extend((0..scene.earlier.len()).map(|index| {
+        let mut scene = scene.clone();
+        scene.earlier.remove(index);
+        scene
+    }));
+    scenes.retain(|candidate| candidate.count == 1 || scene.earlier.is_empty() || !candidate.earlier.is_empty());
+    let variants = simpler_trials(&scene.judged, end_us);
+    scenes.extend(variants.into_iter().map(|judged| Scene { judged, ..scene.clone() }));
+    for (index, earlier) in scene.earlier.iter().enumerate() {
+        for variant in simpler_trials(earlier, None) {
+            let mut scene = scene.clone();
+            if let Some(place) = scene.earlier.get_mut(index) {
+                *place = variant;
+            }
+            scenes.push(scene);
+        }
+    }
+    scenes
+}
+
+fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
+    let mut trials = Vec::new();
+    if let Some(end_us) = end_us.filter(|end| *end < trial.duration_us) {
+        trials.push(cut(trial, end_us));
+    }
+    let ms = trial.duration_us / 1_000;
+    trials.push(SceneTrial { duration_us: (ms * 1_000).max(trial.period_us), ..trial.clone() });
+    for index in 0..trial.setpoint.len().saturating_sub(1) {
+        let mut setpoint = trial.setpoint.clone();
+        let (at, _) = setpoint.remove(index);
+        // The next level starts at the instant of the removed level.
+        if let Some(next) = setpoint.get_mut(index) {
+            next.0 = at;
+        }
+        trials.push(SceneTrial { setpoint, ..trial.clone() });
+    }
+    for index in 1..trial.setpoint.len() {
+        let mut setpoint = trial.setpoint.clone();
+        setpoint.remove(index);
+        trials.push(SceneTrial { setpoint, ..trial.clone() });
+    }
+    for index in 0..trial.faults.len() {
+        let mut faults = trial.faults.clone();
+        faults.remove(index);
+        trials.push(SceneTrial { faults, ..trial.clone() });
+    }
+    if trial.tuning != Tuning::default() {
+        trials.push(SceneTrial { tuning: Tuning::default(), ..trial.clone() });
+    }
+    let constant = Course::Hold(vec![(0, 0)]);
+    if trial.force != constant {
+        trials.push(SceneTrial { force: constant.clone(), ..trial.clone() });
+    }
+    if trial.temperature != constant {
+        trials.push(SceneTrial { temperature: constant, ..trial.clone() });
+    }
+    for (digits, at_digits) in [(500, 5_000), (100, 1_000), (10, 500)] {
+        let round = |value: u32, to: u32| (value + to / 2) / to * to;
+        let setpoint: Vec<_> = trial
+            .setpoint
+            .iter()
+            .map(|(at, level)| (round(*at, at_digits), if *level == 0 { 0 } else { round(*level, digits).max(digits) }))
+            .collect();
+        if setpoint.is_sorted_by(|one, other| one.0 < other.0)
+            && setpoint.last().is_none_or(|last| last.0 < trial.duration_us)
+        {
+            trials.push(SceneTrial { setpoint, ..trial.clone() });
+        }
+    }
+    trials
+}
+
+fn cut(trial: &SceneTrial, end_us: u32) -> SceneTrial {
+    let mut cut = SceneTrial { duration_us: end_us, ..trial.clone() };
+    cut.faults.retain(|fault| fault.until_us < end_us);
+    cut.setpoint.retain(|(at, _)| *at < end_us);
+    for course in [&mut cut.force, &mut cut.temperature] {
+        match course {
+            Course::Hold(points) => points.retain(|(at, _)| *at < end_us),
+            Course::Linear(points) => {
+                let kept = points.partition_point(|(at, _)| *at < end_us);
+                points.truncate(kept + 1);
+            }
+            Course::Sine { .. } => {}
+        }
+    }
+    cut
+}

@@ -1,0 +1,176 @@
+//! Plays scenarios in memory on the emulated rig, with one emulated board per worker.
+
+use crate::firmware_analysis::code_map::CodeMap;
+use crate::firmware_analysis::error::AnalysisError;
+use platebench_engine::plan::LinkFactory;
+use platebench_engine::trial::TrialResult;
+use platebench_engine::{Executor, ExecutorSettings, SafeEnds, ScenarioEnd, law, missing_capability};
+use platebench_model::record::Verdict;
+use platebench_model::scenario::Scenario;
+use platebench_model::trace::{MAX_IMAGE_BYTES, read_regular_file};
+use platebench_rig::{
+    BUILT_IN_IMAGE, CancelToken, ConnectError, EmulatedError, EmulatedLink, FaultInjector, LinkError, RigError,
+    RigSpec, SafeEnd, Session, Symbols, TargetError,
+};
+use platebench_verdict::Judgement;
+use platebench_wire::LawId;
+use serde::Serialize;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+
+pub(crate) type BoardExecutor<'a> = Executor<'a, EmulatedLink>;
+
+/// Scenarios that the firmware can play, with their laws.
+#[derive(Debug)]
+pub struct Suite {
+    elf: Option<PathBuf>,
+    pub scenarios: Vec<(Scenario, LawId)>,
+    pub not_applicable: Vec<String>,
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct Outcome {
+    pub(crate) verdict: Verdict,
+    pub(crate) detection: Option<Detection>,
+    pub(crate) closest_margin: Option<Margin>,
+    /// Hash over all drives and frequencies of the trials.
+    pub(crate) commands: u64,
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct Detection {
+    pub(crate) reason: String,
+    /// True if the emulator failed and is in an unknown state.
+    pub(crate) emulator_failed: bool,
+    /// True if only the confirmation of 0 V is missing.
+    pub(crate) is_unconfirmed: bool,
+}
+
+/// Distance of a metric from its limit, divided by the scale of the limit.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Margin {
+    pub scenario: String,
+    pub expectation: String,
+    pub margin: f64,
+}
+
+impl Suite {
+    pub fn new(rig: &RigSpec, scenarios: Vec<Scenario>) -> Result<Self, AnalysisError> {
+        let RigSpec::Emulated(elf) = rig else { return Err(AnalysisError::NotEmulated(rig.to_string())) };
+        let mut suite = Self { elf: elf.clone(), scenarios: Vec::new(), not_applicable: Vec::new() };
+        let session = Session::open(FaultInjector::new(suite.connect()?))?;
+        for scenario in scenarios {
+            let law = law(&scenario).map_err(|fault| AnalysisError::Scenario(Box::new(fault)))?;
+            match missing_capability(&scenario, law, session.identity()) {
+                None => suite.scenarios.push((scenario, law)),
+                Some(reason) => suite.not_applicable.push(format!("{}: {reason}", scenario.file)),
+            }
+        }
+        if session.close() != SafeEnd::Confirmed {
+            return Err(AnalysisError::NotSafe);
+        }
+        if suite.scenarios.is_empty() { Err(AnalysisError::NothingApplicable(suite.not_applicable)) } else { Ok(suite) }
+    }
+
+    fn elf(&self) -> Result<Vec<u8>, AnalysisError> {
+        let Some(path) = &self.elf else { return Ok(BUILT_IN_IMAGE.to_vec()) };
+        read_regular_file(path, MAX_IMAGE_BYTES)
+            .map_err(|error| EmulatedError::Read { path: path.clone(), error }.into())
+    }
+
+    pub(crate) fn code(&self) -> Result<(Symbols, CodeMap), AnalysisError> {
+        let elf = self.elf()?;
+        let symbols = Symbols::read(&elf);
+        let map = CodeMap::read(&elf, &symbols);
+        if map.functions.is_empty() { Err(AnalysisError::NoFunctions) } else { Ok((symbols, map)) }
+    }
+
+    pub(crate) fn connect(&self) -> Result<EmulatedLink, ConnectError> {
+        Ok(self.elf.as_deref().map_or_else(EmulatedLink::built_in, EmulatedLink::open)?)
+    }
+}
+
+/// The executor keeps its link, because the analysis changes or observes the firmware behind it.
+pub(crate) fn new_executor<'a>(
+    connect: &'a LinkFactory<'a, EmulatedLink>,
+    cancel: &CancelToken,
+    ends: &'a SafeEnds,
+) -> BoardExecutor<'a> {
+    Executor::new(connect, ExecutorSettings { keeps_link: true, ..ExecutorSettings::lockstep(cancel) }, ends)
+}
+
+/// Plays trials until the verdict is decided or the controller is lost. `None` if it was cancelled.
+pub(crate) fn play(
+    executor: &mut BoardExecutor<'_>,
+    scenario: &Scenario,
+    law: LawId,
+) -> Result<Option<Outcome>, AnalysisError> {
+    let mut commands = DefaultHasher::new();
+    let end = executor.play_until_decided(scenario, scenario, law, |result| {
+        if let Some(detection) = detection(result) {
+            return ControlFlow::Break(detection);
+        }
+        for row in &result.trace_rows {
+            (row.drive_vpp.to_bits(), row.frequency_hz.to_bits()).hash(&mut commands);
+        }
+        ControlFlow::Continue(())
+    })?;
+    Ok(match end {
+        ScenarioEnd::Judged(judgement) => {
+            Some(Outcome { commands: commands.finish(), ..outcome(scenario, &judgement) })
+        }
+        ScenarioEnd::Stopped(detection) => Some(detection.into()),
+        ScenarioEnd::Cancelled => None,
+    })
+}
+
+impl From<Detection> for Outcome {
+    fn from(detection: Detection) -> Self {
+        Self { verdict: Verdict::Fail, detection: Some(detection), closest_margin: None, commands: 0 }
+    }
+}
+
+/// Detects a lost controller, a violation or a missing confirmation of 0 V, which an expectation
+/// does not show.
+fn detection(result: &TrialResult) -> Option<Detection> {
+    if let Some(error) = &result.link_error {
+        let emulator_failed = matches!(
+            error,
+            RigError::Link(LinkError::Target(target)) if matches!(**target, TargetError::Emulator(_))
+        );
+        return Some(Detection { reason: error.to_string(), emulator_failed, is_unconfirmed: false });
+    }
+    let violation = result.telemetry.violations.first().map(ToString::to_string);
+    let is_unconfirmed = violation.is_none();
+    let unconfirmed = (!result.safe_confirmed).then(|| "the controller did not confirm 0 V".to_owned());
+    let reason = violation.or(unconfirmed)?;
+    Some(Detection { reason, emulator_failed: false, is_unconfirmed })
+}
+
+fn outcome(scenario: &Scenario, judgement: &Judgement) -> Outcome {
+    let failed = judgement.expectations.iter().find(|record| record.verdict == Verdict::Fail);
+    let reason = failed.map_or_else(
+        || "a trial failed".to_owned(),
+        |record| {
+            let value = record.value.map_or_else(|| "no value".to_owned(), |value| value.to_string());
+            format!("{}: {value}", record.name)
+        },
+    );
+    let margins = judgement.expectations.iter().filter_map(|record| Some((record.name.clone(), record.margin?)));
+    let closest = margins.min_by(|(_, one), (_, other)| one.total_cmp(other));
+    Outcome {
+        verdict: judgement.verdict,
+        detection: (judgement.verdict == Verdict::Fail).then_some(Detection {
+            reason,
+            emulator_failed: false,
+            is_unconfirmed: false,
+        }),
+        closest_margin: closest.map(|(expectation, margin)| Margin {
+            scenario: scenario.file.clone(),
+            expectation,
+            margin,
+        }),
+        commands: 0,
+    }
+}

@@ -1,0 +1,9 @@
+//! Plays many variants of scenarios, controllers and firmware, and measures what the scenarios
+//! detect.
+
+#[cfg(feature = "campaign")]
+pub mod campaign;
+pub mod explore;
+#[cfg(feature = "firmware-analysis")]
+pub mod firmware_analysis;
+pub mod trust;

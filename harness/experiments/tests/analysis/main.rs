@@ -1,0 +1,22 @@
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::missing_panics_doc)]
+
+mod coverage;
+mod encodings;
+mod mutation;
+
+use platebench_experiments::firmware_analysis::{CodeMap, Suite};
+use platebench_rig::{BUILT_IN_IMAGE, RigSpec, Symbols};
+use platebench_test_kit::{load_scenario, workspace_root};
+
+fn suite(scenarios: &[&str]) -> Suite {
+    // Relative paths in the debug information start at the workspace root.
+    std::env::set_current_dir(workspace_root()).unwrap();
+    let scenarios = scenarios.iter().map(|name| load_scenario(name));
+    Suite::new(&RigSpec::Emulated(None), scenarios.collect()).unwrap()
+}
+
+fn shipped_code() -> (CodeMap, Symbols) {
+    let elf = BUILT_IN_IMAGE;
+    let symbols = Symbols::read(elf);
+    (CodeMap::read(elf, &symbols), symbols)
+}

@@ -1,0 +1,161 @@
+//! Tests that correct laws pass, a mutant is found, and its scene shrinks to few inputs.
+
+use crate::fixtures::configuration;
+use platebench_engine::SafeEnds;
+use platebench_experiments::explore::kill_rate::{KillRateConfig, kill_rate};
+use platebench_experiments::explore::report::violated_properties;
+use platebench_experiments::explore::session::ExploreSession;
+use platebench_experiments::explore::shrink::Shrinker;
+use platebench_experiments::explore::{Budget, ExploreConfig, Player, Property, explore};
+use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, clean_variants};
+use platebench_model::record::Verdict;
+use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, RigSpec};
+use platebench_wire::{Command, LawId, Sample};
+use rstest::rstest;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Long enough that a search ends by its number of replays, also on a busy machine.
+const SHRINK_TIME: Duration = Duration::from_hours(1);
+
+#[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
+fn firmware() -> Result<BoxedLink, ConnectError> {
+    Ok(Box::new(HostedLink::new()))
+}
+
+struct WrongTableEntry;
+
+impl Mutant for WrongTableEntry {
+    fn on_sample(&mut self, sample: &mut Sample) {
+        if (1.2..1.7).contains(&sample.setpoint_um) {
+            sample.setpoint_um *= 1.02;
+        }
+    }
+}
+
+#[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
+fn mutant() -> Result<BoxedLink, ConnectError> {
+    Ok(Box::new(MutantController::new(HostedLink::new(), || Box::new(WrongTableEntry))))
+}
+
+/// Lowers the drive by 1 %. Control loops correct this, so every limit holds.
+struct LowDrive;
+
+impl Mutant for LowDrive {
+    fn on_command(&mut self, command: &mut Command) {
+        command.drive_vpp *= 0.99;
+    }
+}
+
+#[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
+fn low_drive() -> Result<BoxedLink, ConnectError> {
+    Ok(Box::new(MutantController::new(HostedLink::new(), || Box::new(LowDrive))))
+}
+
+#[rstest]
+#[case(LawId::DqPi)]
+#[case(LawId::DqPiFixed)]
+#[case(LawId::Deadbeat)]
+fn correct_laws_violate_nothing(#[case] law: LawId) {
+    let config = ExploreConfig { compares_reference: true, ..configuration(law, 240) };
+    let result = explore(&config, &firmware, &CancelToken::never(), &SafeEnds::default(), &mut |_, _| {}).unwrap();
+    assert_eq!((result.scenes, result.undecided), (240, 0));
+    assert!(result.failed.is_empty(), "{:?}", result.failed);
+    let judged = |property| result.properties.get(&property).map_or(0, |tally| tally.windows);
+    let judged: Vec<_> = Property::ALL.iter().copied().map(judged).collect();
+    let (answers, others) = judged.split_last().unwrap();
+    assert_eq!(*answers, 1);
+    assert!(others.iter().all(|windows| *windows > 20), "{judged:?}");
+}
+
+#[rstest]
+#[case::without_reference(false, 0)]
+#[case::with_reference(true, 2)]
+fn the_reference_finds_what_the_limits_allow(#[case] compares_reference: bool, #[case] violated: usize) {
+    let config = ExploreConfig { compares_reference, jobs: 1, ..configuration(LawId::DqPi, 5) };
+    let cancel = CancelToken::never();
+    let result = explore(&config, &low_drive, &cancel, &SafeEnds::default(), &mut |_, _| {}).unwrap();
+    let found = violated_properties(&result);
+    assert_eq!(found.len(), violated, "{found:?}");
+    for (property, failed) in found {
+        assert!(matches!(property, Property::Reference | Property::Answers));
+        let ends = SafeEnds::default();
+        let mut player = Player::new(&low_drive, false, &cancel, &ends);
+        let mut shrinker = Shrinker::new(&config, &mut player, SHRINK_TIME).unwrap();
+        let minimal = shrinker.shrink(failed, property).unwrap();
+        assert_eq!((minimal.is_reproduced, minimal.demands.len()), (true, 1));
+        assert!(minimal.failure.value > Some(0.1), "{:?}", minimal.failure);
+    }
+}
+
+#[test]
+fn a_mutant_is_found_and_its_scene_shrinks_to_one_level() {
+    let config = configuration(LawId::DqPi, 60);
+    let cancel = CancelToken::never();
+    let result = explore(&config, &mutant, &cancel, &SafeEnds::default(), &mut |_, _| {}).unwrap();
+    let (_, failed) =
+        violated_properties(&result).into_iter().find(|(property, _)| *property == Property::StaticError).unwrap();
+    let ends = SafeEnds::default();
+    let mut player = Player::new(&mutant, false, &cancel, &ends);
+    let mut shrinker = Shrinker::new(&config, &mut player, SHRINK_TIME).unwrap();
+    let minimal = shrinker.shrink(failed, Property::StaticError).unwrap();
+    assert!(minimal.is_reproduced);
+    assert!(minimal.scene.earlier.is_empty(), "{:?}", minimal.scene);
+    assert_eq!(minimal.scene.judged.setpoint.len(), 1, "{:?}", minimal.scene);
+    assert_eq!(minimal.demands.len(), 1);
+    let value = minimal.failure.value.unwrap();
+    assert!((value - 2.0).abs() < 0.1, "{value}");
+}
+
+#[test]
+fn an_interrupted_exploration_writes_its_result() {
+    let ExploreConfig { envelope, law, seed, jobs, .. } = configuration(LawId::DqPi, 1);
+    let budget = Budget::Scenes(u64::MAX / 4);
+    let (regressions, regression_folder) = (Vec::new(), PathBuf::from("none"));
+    let rig = RigSpec::Hosted;
+    let session = ExploreSession {
+        envelope,
+        rig,
+        law,
+        seed,
+        budget,
+        jobs,
+        compares_reference: false,
+        regressions,
+        regression_folder,
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let cancel = CancelToken::default();
+    let report = session.run(&cancel, folder.path(), &mut |_| cancel.cancel()).unwrap();
+    assert!(report.scenes >= 1 && report.is_interrupted, "{report:?}");
+    assert_eq!(report.verdict, Verdict::Inconclusive);
+    assert!(report.conclusion().ends_with("A signal ended the exploration."), "{}", report.conclusion());
+    assert!(folder.path().join("explore.json").exists() && folder.path().join("report.html").exists());
+}
+
+struct Unmutated;
+
+impl Mutant for Unmutated {}
+
+#[test]
+fn the_kill_rate_names_a_survivor_and_a_found_mutant() {
+    let gain = platebench_experiments::trust::catalogue()
+        .into_iter()
+        .find(|mutant| mutant.name == "drive-gain-doubled")
+        .unwrap();
+    let config = KillRateConfig {
+        envelope: configuration(LawId::DqPi, 1).envelope,
+        mutants: vec![gain, MutantSpec { name: "unmutated", build: || Box::new(Unmutated), ..gain }],
+        variants: clean_variants(),
+        scenes: 12,
+        seed: 1,
+        jobs: 1,
+    };
+    let report = kill_rate(&config, &CancelToken::never()).unwrap();
+    let found: Vec<_> = report.mutants.iter().map(|mutant| (mutant.name, mutant.found.is_some())).collect();
+    assert_eq!(found, [("drive-gain-doubled", true), ("unmutated", false)]);
+    // The firmware plays 12 scenes with each of three laws, and every variant with one law.
+    let clean = 12 * (3 + config.variants.len() as u32);
+    assert_eq!((report.false_alarm_rate.seen, report.false_alarm_rate.count), (0, clean), "{:?}", report.alarms);
+    assert_eq!((report.kill_rate.seen, report.kill_rate.count), (1, 2));
+}

@@ -1,0 +1,24 @@
+//! Provides the envelope of the repository and explorations of it.
+
+use platebench_experiments::explore::{Budget, Envelope, ExploreConfig};
+use platebench_wire::LawId;
+use std::path::{Path, PathBuf};
+
+pub(crate) fn envelope_path() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml")
+}
+
+pub(crate) fn configuration(law: LawId, scenes: u64) -> ExploreConfig {
+    ExploreConfig {
+        envelope: Envelope::load(&envelope_path()).unwrap(),
+        seed: 1,
+        law,
+        laws: vec![LawId::DqPi, LawId::Deadbeat, LawId::DqPiFixed],
+        budget: Budget::Scenes(scenes),
+        max_failed: 10,
+        jobs: 2,
+        own_clock: false,
+        compares_reference: false,
+        regressions: Vec::new(),
+    }
+}
