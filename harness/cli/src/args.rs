@@ -4,12 +4,10 @@ use crate::config::{self, Config};
 use crate::logging::LoggingArgs;
 use crate::{
     accept, baseline, boards, build_info, check, color, compare, completions, emulate, explore, identify, judge, man,
-    merge, new, replay, report, run, schema, soak, trust,
+    merge, new, replay, report, run, schema, soak, stability, trust, tune,
 };
 #[cfg(feature = "export")]
 use crate::{campaign, export, export_fmu};
-#[cfg(feature = "study")]
-use crate::{chart, stability, tune};
 #[cfg(feature = "emulated")]
 use crate::{coverage, mutate};
 use clap::error::{ContextKind, ContextValue};
@@ -83,17 +81,12 @@ pub(crate) enum Command {
     #[cfg(feature = "export")]
     Campaign(campaign::CampaignArgs),
     /// Show where methods and loops become unstable: predicted and measured limits, margins, maps
-    #[cfg(feature = "study")]
     Stability(stability::StabilityArgs),
     /// Identify plate parameters from recorded steps
     Identify(identify::IdentifyArgs),
-    /// Chart speed against accuracy of plant methods, models and laws
-    #[cfg(feature = "study")]
-    Chart(chart::ChartArgs),
     /// Conduct a lab acceptance session and seal its record
     Accept(accept::AcceptArgs),
     /// Design controller gains for a plate, with their margins and limits
-    #[cfg(feature = "study")]
     Tune(tune::TuneArgs),
     /// Export the traces of a stored run as Parquet, MDF4, MCAP or CSV
     #[cfg(feature = "export")]
@@ -149,7 +142,6 @@ pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
 fn missing_feature(error: &clap::Error) -> Option<&'static str> {
     let Some(ContextValue::String(command)) = error.get(ContextKind::InvalidSubcommand) else { return None };
     let (feature, is_built) = match &**command {
-        "chart" | "stability" | "tune" => ("study", cfg!(feature = "study")),
         "coverage" | "mutate" => ("emulated", cfg!(feature = "emulated")),
         "campaign" | "export" | "export-fmu" => ("export", cfg!(feature = "export")),
         _ => return None,

@@ -7,7 +7,7 @@ use crate::options::{OutputFormat, parse_number};
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_boards::Board;
-use platebench_identify::{
+use platebench_design::identify::{
     DirectFit, Identification, IdentificationTable, ParameterUncertainty, PlateFileDetails, parameter_uncertainties,
     plate_file, tables, uncertainty_table,
 };
@@ -128,7 +128,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         return Err(Failure::invalid(&format!("{} exists already, expected another name", path.display())));
     }
     let recordings = files.iter().map(|file| read_recording(file, arguments)).collect::<Result<Vec<_>, _>>()?;
-    let (found, fits) = platebench_identify::identify(&recordings, arguments.slope_hz_per_k).or_invalid()?;
+    let (found, fits) = platebench_design::identify::identify(&recordings, arguments.slope_hz_per_k).or_invalid()?;
     let mut tables = tables(&found);
     let budget = arguments.budget.as_deref().map(|path| Budget::load(path, &known_quantities())).transpose()?;
     let uncertainties = budget.map(|budget| parameter_uncertainties(&found, &budget)).transpose();

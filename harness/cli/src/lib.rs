@@ -1,10 +1,7 @@
 //! Defines the command line: arguments, wiring and exit codes. Other crates decide and measure.
 //! This is a library so that the tests of the whole bench can build the same program.
 
-#![cfg_attr(
-    not(all(feature = "emulated", feature = "export", feature = "live", feature = "study")),
-    allow(dead_code, unused_imports)
-)]
+#![cfg_attr(not(all(feature = "emulated", feature = "export", feature = "live")), allow(dead_code, unused_imports))]
 
 mod accept;
 mod args;
@@ -14,10 +11,6 @@ mod boards;
 mod build_info;
 #[cfg(feature = "export")]
 mod campaign;
-#[cfg(feature = "study")]
-mod chart;
-#[cfg(feature = "study")]
-mod chart_page;
 mod check;
 mod clock;
 mod color;
@@ -56,11 +49,9 @@ mod schema;
 mod selection;
 mod shutdown;
 mod soak;
-#[cfg(feature = "study")]
 mod stability;
 mod stdio;
 mod trust;
-#[cfg(feature = "study")]
 mod tune;
 
 pub use program::{command, main};

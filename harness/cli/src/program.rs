@@ -1,18 +1,15 @@
 //! Runs the program: parses arguments, calls the command, returns the exit code.
 
 use crate::args::{Arguments, Command};
-use crate::build_info;
 use crate::config::{self, Config};
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::{
-    accept, args, baseline, boards, check, compare, completions, emulate, explore, identify, judge, logging, man,
-    merge, new, replay, report, run, schema, soak, stdio, trust,
+    accept, args, baseline, boards, build_info, check, compare, completions, emulate, explore, identify, judge,
+    logging, man, merge, new, replay, report, run, schema, soak, stability, stdio, trust, tune,
 };
 #[cfg(feature = "export")]
 use crate::{campaign, export, export_fmu};
-#[cfg(feature = "study")]
-use crate::{chart, stability, tune};
 #[cfg(feature = "emulated")]
 use crate::{coverage, mutate};
 use clap::CommandFactory;
@@ -72,13 +69,9 @@ fn dispatch(arguments: &Arguments) -> CommandResult {
         Command::Boards(arguments) => boards::boards(arguments),
         #[cfg(feature = "export")]
         Command::Campaign(arguments) => campaign::campaign(arguments, quiet),
-        #[cfg(feature = "study")]
         Command::Stability(arguments) => stability::stability(arguments),
         Command::Identify(arguments) => identify::identify(arguments),
-        #[cfg(feature = "study")]
-        Command::Chart(arguments) => chart::chart(arguments, detail),
         Command::Accept(arguments) => accept::accept(arguments, quiet),
-        #[cfg(feature = "study")]
         Command::Tune(arguments) => tune::tune(arguments),
         #[cfg(feature = "export")]
         Command::Export(arguments) => export::export(arguments),

@@ -1,17 +1,17 @@
 //! `platebench stability`: predicts and measures where methods and loops become unstable.
 
-use crate::chart_page::write_page;
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{job_count, law_names, parse_number};
 use crate::plate_warnings::warn_of_plate;
 use crate::stdio;
 use clap::Args;
+use platebench_design::loops::StudyConfig;
+use platebench_design::stability::{build_chart, rig_delay};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::load::{load_plate, require_no_effects};
 use platebench_report::chart::RigDelay;
-use platebench_study::charts::stability::{build_chart, rig_delay};
-use platebench_study::loops::StudyConfig;
+use platebench_report::page::write_chart_page;
 use platebench_wire::LawId;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -73,10 +73,11 @@ fn analyse(arguments: &StabilityArgs) -> Result<String, Failure> {
         jobs: job_count(arguments.jobs),
         plate,
     };
-    let section = build_chart(&config, rig)?;
+    let section = build_chart(&config, rig).or_invalid()?;
     if let Some(folder) = &arguments.out {
         fs::create_dir_all(folder).or_invalid_at(folder)?;
-        write_page(folder, "stability.html", section.title, String::new(), std::slice::from_ref(&section))?;
+        write_chart_page(folder, "stability.html", section.title, String::new(), std::slice::from_ref(&section))
+            .or_invalid()?;
     }
     Ok(section.summary)
 }

@@ -2,6 +2,7 @@
 
 mod block_page;
 mod boards;
+mod chart_section;
 mod cost;
 mod curves;
 mod drawing;
@@ -27,6 +28,7 @@ mod trace_data;
 mod trend;
 
 pub use block_page::{AreaLink, BlockPage, LinkedDrawing, PageBlock};
+pub use chart_section::{ChartSection, write_chart_page};
 pub use elements::{scenario_anchor, verdict_badge};
 pub use frame::page_frame;
 pub use kept_rows::RowCache;

@@ -1,6 +1,6 @@
 use super::*;
-use platebench_study::integration::StepLimit;
-use platebench_study::integration::stability::step_limits;
+use platebench_design::integration::StepLimit;
+use platebench_design::integration::stability::step_limits;
 
 fn arguments(out: Option<&Path>) -> StabilityArgs {
     StabilityArgs {

@@ -4,12 +4,12 @@ use crate::board_args::BoardArgs;
 use crate::options::{OutputFormat, parse_number};
 use clap::builder::PossibleValuesParser;
 use clap::{ArgGroup, Args};
+use platebench_design::loops::Discretisation;
+use platebench_design::tuning::design::TuningTarget;
+use platebench_design::tuning::spread::PlateSpread;
 use platebench_model::scenario::{Diagnostic, read_text};
 use platebench_plate::{Plate, Uncertainty};
 use platebench_rig::RigSpec;
-use platebench_study::loops::Discretisation;
-use platebench_study::loops::tuning::design::TuningTarget;
-use platebench_study::loops::tuning::spread::PlateSpread;
 use platebench_wire::LawId;
 use std::path::{Path, PathBuf};
 

@@ -1,10 +1,10 @@
 //! Writes gains into a scenario file atomically. Comments and layout stay.
 
 use super::arguments::LAWS;
+use platebench_design::tuning::design::TuningTarget;
+use platebench_design::tuning::verification::shortest_decimal;
 use platebench_model::scenario::{Diagnostic, load, read_text};
 use platebench_plate::Time;
-use platebench_study::loops::tuning::design::TuningTarget;
-use platebench_study::loops::tuning::verification::shortest_decimal;
 use platebench_wire::{Gains, LawId};
 use std::fs;
 use std::io::Write;

@@ -1,0 +1,224 @@
+//! Compares cost and results of a run on rungs (levels of detail), from the linear plate to a real
+//! line.
+
+use crate::cost::median;
+use crate::error::ChartError;
+use crate::measured_run::{LOCKSTEP, MeasuredRun};
+use crate::scenes::models;
+use platebench_engine::{Clock, Pacing, TimeBase};
+use platebench_model::record::RunRecord;
+use platebench_model::scenario::{Metric, Scenario};
+use platebench_plate::Tier;
+use platebench_report::chart::{LogLogChart, LogLogSeries};
+use platebench_report::page::{ChartSection, PageBlock};
+use platebench_report::text::Table;
+use platebench_rig::RigSpec;
+
+const FILE: &str = "ladder.csv";
+/// Smaller differences are drawn at this value, because a logarithmic axis has no zero.
+const SMALLEST_DRAWN: f64 = 1e-9;
+const REAL_TIME: Clock = Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench });
+
+/// Metric, file of its chart, unit.
+const METRICS: [(Metric, &str, &str); 3] = [
+    (Metric::SettlingTime, "ladder-settling-time.svg", "ms"),
+    (Metric::Overshoot, "ladder-overshoot.svg", "percent"),
+    (Metric::StaticError, "ladder-static-error.svg", "percent"),
+];
+
+#[derive(Debug, Clone, PartialEq)]
+enum Rung {
+    Model(Tier),
+    Rig(RigSpec, Clock),
+}
+
+impl Rung {
+    /// The most detailed rung in lockstep, so the line adds no delay.
+    const REFERENCE: Self = Self::Rig(RigSpec::Emulated(None), LOCKSTEP);
+
+    fn name(&self) -> String {
+        match self {
+            Self::Model(tier) => format!("hosted, {} plate", tier.name()),
+            Self::Rig(rig, Clock::Lockstep { .. }) => format!("{}, lockstep", kind(rig)),
+            Self::Rig(rig, _) => format!("{}, real time", kind(rig)),
+        }
+    }
+
+    const fn question(&self) -> &'static str {
+        match self {
+            Self::Model(Tier::Linear) => "Roughly how large and how fast, without detuning?",
+            Self::Model(Tier::Envelope) => "Which law, gains, period and delay work?",
+            Self::Model(Tier::Modal) => "Does the control law pass?",
+            Self::Model(Tier::Carrier) => "Does it pass with converter and demodulator?",
+            Self::Rig(RigSpec::Emulated(_), _) => "Does the firmware image pass, as compiled?",
+            Self::Rig(_, Clock::Lockstep { .. }) => "Does this controller program pass?",
+            Self::Rig(..) => "Does it pass with the delay of its line?",
+        }
+    }
+
+    fn play(&self, scenarios: &[Scenario]) -> Result<Option<MeasuredRun>, ChartError> {
+        let (own, rig, clock): (Vec<Scenario>, _, _) = match self {
+            Self::Model(tier) => {
+                let own = scenarios.iter().filter(|scenario| models(scenario).contains(tier));
+                (own.map(|scenario| Scenario { tier: *tier, ..scenario.clone() }).collect(), &RigSpec::Hosted, LOCKSTEP)
+            }
+            Self::Rig(rig, clock) => (scenarios.to_vec(), rig, *clock),
+        };
+        if own.is_empty() { Ok(None) } else { MeasuredRun::play(own, rig, clock).map(Some) }
+    }
+}
+
+fn kind(rig: &RigSpec) -> String {
+    rig.to_string().split(':').next().unwrap_or_default().to_owned()
+}
+
+struct RungResult {
+    rung: Rung,
+    scenarios: usize,
+    /// Processor time per control period, median over rounds.
+    period_us: f64,
+    changed_verdicts: usize,
+    /// Largest difference from the reference rung, per metric of [`METRICS`].
+    differences: [f64; METRICS.len()],
+}
+
+/// Plays `scenarios` on every rung. Each of `rigs` adds a rung in lockstep and one in real time.
+pub fn build_chart(scenarios: &[Scenario], rounds: u32, rigs: &[RigSpec]) -> Result<ChartSection, ChartError> {
+    let mut rungs: Vec<Rung> = Tier::ALL.map(Rung::Model).into();
+    rungs.push(Rung::REFERENCE);
+    for rig in rigs {
+        rungs.extend([LOCKSTEP, REAL_TIME].map(|clock| Rung::Rig(rig.clone(), clock)));
+    }
+    let mut runs: Vec<(Rung, RunRecord, Vec<f64>)> = Vec::new();
+    // Measures the rungs in turn, so that other load affects all of them equally.
+    for _ in 0..rounds.max(1) {
+        for rung in &rungs {
+            let Some(MeasuredRun { record, period_us }) = rung.play(scenarios)? else { continue };
+            match runs.iter_mut().find(|(known, ..)| known == rung) {
+                Some((.., costs)) => costs.push(period_us),
+                None => runs.push((rung.clone(), record, vec![period_us])),
+            }
+        }
+    }
+    let Some(reference) = runs.iter().find(|(rung, ..)| *rung == Rung::REFERENCE).map(|(_, record, _)| record.clone())
+    else {
+        return section(&[]);
+    };
+    let results: Vec<_> =
+        runs.into_iter().map(|(rung, record, costs)| RungResult::new(rung, &record, &reference, costs)).collect();
+    section(&results)
+}
+
+impl RungResult {
+    fn new(rung: Rung, record: &RunRecord, reference: &RunRecord, costs: Vec<f64>) -> Self {
+        let mut differences = [0.0_f64; METRICS.len()];
+        let mut changed_verdicts = 0;
+        for own in &record.scenarios {
+            let Some(detailed) = reference.scenarios.iter().find(|scene| scene.file == own.file) else { continue };
+            changed_verdicts += usize::from(own.verdict != detailed.verdict);
+            for (one, other) in own.expectations.iter().zip(&detailed.expectations) {
+                let place = METRICS.iter().position(|(metric, ..)| *metric == one.metric);
+                let Some(largest) = place.and_then(|place| differences.get_mut(place)) else { continue };
+                if let (Some(one), Some(other)) = (one.value, other.value) {
+                    *largest = largest.max((one - other).abs());
+                }
+            }
+        }
+        Self { rung, scenarios: record.scenarios.len(), period_us: median(costs), changed_verdicts, differences }
+    }
+}
+
+const EXPLANATION: [&str; 2] = [
+    "Every rung plays the scenarios and judges them. The cost is processor time of the whole run per control period: \
+     plate, controller, trace and judgement. The difference is that from the emulated firmware, the most detailed rung \
+     whose line adds no delay: the largest one of the expectations with this metric. An expectation without a number \
+     on one of the two rungs adds no difference, but may change the verdict.",
+    "A rung in real time adds the delay of its line, which no other rung has. Its difference is the effect of that \
+     delay.",
+];
+
+fn section(results: &[RungResult]) -> Result<ChartSection, ChartError> {
+    let table = rung_table(results);
+    let summary = ChartSection::indented(&table);
+    let mut files = vec![(FILE.to_owned(), numbers(results).csv())];
+    let mut blocks = ChartSection::paragraphs(&EXPLANATION);
+    blocks.push(PageBlock::Table(table));
+    for (place, (metric, file, unit)) in METRICS.into_iter().enumerate() {
+        let svg = drawing(results, place, metric, unit).svg()?;
+        blocks.push(PageBlock::Drawings(vec![(svg.clone(), format!("{}: difference against cost", metric.name()))]));
+        files.push((file.to_owned(), svg));
+    }
+    blocks.push(PageBlock::File(FILE.to_owned()));
+    Ok(ChartSection {
+        title: "Rungs: cost of a run against its difference from the emulated firmware",
+        summary,
+        blocks,
+        files,
+    })
+}
+
+fn rung_table(results: &[RungResult]) -> Table {
+    let mut table = Table::new([
+        "rung",
+        "scenarios",
+        "CPU time per control period",
+        "settling time",
+        "overshoot",
+        "static error",
+        "changed verdicts",
+        "answers",
+    ]);
+    for result in results {
+        let [settling, overshoot, error] = result.differences;
+        table.rows.push(vec![
+            result.rung.name(),
+            result.scenarios.to_string(),
+            format!("{:.2} µs", result.period_us),
+            format!("{settling:.2e} ms"),
+            format!("{overshoot:.2e} %"),
+            format!("{error:.2e} %"),
+            result.changed_verdicts.to_string(),
+            result.rung.question().to_owned(),
+        ]);
+    }
+    table
+}
+
+fn numbers(results: &[RungResult]) -> Table {
+    let mut table = Table::new([
+        "rung",
+        "scenarios",
+        "cpu_us_per_period",
+        "settling_time_ms",
+        "overshoot_percent",
+        "static_error_percent",
+        "changed_verdicts",
+    ]);
+    for result in results {
+        let mut row = vec![result.rung.name(), result.scenarios.to_string(), result.period_us.to_string()];
+        row.extend(result.differences.map(|difference| difference.to_string()));
+        row.push(result.changed_verdicts.to_string());
+        table.rows.push(row);
+    }
+    table
+}
+
+fn drawing(results: &[RungResult], place: usize, metric: Metric, unit: &str) -> LogLogChart {
+    let series = |result: &RungResult| {
+        let difference = result.differences.get(place).copied().unwrap_or_default();
+        LogLogSeries {
+            name: result.rung.name(),
+            points: vec![(result.period_us, difference.max(SMALLEST_DRAWN))],
+            failed: Vec::new(),
+            is_highlighted: result.rung == Rung::REFERENCE,
+        }
+    };
+    LogLogChart {
+        title: format!("{} on every rung; no difference is drawn at 1e-9", metric.name()),
+        x_label: "processor time per control period, µs".to_owned(),
+        y_label: format!("largest difference from the emulated firmware, {unit}"),
+        series: results.iter().map(series).collect(),
+        vertical_line: None,
+        failed_label: String::new(),
+    }
+}

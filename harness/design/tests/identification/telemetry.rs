@@ -1,0 +1,75 @@
+//! Checks the units of CSV tables from other programs, and their errors with line and column.
+
+use platebench_model::external_csv;
+use platebench_model::external_csv::ColumnMapping;
+use rstest::rstest;
+use std::f64::consts::TAU;
+
+const HEADER: &str = "t,V,f,Wd,Wq,T";
+const COLUMNS: &str = "time=t:ms,drive=V:Vpp,frequency=f:kHz,wd=Wd:nm,wq=Wq:nm,temperature=T:K";
+
+fn step_table() -> Vec<String> {
+    let row = |k: u32| {
+        let (vpp, wd) = if k < 2 { (0.0, 0.0) } else { (300.0, 2094.0 * (1.0 - (-f64::from(k - 2) / 1.88).exp())) };
+        format!("{k},{vpp},32.3076,{wd:.3},0.5,1.5")
+    };
+    std::iter::once(HEADER.to_owned()).chain((0..30).map(row)).collect()
+}
+
+fn read_error(lines: &[String]) -> String {
+    external_csv::read("plate.csv", lines.join("\n").as_bytes(), &COLUMNS.parse().unwrap()).unwrap_err().to_string()
+}
+
+#[test]
+fn units_are_converted() {
+    let recording =
+        external_csv::read("plate.csv", step_table().join("\n").as_bytes(), &COLUMNS.parse().unwrap()).unwrap();
+    assert_eq!((recording.outputs.len(), recording.inputs.len()), (30, 2), "inputs that change nothing are dropped");
+    let step = recording.inputs[1];
+    assert!((step.t - 2e-3).abs() < 1e-15 && step.vpp == 300.0 && (step.omega - TAU * 32_307.6).abs() < 1e-6);
+    assert_eq!(step.conditions.temperature_offset_k, 1.5);
+    assert!((recording.outputs[29].w.re - 2.094).abs() < 1e-3 && (recording.outputs[29].w.im - 5e-4).abs() < 1e-12);
+    let fit = platebench_design::identify::fit_direct(&recording).unwrap();
+    assert!(
+        (fit.gain.value - 0.006_98).abs() < 1e-5 && (fit.time_constants[0].1.value - 1.88e-3).abs() < 1e-5,
+        "{fit:?}"
+    );
+}
+
+#[rstest]
+#[case(5, "x,300,32.3,1,0,0", ":6: column 1 (`t`) is `x`, expected a finite number")]
+#[case(5, "4,300,32.3,NaN,0,0", ":6: column 4 (`Wd`) is `NaN`, expected a finite number")]
+#[case(5, "4,-1,32.3,1,0,0", ":6: column 2 (`V`) is `-1`, expected 0 or more")]
+#[case(5, "4,300,0,1,0,0", ":6: column 3 (`f`) is `0`, expected a frequency above 0")]
+#[case(5, "3,300,32.3,1,0,0", ":6: column 1 (`t`) is `3`, expected a time after that of the row above")]
+#[case(0, "t,V,f,Wd,W_q,T", ":1: no column `Wq` in: t, V, f, Wd, W_q, T")]
+fn rejects_a_bad_cell_with_its_line(#[case] line: usize, #[case] text: &str, #[case] message: &str) {
+    let mut lines = step_table();
+    text.clone_into(&mut lines[line]);
+    assert_eq!(read_error(&lines), format!("plate.csv{message}"));
+}
+
+#[test]
+fn rejects_an_unusable_recording() {
+    let lines = step_table();
+    assert!(read_error(&lines[..8]).contains("7 samples at control instants, expected at least 8"));
+    external_csv::read("", lines[..9].join("\n").as_bytes(), &COLUMNS.parse().unwrap()).unwrap();
+    let resting: Vec<String> = lines.iter().map(|line| line.replace(",300,", ",0,")).collect();
+    assert!(read_error(&resting).contains("the drive is 0 V in the whole recording"));
+    let mut short = lines.clone();
+    "4,300".clone_into(&mut short[5]);
+    assert!(read_error(&short).starts_with("plate.csv:6: "), "{}", read_error(&short));
+}
+
+#[rstest]
+#[case("time=t:s,drive=V:V,frequency=f:Hz,wd=Wd:um", "no column for the role wq, expected wq=COLUMN:UNIT")]
+#[case("time=t:s,drive=V:V,frequency=f:Hz,wd=Wd:um,wq=Wq:um,speed=v", "`speed`, expected a role of time, drive")]
+#[case("time=t:min,drive=V:V,frequency=f:Hz,wd=Wd:um,wq=Wq:um", "unit `min` of time, expected s or ms or us")]
+#[case("time=t:ms,drive=V", "`drive=V` names the column `V` without its unit, expected drive=V:UNIT with Vpp or V")]
+#[case("time=t:ms,drive=:V", "`drive=:V` names no column, expected drive=COLUMN:V")]
+#[case("time=t:s,time=u:s,drive=V:V,frequency=f:Hz,wd=Wd:um,wq=Wq:um", "two columns for the role time")]
+#[case("t,V", "`t`, expected ROLE=COLUMN:UNIT")]
+fn rejects_invalid_column_mappings(#[case] text: &str, #[case] message: &str) {
+    let error = text.parse::<ColumnMapping>().unwrap_err();
+    assert!(error.starts_with(message), "{error}");
+}
