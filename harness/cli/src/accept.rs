@@ -12,12 +12,12 @@ use crate::prompt::TerminalOperator;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
 use clap::{Args, Subcommand};
-use platebench_acceptance::{
+use platebench_engine::{CancelToken, RunError};
+use platebench_lab::acceptance::{
     AcceptError, Plan, PublicKey, SecretKey, SessionConfig, SessionDetails, SessionHooks, SessionRecord, Signer, page,
     play_session, verify,
 };
-use platebench_boards::BoardOutcome;
-use platebench_engine::{CancelToken, RunError};
+use platebench_lab::boards::BoardOutcome;
 use platebench_model::record::Verdict;
 use platebench_report::ProgressKind;
 use platebench_rig::RigSpec;
@@ -158,7 +158,7 @@ fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, fo
         Err(error) => {
             let is_resumable = is_resumable(&error);
             let exit = Failure::from(error).report();
-            if folder.join(platebench_acceptance::session_record::FILE).exists() && is_resumable {
+            if folder.join(platebench_lab::acceptance::session_record::FILE).exists() && is_resumable {
                 stdio::note(&format!("continue with the same command and --resume {}", folder.display()));
             }
             signal.map_or(exit, Exit::Signal)

@@ -6,7 +6,7 @@ use crate::options::parse_seconds;
 use crate::shutdown::{self, received_signal};
 use crate::stdio;
 use clap::Args;
-use platebench_boards::{Board, BoardError, BoardOutcome, Inventory, Reservation};
+use platebench_lab::boards::{Board, BoardError, BoardOutcome, Inventory, Reservation};
 use platebench_rig::RigSpec;
 use std::path::PathBuf;
 use std::time::Duration;

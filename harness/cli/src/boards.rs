@@ -5,7 +5,7 @@ use crate::failure::CommandResult;
 use crate::options::OutputFormat;
 use crate::stdio;
 use clap::{Args, Subcommand};
-use platebench_boards::{Inventory, clear, list, status_table};
+use platebench_lab::boards::{Inventory, clear, list, status_table};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]

@@ -7,12 +7,12 @@ use crate::options::{OutputFormat, SCENARIOS};
 use crate::selection::TagFilter;
 use crate::stdio;
 use clap::{Args, Command};
-use platebench_acceptance::Plan;
-use platebench_boards::Inventory;
 use platebench_engine::law;
 #[cfg(feature = "export")]
 use platebench_experiments::campaign::Campaign;
 use platebench_experiments::explore::Envelope;
+use platebench_lab::acceptance::Plan;
+use platebench_lab::boards::Inventory;
 use platebench_model::scenario::{
     Diagnostic, FileKind, list_files, load, load_with_all_errors, plate_warnings, read_requirements, repeated_names,
     unjudged_changes,

@@ -9,10 +9,10 @@ use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalle
 use crate::{live, stdio};
 use clap::Args;
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
-use platebench_boards::BoardOutcome;
 use platebench_engine::real_time::{Consumer, EmulationEnd, emulate_plate as play};
 use platebench_engine::trial::TrialSpec;
 use platebench_engine::{CancelToken, LiveTap, ManualControl, ManualInputs, TimeBase};
+use platebench_lab::boards::BoardOutcome;
 use platebench_model::scenario::{Scenario, load};
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::Time;

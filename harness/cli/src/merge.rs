@@ -5,7 +5,7 @@ use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat};
 use crate::stdio;
 use clap::Args;
-use platebench_boards::{MergeError, merge_runs};
+use platebench_lab::boards::{MergeError, merge_runs};
 use platebench_model::record::{RunFolder, RunRecord};
 use platebench_report::page::{self, ReportPage};
 use platebench_report::text::board_matrix::{difference_table, missing_shards, verdict_matrix};

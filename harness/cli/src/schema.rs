@@ -6,11 +6,11 @@ use crate::exit::Exit;
 use crate::failure::{CommandResult, OrInvalid};
 use crate::stdio;
 use clap::{Args, ValueEnum};
-use platebench_acceptance::plan::plan_schema;
-use platebench_boards::RawInventory;
 #[cfg(feature = "export")]
 use platebench_experiments::campaign::RawCampaign;
 use platebench_experiments::explore::RawEnvelope;
+use platebench_lab::acceptance::plan::plan_schema;
+use platebench_lab::boards::RawInventory;
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::schema;
 use platebench_model::trace::write_atomically;

@@ -10,7 +10,7 @@ use crate::test_folder::{
 use ed25519_dalek::SigningKey;
 use ed25519_dalek::pkcs8::spki::der::pem::LineEnding;
 use ed25519_dalek::pkcs8::{EncodePrivateKey, EncodePublicKey};
-use platebench_acceptance::{Plan, SessionRecord};
+use platebench_lab::acceptance::{Plan, SessionRecord};
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Limit;
 use rstest::rstest;

@@ -28,12 +28,12 @@ const LEVELS: [(&str, u8); 25] = [
     ("harness/design", 5),
     ("harness/experiments/src/explore", 6),
     ("harness/experiments/src/campaign", 5),
-    ("harness/boards", 5),
+    ("harness/lab/src/boards", 5),
     ("harness/experiments/src/trust", 5),
     ("harness/experiments/src/firmware_analysis", 5),
     ("harness/report/src/live", 5),
     ("harness/native-tests", 5),
-    ("harness/acceptance", 6),
+    ("harness/lab/src/acceptance", 6),
     ("harness/cli", 7),
 ];
 

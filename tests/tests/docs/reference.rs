@@ -53,7 +53,7 @@ fn the_key_reference_matches_the_loader() {
         ("Plate file", &["harness/plate/src/effects.rs", "harness/plate/src/effects"], "RawPlate"),
         (
             "Plan of an acceptance session",
-            &["harness/acceptance/src/plan.rs", "harness/model/src/scenario/requirements.rs"],
+            &["harness/lab/src/acceptance/plan.rs", "harness/model/src/scenario/requirements.rs"],
             "RawPlan",
         ),
     ] {

@@ -2,9 +2,9 @@
 
 use crate::live::SessionView;
 use crate::stdio;
-use platebench_acceptance::SessionObserver;
-use platebench_acceptance::session_record::{StepKind, StepRecord};
 use platebench_engine::{Event, LiveTap, RunPlan};
+use platebench_lab::acceptance::SessionObserver;
+use platebench_lab::acceptance::session_record::{StepKind, StepRecord};
 use platebench_report::format::count;
 use platebench_report::{Progress, ProgressKind};
 

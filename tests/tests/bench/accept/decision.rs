@@ -2,7 +2,7 @@
 
 use super::{plan_text, read_session_record, run_session, session_folder, verify};
 use crate::test_folder::{TestFolder, run_bench, workspace_root};
-use platebench_acceptance::SessionRecord;
+use platebench_lab::acceptance::SessionRecord;
 use platebench_model::record::Verdict;
 use rstest::rstest;
 

@@ -2,7 +2,7 @@
 
 use super::{copy_folder, plan_text, read_session_record, run_session, session_folder, verify};
 use crate::test_folder::{ChildGuard, TestFolder, bench_command, controller_rig, step_text, wait_until};
-use platebench_acceptance::SessionRecord;
+use platebench_lab::acceptance::SessionRecord;
 use platebench_model::record::Verdict;
 use platebench_test_kit::open_terminal;
 use std::fs::{self, File, OpenOptions};

@@ -1,6 +1,6 @@
 //! Renders `record.html`: a session on one page to read, print and sign.
 
-use crate::session_record::{EvidenceRecord, RequirementRecord, STEPS, SessionRecord, StepRecord};
+use crate::acceptance::session_record::{EvidenceRecord, RequirementRecord, STEPS, SessionRecord, StepRecord};
 use maud::{Markup, html};
 use platebench_model::record::Verdict;
 use platebench_report::page::{page_frame, verdict_badge};

@@ -1,6 +1,6 @@
 //! Defines `session.json`, the state of a session.
 
-use crate::error::AcceptError;
+use crate::acceptance::error::AcceptError;
 use platebench_model::record::{Firmware, Host, InputRecord, Quantiles, Tool, Verdict};
 use platebench_model::trace::{AtPath, FileError, read_regular_file, write_atomically};
 use platebench_rig::RigSpec;

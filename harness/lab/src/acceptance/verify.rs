@@ -2,12 +2,12 @@
 //! signature, and the verdicts with traces that it judges again. Without a signature, a changed
 //! file with a matching new manifest is found only if it contradicts the traces.
 
-use crate::error::AcceptError;
-use crate::judge::judge_requirements;
-use crate::manifest::{self, Difference};
-use crate::plan;
-use crate::session_record::{BUDGET, FILE, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind};
-use crate::signature::{self, PublicKey};
+use crate::acceptance::error::AcceptError;
+use crate::acceptance::judge::judge_requirements;
+use crate::acceptance::manifest::{self, Difference};
+use crate::acceptance::plan;
+use crate::acceptance::session_record::{BUDGET, FILE, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind};
+use crate::acceptance::signature::{self, PublicKey};
 use platebench_engine::{RejudgeError, rejudge};
 use platebench_model::record::sha256;
 use platebench_model::record::{self as record, RunRecord};

@@ -1,9 +1,9 @@
 //! Lists boards with their state, and ends a quarantine.
 
-use crate::board_lock::BoardFiles;
-use crate::error::BoardError;
-use crate::inventory::{Board, Inventory};
-use crate::state::{LastRun, Quarantine, StoredState};
+use crate::boards::board_lock::BoardFiles;
+use crate::boards::error::BoardError;
+use crate::boards::inventory::{Board, Inventory};
+use crate::boards::state::{LastRun, Quarantine, StoredState};
 use platebench_report::text::Table;
 use serde::Serialize;
 

@@ -1,8 +1,8 @@
 //! Asks a question of the plan and records the answer.
 
-use crate::error::AcceptError;
-use crate::plan::{AnswerKind, Ask, QuestionTime};
-use crate::session_record::{AnswerRecord, StepRecord};
+use crate::acceptance::error::AcceptError;
+use crate::acceptance::plan::{AnswerKind, Ask, QuestionTime};
+use crate::acceptance::session_record::{AnswerRecord, StepRecord};
 use platebench_engine::{Answer, CancelToken, Operator, Question, QuestionKind};
 use platebench_model::record::Verdict;
 use platebench_rig::RigSpec;
@@ -55,7 +55,7 @@ pub(crate) fn ask_operator(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session_record::StepKind;
+    use crate::acceptance::session_record::StepKind;
     use rstest::rstest;
 
     struct FixedAnswer(Answer);

@@ -1,6 +1,6 @@
 //! Joins the runs of shards and boards into one run folder.
 
-use crate::board_differences::differences;
+use crate::boards::board_differences::differences;
 use platebench_engine::rejudge::check_trace;
 use platebench_engine::{RejudgeError, rejudge};
 use platebench_model::record::{

@@ -1,7 +1,7 @@
 //! Derives a verdict for each requirement and one for the session from stored runs.
 
-use crate::decision::PlanDecision;
-use crate::session_record::{EvidenceRecord, RequirementRecord, StepRecord};
+use crate::acceptance::decision::PlanDecision;
+use crate::acceptance::session_record::{EvidenceRecord, RequirementRecord, StepRecord};
 use platebench_model::record::{ExpectationRecord, RunRecord, Verdict};
 use platebench_model::scenario::Requirement;
 use platebench_report::format;

@@ -1,6 +1,6 @@
 //! Reads and checks `boards.toml`.
 
-use crate::error::BoardError;
+use crate::boards::error::BoardError;
 use jiff::civil::Date;
 use platebench_model::scenario::{Diagnostic, find_file_above, parse_file};
 use platebench_rig::RigSpec;

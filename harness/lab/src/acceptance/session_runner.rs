@@ -7,22 +7,22 @@
 //!
 //! A resumed session repeats the interrupted step, but no step that is done.
 
-use crate::ask::ask_operator;
-use crate::config::{SessionConfig, SessionHooks};
-use crate::error::AcceptError;
-use crate::judge::judge_requirements;
-use crate::plan::PlannedScenario;
-use crate::provenance::{
+use crate::acceptance::ask::ask_operator;
+use crate::acceptance::config::{SessionConfig, SessionHooks};
+use crate::acceptance::error::AcceptError;
+use crate::acceptance::judge::judge_requirements;
+use crate::acceptance::plan::PlannedScenario;
+use crate::acceptance::provenance::{
     changed_error, check_run_hashes, check_same_firmware, check_unchanged, format_firmware, image_sha256,
     new_session_record, run_sha256,
 };
-use crate::scenario_run::ScenarioRun;
-use crate::session_record::{
+use crate::acceptance::scenario_run::ScenarioRun;
+use crate::acceptance::session_record::{
     Attempt, BUDGET, FILE, FirmwareRecord, PLAN, STEPS, SessionDetails, SessionRecord, SignatureRecord, StepKind,
     StepRecord, write_file,
 };
-use crate::steps::{StepAction, step_actions};
-use crate::{manifest, page, self_test, signature};
+use crate::acceptance::steps::{StepAction, step_actions};
+use crate::acceptance::{manifest, page, self_test, signature};
 use platebench_engine::{Clock, Question, QuestionKind, RunError};
 use platebench_model::record::{Firmware, RunRecord, Verdict, to_hex, utc_timestamp};
 use platebench_model::trace::{AtPath, read_regular_file, remove_temporary_files, sync_tree};

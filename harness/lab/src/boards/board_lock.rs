@@ -1,7 +1,7 @@
 //! Locks a board and its debug probe through lock files in the state folder.
 
-use crate::error::BoardError;
-use crate::inventory::{Board, Inventory};
+use crate::boards::error::BoardError;
+use crate::boards::inventory::{Board, Inventory};
 use platebench_model::trace::AtPath;
 use platebench_rig::{LockHolder, port_lock};
 use std::fs::{self, File};

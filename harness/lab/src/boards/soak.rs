@@ -1,8 +1,8 @@
 //! Plays scenarios in rotation for hours (soak test). Each round has new seeds, and the record has
 //! a bounded size.
 
-use crate::run_end::BoardOutcome;
-use crate::soak_record::{SOAK_FILE, SoakEnd, SoakRecord};
+use crate::boards::run_end::BoardOutcome;
+use crate::boards::soak_record::{SOAK_FILE, SoakEnd, SoakRecord};
 use platebench_engine::plan::LinkFactory;
 use platebench_engine::{CancelToken, RunError, RunHooks, RunPlan, rejudge, run};
 use platebench_model::record::{FileLock, FolderError, RunFolder, RunRecord, Verdict};

@@ -1,6 +1,6 @@
 //! Decides after a run whether the board goes into quarantine.
 
-use crate::state::LastRun;
+use crate::boards::state::LastRun;
 use platebench_engine::RunError;
 use platebench_model::record::{RECORD_FILE, RunRecord};
 use std::fs;

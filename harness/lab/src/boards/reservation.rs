@@ -6,11 +6,11 @@
 //!                              process ends, power cut     └──▶ quarantine: the mark has no holder
 //! ```
 
-use crate::board_lock::{BoardFiles, BoardLock};
-use crate::error::BoardError;
-use crate::inventory::{Board, Inventory};
-use crate::run_end::BoardOutcome;
-use crate::state::{Quarantine, StoredState};
+use crate::boards::board_lock::{BoardFiles, BoardLock};
+use crate::boards::error::BoardError;
+use crate::boards::inventory::{Board, Inventory};
+use crate::boards::run_end::BoardOutcome;
+use crate::boards::state::{Quarantine, StoredState};
 use platebench_model::record::{to_hex, utc_timestamp};
 use platebench_rig::{CancelToken, ConnectOptions, Session};
 use std::thread::sleep;

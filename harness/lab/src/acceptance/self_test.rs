@@ -1,11 +1,11 @@
 //! Tests the bench: timing, repeatability, and the share of faulty controllers that the plan's
 //! scenarios catch.
 
-use crate::config::SessionHooks;
-use crate::error::AcceptError;
-use crate::plan::Plan;
-use crate::scenario_run::ScenarioRun;
-use crate::session_record::{SelfTestRecord, StepRecord, TrustRecord, write_file};
+use crate::acceptance::config::SessionHooks;
+use crate::acceptance::error::AcceptError;
+use crate::acceptance::plan::Plan;
+use crate::acceptance::scenario_run::ScenarioRun;
+use crate::acceptance::session_record::{SelfTestRecord, StepRecord, TrustRecord, write_file};
 use platebench_engine::{CancelToken, Clock, Pacing, TimeBase};
 use platebench_experiments::trust::report::{CONFIDENCE, MutantOutcome, Rate};
 use platebench_model::record::{Quantiles, RunRecord, Verdict};

@@ -1,9 +1,9 @@
 //! Lists the SHA-256 of every file of a record except the manifest and its signature, in the format
 //! of `sha256sum -c`.
 
-use crate::error::AcceptError;
-use crate::session_record::write_file;
-use crate::signature;
+use crate::acceptance::error::AcceptError;
+use crate::acceptance::session_record::write_file;
+use crate::acceptance::signature;
 use platebench_model::record::sha256_of_file;
 use platebench_model::trace::{AtPath, FileError};
 use std::collections::{BTreeMap, BTreeSet};

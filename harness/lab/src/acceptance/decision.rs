@@ -1,7 +1,9 @@
 //! Applies the plan's decision rule to evidence, and checks calibrations before a session.
 
-use crate::error::AcceptError;
-use crate::session_record::{BUDGET, DecisionRecord, EvidenceRecord, EvidenceUncertainty, InstrumentRecord};
+use crate::acceptance::error::AcceptError;
+use crate::acceptance::session_record::{
+    BUDGET, DecisionRecord, EvidenceRecord, EvidenceUncertainty, InstrumentRecord,
+};
 use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;

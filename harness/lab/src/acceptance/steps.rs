@@ -1,7 +1,7 @@
 //! Lists the steps of a session.
 
-use crate::plan::{Ask, Plan, PlannedScenario, QuestionTime};
-use crate::session_record::{StepKind, StepRecord};
+use crate::acceptance::plan::{Ask, Plan, PlannedScenario, QuestionTime};
+use crate::acceptance::session_record::{StepKind, StepRecord};
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum StepAction<'a> {

@@ -1,6 +1,6 @@
 //! Stores the state of a board so that it survives a power cut.
 
-use crate::error::BoardError;
+use crate::boards::error::BoardError;
 use platebench_model::record::{Verdict, utc_timestamp};
 use platebench_model::trace::{AtPath, FileError, read_text_file, write_atomically};
 use serde::{Deserialize, Serialize};

@@ -1,6 +1,6 @@
 //! Reads the plan of a session: requirements, scenarios, questions.
 
-use crate::decision::PlanDecision;
+use crate::acceptance::decision::PlanDecision;
 use platebench_model::scenario::{Diagnostic, Limit, Requirement, Scenario, find, parse_bytes, parse_file, schema};
 use platebench_verdict::uncertainty::{Budget, DecisionRule, known_quantities};
 use schemars::{JsonSchema, Schema};

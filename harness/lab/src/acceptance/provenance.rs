@@ -1,11 +1,11 @@
 //! Records bench, rig, plan, inputs and firmware at the start of a session, and checks that a
 //! resumed session has the same ones.
 
-use crate::config::SessionConfig;
-use crate::decision::today;
-use crate::error::AcceptError;
-use crate::session_record::{BenchRecord, ClockRecord, FORMAT, FirmwareRecord, PLAN, STEPS, SessionRecord};
-use crate::steps::step_records;
+use crate::acceptance::config::SessionConfig;
+use crate::acceptance::decision::today;
+use crate::acceptance::error::AcceptError;
+use crate::acceptance::session_record::{BenchRecord, ClockRecord, FORMAT, FirmwareRecord, PLAN, STEPS, SessionRecord};
+use crate::acceptance::steps::step_records;
 use platebench_engine::{Clock, Pacing};
 use platebench_model::record::{
     self as record, Firmware, Host, InputRecord, Tool, Verdict, sha256, sha256_of_file, utc_timestamp,

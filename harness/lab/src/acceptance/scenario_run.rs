@@ -1,7 +1,7 @@
 //! Plays one scenario of a session into its own run folder.
 
-use crate::config::SessionHooks;
-use crate::error::AcceptError;
+use crate::acceptance::config::SessionHooks;
+use crate::acceptance::error::AcceptError;
 use platebench_engine::{Clock, RunError, RunHooks, RunPlan, rejudge, run};
 use platebench_model::record::{Overrides, RunFolder, RunRecord};
 use platebench_model::scenario::Scenario;

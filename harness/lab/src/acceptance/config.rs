@@ -1,8 +1,8 @@
 //! Describes a session: plan, rig, record folder, operator and observer.
 
-use crate::plan::Plan;
-use crate::session_record::{SessionDetails, StepRecord};
-use crate::signature::SecretKey;
+use crate::acceptance::plan::Plan;
+use crate::acceptance::session_record::{SessionDetails, StepRecord};
+use crate::acceptance::signature::SecretKey;
 use platebench_engine::{CancelToken, Clock, Event, LiveTap, Operator, RunPlan};
 use platebench_rig::RigSpec;
 use std::path::PathBuf;

@@ -2,7 +2,7 @@
 //! Keys have the PEM formats of OpenSSL: PKCS #8 and SPKI. `openssl pkeyutl -verify -rawin` also
 //! checks a signature.
 
-use crate::error::AcceptError;
+use crate::acceptance::error::AcceptError;
 use ed25519_dalek::pkcs8::spki::der::pem::{LineEnding, decode_label};
 use ed25519_dalek::pkcs8::{DecodePrivateKey, DecodePublicKey, EncodePublicKey};
 use ed25519_dalek::{Signature, Signer as _, SigningKey, VerifyingKey};

@@ -1,0 +1,4 @@
+//! Runs a lab: acceptance sessions with a person, and several boards.
+
+pub mod acceptance;
+pub mod boards;
