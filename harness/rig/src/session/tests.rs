@@ -460,7 +460,7 @@ fn doubled_answers_are_no_invented_confirmation() {
     session.send_sample(Duration::from_millis(1), &AT_REST).unwrap().unwrap();
     // The sample, the request for 0 V, and the sample in the state *safe*.
     assert_eq!((session.second_replies(), session.contradictions()), (3, 0));
-    assert_eq!((session.unrequested_confirmations(), session.drives_after_safe()), (0, 0));
+    assert_eq!((session.unrequested_confirmations(), session.observe_safe_state()), (0, None));
 }
 
 #[test]
