@@ -237,7 +237,6 @@ impl Flow {
 }
 
 impl ExponentialSum<2> for Flow {
-    #[inline]
     fn after(&self, seconds: f64) -> State {
         self.after(seconds)
     }

@@ -2,6 +2,7 @@
 
 use crate::profile::Profile;
 use crate::time::Time;
+use std::array;
 
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Conditions {
@@ -17,13 +18,17 @@ pub struct ConditionProfiles {
 }
 
 impl ConditionProfiles {
-    #[expect(clippy::inline_always, reason = "ci/counts: 5 % of a step with a ramp")]
-    #[inline(always)]
     pub fn at(&self, time: Time) -> Conditions {
-        Conditions {
-            temperature_offset_k: self.temperature_offset_k.at(time),
-            finger_force_n: self.finger_force_n.at(time),
-        }
+        let [conditions] = self.at_each([time]);
+        conditions
+    }
+
+    /// Conditions at increasing `times`. No profile may have a point after the first one up to the
+    /// last one.
+    pub(crate) fn at_each<const N: usize>(&self, times: [Time; N]) -> [Conditions; N] {
+        let offsets = self.temperature_offset_k.at_each(times);
+        let forces = self.finger_force_n.at_each(times);
+        array::from_fn(|n| Conditions { temperature_offset_k: offsets[n], finger_force_n: forces[n] })
     }
 
     pub fn next_point_after(&self, time: Time) -> Option<Time> {

@@ -46,7 +46,7 @@ struct SmoothInterval {
     end: Time,
     /// Upper bound on |λ'|, rad/s².
     rate: f64,
-    /// Mode at the start of the interval; it is constant if `rate` is 0.
+    /// Mode at the start of the interval; without effects it is constant if `rate` is 0.
     mode: Mode,
 }
 
@@ -193,14 +193,13 @@ impl Plant {
     }
 
     /// Advances by substeps while the conditions change the mode.
-    #[inline]
     fn advance_changing(&mut self, rate: f64, end: Time, bands: &mut BandSearch<'_>) {
         let (longest, is_fast) = self
             .longest_substep(rate, |frequency| self.max_varying_substep(rate, frequency, self.pole_norm(frequency)));
         for end in split_interval(self.time, end, longest) {
             // A parabola needs three different instants; less than 3 ns do not contain them.
             if is_fast || (end - self.time).as_nanos() < 3 {
-                let mode = self.ideal_mode_at(self.time.midpoint(end));
+                let mode = self.mode_at(self.time.midpoint(end));
                 self.advance_frozen(&mode, end, bands);
             } else {
                 self.advance_varying(end, max_frozen_substep(rate), bands);
@@ -208,19 +207,21 @@ impl Plant {
         }
     }
 
-    #[expect(clippy::inline_always, reason = "ci/counts: 4 % of a step")]
-    #[inline(always)]
     fn smooth_interval(&mut self) -> SmoothInterval {
         if let Some(interval) = self.interval.filter(|interval| self.time < interval.end) {
             return interval;
         }
+        self.find_smooth_interval()
+    }
+
+    #[cold]
+    fn find_smooth_interval(&mut self) -> SmoothInterval {
+        let mode = self.mode_at(self.time);
         let rate = self.pole_rate_bound();
         let bend = if rate == 0.0 { None } else { self.next_bend() };
         let ends = [self.scene.next_point_after(self.time), bend];
         let end = ends.into_iter().flatten().min().unwrap_or(Time::from_nanos(u64::MAX));
-        let interval = SmoothInterval { end, rate, mode: self.ideal_mode_at(self.time) };
-        self.interval = Some(interval);
-        interval
+        *self.interval.insert(SmoothInterval { end, rate, mode })
     }
 
     /// |λ|, 1/s. 0 if no profile is a sine, because only the error bound of a sine uses |λ|.
@@ -228,13 +229,12 @@ impl Plant {
         if frequency == 0.0 {
             return 0.0;
         }
-        let mode = self.ideal_mode_at(self.time);
+        let mode = self.mode_at(self.time);
         mode.sigma.hypot(mode.omega0 - self.drive.omega)
     }
 
     /// Longest substep in s, and true if the mode is frozen in it, because it changes too fast for
     /// `varying.rs`. `varying` computes the length without this; its argument is ν in rad/s.
-    #[inline]
     fn longest_substep(&self, rate: f64, varying: impl FnOnce(f64) -> f64) -> (f64, bool) {
         let frequency = self.scene.angular_frequency();
         if rate <= self.max_pole_rate && frequency <= self.plate.omega0 / 10.0 {
@@ -285,9 +285,10 @@ impl Plant {
         let start = self.time;
         // A `hold` profile may jump at `end`, so the last point is 1 ns earlier.
         let last = end - Time::from_nanos(1);
-        let [middle, last] =
-            [start.midpoint(last), last].map(|time| ((time - start).seconds(), self.ideal_mode_at(time)));
-        let varying = VaryingFlow::new(self.tier, &self.ideal_mode_at(start), middle, last, &self.drive, &self.state);
+        let middle = start.midpoint(last);
+        let modes = self.scene.at_each([start, middle, last]).map(|conditions| self.plate.mode(&conditions));
+        let [middle, last] = [middle, last].map(|time| (time - start).seconds());
+        let varying = VaryingFlow::new(self.tier, modes, [middle, last], &self.drive, &self.state);
         let seconds = (end - start).seconds();
         if !bands.monitors.is_empty() {
             // The bound is valid only from the start of the interval.
@@ -296,7 +297,7 @@ impl Plant {
             bands.find(|seconds| varying.after(seconds), seconds_within, &self.state, (start, end));
         }
         self.demodulate_pieces(end, longest, |plant, from, to| {
-            let (mode, state) = (plant.ideal_mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
+            let (mode, state) = (plant.mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
             Flow::new(plant.tier, &mode, &plant.drive, &state)
         });
         self.finish_step(end, varying.after(seconds));
@@ -379,10 +380,10 @@ impl Plant {
             let [start_k, middle_k, end_k] = effects.temperature_rise_k();
             let [first, second, third] =
                 [(start, start_k), (middle, middle_k), (last, end_k)].map(|(time, rise_k)| self.modes_at(time, rise_k));
-            let [middle, last] = [middle, last].map(|time| (time - start).seconds());
+            let times = [middle, last].map(|time| (time - start).seconds());
             first.zip(second).zip(third).zip(states).map(|(((first, second), third), state)| {
                 let drive = Drive { vpp: forcing.constant, omega: self.drive.omega };
-                let flow = VaryingFlow::new(Tier::Modal, &first, (middle, second), (last, third), &drive, &state);
+                let flow = VaryingFlow::new(Tier::Modal, [first, second, third], times, &drive, &state);
                 ModeMotion::Varying(flow, *forcing)
             })
         };
@@ -398,7 +399,6 @@ impl Plant {
     }
 
     /// Finds the crossings of a step with constant modes and takes its samples.
-    #[inline]
     fn observe_frozen<const N: usize>(
         &mut self,
         motion: &impl ExponentialSum<N>,
@@ -419,7 +419,6 @@ impl Plant {
     /// Takes the samples of a step with varying modes. The demodulator requires exponentials, so the
     /// modes are frozen for pieces of at most `longest` s. Each piece starts at the exact state, so
     /// errors do not accumulate.
-    #[inline]
     fn demodulate_pieces<const N: usize, M: ExponentialSum<N>>(
         &mut self,
         end: Time,
@@ -435,13 +434,6 @@ impl Plant {
             from = to;
         }
         self.demodulator = Some(demodulator);
-    }
-
-    /// First mode without effects.
-    #[expect(clippy::inline_always, reason = "ci/counts: 5 % of a step with a ramp")]
-    #[inline(always)]
-    fn ideal_mode_at(&self, time: Time) -> Mode {
-        self.plate.mode(&self.scene.at(time))
     }
 
     fn modes_at(&self, time: Time, temperature_rise_k: f64) -> PerMode<Mode> {
@@ -470,8 +462,6 @@ impl Plant {
         if is_warming { longest.min(WARMING_SUBSTEP / pole) } else { longest }
     }
 
-    #[expect(clippy::inline_always, reason = "ci/counts: 4 % of a step")]
-    #[inline(always)]
     fn finish_step(&mut self, end: Time, state: State) {
         self.phase = self.phase.after(end - self.time, self.rate);
         self.state = state;

@@ -155,34 +155,39 @@ impl Profile {
     }
 
     /// A [`Self::Hold`] has the new value at the time of its point.
-    #[expect(clippy::inline_always, reason = "ci/counts: 5 % of a step with a ramp")]
-    #[inline(always)]
     pub fn at(&self, time: Time) -> f64 {
+        let [value] = self.at_each([time]);
+        value
+    }
+
+    /// Values at increasing `times`. The profile must have no point after the first one up to the
+    /// last one.
+    pub(crate) fn at_each<const N: usize>(&self, times: [Time; N]) -> [f64; N] {
         match self {
             Self::Hold(points) => {
-                let passed = points.partition_point(|(from, _)| *from <= time);
-                points.get(passed.saturating_sub(1)).map_or(0.0, |(_, value)| *value)
+                let last = count_until(points, times[0]).saturating_sub(1);
+                [points.get(last).map_or(0.0, |(_, value)| *value); N]
             }
             Self::Linear(points) => {
-                let passed = points.partition_point(|(from, _)| *from <= time);
+                let passed = count_until(points, times[0]);
                 match (passed.checked_sub(1).and_then(|before| points.get(before)), points.get(passed)) {
-                    (Some((t0, v0)), Some((t1, v1))) => {
+                    (Some((t0, v0)), Some((t1, v1))) => times.map(|time| {
                         let share = (time - *t0).seconds() / (*t1 - *t0).seconds();
                         v0 + (v1 - v0) * share
-                    }
-                    (Some((_, value)), None) | (None, Some((_, value))) => *value,
-                    (None, None) => 0.0,
+                    }),
+                    (Some((_, value)), None) | (None, Some((_, value))) => [*value; N],
+                    (None, None) => [0.0; N],
                 }
             }
-            Self::Sine { mean, amplitude, omega, phase } => mean + amplitude * (omega * time.seconds() + phase).sin(),
+            Self::Sine { mean, amplitude, omega, phase } => {
+                times.map(|time| mean + amplitude * (omega * time.seconds() + phase).sin())
+            }
         }
     }
 
     pub fn next_point_after(&self, time: Time) -> Option<Time> {
         match self {
-            Self::Hold(points) | Self::Linear(points) => {
-                points.get(points.partition_point(|(point, _)| *point <= time)).map(|(point, _)| *point)
-            }
+            Self::Hold(points) | Self::Linear(points) => points.get(count_until(points, time)).map(|(point, _)| *point),
             Self::Sine { .. } => None,
         }
     }
@@ -212,7 +217,7 @@ impl Profile {
         match self {
             Self::Hold(_) => None,
             Self::Linear(points) => {
-                let passed = points.partition_point(|(from, _)| *from <= after);
+                let passed = count_until(points, after);
                 let (from, before) = *points.get(passed.checked_sub(1)?)?;
                 let (to, behind) = *points.get(passed)?;
                 let share = (value - before) / (behind - before);
@@ -245,6 +250,11 @@ impl Profile {
             Self::Sine { mean, amplitude, .. } => (mean - amplitude.abs(), mean + amplitude.abs()),
         }
     }
+}
+
+/// Number of points up to `time`.
+fn count_until(points: &[(Time, f64)], time: Time) -> usize {
+    points.partition_point(|(point, _)| *point <= time)
 }
 
 #[cfg(test)]
@@ -341,6 +351,16 @@ mod tests {
             assert_eq!(line.next_crossing(value, ms(2.0)), None);
             assert_eq!(line.next_crossing(value, ms(12.5)), None);
         }
+    }
+
+    #[rstest]
+    #[case("{ hold = [[1.0, 0.3], [2.0, 5.0]] }")]
+    #[case("{ linear = [[1.0, 0.3], [2.0, 0.7], [3.0, -0.1]] }")]
+    #[case("{ sine = { mean = 1.0, amplitude = 0.5, frequency_hz = 123.0 } }")]
+    fn values_at_several_times_equal_those_at_each(#[case] text: &str, #[values(0.0, 1.0, 2.0, 3.0)] from: f64) {
+        let profile = read(text).unwrap();
+        let times = [from, from + 0.5, from + 0.999_999].map(ms);
+        assert_eq!(profile.at_each(times), times.map(|time| profile.at(time)));
     }
 
     #[rstest]

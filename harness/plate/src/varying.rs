@@ -32,8 +32,8 @@ struct Parabola {
 }
 
 impl Parabola {
-    /// The parabola through `first` at 0 s and two later points (time in s, value).
-    fn through(first: f64, (middle_at, middle): (f64, f64), (last_at, last): (f64, f64)) -> Self {
+    /// The parabola through three values, the first at 0 s.
+    fn through([first, middle, last]: [f64; 3], [middle_at, last_at]: [f64; 2]) -> Self {
         let slope = (middle - first) / middle_at;
         let bend = ((last - first) / last_at - slope) / (last_at - middle_at);
         Self { start: first, slope: slope - bend * middle_at, curvature: bend }
@@ -131,17 +131,10 @@ pub(crate) struct VaryingFlow {
 }
 
 impl VaryingFlow {
-    /// The mode is `first` at 0 s; `middle` and `last` are pairs (time in s, mode).
-    pub(crate) fn new(
-        tier: Tier,
-        first: &Mode,
-        middle: (f64, Mode),
-        last: (f64, Mode),
-        drive: &Drive,
-        state: &State,
-    ) -> Self {
-        let through =
-            |of: fn(&Mode) -> f64| Parabola::through(of(first), (middle.0, of(&middle.1)), (last.0, of(&last.1)));
+    /// The modes are those at 0 s and at `times` in s.
+    pub(crate) fn new(tier: Tier, modes: [Mode; 3], times: [f64; 2], drive: &Drive, state: &State) -> Self {
+        let through = |of: fn(&Mode) -> f64| Parabola::through(modes.each_ref().map(of), times);
+        let [first, ..] = modes;
         Self {
             tier,
             drive: *drive,
@@ -280,8 +273,8 @@ mod tests {
     }
 
     fn varying(tier: Tier, modes: [(f64, f64); 3], drive: Drive, state: State) -> VaryingFlow {
-        let [first, middle, last] = modes.map(|(sigma, shift)| mode(sigma, shift));
-        VaryingFlow::new(tier, &first, (0.5e-3, middle), (1e-3, last), &drive, &state)
+        let modes = modes.map(|(sigma, shift)| mode(sigma, shift));
+        VaryingFlow::new(tier, modes, [0.5e-3, 1e-3], &drive, &state)
     }
 
     #[test]
