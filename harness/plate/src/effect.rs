@@ -29,7 +29,8 @@ pub(crate) trait Effect {
     /// First key of the plate file that causes the effect; `None` without effect.
     fn key(&self) -> Option<&'static str>;
 
-    /// Start of a trial; `None` if no function of [`ActiveEffect`] differs from its default.
+    /// Start of a trial with this effect; `None` if no function of [`ActiveEffect`] differs from its
+    /// default.
     fn start(&self) -> Option<Box<dyn ActiveEffect>> {
         None
     }
@@ -61,9 +62,7 @@ pub(crate) struct Step<'a> {
 }
 
 /// An effect during a trial. A step ends at each command and where [`Self::shape`] ends it.
-pub(crate) trait ActiveEffect: Debug + Send + Sync {
-    fn boxed_clone(&self) -> Box<dyn ActiveEffect>;
-
+pub(crate) trait ActiveEffect: BoxedClone + Debug + Send + Sync {
     /// Receives a command of the controller; `None` if it does not act yet.
     fn receive(&mut self, drive: Drive, _now: Time) -> Option<Drive> {
         Some(drive)
@@ -102,6 +101,17 @@ pub(crate) trait ActiveEffect: Debug + Send + Sync {
     /// Reading of the sensor at `now`; `w` without this effect.
     fn read(&self, w: Complex64, _now: Time) -> Complex64 {
         w
+    }
+}
+
+/// `Clone` for trait objects.
+pub(crate) trait BoxedClone {
+    fn boxed_clone(&self) -> Box<dyn ActiveEffect>;
+}
+
+impl<E: ActiveEffect + Clone + 'static> BoxedClone for E {
+    fn boxed_clone(&self) -> Box<dyn ActiveEffect> {
+        Box::new(self.clone())
     }
 }
 

@@ -15,6 +15,7 @@ use crate::effect::{ActiveEffect, Effect, HIGHEST_RESONANCE_HZ, PlateError};
 use crate::flow::{Forcing, State};
 use crate::mode::Drive;
 use crate::motion::PerMode;
+use crate::plate::Plate;
 use crate::time::Time;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -32,7 +33,7 @@ macro_rules! effects {
                 Ok(Self { $($name: Effect::check(&raw.$table)?,)* })
             }
 
-            fn list(&self) -> impl Iterator<Item = &dyn Effect> {
+            pub(crate) fn list(&self) -> impl Iterator<Item = &dyn Effect> {
                 [$(&self.$name as &dyn Effect,)*].into_iter()
             }
         }
@@ -130,14 +131,6 @@ pub struct Uncertainty {
     pub time_constant_percent: Option<f64>,
 }
 
-impl Effects {
-    /// Key of the first effect in the plate file. The models `linear` and `envelope` cannot
-    /// simulate effects.
-    pub(crate) fn first_key(&self) -> Option<&'static str> {
-        self.list().find_map(Effect::key)
-    }
-}
-
 /// The effects during a trial, with the state of each mode.
 #[derive(Debug, Clone)]
 pub(crate) struct ActiveEffects {
@@ -149,11 +142,11 @@ pub(crate) struct ActiveEffects {
 
 impl ActiveEffects {
     /// `None` for a plate without effects.
-    pub(crate) fn start(effects: &Effects) -> Option<Box<Self>> {
-        effects.first_key()?;
+    pub(crate) fn start(plate: &Plate) -> Option<Box<Self>> {
+        plate.first_effect()?;
         Some(Box::new(Self {
-            list: effects.list().filter_map(Effect::start).collect(),
-            states: PerMode { first: State::default(), second: effects.second_mode.map(|_| State::default()) },
+            list: plate.effects.list().filter(|effect| effect.key().is_some()).filter_map(Effect::start).collect(),
+            states: PerMode { first: State::default(), second: plate.effects.second_mode.map(|_| State::default()) },
             command: Drive::default(),
         }))
     }
@@ -168,7 +161,6 @@ impl ActiveEffects {
     }
 
     /// At start, middle and end of the present step.
-    #[cold]
     pub(crate) fn temperature_rise_k(&self) -> [f64; 3] {
         self.list.iter().fold([0.0; 3], |sum, effect| {
             let rise = effect.temperature_rise_k();

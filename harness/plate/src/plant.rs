@@ -77,7 +77,7 @@ impl Plant {
             demodulator: lockin.map(|lockin| Demodulator::new(lockin, plate.omega0)),
             max_pole_rate: max_slow_pole_rate(&plate, &scene),
             interval: None,
-            effects: ActiveEffects::start(&plate.effects).filter(|_| tier.has_both_poles()),
+            effects: ActiveEffects::start(&plate).filter(|_| tier.has_both_poles()),
             plate,
             scene,
             tier,
@@ -344,9 +344,7 @@ impl Plant {
         }
         let motion = if rate > 0.0 && !is_fast && (end - start).as_nanos() >= 3 {
             let motion = self.varying_motion(&mut effects, &forcing, end, is_warming.then_some(&frozen));
-            if !bands.monitors.is_empty() {
-                bands.find(|seconds| motion.after(seconds).sum(), |_, _| 0.0, &self.state, (start, end));
-            }
+            bands.find(|seconds| motion.after(seconds).sum(), |_, _| 0.0, &self.state, (start, end));
             let [_, rise_k, _] = effects.temperature_rise_k();
             self.demodulate_pieces(end, max_frozen_substep(rate), |plant, from, to| {
                 let since = (from - start).seconds();

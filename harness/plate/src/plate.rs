@@ -1,7 +1,7 @@
 //! Checks a plate file and converts its numbers to the units of the equations.
 
 use crate::demodulator::Lockin;
-use crate::effect::{PlateError, check, finite, positive, resonance};
+use crate::effect::{Effect, PlateError, check, finite, positive, resonance};
 use crate::effects::{ConverterResolution, Effects, RawPlate, Uncertainty};
 use crate::flow::Tier;
 use crate::mode::{Conditions, Mode};
@@ -106,7 +106,7 @@ impl Plate {
     /// Key of the first optional effect in the plate file. The models `linear` and `envelope`
     /// cannot simulate these effects.
     pub fn first_effect(&self) -> Option<&'static str> {
-        self.effects.first_key()
+        self.effects.list().find_map(Effect::key)
     }
 
     pub fn mode(&self, conditions: &Conditions) -> Mode {

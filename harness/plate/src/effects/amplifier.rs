@@ -126,17 +126,12 @@ impl Effect for Amplifier {
     }
 
     fn start(&self) -> Option<Box<dyn ActiveEffect>> {
-        self.key()?;
         let pending = VecDeque::with_capacity(64);
         Some(Box::new(ActiveAmplifier { amplifier: *self, command: Drive::default(), pending, output_vpp: 0.0 }))
     }
 }
 
 impl ActiveEffect for ActiveAmplifier {
-    fn boxed_clone(&self) -> Box<dyn ActiveEffect> {
-        Box::new(self.clone())
-    }
-
     /// The first command acts at once.
     fn receive(&mut self, drive: Drive, now: Time) -> Option<Drive> {
         let is_first = self.command == Drive::default();

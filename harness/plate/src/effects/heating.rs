@@ -65,10 +65,6 @@ impl Effect for Heating {
 }
 
 impl ActiveEffect for ActiveHeating {
-    fn boxed_clone(&self) -> Box<dyn ActiveEffect> {
-        Box::new(self.clone())
-    }
-
     fn temperature_rise_k(&self) -> [f64; 3] {
         self.rise_k
     }

@@ -119,17 +119,12 @@ impl Effect for SensorElectronics {
     }
 
     fn start(&self) -> Option<Box<dyn ActiveEffect>> {
-        self.key()?;
         let motions = VecDeque::with_capacity(if self.latency > Time::ZERO { 1024 } else { 0 });
         Some(Box::new(ActiveElectronics { electronics: *self, motions }))
     }
 }
 
 impl ActiveEffect for ActiveElectronics {
-    fn boxed_clone(&self) -> Box<dyn ActiveEffect> {
-        Box::new(self.clone())
-    }
-
     fn finish(&mut self, step: &Step<'_>) {
         let latency = self.electronics.latency;
         if latency == Time::ZERO {
