@@ -15,7 +15,6 @@ use crate::effect::{ActiveEffect, Effect, HIGHEST_RESONANCE_HZ, PlateError};
 use crate::flow::{Forcing, State};
 use crate::mode::Drive;
 use crate::motion::PerMode;
-use crate::plate::Plate;
 use crate::time::Time;
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -141,14 +140,12 @@ pub(crate) struct ActiveEffects {
 }
 
 impl ActiveEffects {
-    /// `None` for a plate without effects.
-    pub(crate) fn start(plate: &Plate) -> Option<Box<Self>> {
-        plate.first_effect()?;
-        Some(Box::new(Self {
-            list: plate.effects.list().filter(|effect| effect.key().is_some()).filter_map(Effect::start).collect(),
-            states: PerMode { first: State::default(), second: plate.effects.second_mode.map(|_| State::default()) },
+    pub(crate) fn start(effects: &Effects) -> Box<Self> {
+        Box::new(Self {
+            list: effects.list().filter(|effect| effect.key().is_some()).filter_map(Effect::start).collect(),
+            states: PerMode { first: State::default(), second: effects.second_mode.map(|_| State::default()) },
             command: Drive::default(),
-        }))
+        })
     }
 
     /// Drive from `now` on, and its end if it has one.

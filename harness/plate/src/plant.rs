@@ -77,7 +77,8 @@ impl Plant {
             demodulator: lockin.map(|lockin| Demodulator::new(lockin, plate.omega0)),
             max_pole_rate: max_slow_pole_rate(&plate, &scene),
             interval: None,
-            effects: ActiveEffects::start(&plate).filter(|_| tier.has_both_poles()),
+            effects: (tier.has_both_poles() && plate.first_effect().is_some())
+                .then(|| ActiveEffects::start(&plate.effects)),
             plate,
             scene,
             tier,

@@ -243,7 +243,7 @@ fn the_default_run_needs_only_the_repository() {
 
 #[rstest]
 #[case::unmet_target(&["tune", "--plate", PLATE, "--samples", "0", "--response-ms", "0.5"], 1, "✗ fail: the target cannot")]
-#[case::no_baseline(&["baseline", "diff", "run"], 3, "? inconclusive: of 1 scenario, 0 agree")]
+#[case::no_baseline(&["baseline", "diff", "run"], 4, "inconclusive (nothing to run): nothing was compared")]
 #[case::no_scenario(&["run", "empty"], 4, "inconclusive (nothing to run): ")]
 #[case::empty_folder(&["run", "scenarios", "empty"], 4, "inconclusive (nothing to run): ")]
 #[case::no_recording(&["identify", "empty"], 4, "inconclusive (nothing to run): ")]

@@ -181,7 +181,7 @@ fn progress_is_one_line_that_disappears() {
 #[case::usage(&["run", "--wrong"], 2)]
 fn colours_are_forced_in_a_pipe(#[case] arguments: &[&str], #[case] exit: i32) {
     let folder = run_folder("60.0");
-    folder.write("broken.toml", "title = 3");
+    folder.write("broken.toml", "title = 3\n[profile]\n");
     folder.bench(arguments).assert_exit(exit).assert_output_without("\u{1b}");
     folder.bench(arguments.iter().chain(&["--color", "always"])).assert_exit(exit).assert_output(&["\u{1b}["]);
 }

@@ -109,16 +109,16 @@ fn the_target_s_timer_sets_the_control_instants() {
 }
 
 #[test]
-fn a_terminated_program_is_a_lost_rig() {
+fn a_terminated_program_fails_its_trial() {
     let folder = TestFolder::with_minute();
     let log = folder.join("controller.log");
     let rig = controller_rig(Some(&log));
     let bench = start_bench(folder.path(), ["run", "--clock", "real-time", "--out", "run", "--rig", &rig]);
     wait_until("the controller never ran", || fs::read_to_string(&log).is_ok_and(|text| text.contains("running")));
     assert!(Command::new("kill").args(["-KILL", &bench.child_id()]).status().unwrap().success());
-    bench.finish().assert_exit(5);
+    bench.finish().assert_exit(1);
     let record = folder.record("run");
-    assert_eq!((record.verdict, record.safe_confirmed), (Verdict::Inconclusive, Some(false)));
+    assert_eq!((record.verdict, record.safe_confirmed), (Verdict::Fail, Some(false)));
     let ended = trial(&record).telemetry.ended.as_ref().unwrap();
     assert!(ended.contains("signal 9"), "{ended}");
     assert!(!timing(&record).safe_confirmed);

@@ -223,8 +223,8 @@ fn a_run_that_crashed_is_no_reference() {
     };
     crash("runs/first");
     crash("runs/second");
-    let compared = folder.bench(["compare", "runs/second", "--against", "runs/first"]).assert_exit(3);
-    compared.assert_output(&["the reference has no complete trial 0"]);
+    let compared = folder.bench(["compare", "runs/second", "--against", "runs/first"]).assert_exit(4);
+    compared.assert_output(&["nothing was compared: the reference has no complete trial 0"]);
 }
 
 #[rstest]

@@ -45,6 +45,7 @@ mod tests {
         let start = paper.find("[finger]").unwrap();
         let end = start + paper[start..].find("[drive]").unwrap();
         let without = format!("{}{}", &paper[..start], &paper[end..]);
-        assert_eq!(messages(&without), ["the plate file has no [finger], so this force changes nothing"]);
+        let ignored = "`finger_force_n`: the plate file has no [finger], so this force changes nothing";
+        assert_eq!(messages(&without), [ignored]);
     }
 }
