@@ -87,7 +87,9 @@ pub(crate) fn tune(arguments: &TuneArgs) -> CommandResult {
 fn refuse_implausible(path: &Path, plate: &Plate, force: bool) -> Result<(), Failure> {
     let mut faults = implausible_values(path, plate)?;
     if force {
-        faults.iter().for_each(|fault| stdio::note(&format!("warning: {fault}")));
+        for fault in &faults {
+            stdio::note(&format!("warning: {fault}"));
+        }
         return Ok(());
     }
     for fault in &mut faults {

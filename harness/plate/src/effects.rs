@@ -140,12 +140,12 @@ pub(crate) struct ActiveEffects {
 }
 
 impl ActiveEffects {
-    pub(crate) fn start(effects: &Effects) -> Box<Self> {
-        Box::new(Self {
+    pub(crate) fn start(effects: &Effects) -> Self {
+        Self {
             list: effects.list().filter(|effect| effect.key().is_some()).filter_map(Effect::start).collect(),
             states: PerMode { first: State::default(), second: effects.second_mode.map(|_| State::default()) },
             command: Drive::default(),
-        })
+        }
     }
 
     /// Drive from `now` on, and its end if it has one.

@@ -78,7 +78,7 @@ impl Plant {
             max_pole_rate: max_slow_pole_rate(&plate, &scene),
             interval: None,
             effects: (tier.has_both_poles() && plate.first_effect().is_some())
-                .then(|| ActiveEffects::start(&plate.effects)),
+                .then(|| Box::new(ActiveEffects::start(&plate.effects))),
             plate,
             scene,
             tier,

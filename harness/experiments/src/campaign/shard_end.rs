@@ -3,6 +3,7 @@
 /// Key of the metadata. A part without this key ended well.
 pub(crate) const KEY: &str = "controller";
 
+#[expect(clippy::struct_excessive_bools, reason = "independent events of one shard")]
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ShardEnd {
     /// A controller did not confirm 0 V at the end, or did not stay there.

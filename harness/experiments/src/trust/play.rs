@@ -14,7 +14,7 @@ pub enum TrustError {
     #[error("{file}: unknown law `{law}`")]
     UnknownLaw { file: String, law: String },
     #[error("{file}, {controller}: {source}")]
-    Run { file: String, controller: String, source: RunError },
+    Run { file: String, controller: String, source: Box<RunError> },
     #[error("internal error: a worker thread ended early; please report it")]
     Internal,
 }
@@ -58,6 +58,10 @@ pub fn play_as(
             Ok(PlayResult { judgement, violations: violations.into_iter().collect() })
         }
         Ok(ScenarioEnd::Stopped(()) | ScenarioEnd::Cancelled) => Err(TrustError::Internal),
-        Err(source) => Err(TrustError::Run { file: scenario.file.clone(), controller: controller.to_owned(), source }),
+        Err(error) => Err(TrustError::Run {
+            file: scenario.file.clone(),
+            controller: controller.to_owned(),
+            source: Box::new(error),
+        }),
     }
 }
