@@ -1,5 +1,6 @@
 use crate::test_folder::{FAILED_SETTLING, SETTLING, TestFolder, controller_rig, step_scenario, step_text};
 use platebench_model::record::{RunRecord, Verdict};
+use rstest::rstest;
 
 fn noisy(expect: &str) -> String {
     step_scenario("aluminium-198x138-noisy", "", "", expect) + "[trials]\ncount = 5\n"
@@ -104,6 +105,22 @@ fn shards_of_different_selections_are_refused() {
     record.write(&folder.join("one")).unwrap();
     let merge = folder.bench(["merge", "one", "filtered", "--out", "other"]).assert_exit(2);
     merge.assert_stderr(&["one: is shard 1 and does not record the selection"]);
+}
+
+#[rstest]
+#[case::law(&["--law", "dq-pi-fixed"], "--law dq-pi-fixed")]
+#[case::trials(&["--trials", "2"], "--trials 2")]
+#[case::seed(&["--seed", "9"], "--seed 9")]
+fn shards_with_different_options_are_refused(#[case] options: &[&str], #[case] found: &str) {
+    let folder = lab();
+    let shard = |shard: &str, out: &str, more: &[&str]| {
+        let run = ["run", "--rig", "hosted", "--shard", shard, "--out", out];
+        folder.bench(run.iter().chain(more)).assert_exit_in(&[0, 1]);
+    };
+    shard("1/2", "one", &[]);
+    shard("2/2", "two", options);
+    let message = format!("two: the set of options of the shard is {found}");
+    folder.bench(["merge", "one", "two", "--out", "all"]).assert_exit(2).assert_stderr(&[&message]);
 }
 
 #[test]

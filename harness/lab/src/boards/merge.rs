@@ -119,10 +119,29 @@ fn read_runs(folders: &[PathBuf]) -> Result<Vec<StoredRun>, MergeError> {
             if let Some((first, expected)) = selections.into_iter().find(|(_, other)| *other != selection) {
                 return different(first, "the selection of scenarios (SHA-256)", selection, expected);
             }
+            let options = shared_options(&record.overrides);
+            let others = runs.iter().filter(|run| run.record.overrides.shard.is_some());
+            let others = others.map(|run| (run, shared_options(&run.record.overrides)));
+            if let Some((first, expected)) = others.into_iter().find(|(_, other)| *other != options) {
+                return different(first, "the set of options of the shard", &options, &expected);
+            }
         }
         runs.push(StoredRun { folder: folder.clone(), record, board, place });
     }
     Ok(runs)
+}
+
+/// Options that all shards of a run have in common.
+fn shared_options(overrides: &Overrides) -> String {
+    let Overrides { law, trials, seed, model, .. } = overrides;
+    let options = [
+        law.as_ref().map(|law| format!("--law {law}")),
+        trials.map(|trials| format!("--trials {trials}")),
+        seed.map(|seed| format!("--seed {seed}")),
+        model.as_ref().map(|model| format!("--model {model}")),
+    ];
+    let options: Vec<_> = options.into_iter().flatten().collect();
+    if options.is_empty() { "none".to_owned() } else { options.join(" ") }
 }
 
 /// Returns the name of the board, with a number if an earlier run has one of the scenarios there.
