@@ -60,6 +60,9 @@ pub struct ViolationReport {
     pub scene: u64,
     pub value: Option<f64>,
     pub limit: Option<f64>,
+    /// The violated rule of the protocol, in words.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rule: Option<String>,
     /// The original scene as a scenario file.
     pub original: String,
     /// The minimal scene as a scenario file.
@@ -114,7 +117,11 @@ impl ExploreReport {
             undecided: exploration.undecided,
             undecided_scenes: exploration.undecided_scenes.clone(),
             elapsed_s: exploration.elapsed.as_secs_f64(),
-            failing_share: clopper_pearson(failed as u32, exploration.scenes as u32, CONFIDENCE),
+            failing_share: clopper_pearson(
+                failed as u32,
+                (exploration.scenes - exploration.undecided) as u32,
+                CONFIDENCE,
+            ),
             properties: exploration
                 .properties
                 .iter()

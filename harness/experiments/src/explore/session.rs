@@ -151,6 +151,7 @@ impl ExploreSession {
             scene: failed.index,
             value: original.and_then(|failure| failure.value),
             limit: original.and_then(|failure| failure.limit),
+            rule: (property == Property::Protocol).then(|| minimal.failure.name.clone()),
             original: config.scene_text(&tree.current(), &title).scenario,
             minimal: fs::read_to_string(&path).at(&path)?,
             minimal_value: minimal.failure.value,

@@ -32,11 +32,8 @@ fn write_summary(text: &mut String, report: &ExploreReport) -> std::fmt::Result 
     }
     for violation in &report.violations {
         let [value, limit] = [violation.minimal_value, violation.minimal_limit].map(|value| format_value(value, 6));
-        writeln!(
-            text,
-            "property {} violated: value {value}, limit {limit}; minimal scene: {}",
-            violation.property, violation.file
-        )?;
+        let difference = violation.rule.clone().unwrap_or_else(|| format!("value {value}, limit {limit}"));
+        writeln!(text, "property {} violated: {difference}; minimal scene: {}", violation.property, violation.file)?;
         if !violation.is_reproduced {
             writeln!(text, "  this scene did not fail again with a new controller")?;
         }
