@@ -13,7 +13,7 @@ use platebench_design::identify::{
 use platebench_lab::boards::Board;
 use platebench_model::external_csv;
 use platebench_model::external_csv::ColumnMapping;
-use platebench_model::recording::Recording;
+use platebench_model::recording::{Recording, RecordingError};
 use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_atomically, write_new};
 use platebench_report::ReportError;
 use platebench_report::chart::FitChart;
@@ -128,7 +128,11 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         return Err(Failure::invalid(&format!("{} exists already, expected another name", path.display())));
     }
     let recordings = files.iter().map(|file| read_recording(file, arguments)).collect::<Result<Vec<_>, _>>()?;
-    let (found, fits) = platebench_design::identify::identify(&recordings, arguments.slope_hz_per_k).or_invalid()?;
+    let identified = platebench_design::identify::identify(&recordings, arguments.slope_hz_per_k);
+    let (found, fits) = identified.map_err(|error| match error {
+        RecordingError::Undetermined => Failure::new(Exit::Inconclusive, &error),
+        error => Failure::invalid(&error),
+    })?;
     let mut tables = tables(&found);
     let budget = arguments.budget.as_deref().map(|path| Budget::load(path, &known_quantities())).transpose()?;
     let uncertainties = budget.map(|budget| parameter_uncertainties(&found, &budget)).transpose();

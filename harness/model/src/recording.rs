@@ -46,7 +46,8 @@ pub enum RecordingError {
     VaryingConditions,
     #[error(
         "the response does not determine gain, time constant and resonance; \
-         expected steps of the drive or the frequency, each held for at least 10 ms, and wd and wq in their own columns"
+         expected steps of the drive or the frequency, each held for at least 10 ms. Check the units of the columns, \
+         and whether wd and wq are exchanged"
     )]
     Undetermined,
 }

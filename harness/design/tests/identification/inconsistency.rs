@@ -101,7 +101,7 @@ fn a_capture_that_no_single_plate_produces_is_doubtful(
 #[test]
 fn exchanged_columns_far_from_the_resonance_determine_nothing() {
     let recording = capture(Defect { swapped: true, detuning: Some(-545.0), ..Defect::default() }, 1);
-    assert!(identify(&[recording], None).unwrap_err().to_string().ends_with("wd and wq in their own columns"));
+    assert!(identify(&[recording], None).unwrap_err().to_string().ends_with("whether wd and wq are exchanged"));
 }
 
 #[test]
