@@ -44,6 +44,11 @@ pub enum ViolationKind {
 
 impl ViolationKind {
     pub const COUNT: usize = 12;
+
+    /// True if only the number of violations is known, not the instant of the first one.
+    const fn is_counted(self) -> bool {
+        matches!(self, Self::WrongSequence | Self::SecondReply | Self::IgnoredSafe | Self::UnrequestedSafe)
+    }
 }
 
 impl fmt::Display for Violation {
@@ -82,7 +87,12 @@ impl fmt::Display for Violation {
                 worst_percent.unwrap_or(f64::NAN)
             ),
         }?;
-        write!(formatter, ", first at {:.1} ms, {count} in total", at_s * 1e3)
+        let at_ms = at_s * 1e3;
+        if kind.is_counted() {
+            write!(formatter, ", {count} up to {at_ms:.1} ms")
+        } else {
+            write!(formatter, ", first at {at_ms:.1} ms, {count} in total")
+        }
     }
 }
 
