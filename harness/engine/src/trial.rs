@@ -372,6 +372,8 @@ impl<'a, L: Link> Trial<'a, L> {
         if safe_confirmed {
             let sample = self.plant.sense();
             self.controller.watch_after_safe(self.session, now, sample);
+        } else if self.link_error.is_none() {
+            self.link_error = self.session.end_before_safe();
         }
         self.controller.record_session(self.session, now);
         let mut telemetry = Telemetry {

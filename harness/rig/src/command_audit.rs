@@ -10,7 +10,7 @@ pub struct DrivesAfterSafe {
     pub worst_vpp: f32,
 }
 
-/// Kind of the message that the bench sent under a sequence number in this trial.
+/// Kind of the message that the bench sent under a sequence number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 enum Request {
     #[default]
@@ -65,9 +65,15 @@ impl CommandAudit {
         }
     }
 
-    /// Starts a trial. Keeps the drives after 0 V that no earlier trial has reported.
+    /// Starts the counts of a trial. Keeps the drives after 0 V that no earlier trial has reported.
     pub(crate) fn reset(&mut self) {
-        *self = Self { drives_after_safe: self.drives_after_safe, ..Self::new() };
+        let Self { exchanges, safe_requested, is_safe, drives_after_safe, .. } = *self;
+        *self = Self { exchanges, safe_requested, is_safe, drives_after_safe, ..Self::new() };
+    }
+
+    /// Forgets the messages to a target that was restarted.
+    pub(crate) fn forget_messages(&mut self) {
+        self.exchanges = [Exchange::default(); 256];
     }
 
     /// True if the controller confirmed 0 V under the number of the request, and not before.
@@ -146,11 +152,20 @@ impl CommandAudit {
         let request = exchange.request;
         let slot = if is_stop { &mut exchange.fault } else { &mut exchange.reply };
         let before = *slot;
-        let is_confirmation = command.state == ControllerState::Safe && request == Request::Sample;
-        let is_unrequested = !self.safe_requested || before.is_some_and(|before| before.0 != ControllerState::Safe);
-        if is_confirmation && is_unrequested {
-            self.unrequested_confirmations += 1;
-            return;
+        let answers_command = matches!(request, Request::Sample | Request::Safe);
+        match command.state {
+            ControllerState::Running if !answers_command => {
+                self.wrong_sequences += 1;
+                return;
+            }
+            ControllerState::Safe if request != Request::Safe => {
+                let contradicts = before.is_some_and(|before| before.0 != ControllerState::Safe);
+                if !self.safe_requested || contradicts || !answers_command {
+                    self.unrequested_confirmations += 1;
+                    return;
+                }
+            }
+            _ => {}
         }
         match before {
             Some(before) if before == content => self.second_replies += 1,

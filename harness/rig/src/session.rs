@@ -67,6 +67,8 @@ pub struct Session<L: Link> {
     is_closed: bool,
     /// True if the controller is a program that has ended.
     has_ended: bool,
+    /// How the program ended before it confirmed 0 V.
+    ended_before_safe: Option<String>,
     rejected_frames: u64,
     audit: CommandAudit,
 }
@@ -96,6 +98,7 @@ impl<L: Link> Session<L> {
             has_identity: false,
             is_closed: false,
             has_ended: false,
+            ended_before_safe: None,
             rejected_frames: 0,
             audit: CommandAudit::new(),
         };
@@ -131,6 +134,11 @@ impl<L: Link> Session<L> {
         self.has_ended
     }
 
+    /// The failure of a program that ended before it confirmed 0 V.
+    pub fn end_before_safe(&self) -> Option<RigError> {
+        self.ended_before_safe.clone().map(|how| LinkError::Ended(how).into())
+    }
+
     /// Restarts the target if the link can, so that no trial depends on earlier ones.
     pub fn start_trial(&mut self, configure: &Configure) -> Result<Gains, RigError> {
         self.read_idle_line()?;
@@ -139,6 +147,7 @@ impl<L: Link> Session<L> {
             self.reader = PacketReader::new();
             self.bytes.clear();
             self.consumed = 0;
+            self.audit.forget_messages();
         }
         self.configure_trial(configure)
     }
@@ -162,9 +171,10 @@ impl<L: Link> Session<L> {
     }
 
     fn configure_trial(&mut self, configure: &Configure) -> Result<Gains, RigError> {
+        // What arrives with the answer to the configuration belongs to the trial.
+        self.audit.reset();
         let gains = self.reconfigure(Duration::ZERO, configure)?;
         self.rejected_frames = 0;
-        self.audit.reset();
         Ok(gains)
     }
 
@@ -404,8 +414,11 @@ impl<L: Link> Session<L> {
         result.map_err(|error| match error {
             LinkError::Ended(how) => {
                 self.has_ended = true;
-                let error = if self.audit.is_safe() { LinkError::Disconnected(how) } else { LinkError::Ended(how) };
-                error.into()
+                if self.audit.is_safe() {
+                    return LinkError::Disconnected(how).into();
+                }
+                self.ended_before_safe = Some(how.clone());
+                LinkError::Ended(how).into()
             }
             error => error.into(),
         })

@@ -35,9 +35,9 @@ pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -
 fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
     let Some(last) = rows.last() else { return Measure::Undefined(UndefinedValue::EmptyTrace) };
     // A stopped controller has a value of these two metrics only, because a plate at rest cannot
-    // overshoot. After a loss of the controller, the bench applied the 0 V.
+    // overshoot. A controller that ended has none: the bench applied the 0 V.
     let allows_stop = matches!(expectation.metric, Metric::ShutdownTime | Metric::MissedReplies);
-    if last.flags.contains(Flags::SAFE) && !(allows_stop && telemetry.ended.is_none()) {
+    if telemetry.ended.is_some() || (last.flags.contains(Flags::SAFE) && !allows_stop) {
         return Measure::Missing(MissingValue::NotRunning);
     }
     let sensed = last.flags.contains(Flags::SENSED);

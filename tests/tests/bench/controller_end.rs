@@ -155,6 +155,14 @@ fn a_program_that_crashes_before_the_trial_fails(#[case] scenario: &str) {
 }
 
 #[test]
+fn a_program_that_crashes_at_the_request_for_0_v_fails() {
+    let folder = TestFolder::with_step(ANSWERED);
+    let change = Change::Message { kind: "SAFE", action: "os.kill(os.getpid(), 11)" };
+    let Some(rig) = controller(&folder, change) else { return };
+    folder.bench(["run", "--rig", &rig, "--out", "run"]).assert_exit(1).assert_stdout(&["signal 11"]);
+}
+
+#[test]
 fn a_crash_fails_campaign_exploration_and_replay() {
     let folder = TestFolder::with_step(ANSWERED);
     let change = Change::Message { kind: "SAMPLE", action: "sys.exit(3)" };

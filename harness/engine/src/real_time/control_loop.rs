@@ -339,6 +339,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             self.plant.advance_through(self.duration);
             self.plant.push_row(0.0, flags);
         }
+        let lost = lost.or_else(|| self.session.end_before_safe());
         self.timing.counts.lost_replies += self.unanswered.iter().flatten().count() as u64;
         self.plant.report_counts(0, self.session.rejected_frames());
         let mut timing = self.timing.timing();

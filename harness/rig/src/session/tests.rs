@@ -4,7 +4,7 @@ use super::*;
 use crate::hosted::HostedLink;
 use crate::link::{BoxedLink, LinkError, RealTimeLine};
 use platebench_test_kit::CONFIGURE;
-use platebench_wire::{LawId, Rejection};
+use platebench_wire::{LawId, Rejection, StateCause};
 use std::sync::{Arc, Mutex};
 
 const AT_REST: Sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };
@@ -401,6 +401,10 @@ enum Chatter {
     DriveThenSafe,
     /// Confirms 0 V under the number of the last sample.
     SafeWithOldNumber,
+    /// Commands a drive under the number of the configuration.
+    DriveForConfiguration,
+    /// Confirms 0 V under the number of the configuration.
+    SafeForConfiguration,
 }
 
 fn chatty_session(chatter: Chatter) -> Session<ChattyDevice> {
@@ -422,6 +426,18 @@ impl Link for ChattyDevice {
             Packet { sequence, message }.encode().as_bytes().to_vec()
         };
         let (safe, number) = (ControllerState::Safe, request.sequence);
+        let invented = |state, drive_vpp| {
+            let command = Command {
+                target_time_us: 0,
+                drive_vpp,
+                frequency_mhz: 32_300_000,
+                state,
+                cause: StateCause::None,
+                flags: 0,
+                compute_us: 0,
+            };
+            Packet { sequence: number, message: Message::Command(command) }.encode().as_bytes().to_vec()
+        };
         match (self.chatter, request.message) {
             (Chatter::Doubled, _) => answer.extend([&own[..], &own[..]].concat()),
             (Chatter::SafeForSample, Message::Sample(_)) => {
@@ -440,6 +456,12 @@ impl Link for ChattyDevice {
             (Chatter::SafeWithOldNumber, Message::Safe) => {
                 // The number of the sample, after those of hello and configuration.
                 answer.extend(command(3, safe, 0.0));
+            }
+            (Chatter::DriveForConfiguration, Message::Configure(_)) => {
+                answer.extend([own, invented(ControllerState::Running, 900.0)].concat());
+            }
+            (Chatter::SafeForConfiguration, Message::Configure(_)) => {
+                answer.extend([own, invented(safe, 0.0)].concat());
             }
             _ => answer.extend(own),
         }
@@ -473,6 +495,16 @@ fn an_invented_confirmation_is_no_second_answer() {
         assert!(session.unrequested_confirmations() > 0);
         assert_eq!((session.second_replies(), session.contradictions()), (0, 0));
     }
+}
+
+#[test]
+fn a_command_for_a_configuration_breaks_the_protocol() {
+    let mut session = chatty_session(Chatter::DriveForConfiguration);
+    session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
+    assert_eq!((session.wrong_sequences(), session.unrequested_confirmations()), (1, 0));
+    let mut session = chatty_session(Chatter::SafeForConfiguration);
+    session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
+    assert_eq!((session.wrong_sequences(), session.unrequested_confirmations()), (0, 1));
 }
 
 #[test]
