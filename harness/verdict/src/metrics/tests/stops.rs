@@ -1,4 +1,5 @@
 use super::*;
+use platebench_model::record::StepTime;
 
 #[test]
 fn a_stopped_controller_has_no_values() {
@@ -7,6 +8,7 @@ fn a_stopped_controller_has_no_values() {
     let reported = Telemetry {
         loop_delay_us: Some(0.0),
         instructions_worst: Some(900.0),
+        step_time: Some(StepTime { longest_percent: 5.0, ..StepTime::default() }),
         reference_difference_percent: Some(0.0),
         protocol_differences: Some(Vec::new()),
         ..EMPTY_TELEMETRY
