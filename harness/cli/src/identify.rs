@@ -153,7 +153,8 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
     }
     let Some(path) = &arguments.out else { return Ok(exit) };
     if exit != Exit::Passed && !arguments.force {
-        let message = "no plate file was written, because the identification is doubtful; --force writes it with the reasons in it";
+        let message = "no plate file was written, because the identification is doubtful; --force writes it with the \
+                       reasons in it";
         return Err(Failure::new(exit, &message));
     }
     let details = PlateFileDetails {

@@ -129,7 +129,8 @@ pub(crate) fn record(record: &RunRecord, format: OutputFormat, detail: Detail) {
 pub(crate) fn warn_if_not_safe(record: &RunRecord) {
     if record.drive_after_safe {
         error(
-            "the controller commanded a drive after it had confirmed 0 V: check the amplifier before you touch the plate",
+            "the controller commanded a drive after it had confirmed 0 V: check the amplifier before you touch the \
+             plate",
         );
     } else if record.safe_confirmed == Some(false) {
         error("the controller did not confirm 0 V at the end: check the amplifier before you touch the plate");

@@ -72,8 +72,8 @@ pub const NOISE: PlausibleRange = PlausibleRange {
 };
 
 /// Largest distance of the resonance from the excitation, Hz. It is the shift by 52 K with the
-/// slope of the paper, -9.638 Hz/K, and half the sampling rate of its telemetry: from samples at
-/// 1 kHz a larger detuning cannot be told from a smaller one.
+/// slope of the paper, -9.638 Hz/K, and half the sampling rate of its telemetry: at 1 kHz a larger
+/// detuning has the same samples as a smaller one.
 pub const MAX_DETUNING_HZ: f64 = 500.0;
 
 #[derive(Debug, Clone, PartialEq)]
