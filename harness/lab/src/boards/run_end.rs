@@ -37,7 +37,7 @@ impl BoardOutcome {
 
     fn of_record(record: &RunRecord, folder: &Path) -> Self {
         let quarantine = if record.safe_confirmed != Some(true) {
-            Some(NOT_CONFIRMED.to_owned())
+            Some(record.unsafe_end().unwrap_or(NOT_CONFIRMED).to_owned())
         } else if record.has_lost_controller() {
             Some("the controller was lost during a trial".to_owned())
         } else {

@@ -164,6 +164,14 @@ impl RunRecord {
         misses_traces
     }
 
+    /// Fault of the end at 0 V. `None` if 0 V was confirmed and kept, or if this is unknown.
+    pub fn unsafe_end(&self) -> Option<&'static str> {
+        if self.drive_after_safe {
+            return Some("the controller commanded a drive after it had confirmed 0 V");
+        }
+        (self.safe_confirmed == Some(false)).then_some("the controller did not confirm 0 V")
+    }
+
     /// True if a controller was lost and the rig caused it.
     pub fn has_lost_controller(&self) -> bool {
         let mut trials = self.scenarios.iter().flat_map(|scenario| &scenario.trials);

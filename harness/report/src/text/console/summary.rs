@@ -51,8 +51,7 @@ pub(super) fn verdict_reason(record: &RunRecord) -> String {
         Some(format!("{}{reason}", result(expectation)))
     });
     let not_applicable = record.not_applicable.iter().map(|scenario| format!("not applicable: {}", scenario.reason));
-    let unsafe_end = "the controller did not confirm 0 V".to_owned();
-    let unsafe_end = (record.safe_confirmed == Some(false)).then_some(unsafe_end);
+    let unsafe_end = record.unsafe_end().map(str::to_owned);
     let unfinished = (!record.complete).then(|| "the run was not finished".to_owned());
     let all: Vec<String> =
         lost.into_iter().chain(unsafe_end).chain(reasons).chain(not_applicable).chain(unfinished).collect();
