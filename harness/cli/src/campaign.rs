@@ -14,11 +14,11 @@ use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use arguments::{CampaignCommand, EngineName, PlayArgs, RunArgs, SubmitArgs};
 use platebench_engine::RunError;
-use platebench_experiments::campaign::submit::{Engine, command_line, submission};
 use platebench_experiments::campaign::{
     Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, ShardEnd, ShardLock, Summary, confirm, lock_folder,
     merge, play_shard, play_worst, report, shards_of_run, status, worst_trials,
 };
+use platebench_experiments::campaign::{Engine, command_line, submission};
 use platebench_lab::boards::BoardOutcome;
 use platebench_model::record::FileLock;
 use platebench_model::trace::AtPath;

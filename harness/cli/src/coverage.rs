@@ -8,7 +8,7 @@ use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
 use platebench_experiments::firmware_analysis::{
-    AnalysisError, Coverage, CoverageConfig, Suite, coverage_text, lcov, measure_coverage,
+    AnalysisError, Coverage, CoverageConfig, Suite, lcov_tracefile, measure_coverage, summary,
 };
 use platebench_model::trace::write_atomically;
 use platebench_report::Detail;
@@ -62,7 +62,7 @@ pub(crate) fn coverage(arguments: &CoverageArgs, detail: Detail) -> CommandResul
     for reason in &not_applicable {
         stdio::note(&format!("not applicable: {reason}"));
     }
-    let text = coverage_text::summary(&coverage);
+    let text = summary(&coverage);
     write_files(arguments, &coverage, &text)?;
     stdio::show(&text);
     let Some(limit) = arguments.at_least else { return Ok(Exit::Passed) };
@@ -73,7 +73,7 @@ pub(crate) fn coverage(arguments: &CoverageArgs, detail: Detail) -> CommandResul
 }
 
 fn write_files(arguments: &CoverageArgs, coverage: &Coverage, text: &str) -> Result<(), Failure> {
-    let tracefile = lcov::tracefile(coverage);
+    let tracefile = lcov_tracefile(coverage);
     let write = |path: &Path, text: &str| write_atomically(path, text.as_bytes()).or_invalid_at(path);
     if let Some(path) = &arguments.lcov {
         write(path, &tracefile)?;

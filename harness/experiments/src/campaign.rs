@@ -3,23 +3,15 @@
 //!
 //! A [campaign](definition) file names the scenario, its varied values and the number of trials.
 //! [`draw`] computes the values of trial i. A [`plan`] divides the trials into shards, which
-//! several machines can play. Each shard writes its results to a file, the part, and [`merge()`]
-//! joins the parts. With the methods `search` and `rare`, trials form chains, in which a trial
-//! depends on earlier results. This module has no job scheduler and no network; see [`submit`].
+//! several machines can play, and [`submission`] writes the commands for a job scheduler. Each
+//! shard writes its results to a file, the part, and [`merge`] joins the parts. With the methods
+//! `search` and `rare`, trials form chains, in which a trial depends on earlier results.
 
-mod chain;
 pub mod confirm;
-mod correlation;
 pub mod definition;
 pub mod distribution;
 pub mod draw;
 pub mod error;
-mod evolution;
-mod first_order;
-pub mod lock;
-mod maps;
-pub mod merge;
-pub mod outcome;
 mod part;
 pub mod plan;
 pub mod play;
@@ -28,23 +20,150 @@ pub mod report;
 pub mod results;
 pub mod row;
 pub mod sample;
-mod scenario_files;
 mod search;
-pub mod sequential;
-mod shard_end;
-pub mod submit;
 pub mod summary;
-pub mod tally;
-pub mod variable;
 pub mod worst_run;
 
-pub use confirm::{Agreement, confirm};
+use confirm::Agreement;
+use part::PartReader;
+use platebench_model::record::FileLock;
+use platebench_model::trace::{AtPath, write_atomically};
+use results::ResultsWriter;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use summary::SUMMARY_FILE;
+use worst_run::write_scenarios;
+
+pub use confirm::confirm;
 pub use definition::{Campaign, RawCampaign};
 pub use error::CampaignError;
-pub use lock::{ShardLock, lock_folder};
-pub use merge::{Status, merge, status};
 pub use plan::{Plan, shards_of_run};
 pub use play::{PlayConfig, TrialEvent, play_shard};
-pub use shard_end::ShardEnd;
+pub use row::ShardEnd;
 pub use summary::Summary;
 pub use worst_run::{ResponseLinks, play_worst, worst_trials};
+
+const COUNTEREXAMPLES: &str = "counterexamples";
+
+/// If a part is damaged, returns an error and keeps the results of an earlier merge.
+pub fn merge<'a>(
+    folder: &Path,
+    plan: &Plan,
+    campaign: &'a Campaign,
+    agreement: Option<Agreement>,
+) -> Result<Summary<'a>, CampaignError> {
+    let mut summary = Summary::new(campaign);
+    summary.agreement = agreement;
+    let mut results = ResultsWriter::new(folder, campaign)?;
+    for shard in 1..=plan.shards {
+        if !plan.part_path(folder, shard).exists() {
+            summary.missing.push(shard);
+            continue;
+        }
+        let part = PartReader::open(folder, plan, campaign, shard)?;
+        summary.end.add(part.end());
+        part.rows(&mut |row| {
+            summary.add(&row);
+            results.push(row)
+        })?;
+    }
+    results.commit()?;
+    let path = folder.join(SUMMARY_FILE);
+    let text = serde_json::to_string_pretty(&summary.json()).unwrap_or_default();
+    write_atomically(&path, format!("{text}\n").as_bytes()).at(&path)?;
+    let failing = summary.failing.iter().map(|row| row.trial_in(campaign)).collect::<Result<Vec<_>, _>>()?;
+    write_scenarios(&folder.join(COUNTEREXAMPLES), campaign, &failing)?;
+    Ok(summary)
+}
+
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Status {
+    pub whole: Vec<u32>,
+    pub missing: Vec<u32>,
+    /// Shards whose part is damaged or belongs to another plan, with the error message.
+    pub unusable: Vec<(u32, String)>,
+}
+
+pub fn status(folder: &Path, plan: &Plan, campaign: &Campaign) -> Result<Status, CampaignError> {
+    let mut status = Status::default();
+    for shard in 1..=plan.shards {
+        if !plan.part_path(folder, shard).exists() {
+            status.missing.push(shard);
+            continue;
+        }
+        match PartReader::open(folder, plan, campaign, shard).and_then(|part| part.check_rows()) {
+            Ok(()) => status.whole.push(shard),
+            Err(error @ (CampaignError::Damaged { .. } | CampaignError::OtherPart(_))) => {
+                status.unusable.push((shard, error.to_string()));
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(status)
+}
+
+/// Reserves the existing folder for one process.
+pub fn lock_folder(folder: &Path) -> Result<FileLock, CampaignError> {
+    FileLock::exclusive(folder)?.ok_or_else(|| CampaignError::InUse(folder.to_owned()))
+}
+
+/// Reservation of one shard. Other shards of the folder can be played at the same time.
+#[derive(Debug)]
+pub struct ShardLock {
+    path: PathBuf,
+    _shard: FileLock,
+    _folder: FileLock,
+}
+
+impl ShardLock {
+    /// Creates the lock file of the shard. It stays after a crash, without effect.
+    pub fn new(folder: &Path, plan: &Plan, shard: u32) -> Result<Self, CampaignError> {
+        if !(1..=plan.shards).contains(&shard) {
+            return Err(CampaignError::NoShard { shard, shards: plan.shards });
+        }
+        let in_use = || CampaignError::InUse(folder.to_owned());
+        let shared = FileLock::shared(folder)?.ok_or_else(in_use)?;
+        let path = plan.part_path(folder, shard).with_extension("lock");
+        if let Some(parts) = path.parent() {
+            fs::create_dir_all(parts).at(parts)?;
+        }
+        File::options().create(true).append(true).open(&path).at(&path)?;
+        let own = FileLock::exclusive(&path)?;
+        let own = own.ok_or_else(|| CampaignError::ShardInUse { folder: folder.to_owned(), shard })?;
+        Ok(Self { path, _shard: own, _folder: shared })
+    }
+
+    /// Removes the lock file. The part must be complete: a process that opened the file before it
+    /// was removed then plays nothing.
+    pub fn remove(self) {
+        let _ = fs::remove_file(&self.path);
+    }
+}
+
+/// Job scheduler that starts and restarts shards.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Engine {
+    Slurm,
+    HyperQueue,
+}
+
+/// Returns two commands as words. The first starts all shards, the second merges their results.
+pub fn submission(engine: Engine, plan: &Plan, folder: &Path) -> Result<[Vec<String>; 2], CampaignError> {
+    let program = std::env::current_exe().at(Path::new("the bench's own program"))?;
+    let folder = std::path::absolute(folder).at(folder)?;
+    let [program, folder] = [&program, &folder].map(|path| path.to_string_lossy().into_owned());
+    let quoted = |word: &str| shlex::try_quote(word).map_or_else(|_| word.to_owned(), std::borrow::Cow::into_owned);
+    let play =
+        |task: &str| format!("{} campaign play {} --shard \"${task}\" --jobs 1", quoted(&program), quoted(&folder));
+    let shards = format!("--array=1-{}", plan.shards);
+    let words = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
+    let array = match engine {
+        Engine::Slurm => words(&["sbatch", "--wait", &shards, "--wrap", &play("SLURM_ARRAY_TASK_ID")]),
+        Engine::HyperQueue => words(&["hq", "submit", "--wait", &shards, "--", "bash", "-c", &play("HQ_TASK_ID")]),
+    };
+    Ok([array, words(&[&program, "campaign", "merge", &folder])])
+}
+
+pub fn command_line(words: &[String]) -> String {
+    shlex::try_join(words.iter().map(|word| &**word)).unwrap_or_else(|_| words.join(" "))
+}

@@ -1,18 +1,304 @@
-//! Analyses the firmware on the emulated rig: which machine code the scenarios execute, and which
-//! changes of it they detect. See `docs/coverage.md` and `docs/mutation.md`.
+//! Analyses the firmware on the emulated rig: which machine code the scenarios execute, by source
+//! line and function. See `docs/coverage.md`.
 
 pub mod code_map;
-pub mod coverage;
-pub mod coverage_text;
 pub mod error;
-pub mod lcov;
-pub mod mutation;
-mod source_map;
 pub mod suite;
-pub mod thumb;
+
+use code_map::SourceMap;
+use platebench_engine::SafeEnds;
+use platebench_engine::parallel::in_parallel;
+use platebench_model::record::Verdict;
+use platebench_model::scenario::Scenario;
+use platebench_rig::{CancelToken, Symbols};
+use platebench_wire::LawId;
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+use std::fmt::{self, Write};
+use std::path::Path;
+use std::time::{Duration, Instant};
+use suite::{Outcome, new_executor, play};
 
 pub use code_map::CodeMap;
-pub use coverage::{Coverage, CoverageConfig, FileCoverage, measure_coverage};
 pub use error::AnalysisError;
-pub use mutation::{MutationConfig, MutationReport, measure_mutation};
 pub use suite::Suite;
+
+#[derive(Debug)]
+pub struct CoverageConfig {
+    pub suite: Suite,
+    pub jobs: usize,
+    /// Parts of paths of source files. If empty, all of the firmware's own files are selected.
+    pub only: Vec<String>,
+    pub cancel: CancelToken,
+}
+
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Coverage {
+    pub files: BTreeMap<String, FileCoverage>,
+    /// Instructions of all functions in flash, including those without debug information.
+    pub instructions: Ratio,
+}
+
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct FileCoverage {
+    pub lines: BTreeMap<u32, LineCoverage>,
+    pub functions: BTreeMap<String, FunctionCoverage>,
+}
+
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+pub struct LineCoverage {
+    pub executed: bool,
+    /// True if a function that ran in a control step contains the line.
+    pub on_control_path: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FunctionCoverage {
+    /// First line with code.
+    pub line: u32,
+    pub executed: bool,
+    /// True if one of its instructions ran while the firmware answered a sample.
+    pub in_control_step: bool,
+}
+
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+pub struct Ratio {
+    pub executed: usize,
+    pub total: usize,
+}
+
+impl Ratio {
+    pub fn percent(self) -> f64 {
+        if self.total == 0 { 100.0 } else { self.executed as f64 / self.total as f64 * 100.0 }
+    }
+}
+
+impl FromIterator<bool> for Ratio {
+    fn from_iter<I: IntoIterator<Item = bool>>(executed: I) -> Self {
+        executed.into_iter().fold(Self::default(), |ratio, executed| Self {
+            executed: ratio.executed + usize::from(executed),
+            total: ratio.total + 1,
+        })
+    }
+}
+
+impl FileCoverage {
+    pub fn line_ratio(&self) -> Ratio {
+        self.lines.values().map(|line| line.executed).collect()
+    }
+
+    pub fn function_ratio(&self) -> Ratio {
+        self.functions.values().map(|function| function.executed).collect()
+    }
+}
+
+impl Coverage {
+    pub fn line_ratio(&self) -> Ratio {
+        self.files.values().flat_map(|file| file.lines.values()).map(|line| line.executed).collect()
+    }
+
+    /// `executed` maps the first instruction of each basic block that ran to whether it ran in a
+    /// control step.
+    fn new(map: &CodeMap, symbols: &Symbols, executed: &BTreeMap<u32, bool>, only: &[String]) -> Self {
+        let mut coverage = Self::default();
+        let mut places = Vec::new();
+        let sources = SourceMap::new(symbols);
+        for &address in map.instructions.keys() {
+            let state = executed.get(&map.leader_of(address)).copied();
+            coverage.instructions.total += 1;
+            coverage.instructions.executed += usize::from(state.is_some());
+            for frame in sources.frames(address) {
+                let Some(line) = frame.line else { continue };
+                let file = coverage.files.entry(line.file.clone()).or_default();
+                let function = file.functions.entry(frame.function.clone()).or_insert(FunctionCoverage {
+                    line: line.line,
+                    executed: false,
+                    in_control_step: false,
+                });
+                function.line = function.line.min(line.line);
+                function.executed |= state.is_some();
+                function.in_control_step |= state == Some(true);
+                places.push((line, frame.function, state.is_some()));
+            }
+        }
+        for (place, function, executed) in places {
+            let Some(file) = coverage.files.get_mut(&place.file) else { continue };
+            let in_step = file.functions.get(&function).is_some_and(|function| function.in_control_step);
+            let line = file.lines.entry(place.line).or_default();
+            line.executed |= executed;
+            line.on_control_path |= in_step;
+        }
+        coverage.select(only);
+        coverage
+    }
+
+    fn select(&mut self, only: &[String]) {
+        if !only.is_empty() {
+            return self.files.retain(|file, _| only.iter().any(|part| file.contains(part)));
+        }
+        self.files.retain(|file, _| !is_standard_library(file));
+        // Dependencies have no sources on this computer, and genhtml stops at a missing source.
+        if self.files.keys().any(|file| Path::new(file).is_file()) {
+            self.files.retain(|file, _| Path::new(file).is_file());
+        }
+    }
+}
+
+pub(crate) fn is_standard_library(file: &str) -> bool {
+    ["/rustc/", "library/core/", "library/alloc/", "library/compiler-builtins/"].iter().any(|part| file.contains(part))
+}
+
+pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisError> {
+    let (symbols, map) = config.suite.code()?;
+    let baselines = play_baselines(&config.suite, &map, config.jobs, &config.cancel)?;
+    let coverage = Coverage::new(&map, &symbols, &executed_by_all(&baselines), &config.only);
+    match config.only.iter().find(|_| coverage.files.is_empty()) {
+        Some(only) => Err(AnalysisError::NoMatch(only.clone())),
+        None => Ok(coverage),
+    }
+}
+
+/// Result of a scenario with the unchanged firmware.
+pub(crate) struct Baseline {
+    /// Executed blocks, as in [`platebench_rig::EmulatedLink::executed_instructions`].
+    pub(crate) executed: BTreeMap<u32, bool>,
+    pub(crate) duration: Duration,
+    pub(crate) commands: u64,
+    /// True if the scenario fails as expected without a mutant. It then cannot detect a mutant.
+    pub(crate) fails: bool,
+}
+
+pub(crate) fn play_baselines(
+    suite: &Suite,
+    map: &CodeMap,
+    jobs: usize,
+    cancel: &CancelToken,
+) -> Result<Vec<Baseline>, AnalysisError> {
+    // The longest scenarios come first, so that no worker ends long after the others.
+    let mut order: Vec<(usize, &(Scenario, LawId))> = suite.scenarios.iter().enumerate().collect();
+    order.sort_by_key(|(_, (scenario, _))| Reverse(scenario.duration.as_nanos() * u64::from(scenario.trials.count)));
+    let (connect, ends) = (|| suite.connect(), SafeEnds::default());
+    let work = |executor: &mut Option<_>, (number, (scenario, law)): &(usize, &(Scenario, LawId))| {
+        let executor = executor.get_or_insert_with(|| new_executor(&connect, cancel, &ends));
+        executor.session()?.link_mut().inner_mut().record_execution(&map.leaders);
+        let start = Instant::now();
+        let outcome = play(executor, scenario, *law)?.ok_or(AnalysisError::Cancelled)?;
+        check_baseline(scenario, &outcome)?;
+        let executed = executor.session()?.link_mut().inner_mut().executed_instructions().clone();
+        let (commands, fails) = (outcome.commands, outcome.detection.is_some());
+        Ok::<_, AnalysisError>((*number, Baseline { executed, duration: start.elapsed(), commands, fails }))
+    };
+    let mut baselines = BTreeMap::new();
+    in_parallel(jobs, &order, work, |(number, baseline)| {
+        baselines.insert(number, baseline);
+        true
+    })?;
+    Ok(baselines.into_values().collect())
+}
+
+pub(crate) fn executed_by_all(baselines: &[Baseline]) -> BTreeMap<u32, bool> {
+    let mut executed = BTreeMap::new();
+    for (&address, &in_step) in baselines.iter().flat_map(|baseline| &baseline.executed) {
+        *executed.entry(address).or_default() |= in_step;
+    }
+    executed
+}
+
+fn check_baseline(scenario: &Scenario, outcome: &Outcome) -> Result<(), AnalysisError> {
+    match &outcome.detection {
+        Some(detection) if detection.is_unconfirmed => Err(AnalysisError::NotSafe),
+        Some(detection) if outcome.verdict == Verdict::Fail && scenario.expected_exit.is_none_or(|exit| exit == 0) => {
+            Err(AnalysisError::FailingScenario { file: scenario.file.clone(), reason: detection.reason.clone() })
+        }
+        _ => Ok(()),
+    }
+}
+
+pub fn summary(coverage: &Coverage) -> String {
+    let mut text = String::new();
+    let _ = write_summary(&mut text, coverage);
+    text
+}
+
+fn write_summary(text: &mut String, coverage: &Coverage) -> fmt::Result {
+    writeln!(text, "{:>7}  {:>11}  {:>11}  file", "lines", "lines", "functions")?;
+    for (path, file) in &coverage.files {
+        let (lines, functions) = (file.line_ratio(), file.function_ratio());
+        let count = |ratio: Ratio| format!("{}/{}", ratio.executed, ratio.total);
+        writeln!(text, "{:>5.1} %  {:>11}  {:>11}  {path}", lines.percent(), count(lines), count(functions))?;
+    }
+    writeln!(text, "\nLines of the control path that never ran:")?;
+    let mut complete = true;
+    for (path, file) in &coverage.files {
+        let missing = file.lines.iter().filter(|(_, line)| line.on_control_path && !line.executed);
+        let missing: Vec<u32> = missing.map(|(&line, _)| line).collect();
+        if !missing.is_empty() {
+            complete = false;
+            writeln!(text, "  {path}: {}", ranges(&missing))?;
+        }
+    }
+    if complete {
+        writeln!(text, "  none")?;
+    }
+    let (lines, instructions) = (coverage.line_ratio(), coverage.instructions);
+    writeln!(
+        text,
+        "\nlines: {} of {}, {:.1} %; instructions of the image: {} of {}, {:.1} %",
+        lines.executed,
+        lines.total,
+        lines.percent(),
+        instructions.executed,
+        instructions.total,
+        instructions.percent()
+    )
+}
+
+/// Formats line numbers as `3, 7-9`.
+fn ranges(lines: &[u32]) -> String {
+    let mut ranges: Vec<(u32, u32)> = Vec::new();
+    for &line in lines {
+        match ranges.last_mut() {
+            Some((_, last)) if *last + 1 == line => *last = line,
+            _ => ranges.push((line, line)),
+        }
+    }
+    let range = |(first, last)| if first == last { format!("{first}") } else { format!("{first}-{last}") };
+    ranges.into_iter().map(range).collect::<Vec<_>>().join(", ")
+}
+
+pub fn lcov_tracefile(coverage: &Coverage) -> String {
+    let mut text = String::new();
+    let _ = write_tracefile(&mut text, coverage);
+    text
+}
+
+fn write_tracefile(text: &mut String, coverage: &Coverage) -> fmt::Result {
+    for (path, file) in &coverage.files {
+        writeln!(text, "TN:\nSF:{path}")?;
+        for (name, function) in &file.functions {
+            writeln!(text, "FN:{},{name}", function.line)?;
+        }
+        for (name, function) in &file.functions {
+            writeln!(text, "FNDA:{},{name}", u8::from(function.executed))?;
+        }
+        let functions = file.function_ratio();
+        writeln!(text, "FNF:{}\nFNH:{}", functions.total, functions.executed)?;
+        for (line, state) in &file.lines {
+            writeln!(text, "DA:{line},{}", u8::from(state.executed))?;
+        }
+        let lines = file.line_ratio();
+        writeln!(text, "LF:{}\nLH:{}\nend_of_record", lines.total, lines.executed)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn joins_successive_lines() {
+        assert_eq!(ranges(&[3, 7, 8, 9, 11]), "3, 7-9, 11");
+        assert_eq!(ranges(&[]), "");
+    }
+}

@@ -6,4 +6,6 @@ pub mod campaign;
 pub mod explore;
 #[cfg(feature = "firmware-analysis")]
 pub mod firmware_analysis;
+#[cfg(feature = "firmware-analysis")]
+pub mod mutation;
 pub mod trust;

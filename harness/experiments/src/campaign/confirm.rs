@@ -10,8 +10,7 @@ use crate::campaign::error::CampaignError;
 use crate::campaign::part::PartReader;
 use crate::campaign::plan::{Plan, firmware_digest};
 use crate::campaign::play::{PlayConfig, TrialEvent, replay};
-use crate::campaign::row::Row;
-use crate::campaign::tally::{Tally, keep_worst};
+use crate::campaign::row::{Row, Tally, keep_worst};
 use platebench_model::record::Verdict;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -247,7 +246,7 @@ impl Agreement {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::campaign::tally::MAX_WORST;
+    use crate::campaign::row::MAX_WORST;
 
     fn row(trial: u64, margin: f64) -> Row {
         let verdict = if margin < 0.0 { Verdict::Fail } else { Verdict::Pass };

@@ -1,8 +1,8 @@
 //! Reads and checks campaign files.
 
-use crate::campaign::correlation::{Correlation, RawCorrelation};
 use crate::campaign::distribution::RawDistribution;
-use crate::campaign::variable::Variable;
+use crate::campaign::distribution::Variable;
+use crate::campaign::distribution::{Correlation, RawCorrelation};
 use platebench_model::scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
 use platebench_model::scenario::{Diagnostic, Metric, Scenario, parse_file};
 use platebench_rig::RigSpec;

@@ -1,15 +1,18 @@
-//! Draws the values of a trial. They depend only on the campaign and the number of the trial.
+//! Draws the values of a trial. They depend only on the campaign and the number of the trial, or,
+//! in a chain, also on the scores of earlier trials. Therefore a merge can repeat a chain from
+//! stored scores.
 
-use crate::campaign::correlation::Correlation;
 use crate::campaign::definition::{Campaign, Method};
-use crate::campaign::distribution::Distribution;
+use crate::campaign::distribution::{Correlation, Distribution, Variable};
 use crate::campaign::error::CampaignError;
-use crate::campaign::variable::Variable;
+use crate::campaign::rare::{self, ChainEstimate};
+use crate::campaign::search::search;
 use platebench_model::scenario::load::ScenarioTables;
 use platebench_model::scenario::{Diagnostic, Scenario};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution as _, Open01};
+use std::ops::Range;
 
 const MAX_REDRAWS: u32 = 100;
 /// Number of points in a sequence of the crate `sobol_burley`. Each further block of this many
@@ -129,5 +132,53 @@ impl Campaign {
         let point = sobol_burley::sample((trial % SOBOL_BLOCK) as u32, dimension as u32, seed);
         // Points are multiples of 2⁻²⁴. Half of this is added to avoid 0, whose quantile may be −∞.
         f64::from(point) + 0.5 / f64::from(1 << 24)
+    }
+}
+
+/// Largest number of moves towards the middle of the range if the scenario refuses a point.
+const MAX_STEPS: u32 = 12;
+
+impl Campaign {
+    /// Calls `score` with points until it returns `None`. Only `rare` returns an estimate.
+    pub(crate) fn run_chain(
+        &self,
+        trials: &Range<u64>,
+        score: &mut dyn FnMut(&[f64]) -> Option<f64>,
+    ) -> Option<ChainEstimate> {
+        let chain = trials.start / self.chain_trials();
+        let seed = self.seed.wrapping_add((chain + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        let dimensions = self.variables.len();
+        if self.method == Method::Rare {
+            return rare::estimate(dimensions, seed, trials.end - trials.start, score);
+        }
+        search(dimensions, seed, score);
+        None
+    }
+
+    /// For `rare`, `point` contains standard normal scores. For `search`, it contains positions
+    /// from 0 to 1 in the ranges of the values.
+    pub(crate) fn chain_trial(&self, number: u64, point: &[f64]) -> Result<Trial, CampaignError> {
+        if self.method == Method::Rare {
+            let scores = self.correlation.as_ref().map(|correlation| correlation.apply(point));
+            let scores = scores.as_deref().unwrap_or(point);
+            let values = self.variables.iter().zip(scores);
+            let values = values.map(|(variable, score)| variable.distribution.at_score(*score)).collect();
+            return self.trial_with(number, values, 0);
+        }
+        let mut point = point.to_vec();
+        for step in 0.. {
+            let values = self.variables.iter().zip(&point);
+            let values = values.map(|(variable, share)| variable.distribution.at_share_of_range(*share)).collect();
+            match self.trial_with(number, values, step) {
+                Err(CampaignError::Trial { .. }) if step < MAX_STEPS => {}
+                result => return result,
+            }
+            for (share, variable) in point.iter_mut().zip(&self.variables) {
+                if variable.distribution.is_normal() {
+                    *share = 0.5 + (*share - 0.5) * 0.7;
+                }
+            }
+        }
+        Err(CampaignError::Cancelled)
     }
 }

@@ -7,8 +7,7 @@
 use crate::campaign::definition::Campaign;
 use crate::campaign::error::CampaignError;
 use crate::campaign::plan::Plan;
-use crate::campaign::row::Row;
-use crate::campaign::shard_end::{self, ShardEnd};
+use crate::campaign::row::{END_KEY, Row, ShardEnd};
 use parquet::basic::{Compression, Repetition, Type as Physical};
 use parquet::column::reader::get_typed_column_reader;
 use parquet::data_type::DoubleType;
@@ -79,7 +78,7 @@ impl PartWriter {
 
     pub(crate) fn commit(mut self, end: ShardEnd) -> Result<(), CampaignError> {
         if let Some(end) = end.encode() {
-            self.writer.append_key_value_metadata(KeyValue::new(shard_end::KEY.to_owned(), end));
+            self.writer.append_key_value_metadata(KeyValue::new(END_KEY.to_owned(), end));
         }
         if !self.rows.is_empty() {
             self.write_group()?;
@@ -161,7 +160,7 @@ impl<'a> PartReader<'a> {
         if !is_complete {
             return Err(damaged("its rows or columns are not those of its shard"));
         }
-        let end = value(shard_end::KEY).map_or_else(ShardEnd::default, |end| ShardEnd::decode(&end));
+        let end = value(END_KEY).map_or_else(ShardEnd::default, |end| ShardEnd::decode(&end));
         Ok(Self { reader, columns, campaign, first: trials.start, end, path })
     }
 

@@ -1,14 +1,17 @@
-//! Writes `report.html`: maps of the cells and the worst trials.
+//! Writes `report.html`: maps of the cells, which are the combinations of listed values, and the
+//! worst trials.
 
+use crate::campaign::distribution::Variable;
 use crate::campaign::error::CampaignError;
-use crate::campaign::maps;
-use crate::campaign::results::{CSV_FILE, PARQUET_FILE};
-use crate::campaign::row::Row;
+use crate::campaign::results::{CSV_FILE, PARQUET_FILE, unit_of_key};
+use crate::campaign::row::{Row, Tally};
 use crate::campaign::sample::Quantile;
 use crate::campaign::summary::{SUMMARY_FILE, Summary};
 use crate::campaign::worst_run::ResponseLinks;
 use platebench_model::record::Verdict;
-use platebench_report::page::{BlockPage, PageBlock};
+use platebench_report::chart::{HeatAxis, HeatFigure, HeatPanel};
+use platebench_report::format;
+use platebench_report::page::{AreaLink, BlockPage, LinkedDrawing, PageBlock};
 use platebench_report::text::Table;
 use std::path::Path;
 
@@ -16,7 +19,7 @@ pub const REPORT_FILE: &str = "report.html";
 
 pub fn write(folder: &Path, summary: &Summary<'_>, links: &ResponseLinks) -> Result<(), CampaignError> {
     let mut blocks = vec![PageBlock::Preformatted(summary.text())];
-    blocks.extend(maps::blocks(summary, links)?);
+    blocks.extend(maps(summary, links)?);
     let quantiles = quantiles(summary);
     if !quantiles.rows.is_empty() {
         blocks.push(PageBlock::Heading("Quantiles".to_owned()));
@@ -51,7 +54,7 @@ fn quantiles(summary: &Summary<'_>) -> Table {
 fn worst_trials(summary: &Summary<'_>) -> Table {
     let campaign = summary.campaign;
     let names = campaign.expectation_names();
-    let keys = campaign.variables.iter().map(maps::axis_label);
+    let keys = campaign.variables.iter().map(axis_label);
     let header: Vec<_> =
         ["trial", "verdict", "margin"].map(str::to_owned).into_iter().chain(keys).chain(names).collect();
     let mut table = Table::new(header.iter().map(|name| &**name));
@@ -70,4 +73,144 @@ fn worst_trials(summary: &Summary<'_>) -> Table {
     };
     table.rows = summary.worst.iter().map(row).collect();
     table
+}
+
+/// Limits of the number and size of maps, because larger maps make the page too large.
+const MAX_PANELS: usize = 12;
+const MAX_PANEL_CELLS: usize = 10_000;
+const MAX_VALUE_MAPS: usize = 6;
+
+/// Axes of each map. Each combination of the other listed values has its own panel.
+struct Layout<'a> {
+    x: &'a Variable,
+    y: Option<&'a Variable>,
+    panels: usize,
+}
+
+impl<'a> Layout<'a> {
+    /// The axes are the last two variables with listed numbers, because these vary fastest.
+    fn new(summary: &'a Summary<'_>) -> Option<Self> {
+        let lists = || summary.campaign.variables.iter().filter(|variable| variable.distribution.choices().is_some());
+        let long = |variable: &&Variable| length(variable) > 1;
+        let mut axes = lists().filter(long).filter(|variable| variable.is_number()).rev();
+        let (x, y) = (axes.next().or_else(|| lists().next_back())?, axes.next());
+        let cells = length(x) * y.map_or(1, length);
+        Some(Self { x, y, panels: summary.cells.len() / cells.max(1) })
+    }
+}
+
+fn length(variable: &Variable) -> usize {
+    variable.distribution.choices().map_or(1, <[_]>::len)
+}
+
+fn maps(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Vec<PageBlock>, CampaignError> {
+    let Some(layout) = Layout::new(summary) else { return Ok(Vec::new()) };
+    let cells_per_panel = summary.cells.len() / layout.panels.max(1);
+    if layout.panels > MAX_PANELS || cells_per_panel > MAX_PANEL_CELLS {
+        let text = format!("{} cells, too many for maps: see {CSV_FILE}", summary.cells.len());
+        return Ok(vec![PageBlock::Text(text)]);
+    }
+    let places = layout.places(summary);
+    let figure = |title: String, is_low_bad, of: &dyn Fn(&Tally) -> Option<f64>| {
+        let panels = places.panels(summary, of);
+        let figure = HeatFigure { title, panels, is_low_bad };
+        let links = places.links(summary, &figure, links);
+        Ok::<_, CampaignError>(LinkedDrawing { svg: figure.svg()?, caption: figure.title, links })
+    };
+    let share = |cell: &Tally| (cell.trials > 0).then(|| cell.failures as f64 / cell.trials as f64 * 100.0);
+    let margin = |cell: &Tally| (cell.trials > 0).then_some(cell.smallest_margin);
+    let mut drawings = vec![
+        figure("share of failing trials, %".to_owned(), false, &share)?,
+        figure("smallest margin, relative to the limit".to_owned(), true, &margin)?,
+    ];
+    let expectations = summary.campaign.template.scenario.expectations.iter().take(MAX_VALUE_MAPS);
+    for (index, expectation) in expectations.enumerate() {
+        let unit = format::unit(expectation.metric);
+        let title =
+            [&*expectation.name, unit].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ");
+        drawings.push(figure(format!("mean {title}"), false, &|cell| cell.mean(index))?);
+    }
+    let mut blocks = vec![PageBlock::Heading("Maps".to_owned())];
+    if !links.is_empty() {
+        blocks.push(PageBlock::Text("A cell opens the response of its worst trial.".to_owned()));
+    }
+    blocks.push(PageBlock::LinkedDrawings(drawings));
+    Ok(blocks)
+}
+
+struct Places {
+    /// Panels with titles and axes, without values.
+    panels: Vec<HeatPanel>,
+    /// Panel, column and row of each cell.
+    cells: Vec<(usize, usize, usize)>,
+}
+
+impl Layout<'_> {
+    fn places(&self, summary: &Summary<'_>) -> Places {
+        let axis = |variable: Option<&Variable>| HeatAxis {
+            label: variable.map(axis_label).unwrap_or_default(),
+            values: variable.map_or_else(
+                || vec![String::new()],
+                |variable| {
+                    variable.distribution.choices().unwrap_or_default().iter().map(ToString::to_string).collect()
+                },
+            ),
+        };
+        let (x, y) = (axis(Some(self.x)), axis(self.y));
+        let values = vec![vec![None; x.values.len()]; y.values.len()];
+        let mut places = Places { panels: Vec::new(), cells: Vec::new() };
+        for number in 0..summary.cells.len() {
+            let (is_x, is_y) = (
+                |variable: &Variable| std::ptr::eq(variable, self.x),
+                |variable: &Variable| self.y.is_some_and(|y| std::ptr::eq(variable, y)),
+            );
+            let choices = summary.cell_choices(number);
+            let choice = |is_axis: &dyn Fn(&Variable) -> bool| {
+                choices.iter().find(|(variable, _)| is_axis(variable)).map_or(0, |(_, choice)| *choice)
+            };
+            let (column, row) = (choice(&is_x), choice(&is_y));
+            let title = choice_texts(summary, number, |variable| !is_x(variable) && !is_y(variable)).join(", ");
+            let panels = &mut places.panels;
+            let panel = panels.iter().position(|panel| panel.title == title).unwrap_or_else(|| {
+                panels.push(HeatPanel { title, x: x.clone(), y: y.clone(), values: values.clone() });
+                panels.len() - 1
+            });
+            places.cells.push((panel, column, row));
+        }
+        places
+    }
+}
+
+impl Places {
+    fn panels(&self, summary: &Summary<'_>, of: &dyn Fn(&Tally) -> Option<f64>) -> Vec<HeatPanel> {
+        let mut panels = self.panels.clone();
+        for (cell, (panel, column, row)) in summary.cells.iter().zip(&self.cells) {
+            let value = panels.get_mut(*panel).and_then(|panel| panel.values.get_mut(*row)?.get_mut(*column));
+            if let Some(value) = value {
+                *value = of(cell);
+            }
+        }
+        panels
+    }
+
+    fn links(&self, summary: &Summary<'_>, figure: &HeatFigure, links: &ResponseLinks) -> Vec<AreaLink> {
+        let link = |(number, (cell, (panel, column, row))): (usize, (&Tally, &(usize, usize, usize)))| {
+            let href = links.get(&cell.worst_trial).filter(|_| cell.trials > 0)?.clone();
+            let title = format!("{}; trial {}", choice_texts(summary, number, |_| true).join(", "), cell.worst_trial);
+            Some(AreaLink { area: figure.cell_area(*panel, *column, *row)?, href, title })
+        };
+        summary.cells.iter().zip(&self.cells).enumerate().filter_map(link).collect()
+    }
+}
+
+fn choice_texts(summary: &Summary<'_>, cell: usize, is_selected: impl Fn(&Variable) -> bool) -> Vec<String> {
+    let choices = summary.cell_choices(cell).into_iter().filter(|(variable, _)| is_selected(variable));
+    choices.map(|(variable, choice)| format!("{} {}", variable.short_name(), variable.text(choice as f64))).collect()
+}
+
+fn axis_label(variable: &Variable) -> String {
+    match unit_of_key(&variable.key) {
+        "" => variable.key.clone(),
+        unit => format!("{}, {unit}", variable.key),
+    }
 }

@@ -1,10 +1,16 @@
-//! Defines the result of a trial.
+//! Defines the result of a trial and of a shard, and counts results.
+//!
+//! A decision before the last trial waits for all trials 0 to n − 1, for planned values of n. The
+//! trials that end first are a biased sample, because a trial that settles late may take longer.
+//! Each look at the results spends a part of the error probability (alpha spending).
 
 use crate::campaign::definition::Campaign;
 use crate::campaign::draw::Trial;
 use crate::campaign::error::CampaignError;
 use platebench_model::record::{Cause, Verdict};
 use platebench_model::scenario::Expectation;
+use platebench_verdict::statistics::alpha_spending::{Look, plan_looks};
+use platebench_verdict::statistics::proportion::clopper_pearson;
 use platebench_verdict::{Judgement, TrialMeasures, judge};
 
 const VERDICTS: [Verdict; 3] = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
@@ -114,9 +120,160 @@ impl Row {
     }
 }
 
+/// Number of trials in the table of the report and in the folder of counterexamples.
+pub const MAX_WORST: usize = 20;
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tally {
+    pub trials: u64,
+    pub failures: u64,
+    pub inconclusive: u64,
+    pub smallest_margin: f64,
+    pub worst_trial: u64,
+    /// Sum and number of values, per expectation.
+    pub values: Vec<(f64, u64)>,
+}
+
+impl Tally {
+    pub(crate) fn new(expectations: usize) -> Self {
+        let values = vec![(0.0, 0); expectations];
+        Self { trials: 0, failures: 0, inconclusive: 0, smallest_margin: f64::INFINITY, worst_trial: 0, values }
+    }
+
+    pub(crate) fn add(&mut self, row: &Row) {
+        self.trials += 1;
+        self.failures += u64::from(row.verdict == Verdict::Fail);
+        self.inconclusive += u64::from(row.verdict == Verdict::Inconclusive);
+        if row.margin() < self.smallest_margin || self.trials == 1 {
+            (self.smallest_margin, self.worst_trial) = (row.margin(), row.trial);
+        }
+        for ((sum, count), value) in self.values.iter_mut().zip(&row.values).filter(|(_, value)| !value.is_nan()) {
+            (*sum, *count) = (*sum + value, *count + 1);
+        }
+    }
+
+    pub fn mean(&self, expectation: usize) -> Option<f64> {
+        self.values.get(expectation).filter(|(_, count)| *count > 0).map(|(sum, count)| sum / *count as f64)
+    }
+
+    /// Share of failing trials, each end one-sided. The upper end also counts inconclusive trials.
+    pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
+        let count = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);
+        let bounds = |failures: u64| clopper_pearson(count(failures), count(self.trials), confidence);
+        let ([low, _], [_, high]) = (bounds(self.failures)?, bounds(self.failures + self.inconclusive)?);
+        Some([low, high])
+    }
+
+    pub fn verdict(&self, at_most: Option<f64>, confidence: f64) -> Verdict {
+        let Some(interval) = self.interval(confidence) else { return Verdict::Inconclusive };
+        let (fails, passes) = match at_most {
+            Some(share) => (interval[0] > share, interval[1] <= share),
+            None => (self.failures > 0, true),
+        };
+        match (fails, passes && self.inconclusive == 0) {
+            (true, _) => Verdict::Fail,
+            (false, true) => Verdict::Pass,
+            (false, false) => Verdict::Inconclusive,
+        }
+    }
+}
+
+/// Adds `row` if it is among the worst. Of rows with equal margins, the earlier one is worse.
+pub(crate) fn keep_worst(worst: &mut Vec<Row>, row: &Row) {
+    let place = worst.partition_point(|kept| kept.margin() <= row.margin());
+    if place < MAX_WORST {
+        worst.insert(place, row.clone());
+        worst.truncate(MAX_WORST);
+    }
+}
+
+const FIRST_LOOK: u32 = 32;
+
+/// Looks at the first 32, 64, 128 … trials.
+#[derive(Debug)]
+pub struct SequentialDecision {
+    at_most: Option<f64>,
+    confidence: f64,
+    looks: std::vec::IntoIter<Look>,
+    next: Option<Look>,
+    tally: Tally,
+    decision: Option<(u32, Verdict)>,
+}
+
+impl SequentialDecision {
+    pub(crate) fn new(trials: u64, at_most: Option<f64>, confidence: f64) -> Self {
+        let trials = u32::try_from(trials).unwrap_or(u32::MAX);
+        let mut looks = plan_looks(FIRST_LOOK.min(trials), trials).into_iter();
+        let next = looks.next();
+        Self { at_most, confidence, looks, next, tally: Tally::new(0), decision: None }
+    }
+
+    /// Ignores all trials after a missing trial.
+    pub(crate) fn add(&mut self, row: &Row) {
+        let (Some(_), Some(look)) = (self.at_most, self.next) else { return };
+        if row.trial != self.tally.trials || self.decision.is_some() {
+            return;
+        }
+        self.tally.add(row);
+        if self.tally.trials == u64::from(look.trials) {
+            let verdict = self.tally.verdict(self.at_most, look.confidence(self.confidence));
+            self.decision = (verdict != Verdict::Inconclusive).then_some((look.trials, verdict));
+            self.next = self.looks.next();
+        }
+    }
+
+    pub const fn decision(&self) -> Option<(u32, Verdict)> {
+        self.decision
+    }
+}
+
+/// Key of the metadata. A part without this key ended well.
+pub(crate) const END_KEY: &str = "controller";
+
+#[expect(clippy::struct_excessive_bools, reason = "independent events of one shard")]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ShardEnd {
+    /// A controller did not confirm 0 V at the end, or did not stay there.
+    pub unconfirmed: bool,
+    /// A controller commanded a drive after it had confirmed 0 V, outside all trials.
+    pub driven: bool,
+    /// A controller was lost in a trial, and the rig caused it.
+    pub lost: bool,
+    /// A trial failed. Not stored, because the rows of the part show it.
+    pub failed: bool,
+}
+
+impl ShardEnd {
+    pub fn add(&mut self, other: Self) {
+        self.failed |= other.failed;
+        self.unconfirmed |= other.unconfirmed;
+        self.driven |= other.driven;
+        self.lost |= other.lost;
+    }
+
+    /// True if the rig counts as lost, by the rule of `platebench run`: a failure of the controller
+    /// also explains a missing confirmation of 0 V.
+    pub fn is_lost(self, has_failure: bool) -> bool {
+        self.lost || (self.unconfirmed && !self.driven && !has_failure)
+    }
+
+    /// `None` if all controllers ended well.
+    pub(crate) fn encode(self) -> Option<String> {
+        let names = [(self.unconfirmed, "unconfirmed"), (self.driven, "driven"), (self.lost, "lost")];
+        let names: Vec<_> = names.into_iter().filter(|(is_set, _)| *is_set).map(|(_, name)| name).collect();
+        (!names.is_empty()).then(|| names.join(" "))
+    }
+
+    pub(crate) fn decode(text: &str) -> Self {
+        let has = |wanted| text.split(' ').any(|name| name == wanted);
+        Self { unconfirmed: has("unconfirmed"), driven: has("driven"), lost: has("lost"), failed: false }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rstest::rstest;
 
     impl Row {
         pub(crate) fn example(trial: u64, verdict: Verdict, margin: f64) -> Self {
@@ -141,5 +298,99 @@ mod tests {
         assert_eq!(columns.len(), Row::column_count(2, 1));
         assert_eq!(Row::decode(7, &columns, 2), Some(row));
         assert_eq!(Row::decode(7, &columns[..columns.len() - 1], 2), None);
+    }
+
+    fn tally(trials: u64, failures: u64, inconclusive: u64) -> Tally {
+        Tally { trials, failures, inconclusive, ..Tally::new(0) }
+    }
+
+    // Without failures, the bound is 1 − 0.05^(1/n): 0.010 015 for n = 298, 0.009 969 for 299.
+    #[rstest]
+    #[case(298, 0, 0, Some(0.01), Verdict::Inconclusive)]
+    #[case(299, 0, 0, Some(0.01), Verdict::Pass)]
+    #[case(299, 0, 1, Some(0.01), Verdict::Inconclusive)]
+    #[case(10_000, 0, 1, Some(0.01), Verdict::Inconclusive)]
+    #[case(100, 50, 0, Some(0.4), Verdict::Fail)]
+    #[case(100, 50, 0, Some(0.45), Verdict::Inconclusive)]
+    #[case(100, 1, 0, None, Verdict::Fail)]
+    #[case(100, 0, 0, None, Verdict::Pass)]
+    #[case(100, 0, 1, None, Verdict::Inconclusive)]
+    #[case(0, 0, 0, None, Verdict::Inconclusive)]
+    fn a_verdict_follows_the_interval(
+        #[case] trials: u64,
+        #[case] failures: u64,
+        #[case] inconclusive: u64,
+        #[case] at_most: Option<f64>,
+        #[case] expected: Verdict,
+    ) {
+        assert_eq!(tally(trials, failures, inconclusive).verdict(at_most, 0.95), expected);
+    }
+
+    #[test]
+    fn the_interval_is_that_of_clopper_and_pearson() {
+        let [low, high] = tally(10, 5, 0).interval(0.975).unwrap();
+        assert!((low - 0.187_086).abs() < 1e-6 && (high - 0.812_914).abs() < 1e-6, "{low} {high}");
+        assert_eq!(tally(10, 5, 2).interval(0.975).unwrap()[0], low);
+        assert!(tally(10, 5, 2).interval(0.975).unwrap()[1] > high);
+    }
+
+    #[test]
+    fn the_worst_rows_are_sorted_by_margin() {
+        let mut worst = Vec::new();
+        for trial in 0..100 {
+            keep_worst(&mut worst, &Row::example(trial, Verdict::Fail, -((trial % 10) as f64)));
+        }
+        assert_eq!(worst.len(), MAX_WORST);
+        assert_eq!((worst[0].trial, worst[9].trial, worst[10].trial), (9, 99, 8));
+    }
+
+    fn row(trial: u64, verdict: Verdict) -> Row {
+        Row::example(trial, verdict, 1.0)
+    }
+
+    fn decide(rows: impl IntoIterator<Item = Row>) -> Option<(u32, Verdict)> {
+        let mut decision = SequentialDecision::new(1_000, Some(0.1), 0.95);
+        rows.into_iter().for_each(|row| decision.add(&row));
+        decision.decision()
+    }
+
+    #[test]
+    fn decides_at_a_planned_number_of_trials() {
+        assert_eq!(decide((0..1_000).map(|trial| row(trial, Verdict::Fail))), Some((32, Verdict::Fail)));
+        // If 10 % of all trials fail, 64 trials pass with the probability 0.9⁶⁴ = 0.0012.
+        assert_eq!(decide((0..1_000).map(|trial| row(trial, Verdict::Pass))), Some((64, Verdict::Pass)));
+        assert_eq!(decide((0..40).map(|trial| row(trial, Verdict::Pass))), None);
+    }
+
+    // Every fifth trial fails and ends late. The trials that end first all pass.
+    #[test]
+    fn trials_that_ended_first_decide_nothing() {
+        let fails = |trial: u64| trial.is_multiple_of(5);
+        let ended: Vec<u64> = (0..1_000).filter(|trial| !fails(*trial)).collect();
+        let passing = |(number, _): (u64, &u64)| row(number, Verdict::Pass);
+        assert_eq!(decide((0..).zip(&ended).map(passing)), Some((64, Verdict::Pass)), "the biased decision");
+        assert_eq!(decide(ended.iter().map(|trial| row(*trial, Verdict::Pass))), None);
+        let verdict = |trial| if fails(trial) { Verdict::Fail } else { Verdict::Pass };
+        assert_eq!(
+            decide((0..1_000).map(|trial| row(trial, verdict(trial)))).map(|found| found.1),
+            Some(Verdict::Fail)
+        );
+    }
+
+    #[test]
+    fn decides_wrongly_no_more_often_than_stated() {
+        use rand_chacha::ChaCha8Rng;
+        use rand_chacha::rand_core::{Rng, SeedableRng};
+        // The true share equals the allowed share, so every decision `pass` is wrong.
+        let wrong = (0..400).filter(|seed| {
+            let mut random = ChaCha8Rng::seed_from_u64(*seed);
+            let mut draw = |trial| {
+                let fails = f64::from(random.next_u32()) < 0.1 * f64::from(u32::MAX);
+                row(trial, if fails { Verdict::Fail } else { Verdict::Pass })
+            };
+            decide((0..1_000).map(&mut draw)).is_some_and(|(_, verdict)| verdict == Verdict::Pass)
+        });
+        let wrong = wrong.count();
+        assert!(wrong <= 30, "{wrong} of 400, expected 20 or fewer, with a standard deviation of 4.4");
     }
 }

@@ -1,5 +1,7 @@
 use crate::{suite, workspace_root};
-use platebench_experiments::firmware_analysis::{AnalysisError, Coverage, CoverageConfig, lcov, measure_coverage};
+use platebench_experiments::firmware_analysis::{
+    AnalysisError, Coverage, CoverageConfig, lcov_tracefile, measure_coverage,
+};
 use platebench_rig::CancelToken;
 use platebench_test_kit::skip_without;
 use std::fs;
@@ -39,7 +41,7 @@ fn genhtml_renders_the_tracefile() {
     let coverage = coverage(&["paper/fig13-closed-loop.toml"], &["controller/src"]).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let tracefile = folder.path().join("lcov.info");
-    fs::write(&tracefile, lcov::tracefile(&coverage)).unwrap();
+    fs::write(&tracefile, lcov_tracefile(&coverage)).unwrap();
     let mut genhtml = Command::new("genhtml");
     genhtml.arg("--output-directory").arg(folder.path().join("html")).arg(&tracefile).current_dir(workspace_root());
     let output = genhtml.output().unwrap();

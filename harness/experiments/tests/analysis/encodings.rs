@@ -1,5 +1,5 @@
 use crate::shipped_code;
-use platebench_experiments::firmware_analysis::mutation::{Disassembler, Mutant, MutantFilter, Operator, all_mutants};
+use platebench_experiments::mutation::mutants::{Disassembler, Mutant, MutantFilter, Operator, all_mutants};
 use platebench_test_kit::skip_without;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

@@ -1,6 +1,7 @@
 use crate::suite;
-use platebench_experiments::firmware_analysis::mutation::{MutantFilter, Status, mutation_json};
-use platebench_experiments::firmware_analysis::{MutationConfig, MutationReport, measure_mutation};
+use platebench_experiments::mutation::mutants::MutantFilter;
+use platebench_experiments::mutation::{MutationConfig, MutationReport, measure_mutation};
+use platebench_experiments::mutation::{Status, mutation_json};
 use platebench_rig::CancelToken;
 use serde_json::Value;
 

@@ -1,0 +1,455 @@
+//! Changes one machine instruction at a time and checks whether the scenarios notice. See
+//! `docs/mutation.md`.
+
+pub mod mutants;
+
+use crate::firmware_analysis::code_map::CodeMap;
+use crate::firmware_analysis::error::AnalysisError;
+use crate::firmware_analysis::suite::{BoardExecutor, Margin, Outcome, Suite, new_executor, play};
+use crate::firmware_analysis::{Baseline, executed_by_all, play_baselines};
+use mutants::{Disassembler, Mutant, MutantFilter, Operator, all_mutants};
+use platebench_engine::SafeEnds;
+use platebench_engine::parallel::in_parallel;
+use platebench_engine::plan::LinkFactory;
+use platebench_model::trace::read_text_file;
+use platebench_rig::{CancelToken, EmulatedLink};
+use platebench_verdict::statistics::proportion::clopper_pearson;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde_json::{Map, Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::{self, Write};
+use std::path::Path;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Longest time of a mutant, relative to the time of the unchanged firmware.
+const TIMEOUT_FACTOR: u32 = 10;
+const MIN_TIMEOUT: Duration = Duration::from_secs(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+
+#[derive(Debug)]
+pub struct MutationConfig {
+    pub suite: Suite,
+    pub filter: MutantFilter,
+    /// Number of mutants to draw at random. `None` tests all mutants.
+    pub sample: Option<usize>,
+    /// Stops at this width of the 95 % interval of the score, in percentage points.
+    pub until_width: Option<f64>,
+    pub seed: u64,
+    pub jobs: usize,
+    pub cancel: CancelToken,
+}
+
+pub fn measure_mutation(
+    config: &MutationConfig,
+    on_result: &mut dyn FnMut(&MutantResult),
+) -> Result<MutationReport, AnalysisError> {
+    let suite = &config.suite;
+    let (symbols, map) = suite.code()?;
+    let baselines = play_baselines(suite, &map, config.jobs, &config.cancel)?;
+    let executed = executed_by_all(&baselines);
+    let mut mutants = all_mutants(&map, &symbols, &Disassembler::new()?, &config.filter, &executed);
+    if mutants.is_empty() {
+        let wanted = config.filter.functions.iter().chain(&config.filter.files).next();
+        return Err(AnalysisError::NoMatch(wanted.cloned().unwrap_or_default()));
+    }
+    let population = mutants.len();
+    if config.sample.is_some() || config.until_width.is_some() {
+        shuffle(&mut mutants, config.seed);
+        mutants.truncate(config.sample.unwrap_or(population));
+    }
+    let mut order: Vec<usize> = (0..baselines.len()).collect();
+    order.sort_by_key(|&index| baselines.get(index).map(|baseline| baseline.duration));
+    let (connect, ends) = (|| suite.connect(), SafeEnds::default());
+    let runner =
+        MutantRunner { config, map: &map, baselines: &baselines, order: &order, connect: &connect, ends: &ends };
+    let mut results: Vec<MutantResult> = Vec::new();
+    let work = |executor: &mut Option<_>, mutant: &Mutant| runner.run(executor, mutant);
+    in_parallel(config.jobs, &mutants, work, |result| {
+        on_result(&result);
+        results.push(result);
+        let score = Score::of(results.iter().map(|result| &result.status));
+        !config.until_width.is_some_and(|width| score.is_narrower_than(width))
+    })?;
+    let scenarios = suite.scenarios.iter().map(|(scenario, _)| scenario.file.clone()).collect();
+    Ok(MutationReport { results, population, scenarios })
+}
+
+/// Algorithm of Fisher and Yates.
+fn shuffle(mutants: &mut [Mutant], seed: u64) {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    for last in (1..mutants.len()).rev() {
+        mutants.swap(last, (random.next_u64() % (last as u64 + 1)) as usize);
+    }
+}
+
+struct MutantRunner<'a> {
+    config: &'a MutationConfig,
+    map: &'a CodeMap,
+    baselines: &'a [Baseline],
+    /// Indices of the scenarios, fastest first.
+    order: &'a [usize],
+    connect: &'a LinkFactory<'a, EmulatedLink>,
+    ends: &'a SafeEnds,
+}
+
+impl<'a> MutantRunner<'a> {
+    fn run(&self, executor: &mut Option<BoardExecutor<'a>>, mutant: &Mutant) -> Result<MutantResult, AnalysisError> {
+        let start = Instant::now();
+        let leader = self.map.leader_of(mutant.instruction);
+        let covers = |baseline: &Baseline| !baseline.fails && baseline.executed.contains_key(&leader);
+        let covering: Vec<usize> =
+            self.order.iter().copied().filter(|&index| self.baselines.get(index).is_some_and(covers)).collect();
+        let status = if covering.is_empty() { Status::NoCoverage } else { self.play(executor, mutant, &covering)? };
+        let file = |&index: &usize| Some(self.config.suite.scenarios.get(index)?.0.file.clone());
+        let covered_by = covering.iter().filter_map(file).collect();
+        Ok(MutantResult { mutant: mutant.clone(), status, covered_by, duration: start.elapsed() })
+    }
+
+    fn play(
+        &self,
+        executor: &mut Option<BoardExecutor<'a>>,
+        mutant: &Mutant,
+        covering: &[usize],
+    ) -> Result<Status, AnalysisError> {
+        let open = executor.get_or_insert_with(|| new_executor(self.connect, &self.config.cancel, self.ends));
+        open.session()?.link_mut().inner_mut().patch(mutant.address, &mutant.bytes);
+        let status = self.play_until_detected(open, covering)?;
+        open.session()?.link_mut().inner_mut().patch(mutant.address, &mutant.original);
+        if matches!(status, Status::RuntimeError { .. }) {
+            *executor = None;
+        }
+        Ok(status)
+    }
+
+    fn play_until_detected(
+        &self,
+        executor: &mut BoardExecutor<'_>,
+        covering: &[usize],
+    ) -> Result<Status, AnalysisError> {
+        let mut closest: Option<Margin> = None;
+        let mut same_commands = true;
+        for &index in covering {
+            let (Some((scenario, law)), Some(baseline)) =
+                (self.config.suite.scenarios.get(index), self.baselines.get(index))
+            else {
+                continue;
+            };
+            let limit = (baseline.duration * TIMEOUT_FACTOR).max(MIN_TIMEOUT);
+            let played = with_deadline(limit, &self.config.cancel, |cancel| {
+                executor.set_cancel(cancel);
+                play(executor, scenario, *law)
+            });
+            if self.config.cancel.is_cancelled() {
+                return Err(AnalysisError::Cancelled);
+            }
+            let by = scenario.file.clone();
+            let Some(outcome) = played? else { return Ok(Status::Timeout { by }) };
+            let Outcome { detection, closest_margin, commands, .. } = outcome;
+            same_commands &= commands == baseline.commands;
+            match detection {
+                Some(detection) if detection.emulator_failed => {
+                    return Ok(Status::RuntimeError { by, reason: detection.reason });
+                }
+                Some(detection) => return Ok(Status::Killed { by, reason: detection.reason }),
+                None => {}
+            }
+            closest =
+                closest.into_iter().chain(closest_margin).min_by(|one, other| one.margin.total_cmp(&other.margin));
+        }
+        Ok(Status::Survived { closest, same_commands })
+    }
+}
+
+/// Cancels `work` after `limit`, or if `cancel` is cancelled.
+fn with_deadline<R>(limit: Duration, cancel: &CancelToken, work: impl FnOnce(&CancelToken) -> R) -> R {
+    let token = CancelToken::default();
+    let (done, ended) = mpsc::channel::<()>();
+    thread::scope(|scope| {
+        let watched = token.clone();
+        scope.spawn(move || {
+            let start = Instant::now();
+            while ended.recv_timeout(POLL_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+                if start.elapsed() > limit || cancel.is_cancelled() {
+                    watched.cancel();
+                }
+            }
+        });
+        let result = work(&token);
+        drop(done);
+        result
+    })
+}
+
+/// Each end of the 95 % interval of the score has half of the error probability.
+const ONE_SIDED_CONFIDENCE: f64 = 0.975;
+
+#[derive(Debug, Clone, PartialEq, strum::IntoStaticStr)]
+#[strum(const_into_str)]
+pub enum Status {
+    Killed {
+        by: String,
+        reason: String,
+    },
+    Survived {
+        closest: Option<Margin>,
+        /// True if every drive and frequency is that of the unchanged firmware.
+        same_commands: bool,
+    },
+    NoCoverage,
+    /// A scenario took much longer than with the unchanged firmware.
+    Timeout {
+        by: String,
+    },
+    /// The emulator failed.
+    RuntimeError {
+        by: String,
+        reason: String,
+    },
+}
+
+impl Status {
+    /// Name of the status in the schema of mutation reports.
+    pub const fn name(&self) -> &'static str {
+        self.into_str()
+    }
+
+    pub const fn is_detected(&self) -> bool {
+        matches!(self, Self::Killed { .. } | Self::Timeout { .. })
+    }
+
+    const fn is_valid(&self) -> bool {
+        !matches!(self, Self::RuntimeError { .. })
+    }
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct MutantResult {
+    pub mutant: Mutant,
+    pub status: Status,
+    /// Scenarios that execute the instruction, fastest first.
+    pub covered_by: Vec<String>,
+    pub duration: Duration,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct MutationReport {
+    pub results: Vec<MutantResult>,
+    /// Number of selected mutants, including those that were not drawn.
+    pub population: usize,
+    pub scenarios: Vec<String>,
+}
+
+/// Detected mutants divided by valid mutants. A mutant that the emulator cannot run is not valid.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Score {
+    pub detected: u32,
+    pub valid: u32,
+}
+
+impl Score {
+    pub fn of<'a>(statuses: impl Iterator<Item = &'a Status>) -> Self {
+        statuses.filter(|status| status.is_valid()).fold(Self { detected: 0, valid: 0 }, |score, status| Self {
+            detected: score.detected + u32::from(status.is_detected()),
+            valid: score.valid + 1,
+        })
+    }
+
+    pub fn percent(self) -> f64 {
+        if self.valid == 0 { 100.0 } else { f64::from(self.detected) / f64::from(self.valid) * 100.0 }
+    }
+
+    pub fn interval(self) -> Option<[f64; 2]> {
+        let bounds = clopper_pearson(self.detected, self.valid, ONE_SIDED_CONFIDENCE)?;
+        Some(bounds.map(|bound| bound * 100.0))
+    }
+
+    pub fn is_narrower_than(self, width: f64) -> bool {
+        self.interval().is_some_and(|[low, high]| high - low <= width)
+    }
+}
+
+impl MutationReport {
+    pub fn score(&self) -> Score {
+        self.score_if(|_| true)
+    }
+
+    pub fn score_of_executed(&self) -> Score {
+        self.score_if(|result| result.status != Status::NoCoverage)
+    }
+
+    /// Number of survivors, and of those with the commands of the unchanged firmware.
+    pub fn survivors(&self) -> [usize; 2] {
+        let same = self.results.iter().filter_map(|result| match result.status {
+            Status::Survived { same_commands, .. } => Some(same_commands),
+            _ => None,
+        });
+        same.fold([0, 0], |[all, unchanged], same| [all + 1, unchanged + usize::from(same)])
+    }
+
+    pub fn score_of_control_step(&self) -> Score {
+        self.score_if(|result| result.mutant.in_control_step)
+    }
+
+    /// Like `score_of_control_step`, without survivors that change no drive and no frequency.
+    pub fn score_of_changed_control_step(&self) -> Score {
+        let is_same = |status: &Status| matches!(status, Status::Survived { same_commands: true, .. });
+        self.score_if(|result| result.mutant.in_control_step && !is_same(&result.status))
+    }
+
+    fn score_if(&self, is_counted: impl Fn(&MutantResult) -> bool) -> Score {
+        Score::of(self.results.iter().filter(|result| is_counted(result)).map(|result| &result.status))
+    }
+}
+
+/// Largest source file in the report. The image names the files, so they may be anything.
+const MAX_SOURCE_BYTES: u64 = 16 << 20;
+
+/// Thresholds of the score in percent. Viewers use them only to choose colours.
+const HIGH: u8 = 90;
+const LOW: u8 = 70;
+
+pub fn mutation_json(report: &MutationReport) -> Value {
+    let mut files: BTreeMap<String, Vec<Value>> = BTreeMap::new();
+    let ids: BTreeMap<&str, usize> = report.scenarios.iter().map(String::as_str).zip(0..).collect();
+    for (number, result) in report.results.iter().enumerate() {
+        let file = result.mutant.line.as_ref().map_or("machine code without lines", |line| &line.file);
+        files.entry(file.to_owned()).or_default().push(mutant_json(number, result, &ids));
+    }
+    let tests: Vec<Value> =
+        ids.iter().map(|(name, number)| json!({ "id": number.to_string(), "name": name })).collect();
+    let files: Map<String, Value> = files
+        .into_iter()
+        .map(|(file, mutants)| {
+            let (language, source) = (language(&file), source(&file, &mutants));
+            (file, json!({ "language": language, "source": source, "mutants": mutants }))
+        })
+        .collect();
+    json!({
+        "$schema": "https://git.io/mutation-testing-schema",
+        "schemaVersion": "2",
+        "thresholds": { "high": HIGH, "low": LOW },
+        "framework": { "name": "platebench", "version": env!("CARGO_PKG_VERSION") },
+        "files": files,
+        "testFiles": { "scenarios": { "tests": tests } },
+    })
+}
+
+fn mutant_json(number: usize, result: &MutantResult, ids: &BTreeMap<&str, usize>) -> Value {
+    let mutant = &result.mutant;
+    let line = mutant.line.as_ref().map_or(1, |line| line.line.max(1));
+    let id = |name: &String| ids.get(name.as_str()).map(ToString::to_string);
+    let mut value = json!({
+        "id": number.to_string(),
+        "mutatorName": mutant.operator.name(),
+        "description":
+            format!("{:#010x} in {}: {} -> {}", mutant.instruction, mutant.function, mutant.before, mutant.after),
+        "replacement": mutant.after,
+        "location": { "start": { "line": line, "column": 1 }, "end": { "line": line, "column": 2 } },
+        "status": result.status.name(),
+        "coveredBy": result.covered_by.iter().filter_map(id).collect::<Vec<_>>(),
+        "duration": result.duration.as_millis() as u64,
+    });
+    let (by, reason) = match &result.status {
+        Status::Killed { by, reason } | Status::RuntimeError { by, reason } => (Some(by), Some(reason.clone())),
+        Status::Timeout { by } => (Some(by), None),
+        Status::Survived { same_commands: true, .. } => (None, Some("no drive and no frequency changed".to_owned())),
+        Status::Survived { closest: Some(closest), .. } => {
+            let text = format!("closest margin {:.4}: {} {}", closest.margin, closest.scenario, closest.expectation);
+            (None, Some(text))
+        }
+        Status::Survived { closest: None, .. } | Status::NoCoverage => (None, None),
+    };
+    if let Some(by) = by.and_then(id).filter(|_| result.status.is_detected()) {
+        value["killedBy"] = json!([by]);
+    }
+    if let Some(reason) = reason {
+        value["statusReason"] = json!(reason);
+    }
+    value
+}
+
+fn language(file: &str) -> &'static str {
+    match file.rsplit_once('.').map(|(_, extension)| extension) {
+        Some("rs") => "rust",
+        Some("c" | "h") => "c",
+        Some("cpp" | "cc" | "hpp") => "cpp",
+        _ => "armasm",
+    }
+}
+
+/// Returns empty lines if the file cannot be read here, because viewers place mutants on lines.
+fn source(file: &str, mutants: &[Value]) -> String {
+    read_text_file(Path::new(file), MAX_SOURCE_BYTES).unwrap_or_else(|_| {
+        let lines: BTreeSet<u64> =
+            mutants.iter().filter_map(|mutant| mutant["location"]["start"]["line"].as_u64()).collect();
+        "\n".repeat(lines.last().copied().unwrap_or(1) as usize)
+    })
+}
+
+pub fn summary(report: &MutationReport) -> String {
+    let mut text = String::new();
+    let _ = write_summary(&mut text, report);
+    text
+}
+
+fn write_summary(text: &mut String, report: &MutationReport) -> fmt::Result {
+    writeln!(text, "{:<22} {:>8} {:>8} {:>8}  {:>7}", "operator", "detected", "survived", "not run", "score")?;
+    for &operator in Operator::ALL {
+        let of_operator = || report.results.iter().filter(|result| result.mutant.operator == operator);
+        let statuses = || of_operator().map(|result| &result.status);
+        let score = Score::of(statuses());
+        let survived = statuses().filter(|status| matches!(status, Status::Survived { .. })).count();
+        let not_run = statuses().filter(|status| **status == Status::NoCoverage).count();
+        let name = operator.name();
+        let (detected, percent) = (score.detected, score.percent());
+        writeln!(text, "{name:<22} {detected:>8} {survived:>8} {not_run:>8}  {percent:>5.1} %")?;
+    }
+    for result in &report.results {
+        if let Status::Survived { .. } = result.status {
+            write_survivor(text, result)?;
+        }
+    }
+    for result in &report.results {
+        if let Status::RuntimeError { reason, .. } = &result.status {
+            writeln!(text, "\nemulator failed: {:#010x} {}: {reason}", result.mutant.instruction, result.mutant.after)?;
+        }
+    }
+    writeln!(text, "\n{} of {} mutants", report.results.len(), report.population)?;
+    let [survivors, unchanged] = report.survivors();
+    writeln!(text, "{survivors} survived, {unchanged} of them without a change of any drive or frequency")?;
+    writeln!(text, "mutation score: {}", format_score(report.score()))?;
+    writeln!(text, "of executed mutants: {}", format_score(report.score_of_executed()))?;
+    writeln!(text, "of mutants in the control step: {}", format_score(report.score_of_control_step()))?;
+    let changed = format_score(report.score_of_changed_control_step());
+    writeln!(text, "of these, without survivors that change no drive and no frequency: {changed}")
+}
+
+fn write_survivor(text: &mut String, result: &MutantResult) -> fmt::Result {
+    let mutant = &result.mutant;
+    let line = mutant.line.as_ref().map_or_else(|| "no line".to_owned(), |line| format!("{}:{}", line.file, line.line));
+    let place = if mutant.in_control_step { ", control step" } else { "" };
+    writeln!(text, "\nsurvived: {:#010x} {line} in {}{place}", mutant.instruction, mutant.function)?;
+    writeln!(text, "    {}: {} -> {}", mutant.operator, mutant.before, mutant.after)?;
+    match &result.status {
+        Status::Survived { same_commands: true, .. } => {
+            writeln!(text, "    {} scenarios; no drive and no frequency changed", result.covered_by.len())
+        }
+        Status::Survived { closest: Some(closest), .. } => writeln!(
+            text,
+            "    {} scenarios; closest margin {:.3}: {} {}",
+            result.covered_by.len(),
+            closest.margin,
+            closest.scenario,
+            closest.expectation
+        ),
+        _ => writeln!(text, "    {} scenarios", result.covered_by.len()),
+    }
+}
+
+fn format_score(score: Score) -> String {
+    let interval = score.interval().map_or_else(String::new, |[low, high]| format!(" (95 %: {low:.1} to {high:.1} %)"));
+    format!("{} of {}, {:.1} %{interval}", score.detected, score.valid, score.percent())
+}
