@@ -8,7 +8,8 @@ use crate::stdio;
 use clap::Args;
 use platebench_experiments::explore::Envelope;
 use platebench_experiments::explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
-use platebench_experiments::trust::{TrustConfig, TrustReport, catalogue, clean_variants, format, measure};
+use platebench_experiments::trust::report::{matrix, summary};
+use platebench_experiments::trust::{TrustConfig, TrustReport, catalogue, clean_variants, measure};
 use platebench_model::record::Verdict;
 use platebench_model::trace::write_atomically;
 use platebench_report::Detail;
@@ -81,7 +82,7 @@ pub(crate) fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
     }
     stdio::show_as(arguments.format, &report, || {
         let explored = exploration.as_ref().map(|exploration| exploration.summary(&report));
-        format::summary(&report) + &explored.unwrap_or_default()
+        summary(&report) + &explored.unwrap_or_default()
     });
     let blames = exploration.map_or(0, |exploration| exploration.alarms.len());
     let exit = Exit::of_verdict(if blames > 0 { Verdict::Fail } else { report.verdict });
@@ -99,5 +100,5 @@ fn write_report(report: &TrustReport, exploration: Option<&KillRateReport>, fold
         write_atomically(&folder.join("exploration.json"), text.as_bytes())?;
     }
     write_atomically(&folder.join("trust.json"), serde_json::to_string_pretty(report)?.as_bytes())?;
-    write_atomically(&folder.join("matrix.md"), format::matrix(report).as_bytes())
+    write_atomically(&folder.join("matrix.md"), matrix(report).as_bytes())
 }

@@ -1,36 +1,27 @@
 //! Wraps the link to a correct controller and changes its messages in both directions.
 
 use platebench_rig::{Link, LinkError};
-use platebench_wire::{Command, Configure, Configured, ControllerState, Gains, Message, Packet, PacketReader, Sample};
+use platebench_wire::{Command, ControllerState, Message, Packet, PacketReader};
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// A mistake of a controller, with its state. By default a method changes nothing.
+/// A mistake of a controller, with its state. By default a method changes nothing. A closure that
+/// takes a message is a mutant.
 pub trait Mutant: Send {
+    /// Changes a packet to the controller.
     fn on_receive(&mut self, packet: &mut Packet) {
-        match &mut packet.message {
-            Message::Configure(configure) => self.on_configure(configure),
-            Message::Sample(sample) => self.on_sample(sample),
-            _ => {}
-        }
+        self.on_message(&mut packet.message);
     }
 
-    /// Changes a message to the bench. By default calls `on_command` only in state `Running`.
+    /// Changes a packet to the bench. By default it skips commands outside the state `Running`.
     fn on_send(&mut self, packet: &mut Packet) {
-        match &mut packet.message {
-            Message::Configured(Configured { outcome: Ok(gains) }) => self.on_configured(gains),
-            Message::Command(command) if command.state == ControllerState::Running => self.on_command(command),
-            _ => {}
+        let is_idle = matches!(&packet.message, Message::Command(command) if command.state != ControllerState::Running);
+        if !is_idle {
+            self.on_message(&mut packet.message);
         }
     }
 
-    fn on_configure(&mut self, _configure: &mut Configure) {}
-
-    fn on_configured(&mut self, _gains: &Gains) {}
-
-    fn on_sample(&mut self, _sample: &mut Sample) {}
-
-    fn on_command(&mut self, _command: &mut Command) {}
+    fn on_message(&mut self, _message: &mut Message) {}
 
     /// Returns the replacement of a frame (with delimiter) that cannot be decoded. `None` drops it.
     fn on_unreadable_frame(&mut self, frame: &[u8]) -> Option<Vec<u8>> {
@@ -48,6 +39,12 @@ pub trait Mutant: Send {
 
     fn command_delay(&mut self) -> Duration {
         Duration::ZERO
+    }
+}
+
+impl<F: FnMut(&mut Message) + Send> Mutant for F {
+    fn on_message(&mut self, message: &mut Message) {
+        self(message);
     }
 }
 

@@ -10,7 +10,7 @@ use platebench_experiments::explore::{Budget, ExploreConfig, Player, Property, e
 use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, clean_variants};
 use platebench_model::record::Verdict;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, RigSpec};
-use platebench_wire::{Command, LawId, Sample};
+use platebench_wire::{LawId, Message};
 use rstest::rstest;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -23,33 +23,29 @@ fn firmware() -> Result<BoxedLink, ConnectError> {
     Ok(Box::new(HostedLink::new()))
 }
 
-struct WrongTableEntry;
-
-impl Mutant for WrongTableEntry {
-    fn on_sample(&mut self, sample: &mut Sample) {
-        if (1.2..1.7).contains(&sample.setpoint_um) {
-            sample.setpoint_um *= 1.02;
-        }
+fn wrong_table_entry(message: &mut Message) {
+    if let Message::Sample(sample) = message
+        && (1.2..1.7).contains(&sample.setpoint_um)
+    {
+        sample.setpoint_um *= 1.02;
     }
 }
 
 #[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
 fn mutant() -> Result<BoxedLink, ConnectError> {
-    Ok(Box::new(MutantController::new(HostedLink::new(), || Box::new(WrongTableEntry))))
+    Ok(Box::new(MutantController::new(HostedLink::new(), || Box::new(wrong_table_entry))))
 }
 
 /// Lowers the drive by 1 %. Control loops correct this, so every limit holds.
-struct LowDrive;
-
-impl Mutant for LowDrive {
-    fn on_command(&mut self, command: &mut Command) {
+fn low_drive_command(message: &mut Message) {
+    if let Message::Command(command) = message {
         command.drive_vpp *= 0.99;
     }
 }
 
 #[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
 fn low_drive() -> Result<BoxedLink, ConnectError> {
-    Ok(Box::new(MutantController::new(HostedLink::new(), || Box::new(LowDrive))))
+    Ok(Box::new(MutantController::new(HostedLink::new(), || Box::new(low_drive_command))))
 }
 
 #[rstest]
