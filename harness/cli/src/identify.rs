@@ -6,10 +6,11 @@ use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{OutputFormat, parse_number};
 use crate::stdio;
 use clap::{Args, ValueEnum};
-use platebench_design::identify::{
-    DirectFit, Identification, IdentificationTable, ParameterUncertainty, PlateFileDetails, parameter_uncertainties,
-    plate_file, tables, uncertainty_table,
+use platebench_design::identified_plate::{
+    IdentificationTable, ParameterUncertainty, PlateFileDetails, parameter_uncertainties, plate_file, tables,
+    uncertainty_table,
 };
+use platebench_design::identify::{DirectFit, Identification};
 use platebench_lab::boards::Board;
 use platebench_model::external_csv;
 use platebench_model::external_csv::ColumnMapping;

@@ -11,9 +11,10 @@ use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::OutputFormat;
 use crate::stdio;
 use platebench_design::tuning::design::TuningTarget;
-use platebench_design::tuning::spread::PlateSpread;
 use platebench_design::tuning::verification::{VerificationStep, shortest_decimal};
-use platebench_design::tuning::{DesignEvaluation, TuningResult, format, tune as design};
+use platebench_design::tuning::{
+    DesignEvaluation, PlateSpread, TuningResult, format_tuning, infeasibility_reason, tune as design,
+};
 use platebench_model::scenario::load::{implausible_values, load_plate, require_no_effects};
 use platebench_plate::{Plate, Tier};
 use platebench_rig::RigSpec;
@@ -36,12 +37,12 @@ pub(crate) fn tune(arguments: &TuneArgs) -> CommandResult {
     refuse_implausible(path, &plate, arguments.force)?;
     let tuning = design(&target, arguments.discretisation(), &spread).or_invalid()?;
     if arguments.format == OutputFormat::Human {
-        stdio::show(&format::format_tuning(&target, &spread, &tuning));
+        stdio::show(&format_tuning(&target, &spread, &tuning));
     }
     let (mut exit, mut reason) = if tuning.met {
         (Exit::Passed, "the target is met".to_owned())
     } else {
-        (Exit::Failed, format!("the target cannot be met: {}", format::infeasibility_reason(&target, &tuning)))
+        (Exit::Failed, format!("the target cannot be met: {}", infeasibility_reason(&target, &tuning)))
     };
     let mut verification = None;
     if let Some(chosen) = &tuning.chosen {

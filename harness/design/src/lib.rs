@@ -1,7 +1,9 @@
 //! Identifies plate parameters, analyses control loops and their stability, and tunes gains.
 
+pub mod identified_plate;
 pub mod identify;
-pub mod integration;
+pub mod law_loops;
 pub mod loops;
 pub mod stability;
+pub mod step_limits;
 pub mod tuning;

@@ -1,13 +1,555 @@
-//! Tunes gains by equation 24 of the paper, evaluates them, and finds why a target is infeasible.
+//! Tunes gains by equation 24 of the paper, evaluates them on other plates, and finds why a target
+//! is infeasible.
+//!
+//! The search varies the response time of equation 24 until the plate meets the target. Equation 24
+//! ignores the length of the period, the ripple of the fast mode, the delay and the drive limit.
+//! The response is not smooth in the design. Therefore designs with logarithmically spaced response
+//! times are simulated.
 
 pub mod design;
-pub mod evaluation;
-pub mod format;
-pub mod search;
-pub mod spread;
-pub mod transient;
-pub mod tune;
 pub mod verification;
 
-pub use evaluation::{DesignEvaluation, evaluate_design};
-pub use tune::{InfeasibilityCause, TuningResult, tune};
+use crate::loops::{AnalysisError, Discretisation};
+use design::{BAND, GainDesign, LoopEvaluation, StepEvaluation, TuningTarget, delay_margin_ms, design_delay_boundary};
+use platebench_engine::delay_boundary::DelayBoundary;
+use platebench_plate::{Plate, Tier};
+use platebench_verdict::bisection::try_bisect;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, Uniform};
+use serde::Serialize;
+use std::fmt::Write as _;
+
+pub use design::{DesignEvaluation, evaluate_design};
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case", tag = "kind")]
+pub enum InfeasibilityCause {
+    /// The drive limit cannot hold the setpoint.
+    OutOfReach { needed_vpp: f64 },
+    /// The drive limit does not allow the response time.
+    DriveFloor { floor_ms: f64, needed_vpp: f64 },
+    /// The response time ends before the first command with feedback acts.
+    Period { first_feedback_ms: f64 },
+    /// Equation 24 for the target's response time is unstable at the target's delay.
+    Delay {
+        /// Longest stable delay. 0 if the loop is unstable without delay.
+        boundary_ms: f64,
+    },
+    /// Only designs with less phase margin meet the target.
+    PhaseMargin {
+        /// Phase margin of the design that otherwise meets the target, degrees.
+        found_deg: f64,
+    },
+    /// No design of this discretisation is fast enough at this period and delay.
+    Discretisation,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TuningResult {
+    pub met: bool,
+    pub obstacles: Vec<InfeasibilityCause>,
+    /// Shortest time into the band with the drive limit. `None` if the setpoint is out of reach.
+    pub floor_ms: Option<f64>,
+    /// Equation 24 for the target's response time, in each discretisation.
+    pub readings: Vec<DesignEvaluation>,
+    pub chosen: Option<DesignEvaluation>,
+    /// The fastest design with the target's phase margin, if no design meets the target.
+    pub possible: Option<DesignEvaluation>,
+    /// The chosen design on other plates, or the possible design if none is chosen.
+    pub sensitivity: Option<Sensitivity>,
+}
+
+pub fn tune(
+    target: &TuningTarget<'_>,
+    discretisation: Discretisation,
+    spread: &PlateSpread,
+) -> Result<TuningResult, AnalysisError> {
+    let printed = |discretisation| evaluate_design(target, GainDesign::new(target, discretisation, target.response));
+    let readings = Discretisation::ALL.into_iter().map(printed).collect::<Result<Vec<_>, _>>()?;
+    let search = DesignSearch::new(target, discretisation);
+    // If the drive limit cannot hold the setpoint, a response inside the band does not count.
+    let holds = target.mode().drive_for(target.setpoint) <= target.plate.drive_limit_vpp;
+    let meeting = if holds { search.meeting_target(target.phase_margin_deg)? } else { None };
+    let chosen = meeting.map(|candidate| evaluate_design(target, candidate.design)).transpose()?;
+    let (mut obstacles, mut possible) = (Vec::new(), None);
+    if chosen.is_none() {
+        obstacles = infeasibility_causes(target, discretisation, &search)?;
+        let fastest = if holds { search.fastest(target.phase_margin_deg)? } else { None };
+        possible = fastest.map(|candidate| evaluate_design(target, candidate.design)).transpose()?;
+    }
+    let design = chosen.as_ref().or(possible.as_ref());
+    let sensitivity = design.map(|figures| evaluate_sensitivity(target, &figures.design, spread)).transpose()?;
+    let floor_ms = target.time_floor().map(|seconds| seconds * 1e3);
+    Ok(TuningResult { met: chosen.is_some(), obstacles, floor_ms, readings, chosen, possible, sensitivity })
+}
+
+fn infeasibility_causes(
+    target: &TuningTarget<'_>,
+    discretisation: Discretisation,
+    search: &DesignSearch<'_>,
+) -> Result<Vec<InfeasibilityCause>, AnalysisError> {
+    let mode = target.mode();
+    let mut causes = Vec::new();
+    let needed = |seconds: f64| 0.95 * mode.drive_for(target.setpoint) / (1.0 - (-mode.sigma * seconds).exp());
+    let holds = mode.drive_for(target.setpoint);
+    if holds > target.plate.drive_limit_vpp {
+        causes.push(InfeasibilityCause::OutOfReach { needed_vpp: holds });
+    } else if let Some(floor) = target.time_floor().filter(|floor| *floor > target.response) {
+        causes.push(InfeasibilityCause::DriveFloor { floor_ms: floor * 1e3, needed_vpp: needed(target.response) });
+    }
+    let feedback = target.period() + target.delay;
+    if target.response < feedback {
+        causes.push(InfeasibilityCause::Period { first_feedback_ms: feedback * 1e3 });
+    }
+    let itself = GainDesign::new(target, discretisation, target.response);
+    let bears = design_delay_boundary(target, target.plate, &itself)?;
+    if let DelayBoundary::Unstable | DelayBoundary::At(_) = bears {
+        let boundary = bears.seconds().unwrap_or(0.0);
+        if boundary <= target.delay {
+            causes.push(InfeasibilityCause::Delay { boundary_ms: boundary * 1e3 });
+        }
+    }
+    if let Some(stable) = search.meeting_target(0.0)? {
+        let closed = stable.design.closed_loop(target, target.plate, Tier::Modal, [true; 2])?;
+        causes.push(InfeasibilityCause::PhaseMargin { found_deg: closed.margins().phase_deg.unwrap_or(180.0) });
+    }
+    if causes.is_empty() {
+        causes.push(InfeasibilityCause::Discretisation);
+    }
+    Ok(causes)
+}
+
+const DESIGNS: u32 = 160;
+const REFINEMENT: u32 = 24;
+/// Response time of the fastest design, in periods. After one period its error is e^(−15).
+const FASTEST_RESPONSE_PERIODS: f64 = 0.2;
+/// Slowest response time of a design, relative to the longer one of plate and target. It is at
+/// least [`SLOWEST_RESPONSE_PERIODS`] times (period + delay).
+const SLOWEST_RESPONSE_FACTOR: f64 = 3.0;
+const SLOWEST_RESPONSE_PERIODS: f64 = 30.0;
+const BISECTIONS: u32 = 20;
+/// Safety factors of the response time: a marginal design misses the target on other plates.
+const SAFETY_FACTORS: [f64; 3] = [0.97, 0.99, 1.0];
+
+/// A design with an overshoot between this share of the band and the whole band is rejected,
+/// because it leaves the band on other plates.
+const MAX_OVERSHOOT_BAND_SHARE: f64 = 0.8;
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DesignCandidate {
+    pub design: GainDesign,
+    pub settling: f64,
+}
+
+#[derive(Debug, Clone)]
+pub struct DesignSearch<'a> {
+    target: TuningTarget<'a>,
+    discretisation: Discretisation,
+    candidates: Vec<(f64, Option<DesignCandidate>)>,
+}
+
+impl<'a> DesignSearch<'a> {
+    pub fn new(target: &TuningTarget<'a>, discretisation: Discretisation) -> Self {
+        let first = FASTEST_RESPONSE_PERIODS * target.period();
+        let own = 20.0_f64.ln() / target.mode().sigma;
+        let last = (SLOWEST_RESPONSE_FACTOR * own.max(target.response))
+            .max(SLOWEST_RESPONSE_PERIODS * (target.period() + target.delay));
+        let mut search = Self { target: *target, discretisation, candidates: Vec::new() };
+        let ratio = (last / first).ln() / f64::from(DESIGNS);
+        let responses = (0..=DESIGNS).map(|number| first * (ratio * f64::from(number)).exp());
+        search.candidates = responses.map(|response| (response, search.evaluate(response))).collect();
+        search
+    }
+
+    /// `None` if the design does not settle or its overshoot almost fills the band.
+    fn evaluate(&self, response: f64) -> Option<DesignCandidate> {
+        let design = GainDesign::new(&self.target, self.discretisation, response);
+        let transient = design.simulate_step(&self.target, self.target.plate);
+        let by_a_hair = (MAX_OVERSHOOT_BAND_SHARE * BAND..=BAND).contains(&transient.overshoot);
+        Some(DesignCandidate { design, settling: transient.settling.filter(|_| !by_a_hair)? })
+    }
+
+    fn has_margin(&self, candidate: &DesignCandidate, phase_deg: f64) -> Result<bool, AnalysisError> {
+        let closed = candidate.design.closed_loop(&self.target, self.target.plate, Tier::Modal, [true; 2])?;
+        Ok(closed.spectral_radius()? < 1.0 && closed.margins().phase_deg.is_none_or(|found| found >= phase_deg))
+    }
+
+    pub fn fastest(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
+        let settled = self.candidates.iter().enumerate();
+        let mut ranked: Vec<(usize, DesignCandidate)> =
+            settled.filter_map(|(number, (_, played))| Some((number, (*played)?))).collect();
+        ranked.sort_by(|(_, a), (_, b)| a.settling.total_cmp(&b.settling));
+        for (number, coarse) in ranked {
+            if !self.has_margin(&coarse, phase_deg)? {
+                continue;
+            }
+            let at = |number: usize| self.candidates.get(number).map(|(response, _)| *response);
+            let low = number.checked_sub(1).and_then(at).unwrap_or(coarse.design.response);
+            let high = at(number + 1).unwrap_or(coarse.design.response);
+            let between = (1..REFINEMENT).map(|part| low + (high - low) * f64::from(part) / f64::from(REFINEMENT));
+            let mut finer: Vec<_> = between.filter_map(|response| self.evaluate(response)).collect();
+            finer.retain(|candidate| candidate.settling < coarse.settling);
+            finer.sort_by(|a, b| a.settling.total_cmp(&b.settling));
+            for candidate in finer {
+                if self.has_margin(&candidate, phase_deg)? {
+                    return Ok(Some(candidate));
+                }
+            }
+            return Ok(Some(coarse));
+        }
+        Ok(None)
+    }
+
+    /// The design for the target's response time, if it meets the target. Otherwise the slowest
+    /// design that does, with a safety factor.
+    pub fn meeting_target(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
+        let meets = |response: f64| -> Result<Option<DesignCandidate>, AnalysisError> {
+            match self.evaluate(response).filter(|candidate| candidate.settling <= self.target.response) {
+                Some(candidate) => Ok(self.has_margin(&candidate, phase_deg)?.then_some(candidate)),
+                None => Ok(None),
+            }
+        };
+        if let Some(itself) = meets(self.target.response)? {
+            return Ok(Some(itself));
+        }
+        let mut slower = None;
+        for (response, played) in self.candidates.iter().rev() {
+            let in_time = played.is_some_and(|candidate| candidate.settling <= self.target.response);
+            if !in_time || meets(*response)?.is_none() {
+                slower = Some(*response);
+                continue;
+            }
+            let is_met = |response| meets(response).map(|candidate| candidate.is_some());
+            let [low, _] = try_bisect([*response, slower.unwrap_or(*response)], BISECTIONS, is_met)?;
+            for inside in SAFETY_FACTORS {
+                if let Some(candidate) = meets(inside * low)? {
+                    return Ok(Some(candidate));
+                }
+            }
+        }
+        Ok(None)
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlateSpread {
+    /// Largest deviation of the plate's gain K1.
+    pub gain_percent: f64,
+    pub time_constant_percent: f64,
+    /// Number of random plates, uniform between the corners.
+    pub samples: u32,
+    pub seed: u64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PlateVariant {
+    /// Deviation of the gain K1 from the plate file.
+    pub gain_percent: f64,
+    pub time_constant_percent: f64,
+    pub force_n: f64,
+    /// Step response with the drive limit.
+    pub plate: StepEvaluation,
+    /// The smaller gain margin of both loops, each with the other loop closed.
+    pub gain_margin: Option<f64>,
+    pub phase_margin_deg: Option<f64>,
+    pub delay_margin_ms: Option<f64>,
+}
+
+/// `settling_ms` is `None` if a plate does not settle. A margin is `None` if no plate limits it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct WorstCase {
+    pub plates: usize,
+    pub meeting: usize,
+    pub settling_ms: Option<f64>,
+    pub overshoot_percent: f64,
+    pub gain_margin: Option<f64>,
+    pub phase_margin_deg: Option<f64>,
+    pub delay_margin_ms: Option<f64>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Sensitivity {
+    pub corners: Vec<PlateVariant>,
+    pub worst_corner: WorstCase,
+    pub worst_sample: Option<WorstCase>,
+    /// The nominal plate without the design's finger, or under 2 N if the design has no finger.
+    /// `None` if the plate file has no `[finger]`, because a force then changes nothing.
+    pub other_finger: Option<PlateVariant>,
+}
+
+/// Unexpected finger for a design without a finger, N (Fig. 16 of the paper).
+const FINGER: f64 = 2.0;
+
+pub fn evaluate_sensitivity(
+    target: &TuningTarget<'_>,
+    design: &GainDesign,
+    spread: &PlateSpread,
+) -> Result<Sensitivity, AnalysisError> {
+    let PlateSpread { gain_percent, time_constant_percent, samples, seed } = *spread;
+    let shares = [-1.0, 0.0, 1.0];
+    let pairs = shares.into_iter().flat_map(|gain| shares.map(|tau| [gain, tau]));
+    let at =
+        |[gain, tau]: [f64; 2]| evaluate_variant(target, design, [gain * gain_percent, tau * time_constant_percent]);
+    let corners = pairs.filter(|pair| *pair != [0.0; 2]).map(at).collect::<Result<Vec<_>, _>>()?;
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let even = Uniform::new_inclusive(-1.0, 1.0).map_err(|_| AnalysisError::NotFinite)?;
+    let drawn = (0..samples).map(|_| at([even.sample(&mut random), even.sample(&mut random)]));
+    let drawn = drawn.collect::<Result<Vec<_>, _>>()?;
+    let force_n = if target.force_n > 0.0 { 0.0 } else { FINGER };
+    Ok(Sensitivity {
+        worst_corner: worst_case(target, &corners),
+        worst_sample: (!drawn.is_empty()).then(|| worst_case(target, &drawn)),
+        corners,
+        other_finger: target
+            .plate
+            .depends_on_force()
+            .then(|| evaluate_variant(&TuningTarget { force_n, ..*target }, design, [0.0; 2]))
+            .transpose()?,
+    })
+}
+
+fn evaluate_variant(
+    target: &TuningTarget<'_>,
+    design: &GainDesign,
+    [gain, tau]: [f64; 2],
+) -> Result<PlateVariant, AnalysisError> {
+    let nominal = target.plate;
+    let factor = |percent: f64| 1.0 + percent / 100.0;
+    let plate = Plate { gain: nominal.gain * factor(gain), sigma0: nominal.sigma0 / factor(tau), ..nominal.clone() };
+    let margins = design.closed_loop(target, &plate, Tier::Modal, [true; 2])?.margins();
+    Ok(PlateVariant {
+        gain_percent: gain,
+        time_constant_percent: tau,
+        force_n: target.force_n,
+        plate: design.simulate_step(target, &plate).into(),
+        gain_margin: margins.gain,
+        phase_margin_deg: margins.phase_deg,
+        delay_margin_ms: delay_margin_ms(target, design_delay_boundary(target, &plate, design)?),
+    })
+}
+
+fn worst_case(target: &TuningTarget<'_>, others: &[PlateVariant]) -> WorstCase {
+    let settling = || others.iter().map(|other| other.plate.settling_ms);
+    let smallest = |of: fn(&PlateVariant) -> Option<f64>| others.iter().filter_map(of).reduce(f64::min);
+    WorstCase {
+        plates: others.len(),
+        meeting: settling().flatten().filter(|ms| *ms <= target.response * 1e3).count(),
+        settling_ms: settling().try_fold(0.0, |longest: f64, ms| Some(longest.max(ms?))),
+        overshoot_percent: others.iter().map(|other| other.plate.overshoot_percent).fold(0.0, f64::max),
+        gain_margin: smallest(|other| other.gain_margin),
+        phase_margin_deg: smallest(|other| other.phase_margin_deg),
+        delay_margin_ms: smallest(|other| other.delay_margin_ms),
+    }
+}
+
+const NONE: &str = "–";
+
+/// `spread` is the plate spread with which the sensitivity in `tuning` was computed.
+pub fn format_tuning(target: &TuningTarget<'_>, spread: &PlateSpread, tuning: &TuningResult) -> String {
+    let mut text = format_target(target, tuning);
+    text += "\nEquation 24 for the target response time\n";
+    text += &format_readings(&tuning.readings);
+    match (&tuning.chosen, &tuning.possible) {
+        (Some(chosen), _) => {
+            text += &format_design("\nThe target is met", chosen);
+        }
+        (None, possible) => {
+            text += "\nThe target cannot be met\n";
+            for obstacle in &tuning.obstacles {
+                let _ = writeln!(text, "  {}", format_cause(target, obstacle));
+            }
+            match possible {
+                Some(possible) => text += &format_design("\nFastest possible design", possible),
+                None => text += "\nNo design of this discretisation settles with this phase margin.\n",
+            }
+        }
+    }
+    if let Some(sensitivity) = &tuning.sensitivity {
+        text += &format_sensitivity(spread, sensitivity);
+    }
+    text
+}
+
+fn format_target(target: &TuningTarget<'_>, tuning: &TuningResult) -> String {
+    let TuningTarget { plate, force_n, setpoint, response, delay, phase_margin_deg, .. } = target;
+    let floor = tuning.floor_ms.map_or_else(
+        || "the band cannot be reached".to_owned(),
+        |floor| format!("the band is reached after {floor:.3} ms at the earliest"),
+    );
+    format!(
+        "{}\nTarget: {setpoint} µm within 5 % in {} ms at {force_n} N; period {} ms, delay {} ms, \
+         phase margin {phase_margin_deg}°\n\
+         Drive: {:.0} Vpp hold the setpoint; with the limit of {} Vpp {floor}\n",
+        plate.name,
+        without_rounding_noise(response * 1e3),
+        without_rounding_noise(target.period() * 1e3),
+        without_rounding_noise(delay * 1e3),
+        target.mode().drive_for(*setpoint),
+        plate.drive_limit_vpp,
+    )
+}
+
+fn without_rounding_noise(ms: f64) -> f64 {
+    (ms * 1e6).round() / 1e6
+}
+
+fn format_optional(value: Option<f64>, decimals: usize) -> String {
+    value.map_or_else(|| NONE.to_owned(), |value| format!("{value:.decimals$}"))
+}
+
+fn format_settling(step: &StepEvaluation) -> String {
+    format_optional(step.settling_ms, 3)
+}
+
+fn format_readings(readings: &[DesignEvaluation]) -> String {
+    let mut text = format!(
+        "  {:<26} {:^28} | {:^28} | {:>7} {:>7} {:>9}\n  {:<26} {:>9} {:>9} {:>8} | {:>9} {:>9} {:>8} |\n",
+        "",
+        "linear loop, no limit",
+        "|W| of the plate",
+        "radius",
+        "phase",
+        "delay",
+        "",
+        "settling",
+        "over",
+        "drive",
+        "settling",
+        "over",
+        "drive"
+    );
+    for row in readings {
+        let step = |step: &StepEvaluation| {
+            let StepEvaluation { overshoot_percent, peak_drive_vpp, .. } = step;
+            let settling = step.settling_ms.map_or_else(|| "never".to_owned(), |ms| format!("{ms:.3} ms"));
+            if *overshoot_percent > 999.0 {
+                return format!("{settling:>9} {NONE:>9} {NONE:>8}");
+            }
+            format!("{settling:>9} {overshoot_percent:>7.1} % {peak_drive_vpp:>4.0} Vpp")
+        };
+        let _ = writeln!(
+            text,
+            "  {:<26} {} | {} | {:>7.3} {:>6}° {:>6} ms",
+            row.discretisation.name(),
+            step(&row.linear),
+            step(&row.plate),
+            row.spectral_radius,
+            format_optional(row.amplitude.phase_margin_deg, 1),
+            format_optional(row.amplitude.delay_margin_ms, 3),
+        );
+    }
+    text += "  phase: phase margin; delay: delay margin\n";
+    text
+}
+
+fn format_design(title: &str, figures: &DesignEvaluation) -> String {
+    let mut text = format!(
+        "{title}: {}, designed for {:.3} ms\n  predicted   settling {} ms, overshoot {:.1} %, peak drive {:.0} Vpp, \
+         {} periods at the limit; linear loop {} ms\n",
+        figures.discretisation.name(),
+        figures.designed_for_ms,
+        format_settling(&figures.plate),
+        figures.plate.overshoot_percent,
+        figures.plate.peak_drive_vpp,
+        figures.saturated_periods,
+        format_settling(&figures.linear),
+    );
+    for (name, unit, figures) in
+        [("amplitude", "Vpp/µm", &figures.amplitude), ("frequency", "rad/s", &figures.frequency)]
+    {
+        let LoopEvaluation { kp, ki_per_s, poles, .. } = figures;
+        let poles: Vec<_> = poles.iter().map(|[re, im]| format_pole(*re, *im)).collect();
+        let _ = writeln!(
+            text,
+            "  {name:<11} kp {kp:.6} {unit}, ki {ki_per_s:.6} {unit}/s\n  {:<11} poles {}; gain margin {}, \
+             phase margin {}°, delay margin {} ms",
+            "",
+            poles.join(", "),
+            format_optional(figures.gain_margin, 2),
+            format_optional(figures.phase_margin_deg, 1),
+            format_optional(figures.delay_margin_ms, 3),
+        );
+    }
+    text
+}
+
+fn format_pole(re: f64, im: f64) -> String {
+    if im == 0.0 { format!("{re:.4}") } else { format!("{re:.4}{im:+.4}j") }
+}
+
+fn format_sensitivity(spread: &PlateSpread, found: &Sensitivity) -> String {
+    let PlateSpread { gain_percent, time_constant_percent, .. } = spread;
+    let mut text = format!(
+        "\nThese gains on other plates, K1 ±{gain_percent} %, τ ±{time_constant_percent} %\n  \
+         {:<24} {:>12} {:>10} {:>7} {:>8} {:>9} {:>8}\n",
+        "", "settling, ms", "overshoot", "gain", "phase, °", "delay, ms", "in time"
+    );
+    let mut row = |name: &str, worst: &WorstCase| {
+        let _ = writeln!(
+            text,
+            "  {name:<24} {:>12} {:>8.1} % {:>7} {:>8} {:>9} {:>8}",
+            format_optional(worst.settling_ms, 3),
+            worst.overshoot_percent,
+            format_optional(worst.gain_margin, 2),
+            format_optional(worst.phase_margin_deg, 1),
+            format_optional(worst.delay_margin_ms, 3),
+            format!("{}/{}", worst.meeting, worst.plates),
+        );
+    };
+    row("worst corner", &found.worst_corner);
+    if let Some(worst) = &found.worst_sample {
+        row("worst random plate", worst);
+    }
+    let Some(other_finger) = &found.other_finger else {
+        text += "  finger: the plate file has no [finger], so a force changes nothing\n";
+        return text;
+    };
+    let PlateVariant { force_n, plate, gain_margin, phase_margin_deg, delay_margin_ms, .. } = other_finger;
+    let _ = writeln!(
+        text,
+        "  {:<24} {:>12} {:>8.1} % {:>7} {:>8} {:>9}",
+        format!("finger of {force_n} N instead"),
+        format_settling(plate),
+        plate.overshoot_percent,
+        format_optional(*gain_margin, 2),
+        format_optional(*phase_margin_deg, 1),
+        format_optional(*delay_margin_ms, 3),
+    );
+    text
+}
+
+/// Reason why the target cannot be met. Empty if it is met.
+pub fn infeasibility_reason(target: &TuningTarget<'_>, tuning: &TuningResult) -> String {
+    let causes: Vec<_> = tuning.obstacles.iter().map(|cause| format_cause(target, cause)).collect();
+    causes.join("; ")
+}
+
+fn format_cause(target: &TuningTarget<'_>, obstacle: &InfeasibilityCause) -> String {
+    let limit = target.plate.drive_limit_vpp;
+    match obstacle {
+        InfeasibilityCause::OutOfReach { needed_vpp } => {
+            format!("drive: the setpoint needs {needed_vpp:.0} Vpp, the limit is {limit} Vpp")
+        }
+        InfeasibilityCause::DriveFloor { floor_ms, needed_vpp } => format!(
+            "drive: with {limit} Vpp the band is reached after {floor_ms:.3} ms at the earliest; \
+             the target needs {needed_vpp:.1} Vpp"
+        ),
+        InfeasibilityCause::Period { first_feedback_ms } => format!(
+            "period: the first command with feedback acts after {first_feedback_ms:.3} ms, later than the target time"
+        ),
+        InfeasibilityCause::Delay { boundary_ms } => {
+            format!(
+                "delay: the gains for this response time (paper, equation 24) are stable up to a delay of \
+                 {boundary_ms:.3} ms only; a longer response time permits a longer delay"
+            )
+        }
+        InfeasibilityCause::PhaseMargin { found_deg } => format!(
+            "phase margin: designs that are fast enough have {found_deg:.1}°, the target is {}°",
+            target.phase_margin_deg
+        ),
+        InfeasibilityCause::Discretisation => {
+            "no design of this discretisation is fast enough at this period and delay".to_owned()
+        }
+    }
+}

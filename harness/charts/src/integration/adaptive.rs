@@ -5,10 +5,10 @@ mod differential_equations_crate;
 #[cfg(feature = "diffsol")]
 mod diffsol_crate;
 
+use crate::integration::failure::{MAX_STEPS, MethodFailure};
+use crate::integration::problem::Problem;
 use ode_solvers::dop_shared::IntegrationError;
 use ode_solvers::{Dop853, Dopri5, OutputType, SVector, System};
-use platebench_design::integration::failure::{MAX_STEPS, MethodFailure};
-use platebench_design::integration::problem::Problem;
 
 /// Runs a solver of `ode_solvers`. It is a macro because the solvers have no common trait. The
 /// constants are the crate's defaults. The output contains every step, because the error of the

@@ -1,9 +1,9 @@
 //! Provides one interface to all methods.
 
 use crate::integration::adaptive::AdaptiveMethod;
-use platebench_design::integration::failure::MethodFailure;
-use platebench_design::integration::fixed::{FixedStepMethod, StepMatrix};
-use platebench_design::integration::problem::Problem;
+use crate::integration::failure::MethodFailure;
+use crate::integration::fixed::{FixedStepMethod, StepMatrix};
+use crate::integration::problem::Problem;
 
 const DIVERGENCE_LIMIT_UM: f64 = 1e6;
 

@@ -1,8 +1,8 @@
 //! Replays the drives of a part of a trial with any tier or integration method.
 
+use crate::integration::failure::MethodFailure;
 use crate::integration::method::IntegrationMethod;
-use platebench_design::integration::failure::MethodFailure;
-use platebench_design::integration::problem::{
+use crate::integration::problem::{
     CarrierProblem, ConstantMode, EnvelopeProblem, ModalProblem, ProblemParameters, TimeVarying, with_clock,
 };
 use platebench_plate::{Complex64, ConditionProfiles, Drive, Plant, Plate, State, Tier, Time};

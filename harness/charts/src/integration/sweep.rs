@@ -2,10 +2,10 @@
 
 use crate::cost::{median, thread_cpu_time};
 use crate::integration::adaptive::AdaptiveMethod;
+use crate::integration::failure::MethodFailure;
+use crate::integration::fixed::FixedStepMethod;
 use crate::integration::method::IntegrationMethod;
 use crate::integration::replay::{EquationForm, Replay, ReplayResult};
-use platebench_design::integration::failure::MethodFailure;
-use platebench_design::integration::fixed::FixedStepMethod;
 use platebench_plate::{Complex64, Plant, Tier};
 use std::hint::black_box;
 use std::time::Duration;

@@ -1,13 +1,12 @@
 //! Tests order, stability and tolerance of the methods.
 
+use platebench_charts::integration::FixedStepMethod;
+use platebench_charts::integration::problem::{CarrierProblem, EnvelopeProblem, ModalProblem, ProblemParameters};
 use platebench_charts::integration::sweep::cheapest_from_a_crate;
 use platebench_charts::integration::{
     AdaptiveMethod, EquationForm, IntegrationMethod, Replay, ReplayResult, ReplaySpec, Solver, SolverStatus,
     SweepConfig, sweep,
 };
-use platebench_design::integration::problem::{CarrierProblem, EnvelopeProblem, ModalProblem, ProblemParameters};
-use platebench_design::integration::stability::{self, StepLimitRow};
-use platebench_design::integration::{FixedStepMethod, StepLimit};
 use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Mode, Profile, State, Tier, Time};
 use platebench_test_kit::paper_plate;
 use rstest::rstest;
@@ -218,61 +217,6 @@ fn closed_form_and_integrator_agree_on_a_varying_mode() {
         let error = passage.relative_error(&passage.exact_samples(frame), &tight);
         assert!(error < 8.4e-7, "{frame:?} {error:e}");
     }
-}
-
-fn limits() -> Vec<StepLimitRow> {
-    stability::step_limits(&paper_plate())
-}
-
-#[test]
-fn measured_limits_match_theory() {
-    for row in limits() {
-        match (row.measured, row.predicted) {
-            (StepLimit::Step(_), StepLimit::Step(_)) => assert!(row.deviation().unwrap().abs() < 0.02, "{row:?}"),
-            (measured, predicted) => assert_eq!(measured, predicted, "{row:?}"),
-        }
-    }
-}
-
-#[test]
-fn motion_decays_below_the_limit_and_grows_above() {
-    let rows = limits();
-    let seen: Vec<_> = rows.iter().filter_map(|row| Some((row, row.growth_decades?))).collect();
-    assert_eq!(seen.len(), 8, "{seen:?}");
-    for (row, [below, above]) in seen {
-        assert!(below < -1.0 && above > 1.0, "{row:?}");
-    }
-}
-
-#[rstest]
-#[case("explicit Euler", "envelope, 545 rad/s off", 1.834e-3)]
-#[case("explicit Euler", "envelope, 2 N, amplitude loop closed", 0.967e-3)]
-#[case("RK4", "modal, resonant", 6.97e-6)]
-#[case("Störmer-Verlet", "carrier", 9.852e-6)]
-fn limits_known_by_number(#[case] method: &str, #[case] problem: &str, #[case] step: f64) {
-    let rows = limits();
-    let row = rows.iter().find(|row| row.method == method && row.problem == problem).unwrap();
-    let StepLimit::Step(measured) = row.measured else { panic!("{row:?}") };
-    assert!((measured / step - 1.0).abs() < 1e-3, "{measured}");
-}
-
-/// Under 2 N, the paper's control period of 1 ms is between the limits of loop and plate.
-#[test]
-fn a_closed_loop_is_unstable_before_its_plate() {
-    let rows = limits();
-    let limit = |problem: &str| match rows.iter().find(|row| row.problem == problem).unwrap().measured {
-        StepLimit::Step(step) => step,
-        other => panic!("{other:?}"),
-    };
-    assert!(limit("envelope, 2 N, amplitude loop closed") < 1e-3 && 1e-3 < limit("envelope, 2 N, 545 rad/s off"));
-}
-
-#[test]
-fn limits_as_csv_have_a_field_for_every_column() {
-    let csv = stability::to_csv(&limits());
-    let fields = |line: &str| line.split('"').step_by(2).map(|outside| outside.matches(',').count()).sum::<usize>() + 1;
-    assert!(csv.lines().all(|line| fields(line) == 9), "{csv}");
-    assert!(csv.contains("never") && csv.contains("always"));
 }
 
 #[test]

@@ -1,6 +1,5 @@
 use super::*;
-use platebench_design::integration::StepLimit;
-use platebench_design::integration::stability::step_limits;
+use platebench_design::step_limits::{StepLimit, step_limits};
 
 fn arguments(out: Option<&Path>) -> StabilityArgs {
     StabilityArgs {

@@ -10,13 +10,19 @@
 //! A finger touches between two rows, and the recording contains the new force from the next row
 //! on. The time of a touch is therefore known only to one period. Its error δ changes the first
 //! sample by `ΔW(1 − e^(−δ/τ))` and biases τ.
+//!
+//! If one mode does not explain a recording under one temperature and force, a second mode or
+//! self-heating is fitted too. A second mode has the same drive, and W is the sum of both modes.
+//! Self-heating gives the resonance `ω0 + s T` with `T' = (|W|² − T)/τ_h`, T in µm² and 0 at the
+//! first sample. Each interval between samples or inputs uses the resonance at its middle.
 
-use crate::identify::arx::{ArxMethod, arx};
-use crate::identify::effect::EffectFit;
-use crate::identify::estimate::{Estimate, WhitenessTest};
+use crate::identify::estimate::{
+    ArxMethod, EffectFit, Estimate, IdentifiedHeating, IdentifiedSecondMode, WhitenessTest, arx,
+};
 use nalgebra::{DMatrix, DVector};
 use platebench_model::recording::{Recording, RecordingError};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, State, Tier};
+use std::f64::consts::TAU;
 
 const MAX_ITERATIONS: usize = 80;
 const CONVERGENCE_TOLERANCE: f64 = 1e-10;
@@ -314,4 +320,179 @@ pub(crate) fn minimise(
         }
     }
     squares.is_finite().then_some((theta, squares))
+}
+
+/// Longest interval of the model. In longer ones |W|² and T are not nearly linear.
+const LONGEST_PIECE_S: f64 = 1e-3;
+/// Unit of the parameter s of self-heating, rad/s per µm².
+const SHIFT_UNIT: f64 = 10.0;
+/// Start values, below the Nyquist frequency of 500 Hz with a reserve for the detuning.
+const SECOND_MODE_DISTANCES_HZ: [f64; 10] = [-420.0, -300.0, -200.0, -120.0, -60.0, 60.0, 120.0, 200.0, 300.0, 420.0];
+/// Start values as a fraction of K1.
+const SECOND_GAINS: [f64; 2] = [0.1, -0.1];
+const HEATING_TIME_CONSTANTS_S: [f64; 3] = [0.05, 0.3, 2.0];
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum EffectKind {
+    SecondMode,
+    Heating,
+}
+
+/// Parameters `[ln K1, ln τ, resonance, Re W, Im W]`, followed by `[ln τ2, resonance, gain/K1]` of
+/// a second mode or `[s, ln τ_h]` of self-heating.
+struct EffectModel<'a> {
+    recording: &'a Recording,
+    kind: EffectKind,
+    mean_omega: f64,
+}
+
+fn mode(gain: f64, sigma: f64, omega0: f64) -> Mode {
+    let envelope_constant = gain * sigma;
+    Mode { sigma, omega0, force_constant: 2.0 * envelope_constant * omega0, envelope_constant }
+}
+
+impl EffectModel<'_> {
+    fn omega(&self, parameter: f64) -> f64 {
+        self.mean_omega + OMEGA_UNIT * parameter
+    }
+
+    fn response(&self, theta: &DVector<f64>) -> Vec<Complex64> {
+        let (gain, sigma, omega0) = (theta[0].exp(), (-theta[1]).exp(), self.omega(theta[2]));
+        let (second, shift, rate) = match self.kind {
+            EffectKind::SecondMode => (Some(mode(gain * theta[7], (-theta[5]).exp(), self.omega(theta[6]))), 0.0, 0.0),
+            EffectKind::Heating => (None, SHIFT_UNIT * theta[5], (-theta[6]).exp()),
+        };
+        let Recording { inputs, outputs, .. } = self.recording;
+        let w = Complex64::new(theta[3], theta[4]);
+        let mut first = State { w, u: Complex64::I * inputs[0].omega * w };
+        let mut other = State::default();
+        let mut warmth = 0.0;
+        let mut now = outputs[0].t;
+        let mut index = inputs.partition_point(|input| input.t <= now).saturating_sub(1);
+        let mut all = Vec::with_capacity(outputs.len());
+        for output in outputs {
+            while now < output.t {
+                let (input, next) = (inputs[index], inputs.get(index + 1));
+                let end = next.map_or(output.t, |next| next.t.min(output.t)).min(now + LONGEST_PIECE_S);
+                let drive = Drive { vpp: input.vpp, omega: input.omega };
+                let seconds = end - now;
+                let squared = (first.w + other.w).norm_sqr();
+                let middle = warmth + rate * seconds / 2.0 * (squared - warmth);
+                let plate = mode(gain, sigma, omega0 + shift * middle);
+                first = Flow::new(Tier::Modal, &plate, &drive, &first).after(seconds);
+                if let Some(second) = &second {
+                    other = Flow::new(Tier::Modal, second, &drive, &other).after(seconds);
+                }
+                let mean = squared.midpoint((first.w + other.w).norm_sqr());
+                warmth = mean + (warmth - mean) * (-rate * seconds).exp();
+                now = end;
+                index += usize::from(next.is_some_and(|next| next.t <= now));
+            }
+            all.push(first.w + other.w);
+        }
+        all
+    }
+
+    fn residuals(&self, theta: &DVector<f64>) -> DVector<f64> {
+        let response = self.response(theta);
+        let differences = self.recording.outputs.iter().zip(response).map(|(output, w)| output.w - w);
+        DVector::from_iterator(2 * self.recording.outputs.len(), differences.flat_map(|d| [d.re, d.im]))
+    }
+
+    fn start_points(&self, fit: &DirectFit) -> Option<Vec<DVector<f64>>> {
+        let (tau, resonance) = (fit.time_constant()?.value, fit.resonances.first()?.1.value);
+        let first = self.recording.outputs[0].w;
+        let parameter = (resonance - self.mean_omega) / OMEGA_UNIT;
+        let common = [fit.gain.value.ln(), tau.ln(), parameter, first.re, first.im];
+        let with = |more: &[f64]| DVector::from_vec([&common[..], more].concat());
+        Some(match self.kind {
+            EffectKind::SecondMode => {
+                let distances = SECOND_MODE_DISTANCES_HZ.iter();
+                let place = |hz: &f64| {
+                    let at = parameter + TAU * hz / OMEGA_UNIT;
+                    SECOND_GAINS.map(|gain| with(&[tau.ln(), at, gain]))
+                };
+                distances.flat_map(place).collect()
+            }
+            EffectKind::Heating => {
+                let starts = HEATING_TIME_CONSTANTS_S.iter();
+                starts.flat_map(|seconds: &f64| [-1.0, 1.0].map(|shift| with(&[shift, seconds.ln()]))).collect()
+            }
+        })
+    }
+
+    /// Parameters with exchanged modes as a new start, if the second mode has the larger gain.
+    fn exchange_modes(&self, theta: &DVector<f64>) -> Option<DVector<f64>> {
+        if self.kind != EffectKind::SecondMode || theta[7].abs() <= 1.0 {
+            return None;
+        }
+        let gain = theta[0] + theta[7].abs().ln();
+        let more = [theta[1], theta[2], 1.0 / theta[7]];
+        Some(DVector::from_vec([&[gain, theta[5], theta[6], theta[3], theta[4]][..], &more].concat()))
+    }
+
+    fn fit(&self, one_mode: &DirectFit) -> Option<DirectFit> {
+        let samples = 2 * self.recording.outputs.len();
+        let residuals = |theta: &DVector<f64>| self.residuals(theta);
+        let found = self.start_points(one_mode)?.into_iter().filter_map(|start| minimise(&residuals, start));
+        let (theta, squares) = found.min_by(|a, b| a.1.total_cmp(&b.1))?;
+        let (theta, squares) = match self.exchange_modes(&theta) {
+            Some(exchanged) => minimise(&residuals, exchanged)?,
+            None => (theta, squares),
+        };
+        let freedom = samples.checked_sub(theta.len()).filter(|freedom| *freedom > 1)? as f64;
+        let covariance = covariance_of(&residuals, &theta)? * (squares / freedom);
+        let error = |index: usize| covariance[(index, index)].max(0.0).sqrt();
+        let positive = |index: usize| Estimate::from_logarithm(theta[index], error(index), freedom);
+        let resonance = |index: usize| Estimate::new(self.omega(theta[index]), OMEGA_UNIT * error(index), freedom);
+        let effect = match self.kind {
+            EffectKind::SecondMode => {
+                let (gain, share) = (theta[0].exp(), theta[7]);
+                let variance =
+                    share * share * covariance[(0, 0)] + covariance[(7, 7)] + 2.0 * share * covariance[(0, 7)];
+                EffectFit::SecondMode(IdentifiedSecondMode {
+                    resonance_hz: resonance(6).scaled(1.0 / TAU),
+                    time_constant_s: positive(5),
+                    gain_um_per_vpp: Estimate::new(gain * share, gain * variance.max(0.0).sqrt(), freedom),
+                })
+            }
+            EffectKind::Heating => EffectFit::Heating(IdentifiedHeating {
+                shift_hz_per_um2: Estimate::new(theta[5], error(5), freedom).scaled(SHIFT_UNIT / TAU),
+                time_constant_s: positive(6),
+            }),
+        };
+        if !effect.is_determined() {
+            return None;
+        }
+        let residuals = self.residuals(&theta);
+        let component = |offset: usize| residuals.iter().skip(offset).step_by(2).copied().collect();
+        let (force, conditions) = (one_mode.time_constants.first()?.0, one_mode.resonances.first()?.0);
+        Some(DirectFit {
+            gain: positive(0),
+            time_constants: vec![(force, positive(1))],
+            damping: one_mode.damping.clone(),
+            resonances: vec![(conditions, resonance(2))],
+            resonance_covariance: DMatrix::from_element(1, 1, covariance[(2, 2)] * OMEGA_UNIT.powi(2)),
+            noise_um: (squares / freedom).sqrt(),
+            whiteness: WhitenessTest::ljung_box(&[component(0), component(1)]),
+            curve: self.response(&theta),
+            effect: Some(effect),
+        })
+    }
+}
+
+/// Fits a second mode and self-heating, and returns the fit with the smaller residuals that
+/// `is_explained` accepts. `None` if it accepts none, or if temperature or force changes.
+pub(crate) fn fit_effect(
+    recording: &Recording,
+    one_mode: &DirectFit,
+    is_explained: impl Fn(&DirectFit) -> bool,
+) -> Option<DirectFit> {
+    if recording.conditions.len() != 1 {
+        return None;
+    }
+    let mean_omega = recording.inputs.iter().map(|input| input.omega).sum::<f64>() / recording.inputs.len() as f64;
+    let kinds = [EffectKind::Heating, EffectKind::SecondMode];
+    let fits = kinds.into_iter().filter_map(|kind| EffectModel { recording, kind, mean_omega }.fit(one_mode));
+    fits.filter(is_explained).min_by(|a, b| a.noise_um.total_cmp(&b.noise_um))
 }

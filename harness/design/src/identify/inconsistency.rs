@@ -1,7 +1,7 @@
 //! Finds recordings that no single plate can produce, and parameters that no plate has.
 
-use crate::identify::effect::IdentifiedSecondMode;
 use crate::identify::estimate::Estimate;
+use crate::identify::estimate::IdentifiedSecondMode;
 use crate::identify::fit::{DirectFit, fit_direct};
 use platebench_model::recording::{RecordedSample, Recording};
 use platebench_plate::plausible::{

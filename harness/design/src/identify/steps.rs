@@ -1,7 +1,7 @@
 //! Finds the steps in a recording and fits each step by three methods: the rows of Tables I and II.
 
-use crate::identify::arx::{ArxMethod, ArxModel, arx};
 use crate::identify::estimate::Estimate;
+use crate::identify::estimate::{ArxMethod, ArxModel, arx};
 use crate::identify::fit::{DirectFit, fit_direct};
 use platebench_model::recording::{RecordedInput, Recording};
 use serde::Serialize;

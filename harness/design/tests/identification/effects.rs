@@ -1,7 +1,8 @@
 //! Identifies plates with a second mode or self-heating.
 
 use crate::simulation::{STILL, details, scene, simulate};
-use platebench_design::identify::{Identification, PlateFileDetails, identify, plate_file, tables};
+use platebench_design::identified_plate::{PlateFileDetails, plate_file, tables};
+use platebench_design::identify::{Identification, identify};
 use platebench_model::recording::Recording;
 use platebench_plate::{Effects, Heating, Plate, RawPlate, SecondMode};
 use platebench_test_kit::paper_plate;

@@ -1,7 +1,8 @@
 //! Checks that recordings that no single plate can produce are reported, and clean ones are not.
 
 use crate::simulation::details;
-use platebench_design::identify::{Identification, Inconsistency, identify, plate_file};
+use platebench_design::identified_plate::plate_file;
+use platebench_design::identify::{Identification, Inconsistency, identify};
 use platebench_model::recording::{RecordedInput, RecordedSample, Recording};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Sensor, State, Tier};
 use rstest::rstest;

@@ -1,7 +1,8 @@
 //! Checks tables and plate file from simulated recordings.
 
 use crate::simulation::{STILL, details, scene, simulate};
-use platebench_design::identify::{identify, plate_file, tables};
+use platebench_design::identified_plate::{plate_file, tables};
+use platebench_design::identify::identify;
 use platebench_model::recording::{RecordedInput, RecordedSample, Recording, RecordingError, SampleSource};
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::{Complex64, ConditionProfiles, Conditions, Plate, RawPlate};

@@ -1,6 +1,6 @@
 //! Simulates recordings of plates with a period of 1 ms.
 
-use platebench_design::identify::PlateFileDetails;
+use platebench_design::identified_plate::PlateFileDetails;
 use platebench_model::recording::{RecordedInput, RecordedSample, Recording};
 use platebench_plate::{ConditionProfiles, Drive, Plant, Plate, Profile, Sensor, Tier, Time};
 

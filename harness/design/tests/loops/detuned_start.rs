@@ -1,8 +1,8 @@
 //! Tests a loop with a small spectral radius that never settles from a detuned start.
 
 use crate::assert_close;
-use platebench_design::loops::measured_boundary::loop_at_rest;
-use platebench_design::loops::{Discretisation, LoopCase, OperatingCondition, PlainLoops, StartResult};
+use platebench_design::law_loops::{LoopCase, OperatingCondition, PlainLoops, StartResult, loop_at_rest};
+use platebench_design::loops::Discretisation;
 use platebench_plate::Time;
 use platebench_test_kit::paper_plate;
 use platebench_wire::{Gains, LawId};

@@ -1,8 +1,9 @@
 //! Compares predicted delay boundaries with boundaries of the firmware's code on the exact plate.
 
-use platebench_design::loops::{
-    ClosedLoop, LoopCase, LoopMotion, LoopSimulation, LoopTiming, OperatingCondition, delay_boundary, measured_boundary,
+use platebench_design::law_loops::{
+    LoopCase, LoopMotion, LoopSimulation, OperatingCondition, measure_delay_boundary, measure_delay_boundary_from_rest,
 };
+use platebench_design::loops::{ClosedLoop, LoopTiming, delay_boundary};
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::{Tier, Time};
 use platebench_test_kit::paper_plate;
@@ -70,7 +71,7 @@ fn a_law_without_feedback_has_no_boundary() {
     for condition in OperatingCondition::ALL {
         let case = LoopCase::new(&plate, LawId::OpenLoop, condition);
         assert_eq!(predicted_boundary(&case), DelayBoundary::Beyond(LONGEST));
-        assert_eq!(measured_boundary::measure_delay_boundary(&case, LONGEST), Some(DelayBoundary::Beyond(LONGEST)));
+        assert_eq!(measure_delay_boundary(&case, LONGEST), Some(DelayBoundary::Beyond(LONGEST)));
     }
 }
 
@@ -89,8 +90,8 @@ fn dq_pi_tolerates_less_delay_from_rest() {
     let plate = paper_plate();
     let of = |law| {
         let case = LoopCase { response_s: Some(2e-3), ..LoopCase::new(&plate, law, OperatingCondition::Resonant) };
-        let around = measured_boundary::measure_delay_boundary(&case, 4e-3).unwrap().seconds().unwrap();
-        (around, measured_boundary::measure_delay_boundary_from_rest(&case, 4e-3).seconds().unwrap())
+        let around = measure_delay_boundary(&case, 4e-3).unwrap().seconds().unwrap();
+        (around, measure_delay_boundary_from_rest(&case, 4e-3).seconds().unwrap())
     };
     let ((around, rest), (fixed_around, fixed_rest)) = (of(LawId::DqPi), of(LawId::DqPiFixed));
     assert!((around / fixed_around - 1.0).abs() < 1e-3, "{around} and {fixed_around}");
@@ -110,7 +111,7 @@ fn an_unreachable_setpoint_has_no_steady_state() {
 fn bang_bang_hunting_lowers_the_measured_boundary() {
     let plate = paper_plate();
     let case = LoopCase { period_us: 250, ..LoopCase::new(&plate, LawId::BangBang, OperatingCondition::Detuned) };
-    let ratio = measured_boundary::measure_delay_boundary(&case, LONGEST).unwrap().seconds().unwrap()
+    let ratio = measure_delay_boundary(&case, LONGEST).unwrap().seconds().unwrap()
         / predicted_boundary(&case).seconds().unwrap();
     assert!((0.85..0.95).contains(&ratio), "{ratio}");
 }

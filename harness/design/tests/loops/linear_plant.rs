@@ -1,7 +1,7 @@
 //! Compares the plant's linear form with the exact nonlinear flow.
 
-use platebench_design::loops::plant::steady_state;
-use platebench_design::loops::{LinearPlant, OperatingCondition};
+use platebench_design::law_loops::OperatingCondition;
+use platebench_design::loops::{LinearPlant, steady_state};
 use platebench_plate::{Complex64, Drive, Flow, State, Tier};
 use platebench_test_kit::paper_plate;
 use rstest::rstest;

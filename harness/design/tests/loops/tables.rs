@@ -1,7 +1,6 @@
 //! Tests the study as a table and as CSV.
 
-use platebench_design::loops::study::StudyConfig;
-use platebench_design::loops::{Study, study, table};
+use platebench_design::stability::{Study, StudyConfig, boundaries_csv, boundary_table, study};
 use platebench_test_kit::paper_plate;
 use platebench_wire::LawId;
 
@@ -26,14 +25,14 @@ fn the_number_of_jobs_does_not_change_the_study() {
     let laws = [LawId::OpenLoop, LawId::Pll];
     let one = study_of(&laws, 0.0, 1);
     assert_eq!(one, study_of(&laws, 0.0, 3));
-    let csv = table::boundaries_csv(&one);
+    let csv = boundaries_csv(&one);
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(lines.len(), 7);
     assert!(lines.iter().all(|line| line.split(',').count() == 12), "{csv}");
     // Without a loop, the boundary is beyond the search range (`inf`) and margins are empty.
     assert!(lines[1].starts_with("open-loop,resonant,1000,1.9,inf,inf,,inf,0.58"), "{csv}");
     assert!(lines[1].ends_with(",,,"), "{csv}");
-    let table = table::boundary_table(&one, 0.0);
+    let table = boundary_table(&one, 0.0);
     assert!(table.contains("> 12000") && table.contains("never"), "{table}");
 }
 
@@ -46,7 +45,6 @@ fn the_table_lists_conditions_out_of_reach() {
     assert!(study.rows.is_empty() && study.maps.is_empty());
     assert_eq!(study.out_of_reach.len(), 3);
     assert!(
-        table::boundary_table(&study, 0.0)
-            .contains("frequency-only  finger     no steady state within the drive's limit")
+        boundary_table(&study, 0.0).contains("frequency-only  finger     no steady state within the drive's limit")
     );
 }

@@ -3,8 +3,10 @@
 use crate::{assert_close, scaled};
 use platebench_design::loops::Discretisation;
 use platebench_design::tuning::design::{GainDesign, TuningTarget};
-use platebench_design::tuning::spread::{PlateSpread, evaluate_sensitivity};
-use platebench_design::tuning::{DesignEvaluation, InfeasibilityCause, TuningResult, evaluate_design, format, tune};
+use platebench_design::tuning::{
+    DesignEvaluation, InfeasibilityCause, PlateSpread, TuningResult, evaluate_design, evaluate_sensitivity,
+    format_tuning, tune,
+};
 use platebench_plate::{Plate, Tier};
 use platebench_test_kit::paper_plate;
 use rstest::rstest;
@@ -214,7 +216,7 @@ fn worst_case_is_the_worst_and_repeats_with_its_seed() {
     assert_eq!(found, of(1));
     assert_ne!(found.worst_sample, of(2).worst_sample);
     assert_eq!(found.corners.len(), 8);
-    let settling = |other: &platebench_design::tuning::spread::PlateVariant| other.plate.settling_ms.unwrap();
+    let settling = |other: &platebench_design::tuning::PlateVariant| other.plate.settling_ms.unwrap();
     let longest = found.corners.iter().map(settling).fold(0.0, f64::max);
     assert_eq!(found.worst_corner.settling_ms, Some(longest));
     let slowest = found.corners.iter().max_by(|a, b| settling(a).total_cmp(&settling(b))).unwrap();
@@ -273,7 +275,7 @@ fn the_horizon_includes_a_long_loop_delay() {
 fn the_text_names_the_infeasibility_causes() {
     let plate = plate_with_limit(400.0);
     let demand = demand(&plate);
-    let text = format::format_tuning(&demand, &SPREAD, &tune_matched(&demand));
+    let text = format_tuning(&demand, &SPREAD, &tune_matched(&demand));
     for words in ["cannot be met", "2.145 ms", "415.7 Vpp", "Fastest possible design", "zero-order-hold match"] {
         assert!(text.contains(words), "{words} is not in\n{text}");
     }

@@ -1,5 +1,7 @@
 //! Adapts `differential-equations`.
 
+use crate::integration::failure::{MAX_STEPS, MethodFailure};
+use crate::integration::problem::Problem;
 use differential_equations::control::ControlFlag;
 use differential_equations::error::Error;
 use differential_equations::interpolate::Interpolation;
@@ -7,8 +9,6 @@ use differential_equations::methods::ExplicitRungeKutta;
 use differential_equations::ode::{ODE, OrdinaryNumericalMethod, solve_ode};
 use differential_equations::solout::Solout;
 use differential_equations::solution::Solution;
-use platebench_design::integration::failure::{MAX_STEPS, MethodFailure};
-use platebench_design::integration::problem::Problem;
 
 pub(super) fn dop853<const N: usize, P: Problem<N>>(
     problem: &P,

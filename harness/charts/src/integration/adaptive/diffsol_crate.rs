@@ -1,12 +1,12 @@
 //! Adapts `diffsol`, with its dense matrices of nalgebra.
 
+use crate::integration::failure::{MAX_STEPS, MethodFailure};
+use crate::integration::problem::Problem;
 use diffsol::error::{DiffsolError, OdeSolverError};
 use diffsol::{
     NalgebraContext, NalgebraLU, NalgebraMat, NalgebraVec, OdeBuilder, OdeEquations, OdeEquationsImplicit,
     OdeSolverMethod, OdeSolverProblem, OdeSolverStopReason, Vector,
 };
-use platebench_design::integration::failure::{MAX_STEPS, MethodFailure};
-use platebench_design::integration::problem::Problem;
 
 type LinearSolver = NalgebraLU<f64>;
 

@@ -1,10 +1,10 @@
-//! Formats the identification as tables next to the paper's values, and as a plate file.
+//! Formats an identification as tables next to the paper's values, and as a plate file, and
+//! combines its errors with the uncertainty budget of the measurement.
 
-use crate::identify::effect::IdentifiedHeating;
-use crate::identify::estimate::Estimate;
-use crate::identify::identification::Identification;
 use crate::identify::inconsistency::is_explained_by_chance;
-use crate::identify::steps::{FrequencyStep, VoltageStep};
+use crate::identify::{Estimate, FrequencyStep, Identification, IdentifiedHeating, RecordingFit, VoltageStep};
+use platebench_verdict::uncertainty::{Budget, CombinedUncertainty, EvaluationError, TypeA};
+use serde::Serialize;
 use std::fmt::Write as _;
 
 /// Rows of Table I as printed: Vpp, K1 in pm/V, τ1 in ms.
@@ -236,7 +236,7 @@ fn plate_table(found: &Identification) -> IdentificationTable {
         row("self-heating: shift of the resonance, Hz/µm²", Some(heating.shift_hz_per_um2), 1.0, 4, String::new());
         row("self-heating: time constant, s", Some(heating.time_constant_s), 1.0, 4, String::new());
     }
-    let excitation = |whole: &crate::identify::RecordingFit| whole.resonance_hz.value + whole.detuning_hz.value;
+    let excitation = |whole: &RecordingFit| whole.resonance_hz.value + whole.detuning_hz.value;
     if let Some(first) = found.recordings.first() {
         row(&format!("detuning of {:.1} Hz, Hz", excitation(first)), Some(first.detuning_hz), 1.0, 2, String::new());
     }
@@ -383,4 +383,59 @@ const DOUBTFUL_PERCENT: f64 = 25.0;
 /// Larger half of the interval in percent of the value, rounded up to two decimals.
 fn reach_percent(Estimate { value, low, high, .. }: Estimate) -> f64 {
     ((high - value).max(value - low) / value * 1e4).ceil() / 100.0
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ParameterUncertainty {
+    pub quantity: String,
+    pub value: f64,
+    pub interval: [f64; 2],
+    pub combined: CombinedUncertainty,
+}
+
+/// Omits parameters without budget or estimate. The fit gives a repeatability that is not stated.
+pub fn parameter_uncertainties(
+    found: &Identification,
+    budget: &Budget,
+) -> Result<Vec<ParameterUncertainty>, EvaluationError> {
+    let parameters = [
+        ("gain_um_per_vpp", found.gain_um_per_vpp),
+        ("time_constant_s", found.time_constant_s),
+        ("resonance_hz", found.resonance_hz),
+        ("slope_hz_per_k", found.slope_hz_per_k),
+    ];
+    let budgeted =
+        parameters.into_iter().filter_map(|(name, estimate)| Some((name, estimate?, budget.quantity(name)?)));
+    budgeted
+        .map(|(name, estimate, quantity)| {
+            let Estimate { value, error, freedom, .. } = estimate;
+            let observed = TypeA { standard: error, degrees_of_freedom: freedom };
+            let combined = quantity.combine(value, Some(observed), budget.coverage)?;
+            let interval = [value - combined.expanded, value + combined.expanded];
+            Ok(ParameterUncertainty { quantity: name.to_owned(), value, interval, combined })
+        })
+        .collect()
+}
+
+pub fn uncertainty_table(parameters: &[ParameterUncertainty]) -> IdentificationTable {
+    let header = ["quantity", "value", "u", "ν", "k", "U", "largest contribution"];
+    let row = |parameter: &ParameterUncertainty| {
+        let combined = &parameter.combined;
+        let largest = combined.contributions.iter().max_by(|a, b| a.standard.total_cmp(&b.standard));
+        vec![
+            parameter.quantity.clone(),
+            format!("{:.6e}", parameter.value),
+            format!("{:.3e}", combined.standard),
+            combined.degrees_of_freedom.map_or_else(|| "∞".to_owned(), |freedom| format!("{freedom:.1}")),
+            format!("{:.2}", combined.coverage_factor),
+            format!("{:.3e}", combined.expanded),
+            largest.map_or_else(String::new, |largest| format!("{:.3e}, {}", largest.standard, largest.source)),
+        ]
+    };
+    IdentificationTable {
+        title: "Combined and expanded uncertainty".to_owned(),
+        header: header.map(str::to_owned).to_vec(),
+        rows: parameters.iter().map(row).collect(),
+        notes: Vec::new(),
+    }
 }
