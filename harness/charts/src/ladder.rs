@@ -10,8 +10,8 @@ use platebench_model::record::RunRecord;
 use platebench_model::scenario::{Metric, Scenario};
 use platebench_plate::Tier;
 use platebench_report::chart::{LogLogChart, LogLogSeries};
-use platebench_report::page::{ChartSection, PageBlock};
-use platebench_report::text::Table;
+use platebench_report::document::{Block, Document, Table};
+use platebench_report::page::ChartSection;
 use platebench_rig::RigSpec;
 
 const FILE: &str = "ladder.csv";
@@ -139,22 +139,17 @@ const EXPLANATION: [&str; 2] = [
 
 fn section(results: &[RungResult]) -> Result<ChartSection, ChartError> {
     let table = rung_table(results);
-    let summary = ChartSection::indented(&table);
     let mut files = vec![(FILE.to_owned(), numbers(results).csv())];
-    let mut blocks = ChartSection::paragraphs(&EXPLANATION);
-    blocks.push(PageBlock::Table(table));
+    let mut blocks = vec![Block::Details(EXPLANATION.map(Block::paragraph).into())];
+    blocks.push(Block::Table(table));
     for (place, (metric, file, unit)) in METRICS.into_iter().enumerate() {
         let svg = drawing(results, place, metric, unit).svg()?;
-        blocks.push(PageBlock::Drawings(vec![(svg.clone(), format!("{}: difference against cost", metric.name()))]));
+        blocks.push(Block::figure(svg.clone(), format!("{}: difference against cost", metric.name())));
         files.push((file.to_owned(), svg));
     }
-    blocks.push(PageBlock::File(FILE.to_owned()));
-    Ok(ChartSection {
-        title: "Rungs: cost of a run against its difference from the emulated firmware",
-        summary,
-        blocks,
-        files,
-    })
+    blocks.push(Block::File(FILE.to_owned()));
+    let title = "Rungs: cost of a run against its difference from the emulated firmware";
+    Ok(ChartSection { document: Document::new(title, blocks), files })
 }
 
 fn rung_table(results: &[RungResult]) -> Table {
@@ -170,7 +165,7 @@ fn rung_table(results: &[RungResult]) -> Table {
     ]);
     for result in results {
         let [settling, overshoot, error] = result.differences;
-        table.rows.push(vec![
+        table.push(vec![
             result.rung.name(),
             result.scenarios.to_string(),
             format!("{:.2} µs", result.period_us),
@@ -198,7 +193,7 @@ fn numbers(results: &[RungResult]) -> Table {
         let mut row = vec![result.rung.name(), result.scenarios.to_string(), result.period_us.to_string()];
         row.extend(result.differences.map(|difference| difference.to_string()));
         row.push(result.changed_verdicts.to_string());
-        table.rows.push(row);
+        table.push(row);
     }
     table
 }

@@ -7,7 +7,7 @@ use platebench_model::scenario::Scenario;
 use platebench_plate::Time;
 use platebench_report::ReportError;
 use platebench_report::chart::{MultiplesChart, MultiplesPoint};
-use platebench_report::text::Table;
+use platebench_report::document::Table;
 use platebench_wire::LawId;
 
 pub(crate) const CSV: &str = "law-variants.csv";
@@ -82,7 +82,7 @@ pub(crate) fn csv(scenes: &[&LawScenario], results: &[VariantResult]) -> String 
         else {
             continue;
         };
-        table.rows.push(vec![
+        table.push(vec![
             result.law.name().to_owned(),
             scene.name.clone(),
             variant.is_delay_known.to_string(),

@@ -5,10 +5,9 @@ use crate::law_results::{LawResult, LawScenario};
 use crate::law_variants;
 use platebench_plate::Time;
 use platebench_report::chart::{ScatterChart, ScatterPanel, ScatterPoint};
-use platebench_report::page::{ChartSection, PageBlock};
-use platebench_report::text::Table;
+use platebench_report::document::{Block, Document, Table};
+use platebench_report::page::ChartSection;
 use platebench_wire::LawId;
-use std::fmt::Write as _;
 
 const FILE: &str = "laws.csv";
 const DRAWING: &str = "laws.svg";
@@ -23,25 +22,22 @@ pub fn build_chart(scenes: &[LawScenario]) -> Result<ChartSection, ChartError> {
         pairs.map(|(law, (index, scene))| LawResult::measure(law, index, scene)).collect::<Result<Vec<_>, _>>()?;
     let table = result_table(scenes, &results);
     let svg = scatter_chart(scenes, &results).svg()?;
-    let summary = format_console(&table);
     let quiet: Vec<&LawScenario> = scenes.iter().filter(|scene| !scene.is_noisy()).collect();
     let variants = law_variants::measure(&quiet)?;
     let multiples = law_variants::svg(&quiet, &variants)?;
-    let files = [(FILE, csv_table(scenes, &results).csv()), (TABLE, format_markdown(&table)), (DRAWING, svg.clone())];
+    let files = [(FILE, csv_table(scenes, &results).csv()), (TABLE, table.markdown()), (DRAWING, svg.clone())];
     let variant_files =
         [(law_variants::CSV, law_variants::csv(&quiet, &variants)), (law_variants::DRAWING, multiples.clone())];
-    let mut blocks = ChartSection::paragraphs(&EXPLANATION);
+    let mut blocks = vec![Block::Details(EXPLANATION.map(Block::paragraph).into())];
     let caption = "Control laws: response time, static error, repeatability".to_owned();
-    blocks.push(PageBlock::Drawings(vec![(svg, caption)]));
-    blocks.push(PageBlock::Text(VARIANTS_EXPLANATION.to_owned()));
+    blocks.push(Block::figure(svg, caption));
+    blocks.push(Block::Details(vec![Block::paragraph(VARIANTS_EXPLANATION)]));
     let caption = "Control laws: response time at loop delays of 0, 0.4 and 0.8 periods".to_owned();
-    blocks.push(PageBlock::Drawings(vec![(multiples, caption)]));
-    blocks.push(PageBlock::Table(table));
-    blocks.extend([FILE, TABLE, law_variants::CSV].map(|name| PageBlock::File(name.to_owned())));
+    blocks.push(Block::figure(multiples, caption));
+    blocks.push(Block::Table(table));
+    blocks.extend([FILE, TABLE, law_variants::CSV].map(|name| Block::File(name.to_owned())));
     Ok(ChartSection {
-        title: "Control laws: speed and accuracy of what is under test",
-        summary,
-        blocks,
+        document: Document::new("Control laws: speed and accuracy of what is under test", blocks),
         files: files.into_iter().chain(variant_files).map(|(name, text)| (name.to_owned(), text)).collect(),
     })
 }
@@ -67,7 +63,7 @@ fn result_table(scenes: &[LawScenario], results: &[LawResult]) -> Table {
     let name = |scene: &LawScenario| {
         if scene.is_noisy() { format!("repeatability: {}", scene.name) } else { scene.name.clone() }
     };
-    let head = std::iter::once("law".to_owned()).chain(scenes.iter().map(name)).collect();
+    let mut table = Table::new(std::iter::once("law".to_owned()).chain(scenes.iter().map(name)));
     let row = |law: LawId| {
         let own = results.iter().filter(|result| result.law == law);
         let cells = own.filter_map(|result| {
@@ -81,39 +77,14 @@ fn result_table(scenes: &[LawScenario], results: &[LawResult]) -> Table {
                 format!("{response}, {error}")
             })
         });
-        std::iter::once(law.name().to_owned()).chain(cells).collect()
+        std::iter::once(law.name().to_owned()).chain(cells).collect::<Vec<_>>()
     };
-    Table { header: head, rows: LawId::ALL.into_iter().map(row).collect() }
+    table.extend(LawId::ALL.map(row));
+    table
 }
 
 fn format_percent(value: f64) -> String {
     if value < TABLE_FLOOR_PERCENT { format!("< {TABLE_FLOOR_PERCENT} %") } else { format!("{value:.2} %") }
-}
-
-fn format_markdown(table: &Table) -> String {
-    let line = |fields: &[String]| format!("| {} |\n", fields.join(" | "));
-    let rows: String = table
-        .rows
-        .iter()
-        .map(|row| match row.split_first() {
-            Some((law, rest)) => line(&[&[format!("`{law}`")], rest].concat()),
-            None => String::new(),
-        })
-        .collect();
-    format!("{}|{}\n{rows}", line(&table.header), "---|".repeat(table.header.len()))
-}
-
-fn format_console(table: &Table) -> String {
-    let mut text = String::new();
-    for (column, scene) in table.header.iter().enumerate().skip(1) {
-        let _ = writeln!(text, "{scene}");
-        for row in &table.rows {
-            if let (Some(law), Some(field)) = (row.first(), row.get(column)) {
-                let _ = writeln!(text, "  {law:<16}{field}");
-            }
-        }
-    }
-    text
 }
 
 fn csv_table(scenes: &[LawScenario], results: &[LawResult]) -> Table {
@@ -148,7 +119,7 @@ fn csv_table(scenes: &[LawScenario], results: &[LawResult]) -> Table {
             scene.is_noisy().then(|| scene.noise_floor_percent()),
         ];
         cells.extend(numbers.map(|value| value.map_or_else(String::new, |value| value.to_string())));
-        table.rows.push(cells);
+        table.push(cells);
     }
     table
 }

@@ -6,6 +6,7 @@ use jiff::tz::TimeZone;
 use platebench_charts::{ChartError, ladder, laws, load_law_scenarios, precision, scenes};
 use platebench_engine::RunError;
 use platebench_model::scenario::{Diagnostic, Scenario, find};
+use platebench_report::Style;
 use platebench_report::page::write_chart_page;
 use platebench_report::text::printable_lines;
 use platebench_rig::RigSpec;
@@ -67,6 +68,8 @@ enum ChartKind {
     /// Rungs from the linear plate to the emulated firmware: cost of a run against its difference
     Ladder,
 }
+
+const CONSOLE_WIDTH: usize = 100;
 
 /// What the program reports and its exit code, as those of `platebench`.
 #[derive(Debug)]
@@ -146,7 +149,12 @@ fn draw(arguments: &Arguments) -> Result<(), Failure> {
     let page = write_chart_page(&folder, "charts.html", "Speed against accuracy", intro, &sections)
         .map_err(|error| Failure::new(Failure::INVALID, &error))?;
     for section in &sections {
-        let _ = writeln!(stdout(), "{}\n\n{}", section.title, section.summary);
+        let _ = writeln!(
+            stdout(),
+            "{}\n\n{}",
+            section.document.title,
+            section.document.to_console(Some(CONSOLE_WIDTH), Style::default())
+        );
     }
     let _ = writeln!(stderr(), "page: {}", page.display());
     Ok(())

@@ -11,10 +11,9 @@ use platebench_engine::law;
 use platebench_model::scenario::{Scenario, Spread};
 use platebench_plate::{Drive, Time};
 use platebench_report::chart::{LogLogChart, LogLogSeries};
-use platebench_report::page::{ChartSection, PageBlock};
-use platebench_report::text::Table;
+use platebench_report::document::{Block, Document, Table};
+use platebench_report::page::ChartSection;
 use std::f64::consts::TAU;
-use std::fmt::Write as _;
 use std::time::Duration;
 
 const WINDOW: Time = Time::from_nanos(40_000_000);
@@ -47,23 +46,22 @@ pub fn build_chart(scenarios: &[Scenario], is_quick: bool) -> Result<ChartSectio
     for scenario in scenarios {
         let replay = scenario_replay(scenario, if is_quick { QUICK_WINDOW } else { WINDOW })?;
         let results = sweep(&replay, &config);
-        numbers.rows.extend(results.iter().map(|result| result_row(scenario, result, &results)));
-        headlines.rows.extend(EquationForm::ALL.iter().filter_map(|form| headline_row(scenario, *form, &results)));
-        drawings.push(PageBlock::Heading(scenario.title.clone()));
+        numbers.extend(results.iter().map(|result| result_row(scenario, result, &results)));
+        headlines.extend(EquationForm::ALL.iter().filter_map(|form| headline_row(scenario, *form, &results)));
+        drawings.push(Block::Details(vec![Block::heading(&scenario.title)]));
         for form in EquationForm::ALL {
             let svg = loglog_chart(scenario, form, &results).svg()?;
             files.push((format!("precision-{}-{}.svg", scenario.name().replace('/', "-"), form.name()), svg.clone()));
             let caption = format!("{}: {} equations, after {}", scenario.title, form.name(), scenario.file);
-            drawings.push(PageBlock::Drawings(vec![(svg, caption)]));
+            drawings.push(Block::figure(svg, caption));
         }
     }
     files.push((FILE.to_owned(), numbers.csv()));
-    let summary = format_console(&headlines);
-    let mut blocks = ChartSection::paragraphs(&EXPLANATION);
-    blocks.push(PageBlock::Table(headlines));
-    blocks.push(PageBlock::File(FILE.to_owned()));
+    let mut blocks = vec![Block::Details(EXPLANATION.map(Block::paragraph).into())];
+    blocks.push(Block::Table(headlines));
+    blocks.push(Block::File(FILE.to_owned()));
     blocks.extend(drawings);
-    Ok(ChartSection { title: "Methods: error against cost", summary, blocks, files })
+    Ok(ChartSection { document: Document::new("Methods: error against cost", blocks), files })
 }
 
 const EXPLANATION: [&str; 3] = [
@@ -175,19 +173,6 @@ fn headline_row(scenario: &Scenario, form: EquationForm, results: &[SweepResult]
         reached.map_or_else(none, times),
         at_tolerance.map_or_else(none, |peer| format!("{}, off by {:.0e}", times(peer), peer.numerical_error)),
     ])
-}
-
-fn format_console(table: &Table) -> String {
-    let mut text = String::new();
-    for row in &table.rows {
-        for (name, field) in table.header.iter().zip(row).skip(1) {
-            let _ = writeln!(text, "  {name}: {field}");
-        }
-        if let Some(scenario) = row.first() {
-            let _ = writeln!(text, "  ({scenario})\n");
-        }
-    }
-    text
 }
 
 fn loglog_chart(scenario: &Scenario, form: EquationForm, results: &[SweepResult]) -> LogLogChart {

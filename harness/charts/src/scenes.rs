@@ -7,8 +7,8 @@ use platebench_model::record::{ExpectationRecord, RunRecord};
 use platebench_model::scenario::{Expectation, Scenario};
 use platebench_plate::Tier;
 use platebench_report::chart::{StripChart, StripRow};
-use platebench_report::page::{ChartSection, PageBlock};
-use platebench_report::text::Table;
+use platebench_report::document::{Block, Document, Table};
+use platebench_report::page::ChartSection;
 use platebench_rig::RigSpec;
 use std::collections::BTreeMap;
 
@@ -128,18 +128,14 @@ impl ModelResult<'_> {
 fn section(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Result<ChartSection, ChartError> {
     let svg = strip_chart(results).svg()?;
     let (models, differences) = (model_table(results, costs), difference_table(results));
-    let [listed_models, listed_differences] = [&models, &differences].map(ChartSection::indented);
-    let summary = format!("{listed_models}\n{listed_differences}\n");
     let caption = format!("{} scenarios: largest difference of a metric on every model", results.len());
-    let mut blocks = ChartSection::paragraphs(&EXPLANATION);
-    blocks.push(PageBlock::Table(models));
-    blocks.push(PageBlock::Drawings(vec![(svg.clone(), caption)]));
-    blocks.push(PageBlock::Table(differences));
-    blocks.push(PageBlock::File(FILE.to_owned()));
+    let mut blocks = vec![Block::Details(EXPLANATION.map(Block::paragraph).into())];
+    blocks.push(Block::Table(models));
+    blocks.push(Block::figure(svg.clone(), caption));
+    blocks.push(Block::Table(differences));
+    blocks.push(Block::File(FILE.to_owned()));
     Ok(ChartSection {
-        title: "Scenarios: models of the plate against the most detailed one",
-        summary,
-        blocks,
+        document: Document::new("Scenarios: models of the plate against the most detailed one", blocks),
         files: vec![(FILE.to_owned(), full_table(results).csv()), (DRAWING.to_owned(), svg)],
     })
 }
@@ -169,7 +165,7 @@ fn model_table(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Table {
         let differs = |metric: &&MetricResult<'_>| metric.difference > LISTED_DIFFERENCE;
         let metrics = own.iter().flat_map(|model| &model.metrics).filter(differs).count();
         let scenes = own.iter().filter(|model| model.largest_difference() > LISTED_DIFFERENCE).count();
-        table.rows.push(vec![
+        table.push(vec![
             cost.tier.name().to_owned(),
             cost.scenario_count.to_string(),
             changed.to_string(),
@@ -193,7 +189,7 @@ fn difference_table(results: &[SceneResult<'_>]) -> Table {
                 } else {
                     format!("{} instead of {}", own.verdict, reference.verdict)
                 };
-                table.rows.push(vec![
+                table.push(vec![
                     scene.scenario.name().to_owned(),
                     model.tier.name().to_owned(),
                     own.name.clone(),
@@ -229,7 +225,7 @@ fn full_table(results: &[SceneResult<'_>]) -> Table {
     for SceneResult { scenario, models } in results {
         for model in models {
             for MetricResult { own, reference, difference } in &model.metrics {
-                table.rows.push(vec![
+                table.push(vec![
                     scenario.file.clone(),
                     scenario.controller.law.clone(),
                     scenario.tier.name().to_owned(),

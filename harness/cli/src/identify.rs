@@ -18,9 +18,8 @@ use platebench_model::recording::{Recording, RecordingError};
 use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_atomically, write_new};
 use platebench_report::ReportError;
 use platebench_report::chart::FitChart;
+use platebench_report::document::{Block, Document, Figure, Table};
 use platebench_report::format::count;
-use platebench_report::page::{BlockPage, PageBlock};
-use platebench_report::text::Table;
 use platebench_verdict::uncertainty::{Budget, known_quantities};
 use serde::Serialize;
 use std::fs;
@@ -253,12 +252,14 @@ fn render_page(
     }
     let mut blocks = Vec::new();
     for table in tables {
-        blocks.push(PageBlock::Heading(table.title.clone()));
-        blocks.push(PageBlock::Table(Table { header: table.header.clone(), rows: table.rows.clone() }));
-        blocks.extend(table.notes.iter().cloned().map(PageBlock::Text));
+        blocks.push(Block::Heading(table.title.clone()));
+        let mut rows = Table::new(&table.header);
+        rows.extend(&table.rows);
+        blocks.push(Block::Table(rows));
+        blocks.extend(table.notes.iter().cloned().map(Block::Paragraph));
     }
-    blocks.push(PageBlock::Heading("Measured (dashed) and fitted response".to_owned()));
-    let drawings = curves.iter().map(|curve| Ok((curve.svg()?, curve.title.clone())));
-    blocks.push(PageBlock::Drawings(drawings.collect::<Result<_, ReportError>>().or_invalid()?));
-    Ok(BlockPage { title, intro: String::new(), blocks }.html())
+    blocks.push(Block::Heading("Measured (dashed) and fitted response".to_owned()));
+    let drawings = curves.iter().map(|curve| Ok(Figure::new(curve.svg()?, &curve.title)));
+    blocks.push(Block::Figures(drawings.collect::<Result<_, ReportError>>().or_invalid()?));
+    Ok(Document::new(title, blocks).to_html())
 }

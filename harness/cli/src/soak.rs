@@ -13,7 +13,8 @@ use platebench_engine::{CancelToken, RunError, RunPlan, rejudge};
 use platebench_lab::boards::{BoardOutcome, SoakConfig, SoakEnd, SoakRecord, SoakResult, SoakScenario, soak as play};
 use platebench_model::record::Overrides;
 use platebench_report::Detail;
-use platebench_report::page::{self, BlockPage, PageBlock};
+use platebench_report::document::{Block, Document};
+use platebench_report::page;
 use platebench_rig::ConnectOptions;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -134,9 +135,9 @@ pub(crate) fn write_page(record: &SoakRecord, folder: &Path) -> CommandResult {
         record.updated,
         if record.safe_confirmed { "was confirmed" } else { "was not confirmed" },
     );
-    let kept = record.kept.iter().chain(&record.newest).map(|run| PageBlock::File(format!("{run}/run.json")));
-    let blocks = std::iter::once(PageBlock::Table(record.table())).chain(kept).collect();
-    BlockPage { title: format!("Soak of {}", record.board), intro, blocks }.write(&path).or_invalid()?;
+    let kept = record.kept.iter().chain(&record.newest).map(|run| Block::File(format!("{run}/run.json")));
+    let blocks = std::iter::once(Block::Table(record.table())).chain(kept).collect();
+    Document { title: format!("Soak of {}", record.board), lead: intro, blocks }.write(&path).or_invalid()?;
     stdio::note(&format!("report: {}", path.display()));
     Ok(Exit::Passed)
 }

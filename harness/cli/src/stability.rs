@@ -9,6 +9,7 @@ use clap::Args;
 use platebench_design::stability::{StudyConfig, build_chart, rig_delay};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::load::{load_plate, require_no_effects};
+use platebench_report::Style;
 use platebench_report::chart::RigDelay;
 use platebench_report::page::write_chart_page;
 use platebench_wire::LawId;
@@ -75,10 +76,16 @@ fn analyse(arguments: &StabilityArgs) -> Result<String, Failure> {
     let section = build_chart(&config, rig).or_invalid()?;
     if let Some(folder) = &arguments.out {
         fs::create_dir_all(folder).or_invalid_at(folder)?;
-        write_chart_page(folder, "stability.html", section.title, String::new(), std::slice::from_ref(&section))
-            .or_invalid()?;
+        write_chart_page(
+            folder,
+            "stability.html",
+            &section.document.title,
+            String::new(),
+            std::slice::from_ref(&section),
+        )
+        .or_invalid()?;
     }
-    Ok(section.summary)
+    Ok(section.document.to_console(None, Style::default()))
 }
 
 fn delay_of_run(run: &Path) -> Result<RigDelay, Failure> {

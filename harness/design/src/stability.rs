@@ -13,7 +13,8 @@ use platebench_model::record::RunRecord;
 use platebench_plate::{Plate, Tier, Time};
 use platebench_report::ReportError;
 use platebench_report::chart::{MapFigure, MapPanel, RigDelay};
-use platebench_report::page::{ChartSection, PageBlock};
+use platebench_report::document::{Block, Document};
+use platebench_report::page::ChartSection;
 use platebench_wire::LawId;
 use std::fmt::Write;
 
@@ -46,9 +47,8 @@ pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartS
     for (law, map) in &maps {
         files.push((format!("{}.svg", law.name()), map.svg()?));
     }
-    let summary = format!("{step_table}\n{boundaries}\n{known_limit}");
     let blocks = page_blocks([step_table, boundaries, known_limit], &maps)?;
-    Ok(ChartSection { title: "Where methods and loops become unstable", summary, blocks, files })
+    Ok(ChartSection { document: Document::new("Where methods and loops become unstable", blocks), files })
 }
 
 /// Largest median and largest maximum of the loop delays of all trials. `None` without delays.
@@ -97,22 +97,21 @@ fn build_map(study: &Study, law: LawId, rig: Option<RigDelay>) -> Option<MapFigu
 fn page_blocks(
     [steps, boundaries, known_limit]: [String; 3],
     maps: &[(LawId, MapFigure)],
-) -> Result<Vec<PageBlock>, ReportError> {
-    let heading = |text: &str| PageBlock::Heading(text.to_owned());
-    let text = |text: &str| PageBlock::Text(text.to_owned());
+) -> Result<Vec<Block>, ReportError> {
+    let heading = |text: &str| Block::Details(vec![Block::heading(text)]);
     let mut blocks = vec![
         heading("The largest stable step of a method"),
-        text(NOTE),
-        PageBlock::Preformatted(steps),
+        Block::Details(vec![Block::paragraph(NOTE)]),
+        Block::Preformatted(steps),
         heading("Boundaries and margins"),
-        PageBlock::Preformatted(boundaries),
+        Block::Preformatted(boundaries),
         heading("Known limit"),
-        PageBlock::Preformatted(known_limit),
+        Block::Preformatted(known_limit),
     ];
     for (law, map) in maps {
         blocks.push(heading(law.name()));
-        blocks.extend(law_note(*law).map(text));
-        blocks.push(PageBlock::Drawings(vec![(map.svg()?, map.title.clone())]));
+        blocks.extend(law_note(*law).map(|note| Block::Details(vec![Block::paragraph(note)])));
+        blocks.push(Block::figure(map.svg()?, &map.title));
     }
     Ok(blocks)
 }

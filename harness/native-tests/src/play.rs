@@ -3,7 +3,8 @@
 use platebench_engine::{Clock, Pacing, RunError, RunHooks, RunPlan, TimeBase};
 use platebench_model::record::{FolderError, Overrides, RECORD_FILE, RunFolder, RunRecord, Verdict};
 use platebench_model::scenario::Scenario;
-use platebench_report::console::{self, Style};
+use platebench_report::console;
+use platebench_report::document::Style;
 use platebench_report::{ReportError, junit, page, traceability};
 use platebench_rig::{ConnectOptions, RigSpec};
 use std::fs::{self, Permissions};

@@ -1,6 +1,5 @@
 //! Writes HTML pages, each in one file that loads no other.
 
-mod block_page;
 mod boards;
 mod chart_section;
 mod cost;
@@ -10,7 +9,7 @@ mod elements;
 mod encode;
 mod environment;
 mod figure;
-mod frame;
+pub(crate) mod frame;
 mod golden;
 mod grid;
 mod kept_rows;
@@ -27,9 +26,8 @@ mod summary;
 mod trace_data;
 mod trend;
 
-pub use block_page::{AreaLink, BlockPage, LinkedDrawing, PageBlock};
 pub use chart_section::{ChartSection, write_chart_page};
-pub use elements::{scenario_anchor, verdict_badge};
+pub use elements::scenario_anchor;
 pub use frame::page_frame;
 pub use kept_rows::RowCache;
 pub use report_page::{COMPARISON_FILE, FILE, IsTraceChanged, ReportPage, write};

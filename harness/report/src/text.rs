@@ -12,11 +12,9 @@ pub mod junit;
 pub mod markdown;
 pub mod replay;
 pub mod scenario_list;
-mod table;
 pub mod tap;
 pub(crate) mod timing;
 pub mod traceability;
 pub mod tube_plot;
 
 pub use escape::{printable, printable_lines};
-pub use table::Table;

@@ -10,68 +10,65 @@ use crate::campaign::summary::{SUMMARY_FILE, Summary};
 use crate::campaign::worst_run::ResponseLinks;
 use platebench_model::record::Verdict;
 use platebench_report::chart::{HeatAxis, HeatFigure, HeatPanel};
+use platebench_report::document::{AreaLink, Block, Cell, Document, Figure, Table};
 use platebench_report::format;
-use platebench_report::page::{AreaLink, BlockPage, LinkedDrawing, PageBlock};
-use platebench_report::text::Table;
 use std::path::Path;
 
 pub const REPORT_FILE: &str = "report.html";
 
 pub fn write(folder: &Path, summary: &Summary<'_>, links: &ResponseLinks) -> Result<(), CampaignError> {
-    let mut blocks = vec![PageBlock::Preformatted(summary.text())];
+    let mut blocks = vec![Block::Preformatted(summary.text())];
     blocks.extend(maps(summary, links)?);
     let quantiles = quantiles(summary);
     if !quantiles.rows.is_empty() {
-        blocks.push(PageBlock::Heading("Quantiles".to_owned()));
-        blocks.push(PageBlock::Table(quantiles));
+        blocks.push(Block::Heading("Quantiles".to_owned()));
+        blocks.push(Block::Table(quantiles));
     }
-    blocks.push(PageBlock::Heading("Trials with the smallest margins".to_owned()));
-    let worst_links = summary.worst.iter().map(|row| links.get(&row.trial).cloned());
-    blocks.push(PageBlock::LinkedTable(worst_trials(summary), worst_links.collect()));
+    blocks.push(Block::Heading("Trials with the smallest margins".to_owned()));
+    blocks.push(Block::Table(worst_trials(summary, links)));
     if !summary.failing.is_empty() {
         let text = "Each failing trial of this table is a scenario in the folder counterexamples; \
                     `platebench run` plays it again.";
-        blocks.push(PageBlock::Text(text.to_owned()));
+        blocks.push(Block::Paragraph(text.to_owned()));
     }
-    blocks.push(PageBlock::Heading("Files".to_owned()));
-    blocks.extend([CSV_FILE, PARQUET_FILE, SUMMARY_FILE].map(|name| PageBlock::File(name.to_owned())));
-    let page = BlockPage { title: summary.campaign.title.clone(), intro: String::new(), blocks };
-    Ok(page.write(&folder.join(REPORT_FILE))?)
+    blocks.push(Block::Heading("Files".to_owned()));
+    blocks.extend([CSV_FILE, PARQUET_FILE, SUMMARY_FILE].map(|name| Block::File(name.to_owned())));
+    Ok(Document::new(&summary.campaign.title, blocks).write(&folder.join(REPORT_FILE))?)
 }
 
 fn quantiles(summary: &Summary<'_>) -> Table {
     let mut table = Table::new(["expectation", "share of trials below", "value", "from", "to"]);
     let number = |value: f64| if value.is_finite() { format!("{value:.4}") } else { "–".to_owned() };
-    let quantiles = summary.sample.quantiles(summary.campaign).into_iter();
+    let quantiles = summary.sample.quantiles(summary.campaign);
     let row = |quantile: Quantile| {
         let [low, high] = quantile.interval.map(number);
         vec![quantile.expectation, format!("{} %", quantile.share * 100.0), number(quantile.value), low, high]
     };
-    table.rows = quantiles.map(row).collect();
+    table.extend(quantiles.into_iter().map(row));
     table
 }
 
-fn worst_trials(summary: &Summary<'_>) -> Table {
+fn worst_trials(summary: &Summary<'_>, links: &ResponseLinks) -> Table {
     let campaign = summary.campaign;
     let names = campaign.expectation_names();
     let keys = campaign.variables.iter().map(axis_label);
     let header: Vec<_> =
         ["trial", "verdict", "margin"].map(str::to_owned).into_iter().chain(keys).chain(names).collect();
-    let mut table = Table::new(header.iter().map(|name| &**name));
+    let mut table = Table::new(header);
     let row = |row: &Row| {
         let cause = row.cause.filter(|_| row.verdict != Verdict::Pass).map(|cause| format!(" ({cause})"));
         let mut cells = vec![
-            row.trial.to_string(),
-            format!("{}{}", row.verdict, cause.unwrap_or_default()),
-            format!("{:.4}", row.margin()),
+            Cell::from(row.trial.to_string()).with_link(links.get(&row.trial).cloned()),
+            format!("{}{}", row.verdict, cause.unwrap_or_default()).into(),
+            format!("{:.4}", row.margin()).into(),
         ];
         let variables = campaign.variables.iter().zip(&row.draws);
-        cells.extend(variables.map(|(variable, draw)| variable.text(*draw)));
-        cells
-            .extend(row.values.iter().map(|value| if value.is_nan() { "–".to_owned() } else { format!("{value:.4}") }));
+        cells.extend(variables.map(|(variable, draw)| Cell::from(variable.text(*draw))));
+        let value = |value: &f64| Cell::from(if value.is_nan() { "–".to_owned() } else { format!("{value:.4}") });
+        cells.extend(row.values.iter().map(value));
         cells
     };
-    table.rows = summary.worst.iter().map(row).collect();
+    table.extend(summary.worst.iter().map(row));
     table
 }
 
@@ -103,23 +100,23 @@ fn length(variable: &Variable) -> usize {
     variable.distribution.choices().map_or(1, <[_]>::len)
 }
 
-fn maps(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Vec<PageBlock>, CampaignError> {
+fn maps(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Vec<Block>, CampaignError> {
     let Some(layout) = Layout::new(summary) else { return Ok(Vec::new()) };
     let cells_per_panel = summary.cells.len() / layout.panels.max(1);
     if layout.panels > MAX_PANELS || cells_per_panel > MAX_PANEL_CELLS {
         let text = format!("{} cells, too many for maps: see {CSV_FILE}", summary.cells.len());
-        return Ok(vec![PageBlock::Text(text)]);
+        return Ok(vec![Block::Paragraph(text)]);
     }
     let places = layout.places(summary);
     let figure = |title: String, is_low_bad, of: &dyn Fn(&Tally) -> Option<f64>| {
         let panels = places.panels(summary, of);
         let figure = HeatFigure { title, panels, is_low_bad };
         let links = places.links(summary, &figure, links);
-        Ok::<_, CampaignError>(LinkedDrawing { svg: figure.svg()?, caption: figure.title, links })
+        Ok::<_, CampaignError>(Figure { svg: figure.svg()?, caption: figure.title, links })
     };
     let share = |cell: &Tally| (cell.trials > 0).then(|| cell.failures as f64 / cell.trials as f64 * 100.0);
     let margin = |cell: &Tally| (cell.trials > 0).then_some(cell.smallest_margin);
-    let mut drawings = vec![
+    let mut figures = vec![
         figure("share of failing trials, %".to_owned(), false, &share)?,
         figure("smallest margin, relative to the limit".to_owned(), true, &margin)?,
     ];
@@ -128,13 +125,13 @@ fn maps(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Vec<PageBlock>, 
         let unit = format::unit(expectation.metric);
         let title =
             [&*expectation.name, unit].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ");
-        drawings.push(figure(format!("mean {title}"), false, &|cell| cell.mean(index))?);
+        figures.push(figure(format!("mean {title}"), false, &|cell| cell.mean(index))?);
     }
-    let mut blocks = vec![PageBlock::Heading("Maps".to_owned())];
+    let mut blocks = vec![Block::heading("Maps")];
     if !links.is_empty() {
-        blocks.push(PageBlock::Text("A cell opens the response of its worst trial.".to_owned()));
+        blocks.push(Block::paragraph("A cell opens the response of its worst trial."));
     }
-    blocks.push(PageBlock::LinkedDrawings(drawings));
+    blocks.push(Block::Figures(figures));
     Ok(blocks)
 }
 

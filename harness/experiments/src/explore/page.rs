@@ -2,8 +2,7 @@
 
 use crate::explore::coverage::RangeCoverage;
 use crate::explore::report::{CoverageReport, ExploreReport, PropertyReport, ViolationReport, format_value};
-use platebench_report::page::{BlockPage, PageBlock};
-use platebench_report::text::Table;
+use platebench_report::document::{Block, Document, Figure, Table};
 use std::fmt::Write as _;
 
 pub const FILE: &str = "report.html";
@@ -12,30 +11,30 @@ pub const FILE: &str = "report.html";
 const FIELD: usize = 22;
 const NAMES: usize = 210;
 
-pub fn page(report: &ExploreReport) -> BlockPage {
+pub fn page(report: &ExploreReport) -> Document {
     let ExploreReport { verdict, law, envelope, rig, seed, .. } = report;
-    let mut blocks = vec![PageBlock::Table(properties(report))];
+    let mut blocks = vec![Block::Table(properties(report))];
     for violation in &report.violations {
         blocks.extend(violation_blocks(violation));
     }
-    blocks.push(PageBlock::Heading("Coverage".to_owned()));
-    blocks.push(PageBlock::Text(
+    blocks.push(Block::Heading("Coverage".to_owned()));
+    blocks.push(Block::Paragraph(
         "The drawings show how many values of each quantity lie in each tenth of its range, and how often one change \
          followed another. A darker field has a higher count; an empty field has the count 0."
             .to_owned(),
     ));
-    blocks.push(PageBlock::Drawings(drawings(&report.coverage)));
-    blocks.push(PageBlock::Table(ranges(&report.coverage)));
-    BlockPage {
+    blocks.push(Block::Figures(drawings(&report.coverage)));
+    blocks.push(Block::Table(ranges(&report.coverage)));
+    Document {
         title: format!("{verdict}: exploration of {law}"),
-        intro: format!("{envelope}, seed {seed}, on {rig}. {}", report.conclusion()),
+        lead: format!("{envelope}, seed {seed}, on {rig}. {}", report.conclusion()),
         blocks,
     }
 }
 
 pub(crate) fn properties(report: &ExploreReport) -> Table {
     let mut table = Table::new(["property", "windows", "violations", "smallest margin", "in scene"]);
-    table.rows.extend(report.properties.iter().map(|PropertyReport { property, tally }| {
+    table.extend(report.properties.iter().map(|PropertyReport { property, tally }| {
         let margin = tally.smallest_margin;
         vec![
             property.to_string(),
@@ -48,26 +47,30 @@ pub(crate) fn properties(report: &ExploreReport) -> Table {
     table
 }
 
-fn violation_blocks(violation: &ViolationReport) -> [PageBlock; 6] {
+fn violation_blocks(violation: &ViolationReport) -> [Block; 6] {
     let measured = |value, limit| format!("measured {}, limit {}", format_value(value, 6), format_value(limit, 6));
     let reproduced = if violation.is_reproduced { "" } else { " The scene did not fail again with a new controller." };
     [
-        PageBlock::Heading(format!("Violated: {}", violation.property)),
-        PageBlock::Text(format!(
+        Block::Heading(format!("Violated: {}", violation.property)),
+        Block::Paragraph(format!(
             "Minimal scene, {}.{reproduced} Its file is {}.",
             measured(violation.minimal_value, violation.minimal_limit),
             violation.file
         )),
-        PageBlock::Preformatted(violation.minimal.clone()),
-        PageBlock::Text(format!("Original scene {}, {}.", violation.scene, measured(violation.value, violation.limit))),
-        PageBlock::Preformatted(violation.original.clone()),
-        PageBlock::Text(format!("The search for the minimal scene took {} replays.", violation.replays)),
+        Block::Preformatted(violation.minimal.clone()),
+        Block::Paragraph(format!(
+            "Original scene {}, {}.",
+            violation.scene,
+            measured(violation.value, violation.limit)
+        )),
+        Block::Preformatted(violation.original.clone()),
+        Block::Paragraph(format!("The search for the minimal scene took {} replays.", violation.replays)),
     ]
 }
 
 fn ranges(coverage: &CoverageReport) -> Table {
     let mut table = Table::new(["quantity", "from", "to", "values", "empty tenths"]);
-    table.rows.extend(coverage.ranges.iter().map(|range| {
+    table.extend(coverage.ranges.iter().map(|range| {
         let RangeCoverage { quantity, range: [low, high], counts } = range;
         let empty = counts.iter().filter(|count| **count == 0).count();
         vec![
@@ -81,7 +84,7 @@ fn ranges(coverage: &CoverageReport) -> Table {
     table
 }
 
-fn drawings(coverage: &CoverageReport) -> Vec<(String, String)> {
+fn drawings(coverage: &CoverageReport) -> Vec<Figure> {
     let ranges: Vec<_> =
         coverage.ranges.iter().map(|range| (range.quantity.to_owned(), range.counts.to_vec())).collect();
     let mut pairs: Vec<(String, Vec<u64>)> = Vec::new();
@@ -93,8 +96,8 @@ fn drawings(coverage: &CoverageReport) -> Vec<(String, String)> {
     }
     let seconds: Vec<_> = coverage.pairs.iter().take(pairs.len()).map(|pair| pair.second).collect();
     vec![
-        (fields(&ranges), "Values by tenths of their range, lowest left".to_owned()),
-        (fields(&pairs), format!("First change (rows) and second change: {}", seconds.join(", "))),
+        Figure::new(fields(&ranges), "Values by tenths of their range, lowest left"),
+        Figure::new(fields(&pairs), format!("First change (rows) and second change: {}", seconds.join(", "))),
     ]
 }
 

@@ -3,7 +3,8 @@
 use crate::acceptance::session_record::{EvidenceRecord, RequirementRecord, STEPS, SessionRecord, StepRecord};
 use maud::{Markup, html};
 use platebench_model::record::Verdict;
-use platebench_report::page::{page_frame, verdict_badge};
+use platebench_report::document::verdict_badge;
+use platebench_report::page::page_frame;
 
 pub const FILE: &str = "record.html";
 

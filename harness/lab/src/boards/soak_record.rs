@@ -2,7 +2,7 @@
 
 use platebench_model::record::{RunRecord, Verdict, utc_timestamp};
 use platebench_model::trace::{read_text_file, write_atomically};
-use platebench_report::text::Table;
+use platebench_report::document::Table;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io;
@@ -137,7 +137,7 @@ impl SoakRecord {
                 let numbers = [known.mean, known.deviation(), known.minimum, known.maximum];
                 let numbers = numbers.map(|number| format!("{number:.4}"));
                 let start = std::iter::once(file.clone()).chain(counts.clone());
-                table.rows.push(start.chain(std::iter::once(metric.clone())).chain(numbers).collect());
+                table.push(start.chain(std::iter::once(metric.clone())).chain(numbers));
             }
         }
         table

@@ -4,7 +4,7 @@ use crate::boards::board_lock::BoardFiles;
 use crate::boards::error::BoardError;
 use crate::boards::inventory::{Board, Inventory};
 use crate::boards::state::{LastRun, Quarantine, StoredState};
-use platebench_report::text::Table;
+use platebench_report::document::Table;
 use serde::Serialize;
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -67,7 +67,7 @@ pub fn status_table(boards: &[BoardStatus]) -> Table {
         };
         let run = status.last_run.as_ref();
         let verdict = run.map(|run| run.verdict.map_or_else(|| "incomplete".to_owned(), |verdict| verdict.to_string()));
-        table.rows.push(vec![
+        table.push(vec![
             status.board.name.clone(),
             state.to_owned(),
             since.unwrap_or_default(),

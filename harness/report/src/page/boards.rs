@@ -1,6 +1,5 @@
 //! Writes the section on the boards of joined runs.
 
-use super::elements::text_table;
 use crate::text::board_matrix::{difference_table, missing_shards, verdict_matrix};
 use maud::{Markup, html};
 use platebench_model::record::RunRecord;
@@ -11,10 +10,10 @@ pub(crate) fn section(record: &RunRecord) -> Markup {
         section id="boards" {
             h2 { "Boards" }
             @for line in missing_shards(merge) { p { (line) } }
-            @if let Some(table) = verdict_matrix(record) { (text_table(&table, &[])) }
+            @if let Some(table) = verdict_matrix(record) { (table.html()) }
             @if let Some(table) = difference_table(merge) {
                 h3 { "Differences between boards" }
-                (text_table(&table, &[]))
+                (table.html())
             }
         }
     }

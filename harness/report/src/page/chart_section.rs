@@ -1,27 +1,14 @@
 //! Defines a section of a page of charts and writes such pages with their files.
 
-use super::block_page::{BlockPage, PageBlock};
+use crate::document::{Block, Document};
 use crate::error::{ReportError, write_file};
-use crate::text::Table;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChartSection {
-    pub title: &'static str,
-    pub summary: String,
-    pub blocks: Vec<PageBlock>,
+    pub document: Document,
     /// Name and content of each file.
     pub files: Vec<(String, String)>,
-}
-
-impl ChartSection {
-    pub fn paragraphs(texts: &[&str]) -> Vec<PageBlock> {
-        texts.iter().map(|text| PageBlock::Text((*text).to_owned())).collect()
-    }
-
-    pub fn indented(table: &Table) -> String {
-        table.lines().iter().flat_map(|line| ["  ", line, "\n"]).collect()
-    }
 }
 
 /// Returns the path of the page. A section with the title of the page gets no heading of its own.
@@ -29,20 +16,20 @@ pub fn write_chart_page(
     folder: &Path,
     name: &str,
     title: &str,
-    intro: String,
+    lead: String,
     sections: &[ChartSection],
 ) -> Result<PathBuf, ReportError> {
     let mut blocks = Vec::new();
-    for section in sections {
-        for (name, text) in &section.files {
+    for ChartSection { document, files } in sections {
+        for (name, text) in files {
             write_file(&folder.join(name), text)?;
         }
-        if section.title != title {
-            blocks.push(PageBlock::Heading(section.title.to_owned()));
+        if document.title != title {
+            blocks.push(Block::heading(&document.title));
         }
-        blocks.extend(section.blocks.iter().cloned());
+        blocks.extend(document.blocks.iter().cloned());
     }
     let path = folder.join(name);
-    BlockPage { title: title.to_owned(), intro, blocks }.write(&path)?;
+    Document { lead, ..Document::new(title, blocks) }.write(&path)?;
     Ok(path)
 }

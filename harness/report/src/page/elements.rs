@@ -1,14 +1,8 @@
 //! Writes the small parts of pages: badges, links, tables.
 
-use crate::format;
-use crate::text::Table;
 use maud::{Markup, html};
 use platebench_model::record::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use std::fmt::Write as _;
-
-pub fn verdict_badge(verdict: Verdict, text: &str) -> Markup {
-    html! { span class={ "badge " (verdict) } { span aria-hidden="true" { (format::sign(verdict)) } " " (text) } }
-}
 
 /// Anchor in `report.html` of the scenario with this index in the record.
 pub fn scenario_anchor(index: usize) -> String {
@@ -62,29 +56,6 @@ pub(super) fn scroll_table(label: &str, class: &str, columns: &[&str], rows: &Ma
                     }
                 } }
                 tbody { (rows) }
-            }
-        }
-    }
-}
-
-pub(super) fn text_table(table: &Table, links: &[Option<String>]) -> Markup {
-    html! {
-        div.scroll role="group" aria-label="Table" tabindex="0" {
-            table.stacked {
-                thead { tr { @for cell in &table.header { th scope="col" { (cell) } } } }
-                tbody { @for (index, row) in table.rows.iter().enumerate() { tr {
-                    @for (column, cell) in row.iter().enumerate() {
-                        @match (column, table.header.get(column)) {
-                            (0, _) => th scope="row" {
-                                @match links.get(index) {
-                                    Some(Some(link)) => a href=(link) { (cell) },
-                                    _ => (cell),
-                                }
-                            },
-                            (_, name) => td data-label=[name] { (cell) },
-                        }
-                    }
-                } } }
             }
         }
     }

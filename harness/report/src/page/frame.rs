@@ -6,7 +6,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 const STYLE: &str = include_str!("style.css");
 
-pub(super) fn report_page_frame(title: &str, head: &Markup, body: &Markup) -> String {
+pub(crate) fn report_page_frame(title: &str, head: &Markup, body: &Markup) -> String {
     let style = format!("{}\n{}\n{STYLE}", colours::variables(), colours::RULES);
     page_frame(title, &style, head, body)
 }

@@ -1,6 +1,7 @@
 //! Writes the comparison of two runs, with both values of every expectation.
 
-use super::elements::{scenario_anchor, scroll_table, verdict_badge};
+use super::elements::{scenario_anchor, scroll_table};
+use crate::document::verdict_badge;
 use crate::format;
 use crate::text::cost;
 use maud::{Markup, html};

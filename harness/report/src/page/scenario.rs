@@ -1,12 +1,13 @@
 //! Writes the section of a scenario: expectations, figures, trials.
 
 use super::drawing::drawings;
-use super::elements::{MAX_NAMED, scenario_anchor, scroll_table, trace_link, verdict_badge, with_unit};
+use super::elements::{MAX_NAMED, scenario_anchor, scroll_table, trace_link, with_unit};
 use super::figure::Figure;
 use super::navigation::margin_text;
 use super::script;
 use super::trace_data::TraceData;
 use super::trend::trend;
+use crate::document::verdict_badge;
 use crate::error::ReportError;
 use crate::format;
 use crate::text::history::TrendPoint;

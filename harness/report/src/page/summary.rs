@@ -1,10 +1,9 @@
 //! Writes the overview: result, what did not pass and why, smallest margins, requirements.
 
-use super::elements::{
-    MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, verdict_badge, with_unit,
-};
+use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, with_unit};
 use super::navigation::margin_text;
 use super::trace_data::{TRACE_CHANGED, TraceData};
+use crate::document::verdict_badge;
 use crate::text::history::RunHistory;
 use crate::text::traceability::{self, RequirementLink};
 use crate::{format, record_queries};

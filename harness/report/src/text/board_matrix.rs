@@ -1,6 +1,6 @@
 //! Tabulates the verdicts of joined runs by scenario and board, and the differences between boards.
 
-use super::table::Table;
+use crate::document::Table;
 use platebench_model::record::{MergeRecord, RunRecord, Verdict};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -22,7 +22,7 @@ pub fn verdict_matrix(record: &RunRecord) -> Option<Table> {
             Some(Verdict::combine(played.iter().copied()).to_string())
         };
         let cells = boards.iter().map(|board| cell(board).unwrap_or_else(|| "–".to_owned()));
-        table.rows.push(std::iter::once(scenario.to_owned()).chain(cells).collect());
+        table.push(std::iter::once(scenario.to_owned()).chain(cells));
     }
     Some(table)
 }
@@ -32,7 +32,7 @@ pub fn difference_table(merge: &MergeRecord) -> Option<Table> {
     let mut table = Table::new(["scenario", "metric", "board", "against", "difference", "95 % interval"]);
     for found in &merge.differences {
         let interval = found.interval.map_or_else(|| "–".to_owned(), |[low, high]| format!("{low:.4} to {high:.4}"));
-        table.rows.push(vec![
+        table.push(vec![
             found.scenario.clone(),
             found.metric.clone(),
             found.board.clone(),

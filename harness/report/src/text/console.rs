@@ -1,17 +1,14 @@
 //! Writes a run for a terminal. The text does not depend on the terminal's width.
 
-mod lines;
 mod progress;
 mod summary;
 
-pub use lines::Style;
 pub use progress::{Progress, ProgressKind};
 
 use super::escape::printable;
-use super::table::Table;
 use super::timing;
+use crate::document::{Cell, Style, Table, write_wrapped};
 use crate::format;
-use lines::write_wrapped;
 use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
 use std::io::{self, Write};
@@ -86,24 +83,19 @@ fn write_expectations(text: &mut String, scenario: &ScenarioRecord, style: Style
     let mut table = Table::new(columns.chain(has_paper.then_some("paper")));
     for expectation in &scenario.expectations {
         let mut row = vec![
-            printable(&expectation.name).into_owned(),
-            format!("{} {}", format::sign(expectation.verdict), format::verdict(expectation)),
-            format::value_or_not_reached(expectation).unwrap_or_else(dash),
-            format::limit(expectation),
-            format::interval(expectation).unwrap_or_else(dash),
-            format::windows(expectation).unwrap_or_else(dash),
+            Cell::from(expectation.name.as_str()),
+            Cell::from(format::verdict(expectation)).with_verdict(expectation.verdict),
+            format::value_or_not_reached(expectation).unwrap_or_else(dash).into(),
+            format::limit(expectation).into(),
+            format::interval(expectation).unwrap_or_else(dash).into(),
+            format::windows(expectation).unwrap_or_else(dash).into(),
         ];
-        row.extend(has_paper.then(|| expectation.paper.map_or_else(dash, format::number)));
+        row.extend(has_paper.then(|| Cell::from(expectation.paper.map_or_else(dash, format::number))));
         table.rows.push(row);
     }
-    let lines = table.lines();
-    let mut lines = lines.iter();
-    let header = lines.next().map_or("", String::as_str);
-    let _ = writeln!(text, "\n{}", style.paint("2", &format!("  {header}")));
-    for (line, (row, expectation)) in lines.zip(table.rows.iter().zip(&scenario.expectations)) {
-        let verdict = row.get(1).map_or("", String::as_str);
-        let coloured = line.replacen(verdict, &style.paint_verdict(expectation.verdict, verdict), 1);
-        let _ = writeln!(text, "  {coloured}");
+    text.push('\n');
+    for line in table.styled_lines(style) {
+        let _ = writeln!(text, "  {line}");
     }
     for expectation in &scenario.expectations {
         if let Some(reason) = &expectation.reason {

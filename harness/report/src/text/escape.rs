@@ -37,25 +37,35 @@ fn is_active(character: char) -> bool {
 
 const MAX_CELL_CHARS: usize = 400;
 
-/// Escapes markup and characters that end the cell, and shortens long texts.
+/// Escapes markup and characters that end a cell, and joins lines.
+pub(crate) fn markdown_text(text: &str) -> String {
+    escape_markdown(text.chars(), text.len())
+}
+
+/// Like [`markdown_text`], but shortens long texts.
 pub(crate) fn markdown_cell(text: &str) -> String {
-    let mut cell = String::with_capacity(text.len());
-    for character in text.chars().take(MAX_CELL_CHARS) {
-        match character {
-            '\n' | '\r' => cell.push(' '),
-            '<' => cell.push_str("&lt;"),
-            '&' => cell.push_str("&amp;"),
-            '|' | '\\' | '`' | '*' | '_' | '[' | ']' | '~' | '#' | '@' => {
-                cell.push('\\');
-                cell.push(character);
-            }
-            other => cell.push_str(&printable(other.encode_utf8(&mut [0; 4]))),
-        }
-    }
+    let mut cell = escape_markdown(text.chars().take(MAX_CELL_CHARS), text.len());
     if text.chars().nth(MAX_CELL_CHARS).is_some() {
         cell.push('…');
     }
     cell
+}
+
+fn escape_markdown(characters: impl Iterator<Item = char>, length: usize) -> String {
+    let mut escaped = String::with_capacity(length);
+    for character in characters {
+        match character {
+            '\n' | '\r' => escaped.push(' '),
+            '<' => escaped.push_str("&lt;"),
+            '&' => escaped.push_str("&amp;"),
+            '|' | '\\' | '`' | '*' | '_' | '[' | ']' | '~' | '#' | '@' => {
+                escaped.push('\\');
+                escaped.push(character);
+            }
+            other => escaped.push_str(&printable(other.encode_utf8(&mut [0; 4]))),
+        }
+    }
+    escaped
 }
 
 /// RFC 4180. A `'` before `=`, `+`, `-` and `@` prevents that a spreadsheet reads a formula.

@@ -3,7 +3,7 @@
 //! GitHub rejects a summary above 1 MiB, so a table has at most `MAX_ROWS` rows.
 
 use super::escape::markdown_cell;
-use super::table::Table;
+use crate::document::Table;
 use crate::error::{ReportError, write_file};
 use crate::{format, record_queries};
 use platebench_model::record::RunRecord;
@@ -62,7 +62,7 @@ fn not_passed_table(record: &RunRecord) -> Table {
         let verdict = format::verdict(expectation);
         let reason = expectation.reason.as_ref().map(|reason| format!("{verdict}: {reason}"));
         let trace = record_queries::trial_to_inspect(scenario, index).map(|trial| trial.trace.clone());
-        table.rows.push(vec![
+        table.push(vec![
             format::sign(expectation.verdict).to_owned(),
             scenario.file.clone(),
             format!("{} {}", expectation.name, format::limit(expectation)),
@@ -80,7 +80,7 @@ fn scenarios_table(record: &RunRecord) -> Table {
     for scenario in record.scenarios.iter().take(MAX_ROWS) {
         let counts: format::VerdictCounts = scenario.expectations.iter().map(|found| found.verdict).collect();
         let reason = record_queries::scenario_inconclusive_reason(scenario).map(str::to_owned);
-        table.rows.push(vec![
+        table.push(vec![
             format::sign(scenario.verdict).to_owned(),
             scenario.file.clone(),
             scenario.verdict.to_string(),
@@ -95,7 +95,7 @@ fn scenarios_table(record: &RunRecord) -> Table {
 fn not_applicable_table(record: &RunRecord) -> Table {
     let mut table = Table::new(["Not applicable", "Because"]);
     let listed = record.not_applicable.iter().take(MAX_ROWS);
-    table.rows.extend(listed.map(|scenario| vec![scenario.file.clone(), scenario.reason.clone()]));
+    table.extend(listed.map(|scenario| vec![scenario.file.clone(), scenario.reason.clone()]));
     table
 }
 

@@ -1,17 +1,16 @@
 //! Describes the replay of a recording.
 
-use super::escape::printable;
+use crate::document::{Block, Document};
 use crate::format;
 use platebench_verdict::replay::{CommandDifference, ReplayResult};
 
 pub const OPEN_LOOP: &str =
     "open loop: the samples are recorded and do not react to the commands; this judges commands, not control";
 
-pub fn text(result: &ReplayResult) -> String {
+pub fn document(result: &ReplayResult) -> Document {
     let ReplayResult { verdict, compared, samples, identical, .. } = result;
     let mut lines = vec![
-        format!("{} {verdict}  {}", format::sign(*verdict), printable(&result.recording)),
-        format!("  rig {}, firmware {}, law {}", printable(&result.rig), printable(&result.firmware), result.law),
+        format!("  rig {}, firmware {}, law {}", result.rig, result.firmware, result.law),
         format!("  {OPEN_LOOP}"),
         format!(
             "  {} sent, {compared} commands compared, {identical} equal bit for bit",
@@ -22,8 +21,8 @@ pub fn text(result: &ReplayResult) -> String {
     let outside = result.differences.iter().filter_map(|difference| difference.exceedance.as_ref());
     lines.extend(outside.map(|worst| format!("  {}", format::outside_tube(worst))));
     lines.extend(result.violations.iter().map(|violation| format!("  {violation}")));
-    lines.extend(result.stopped.iter().map(|cause| format!("  the controller stopped: {}", printable(cause))));
-    lines.extend(result.ended.iter().map(|cause| format!("  the session ended: {}", printable(cause))));
+    lines.extend(result.stopped.iter().map(|cause| format!("  the controller stopped: {}", cause)));
+    lines.extend(result.ended.iter().map(|cause| format!("  the session ended: {}", cause)));
     if result.missed_replies > 0 {
         lines.push(format!("  {} without a reply", format::count(result.missed_replies, "sample")));
     }
@@ -31,7 +30,8 @@ pub fn text(result: &ReplayResult) -> String {
     if !result.safe_confirmed {
         lines.push("  the controller did not confirm 0 V".to_owned());
     }
-    lines.join("\n") + "\n"
+    let blocks = vec![Block::Verdict(*verdict, result.recording.clone()), Block::lines(lines)];
+    Document::new(format!("Replay of {}", result.recording), blocks)
 }
 
 fn difference(difference: &CommandDifference) -> String {

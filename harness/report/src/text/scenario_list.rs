@@ -1,7 +1,7 @@
 //! Lists scenarios and their expectations without playing them.
 
 use super::escape::printable;
-use super::table::Table;
+use crate::document::Table;
 use crate::format;
 use platebench_model::scenario::{Aggregation, Expectation, Limit, Scenario};
 use serde_json::{Value, json};
@@ -18,7 +18,7 @@ pub fn text(scenarios: &[Scenario]) -> String {
         let heading = format!("{}  (law {law}, {trials}){tags}", scenario.file);
         let _ = writeln!(text, "{}\n  {}\n", printable(&heading), printable(&scenario.title));
         let mut table = Table::new(["metric", "limit", "unit", "window"]);
-        table.rows.extend(scenario.expectations.iter().map(|expectation| {
+        table.extend(scenario.expectations.iter().map(|expectation| {
             vec![
                 expectation.name.clone(),
                 limit(expectation),

@@ -1,6 +1,6 @@
 //! Writes `traceability.csv`: the expectations of each requirement with verdict, value and trace.
 
-use super::table::Table;
+use crate::document::Table;
 use crate::error::{ReportError, write_file};
 use crate::{format, record_queries};
 use platebench_model::record::{RunRecord, Verdict};
@@ -64,7 +64,7 @@ pub fn text(record: &RunRecord) -> String {
         "interval_high",
         "trace",
     ]);
-    table.rows.extend(requirement_links(record).into_iter().map(|link| {
+    table.extend(requirement_links(record).into_iter().map(|link| {
         let verdict = link.verdict.to_string();
         let numbers = [link.value, link.interval.map(|[low, _]| low), link.interval.map(|[_, high]| high)];
         let [value, low, high] = numbers.map(|number| number.map(|number| number.to_string()).unwrap_or_default());

@@ -3,8 +3,8 @@
 use crate::driver::{Browser, BrowserOptions};
 use crate::fixtures;
 use platebench_model::record::Verdict;
+use platebench_report::document::{Block, Document, Table};
 use platebench_report::page;
-use platebench_report::text::Table;
 use rstest::rstest;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -210,15 +210,11 @@ fn pages_of_charts_fit_and_are_accessible(#[case] options: BrowserOptions) {
     let folder = TempDir::new().unwrap();
     let wide = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 900 100\" width=\"900\" height=\"100\"/>";
     let columns: Vec<_> = (0..9).map(|column| format!("response time of scene {column}")).collect();
-    let mut table = Table::new(columns.iter().map(String::as_str));
-    table.rows = vec![(0..9).map(|column| format!("{column}.55 ms, < 0.01 %")).collect(); 9];
-    let blocks = vec![
-        page::PageBlock::Heading("Laws".to_owned()),
-        page::PageBlock::Drawings(vec![(wide.to_owned(), "Response times".to_owned())]),
-        page::PageBlock::Table(table),
-    ];
+    let mut table = Table::new(&columns);
+    table.extend((0..9).map(|_| (0..9).map(|column| format!("{column}.55 ms, < 0.01 %"))));
+    let blocks = vec![Block::heading("Laws"), Block::figure(wide, "Response times"), Block::Table(table)];
     let path = folder.path().join("charts.html");
-    page::BlockPage { title: "Charts".to_owned(), intro: String::new(), blocks }.write(&path).unwrap();
+    Document::new("Charts", blocks).write(&path).unwrap();
     browser.open(&path);
     let stacked = browser.evaluate("getComputedStyle(document.querySelector('td')).display");
     assert_eq!(stacked, if options.width < 640 { "flex" } else { "table-cell" });

@@ -1,6 +1,6 @@
 //! Summarises a run: counts, duration, smallest margin, verdict, and what did not pass.
 
-use super::lines::{Style, write_wrapped};
+use crate::document::{Style, write_wrapped};
 use crate::text::cost;
 use crate::{format, record_queries};
 use platebench_model::record::{Cause, CostTrend, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};

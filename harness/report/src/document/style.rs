@@ -4,7 +4,7 @@ use crate::text::escape::printable;
 use platebench_model::record::Verdict;
 use std::fmt::Write as _;
 
-const WIDTH: usize = 100;
+pub(crate) const WIDTH: usize = 100;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Style {
@@ -13,11 +13,11 @@ pub struct Style {
 }
 
 impl Style {
-    pub(super) fn paint(self, code: &str, text: &str) -> String {
+    pub(crate) fn paint(self, code: &str, text: &str) -> String {
         if self.colour { format!("\u{1b}[{code}m{text}\u{1b}[0m") } else { text.to_owned() }
     }
 
-    pub(super) fn paint_verdict(self, verdict: Verdict, text: &str) -> String {
+    pub(crate) fn paint_verdict(self, verdict: Verdict, text: &str) -> String {
         let code = match verdict {
             Verdict::Pass => "32",
             Verdict::Fail => "1;31",
@@ -28,11 +28,15 @@ impl Style {
 }
 
 /// Lines of at most [`WIDTH`] columns, longer only for a longer word.
-pub(super) fn write_wrapped(text: &mut String, first: &str, further: &str, sentence: &str) {
+pub(crate) fn write_wrapped(text: &mut String, first: &str, further: &str, sentence: &str) {
+    write_wrapped_at(WIDTH, text, first, further, sentence);
+}
+
+pub(crate) fn write_wrapped_at(width: usize, text: &mut String, first: &str, further: &str, sentence: &str) {
     let mut line = first.to_owned();
     let mut empty = true;
     for word in printable(sentence).split_whitespace() {
-        if !empty && line.chars().count() + 1 + word.chars().count() > WIDTH {
+        if !empty && line.chars().count() + 1 + word.chars().count() > width {
             let _ = writeln!(text, "{line}");
             further.clone_into(&mut line);
             empty = true;
