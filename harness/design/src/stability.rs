@@ -8,7 +8,7 @@ use crate::law_loops::{
 use crate::loops::{AnalysisError, ClosedLoop, Discretisation, LoopTiming, delay_boundary};
 use crate::step_limits::{NOTE, limits_table, step_limits, to_csv};
 use platebench_engine::delay_boundary::DelayBoundary;
-use platebench_engine::parallel::collect_in_parallel;
+use platebench_engine::workers::collect_in_parallel;
 use platebench_model::record::RunRecord;
 use platebench_plate::{Plate, Tier, Time};
 use platebench_report::ReportError;

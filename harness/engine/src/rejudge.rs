@@ -3,7 +3,6 @@
 use crate::configure;
 use crate::delay_attribution::measure_trial;
 use crate::run::empty_record;
-use crate::worker::CompletedTrial;
 use platebench_model::record::{
     Exclusion, FolderError, KeepTraces, Overrides, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord,
     sha256, sha256_of_file, trace_path,
@@ -217,9 +216,9 @@ fn rejudge_scenario(
         let mut ends_early = false;
         for index in measures.len() as u32..trials {
             match rejudge_trial(folder, scenario, stored, index)? {
-                Some(done) => {
-                    measures.push(done.measures);
-                    records.push(done.record);
+                Some((trial, record)) => {
+                    measures.push(trial);
+                    records.push(record);
                 }
                 // A complete run lacks this trial only if `--fail-fast` ended it early.
                 None if complete && stored.trials.iter().all(|trial| trial.index != index) => ends_early = true,
@@ -280,7 +279,7 @@ fn rejudge_trial(
     scenario: &Scenario,
     stored: &ScenarioRecord,
     index: u32,
-) -> Result<Option<CompletedTrial>, RejudgeError> {
+) -> Result<Option<(TrialMeasures, TrialRecord)>, RejudgeError> {
     let trace = trace_path(scenario.name(), index);
     let path = folder.join(&trace);
     if !path.exists() {
@@ -300,7 +299,7 @@ fn rejudge_trial(
         record.sha256.clone_from(&then.sha256);
         record.wall_ms = then.wall_ms;
     }
-    Ok(Some(CompletedTrial { measures, record, rows }))
+    Ok(Some((measures, record)))
 }
 
 fn incomplete_trial(scenario: &Scenario, index: u32) -> TrialMeasures {

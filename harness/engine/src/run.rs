@@ -5,25 +5,19 @@ use crate::fault::chip_fault_plan;
 use crate::plan::{Clock, LinkFactory, RunError, RunHooks, RunPlan};
 use crate::real_time::{Pacing, TimeBase};
 use crate::record_file::RecordFile;
-use crate::worker::{CompletedTrial, Progress, RunContext, TrialTask, WorkQueue, result_channel, trial_tasks};
+use crate::run_player::{RunPlayer, RunProgress};
+use crate::workers::ResultSink;
 use crate::{configure, trend};
 use platebench_model::record::{
-    Event, FinishedScenario, Firmware, FolderError, Host, InputRecord, KeepTraces, NotApplicable, RigRecord, RunFolder,
-    RunRecord, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex,
+    Event, FinishedScenario, Firmware, Host, InputRecord, KeepTraces, NotApplicable, RigRecord, RunFolder, RunRecord,
+    ScenarioRecord, Tool, TrialRecord, Verdict, to_hex,
 };
 use platebench_model::scenario::{Metric, Scenario};
-use platebench_model::trace::AtPath as _;
 use platebench_rig::{ChipFaultError, FaultInjector, Link};
-use platebench_verdict::{Judgement, SequentialDecision, TrialMeasures, judge, judge_sequentially};
+use platebench_verdict::Judgement;
 use platebench_wire::{LawId, capabilities};
-use std::cmp::Reverse;
-use std::collections::BTreeSet;
-use std::sync::OnceLock;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::mpsc::RecvTimeoutError;
-use std::time::Instant;
-use std::{fs, thread};
-use tracing::info;
+use std::ops::ControlFlow;
+use std::time::{Duration, Instant};
 
 /// Plays the plan and writes record and traces into `folder`. After an error, `platebench judge`
 /// can still judge the complete trials.
@@ -31,8 +25,9 @@ pub fn run(
     plan: &RunPlan,
     folder: &RunFolder,
     connect: &LinkFactory<'_>,
-    mut hooks: RunHooks<'_>,
+    hooks: RunHooks<'_>,
 ) -> Result<RunRecord, RunError> {
+    let RunHooks { cancel, operator, live_tap, on_event, trials_with_rows } = hooks;
     let started = Instant::now();
     let law = |scenario| configure::law(scenario).map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)));
     let laws = plan.scenarios.iter().map(law).collect::<Result<Vec<_>, _>>()?;
@@ -45,35 +40,30 @@ pub fn run(
     if plan.overrides.keep_traces != KeepTraces::None {
         plan.scenarios.iter().try_for_each(|scenario| folder.create_trace_folder(scenario))?;
     }
-    let mut record = initial_record(plan, folder, &first, &inputs);
-    record.not_applicable = not_applicable;
+    let record = RunRecord { not_applicable, ..initial_record(plan, folder, &first, &inputs) };
     let identity = *first.identity();
-    let mut file = RecordFile::new(folder);
-    file.write(&record)?;
-    let (ends, stop) = (SafeEnds::default(), AtomicBool::new(false));
+    let mut recorder = RunRecorder { plan, record, file: RecordFile::new(folder), on_event };
+    recorder.wake()?;
+    let ends = SafeEnds::default();
     let settings = ExecutorSettings {
         clock: plan.clock,
         own_clock: plan.own_clock,
-        operator: hooks.operator,
+        operator,
         identity: Some(identity),
-        ..ExecutorSettings::lockstep(&hooks.cancel)
+        ..ExecutorSettings::lockstep(&cancel)
     };
     let mut executors = vec![Executor::new(connect, settings.clone(), &ends).with_session(first)];
     executors.extend((1..plan.jobs).map(|_| Executor::new(connect, settings.clone(), &ends)));
-    let delay_boundaries: Vec<_> = plan.scenarios.iter().map(|_| OnceLock::new()).collect();
-    let context = RunContext {
-        plan,
-        laws: &laws,
-        delay_boundaries: &delay_boundaries,
-        folder,
-        cancel: &hooks.cancel,
-        live_tap: &hooks.live_tap,
-        trials_with_rows: hooks.trials_with_rows,
-        stop: &stop,
-    };
-    let played = play_scenarios(context, &mut executors, &mut record, &mut file, &mut hooks.on_event);
+    let player = RunPlayer::new(plan, laws, folder, &cancel, &live_tap, trials_with_rows);
+    let played = player.play(&mut executors, &mut recorder);
+    if played.is_ok() {
+        for (number, judgement, trials) in player.judge_unfinished() {
+            recorder.finish_scenario(number, judgement, trials);
+        }
+    }
     // Also after an error, because the record must state whether 0 V was confirmed.
     drop(executors);
+    let RunRecorder { mut record, mut file, .. } = recorder;
     record.safe_confirmed = Some(ends.are_confirmed());
     record.drive_after_safe = ends.have_drive();
     if played.is_ok() {
@@ -174,134 +164,51 @@ fn select_applicable(
     Ok((selected, selected_laws, not_applicable))
 }
 
-/// Played trials in order of completion. The next interim look needs `trials_until_look` trials.
-struct ScenarioProgress {
-    measures: Vec<TrialMeasures>,
-    records: Vec<TrialRecord>,
-    trials_until_look: u32,
+/// Writes the results of the workers to the record and reports them as events.
+struct RunRecorder<'a> {
+    plan: &'a RunPlan,
+    record: RunRecord,
+    file: RecordFile<'a>,
+    on_event: Box<dyn FnMut(Event) + 'a>,
 }
 
-impl ScenarioProgress {
-    fn new(scenario: &Scenario) -> Self {
-        let goal = match judge_sequentially(scenario, &[]) {
-            SequentialDecision::Continue { trials } => trials,
-            SequentialDecision::Stop(_) => 0,
-        };
-        Self { measures: Vec::new(), records: Vec::new(), trials_until_look: goal }
-    }
-}
-
-fn play_scenarios(
-    run: RunContext<'_>,
-    executors: &mut [Executor<'_>],
-    record: &mut RunRecord,
-    file: &mut RecordFile<'_>,
-    on_event: &mut dyn FnMut(Event),
-) -> Result<(), RunError> {
-    let RunContext { plan, cancel, .. } = run;
-    let mut progress: Vec<_> = plan.scenarios.iter().map(ScenarioProgress::new).collect();
-    let tasks_of = |number: usize, trials| {
-        let keeps_controller = plan.scenarios.get(number).is_some_and(Scenario::keeps_controller);
-        trial_tasks(number, keeps_controller, trials)
-    };
-    // First all scenarios reach their first look. Then the undecided scenarios continue.
-    let mut tasks: Vec<TrialTask> =
-        (0..).zip(&progress).flat_map(|(number, progress)| tasks_of(number, 0..progress.trials_until_look)).collect();
-    while !tasks.is_empty() && !run.stop.load(Ordering::Relaxed) {
-        // Long trials come first, so that no worker ends long after the others.
-        tasks.sort_by_key(|task| Reverse(plan.scenarios.get(task.scenario).map(|scenario| scenario.duration)));
-        let batch = std::mem::take(&mut tasks);
-        let work = WorkQueue { run, tasks: &batch, next: AtomicUsize::new(0) };
-        thread::scope(|scope| {
-            let (sender, results) = result_channel();
-            for executor in executors.iter_mut().take(batch.len()) {
-                let (work, sender) = (&work, sender.clone());
-                scope.spawn(move || work.run_worker(executor, &sender));
-            }
-            drop(sender);
-            loop {
-                let result = match results.recv_timeout(file.time_left()) {
-                    Ok(result) => result,
-                    Err(RecvTimeoutError::Timeout) => {
-                        file.write(record)?;
-                        continue;
-                    }
-                    Err(RecvTimeoutError::Disconnected) => break,
-                };
-                // Dropped at the end of the iteration, when the result is handled.
-                let (number, trial, _handled) = match result.inspect_err(|_| cancel.cancel())? {
-                    Progress::Started(number) => {
-                        if let Some(scenario) = plan.scenarios.get(number) {
-                            let (file, trials) = (scenario.file.clone(), scenario.trials.count);
-                            on_event(Event::ScenarioStarted { file, trials });
-                        }
-                        continue;
-                    }
-                    Progress::Completed(number, trial, handled) => (number, trial, handled),
-                };
-                let (Some(scenario), Some(progress), Some(scenario_record)) =
-                    (plan.scenarios.get(number), progress.get_mut(number), record.scenarios.get_mut(number))
-                else {
-                    continue;
-                };
-                let CompletedTrial { measures, record: trial, rows } = *trial;
-                progress.measures.push(measures);
-                progress.records.push(trial.clone());
-                on_event(Event::TrialFinished { file: scenario.file.clone(), trial: Box::new(trial), rows });
-                if progress.records.len() < progress.trials_until_look as usize {
-                    continue;
-                }
-                match judge_sequentially(scenario, &progress.measures) {
-                    SequentialDecision::Continue { trials } => {
-                        let played = progress.trials_until_look;
-                        info!(scenario = %scenario.file, played, next = trials, "not decided yet");
-                        tasks.extend(tasks_of(number, played..trials));
-                        progress.trials_until_look = trials;
-                    }
-                    SequentialDecision::Stop(judgement) => {
-                        let measures = std::mem::take(&mut progress.measures);
-                        complete_record(scenario_record, judgement, std::mem::take(&mut progress.records));
-                        if let KeepTraces::Worst(count) = plan.overrides.keep_traces {
-                            keep_worst(run.folder, scenario, &measures, count, &mut scenario_record.trials)?;
-                        }
-                        info!(scenario = %scenario.file, verdict = %scenario_record.verdict, "scenario judged");
-                        if plan.overrides.fail_fast && scenario_record.verdict == Verdict::Fail {
-                            run.stop.store(true, Ordering::Relaxed);
-                        }
-                        let finished = Box::new(FinishedScenario::from(&*scenario_record));
-                        file.mark_changed();
-                        on_event(Event::ScenarioFinished(finished));
-                    }
-                }
-            }
-            Ok::<(), RunError>(())
-        })?;
-        if cancel.is_cancelled() {
-            return Err(RunError::Cancelled);
-        }
-    }
-    if cancel.is_cancelled() {
-        return Err(RunError::Cancelled);
-    }
-    if run.stop.load(Ordering::Relaxed) {
-        judge_unfinished(plan, progress, record, on_event);
-    }
-    Ok(())
-}
-
-/// Judges the scenarios that `--fail-fast` stopped early, by the trials that were played.
-fn judge_unfinished(
-    plan: &RunPlan,
-    progress: Vec<ScenarioProgress>,
-    record: &mut RunRecord,
-    on_event: &mut dyn FnMut(Event),
-) {
-    let unfinished = plan.scenarios.iter().zip(progress).zip(&mut record.scenarios);
-    for ((scenario, progress), record) in unfinished.filter(|(_, record)| record.expectations.is_empty()) {
-        complete_record(record, judge(scenario, &progress.measures), progress.records);
+impl RunRecorder<'_> {
+    fn finish_scenario(&mut self, number: usize, judgement: Judgement, trials: Vec<TrialRecord>) {
+        let Some(record) = self.record.scenarios.get_mut(number) else { return };
+        complete_record(record, judgement, trials);
+        self.file.mark_changed();
+        // `--fail-fast` may leave a scenario without a trial, which has neither started nor ended.
         if !record.trials.is_empty() {
-            on_event(Event::ScenarioFinished(Box::new(FinishedScenario::from(&*record))));
+            (self.on_event)(Event::ScenarioFinished(Box::new(FinishedScenario::from(&*record))));
         }
+    }
+}
+
+impl ResultSink<RunProgress, RunError> for RunRecorder<'_> {
+    fn receive(&mut self, progress: RunProgress) -> Result<ControlFlow<()>, RunError> {
+        match progress {
+            RunProgress::Started(number) => {
+                if let Some(scenario) = self.plan.scenarios.get(number) {
+                    let (file, trials) = (scenario.file.clone(), scenario.trials.count);
+                    (self.on_event)(Event::ScenarioStarted { file, trials });
+                }
+            }
+            RunProgress::Played(number, trial, rows) => {
+                if let Some(scenario) = self.plan.scenarios.get(number) {
+                    (self.on_event)(Event::TrialFinished { file: scenario.file.clone(), trial, rows });
+                }
+            }
+            RunProgress::Judged(number, judgement, trials) => self.finish_scenario(number, judgement, trials),
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    fn time_left(&self) -> Duration {
+        self.file.time_left()
+    }
+
+    fn wake(&mut self) -> Result<(), RunError> {
+        Ok(self.file.write(&self.record)?)
     }
 }
 
@@ -310,26 +217,6 @@ pub(crate) fn complete_record(record: &mut ScenarioRecord, judgement: Judgement,
     record.verdict = judgement.verdict;
     record.expectations = judgement.expectations;
     record.trials = trials;
-}
-
-/// Keeps only the traces of the `count` trials with the smallest margins. Of two equal margins, the
-/// earlier trial comes first.
-fn keep_worst(
-    folder: &RunFolder,
-    scenario: &Scenario,
-    measures: &[TrialMeasures],
-    count: u32,
-    trials: &mut [TrialRecord],
-) -> Result<(), RunError> {
-    let mut order: Vec<_> = measures.iter().map(|trial| (trial.margin(&scenario.expectations), trial.index)).collect();
-    order.sort_by(|(margin, index), (other, later)| margin.total_cmp(other).then(index.cmp(later)));
-    let removed: BTreeSet<u32> = order.iter().skip(count as usize).map(|(_, index)| *index).collect();
-    for trial in trials.iter_mut().filter(|trial| removed.contains(&trial.index)) {
-        let path = folder.path().join(&trial.trace);
-        fs::remove_file(&path).at(&path).map_err(FolderError::from)?;
-        trial.sha256 = None;
-    }
-    Ok(())
 }
 
 pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> ScenarioRecord {

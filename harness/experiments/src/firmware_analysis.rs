@@ -7,7 +7,7 @@ pub mod suite;
 
 use code_map::SourceMap;
 use platebench_engine::SafeEnds;
-use platebench_engine::parallel::in_parallel;
+use platebench_engine::workers::in_parallel;
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
 use platebench_rig::{CancelToken, Symbols};
@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
-use suite::{Outcome, new_executor, play};
+use suite::{BoardExecutor, Outcome, new_executor, play};
 
 pub use code_map::CodeMap;
 pub use error::AnalysisError;
@@ -178,8 +178,8 @@ pub(crate) fn play_baselines(
     let mut order: Vec<(usize, &(Scenario, LawId))> = suite.scenarios.iter().enumerate().collect();
     order.sort_by_key(|(_, (scenario, _))| Reverse(scenario.duration.as_nanos() * u64::from(scenario.trials.count)));
     let (connect, ends) = (|| suite.connect(), SafeEnds::default());
-    let work = |executor: &mut Option<_>, (number, (scenario, law)): &(usize, &(Scenario, LawId))| {
-        let executor = executor.get_or_insert_with(|| new_executor(&connect, cancel, &ends));
+    let executors = (0..jobs.max(1)).map(|_| new_executor(&connect, cancel, &ends));
+    let work = |executor: &mut BoardExecutor<'_>, (number, (scenario, law)): &(usize, &(Scenario, LawId))| {
         executor.session()?.link_mut().inner_mut().record_execution(&map.leaders);
         let start = Instant::now();
         let outcome = play(executor, scenario, *law)?.ok_or(AnalysisError::Cancelled)?;
@@ -189,7 +189,7 @@ pub(crate) fn play_baselines(
         Ok::<_, AnalysisError>((*number, Baseline { executed, duration: start.elapsed(), commands, fails }))
     };
     let mut baselines = BTreeMap::new();
-    in_parallel(jobs, &order, work, |(number, baseline)| {
+    in_parallel(executors, &order, work, |(number, baseline)| {
         baselines.insert(number, baseline);
         true
     })?;

@@ -9,10 +9,9 @@ use crate::firmware_analysis::suite::{BoardExecutor, Margin, Outcome, Suite, new
 use crate::firmware_analysis::{Baseline, executed_by_all, play_baselines};
 use mutants::{Disassembler, Mutant, MutantFilter, Operator, all_mutants};
 use platebench_engine::SafeEnds;
-use platebench_engine::parallel::in_parallel;
-use platebench_engine::plan::LinkFactory;
+use platebench_engine::workers::in_parallel;
 use platebench_model::trace::read_text_file;
-use platebench_rig::{CancelToken, EmulatedLink};
+use platebench_rig::CancelToken;
 use platebench_verdict::statistics::proportion::clopper_pearson;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -63,11 +62,11 @@ pub fn measure_mutation(
     let mut order: Vec<usize> = (0..baselines.len()).collect();
     order.sort_by_key(|&index| baselines.get(index).map(|baseline| baseline.duration));
     let (connect, ends) = (|| suite.connect(), SafeEnds::default());
-    let runner =
-        MutantRunner { config, map: &map, baselines: &baselines, order: &order, connect: &connect, ends: &ends };
+    let executors = (0..config.jobs.max(1)).map(|_| new_executor(&connect, &config.cancel, &ends));
+    let runner = MutantRunner { config, map: &map, baselines: &baselines, order: &order };
     let mut results: Vec<MutantResult> = Vec::new();
-    let work = |executor: &mut Option<_>, mutant: &Mutant| runner.run(executor, mutant);
-    in_parallel(config.jobs, &mutants, work, |result| {
+    let work = |executor: &mut BoardExecutor<'_>, mutant: &Mutant| runner.run(executor, mutant);
+    in_parallel(executors, &mutants, work, |result| {
         on_result(&result);
         results.push(result);
         let score = Score::of(results.iter().map(|result| &result.status));
@@ -91,12 +90,10 @@ struct MutantRunner<'a> {
     baselines: &'a [Baseline],
     /// Indices of the scenarios, fastest first.
     order: &'a [usize],
-    connect: &'a LinkFactory<'a, EmulatedLink>,
-    ends: &'a SafeEnds,
 }
 
-impl<'a> MutantRunner<'a> {
-    fn run(&self, executor: &mut Option<BoardExecutor<'a>>, mutant: &Mutant) -> Result<MutantResult, AnalysisError> {
+impl MutantRunner<'_> {
+    fn run(&self, executor: &mut BoardExecutor<'_>, mutant: &Mutant) -> Result<MutantResult, AnalysisError> {
         let start = Instant::now();
         let leader = self.map.leader_of(mutant.instruction);
         let covers = |baseline: &Baseline| !baseline.fails && baseline.executed.contains_key(&leader);
@@ -110,16 +107,16 @@ impl<'a> MutantRunner<'a> {
 
     fn play(
         &self,
-        executor: &mut Option<BoardExecutor<'a>>,
+        executor: &mut BoardExecutor<'_>,
         mutant: &Mutant,
         covering: &[usize],
     ) -> Result<Status, AnalysisError> {
-        let open = executor.get_or_insert_with(|| new_executor(self.connect, &self.config.cancel, self.ends));
-        open.session()?.link_mut().inner_mut().patch(mutant.address, &mutant.bytes);
-        let status = self.play_until_detected(open, covering)?;
-        open.session()?.link_mut().inner_mut().patch(mutant.address, &mutant.original);
+        executor.session()?.link_mut().inner_mut().patch(mutant.address, &mutant.bytes);
+        let status = self.play_until_detected(executor, covering)?;
+        executor.session()?.link_mut().inner_mut().patch(mutant.address, &mutant.original);
         if matches!(status, Status::RuntimeError { .. }) {
-            *executor = None;
+            // The emulator is in an unknown state, so the next mutant gets a new one.
+            executor.close();
         }
         Ok(status)
     }

@@ -9,7 +9,7 @@ mod mutants;
 pub mod play;
 pub mod report;
 
-use platebench_engine::parallel::collect_in_parallel;
+use platebench_engine::workers::collect_in_parallel;
 use platebench_model::record::{Verdict, ViolationKind};
 use platebench_model::scenario::{Metric, Scenario, Spread};
 use platebench_rig::BoxedLink;

@@ -6,21 +6,16 @@ use crate::campaign::error::CampaignError;
 use crate::campaign::part::{PartReader, PartWriter};
 use crate::campaign::plan::Plan;
 use crate::campaign::row::{Row, ShardEnd};
+use platebench_engine::workers::{Emit, InOrder, run_workers};
 use platebench_engine::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, law};
 use platebench_model::record::Verdict;
 use platebench_model::trace::{AtPath, Row as TraceRow};
 use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
 use platebench_verdict::measure;
-use std::collections::BTreeMap;
-use std::ops::Range;
+use std::ops::{ControlFlow, Range};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::thread;
-
-/// Number of results that workers can send before they wait for the writer.
-const RESULT_QUEUE: usize = 256;
 
 #[derive(Debug, Clone)]
 pub struct PlayConfig {
@@ -115,128 +110,109 @@ fn play(
     on_row: &mut dyn FnMut(Row) -> Result<(), CampaignError>,
 ) -> Result<ShardEnd, CampaignError> {
     let options = &ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
-    let trials = source.places();
-    let next = AtomicU64::new(trials.start);
-    let (ends, lost, mut failed) = (SafeEnds::default(), AtomicBool::new(false), false);
     let connect = || config.rig.connect_with(options);
     let settings = ExecutorSettings {
         own_clock: config.rig.has_own_clock(),
         max_losses: Some(MAX_LOSSES),
         ..ExecutorSettings::lockstep(&config.cancel)
     };
-    let (sender, results) = mpsc::sync_channel(RESULT_QUEUE);
-    let outcome = thread::scope(|scope| {
-        for _ in 0..config.jobs.max(1) {
-            let next = &next;
-            let executor = Executor::new(&connect, settings.clone(), &ends);
-            let worker = Worker { campaign, source, config, next, end: trials.end, executor, lost: &lost };
-            let sender = sender.clone();
-            scope.spawn(move || {
-                let mut worker = worker;
-                worker.run(&sender);
-            });
-        }
-        drop(sender);
-        let outcome = collect(trials.start, &results, &mut |row| {
-            failed |= row.verdict == Verdict::Fail;
-            on_row(row)
+    let (ends, mut failed) = (SafeEnds::default(), false);
+    let player = TrialPlayer { campaign, source, lost: AtomicBool::new(false) };
+    let trials = source.places();
+    let count = player.trials_per_task();
+    let next = AtomicU64::new(trials.start);
+    let task = || {
+        let first = next.fetch_add(count, Ordering::Relaxed);
+        let is_over = first >= trials.end || config.cancel.is_cancelled();
+        (!is_over).then(|| first..first.saturating_add(count).min(trials.end))
+    };
+    let executors = (0..config.jobs.max(1)).map(|_| Executor::new(&connect, settings.clone(), &ends));
+    let mut rows = InOrder::starting_at(trials.start);
+    let outcome =
+        run_workers(executors, task, |executor, trials, emit| player.play(executor, trials, emit), &mut |row: Row| {
+            rows.insert(row.trial, row);
+            while let Some(row) = rows.take_next() {
+                failed |= row.verdict == Verdict::Fail;
+                on_row(row)?;
+            }
+            Ok(ControlFlow::Continue(()))
         });
-        // Marks all trials as taken, so each worker ends after its current trial.
-        next.store(trials.end, Ordering::Relaxed);
-        drop(results);
-        outcome
-    });
     let (unconfirmed, driven) = (!ends.are_confirmed(), ends.have_drive());
-    let end = ShardEnd { unconfirmed, driven, lost: lost.load(Ordering::Relaxed), failed };
+    let end = ShardEnd { unconfirmed, driven, lost: player.lost.into_inner(), failed };
     config.end.lock().unwrap_or_else(PoisonError::into_inner).add(end);
-    let played = outcome?;
-    // If a trial has no result, the campaign was cancelled or a worker panicked.
-    if config.cancel.is_cancelled() || played < trials.end { Err(CampaignError::Cancelled) } else { Ok(end) }
-}
-
-/// Passes the rows on in the order of their trials. Returns the first trial without a result.
-fn collect(
-    first: u64,
-    results: &Receiver<Result<Row, CampaignError>>,
-    on_row: &mut dyn FnMut(Row) -> Result<(), CampaignError>,
-) -> Result<u64, CampaignError> {
-    let mut expected = first;
-    let mut waiting = BTreeMap::new();
-    for result in results {
-        let row = result?;
-        waiting.insert(row.trial, row);
-        while let Some(row) = waiting.remove(&expected) {
-            on_row(row)?;
-            expected += 1;
-        }
+    outcome?;
+    // If a trial has no result, the campaign was cancelled.
+    if config.cancel.is_cancelled() || rows.next_number() < trials.end {
+        Err(CampaignError::Cancelled)
+    } else {
+        Ok(end)
     }
-    Ok(expected)
 }
 
-struct Worker<'a> {
+struct TrialPlayer<'a> {
     campaign: &'a Campaign,
     source: &'a Source<'a>,
-    config: &'a PlayConfig,
-    next: &'a AtomicU64,
-    end: u64,
-    executor: Executor<'a>,
     /// Becomes true if a controller was lost and the rig caused it.
-    lost: &'a AtomicBool,
+    lost: AtomicBool,
 }
 
-impl Worker<'_> {
-    fn run(&mut self, results: &SyncSender<Result<Row, CampaignError>>) {
-        let count = if matches!(self.source, Source::Rows(_)) { 1 } else { self.campaign.chain_trials() };
-        loop {
-            let first = self.next.fetch_add(count, Ordering::Relaxed);
-            if first >= self.end || self.config.cancel.is_cancelled() {
-                break;
-            }
-            let trials = first..first.saturating_add(count).min(self.end);
-            let is_complete =
-                if count == 1 { self.play_one(first, results) } else { self.play_chain(&trials, results) };
-            if !is_complete {
-                break;
-            }
-        }
+impl TrialPlayer<'_> {
+    /// Trials of a chain depend on each other, so one worker plays them.
+    fn trials_per_task(&self) -> u64 {
+        if matches!(self.source, Source::Rows(_)) { 1 } else { self.campaign.chain_trials() }
     }
 
-    /// Returns false if the worker must end after a cancellation or an error.
-    fn play_one(&mut self, number: u64, results: &SyncSender<Result<Row, CampaignError>>) -> bool {
+    fn play(
+        &self,
+        executor: &mut Executor<'_>,
+        trials: Range<u64>,
+        emit: &mut Emit<'_, Row>,
+    ) -> Result<(), CampaignError> {
+        if self.trials_per_task() > 1 {
+            return self.play_chain(executor, &trials, emit);
+        }
+        let number = trials.start;
         let trial = match self.source {
-            Source::Numbers(_) => self.campaign.trial(number),
+            Source::Numbers(_) => self.campaign.trial(number)?,
             Source::Rows(rows) => match rows.get(number as usize) {
-                Some(row) => row.trial_in(self.campaign),
-                None => return false,
+                Some(row) => row.trial_in(self.campaign)?,
+                None => return Ok(()),
             },
         };
-        let row = trial.and_then(|trial| self.play(&trial));
-        let row = row.map(|row| row.map(|row| Row { trial: number, ..row }));
-        let Some(row) = row.transpose() else { return false };
-        let is_row = row.is_ok();
-        results.send(row).is_ok() && is_row
+        if let Some(row) = self.play_trial(executor, &trial)? {
+            emit(Row { trial: number, ..row });
+        }
+        Ok(())
     }
 
-    fn play_chain(&mut self, trials: &Range<u64>, results: &SyncSender<Result<Row, CampaignError>>) -> bool {
+    fn play_chain(
+        &self,
+        executor: &mut Executor<'_>,
+        trials: &Range<u64>,
+        emit: &mut Emit<'_, Row>,
+    ) -> Result<(), CampaignError> {
         let campaign = self.campaign;
-        let mut number = trials.start;
+        let (mut number, mut outcome) = (trials.start, Ok(()));
         campaign.run_chain(trials, &mut |point| {
             if number == trials.end {
                 return None;
             }
-            let row = campaign.chain_trial(number, point).and_then(|trial| self.play(&trial)).transpose()?;
-            let score = row.as_ref().ok().map(|row| row.score);
-            results.send(row).ok()?;
+            let played = campaign.chain_trial(number, point).and_then(|trial| self.play_trial(executor, &trial));
+            let row = played.unwrap_or_else(|error| {
+                outcome = Err(error);
+                None
+            })?;
+            let score = row.score;
             number += 1;
-            score
+            emit(row).then_some(score)
         });
-        number == trials.end
+        outcome
     }
 
     /// `None` if the trial was cancelled.
-    fn play(&mut self, trial: &Trial) -> Result<Option<Row>, CampaignError> {
+    fn play_trial(&self, executor: &mut Executor<'_>, trial: &Trial) -> Result<Option<Row>, CampaignError> {
         let law = law(&trial.scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
-        let Some(played) = self.executor.play(&trial.scenario, law, 0, None)? else { return Ok(None) };
+        let Some(played) = executor.play(&trial.scenario, law, 0, None)? else { return Ok(None) };
         let measures = measure(&trial.scenario, 0, &played.trace_rows, &played.telemetry);
         self.lost.fetch_or(measures.has_lost_controller(), Ordering::Relaxed);
         Ok(Some(Row::new(trial, measures, final_distance(&played.trace_rows))))

@@ -11,14 +11,14 @@ use crate::explore::scene::Scene;
 use crate::explore::staging::Staging;
 use platebench_engine::SafeEnds;
 use platebench_engine::plan::LinkFactory;
+use platebench_engine::workers::{Emit, run_workers};
 use platebench_model::scenario::Scenario;
 use platebench_rig::CancelToken;
 use platebench_wire::LawId;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc;
-use std::thread;
 use std::time::{Duration, Instant};
 
 /// Largest number of earlier scenes of the same controller that are stored with a failed scene.
@@ -170,31 +170,33 @@ pub fn explore(
     let mut exploration = Exploration::default();
     play_regressions(config, connect, cancel, ends, &mut exploration)?;
     let (next, failed) = (AtomicU64::new(0), AtomicU64::new(0));
-    let state = WorkerState { config, connect, cancel, ends, started, next, failed };
-    let (sender, results) = mpsc::channel();
-    thread::scope(|scope| {
-        for _ in 0..config.jobs.max(1) {
-            let (state, sender) = (&state, sender.clone());
-            scope.spawn(move || state.run_worker(&sender));
+    let source = || {
+        let index = next.fetch_add(1, Ordering::Relaxed);
+        let is_used = match config.budget {
+            Budget::Time(time) => started.elapsed() >= time,
+            Budget::Scenes(count) => index >= count,
+        };
+        let is_over = is_used || cancel.is_cancelled() || failed.load(Ordering::Relaxed) >= config.max_failed;
+        (!is_over).then_some(index)
+    };
+    let workers = (0..config.jobs.max(1)).map(|_| SceneWorker::new(config, connect, cancel, ends));
+    let workers = workers.collect::<Result<Vec<_>, _>>()?;
+    let work = |worker: &mut SceneWorker<'_>, index, emit: &mut Emit<'_, PlayedScene>| {
+        let Some(played) = worker.play(index)? else { return Ok(()) };
+        if !played.result.failures.is_empty() {
+            failed.fetch_add(1, Ordering::Relaxed);
         }
-        drop(sender);
-        let mut outcome = Ok(());
-        for result in results {
-            match result {
-                Ok(PlayedScene { index, scene, result, history }) => {
-                    exploration.add(&scene, index, &result, &config.envelope);
-                    if !result.failures.is_empty() {
-                        exploration.failed.push(FailedScene { index, failures: result.failures, history });
-                    }
-                    on_scene(exploration.scenes, exploration.failed.len() as u64);
-                }
-                Err(error) => {
-                    state.next.store(u64::MAX / 2, Ordering::Relaxed);
-                    outcome = outcome.and(Err(error));
-                }
-            }
+        emit(played);
+        Ok(())
+    };
+    run_workers(workers, source, work, &mut |played: PlayedScene| {
+        let PlayedScene { index, scene, result, history } = played;
+        exploration.add(&scene, index, &result, &config.envelope);
+        if !result.failures.is_empty() {
+            exploration.failed.push(FailedScene { index, failures: result.failures, history });
         }
-        outcome
+        on_scene(exploration.scenes, exploration.failed.len() as u64);
+        Ok::<_, ExploreError>(ControlFlow::Continue(()))
     })?;
     exploration.is_interrupted = cancel.is_cancelled();
     exploration.failed.sort_by_key(|scene| scene.index);
@@ -230,60 +232,38 @@ struct PlayedScene {
     history: Vec<u64>,
 }
 
-struct WorkerState<'a> {
+struct SceneWorker<'a> {
     config: &'a ExploreConfig,
-    connect: &'a LinkFactory<'a>,
-    cancel: &'a CancelToken,
-    ends: &'a SafeEnds,
-    started: Instant,
-    next: AtomicU64,
-    failed: AtomicU64,
+    staging: Staging,
+    player: Player<'a>,
+    history: Vec<u64>,
 }
 
-impl WorkerState<'_> {
-    fn is_over(&self, index: u64) -> bool {
-        let used = match self.config.budget {
-            Budget::Time(time) => self.started.elapsed() >= time,
-            Budget::Scenes(count) => index >= count,
-        };
-        used || self.cancel.is_cancelled() || self.failed.load(Ordering::Relaxed) >= self.config.max_failed
+impl<'a> SceneWorker<'a> {
+    fn new(
+        config: &'a ExploreConfig,
+        connect: &'a LinkFactory<'a>,
+        cancel: &CancelToken,
+        ends: &'a SafeEnds,
+    ) -> Result<Self, ExploreError> {
+        let player = Player::new(connect, config.own_clock, cancel, ends);
+        Ok(Self { config, staging: Staging::new()?, player, history: Vec::new() })
     }
 
-    fn run_worker(&self, results: &mpsc::Sender<Result<PlayedScene, ExploreError>>) {
-        if let Err(error) = self.play_scenes(results) {
-            // Cannot fail, because the receiver ends after the last worker.
-            let _ = results.send(Err(error));
+    /// `None` if the scene was cancelled.
+    fn play(&mut self, index: u64) -> Result<Option<PlayedScene>, ExploreError> {
+        let scene = self.config.generator().tree(index).map_err(ExploreError::Strategy)?.current();
+        let title = format!("Scene {index} of seed {}", self.config.seed);
+        let scenario = self.staging.load(&self.config.scene_text(&scene, &title))?;
+        let Some(result) = self.player.play(&scenario)? else { return Ok(None) };
+        if self.player.is_young() {
+            self.history.clear();
         }
-    }
-
-    fn play_scenes(&self, results: &mpsc::Sender<Result<PlayedScene, ExploreError>>) -> Result<(), ExploreError> {
-        let generator = self.config.generator();
-        let mut staging = Staging::new()?;
-        let mut player = Player::new(self.connect, self.config.own_clock, self.cancel, self.ends);
-        let mut history = Vec::new();
-        loop {
-            let index = self.next.fetch_add(1, Ordering::Relaxed);
-            if self.is_over(index) || index >= u64::MAX / 2 {
-                return Ok(());
-            }
-            let scene = generator.tree(index).map_err(ExploreError::Strategy)?.current();
-            let title = format!("Scene {index} of seed {}", self.config.seed);
-            let scenario = staging.load(&self.config.scene_text(&scene, &title))?;
-            let Some(result) = player.play(&scenario)? else { return Ok(()) };
-            if player.is_young() {
-                history.clear();
-            }
-            if !result.failures.is_empty() {
-                self.failed.fetch_add(1, Ordering::Relaxed);
-            }
-            let played = PlayedScene { index, scene, result, history: history.clone() };
-            history.push(index);
-            if history.len() > MAX_HISTORY {
-                history.remove(0);
-            }
-            if results.send(Ok(played)).is_err() {
-                return Ok(());
-            }
+        let history = self.history.clone();
+        self.history.push(index);
+        if self.history.len() > MAX_HISTORY {
+            self.history.remove(0);
         }
+        Ok(Some(PlayedScene { index, scene, result, history }))
     }
 }

@@ -1,0 +1,275 @@
+//! Plays the trials of a run on several workers, judges each scenario and stores the traces.
+
+use crate::delay_attribution::measure_trial;
+use crate::delay_boundary::scenario_delay_boundary;
+use crate::executor::Executor;
+use crate::live_tap::LiveTap;
+use crate::plan::{RunError, RunPlan};
+use crate::workers::{Emit, ResultSink, run_workers};
+use platebench_model::record::{FolderError, KeepTraces, RunFolder, TrialRecord, Verdict, to_hex, trace_path};
+use platebench_model::scenario::Scenario;
+use platebench_model::trace::{AtPath as _, Row, TraceError, TraceWriter};
+use platebench_plate::Time;
+use platebench_rig::CancelToken;
+use platebench_verdict::{Judgement, SequentialDecision, TrialMeasures, judge, judge_sequentially, trial_record};
+use platebench_wire::LawId;
+use std::cmp::Reverse;
+use std::collections::BTreeSet;
+use std::fs;
+use std::ops::Range;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Instant;
+use tracing::{debug, info, info_span};
+
+pub(crate) struct RunPlayer<'a> {
+    plan: &'a RunPlan,
+    folder: &'a RunFolder,
+    cancel: &'a CancelToken,
+    live_tap: &'a LiveTap,
+    /// The number of first trials of each scenario whose rows the sink receives.
+    trials_with_rows: usize,
+    scenarios: Vec<ScenarioPlay<'a>>,
+    /// `--fail-fast` sets it. No further trial starts then, and trials in progress end normally.
+    stop: AtomicBool,
+}
+
+/// What a worker reports to the run. The number is the index of the scenario.
+pub(crate) enum RunProgress {
+    Started(usize),
+    /// The rows are empty unless the report draws the trial.
+    Played(usize, Box<TrialRecord>, Vec<Row>),
+    Judged(usize, Judgement, Vec<TrialRecord>),
+}
+
+struct ScenarioPlay<'a> {
+    scenario: &'a Scenario,
+    law: LawId,
+    /// Longest loop delay at which the law settles.
+    delay_boundary: OnceLock<Option<Time>>,
+    played: Mutex<PlayedTrials>,
+}
+
+/// Played trials in order of completion. The next interim look needs `trials_until_look` trials.
+struct PlayedTrials {
+    measures: Vec<TrialMeasures>,
+    records: Vec<TrialRecord>,
+    trials_until_look: u32,
+    is_judged: bool,
+}
+
+struct TrialTask {
+    scenario: usize,
+    trials: Range<u32>,
+}
+
+impl<'a> RunPlayer<'a> {
+    pub(crate) fn new(
+        plan: &'a RunPlan,
+        laws: Vec<LawId>,
+        folder: &'a RunFolder,
+        cancel: &'a CancelToken,
+        live_tap: &'a LiveTap,
+        trials_with_rows: usize,
+    ) -> Self {
+        let scenarios = plan.scenarios.iter().zip(laws).map(|(scenario, law)| ScenarioPlay::new(scenario, law));
+        let (scenarios, stop) = (scenarios.collect(), AtomicBool::new(false));
+        Self { plan, folder, cancel, live_tap, trials_with_rows, scenarios, stop }
+    }
+
+    /// Plays until every scenario is judged, or `--fail-fast` stops the run.
+    pub(crate) fn play(
+        &self,
+        executors: &mut [Executor<'_>],
+        sink: &mut impl ResultSink<RunProgress, RunError>,
+    ) -> Result<(), RunError> {
+        loop {
+            // First all scenarios reach their first look. Then the undecided scenarios continue.
+            let mut tasks: Vec<TrialTask> =
+                self.scenarios.iter().enumerate().flat_map(|(number, play)| play.tasks(number)).collect();
+            if tasks.is_empty() || self.stop.load(Ordering::Relaxed) {
+                return Ok(());
+            }
+            // Long trials come first, so that no worker ends long after the others.
+            tasks.sort_by_key(|task| Reverse(self.scenarios.get(task.scenario).map(|play| play.scenario.duration)));
+            let next = AtomicUsize::new(0);
+            let source = || self.may_start().then(|| tasks.get(next.fetch_add(1, Ordering::Relaxed))).flatten();
+            let workers = executors.iter_mut().take(tasks.len());
+            run_workers(workers, source, |executor, task, emit| self.play_task(executor, task, emit), sink)?;
+            if self.cancel.is_cancelled() {
+                return Err(RunError::Cancelled);
+            }
+        }
+    }
+
+    /// Judges the scenarios that `--fail-fast` stopped early, by the trials that were played.
+    pub(crate) fn judge_unfinished(self) -> impl Iterator<Item = (usize, Judgement, Vec<TrialRecord>)> {
+        let is_stopped = self.stop.into_inner();
+        self.scenarios.into_iter().enumerate().filter_map(move |(number, play)| {
+            let played = play.played.into_inner().unwrap_or_else(PoisonError::into_inner);
+            let is_open = is_stopped && !played.is_judged;
+            is_open.then(|| (number, judge(play.scenario, &played.measures), played.records))
+        })
+    }
+
+    fn may_start(&self) -> bool {
+        !self.cancel.is_cancelled() && !self.stop.load(Ordering::Relaxed)
+    }
+
+    fn play_task(
+        &self,
+        executor: &mut Executor<'_>,
+        task: &TrialTask,
+        emit: &mut Emit<'_, RunProgress>,
+    ) -> Result<(), RunError> {
+        let Some(play) = self.scenarios.get(task.scenario) else { return Ok(()) };
+        if task.trials.start == 0 && !emit(RunProgress::Started(task.scenario)) {
+            return Ok(());
+        }
+        for index in task.trials.clone() {
+            if index > task.trials.start && !self.may_start() {
+                break;
+            }
+            let played = catch_unwind(AssertUnwindSafe(|| self.play_trial(executor, task.scenario, play, index, emit)));
+            let error = match played {
+                Ok(Ok(true)) => continue,
+                Ok(Ok(false)) => break,
+                Ok(Err(error)) => error,
+                Err(panic) => RunError::Internal(panic_message(panic.as_ref())),
+            };
+            // The error ends the run, so 0 V is requested first and the other trials end early.
+            executor.close();
+            self.cancel.cancel();
+            return Err(error);
+        }
+        Ok(())
+    }
+
+    /// Plays, measures, stores and judges. Returns false if the trial was cancelled.
+    fn play_trial(
+        &self,
+        executor: &mut Executor<'_>,
+        number: usize,
+        play: &ScenarioPlay<'_>,
+        index: u32,
+        emit: &mut Emit<'_, RunProgress>,
+    ) -> Result<bool, RunError> {
+        let ScenarioPlay { scenario, law, .. } = *play;
+        let span = info_span!("trial", scenario = %scenario.file, index).entered();
+        let started = Instant::now();
+        let mut tap = self.live_tap.acquire(number, index);
+        let played = executor.play(scenario, law, index, tap.tap())?;
+        drop(tap);
+        let Some(mut played) = played else { return Ok(false) };
+        if let Some(timing) = &mut played.telemetry.timing {
+            let boundary = *play.delay_boundary.get_or_init(|| scenario_delay_boundary(scenario, law));
+            timing.loop_delay_budget_us = boundary.map(|boundary| boundary.seconds() * 1e6);
+        }
+        let trace = trace_path(scenario.name(), index);
+        let path = self.folder.path().join(&trace);
+        let measures = measure_trial(scenario, law, index, &played.trace_rows, &played.telemetry);
+        let is_stored = match self.plan.overrides.keep_traces {
+            KeepTraces::All | KeepTraces::Worst(_) => true,
+            KeepTraces::Failing => measures.margin(&scenario.expectations) < 0.0,
+            KeepTraces::None => false,
+        };
+        let hash = is_stored.then(|| write_trace(&path, &played.trace_rows)).transpose()?;
+        let wall_ms = started.elapsed().as_secs_f64() * 1e3;
+        debug!(rows = played.trace_rows.len(), wall_ms, measures = ?measures.measures, "trial measured");
+        let mut record = trial_record(scenario, &measures, played.telemetry, trace, Some(wall_ms));
+        record.sha256 = hash.as_ref().map(|hash| to_hex(hash));
+        drop(span);
+        let is_drawn = (index as usize) < self.trials_with_rows;
+        let rows = if is_drawn { played.trace_rows } else { Vec::new() };
+        // Locked until the results are sent, so that the judgement follows its trials. The worker
+        // judges, so that it knows before its next trial whether `--fail-fast` stops the run.
+        let mut trials = play.lock_trials();
+        trials.measures.push(measures);
+        trials.records.push(record.clone());
+        emit(RunProgress::Played(number, Box::new(record), rows));
+        if trials.records.len() < trials.trials_until_look as usize {
+            return Ok(true);
+        }
+        match judge_sequentially(scenario, &trials.measures) {
+            SequentialDecision::Continue { trials: next } => {
+                info!(scenario = %scenario.file, played = trials.trials_until_look, next, "not decided yet");
+                trials.trials_until_look = next;
+            }
+            SequentialDecision::Stop(judgement) => {
+                trials.is_judged = true;
+                let mut records = std::mem::take(&mut trials.records);
+                if let KeepTraces::Worst(count) = self.plan.overrides.keep_traces {
+                    keep_worst(self.folder, scenario, &trials.measures, count, &mut records)?;
+                }
+                if self.plan.overrides.fail_fast && judgement.verdict == Verdict::Fail {
+                    self.stop.store(true, Ordering::Relaxed);
+                }
+                info!(scenario = %scenario.file, verdict = %judgement.verdict, "scenario judged");
+                emit(RunProgress::Judged(number, judgement, records));
+            }
+        }
+        Ok(true)
+    }
+}
+
+impl<'a> ScenarioPlay<'a> {
+    fn new(scenario: &'a Scenario, law: LawId) -> Self {
+        let trials_until_look = match judge_sequentially(scenario, &[]) {
+            SequentialDecision::Continue { trials } => trials,
+            SequentialDecision::Stop(_) => 0,
+        };
+        let played = PlayedTrials { measures: Vec::new(), records: Vec::new(), trials_until_look, is_judged: false };
+        Self { scenario, law, delay_boundary: OnceLock::new(), played: Mutex::new(played) }
+    }
+
+    fn lock_trials(&self) -> MutexGuard<'_, PlayedTrials> {
+        self.played.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns the trials until the next look: one task per trial, or one for all if the
+    /// controller's history is part of the experiment.
+    fn tasks(&self, scenario: usize) -> Vec<TrialTask> {
+        let played = self.lock_trials();
+        if played.is_judged {
+            return Vec::new();
+        }
+        let trials = played.records.len() as u32..played.trials_until_look;
+        if self.scenario.keeps_controller() && !trials.is_empty() {
+            return vec![TrialTask { scenario, trials }];
+        }
+        trials.map(|index| TrialTask { scenario, trials: index..index + 1 }).collect()
+    }
+}
+
+fn write_trace(path: &Path, rows: &[Row]) -> Result<[u8; 32], TraceError> {
+    let mut writer = TraceWriter::create(path)?;
+    rows.iter().try_for_each(|row| writer.write(row))?;
+    writer.finish()
+}
+
+/// Keeps only the traces of the `count` trials with the smallest margins. Of two equal margins, the
+/// earlier trial comes first.
+fn keep_worst(
+    folder: &RunFolder,
+    scenario: &Scenario,
+    measures: &[TrialMeasures],
+    count: u32,
+    trials: &mut [TrialRecord],
+) -> Result<(), RunError> {
+    let mut order: Vec<_> = measures.iter().map(|trial| (trial.margin(&scenario.expectations), trial.index)).collect();
+    order.sort_by(|(margin, index), (other, later)| margin.total_cmp(other).then(index.cmp(later)));
+    let removed: BTreeSet<u32> = order.iter().skip(count as usize).map(|(_, index)| *index).collect();
+    for trial in trials.iter_mut().filter(|trial| removed.contains(&trial.index)) {
+        let path = folder.path().join(&trial.trace);
+        fs::remove_file(&path).at(&path).map_err(FolderError::from)?;
+        trial.sha256 = None;
+    }
+    Ok(())
+}
+
+fn panic_message(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+    text.unwrap_or("no message").to_owned()
+}

@@ -1,0 +1,244 @@
+//! Runs tasks on several threads: one pool with a source of tasks, one state per worker and a sink
+//! of results.
+
+use std::collections::BTreeMap;
+use std::iter;
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::thread;
+use std::time::Duration;
+use tracing::subscriber::{NoSubscriber, with_default};
+
+/// Number of results that workers can send before they wait for the sink.
+const RESULT_QUEUE: usize = 256;
+/// Bounds one wait for a result. The workers decide when the work ends.
+const MAX_WAIT: Duration = Duration::from_hours(1);
+
+/// Receives the results of all workers on the thread of the caller.
+pub trait ResultSink<R, E> {
+    /// After `Break` or an error, no task starts and no further result is received.
+    fn receive(&mut self, result: R) -> Result<ControlFlow<()>, E>;
+
+    /// Time after which [`ResultSink::wake`] is called if no result arrives.
+    fn time_left(&self) -> Duration {
+        MAX_WAIT
+    }
+
+    fn wake(&mut self) -> Result<(), E> {
+        Ok(())
+    }
+}
+
+impl<R, E, F: FnMut(R) -> Result<ControlFlow<()>, E>> ResultSink<R, E> for F {
+    fn receive(&mut self, result: R) -> Result<ControlFlow<()>, E> {
+        self(result)
+    }
+}
+
+/// Sends a result to the sink. Returns false if the sink receives no further results.
+pub type Emit<'a, R> = dyn FnMut(R) -> bool + 'a;
+
+/// Calls `work` on one thread per worker, with the next task of `source`, until `source` is empty.
+/// A task may have any number of results. Ends at the first error.
+pub fn run_workers<S: Send, T, R: Send, E: Send>(
+    workers: impl IntoIterator<Item = S>,
+    source: impl Fn() -> Option<T> + Sync,
+    work: impl Fn(&mut S, T, &mut Emit<'_, R>) -> Result<(), E> + Sync,
+    sink: &mut impl ResultSink<R, E>,
+) -> Result<(), E> {
+    let is_over = AtomicBool::new(false);
+    let (sender, results) = mpsc::sync_channel(RESULT_QUEUE);
+    thread::scope(|scope| {
+        for mut worker in workers {
+            let (sender, source, work, is_over) = (sender.clone(), &source, &work, &is_over);
+            scope.spawn(move || {
+                while !is_over.load(Ordering::Relaxed)
+                    && let Some(task) = source()
+                {
+                    let outcome = work(&mut worker, task, &mut |result| sender.send(Ok(result)).is_ok());
+                    if let Err(error) = outcome {
+                        is_over.store(true, Ordering::Relaxed);
+                        // If the receiver is gone, the work has already ended.
+                        let _ = sender.send(Err(error));
+                    }
+                }
+            });
+        }
+        drop(sender);
+        let outcome = loop {
+            let received = match results.recv_timeout(sink.time_left()) {
+                Ok(result) => result.and_then(|result| sink.receive(result)),
+                Err(RecvTimeoutError::Timeout) => sink.wake().map(ControlFlow::Continue),
+                Err(RecvTimeoutError::Disconnected) => Ok(ControlFlow::Break(())),
+            };
+            match received {
+                Ok(ControlFlow::Continue(())) => {}
+                Ok(ControlFlow::Break(())) => break Ok(()),
+                Err(error) => break Err(error),
+            }
+        };
+        is_over.store(true, Ordering::Relaxed);
+        // A worker that waits for the queue then ends.
+        drop(results);
+        outcome
+    })
+}
+
+/// Puts numbered results into the order of their numbers.
+#[derive(Debug)]
+pub struct InOrder<R> {
+    next: u64,
+    waiting: BTreeMap<u64, R>,
+}
+
+impl<R> InOrder<R> {
+    pub fn starting_at(first: u64) -> Self {
+        Self { next: first, waiting: BTreeMap::new() }
+    }
+
+    pub fn insert(&mut self, number: u64, result: R) {
+        self.waiting.insert(number, result);
+    }
+
+    /// Removes the result with the next number.
+    pub fn take_next(&mut self) -> Option<R> {
+        let result = self.waiting.remove(&self.next)?;
+        self.next += 1;
+        Some(result)
+    }
+
+    /// The first number whose result was not taken.
+    pub fn next_number(&self) -> u64 {
+        self.next
+    }
+}
+
+/// Calls `work` for each task and passes the results to `receive` in the order of the tasks, until
+/// `receive` returns false. Suppresses log messages of `work`, because callers provoke faults on
+/// purpose.
+pub fn in_parallel<S: Send, T: Sync, R: Send, E: Send>(
+    workers: impl IntoIterator<Item = S>,
+    tasks: &[T],
+    work: impl Fn(&mut S, &T) -> Result<R, E> + Sync,
+    mut receive: impl FnMut(R) -> bool,
+) -> Result<(), E> {
+    let next = AtomicUsize::new(0);
+    let source = || {
+        let number = next.fetch_add(1, Ordering::Relaxed);
+        tasks.get(number).map(|task| (number as u64, task))
+    };
+    let numbered = |worker: &mut S, (number, task): (u64, &T), emit: &mut Emit<'_, (u64, R)>| {
+        let result = with_default(NoSubscriber::default(), || work(worker, task))?;
+        emit((number, result));
+        Ok(())
+    };
+    let mut ordered = InOrder::starting_at(0);
+    let workers = workers.into_iter().take(tasks.len());
+    run_workers(workers, source, numbered, &mut |(number, result): (u64, R)| {
+        ordered.insert(number, result);
+        while let Some(result) = ordered.take_next() {
+            if !receive(result) {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    })
+}
+
+pub fn collect_in_parallel<T: Sync, R: Send, E: Send>(
+    jobs: usize,
+    tasks: &[T],
+    work: impl Fn(&T) -> Result<R, E> + Sync,
+) -> Result<Vec<R>, E> {
+    let mut results = Vec::with_capacity(tasks.len());
+    let workers = iter::repeat_n((), jobs.max(1));
+    in_parallel(
+        workers,
+        tasks,
+        |(), task| work(task),
+        |result| {
+            results.push(result);
+            true
+        },
+    )?;
+    Ok(results)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+    use std::sync::atomic::AtomicU32;
+
+    #[rstest]
+    fn results_have_the_order_of_the_tasks(#[values(0, 1, 4, 200)] jobs: usize) {
+        let tasks: Vec<u64> = (0..100).collect();
+        let work = |task: &u64| {
+            thread::sleep(Duration::from_micros(task % 7 * 50));
+            Ok::<_, ()>(task * task)
+        };
+        assert_eq!(collect_in_parallel(jobs, &tasks, work), Ok(tasks.iter().map(|task| task * task).collect()));
+        assert_eq!(collect_in_parallel(jobs, &[], work), Ok(Vec::new()));
+    }
+
+    #[test]
+    fn ends_at_an_error_or_at_the_wish_of_the_receiver() {
+        let tasks: Vec<u32> = (0..100).collect();
+        let work = |(): &mut (), task: &u32| if *task == 20 { Err(*task) } else { Ok(*task) };
+        assert_eq!(in_parallel([(), ()], &tasks, work, |_| true), Err(20));
+        let mut received = Vec::new();
+        let receive = |task| {
+            received.push(task);
+            task < 15
+        };
+        assert_eq!(in_parallel([(), ()], &tasks[..20], work, receive), Ok(()));
+        assert_eq!(received, (0..=15).collect::<Vec<_>>());
+    }
+
+    /// Workers that wait for a full queue must end, and no task may start.
+    #[test]
+    fn an_error_of_the_sink_ends_workers_that_wait_for_the_queue() {
+        let started = AtomicU32::new(0);
+        let source = || Some(started.fetch_add(1, Ordering::Relaxed));
+        let work = |(): &mut (), task, emit: &mut Emit<'_, u32>| {
+            while emit(task) {}
+            Ok::<_, u32>(())
+        };
+        let outcome = run_workers([(), ()], source, work, &mut |task: u32| {
+            thread::sleep(Duration::from_millis(20));
+            Err(task)
+        });
+        assert!(outcome.is_err_and(|task| task < 2));
+        assert_eq!(started.into_inner(), 2);
+    }
+
+    #[test]
+    fn wakes_the_sink_while_no_result_arrives() {
+        struct WakingSink(u32);
+
+        impl ResultSink<u32, ()> for WakingSink {
+            fn receive(&mut self, _: u32) -> Result<ControlFlow<()>, ()> {
+                Ok(ControlFlow::Break(()))
+            }
+
+            fn time_left(&self) -> Duration {
+                Duration::from_millis(1)
+            }
+
+            fn wake(&mut self) -> Result<(), ()> {
+                self.0 += 1;
+                Ok(())
+            }
+        }
+
+        let mut sink = WakingSink(0);
+        let work = |(): &mut (), (), emit: &mut Emit<'_, u32>| {
+            thread::sleep(Duration::from_millis(50));
+            emit(1);
+            Ok(())
+        };
+        assert_eq!(run_workers([()], || Some(()), work, &mut sink), Ok(()));
+        assert!(sink.0 > 0);
+    }
+}
