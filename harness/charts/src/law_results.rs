@@ -3,7 +3,7 @@
 
 use crate::error::ChartError;
 use crate::measured_run::play_hosted;
-use platebench_engine::trial::TrialResult;
+use platebench_engine::TrialResult;
 use platebench_model::scenario::{Expectation, Metric, Scenario, Window, load};
 use platebench_plate::{Profile, Tier, Time};
 use platebench_verdict::statistics::SampleSummary;

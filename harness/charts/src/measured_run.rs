@@ -2,8 +2,7 @@
 
 use crate::cost::process_cpu_time;
 use crate::error::ChartError;
-use platebench_engine::trial::{self, TrialResult};
-use platebench_engine::{Clock, RunHooks, RunPlan, run};
+use platebench_engine::{Clock, RunHooks, RunPlan, TrialResult, lockstep, run};
 use platebench_model::record::{Overrides, RunFolder, RunRecord};
 use platebench_model::scenario::Scenario;
 use platebench_rig::{ConnectOptions, RigSpec};
@@ -37,6 +36,6 @@ impl MeasuredRun {
 
 pub(crate) fn play_hosted(what: &str, scenario: &Scenario, law: LawId, index: u32) -> Result<TrialResult, ChartError> {
     let lost = |source| ChartError::Lost { what: what.to_owned(), source };
-    let mut played = trial::play_hosted(scenario, law, index).map_err(lost)?;
+    let mut played = lockstep::play_hosted(scenario, law, index).map_err(lost)?;
     played.link_error.take().map_or(Ok(played), |error| Err(lost(error)))
 }

@@ -10,8 +10,7 @@ use crate::{live, stdio};
 use clap::Args;
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 use platebench_engine::real_time::{Consumer, EmulationEnd, emulate_plate as play};
-use platebench_engine::trial::TrialSpec;
-use platebench_engine::{CancelToken, LiveTap, ManualControl, ManualInputs, TimeBase};
+use platebench_engine::{CancelToken, LiveTap, ManualControl, ManualInputs, TimeBase, Trial};
 use platebench_lab::boards::BoardOutcome;
 use platebench_model::scenario::{Scenario, load};
 use platebench_model::trace::{Flags, Row};
@@ -211,11 +210,12 @@ impl PlateServer {
                 continue;
             };
             print_on_stderr(&format!("controller: {}", session.firmware_name()));
-            let spec = TrialSpec { own_clock: true, ..TrialSpec::new(&self.scenario, self.law, 0) };
             loop {
                 let mut tap = self.live_tap.acquire(0, 0);
                 let consume = if self.view_sender.is_some() { discard_rows } else { print_status };
-                match play(&mut session, &spec, self.time_base, cancel, &control, tap.tap(), consume) {
+                let new = Trial::new(&self.scenario, self.law, 0);
+                let trial = Trial { own_clock: true, cancel: cancel.clone(), tap: tap.tap(), ..new };
+                match play(&mut session, trial, self.time_base, &control, consume) {
                     EmulationEnd::Stopped(reason) => {
                         let reason = reason.as_deref().unwrap_or("without a reason");
                         print_on_stderr(&format!("the controller stopped ({reason}) and is configured again"));

@@ -3,9 +3,9 @@
 //! busy computer.
 
 use platebench_engine::live_tap::{TapGuard, TapReader};
-use platebench_engine::trial::{TrialSpec, play};
-use platebench_engine::{CancelToken, LiveTap};
-use platebench_model::scenario::load;
+use platebench_engine::lockstep::play;
+use platebench_engine::{LiveTap, Trial};
+use platebench_model::scenario::{Scenario, load};
 use platebench_rig::{FaultInjector, HostedLink, Session};
 use platebench_wire::LawId;
 use rustix::time::{ClockId, clock_gettime};
@@ -26,7 +26,6 @@ const VARIANTS: [&str; 4] =
 fn main() -> Result<(), Box<dyn Error>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(SCENARIO);
     let scenario = load(&path, SCENARIO).map_err(|fault| fault.to_string())?;
-    let spec = TrialSpec::new(&scenario, LawId::DqPi, 0);
     let mut session = Session::open(FaultInjector::new(HostedLink::new()))?;
     let (active, reader) = LiveTap::new();
     let (stalled, idle_reader) = LiveTap::new();
@@ -36,13 +35,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         scope.spawn(|| drain_until(reader, &is_finished));
         let live_taps = [LiveTap::default(), LiveTap::default(), active, stalled];
         let mut taps = live_taps.each_ref().map(|tap| tap.acquire(0, 0));
-        let cancel = CancelToken::default();
         // The first round is not measured. It fills the queue that has no active reader.
         for round in 0..=ROUNDS {
             for place in 0..VARIANTS.len() {
                 let variant = (place + round) % VARIANTS.len();
                 let (Some(tap), Some(times)) = (taps.get_mut(variant), spent.get_mut(variant)) else { continue };
-                let time = time_trials(&mut session, &spec, &cancel, tap);
+                let time = time_trials(&mut session, &scenario, tap);
                 if round > 0 {
                     times.push(time);
                 }
@@ -63,16 +61,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn time_trials(
-    session: &mut Session<FaultInjector<HostedLink>>,
-    spec: &TrialSpec<'_>,
-    cancel: &CancelToken,
-    tap: &mut TapGuard<'_>,
-) -> f64 {
+fn time_trials(session: &mut Session<FaultInjector<HostedLink>>, scenario: &Scenario, tap: &mut TapGuard<'_>) -> f64 {
     let mut rows = 0;
     let begun = processor_s();
     for _ in 0..TRIALS {
-        rows += play(session, spec, cancel, tap.tap()).map_or(0, |result| result.trace_rows.len());
+        let trial = Trial { tap: tap.tap(), ..Trial::new(scenario, LawId::DqPi, 0) };
+        rows += play(session, trial).map_or(0, |result| result.trace_rows.len());
     }
     (processor_s() - begun) * 1e9 / rows.max(1) as f64
 }

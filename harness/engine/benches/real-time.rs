@@ -9,11 +9,11 @@ mod real_time {
 }
 
 use platebench_engine::real_time::{Pacing, TimeBase, play};
-use platebench_engine::trial::TrialSpec;
+use platebench_engine::trial::Trial;
 use platebench_model::record::TimingRecord;
 use platebench_model::scenario::{Scenario, load};
 use platebench_model::trace::Flags;
-use platebench_rig::{BoxedLink, CancelToken, ExecLink, FaultInjector, Session};
+use platebench_rig::{BoxedLink, ExecLink, FaultInjector, Session};
 use platebench_wire::LawId;
 use real_time::{exchange, limits, table};
 use std::error::Error;
@@ -78,11 +78,11 @@ fn controller_command(option: &str) -> Result<String, Box<dyn Error>> {
 
 fn play_at(period_us: u32) -> Result<TimingRecord, Box<dyn Error>> {
     let scenario = scenario(period_us)?;
-    let spec = TrialSpec { own_clock: true, ..TrialSpec::new(&scenario, LawId::DqPi, 0) };
+    let trial = Trial { own_clock: true, ..Trial::new(&scenario, LawId::DqPi, 0) };
     let link: BoxedLink = Box::new(ExecLink::start(&controller_command("")?)?);
     let mut session = Session::open(FaultInjector::new(link))?;
     let time_base = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
-    let result = play(&mut session, &spec, time_base, &CancelToken::never(), None).ok_or("the trial was cancelled")?;
+    let result = play(&mut session, trial, time_base).ok_or("the trial was cancelled")?;
     if let Some(error) = result.link_error {
         return Err(error.into());
     }

@@ -1,7 +1,7 @@
 //! Checks every command against the configured limits, before the bench clips its drive. The
 //! real-time loop calls these checks, so they do not allocate.
 
-use crate::configure::start_frequency_mhz;
+use crate::trial::start_frequency_mhz;
 use platebench_model::record::{Violation, ViolationKind};
 use platebench_model::scenario::Scenario;
 use platebench_plate::Time;
@@ -134,7 +134,7 @@ pub(crate) fn drive_violation(drives: DrivesAfterSafe, now: Time) -> Violation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::configure::configure;
+    use crate::trial::configure;
     use platebench_wire::{LawId, StateCause};
     use rstest::rstest;
     use std::path::Path;

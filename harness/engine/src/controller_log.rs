@@ -1,8 +1,8 @@
 //! Records commands, stops and violations of a controller during a trial, for both trial loops.
 
 use crate::command_checks::CommandChecks;
-use crate::configure::configure;
-use crate::fault::needs_reconfiguration;
+use crate::trial::configure;
+use crate::trial::needs_reconfiguration;
 use platebench_model::record::{Telemetry, ViolationKind};
 use platebench_model::scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_plate::Time;

@@ -1,8 +1,8 @@
 //! Excuses a missed expectation if the delay of the rig explains it: the simulated law meets it
 //! without this delay and misses it with this delay.
 
+use crate::lockstep;
 use crate::real_time::Pacing;
-use crate::trial;
 use platebench_model::record::{Excuse, Telemetry};
 use platebench_model::scenario::{Expectation, Metric, Scenario};
 use platebench_model::trace::Row;
@@ -99,7 +99,7 @@ fn simulate_trial(scenario: &Scenario, law: LawId, index: u32, delay: Time) -> O
 }
 
 fn simulate_rows(scenario: &Scenario, law: LawId, index: u32) -> Option<Vec<Row>> {
-    trial::play_hosted(scenario, law, index).ok().map(|played| played.trace_rows)
+    lockstep::play_hosted(scenario, law, index).ok().map(|played| played.trace_rows)
 }
 
 #[cfg(test)]

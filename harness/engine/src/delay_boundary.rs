@@ -1,7 +1,7 @@
 //! Finds the delay boundary: the longest constant loop delay at which a law still settles. The
 //! simulated plate has no noise, and no link lies between plate and controller.
 
-use crate::configure::configure;
+use crate::trial::configure;
 use platebench_controller::StateMachine;
 use platebench_model::scenario::Scenario;
 use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, Tier, Time};

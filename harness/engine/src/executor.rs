@@ -6,8 +6,8 @@ use crate::controller_log::is_controller_failure;
 use crate::live_tap::TapWriter;
 use crate::operator::{NoOperator, Operator};
 use crate::plan::{Clock, LinkFactory, RunError};
-use crate::trial::{self, TrialResult, TrialSpec};
-use crate::{configure, real_plate, real_time};
+use crate::trial::{self, Trial, TrialResult};
+use crate::{lockstep, real_plate, real_time};
 use platebench_model::record::Telemetry;
 use platebench_model::scenario::Scenario;
 use platebench_rig::{BoxedLink, CancelToken, FaultInjector, Link, RigError, SafeEnd, Session};
@@ -142,7 +142,7 @@ impl<'a, L: Link> Executor<'a, L> {
         self.close_unusable_session(scenario, index, keeps_controller);
         let mut scenes = Telemetry::default();
         for scene in scenario.between.iter().filter(|_| index > 0) {
-            let law = configure::law(scene).map_err(|unknown| RunError::Scenario(Box::new(unknown)))?;
+            let law = trial::law(scene).map_err(|unknown| RunError::Scenario(Box::new(unknown)))?;
             let Some(played) = self.play_on_clock(scene, law, index, true, None)? else { return Ok(None) };
             if let Some(refused @ RigError::ConfigurationRejected(_)) = played.link_error {
                 return Err(refused.into());
@@ -222,14 +222,14 @@ impl<'a, L: Link> Executor<'a, L> {
         tap: Option<&mut TapWriter>,
     ) -> Result<Option<TrialResult>, RunError> {
         let ExecutorSettings { clock, own_clock, operator, .. } = self.settings;
-        let cancel = self.settings.cancel.clone();
         let wire_time = clock == Clock::Lockstep { wire_time: true };
-        let spec = TrialSpec { wire_time, own_clock, continues, ..TrialSpec::new(scenario, law, index) };
+        let cancel = self.settings.cancel.clone();
+        let trial = Trial { wire_time, own_clock, continues, cancel, tap, ..Trial::new(scenario, law, index) };
         let session = self.session()?;
         match clock {
-            Clock::RealPlate => Ok(real_plate::play(session, &spec, operator, &cancel)?),
-            Clock::Lockstep { .. } => Ok(trial::play(session, &spec, &cancel, tap)),
-            Clock::RealTime(time_base) => Ok(real_time::play(session, &spec, time_base, &cancel, tap)),
+            Clock::RealPlate => Ok(real_plate::play(session, trial, operator)?),
+            Clock::Lockstep { .. } => Ok(lockstep::play(session, trial)),
+            Clock::RealTime(time_base) => Ok(real_time::play(session, trial, time_base)),
         }
     }
 

@@ -1,17 +1,14 @@
 //! Plays scenarios in lockstep, in real time or on a real plate, and stores the results.
 
-mod abort;
 pub mod baseline;
 mod command_checks;
 pub mod comparison;
-mod configure;
 mod controller_log;
 mod delay_attribution;
 pub mod delay_boundary;
 pub mod executor;
-mod fault;
 pub mod live_tap;
-mod loop_delay;
+pub mod lockstep;
 pub mod operator;
 pub mod plan;
 mod plant_simulation;
@@ -20,7 +17,6 @@ pub mod real_time;
 mod record_file;
 pub mod rejudge;
 pub mod replay;
-mod reply_stats;
 mod row_queue;
 pub mod run;
 mod run_player;
@@ -32,9 +28,7 @@ mod trend;
 pub mod trial;
 pub mod workers;
 
-pub use configure::{configure, law, missing_capability};
 pub use executor::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, ScenarioEnd};
-pub use fault::wire_fault_kind;
 pub use live_tap::{LiveTap, TapReader};
 pub use operator::{Answer, NoOperator, Operator, Question, QuestionKind};
 pub use plan::{Clock, RunError, RunHooks, RunPlan};
@@ -45,3 +39,4 @@ pub use real_time::{ManualControl, Pacing, TimeBase};
 pub use rejudge::{RejudgeError, rejudge};
 pub use run::run;
 pub use trend::inputs_digest;
+pub use trial::{Trial, TrialResult, configure, law, missing_capability, wire_fault_kind};

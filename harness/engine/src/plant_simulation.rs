@@ -1,7 +1,7 @@
 //! Simulates plate, sensor and drive of a trial and writes its rows, in lockstep and in real time.
 
-use crate::configure::start_frequency_mhz;
 use crate::live_tap::TapWriter;
+use crate::trial::start_frequency_mhz;
 use platebench_model::record::NonFiniteDrive;
 use platebench_model::scenario::{Metric, Scenario, Variation};
 use platebench_model::trace::{Flags, Row};

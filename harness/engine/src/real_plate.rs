@@ -5,10 +5,9 @@ mod prompts;
 mod telemetry_loop;
 mod telemetry_rows;
 
-use crate::abort::TrialAbort;
 use crate::operator::{Answer, Operator, Question, QuestionKind};
 use crate::row_queue::{RowQueue, watch_rows};
-use crate::trial::{TrialResult, TrialSpec};
+use crate::trial::{Trial, TrialAbort, TrialResult};
 use platebench_model::record::{OperatorRequest, RealPlateRecord, Telemetry};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::Row;
@@ -27,19 +26,19 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// `None` if the trial was cancelled. Fails if the controller was lost before its first telemetry.
 pub(crate) fn play<L: Link>(
     session: &mut Session<FaultInjector<L>>,
-    spec: &TrialSpec<'_>,
+    trial: Trial<'_>,
     operator: &dyn Operator,
-    cancel: &CancelToken,
 ) -> Result<Option<TrialResult>, RigError> {
-    let scenario = spec.scenario;
+    let (scenario, cancel) = (trial.scenario, &trial.cancel);
     let Some(preparation) = prepare_plate(scenario, operator, cancel) else { return Ok(None) };
     // A fault could break a real plate, so the planned faults are removed.
     session.link_mut().set_faults(&[]);
     let (queue, consumer) = RowQueue::new();
     let is_attended = needs_operator(scenario) && preparation.not_done.is_none();
     let mut prompts = Prompts::from_scenario(scenario);
+    let telemetry_loop = TelemetryLoop::new(session, &trial, queue);
     let (trace_rows, result) = thread::scope(|scope| {
-        let telemetry_loop = scope.spawn(|| TelemetryLoop::new(session, spec, queue).run(cancel));
+        let telemetry_loop = scope.spawn(move || telemetry_loop.run());
         let rows = watch_rows(consumer, Vec::new(), POLL_INTERVAL, |rows| {
             if is_attended {
                 prompt(rows, scenario, &mut prompts, operator);

@@ -13,19 +13,15 @@ pub use manual_control::ManualControl;
 pub use rtrb::Consumer;
 pub use time_base::{Pacing, TimeBase};
 
-use crate::abort::TrialAbort;
-use crate::configure::configure;
-use crate::fault::wire_faults;
-use crate::live_tap::TapWriter;
 use crate::plant_simulation::{PlantSimulation, expected_rows};
 use crate::row_queue::{RowQueue, collect_rows};
 use crate::scheduling::ThreadScheduling;
 use crate::steal_time::StealTime;
-use crate::trial::{TrialResult, TrialSpec};
+use crate::trial::{Trial, TrialAbort, TrialResult, configure, wire_faults};
 use control_loop::RealTimeLoop;
 use platebench_model::record::Telemetry;
 use platebench_model::trace::Row;
-use platebench_rig::{CancelToken, FaultInjector, Link, RigError, Session};
+use platebench_rig::{FaultInjector, Link, RigError, Session};
 use std::panic::resume_unwind;
 use std::thread;
 
@@ -33,31 +29,27 @@ use std::thread;
 /// the trial was cancelled.
 pub fn play<L: Link>(
     session: &mut Session<FaultInjector<L>>,
-    spec: &TrialSpec<'_>,
+    trial: Trial<'_>,
     time_base: TimeBase,
-    cancel: &CancelToken,
-    tap: Option<&mut TapWriter>,
 ) -> Option<TrialResult> {
-    let collect = |rows| collect_rows(rows, expected_rows(spec.scenario));
-    let (trace_rows, end) = run_loop(session, spec, time_base, cancel, None, tap, collect);
+    let expected = expected_rows(trial.scenario);
+    let (trace_rows, end) = run_loop(session, trial, time_base, None, |rows| collect_rows(rows, expected));
     end.map(|(telemetry, link_error)| {
         let safe_confirmed = telemetry.timing.as_ref().is_some_and(|timing| timing.safe_confirmed);
         TrialResult { trace_rows, telemetry, link_error, safe_confirmed }
     })
 }
 
-/// Runs until `cancel` is cancelled, or the controller stops or is lost. The scenario's profiles
+/// Runs until the trial is cancelled, or the controller stops or is lost. The scenario's profiles
 /// apply until the first change of `manual`.
 pub fn emulate_plate<L: Link>(
     session: &mut Session<FaultInjector<L>>,
-    spec: &TrialSpec<'_>,
+    trial: Trial<'_>,
     time_base: TimeBase,
-    cancel: &CancelToken,
     manual: &ManualControl,
-    tap: Option<&mut TapWriter>,
     consume: impl FnOnce(Consumer<Row>),
 ) -> EmulationEnd {
-    let ((), end) = run_loop(session, spec, time_base, cancel, Some(manual), tap, consume);
+    let ((), end) = run_loop(session, trial, time_base, Some(manual), consume);
     match end {
         None => EmulationEnd::Cancelled,
         Some((_, Some(error))) => EmulationEnd::Lost(error),
@@ -75,27 +67,25 @@ pub enum EmulationEnd {
 
 fn run_loop<L: Link, T>(
     session: &mut Session<FaultInjector<L>>,
-    spec: &TrialSpec<'_>,
+    mut trial: Trial<'_>,
     time_base: TimeBase,
-    cancel: &CancelToken,
     manual: Option<&ManualControl>,
-    tap: Option<&mut TapWriter>,
     consume: impl FnOnce(Consumer<Row>) -> T,
 ) -> (T, Option<(Telemetry, Option<RigError>)>) {
     let (queue, consumer) = RowQueue::new();
-    let plant = PlantSimulation::new(spec.scenario, spec.index, queue, tap);
-    session.link_mut().set_faults(&wire_faults(spec.scenario, spec.index));
+    let plant = PlantSimulation::new(trial.scenario, trial.index, queue, trial.tap.take());
+    session.link_mut().set_faults(&wire_faults(trial.scenario, trial.index));
     let steal_before = StealTime::now();
     thread::scope(|scope| {
         let real_time = scope.spawn(move || {
             let scheduling = ThreadScheduling::request();
             // The controller is configured last, because a target that paces itself ticks from then
             // on.
-            let configuration = time_base.with_target_timing(configure(spec.scenario, spec.law));
-            let started = session.start_line().and_then(|()| session.begin_trial(&configuration, spec.continues));
+            let configuration = time_base.with_target_timing(configure(trial.scenario, trial.law));
+            let started = session.start_line().and_then(|()| session.begin_trial(&configuration, trial.continues));
             let started = started.map_err(TrialAbort::Lost);
-            let mut real_time = RealTimeLoop::new(session, spec, time_base, plant, manual);
-            let abort = started.and_then(|gains| real_time.run(&configuration, &gains, cancel)).err();
+            let mut real_time = RealTimeLoop::new(session, &trial, time_base, plant, manual);
+            let abort = started.and_then(|gains| real_time.run(&configuration, &gains)).err();
             real_time.finish(abort, &scheduling)
         });
         let consumed = consume(consumer);

@@ -1,8 +1,8 @@
 //! Judges a stored run again, without a rig.
 
-use crate::configure;
 use crate::delay_attribution::measure_trial;
 use crate::run::empty_record;
+use crate::trial::law;
 use platebench_model::record::{
     Exclusion, FolderError, KeepTraces, Overrides, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord,
     sha256, sha256_of_file, trace_path,
@@ -292,8 +292,7 @@ fn rejudge_trial(
     };
     check_amplitude(&path, &rows)?;
     let telemetry = then.map(|then| then.telemetry.clone()).unwrap_or_default();
-    let law = configure::law(scenario)?;
-    let measures = measure_trial(scenario, law, index, &rows, &telemetry);
+    let measures = measure_trial(scenario, law(scenario)?, index, &rows, &telemetry);
     let mut record = trial_record(scenario, &measures, telemetry, trace, None);
     if let Some(then) = then {
         record.sha256.clone_from(&then.sha256);

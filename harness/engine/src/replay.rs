@@ -10,13 +10,13 @@ pub use input::ReplayInput;
 pub use recorded_trace::read_recorded_trace;
 pub use telemetry_table::read_telemetry_table;
 
-use crate::abort::TrialAbort;
 use crate::command_checks::drive_violation;
-use crate::configure::{configure, law, missing_capability};
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_failure};
 use crate::executor::RigSession;
+use crate::lockstep::OWN_CLOCK_WATCHDOG_TIMEOUT_MS;
 use crate::plan::{LinkFactory, RunError};
-use crate::trial::OWN_CLOCK_WATCHDOG_TIMEOUT_MS;
+use crate::trial::TrialAbort;
+use crate::trial::{configure, law, missing_capability};
 use platebench_model::scenario::Scenario;
 use platebench_plate::Time;
 use platebench_rig::{CancelToken, FaultInjector, RigError, SafeEnd};

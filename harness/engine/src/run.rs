@@ -1,13 +1,13 @@
 //! Plays all trials of all scenarios on several workers. No result depends on the order of trials.
 
 use crate::executor::{Executor, ExecutorSettings, RigSession, SafeEnds};
-use crate::fault::chip_fault_plan;
 use crate::plan::{Clock, LinkFactory, RunError, RunHooks, RunPlan};
 use crate::real_time::{Pacing, TimeBase};
 use crate::record_file::RecordFile;
 use crate::run_player::{RunPlayer, RunProgress};
+use crate::trend;
+use crate::trial::{self, chip_fault_plan, missing_capability};
 use crate::workers::ResultSink;
-use crate::{configure, trend};
 use platebench_model::record::{
     Event, FinishedScenario, Firmware, Host, InputRecord, KeepTraces, NotApplicable, RigRecord, RunFolder, RunRecord,
     ScenarioRecord, Tool, TrialRecord, Verdict, to_hex,
@@ -29,7 +29,7 @@ pub fn run(
 ) -> Result<RunRecord, RunError> {
     let RunHooks { cancel, operator, live_tap, on_event, trials_with_rows } = hooks;
     let started = Instant::now();
-    let law = |scenario| configure::law(scenario).map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)));
+    let law = |scenario| trial::law(scenario).map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)));
     let laws = plan.scenarios.iter().map(law).collect::<Result<Vec<_>, _>>()?;
     plan.scenarios.iter().flat_map(|scenario| &scenario.between).try_for_each(|scene| law(scene).map(|_| ()))?;
     let mut first = RigSession::open(FaultInjector::new(connect()?))?;
@@ -141,15 +141,15 @@ fn select_applicable(
     let mut selected = RunPlan { scenarios: Vec::new(), ..plan.clone() };
     let (mut selected_laws, mut not_applicable) = (Vec::new(), Vec::new());
     for (scenario, law) in plan.scenarios.iter().zip(laws) {
-        let mut between = scenario.between.iter().filter_map(|scene| Some((scene, configure::law(scene).ok()?)));
+        let mut between = scenario.between.iter().filter_map(|scene| Some((scene, trial::law(scene).ok()?)));
         let is_compared =
             scenario.expects(Metric::ReferenceDifference) || scenario.expects(Metric::ProtocolDifferences);
         let missing = (is_compared && !matches!(plan.clock, Clock::Lockstep { .. }))
             .then(|| "the metrics that compare the controller with the reference need the clock lockstep".to_owned())
             .or(missing_chip_faults(plan, scenario, session)?)
             .or_else(|| missing_step_time(plan, scenario, session))
-            .or_else(|| configure::missing_capability(scenario, law, &identity))
-            .or_else(|| between.find_map(|(scene, law)| configure::missing_capability(scene, law, &identity)));
+            .or_else(|| missing_capability(scenario, law, &identity))
+            .or_else(|| between.find_map(|(scene, law)| missing_capability(scene, law, &identity)));
         match missing {
             None => {
                 selected.scenarios.push(scenario.clone());

@@ -1,46 +1,49 @@
-//! Plays one trial in lockstep: plate time stands still while a sample travels, the controller
-//! computes and the command returns. At one instant the order is sample, actuation, row.
+//! Describes one trial, and translates its scenario into the configuration of the controller and
+//! the faults of the rig.
 
-use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_failure};
-use crate::fault::{WATCHDOG_PERIODS, chip_fault_plan, planned_stops, wire_faults};
 use crate::live_tap::TapWriter;
-use crate::loop_delay::LoopDelay;
-use crate::plant_simulation::{PlantSimulation, expected_rows};
-use crate::reply_stats::ReplyStats;
 use platebench_model::record::Telemetry;
-use platebench_model::scenario::{Metric, Scenario};
-use platebench_model::trace::{Flags, Row};
+use platebench_model::scenario::{
+    BitFlipTarget, ChipFault, ChipFaultKind, Diagnostic, Direction, Fault, FaultKind, Scenario, Variation, suggestion,
+};
+use platebench_model::trace::Row;
 use platebench_plate::Time;
-use platebench_rig::target_error::TargetError;
-use platebench_rig::{CancelToken, ChipFaultPlan, FaultInjector, HostedLink, Link, LinkError, RigError, Session};
-use platebench_wire::{Command, Configure, ControllerState as Mode, LawId, StateCause};
-use std::collections::VecDeque;
-use std::thread;
-use std::time::{Duration, Instant};
+use platebench_rig::chip_fault::{ChipFault as RigChipFault, ChipFaultKind as RigChipFaultKind, ChipFaultPlan};
+use platebench_rig::{CancelToken, Direction as Way, RigError, WireFault, WireFaultKind};
+use platebench_wire::{Configure, Gains, Identity, LawId, capabilities};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use std::time::Duration;
 
-/// Watchdog time-out of a controller with its own clock. The bench sets the pace, so the time-out
-/// is longer than a stall of the host.
-pub(crate) const OWN_CLOCK_WATCHDOG_TIMEOUT_MS: u16 = 10_000;
-/// Watchdog time-out if a planned silence must trigger the watchdog. It is shorter, because the
-/// bench waits for it in wall time.
-const SILENCE_WATCHDOG_TIMEOUT_MS: u16 = 1_000;
-const WATCHDOG_MARGIN: Duration = Duration::from_millis(100);
+/// The controller stops after this number of periods without a sample. After a chip fault, the
+/// bench applies 0 V after this number of periods without a command.
+pub(crate) const WATCHDOG_PERIODS: u64 = 5;
+/// First random stream of chip faults. Noise, plate spread and faults of the line have lower ones.
+const FIRST_CHIP_STREAM: u64 = 1 << 32;
+/// Least time-out for an answer. A sample and its command take 0.5 ms at 1 Mbaud.
+const MIN_CHIP_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
 
-#[derive(Debug, Clone, Copy)]
-pub struct TrialSpec<'a> {
+/// All that a trial loop receives besides the session.
+#[derive(Debug)]
+pub struct Trial<'a> {
     pub scenario: &'a Scenario,
     pub law: LawId,
     pub index: u32,
+    /// True if the rig's wire time and computing time act as loop delay, in lockstep.
     pub wire_time: bool,
     /// True if the controller's clock runs while the plate waits.
     pub own_clock: bool,
     /// True if the target continues after the trial before it without a restart.
     pub continues: bool,
+    pub cancel: CancelToken,
+    /// Receives the rows for a live view.
+    pub tap: Option<&'a mut TapWriter>,
 }
 
-impl<'a> TrialSpec<'a> {
-    pub const fn new(scenario: &'a Scenario, law: LawId, index: u32) -> Self {
-        Self { scenario, law, index, wire_time: false, own_clock: false, continues: false }
+impl<'a> Trial<'a> {
+    pub fn new(scenario: &'a Scenario, law: LawId, index: u32) -> Self {
+        let cancel = CancelToken::never();
+        Self { scenario, law, index, wire_time: false, own_clock: false, continues: false, cancel, tap: None }
     }
 }
 
@@ -54,344 +57,186 @@ pub struct TrialResult {
     pub safe_confirmed: bool,
 }
 
-/// `None` if the trial was cancelled.
-pub fn play<L: Link>(
-    session: &mut Session<FaultInjector<L>>,
-    spec: &TrialSpec<'_>,
-    cancel: &CancelToken,
-    tap: Option<&mut TapWriter>,
-) -> Option<TrialResult> {
-    let mut trial = Trial::start(session, spec, tap);
-    while !trial.step() {
-        if cancel.is_cancelled() {
-            trial.session.request_safe_state();
-            return None;
-        }
-    }
-    Some(trial.finish())
+/// Why a replay, a trial in real time or a trial on a real plate ends early.
+pub(crate) enum TrialAbort {
+    Cancelled,
+    Lost(RigError),
 }
 
-/// Fails if the hosted firmware does not answer before the trial.
-pub fn play_hosted(scenario: &Scenario, law: LawId, index: u32) -> Result<TrialResult, RigError> {
-    let mut session = Session::open(FaultInjector::new(HostedLink::new()))?;
-    let spec = TrialSpec::new(scenario, law, index);
-    let mut trial = Trial::start(&mut session, &spec, None);
-    while !trial.step() {}
-    Ok(trial.finish())
+impl From<RigError> for TrialAbort {
+    fn from(error: RigError) -> Self {
+        Self::Lost(error)
+    }
 }
 
-struct PendingActuation {
-    at: Time,
-    command: Command,
+pub fn law(scenario: &Scenario) -> Result<LawId, Diagnostic> {
+    let name = &scenario.controller.law;
+    LawId::from_name(name).ok_or_else(|| {
+        let known = LawId::ALL.map(|law| format!("`{}`", law.name())).join(", ");
+        let hint = suggestion(name, LawId::ALL.map(LawId::name));
+        scenario.diagnostic("controller.law", format!("unknown law `{name}`, expected one of {known}{hint}"))
+    })
 }
 
-struct Trial<'a, L: Link> {
-    session: &'a mut Session<FaultInjector<L>>,
-    scenario: &'a Scenario,
-    chip_faults: ChipFaultPlan,
-    wire_time: bool,
-    own_clock: bool,
-    controller: ControllerLog<'a>,
-    replies: ReplyStats,
-    loop_delay: LoopDelay,
-    plant: PlantSimulation<'a, Vec<Row>>,
-    next_control: Time,
-    pending: VecDeque<PendingActuation>,
-    /// Control instant and row index of the last sample, if this sample has no reply yet.
-    unanswered: Option<(Time, usize)>,
-    last_sample_sent: Instant,
-    watchdog_timeout_ms: u16,
-    planned_stops: Vec<Time>,
-    link_error: Option<RigError>,
-    /// Error that a planned fault of the chip caused. The rest of the trial has 0 V.
-    chip_stop: Option<RigError>,
+/// Uses the nominal plate, because a controller does not know how a trial varies its plate.
+pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
+    let controller = &scenario.controller;
+    let plate = scenario.design_plate();
+    Configure {
+        law,
+        paced_by_target: false,
+        drives_own_plate: false,
+        watchdog_timeout_ms: 0,
+        period_us: controller.period.wrapping_micros(),
+        loop_delay_us: controller.design_delay.wrapping_micros(),
+        start_frequency_mhz: start_frequency_mhz(scenario),
+        gain_um_per_vpp: plate.gain as f32,
+        time_constant_s: (1.0 / plate.sigma0) as f32,
+        response_time_s: controller.response_time_ms.map_or(0.0, |ms| (ms / 1e3) as f32),
+        drive_limit_vpp: plate.drive_limit_vpp as f32,
+        frequency_range_hz: controller.frequency_range_hz as f32,
+        frequency_slew_hz: controller.frequency_slew_hz as f32,
+        gains: controller.gains.map(|gains| Gains {
+            amplitude_kp: gains.amplitude_kp as f32,
+            amplitude_ki: gains.amplitude_ki as f32,
+            frequency_kp: gains.frequency_kp as f32,
+            frequency_ki: gains.frequency_ki as f32,
+        }),
+    }
 }
 
-impl<'a, L: Link> Trial<'a, L> {
-    fn start(session: &'a mut Session<FaultInjector<L>>, spec: &TrialSpec<'a>, tap: Option<&'a mut TapWriter>) -> Self {
-        session.link_mut().set_faults(&wire_faults(spec.scenario, spec.index));
-        let chip_faults = chip_fault_plan(spec.scenario, spec.index);
-        let planned = session.link_mut().set_chip_faults(&chip_faults);
-        let is_compared = spec.scenario.expects(Metric::ReferenceDifference);
-        session.link_mut().compare_with_reference(is_compared);
-        let mut trial = Self { chip_faults, ..Self::new(session, spec, tap) };
-        if let Err(error) = planned {
-            let error = TargetError::Emulator(error.to_string());
-            trial.end_on_link_error(RigError::Link(LinkError::Target(Box::new(error))));
-            return trial;
-        }
-        let configure = trial.configuration();
-        if let Err(error) = trial.controller.check_protocol(trial.session, &configure, spec.own_clock, spec.index) {
-            trial.end_on_link_error(error);
-            return trial;
-        }
-        match trial.session.begin_trial(&configure, spec.continues) {
-            Ok(gains) => trial.controller.record_configuration(&configure, Some(&gains), Time::ZERO),
-            Err(error) => trial.end_on_link_error(error),
-        }
-        trial
+pub fn missing_capability(scenario: &Scenario, law: LawId, identity: &Identity) -> Option<String> {
+    if !identity.has_law(law) {
+        return Some(format!("the controller does not announce the law {}", law.name()));
     }
+    let needs_delay = scenario.controller.design_delay != Time::ZERO;
+    (needs_delay && !identity.has_capability(capabilities::LOOP_DELAY))
+        .then(|| "the controller does not announce that it accepts a loop delay (design_delay_ms)".to_owned())
+}
 
-    fn new(session: &'a mut Session<FaultInjector<L>>, spec: &TrialSpec<'a>, tap: Option<&'a mut TapWriter>) -> Self {
-        let TrialSpec { scenario, index, law, .. } = *spec;
-        let planned_stops = if spec.own_clock { planned_stops(scenario) } else { Vec::new() };
-        let watchdog_timeout_ms = match (spec.own_clock, planned_stops.is_empty()) {
-            (false, _) => 0,
-            (true, true) => OWN_CLOCK_WATCHDOG_TIMEOUT_MS,
-            (true, false) => SILENCE_WATCHDOG_TIMEOUT_MS,
-        };
-        Self {
-            session,
-            scenario,
-            chip_faults: ChipFaultPlan::default(),
-            wire_time: spec.wire_time,
-            own_clock: spec.own_clock,
-            controller: ControllerLog::new(scenario, law),
-            replies: ReplyStats::default(),
-            loop_delay: LoopDelay::new(scenario, index),
-            plant: PlantSimulation::new(scenario, index, Vec::with_capacity(expected_rows(scenario)), tap),
-            next_control: Time::ZERO,
-            pending: VecDeque::new(),
-            unanswered: None,
-            last_sample_sent: Instant::now(),
-            watchdog_timeout_ms,
-            planned_stops,
-            link_error: None,
-            chip_stop: None,
-        }
-    }
+pub(crate) fn start_frequency_mhz(scenario: &Scenario) -> u32 {
+    (scenario.controller.start_frequency_hz * 1e3).round() as u32
+}
 
-    /// Returns true at the end of the scenario.
-    fn step(&mut self) -> bool {
-        let now = self.plant.time();
-        let mut flags = Flags::empty();
-        if !self.has_ended() && (self.unanswered.is_some() || self.controller.missed_replies() > 0) {
-            self.receive_late_commands(now);
-        }
-        if now == self.next_control || self.plant.is_finished() {
-            self.count_missed_reply();
-        }
-        if now == self.next_control && !self.plant.is_finished() {
-            self.next_control = now + self.scenario.controller.period;
-            if !self.has_ended() {
-                self.wait_for_planned_stop(now);
-                self.reconfigure(now);
-            }
-            if !self.has_ended() {
-                flags |= self.exchange_sample(now);
-            }
-            self.apply_amplifier_enable(now);
-        }
-        while self.pending.front().is_some_and(|pending| pending.at <= now) {
-            if let Some(PendingActuation { command, .. }) = self.pending.pop_front() {
-                self.plant.actuate(&command);
-            }
-        }
-        if self.link_error.as_ref().is_some_and(|error| !is_controller_failure(error)) {
-            flags |= Flags::LINK_LOST;
-        }
-        self.plant.push_row(0.0, flags);
-        if self.plant.is_finished() {
-            return true;
-        }
-        self.plant.advance(self.next_event(now));
-        false
-    }
+pub(crate) fn wire_faults(scenario: &Scenario, index: u32) -> Vec<WireFault> {
+    let seed = Variation::of_trial(scenario, index).seed;
+    scenario.faults.iter().map(|fault| wire_fault(fault, seed)).collect()
+}
 
-    fn exchange_sample(&mut self, now: Time) -> Flags {
-        let sample = self.plant.sense();
-        let max_stall = Duration::from_millis(u64::from(self.watchdog_timeout_ms) / 2);
-        let host_stalled = self.own_clock && self.last_sample_sent.elapsed() >= max_stall;
-        if self.own_clock {
-            self.last_sample_sent = Instant::now();
-        }
-        self.controller.record_sample();
-        let reply = self.session.send_sample(now.into(), &sample);
-        self.record_delivered_sample();
-        self.plant.report_counts(0, self.session.rejected_frames());
-        let mut flags = Flags::CONTROL;
-        match reply {
-            // The trial has configured the controller. If it is idle now, it has restarted.
-            Ok(Some(reply)) if reply.command.state == Mode::Idle => self.end_on_link_error(RigError::Restarted),
-            Ok(Some(reply)) => {
-                flags.set(Flags::OVERRUN, host_stalled && reply.command.cause == StateCause::SampleTimeout);
-                let rig_delay = Time::from_nanos(reply.delay.as_nanos() as u64);
-                let acting = if self.wire_time { rig_delay } else { Time::ZERO };
-                let delay = self.loop_delay.draw() + acting;
-                self.replies.record(&reply, delay, now, self.scenario.controller.period);
-                self.schedule_command(now, now + delay, reply.command);
-            }
-            Ok(None) => {
-                // A reply may still arrive before the next control instant.
-                self.unanswered = Some((now, self.plant.row_count()));
-                self.receive_late_commands(now);
-                if self.session.wrong_sequences() > 0 && !self.has_ended() {
-                    self.end_on_link_error(RigError::WrongSequence);
+/// Draws instants and bits that the scenario does not state, from the seed of the trial.
+pub(crate) fn chip_fault_plan(scenario: &Scenario, index: u32) -> ChipFaultPlan {
+    let seed = Variation::of_trial(scenario, index).seed;
+    let planned = (FIRST_CHIP_STREAM..).zip(&scenario.chip_faults);
+    let mut faults: Vec<_> =
+        planned.map(|(stream, fault)| chip_fault(fault, seed, stream, scenario.duration)).collect();
+    faults.sort_by_key(|fault| fault.at);
+    ChipFaultPlan { faults, answer_timeout: Duration::from(scenario.controller.period).max(MIN_CHIP_ANSWER_TIMEOUT) }
+}
+
+fn chip_fault(fault: &ChipFault, seed: u64, stream: u64, duration: Time) -> RigChipFault {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream(stream);
+    let (instant, draw) = (random.next_u64(), random.next_u64());
+    let at = fault.at.map_or_else(|| Duration::from_nanos(instant % duration.as_nanos().max(1)), Duration::from);
+    let kind = match &fault.kind {
+        ChipFaultKind::BitFlip { target, bit } => {
+            let draw = bit.map_or(draw, u64::from);
+            match target {
+                BitFlipTarget::Ram { start, length } => {
+                    RigChipFaultKind::FlipRam { start: *start, length: *length, draw }
                 }
+                BitFlipTarget::Variable(name) => RigChipFaultKind::FlipVariable { name: name.clone(), draw },
+                BitFlipTarget::Register(number) => RigChipFaultKind::FlipRegister { number: *number, draw },
             }
-            Err(error) => self.end_on_link_error(error),
         }
-        flags
-    }
+        ChipFaultKind::Reset => RigChipFaultKind::Reset,
+        ChipFaultKind::PowerCut => RigChipFaultKind::PowerCut,
+        ChipFaultKind::ClockDrift(ppm) => RigChipFaultKind::ClockDrift { ppm: *ppm },
+        ChipFaultKind::Hang => RigChipFaultKind::Hang,
+        ChipFaultKind::Stuck { address, value } => RigChipFaultKind::Stuck { address: *address, value: *value },
+    };
+    RigChipFault { at, kind }
+}
 
-    /// A late command acts one loop delay after its reception.
-    fn receive_late_commands(&mut self, now: Time) {
-        let received = self.session.advance_to(now.into());
-        self.record_delivered_sample();
-        match received {
-            Ok(Some(command)) => {
-                let loop_delay = self.loop_delay.draw();
-                if let Some((sampled, _)) = self.unanswered.take_if(|_| self.session.last_sample_answered()) {
-                    self.replies.record_late(now - sampled + loop_delay);
-                }
-                self.schedule_command(now, now + loop_delay, command);
-            }
-            Ok(None) => {}
-            Err(error) => self.end_on_link_error(error),
-        }
-    }
+/// Returns the instants at which the watchdog expires because of a planned silence, last one first.
+pub(crate) fn planned_stops(scenario: &Scenario) -> Vec<Time> {
+    let period = scenario.controller.period;
+    let watchdog = period.times(WATCHDOG_PERIODS);
+    let silences = scenario.faults.iter().filter(|fault| fault.exceeds_watchdog(watchdog, period));
+    // The watchdog counts from the last sample, which arrives up to one period before the fault.
+    let mut stops: Vec<Time> = silences.map(|fault| fault.from + period.times(WATCHDOG_PERIODS - 1)).collect();
+    stops.sort_by(|one, other| other.cmp(one));
+    stops
+}
 
-    fn schedule_command(&mut self, now: Time, at: Time, command: Command) {
-        self.controller.record_command(&command, self.session.newer_messages(), now);
-        // A command never overtakes an earlier one.
-        let at = self.pending.back().map_or(at, |last| last.at.max(at));
-        self.pending.push_back(PendingActuation { at, command });
+pub fn wire_fault_kind(kind: FaultKind) -> WireFaultKind {
+    match kind {
+        FaultKind::Drop => WireFaultKind::Drop,
+        FaultKind::Flip => WireFaultKind::Flip,
+        FaultKind::Duplicate => WireFaultKind::Duplicate,
+        FaultKind::Delay(delay) => WireFaultKind::Delay(delay.into()),
+        FaultKind::Truncate => WireFaultKind::Truncate,
+        FaultKind::Babble => WireFaultKind::Babble,
+        FaultKind::Disconnect => WireFaultKind::Disconnect,
+        FaultKind::Freeze => WireFaultKind::Freeze,
+        FaultKind::Scale(factor) => WireFaultKind::Scale(factor as f32),
     }
+}
 
-    fn count_missed_reply(&mut self) {
-        let Some((sampled, row)) = self.unanswered.take() else { return };
-        self.plant.report_counts(1, self.session.rejected_frames());
-        if self.follows_chip_fault(sampled + self.scenario.controller.period) {
-            self.controller.record_missed_reply();
-            let is_silent = u64::from(self.controller.missed_replies()) >= WATCHDOG_PERIODS;
-            // The firmware has no signal that disables the amplifier, so the bench applies 0 V.
-            if is_silent && !self.has_ended() && self.session.link_mut().amplifier_enabled().is_none() {
-                self.end_on_link_error(RigError::NoAnswer { expected: "command" });
-            }
-            return;
-        }
-        self.plant.add_flags(row, Flags::LINK_LOST);
-        // A planned fault causes this silence, so it does not count towards a lost controller.
-        if self.scenario.explains_silence(sampled) {
-            return;
-        }
-        self.controller.record_missed_reply();
-        if self.controller.missed_replies() >= MAX_MISSED_REPLIES && !self.has_ended() {
-            self.end_on_link_error(RigError::NoAnswer { expected: "command" });
-        }
+fn wire_fault(fault: &Fault, seed: u64) -> WireFault {
+    WireFault {
+        kind: wire_fault_kind(fault.kind),
+        from: fault.from.into(),
+        until: fault.until.map(Duration::from),
+        direction: match fault.direction {
+            Direction::ToController => Way::ToController,
+            Direction::FromController => Way::FromController,
+            Direction::Both => Way::Both,
+        },
+        every: fault.every,
+        seed: fault.seed.unwrap_or(seed),
     }
+}
 
-    /// Configures the controller again after a fault that stopped it, as an operator would.
-    fn reconfigure(&mut self, now: Time) {
-        let Some(configure) = self.controller.reconfiguration(now) else { return };
-        let configure = self.with_watchdog(configure);
-        match self.session.reconfigure(now.into(), &configure) {
-            Ok(gains) => self.controller.record_configuration(&configure, Some(&gains), now),
-            Err(error) => self.end_on_link_error(error),
-        }
-    }
+/// True if the fault that stopped the controller is over and requests a new configuration.
+pub(crate) fn needs_reconfiguration(scenario: &Scenario, stopped: Time, now: Time) -> bool {
+    let period = scenario.controller.period;
+    scenario.faults.iter().any(|fault| {
+        fault.reconfigure && fault.can_explain(stopped, period) && fault.until.is_some_and(|until| until <= now)
+    })
+}
 
-    /// Waits in wall time until the watchdog has stopped the controller. Plate time stands still.
-    fn wait_for_planned_stop(&mut self, now: Time) {
-        if self.planned_stops.pop_if(|stop| *stop <= now).is_some() && !self.controller.is_stopped() {
-            let timeout = Duration::from_millis(self.watchdog_timeout_ms.into()) + WATCHDOG_MARGIN;
-            thread::sleep(timeout.saturating_sub(self.last_sample_sent.elapsed()));
-            self.receive_late_commands(now);
-            // This wait must not count as a stall of the host.
-            self.last_sample_sent = Instant::now();
-        }
-    }
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_model::scenario::load;
+    use std::path::Path;
 
-    fn record_delivered_sample(&mut self) {
-        if let Some(sample) = self.session.link().delivered_sample() {
-            self.plant.set_delivered_sample(sample);
-        }
-    }
-
-    /// Plays the rest of the trial at 0 V. After a planned fault of the chip, the error counts as a
-    /// stop, unless the emulator itself failed.
-    fn end_on_link_error(&mut self, error: RigError) {
-        self.pending.clear();
-        self.plant.stop_drive();
-        let is_emulator = matches!(&error, RigError::Link(LinkError::Target(target))
-            if matches!(**target, TargetError::Emulator(_)));
-        if self.follows_chip_fault(self.plant.time() + self.scenario.controller.period) && !is_emulator {
-            self.chip_stop = Some(error);
-        } else {
-            self.link_error = Some(error);
-        }
-    }
-
-    /// Applies 0 V if the firmware holds PB0 (amplifier enable) low after a fault of the chip.
-    fn apply_amplifier_enable(&mut self, now: Time) {
-        if self.follows_chip_fault(now) && self.session.link_mut().amplifier_enabled() == Some(false) {
-            self.pending.clear();
-            self.plant.stop_drive();
-        }
-    }
-
-    fn follows_chip_fault(&self, time: Time) -> bool {
-        self.chip_faults.faults.first().is_some_and(|fault| fault.at <= Duration::from(time))
-    }
-
-    fn has_ended(&self) -> bool {
-        self.link_error.is_some() || self.chip_stop.is_some()
-    }
-
-    /// Restarts the emulated board, because the request for 0 V needs a board that answers.
-    fn restart_after_chip_faults(&mut self) -> Result<(), RigError> {
-        let link = self.session.link_mut();
-        if !self.chip_faults.faults.is_empty() && link.set_chip_faults(&ChipFaultPlan::default()).is_ok() {
-            link.restart()?;
-        }
-        Ok(())
-    }
-
-    fn next_event(&self, now: Time) -> Time {
-        let actuation = self.pending.front().map(|pending| pending.at);
-        let control = Some(self.next_control).filter(|control| *control > now);
-        let due = self.session.link().next_due().map(|due| Time::from_nanos(due.as_nanos() as u64));
-        let delivery = due.filter(|due| *due > now && !self.has_ended());
-        actuation.into_iter().chain(control).chain(delivery).fold(self.plant.next_scheduled_row(), Time::min)
-    }
-
-    fn configuration(&self) -> Configure {
-        self.with_watchdog(self.controller.configuration())
-    }
-
-    fn with_watchdog(&self, configure: Configure) -> Configure {
-        Configure { watchdog_timeout_ms: self.watchdog_timeout_ms, ..configure }
-    }
-
-    fn finish(mut self) -> TrialResult {
-        let now = self.plant.time();
-        if let Err(error) = self.restart_after_chip_faults() {
-            self.link_error.get_or_insert(error);
-        }
-        let safe_confirmed = self.link_error.is_none() && self.session.request_safe_state();
-        if safe_confirmed {
-            let sample = self.plant.sense();
-            self.controller.watch_after_safe(self.session, now, sample);
-        } else if self.link_error.is_none() {
-            self.link_error = self.session.end_before_safe();
-        }
-        self.controller.record_session(self.session, now);
-        let mut telemetry = Telemetry {
-            not_finite: self.plant.not_finite(),
-            watchdog_timeout_ms: self.own_clock.then_some(self.watchdog_timeout_ms),
-            ..self.controller.telemetry(self.session, self.link_error.as_ref())
+    #[test]
+    fn names_the_law_or_capability_that_is_missing() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
+        let mut scenario = load(&path, "fig13.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let identity = |capabilities, laws| Identity {
+            version: [0; 3],
+            capabilities,
+            laws,
+            build: [0; 8],
+            chip: 0,
+            unique: [0; 12],
+            name: [0; 16],
         };
-        if let Some(error) = &self.chip_stop {
-            telemetry.stopped.get_or_insert(error.to_string());
-        }
-        for fault in &self.chip_faults.faults {
-            *telemetry.faults.entry(fault.kind.name().to_owned()).or_default() += 1;
-        }
-        TrialResult {
-            telemetry: self.replies.add_to(telemetry),
-            trace_rows: self.plant.into_rows(),
-            link_error: self.link_error,
-            safe_confirmed,
-        }
+        let missing = |scenario: &Scenario, identity| missing_capability(scenario, LawId::DqPi, &identity);
+        assert_eq!(missing(&scenario, identity(0, u32::MAX)), None);
+        let reason = missing(&scenario, identity(0, 1 << LawId::OpenLoop as u8)).unwrap();
+        assert!(reason.contains("the law dq-pi"), "{reason}");
+        // `loop_delay` is the simulated delay. The controller gets only `design_delay`.
+        scenario.controller.loop_delay = Time::from_nanos(700_000);
+        assert_eq!(configure(&scenario, LawId::DqPi).loop_delay_us, 0);
+        assert_eq!(missing(&scenario, identity(0, u32::MAX)), None);
+        scenario.controller.design_delay = Time::from_nanos(400_000);
+        assert_eq!(configure(&scenario, LawId::DqPi).loop_delay_us, 400);
+        assert_eq!(missing(&scenario, identity(capabilities::LOOP_DELAY, u32::MAX)), None);
+        let reason = missing(&scenario, identity(!capabilities::LOOP_DELAY, u32::MAX)).unwrap();
+        assert!(reason.contains("design_delay_ms"), "{reason}");
     }
 }

@@ -1,6 +1,7 @@
 //! Records trials of the hosted controller byte for byte.
 
-use platebench_engine::trial::{TrialSpec, play};
+use platebench_engine::Trial;
+use platebench_engine::lockstep::play;
 use platebench_model::scenario::find;
 use platebench_rig::{CancelToken, FaultInjector, HostedLink, Link, LinkError, Session};
 use platebench_wire::{Configure, Gains, LawId, Message, Packet, PacketReader, Sample};
@@ -80,10 +81,9 @@ pub(crate) fn record_paper_scenarios(law: LawId) -> Vec<RecordedTrial> {
     for scenario in &scenarios {
         // Time stamps start at 0 only in every fourth trial, as those of the hosted device do.
         for index in (0..TRIALS_PER_SCENARIO).map(|number| 4 * number) {
-            let spec = TrialSpec::new(scenario, law, index);
             let cancel = CancelToken::default();
             limit.lock().unwrap().clone_from(&cancel);
-            let result = play(&mut session, &spec, &cancel, None);
+            let result = play(&mut session, Trial { cancel, ..Trial::new(scenario, law, index) });
             assert!(result.is_none_or(|result| result.link_error.is_none()), "{}", scenario.file);
             let exchanges = std::mem::take(&mut *log.lock().unwrap());
             trials.push(RecordedTrial { name: format!("{}, {}", scenario.file, law.name()), exchanges });

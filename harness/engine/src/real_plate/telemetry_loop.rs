@@ -5,14 +5,14 @@
 //! to keep the controller's watchdog from expiring. It ends with a request for 0 V.
 
 use super::telemetry_rows::TelemetryRows;
-use crate::abort::TrialAbort;
 use crate::command_checks::drive_violation;
-use crate::configure::configure;
 use crate::controller_log::{is_controller_failure, stop_reason};
 use crate::plant_simulation::RowSink as _;
 use crate::row_queue::RowQueue;
 use crate::timing_stats::{ClockDrift, DurationHistogram};
-use crate::trial::TrialSpec;
+use crate::trial::configure;
+use crate::trial::{Trial, TrialAbort};
+
 use platebench_model::record::{RealPlateRecord, Violation};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::Flags;
@@ -49,6 +49,7 @@ pub(super) struct TelemetryLoop<'a, L: Link> {
     session: &'a mut Session<FaultInjector<L>>,
     scenario: &'a Scenario,
     law: LawId,
+    cancel: CancelToken,
     telemetry: TelemetryRows,
     queue: RowQueue,
     next_flags: Flags,
@@ -65,12 +66,13 @@ pub(super) struct TelemetryLoop<'a, L: Link> {
 }
 
 impl<'a, L: Link> TelemetryLoop<'a, L> {
-    pub(super) fn new(session: &'a mut Session<FaultInjector<L>>, spec: &TrialSpec<'a>, queue: RowQueue) -> Self {
-        let scenario = spec.scenario;
+    pub(super) fn new(session: &'a mut Session<FaultInjector<L>>, trial: &Trial<'a>, queue: RowQueue) -> Self {
+        let scenario = trial.scenario;
         Self {
             session,
             scenario,
-            law: spec.law,
+            law: trial.law,
+            cancel: trial.cancel.clone(),
             telemetry: TelemetryRows::new(scenario.controller.period.wrapping_micros(), scenario.plate.drive_limit_vpp),
             queue,
             next_flags: Flags::empty(),
@@ -86,8 +88,8 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
         }
     }
 
-    pub(super) fn run(mut self, cancel: &CancelToken) -> TelemetryLoopResult {
-        let ended = self.exchange_until_end(cancel).err();
+    pub(super) fn run(mut self) -> TelemetryLoopResult {
+        let ended = self.exchange_until_end().err();
         let safe_confirmed = self.session.request_safe_state();
         let drives = if safe_confirmed { self.session.observe_safe_state() } else { None };
         let violation = drives.map(|drives| drive_violation(drives, self.telemetry.time().unwrap_or(Time::ZERO)));
@@ -113,7 +115,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
         TelemetryLoopResult { abort: ended, stop_reason: self.stop_reason, real_plate, violation }
     }
 
-    fn exchange_until_end(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
+    fn exchange_until_end(&mut self) -> Result<(), TrialAbort> {
         let configure = configure(self.scenario, self.law);
         self.session.start_trial(&Configure {
             drives_own_plate: true,
@@ -122,7 +124,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
         })?;
         self.last_telemetry = Instant::now();
         loop {
-            if cancel.is_cancelled() {
+            if self.cancel.is_cancelled() {
                 return Err(TrialAbort::Cancelled);
             }
             let now = Instant::now();

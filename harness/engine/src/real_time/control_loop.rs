@@ -3,13 +3,12 @@
 use super::manual_control::ManualControl;
 use super::ticks::TickTracker;
 use super::time_base::{Pacing, TimeBase};
-use crate::abort::TrialAbort;
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_failure};
 use crate::plant_simulation::PlantSimulation;
 use crate::row_queue::RowQueue;
 use crate::scheduling::ThreadScheduling;
 use crate::timing_stats::TimingStats;
-use crate::trial::TrialSpec;
+use crate::trial::{Trial, TrialAbort};
 use platebench_model::record::Telemetry;
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::Flags;
@@ -31,6 +30,7 @@ const START_DELAY: Duration = Duration::from_millis(2);
 pub(super) struct RealTimeLoop<'a, L: Link> {
     session: &'a mut Session<FaultInjector<L>>,
     scenario: &'a Scenario,
+    cancel: CancelToken,
     controller: ControllerLog<'a>,
     plant: PlantSimulation<'a, RowQueue>,
     /// Manual inputs, and the number of their changes that the plate has received.
@@ -50,7 +50,7 @@ pub(super) struct RealTimeLoop<'a, L: Link> {
 impl<'a, L: Link> RealTimeLoop<'a, L> {
     pub(super) fn new(
         session: &'a mut Session<FaultInjector<L>>,
-        spec: &TrialSpec<'a>,
+        trial: &Trial<'a>,
         time_base: TimeBase,
         plant: PlantSimulation<'a, RowQueue>,
         manual: Option<&'a ManualControl>,
@@ -58,13 +58,14 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         let now = Instant::now();
         Self {
             session,
-            scenario: spec.scenario,
-            controller: ControllerLog::new(spec.scenario, spec.law),
+            scenario: trial.scenario,
+            cancel: trial.cancel.clone(),
+            controller: ControllerLog::new(trial.scenario, trial.law),
             plant,
             manual_control: manual.map(|manual| (manual, 0)),
             time_base,
-            period: spec.scenario.controller.period,
-            duration: spec.scenario.duration,
+            period: trial.scenario.controller.period,
+            duration: trial.scenario.duration,
             start: now + START_DELAY,
             next_control: Time::ZERO,
             unanswered: [None; 256],
@@ -74,16 +75,11 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         }
     }
 
-    pub(super) fn run(
-        &mut self,
-        configuration: &Configure,
-        gains: &Gains,
-        cancel: &CancelToken,
-    ) -> Result<(), TrialAbort> {
+    pub(super) fn run(&mut self, configuration: &Configure, gains: &Gains) -> Result<(), TrialAbort> {
         self.controller.record_configuration(configuration, Some(gains), Time::ZERO);
         match self.time_base.pacing {
-            Pacing::Bench => self.run_bench_paced(cancel),
-            Pacing::Target => self.run_target_paced(cancel),
+            Pacing::Bench => self.run_bench_paced(),
+            Pacing::Target => self.run_target_paced(),
         }
     }
 
@@ -95,13 +91,13 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.time_base.plate_time(at.saturating_duration_since(self.start))
     }
 
-    fn run_bench_paced(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
+    fn run_bench_paced(&mut self) -> Result<(), TrialAbort> {
         self.session.link_mut().start_real_time(self.start, self.time_base.time_scale);
         while self.next_control < self.duration {
             if self.is_emulation_stopped() {
                 return Ok(());
             }
-            if cancel.is_cancelled() {
+            if self.cancel.is_cancelled() {
                 return Err(TrialAbort::Cancelled);
             }
             let deadline = self.wall_instant(self.next_control);
@@ -120,7 +116,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
                 self.handle_message(&received)?;
             }
         }
-        self.receive_until_end(cancel)
+        self.receive_until_end()
     }
 
     fn control_at_deadline(&mut self, now: Instant) -> Result<(), TrialAbort> {
@@ -141,7 +137,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
     }
 
     /// Each tick of the target is a control instant. The trial starts with the first tick.
-    fn run_target_paced(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
+    fn run_target_paced(&mut self) -> Result<(), TrialAbort> {
         let mut ticks = TickTracker::default();
         let first = Instant::now() + MIN_SILENT_TIME;
         let mut last_tick = Time::ZERO;
@@ -149,7 +145,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             if self.is_emulation_stopped() {
                 return Ok(());
             }
-            if cancel.is_cancelled() {
+            if self.cancel.is_cancelled() {
                 return Err(TrialAbort::Cancelled);
             }
             let until = Instant::now() + self.time_base.wall_duration(self.period).min(CANCEL_POLL_INTERVAL);
@@ -178,7 +174,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             let (lateness, missing) = ticks.record(received.received_at, tick.target_time_us, self.period);
             self.send_sample(lateness, missing)?;
         }
-        self.receive_until_end(cancel)?;
+        self.receive_until_end()?;
         self.count_missed_ticks(last_tick);
         Ok(())
     }
@@ -285,10 +281,10 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         self.controller.is_stopped() && self.manual_control.is_some()
     }
 
-    fn receive_until_end(&mut self, cancel: &CancelToken) -> Result<(), TrialAbort> {
+    fn receive_until_end(&mut self) -> Result<(), TrialAbort> {
         let end = self.wall_instant(self.duration);
         while Instant::now() < end {
-            if cancel.is_cancelled() {
+            if self.cancel.is_cancelled() {
                 return Err(TrialAbort::Cancelled);
             }
             let soon = Instant::now() + Duration::from_millis(50);

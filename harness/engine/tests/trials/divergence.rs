@@ -1,8 +1,8 @@
 use crate::fixtures::FIG13;
-use platebench_engine::trial::{self, TrialSpec};
+use platebench_engine::{Trial, lockstep};
 use platebench_model::scenario::Scenario;
 use platebench_plate::{Profile, Time};
-use platebench_rig::{CancelToken, FaultInjector, HostedLink, Session};
+use platebench_rig::{FaultInjector, HostedLink, Session};
 use platebench_test_kit::{load_scenario, scenario_path};
 use platebench_verdict::divergence_time_s;
 use platebench_wire::LawId;
@@ -11,8 +11,7 @@ use std::path::Path;
 
 fn divergence_time(scenario: &Scenario, law: LawId) -> Option<f64> {
     let mut session = Session::open(FaultInjector::new(HostedLink::new())).unwrap();
-    let spec = TrialSpec::new(scenario, law, 0);
-    let result = trial::play(&mut session, &spec, &CancelToken::never(), None).unwrap();
+    let result = lockstep::play(&mut session, Trial::new(scenario, law, 0)).unwrap();
     divergence_time_s(scenario, &result.trace_rows)
 }
 

@@ -1,5 +1,5 @@
 use crate::fixtures::{FIG13, LOCKSTEP, plan, run_hosted};
-use platebench_engine::{RejudgeError, RunPlan, law, rejudge, trial};
+use platebench_engine::{RejudgeError, RunPlan, law, lockstep, rejudge};
 use platebench_model::record::{Overrides, RunRecord};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{Flags, Row};
@@ -10,7 +10,7 @@ use std::path::Path;
 
 fn rows(scenario: &Scenario, tier: Tier) -> Vec<Row> {
     let scenario = Scenario { tier, ..scenario.clone() };
-    trial::play_hosted(&scenario, law(&scenario).unwrap(), 0).unwrap().trace_rows
+    lockstep::play_hosted(&scenario, law(&scenario).unwrap(), 0).unwrap().trace_rows
 }
 
 fn max_deviation(left: &[Row], right: &[Row]) -> (f64, usize) {

@@ -3,8 +3,7 @@
 use crate::firmware_analysis::code_map::CodeMap;
 use crate::firmware_analysis::error::AnalysisError;
 use platebench_engine::plan::LinkFactory;
-use platebench_engine::trial::TrialResult;
-use platebench_engine::{Executor, ExecutorSettings, SafeEnds, ScenarioEnd, law, missing_capability};
+use platebench_engine::{Executor, ExecutorSettings, SafeEnds, ScenarioEnd, TrialResult, law, missing_capability};
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{MAX_IMAGE_BYTES, read_regular_file};

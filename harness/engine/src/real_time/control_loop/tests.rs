@@ -1,11 +1,10 @@
 use super::*;
-use crate::configure::configure;
-use crate::fault::wire_faults;
 use crate::live_tap::LiveTap;
 use crate::row_queue::collect_rows;
+use crate::trial::{configure, wire_faults};
 use allocation_counter::{AllocationInfo, measure, opt_out};
 use platebench_model::scenario::load;
-use platebench_rig::{CancelToken, HostedLink, LinkError, PtyLink, SerialLink, WallClockLink};
+use platebench_rig::{HostedLink, LinkError, PtyLink, SerialLink, WallClockLink};
 use platebench_wire::{LawId, PacketReader};
 use std::path::Path;
 use std::thread;
@@ -42,8 +41,8 @@ fn count_allocations<L: Link>(
 ) -> (AllocationInfo, u64) {
     let (live_tap, mut tap_reader) = LiveTap::new();
     let mut guard = live_tap.acquire(0, 0);
-    let law = crate::configure::law(scenario).unwrap();
-    let spec = TrialSpec { own_clock: true, ..TrialSpec::new(scenario, law, 0) };
+    let law = crate::trial::law(scenario).unwrap();
+    let trial = Trial { own_clock: true, ..Trial::new(scenario, law, 0) };
     let time_base = TimeBase { time_scale: 1.0, pacing };
     let (queue, consumer) = RowQueue::new();
     let collector = thread::spawn(|| collect_rows(consumer, 0));
@@ -52,10 +51,9 @@ fn count_allocations<L: Link>(
     let configuration = time_base.with_target_timing(configure(scenario, law));
     session.start_line().unwrap();
     let gains = session.start_trial(&configuration).unwrap();
-    let mut control_loop = RealTimeLoop::new(session, &spec, time_base, plant, None);
+    let mut control_loop = RealTimeLoop::new(session, &trial, time_base, plant, None);
     let mut outcome = Ok(());
-    let cancel = CancelToken::never();
-    let allocated = measure(|| outcome = control_loop.run(&configuration, &gains, &cancel));
+    let allocated = measure(|| outcome = control_loop.run(&configuration, &gains));
     assert!(outcome.is_ok(), "the trial did not end normally");
     let periods = control_loop.timing.counts.periods;
     drop(control_loop);
@@ -162,9 +160,9 @@ fn a_last_sample_without_an_answer_is_a_missing_answer() {
     let scenario = scenario("paper/fig13-closed-loop.toml");
     let link = SilentAtLastSample { inner: HostedLink::new(), last_us: 59_000 };
     let mut session = Session::open(FaultInjector::new(WallClockLink::new(link))).unwrap();
-    let spec = TrialSpec { own_clock: true, ..TrialSpec::new(&scenario, LawId::DqPi, 0) };
+    let trial = Trial { own_clock: true, ..Trial::new(&scenario, LawId::DqPi, 0) };
     let time_base = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
-    let result = crate::real_time::play(&mut session, &spec, time_base, &CancelToken::never(), None).unwrap();
+    let result = crate::real_time::play(&mut session, trial, time_base).unwrap();
     let last = result.trace_rows.last().unwrap();
     let timing = result.telemetry.timing.unwrap();
     // A host that stalls may skip the last sample. Its control instant is then an overrun.
