@@ -5,10 +5,11 @@ use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat, parse_number};
 use crate::{prompt, stdio};
 use clap::{Args, Subcommand};
-use platebench_engine::baseline::{BaselineAcceptError, build_baseline, check_acceptable};
-use platebench_engine::comparison::compare_with_tubes;
+use platebench_engine::comparison::{
+    BaselineAcceptError, CompareError, ScenarioTrials, build_baseline, check_acceptable, compare_with_tubes,
+    read_scenario_trials,
+};
 use platebench_engine::rejudge;
-use platebench_engine::stored_trials::{CompareError, ScenarioTrials, read_scenario_trials};
 use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
 use platebench_report::format::count;
 use platebench_report::{comparison, tube_plot};

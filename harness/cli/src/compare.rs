@@ -5,8 +5,9 @@ use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat};
 use crate::stdio;
 use clap::Args;
-use platebench_engine::comparison::{BASELINE_KEYWORD, Reference};
-use platebench_engine::stored_trials::{CompareError, ScenarioTrials, StoredTrial, is_run_folder, read_trials};
+use platebench_engine::comparison::{
+    BASELINE_KEYWORD, CompareError, Reference, ScenarioTrials, StoredTrial, is_run_folder, read_trials,
+};
 use platebench_model::record::{RunRecord, Verdict};
 use platebench_model::trace::{AtPath, write_atomically};
 use platebench_report::comparison;

@@ -8,8 +8,8 @@ mod real_time {
     pub(crate) mod table;
 }
 
-use platebench_engine::real_time::{Pacing, TimeBase, play};
-use platebench_engine::trial::Trial;
+use platebench_engine::real_time::play;
+use platebench_engine::{Pacing, TimeBase, Trial};
 use platebench_model::record::TimingRecord;
 use platebench_model::scenario::{Scenario, load};
 use platebench_model::trace::Flags;

@@ -1,10 +1,99 @@
-//! Compares stored responses with a reference: a baseline, a trace or another run.
+//! Compares the stored trials of a run with a reference: a baseline, a trace or another run. Builds a
+//! baseline (the accepted reference response) from a run.
 
-use crate::stored_trials::{CompareError, ScenarioTrials, StoredTrial, is_run_folder, read_trials};
-use platebench_model::record::Verdict;
-use platebench_model::trace::{Row, read_trace};
-use platebench_verdict::golden::{Baseline, GoldenTubes, TubeComparison, gap_between_rows, row_step_ms};
-use std::path::Path;
+use crate::rejudge::{RejudgeError, load_stored_scenario, read_trial_rows};
+use platebench_model::record::{RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord, Verdict};
+use platebench_model::trace::{FileError, Row, TraceError, read_trace};
+use platebench_verdict::golden::{
+    Baseline, BaselineBuild, BaselineError, GoldenTubes, LearnError, LearningParameters, ResponseFeatures,
+    TubeComparison, gap_between_rows, row_step_ms,
+};
+use std::path::{Path, PathBuf};
+
+#[derive(Debug, thiserror::Error)]
+pub enum CompareError {
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    #[error(transparent)]
+    Trace(#[from] TraceError),
+    #[error(transparent)]
+    Stored(#[from] RejudgeError),
+    #[error(transparent)]
+    Baseline(#[from] BaselineError),
+    #[error("{}: this trace is not in a run folder, so its scenario is unknown; \
+        expected --against BASELINE.toml", .0.display())]
+    NoScenario(PathBuf),
+    #[error("{}: the run has {count} scenarios, expected one: a single trace is compared with it", path.display())]
+    SeveralScenarios { path: PathBuf, count: usize },
+    #[error(transparent)]
+    File(#[from] FileError),
+}
+
+pub struct ScenarioTrials {
+    /// Scenario file as in `run.json`, or path of the trace if the trials are a single trace.
+    pub name: String,
+    pub trials: Vec<StoredTrial>,
+    pub excluded: Vec<String>,
+}
+
+pub struct StoredTrial {
+    pub index: u32,
+    /// Largest time between two rows that the scenario allows, ms. `None` if it is unknown.
+    pub row_step_ms: Option<f64>,
+    source: TraceSource,
+}
+
+enum TraceSource {
+    File(PathBuf),
+    Run { folder: PathBuf, trial: Box<TrialRecord> },
+}
+
+impl StoredTrial {
+    pub fn rows(&self) -> Result<Vec<Row>, CompareError> {
+        match &self.source {
+            TraceSource::File(path) => Ok(read_trace(path)?),
+            TraceSource::Run { folder, trial } => Ok(read_trial_rows(folder, trial)?),
+        }
+    }
+
+    /// False if the controller was lost, so that the rest of the trace is a plate at 0 V.
+    pub(crate) fn is_complete(&self) -> bool {
+        match &self.source {
+            TraceSource::File(_) => true,
+            TraceSource::Run { trial, .. } => trial.telemetry.ended.is_none(),
+        }
+    }
+}
+
+pub fn is_run_folder(path: &Path) -> bool {
+    path.join(RECORD_FILE).exists() || path.is_dir()
+}
+
+pub fn read_trials(path: &Path) -> Result<Vec<ScenarioTrials>, CompareError> {
+    if !is_run_folder(path) {
+        let trials = vec![StoredTrial { index: 0, row_step_ms: None, source: TraceSource::File(path.to_owned()) }];
+        return Ok(vec![ScenarioTrials { name: path.display().to_string(), trials, excluded: Vec::new() }]);
+    }
+    Ok(RunRecord::read(path)?.scenarios.iter().map(|scenario| read_scenario_trials(path, scenario)).collect())
+}
+
+pub fn read_scenario_trials(folder: &Path, scenario: &ScenarioRecord) -> ScenarioTrials {
+    let played = load_stored_scenario(folder, scenario).ok();
+    let mut trials = ScenarioTrials { name: scenario.file.clone(), trials: Vec::new(), excluded: Vec::new() };
+    for trial in &scenario.trials {
+        if let Some(cause) = trial.cause {
+            let reason = trial.reason.as_ref().map_or_else(|| "it was disturbed".to_owned(), ToString::to_string);
+            trials.excluded.push(format!("trial {} does not count ({cause}): {reason}", trial.index));
+        } else {
+            let source = TraceSource::Run { folder: folder.to_owned(), trial: Box::new(trial.clone()) };
+            // A real plate has one row per control period.
+            let period = trial.telemetry.real_plate.as_ref().and(scenario.period_ms).unwrap_or_default();
+            let row_step_ms = played.as_ref().map(|played| played.trace_step.ms().max(period));
+            trials.trials.push(StoredTrial { index: trial.index, row_step_ms, source });
+        }
+    }
+    trials
+}
 
 pub const BASELINE_KEYWORD: &str = "baseline";
 
@@ -187,6 +276,75 @@ fn scenario_of(trace: &Path) -> Option<String> {
     let parts: Vec<_> = trace.parent()?.components().map(|part| part.as_os_str().to_string_lossy()).collect();
     let below = parts.iter().rposition(|part| part == "traces")? + 1;
     Some(format!("{}.toml", parts.get(below..).filter(|parts| !parts.is_empty())?.join("/")))
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum BaselineAcceptError {
+    #[error(transparent)]
+    Compare(#[from] CompareError),
+    #[error(transparent)]
+    Learn(#[from] LearnError),
+    #[error("the run contains no trial of this scenario; accept another run")]
+    NoTrial,
+    #[error("the run was cut off; accept a complete run")]
+    Incomplete,
+    #[error("the controller did not confirm 0 V at the end of the run; accept a run that ended safely")]
+    NotSafe,
+    #[error("{0}")]
+    ExcludedTrial(String),
+}
+
+pub fn check_acceptable(record: &RunRecord, trials: &ScenarioTrials) -> Result<(), BaselineAcceptError> {
+    if !record.complete {
+        return Err(BaselineAcceptError::Incomplete);
+    }
+    if record.safe_confirmed != Some(true) {
+        return Err(BaselineAcceptError::NotSafe);
+    }
+    match trials.excluded.first() {
+        Some(reason) => Err(BaselineAcceptError::ExcludedTrial(reason.clone())),
+        None => Ok(()),
+    }
+}
+
+pub fn build_baseline(
+    record: &RunRecord,
+    scenario: &ScenarioRecord,
+    stored: &ScenarioTrials,
+    old: Option<&Baseline>,
+    rate: f64,
+) -> Result<Baseline, BaselineAcceptError> {
+    let trials = stored.trials.iter().map(StoredTrial::rows).collect::<Result<Vec<_>, _>>()?;
+    let Some(first) = trials.first() else { return Err(BaselineAcceptError::NoTrial) };
+    // Events add rows, so the longest time between two rows is the trace step, in whole ns.
+    let gaps = first.iter().zip(first.iter().skip(1)).map(|(left, right)| right.t_s - left.t_s);
+    let step_ms = (gaps.fold(0.0, f64::max) * 1e9).round() / 1e6;
+    let differ = trials.iter().any(|rows| rows != first);
+    let (mut golden, learned) = if differ {
+        let learned = LearningParameters { trials: trials.len() as u32, false_alarm_rate: rate };
+        (GoldenTubes::learn(&trials, step_ms, rate)?, Some(learned))
+    } else {
+        (GoldenTubes::from_trial(first, step_ms).ok_or(BaselineAcceptError::NoTrial)?, None)
+    };
+    // A person may have edited the tolerances of the old baseline, so they are kept.
+    for tube in &mut golden.tubes {
+        if let Some(kept) = old.and_then(|old| old.golden.tubes.iter().find(|old| old.signal == tube.signal)) {
+            tube.tolerance = kept.tolerance;
+        }
+    }
+    let firmware = record.rig.firmware.as_ref();
+    Ok(Baseline {
+        scenario: scenario.file.clone(),
+        law: scenario.law.clone(),
+        build: BaselineBuild {
+            rig: record.rig.name.clone(),
+            firmware: firmware.map_or_else(String::new, |firmware| format!("{} {}", firmware.name, firmware.version)),
+            id: firmware.map_or_else(String::new, |firmware| firmware.build.clone()),
+        },
+        features: ResponseFeatures::of(first),
+        learned,
+        golden,
+    })
 }
 
 #[cfg(test)]

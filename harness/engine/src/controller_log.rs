@@ -1,12 +1,13 @@
-//! Records commands, stops and violations of a controller during a trial, for both trial loops.
+//! Records commands, stops and violations of a controller during a trial, for all trial loops. Checks
+//! every command against the configured limits, before the bench clips its drive.
 
-use crate::command_checks::CommandChecks;
-use crate::trial::configure;
-use crate::trial::needs_reconfiguration;
-use platebench_model::record::{Telemetry, ViolationKind};
+use crate::trial::{configure, needs_reconfiguration, start_frequency_mhz};
+use platebench_model::record::{Telemetry, Violation, ViolationKind};
 use platebench_model::scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_plate::Time;
-use platebench_rig::{FaultInjector, Link, LinkError, ProtocolCheck, RigError, Session, check_protocol};
+use platebench_rig::{
+    DrivesAfterSafe, FaultInjector, Link, LinkError, ProtocolCheck, RigError, Session, check_protocol,
+};
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
 use tracing::warn;
 
@@ -195,5 +196,244 @@ pub(crate) const fn stop_reason(cause: StateCause) -> &'static str {
         StateCause::LineNoise => "too many rejected frames",
         StateCause::NonFinite => "a value that is not finite",
         StateCause::None => "no cause given",
+    }
+}
+
+/// Covers the rounding of two frequencies: f32 resolves 32 kHz to 2 mHz, the wire rounds to 1 mHz.
+const FREQUENCY_TOLERANCE_HZ: f64 = 5e-3;
+/// Relative tolerance for the rounding of gains to f32 on the wire.
+const GAIN_TOLERANCE: f32 = 1e-5;
+
+#[derive(Debug)]
+pub(crate) struct CommandChecks {
+    drive_limit_vpp: f32,
+    start_hz: f64,
+    range_hz: f64,
+    slew_hz: f64,
+    /// `None` after a stop of the controller, because it may then restart at any frequency.
+    last_hz: Option<f64>,
+    /// False if the scenario has faults, because a fault may turn back the time of the commands.
+    checks_clock: bool,
+    last_us: Option<u32>,
+    violations: [Option<Violation>; ViolationKind::COUNT],
+}
+
+impl CommandChecks {
+    pub(crate) fn new(scenario: &Scenario) -> Self {
+        let start_hz = f64::from(start_frequency_mhz(scenario)) / 1e3;
+        Self {
+            drive_limit_vpp: scenario.design_plate().drive_limit_vpp as f32,
+            start_hz,
+            range_hz: scenario.controller.frequency_range_hz,
+            slew_hz: scenario.controller.frequency_slew_hz,
+            last_hz: Some(start_hz),
+            checks_clock: scenario.faults.is_empty() && scenario.chip_faults.is_empty(),
+            last_us: None,
+            violations: [None; ViolationKind::COUNT],
+        }
+    }
+
+    /// `samples` is the maximum number of samples since the last command. Each sample allows a
+    /// frequency step of `slew_hz`.
+    pub(crate) fn check_command(&mut self, command: &Command, samples: u32, now: Time) {
+        let drive = command.drive_vpp;
+        if drive.is_finite() && drive > self.drive_limit_vpp {
+            let limit = f64::from(self.drive_limit_vpp);
+            self.record(ViolationKind::DriveAboveLimit, now, Some(drive.into()), Some(limit));
+        } else if drive.is_finite() && drive < 0.0 {
+            self.record(ViolationKind::DriveBelowZero, now, Some(drive.into()), Some(0.0));
+        }
+        let time_us = command.target_time_us;
+        let last_us = self.last_us.replace(time_us);
+        if self.checks_clock && last_us.is_some_and(|last_us| time_us.wrapping_sub(last_us).cast_signed() < 0) {
+            self.record(ViolationKind::ClockBackwards, now, None, None);
+        }
+        if command.state != ControllerState::Running {
+            self.last_hz = None;
+            return;
+        }
+        let frequency_hz = f64::from(command.frequency_mhz) / 1e3;
+        let distance = frequency_hz - self.start_hz;
+        if distance.abs() > self.range_hz + FREQUENCY_TOLERANCE_HZ {
+            self.record(ViolationKind::FrequencyOutOfRange, now, Some(distance), Some(self.range_hz));
+        }
+        if let Some(last_hz) = self.last_hz.replace(frequency_hz) {
+            let samples = f64::from(samples.max(1));
+            let change = frequency_hz - last_hz;
+            if change.abs() > samples * self.slew_hz + FREQUENCY_TOLERANCE_HZ {
+                self.record(ViolationKind::FrequencySlew, now, Some(change / samples), Some(self.slew_hz));
+            }
+        }
+    }
+
+    /// A law may report 0 for a gain that it does not use. The `dq-pi` laws use all gains.
+    pub(crate) fn check_gains(&mut self, configure: &Configure, gains: &Gains, now: Time) {
+        let values = |gains: &Gains| [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
+        let uses_all = matches!(configure.law, LawId::DqPi | LawId::DqPiFixed | LawId::DqPiEuler);
+        let matches = |asked: f32, answered: f32| {
+            (answered == 0.0 && !uses_all)
+                || (answered - asked).abs() <= GAIN_TOLERANCE * asked.abs().max(answered.abs())
+        };
+        let answered = values(gains);
+        let differs = configure.gains.as_ref().is_some_and(|asked| {
+            values(asked).into_iter().zip(answered).any(|(asked, answered)| !matches(asked, answered))
+        });
+        if differs || !answered.iter().all(|gain| gain.is_finite()) {
+            self.record(ViolationKind::WrongConfiguration, now, None, None);
+        }
+        self.last_hz = Some(self.start_hz);
+    }
+
+    pub(crate) fn set_count(&mut self, kind: ViolationKind, count: u64, now: Time) {
+        if count > 0 {
+            let first = Violation { kind, at_s: now.seconds(), count, worst: None, limit: None };
+            if let Some(slot) = self.violations.get_mut(kind as usize) {
+                slot.get_or_insert(first).count = count;
+            }
+        }
+    }
+
+    pub(crate) fn record_drives_after_safe(&mut self, drives: DrivesAfterSafe, now: Time) {
+        if let Some(slot) = self.violations.get_mut(ViolationKind::DriveAfterSafe as usize) {
+            *slot = Some(drive_violation(drives, now));
+        }
+    }
+
+    pub(crate) fn violations(&self) -> Vec<Violation> {
+        self.violations.iter().flatten().copied().collect()
+    }
+
+    fn record(&mut self, kind: ViolationKind, now: Time, value: Option<f64>, limit: Option<f64>) {
+        let value = value.filter(|value| value.is_finite());
+        let Some(slot) = self.violations.get_mut(kind as usize) else { return };
+        let first = Violation { kind, at_s: now.seconds(), count: 0, worst: value, limit };
+        let violation = slot.get_or_insert(first);
+        violation.count += 1;
+        if let (Some(worst), Some(value)) = (&mut violation.worst, value)
+            && value.abs() > worst.abs()
+        {
+            *worst = value;
+        }
+    }
+}
+
+pub(crate) fn drive_violation(drives: DrivesAfterSafe, now: Time) -> Violation {
+    let worst = Some(f64::from(drives.worst_vpp)).filter(|drive| drive.is_finite());
+    Violation { kind: ViolationKind::DriveAfterSafe, at_s: now.seconds(), count: drives.count, worst, limit: None }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trial::configure;
+    use platebench_wire::{LawId, StateCause};
+    use rstest::rstest;
+    use std::path::Path;
+
+    fn scenario() -> Scenario {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
+        let mut scenario = platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        scenario.plate.drive_limit_vpp = 900.0;
+        scenario.controller.frequency_range_hz = 250.0;
+        scenario.controller.frequency_slew_hz = 100.0;
+        scenario
+    }
+
+    fn command(drive_vpp: f32, offset_mhz: i32, state: ControllerState) -> Command {
+        let frequency_mhz = start_frequency_mhz(&scenario()).wrapping_add_signed(offset_mhz);
+        Command { drive_vpp, frequency_mhz, state, cause: StateCause::None, flags: 0, target_time_us: 0, compute_us: 0 }
+    }
+
+    fn at(ms: u64) -> Time {
+        Time::from_nanos(ms * 1_000_000)
+    }
+
+    /// Commands: drive in Vpp, offset from the start frequency in mHz, samples since the last one.
+    #[rstest]
+    #[case::within_limits(&[(0.0, 0, 1), (900.0, 100_004, 1), (900.0, 0, 1)], &[])]
+    #[case::above_limit(&[(900.1, 0, 1), (1e30, 0, 1)], &[(ViolationKind::DriveAboveLimit, 2)])]
+    #[case::below_zero(&[(-0.1, 0, 1)], &[(ViolationKind::DriveBelowZero, 1)])]
+    #[case::not_finite(&[(f32::NAN, 0, 1), (f32::INFINITY, 0, 1)], &[])]
+    #[case::slew(&[(0.0, 100_006, 1)], &[(ViolationKind::FrequencySlew, 1)])]
+    #[case::slew_over_lost_replies(&[(0.0, 200_000, 2)], &[])]
+    #[case::range(&[(0.0, -250_006, 3)], &[(ViolationKind::FrequencyOutOfRange, 1)])]
+    fn checks_commands(#[case] commands: &[(f32, i32, u32)], #[case] expected: &[(ViolationKind, u64)]) {
+        let mut checks = CommandChecks::new(&scenario());
+        let gains = Gains { amplitude_kp: 1.0, amplitude_ki: 1.0, frequency_kp: 1.0, frequency_ki: 1.0 };
+        checks.check_gains(&configure(&scenario(), LawId::DqPi), &gains, Time::ZERO);
+        for (number, &(drive, offset, samples)) in (1..).zip(commands) {
+            checks.check_command(&command(drive, offset, ControllerState::Running), samples, at(number));
+        }
+        let found: Vec<_> = checks.violations().iter().map(|violation| (violation.kind, violation.count)).collect();
+        assert_eq!(found, expected);
+        assert!(checks.violations().iter().all(|violation| violation.at_s == 1e-3));
+    }
+
+    #[rstest]
+    #[case::forwards("paper/fig13-closed-loop.toml", &[5, 6, 6], 0)]
+    #[case::wraps("paper/fig13-closed-loop.toml", &[u32::MAX - 5, 5], 0)]
+    #[case::backwards("paper/fig13-closed-loop.toml", &[5, 4, 5, 4], 2)]
+    #[case::wraps_early("paper/fig13-closed-loop.toml", &[0x00FF_FFFF, 5], 1)]
+    #[case::a_line_with_faults("faults/lost-command.toml", &[5, 4], 0)]
+    #[case::a_chip_with_faults("chip/stuck-microseconds.toml", &[5, 4], 0)]
+    fn checks_the_clock(#[case] file: &str, #[case] times_us: &[u32], #[case] count: u64) {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
+        let scenario = platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let mut checks = CommandChecks::new(&scenario);
+        for (number, &target_time_us) in (1..).zip(times_us) {
+            let command = Command { target_time_us, ..command(0.0, 0, ControllerState::Running) };
+            checks.check_command(&command, 1, at(number));
+        }
+        let found = checks.violations().iter().map(|violation| violation.count).sum::<u64>();
+        assert_eq!(found, count);
+    }
+
+    #[test]
+    fn records_the_worst_value_and_the_first_time() {
+        let mut checks = CommandChecks::new(&scenario());
+        for (ms, drive) in [(3, 1_000.0), (4, 4_000.0), (5, 2_000.0)] {
+            checks.check_command(&command(drive, 0, ControllerState::Running), 1, at(ms));
+        }
+        let expected = Violation {
+            kind: ViolationKind::DriveAboveLimit,
+            at_s: 3e-3,
+            count: 3,
+            worst: Some(4_000.0),
+            limit: Some(900.0),
+        };
+        assert_eq!(checks.violations(), [expected]);
+    }
+
+    #[test]
+    fn allows_any_frequency_in_range_after_a_stop() {
+        let mut checks = CommandChecks::new(&scenario());
+        checks.check_command(&command(0.0, 0, ControllerState::Fault), 1, at(1));
+        checks.check_command(&command(0.0, 240_000, ControllerState::Running), 1, at(2));
+        assert_eq!(checks.violations(), []);
+    }
+
+    #[rstest]
+    #[case::as_asked(LawId::DqPi, Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.0, 3.0, 4.0], false)]
+    #[case::unused(LawId::VoltageOnly, Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.0, 0.0, 0.0], false)]
+    #[case::zero_instead(LawId::DqPi, Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.0, 3.0, 0.0], true)]
+    #[case::other(LawId::VoltageOnly, Some([1.0, 2.0, 3.0, 4.0]), [1.0, 2.1, 3.0, 4.0], true)]
+    #[case::own_design(LawId::DqPi, None, [5.0, 6.0, 7.0, 8.0], false)]
+    #[case::not_finite(LawId::DqPi, None, [5.0, f32::NAN, 7.0, 8.0], true)]
+    fn checks_gains(
+        #[case] law: LawId,
+        #[case] asked: Option<[f32; 4]>,
+        #[case] answered: [f32; 4],
+        #[case] wrong: bool,
+    ) {
+        let gains = |[amplitude_kp, amplitude_ki, frequency_kp, frequency_ki]: [f32; 4]| Gains {
+            amplitude_kp,
+            amplitude_ki,
+            frequency_kp,
+            frequency_ki,
+        };
+        let configure = Configure { gains: asked.map(gains), ..configure(&scenario(), law) };
+        let mut checks = CommandChecks::new(&scenario());
+        checks.check_gains(&configure, &gains(answered), Time::ZERO);
+        assert_eq!(!checks.violations().is_empty(), wrong);
     }
 }

@@ -4,8 +4,7 @@
 
 use crate::controller_log::is_controller_failure;
 use crate::live_tap::TapWriter;
-use crate::operator::{NoOperator, Operator};
-use crate::plan::{Clock, LinkFactory, RunError};
+use crate::plan::{Clock, LinkFactory, NoOperator, Operator, RunError};
 use crate::trial::{self, Trial, TrialResult};
 use crate::{lockstep, real_plate, real_time};
 use platebench_model::record::Telemetry;

@@ -1,42 +1,32 @@
 //! Plays scenarios in lockstep, in real time or on a real plate, and stores the results.
 
-pub mod baseline;
-mod command_checks;
 pub mod comparison;
 mod controller_log;
-mod delay_attribution;
 pub mod delay_boundary;
 pub mod executor;
 pub mod live_tap;
 pub mod lockstep;
-pub mod operator;
 pub mod plan;
 mod plant_simulation;
 pub mod real_plate;
 pub mod real_time;
-mod record_file;
 pub mod rejudge;
 pub mod replay;
-mod row_queue;
 pub mod run;
 mod run_player;
-mod scheduling;
-mod steal_time;
-pub mod stored_trials;
-mod timing_stats;
+mod timing;
 mod trend;
 pub mod trial;
 pub mod workers;
 
 pub use executor::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, ScenarioEnd};
 pub use live_tap::{LiveTap, TapReader};
-pub use operator::{Answer, NoOperator, Operator, Question, QuestionKind};
-pub use plan::{Clock, RunError, RunHooks, RunPlan};
-pub use plant_simulation::ManualInputs;
+pub use plan::{Answer, Clock, LinkFactory, NoOperator, Operator, Question, QuestionKind, RunError, RunHooks, RunPlan};
+pub use plant_simulation::{ManualControl, ManualInputs};
 pub use platebench_model::record::Event;
 pub use platebench_rig::CancelToken;
-pub use real_time::{ManualControl, Pacing, TimeBase};
 pub use rejudge::{RejudgeError, rejudge};
 pub use run::run;
+pub use timing::{Pacing, TimeBase};
 pub use trend::inputs_digest;
 pub use trial::{Trial, TrialResult, configure, law, missing_capability, wire_fault_kind};

@@ -1,4 +1,5 @@
-//! Simulates plate, sensor and drive of a trial and writes its rows, in lockstep and in real time.
+//! Simulates plate, sensor and drive of a trial, in lockstep and in real time. Passes its rows out
+//! of a loop that must not wait, and manual inputs into it.
 
 use crate::live_tap::TapWriter;
 use crate::trial::start_frequency_mhz;
@@ -7,7 +8,12 @@ use platebench_model::scenario::{Metric, Scenario, Variation};
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::{BandMonitor, BandSignal, Conditions, Crossing, Drive, Plant, Sensor, State, Time};
 use platebench_wire::{Command, ControllerState as Mode, Sample};
+use rtrb::{Consumer, Producer, RingBuffer};
 use std::f64::consts::TAU;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
 
 /// Share of the drive limit at which the drive is saturated. The wire rounds the limit to f32.
 pub(crate) const SATURATION_THRESHOLD: f64 = 1.0 - 1e-6;
@@ -301,6 +307,88 @@ impl PlantSimulation<'_, Vec<Row>> {
     }
 }
 
+/// Number of rows, more than 1 s at a trace step of 0.05 ms and a control period of 1 ms.
+const CAPACITY: usize = 1 << 15;
+/// Time between two reads. To fill the queue takes hundreds of times longer.
+const POLL_INTERVAL: Duration = Duration::from_millis(2);
+
+pub(crate) struct RowQueue {
+    producer: Producer<Row>,
+    lost_rows: u64,
+}
+
+impl RowQueue {
+    pub(crate) fn new() -> (Self, Consumer<Row>) {
+        Self::with_capacity(CAPACITY)
+    }
+
+    fn with_capacity(capacity: usize) -> (Self, Consumer<Row>) {
+        let (producer, consumer) = RingBuffer::new(capacity);
+        (Self { producer, lost_rows: 0 }, consumer)
+    }
+
+    pub(crate) fn lost(&self) -> u64 {
+        self.lost_rows
+    }
+}
+
+impl RowSink for RowQueue {
+    fn push(&mut self, row: Row) {
+        self.lost_rows += u64::from(self.producer.push(row).is_err());
+    }
+}
+
+/// Collects rows until the producer is dropped. Allocates memory for `expected` rows at the start.
+pub(crate) fn collect_rows(consumer: Consumer<Row>, expected: usize) -> Vec<Row> {
+    watch_rows(consumer, Vec::with_capacity(expected), POLL_INTERVAL, |_| {})
+}
+
+/// Appends to `rows` until the producer is dropped. Calls `watch` with all rows after each read.
+pub(crate) fn watch_rows(
+    mut consumer: Consumer<Row>,
+    mut rows: Vec<Row>,
+    interval: Duration,
+    mut watch: impl FnMut(&[Row]),
+) -> Vec<Row> {
+    loop {
+        // Checked before the queue is emptied. Otherwise rows that arrive in between would be lost.
+        let is_over = consumer.is_abandoned();
+        while let Ok(row) = consumer.pop() {
+            rows.push(row);
+        }
+        watch(&rows);
+        if is_over {
+            return rows;
+        }
+        thread::sleep(interval);
+    }
+}
+
+#[derive(Debug, Default)]
+pub struct ManualControl {
+    change_count: AtomicU64,
+    inputs: Mutex<ManualInputs>,
+}
+
+impl ManualControl {
+    pub fn set(&self, inputs: ManualInputs) {
+        *self.inputs.lock().unwrap_or_else(PoisonError::into_inner) = inputs;
+        self.change_count.fetch_add(1, Ordering::Release);
+    }
+
+    /// Returns changed inputs without a wait. Inputs that are being written follow one period
+    /// later.
+    pub(crate) fn changed_inputs(&self, seen: &mut u64) -> Option<ManualInputs> {
+        let changes = self.change_count.load(Ordering::Acquire);
+        if changes == *seen {
+            return None;
+        }
+        let inputs = *self.inputs.try_lock().ok()?;
+        *seen = changes;
+        Some(inputs)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -324,5 +412,46 @@ mod tests {
             (0, 30_000),
         ];
         assert_eq!(stamps, expected);
+    }
+
+    fn row(t_s: f64) -> Row {
+        Row { t_s, ..Row::default() }
+    }
+
+    #[test]
+    fn returns_all_rows_in_order() {
+        let (mut queue, consumer) = RowQueue::new();
+        let collector = thread::spawn(|| collect_rows(consumer, 10));
+        for number in 0..100_000_u32 {
+            while queue.producer.is_full() {
+                thread::yield_now();
+            }
+            queue.push(row(f64::from(number)));
+        }
+        assert_eq!(queue.lost(), 0);
+        drop(queue);
+        let rows = collector.join().unwrap();
+        assert_eq!(rows.len(), 100_000);
+        assert!(rows.windows(2).all(|pair| pair[1].t_s == pair[0].t_s + 1.0));
+    }
+
+    #[test]
+    fn a_full_queue_counts_the_rows_it_loses() {
+        let (mut queue, consumer) = RowQueue::with_capacity(4);
+        (0..7_u32).for_each(|number| queue.push(row(f64::from(number))));
+        assert_eq!(queue.lost(), 3);
+        drop(queue);
+        assert_eq!(collect_rows(consumer, 0).len(), 4);
+    }
+
+    #[test]
+    fn returns_each_change_once() {
+        let control = ManualControl::default();
+        let mut seen = 0;
+        assert_eq!(control.changed_inputs(&mut seen), None);
+        let inputs = ManualInputs { finger_force_n: 1.5, ..ManualInputs::default() };
+        control.set(inputs);
+        assert_eq!(control.changed_inputs(&mut seen), Some(inputs));
+        assert_eq!(control.changed_inputs(&mut seen), None);
     }
 }

@@ -1,6 +1,6 @@
 //! Judges a stored run again, without a rig.
 
-use crate::delay_attribution::measure_trial;
+use crate::delay_boundary::measure_trial;
 use crate::run::empty_record;
 use crate::trial::law;
 use platebench_model::record::{

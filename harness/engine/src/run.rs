@@ -2,17 +2,17 @@
 
 use crate::executor::{Executor, ExecutorSettings, RigSession, SafeEnds};
 use crate::plan::{Clock, LinkFactory, RunError, RunHooks, RunPlan};
-use crate::real_time::{Pacing, TimeBase};
-use crate::record_file::RecordFile;
 use crate::run_player::{RunPlayer, RunProgress};
+use crate::timing::{Pacing, TimeBase};
 use crate::trend;
 use crate::trial::{self, chip_fault_plan, missing_capability};
 use crate::workers::ResultSink;
 use platebench_model::record::{
-    Event, FinishedScenario, Firmware, Host, InputRecord, KeepTraces, NotApplicable, RigRecord, RunFolder, RunRecord,
-    ScenarioRecord, Tool, TrialRecord, Verdict, to_hex,
+    Event, FinishedScenario, Firmware, FolderError, Host, InputRecord, KeepTraces, NotApplicable, RigRecord, RunFolder,
+    RunRecord, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex,
 };
 use platebench_model::scenario::{Metric, Scenario};
+use platebench_model::trace::AtPath as _;
 use platebench_rig::{ChipFaultError, FaultInjector, Link};
 use platebench_verdict::Judgement;
 use platebench_wire::{LawId, capabilities};
@@ -265,5 +265,56 @@ fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inpu
         not_applicable: Vec::new(),
         cost: Vec::new(),
         merge: None,
+    }
+}
+
+const MIN_INTERVAL: Duration = Duration::from_millis(100);
+const INTERVAL_PER_WRITE: u32 = 20;
+/// Time until the next write if nothing has changed. It bounds one wait of the caller, not the run.
+const MAX_WAIT: Duration = Duration::from_hours(1);
+
+#[derive(Debug)]
+pub(crate) struct RecordFile<'a> {
+    folder: &'a RunFolder,
+    next: Instant,
+    has_changed: bool,
+}
+
+impl<'a> RecordFile<'a> {
+    pub(crate) fn new(folder: &'a RunFolder) -> Self {
+        Self { folder, next: Instant::now(), has_changed: false }
+    }
+
+    pub(crate) fn write(&mut self, record: &RunRecord) -> Result<(), FolderError> {
+        let started = Instant::now();
+        record.write(self.folder.path()).at(self.folder.path())?;
+        self.next = Instant::now() + MIN_INTERVAL.max(INTERVAL_PER_WRITE * started.elapsed());
+        self.has_changed = false;
+        Ok(())
+    }
+
+    pub(crate) fn mark_changed(&mut self) {
+        self.has_changed = true;
+    }
+
+    pub(crate) fn time_left(&self) -> Duration {
+        if self.has_changed { self.next.saturating_duration_since(Instant::now()) } else { MAX_WAIT }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_change_makes_a_write_due() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
+        let mut file = RecordFile::new(&folder);
+        assert_eq!(file.time_left(), MAX_WAIT);
+        file.mark_changed();
+        assert_eq!(file.time_left(), Duration::ZERO, "never written before");
+        file.next = Instant::now() + MAX_WAIT / 2;
+        assert!(file.time_left() > Duration::ZERO && file.time_left() < MAX_WAIT);
     }
 }

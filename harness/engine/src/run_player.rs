@@ -1,7 +1,6 @@
 //! Plays the trials of a run on several workers, judges each scenario and stores the traces.
 
-use crate::delay_attribution::measure_trial;
-use crate::delay_boundary::scenario_delay_boundary;
+use crate::delay_boundary::{measure_trial, scenario_delay_boundary};
 use crate::executor::Executor;
 use crate::live_tap::LiveTap;
 use crate::plan::{RunError, RunPlan};

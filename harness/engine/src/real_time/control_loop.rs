@@ -1,13 +1,8 @@
-//! Runs the loop of a trial in real time, paced by the bench or by the target.
+//! Runs the loop of a trial in real time, paced by the bench or by the ticks of the target.
 
-use super::manual_control::ManualControl;
-use super::ticks::TickTracker;
-use super::time_base::{Pacing, TimeBase};
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_failure};
-use crate::plant_simulation::PlantSimulation;
-use crate::row_queue::RowQueue;
-use crate::scheduling::ThreadScheduling;
-use crate::timing_stats::TimingStats;
+use crate::plant_simulation::{ManualControl, PlantSimulation, RowQueue};
+use crate::timing::{Pacing, ThreadScheduling, TimeBase, TimingStats};
 use crate::trial::{Trial, TrialAbort};
 use platebench_model::record::Telemetry;
 use platebench_model::scenario::Scenario;
@@ -362,5 +357,280 @@ fn to_micros(span: Duration) -> f64 {
     span.as_secs_f64() * 1e6
 }
 
+/// Measures lateness against the earliest recent tick, which counts as punctual. The time stamp of
+/// a tick does not show lateness, because the target sets it when it handles the tick.
+#[derive(Debug, Default)]
+pub(super) struct TickTracker {
+    first: Option<Instant>,
+    last_us: u32,
+    /// Time of the target since the first tick, without wrap, µs.
+    target_us: u64,
+    period: u64,
+    /// Least delay of a tick after its period starts, µs, in this and the last `DRIFT_INTERVAL`.
+    earliest: [Option<f64>; 2],
+    interval: u64,
+}
+
+impl TickTracker {
+    /// Two clocks drift apart by at most about 0.1 µs per ms, so by 50 µs in this interval.
+    const DRIFT_INTERVAL: Duration = Duration::from_millis(500);
+
+    pub(super) fn has_ticks(&self) -> bool {
+        self.first.is_some()
+    }
+
+    /// Returns the lateness of the tick and the number of periods without a tick before it. If this
+    /// tick is the earliest, the ticks before it were late, and their lateness is returned.
+    pub(super) fn record(&mut self, at: Instant, target_us: u32, period: Time) -> (Duration, u64) {
+        if self.first.is_none() {
+            self.last_us = target_us;
+        }
+        let since = at.saturating_duration_since(*self.first.get_or_insert(at));
+        let step = target_us.wrapping_sub(std::mem::replace(&mut self.last_us, target_us));
+        // The counter wraps, so a step back looks like a step of more than half its range.
+        self.target_us += if step > u32::MAX / 2 { 0 } else { u64::from(step) };
+        let period_us = period.seconds() * 1e6;
+        let number = (self.target_us as f64 / period_us).round();
+        let before = std::mem::replace(&mut self.period, number as u64);
+        let missing = self.period.saturating_sub(before + 1);
+
+        let behind = since.as_secs_f64() * 1e6 - number * period_us;
+        let interval = (since.as_nanos() / Self::DRIFT_INTERVAL.as_nanos()) as u64;
+        if interval != self.interval {
+            self.interval = interval;
+            self.earliest = [None, self.earliest[0]];
+        }
+        let earliest = self.earliest.iter().flatten().copied().reduce(f64::min).unwrap_or(behind);
+        self.earliest[0] = Some(self.earliest[0].map_or(behind, |least| least.min(behind)));
+        (Duration::from_secs_f64((behind - earliest).abs() / 1e6), missing)
+    }
+}
+
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use crate::live_tap::LiveTap;
+    use crate::plant_simulation::collect_rows;
+    use crate::trial::{configure, wire_faults};
+    use allocation_counter::{AllocationInfo, measure, opt_out};
+    use platebench_model::scenario::load;
+    use platebench_rig::{HostedLink, LinkError, PtyLink, SerialLink, WallClockLink};
+    use platebench_wire::{LawId, PacketReader};
+    use std::path::Path;
+    use std::thread;
+
+    const PERIOD: Time = Time::from_nanos(1_000_000);
+
+    #[test]
+    fn measures_lateness_against_punctual_ticks() {
+        let start = Instant::now();
+        let mut ticks = TickTracker::default();
+        let mut tick = |number: u32, late_us: u64| {
+            let at = start + Duration::from_micros(u64::from(number) * 1_000 + 100 + late_us);
+            let target = (f64::from(number) * 1_000.0 * (1.0 - 50e-6)) as u32;
+            ticks.record(at, 0xFFFF_0000_u32.wrapping_add(target), PERIOD).0.as_micros()
+        };
+        assert_eq!(tick(0, 0), 0);
+        assert!((299..=301).contains(&tick(1, 300)));
+        assert!(tick(2, 0) <= 1);
+        for number in 3..5_000 {
+            let lateness = tick(number, 0);
+            assert!(lateness <= 60, "tick {number}: drift of two intervals at most, not {lateness}");
+        }
+        let lateness = tick(5_000, 400);
+        assert!((400..=460).contains(&lateness), "{lateness}");
+    }
+
+    #[test]
+    fn a_late_first_tick_shows_in_the_second() {
+        let start = Instant::now();
+        let mut ticks = TickTracker::default();
+        let mut tick = |number: u32, late_us: u64| {
+            let at = start + Duration::from_micros(u64::from(number) * 1_000 + late_us);
+            ticks.record(at, number * 1_000, PERIOD).0.as_micros()
+        };
+        assert_eq!([tick(0, 900), tick(1, 500), tick(2, 0), tick(3, 0), tick(4, 10)], [0, 400, 500, 0, 10]);
+    }
+
+    #[test]
+    fn counts_missing_ticks_across_the_wrap() {
+        let mut ticks = TickTracker::default();
+        let start = 0xFFFF_FF00_u32;
+        let mut missing = |target_us: u32| ticks.record(Instant::now(), start.wrapping_add(target_us), PERIOD).1;
+        assert_eq!([0, 1_000, 1_990, 3_000, 7_000, 8_499, 10_000].map(&mut missing), [0, 0, 0, 0, 3, 0, 1]);
+        assert_eq!([9_000, 10_000].map(&mut missing), [0, 0], "the counter does not go back");
+    }
+
+    #[test]
+    fn a_target_that_handles_its_tick_late_is_late() {
+        let start = Instant::now();
+        let mut ticks = TickTracker::default();
+        let mut tick = |number: u32, late_us: u32| {
+            let target_us = number * 1_000 + late_us;
+            ticks.record(start + Duration::from_micros(target_us.into()), target_us, PERIOD).0.as_micros()
+        };
+        assert_eq!([tick(0, 0), tick(1, 220), tick(2, 0), tick(3, 450)], [0, 220, 0, 450]);
+    }
+
+    struct UncountedLink(HostedLink);
+
+    impl Link for UncountedLink {
+        fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+            let mut outcome = Ok(Duration::ZERO);
+            opt_out(|| outcome = self.0.exchange(now, bytes, answer));
+            outcome
+        }
+
+        fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+            let mut outcome = Ok(());
+            opt_out(|| outcome = self.0.advance_to(now, received));
+            outcome
+        }
+
+        fn restart(&mut self) -> Result<bool, LinkError> {
+            self.0.restart()
+        }
+    }
+
+    fn scenario(name: &str) -> Scenario {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name);
+        load(&path, name).unwrap_or_else(|fault| panic!("{fault}"))
+    }
+
+    fn count_allocations<L: Link>(
+        scenario: &Scenario,
+        session: &mut Session<FaultInjector<L>>,
+        pacing: Pacing,
+    ) -> (AllocationInfo, u64) {
+        let (live_tap, mut tap_reader) = LiveTap::new();
+        let mut guard = live_tap.acquire(0, 0);
+        let law = crate::trial::law(scenario).unwrap();
+        let trial = Trial { own_clock: true, ..Trial::new(scenario, law, 0) };
+        let time_base = TimeBase { time_scale: 1.0, pacing };
+        let (queue, consumer) = RowQueue::new();
+        let collector = thread::spawn(|| collect_rows(consumer, 0));
+        let plant = PlantSimulation::new(scenario, 0, queue, guard.tap());
+        session.link_mut().set_faults(&wire_faults(scenario, 0));
+        let configuration = time_base.with_target_timing(configure(scenario, law));
+        session.start_line().unwrap();
+        let gains = session.start_trial(&configuration).unwrap();
+        let mut control_loop = RealTimeLoop::new(session, &trial, time_base, plant, None);
+        let mut outcome = Ok(());
+        let allocated = measure(|| outcome = control_loop.run(&configuration, &gains));
+        assert!(outcome.is_ok(), "the trial did not end normally");
+        let periods = control_loop.timing.counts.periods;
+        drop(control_loop);
+        let rows = collector.join().unwrap();
+        assert!(rows.len() as u64 > periods);
+        let seen = std::iter::from_fn(|| tap_reader.next_row()).map(|tap_row| tap_row.row).collect::<Vec<_>>();
+        assert!(!seen.is_empty() && rows.starts_with(&seen), "the live view gets the rows of the record");
+        (allocated, periods)
+    }
+
+    /// Repeats the trial until it had more than 10 periods, because a busy host skips some.
+    fn assert_no_allocations<L: Link>(name: &str, session: &mut Session<FaultInjector<L>>, pacing: Pacing) {
+        let scenario = scenario(name);
+        let mut periods = 0;
+        for _ in 0..100 {
+            let (allocated, played) = count_allocations(&scenario, session, pacing);
+            assert_eq!(allocated, AllocationInfo::default(), "{name}, paced by {}", pacing.name());
+            periods += played;
+            if periods > 10 {
+                return;
+            }
+        }
+        panic!("{name}: {periods} periods in 100 trials");
+    }
+
+    #[test]
+    fn the_loop_allocates_nothing_in_process() {
+        for (name, pacing) in [
+            ("paper/fig13-closed-loop.toml", Pacing::Bench),
+            ("paper/fig13-closed-loop.toml", Pacing::Target),
+            ("faults/disconnect-and-reconnect.toml", Pacing::Bench),
+            ("faults/noise-storm.toml", Pacing::Bench),
+            ("faults/late-commands.toml", Pacing::Bench),
+        ] {
+            let mut session =
+                Session::open(FaultInjector::new(WallClockLink::new(UncountedLink(HostedLink::new())))).unwrap();
+            assert_no_allocations(name, &mut session, pacing);
+        }
+    }
+
+    fn run_controller(mut port: SerialLink) {
+        let start = Instant::now();
+        let mut device = HostedLink::new();
+        let (mut bytes, mut answer) = (Vec::new(), Vec::new());
+        loop {
+            let soon = Instant::now() + Duration::from_micros(250);
+            let Ok(arrived) = port.real_time_line().unwrap().receive(soon, &mut bytes) else { return };
+            if arrived.is_some() {
+                device.exchange(start.elapsed(), &bytes, &mut answer).unwrap();
+                bytes.clear();
+            }
+            device.advance_to(start.elapsed(), &mut answer).unwrap();
+            if port.real_time_line().unwrap().send(&answer).is_err() {
+                return;
+            }
+            answer.clear();
+        }
+    }
+
+    #[test]
+    fn the_loop_allocates_nothing_over_a_terminal() {
+        let mut terminal = PtyLink::open().unwrap();
+        let port = SerialLink::open(Path::new(terminal.path()), 1_000_000).unwrap();
+        let board = thread::spawn(|| run_controller(port));
+        // On a busy host, the controller may miss the first requests.
+        let opened = (0..100).find_map(|_| Session::open(FaultInjector::new(&mut terminal)).ok().map(|_| ()));
+        assert!(opened.is_some(), "the controller does not send its identity");
+        let mut session = Session::open(FaultInjector::new(terminal)).unwrap();
+        assert_no_allocations("paper/fig13-closed-loop.toml", &mut session, Pacing::Bench);
+        drop(session);
+        board.join().unwrap();
+    }
+
+    struct SilentAtLastSample {
+        inner: HostedLink,
+        last_us: u32,
+    }
+
+    impl Link for SilentAtLastSample {
+        fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+            let is_last = PacketReader::new()
+                .packets(bytes)
+                .flatten()
+                .any(|packet| matches!(packet.message, Message::Sample(sample) if sample.time_us == self.last_us));
+            let before = answer.len();
+            let took = self.inner.exchange(now, bytes, answer);
+            if is_last {
+                answer.truncate(before);
+            }
+            took
+        }
+
+        fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+            self.inner.advance_to(now, received)
+        }
+
+        fn restart(&mut self) -> Result<bool, LinkError> {
+            self.inner.restart()
+        }
+    }
+
+    #[test]
+    fn a_last_sample_without_an_answer_is_a_missing_answer() {
+        let scenario = scenario("paper/fig13-closed-loop.toml");
+        let link = SilentAtLastSample { inner: HostedLink::new(), last_us: 59_000 };
+        let mut session = Session::open(FaultInjector::new(WallClockLink::new(link))).unwrap();
+        let trial = Trial { own_clock: true, ..Trial::new(&scenario, LawId::DqPi, 0) };
+        let time_base = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
+        let result = crate::real_time::play(&mut session, trial, time_base).unwrap();
+        let last = result.trace_rows.last().unwrap();
+        let timing = result.telemetry.timing.unwrap();
+        // A host that stalls may skip the last sample. Its control instant is then an overrun.
+        let is_marked = last.flags.contains(Flags::LINK_LOST) || timing.skipped > 0;
+        assert!(is_marked && result.link_error.is_none(), "{last:?} {timing:?}");
+        assert!(timing.missed_replies > 0 || timing.skipped > 0, "{timing:?}");
+    }
+}

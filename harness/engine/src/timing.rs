@@ -1,8 +1,60 @@
-//! Collects the timing of a real-time loop without allocating.
+//! Keeps the time of a loop in real time: conversion between plate time and wall time, timing
+//! statistics without allocation, real-time scheduling.
 
 use hdrhistogram::Histogram;
 use platebench_model::record::{Quantiles, TimingRecord};
+use platebench_plate::Time;
+use platebench_wire::Configure;
+use rustix::mm::{MlockAllFlags, mlockall, munlockall};
 use std::time::Duration;
+use thread_priority::unix::{
+    RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
+};
+use thread_priority::{ThreadPriority, ThreadPriorityValue};
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Pacing {
+    /// A sample from the bench triggers each control step.
+    #[default]
+    Bench,
+    /// A tick from the target requests each sample.
+    Target,
+}
+
+impl Pacing {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Bench => "bench",
+            Self::Target => "target",
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TimeBase {
+    /// Seconds of plate time per second of wall time, above 0.
+    pub time_scale: f64,
+    pub pacing: Pacing,
+}
+
+impl TimeBase {
+    pub fn wall_duration(&self, span: Time) -> Duration {
+        Duration::from_nanos((span.as_nanos() as f64 / self.time_scale).round() as u64)
+    }
+
+    pub fn plate_time(&self, span: Duration) -> Time {
+        Time::from_nanos((span.as_nanos() as f64 * self.time_scale).round() as u64)
+    }
+
+    /// Sets the pacing and the watchdog, which runs in wall time.
+    pub(crate) fn with_target_timing(&self, configure: Configure) -> Configure {
+        let period = Duration::from_micros(u64::from(configure.period_us)).as_secs_f64();
+        // 0 keeps the controller's default of five control periods.
+        let watchdog_ms = if self.time_scale == 1.0 { 0.0 } else { (5.0 * period * 1e3 / self.time_scale).ceil() };
+        let paced_by_target = self.pacing == Pacing::Target;
+        Configure { watchdog_timeout_ms: watchdog_ms as u16, paced_by_target, ..configure }
+    }
+}
 
 /// Longest recorded duration, 1 min. A longer duration is clamped to it.
 const MAX_DURATION_NS: u64 = 60_000_000_000;
@@ -98,9 +150,65 @@ impl TimingStats {
     }
 }
 
+/// Priority below the kernel's interrupt threads, which have 50 and serve the serial line.
+const RT_PRIORITY: u8 = 45;
+
+/// The scheduling class lasts until the thread ends, the memory lock until this value is dropped.
+#[derive(Debug, Clone)]
+pub(crate) struct ThreadScheduling {
+    /// Scheduling class, with the reason if it is not `SCHED_FIFO`.
+    pub(crate) scheduling: String,
+    pub(crate) memory_locked: bool,
+}
+
+impl ThreadScheduling {
+    pub(crate) fn request() -> Self {
+        let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+        let outcome = ThreadPriorityValue::try_from(RT_PRIORITY).and_then(|priority| {
+            let priority = ThreadPriority::Crossplatform(priority);
+            set_thread_priority_and_policy(thread_native_id(), priority, policy).map_err(|error| error.to_string())
+        });
+        let scheduling = match outcome {
+            Ok(()) => "SCHED_FIFO".to_owned(),
+            Err(why) => format!("SCHED_OTHER, because SCHED_FIFO was not granted: {why}"),
+        };
+        let memory_locked = mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).is_ok();
+        Self { scheduling, memory_locked }
+    }
+}
+
+impl Drop for ThreadScheduling {
+    fn drop(&mut self) {
+        if self.memory_locked {
+            let _ = munlockall();
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use platebench_test_kit::CONFIGURE;
+
+    #[test]
+    fn time_scale_relates_plate_and_wall() {
+        let base = |time_scale| TimeBase { time_scale, pacing: Pacing::Bench };
+        let period = Time::from_nanos(1_000_000);
+        assert_eq!(base(1.0).wall_duration(period), Duration::from_millis(1));
+        assert_eq!(base(0.1).wall_duration(period), Duration::from_millis(10));
+        assert_eq!(base(0.1).plate_time(Duration::from_millis(10)), period);
+        let long = Time::from_nanos(3 * 3_600_000_000_000 + 1);
+        assert_eq!(base(1.0).plate_time(base(1.0).wall_duration(long)), long);
+    }
+
+    #[test]
+    fn the_watchdog_runs_in_wall_time() {
+        let with_timing = |time_scale, pacing| TimeBase { time_scale, pacing }.with_target_timing(CONFIGURE);
+        assert_eq!(with_timing(1.0, Pacing::Bench).watchdog_timeout_ms, 0);
+        assert_eq!(with_timing(0.1, Pacing::Bench).watchdog_timeout_ms, 50);
+        assert_eq!(with_timing(0.3, Pacing::Bench).watchdog_timeout_ms, 17);
+        assert!(!with_timing(1.0, Pacing::Bench).paced_by_target && with_timing(1.0, Pacing::Target).paced_by_target);
+    }
 
     #[test]
     fn quantiles_match_the_values() {
