@@ -160,7 +160,11 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    pub(crate) fn telemetry<L: Link>(&self, session: &Session<FaultInjector<L>>, lost: Option<&RigError>) -> Telemetry {
+    pub(crate) fn telemetry<L: Link>(
+        &self,
+        session: &mut Session<FaultInjector<L>>,
+        lost: Option<&RigError>,
+    ) -> Telemetry {
         Telemetry {
             ended: lost.map(ToString::to_string),
             stopped: self.stop_cause.map(|cause| stop_reason(cause).to_owned()),
@@ -169,7 +173,7 @@ impl<'a> ControllerLog<'a> {
             reference_difference_percent: session.link().reference_difference_percent(),
             protocol_differences: self.protocol_check.as_ref().map(|check| check.differences.clone()),
             protocol_repeats: self.protocol_check.as_ref().map_or(0, |check| check.repeats),
-            firmware_output: session.link().firmware_output(),
+            firmware_output: session.link_mut().chip().and_then(|chip| chip.firmware_output()),
             ..Telemetry::default()
         }
     }

@@ -321,7 +321,7 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
             self.controller.record_missed_reply();
             let is_silent = u64::from(self.controller.missed_replies()) >= WATCHDOG_PERIODS;
             // The firmware has no signal that disables the amplifier, so the bench applies 0 V.
-            if is_silent && !self.has_ended() && self.session.link_mut().amplifier_enabled().is_none() {
+            if is_silent && !self.has_ended() && self.amplifier_enabled().is_none() {
                 self.end_on_link_error(RigError::NoAnswer { expected: "command" });
             }
             return;
@@ -380,10 +380,14 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
 
     /// Applies 0 V if the firmware holds PB0 (amplifier enable) low after a fault of the chip.
     fn apply_amplifier_enable(&mut self, now: Time) {
-        if self.follows_chip_fault(now) && self.session.link_mut().amplifier_enabled() == Some(false) {
+        if self.follows_chip_fault(now) && self.amplifier_enabled() == Some(false) {
             self.commands.clear();
             self.plant.stop_drive();
         }
+    }
+
+    fn amplifier_enabled(&mut self) -> Option<bool> {
+        self.session.link_mut().chip()?.amplifier_enabled()
     }
 
     fn follows_chip_fault(&self, time: Time) -> bool {

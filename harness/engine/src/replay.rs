@@ -134,7 +134,7 @@ impl Player<'_> {
             self.controller.watch_after_safe(&mut self.session, now, rest);
         }
         self.controller.record_session(&self.session, now);
-        let mut telemetry = self.controller.telemetry(&self.session, lost);
+        let mut telemetry = self.controller.telemetry(&mut self.session, lost);
         let end = self.session.close();
         if let SafeEnd::Driven(drives) = end {
             telemetry.violations.push(drive_violation(drives, now));

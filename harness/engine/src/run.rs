@@ -125,9 +125,10 @@ fn missing_chip_faults(
 }
 
 /// Returns why the rig cannot measure the time of a control step, if the scenario expects it.
-fn missing_step_time(plan: &RunPlan, scenario: &Scenario, session: &RigSession) -> Option<String> {
+fn missing_step_time(plan: &RunPlan, scenario: &Scenario, session: &mut RigSession) -> Option<String> {
     // The handshake was an exchange, so a rig that measures has a value.
-    let is_measured = matches!(plan.clock, Clock::Lockstep { .. }) && session.link().computing_time().is_some();
+    let mut measures = || session.link_mut().chip().is_some_and(|chip| chip.computing_time().is_some());
+    let is_measured = matches!(plan.clock, Clock::Lockstep { .. }) && measures();
     let why = format!("{} needs the emulated chip and the clock lockstep", Metric::StepTime);
     (scenario.expects(Metric::StepTime) && !is_measured).then_some(why)
 }

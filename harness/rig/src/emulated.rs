@@ -31,7 +31,7 @@ use crate::built_in_image::BUILT_IN_IMAGE;
 use crate::cancel::CancelToken;
 use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
 use crate::debug_port::DebugPort;
-use crate::link::{Link, LinkError};
+use crate::link::{Chip, Link, LinkError};
 use crate::pending_requests::{PendingRequests, Request};
 use crate::target_error::TargetError;
 use board::ReceivedByte;
@@ -368,6 +368,12 @@ impl Link for EmulatedLink {
         self.target.clear_output();
     }
 
+    fn chip(&mut self) -> Option<&mut dyn Chip> {
+        Some(self)
+    }
+}
+
+impl Chip for EmulatedLink {
     fn instruction_count(&self) -> Option<u64> {
         self.instructions
     }
@@ -386,7 +392,7 @@ impl Link for EmulatedLink {
         self.target.firmware_output()
     }
 
-    fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
+    fn set_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
         plan.faults.iter().try_for_each(|fault| self.target.flipped_memory(&fault.kind).map(drop))?;
         self.chip_faults.plan = plan.clone();
         Ok(())

@@ -59,7 +59,7 @@ pub use emulated::{EmulatedError, EmulatedLink};
 pub use exec::{ExecError, ExecLink};
 pub use fault_injector::{Direction, FaultInjector, WireFault, WireFaultKind};
 pub use hosted::HostedLink;
-pub use link::{BoxedLink, Link, LinkError, LinkKind, RealTimeLine};
+pub use link::{BoxedLink, Chip, Link, LinkError, LinkKind, RealTimeLine};
 pub use network::NetworkError;
 pub use port::DEFAULT_REPLY_TIMEOUT;
 pub use port_lock::LockHolder;

@@ -46,6 +46,27 @@ pub trait RealTimeLine: Send {
     fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError>;
 }
 
+/// Access to an emulated chip: measurements, pins, RTT text and faults.
+pub trait Chip {
+    /// Instructions that the chip ran from the first bit of the last [`Link::exchange`] to the last
+    /// bit of its answer; `None` without an answer.
+    fn instruction_count(&self) -> Option<u64>;
+
+    /// Time that the chip computed for the last [`Link::exchange`] with an answer, without the
+    /// transmission.
+    fn computing_time(&self) -> Option<Duration>;
+
+    /// RTT text of the firmware in this trial; `None` without text or without an RTT block.
+    fn firmware_output(&self) -> Option<String>;
+
+    /// True if the pin PB0, which enables the amplifier, is high. `None` if it was not high yet in
+    /// this trial.
+    fn amplifier_enabled(&mut self) -> Option<bool>;
+
+    /// Sets the faults that act from the next restart on. Call it before the trial's configuration.
+    fn set_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError>;
+}
+
 /// In all methods, `now` is the time since the start of the trial.
 pub trait Link: Send {
     /// Sends `bytes` and appends the answer, up to its end or the time-out; a missing answer is no
@@ -68,31 +89,8 @@ pub trait Link: Send {
     /// Starts another trial without a restart of the target. The next `now` counts from zero.
     fn continue_trial(&mut self) {}
 
-    /// Instructions that the target ran from the first bit of the last [`Link::exchange`] to the
-    /// last bit of its answer.
-    fn instruction_count(&self) -> Option<u64> {
-        None
-    }
-
-    /// Time that the target computed for the last [`Link::exchange`] with an answer, without the
-    /// transmission. `None` on rigs that do not measure it.
-    fn computing_time(&self) -> Option<Duration> {
-        None
-    }
-
-    /// RTT text of the firmware in this trial; `None` without text or without access to it.
-    fn firmware_output(&self) -> Option<String> {
-        None
-    }
-
-    /// Sets the faults that act from the next restart on. Call it before the trial's configuration.
-    fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
-        if plan.faults.is_empty() { Ok(()) } else { Err(ChipFaultError::Unsupported) }
-    }
-
-    /// True if the pin PB0, which enables the amplifier, is high. `None` if the rig cannot read it,
-    /// or it was not high yet in this trial.
-    fn amplifier_enabled(&mut self) -> Option<bool> {
+    /// Access to the chip, if the link emulates it.
+    fn chip(&mut self) -> Option<&mut dyn Chip> {
         None
     }
 
@@ -124,24 +122,8 @@ impl<P: DerefMut<Target: Link> + Send> Link for P {
         (**self).continue_trial();
     }
 
-    fn instruction_count(&self) -> Option<u64> {
-        (**self).instruction_count()
-    }
-
-    fn computing_time(&self) -> Option<Duration> {
-        (**self).computing_time()
-    }
-
-    fn firmware_output(&self) -> Option<String> {
-        (**self).firmware_output()
-    }
-
-    fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
-        (**self).set_chip_faults(plan)
-    }
-
-    fn amplifier_enabled(&mut self) -> Option<bool> {
-        (**self).amplifier_enabled()
+    fn chip(&mut self) -> Option<&mut dyn Chip> {
+        (**self).chip()
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

@@ -199,7 +199,9 @@ impl<L: Link> Session<L> {
         match self.request(Message::Sample(*sample))? {
             Some((Message::Command(command), delay)) => {
                 trace!(?now, ?sample, ?command, ?delay, "control step");
-                let (instructions, computing_time) = (self.link.instruction_count(), self.link.computing_time());
+                let chip = self.link.chip();
+                let (instructions, computing_time) =
+                    chip.map_or((None, None), |chip| (chip.instruction_count(), chip.computing_time()));
                 Ok(Some(Reply { command, delay, instructions, computing_time }))
             }
             _ => Ok(None),

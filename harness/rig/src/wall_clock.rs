@@ -94,14 +94,6 @@ impl<L: Link> Link for WallClockLink<L> {
         Ok(restarted)
     }
 
-    fn instruction_count(&self) -> Option<u64> {
-        self.link.instruction_count()
-    }
-
-    fn computing_time(&self) -> Option<Duration> {
-        self.link.computing_time()
-    }
-
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
         Some(self)
     }

@@ -1,6 +1,6 @@
 //! Wraps the link to a correct controller and changes its messages in both directions.
 
-use platebench_rig::{Link, LinkError};
+use platebench_rig::{Chip, Link, LinkError};
 use platebench_wire::{Command, ControllerState, Message, Packet, PacketReader};
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -159,12 +159,8 @@ impl<L: Link> Link for MutantController<L> {
         self.inner.continue_trial();
     }
 
-    fn instruction_count(&self) -> Option<u64> {
-        self.inner.instruction_count()
-    }
-
-    fn computing_time(&self) -> Option<Duration> {
-        self.inner.computing_time()
+    fn chip(&mut self) -> Option<&mut dyn Chip> {
+        self.inner.chip()
     }
 }
 

@@ -6,7 +6,7 @@ use super::trial_clock::TrialClock;
 use super::wire_fault::{Direction, WireFault};
 use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
 use crate::compared_link::ComparedLink;
-use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
+use crate::link::{Chip, Link, LinkError, LinkKind, RealTimeLine};
 use platebench_wire::{ControllerState, Message, Packet};
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -57,6 +57,16 @@ impl<L: Link> FaultInjector<L> {
         self.delivered_sample = [0.0; 2];
         self.clock = None;
         self.clear();
+    }
+
+    /// Sets the faults of the chip that act from the next restart on. Call it before the trial's
+    /// configuration.
+    pub fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
+        match self.chip() {
+            Some(chip) => chip.set_faults(plan),
+            None if plan.faults.is_empty() => Ok(()),
+            None => Err(ChipFaultError::Unsupported),
+        }
     }
 
     /// Compares the next lockstep trial with the reference. Call it before its configuration.
@@ -178,24 +188,8 @@ impl<L: Link> Link for FaultInjector<L> {
         self.inner.link.continue_trial();
     }
 
-    fn instruction_count(&self) -> Option<u64> {
-        self.inner.link.instruction_count()
-    }
-
-    fn computing_time(&self) -> Option<Duration> {
-        self.inner.link.computing_time()
-    }
-
-    fn firmware_output(&self) -> Option<String> {
-        self.inner.link.firmware_output()
-    }
-
-    fn set_chip_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {
-        self.inner.link.set_chip_faults(plan)
-    }
-
-    fn amplifier_enabled(&mut self) -> Option<bool> {
-        self.inner.link.amplifier_enabled()
+    fn chip(&mut self) -> Option<&mut dyn Chip> {
+        self.inner.link.chip()
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

@@ -3,7 +3,7 @@
 use super::{CONFIGURE, PERIOD, firmware_under_test, open_logged, sample};
 use crate::provenance::source_hash;
 use platebench_rig::emulated::EmulatedOptions;
-use platebench_rig::{EmulatedLink, HostedLink, Link, Session};
+use platebench_rig::{Chip, EmulatedLink, HostedLink, Link, Session};
 use platebench_wire::{Configure, ControllerState, Gains, LawId, Message, Packet, PacketReader, Sample, StateCause};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};

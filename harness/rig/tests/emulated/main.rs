@@ -9,7 +9,7 @@ mod images;
 mod pacing;
 mod provenance;
 
-use platebench_rig::{Link, LinkError, Session};
+use platebench_rig::{Chip, Link, LinkError, Session};
 use platebench_test_kit::CONFIGURE;
 use platebench_wire::Sample;
 use std::path::PathBuf;
@@ -41,7 +41,11 @@ struct LoggedLink<L> {
 impl<L: Link> Link for LoggedLink<L> {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
         let delay = self.link.exchange(now, bytes, answer)?;
-        self.log.lock().unwrap().push((answer.clone(), delay, self.link.instruction_count()));
+        self.log.lock().unwrap().push((
+            answer.clone(),
+            delay,
+            self.link.chip().and_then(|chip| chip.instruction_count()),
+        ));
         Ok(delay)
     }
 
@@ -56,8 +60,8 @@ impl<L: Link> Link for LoggedLink<L> {
         self.link.restart()
     }
 
-    fn instruction_count(&self) -> Option<u64> {
-        self.link.instruction_count()
+    fn chip(&mut self) -> Option<&mut dyn Chip> {
+        self.link.chip()
     }
 }
 
