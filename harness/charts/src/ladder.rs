@@ -12,7 +12,7 @@ use platebench_plate::Tier;
 use platebench_report::chart::{LogLogChart, LogLogSeries};
 use platebench_report::document::{Block, Document, Table};
 use platebench_report::page::ChartSection;
-use platebench_rig::RigSpec;
+use platebench_rig::{Capability, RigSpec};
 
 const FILE: &str = "ladder.csv";
 /// Smaller differences are drawn at this value, because a logarithmic axis has no zero.
@@ -34,23 +34,25 @@ enum Rung {
 
 impl Rung {
     /// The most detailed rung in lockstep, so the line adds no delay.
-    const REFERENCE: Self = Self::Rig(RigSpec::Emulated(None), LOCKSTEP);
+    fn reference() -> Self {
+        Self::Rig(RigSpec::emulated(None), LOCKSTEP)
+    }
 
     fn name(&self) -> String {
         match self {
             Self::Model(tier) => format!("hosted, {} plate", tier.name()),
-            Self::Rig(rig, Clock::Lockstep { .. }) => format!("{}, lockstep", kind(rig)),
-            Self::Rig(rig, _) => format!("{}, real time", kind(rig)),
+            Self::Rig(rig, Clock::Lockstep { .. }) => format!("{}, lockstep", rig.name()),
+            Self::Rig(rig, _) => format!("{}, real time", rig.name()),
         }
     }
 
-    const fn question(&self) -> &'static str {
+    fn question(&self) -> &'static str {
         match self {
             Self::Model(Tier::Linear) => "Roughly how large and how fast, without detuning?",
             Self::Model(Tier::Envelope) => "Which law, gains, period and delay work?",
             Self::Model(Tier::Modal) => "Does the control law pass?",
             Self::Model(Tier::Carrier) => "Does it pass with converter and demodulator?",
-            Self::Rig(RigSpec::Emulated(_), _) => "Does the firmware image pass, as compiled?",
+            Self::Rig(rig, _) if rig.has(Capability::EmulatedChip) => "Does the firmware image pass, as compiled?",
             Self::Rig(_, Clock::Lockstep { .. }) => "Does this controller program pass?",
             Self::Rig(..) => "Does it pass with the delay of its line?",
         }
@@ -60,16 +62,16 @@ impl Rung {
         let (own, rig, clock): (Vec<Scenario>, _, _) = match self {
             Self::Model(tier) => {
                 let own = scenarios.iter().filter(|scenario| models(scenario).contains(tier));
-                (own.map(|scenario| Scenario { tier: *tier, ..scenario.clone() }).collect(), &RigSpec::Hosted, LOCKSTEP)
+                (
+                    own.map(|scenario| Scenario { tier: *tier, ..scenario.clone() }).collect(),
+                    RigSpec::hosted(),
+                    LOCKSTEP,
+                )
             }
-            Self::Rig(rig, clock) => (scenarios.to_vec(), rig, *clock),
+            Self::Rig(rig, clock) => (scenarios.to_vec(), rig.clone(), *clock),
         };
-        if own.is_empty() { Ok(None) } else { MeasuredRun::play(own, rig, clock).map(Some) }
+        if own.is_empty() { Ok(None) } else { MeasuredRun::play(own, &rig, clock).map(Some) }
     }
-}
-
-fn kind(rig: &RigSpec) -> String {
-    rig.to_string().split(':').next().unwrap_or_default().to_owned()
 }
 
 struct RungResult {
@@ -85,7 +87,7 @@ struct RungResult {
 /// Plays `scenarios` on every rung. Each of `rigs` adds a rung in lockstep and one in real time.
 pub fn build_chart(scenarios: &[Scenario], rounds: u32, rigs: &[RigSpec]) -> Result<ChartSection, ChartError> {
     let mut rungs: Vec<Rung> = Tier::ALL.map(Rung::Model).into();
-    rungs.push(Rung::REFERENCE);
+    rungs.push(Rung::reference());
     for rig in rigs {
         rungs.extend([LOCKSTEP, REAL_TIME].map(|clock| Rung::Rig(rig.clone(), clock)));
     }
@@ -100,7 +102,8 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32, rigs: &[RigSpec]) -> Res
             }
         }
     }
-    let Some(reference) = runs.iter().find(|(rung, ..)| *rung == Rung::REFERENCE).map(|(_, record, _)| record.clone())
+    let Some(reference) =
+        runs.iter().find(|(rung, ..)| *rung == Rung::reference()).map(|(_, record, _)| record.clone())
     else {
         return section(&[]);
     };
@@ -205,7 +208,7 @@ fn drawing(results: &[RungResult], place: usize, metric: Metric, unit: &str) -> 
             name: result.rung.name(),
             points: vec![(result.period_us, difference.max(SMALLEST_DRAWN))],
             failed: Vec::new(),
-            is_highlighted: result.rung == Rung::REFERENCE,
+            is_highlighted: result.rung == Rung::reference(),
         }
     };
     LogLogChart {

@@ -68,7 +68,7 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, 
             if own.is_empty() {
                 continue;
             }
-            let MeasuredRun { record, period_us } = MeasuredRun::play(own, &RigSpec::Hosted, LOCKSTEP)?;
+            let MeasuredRun { record, period_us } = MeasuredRun::play(own, &RigSpec::hosted(), LOCKSTEP)?;
             costs.entry(tier.name()).or_default().push(period_us);
             records.insert(tier.name(), record);
         }

@@ -49,7 +49,7 @@ pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> CommandResult {
 fn plan(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<(Plan, FileLock), CampaignError> {
     rig.check()?;
     warn_of_scenarios(std::slice::from_ref(&campaign.template.scenario));
-    if campaign.confirm.is_some() && *rig != RigSpec::Hosted {
+    if campaign.confirm.is_some() && *rig != RigSpec::hosted() {
         return Err(CampaignError::ConfirmedRig(rig.to_string()));
     }
     let plan = Plan::new(campaign, folder, rig, shards)?;
@@ -137,7 +137,7 @@ fn merge_and_show(
 ) -> CommandResult {
     let mut agreement = None;
     if campaign.confirm.is_some() {
-        let config = PlayConfig::new(RigSpec::Hosted, job_count(jobs));
+        let config = PlayConfig::new(RigSpec::hosted(), job_count(jobs));
         let (folder, plan, campaign) = (folder.to_owned(), plan.clone(), Arc::clone(&campaign));
         agreement = run_campaign_work(config, CampaignProgress::new(0, quiet), move |config, events| {
             confirm(&folder, &plan, &campaign, config, &mut |event| events.send(PlayEvent::Trial(event)))

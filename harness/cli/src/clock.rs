@@ -2,12 +2,9 @@
 
 use crate::options::{ClockArg, PacingArg, PlateModeArg};
 use platebench_engine::{Clock, Pacing, TimeBase};
+use platebench_model::record::ClockKind;
 use platebench_model::scenario::Scenario;
-use platebench_rig::{RigSpec, check_baud};
-
-pub(crate) fn default_clock(rig: &RigSpec) -> ClockArg {
-    if rig.is_line() { ClockArg::RealTime } else { ClockArg::Lockstep }
-}
+use platebench_rig::{Capability, RigSpec, check_baud, rig_syntaxes};
 
 pub(crate) struct ClockRequest<'a> {
     pub(crate) rig: &'a RigSpec,
@@ -24,43 +21,47 @@ impl<'a> ClockRequest<'a> {
         Self { rig, clock, time_scale: 1.0, pacing, plate_mode, wire_time: false }
     }
 
-    pub(crate) fn resolve(&self) -> Result<Clock, &'static str> {
+    fn default_clock(&self) -> ClockArg {
+        match self.rig.default_clock() {
+            ClockKind::Lockstep => ClockArg::Lockstep,
+            ClockKind::RealTime | ClockKind::RealPlate => ClockArg::RealTime,
+        }
+    }
+
+    pub(crate) fn resolve(&self) -> Result<Clock, String> {
         let Self { time_scale, wire_time, .. } = *self;
         let pacing = Pacing::from(self.pacing);
         if self.plate_mode == PlateModeArg::Real {
             return self.resolve_real_plate();
         }
-        match self.clock.unwrap_or(default_clock(self.rig)) {
+        let refuse = |reason: &str| Err(reason.to_owned());
+        match self.clock.unwrap_or_else(|| self.default_clock()) {
             ClockArg::Lockstep if time_scale != 1.0 || pacing == Pacing::Target => {
-                Err("--time-scale and --pacing are for --clock real-time")
+                refuse("--time-scale and --pacing are for --clock real-time")
             }
             ClockArg::Lockstep => Ok(Clock::Lockstep { wire_time }),
-            ClockArg::RealTime if !self.rig.supports_real_time() => {
-                Err("RTT through a debug probe does not keep real time: use --clock lockstep or name the board's \
-                     serial port, --rig probe:CHIP,port=PORT[@BAUD]")
-            }
-            ClockArg::RealTime if wire_time => {
-                Err("--wire-time is for --clock lockstep; in real time line and computing time delay the loop anyway")
-            }
+            ClockArg::RealTime if let Some(reason) = self.rig.properties().no_real_time => refuse(reason),
+            ClockArg::RealTime if wire_time => refuse(
+                "--wire-time is for --clock lockstep; in real time line and computing time delay the loop anyway",
+            ),
             ClockArg::RealTime if time_scale != 1.0 && pacing == Pacing::Target => {
-                Err("--time-scale needs --pacing bench: a controller's own timer cannot be slowed down")
+                refuse("--time-scale needs --pacing bench: a controller's own timer cannot be slowed down")
             }
             ClockArg::RealTime => Ok(Clock::RealTime(TimeBase { time_scale, pacing })),
         }
     }
 
     /// A controller with a real plate allows one clock only, its own.
-    fn resolve_real_plate(&self) -> Result<Clock, &'static str> {
-        let drives_plate =
-            matches!(self.rig, RigSpec::Serial { .. } | RigSpec::Tcp(_) | RigSpec::Rfc2217 { .. } | RigSpec::Exec(_));
-        if !drives_plate {
-            return Err("--plate-mode real is for a controller that drives its own plate: --rig serial:PORT[@BAUD], \
-                 tcp:HOST:PORT, rfc2217:HOST:PORT[@BAUD] or exec:COMMAND");
+    fn resolve_real_plate(&self) -> Result<Clock, String> {
+        if !self.rig.has(Capability::RealPlate) {
+            let rigs = rig_syntaxes(|rig| rig.capabilities.contains(&Capability::RealPlate));
+            return Err(format!("--plate-mode real is for a controller that drives its own plate: --rig {rigs}"));
         }
         let names_clock = self.clock == Some(ClockArg::Lockstep) || self.time_scale != 1.0 || self.wire_time;
         if names_clock || self.pacing == PacingArg::Target {
-            return Err("--plate-mode real uses the controller's own clock: --clock lockstep, --time-scale, --pacing \
-                        and --wire-time are for an emulated plate");
+            let reason = "--plate-mode real uses the controller's own clock: --clock lockstep, --time-scale, --pacing \
+                          and --wire-time are for an emulated plate";
+            return Err(reason.to_owned());
         }
         Ok(Clock::RealPlate)
     }

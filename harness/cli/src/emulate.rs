@@ -18,7 +18,9 @@ use platebench_plate::Time;
 use platebench_report::live::{
     INTERRUPT, LiveView, RunDescription, ScenarioDescription, ViewEvent, ViewSender, watch_keys,
 };
-use platebench_rig::{BoxedLink, FaultInjector, PtyLink, RigSpec, SafeEnd, Session, check_baud};
+use platebench_rig::{
+    BoxedLink, Capability, FaultInjector, PtyLink, RigSpec, SafeEnd, Session, check_baud, rig_syntaxes,
+};
 use platebench_wire::LawId;
 use std::io::{IsTerminal, stdin, stdout};
 use std::path::PathBuf;
@@ -72,9 +74,10 @@ pub(crate) fn emulate(arguments: &EmulateArgs) -> CommandResult {
     let name = arguments.law.as_ref().unwrap_or(&scenario.controller.law);
     let law = LawId::from_name(name).ok_or_else(|| format!("unknown law `{name}`")).or_invalid()?;
     let named = match arguments.board.find_rig()? {
-        Some(rig @ RigSpec::Serial { .. }) => rig.to_string(),
+        Some(rig) if rig.has(Capability::LocalPort) => rig.to_string(),
         Some(rig) => {
-            return Err(Failure::invalid(&format!("the board has the rig {rig}, expected serial:PORT[@BAUD]")));
+            let expected = rig_syntaxes(|rig| rig.capabilities.contains(&Capability::LocalPort));
+            return Err(Failure::invalid(&format!("the board has the rig {rig}, expected {expected}")));
         }
         None => arguments.port.clone().unwrap_or_default(),
     };

@@ -5,7 +5,7 @@ mod budget;
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
-use crate::options::{OutputFormat, job_count, law_names};
+use crate::options::{OutputFormat, job_count, law_names, rig_help};
 use crate::selection::note_skipped;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
 use crate::stdio;
@@ -37,9 +37,7 @@ pub(crate) struct ExploreArgs {
     /// The operating envelope
     #[arg(default_value = "scenarios/envelope.toml")]
     envelope: PathBuf,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] |
-    /// tcp:HOST:PORT | rfc2217:HOST:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
-    #[arg(long, default_value = "emulated")]
+    #[arg(long, help = rig_help(), default_value = "emulated")]
     rig: RigSpec,
     /// Control law of the firmware under test; default: dq-pi
     #[arg(long, value_name = "NAME", value_parser = law_names())]

@@ -4,6 +4,7 @@ use clap::ValueEnum;
 use clap::builder::PossibleValuesParser;
 use platebench_engine::Pacing;
 use platebench_model::record::KeepTraces;
+use platebench_rig::RIGS;
 use platebench_wire::LawId;
 use std::num::NonZero;
 use std::time::Duration;
@@ -51,6 +52,11 @@ impl From<PacingArg> for Pacing {
             PacingArg::Target => Self::Target,
         }
     }
+}
+
+/// Lists the syntax and the purpose of each rig.
+pub(crate) fn rig_help() -> String {
+    RIGS.iter().fold("Rig of the controller:".to_owned(), |text, rig| format!("{text}\n{rig}: {}", rig.help))
 }
 
 pub(crate) fn law_names() -> PossibleValuesParser {

@@ -2,7 +2,7 @@
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
-use crate::options::{OutputFormat, law_names};
+use crate::options::{OutputFormat, law_names, rig_help};
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
@@ -32,9 +32,7 @@ pub(crate) struct ReplayArgs {
     /// A trace of a run folder, or a table of telemetry
     #[arg(value_name = "RECORDING")]
     recording: PathBuf,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] |
-    /// tcp:HOST:PORT | rfc2217:HOST:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
-    #[arg(long, default_value = "hosted")]
+    #[arg(long, help = rig_help(), default_value = "hosted")]
     rig: RigSpec,
     /// Control law; default: the recorded one, or the scenario's
     #[arg(long, value_name = "NAME", value_parser = law_names())]

@@ -1,7 +1,7 @@
 //! Describes a run: scenarios, clock, operator, hooks and the errors that end it.
 
 use crate::live_tap::LiveTap;
-use crate::timing::TimeBase;
+use crate::timing::{Pacing, TimeBase};
 use platebench_model::record::{ClockKind, Event, FolderError, Overrides};
 use platebench_model::scenario::{Diagnostic, Scenario};
 use platebench_model::trace::TraceError;
@@ -40,6 +40,15 @@ pub enum Clock {
 }
 
 impl Clock {
+    /// Clock of a run whose user selects none, see [`RigSpec::default_clock`].
+    pub fn default_for(rig: &RigSpec) -> Self {
+        match rig.default_clock() {
+            ClockKind::Lockstep => Self::Lockstep { wire_time: false },
+            ClockKind::RealTime => Self::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench }),
+            ClockKind::RealPlate => Self::RealPlate,
+        }
+    }
+
     pub const fn kind(self) -> ClockKind {
         match self {
             Self::Lockstep { .. } => ClockKind::Lockstep,

@@ -1,8 +1,7 @@
 //! Defines the errors of an invalid suite.
 
 use platebench_model::scenario::Diagnostic;
-use platebench_rig::ConnectError;
-use platebench_rig::spec::SpecError;
+use platebench_rig::{ConnectError, SpecError};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 

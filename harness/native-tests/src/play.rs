@@ -1,6 +1,6 @@
 //! Runs one scenario as a test, with its own run folder.
 
-use platebench_engine::{Clock, Pacing, RunError, RunHooks, RunPlan, TimeBase};
+use platebench_engine::{Clock, RunError, RunHooks, RunPlan};
 use platebench_model::record::{FolderError, Overrides, RECORD_FILE, RunFolder, RunRecord, Verdict};
 use platebench_model::scenario::Scenario;
 use platebench_report::console;
@@ -43,14 +43,9 @@ impl From<FolderError> for TestFailure {
 }
 
 impl TestContext {
-    /// Selects the clock like `platebench run`: real time on a serial line, lockstep otherwise.
+    /// Selects the clock like `platebench run`.
     pub(crate) fn new(rig: RigSpec, out: PathBuf) -> Self {
-        let clock = if rig.is_line() {
-            Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench })
-        } else {
-            Clock::Lockstep { wire_time: false }
-        };
-        Self { rig, clock, out }
+        Self { clock: Clock::default_for(&rig), rig, out }
     }
 
     pub(crate) fn run_scenario(&self, scenario: Scenario) -> Result<(), TestFailure> {

@@ -2,8 +2,8 @@
 //! laws act on the same samples, so that a difference of their commands does not grow through the
 //! plate.
 
-use crate::hosted::HostedLink;
 use crate::link::{Link, LinkError};
+use crate::rigs::hosted::HostedLink;
 use platebench_wire::{Command, Configure, ControllerState, Message, Packet, PacketReader, StateCause};
 use std::time::Duration;
 

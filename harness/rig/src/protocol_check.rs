@@ -10,8 +10,8 @@ mod scripts;
 mod ticks;
 mod timing;
 
-use crate::hosted::HostedLink;
 use crate::link::{Link, LinkError, LinkKind};
+use crate::rigs::hosted::HostedLink;
 use builder::{Script, Variation};
 use comparison::{BenchCause, Comparison, Difference, ReceivedPackets};
 use platebench_wire::{Configure, Identity};

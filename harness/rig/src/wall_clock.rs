@@ -132,7 +132,7 @@ impl<L: Link> RealTimeLine for WallClockLink<L> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hosted::HostedLink;
+    use crate::rigs::hosted::HostedLink;
     use crate::session::Session;
     use platebench_test_kit::CONFIGURE;
     use platebench_wire::{Configure, Message, Sample, Tick};

@@ -309,7 +309,7 @@ impl TestFolder {
             overrides: Overrides::default(),
         };
         let record =
-            platebench_engine::run(&plan, &folder, &|| RigSpec::Hosted.connect(), RunHooks::default()).unwrap();
+            platebench_engine::run(&plan, &folder, &|| RigSpec::hosted().connect(), RunHooks::default()).unwrap();
         let trace = out.path().join(&record.scenarios[0].trials[0].trace);
         (record, read_trace(&trace).unwrap())
     }

@@ -68,7 +68,7 @@ fn the_cost_reference_matches_the_image() {
         let plan = RunPlan { scenarios, jobs: 2, clock, own_clock: false, rig: "emulated".to_owned(), overrides };
         let out = tempfile::tempdir().unwrap();
         let folder = RunFolder::create(Some(&out.path().join("run"))).unwrap();
-        let connect = || RigSpec::Emulated(None).connect();
+        let connect = || RigSpec::emulated(None).connect();
         let record = run(&plan, &folder, &connect, RunHooks::default()).unwrap();
         if law == LawId::ALL[0] {
             let firmware = record.rig.firmware.as_ref().unwrap();

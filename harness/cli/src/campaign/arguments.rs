@@ -1,5 +1,5 @@
 use crate::board_args::BoardArgs;
-use crate::options::OutputFormat;
+use crate::options::{OutputFormat, rig_help};
 use clap::{Args, Subcommand, ValueEnum};
 use platebench_rig::RigSpec;
 use std::path::PathBuf;
@@ -47,9 +47,7 @@ pub(super) struct RunArgs {
     /// Trials that are played at once; default: one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(super) jobs: Option<u16>,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] |
-    /// tcp:HOST:PORT | rfc2217:HOST:PORT[@BAUD] | probe:CHIP
-    #[arg(long, default_value = "hosted", conflicts_with = "board")]
+    #[arg(long, help = rig_help(), default_value = "hosted", conflicts_with = "board")]
     pub(super) rig: RigSpec,
     #[command(flatten)]
     pub(super) board: BoardArgs,
@@ -68,9 +66,7 @@ pub(super) struct PlanArgs {
     /// Number of shards
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub(super) shards: u32,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] |
-    /// tcp:HOST:PORT | rfc2217:HOST:PORT[@BAUD] | probe:CHIP
-    #[arg(long, default_value = "hosted")]
+    #[arg(long, help = rig_help(), default_value = "hosted")]
     pub(super) rig: RigSpec,
 }
 

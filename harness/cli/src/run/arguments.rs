@@ -2,6 +2,7 @@ use crate::board_args::BoardArgs;
 use crate::clock::ClockRequest;
 use crate::options::{
     ClockArg, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, law_names, parse_keep_traces, parse_time_scale,
+    rig_help,
 };
 use crate::outputs::Outputs;
 use crate::selection::TagFilter;
@@ -29,9 +30,7 @@ pub(crate) struct RunArgs {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     pub(crate) scenarios: Vec<PathBuf>,
-    /// Rig of the controller: hosted | emulated[:ELF] | exec:COMMAND | serial:PORT[@BAUD] |
-    /// tcp:HOST:PORT | rfc2217:HOST:PORT[@BAUD] | probe:CHIP[,elf=ELF][,port=PORT[@BAUD]]
-    #[arg(long, default_value = "emulated", conflicts_with = "board")]
+    #[arg(long, help = rig_help(), default_value = "emulated", conflicts_with = "board")]
     pub(crate) rig: RigSpec,
     #[command(flatten)]
     pub(crate) board: BoardArgs,

@@ -18,7 +18,7 @@ use platebench_report::events::EventWriter;
 use platebench_report::format::count;
 use platebench_report::page::RowCache;
 use platebench_report::{Detail, Progress, ProgressKind, junit, page, traceability};
-use platebench_rig::{ConnectOptions, DebugPort, RigSpec};
+use platebench_rig::{Capability, ConnectOptions, DebugPort};
 use std::path::Path;
 use tracing::info;
 
@@ -27,7 +27,7 @@ pub(super) fn check_options(arguments: &RunArgs) -> Result<Clock, Failure> {
     let clock = arguments.clock().resolve().or_invalid()?;
     arguments.rig.check().or_invalid()?;
     if arguments.gdb.is_some()
-        && (!matches!(arguments.rig, RigSpec::Emulated(_)) || !matches!(clock, Clock::Lockstep { .. }))
+        && (!arguments.rig.has(Capability::EmulatedChip) || !matches!(clock, Clock::Lockstep { .. }))
     {
         return Err(Failure::invalid(&"--gdb: expected --rig emulated[:ELF] and --clock lockstep"));
     }

@@ -1,17 +1,15 @@
 //! Verifies gains on a rig: configures the rig, reads the gains back and plays one step.
 
 use crate::board_args::{BoardArgs, release};
-use crate::clock::default_clock;
 use crate::exit::Exit;
 use crate::failure::{Failure, OrInvalid};
-use crate::options::ClockArg;
 use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
 use crate::stdio;
 use platebench_design::tuning::verification::{VerificationStep, gains_match, step_scenario};
-use platebench_engine::{Clock, LiveTap, Pacing, RunError, RunPlan, TimeBase, configure};
+use platebench_engine::{Clock, LiveTap, RunError, RunPlan, configure};
 use platebench_lab::boards::BoardOutcome;
-use platebench_model::record::{Overrides, RunFolder, TrialRecord};
+use platebench_model::record::{ClockKind, Overrides, RunFolder, TrialRecord};
 use platebench_model::scenario::Scenario;
 use platebench_report::console;
 use platebench_rig::{ConnectOptions, RigSpec, SafeEnd, Session, check_baud};
@@ -53,12 +51,8 @@ fn play_step(
     config: &VerificationConfig<'_>,
     end: &mut BoardOutcome,
 ) -> Result<RigVerification, Failure> {
-    let step = VerificationStep { real_time: default_clock(rig) == ClockArg::RealTime, ..config.step };
-    let clock = if step.real_time {
-        Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench })
-    } else {
-        Clock::Lockstep { wire_time: false }
-    };
+    let clock = Clock::default_for(rig);
+    let step = VerificationStep { real_time: clock.kind() == ClockKind::RealTime, ..config.step };
     if let (true, Some(baud)) = (step.real_time, rig.baud()) {
         let period = Duration::from_micros(u64::from(step.target.period_us));
         check_baud(baud, period, 1.0).or_invalid()?;

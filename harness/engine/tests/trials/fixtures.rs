@@ -16,7 +16,7 @@ pub(crate) fn plan(scenarios: Vec<Scenario>, clock: Clock) -> RunPlan {
 
 pub(crate) fn run_hosted(plan: &RunPlan, out: &Path) -> RunRecord {
     let folder = RunFolder::create(Some(out)).unwrap();
-    run(plan, &folder, &|| RigSpec::Hosted.connect(), RunHooks::default()).unwrap()
+    run(plan, &folder, &|| RigSpec::hosted().connect(), RunHooks::default()).unwrap()
 }
 
 pub(crate) fn packets(bytes: &[u8]) -> Vec<Packet> {

@@ -21,8 +21,8 @@ fn run_with_tap(plan: &RunPlan, tap: &LiveTap) -> (RunRecord, Vec<Vec<u8>>) {
     let out = tempfile::tempdir().unwrap();
     let folder = RunFolder::create(Some(&out.path().join("run"))).unwrap();
     let connect = || match plan.clock {
-        Clock::Lockstep { .. } => RigSpec::Hosted.connect(),
-        Clock::RealTime(_) | Clock::RealPlate => RigSpec::Hosted.connect_real_time(),
+        Clock::Lockstep { .. } => RigSpec::hosted().connect(),
+        Clock::RealTime(_) | Clock::RealPlate => RigSpec::hosted().connect_real_time(),
     };
     let hooks = RunHooks { live_tap: tap.clone(), ..RunHooks::default() };
     let record = run(plan, &folder, &connect, hooks).unwrap();

@@ -5,7 +5,7 @@ use crate::campaign::distribution::Variable;
 use crate::campaign::distribution::{Correlation, RawCorrelation};
 use platebench_model::scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
 use platebench_model::scenario::{Diagnostic, Metric, Scenario, parse_file};
-use platebench_rig::RigSpec;
+use platebench_rig::{Capability, RigSpec};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -271,16 +271,16 @@ impl Checker<'_> {
 
     fn confirming_rig(&self, plan: &RawPlan) -> Result<Option<RigSpec>, Diagnostic> {
         let Some(text) = &plan.confirm else { return Ok(None) };
-        match text.parse() {
-            Ok(RigSpec::Emulated(elf)) => {
+        match text.parse::<RigSpec>() {
+            Ok(rig) if rig.has(Capability::EmulatedChip) => {
                 let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
-                let elf = elf.map(|elf| folder.join(elf));
+                let elf = rig.image().map(|elf| folder.join(elf));
                 match elf.as_ref().filter(|elf| !elf.is_file()) {
                     Some(missing) => {
                         let message = format!("{}: no such file, expected an ELF", missing.display());
                         Err(self.fault("plan.confirm", message))
                     }
-                    None => Ok(Some(RigSpec::Emulated(elf))),
+                    None => Ok(Some(RigSpec::emulated(elf))),
                 }
             }
             _ => Err(self.fault("plan.confirm", format!("`{text}`, expected emulated or emulated:ELF"))),

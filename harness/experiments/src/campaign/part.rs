@@ -234,7 +234,7 @@ mod tests {
         write("step.toml", SCENARIO);
         write("campaign.toml", &format!("title = \"x\"\nscenario = \"step.toml\"\n[vary]\n{vary}\n{plan}"));
         let campaign = Campaign::load(&folder.path().join("campaign.toml")).unwrap();
-        let plan = Plan::new(&campaign, folder.path(), &RigSpec::Hosted, 1).unwrap();
+        let plan = Plan::new(&campaign, folder.path(), &RigSpec::hosted(), 1).unwrap();
         plan.write(folder.path()).unwrap();
         let row =
             Row { draws: vec![3.0], values: vec![value], margins: vec![margin], ..Row::example(0, verdict, margin) };

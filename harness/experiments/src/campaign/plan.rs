@@ -4,7 +4,7 @@ use crate::campaign::definition::{Campaign, Method};
 use crate::campaign::error::CampaignError;
 use platebench_model::record::{sha256, sha256_of_file, to_hex};
 use platebench_model::trace::{AtPath, MAX_IMAGE_BYTES, read_regular_file, read_text_file, write_atomically};
-use platebench_rig::{BUILT_IN_IMAGE, FaultInjector, RigSpec, Session, printable_name};
+use platebench_rig::{BUILT_IN_IMAGE, FaultInjector, FirmwareImage, RigSpec, Session, printable_name};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
@@ -186,20 +186,16 @@ fn bench_digest() -> Result<String, CampaignError> {
 
 pub(crate) fn firmware_digest(rig: &RigSpec) -> Result<String, CampaignError> {
     let read = |path: &Path| read_regular_file(path, MAX_IMAGE_BYTES).at(path);
-    let content = match rig {
-        RigSpec::Emulated(None) => BUILT_IN_IMAGE.to_vec(),
-        RigSpec::Emulated(Some(path)) => read(path)?,
-        RigSpec::Exec(command) => {
+    let content = match &rig.properties().image {
+        FirmwareImage::BuiltIn if rig.is_simulated() => BUILT_IN_IMAGE.to_vec(),
+        FirmwareImage::File(path) if rig.is_simulated() => read(path)?,
+        _ => {
             let mut content = identity(rig)?.into_bytes();
-            for word in shlex::split(command).unwrap_or_default() {
-                let path = PathBuf::from(word);
-                if path.is_file() {
-                    content.extend(read(&path)?);
-                }
+            for path in rig.properties().command.iter().map(Path::new).filter(|path| path.is_file()) {
+                content.extend(read(path)?);
             }
             content
         }
-        _ => identity(rig)?.into_bytes(),
     };
     Ok(sha256(&content))
 }

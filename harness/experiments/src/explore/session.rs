@@ -187,7 +187,7 @@ mod tests {
     fn a_controller_without_the_capability_gets_no_loop_delay() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml");
         let envelope = Envelope::load(&path).unwrap();
-        let identity = identify(&|| RigSpec::Hosted.connect(), &SafeEnds::default()).unwrap();
+        let identity = identify(&|| RigSpec::hosted().connect(), &SafeEnds::default()).unwrap();
         assert_eq!(envelope_for(&envelope, &identity).range.loop_delay_periods, envelope.range.loop_delay_periods);
         let without = Identity { capabilities: 0, ..identity };
         assert!(envelope.range.loop_delay_periods[1] > 0.0);

@@ -8,15 +8,15 @@ use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{MAX_IMAGE_BYTES, read_regular_file};
 use platebench_rig::{
-    BUILT_IN_IMAGE, CancelToken, ConnectError, EmulatedError, EmulatedLink, FaultInjector, LinkError, RigError,
-    RigSpec, SafeEnd, Session, Symbols, TargetError,
+    BUILT_IN_IMAGE, CancelToken, Capability, ConnectError, EmulatedError, EmulatedLink, FaultInjector, LinkError,
+    RigError, RigSpec, SafeEnd, Session, Symbols, TargetError,
 };
 use platebench_verdict::Judgement;
 use platebench_wire::LawId;
 use serde::Serialize;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 pub(crate) type BoardExecutor<'a> = Executor<'a, EmulatedLink>;
 
@@ -56,8 +56,11 @@ pub struct Margin {
 
 impl Suite {
     pub fn new(rig: &RigSpec, scenarios: Vec<Scenario>) -> Result<Self, AnalysisError> {
-        let RigSpec::Emulated(elf) = rig else { return Err(AnalysisError::NotEmulated(rig.to_string())) };
-        let mut suite = Self { elf: elf.clone(), scenarios: Vec::new(), not_applicable: Vec::new() };
+        if !rig.has(Capability::EmulatedChip) {
+            return Err(AnalysisError::NotEmulated(rig.to_string()));
+        }
+        let mut suite =
+            Self { elf: rig.image().map(Path::to_owned), scenarios: Vec::new(), not_applicable: Vec::new() };
         let session = Session::open(FaultInjector::new(suite.connect()?))?;
         for scenario in scenarios {
             let law = law(&scenario).map_err(|fault| AnalysisError::Scenario(Box::new(fault)))?;

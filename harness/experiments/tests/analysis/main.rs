@@ -12,7 +12,7 @@ fn suite(scenarios: &[&str]) -> Suite {
     // Relative paths in the debug information start at the workspace root.
     std::env::set_current_dir(workspace_root()).unwrap();
     let scenarios = scenarios.iter().map(|name| load_scenario(name));
-    Suite::new(&RigSpec::Emulated(None), scenarios.collect()).unwrap()
+    Suite::new(&RigSpec::emulated(None), scenarios.collect()).unwrap()
 }
 
 fn shipped_code() -> (CodeMap, Symbols) {

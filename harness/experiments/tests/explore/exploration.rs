@@ -108,7 +108,7 @@ fn an_interrupted_exploration_writes_its_result() {
     let ExploreConfig { envelope, law, seed, jobs, .. } = configuration(LawId::DqPi, 1);
     let budget = Budget::Scenes(u64::MAX / 4);
     let (regressions, regression_folder) = (Vec::new(), PathBuf::from("none"));
-    let rig = RigSpec::Hosted;
+    let rig = RigSpec::hosted();
     let session = ExploreSession {
         envelope,
         rig,

@@ -11,7 +11,7 @@ use platebench_model::record::{
     self as record, Firmware, Host, InputRecord, Tool, Verdict, sha256, sha256_of_file, utc_timestamp,
 };
 use platebench_model::trace::AtPath;
-use platebench_rig::{BUILT_IN_IMAGE, RigSpec};
+use platebench_rig::{BUILT_IN_IMAGE, FirmwareImage, RigSpec};
 use std::fs;
 use std::path::Path;
 
@@ -65,13 +65,11 @@ fn bench_record() -> Result<BenchRecord, AcceptError> {
 
 /// Returns the SHA-256 of the image that the bench loads. `None` if it loads no image.
 pub(crate) fn image_sha256(rig: &RigSpec) -> Result<Option<String>, AcceptError> {
-    match rig {
-        RigSpec::Emulated(None) | RigSpec::Probe { elf: None, .. } => Ok(Some(sha256(BUILT_IN_IMAGE))),
-        RigSpec::Emulated(Some(elf)) | RigSpec::Probe { elf: Some(elf), .. } => Ok(Some(sha256_of_file(elf).at(elf)?)),
-        RigSpec::Hosted | RigSpec::Exec(_) | RigSpec::Serial { .. } | RigSpec::Tcp(_) | RigSpec::Rfc2217 { .. } => {
-            Ok(None)
-        }
-    }
+    Ok(match &rig.properties().image {
+        FirmwareImage::None => None,
+        FirmwareImage::BuiltIn => Some(sha256(BUILT_IN_IMAGE)),
+        FirmwareImage::File(elf) => Some(sha256_of_file(elf).at(elf)?),
+    })
 }
 
 pub(crate) fn check_run_hashes(folder: &Path, record: &SessionRecord) -> Result<(), AcceptError> {

@@ -35,7 +35,7 @@ pub(crate) fn run_self_test(
     let lockstep = ScenarioRun {
         scenario,
         trials: 1,
-        rig: &RigSpec::Hosted,
+        rig: &RigSpec::hosted(),
         clock: Clock::Lockstep { wire_time: false },
         jobs: 1,
     };

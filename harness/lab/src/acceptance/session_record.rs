@@ -3,7 +3,7 @@
 use crate::acceptance::error::AcceptError;
 use platebench_model::record::{Firmware, Host, InputRecord, Quantiles, Tool, Verdict};
 use platebench_model::trace::{AtPath, FileError, read_regular_file, write_atomically};
-use platebench_rig::RigSpec;
+use platebench_rig::{Capability, RigSpec};
 use platebench_verdict::uncertainty::{CombinedUncertainty, Conformity, DecisionRule};
 use serde::{Deserialize, Serialize};
 use std::io;
@@ -264,15 +264,12 @@ impl SessionRecord {
 
     /// Returns the notice of a record without a board. `None` if a board may have been attached.
     pub fn no_board_notice(&self) -> Option<&'static str> {
-        match self.rig.parse().ok().filter(RigSpec::is_simulated)? {
-            RigSpec::Hosted => {
-                Some("no board was attached: this record covers the control law on the bench's computer, not a board")
-            }
-            _ => Some(
-                "no board was attached: this record covers the firmware's control law on an emulated processor, not a \
-                 board",
-            ),
-        }
+        let rig = self.rig.parse().ok().filter(RigSpec::is_simulated)?;
+        Some(if rig.has(Capability::EmulatedChip) {
+            "no board was attached: this record covers the firmware's control law on an emulated processor, not a board"
+        } else {
+            "no board was attached: this record covers the control law on the bench's computer, not a board"
+        })
     }
 
     pub fn lost_a_controller(&self) -> bool {

@@ -232,7 +232,7 @@ mod tests {
         let first = inventory.board("a").unwrap();
         assert_eq!(first.chip_id.as_deref(), Some("00112233445566778899aabb"));
         assert_eq!(first.sensor.as_ref().and_then(|sensor| sensor.uncertainty_percent), Some(0.4));
-        assert_eq!(inventory.board("b").unwrap().rig, RigSpec::Emulated(None));
+        assert_eq!(inventory.board("b").unwrap().rig, RigSpec::emulated(None));
         let unknown = inventory.board("c").unwrap_err();
         assert!(unknown.to_string().contains("expected one of a, b"), "{unknown}");
     }

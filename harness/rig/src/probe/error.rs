@@ -2,7 +2,7 @@
 
 use crate::crash_report::CrashReport;
 use crate::link::LinkError;
-use crate::serial::SerialError;
+use crate::serial_port::SerialError;
 use crate::target_error::TargetError;
 use probe_rs::flashing::FlashError;
 use probe_rs::probe::DebugProbeError;

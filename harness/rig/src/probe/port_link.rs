@@ -4,7 +4,7 @@ use super::attached_board::AttachedBoard;
 use super::error::ProbeError;
 use super::image::Image;
 use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
-use crate::serial::SerialLink;
+use crate::serial_port::SerialLink;
 use platebench_wire::{Message, Packet, PacketReader};
 use std::path::Path;
 use std::sync::Arc;

@@ -11,10 +11,9 @@ use super::timeouts::Timeouts;
 use crate::built_in_image::BUILT_IN_IMAGE;
 use crate::emulated::read_elf;
 use crate::link::BoxedLink;
-use crate::serial::{DEFAULT_BAUD, SerialLink};
-use crate::spec::RigSpec;
+use crate::serial_port::SerialLink;
 use probe_rs::probe::list::Lister;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tracing::info;
 
@@ -40,16 +39,16 @@ impl ProbeSetup {
         Ok(Self { spec, image, port })
     }
 
-    /// Uses the built-in image if `rig` names no ELF. Fails if `rig` is not [`RigSpec::Probe`].
-    pub fn from_spec(rig: &RigSpec) -> Result<Self, ProbeError> {
-        let RigSpec::Probe { board, elf, port, baud } = rig else {
-            return Err(ProbeError::Spec { text: rig.to_string() });
-        };
-        let port = port.as_ref().map(|port| (port.into(), baud.unwrap_or(DEFAULT_BAUD)));
+    /// `board` is `CHIP[@VID:PID[:SERIAL]]`. Uses the built-in image if `elf` is `None`.
+    pub(crate) fn from_arguments(
+        board: &str,
+        elf: Option<&Path>,
+        port: Option<SerialPort>,
+    ) -> Result<Self, ProbeError> {
         match elf {
             None => Self::new(board.parse()?, BUILT_IN_IMAGE, port),
             Some(path) => {
-                let elf = read_elf(path).map_err(|error| ProbeError::Read { path: path.clone(), error })?;
+                let elf = read_elf(path).map_err(|error| ProbeError::Read { path: path.to_owned(), error })?;
                 Self::new(board.parse()?, &elf, port)
             }
         }

@@ -1,8 +1,8 @@
 //! Tests a session over a hosted controller, and over links with faults.
 
 use super::*;
-use crate::hosted::HostedLink;
 use crate::link::{BoxedLink, LinkError, RealTimeLine};
+use crate::rigs::hosted::HostedLink;
 use platebench_test_kit::CONFIGURE;
 use platebench_wire::{LawId, Rejection, StateCause};
 use std::sync::{Arc, Mutex};

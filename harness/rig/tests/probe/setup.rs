@@ -18,7 +18,7 @@ fn connect_error(text: &str) -> ConnectError {
 #[test]
 fn requires_a_serial_port_for_the_image_of_the_bench() {
     let error = connect_error("probe:STM32F407VG");
-    assert!(matches!(&error, ConnectError::Probe(ProbeError::NoRtt)), "{error}");
+    assert!(matches!(error.downcast_ref(), Some(ProbeError::NoRtt)), "{error}");
     assert!(error.is_invalid_input());
     assert!(error.to_string().ends_with("--rig probe:CHIP,port=PORT[@BAUD]"), "{error}");
     rig("probe:STM32F407VG,port=/dev/ttyACM0").check().unwrap();
@@ -31,12 +31,12 @@ fn accepts_rtt_in_lockstep_only() {
     fs::write(&elf, ImageSpec::default().elf()).unwrap();
     let over_rtt = rig(&format!("probe:STM32F407VG,elf={}", elf.display()));
     over_rtt.check().unwrap();
-    assert!(!over_rtt.supports_real_time());
+    assert!(over_rtt.properties().no_real_time.is_some());
     let error = over_rtt.connect_real_time().err().unwrap();
     assert!(error.is_invalid_input() && error.to_string().contains("--clock lockstep"), "{error}");
     let over_port = rig(&format!("probe:STM32F407VG,elf={},port=/dev/ttyACM0", elf.display()));
     over_port.check().unwrap();
-    assert!(over_port.supports_real_time());
+    assert!(over_port.properties().no_real_time.is_none());
     assert_eq!((over_port.baud(), over_rtt.baud()), (Some(1_000_000), None));
     assert!(over_rtt.has_own_clock() && !over_rtt.allows_parallel_links());
 }

@@ -1,9 +1,27 @@
 //! Runs the controller crate in this process: the same source and the same bytes as on the board.
 
-use crate::link::{Link, LinkError};
+use crate::factory::{Argument, Capability, ConnectError, ConnectOptions, Rig, RigFactory};
+use crate::link::{BoxedLink, Link, LinkError};
 use platebench_controller::Device;
 use platebench_wire::{Identity, LawId, capabilities};
 use std::time::Duration;
+
+pub(super) const RIG: RigFactory = RigFactory {
+    name: "hosted",
+    argument: Argument::None,
+    help: "the controller's source in the process of the bench",
+    capabilities: &[Capability::Simulated, Capability::ParallelLinks],
+    parse: |_| Ok(Box::new(HostedRig)),
+};
+
+#[derive(Debug)]
+pub(super) struct HostedRig;
+
+impl Rig for HostedRig {
+    fn open(&self, _: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
+        Ok(Box::new(HostedLink::new()))
+    }
+}
 
 #[derive(Debug, Clone)]
 pub struct HostedLink {

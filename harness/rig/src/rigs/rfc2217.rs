@@ -1,11 +1,47 @@
-//! Sets a remote serial port over Telnet (RFC 854, RFC 2217) and escapes the byte 255 (IAC).
+//! Connects to a serial port behind a network, sets it over Telnet (RFC 854, RFC 2217) and escapes
+//! the byte 255 (IAC).
 
-use crate::link::LinkError;
-use crate::network::error::NetworkError;
+use super::serial::parse_port;
+use super::tcp::{CONNECT_TIMEOUT, NetworkError, connect, parse_address};
+use crate::factory::{Argument, Capability, ConnectError, ConnectOptions, Rig, RigFactory, RigProperties};
+use crate::link::{BoxedLink, LinkError};
+use crate::port::Port;
 use crate::tty::Tty;
+use platebench_model::record::ClockKind;
 use rustix::fd::OwnedFd;
 use std::collections::VecDeque;
 use std::time::Instant;
+
+pub(super) const RIG: RigFactory = RigFactory {
+    name: "rfc2217",
+    argument: Argument::Required("HOST:PORT[@BAUD]"),
+    help: "a board on a serial port of a server, which the bench sets over Telnet",
+    capabilities: &[Capability::RealPlate],
+    parse: |text| {
+        let (address, baud) = parse_port(text.unwrap_or_default())?;
+        Ok(Box::new(Rfc2217Rig { address: parse_address(&address)?, baud }))
+    },
+};
+
+#[derive(Debug)]
+struct Rfc2217Rig {
+    address: String,
+    baud: u32,
+}
+
+impl Rig for Rfc2217Rig {
+    fn properties(&self) -> RigProperties {
+        RigProperties { default_clock: ClockKind::RealTime, baud: Some(self.baud), ..RigProperties::default() }
+    }
+
+    /// Sets the server's port to 8 data bits, no parity, 1 stop bit and no flow control.
+    fn open(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
+        let deadline = Instant::now() + CONNECT_TIMEOUT;
+        let line = connect(&self.address, deadline)?;
+        let port = Port::new(Rfc2217::start(line, &self.address, self.baud, deadline)?);
+        Ok(Box::new(port.with_reply_timeout(options.reply_timeout)))
+    }
+}
 
 const IAC: u8 = 255;
 const DONT: u8 = 254;
@@ -42,7 +78,7 @@ enum TelnetState {
 }
 
 #[derive(Debug)]
-pub(crate) struct Rfc2217 {
+struct Rfc2217 {
     line: OwnedFd,
     state: TelnetState,
     subnegotiation: Vec<u8>,
@@ -55,7 +91,7 @@ pub(crate) struct Rfc2217 {
 }
 
 impl Rfc2217 {
-    pub(super) fn start(line: OwnedFd, address: &str, baud: u32, deadline: Instant) -> Result<Self, NetworkError> {
+    fn start(line: OwnedFd, address: &str, baud: u32, deadline: Instant) -> Result<Self, NetworkError> {
         let settings = |source| NetworkError::Settings { address: address.to_owned(), source };
         let mut port = Self {
             line,

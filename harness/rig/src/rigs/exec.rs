@@ -5,16 +5,47 @@
 //! program, the bench hangs up the line, then sends SIGTERM, then SIGKILL. If the bench is killed,
 //! the kernel hangs up the line and the program's own watchdog acts.
 
+mod program;
+
 use crate::cancel::CancelToken;
-use crate::connect_options::ConnectOptions;
-use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
+use crate::factory::{Argument, Capability, ConnectError, ConnectOptions, Rig, RigFactory, RigProperties};
+use crate::link::{BoxedLink, Link, LinkError, LinkKind, RealTimeLine};
 use crate::port::Port;
-use crate::program::Program;
 use crate::pty::open_pseudo_terminal;
 use platebench_wire::{Message, Packet, PacketReader};
+use program::Program;
 use rustix::fd::OwnedFd;
 use std::time::{Duration, Instant};
 use tracing::debug;
+
+pub(super) const RIG: RigFactory = RigFactory {
+    name: "exec",
+    argument: Argument::Required("COMMAND"),
+    help: "a program that the bench starts; {port} in COMMAND is the path of its serial port",
+    // A program of the user may drive a plate, so it counts as hardware.
+    capabilities: &[Capability::ParallelLinks, Capability::RealPlate],
+    parse: |command| Ok(Box::new(ExecRig { command: command.unwrap_or_default().to_owned() })),
+};
+
+#[derive(Debug)]
+struct ExecRig {
+    command: String,
+}
+
+impl Rig for ExecRig {
+    fn properties(&self) -> RigProperties {
+        let command = shlex::split(&self.command).unwrap_or_default();
+        RigProperties { command, ..RigProperties::default() }
+    }
+
+    fn check(&self) -> Result<(), ConnectError> {
+        Ok(CommandLine::parse(&self.command).map(drop)?)
+    }
+
+    fn open(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
+        Ok(Box::new(ExecLink::start_with(&self.command, options)?))
+    }
+}
 
 const PORT_PLACEHOLDER: &str = "{port}";
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -46,12 +77,22 @@ pub enum ExecError {
     Link(#[from] LinkError),
 }
 
+impl From<ExecError> for ConnectError {
+    fn from(error: ExecError) -> Self {
+        let is_invalid = matches!(
+            error,
+            ExecError::Quoting(_) | ExecError::Empty(_) | ExecError::NoPortPlaceholder(_) | ExecError::Start { .. }
+        );
+        Self::new(error, is_invalid)
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct CommandLine(Vec<String>);
+struct CommandLine(Vec<String>);
 
 impl CommandLine {
     /// Splits `command` into words like a shell, but expands no variables or file name patterns.
-    pub(crate) fn parse(command: &str) -> Result<Self, ExecError> {
+    fn parse(command: &str) -> Result<Self, ExecError> {
         let words = shlex::split(command).ok_or_else(|| ExecError::Quoting(command.to_owned()))?;
         if words.first().is_none_or(String::is_empty) {
             return Err(ExecError::Empty(command.to_owned()));

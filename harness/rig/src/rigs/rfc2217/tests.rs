@@ -1,5 +1,5 @@
 use super::{COM_PORT, DO, DONT, IAC, Rfc2217, SUBNEGOTIATION, SUBNEGOTIATION_END, WILL};
-use crate::network::NetworkError;
+use crate::rigs::tcp::NetworkError;
 use crate::tty::Tty;
 use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;

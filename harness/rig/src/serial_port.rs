@@ -1,4 +1,4 @@
-//! Connects to a controller on a serial port.
+//! Opens a serial port of this computer and locks it against other processes.
 
 use crate::port::Port;
 use crate::port_lock::{self, LockHolder};
@@ -8,9 +8,6 @@ use serialport::{ClearBuffer, SerialPort as _, TTYPort};
 use std::fs;
 use std::path::{Path, PathBuf};
 use tracing::{debug, info};
-
-/// Baud rate of the bench's firmware.
-pub const DEFAULT_BAUD: u32 = 1_000_000;
 
 #[derive(Debug, thiserror::Error)]
 pub enum SerialError {
