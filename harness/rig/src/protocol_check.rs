@@ -2,19 +2,15 @@
 //! not test. Plays scripts of messages and compares each answer with that of the hosted controller,
 //! the *reference*.
 
-mod builder;
 mod comparison;
-mod limits;
-mod random;
+mod script;
 mod scripts;
-mod ticks;
-mod timing;
 
 use crate::link::{Link, LinkError, LinkKind};
 use crate::rigs::hosted::HostedLink;
-use builder::{Script, Variation};
 use comparison::{BenchCause, Comparison, Difference, ReceivedPackets};
 use platebench_wire::{Configure, Identity};
+use script::{Script, Variation};
 use std::thread;
 use std::time::{Duration, Instant};
 
