@@ -4,7 +4,7 @@
 //! variable of a setting is the `env` of the option, and the value in the file is its default.
 
 use clap::Command;
-use platebench_model::scenario::{Diagnostic, find_file_above, parse, parse_file};
+use platebench_model::scenario::{Diagnostic, MAX_TRIALS, find_file_above, parse_file};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -59,7 +59,7 @@ struct RawRun {
     #[schemars(extend("enum" = ["bench", "target"]))]
     pacing: Option<String>,
     /// Trials of each scenario, as `--trials`.
-    #[schemars(range(min = 1, max = 100_000))]
+    #[schemars(range(min = 1, max = MAX_TRIALS))]
     trials: Option<i64>,
     /// Seed of each scenario's first trial, as `--seed`.
     #[schemars(range(min = 0))]
@@ -121,7 +121,7 @@ impl Config {
     /// Reads the file. The command line `definition` checks the values. Fails with all faults.
     pub(crate) fn read(path: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
         let (text, _) = parse_file::<RawConfig>(path)?;
-        let document: toml::Table = parse(path, &text)?;
+        let document: toml::Table = text.parse().unwrap_or_default();
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut faults = Vec::new();
         let mut values = Vec::new();

@@ -7,15 +7,12 @@ use platebench_model::record::{
     Exclusion, FolderError, KeepTraces, Overrides, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord,
     sha256, sha256_of_file, trace_path,
 };
-use platebench_model::scenario::{Diagnostic, Expectation, Scenario, Variation, load, load_copies};
+use platebench_model::scenario::{Diagnostic, Expectation, MAX_TRIALS, Scenario, Variation, load, load_copies};
 use platebench_model::trace::{AtPath, Row, TraceError, read_trace};
 use platebench_plate::Tier;
 use platebench_verdict::{SequentialDecision, TrialMeasures, judge, judge_sequentially, trial_record};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// Equals the limit of the option `--trials`.
-const MAX_TRIALS: u32 = 100_000;
 
 #[derive(Debug, thiserror::Error)]
 pub enum RejudgeError {

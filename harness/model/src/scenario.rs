@@ -16,11 +16,12 @@ mod requirements;
 pub mod schema;
 mod text;
 mod unjudged;
+mod value_range;
 pub mod variation;
 mod window;
 
 pub use chip_fault::{BitFlipTarget, ChipFault, ChipFaultKind};
-pub use definition::{AUTO_MODEL, Controller, Gains, InputFile, Scenario, Spread, Trials};
+pub use definition::{AUTO_MODEL, Controller, Gains, InputFile, MAX_TRIALS, Scenario, Spread, Trials};
 pub use diagnostic::{Diagnostic, suggestion};
 pub use expect::{Aggregation, Expectation, Limit, Metric};
 pub use fault::{Direction, Fault, FaultKind};

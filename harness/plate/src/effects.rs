@@ -17,7 +17,7 @@ use crate::mode::Drive;
 use crate::motion::PerMode;
 use crate::time::Time;
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 macro_rules! effects {
     ($($name:ident: $effect:ty = $table:ident,)*) => {
@@ -49,7 +49,7 @@ effects! {
 }
 
 /// The plate file, unchecked.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawPlate {
     /// Name of the plate.
@@ -61,22 +61,22 @@ pub struct RawPlate {
     /// Another bending mode that the drive excites and the sensor measures; none by default.
     pub second_mode: Option<RawSecondMode>,
     /// Effect of a finger; none by default.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub finger: RawFinger,
     /// The amplifier.
     pub drive: RawDrive,
     /// The sensor; without noise by default.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub sensor: RawSensor,
     /// Warming by the plate's own vibration; none by default.
     pub heating: Option<RawHeating>,
     /// Uncertainty of the numbers; unknown by default.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub uncertainty: Uncertainty,
 }
 
 /// `[mode]`
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawMode {
     /// Resonance at the reference temperature, Hz.
@@ -96,7 +96,7 @@ pub struct RawMode {
 }
 
 /// `[finger]`
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawFinger {
     /// Points [force in N, σ/σ0], linear in between; the last segment is extended to any force.
@@ -104,8 +104,12 @@ pub struct RawFinger {
     #[schemars(length(min = 1))]
     pub damping_ratio: Vec<[f64; 2]>,
     /// Change of the resonance per newton, Hz.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
     pub resonance_shift_hz_per_n: f64,
+}
+
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 impl Default for RawFinger {
@@ -119,7 +123,7 @@ fn unit_damping() -> Vec<[f64; 2]> {
 }
 
 /// `[uncertainty]`
-#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Uncertainty {
     /// Half width of the 95 % interval of K1, percent.

@@ -4,12 +4,12 @@
 use crate::input;
 use crate::time::Time;
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
 /// A profile in a scenario file, unchecked.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(
     untagged,
     expecting = "expected a number or one of { hold = [[t_ms, value], …] }, { linear = [[t_ms, value], …] }, \
@@ -23,7 +23,7 @@ pub enum RawProfile {
 }
 
 /// Shape of a profile.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum RawShape {
     /// Points [`t_ms`, value]; each value holds until the next point.
@@ -37,19 +37,19 @@ pub enum RawShape {
 }
 
 /// `mean + amplitude · sin(2π frequency_hz t + phase_deg)`
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawSine {
     /// Mean, in the unit of the profile.
-    mean: f64,
+    pub mean: f64,
     /// Amplitude, in the unit of the profile.
-    amplitude: f64,
+    pub amplitude: f64,
     /// Frequency in plate time, Hz.
     #[schemars(extend("exclusiveMinimum" = 0))]
-    frequency_hz: f64,
+    pub frequency_hz: f64,
     /// Phase at the start, degrees.
-    #[serde(default)]
-    phase_deg: f64,
+    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
+    pub phase_deg: f64,
 }
 
 #[derive(Debug, thiserror::Error)]
@@ -69,6 +69,11 @@ pub enum ProfileError {
 }
 
 impl RawProfile {
+    /// True for the number 0, the default of the conditions.
+    pub fn is_zero(&self) -> bool {
+        matches!(self, Self::Number(0.0))
+    }
+
     pub fn file(&self, folder: &Path) -> Option<PathBuf> {
         match self {
             Self::Shape(RawShape::Csv(path)) => Some(folder.join(path)),

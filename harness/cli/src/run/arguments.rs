@@ -9,7 +9,7 @@ use crate::selection::TagFilter;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use platebench_model::record::{KeepTraces, Overrides};
-use platebench_model::scenario::AUTO_MODEL;
+use platebench_model::scenario::{AUTO_MODEL, MAX_TRIALS};
 use platebench_plate::Tier;
 use platebench_rig::RigSpec;
 use std::path::PathBuf;
@@ -74,7 +74,7 @@ pub(crate) struct RunArgs {
     #[arg(long)]
     pub(crate) watch: bool,
     /// Trials of each scenario
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_TRIALS)))]
     pub(crate) trials: Option<u32>,
     /// Seed of each scenario's first trial
     #[arg(long, value_name = "S")]

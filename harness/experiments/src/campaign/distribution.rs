@@ -342,10 +342,8 @@ impl Correlation {
                 place.ok_or_else(|| format!("`{key}`, expected a key of [vary] that is `normal` or `lognormal`"))
             };
             let (one, other) = (place(one)?, place(other)?);
-            if one == other || coefficient.abs() >= 1.0 || coefficient.is_nan() {
-                return Err(format!(
-                    "coefficient {coefficient}, expected two different keys and a coefficient above -1 and below 1"
-                ));
+            if one == other {
+                return Err(format!("coefficient {coefficient} of one key, expected two different keys"));
             }
             for (row, column) in [(one, other), (other, one)] {
                 if let Some(entry) = matrix.get_mut(row).and_then(|row| row.get_mut(column)) {

@@ -3,7 +3,7 @@
 use platebench_model::scenario::{Diagnostic, load, parse_file};
 use platebench_plate::Plate;
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
@@ -22,58 +22,80 @@ pub struct RawEnvelope {
     count: Counts,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Ranges {
     /// Setpoints above 0, µm.
+    #[schemars(inner(range(min = 0.01, max = 100.0)))]
     pub setpoint_um: [f64; 2],
     /// Normal force of the finger, N.
+    #[schemars(inner(range(min = 0.0, max = 20.0)))]
     pub finger_force_n: [f64; 2],
     /// Rate of a force ramp, N/s.
+    #[schemars(inner(range(min = 0.01, max = 1e4)))]
     pub force_rate_n_per_s: [f64; 2],
     /// Temperature above the plate's reference temperature, K.
+    #[schemars(inner(range(min = -100.0, max = 100.0)))]
     pub temperature_offset_k: [f64; 2],
     /// Rate of a temperature ramp, K/s.
+    #[schemars(inner(range(min = 0.01, max = 1e4)))]
     pub temperature_rate_k_per_s: [f64; 2],
     /// Excitation frequency minus resonance at the start of a trial, Hz.
+    #[schemars(inner(range(min = -100.0, max = 100.0)))]
     pub start_frequency_offset_hz: [f64; 2],
     /// Limit of the amplifier, Vpp.
+    #[schemars(inner(range(min = 1.0, max = 1e5)))]
     pub drive_limit_vpp: [f64; 2],
     /// Control period, ms.
+    #[schemars(inner(range(min = 0.1, max = 20.0)))]
     pub period_ms: [f64; 2],
     /// Loop delay, control periods. The law is configured with it.
+    #[schemars(inner(range(min = 0.0, max = 1.0)))]
     pub loop_delay_periods: [f64; 2],
     /// Sensor noise of each component, µm.
+    #[schemars(inner(range(min = 0.0, max = 1.0)))]
     pub noise_um_rms: [f64; 2],
     /// Change of the plate's gain from the plate file, percent. The law is configured with it.
+    #[schemars(inner(range(min = -90.0, max = 900.0)))]
     pub plate_gain_percent: [f64; 2],
     /// Change of the plate's time constant from the plate file, percent. The law is configured with
     /// it.
+    #[schemars(inner(range(min = -90.0, max = 900.0)))]
     pub plate_time_constant_percent: [f64; 2],
     /// Deviation of the played plate's gain from the configured gain, percent.
+    #[schemars(inner(range(min = -50.0, max = 50.0)))]
     pub gain_deviation_percent: [f64; 2],
     /// Deviation of the played plate's time constant from the configured one, percent.
+    #[schemars(inner(range(min = -50.0, max = 50.0)))]
     pub time_constant_deviation_percent: [f64; 2],
     /// Configured response time, ms.
+    #[schemars(inner(range(min = 0.1, max = 100.0)))]
     pub response_time_ms: [f64; 2],
     /// Configured gains, percent of the gains of the law's own design.
+    #[schemars(inner(range(min = 1.0, max = 1000.0)))]
     pub configured_gains_percent: [f64; 2],
     /// Configured limit: deviation of the excitation frequency from the start frequency, Hz.
+    #[schemars(inner(range(min = 1.0, max = 1e4)))]
     pub frequency_range_hz: [f64; 2],
     /// Configured limit: change of the excitation frequency per control period, Hz.
+    #[schemars(inner(range(min = 1.0, max = 1e4)))]
     pub frequency_slew_hz: [f64; 2],
     /// Time between two changes of setpoint, force or temperature, ms.
+    #[schemars(inner(range(min = 1.0, max = 1e4)))]
     pub quiet_ms: [f64; 2],
     /// Time of a long hold or rest between two changes, ms.
+    #[schemars(inner(range(min = 1.0, max = 1e5)))]
     pub long_quiet_ms: [f64; 2],
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Counts {
     /// Number of events of a trial.
+    #[schemars(inner(range(min = 1, max = 20)))]
     pub events: [u32; 2],
     /// Number of trials before the judged one, in scenes with earlier trials.
+    #[schemars(inner(range(min = 1, max = 4)))]
     pub earlier_trials: [u32; 2],
 }
 
@@ -88,41 +110,8 @@ pub struct Envelope {
     pub digest: [u8; 32],
 }
 
-/// Smallest and largest allowed value, and their unit.
-type Bounds = (f64, f64, &'static str);
-
-const MAX_EVENTS: u32 = 20;
-const MAX_EARLIER_TRIALS: u32 = 4;
-
-impl Ranges {
-    fn with_bounds(&self) -> [(&'static str, [f64; 2], Bounds); 20] {
-        [
-            ("setpoint_um", self.setpoint_um, (0.01, 100.0, "µm")),
-            ("finger_force_n", self.finger_force_n, (0.0, 20.0, "N")),
-            ("force_rate_n_per_s", self.force_rate_n_per_s, (0.01, 1e4, "N/s")),
-            ("temperature_offset_k", self.temperature_offset_k, (-100.0, 100.0, "K")),
-            ("temperature_rate_k_per_s", self.temperature_rate_k_per_s, (0.01, 1e4, "K/s")),
-            ("start_frequency_offset_hz", self.start_frequency_offset_hz, (-100.0, 100.0, "Hz")),
-            ("drive_limit_vpp", self.drive_limit_vpp, (1.0, 1e5, "Vpp")),
-            ("period_ms", self.period_ms, (0.1, 20.0, "ms")),
-            ("loop_delay_periods", self.loop_delay_periods, (0.0, 1.0, "periods")),
-            ("noise_um_rms", self.noise_um_rms, (0.0, 1.0, "µm")),
-            ("plate_gain_percent", self.plate_gain_percent, (-90.0, 900.0, "%")),
-            ("plate_time_constant_percent", self.plate_time_constant_percent, (-90.0, 900.0, "%")),
-            ("gain_deviation_percent", self.gain_deviation_percent, (-50.0, 50.0, "%")),
-            ("time_constant_deviation_percent", self.time_constant_deviation_percent, (-50.0, 50.0, "%")),
-            ("response_time_ms", self.response_time_ms, (0.1, 100.0, "ms")),
-            ("configured_gains_percent", self.configured_gains_percent, (1.0, 1000.0, "%")),
-            ("frequency_range_hz", self.frequency_range_hz, (1.0, 1e4, "Hz")),
-            ("frequency_slew_hz", self.frequency_slew_hz, (1.0, 1e4, "Hz")),
-            ("quiet_ms", self.quiet_ms, (1.0, 1e4, "ms")),
-            ("long_quiet_ms", self.long_quiet_ms, (1.0, 1e5, "ms")),
-        ]
-    }
-}
-
 impl Envelope {
-    /// Reports all wrong keys at once. If every key is right, reports all wrong values.
+    /// Reports all wrong keys at once, or all numbers outside their bounds, or all other wrong values.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawEnvelope>(path)?;
         let mut faults = raw.faults(path, &text);
@@ -152,20 +141,20 @@ impl RawEnvelope {
         };
         let one_line = !self.title.trim().is_empty() && !self.title.contains(char::is_control);
         require(one_line, "title".to_owned(), &|| format!("{:?}, expected one line of text", self.title));
-        for (key, [low, high], (least, most, unit)) in self.range.with_bounds() {
-            // `inside` is false if a value is NaN.
-            let inside = least <= low && high <= most;
-            require(inside && low <= high, format!("range.{key}"), &|| {
-                format!("[{low}, {high}], expected [low, high] with low not above high, from {least} to {most} {unit}")
-            });
-        }
-        let counts = [("events", self.count.events, MAX_EVENTS)];
-        let counts = counts.into_iter().chain([("earlier_trials", self.count.earlier_trials, MAX_EARLIER_TRIALS)]);
-        for (key, [low, high], most) in counts {
-            require(1 <= low && low <= high && high <= most, format!("count.{key}"), &|| {
-                format!("[{low}, {high}], expected [low, high] with low not above high, from 1 to {most}")
-            });
+        for (table, ranges) in
+            [("range", toml::Value::try_from(self.range)), ("count", toml::Value::try_from(self.count))]
+        {
+            for (key, ends) in ranges.iter().filter_map(toml::Value::as_table).flatten() {
+                let ends: Vec<f64> = ends.as_array().into_iter().flatten().filter_map(number).collect();
+                require(ends.is_sorted(), format!("{table}.{key}"), &|| {
+                    format!("{ends:?}, expected [low, high] with low not above high")
+                });
+            }
         }
         faults
     }
+}
+
+fn number(value: &toml::Value) -> Option<f64> {
+    value.as_float().or_else(|| value.as_integer().map(|number| number as f64))
 }

@@ -200,9 +200,6 @@ impl RawBoardSensor {
         if let Some(text) = self.calibrated.as_ref().filter(|text| text.parse::<Date>().is_err()) {
             refuse("sensor.calibrated", format!("`{text}`, expected a date YYYY-MM-DD"));
         }
-        if let Some(percent) = self.uncertainty_percent.filter(|percent| !percent.is_finite() || *percent < 0.0) {
-            refuse("sensor.uncertainty_percent", format!("{percent}, expected a finite number of at least 0"));
-        }
         let Self { name, calibrated, uncertainty_percent } = self;
         BoardSensor { name, calibrated, uncertainty_percent }
     }

@@ -14,10 +14,6 @@ pub enum ChipFaultKind {
     Stuck { address: u32, value: u32 },
 }
 
-impl ChipFaultKind {
-    pub const NAMES: [&'static str; 6] = ["bit-flip", "reset", "power-cut", "clock-drift", "hang", "stuck"];
-}
-
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum BitFlipTarget {
     Ram {

@@ -1,17 +1,19 @@
 //! Defines a checked scenario. `raw.rs` describes its keys.
 
-use crate::scenario::bounds::MAX_SPREAD_PERCENT;
 use crate::scenario::chip_fault::ChipFault;
 use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::expect::{Expectation, Metric};
 use crate::scenario::fault::Fault;
 use platebench_plate::{ConditionProfiles, Plate, Profile, Tier, Time};
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 pub const AUTO_MODEL: &str = "auto";
+/// Largest number of trials of a scenario, in its file and on the command line.
+pub const MAX_TRIALS: u32 = 100_000;
+const MAX_SPREAD_PERCENT: f64 = 20.0;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct InputFile {
@@ -66,7 +68,7 @@ pub struct Controller {
     pub design_plate: Option<Plate>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Gains {
     /// Amplitude loop, Vpp per µm.
@@ -88,7 +90,7 @@ pub struct Trials {
 }
 
 /// Standard deviations from trial to trial.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Spread {
     /// Spread of the plate's gain K1, percent.

@@ -16,6 +16,10 @@ const SERDE_WORDS: [(&str, &str); 6] = [
     ("a sequence", "a list"),
 ];
 
+/// Largest number of reported errors of a file. It limits the time, because each error of a key
+/// requires another pass over the whole file.
+pub(crate) const MAX_DIAGNOSTICS: usize = 50;
+
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnostic {
     pub path: PathBuf,
@@ -39,7 +43,7 @@ impl Diagnostic {
     /// it contains that name.
     pub fn at_key(path: &Path, source: &str, key: &str, message: impl Into<String>) -> Self {
         let message = message.into();
-        let name = key.rsplit('.').find(|part| part.parse::<usize>().is_err()).unwrap_or(key);
+        let name = name_of_key(key);
         let mut words = message.split(|letter: char| !letter.is_alphanumeric() && letter != '_');
         let message = if words.any(|word| word == name) { message } else { format!("`{name}`: {message}") };
         Self::at_span(path, source, span_of_key(source, key), message)
@@ -127,6 +131,17 @@ const FOREIGN_UNITS: [&str; 24] = [
     "s", "sec", "seconds", "min", "ns", "m", "mm", "nm", "micron", "khz", "mhz", "rad", "mn", "newton", "v", "mv",
     "volt", "volts", "kelvin", "celsius", "degc", "pct", "ratio", "rms",
 ];
+
+/// Symbol of the unit in the last name of a dotted key. `None` for a quotient of units, or without
+/// a unit.
+pub(crate) fn unit_of_key(key: &str) -> Option<&str> {
+    let (quantity, unit) = name_of_key(key).rsplit_once('_')?;
+    (UNITS.contains(&unit) && !quantity.contains("_per")).then(|| unit_symbol(unit))
+}
+
+fn name_of_key(key: &str) -> &str {
+    key.rsplit('.').find(|part| part.parse::<usize>().is_err()).unwrap_or(key)
+}
 
 fn unit_symbol(unit: &str) -> &str {
     match unit {

@@ -1,6 +1,5 @@
 //! Defines planned faults of line and sensor (`docs/scenarios.md`); `platebench-rig` applies them.
 
-use crate::scenario::chip_fault::ChipFaultKind;
 use platebench_plate::Time;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,19 +16,8 @@ pub enum FaultKind {
 }
 
 impl FaultKind {
-    pub const NAMES: [&'static str; 9] =
-        ["drop", "flip", "duplicate", "delay", "truncate", "babble", "disconnect", "freeze", "scale"];
-
-    pub fn all_names() -> Vec<&'static str> {
-        Self::NAMES.into_iter().chain(ChipFaultKind::NAMES).collect()
-    }
-
     pub const fn affects_sensor(self) -> bool {
         matches!(self, Self::Freeze | Self::Scale(_))
-    }
-
-    pub const fn is_random(self) -> bool {
-        matches!(self, Self::Flip | Self::Babble)
     }
 }
 

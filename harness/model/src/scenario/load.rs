@@ -1,7 +1,6 @@
 //! Checks raw scenario files, converts them to [`Scenario`] and points at every wrong value.
 
 mod checker;
-mod chip_fault;
 mod controller;
 mod expectation;
 mod expectation_window;
@@ -20,8 +19,16 @@ use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::parse::{parse, with_truncation_note};
 use crate::scenario::raw::RawScenario;
 use crate::scenario::requirements::requirement_texts;
-use checker::Checker;
+use crate::scenario::schema::{PLATE_SCHEMA, SCENARIO_SCHEMA};
+use crate::scenario::value_range::range_errors;
+use checker::{Checker, KnownPlate};
+use plate::check_plate;
+use platebench_plate::RawPlate;
+use schemars::Schema;
+use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use toml::Table;
 
 /// `file` is the name of the scenario in records. Returns only the first error.
 pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
@@ -48,6 +55,29 @@ pub fn load_copies(copies: &[PathBuf], file: &str) -> Result<Scenario, Diagnosti
         return Err(Diagnostic::for_file(Path::new(file), "the run folder contains no copy of this scenario"));
     };
     load_from(path, file, named).map_err(|faults| first_diagnostic(path, faults))
+}
+
+/// Checks a scenario that no file contains. `plates` are its plates by their path in `raw`. CSV
+/// profiles are relative to the working directory.
+pub fn check_raw(raw: RawScenario, file: &str, plates: &BTreeMap<PathBuf, RawPlate>) -> Result<Scenario, Diagnostic> {
+    let path = Path::new(file);
+    let checked = || {
+        check_ranges(&SCENARIO_SCHEMA, &raw, path)?;
+        let known = |(path, raw): (&PathBuf, &RawPlate)| {
+            check_ranges(&PLATE_SCHEMA, raw, path)?;
+            let plate = check_plate(path, "", raw.clone())?;
+            Ok(KnownPlate { path: path.clone(), plate, text: String::new() })
+        };
+        let plates = plates.iter().map(known).collect::<Result<Vec<_>, Vec<Diagnostic>>>()?;
+        Checker { path, text: "", prefix: String::new(), plates: &plates }.check(raw, file)
+    };
+    checked().map_err(|faults| first_diagnostic(path, faults))
+}
+
+fn check_ranges(schema: &Schema, raw: &impl Serialize, path: &Path) -> Result<(), Vec<Diagnostic>> {
+    let table = Table::try_from(raw).map_err(|error| vec![Diagnostic::for_file(path, error.to_string())])?;
+    let faults = range_errors(schema, &table, path, "");
+    if faults.is_empty() { Ok(()) } else { Err(faults) }
 }
 
 fn first_diagnostic(path: &Path, faults: Vec<Diagnostic>) -> Diagnostic {

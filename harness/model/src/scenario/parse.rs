@@ -1,39 +1,48 @@
 //! Parses TOML to a raw type and reports every wrong key.
 
-use crate::scenario::diagnostic::Diagnostic;
+use crate::scenario::diagnostic::{Diagnostic, MAX_DIAGNOSTICS};
+use crate::scenario::schema::schema_of;
 use crate::scenario::text::{decode_text, read_text};
+use crate::scenario::value_range::range_errors;
+use schemars::JsonSchema;
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::ops::Range;
 use std::path::Path;
-use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer};
-
-/// Limits the time, because each reported error requires another pass over the whole file.
-pub(crate) const MAX_DIAGNOSTICS: usize = 50;
+use toml::{Spanned, Table};
 
 /// Also returns the text of the file. Fails as [`parse`] does, or if the file cannot be read.
-pub fn parse_file<T: DeserializeOwned>(path: &Path) -> Result<(String, T), Vec<Diagnostic>> {
+pub fn parse_file<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<(String, T), Vec<Diagnostic>> {
     let text = read_text(path).map_err(|fault| vec![fault])?;
     let raw = parse(path, &text)?;
     Ok((text, raw))
 }
 
-pub fn parse_bytes<T: DeserializeOwned>(path: &Path, bytes: Vec<u8>) -> Result<(String, T), Vec<Diagnostic>> {
+pub fn parse_bytes<T: DeserializeOwned + JsonSchema>(
+    path: &Path,
+    bytes: Vec<u8>,
+) -> Result<(String, T), Vec<Diagnostic>> {
     let text = decode_text(path, bytes).map_err(|fault| vec![fault])?;
     let raw = parse(path, &text)?;
     Ok((text, raw))
 }
 
 /// Fails with all syntax errors. If there are none, fails with all unknown keys and wrong types in
-/// their order, then with all missing keys.
-pub fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
+/// their order, then with all missing keys. If there are none, fails with all numbers outside the
+/// bounds in the schema of `T`.
+pub fn parse<T: DeserializeOwned + JsonSchema>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
     // serde stops at the first error, so the wrong element is removed and the rest is read again.
     let mut rest = parse_syntax(path, text)?;
     let mut faults = Vec::new();
     let mut holes: Vec<Range<usize>> = Vec::new();
     loop {
         let error = match T::deserialize(Deserializer::from(rest.clone())) {
-            Ok(raw) if faults.is_empty() => return Ok(raw),
+            Ok(raw) if faults.is_empty() => {
+                let table = Table::deserialize(Deserializer::from(rest)).unwrap_or_default();
+                let faults = range_errors(&schema_of::<T>(""), &table, path, text);
+                return if faults.is_empty() { Ok(raw) } else { Err(with_truncation_note(path, faults)) };
+            }
             Ok(_) => break,
             Err(error) => error,
         };

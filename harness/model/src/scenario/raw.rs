@@ -1,13 +1,32 @@
 //! Defines the scenario file as serde reads it, before any check.
 
-use crate::scenario::bounds::{MAX_BETWEEN, MAX_PERIOD_MS, MAX_TRIALS};
-use crate::scenario::definition::{Gains, Spread};
+use crate::scenario::definition::{AUTO_MODEL, Gains, MAX_TRIALS, Spread};
+use crate::scenario::expect::Metric;
+use crate::scenario::window::ChangingProfile;
 use platebench_plate::RawProfile;
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+pub(crate) const MAX_BETWEEN: usize = 16;
+const MAX_PERIOD_MS: f64 = 1_000.0;
+/// Largest clock error. A UART misreads bytes at a larger one.
+const MAX_DRIFT_PPM: f64 = 20_000.0;
+
+pub(crate) const DEFAULT_LAW: &str = "dq-pi";
+pub(crate) const DEFAULT_PERIOD_MS: f64 = 1.0;
+/// The resonance of the paper's plate differs by 87 Hz between 24 and 33 °C (Fig. 14). The range is
+/// nearly three times as large.
+pub(crate) const DEFAULT_FREQUENCY_RANGE_HZ: f64 = 250.0;
+/// More than 87 Hz, so the controller can correct this difference within one period.
+pub(crate) const DEFAULT_FREQUENCY_SLEW_HZ: f64 = 100.0;
+pub(crate) const DEFAULT_CONFIDENCE: f64 = 0.95;
+pub(crate) const DEFAULT_BAND_PERCENT: f64 = 5.0;
+pub(crate) const DEFAULT_TOLERANCE_PERCENT: f64 = 5.0;
+pub(crate) const DEFAULT_QUANTILE: f64 = 0.95;
+pub(crate) const DEFAULT_SIGNAL: &str = "amplitude_um";
+
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawScenario {
     /// Title, one line.
@@ -21,14 +40,14 @@ pub struct RawScenario {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub duration_ms: f64,
     /// Words to select scenarios by.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tags: Vec<String>,
     /// Largest time between two rows of the trace, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub trace_step_ms: Option<f64>,
     /// Model of the plate; `auto` by default.
     #[serde(default)]
-    #[schemars(schema_with = "crate::scenario::schema::models")]
+    #[schemars(schema_with = "crate::scenario::schema::models", extend("default" = AUTO_MODEL))]
     pub model: Option<String>,
     /// Reason why `run` plays this scenario only if the file or its own folder is named, one line.
     #[schemars(length(min = 1))]
@@ -37,18 +56,18 @@ pub struct RawScenario {
     #[schemars(extend("enum" = [1, 3, 5]))]
     pub expected_exit: Option<i64>,
     /// The controller and its timing.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub controller: RawController,
     /// Setpoint and conditions.
     pub profile: RawProfiles,
     /// Number and spread of the trials.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub trials: RawTrials,
     /// Planned faults of line and sensor.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub fault: Vec<RawFault>,
     /// Scenes that the same controller plays before every trial but the first. They are not judged.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(length(max = MAX_BETWEEN))]
     pub between: Vec<RawBetween>,
     /// Expectations; at least one.
@@ -79,7 +98,7 @@ fn scene_files<'a>(
     plates.chain(profiles.filter_map(RawProfile::file_name_mut))
 }
 
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawBetween {
     /// Plate file, relative to this file. Default: the plate of the scenario.
@@ -88,42 +107,45 @@ pub struct RawBetween {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub duration_ms: f64,
     /// The controller and its timing, independent of the scenario's.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub controller: RawController,
     /// Setpoint and conditions.
     pub profile: RawProfiles,
 }
 
-#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RawController {
     /// Control law by name; `--law` overrides it.
-    #[schemars(length(min = 1))]
+    #[schemars(length(min = 1), extend("default" = DEFAULT_LAW))]
     pub law: Option<String>,
     /// Control period, ms.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = MAX_PERIOD_MS))]
+    #[schemars(extend("exclusiveMinimum" = 0, "default" = DEFAULT_PERIOD_MS), range(max = MAX_PERIOD_MS))]
     pub period_ms: Option<f64>,
     /// Excitation frequency at the start, Hz.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub start_frequency_hz: Option<f64>,
     /// Time from sampling to actuation, ms.
+    #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0))]
     pub loop_delay_ms: f64,
     /// Largest additional loop delay, ms. Each period draws one, uniformly from 0 to this value, by
     /// the trial's seed.
+    #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0))]
     pub loop_delay_jitter_ms: f64,
     /// Loop delay that the law is designed for, ms.
+    #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0))]
     pub design_delay_ms: f64,
     /// Design value of the 5 % response time, ms.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub response_time_ms: Option<f64>,
     /// Largest distance of the excitation frequency from the start frequency, Hz.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[schemars(extend("exclusiveMinimum" = 0, "default" = DEFAULT_FREQUENCY_RANGE_HZ))]
     pub frequency_range_hz: Option<f64>,
     /// Largest change of the excitation frequency per period, Hz.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[schemars(extend("exclusiveMinimum" = 0, "default" = DEFAULT_FREQUENCY_SLEW_HZ))]
     pub frequency_slew_hz: Option<f64>,
     /// Gains instead of the law's own design.
     pub gains: Option<Gains>,
@@ -132,16 +154,16 @@ pub struct RawController {
     pub design_plate: Option<PathBuf>,
 }
 
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawProfiles {
     /// Setpoint of the amplitude, µm.
     pub setpoint_um: RawProfile,
     /// Temperature above the plate's reference temperature, K.
-    #[serde(default = "zero")]
+    #[serde(default = "zero", skip_serializing_if = "RawProfile::is_zero")]
     pub temperature_offset_k: RawProfile,
     /// Normal force of the finger, N.
-    #[serde(default = "zero")]
+    #[serde(default = "zero", skip_serializing_if = "RawProfile::is_zero")]
     pub finger_force_n: RawProfile,
 }
 
@@ -149,7 +171,16 @@ fn zero() -> RawProfile {
     RawProfile::Number(0.0)
 }
 
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
+/// Keys of a table that differ from their defaults.
+pub(crate) fn keys_of(raw: &impl Serialize) -> Vec<String> {
+    toml::Table::try_from(raw).map_or_else(|_| Vec::new(), |table| table.into_iter().map(|(key, _)| key).collect())
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RawTrials {
     /// Number of trials.
@@ -162,6 +193,7 @@ pub struct RawTrials {
     #[schemars(range(min = 0))]
     pub seed: i64,
     /// Differences between trials.
+    #[serde(skip_serializing_if = "is_default")]
     pub spread: Spread,
 }
 
@@ -171,7 +203,51 @@ impl Default for RawTrials {
     }
 }
 
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+/// Kind of a `[[fault]]` with its other keys.
+pub(crate) struct FaultKeys {
+    pub(crate) kind: &'static str,
+    pub(crate) required: &'static [&'static str],
+    pub(crate) optional: &'static [&'static str],
+}
+
+impl FaultKeys {
+    pub(crate) fn all(&self) -> impl Iterator<Item = &'static str> {
+        self.required.iter().chain(self.optional).copied()
+    }
+}
+
+const fn fault(kind: &'static str, required: &'static [&'static str], optional: &'static [&'static str]) -> FaultKeys {
+    FaultKeys { kind, required, optional }
+}
+
+const WINDOW: &[&str] = &["from_ms", "until_ms"];
+const ON_LINE: &[&str] = &["direction", "every", "reconfigure"];
+const INSTANT: &[&str] = &["at_ms", "random"];
+
+/// `None` for an unknown kind.
+pub(crate) fn fault_keys(kind: &str) -> Option<&'static FaultKeys> {
+    FAULT_KEYS.iter().find(|keys| keys.kind == kind)
+}
+
+pub(crate) const FAULT_KEYS: [FaultKeys; 15] = [
+    fault("drop", WINDOW, ON_LINE),
+    fault("flip", WINDOW, &["direction", "every", "reconfigure", "seed"]),
+    fault("duplicate", WINDOW, ON_LINE),
+    fault("delay", &["from_ms", "until_ms", "delay_ms"], ON_LINE),
+    fault("truncate", WINDOW, ON_LINE),
+    fault("babble", WINDOW, &["direction", "every", "reconfigure", "seed"]),
+    fault("disconnect", &["from_ms"], &["until_ms", "direction", "reconfigure"]),
+    fault("freeze", WINDOW, &["every", "reconfigure"]),
+    fault("scale", &["from_ms", "until_ms", "factor"], &["every", "reconfigure"]),
+    fault("bit-flip", &["target"], &["at_ms", "random", "bit"]),
+    fault("reset", &[], INSTANT),
+    fault("power-cut", &[], INSTANT),
+    fault("clock-drift", &["ppm"], INSTANT),
+    fault("hang", &[], INSTANT),
+    fault("stuck", &["target", "value"], INSTANT),
+];
+
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(transform = crate::scenario::schema::faults)]
 pub struct RawFault {
@@ -181,7 +257,8 @@ pub struct RawFault {
     /// Start of the window in which the fault acts, ms.
     #[schemars(range(min = 0.0))]
     pub from_ms: Option<f64>,
-    /// End of the window in which the fault acts, exclusive, ms.
+    /// End of the window in which the fault acts, exclusive, ms. Only `disconnect` may last until
+    /// the end of the trial.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub until_ms: Option<f64>,
     /// Direction of the messages that the fault acts on.
@@ -200,13 +277,13 @@ pub struct RawFault {
     #[schemars(range(min = 0))]
     pub seed: Option<i64>,
     /// Configures the controller again after the window if the fault stopped it.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub reconfigure: bool,
     /// Instant of a fault of the chip, ms.
     #[schemars(range(min = 0.0))]
     pub at_ms: Option<f64>,
     /// Draws the instant of a fault of the chip from the trial's seed.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub random: bool,
     /// Place of a fault of the chip: `ram:START+LENGTH`, `variable:NAME`, `register:NAME` or
     /// `peripheral:ADDRESS`.
@@ -218,11 +295,29 @@ pub struct RawFault {
     /// Value that every read of a stuck register returns.
     #[schemars(range(min = 0, max = u32::MAX))]
     pub value: Option<i64>,
-    /// Frequency error of the chip's clocks, positive if fast, parts per million.
+    /// Frequency error of the chip's clocks, positive if fast, parts per million; not 0.
+    #[schemars(range(min = -MAX_DRIFT_PPM, max = MAX_DRIFT_PPM))]
     pub ppm: Option<f64>,
 }
 
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+/// Keys of an `[[expect]]` that apply to some metrics only.
+pub(crate) const METRIC_KEYS: [(&str, fn(Metric) -> bool); 9] = [
+    ("band_percent", Metric::has_band),
+    ("from_ms", Metric::has_from_ms),
+    ("until_ms", Metric::has_from_ms),
+    ("after", has_any_after),
+    ("window_ms", Metric::has_window_ms),
+    ("signal", Metric::has_signal),
+    ("tolerance_percent", Metric::has_over),
+    ("over", Metric::has_over),
+    ("quantile", Metric::has_over),
+];
+
+fn has_any_after(metric: Metric) -> bool {
+    ChangingProfile::ALL.into_iter().any(|profile| metric.has_after(profile))
+}
+
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(transform = crate::scenario::schema::expectations)]
 pub struct RawExpectation {
@@ -242,24 +337,24 @@ pub struct RawExpectation {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub about: Option<f64>,
     /// Tolerance around `about`, percent of it.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[schemars(extend("exclusiveMinimum" = 0, "default" = DEFAULT_TOLERANCE_PERCENT))]
     pub tolerance_percent: Option<f64>,
     /// The paper's value, for comparison.
     pub paper: Option<f64>,
     /// Identifier of a requirement.
     pub requirement: Option<String>,
     /// Confidence of a verdict over trials.
-    #[schemars(range(min = 0.5), extend("exclusiveMaximum" = 1))]
+    #[schemars(range(min = 0.5), extend("exclusiveMaximum" = 1, "default" = DEFAULT_CONFIDENCE))]
     pub confidence: Option<f64>,
     /// Statistic over trials: `each`, `mean` or `quantile`.
     #[serde(default)]
     #[schemars(schema_with = "crate::scenario::schema::overs")]
     pub over: Option<String>,
     /// Quantile as a share of the trials, for `over = "quantile"`.
-    #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 1))]
+    #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 1, "default" = DEFAULT_QUANTILE))]
     pub quantile: Option<f64>,
     /// Half width of the band around the setpoint, percent of the setpoint.
-    #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 100))]
+    #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 100, "default" = DEFAULT_BAND_PERCENT))]
     pub band_percent: Option<f64>,
     /// Start of the judged window, ms.
     #[schemars(range(min = 0.0))]
@@ -277,11 +372,11 @@ pub struct RawExpectation {
     pub window_ms: Option<RawWindow>,
     /// Column of the trace that is judged.
     #[serde(default)]
-    #[schemars(schema_with = "crate::scenario::schema::signals")]
+    #[schemars(schema_with = "crate::scenario::schema::signals", extend("default" = DEFAULT_SIGNAL))]
     pub signal: Option<String>,
 }
 
-#[derive(Debug, Clone, Copy, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "expected a length in ms, counted back from the end, or [from_ms, to_ms]")]
 pub enum RawWindow {
     Last(#[schemars(extend("exclusiveMinimum" = 0))] f64),

@@ -20,7 +20,7 @@ pub struct Requirement {
     pub text: String,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct RawRequirements {
     #[serde(default)]

@@ -4,16 +4,21 @@
 //! bounds, and options that do not apply. Only [`crate::scenario::load()`] checks relations, such
 //! as a window that ends after the trial.
 
-use crate::scenario::chip_fault::ChipFaultKind;
 use crate::scenario::definition::Scenario;
 use crate::scenario::expect::{Aggregation, Metric, SIGNALS};
-use crate::scenario::fault::{Direction, FaultKind};
-use crate::scenario::raw::RawScenario;
+use crate::scenario::fault::Direction;
+use crate::scenario::raw::{FAULT_KEYS, FaultKeys, METRIC_KEYS, RawScenario};
 use crate::scenario::window::ChangingProfile;
 use platebench_plate::RawPlate;
 use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde_json::json;
+use std::collections::BTreeSet;
+use std::sync::LazyLock;
+
+/// Schemas for checks of many changed scenarios.
+pub(crate) static SCENARIO_SCHEMA: LazyLock<Schema> = LazyLock::new(scenario_schema);
+pub(crate) static PLATE_SCHEMA: LazyLock<Schema> = LazyLock::new(plate_schema);
 
 /// Schema of a TOML file. An optional key may be absent but not `null`, which TOML lacks.
 pub fn schema_of<T: JsonSchema>(title: &str) -> Schema {
@@ -91,7 +96,7 @@ pub(crate) fn models(_: &mut SchemaGenerator) -> Schema {
 }
 
 pub(crate) fn kinds(_: &mut SchemaGenerator) -> Schema {
-    name_schema(&FaultKind::all_names())
+    name_schema(&FAULT_KEYS.each_ref().map(|keys| keys.kind))
 }
 
 pub(crate) fn directions(_: &mut SchemaGenerator) -> Schema {
@@ -141,71 +146,60 @@ fn required_one_for_rule(metric: Metric) -> Schema {
     rule("metric", &json!({ "const": metric.name() }), &json_schema!({ "anyOf": keys }))
 }
 
-fn has_any_after(metric: Metric) -> bool {
-    ChangingProfile::ALL.into_iter().any(|profile| metric.has_after(profile))
-}
-
 fn add_rules(schema: &mut Schema, rules: Vec<Schema>) {
     schema.insert("allOf".to_owned(), rules.into_iter().map(serde_json::Value::from).collect());
 }
 
 pub(crate) fn expectations(schema: &mut Schema) {
-    let named =
-        |has: fn(Metric) -> bool| Metric::ALL.iter().filter(move |metric| has(**metric)).map(|metric| metric.name());
     let limits = ["at_most", "at_least", "within", "about"].map(required);
-    add_rules(
-        schema,
-        vec![
-            only_for_rule("metric", named(Metric::has_band), &["band_percent"]),
-            only_for_rule("metric", named(Metric::has_from_ms), &["from_ms", "until_ms"]),
-            only_for_rule("metric", named(has_any_after), &["after"]),
-            json_schema!({ "if": required("after"), "then": {
-                "properties": { "from_ms": false, "until_ms": false, "window_ms": false },
-            } }),
-            json_schema!({ "if": required("window_ms"), "then": {
-                "properties": { "from_ms": false, "until_ms": false },
-            } }),
-            required_one_for_rule(Metric::PeakDeviation),
-            required_one_for_rule(Metric::RecoveryTime),
-            only_for_rule("metric", named(Metric::has_window_ms), &["window_ms"]),
-            only_for_rule("metric", named(Metric::has_signal), &["signal"]),
-            only_for_rule("metric", named(Metric::has_over), &["over", "quantile", "tolerance_percent"]),
-            required_for_rule("metric", Metric::ShutdownTime.name(), "from_ms"),
-            only_for_rule("over", std::iter::once("quantile"), &["quantile"]),
-            json_schema!({ "dependentRequired": { "tolerance_percent": ["about"], "quantile": ["over"] } }),
-            json_schema!({ "oneOf": limits }),
-        ],
-    );
+    let mut rules: Vec<Schema> = METRIC_KEYS
+        .iter()
+        .map(|(key, applies)| {
+            let metrics = Metric::ALL.iter().filter(|metric| applies(**metric));
+            only_for_rule("metric", metrics.map(|metric| metric.name()), &[*key])
+        })
+        .collect();
+    rules.extend([
+        json_schema!({ "if": required("after"), "then": {
+            "properties": { "from_ms": false, "until_ms": false, "window_ms": false },
+        } }),
+        json_schema!({ "if": required("window_ms"), "then": {
+            "properties": { "from_ms": false, "until_ms": false },
+        } }),
+        required_one_for_rule(Metric::PeakDeviation),
+        required_one_for_rule(Metric::RecoveryTime),
+        required_for_rule("metric", Metric::ShutdownTime.name(), "from_ms"),
+        only_for_rule("over", std::iter::once("quantile"), &["quantile"]),
+        json_schema!({ "dependentRequired": { "tolerance_percent": ["about"], "quantile": ["over"] } }),
+        json_schema!({ "oneOf": limits }),
+    ]);
+    add_rules(schema, rules);
 }
 
 pub(crate) fn faults(schema: &mut Schema) {
-    let but = |names: &'static [&str]| FaultKind::NAMES.into_iter().filter(|name| !names.contains(name));
-    let mut all = vec![
-        only_for_rule("kind", ["delay"].into_iter(), &["delay_ms"]),
-        only_for_rule("kind", ["scale"].into_iter(), &["factor"]),
-        only_for_rule("kind", ["flip", "babble"].into_iter(), &["seed"]),
-        only_for_rule("kind", but(&["freeze", "scale"]), &["direction"]),
-        only_for_rule("kind", but(&["disconnect"]), &["every"]),
-        required_for_rule("kind", "delay", "delay_ms"),
-        required_for_rule("kind", "scale", "factor"),
-        rule("reconfigure", &json!({ "const": true }), &required("until_ms")),
-    ];
-    all.extend(but(&["disconnect"]).map(|kind| required_for_rule("kind", kind, "until_ms")));
-    all.extend(but(&[]).map(|kind| required_for_rule("kind", kind, "from_ms")));
-    let chip = || ChipFaultKind::NAMES.into_iter();
-    all.extend([
-        only_for_rule("kind", but(&[]), &["from_ms", "until_ms", "reconfigure"]),
-        only_for_rule("kind", chip(), &["at_ms", "random"]),
-        only_for_rule("kind", ["bit-flip", "stuck"].into_iter(), &["target"]),
-        only_for_rule("kind", ["bit-flip"].into_iter(), &["bit"]),
-        only_for_rule("kind", ["stuck"].into_iter(), &["value"]),
-        only_for_rule("kind", ["clock-drift"].into_iter(), &["ppm"]),
-        required_for_rule("kind", "bit-flip", "target"),
-        required_for_rule("kind", "stuck", "target"),
-        required_for_rule("kind", "stuck", "value"),
-        required_for_rule("kind", "clock-drift", "ppm"),
-    ]);
-    add_rules(schema, all);
+    let keys: BTreeSet<&str> = FAULT_KEYS.iter().flat_map(FaultKeys::all).collect();
+    let mut rules: Vec<Schema> = keys
+        .into_iter()
+        .map(|key| {
+            let kinds = FAULT_KEYS.iter().filter(|keys| keys.all().any(|known| known == key));
+            only_for_rule("kind", kinds.map(|keys| keys.kind), &[key])
+        })
+        .collect();
+    rules.extend(
+        FAULT_KEYS
+            .iter()
+            .flat_map(|keys| keys.required.iter().map(|required| required_for_rule("kind", keys.kind, required))),
+    );
+    rules.push(rule("reconfigure", &json!({ "const": true }), &required("until_ms")));
+    add_rules(schema, rules);
+}
+
+/// Help of a key of `[[fault]]`, to continue a sentence.
+pub(crate) fn help_of_fault_key(key: &str) -> String {
+    let place = format!("/$defs/RawFault/properties/{key}/description");
+    let help = SCENARIO_SCHEMA.as_value().pointer(&place).and_then(|help| help.as_str()).unwrap_or_default();
+    let mut letters = help.trim_end_matches('.').chars();
+    letters.next().map_or_else(String::new, |first| first.to_lowercase().chain(letters).collect())
 }
 
 #[cfg(test)]

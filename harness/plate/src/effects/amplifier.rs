@@ -12,7 +12,7 @@ use crate::flow::Forcing;
 use crate::mode::Drive;
 use crate::time::Time;
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
 
@@ -20,7 +20,7 @@ use std::f64::consts::TAU;
 const NEGLIGIBLE_VPP: f64 = 1e-150;
 
 /// `[drive]`
-#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(extend("dependentRequired" = {
     "converter_bits": ["converter_range_vpp"],
@@ -44,11 +44,11 @@ pub struct RawDrive {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub slew_rate_vpp_per_ms: Option<f64>,
     /// Delay of a command (amplitude and frequency) on its way to the amplifier, µs.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
     #[schemars(range(min = 0.0, max = MAX_DELAY_US))]
     pub dead_time_us: f64,
     /// Constant amplitude that the amplifier adds to every drive, also to 0 Vpp, Vpp.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
     pub offset_vpp: f64,
 }
 

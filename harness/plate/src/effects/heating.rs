@@ -13,11 +13,11 @@ use crate::effect::{ActiveEffect, Effect, PlateError, Step, check, finite};
 use crate::flow::Term;
 use num_complex::Complex64;
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// `[heating]`: the vibration warms the plate by T,
 /// `time_constant_s · T' = rise_k_per_um2 · |W|² − T`. T adds to the temperature offset.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawHeating {
     /// Temperature rise in the steady state per square of the amplitude, K/µm².

@@ -8,11 +8,11 @@
 use crate::effect::{Effect, HIGHEST_RESONANCE_HZ, PlateError, check, finite, resonance};
 use crate::mode::Mode;
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// `[second_mode]`. A temperature offset and a finger force change its resonance and its damping in
 /// the same proportion as those of `[mode]`.
-#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RawSecondMode {
     /// Resonance at the reference temperature, Hz.

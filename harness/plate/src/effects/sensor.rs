@@ -9,14 +9,14 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// Constant 1.5 · 2⁵². Adding and subtracting it rounds to the nearest integer, ties to even.
 const ROUNDING_OFFSET: f64 = 6_755_399_441_055_744.0;
 
 /// `[sensor]`
-#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(extend("dependentRequired" = {
     "demodulator_periods": ["converter_hz"],
@@ -26,7 +26,7 @@ const ROUNDING_OFFSET: f64 = 6_755_399_441_055_744.0;
 }))]
 pub struct RawSensor {
     /// Standard deviation of white noise on each demodulated component, µm.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
     #[schemars(range(min = 0.0))]
     pub noise_um_rms: f64,
     /// Number of carrier periods over which the lock-in demodulator averages. Without this key the
@@ -45,11 +45,11 @@ pub struct RawSensor {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub converter_range_um: Option<f64>,
     /// Age of the demodulated components when they reach the controller, µs.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
     #[schemars(range(min = 0.0, max = MAX_DELAY_US))]
     pub latency_us: f64,
     /// Change of the sensor's gain since the start of the trial, percent per second.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
     pub gain_drift_percent_per_s: f64,
 }
 

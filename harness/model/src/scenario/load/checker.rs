@@ -1,8 +1,7 @@
 //! Checks values and points at the wrong ones.
 
-use crate::scenario::diagnostic::{Diagnostic, suggestion};
+use crate::scenario::diagnostic::{Diagnostic, MAX_DIAGNOSTICS, suggestion};
 use crate::scenario::fault::Fault;
-use crate::scenario::parse::MAX_DIAGNOSTICS;
 use crate::scenario::window::ProfileChanges;
 use platebench_plate::{Plate, Profile, Time};
 use std::path::{Path, PathBuf};
@@ -72,19 +71,6 @@ impl<'a> Checker<'a> {
         message: impl FnOnce() -> M,
     ) -> Result<(), Diagnostic> {
         if holds { Ok(()) } else { self.error(key, message()) }
-    }
-
-    /// Rejects an option that is present but does not apply: (name, is present, applies).
-    pub(super) fn check_options(&self, subject: &str, options: &[(&str, bool, bool)]) -> Result<(), Diagnostic> {
-        match options.iter().find(|(_, is_given, applies)| *is_given && !applies) {
-            Some((name, ..)) => self.error(name, format!("`{name}` does not apply to {subject}")),
-            None => Ok(()),
-        }
-    }
-
-    pub(super) fn positive(&self, key: &str, value: f64) -> Result<f64, Diagnostic> {
-        self.require(value.is_finite() && value > 0.0, key, || format!("{value}, expected a finite number above 0"))?;
-        Ok(value)
     }
 
     pub(super) fn one_line(&self, key: &str, text: &str) -> Result<(), Diagnostic> {

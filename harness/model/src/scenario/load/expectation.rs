@@ -3,14 +3,12 @@
 use super::checker::{Checker, TrialContext};
 use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::expect::{Aggregation, Expectation, Limit, Metric, SIGNALS};
-use crate::scenario::raw::RawExpectation;
+use crate::scenario::raw::{
+    DEFAULT_BAND_PERCENT, DEFAULT_CONFIDENCE, DEFAULT_QUANTILE, DEFAULT_SIGNAL, DEFAULT_TOLERANCE_PERCENT, METRIC_KEYS,
+    RawExpectation, keys_of,
+};
 use platebench_plate::Time;
 use std::collections::{HashMap, HashSet};
-
-const DEFAULT_CONFIDENCE: f64 = 0.95;
-const DEFAULT_BAND_PERCENT: f64 = 5.0;
-const DEFAULT_TOLERANCE_PERCENT: f64 = 5.0;
-const DEFAULT_QUANTILE: f64 = 0.95;
 
 pub(super) fn expectation_names(raw: &[RawExpectation]) -> Vec<String> {
     let mut counts = HashMap::<String, usize>::new();
@@ -51,28 +49,17 @@ impl Checker<'_> {
         let Some(metric) = Metric::from_name(&raw.metric) else {
             return self.unknown_name("metric", "unknown metric ", &raw.metric, Metric::NAMES);
         };
-        let options = [
-            ("band_percent", raw.band_percent.is_some(), metric.has_band()),
-            ("from_ms", raw.from_ms.is_some(), metric.has_from_ms()),
-            ("until_ms", raw.until_ms.is_some(), metric.has_from_ms()),
-            ("window_ms", raw.window_ms.is_some(), metric.has_window_ms()),
-            ("signal", raw.signal.is_some(), metric.has_signal()),
-            ("tolerance_percent", raw.tolerance_percent.is_some(), raw.about.is_some() && metric.has_over()),
-            ("over", raw.over.is_some(), metric.has_over()),
-            ("quantile", raw.quantile.is_some(), raw.over.as_deref() == Some("quantile")),
-        ];
-        self.check_options(&format!("this expectation of {metric}"), &options)?;
-        self.require(raw.paper.is_none_or(f64::is_finite), "paper", || "expected a finite number")?;
-        let band_percent = raw.band_percent.unwrap_or(DEFAULT_BAND_PERCENT);
-        self.require(band_percent > 0.0 && band_percent < 100.0, "band_percent", || {
-            format!("{band_percent} %, expected above 0 and below 100")
-        })?;
-        let confidence = raw.confidence.unwrap_or(DEFAULT_CONFIDENCE);
-        self.require((0.5..1.0).contains(&confidence), "confidence", || {
-            format!("{confidence}, expected 0.5 or more and below 1")
-        })?;
+        let given = keys_of(raw);
+        let has = |key: &str| given.iter().any(|given| given == key);
+        let excluded = METRIC_KEYS.iter().filter(|(_, applies)| !applies(metric)).map(|(key, _)| *key);
+        let excluded = excluded
+            .chain(raw.about.is_none().then_some("tolerance_percent"))
+            .chain((raw.over.as_deref() != Some("quantile")).then_some("quantile"));
+        if let Some(key) = excluded.into_iter().find(|key| has(key)) {
+            return self.error(key, format!("`{key}` does not apply to this expectation of {metric}"));
+        }
         self.one_line("name", &name)?;
-        let column = raw.signal.as_deref().unwrap_or("amplitude_um");
+        let column = raw.signal.as_deref().unwrap_or(DEFAULT_SIGNAL);
         let signal = self.find_by_name("signal", "unknown signal ", column, SIGNALS.map(|signal| (signal, signal)))?;
         let (after, windows) = self.windows(raw, metric, trial)?;
         let tolerance_percent = raw.tolerance_percent.unwrap_or(DEFAULT_TOLERANCE_PERCENT);
@@ -85,18 +72,15 @@ impl Checker<'_> {
             tolerance_percent,
             paper: raw.paper,
             requirement: raw.requirement.clone(),
-            confidence,
+            confidence: raw.confidence.unwrap_or(DEFAULT_CONFIDENCE),
             aggregation: self.over(raw, metric)?,
-            band_percent,
+            band_percent: raw.band_percent.unwrap_or(DEFAULT_BAND_PERCENT),
             from: raw.from_ms.and_then(Time::from_ms),
             signal,
         })
     }
 
     fn limit(&self, raw: &RawExpectation, metric: Metric, tolerance_percent: f64) -> Result<Limit, Diagnostic> {
-        self.require(tolerance_percent.is_finite() && tolerance_percent > 0.0, "tolerance_percent", || {
-            format!("{tolerance_percent} %, expected a finite number above 0")
-        })?;
         let given = [
             ("at_most", raw.at_most.map(Limit::AtMost)),
             ("at_least", raw.at_least.map(Limit::AtLeast)),
@@ -115,10 +99,7 @@ impl Checker<'_> {
             Limit::AtMost(value) | Limit::AtLeast(value) | Limit::About(value) => [value, value],
             Limit::Within(low, high) => [low, high],
         };
-        self.require(numbers.iter().all(|value| value.is_finite()), name, || "expected finite numbers")?;
         self.require(numbers[0] <= numbers[1], name, || "expected [low, high] with low not above high")?;
-        let about_nothing = matches!(limit, Limit::About(value) if value <= 0.0);
-        self.require(!about_nothing, name, || "expected a value above 0: the tolerance is a percentage of it")?;
         let (smallest, largest) = metric.value_range();
         let (low, high) = limit.range(tolerance_percent);
         let always = || match largest {
@@ -132,9 +113,6 @@ impl Checker<'_> {
 
     fn over(&self, raw: &RawExpectation, metric: Metric) -> Result<Aggregation, Diagnostic> {
         let quantile = raw.quantile.unwrap_or(DEFAULT_QUANTILE);
-        self.require(quantile > 0.0 && quantile < 1.0, "quantile", || {
-            format!("{quantile}, expected above 0 and below 1")
-        })?;
         match raw.over.as_deref() {
             None => Ok(Aggregation::default_for(metric)),
             Some("each") => Ok(Aggregation::Each),

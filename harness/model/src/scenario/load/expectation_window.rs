@@ -151,7 +151,7 @@ impl Checker<'_> {
         let window = match raw {
             None => Window { from: Time::ZERO, to: duration }.last_third(),
             Some(RawWindow::Last(ms)) => {
-                let length = self.time_from_ms(key, self.positive(key, ms)?)?;
+                let length = self.time_from_ms(key, ms)?;
                 self.require(length <= duration, key, || {
                     format!("a window of {length}, expected at most the scenario's {duration}")
                 })?;

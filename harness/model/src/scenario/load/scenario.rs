@@ -2,13 +2,12 @@
 
 use super::checker::{Checker, Diagnostics, TrialContext};
 use super::expectation::expectation_names;
+use super::fault::CheckedFault;
 use super::scene::{Scene, SceneSource};
-use crate::scenario::bounds::{MAX_SPREAD_PERCENT, MAX_TRIALS};
-use crate::scenario::chip_fault::ChipFaultKind;
-use crate::scenario::definition::{AUTO_MODEL, InputFile, Scenario, Spread, Trials};
+use crate::scenario::definition::{AUTO_MODEL, InputFile, MAX_TRIALS, Scenario, Trials};
 use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::expect::Metric;
-use crate::scenario::raw::{RawFault, RawScenario, RawTrials};
+use crate::scenario::raw::{RawScenario, RawTrials};
 use crate::scenario::window::ProfileChanges;
 use platebench_plate::{Plate, Tier, Time};
 use std::collections::BTreeMap;
@@ -36,7 +35,7 @@ impl Checker<'_> {
         }
         let mut inputs = vec![InputFile { path: self.path.to_owned(), bytes: self.text.as_bytes().to_vec() }];
         let trials = faults.record_error(self.trials(&raw.trials));
-        let spread = trials.map(|trials| trials.spread);
+        let spread = raw.trials.spread;
         let plate = self.plate("plate", &folder.join(&raw.plate), &mut inputs, faults);
         let source = SceneSource { duration_ms: raw.duration_ms, controller: &raw.controller, profile: &raw.profile };
         let scene = self.scene(folder, &source, plate.as_ref(), spread, &mut inputs, faults);
@@ -63,15 +62,15 @@ impl Checker<'_> {
         };
         let count = faults.0.len();
         let table = |list: &str, index: usize| self.table(&format!("{list}.{index}"));
-        let (of_chip, of_line): (Vec<_>, Vec<_>) = (0..)
-            .zip(&raw.fault)
-            .partition(|(_, fault): &(usize, &RawFault)| ChipFaultKind::NAMES.contains(&fault.kind.as_str()));
-        let mut line_faults =
-            of_line.into_iter().map(|(index, fault)| table("fault", index).fault(fault, duration, controller.period));
-        let line_faults = faults.record_errors(&mut line_faults);
-        let mut chip_faults =
-            of_chip.into_iter().map(|(index, fault)| table("fault", index).chip_fault(fault, duration));
-        let chip_faults = faults.record_errors(&mut chip_faults);
+        let mut planned =
+            (0..).zip(&raw.fault).map(|(index, raw)| table("fault", index).fault(raw, duration, controller.period));
+        let (mut line_faults, mut chip_faults) = (Vec::new(), Vec::new());
+        for fault in faults.record_errors(&mut planned) {
+            match fault {
+                CheckedFault::Line(fault) => line_faults.push(fault),
+                CheckedFault::Chip(fault) => chip_faults.push(fault),
+            }
+        }
         let changes =
             ProfileChanges::new(&setpoint, &conditions.finger_force_n, &conditions.temperature_offset_k, duration);
         let response_delay = controller.period + controller.loop_delay + controller.loop_delay_jitter;
@@ -115,7 +114,7 @@ impl Checker<'_> {
     fn trace_step(&self, raw: Option<f64>, duration: Time, period: Time) -> Result<Time, Diagnostic> {
         let key = "trace_step_ms";
         let step = match raw {
-            Some(ms) => self.time_from_ms(key, self.positive(key, ms)?)?,
+            Some(ms) => self.time_from_ms(key, ms)?,
             None if duration.ms() > MAX_FINE_TRACE_MS => period,
             None => self.time_from_ms(key, DEFAULT_TRACE_STEP_MS)?,
         };
@@ -153,16 +152,10 @@ impl Checker<'_> {
     }
 
     fn trials(&self, raw: &RawTrials) -> Result<Trials, Diagnostic> {
-        let key = "trials.count";
-        self.require((1..=MAX_TRIALS).contains(&raw.count), key, || {
-            format!("{} trials, expected 1 to {MAX_TRIALS}", raw.count)
-        })?;
         let max_count = raw.max_count.unwrap_or(raw.count);
-        self.require((raw.count..=MAX_TRIALS).contains(&max_count), "trials.max_count", || {
+        self.require(raw.count <= max_count, "trials.max_count", || {
             format!("{max_count} trials, expected count ({}) to {MAX_TRIALS}", raw.count)
         })?;
-        self.require(raw.seed >= 0, "trials.seed", || format!("{}, expected 0 or more", raw.seed))?;
-        self.check_spread(&raw.spread)?;
         Ok(Trials { count: raw.count as u32, max_count: max_count as u32, seed: raw.seed as u64, spread: raw.spread })
     }
 
@@ -172,20 +165,5 @@ impl Checker<'_> {
         self.require(!compares || scenario.trials.count > 1, "trials.count", || {
             format!("1 trial, expected at least 2 for {}", Metric::TrialDifference)
         })
-    }
-
-    fn check_spread(&self, spread: &Spread) -> Result<(), Diagnostic> {
-        for (name, value, unit) in [
-            ("gain_percent", spread.gain_percent, "%"),
-            ("time_constant_percent", spread.time_constant_percent, "%"),
-            ("sensor_gain_percent", spread.sensor_gain_percent, "%"),
-            ("temperature_k", spread.temperature_k, "K"),
-        ] {
-            let fits = (0.0..=MAX_SPREAD_PERCENT).contains(&value);
-            self.require(fits, &format!("trials.spread.{name}"), || {
-                format!("a standard deviation of {value} {unit}, expected 0 to {MAX_SPREAD_PERCENT} {unit}")
-            })?;
-        }
-        Ok(())
     }
 }

@@ -1,9 +1,8 @@
 //! Checks what scenarios and the scenes between trials have in common: controller and profiles.
 
 use super::checker::{Checker, Diagnostics};
-use crate::scenario::bounds::MAX_BETWEEN;
 use crate::scenario::definition::{Controller, InputFile, Scenario, Spread};
-use crate::scenario::raw::{RawBetween, RawController, RawProfiles};
+use crate::scenario::raw::{MAX_BETWEEN, RawBetween, RawController, RawProfiles};
 use platebench_plate::{ConditionProfiles, Plate, Profile, RawProfile, Tier, Time};
 use std::path::Path;
 
@@ -27,7 +26,7 @@ impl Checker<'_> {
         folder: &Path,
         source: &SceneSource<'_>,
         plate: Option<&Plate>,
-        spread: Option<Spread>,
+        spread: Spread,
         inputs: &mut Vec<InputFile>,
         faults: &mut Diagnostics,
     ) -> Scene {
@@ -36,8 +35,7 @@ impl Checker<'_> {
         let design_plate = design_plate.map(|(file, key)| self.plate(key, &folder.join(file), inputs, faults));
         let is_complete = design_plate.as_ref().is_none_or(Option::is_some);
         let controller = self.controller(raw, plate, design_plate.flatten(), faults).filter(|_| is_complete);
-        let positive = self.positive("duration_ms", duration_ms);
-        let duration = faults.record_error(positive.and_then(|ms| self.time_from_ms("duration_ms", ms)));
+        let duration = faults.record_error(self.time_from_ms("duration_ms", duration_ms));
         if let (Some(controller), Some(duration)) = (&controller, duration) {
             faults.record_error(self.require(duration >= controller.period, "duration_ms", || {
                 format!("{duration_ms} ms, expected at least one control period of {}", controller.period)
@@ -59,7 +57,7 @@ impl Checker<'_> {
         let conditions = temperature_offset_k.zip(finger_force_n);
         let conditions = conditions
             .map(|(temperature_offset_k, finger_force_n)| ConditionProfiles { temperature_offset_k, finger_force_n });
-        if let (Some(plate), Some(conditions), Some(spread)) = (plate, &conditions, spread) {
+        if let (Some(plate), Some(conditions)) = (plate, &conditions) {
             faults.record_error(self.check_conditions(folder, profiles, plate, conditions, &spread));
         }
         Scene { controller, duration, setpoint, conditions }
@@ -85,8 +83,7 @@ impl Checker<'_> {
             };
             let source =
                 SceneSource { duration_ms: raw.duration_ms, controller: &raw.controller, profile: &raw.profile };
-            let spread = Some(scenario.trials.spread);
-            let scene = checker.scene(folder, &source, Some(&plate), spread, inputs, faults);
+            let scene = checker.scene(folder, &source, Some(&plate), scenario.trials.spread, inputs, faults);
             Some(Scenario {
                 file: format!("{}, between.{index}", scenario.file),
                 controller: scene.controller?,

@@ -5,9 +5,12 @@ use super::plate::{check_plate, load_plate};
 use crate::scenario::definition::{InputFile, Scenario};
 use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::raw::RawScenario;
+use crate::scenario::schema::{PLATE_SCHEMA, SCENARIO_SCHEMA};
 use crate::scenario::text::read_text;
+use crate::scenario::value_range::range_errors;
 use platebench_plate::RawPlate;
-use serde::Deserialize;
+use schemars::Schema;
+use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
@@ -82,15 +85,13 @@ impl ScenarioTemplate {
         if let Some(table) = &tables.plate {
             known.push(KnownPlate { path: folder.join(CHANGED_PLATE), ..self.changed_plate(table)? });
         }
-        let raw = RawScenario::deserialize(tables.scenario.clone())
-            .map_err(|error| vec![Diagnostic::from_toml(&self.path, &self.text, &error)])?;
+        let raw: RawScenario = from_table(&tables.scenario, &SCENARIO_SCHEMA, &self.path, &self.text)?;
         Checker { path: &self.path, text: &self.text, prefix: String::new(), plates: &known }.check(raw, &self.file)
     }
 
     fn changed_plate(&self, table: &Table) -> Result<KnownPlate, Vec<Diagnostic>> {
         let KnownPlate { path, text, .. } = &self.plate;
-        let raw =
-            RawPlate::deserialize(table.clone()).map_err(|error| vec![Diagnostic::from_toml(path, text, &error)])?;
+        let raw: RawPlate = from_table(table, &PLATE_SCHEMA, path, text)?;
         let plate = check_plate(path, text, raw)?;
         Ok(KnownPlate { path: path.clone(), plate, text: String::new() })
     }
@@ -98,6 +99,18 @@ impl ScenarioTemplate {
     pub fn inputs(&self) -> &[InputFile] {
         &self.scenario.inputs
     }
+}
+
+/// Checks keys, types and bounds. The errors point into `text`.
+fn from_table<T: DeserializeOwned>(
+    table: &Table,
+    schema: &Schema,
+    path: &Path,
+    text: &str,
+) -> Result<T, Vec<Diagnostic>> {
+    let raw = T::deserialize(table.clone()).map_err(|error| vec![Diagnostic::from_toml(path, text, &error)])?;
+    let faults = range_errors(schema, table, path, text);
+    if faults.is_empty() { Ok(raw) } else { Err(faults) }
 }
 
 /// Replaces the value at a dotted key. A number in the key selects an element of a list. Creates

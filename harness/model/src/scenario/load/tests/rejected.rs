@@ -1,7 +1,6 @@
 use super::{BASE, FORCE, PLATE, create_folder, load_with_change, render};
-use crate::scenario::diagnostic::Diagnostic;
+use crate::scenario::diagnostic::{Diagnostic, MAX_DIAGNOSTICS};
 use crate::scenario::load::{load, load_with_all_errors};
-use crate::scenario::parse::MAX_DIAGNOSTICS;
 use insta::assert_snapshot;
 use rstest::{Context, rstest};
 use std::fmt::Write;
