@@ -28,7 +28,6 @@ pub mod scenario_file;
 pub mod scene;
 pub mod session;
 pub mod shrink;
-mod staging;
 mod stratum;
 pub mod text;
 pub mod tuning;

@@ -6,9 +6,8 @@ use crate::explore::error::ExploreError;
 use crate::explore::generator::Generator;
 use crate::explore::player::{Failure, Player, SceneResult, violated};
 use crate::explore::properties::{Demand, Property, demands, reference_demands};
-use crate::explore::scenario_file::{ScenarioText, ScenarioWriter};
+use crate::explore::scenario_file::{ScenarioBuilder, SceneScenario};
 use crate::explore::scene::Scene;
-use crate::explore::staging::Staging;
 use platebench_engine::SafeEnds;
 use platebench_engine::plan::LinkFactory;
 use platebench_engine::workers::{Emit, run_workers};
@@ -63,11 +62,11 @@ impl ExploreConfig {
         demands
     }
 
-    pub fn scene_text(&self, scene: &Scene, title: &str) -> ScenarioText {
+    pub fn scenario(&self, scene: &Scene, title: &str) -> SceneScenario {
         let Envelope { title: envelope, plate, .. } = &self.envelope;
         let source = format!("platebench explore {envelope}");
-        let writer = ScenarioWriter { base: plate, title, source: &source, comment: &[], plate_prefix: "" };
-        writer.text(scene, &self.demands(scene))
+        let builder = ScenarioBuilder { base: plate, title, source: &source, plate_prefix: "" };
+        builder.build(scene, &self.demands(scene))
     }
 }
 
@@ -180,7 +179,6 @@ pub fn explore(
         (!is_over).then_some(index)
     };
     let workers = (0..config.jobs.max(1)).map(|_| SceneWorker::new(config, connect, cancel, ends));
-    let workers = workers.collect::<Result<Vec<_>, _>>()?;
     let work = |worker: &mut SceneWorker<'_>, index, emit: &mut Emit<'_, PlayedScene>| {
         let Some(played) = worker.play(index)? else { return Ok(()) };
         if !played.result.failures.is_empty() {
@@ -234,7 +232,6 @@ struct PlayedScene {
 
 struct SceneWorker<'a> {
     config: &'a ExploreConfig,
-    staging: Staging,
     player: Player<'a>,
     history: Vec<u64>,
 }
@@ -245,16 +242,16 @@ impl<'a> SceneWorker<'a> {
         connect: &'a LinkFactory<'a>,
         cancel: &CancelToken,
         ends: &'a SafeEnds,
-    ) -> Result<Self, ExploreError> {
+    ) -> Self {
         let player = Player::new(connect, config.own_clock, cancel, ends);
-        Ok(Self { config, staging: Staging::new()?, player, history: Vec::new() })
+        Self { config, player, history: Vec::new() }
     }
 
     /// `None` if the scene was cancelled.
     fn play(&mut self, index: u64) -> Result<Option<PlayedScene>, ExploreError> {
         let scene = self.config.generator().tree(index).map_err(ExploreError::Strategy)?.current();
         let title = format!("Scene {index} of seed {}", self.config.seed);
-        let scenario = self.staging.load(&self.config.scene_text(&scene, &title))?;
+        let scenario = self.config.scenario(&scene, &title).check()?;
         let Some(result) = self.player.play(&scenario)? else { return Ok(None) };
         if self.player.is_young() {
             self.history.clear();

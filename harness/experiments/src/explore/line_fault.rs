@@ -1,11 +1,11 @@
 //! Defines planned faults of the line in the judged trial.
 
 use platebench_engine::wire_fault_kind;
+use platebench_model::scenario::raw::RawFault;
 use platebench_model::scenario::{Direction, FaultKind};
 use platebench_plate::Time;
 use proptest::prelude::{BoxedStrategy, Just, Strategy, any};
 use proptest::prop_oneof;
-use std::fmt::Write as _;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LineFault {
@@ -128,19 +128,22 @@ impl LineFault {
         (self.until_us - self.from_us) / period_us + 3
     }
 
-    pub(crate) fn write(&self, text: &mut String) -> std::fmt::Result {
-        let [from_ms, until_ms] = [self.from_us, self.until_us].map(|us| f64::from(us) / 1e3);
-        let kind = wire_fault_kind(self.kind).name();
-        writeln!(text, "\n[[fault]]\nkind = {kind:?}\nfrom_ms = {from_ms:?}\nuntil_ms = {until_ms:?}")?;
-        writeln!(text, "direction = {:?}", self.direction.name())?;
-        if self.every > 1 {
-            writeln!(text, "every = {}", self.every)?;
-        }
-        match self.kind {
-            FaultKind::Delay(delay) => writeln!(text, "delay_ms = {:?}", delay.seconds() * 1e3),
-            FaultKind::Flip => writeln!(text, "seed = 1\nreconfigure = true"),
-            FaultKind::Truncate | FaultKind::Babble | FaultKind::Disconnect => writeln!(text, "reconfigure = true"),
-            _ => Ok(()),
+    pub(crate) fn raw(&self) -> RawFault {
+        let [from_ms, until_ms] = [self.from_us, self.until_us].map(|us| Some(f64::from(us) / 1e3));
+        let delay_ms = match self.kind {
+            FaultKind::Delay(delay) => Some(delay.seconds() * 1e3),
+            _ => None,
+        };
+        RawFault {
+            kind: wire_fault_kind(self.kind).name().to_owned(),
+            from_ms,
+            until_ms,
+            direction: Some(self.direction.name().to_owned()),
+            every: (self.every > 1).then_some(self.every.into()),
+            delay_ms,
+            seed: matches!(self.kind, FaultKind::Flip).then_some(1),
+            reconfigure: self.may_stop() || matches!(self.kind, FaultKind::Truncate),
+            ..RawFault::default()
         }
     }
 }

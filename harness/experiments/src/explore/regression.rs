@@ -3,7 +3,7 @@
 use crate::explore::error::ExploreError;
 use crate::explore::exploration::{ExploreConfig, FailedScene};
 use crate::explore::properties::Property;
-use crate::explore::scenario_file::ScenarioWriter;
+use crate::explore::scenario_file::ScenarioBuilder;
 use crate::explore::shrink::MinimalScene;
 use platebench_model::trace::AtPath;
 use std::fs;
@@ -21,16 +21,15 @@ pub fn write(
     let (law, seed, index) = (config.law.name(), config.seed, failed.index);
     let name = format!("{law}-{property}-{seed}-{index}");
     let title = format!("Explored: {law} violates the property {property} (scene {index} of seed {seed})");
-    let comment = comment(rig, law, minimal);
-    let writer = ScenarioWriter {
+    let builder = ScenarioBuilder {
         base: &config.envelope.plate,
         title: &title,
         source: "platebench explore; the property and its limit: docs/exploration.md",
-        comment: &comment,
         plate_prefix: &format!("{name}-"),
     };
     fs::create_dir_all(folder).at(folder)?;
-    writer.text(&minimal.scene, &minimal.demands).write(folder, &name).at(folder)?;
+    let scenario = builder.build(&minimal.scene, &minimal.demands);
+    scenario.write(folder, &name, &comment(rig, law, minimal)).at(folder)?;
     Ok(folder.join(format!("{name}.toml")))
 }
 

@@ -1,13 +1,19 @@
-//! Writes a scene as a scenario file with its plate files.
+//! Builds the scenario of a scene with its plates, checks it, and writes it as files.
 
+use crate::explore::error::ExploreError;
 use crate::explore::properties::{Demand, Property};
 use crate::explore::scene::{Course, PlateChoice, Scene, SceneTrial};
 use crate::explore::tuning::rounded;
-use platebench_plate::Plate;
+use platebench_model::scenario::load::check_raw;
+use platebench_model::scenario::raw::{RawBetween, RawController, RawExpectation, RawProfiles, RawScenario, RawTrials};
+use platebench_model::scenario::{Metric, Scenario};
+use platebench_plate::{
+    Plate, RawDrive, RawFinger, RawMode, RawPlate, RawProfile, RawSensor, RawShape, RawSine, Uncertainty,
+};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::{fs, io};
 
 const TRACE_STEP_MS: f64 = 0.1;
@@ -15,122 +21,96 @@ const TRACE_STEP_MS: f64 = 0.1;
 /// some tens of times the wire's resolution at the largest setpoints.
 pub(crate) const SAME_RESPONSE_UM: f64 = 1e-5;
 
-#[derive(Debug, Clone, PartialEq)]
-pub struct ScenarioText {
-    pub scenario: String,
-    /// Text of each plate file, by its path relative to the scenario.
-    pub plates: BTreeMap<String, String>,
+/// A scenario that no file contains.
+#[derive(Debug, Clone)]
+pub struct SceneScenario {
+    pub scenario: RawScenario,
+    /// Plate files by path relative to the scenario.
+    pub plates: BTreeMap<PathBuf, RawPlate>,
 }
 
-impl ScenarioText {
+impl SceneScenario {
+    pub(crate) fn check(self) -> Result<Scenario, ExploreError> {
+        check_raw(self.scenario, "scene.toml", &self.plates).map_err(|fault| ExploreError::Generated(Box::new(fault)))
+    }
+
+    /// Text of the scenario file, with each line of `comment` as a comment at its head.
+    pub fn text(&self, comment: &[String]) -> io::Result<String> {
+        let scenario = toml::to_string(&self.scenario).map_err(io::Error::other)?;
+        Ok(comment.iter().map(|line| format!("# {line}\n")).collect::<String>() + &scenario)
+    }
+
     /// Writes the files; the scenario is `folder/name.toml`.
-    pub fn write(&self, folder: &Path, name: &str) -> io::Result<()> {
-        for (file, text) in &self.plates {
+    pub fn write(&self, folder: &Path, name: &str, comment: &[String]) -> io::Result<()> {
+        for (file, plate) in &self.plates {
             let path = folder.join(file);
             if let Some(parent) = path.parent() {
                 fs::create_dir_all(parent)?;
             }
-            fs::write(path, text)?;
+            fs::write(path, toml::to_string(plate).map_err(io::Error::other)?)?;
         }
-        fs::write(folder.join(format!("{name}.toml")), &self.scenario)
+        fs::write(folder.join(format!("{name}.toml")), self.text(comment)?)
     }
 }
 
-pub struct ScenarioWriter<'a> {
+pub struct ScenarioBuilder<'a> {
     pub base: &'a Plate,
     pub title: &'a str,
     pub source: &'a str,
-    pub comment: &'a [String],
     /// Start of the names of plate files.
     pub plate_prefix: &'a str,
 }
 
-impl ScenarioWriter<'_> {
-    pub fn text(&self, scene: &Scene, demands: &[Demand]) -> ScenarioText {
-        let mut plates = BTreeMap::new();
-        let mut text = String::new();
-        for line in self.comment {
-            let _ = writeln!(text, "# {line}");
-        }
-        let _ = self.write_scenario(&mut text, scene, demands, &mut plates);
-        ScenarioText { scenario: text, plates }
-    }
-
-    fn write_scenario(
-        &self,
-        text: &mut String,
-        scene: &Scene,
-        demands: &[Demand],
-        plates: &mut BTreeMap<String, String>,
-    ) -> std::fmt::Result {
+impl ScenarioBuilder<'_> {
+    pub fn build(&self, scene: &Scene, demands: &[Demand]) -> SceneScenario {
         let trial = &scene.judged;
-        writeln!(text, "title = {:?}", self.title)?;
-        writeln!(text, "source = {:?}", self.source)?;
-        writeln!(text, "plate = {:?}", self.plate_file(trial.plate, plates))?;
-        writeln!(text, "duration_ms = {:?}", ms(trial.duration_us))?;
-        writeln!(text, "trace_step_ms = {TRACE_STEP_MS:?}")?;
-        writeln!(text, "tags = [\"explored\"]\n\n[controller]")?;
-        for (key, value) in self.controller(trial, plates) {
-            writeln!(text, "{key} = {value}")?;
-        }
-        writeln!(text, "\n[profile]")?;
-        for (key, value) in profile(trial) {
-            writeln!(text, "{key} = {value}")?;
-        }
-        writeln!(text, "\n[trials]\ncount = {}", scene.count)?;
-        if let Some(seed) = scene.script_seed {
-            writeln!(text, "seed = {seed}")?;
-        }
-        for earlier in &scene.earlier {
-            writeln!(text, "\n[[between]]\nduration_ms = {:?}", ms(earlier.duration_us))?;
-            writeln!(text, "plate = {:?}", self.plate_file(earlier.plate, plates))?;
-            let controller = self.controller(earlier, plates);
-            for (table, keys) in [("controller", controller), ("profile", profile(earlier))] {
-                let keys: Vec<_> = keys.into_iter().map(|(key, value)| format!("{key} = {value}")).collect();
-                writeln!(text, "{table} = {{ {} }}", keys.join(", "))?;
-            }
-        }
-        for fault in &trial.faults {
-            fault.write(text)?;
-        }
-        let mut counts: BTreeMap<Property, u32> = BTreeMap::new();
-        for demand in demands {
-            let count = counts.entry(demand.property).or_default();
-            *count += 1;
-            write_demand(text, demand, *count)?;
-        }
-        if scene.compares_trials() {
-            let name = Property::SameResponse.name();
-            writeln!(text, "\n[[expect]]\nname = {name:?}\nmetric = \"trial_difference_um\"")?;
-            writeln!(text, "at_most = {SAME_RESPONSE_UM:?}")?;
-        } else if demands.is_empty() {
-            // A scenario needs an expectation, although the protocol rules are checked without one.
-            writeln!(text, "\n[[expect]]\nname = {:?}", Property::Protocol.name())?;
-            let planned: u32 = trial.faults.iter().map(|fault| fault.longest_silence(trial.period_us)).sum();
-            writeln!(text, "metric = \"missed_replies\"\nwithin = [0.0, {:?}]", f64::from(planned))?;
-        }
-        Ok(())
+        let mut plates = BTreeMap::new();
+        let seed = scene.script_seed.map(|seed| i64::try_from(seed).unwrap_or(i64::MAX));
+        let default = RawTrials::default();
+        let scenario = RawScenario {
+            title: self.title.to_owned(),
+            source: Some(self.source.to_owned()),
+            plate: self.plate_file(trial.plate, &mut plates),
+            duration_ms: ms(trial.duration_us),
+            tags: vec!["explored".to_owned()],
+            trace_step_ms: Some(TRACE_STEP_MS),
+            model: None,
+            only_if_named: None,
+            expected_exit: None,
+            controller: self.controller(trial, &mut plates),
+            profile: profiles(trial),
+            trials: RawTrials { count: scene.count.into(), seed: seed.unwrap_or(default.seed), ..default },
+            fault: trial.faults.iter().map(|fault| fault.raw()).collect(),
+            between: scene.earlier.iter().map(|earlier| self.between(earlier, &mut plates)).collect(),
+            expect: expectations(scene, demands),
+        };
+        SceneScenario { scenario, plates }
     }
 
-    fn controller(&self, trial: &SceneTrial, plates: &mut BTreeMap<String, String>) -> Vec<(&'static str, String)> {
-        let mut keys = vec![
-            ("law", format!("{:?}", trial.law.name())),
-            ("period_ms", format!("{:?}", ms(trial.period_us))),
-            ("start_frequency_hz", format!("{:?}", f64::from(trial.start_frequency_tenths) / 10.0)),
-        ];
-        if trial.delay_us > 0 {
-            keys.push(("loop_delay_ms", format!("{:?}", ms(trial.delay_us))));
-            keys.push(("design_delay_ms", format!("{:?}", ms(trial.delay_us))));
+    fn between(&self, trial: &SceneTrial, plates: &mut BTreeMap<PathBuf, RawPlate>) -> RawBetween {
+        RawBetween {
+            plate: Some(self.plate_file(trial.plate, plates)),
+            duration_ms: ms(trial.duration_us),
+            controller: self.controller(trial, plates),
+            profile: profiles(trial),
         }
-        if trial.plate != trial.plate.design() {
-            keys.push(("design_plate", format!("{:?}", self.plate_file(trial.plate.design(), plates))));
-        }
-        let design = trial.plate.design().apply(self.base);
-        keys.extend(trial.tuning.keys(trial.law, &design, trial.period_us));
-        keys
     }
 
-    fn plate_file(&self, choice: PlateChoice, plates: &mut BTreeMap<String, String>) -> String {
+    fn controller(&self, trial: &SceneTrial, plates: &mut BTreeMap<PathBuf, RawPlate>) -> RawController {
+        let design = trial.plate.design();
+        let controller = RawController {
+            law: Some(trial.law.name().to_owned()),
+            period_ms: Some(ms(trial.period_us)),
+            start_frequency_hz: Some(f64::from(trial.start_frequency_tenths) / 10.0),
+            loop_delay_ms: ms(trial.delay_us),
+            design_delay_ms: ms(trial.delay_us),
+            design_plate: (trial.plate != design).then(|| self.plate_file(design, plates)),
+            ..RawController::default()
+        };
+        trial.tuning.apply(controller, trial.law, &design.apply(self.base), trial.period_us)
+    }
+
+    fn plate_file(&self, choice: PlateChoice, plates: &mut BTreeMap<PathBuf, RawPlate>) -> PathBuf {
         let PlateChoice { limit_vpp, noise_pm, gain_permille, time_constant_permille, .. } = choice;
         let mut name = format!("plates/{}{limit_vpp}vpp", self.plate_prefix);
         for (value, unit) in [
@@ -144,34 +124,35 @@ impl ScenarioWriter<'_> {
                 let _ = write!(name, "-{value}{unit}");
             }
         }
-        name.push_str(".toml");
-        plates.entry(name.clone()).or_insert_with(|| self.plate_text(choice));
-        name
+        let path = PathBuf::from(name + ".toml");
+        plates.entry(path.clone()).or_insert_with(|| self.plate(choice));
+        path
     }
 
-    fn plate_text(&self, choice: PlateChoice) -> String {
+    fn plate(&self, choice: PlateChoice) -> RawPlate {
         let plate = choice.apply(self.base);
         // Removes the rounding errors of products.
         let rounded = |value| rounded(value, 9);
-        let time_constant_ms = rounded(1e3 / plate.sigma0);
-        let curve: Vec<_> =
-            plate.damping_ratio.iter().map(|[force, ratio]| format!("[{force:?}, {ratio:?}]")).collect();
-        // The escapes of `{:?}` are not those of TOML.
-        let [name, source] = [&plate.name, &plate.source].map(|text| toml::Value::from(text.as_str()));
-        format!(
-            "name = {name}\nsource = {source}\n\n[mode]\nresonance_hz = {:?}\nreference_temperature_c = {:?}\n\
-             resonance_slope_hz_per_k = {:?}\ntime_constant_ms = {time_constant_ms:?}\ngain_um_per_vpp = {:?}\n\n\
-             [finger]\ndamping_ratio = [{}]\nresonance_shift_hz_per_n = {:?}\n\n[drive]\nlimit_vpp = {:?}\n\n\
-             [sensor]\nnoise_um_rms = {:?}\n",
-            rounded(plate.omega0 / TAU),
-            plate.reference_temperature_c,
-            rounded(plate.omega0_per_k / TAU),
-            rounded(plate.gain),
-            curve.join(", "),
-            rounded(plate.omega0_per_n / TAU),
-            plate.drive_limit_vpp,
-            rounded(plate.noise_um_rms),
-        )
+        RawPlate {
+            mode: RawMode {
+                resonance_hz: rounded(plate.omega0 / TAU),
+                reference_temperature_c: plate.reference_temperature_c,
+                resonance_slope_hz_per_k: rounded(plate.omega0_per_k / TAU),
+                time_constant_ms: rounded(1e3 / plate.sigma0),
+                gain_um_per_vpp: rounded(plate.gain),
+            },
+            second_mode: None,
+            finger: RawFinger {
+                damping_ratio: plate.damping_ratio,
+                resonance_shift_hz_per_n: rounded(plate.omega0_per_n / TAU),
+            },
+            drive: RawDrive { limit_vpp: plate.drive_limit_vpp, ..RawDrive::default() },
+            sensor: RawSensor { noise_um_rms: rounded(plate.noise_um_rms), ..RawSensor::default() },
+            heating: None,
+            uncertainty: Uncertainty::default(),
+            name: plate.name,
+            source: plate.source,
+        }
     }
 }
 
@@ -187,50 +168,77 @@ fn ms(us: u32) -> f64 {
     f64::from(us) / 1e3
 }
 
-fn points<T: Copy>(points: &[(u32, T)], value: impl Fn(T) -> f64) -> String {
-    let points: Vec<_> = points.iter().map(|(at, level)| format!("[{:?}, {:?}]", ms(*at), value(*level))).collect();
-    format!("[{}]", points.join(", "))
+fn points<T: Copy>(points: &[(u32, T)], value: impl Fn(T) -> f64) -> Vec<[f64; 2]> {
+    points.iter().map(|(at, level)| [ms(*at), value(*level)]).collect()
 }
 
-fn course(course: &Course) -> String {
+fn profiles(trial: &SceneTrial) -> RawProfiles {
+    RawProfiles {
+        setpoint_um: RawProfile::Shape(RawShape::Hold(points(&trial.setpoint, |nm| f64::from(nm) / 1e3))),
+        temperature_offset_k: profile(&trial.temperature),
+        finger_force_n: profile(&trial.force),
+    }
+}
+
+fn profile(course: &Course) -> RawProfile {
     let hundredths = |value: i32| f64::from(value) / 100.0;
     match course {
-        Course::Hold(list) if list.len() == 1 => list.first().map_or(0.0, |(_, value)| hundredths(*value)).to_string(),
-        Course::Hold(list) => format!("{{ hold = {} }}", points(list, hundredths)),
-        Course::Linear(list) => format!("{{ linear = {} }}", points(list, hundredths)),
-        Course::Sine { mean, amplitude, frequency_tenths } => format!(
-            "{{ sine = {{ mean = {:?}, amplitude = {:?}, frequency_hz = {:?} }} }}",
-            hundredths(*mean),
-            hundredths(*amplitude),
-            f64::from(*frequency_tenths) / 10.0
-        ),
-    }
-}
-
-fn profile(trial: &SceneTrial) -> Vec<(&'static str, String)> {
-    let mut keys = vec![("setpoint_um", format!("{{ hold = {} }}", points(&trial.setpoint, |nm| f64::from(nm) / 1e3)))];
-    let is_constant_zero = |course: &Course| matches!(course, Course::Hold(list) if list[..] == [(0, 0)]);
-    for (key, values) in [("temperature_offset_k", &trial.temperature), ("finger_force_n", &trial.force)] {
-        if !is_constant_zero(values) {
-            keys.push((key, course(values)));
+        Course::Hold(list) if list.len() == 1 => {
+            RawProfile::Number(list.first().map_or(0.0, |(_, value)| hundredths(*value)))
         }
+        Course::Hold(list) => RawProfile::Shape(RawShape::Hold(points(list, hundredths))),
+        Course::Linear(list) => RawProfile::Shape(RawShape::Linear(points(list, hundredths))),
+        Course::Sine { mean, amplitude, frequency_tenths } => RawProfile::Shape(RawShape::Sine(RawSine {
+            mean: hundredths(*mean),
+            amplitude: hundredths(*amplitude),
+            frequency_hz: f64::from(*frequency_tenths) / 10.0,
+            phase_deg: 0.0,
+        })),
     }
-    keys
 }
 
-fn write_demand(text: &mut String, demand: &Demand, number: u32) -> std::fmt::Result {
-    let Some(metric) = demand.property.metric() else { return Ok(()) };
-    writeln!(text, "\n[[expect]]\nname = \"{} {number}\"\nmetric = \"{metric}\"", demand.property)?;
-    if metric.has_from_ms() {
-        writeln!(text, "from_ms = {:?}\nuntil_ms = {:?}", ms(demand.from_us), ms(demand.until_us))?;
+fn expectations(scene: &Scene, demands: &[Demand]) -> Vec<RawExpectation> {
+    let mut counts: BTreeMap<Property, u32> = BTreeMap::new();
+    let mut expectations: Vec<RawExpectation> = demands
+        .iter()
+        .filter_map(|demand| {
+            let count = counts.entry(demand.property).or_default();
+            *count += 1;
+            expectation(demand, *count)
+        })
+        .collect();
+    if scene.compares_trials() {
+        expectations.push(RawExpectation {
+            name: Some(Property::SameResponse.name().to_owned()),
+            metric: Metric::TrialDifference.name().to_owned(),
+            at_most: Some(SAME_RESPONSE_UM),
+            ..RawExpectation::default()
+        });
+    } else if demands.is_empty() {
+        // A scenario needs an expectation, although the protocol rules are checked without one.
+        let SceneTrial { faults, period_us, .. } = &scene.judged;
+        let planned: u32 = faults.iter().map(|fault| fault.longest_silence(*period_us)).sum();
+        expectations.push(RawExpectation {
+            name: Some(Property::Protocol.name().to_owned()),
+            metric: Metric::MissedReplies.name().to_owned(),
+            within: Some([0.0, f64::from(planned)]),
+            ..RawExpectation::default()
+        });
     }
-    if let Some(band) = demand.band_percent
-        && band != 5.0
-    {
-        writeln!(text, "band_percent = {:?}", rounded(band, 4))?;
-    }
-    if demand.property == Property::StaticError {
-        writeln!(text, "over = \"each\"")?;
-    }
-    writeln!(text, "at_most = {:?}", rounded(demand.at_most, 4))
+    expectations
+}
+
+fn expectation(demand: &Demand, number: u32) -> Option<RawExpectation> {
+    let metric = demand.property.metric()?;
+    let window = metric.has_from_ms().then(|| [demand.from_us, demand.until_us].map(ms));
+    Some(RawExpectation {
+        name: Some(format!("{} {number}", demand.property)),
+        metric: metric.name().to_owned(),
+        from_ms: window.map(|[from, _]| from),
+        until_ms: window.map(|[_, until]| until),
+        band_percent: demand.band_percent.filter(|band| *band != 5.0).map(|band| rounded(band, 4)),
+        over: (demand.property == Property::StaticError).then(|| "each".to_owned()),
+        at_most: Some(rounded(demand.at_most, 4)),
+        ..RawExpectation::default()
+    })
 }

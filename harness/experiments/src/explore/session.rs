@@ -135,7 +135,7 @@ impl ExploreSession {
         time: Duration,
     ) -> Result<ViolationReport, ExploreError> {
         let mut player = Player::new(connect, config.own_clock, cancel, ends);
-        let minimal = Shrinker::new(config, &mut player, time)?.shrink(failed, property)?;
+        let minimal = Shrinker::new(config, &mut player, time).shrink(failed, property)?;
         let rig = self.rig.to_string();
         let path = regression::write(&self.regression_folder, config, &rig, failed, &minimal)?;
         // Checks that the written file also fails with a new controller, as in `platebench run`.
@@ -152,7 +152,7 @@ impl ExploreSession {
             value: original.and_then(|failure| failure.value),
             limit: original.and_then(|failure| failure.limit),
             rule: (property == Property::Protocol).then(|| minimal.failure.name.clone()),
-            original: config.scene_text(&tree.current(), &title).scenario,
+            original: config.scenario(&tree.current(), &title).text(&[]).at(&path)?,
             minimal: fs::read_to_string(&path).at(&path)?,
             minimal_value: minimal.failure.value,
             minimal_limit: minimal.failure.limit,

@@ -5,7 +5,6 @@ use crate::explore::exploration::{ExploreConfig, FailedScene};
 use crate::explore::player::{Failure, Player};
 use crate::explore::properties::{Demand, Property};
 use crate::explore::scene::{Course, Scene, SceneTrial};
-use crate::explore::staging::Staging;
 use crate::explore::tuning::Tuning;
 use std::time::{Duration, Instant};
 
@@ -29,14 +28,13 @@ pub struct Shrinker<'a, 'p> {
     pub config: &'a ExploreConfig,
     pub player: &'a mut Player<'p>,
     pub deadline: Instant,
-    staging: Staging,
     replays: u32,
 }
 
 impl<'a, 'p> Shrinker<'a, 'p> {
-    /// `time` limits the search, counted from now. Fails if no temporary folder can be created.
-    pub fn new(config: &'a ExploreConfig, player: &'a mut Player<'p>, time: Duration) -> Result<Self, ExploreError> {
-        Ok(Self { config, player, deadline: Instant::now() + time, staging: Staging::new()?, replays: 0 })
+    /// `time` limits the search, counted from now.
+    pub fn new(config: &'a ExploreConfig, player: &'a mut Player<'p>, time: Duration) -> Self {
+        Self { config, player, deadline: Instant::now() + time, replays: 0 }
     }
 
     /// Searches the smallest scene that violates the property.
@@ -164,7 +162,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
     /// Plays `scene` with a new controller. `None` if it does not violate `property`.
     fn replay(&mut self, scene: &Scene, property: Property) -> Result<Option<Failure>, ExploreError> {
         self.replays += 1;
-        let scenario = self.staging.load(&self.config.scene_text(scene, "Replay"))?;
+        let scenario = self.config.scenario(scene, "Replay").check()?;
         self.player.renew();
         let result = self.player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
         Ok(result.failure_of(property).cloned())

@@ -2,6 +2,8 @@
 
 use crate::explore::envelope::Ranges;
 use platebench_controller::design::{PiGains, default_response_time_s};
+use platebench_model::scenario::Gains;
+use platebench_model::scenario::raw::RawController;
 use platebench_plate::Plate;
 use platebench_wire::LawId;
 use proptest::option;
@@ -46,14 +48,10 @@ impl Tuning {
             .boxed()
     }
 
-    /// Keys and values of the table `[controller]`. `design` is the configured plate.
-    pub(crate) fn keys(&self, law: LawId, design: &Plate, period_us: u32) -> Vec<(&'static str, String)> {
-        let mut keys = Vec::new();
-        let hz = [("frequency_range_hz", self.range_tenths), ("frequency_slew_hz", self.slew_tenths)];
-        let response_ms = self.response_tenths.map(|tenths| f64::from(tenths) / 10.0);
-        keys.extend(response_ms.map(|ms| ("response_time_ms", format!("{ms:?}"))));
-        keys.extend(hz.into_iter().filter_map(|(key, value)| Some((key, format!("{:?}", f64::from(value?) / 10.0)))));
-        if let Some([amplitude, frequency]) = self.gains_percent {
+    /// `controller` with these settings. `design` is the configured plate.
+    pub(crate) fn apply(&self, controller: RawController, law: LawId, design: &Plate, period_us: u32) -> RawController {
+        let tenths = |value: Option<u32>| value.map(|tenths| f64::from(tenths) / 10.0);
+        let gains = self.gains_percent.map(|[amplitude, frequency]| {
             let period = f64::from(period_us) * 1e-6;
             let (tau, response) = (1.0 / design.sigma0, default_response_time_s(law));
             let scaled = |plant_gain: f64, percent: u32| {
@@ -61,14 +59,17 @@ impl Tuning {
                     PiGains::of_law(law, plant_gain, tau, response, period);
                 [proportional, integral_per_period / period].map(|gain| rounded(gain * f64::from(percent) / 100.0, 4))
             };
-            let ([kp, ki], [frequency_kp, frequency_ki]) = (scaled(design.gain, amplitude), scaled(tau, frequency));
-            let gains = format!(
-                "{{ amplitude_kp = {kp:?}, amplitude_ki = {ki:?}, \
-                 frequency_kp = {frequency_kp:?}, frequency_ki = {frequency_ki:?} }}"
-            );
-            keys.push(("gains", gains));
+            let ([amplitude_kp, amplitude_ki], [frequency_kp, frequency_ki]) =
+                (scaled(design.gain, amplitude), scaled(tau, frequency));
+            Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki }
+        });
+        RawController {
+            response_time_ms: tenths(self.response_tenths),
+            frequency_range_hz: tenths(self.range_tenths),
+            frequency_slew_hz: tenths(self.slew_tenths),
+            gains,
+            ..controller
         }
-        keys
     }
 }
 

@@ -77,7 +77,7 @@ fn the_reference_finds_what_the_limits_allow(#[case] compares_reference: bool, #
         assert!(matches!(property, Property::Reference | Property::Answers));
         let ends = SafeEnds::default();
         let mut player = Player::new(&low_drive, false, &cancel, &ends);
-        let mut shrinker = Shrinker::new(&config, &mut player, SHRINK_TIME).unwrap();
+        let mut shrinker = Shrinker::new(&config, &mut player, SHRINK_TIME);
         let minimal = shrinker.shrink(failed, property).unwrap();
         assert_eq!((minimal.is_reproduced, minimal.demands.len()), (true, 1));
         assert!(minimal.failure.value > Some(0.1), "{:?}", minimal.failure);
@@ -93,7 +93,7 @@ fn a_mutant_is_found_and_its_scene_shrinks_to_one_level() {
         violated_properties(&result).into_iter().find(|(property, _)| *property == Property::StaticError).unwrap();
     let ends = SafeEnds::default();
     let mut player = Player::new(&mutant, false, &cancel, &ends);
-    let mut shrinker = Shrinker::new(&config, &mut player, SHRINK_TIME).unwrap();
+    let mut shrinker = Shrinker::new(&config, &mut player, SHRINK_TIME);
     let minimal = shrinker.shrink(failed, Property::StaticError).unwrap();
     assert!(minimal.is_reproduced);
     assert!(minimal.scene.earlier.is_empty(), "{:?}", minimal.scene);

@@ -32,10 +32,10 @@ fn every_scene_loads(#[case] law: LawId) {
     let folder = tempfile::tempdir().unwrap();
     for index in 0..200 {
         let scene = config.generator().tree(index).unwrap().current();
-        let text = config.scene_text(&scene, "Scene");
-        text.write(folder.path(), "scene").unwrap();
+        let raw = config.scenario(&scene, "Scene");
+        raw.write(folder.path(), "scene", &[]).unwrap();
         let scenario = load(&folder.path().join("scene.toml"), "scene.toml");
-        let scenario = scenario.unwrap_or_else(|fault| panic!("scene {index}: {fault}\n{}", text.scenario));
+        let scenario = scenario.unwrap_or_else(|fault| panic!("scene {index}: {fault}\n{}", raw.text(&[]).unwrap()));
         assert_eq!(scenario.between.len(), scene.earlier.len());
     }
 }
@@ -48,7 +48,7 @@ fn a_plate_keeps_its_name_and_source() {
     let expected = (plate.name.clone(), plate.source.clone());
     let scene = config.generator().tree(0).unwrap().current();
     let folder = tempfile::tempdir().unwrap();
-    config.scene_text(&scene, "Scene").write(folder.path(), "scene").unwrap();
+    config.scenario(&scene, "Scene").write(folder.path(), "scene", &[]).unwrap();
     let plate = load(&folder.path().join("scene.toml"), "scene.toml").unwrap().plate;
     assert_eq!((plate.name.clone(), plate.source.clone()), expected);
 }
