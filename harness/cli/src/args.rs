@@ -1,15 +1,13 @@
 //! Defines the command line and parses it.
 
+#[cfg(feature = "export")]
+use crate::campaign;
 use crate::config::{self, Config};
 use crate::logging::LoggingArgs;
 use crate::{
-    accept, baseline, boards, build_info, check, color, compare, completions, emulate, explore, identify, judge, man,
-    merge, new, replay, report, run, schema, soak, stability, trust, tune,
+    acceptance, baseline, board, build_info, check, color, compare, generate, identify, new, plate, replay, report,
+    run, stability, suite, tune,
 };
-#[cfg(feature = "export")]
-use crate::{campaign, export, export_fmu};
-#[cfg(feature = "emulated")]
-use crate::{coverage, mutate};
 use clap::error::{ContextKind, ContextValue};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use platebench_model::scenario::Diagnostic;
@@ -47,63 +45,38 @@ pub(crate) struct Arguments {
 pub(crate) enum Command {
     /// Run scenarios and write a report
     Run(run::RunArgs),
-    /// Emulate the plate alone, in real time, for another controller
-    Emulate(emulate::EmulateArgs),
-    /// Judge the traces of a stored run again, without a rig
-    Judge(judge::JudgeArgs),
-    /// Render the report of a stored run again
-    Report(report::ReportArgs),
-    /// Compare responses with other responses or with baselines, within a tolerance tube
-    Compare(compare::CompareArgs),
-    /// Send recorded samples to another firmware and compare its commands with the recorded ones
-    /// (open loop)
-    Replay(replay::ReplayArgs),
-    /// Golden traces: accept, list, diff
-    Baseline(baseline::BaselineArgs),
-    /// Measure how well the scenarios catch faulty controllers: kill rate, false-alarm rate
-    Trust(trust::TrustArgs),
-    /// Generate scenes from an operating envelope, check properties and reduce what fails to a
-    /// minimal scenario
-    Explore(explore::ExploreArgs),
-    /// Join the runs of shards and boards into one run folder
-    Merge(merge::MergeArgs),
-    /// Play scenarios in rotation on a board for hours
-    Soak(soak::SoakArgs),
-    /// Show which lines of the firmware the scenarios execute (emulated rig)
-    #[cfg(feature = "emulated")]
-    Coverage(coverage::CoverageArgs),
-    /// Change the firmware's machine code and check whether the scenarios notice (emulated rig)
-    #[cfg(feature = "emulated")]
-    Mutate(mutate::MutateArgs),
-    /// List the boards of a lab, or end the quarantine of one
-    Boards(boards::BoardsArgs),
-    /// Play a scenario with many values: sweeps and Monte Carlo, on one machine or many
-    #[cfg(feature = "export")]
-    Campaign(campaign::CampaignArgs),
-    /// Show where methods and loops become unstable: predicted and measured limits, margins, maps
-    Stability(stability::StabilityArgs),
-    /// Identify plate parameters from recorded steps
-    Identify(identify::IdentifyArgs),
-    /// Conduct a lab acceptance session and seal its record
-    Accept(accept::AcceptArgs),
-    /// Design controller gains for a plate, with their margins and limits
-    Tune(tune::TuneArgs),
-    /// Export the traces of a stored run as Parquet, MDF4, MCAP or CSV
-    #[cfg(feature = "export")]
-    Export(export::ExportArgs),
-    /// Export a plate as an FMU (FMI 3.0) for other simulators
-    #[cfg(feature = "export")]
-    ExportFmu(export_fmu::ExportFmuArgs),
     /// Write a commented scenario as a starting point
     New(new::NewArgs),
     /// Check scenarios, plates, plans and settings without playing them
     Check(check::CheckArgs),
-    /// Print JSON Schemas: of input files for editors, of results for programs
-    Schema(schema::SchemaArgs),
-    /// Print shell completions
-    Completions(completions::CompletionsArgs),
-    /// Print or write manual pages
-    Man(man::ManArgs),
+    /// Render the report of a stored run again; judge, export or join stored runs
+    Report(report::ReportArgs),
+    /// Compare responses with other responses or with baselines, within a tolerance tube
+    Compare(compare::CompareArgs),
+    /// Golden traces: accept, list, diff, review
+    Baseline(baseline::BaselineArgs),
+    /// Send recorded samples to another firmware and compare its commands with the recorded ones
+    /// (open loop)
+    Replay(replay::ReplayArgs),
+    /// Emulate the plate alone for another controller, or export it for other simulators
+    Plate(plate::PlateArgs),
+    /// Identify plate parameters from recorded steps
+    Identify(identify::IdentifyArgs),
+    /// Design controller gains for a plate, with their margins and limits
+    Tune(tune::TuneArgs),
+    /// Show where methods and loops become unstable: predicted and measured limits, margins, maps
+    Stability(stability::StabilityArgs),
+    /// Play a scenario with many values: sweeps and Monte Carlo, on one machine or many
+    #[cfg(feature = "export")]
+    Campaign(campaign::CampaignArgs),
+    /// List the boards of a lab, end the quarantine of one, or play scenarios on one for hours
+    Board(board::BoardCommandArgs),
+    /// Conduct a lab acceptance session, or verify its record
+    Acceptance(acceptance::AcceptanceArgs),
+    /// Measure how well the scenarios find faults: mutants, coverage, exploration
+    Suite(suite::SuiteArgs),
+    /// Print JSON Schemas, shell completions or manual pages
+    Generate(generate::GenerateArgs),
 }
 
 /// Parses the command line. Wrong usage and help end the process. Fails with the faults of
@@ -134,16 +107,17 @@ pub(crate) fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     });
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     color::set(arguments.logging.color);
-    let needs_config = !matches!(arguments.command, Command::Schema(_) | Command::Completions(_) | Command::Man(_));
+    let needs_config = !matches!(arguments.command, Command::Generate(_));
     if needs_config && !faults.is_empty() { Err(faults) } else { Ok((arguments, config)) }
 }
 
-/// Returns the Cargo feature of the unknown command, if this build lacks the feature.
+/// Returns the Cargo feature of the unknown command or option, if this build lacks the feature.
 fn missing_feature(error: &clap::Error) -> Option<&'static str> {
-    let Some(ContextValue::String(command)) = error.get(ContextKind::InvalidSubcommand) else { return None };
-    let (feature, is_built) = match &**command {
+    let name = [ContextKind::InvalidSubcommand, ContextKind::InvalidArg].into_iter().find_map(|kind| error.get(kind));
+    let Some(ContextValue::String(name)) = name else { return None };
+    let (feature, is_built) = match &**name {
         "coverage" | "mutate" => ("emulated", cfg!(feature = "emulated")),
-        "campaign" | "export" | "export-fmu" => ("export", cfg!(feature = "export")),
+        "campaign" | "fmu" | "--export" => ("export", cfg!(feature = "export")),
         _ => return None,
     };
     (!is_built).then_some(feature)

@@ -19,9 +19,9 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench compare runs/tonight --against baseline
-  platebench compare runs/tonight --against runs/yesterday
-  platebench compare board.csv --against scenarios/baselines/paper/fig13-closed-loop.toml
+  platebench compare runs/tonight baseline
+  platebench compare runs/tonight runs/yesterday
+  platebench compare board.csv scenarios/baselines/paper/fig13-closed-loop.toml
 
 Exit codes: 0 all inside, 1 something outside, 3 a reference is missing or another time range,
 4 nothing was compared")]
@@ -31,8 +31,8 @@ pub(crate) struct CompareArgs {
     subject: PathBuf,
     /// The reference: a trace, a run folder, the .toml file of a baseline, or `baseline` for the
     /// baseline of each scenario
-    #[arg(long, value_name = "TRACE|RUN|baseline")]
-    against: String,
+    #[arg(value_name = "TRACE|RUN|baseline")]
+    reference: String,
     /// Folder of the baselines
     #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
     baselines: PathBuf,
@@ -77,7 +77,7 @@ impl ComparisonOutput {
 
 fn nothing_compared(arguments: &CompareArgs, reason: &str) -> Failure {
     let (subject, baselines) = (arguments.subject.display(), arguments.baselines.display());
-    let hint = if arguments.against != BASELINE_KEYWORD {
+    let hint = if arguments.reference != BASELINE_KEYWORD {
         reason.to_owned()
     } else if arguments.baselines.is_dir() {
         format!(
@@ -102,7 +102,7 @@ fn compare_all(arguments: &CompareArgs) -> Result<Vec<ComparisonOutput>, Compare
     note_missing(arguments, &subject)?;
     let mut comparisons = Vec::new();
     for scenario in subject {
-        let reference = Reference::find(&arguments.subject, &arguments.against, &arguments.baselines, &scenario)?;
+        let reference = Reference::find(&arguments.subject, &arguments.reference, &arguments.baselines, &scenario)?;
         let comparison = reference.compare(&scenario)?;
         let drawing = match &drawings {
             Some(folder) => draw_worst(&reference, &scenario, &comparison, folder)?,
@@ -115,8 +115,8 @@ fn compare_all(arguments: &CompareArgs) -> Result<Vec<ComparisonOutput>, Compare
 
 /// Reports trials that only the reference has. Without this, a run with fewer trials could pass.
 fn note_missing(arguments: &CompareArgs, subject: &[ScenarioTrials]) -> Result<(), CompareError> {
-    let against = Path::new(&arguments.against);
-    if arguments.against == BASELINE_KEYWORD || !is_run_folder(&arguments.subject) || !is_run_folder(against) {
+    let against = Path::new(&arguments.reference);
+    if arguments.reference == BASELINE_KEYWORD || !is_run_folder(&arguments.subject) || !is_run_folder(against) {
         return Ok(());
     }
     for other in &RunRecord::read(against)?.scenarios {

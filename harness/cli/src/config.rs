@@ -95,7 +95,13 @@ const SETTINGS: [Setting; 14] = [
     setting("jobs", "PLATEBENCH_JOBS", "jobs", &[]),
     setting("format", "PLATEBENCH_FORMAT", "format", &[]),
     path("baselines", "PLATEBENCH_BASELINES", "baselines", &[]),
-    Setting { id: "scenarios", variable: None, key: "scenarios", commands: &["run", "trust", "check"], is_path: true },
+    Setting {
+        id: "scenarios",
+        variable: None,
+        key: "scenarios",
+        commands: &["run", "suite trust", "check"],
+        is_path: true,
+    },
     path("runs", "PLATEBENCH_RUNS", "runs", RUN),
     path("out", "PLATEBENCH_OUT", "out", RUN),
     setting("law", "PLATEBENCH_LAW", "run.law", RUN),
@@ -187,7 +193,7 @@ fn subcommand_names(command: &Command) -> Vec<String> {
     command.get_subcommands().map(|command| command.get_name().to_owned()).collect()
 }
 
-/// `name` names the top-level command, also if `command` is one of its subcommands.
+/// `name` is the name of the command, after the names of the commands that contain it.
 fn with_settings_of(command: Command, name: &str, config: &Config) -> Command {
     let command = SETTINGS.iter().fold(command, |command, setting| {
         if !setting.applies_to(&command, name) {
@@ -205,7 +211,8 @@ fn with_settings_of(command: Command, name: &str, config: &Config) -> Command {
         })
     });
     subcommand_names(&command).into_iter().fold(command, |command, below| {
-        command.mut_subcommand(below, |command| with_settings_of(command, name, config))
+        let name = format!("{name} {below}");
+        command.mut_subcommand(below, |command| with_settings_of(command, &name, config))
     })
 }
 

@@ -49,7 +49,7 @@ impl SessionView {
         let mut slot = self.lock_view()?;
         // Closes the previous view first, because only one view may use the terminal.
         *slot = None;
-        let (view, live_tap) = open_view(describe_run("accept", SESSION_KEYS, plan));
+        let (view, live_tap) = open_view(describe_run("acceptance run", SESSION_KEYS, plan));
         *slot = Some(view?);
         Some(live_tap)
     }

@@ -2,8 +2,8 @@
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
+use crate::generate::SchemaKind;
 use crate::options::law_names;
-use crate::schema::SchemaKind;
 use crate::stdio;
 use clap::Args;
 use platebench_model::trace::write_new;

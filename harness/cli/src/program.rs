@@ -1,17 +1,15 @@
 //! Runs the program: parses arguments, calls the command, returns the exit code.
 
 use crate::args::{Arguments, Command};
+#[cfg(feature = "export")]
+use crate::campaign;
 use crate::config::{self, Config};
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
 use crate::{
-    accept, args, baseline, boards, build_info, check, compare, completions, emulate, explore, identify, judge,
-    logging, man, merge, new, replay, report, run, schema, soak, stability, stdio, trust, tune,
+    acceptance, args, baseline, board, build_info, check, compare, generate, identify, logging, new, plate, replay,
+    report, run, stability, stdio, suite, tune,
 };
-#[cfg(feature = "export")]
-use crate::{campaign, export, export_fmu};
-#[cfg(feature = "emulated")]
-use crate::{coverage, mutate};
 use clap::CommandFactory;
 use std::process::ExitCode;
 
@@ -52,35 +50,21 @@ fn dispatch(arguments: &Arguments) -> CommandResult {
     let definition = || config::with_settings(command(), &Config::default());
     match &arguments.command {
         Command::Run(arguments) => run::run(arguments, detail),
-        Command::Emulate(arguments) => emulate::emulate(arguments),
-        Command::Judge(arguments) => judge::judge(arguments, detail),
-        Command::Report(arguments) => report::report(arguments),
-        Command::Replay(arguments) => replay::replay(arguments),
-        Command::Compare(arguments) => compare::compare(arguments),
-        Command::Baseline(arguments) => baseline::baseline(arguments),
-        Command::Trust(arguments) => trust::trust(arguments, detail),
-        Command::Explore(arguments) => explore::explore(arguments, detail),
-        #[cfg(feature = "emulated")]
-        Command::Coverage(arguments) => coverage::coverage(arguments, detail),
-        Command::Merge(arguments) => merge::merge(arguments, detail),
-        Command::Soak(arguments) => soak::soak(arguments, detail),
-        #[cfg(feature = "emulated")]
-        Command::Mutate(arguments) => mutate::mutate(arguments, detail),
-        Command::Boards(arguments) => boards::boards(arguments),
-        #[cfg(feature = "export")]
-        Command::Campaign(arguments) => campaign::campaign(arguments, quiet),
-        Command::Stability(arguments) => stability::stability(arguments),
-        Command::Identify(arguments) => identify::identify(arguments),
-        Command::Accept(arguments) => accept::accept(arguments, quiet),
-        Command::Tune(arguments) => tune::tune(arguments),
-        #[cfg(feature = "export")]
-        Command::Export(arguments) => export::export(arguments),
-        #[cfg(feature = "export")]
-        Command::ExportFmu(arguments) => export_fmu::export_fmu(arguments),
         Command::New(arguments) => new::new(arguments),
         Command::Check(arguments) => check::check(arguments, &command()),
-        Command::Schema(arguments) => schema::schema(arguments),
-        Command::Completions(arguments) => Ok(completions::completions(arguments, definition())),
-        Command::Man(arguments) => man::man(arguments, definition()),
+        Command::Report(arguments) => report::report(arguments, detail),
+        Command::Compare(arguments) => compare::compare(arguments),
+        Command::Baseline(arguments) => baseline::baseline(arguments),
+        Command::Replay(arguments) => replay::replay(arguments),
+        Command::Plate(arguments) => plate::plate(arguments),
+        Command::Identify(arguments) => identify::identify(arguments),
+        Command::Tune(arguments) => tune::tune(arguments),
+        Command::Stability(arguments) => stability::stability(arguments),
+        #[cfg(feature = "export")]
+        Command::Campaign(arguments) => campaign::campaign(arguments, quiet),
+        Command::Board(arguments) => board::board(arguments, detail),
+        Command::Acceptance(arguments) => acceptance::acceptance(arguments, quiet),
+        Command::Suite(arguments) => suite::suite(arguments, detail),
+        Command::Generate(arguments) => generate::generate(arguments, definition),
     }
 }

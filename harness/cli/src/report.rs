@@ -1,44 +1,110 @@
-//! `platebench report`: renders the report of a stored run, or of two runs side by side.
+//! `platebench report`: renders the report of a stored run, judges the run again, exports its
+//! traces, or joins several runs.
 
+use crate::board::write_soak_page;
 use crate::exit::Exit;
-use crate::failure::{CommandResult, OrInvalid};
-use crate::judge::StoredRun;
-use crate::options::BASELINES;
-use crate::{soak, stdio};
+use crate::failure::{CommandResult, Failure, OrInvalid};
+use crate::options::{BASELINES, OutputFormat};
+use crate::stdio;
 use clap::Args;
-use platebench_engine::RejudgeError;
+#[cfg(feature = "export")]
+use clap::ValueEnum;
 use platebench_engine::rejudge::check_trace;
-use platebench_lab::boards::{SOAK_FILE, SoakRecord};
-use platebench_model::record::RunRecord;
+use platebench_engine::{RejudgeError, rejudge};
+use platebench_lab::boards::{MergeError, SOAK_FILE, SoakRecord, merge_runs};
+use platebench_model::record::{RunFolder, RunRecord};
+#[cfg(feature = "export")]
+use platebench_report::export::{ExportError, ExportFormat, select_scenarios};
 use platebench_report::page::{self, ReportPage};
-use platebench_report::traceability;
+use platebench_report::text::board_matrix::{difference_table, missing_shards, verdict_matrix};
+use platebench_report::{Detail, junit, traceability};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   platebench report runs/tonight                            runs/tonight/report.html
-  platebench report runs/tonight --against runs/yesterday   runs/tonight/comparison.html, both runs side by side")]
+  platebench report runs/tonight --against runs/yesterday   runs/tonight/comparison.html, both runs side by side
+  platebench report runs/tonight --rejudge                  the verdicts, from the stored traces
+  platebench report runs/tonight --rejudge --scenario scenarios/paper/fig13-closed-loop.toml
+                                                            with the expectations of this file
+  platebench report runs/tonight --export parquet           every scenario, below runs/tonight/export
+  platebench report runs/tonight --export mf4 paper/fig13-closed-loop --out /tmp/fig13
+  platebench report --merge runs/left runs/right --out runs/both      boards against scenarios, differences
+  platebench report --merge runs/shard-1 runs/shard-2 --out runs/all  shards of one board
+
+Exit codes: 0 written, 2 invalid input or a file exists already; with --rejudge and --merge as for run, with --export 4
+if no trial is complete, with --merge 2 if the same trial is in two runs or a file was changed, 3 if a shard is missing")]
 pub(crate) struct ReportArgs {
     /// The run folder
-    run: PathBuf,
+    #[arg(required_unless_present = "merge", conflicts_with = "merge")]
+    run: Option<PathBuf>,
+    /// Scenarios of the run to export, by file; default: all
+    #[cfg(feature = "export")]
+    #[arg(value_name = "SCENARIO", requires = "export")]
+    scenarios: Vec<String>,
     /// Show another run side by side, in comparison.html
-    #[arg(long, value_name = "RUN")]
+    #[arg(long, value_name = "RUN", conflicts_with = "action")]
     against: Option<PathBuf>,
     /// Folder of the baselines
     #[arg(long, value_name = "FOLDER", default_value = BASELINES)]
     baselines: PathBuf,
+    /// Judge the traces again, without a rig, and print the verdicts instead of writing a report
+    #[arg(long, group = "action")]
+    rejudge: bool,
+    /// With --rejudge: take the expectations from this scenario file instead of the stored copy
+    #[arg(long, value_name = "FILE", requires = "rejudge")]
+    scenario: Option<PathBuf>,
+    /// Export the traces in this format, see docs/formats.md
+    #[cfg(feature = "export")]
+    #[arg(long, value_enum, value_name = "FORMAT", groups = ["action", "writer"])]
+    export: Option<ExportFormatArg>,
+    /// Join the runs of shards and boards into one run folder
+    #[arg(long, value_name = "RUN", num_args = 1.., groups = ["action", "writer"], requires = "out")]
+    merge: Vec<PathBuf>,
+    /// Folder of the exported files, by default RUN/export, or of the joined run. No file is
+    /// overwritten
+    #[arg(long, value_name = "FOLDER", requires = "writer")]
+    out: Option<PathBuf>,
+    /// Format of standard output with --rejudge and --merge; json: the record
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
 }
 
-pub(crate) fn report(arguments: &ReportArgs) -> CommandResult {
-    let soak_file = arguments.run.join(SOAK_FILE);
-    if arguments.against.is_none() && soak_file.exists() {
-        return soak::write_page(&SoakRecord::read(&arguments.run).or_invalid_at(&soak_file)?, &arguments.run);
+#[cfg(feature = "export")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ExportFormatArg {
+    /// Apache Parquet, one file per scenario
+    Parquet,
+    /// ASAM MDF 4.10, one file per trial
+    Mf4,
+    /// One table of the run and a description of its columns
+    Csv,
+    /// MCAP with messages in JSON, compressed, one file per scenario
+    Mcap,
+}
+
+pub(crate) fn report(arguments: &ReportArgs, detail: Detail) -> CommandResult {
+    let Some(run) = &arguments.run else { return merge(arguments, detail) };
+    if arguments.rejudge {
+        return judge(run, arguments, detail);
     }
-    let record = read_record(&arguments.run)?;
+    #[cfg(feature = "export")]
+    if let Some(format) = arguments.export {
+        return export(run, arguments, format);
+    }
+    render(run, arguments)
+}
+
+fn render(run: &Path, arguments: &ReportArgs) -> CommandResult {
+    let soak_file = run.join(SOAK_FILE);
+    if arguments.against.is_none() && soak_file.exists() {
+        return write_soak_page(&SoakRecord::read(run).or_invalid_at(&soak_file)?, run);
+    }
+    let record = read_record(run)?;
     let other = arguments.against.as_deref().map(|folder| read_record(folder).map(|other| (folder, other)));
     let other = other.transpose()?;
-    let page = ReportPage::new(&record, &arguments.run).with_baselines(&arguments.baselines).with_earlier_runs();
+    let page = ReportPage::new(&record, run).with_baselines(&arguments.baselines).with_earlier_runs();
     let page = page.without_changed_traces(|folder, trial| {
         matches!(check_trace(folder, trial), Err(RejudgeError::Modified { .. }))
     });
@@ -46,8 +112,8 @@ pub(crate) fn report(arguments: &ReportArgs) -> CommandResult {
         Some((folder, other)) => (page.with_other_run(other, folder), page::COMPARISON_FILE),
         None => (page, page::FILE),
     };
-    let path = arguments.run.join(name);
-    page.write(&path).and_then(|()| traceability::write(&record, &arguments.run)).or_invalid()?;
+    let path = run.join(name);
+    page.write(&path).and_then(|()| traceability::write(&record, run)).or_invalid()?;
     stdio::show(&format!("{}\n", path.display()));
     Ok(Exit::Passed)
 }
@@ -63,5 +129,145 @@ fn read_record(folder: &Path) -> Result<RunRecord, RejudgeError> {
         }
         Some(error) => Err(error),
         None => Ok(record),
+    }
+}
+
+/// A stored run for a report or an export.
+struct StoredRun {
+    record: RunRecord,
+    /// Why the verdicts are those of the record instead of those of the traces.
+    not_judged: Option<RejudgeError>,
+}
+
+impl StoredRun {
+    /// Judges the traces, because the verdicts in `run.json` may have been edited. Reports verdicts
+    /// that differ.
+    fn read(folder: &Path) -> Result<Self, RejudgeError> {
+        let mut record = RunRecord::read(folder)?;
+        if record.complete && record.discount_missing_traces(folder) {
+            return Ok(Self { record, not_judged: None });
+        }
+        match rejudge(folder, None) {
+            Ok(judged) => {
+                if record.complete {
+                    note_changed_verdicts(&record, &judged);
+                }
+                Ok(Self { record: judged, not_judged: None })
+            }
+            Err(error) => Ok(Self { record, not_judged: Some(error) }),
+        }
+    }
+}
+
+fn note_changed_verdicts(stored: &RunRecord, again: &RunRecord) {
+    for (then, now) in stored.scenarios.iter().zip(&again.scenarios) {
+        for (before, after) in then.expectations.iter().zip(&now.expectations) {
+            if before.verdict != after.verdict {
+                let (file, metric) = (&then.file, &before.metric);
+                stdio::note(&format!("{file}: {metric}: {} in the record, {} now", before.verdict, after.verdict));
+            }
+        }
+    }
+}
+
+fn judge(run: &Path, arguments: &ReportArgs, detail: Detail) -> CommandResult {
+    let record = rejudge(run, arguments.scenario.as_deref())?;
+    stdio::record(&record, arguments.format, detail);
+    if arguments.scenario.is_none() {
+        match RunRecord::read(run) {
+            Ok(stored) if !stored.complete => {
+                stdio::note("the run was interrupted; only its complete trials were judged");
+            }
+            Ok(stored) => note_changed_verdicts(&stored, &record),
+            Err(_) => {}
+        }
+    }
+    stdio::warn_if_not_safe(&record);
+    Ok(Exit::of_record(&record))
+}
+
+#[cfg(feature = "export")]
+fn export(run: &Path, arguments: &ReportArgs, format: ExportFormatArg) -> CommandResult {
+    let StoredRun { record, not_judged } = StoredRun::read(run)?;
+    if record.complete {
+        check_traces(&record, run, &arguments.scenarios)?;
+    }
+    match not_judged {
+        // The record of an interrupted run lacks its last trials.
+        Some(error) if !record.complete => return Err(error.into()),
+        Some(RejudgeError::Modified { .. }) => {
+            stdio::note("a file of the run was changed, so the verdicts are those of run.json and were not checked");
+        }
+        Some(error) => stdio::note(&format!("{error}; the verdicts are those of run.json, which were not checked")),
+        None => {}
+    }
+    let format = match format {
+        ExportFormatArg::Parquet => ExportFormat::Parquet,
+        ExportFormatArg::Mf4 => ExportFormat::Mf4,
+        ExportFormatArg::Csv => ExportFormat::Csv,
+        ExportFormatArg::Mcap => ExportFormat::Mcap,
+    };
+    let out = arguments.out.clone().unwrap_or_else(|| run.join("export"));
+    let exported = platebench_report::export::export(&record, run, &arguments.scenarios, format, &out)?;
+    for file in exported.files {
+        stdio::show(&format!("{}\n", file.display()));
+    }
+    if !record.complete || exported.incomplete_trials > 0 {
+        stdio::note("the run was interrupted; only its complete trials were exported");
+    }
+    Ok(Exit::Passed)
+}
+
+#[cfg(feature = "export")]
+impl From<ExportError> for Failure {
+    fn from(error: ExportError) -> Self {
+        let is_empty = matches!(error, ExportError::NoCompleteTrial(_));
+        Self::new(if is_empty { Exit::NothingToRun } else { Exit::Invalid }, &error)
+    }
+}
+
+/// Fails if a trace was modified after the run. `platebench_report::export::export` reports missing
+/// traces.
+#[cfg(feature = "export")]
+fn check_traces(record: &RunRecord, run: &Path, scenarios: &[String]) -> Result<(), Failure> {
+    for scenario in select_scenarios(record, scenarios)? {
+        for trial in &scenario.trials {
+            if let Err(error @ RejudgeError::Modified { .. }) = check_trace(run, trial) {
+                return Err(error.into());
+            }
+        }
+    }
+    Ok(())
+}
+
+fn merge(arguments: &ReportArgs, detail: Detail) -> CommandResult {
+    let folder = RunFolder::create(arguments.out.as_deref()).or_invalid()?;
+    let record = merge_runs(&arguments.merge, &folder).map_err(|error| {
+        folder.remove_if_empty();
+        match error {
+            MergeError::Stored(error) => error.into(),
+            error => Failure::invalid(&error),
+        }
+    })?;
+    stdio::record(&record, arguments.format, detail);
+    if arguments.format == OutputFormat::Human {
+        show_boards(&record);
+    }
+    let page = folder.path().join(page::FILE);
+    let written = junit::write(&record, &folder.path().join(junit::FILE))
+        .and_then(|()| ReportPage::new(&record, folder.path()).with_baselines(&arguments.baselines).write(&page))
+        .and_then(|()| traceability::write(&record, folder.path()));
+    stdio::note(&format!("report: {}", page.display()));
+    written.or_invalid()?;
+    stdio::warn_if_not_safe(&record);
+    Ok(Exit::of_record(&record))
+}
+
+fn show_boards(record: &RunRecord) {
+    let Some(merge) = &record.merge else { return };
+    let tables = verdict_matrix(record).into_iter().chain(difference_table(merge));
+    tables.for_each(|table| stdio::show(&format!("\n{}\n", table.lines().join("\n"))));
+    for line in missing_shards(merge) {
+        stdio::note(&line);
     }
 }

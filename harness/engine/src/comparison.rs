@@ -21,7 +21,7 @@ pub enum CompareError {
     #[error(transparent)]
     Baseline(#[from] BaselineError),
     #[error("{}: this trace is not in a run folder, so its scenario is unknown; \
-        expected --against BASELINE.toml", .0.display())]
+        expected the .toml file of a baseline", .0.display())]
     NoScenario(PathBuf),
     #[error("{}: the run has {count} scenarios, expected one: a single trace is compared with it", path.display())]
     SeveralScenarios { path: PathBuf, count: usize },

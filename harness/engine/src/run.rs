@@ -19,7 +19,7 @@ use platebench_wire::{LawId, capabilities};
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
-/// Plays the plan and writes record and traces into `folder`. After an error, `platebench judge`
+/// Plays the plan and writes record and traces into `folder`. After an error, `platebench report --rejudge`
 /// can still judge the complete trials.
 pub fn run(
     plan: &RunPlan,

@@ -48,8 +48,8 @@ fn session_folder() -> TestFolder {
     folder
 }
 
-const SESSION: [&str; 7] = ["accept", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
-const RESUME: [&str; 7] = ["accept", "--plan", "plan.toml", "--resume", "record", "--yes", "--rig"];
+const SESSION: [&str; 8] = ["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
+const RESUME: [&str; 8] = ["acceptance", "run", "--plan", "plan.toml", "--resume", "record", "--yes", "--rig"];
 /// Rig whose program ends at once, so that no controller answers.
 const ABSENT: &str = "exec:false {port}";
 
@@ -65,7 +65,7 @@ fn resume(folder: &TestFolder, rig: &[&str]) -> ProgramOutput {
 
 #[track_caller]
 fn verify(folder: &TestFolder, record: &str, more: &[&str]) -> ProgramOutput {
-    folder.bench(["accept", "verify", record].iter().chain(more))
+    folder.bench(["acceptance", "verify", record].iter().chain(more))
 }
 
 fn read_session_record(folder: &TestFolder) -> SessionRecord {
@@ -182,7 +182,7 @@ const NO_PLAN: &str = "--plan FILE names the plan";
 #[test]
 fn a_missing_plan_error_names_the_option() {
     session_folder()
-        .bench(["accept", "--rig", "hosted", "--yes"])
+        .bench(["acceptance", "run", "--rig", "hosted", "--yes"])
         .assert_exit(2)
         .assert_output(&["scenarios/plans/acceptance.toml: cannot be read", NO_PLAN]);
 }
@@ -203,7 +203,7 @@ fn errors_tell_public_keys_from_invalid_keys() {
 fn a_board_is_not_driven_without_confirmation() {
     let folder = session_folder();
     folder
-        .bench(["accept", "--plan", "plan.toml", "--out", "record", "--rig", &controller_rig(None)])
+        .bench(["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--rig", &controller_rig(None)])
         .assert_exit(3)
         .assert_output(&["no answer", "may drive a plate", "--yes", "--resume record"]);
     let record = read_session_record(&folder);
@@ -216,7 +216,7 @@ fn a_board_is_not_driven_without_confirmation() {
 fn interrupted_session() -> TestFolder {
     let folder = session_folder();
     folder
-        .bench(["accept", "--plan", "plan.toml", "--out", "record", "--yes", "--rig", ABSENT])
+        .bench(["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--yes", "--rig", ABSENT])
         .assert_exit(5)
         .assert_output(&[CONTINUE]);
     let record = read_session_record(&folder);
@@ -264,7 +264,7 @@ fn rejects_a_folder_with_other_content() {
     verify(&folder, "record", &[]).assert_exit(3).assert_output(&["the session is not finished"]);
     for (option, message) in [("--out", "files that belong to no acceptance session"), ("--resume", "no session")] {
         folder
-            .bench(["accept", "--plan", "plan.toml", "--rig", "hosted", "--yes", option, "scenarios"])
+            .bench(["acceptance", "run", "--plan", "plan.toml", "--rig", "hosted", "--yes", option, "scenarios"])
             .assert_exit(2)
             .assert_output(&[message]);
     }
@@ -306,7 +306,7 @@ fn the_scenarios_of_the_supplied_plan_reach_its_kill_rate() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().to_str().unwrap();
     let arguments =
-        ["trust", "scenarios/paper", "--tag", "acceptance", "--clean", "1", "--format", "json", "--out", out];
+        ["suite", "trust", "scenarios/paper", "--tag", "acceptance", "--clean", "1", "--format", "json", "--out", out];
     let trust = run_bench(&workspace_root(), arguments).assert_exit(1).json();
     let lowest = trust["kill_rate"]["bounds"][0].as_f64().unwrap() * 100.0;
     let demanded = supplied_plan().bench.least_kill_rate_percent;

@@ -118,7 +118,12 @@ fn a_broken_file_is_reported_but_help_still_works() {
             "did you mean `trials`?",
         ]);
     }
-    for arguments in [&["schema", "config"][..], &["man"], &["completions", "bash"], &["run", "--help"]] {
+    for arguments in [
+        &["generate", "schema", "config"][..],
+        &["generate", "man"],
+        &["generate", "completions", "bash"],
+        &["run", "--help"],
+    ] {
         folder.bench(arguments).assert_exit(0);
     }
 }
@@ -149,14 +154,14 @@ fn completions_and_manual_pages_know_every_command() {
     let folder = tempfile::tempdir().unwrap();
     let call = |arguments: &[&str]| run_bench(folder.path(), arguments).assert_exit(0);
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
-        call(&["completions", shell]).assert_output(&["baseline"]);
+        call(&["generate", "completions", shell]).assert_output(&["baseline"]);
     }
-    let page = call(&["man"]);
+    let page = call(&["generate", "man"]);
     assert!(page.text().starts_with(".ie"), "{}", page.text());
-    call(&["man", "--out", "man"]);
+    call(&["generate", "man", "--out", "man"]);
     let page = fs::read_to_string(folder.path().join("man/platebench-run.1")).unwrap();
     assert!(page.contains("PLATEBENCH_RIG") && page.contains("Examples"), "{page}");
-    for command in ["baseline-accept", "check", "new", "schema", "trust"] {
+    for command in ["baseline-accept", "check", "generate-schema", "new", "suite-trust"] {
         assert!(folder.path().join(format!("man/platebench-{command}.1")).exists(), "{command}");
     }
 }

@@ -73,7 +73,8 @@ fn start_shard(folder: &TestFolder, board: &str, shard: &str) -> ChildGuard {
 
 fn start_session(folder: &TestFolder, board: &str) -> ChildGuard {
     let out = format!("record-{board}");
-    let session = ["accept", "--plan", "plan.toml", "--board", board, "--yes", "--wait", "500", "--out", &out];
+    let session =
+        ["acceptance", "run", "--plan", "plan.toml", "--board", board, "--yes", "--wait", "500", "--out", &out];
     start_bench(folder.path(), session.into_iter().chain(LOCKSTEP))
 }
 
@@ -119,7 +120,7 @@ fn assert_states(folder: &TestFolder) {
 /// Ends the quarantine and waits until the controller of the killed bench has ended.
 fn clear_killed(folder: &TestFolder) {
     folder.bench(["run", "--board", KILLED]).assert_exit(5).assert_stderr(&["quarantine"]);
-    folder.bench(["boards", "clear", KILLED, "--reason", "0 V measured"]).assert_exit(0);
+    folder.bench(["board", "clear", KILLED, "--reason", "0 V measured"]).assert_exit(0);
     let exclusive = folder.join(&format!("{KILLED}.use"));
     wait_until("the controller of the killed bench does not end", || {
         Command::new("flock").arg("--nonblock").arg(&exclusive).arg("true").status().unwrap().success()
@@ -160,7 +161,12 @@ fn eight_boards_share_a_regression() {
         runs.collect::<Vec<_>>()
     };
     let merge = |runs: Vec<String>, out: &str| {
-        folder.bench(["merge".to_owned()].into_iter().chain(runs).chain(["--out".to_owned(), out.to_owned()]))
+        folder.bench(
+            ["report".to_owned(), "--merge".to_owned()]
+                .into_iter()
+                .chain(runs)
+                .chain(["--out".to_owned(), out.to_owned()]),
+        )
     };
     let mut present = runs(&HEALTHY);
     present.pop();
@@ -200,11 +206,13 @@ fn eight_boards_share_an_acceptance() {
     let again = if folder.exists(&format!("{record}/session.json")) { "--resume" } else { "--out" };
     folder
         .bench(
-            ["accept", "--plan", "plan.toml", "--board", KILLED, "--yes", again, &record].into_iter().chain(LOCKSTEP),
+            ["acceptance", "run", "--plan", "plan.toml", "--board", KILLED, "--yes", again, &record]
+                .into_iter()
+                .chain(LOCKSTEP),
         )
         .assert_exit(0);
     for (number, board) in HEALTHY.into_iter().chain([KILLED]).enumerate() {
-        folder.bench(["accept", "verify", &format!("record-{board}")]).assert_exit(0);
+        folder.bench(["acceptance", "verify", &format!("record-{board}")]).assert_exit(0);
         let last = state_of(&folder, number)["last_run"]["folder"].clone();
         assert!(last.as_str().is_some_and(|last| last.ends_with("-s1")), "the last step: {last}");
     }

@@ -25,7 +25,7 @@ fn assert_only_left_is_quarantined(folder: &TestFolder, reason: &str) {
     folder.bench(["run", "--board", "left", "--out", "refused"]).assert_exit(5).assert_stderr(&["clear left"]);
     assert!(!folder.exists("refused"));
     folder.bench(["run", "--board", "right", "--out", "right"]).assert_exit(0);
-    folder.bench(["boards", "clear", "left", "--reason", "0 V measured"]).assert_exit(0);
+    folder.bench(["board", "clear", "left", "--reason", "0 V measured"]).assert_exit(0);
     assert_eq!(state_of(folder, LEFT)["state"], "free");
 }
 

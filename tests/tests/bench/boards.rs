@@ -30,7 +30,7 @@ fn start_minute(folder: &TestFolder) -> ChildGuard {
 }
 
 pub(crate) fn state_of(folder: &TestFolder, board: usize) -> serde_json::Value {
-    folder.bench(["boards", "--format", "json"]).assert_exit(0).json()[board].clone()
+    folder.bench(["board", "list", "--format", "json"]).assert_exit(0).json()[board].clone()
 }
 
 #[test]
@@ -45,19 +45,19 @@ fn a_killed_run_leaves_the_board_in_quarantine() {
     ]);
     assert!(!folder.exists("second"));
     assert_eq!(state_of(&folder, 0)["state"], "held");
-    folder.bench(["boards", "clear", "left", "--reason", "x"]).assert_exit(5);
+    folder.bench(["board", "clear", "left", "--reason", "x"]).assert_exit(5);
     first.kill();
     let quarantined = state_of(&folder, 0);
     assert_eq!(quarantined["state"], "quarantined");
     assert!(quarantined["reason"].as_str().unwrap().contains("without confirmed 0 V"), "{quarantined}");
     folder.bench(["run", "--board", "left", "--wait", "1"]).assert_exit(5).assert_stderr(&["quarantine", "clear left"]);
-    folder.bench(["boards", "clear", "left", "--reason", " "]).assert_exit(2);
-    folder.bench(["boards", "clear", "left", "--reason", "0 V measured"]).assert_exit(0);
+    folder.bench(["board", "clear", "left", "--reason", " "]).assert_exit(2);
+    folder.bench(["board", "clear", "left", "--reason", "0 V measured"]).assert_exit(0);
     folder.bench(["run", "--board", "left", "--out", "third"]).assert_exit(0);
     let free = state_of(&folder, 0);
     assert_eq!((&free["state"], &free["last_run"]["verdict"]), (&"free".into(), &"pass".into()));
     assert!(free["last_run"]["folder"].as_str().unwrap().ends_with("third"));
-    folder.bench(["boards", "clear", "left", "--reason", "x"]).assert_exit(2).assert_stderr(&["not in quarantine"]);
+    folder.bench(["board", "clear", "left", "--reason", "x"]).assert_exit(2).assert_stderr(&["not in quarantine"]);
     assert!(folder.read("boards.state/left.json").contains("0 V measured"));
 }
 
@@ -106,7 +106,7 @@ fn a_board_with_another_chip_is_not_configured() {
     assert!(!folder.exists("run"));
     assert_eq!(state_of(&folder, 0)["state"], "quarantined");
     folder.write("boards.toml", &inventory(&[("left", keys.replace(CHIP, &"F".repeat(24)))]));
-    folder.bench(["boards", "clear", "left", "--reason", "inventory corrected"]).assert_exit(0);
+    folder.bench(["board", "clear", "left", "--reason", "inventory corrected"]).assert_exit(0);
     folder.bench(["run", "--board", "left", "--out", "run"]).assert_exit(0);
     assert_eq!(folder.record("run").overrides.board.as_deref(), Some("left"));
 }
@@ -133,13 +133,13 @@ fn boards_are_found_and_checked_strictly() {
     folder.bench(["run", "--board", "left", "--rig", "hosted"]).assert_exit(2).assert_stderr(&["--board"]);
     folder.bench(["check", "boards.toml"]).assert_exit(0).assert_stdout(&["1 board inventory"]);
     folder.write("boards.toml", "[[board]]\nname = \"left\"\nrig = \"can:0\"\nchip = 1\n");
-    folder.bench(["boards"]).assert_exit(2).assert_stderr(&["boards.toml:4:1", "unknown key `chip`"]);
+    folder.bench(["board", "list"]).assert_exit(2).assert_stderr(&["boards.toml:4:1", "unknown key `chip`"]);
     folder.write("boards.toml", "[[board]]\nname = \"left\"\nrig = \"can:0\"\n");
     folder.bench(["check", "boards.toml"]).assert_exit(2).assert_stderr(&["boards.toml:3:7", "unknown kind of rig"]);
     fs::rename(folder.join("boards.toml"), folder.join("lab.toml")).unwrap();
-    folder.bench(["boards"]).assert_exit(2).assert_stderr(&["no boards.toml"]);
+    folder.bench(["board", "list"]).assert_exit(2).assert_stderr(&["no boards.toml"]);
     folder.replace("lab.toml", "can:0", "hosted");
-    folder.bench(["boards", "--boards", "lab.toml"]).assert_exit(0).assert_stdout(&["left", "free"]);
+    folder.bench(["board", "list", "--boards", "lab.toml"]).assert_exit(0).assert_stdout(&["left", "free"]);
 }
 
 #[test]
@@ -149,7 +149,7 @@ fn other_commands_take_their_rig_from_the_board() {
     assert_eq!(folder.record("step").overrides.board.as_deref(), Some("left"));
     assert!(state_of(&folder, 0)["last_run"]["folder"].as_str().unwrap().ends_with("step"));
     folder
-        .bench(["emulate", "--board", "left", "--scenario", "scenarios/s.toml"])
+        .bench(["plate", "serve", "--board", "left", "--scenario", "scenarios/s.toml"])
         .assert_exit(2)
         .assert_stderr(&["expected serial:"]);
     folder.write(
@@ -165,7 +165,7 @@ fn other_commands_take_their_rig_from_the_board() {
 #[test]
 fn a_soak_advances_its_seeds_and_ends_at_0_volt() {
     let folder = lab(&rig("hosted"));
-    let soak = start_bench(folder.path(), ["soak", "--board", "left", "--hours", "1", "--out", "soak"]);
+    let soak = start_bench(folder.path(), ["board", "soak", "--board", "left", "--hours", "1", "--out", "soak"]);
     wait_until("too few runs", || {
         let text = fs::read_to_string(folder.join("soak/soak.json")).unwrap_or_default();
         serde_json::from_str::<serde_json::Value>(&text).is_ok_and(|soak| soak["runs"].as_u64() >= Some(4))
@@ -182,16 +182,16 @@ fn a_soak_advances_its_seeds_and_ends_at_0_volt() {
     let newest = folder.record(&format!("soak/{}", record["newest"].as_str().unwrap()));
     assert_eq!(newest.scenarios[0].trials[0].seed, runs, "the first seed is 1");
     assert!(fs::read_dir(folder.join("soak/runs")).unwrap().count() <= 2);
-    folder.bench(["soak", "--board", "left", "--hours", "1", "--out", "soak"]).assert_exit(2);
+    folder.bench(["board", "soak", "--board", "left", "--hours", "1", "--out", "soak"]).assert_exit(2);
 }
 
 #[test]
 fn a_soak_ends_after_its_time_or_at_the_first_failure() {
     let folder = lab(&rig("hosted"));
-    folder.bench(["soak", "--board", "left", "--hours", "0.0001", "--out", "soak"]).assert_exit(0);
+    folder.bench(["board", "soak", "--board", "left", "--hours", "0.0001", "--out", "soak"]).assert_exit(0);
     folder.replace("scenarios/s.toml", "at_most = 2.0", "at_most = 1.9");
-    folder.bench(["soak", "--board", "left", "--hours", "1", "--fail-fast", "--out", "failed"]).assert_exit(1);
+    folder.bench(["board", "soak", "--board", "left", "--hours", "1", "--fail-fast", "--out", "failed"]).assert_exit(1);
     let record: serde_json::Value = serde_json::from_str(&folder.read("failed/soak.json")).unwrap();
     assert_eq!((&record["end"], &record["runs"]), (&"failed".into(), &1.into()));
-    folder.bench(["judge", &format!("failed/{}", record["kept"][0].as_str().unwrap())]).assert_exit(1);
+    folder.bench(["report", &format!("failed/{}", record["kept"][0].as_str().unwrap()), "--rejudge"]).assert_exit(1);
 }

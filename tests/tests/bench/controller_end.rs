@@ -95,7 +95,7 @@ fn an_exploration_fails_after_a_drive_after_0_v() {
     let folder = TestFolder::with_step(ANSWERED);
     let Some(rig) = controller(&folder, Change::AfterAnswer(LATE_DRIVE)) else { return };
     let envelope = workspace_root().join("scenarios/envelope.toml").display().to_string();
-    folder.bench(["explore", &envelope, "--rig", &rig, "--scenes", "1", "--out", "out"]).assert_exit(1);
+    folder.bench(["suite", "explore", &envelope, "--rig", &rig, "--scenes", "1", "--out", "out"]).assert_exit(1);
 }
 
 #[rstest]
@@ -127,7 +127,7 @@ fn an_exploration_without_confirmed_0_v_ends_with_5() {
     let folder = TestFolder::with_step(ANSWERED);
     let Some(rig) = controller(&folder, Change::Message { kind: "SAFE", action: "return None" }) else { return };
     let envelope = workspace_root().join("scenarios/envelope.toml").display().to_string();
-    let played = folder.bench(["explore", &envelope, "--rig", &rig, "--scenes", "1", "--out", "out"]);
+    let played = folder.bench(["suite", "explore", &envelope, "--rig", &rig, "--scenes", "1", "--out", "out"]);
     played.assert_exit(5).assert_stdout(&["did not confirm 0 V"]);
 }
 
@@ -171,7 +171,7 @@ fn a_crash_fails_campaign_exploration_and_replay() {
     folder.bench(["campaign", "run", "campaign.toml", "--out", "c", "--rig", &rig]).assert_exit(1);
     folder.run_hosted("run").assert_exit(0);
     let envelope = workspace_root().join("scenarios/envelope.toml").display().to_string();
-    folder.bench(["explore", &envelope, "--rig", &rig, "--scenes", "1", "--out", "out"]).assert_exit(1);
+    folder.bench(["suite", "explore", &envelope, "--rig", &rig, "--scenes", "1", "--out", "out"]).assert_exit(1);
     let replayed = folder.bench(["replay", "run/traces/s/000.csv", "--rig", &rig]);
     replayed.assert_exit(1).assert_output(&["exit status 3"]);
 }

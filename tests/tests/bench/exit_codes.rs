@@ -19,7 +19,7 @@ const UNDECIDED: &str = "metric = \"repeatability_percent\"\nat_most = 1.0";
 fn verdicts_become_exit_codes(#[case] expect: &str, #[case] expected: i32) {
     let folder = TestFolder::with_step(expect);
     folder.bench(["run", "--out", "run"]).assert_exit(expected);
-    folder.bench(["judge", "run"]).assert_exit(expected);
+    folder.bench(["report", "run", "--rejudge"]).assert_exit(expected);
 }
 
 #[test]
@@ -40,19 +40,19 @@ fn a_failure_outweighs_an_inconclusive_verdict() {
 #[case::check(&["check", "pipe.toml"])]
 #[case::tune(&["tune", "--plate", "pipe.toml"])]
 #[case::firmware(&["run", "good.toml", "--rig", "emulated:pipe.toml"])]
-#[case::plan(&["accept", "--rig", "hosted", "--plan", "pipe.toml"])]
-#[case::public_key(&["accept", "verify", "folder", "--key", "pipe.toml"])]
-#[case::secret_key(&["accept", "--rig", "hosted", "--plan", "plan.toml", "--out", "a", "--sign", "pipe.toml"])]
+#[case::plan(&["acceptance", "run", "--rig", "hosted", "--plan", "pipe.toml"])]
+#[case::public_key(&["acceptance", "verify", "folder", "--key", "pipe.toml"])]
+#[case::secret_key(&["acceptance", "run", "--rig", "hosted", "--plan", "plan.toml", "--out", "a", "--sign", "pipe.toml"])]
 #[case::telemetry(&["identify", "pipe.toml", "--columns", COLUMNS])]
 #[case::trace(&["identify", "pipe.toml"])]
 #[case::replayed_telemetry(&["replay", "pipe.toml", "--columns", COLUMNS, "--scenario", "good.toml"])]
 #[case::replayed_trace(&["replay", "pipe.toml", "--scenario", "good.toml"])]
-#[case::analysed_firmware(&["coverage", "good.toml", "--rig", "emulated:pipe.toml"])]
+#[case::analysed_firmware(&["suite", "coverage", "good.toml", "--rig", "emulated:pipe.toml"])]
 #[case::replayed_firmware(&["replay", "run/traces/s/000.csv", "--rig", "emulated:pipe.toml"])]
-#[case::envelope(&["explore", "pipe.toml", "--rig", "hosted", "--scenes", "1"])]
+#[case::envelope(&["suite", "explore", "pipe.toml", "--rig", "hosted", "--scenes", "1"])]
 #[case::campaign(&["campaign", "run", "pipe.toml", "--out", "c"])]
-#[case::boards(&["boards", "--boards", "pipe.toml"])]
-#[case::fmu_library(&["export-fmu", PLATE, "--out", "p.fmu", "--library", "pipe.toml"])]
+#[case::boards(&["board", "list", "--boards", "pipe.toml"])]
+#[case::fmu_library(&["plate", "fmu", PLATE, "--out", "p.fmu", "--library", "pipe.toml"])]
 fn a_pipe_as_input_is_rejected_without_waiting(#[case] arguments: &[&str]) {
     let folder = TestFolder::new();
     let expect = format!("{SETTLING}\nrequirement = \"R-1\"");
@@ -79,7 +79,7 @@ fn a_pipe_as_input_is_rejected_without_waiting(#[case] arguments: &[&str]) {
 #[rstest]
 #[case::table(&["run", "--rig", "hosted"])]
 #[case::lines(&["run", "--rig", "hosted", "--format", "json"])]
-#[case::schema(&["schema", "scenario"])]
+#[case::schema(&["generate", "schema", "scenario"])]
 fn a_write_error_is_not_a_success(#[case] arguments: &[&str]) {
     let folder = TestFolder::with_step(SETTLING);
     let full = fs::File::create("/dev/full").unwrap();
@@ -104,7 +104,7 @@ fn invalid_input_outweighs_all_and_nothing_runs() {
 #[case::no_trials(&["run", "--trials", "0"], "0")]
 #[case::wrong_shard(&["run", "--shard", "3/2"], "3/2")]
 #[case::no_command(&["frobnicate"], "frobnicate")]
-#[case::no_run(&["judge", "nowhere"], "nowhere")]
+#[case::no_run(&["report", "nowhere", "--rejudge"], "nowhere")]
 #[case::no_report(&["report", "nowhere"], "nowhere")]
 fn wrong_usage_names_the_argument(#[case] arguments: &[&str], #[case] named: &str) {
     let folder = tempfile::tempdir().unwrap();
@@ -254,7 +254,7 @@ fn the_default_run_needs_only_the_repository() {
     "? inconclusive (rig): the gains were not verified"
 )]
 #[case::coverage(
-    &["coverage", "scenarios/s.toml", "--at-least", "100"],
+    &["suite", "coverage", "scenarios/s.toml", "--at-least", "100"],
     1,
     "✗ fail: lines executed "
 )]

@@ -15,7 +15,7 @@ fn report(folder: &Path) -> Value {
 #[test]
 fn a_correct_controller_ends_with_0_and_a_bound() {
     let folder = tempfile::tempdir().unwrap();
-    let arguments = ["explore", &envelope(), "--rig", "hosted", "--scenes", "60", "--out", "out"];
+    let arguments = ["suite", "explore", &envelope(), "--rig", "hosted", "--scenes", "60", "--out", "out"];
     run_bench(folder.path(), arguments)
         .assert_exit(0)
         .assert_stdout(&["At 95 % confidence fewer than 4.870 % of all scenes fail."]);
@@ -34,7 +34,8 @@ fn the_minimal_scene_of_a_mutant_fails_under_run() {
     let mutant = example.replace(call, "self.law.step(setpoint * (1.03 if setpoint > 1.5 else 1.0), wd, wq)");
     fs::write(folder.path().join("mutant.py"), mutant).unwrap();
     let rig = format!("exec:{python} mutant.py {{port}}");
-    let arguments = ["explore", &envelope(), "--rig", &rig, "--scenes", "12", "--out", "out", "--regressions", "found"];
+    let arguments =
+        ["suite", "explore", &envelope(), "--rig", &rig, "--scenes", "12", "--out", "out", "--regressions", "found"];
     run_bench(folder.path(), arguments).assert_exit(1).assert_stdout(&["static-error violated"]);
     let report = report(folder.path());
     let violations = report["violations"].as_array().unwrap();
@@ -42,7 +43,7 @@ fn the_minimal_scene_of_a_mutant_fails_under_run() {
     assert_eq!(violation["is_reproduced"], true, "{violation}");
     let file = violation["file"].as_str().unwrap();
     let text = fs::read_to_string(folder.path().join(file)).unwrap();
-    assert!(text.starts_with("# Written by platebench explore"), "{text}");
+    assert!(text.starts_with("# Written by platebench suite explore"), "{text}");
     run_bench(folder.path(), ["run", file, "--rig", &rig, "--out", "again"]).assert_exit(1);
     run_bench(folder.path(), ["run", file, "--rig", "hosted", "--out", "clean"]).assert_exit(0);
 }
@@ -58,7 +59,7 @@ fn a_controller_that_ends_once_fails_its_scene() {
     let (head, body) = dying.split_once("import ").unwrap();
     fs::write(folder.path().join("dying.py"), format!("{head}{die}import {body}")).unwrap();
     let rig = format!("exec:{python} dying.py {{port}}");
-    let arguments = ["explore", &envelope(), "--rig", &rig, "--scenes", "4", "--jobs", "1", "--out", "out"];
+    let arguments = ["suite", "explore", &envelope(), "--rig", &rig, "--scenes", "4", "--jobs", "1", "--out", "out"];
     run_bench(folder.path(), arguments).assert_exit(1);
     let report = report(folder.path());
     assert_eq!((&report["verdict"], &report["failed"]), (&"fail".into(), &1.into()));
@@ -67,7 +68,7 @@ fn a_controller_that_ends_once_fails_its_scene() {
 #[test]
 fn a_controller_that_does_not_start_ends_with_5() {
     let folder = tempfile::tempdir().unwrap();
-    let arguments = ["explore", &envelope(), "--rig", "exec:false {port}", "--scenes", "4", "--out", "out"];
+    let arguments = ["suite", "explore", &envelope(), "--rig", "exec:false {port}", "--scenes", "4", "--out", "out"];
     run_bench(folder.path(), arguments).assert_exit(5);
     assert!(!folder.path().join("out").exists());
 }
@@ -75,7 +76,7 @@ fn a_controller_that_does_not_start_ends_with_5() {
 #[test]
 fn an_interrupt_ends_an_exploration() {
     let folder = tempfile::tempdir().unwrap();
-    let arguments = ["explore", &envelope(), "--rig", "hosted", "--for", "10m", "--out", "out"];
+    let arguments = ["suite", "explore", &envelope(), "--rig", "hosted", "--for", "10m", "--out", "out"];
     let bench = start_bench(folder.path(), arguments);
     let status = format!("/proc/{}/status", bench.0.id());
     let catches_interrupts = || {
@@ -103,7 +104,7 @@ fn regressions_are_played_first() {
         plate.display().to_string()
     );
     fs::write(folder.path().join("found/old.toml"), scenario).unwrap();
-    let arguments = ["explore", &envelope(), "--rig", "hosted", "--scenes", "1", "--regressions", "found"];
+    let arguments = ["suite", "explore", &envelope(), "--rig", "hosted", "--scenes", "1", "--regressions", "found"];
     let mut command = bench_command(folder.path());
     let output: crate::test_folder::ProgramOutput = command.args(arguments).output().unwrap().into();
     output.assert_exit(1).assert_stdout(&["old.toml (a scenario of an earlier exploration) still violates: settling"]);
@@ -119,7 +120,7 @@ fn rejects_what_it_cannot_explore() {
         (vec![&*envelope, "--for", "soon"], "expected a duration"),
         (vec!["missing.toml"], "cannot be read"),
     ] {
-        let all = ["explore", "--rig", "hosted"].into_iter().chain(arguments);
+        let all = ["suite", "explore", "--rig", "hosted"].into_iter().chain(arguments);
         run_bench(folder.path(), all).assert_exit(2).assert_stderr(&[message]);
     }
 }

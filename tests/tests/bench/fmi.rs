@@ -10,7 +10,7 @@ const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/bench/fmu_follo
 const PLATE_FILE: &str = "scenarios/plates/aluminium-198x138.toml";
 
 fn export(plate: &Path, out: &Path) -> ProgramOutput {
-    bench_command(&workspace_root()).arg("export-fmu").arg(plate).arg("--out").arg(out).output().unwrap().into()
+    bench_command(&workspace_root()).args(["plate", "fmu"]).arg(plate).arg("--out").arg(out).output().unwrap().into()
 }
 
 #[test]
@@ -41,7 +41,7 @@ fn a_wrong_plate_gives_no_fmu() {
     export(&plate, &fmu).assert_exit(2).assert_stderr(&["p.toml", "missing"]);
     let library = ["--library", plate.to_str().unwrap()];
     let out = ["--out", fmu.to_str().unwrap()];
-    let call = bench_command(&workspace_root()).args(["export-fmu", PLATE_FILE]).args(library).args(out).output();
+    let call = bench_command(&workspace_root()).args(["plate", "fmu", PLATE_FILE]).args(library).args(out).output();
     ProgramOutput::from(call.unwrap()).assert_exit(2).assert_stderr(&["is not a shared library"]);
     assert!(!fmu.exists());
 }

@@ -24,12 +24,12 @@ fn run_paper(folder: &Path, more: &[&str]) {
 
 fn compare_with_baselines(folder: &Path) -> ProgramOutput {
     let baselines = workspace_root().join("scenarios/baselines").display().to_string();
-    run_bench(folder, ["compare", "run", "--against", "baseline", "--baselines", &baselines])
+    run_bench(folder, ["compare", "run", "baseline", "--baselines", &baselines])
 }
 
 #[track_caller]
 fn compare(folder: &TestFolder, subject: &str, reference: &str) -> ProgramOutput {
-    folder.bench(["compare", subject, "--against", reference])
+    folder.bench(["compare", subject, reference])
 }
 
 #[test]
@@ -185,16 +185,16 @@ fn a_tube_is_learned_from_varying_trials() {
 }
 
 #[rstest]
-#[case::no_subject(&["compare", "nowhere", "--against", "run"], "nowhere")]
-#[case::no_reference(&["compare", "run", "--against", "nowhere"], "nowhere")]
-#[case::no_against(&["compare", "run"], "--against")]
-#[case::no_scenario(&["compare", "loose.csv", "--against", "baseline"], "its scenario is unknown")]
-#[case::half_a_trace(&["compare", "half.csv", "--against", TRACE], "half.csv:1: columns")]
-#[case::other_columns(&["compare", "run", "--against", "half.csv"], "half.csv:1: columns")]
+#[case::no_subject(&["compare", "nowhere", "run"], "nowhere")]
+#[case::no_reference(&["compare", "run", "nowhere"], "nowhere")]
+#[case::no_against(&["compare", "run"], "<TRACE|RUN|baseline>")]
+#[case::no_scenario(&["compare", "loose.csv", "baseline"], "its scenario is unknown")]
+#[case::half_a_trace(&["compare", "half.csv", TRACE], "half.csv:1: columns")]
+#[case::other_columns(&["compare", "run", "half.csv"], "half.csv:1: columns")]
 #[case::rate(&["baseline", "accept", "run", "--false-alarm-rate", "0"], "expected a share")]
 #[case::no_run(&["baseline", "diff", "nowhere"], "nowhere")]
 #[case::no_folder(&["baseline", "list", "--baselines", "nowhere"], "nowhere")]
-#[case::broken(&["compare", "run", "--against", "broken.toml"], "broken.toml:1:")]
+#[case::broken(&["compare", "run", "broken.toml"], "broken.toml:1:")]
 fn wrong_usage_names_the_argument(#[case] arguments: &[&str], #[case] named: &str) {
     let folder = run_folder(&step_text(SETTLING));
     let trace = folder.read(TRACE);
@@ -225,7 +225,7 @@ fn nothing_compared_does_not_pass() {
     folder.bench(["baseline", "accept", "run"]).assert_exit(0);
     fs::create_dir(folder.join("empty")).unwrap();
     for (baselines, why) in [("baseline", "baseline is no folder"), ("empty", "empty has no golden trace for run")] {
-        let arguments = ["compare", "run", "--against", "baseline", "--baselines", baselines];
+        let arguments = ["compare", "run", "baseline", "--baselines", baselines];
         folder.bench(arguments).assert_exit(4).assert_stderr(&["nothing was compared", why]);
         folder.bench(["baseline", "diff", "run", "--baselines", baselines]).assert_exit(4);
     }
@@ -234,10 +234,10 @@ fn nothing_compared_does_not_pass() {
     fs::create_dir(folder.join("nothing")).unwrap();
     record.write(&folder.join("nothing")).unwrap();
     for arguments in [
-        &["judge", "nothing"][..],
-        &["merge", "nothing", "--out", "joined"],
-        &["compare", "nothing", "--against", "run"],
-        &["compare", "run", "--against", "nothing"],
+        &["report", "nothing", "--rejudge"][..],
+        &["report", "--merge", "nothing", "--out", "joined"],
+        &["compare", "nothing", "run"],
+        &["compare", "run", "nothing"],
         &["baseline", "accept", "nothing"],
     ] {
         folder.bench(arguments).assert_exit(4);
@@ -273,7 +273,7 @@ fn a_comparison_needs_a_time_range_without_holes() {
 #[test]
 fn json_equals_the_text() {
     let folder = run_folder(&step_text(SETTLING));
-    let verdicts = folder.bench(["compare", "run", "--against", "run", "--format", "json"]).json();
+    let verdicts = folder.bench(["compare", "run", "run", "--format", "json"]).json();
     assert_eq!((&verdicts[0]["scenario"], &verdicts[0]["verdict"]), (&"s.toml".into(), &"pass".into()));
 }
 

@@ -187,6 +187,6 @@ fn stored_traces_are_not_judged_with_other_faults() {
     let folder = TestFolder::with_scenario(&(step_text(MISSED) + fault));
     folder.bench(["run", "--out", "run"]).assert_exit(0);
     folder.write_scenario("other.toml", &step_text(MISSED));
-    let judge = folder.bench(["judge", "run", "--scenario", "scenarios/other.toml"]);
+    let judge = folder.bench(["report", "run", "--rejudge", "--scenario", "scenarios/other.toml"]);
     judge.assert_exit(2).assert_stderr(&["[[fault]]"]);
 }

@@ -137,7 +137,7 @@ fn the_live_view_does_not_change_traces() {
 
 #[rstest]
 #[case::run(&["run", "--rig", "hosted"])]
-#[case::emulate(&["emulate", "--port", "pty", "--scenario", "scenarios/s.toml", "--seconds", "0.1"])]
+#[case::emulate(&["plate", "serve", "--port", "pty", "--scenario", "scenarios/s.toml", "--seconds", "0.1"])]
 fn without_a_terminal_the_run_has_no_view(#[case] arguments: &[&str]) {
     let folder = run_folder("60.0");
     let output = folder.bench(arguments.iter().chain(&["--live"])).assert_exit(0);
@@ -196,9 +196,9 @@ fn a_dumb_terminal_shows_no_view() {
 }
 
 #[test]
-fn emulate_shows_the_plate_and_takes_keys() {
+fn plate_serve_shows_the_plate_and_takes_keys() {
     let folder = run_folder("60.0");
-    let arguments = ["emulate", "--live", "--port", "pty", "--scenario", "scenarios/s.toml"];
+    let arguments = ["plate", "serve", "--live", "--port", "pty", "--scenario", "scenarios/s.toml"];
     let mut terminal = TestTerminal::start(folder.path(), SMALL, arguments, &[]);
     terminal.wait_for_view_text("waiting for a controller");
     terminal.wait_for_view_text("/dev/pts/");
@@ -206,7 +206,7 @@ fn emulate_shows_the_plate_and_takes_keys() {
     let port = text.split_whitespace().find(|word| word.starts_with("/dev/pts/")).unwrap();
     let controller = Command::new(env!("CARGO_BIN_EXE_controller-under-test")).arg(port).spawn().unwrap();
     let _controller = ChildGuard(controller);
-    terminal.wait_for_view_text("emulate   scenarios/s.toml");
+    terminal.wait_for_view_text("plate serve   scenarios/s.toml");
     for (key, text) in [("F", "finger 0.25 N"), ("T", "plate +1.0 K"), ("r", "finger 0.00 N, plate +0.0 K")] {
         terminal.type_keys(key);
         terminal.wait_for_view_text(text);
@@ -226,11 +226,11 @@ fn a_session_restores_the_terminal_for_its_questions() {
     folder.write("plan.toml", plan);
     folder.write_scenario("s.toml", &format!("{}requirement = \"R-1\"\n", folder.read("scenarios/s.toml")));
     let answers = ["--operator", "A. Tester", "--place", "Lab 2", "--notes", "none"];
-    let arguments = ["accept", "--live", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
+    let arguments = ["acceptance", "run", "--live", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
     let mut terminal = TestTerminal::start(folder.path(), SMALL, arguments.iter().chain(&answers).chain(&SLOW), &[]);
     terminal.wait_for_terminal_text("near the plate?");
     terminal.type_keys("yes\n");
-    terminal.wait_for_view_text("accept   trial 2 of 3   s.toml");
+    terminal.wait_for_view_text("acceptance run   trial 2 of 3   s.toml");
     terminal.wait_for_exit(&[0, 3]);
     terminal.assert_text("record: record/");
     terminal.assert_text("near the plate? [yes/no] yes");

@@ -22,21 +22,24 @@ fn shards_are_joined_and_a_missing_one_is_reported() {
         folder.bench(["run", "--board", "a", "--shard", shard, "--out", out]).assert_exit(0);
     }
     folder
-        .bench(["merge", "one", "--out", "part"])
+        .bench(["report", "--merge", "one", "--out", "part"])
         .assert_exit(3)
         .assert_stderr(&["inconclusive: evidence: shard 2/2 of a is missing"]);
-    folder.bench(["merge", "one", "two", "--out", "all"]).assert_exit(0);
+    folder.bench(["report", "--merge", "one", "two", "--out", "all"]).assert_exit(0);
     let files: Vec<_> = folder.record("all").scenarios.iter().map(|scenario| scenario.file.clone()).collect();
     assert_eq!(files, ["s.toml", "t.toml"]);
-    folder.bench(["judge", "all"]).assert_exit(0);
-    folder.bench(["judge", "part"]).assert_exit(3);
+    folder.bench(["report", "all", "--rejudge"]).assert_exit(0);
+    folder.bench(["report", "part", "--rejudge"]).assert_exit(3);
     folder.bench(["report", "all"]).assert_exit(0);
-    folder.bench(["merge", "one", "two", "one", "--out", "twice"]).assert_exit(2).assert_stderr(&["trial 0 of s.toml"]);
+    folder
+        .bench(["report", "--merge", "one", "two", "one", "--out", "twice"])
+        .assert_exit(2)
+        .assert_stderr(&["trial 0 of s.toml"]);
     assert!(!folder.exists("twice"));
     folder
-        .bench(["merge", "all", "--out", "again"])
+        .bench(["report", "--merge", "all", "--out", "again"])
         .assert_exit(2)
-        .assert_stderr(&["is a run that `platebench merge` wrote"]);
+        .assert_stderr(&["is a run that `platebench report --merge` wrote"]);
 }
 
 #[test]
@@ -45,7 +48,7 @@ fn boards_are_compared_with_intervals() {
     folder.bench(["run", "--board", "a", "--out", "a"]).assert_exit(0);
     folder.bench(["run", "--board", "b", "--clock", "lockstep", "--out", "b"]).assert_exit(0);
     folder.bench(["run", "--board", "dead", "--clock", "lockstep", "--out", "dead"]).assert_exit(5);
-    folder.bench(["merge", "a", "b", "--out", "both"]).assert_exit(0).assert_stdout(&[
+    folder.bench(["report", "--merge", "a", "b", "--out", "both"]).assert_exit(0).assert_stdout(&[
         "scenario  a     b",
         "s.toml    pass  pass",
         "final_amplitude_um",
@@ -58,12 +61,12 @@ fn boards_are_compared_with_intervals() {
         assert_eq!((found.board.as_str(), found.reference.as_str()), ("b", "a"));
         assert!(low < found.difference && found.difference < high, "{found:?}");
     }
-    folder.bench(["judge", "both"]).assert_exit(0);
+    folder.bench(["report", "both", "--rejudge"]).assert_exit(0);
     assert!(folder.read("both/report.html").contains("Differences between boards"));
     folder.replace("both/traces/b/s/000.csv", "control", "");
-    folder.bench(["judge", "both"]).assert_exit(2).assert_stderr(&["SHA-256"]);
+    folder.bench(["report", "both", "--rejudge"]).assert_exit(2).assert_stderr(&["SHA-256"]);
     folder.replace("b/traces/s/000.csv", "control", "");
-    folder.bench(["merge", "a", "b", "--out", "changed"]).assert_exit(2).assert_stderr(&["SHA-256"]);
+    folder.bench(["report", "--merge", "a", "b", "--out", "changed"]).assert_exit(2).assert_stderr(&["SHA-256"]);
 }
 
 /// Sets every verdict of the run to pass, as an edited record may have.
@@ -94,16 +97,16 @@ fn shards_of_different_selections_are_refused() {
     shard("2/2", "two", &[]);
     shard("2/2", "filtered", &["--not-tag", "c"]);
     for [one, two] in [["first", "two"], ["one", "two"], ["first", "filtered"]] {
-        let merge = folder.bench(["merge", one, two, "--out", "all"]).assert_exit(2);
+        let merge = folder.bench(["report", "--merge", one, two, "--out", "all"]).assert_exit(2);
         merge
             .assert_stderr(&[&format!("{two}: the selection of scenarios (SHA-256) is "), &format!(" in {one}; only")]);
         assert!(!folder.exists("all"));
     }
-    folder.bench(["merge", "one", "filtered", "--out", "all"]).assert_exit(0);
+    folder.bench(["report", "--merge", "one", "filtered", "--out", "all"]).assert_exit(0);
     let mut record: RunRecord = folder.record("one");
     record.overrides.selection = None;
     record.write(&folder.join("one")).unwrap();
-    let merge = folder.bench(["merge", "one", "filtered", "--out", "other"]).assert_exit(2);
+    let merge = folder.bench(["report", "--merge", "one", "filtered", "--out", "other"]).assert_exit(2);
     merge.assert_stderr(&["one: is shard 1 and does not record the selection"]);
 }
 
@@ -120,7 +123,7 @@ fn shards_with_different_options_are_refused(#[case] options: &[&str], #[case] f
     shard("1/2", "one", &[]);
     shard("2/2", "two", options);
     let message = format!("two: the set of options of the shard is {found}");
-    folder.bench(["merge", "one", "two", "--out", "all"]).assert_exit(2).assert_stderr(&[&message]);
+    folder.bench(["report", "--merge", "one", "two", "--out", "all"]).assert_exit(2).assert_stderr(&[&message]);
 }
 
 #[test]
@@ -132,7 +135,10 @@ fn a_selection_depends_on_the_content_of_its_scenarios() {
     shard("1/2", "one");
     folder.replace("scenarios/s.toml", "at_least = 0.5", "at_least = 0.4");
     shard("2/2", "two");
-    folder.bench(["merge", "one", "two", "--out", "all"]).assert_exit(2).assert_stderr(&["the selection of scenarios"]);
+    folder
+        .bench(["report", "--merge", "one", "two", "--out", "all"])
+        .assert_exit(2)
+        .assert_stderr(&["the selection of scenarios"]);
 }
 
 #[test]
@@ -140,19 +146,22 @@ fn edited_verdicts_have_no_effect() {
     let folder = TestFolder::with_step(&format!("{FAILED_SETTLING}\nrequirement = \"R-1\""));
     folder.run_hosted("run").assert_exit(1);
     edit_verdicts(&folder, "run");
-    folder.bench(["merge", "run", "--out", "all"]).assert_exit(1);
+    folder.bench(["report", "--merge", "run", "--out", "all"]).assert_exit(1);
     assert_eq!(folder.record("all").verdict, Verdict::Fail);
     let accept = folder.bench(["baseline", "accept", "run"]).assert_exit(1);
     accept.assert_output(&["✗ not accepted  s.toml: it did not pass (fail)"]);
     let note = "s.toml: settling_time_ms: pass in the record, fail now";
     folder.bench(["report", "run"]).assert_exit(0).assert_stderr(&[note]);
     assert!(folder.read("run/traceability.csv").contains("fail"));
-    folder.bench(["export", "run", "--format", "csv"]).assert_exit(0).assert_stderr(&[note]);
+    folder.bench(["report", "run", "--export", "csv"]).assert_exit(0).assert_stderr(&[note]);
 }
 
 #[test]
 fn a_run_without_all_traces_is_not_joined() {
     let folder = TestFolder::with_step(SETTLING);
     folder.bench(["run", "--rig", "hosted", "--keep-traces", "failing", "--out", "run"]).assert_exit(0);
-    folder.bench(["merge", "run", "--out", "all"]).assert_exit(2).assert_stderr(&["did not keep all traces"]);
+    folder
+        .bench(["report", "--merge", "run", "--out", "all"])
+        .assert_exit(2)
+        .assert_stderr(&["did not keep all traces"]);
 }

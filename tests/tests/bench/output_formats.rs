@@ -103,7 +103,7 @@ fn verbose_output_has_the_tables() {
     let folder = TestFolder::with_step(SETTLING);
     assert!(!folder.run_hosted("short").assert_exit(0).stdout.contains(ROW));
     folder.bench(["run", "--rig", "hosted", "--out", "run", "-v"]).assert_exit(0).assert_stdout(&[ROW]);
-    folder.bench(["judge", "run", "-v"]).assert_exit(0).assert_stdout(&[ROW]);
+    folder.bench(["report", "run", "--rejudge", "-v"]).assert_exit(0).assert_stdout(&[ROW]);
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn a_run_is_exported_once() {
     let folder = TestFolder::with_step(SETTLING);
     folder.run_hosted("run").assert_exit(0);
     for (format, file) in [("parquet", "s.parquet"), ("mf4", "s.mf4"), ("csv", "traces.csv"), ("mcap", "s.mcap")] {
-        let export = || folder.bench(["export", "run", "--format", format]);
+        let export = || folder.bench(["report", "run", "--export", format]);
         let output = export().assert_exit(0);
         assert!(output.stdout.starts_with(&format!("run/export/{file}\n")), "{}", output.stdout);
         let path = folder.join("run/export").join(file);
@@ -150,12 +150,12 @@ fn a_run_is_exported_once() {
         export().assert_exit(2);
         assert_eq!(fs::read(&path).unwrap(), before);
     }
-    for wrong in [&["export", "run", "--format", "csv", "t"][..], &["export", "nothing", "--format", "csv"]] {
+    for wrong in [&["report", "run", "--export", "csv", "t"][..], &["report", "nothing", "--export", "csv"]] {
         folder.bench(wrong).assert_exit(2);
     }
     folder.replace(TRACE, "\n0.0,", "\nx,");
     folder
-        .bench(["export", "run", "--format", "parquet", "--out", "other"])
+        .bench(["report", "run", "--export", "parquet", "--out", "other"])
         .assert_exit(2)
         .assert_stderr(&["run/traces/s/000.csv: SHA-256"]);
     assert!(!folder.exists("other"));
@@ -174,7 +174,7 @@ fn a_tampered_trace_is_not_exported() {
         ("mcap", &["s"], 2),
         ("parquet", &["t"], 0),
     ] {
-        let output = folder.bench([&["export", "run", "--format", format], scenarios].concat()).assert_exit(expected);
+        let output = folder.bench([&["report", "run", "--export", format], scenarios].concat()).assert_exit(expected);
         assert_eq!(output.stderr.contains("run/traces/s/000.csv: SHA-256"), expected == 2, "{}", output.stderr);
     }
     assert_eq!(fs::read_dir(folder.join("run/export")).unwrap().count(), 1);
@@ -192,14 +192,14 @@ fn complete_trials_of_a_killed_run_are_exported() {
     let traces = folder.join("run/traces/s");
     fs::rename(traces.join("001.csv"), traces.join("001.csv.part")).unwrap();
     folder
-        .bench(["export", "run", "--format", "csv"])
+        .bench(["report", "run", "--export", "csv"])
         .assert_exit(0)
         .assert_stderr(&["the run was interrupted; only its complete trials were exported"]);
     let table = folder.read("run/export/traces.csv");
     assert_eq!(table.lines().count(), folder.read(TRACE).lines().count());
     assert!(table.lines().skip(1).all(|line| line.starts_with("s,0,")));
     fs::remove_file(folder.join(TRACE)).unwrap();
-    folder.bench(["export", "run", "--format", "csv", "--out", "other"]).assert_exit(4);
+    folder.bench(["report", "run", "--export", "csv", "--out", "other"]).assert_exit(4);
 }
 
 #[test]

@@ -62,7 +62,7 @@ fn repeat_until_counted<T>(mut run: impl FnMut() -> (T, RunRecord)) -> (T, RunRe
 
 #[track_caller]
 fn rejudge(folder: &TestFolder) -> RunRecord {
-    serde_json::from_value(folder.bench(["judge", "run", "--format", "json"]).json()).unwrap()
+    serde_json::from_value(folder.bench(["report", "run", "--rejudge", "--format", "json"]).json()).unwrap()
 }
 
 #[test]

@@ -77,7 +77,8 @@ fn real_time_timing_counts_add_up(#[case] rig: String) {
     let driven = rows.iter().find(|row| row.drive_vpp > 0.0).unwrap();
     assert!(driven.t_s > 0.0 && !driven.flags.contains(Flags::CONTROL), "{driven:?}");
 
-    let again: RunRecord = serde_json::from_value(folder.bench(["judge", "run", "--format", "json"]).json()).unwrap();
+    let again: RunRecord =
+        serde_json::from_value(folder.bench(["report", "run", "--rejudge", "--format", "json"]).json()).unwrap();
     let verdicts = |record: &RunRecord| {
         record.scenarios[0].expectations.iter().map(|it| (it.verdict, it.cause)).collect::<Vec<_>>()
     };
@@ -149,12 +150,12 @@ fn an_absent_rig_is_reported(#[case] rig: &str, #[case] message: &str) {
 }
 
 #[test]
-fn emulate_serves_several_controllers_in_turn() {
+fn plate_serve_serves_several_controllers_in_turn() {
     // The watchdog waits five periods. With 20 ms these are 100 ms, enough for a busy machine.
     let slow = "period_ms = 20.0\nresponse_time_ms = 100.0";
     let folder = TestFolder::with_scenario(&step_scenario("aluminium-198x138", slow, "", EXPECT));
     let mut plate = bench_command(folder.path());
-    let plate = plate.args(["emulate", "--port", "pty", "--scenario", "scenarios/s.toml"]).stdin(Stdio::null());
+    let plate = plate.args(["plate", "serve", "--port", "pty", "--scenario", "scenarios/s.toml"]).stdin(Stdio::null());
     let mut plate = ChildGuard(plate.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
     let stdout = BufReader::new(plate.0.stdout.take().unwrap());
     let (sender, lines) = mpsc::channel();

@@ -27,7 +27,7 @@ fn the_report_has_the_texts_of_requirements() {
     assert_eq!(folder.record("run").scenarios[0].requirement_texts["R-1"], TEXT);
     // The record contains the texts, so the file of requirements may be deleted.
     fs::remove_file(folder.join("scenarios/requirements.toml")).unwrap();
-    folder.bench(["judge", "run"]).assert_exit(0);
+    folder.bench(["report", "run", "--rejudge"]).assert_exit(0);
     folder.bench(["report", "run"]).assert_exit(0);
     assert_eq!(folder.read("run/report.html").matches(TEXT).count(), 2);
 }

@@ -151,7 +151,7 @@ fn a_step_longer_than_its_period_fails_any_scenario() {
     for file in ["report.html", "junit.xml"] {
         assert!(folder.read(&format!("slow/{file}")).contains(message), "{file}");
     }
-    folder.bench(["judge", "slow"]).assert_exit(1);
+    folder.bench(["report", "slow", "--rejudge"]).assert_exit(1);
     assert_eq!(
         rejudge(&folder.join("slow"), None).unwrap().scenarios[0].expectations,
         record.scenarios[0].expectations
@@ -159,7 +159,7 @@ fn a_step_longer_than_its_period_fails_any_scenario() {
 
     // A judgement with another limit needs no other run.
     folder.write_scenario("other.toml", &step_time_scenario(&step_time_limit(150.0)));
-    folder.bench(["judge", "slow", "--scenario", "scenarios/other.toml"]).assert_exit(0);
+    folder.bench(["report", "slow", "--rejudge", "--scenario", "scenarios/other.toml"]).assert_exit(0);
 }
 
 #[test]
@@ -223,7 +223,7 @@ fn a_run_that_crashed_is_no_reference() {
     };
     crash("runs/first");
     crash("runs/second");
-    let compared = folder.bench(["compare", "runs/second", "--against", "runs/first"]).assert_exit(4);
+    let compared = folder.bench(["compare", "runs/second", "runs/first"]).assert_exit(4);
     compared.assert_output(&["nothing was compared: the reference has no complete trial 0"]);
 }
 

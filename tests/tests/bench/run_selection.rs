@@ -49,7 +49,7 @@ fn only_selected_scenarios_are_played() {
 #[case::run(&["run", "--rig", "hosted", "--out", "run"])]
 #[case::list(&["run", "--list"])]
 #[case::check(&["check"])]
-#[case::trust(&["trust"])]
+#[case::trust(&["suite", "trust"])]
 fn nothing_selected_is_nothing_to_run(#[case] command: &[&str]) {
     let folder = tagged_folder();
     folder.bench(command.iter().chain(&["--tag", "papers"])).assert_exit(4).assert_stderr(&["there is nothing to"]);
@@ -140,7 +140,7 @@ fn fail_fast_keeps_the_trials_of_an_undecided_scenario() {
 
 #[track_caller]
 fn assert_judged_again(folder: &TestFolder, expected: &[ScenarioRecord]) {
-    let judged = folder.bench(["judge", "run", "--format", "json"]).assert_exit(1).json();
+    let judged = folder.bench(["report", "run", "--rejudge", "--format", "json"]).assert_exit(1).json();
     for (scenario, expected) in judged["scenarios"].as_array().unwrap().iter().zip(expected) {
         assert_eq!(scenario["expectations"], serde_json::to_value(&expected.expectations).unwrap());
     }
@@ -164,7 +164,7 @@ fn the_name_of_a_folder_does_not_hide_scenarios() {
 #[case::run(&["run", "--rig", "hosted", "--out", "run"])]
 #[case::list(&["run", "--list"])]
 #[case::check(&["check"])]
-#[case::trust(&["trust"])]
+#[case::trust(&["suite", "trust"])]
 fn a_faulty_or_unknown_file_is_an_error(#[case] command: &[&str]) {
     let folder = TestFolder::with_step(SETTLING);
     folder.write_scenario("plates/broken.toml", "[mode\n");

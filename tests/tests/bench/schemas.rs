@@ -12,7 +12,7 @@ const AJV: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/bench/ajv.mjs");
 const NODE_MODULES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/test-node");
 
 fn schema(kind: &str) -> Value {
-    run_bench(&workspace_root(), ["schema", kind]).assert_exit(0).json()
+    run_bench(&workspace_root(), ["generate", "schema", kind]).assert_exit(0).json()
 }
 
 /// Returns record and event lines of a failed run with a scenario that is not applicable.

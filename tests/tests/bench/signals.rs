@@ -110,7 +110,7 @@ fn a_killed_run_can_still_be_judged_and_reported() {
     let folder = long_folder();
     start_run(&folder).kill();
     folder
-        .bench(["judge", "run"])
+        .bench(["report", "run", "--rejudge"])
         .assert_exit(3)
         .assert_stderr(&["the run was interrupted; only its complete trials were judged"]);
     folder.bench(["report", "run"]).assert_exit(0);

@@ -97,7 +97,7 @@ fn an_interrupted_run_can_be_judged_and_reported() {
     assert_eq!(again.verdict, Verdict::Inconclusive);
     assert_eq!(again.scenarios[0].trials.len(), 2);
     assert_eq!(again.scenarios[0].expectations[0].cause, Some(Cause::Bench));
-    folder.bench(["judge", "run"]).assert_exit(3);
+    folder.bench(["report", "run", "--rejudge"]).assert_exit(3);
     folder.bench(["report", "run"]).assert_exit(0);
     assert!(folder.read("run/report.html").contains("inconclusive"));
 }
@@ -108,7 +108,7 @@ fn a_run_killed_after_its_last_trial_does_not_pass() {
     let mut record = folder.record("run");
     (record.complete, record.safe_confirmed) = (false, None);
     record.write(&folder.join("run")).unwrap();
-    let judge = folder.bench(["judge", "run"]).assert_exit(3);
+    let judge = folder.bench(["report", "run", "--rejudge"]).assert_exit(3);
     judge.assert_stdout(&["the run was not finished", "? inconclusive"]);
 }
 
@@ -134,8 +134,8 @@ fn the_report_dates_a_failure_from_earlier_runs() {
 fn stored_traces_can_be_judged_by_other_expectations() {
     let folder = step_run();
     folder.write_scenario("stricter.toml", &step_text(FAILED_SETTLING));
-    folder.bench(["judge", "run"]).assert_exit(0);
-    folder.bench(["judge", "run", "--scenario", "scenarios/stricter.toml"]).assert_exit(1);
+    folder.bench(["report", "run", "--rejudge"]).assert_exit(0);
+    folder.bench(["report", "run", "--rejudge", "--scenario", "scenarios/stricter.toml"]).assert_exit(1);
 }
 
 #[rstest]
@@ -144,7 +144,7 @@ fn stored_traces_can_be_judged_by_other_expectations() {
 fn a_changed_file_is_rejected_by_name(#[case] file: &str, #[case] from: &str, #[case] to: &str, #[case] name: &str) {
     let folder = step_run();
     folder.replace(file, from, to);
-    folder.bench(["judge", "run"]).assert_exit(2).assert_stderr(&[name, "SHA-256"]);
+    folder.bench(["report", "run", "--rejudge"]).assert_exit(2).assert_stderr(&[name, "SHA-256"]);
 }
 
 #[test]
@@ -180,7 +180,7 @@ fn rejects_a_record_of_another_format() {
     let folder = TestFolder::new();
     fs::create_dir(folder.join("run")).unwrap();
     folder.write("run/run.json", "{\n  \"format\": 2\n}");
-    folder.bench(["judge", "run"]).assert_exit(2).assert_stderr(&["format 2, expected 1"]);
+    folder.bench(["report", "run", "--rejudge"]).assert_exit(2).assert_stderr(&["format 2, expected 1"]);
 }
 
 #[rstest]
@@ -194,7 +194,7 @@ fn stored_traces_reject_another_experiment(#[case] good: &str, #[case] other: &s
     let text = step_text(SETTLING);
     assert!(text.contains(good));
     folder.write_scenario("other.toml", &text.replacen(good, other, 1));
-    let judge = folder.bench(["judge", "run", "--scenario", "scenarios/other.toml"]);
+    let judge = folder.bench(["report", "run", "--rejudge", "--scenario", "scenarios/other.toml"]);
     judge.assert_exit(2).assert_stderr(&[named, "differs from the scenario that was played"]);
 }
 
@@ -208,13 +208,13 @@ fn an_absolute_plate_path_is_judged_by_its_copy() {
         &step_text(SETTLING).replace("plates/aluminium-198x138.toml", plate.to_str().unwrap()),
     );
     folder.run_hosted("run").assert_exit(0);
-    folder.bench(["judge", "run"]).assert_exit(0);
+    folder.bench(["report", "run", "--rejudge"]).assert_exit(0);
     folder.replace("elsewhere.toml", "limit_vpp = 900.0", "limit_vpp = 500.0");
-    folder.bench(["judge", "run"]).assert_exit(0);
+    folder.bench(["report", "run", "--rejudge"]).assert_exit(0);
     fs::remove_file(&plate).unwrap();
-    folder.bench(["judge", "run"]).assert_exit(0);
+    folder.bench(["report", "run", "--rejudge"]).assert_exit(0);
     folder.replace("run/inputs/elsewhere.toml", "limit_vpp = 900.0", "limit_vpp = 500.0");
-    folder.bench(["judge", "run"]).assert_exit(2).assert_stderr(&["elsewhere.toml", "SHA-256"]);
+    folder.bench(["report", "run", "--rejudge"]).assert_exit(2).assert_stderr(&["elsewhere.toml", "SHA-256"]);
 }
 
 #[test]
@@ -230,7 +230,7 @@ fn a_scenario_behind_a_symlink_can_be_judged() {
     symlink(folder.join("scenarios/plates"), folder.join("elsewhere/plates")).unwrap();
     symlink(folder.join("elsewhere/deep"), folder.join("scenarios/linked")).unwrap();
     folder.bench(["run", "scenarios/linked/s.toml", "--rig", "hosted", "--out", "run"]).assert_exit(0);
-    folder.bench(["judge", "run"]).assert_exit(0);
+    folder.bench(["report", "run", "--rejudge"]).assert_exit(0);
 }
 
 #[test]
@@ -255,7 +255,10 @@ fn without_kept_traces_the_verdicts_are_the_same() {
     };
     let [none, all]: [Vec<String>; 2] = ["none", "all"].map(curves);
     assert_eq!((none.len(), &none), (2, &all));
-    folder.bench(["judge", "none"]).assert_exit(2).assert_stderr(&["none: the run did not keep all traces"]);
+    folder
+        .bench(["report", "none", "--rejudge"])
+        .assert_exit(2)
+        .assert_stderr(&["none: the run did not keep all traces"]);
 }
 
 #[test]
@@ -277,7 +280,10 @@ fn keeps_the_traces_of_failing_or_worst_trials() {
     };
     assert_eq!(stored("failing", "failing"), [0, 3]);
     assert_eq!(stored("worst:2", "worst"), [2, 2]);
-    folder.bench(["judge", "worst"]).assert_exit(2).assert_stderr(&["worst: the run did not keep all traces"]);
+    folder
+        .bench(["report", "worst", "--rejudge"])
+        .assert_exit(2)
+        .assert_stderr(&["worst: the run did not keep all traces"]);
     for wrong in ["worst", "worst:0", "worst:-1", "best"] {
         let expected = "expected all, failing, none or worst:N";
         folder.bench(["run", "--keep-traces", wrong]).assert_exit(2).assert_stderr(&[expected]);

@@ -28,7 +28,7 @@ fn a_longer_control_step_is_reported() {
     assert!(folder.read("runs/second/report.html").contains(MORE));
     // The record stores the result of the comparison, so the earlier run is no longer needed.
     fs::remove_file(folder.join("runs/first").join(RECORD_FILE)).unwrap();
-    folder.bench(["judge", "runs/second"]).assert_stdout(&[MORE]);
+    folder.bench(["report", "runs/second", "--rejudge"]).assert_stdout(&[MORE]);
     assert_eq!(rejudge(&folder.join("runs/second"), None).unwrap().cost, folder.record("runs/second").cost);
 }
 

@@ -118,7 +118,7 @@ fn finds_faults_in_commands() {
     for good in [
         "platebench run scenarios/paper --rig hosted --trials 3   # a comment",
         "cargo platebench run scenarios/paper/fig14-*.toml",
-        "PLATEBENCH_LOG=debug platebench judge RUN && echo $?",
+        "PLATEBENCH_LOG=debug platebench report RUN --rejudge && echo $?",
         "platebench run --format json > run.json",
         "cargo test --ignore-rust-version -p platebench-tests --test docs",
         "cargo test-all",

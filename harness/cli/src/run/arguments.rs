@@ -95,7 +95,7 @@ pub(crate) struct RunArgs {
     /// Start no further trial once a scenario failed; scenarios without all trials are inconclusive
     #[arg(long)]
     pub(crate) fail_fast: bool,
-    /// Which traces to store: all, failing, none or worst:N of each scenario; `judge` needs all
+    /// Which traces to store: all, failing, none or worst:N of each scenario; `report --rejudge` needs all
     #[arg(long, value_name = "WHICH", value_parser = parse_keep_traces, default_value = "all")]
     pub(crate) keep_traces: KeepTraces,
     /// Live view in the terminal; ignored without a terminal

@@ -28,7 +28,7 @@ pub enum VerificationError {
     Scenario(Box<Diagnostic>),
 }
 
-/// Writes the scenario of a step on the tuned plate to `folder`, where `judge` can read it.
+/// Writes the scenario of a step on the tuned plate to `folder`, where `report --rejudge` can read it.
 pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -> Result<Scenario, VerificationError> {
     let TuningTarget { force_n, setpoint, response, period_us, delay, plate: tuned, .. } = *step.target;
     let Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki } = step.gains;

@@ -64,7 +64,7 @@ impl ExploreConfig {
 
     pub fn scenario(&self, scene: &Scene, title: &str) -> SceneScenario {
         let Envelope { title: envelope, plate, .. } = &self.envelope;
-        let source = format!("platebench explore {envelope}");
+        let source = format!("platebench suite explore {envelope}");
         let builder = ScenarioBuilder { base: plate, title, source: &source, plate_prefix: "" };
         builder.build(scene, &self.demands(scene))
     }

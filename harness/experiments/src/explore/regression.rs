@@ -24,7 +24,7 @@ pub fn write(
     let builder = ScenarioBuilder {
         base: &config.envelope.plate,
         title: &title,
-        source: "platebench explore; the property and its limit: docs/exploration.md",
+        source: "platebench suite explore; the property and its limit: docs/exploration.md",
         plate_prefix: &format!("{name}-"),
     };
     fs::create_dir_all(folder).at(folder)?;
@@ -43,7 +43,7 @@ fn comment(rig: &str, law: &str, minimal: &MinimalScene) -> Vec<String> {
         format!("measured {} {unit}, limit {}", number(failure.value), number(failure.limit))
     };
     let mut lines = vec![
-        format!("Written by platebench explore: a minimal scene that violates a property."),
+        format!("Written by platebench suite explore: a minimal scene that violates a property."),
         format!("property: {}", failure.property),
         format!("value: {measured}"),
         format!("law: {law}"),

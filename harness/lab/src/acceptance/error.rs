@@ -23,7 +23,7 @@ pub enum AcceptError {
     FolderNotEmpty(PathBuf),
     #[error("another session is writing {}; wait until it ends, or name another folder", .0.display())]
     InUse(PathBuf),
-    #[error("{}: contains no session, expected a folder that `platebench accept` wrote", .0.display())]
+    #[error("{}: contains no session, expected a folder that `platebench acceptance run` wrote", .0.display())]
     NoSession(PathBuf),
     #[error("{}: {message}", path.display())]
     InvalidRecord { path: PathBuf, message: String },

@@ -30,7 +30,7 @@ pub fn render(session: &SessionRecord) -> String {
         }
         footer {
             p {
-                "manifest.sha256 lists every file of this record. platebench accept verify judges the traces again; "
+                "manifest.sha256 lists every file of this record. platebench acceptance verify judges the traces again; "
                 "sha256sum -c manifest.sha256 checks the files alone."
             }
         }
@@ -273,7 +273,7 @@ fn signatures(session: &SessionRecord) -> Markup {
                 }
                 div.field.wide {
                     span.line {}
-                    span { "First 16 digits of the manifest's SHA-256, as printed by platebench accept verify" }
+                    span { "First 16 digits of the manifest's SHA-256, as printed by platebench acceptance verify" }
                 }
             }
         }

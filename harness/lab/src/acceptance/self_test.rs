@@ -16,7 +16,7 @@ use std::path::Path;
 use std::time::Duration;
 use std::{fs, io, thread};
 
-/// Seed of the first clean run. It equals the default of `platebench trust --seed`.
+/// Seed of the first clean run. It equals the default of `platebench suite trust --seed`.
 const SEED: u64 = 31_415;
 const TRUST_FILE: &str = "trust.json";
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);

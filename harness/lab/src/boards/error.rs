@@ -28,7 +28,7 @@ pub enum BoardError {
         since: String,
     },
     #[error(
-        "board {name} is in quarantine since {since}: {reason}; check it, then: platebench boards clear {name} \
+        "board {name} is in quarantine since {since}: {reason}; check it, then: platebench board clear {name} \
          --reason TEXT"
     )]
     Quarantined { name: String, since: String, reason: String },

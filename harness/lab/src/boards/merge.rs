@@ -18,7 +18,7 @@ pub enum MergeError {
     Stored(#[from] RejudgeError),
     #[error(transparent)]
     Folder(#[from] FolderError),
-    #[error("{}: is a run that `platebench merge` wrote; name the runs that it was made of", .0.display())]
+    #[error("{}: is a run that `platebench report --merge` wrote; name the runs that it was made of", .0.display())]
     AlreadyMerged(PathBuf),
     #[error(
         "{}: is shard {shard} and does not record the selection that it is a part of; run the shard again",

@@ -50,7 +50,7 @@ pub struct RunRecord {
     /// Instructions per control step by law, if the rig counts them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cost: Vec<CostTrend>,
-    /// The runs that `platebench merge` joined.
+    /// The runs that `platebench report --merge` joined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub merge: Option<MergeRecord>,
 }

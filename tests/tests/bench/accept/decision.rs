@@ -100,7 +100,8 @@ fn the_example_of_the_documentation_passes() {
     let folder = tempfile::tempdir().unwrap();
     let plan = workspace_root().join("docs/examples/guarded-plan.toml");
     let waived = ["--waive-calibration", "vibrometer", "--waive-calibration", "thermometer"];
-    let arguments = ["accept", "--plan", plan.to_str().unwrap(), "--rig", "hosted", "--yes", "--out", "record"];
+    let arguments =
+        ["acceptance", "run", "--plan", plan.to_str().unwrap(), "--rig", "hosted", "--yes", "--out", "record"];
     run_bench(folder.path(), arguments.iter().chain(&waived)).assert_exit(0);
     let record = SessionRecord::read(&folder.path().join("record")).unwrap();
     let stated = record.requirements[0].evidence[0].uncertainty.clone().unwrap();

@@ -85,7 +85,7 @@ fn complete_trace_count(folder: &Path) -> usize {
 fn a_session_killed_twice_resumes_and_verifies() {
     let folder = long_session_folder();
     let rig = controller_rig(None);
-    let session = ["accept", "--plan", "plan.toml", "--rig", &rig, "--sign", "key.pem"];
+    let session = ["acceptance", "run", "--plan", "plan.toml", "--rig", &rig, "--sign", "key.pem"];
     let mut first = OperatorTerminal::start(folder.path(), &[&session[..], &["--out", "record"]].concat());
     first.answer("operator?", "A. Tester\n");
     first.answer("Where does the session take place?", "Lab 2\n");
@@ -151,7 +151,8 @@ fn a_session_killed_twice_resumes_and_verifies() {
 #[test]
 fn end_of_input_does_not_confirm() {
     let folder = session_folder();
-    let arguments = ["accept", "--plan", "plan.toml", "--operator", "A", "--place", "B", "--notes", "C", "--out"];
+    let arguments =
+        ["acceptance", "run", "--plan", "plan.toml", "--operator", "A", "--place", "B", "--notes", "C", "--out"];
     let rig = controller_rig(None);
     for (name, rig, message, steps) in [
         ("real", rig.as_str(), "may drive a plate", 1),
@@ -179,7 +180,7 @@ fn a_question_without_an_answer_is_not_called_done() {
 #[test]
 fn a_no_ends_the_session_and_ctrl_c_allows_resuming() {
     let folder = long_session_folder();
-    let arguments = ["accept", "--plan", "plan.toml", "--out", "record", "--operator", "A", "--place", "B"];
+    let arguments = ["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--operator", "A", "--place", "B"];
     let hosted: Vec<&str> = arguments.iter().chain(&["--notes", "C", "--rig", "hosted"]).copied().collect();
     let mut first = OperatorTerminal::start(folder.path(), &hosted);
     first.answer("near the plate?", "no\n");

@@ -61,7 +61,7 @@ fn the_recipe_of_the_page_plays_all_shards_on_hyperqueue() {
     let failed = failed_tasks(&folder);
     let first = passed_runs(&folder);
     assert_eq!((first.len() + failed.len(), failed.is_empty()), (8, false), "{}", errors(&folder, &failed));
-    let part = folder.bench(["merge", "--out", "part"].into_iter().chain(first.iter().map(String::as_str)));
+    let part = folder.bench(["report", "--out", "part", "--merge"].into_iter().chain(first.iter().map(String::as_str)));
     let missing: Vec<_> = failed.iter().map(|task| format!("shard {task}/8 of ")).collect();
     part.assert_exit(3).assert_stderr(&missing.iter().map(String::as_str).collect::<Vec<_>>());
     for (number, board) in all.iter().enumerate() {
@@ -75,7 +75,7 @@ fn the_recipe_of_the_page_plays_all_shards_on_hyperqueue() {
     assert_ne!(again, recipe);
     start_submission(folder.path(), &usable.join(","), &again).finish().assert_exit(0);
     let runs = passed_runs(&folder);
-    let merged = folder.bench(["merge", "--out", "all"].into_iter().chain(runs.iter().map(String::as_str)));
+    let merged = folder.bench(["report", "--out", "all", "--merge"].into_iter().chain(runs.iter().map(String::as_str)));
     merged.assert_exit(0);
     let record = folder.record("all");
     let mut files: Vec<_> =

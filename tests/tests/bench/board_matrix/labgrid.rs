@@ -97,16 +97,17 @@ fn the_recipe_of_the_page_uses_each_place_once_at_a_time() {
     let runs = HEALTHY.map(|board| format!("runs/{board}"));
     let again = format!("runs/again-{KILLED}");
     let runs = runs.iter().map(String::as_str).chain([again.as_str()]);
-    labgrid.folder.bench(["merge", "--out", "all"].into_iter().chain(runs)).assert_exit(0);
+    labgrid.folder.bench(["report", "--out", "all", "--merge"].into_iter().chain(runs)).assert_exit(0);
     let record = labgrid.folder.record("all");
     assert_eq!((record.scenarios.len(), record.verdict), (usable.len(), Verdict::Pass));
 
-    let sessions: Vec<_> = usable.iter().map(|board| labgrid.line(&recipe("platebench accept", board))).collect();
+    let sessions: Vec<_> =
+        usable.iter().map(|board| labgrid.line(&recipe("platebench acceptance run", board))).collect();
     for session in sessions {
         session.finish().assert_exit(0);
     }
     for board in &usable {
-        labgrid.folder.bench(["accept", "verify", &format!("records/{board}")]).assert_exit(0);
+        labgrid.folder.bench(["acceptance", "verify", &format!("records/{board}")]).assert_exit(0);
     }
     labgrid.assert_free();
     assert!(!labgrid.coordinator.has_ended());

@@ -1,4 +1,4 @@
-//! `platebench man`: prints or writes manual pages.
+//! `platebench generate man`: prints or writes manual pages.
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, OrInvalid};
@@ -10,8 +10,8 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench man | man -l -
-  platebench man --out ~/.local/share/man/man1    platebench.1 and a page for each command
+  platebench generate man | man -l -
+  platebench generate man --out ~/.local/share/man/man1    platebench.1 and a page for each command
 
 Exit codes: 0 written, 2 a file cannot be written")]
 pub(crate) struct ManArgs {

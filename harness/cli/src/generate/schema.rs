@@ -1,4 +1,4 @@
-//! `platebench schema`: prints or writes the JSON Schemas of input files (for editors) and of
+//! `platebench generate schema`: prints or writes the JSON Schemas of input files (for editors) and of
 //! results (for programs).
 
 use crate::config::RawConfig;
@@ -22,10 +22,10 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench schema > scenario.json        `#:schema scenario.json` as the first line of a scenario enables completion
-  platebench schema config > config.json
-  platebench schema run > run.json         the record of a run, run.json
-  platebench schema --out scenarios/schema all files
+  platebench generate schema > scenario.json        `#:schema scenario.json` as the first line of a scenario enables completion
+  platebench generate schema config > config.json
+  platebench generate schema run > run.json         the record of a run, run.json
+  platebench generate schema --out scenarios/schema all files
 
 Exit codes: 0 written, 2 a file cannot be written")]
 pub(crate) struct SchemaArgs {
@@ -133,7 +133,7 @@ mod tests {
                 fs::read_to_string(Path::new(FOLDER).join("schema").join(kind.file_name())).unwrap_or_default();
             assert!(
                 committed == kind.to_text().unwrap(),
-                "{} has drifted: platebench schema --out scenarios/schema",
+                "{} has drifted: platebench generate schema --out scenarios/schema",
                 kind.file_name()
             );
         }

@@ -1,4 +1,4 @@
-//! `platebench soak`: plays scenarios in rotation on a board for hours.
+//! `platebench board soak`: plays scenarios in rotation on a board for hours.
 
 use crate::board_args::{BoardArgs, release};
 use crate::clock::{ClockRequest, check_line_speed};
@@ -22,8 +22,8 @@ use std::time::Duration;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench soak --board left --hours 8
-  platebench soak scenarios/paper --board left --hours 60 --fail-fast --out runs/weekend
+  platebench board soak --board left --hours 8
+  platebench board soak scenarios/paper --board left --hours 60 --fail-fast --out runs/weekend
   platebench report runs/weekend          at any time, also while it runs
 
 Exit codes: as for run")]
@@ -69,7 +69,7 @@ pub(crate) fn soak(arguments: &SoakArgs, detail: Detail) -> CommandResult {
     let plan = RunPlan::new(&board.rig, clock, 1, scenarios, overrides);
     let (duration, fail_fast) = (arguments.hours, arguments.fail_fast);
     let config = SoakConfig { plan, board: board.name.clone(), duration, fail_fast };
-    let reservation = arguments.board.reserve("soak")?;
+    let reservation = arguments.board.reserve("board soak")?;
     let (out, rig) = (arguments.out.clone(), board.rig.clone());
     let work = move |cancel: &CancelToken, _: &mut EventSender<()>| {
         let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };

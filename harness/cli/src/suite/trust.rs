@@ -1,4 +1,4 @@
-//! `platebench trust`: measures kill rate and false-alarm rate of a set of scenarios.
+//! `platebench suite trust`: measures kill rate and false-alarm rate of a set of scenarios.
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, OrInvalid};
@@ -21,14 +21,14 @@ use std::{fs, io};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench trust                          every scenario below scenarios/ without `only_if_named`
-  platebench trust --clean 30000 --seed 7 --out /tmp/trust
-  platebench trust scenarios/faults --clean 0
-  platebench trust --scenes 2000            the kill rate of platebench explore as well
+  platebench suite trust                          every scenario below scenarios/ without `only_if_named`
+  platebench suite trust --clean 30000 --seed 7 --out /tmp/trust
+  platebench suite trust scenarios/faults --clean 0
+  platebench suite trust --scenes 2000            the kill rate of platebench suite explore as well
 
 Exit codes: 0 the scenarios killed every mutant for the right reason without a false alarm, and no generated
 scene blamed a correct controller; 1 otherwise")]
-pub(crate) struct TrustArgs {
+pub(super) struct TrustArgs {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     scenarios: Vec<PathBuf>,
@@ -57,7 +57,7 @@ pub(crate) struct TrustArgs {
     out: Option<PathBuf>,
 }
 
-pub(crate) fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
+pub(super) fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
     let config = TrustConfig {
         scenarios: find_scenarios(&arguments.scenarios, &arguments.tags, |_| true, detail)?,
         mutants: catalogue(),

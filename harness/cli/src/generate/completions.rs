@@ -1,4 +1,4 @@
-//! `platebench completions`: prints shell completions.
+//! `platebench generate completions`: prints shell completions.
 
 use crate::exit::Exit;
 use crate::stdio;
@@ -8,9 +8,9 @@ use clap_complete::Shell;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench completions bash > ~/.local/share/bash-completion/completions/platebench
-  platebench completions zsh > ~/.zfunc/_platebench           with ~/.zfunc in $fpath before compinit
-  platebench completions fish > ~/.config/fish/completions/platebench.fish")]
+  platebench generate completions bash > ~/.local/share/bash-completion/completions/platebench
+  platebench generate completions zsh > ~/.zfunc/_platebench           with ~/.zfunc in $fpath before compinit
+  platebench generate completions fish > ~/.config/fish/completions/platebench.fish")]
 pub(crate) struct CompletionsArgs {
     /// The shell
     #[arg(value_enum)]

@@ -1,4 +1,4 @@
-//! `platebench emulate`: emulates the plate alone, in real time, for another controller.
+//! `platebench plate serve`: emulates the plate alone, in real time, for another controller.
 
 use crate::board_args::{BoardArgs, release};
 use crate::exit::Exit;
@@ -32,9 +32,9 @@ use std::time::{Duration, Instant};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench emulate --port pty                     prints the path of the pseudo-terminal and waits there
-  platebench emulate --port /dev/ttyUSB0@921600 --scenario scenarios/paper/force-ramp.toml")]
-pub(crate) struct EmulateArgs {
+  platebench plate serve --port pty                     prints the path of the pseudo-terminal and waits there
+  platebench plate serve --port /dev/ttyUSB0@921600 --scenario scenarios/paper/force-ramp.toml")]
+pub(super) struct ServeArgs {
     /// Port of the controller: PORT[@BAUD], or pty for a new pseudo-terminal
     #[arg(long, value_name = "PORT", required_unless_present = "board", conflicts_with = "board")]
     port: Option<String>,
@@ -68,7 +68,7 @@ const LIVE_KEYS: &str = "f/F finger -/+, t/T plate -/+, s/S setpoint -/+, r rele
 const KEYS: &str =
     "keys: f/F finger -/+ 0.25 N, t/T plate -/+ 1 K, s/S setpoint -/+ 0.1 µm, r release and cool down, q quit";
 
-pub(crate) fn emulate(arguments: &EmulateArgs) -> CommandResult {
+pub(super) fn serve(arguments: &ServeArgs) -> CommandResult {
     let scenario = load(&arguments.scenario, &arguments.scenario.display().to_string())?;
     warn_of_scenarios(std::slice::from_ref(&scenario));
     let name = arguments.law.as_ref().unwrap_or(&scenario.controller.law);
@@ -87,7 +87,7 @@ pub(crate) fn emulate(arguments: &EmulateArgs) -> CommandResult {
         check_baud(baud, time_base.wall_duration(scenario.controller.period), 1.0).or_invalid()?;
     }
     let description = RunDescription {
-        command: "emulate",
+        command: "plate serve",
         rig: named,
         lockstep: false,
         jobs: 1,
@@ -96,7 +96,7 @@ pub(crate) fn emulate(arguments: &EmulateArgs) -> CommandResult {
     };
     let (view, live_tap) = if arguments.live { live::open_view(description) } else { Default::default() };
     let view_sender = view.as_ref().map(LiveView::sender);
-    let reservation = arguments.board.reserve("emulate")?;
+    let reservation = arguments.board.reserve("plate serve")?;
     let unconfirmed = Arc::new(AtomicBool::new(false));
     let plate = PlateServer {
         scenario: without_end(scenario),

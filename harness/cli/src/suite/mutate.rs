@@ -1,4 +1,4 @@
-//! `platebench mutate`: changes the firmware's machine code and checks whether the scenarios
+//! `platebench suite mutate`: changes the firmware's machine code and checks whether the scenarios
 //! notice.
 
 use crate::exit::Exit;
@@ -24,12 +24,12 @@ const PROGRESS_INTERVAL: usize = 50;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench mutate --sample 200 --out runs/mutants
-  platebench mutate --law dq-pi --until-width 5
-  platebench mutate scenarios/paper --rig emulated:firmware.elf --function control_step --at-least 90
+  platebench suite mutate --sample 200 --out runs/mutants
+  platebench suite mutate --law dq-pi --until-width 5
+  platebench suite mutate scenarios/paper --rig emulated:firmware.elf --function control_step --at-least 90
 
 Exit codes: 0 measured, 1 the mutation score is below --at-least, 2 invalid input or a scenario fails without mutants")]
-pub(crate) struct MutateArgs {
+pub(super) struct MutateArgs {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     scenarios: Vec<PathBuf>,
@@ -68,7 +68,7 @@ pub(crate) struct MutateArgs {
     out: Option<PathBuf>,
 }
 
-pub(crate) fn mutate(arguments: &MutateArgs, detail: Detail) -> CommandResult {
+pub(super) fn mutate(arguments: &MutateArgs, detail: Detail) -> CommandResult {
     let quiet = detail == Detail::Failures;
     let has_law = |scenario: &Scenario| arguments.law.as_ref().is_none_or(|law| scenario.controller.law == *law);
     let scenarios = find_scenarios(&arguments.scenarios, &arguments.tags, has_law, detail)?;

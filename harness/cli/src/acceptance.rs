@@ -1,4 +1,4 @@
-//! `platebench accept`: conducts an acceptance session, or verifies its record.
+//! `platebench acceptance run`: conducts an acceptance session, or verifies its record.
 
 mod progress;
 
@@ -29,28 +29,27 @@ const NO_PLAN: &str =
     "--plan FILE names the plan; platebench's own is scenarios/plans/acceptance.toml in the folder of its sources";
 
 #[derive(Debug, Args)]
-#[command(
-    args_conflicts_with_subcommands = true,
-    after_help = "\
+#[command(after_help = "\
 Examples:
-  platebench accept --rig serial:/dev/ttyUSB0@1000000 --time-scale 0.1 --operator 'A. Tester' --place 'Lab 2'
-  platebench accept --rig emulated --yes --out record --sign key.pem
-  platebench accept --rig emulated --resume record       continues an interrupted session
-  platebench accept verify record --key public.pem
+  platebench acceptance run --rig serial:/dev/ttyUSB0@1000000 --time-scale 0.1
+  platebench acceptance verify record --key public.pem
 
-A key: openssl genpkey -algorithm ed25519 -out key.pem; openssl pkey -in key.pem -pubout -out public.pem"
-)]
-pub(crate) struct AcceptArgs {
+A key: openssl genpkey -algorithm ed25519 -out key.pem; openssl pkey -in key.pem -pubout -out public.pem")]
+pub(crate) struct AcceptanceArgs {
     #[command(subcommand)]
-    action: Option<AcceptAction>,
-    #[command(flatten)]
-    session: SessionArgs,
+    action: AcceptanceAction,
 }
 
 #[derive(Debug, Subcommand)]
-enum AcceptAction {
+enum AcceptanceAction {
+    /// Conduct a lab acceptance session and seal its record
+    Run(SessionArgs),
     /// Verify a record: its files, its signature, and its verdicts from its traces
-    #[command(after_help = "Exit codes: 0 unchanged, 1 changed, 2 no record, 3 the session is not finished")]
+    #[command(after_help = "\
+Examples:
+  platebench acceptance verify record --key public.pem
+
+Exit codes: 0 unchanged, 1 changed, 2 no record, 3 the session is not finished")]
     Verify {
         /// Folder of the record
         record: PathBuf,
@@ -61,6 +60,11 @@ enum AcceptAction {
 }
 
 #[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench acceptance run --rig serial:/dev/ttyUSB0@1000000 --time-scale 0.1 --operator 'A. Tester' --place 'Lab 2'
+  platebench acceptance run --rig emulated --yes --out record --sign key.pem
+  platebench acceptance run --rig emulated --resume record       continues an interrupted session")]
 struct SessionArgs {
     /// Rig of the controller, as for `platebench run`
     #[arg(long, conflicts_with = "board")]
@@ -110,16 +114,16 @@ struct SessionArgs {
     sign: Option<PathBuf>,
 }
 
-pub(crate) fn accept(arguments: &AcceptArgs, quiet: bool) -> CommandResult {
+pub(crate) fn acceptance(arguments: &AcceptanceArgs, quiet: bool) -> CommandResult {
     match &arguments.action {
-        Some(AcceptAction::Verify { record, key }) => verify_record(record, key.as_deref()),
-        None => run_session(&arguments.session, quiet),
+        AcceptanceAction::Verify { record, key } => verify_record(record, key.as_deref()),
+        AcceptanceAction::Run(arguments) => run_session(arguments, quiet),
     }
 }
 
 fn run_session(arguments: &SessionArgs, quiet: bool) -> CommandResult {
     let config = session_config(arguments)?;
-    let reservation = arguments.board.reserve("accept")?;
+    let reservation = arguments.board.reserve("acceptance run")?;
     let started = reservation.as_ref().map(|board| board.started().to_owned()).unwrap_or_default();
     let folder = config.out.clone();
     let kind = if quiet { ProgressKind::Quiet } else { ProgressKind::detect() };

@@ -1,4 +1,4 @@
-//! `platebench export-fmu`: exports a plate as a co-simulation unit.
+//! `platebench plate fmu`: exports a plate as a co-simulation unit.
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, OrInvalid};
@@ -13,10 +13,10 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench export-fmu scenarios/plates/aluminium-198x138.toml --out plate.fmu
+  platebench plate fmu scenarios/plates/aluminium-198x138.toml --out plate.fmu
 
 Exit codes: 0 written, 2 invalid input, no shared library, or the file exists already")]
-pub(crate) struct ExportFmuArgs {
+pub(super) struct FmuArgs {
     /// The plate file
     plate: PathBuf,
     /// The FMU (FMI 3.0, co-simulation), see docs/fmi.md. No file is overwritten
@@ -27,7 +27,7 @@ pub(crate) struct ExportFmuArgs {
     library: Option<PathBuf>,
 }
 
-pub(crate) fn export_fmu(arguments: &ExportFmuArgs) -> CommandResult {
+pub(super) fn export(arguments: &FmuArgs) -> CommandResult {
     let plate = load_plate(&arguments.plate)?;
     warn_of_plate(&arguments.plate, &plate);
     let text = read_text(&arguments.plate)?;

@@ -1,4 +1,4 @@
-//! `platebench coverage`: shows which lines of the firmware the scenarios execute.
+//! `platebench suite coverage`: shows which lines of the firmware the scenarios execute.
 
 use crate::exit::Exit;
 use crate::failure::{CommandResult, Failure, OrInvalid};
@@ -19,12 +19,12 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench coverage                                          every scenario below scenarios/
-  platebench coverage scenarios/paper --lcov coverage.info
-  platebench coverage --rig emulated:firmware.elf --only src/control --at-least 90
+  platebench suite coverage                                          every scenario below scenarios/
+  platebench suite coverage scenarios/paper --lcov coverage.info
+  platebench suite coverage --rig emulated:firmware.elf --only src/control --at-least 90
 
 Exit codes: 0 measured, 1 fewer lines than --at-least were executed, 2 invalid input or a scenario fails")]
-pub(crate) struct CoverageArgs {
+pub(super) struct CoverageArgs {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     scenarios: Vec<PathBuf>,
@@ -50,7 +50,7 @@ pub(crate) struct CoverageArgs {
     out: Option<PathBuf>,
 }
 
-pub(crate) fn coverage(arguments: &CoverageArgs, detail: Detail) -> CommandResult {
+pub(super) fn coverage(arguments: &CoverageArgs, detail: Detail) -> CommandResult {
     let scenarios = find_scenarios(&arguments.scenarios, &arguments.tags, |_| true, detail)?;
     let (rig, only, jobs) = (arguments.rig.clone(), arguments.only.clone(), job_count(arguments.jobs));
     let work = move |cancel: &CancelToken, _: &mut EventSender<()>| {

@@ -1,4 +1,4 @@
-//! `platebench explore`: generates scenes from an operating envelope and checks properties of the
+//! `platebench suite explore`: generates scenes from an operating envelope and checks properties of the
 //! controller.
 
 mod budget;
@@ -26,14 +26,14 @@ const DEFAULT_LAW: LawId = LawId::DqPi;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench explore                                      60 s on the emulated board
-  platebench explore --rig 'exec:./controller {port}' --for 10m
-  platebench explore --scenes 1000 --seed 7 --law deadbeat --out /tmp/night
-  platebench explore envelopes/warm.toml --regressions tests/found
+  platebench suite explore                                      60 s on the emulated board
+  platebench suite explore --rig 'exec:./controller {port}' --for 10m
+  platebench suite explore --scenes 1000 --seed 7 --law deadbeat --out /tmp/night
+  platebench suite explore envelopes/warm.toml --regressions tests/found
 
 Exit codes: 0 no property was violated, 1 a property was violated, 2 invalid input, 3 the rig left scenes undecided,
 4 no scene was played, 5 the rig could not be reached or was lost")]
-pub(crate) struct ExploreArgs {
+pub(super) struct ExploreArgs {
     /// The operating envelope
     #[arg(default_value = "scenarios/envelope.toml")]
     envelope: PathBuf,
@@ -68,7 +68,7 @@ pub(crate) struct ExploreArgs {
     format: OutputFormat,
 }
 
-pub(crate) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult {
+pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult {
     let session = prepare(arguments, detail)?;
     let folder = RunFolder::create(arguments.out.as_deref()).or_invalid()?;
     let path = folder.path().to_owned();
