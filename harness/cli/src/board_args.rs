@@ -12,6 +12,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 #[derive(Debug, Clone, Default, Args)]
+#[command(next_help_heading = "Board")]
 pub(crate) struct BoardSelection {
     /// Board of boards.toml, instead of a rig
     #[arg(long, value_name = "NAME")]
@@ -22,6 +23,7 @@ pub(crate) struct BoardSelection {
 }
 
 #[derive(Debug, Clone, Default, Args)]
+#[command(next_help_heading = "Board")]
 pub(crate) struct BoardArgs {
     #[command(flatten)]
     pub(crate) selection: BoardSelection,

@@ -29,6 +29,7 @@ mod plate;
 mod plate_warnings;
 mod program;
 mod prompt;
+mod renamed_commands;
 mod replay;
 mod report;
 mod run;

@@ -15,6 +15,7 @@ const VARIABLE: &str = "PLATEBENCH_LOG";
 const EXPECTED: &str = "expected a filter such as `debug` or `platebench_rig=trace,warn`";
 
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Options of every command")]
 pub(crate) struct LoggingArgs {
     /// Print more: -v a table for each scenario and a log of the steps, -vv details, -vvv
     /// everything

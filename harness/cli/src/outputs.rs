@@ -14,7 +14,11 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
+/// Heading of the options for files and other programs.
+pub(crate) const RESULTS: &str = "Results";
+
 #[derive(Debug, Clone, Default, Args)]
+#[command(next_help_heading = RESULTS)]
 pub(crate) struct Outputs {
     /// Write a summary in Markdown to FILE; `-` is standard output
     #[arg(long, value_name = "FILE")]

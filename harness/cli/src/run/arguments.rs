@@ -4,7 +4,7 @@ use crate::options::{
     ClockArg, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, law_names, parse_keep_traces, parse_time_scale,
     rig_help,
 };
-use crate::outputs::Outputs;
+use crate::outputs::{Outputs, RESULTS};
 use crate::selection::TagFilter;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
@@ -15,6 +15,10 @@ use platebench_rig::RigSpec;
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
+
+// Headings of the help. Options without a heading are the common ones and come first.
+const EXTENT: &str = "Extent of a run";
+const PLATE: &str = "Plate, clock and line";
 
 #[derive(Debug, Clone, Args)]
 #[command(after_help = "\
@@ -32,83 +36,84 @@ pub(crate) struct RunArgs {
     pub(crate) scenarios: Vec<PathBuf>,
     #[arg(long, help = rig_help(), default_value = "emulated", conflicts_with = "board")]
     pub(crate) rig: RigSpec,
-    #[command(flatten)]
-    pub(crate) board: BoardArgs,
     /// Control law of the firmware under test
     #[arg(long, value_name = "NAME", value_parser = law_names())]
     pub(crate) law: Option<String>,
-    /// Model of the plate, instead of the scenario's
-    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(
-        std::iter::once(AUTO_MODEL).chain(Tier::ALL.map(Tier::name))))]
-    pub(crate) model: Option<String>,
-    /// Clock of the plate; default: real-time on a serial port, lockstep otherwise
-    #[arg(long, value_enum)]
-    pub(crate) clock: Option<ClockArg>,
-    /// Plate seconds per wall second: at 0.1 the delay of the line is ten times smaller for the
-    /// plate
-    #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = parse_time_scale)]
-    pub(crate) time_scale: f64,
-    /// Timer of the control instants in real time
-    #[arg(long, value_enum, default_value_t = PacingArg::Bench)]
-    pub(crate) pacing: PacingArg,
-    /// Let the emulated line and computing time act on the plate as loop delay
-    #[arg(long)]
-    pub(crate) wire_time: bool,
-    /// Lockstep over a line: time to wait for a reply before it counts as missed, ms
-    #[arg(long, value_name = "MS", default_value = "500", value_parser = parse_reply_timeout)]
-    pub(crate) reply_timeout: Duration,
-    /// Which plate is driven
-    #[arg(long, value_enum, default_value_t = PlateModeArg::Emulated, value_name = "MODE")]
-    pub(crate) plate_mode: PlateModeArg,
-    /// Ask no operator; with --plate-mode real, everything that needs one stays inconclusive
-    #[arg(long)]
-    pub(crate) yes: bool,
-    /// The run folder; default: a new folder below --runs
-    #[arg(long, value_name = "FOLDER")]
-    pub(crate) out: Option<PathBuf>,
-    /// Parent folder of new run folders
-    #[arg(long, value_name = "FOLDER", default_value = "runs")]
-    pub(crate) runs: PathBuf,
-    /// Run changed scenarios again until Ctrl-C: a scenario if its file, plate or profile changed,
-    /// all if the ELF changed
-    #[arg(long)]
-    pub(crate) watch: bool,
     /// Trials of each scenario
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_TRIALS)))]
     pub(crate) trials: Option<u32>,
     /// Seed of each scenario's first trial
     #[arg(long, value_name = "S")]
     pub(crate) seed: Option<u64>,
-    /// Trials that run at once; default: one per core
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub(crate) jobs: Option<u16>,
-    /// Emulated rig: wait for a debugger on this port of the local host; the debugger controls the
-    /// chip while the plate waits
-    #[arg(long, value_name = "PORT", conflicts_with_all = ["watch", "jobs", "board", "list"])]
-    pub(crate) gdb: Option<u16>,
-    /// Run the K-th of N parts of the scenarios
-    #[arg(long, value_name = "K/N")]
-    pub(crate) shard: Option<Shard>,
-    /// Fail if the controller does not announce a law or capability that a scenario needs
+    #[command(flatten)]
+    pub(crate) tags: TagFilter,
+    /// The run folder; default: a new folder below --runs
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) out: Option<PathBuf>,
+    /// List the scenarios with tags, limits and windows instead of playing them
+    #[arg(long, conflicts_with = "watch")]
+    pub(crate) list: bool,
+    /// Run changed scenarios again until Ctrl-C: a scenario if its file, plate or profile changed,
+    /// all if the ELF changed
     #[arg(long)]
-    pub(crate) require_all: bool,
-    /// Start no further trial once a scenario failed; scenarios without all trials are inconclusive
-    #[arg(long)]
-    pub(crate) fail_fast: bool,
-    /// Which traces to store: all, failing, none or worst:N of each scenario; `report --rejudge` needs all
-    #[arg(long, value_name = "WHICH", value_parser = parse_keep_traces, default_value = "all")]
-    pub(crate) keep_traces: KeepTraces,
+    pub(crate) watch: bool,
     /// Live view in the terminal; ignored without a terminal
     #[arg(long)]
     pub(crate) live: bool,
     /// Format of standard output; json: one event per line, the last is the verdict
     #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
     pub(crate) format: OutputFormat,
-    /// List the scenarios with tags, limits and windows instead of playing them
-    #[arg(long, conflicts_with = "watch")]
-    pub(crate) list: bool,
+    /// Trials that run at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(crate) jobs: Option<u16>,
+    /// Run the K-th of N parts of the scenarios
+    #[arg(long, help_heading = EXTENT, value_name = "K/N")]
+    pub(crate) shard: Option<Shard>,
+    /// Fail if the controller does not announce a law or capability that a scenario needs
+    #[arg(long, help_heading = EXTENT)]
+    pub(crate) require_all: bool,
+    /// Start no further trial once a scenario failed; scenarios without all trials are inconclusive
+    #[arg(long, help_heading = EXTENT)]
+    pub(crate) fail_fast: bool,
     #[command(flatten)]
-    pub(crate) tags: TagFilter,
+    pub(crate) board: BoardArgs,
+    /// Model of the plate, instead of the scenario's
+    #[arg(long, help_heading = PLATE, value_name = "NAME", value_parser = PossibleValuesParser::new(
+        std::iter::once(AUTO_MODEL).chain(Tier::ALL.map(Tier::name))))]
+    pub(crate) model: Option<String>,
+    /// Clock of the plate; default: real-time on a serial port, lockstep otherwise
+    #[arg(long, help_heading = PLATE, value_enum)]
+    pub(crate) clock: Option<ClockArg>,
+    /// Plate seconds per wall second: at 0.1 the delay of the line is ten times smaller for the
+    /// plate
+    #[arg(long, help_heading = PLATE, value_name = "X", default_value_t = 1.0, value_parser = parse_time_scale)]
+    pub(crate) time_scale: f64,
+    /// Timer of the control instants in real time
+    #[arg(long, help_heading = PLATE, value_enum, default_value_t = PacingArg::Bench)]
+    pub(crate) pacing: PacingArg,
+    /// Let the emulated line and computing time act on the plate as loop delay
+    #[arg(long, help_heading = PLATE)]
+    pub(crate) wire_time: bool,
+    /// Lockstep over a line: time to wait for a reply before it counts as missed, ms
+    #[arg(long, help_heading = PLATE, value_name = "MS", default_value = "500", value_parser = parse_reply_timeout)]
+    pub(crate) reply_timeout: Duration,
+    /// Which plate is driven
+    #[arg(long, help_heading = PLATE, value_enum, default_value_t = PlateModeArg::Emulated, value_name = "MODE")]
+    pub(crate) plate_mode: PlateModeArg,
+    /// Ask no operator; with --plate-mode real, everything that needs one stays inconclusive
+    #[arg(long, help_heading = PLATE)]
+    pub(crate) yes: bool,
+    /// Emulated rig: wait for a debugger on this port of the local host; the debugger controls the
+    /// chip while the plate waits
+    #[arg(long, help_heading = PLATE, value_name = "PORT", conflicts_with_all = ["watch", "jobs", "board", "list"])]
+    pub(crate) gdb: Option<u16>,
+    /// Parent folder of new run folders
+    #[arg(long, help_heading = RESULTS, value_name = "FOLDER", default_value = "runs")]
+    pub(crate) runs: PathBuf,
+    /// Which traces to store: all, failing, none or worst:N of each scenario; `report --rejudge`
+    /// needs all
+    #[arg(long, help_heading = RESULTS, value_name = "WHICH", value_parser = parse_keep_traces, default_value = "all")]
+    pub(crate) keep_traces: KeepTraces,
     #[command(flatten)]
     pub(crate) outputs: Outputs,
 }
