@@ -237,12 +237,7 @@ struct SceneWorker<'a> {
 }
 
 impl<'a> SceneWorker<'a> {
-    fn new(
-        config: &'a ExploreConfig,
-        connect: &'a LinkFactory<'a>,
-        cancel: &CancelToken,
-        ends: &'a SafeEnds,
-    ) -> Self {
+    fn new(config: &'a ExploreConfig, connect: &'a LinkFactory<'a>, cancel: &CancelToken, ends: &'a SafeEnds) -> Self {
         let player = Player::new(connect, config.own_clock, cancel, ends);
         Self { config, player, history: Vec::new() }
     }

@@ -1,4 +1,4 @@
-//! Defines the report of `platebench trust` (`trust.json`), and its text and Markdown tables.
+//! Defines the report of `platebench suite trust` (`trust.json`), and its text and Markdown tables.
 
 use platebench_model::record::Verdict;
 use platebench_verdict::statistics::proportion::clopper_pearson;
