@@ -16,7 +16,7 @@ use crate::loops::{
 use platebench_controller::design;
 use platebench_engine::delay_boundary::{DelayBoundary, DelayedLoop, search_boundary};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Plate, State, Tier, Time};
-use platebench_verdict::bisection::bisect;
+use platebench_verdict::statistics::bisect;
 use platebench_wire::{Configure, Gains, LawId};
 use std::f64::consts::TAU;
 

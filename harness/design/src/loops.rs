@@ -19,7 +19,7 @@ use nalgebra::{DMatrix, Matrix2, Schur, Vector2};
 use platebench_controller::design;
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::{Complex64, Drive, Flow, Mode, State, Tier};
-use platebench_verdict::bisection::{bisect, try_bisect};
+use platebench_verdict::statistics::{bisect, try_bisect};
 use std::collections::VecDeque;
 use std::f64::consts::PI;
 

@@ -13,7 +13,7 @@ use crate::loops::{AnalysisError, Discretisation};
 use design::{BAND, GainDesign, LoopEvaluation, StepEvaluation, TuningTarget, delay_margin_ms, design_delay_boundary};
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::{Plate, Tier};
-use platebench_verdict::bisection::try_bisect;
+use platebench_verdict::statistics::try_bisect;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Uniform};

@@ -7,12 +7,13 @@ use crate::lockstep;
 use crate::timing::Pacing;
 use crate::trial::configure;
 use platebench_controller::StateMachine;
+use platebench_model::metrics::Subject;
 use platebench_model::record::{Excuse, Telemetry};
 use platebench_model::scenario::{Expectation, Metric, Scenario};
 use platebench_model::trace::Row;
 use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, Tier, Time};
-use platebench_verdict::bisection::bisect;
 use platebench_verdict::metrics::Measure;
+use platebench_verdict::statistics::bisect;
 use platebench_verdict::{TrialMeasures, measure};
 use platebench_wire::{Configure, ControllerState, LawId, Sample};
 use std::collections::VecDeque;
@@ -240,16 +241,14 @@ fn missed_expectations<'a>(scenario: &'a Scenario, measures: &'a TrialMeasures) 
     let both = scenario.expectations.iter().zip(&measures.measures).enumerate();
     both.filter(|(_, (expectation, measure))| {
         let metric = expectation.metric;
-        let concerns_rig = !metric.has_over() || matches!(metric, Metric::LoopDelay | Metric::Overruns);
+        let concerns_rig = !metric.has_over() || metric.spec().subject == Subject::Rig;
         !concerns_rig && !is_met(expectation, measure)
     })
     .map(|(number, _)| number)
 }
 
 fn is_met(expectation: &Expectation, measure: &Measure) -> bool {
-    let signed = expectation.metric == Metric::StaticError;
-    let value = measure.value().map(|value| if signed { value.abs() } else { value });
-    value.is_some_and(|value| expectation.holds(value))
+    measure.value().is_some_and(|value| expectation.holds(expectation.metric.spec().judged(value)))
 }
 
 /// Plays the trial with the hosted firmware. `None` if the firmware does not answer.

@@ -4,7 +4,7 @@
 use crate::live_tap::TapWriter;
 use crate::trial::start_frequency_mhz;
 use platebench_model::record::NonFiniteDrive;
-use platebench_model::scenario::{Metric, Scenario, Variation};
+use platebench_model::scenario::{Scenario, Variation};
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::{BandMonitor, BandSignal, Conditions, Crossing, Drive, Plant, Sensor, State, Time};
 use platebench_wire::{Command, ControllerState as Mode, Sample};
@@ -264,7 +264,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
                 "amplitude_um" => BandSignal::Amplitude,
                 _ => continue,
             };
-            if !matches!(expectation.metric, Metric::SettlingTime | Metric::RecoveryTime | Metric::PeakDeviation) {
+            if !expectation.metric.has_band() {
                 continue;
             }
             let (low, high) = expectation.band(setpoint);

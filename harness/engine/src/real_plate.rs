@@ -13,7 +13,7 @@ use platebench_model::scenario::Scenario;
 use platebench_model::trace::Row;
 use platebench_plate::{Profile, Time};
 use platebench_rig::{CancelToken, FaultInjector, Link, RigError, Session};
-use platebench_verdict::real_plate::{needs_operator, operator_exclusion, scene_changes};
+use platebench_verdict::exclusion::{needs_operator, operator_exclusion, scene_changes};
 use std::panic::resume_unwind;
 use std::thread;
 use std::time::{Duration, Instant};

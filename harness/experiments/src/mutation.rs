@@ -12,7 +12,7 @@ use platebench_engine::SafeEnds;
 use platebench_engine::workers::in_parallel;
 use platebench_model::trace::read_text_file;
 use platebench_rig::CancelToken;
-use platebench_verdict::statistics::proportion::clopper_pearson;
+use platebench_verdict::statistics::clopper_pearson;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde_json::{Map, Value, json};

@@ -20,10 +20,11 @@ mod value_range;
 pub mod variation;
 mod window;
 
+pub use crate::metrics::Metric;
 pub use chip_fault::{BitFlipTarget, ChipFault, ChipFaultKind};
 pub use definition::{AUTO_MODEL, Controller, Gains, InputFile, MAX_TRIALS, Scenario, Spread, Trials};
 pub use diagnostic::{Diagnostic, suggestion};
-pub use expect::{Aggregation, Expectation, Limit, Metric};
+pub use expect::{Aggregation, Expectation, Limit};
 pub use fault::{Direction, Fault, FaultKind};
 pub use file_kind::{FileKind, SETTINGS_FILE};
 pub use find::{FoundScenarios, find, find_file_above, list_files, repeated_names};

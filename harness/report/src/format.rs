@@ -1,5 +1,6 @@
 //! Formats numbers, limits, verdicts and counts, without layout or markup.
 
+use platebench_model::metrics::Unit;
 use platebench_model::record::{ExpectationRecord, Limit, Metric, Reason, RunRecord, Statistic, TrialFinding, Verdict};
 use platebench_verdict::tube::{Exceedance, TubeSignal};
 use schemars::JsonSchema;
@@ -183,7 +184,7 @@ pub(crate) fn window_list(windows_ms: &[[f64; 2]]) -> Option<String> {
 
 /// The value, or `never` if the event that the metric times did not happen.
 pub(crate) fn value_or_not_reached(expectation: &ExpectationRecord) -> Option<String> {
-    let is_time = unit(expectation.metric) == "ms";
+    let is_time = expectation.metric.spec().unit == Unit::Milliseconds;
     let missing = match &expectation.reason {
         Some(Reason::Trial { finding: TrialFinding::Missing(missing), .. }) => Some(missing),
         _ => None,
@@ -252,17 +253,9 @@ pub(crate) fn outside_tube(worst: &Exceedance) -> String {
     )
 }
 
-/// The unit from the end of a metric's name; empty for a ratio or a count.
-pub fn unit(metric: Metric) -> &'static str {
-    match metric.name().rsplit_once('_').map(|(_, last)| last) {
-        Some("ms") => "ms",
-        Some("us") => "µs",
-        Some("percent") => "%",
-        Some("hz") => "Hz",
-        Some("um") => "µm",
-        Some("vpp") => "Vpp",
-        _ => "",
-    }
+/// Empty for a ratio or a count.
+pub const fn unit(metric: Metric) -> &'static str {
+    metric.spec().unit.symbol()
 }
 
 #[cfg(test)]
@@ -297,6 +290,7 @@ mod tests {
         ExpectationRecord {
             name: String::new(),
             windows_ms: Vec::new(),
+            worst: None,
             metric: Metric::SettlingTime,
             verdict: Verdict::Fail,
             value: Some(2.000_04),

@@ -12,6 +12,10 @@ pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Optio
 /// The trial that decided the verdict of the expectation, otherwise the first trial.
 pub(crate) fn deciding_trial(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
     let expectation = scenario.expectations.get(index)?;
+    let recorded = expectation.worst.as_ref();
+    if let Some(trial) = recorded.and_then(|worst| scenario.trials.iter().find(|trial| trial.index == worst.trial)) {
+        return Some(trial);
+    }
     let key = scenario.metric_key(index);
     let number = |trial: &TrialRecord| trial.metrics.number(&key);
     let decided = match (expectation.cause, expectation.value) {
@@ -70,7 +74,7 @@ pub(crate) fn closest_expectation(scenario: &ScenarioRecord) -> Option<usize> {
 
 /// False if only one value can meet the limit, as for `overruns ≤ 0` or `missed_replies 5 … 5`.
 fn allows_margin(expectation: &ExpectationRecord) -> bool {
-    let (least, most) = expectation.metric.value_range();
+    let (least, most) = expectation.metric.spec().value_range;
     match expectation.limit {
         Limit::AtMost(high) => high > least,
         Limit::AtLeast(low) => low < most,
@@ -153,6 +157,7 @@ mod tests {
         let expectation = ExpectationRecord {
             name: String::new(),
             windows_ms: Vec::new(),
+            worst: None,
             metric: Metric::StaticError,
             verdict: Verdict::Fail,
             value: Some(2.0),

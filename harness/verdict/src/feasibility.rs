@@ -5,8 +5,9 @@
 //! `W' = −σ W + b V`; V is the limit while W must rise and 0 while it must fall.
 
 use crate::metrics::{self, Measure};
+use platebench_model::metrics::DriveBound;
 use platebench_model::record::{BestResponse, Excuse, Telemetry};
-use platebench_model::scenario::{Expectation, Metric, Scenario};
+use platebench_model::scenario::{Expectation, Scenario};
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::{Plant, Time};
 
@@ -17,7 +18,9 @@ pub(crate) fn infeasibility_excuse(
     plant: &Plant,
     rows: &[Row],
 ) -> Option<Excuse> {
-    if !is_drive_limited(expectation.metric) || matches!(expectation.signal, "wq_um" | "sensed_wq_um") {
+    if expectation.metric.spec().drive_bound == DriveBound::None
+        || matches!(expectation.signal, "wq_um" | "sensed_wq_um")
+    {
         return None;
     }
     // The ideal response has one mode. A second mode or an amplifier offset may add to it, so
@@ -59,34 +62,19 @@ fn may_be_limited(rows: &[Row]) -> bool {
 /// Best value of the ideal controller if it misses the limit; `None` if it meets the limit.
 fn unreachable_best(expectation: &Expectation, best: Measure) -> Option<BestResponse> {
     let (lowest, highest) = expectation.range();
-    let metric = expectation.metric;
-    match (metric, best) {
-        (_, Measure::Missing(missing)) => Some(BestResponse::Missing(missing)),
-        (_, Measure::Undefined(_) | Measure::Samples(_)) => None,
+    let value = match best {
+        Measure::Missing(missing) => return Some(BestResponse::Missing(missing)),
+        Measure::Undefined(_) | Measure::Samples(_) => return None,
+        Measure::Value(value) | Measure::Interval([value, _]) => value,
+    };
+    let reached = BestResponse::Value(expectation.metric, value.abs());
+    match expectation.metric.spec().drive_bound {
+        DriveBound::None => None,
+        DriveBound::Smallest => (value.abs() > highest).then_some(reached),
+        DriveBound::Largest => (value < lowest).then_some(reached),
         // A mean below the setpoint shows that the drive is too weak.
-        (Metric::Repeatability, Measure::Value(percent)) => {
-            (percent < 100.0 - RATIO_TOLERANCE_PERCENT).then_some(BestResponse::Mean(percent))
-        }
-        (_, Measure::Value(value) | Measure::Interval([value, _])) => {
-            let is_out_of_reach = match metric {
-                Metric::FinalAmplitude => value < lowest,
-                _ => value.abs() > highest,
-            };
-            is_out_of_reach.then_some(BestResponse::Value(metric, value.abs()))
-        }
+        DriveBound::MeanBelowSetpoint => (value < 100.0 - RATIO_TOLERANCE_PERCENT).then_some(BestResponse::Mean(value)),
     }
-}
-
-pub(crate) const fn is_drive_limited(metric: Metric) -> bool {
-    matches!(
-        metric,
-        Metric::SettlingTime
-            | Metric::RecoveryTime
-            | Metric::PeakDeviation
-            | Metric::StaticError
-            | Metric::Repeatability
-            | Metric::FinalAmplitude
-    )
 }
 
 /// Rounding error of a mean that equals the setpoint.

@@ -3,14 +3,12 @@
 //! A verdict depends only on scenario, stored traces and stored telemetry, not on a clock or on the
 //! order of execution.
 
-pub mod bisection;
 mod divergence;
-mod exclusion;
+pub mod exclusion;
 mod feasibility;
 pub mod golden;
 mod judge;
 pub mod metrics;
-pub mod real_plate;
 pub mod replay;
 pub mod statistics;
 mod trial;

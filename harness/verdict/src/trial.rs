@@ -1,12 +1,11 @@
 //! Measures one trial and decides whether it counts.
 
 use crate::divergence::detect_divergence;
-use crate::exclusion::find_exclusion;
+use crate::exclusion::{find_exclusion, find_real_plate_exclusion, saturation_excuse};
 use crate::feasibility::infeasibility_excuse;
-use crate::metrics::{self, Measure};
-use crate::real_plate;
+use crate::metrics::{Measure, measure_with_instants};
 use platebench_model::record::{
-    Cause, Divergence, Exclusion, Excuse, MetricValues, Telemetry, TrialReason, TrialRecord, Violation,
+    Cause, Divergence, Exclusion, Excuse, MetricValues, Telemetry, TrialReason, TrialRecord, Violation, WorstInstant,
 };
 use platebench_model::scenario::{Expectation, Metric, Scenario, Variation};
 use platebench_model::trace::{Flags, Row};
@@ -18,8 +17,9 @@ use std::collections::BTreeMap;
 pub struct TrialMeasures {
     pub index: u32,
     pub seed: u64,
-    /// One measure per expectation of the scenario. `excuses` has the same order.
+    /// One measure per expectation of the scenario. `worst` and `excuses` have the same order.
     pub measures: Vec<Measure>,
+    pub worst: Vec<Option<WorstInstant>>,
     pub excuses: Vec<Option<Excuse>>,
     /// The rig's message about the loss of the controller.
     pub ended: Option<String>,
@@ -38,21 +38,24 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
     let is_real_plate = rows.iter().any(|row| row.flags.contains(Flags::SENSED));
     let excuses = expectations.iter().map(|expectation| {
         if is_real_plate {
-            real_plate::saturation_excuse(expectation, rows)
+            saturation_excuse(expectation, rows)
         } else {
             infeasibility_excuse(scenario, expectation, &plant, rows)
         }
     });
+    let (measures, worst) =
+        expectations.iter().map(|expectation| measure_with_instants(expectation, index, rows, telemetry)).unzip();
     TrialMeasures {
         index,
         seed: variation.seed,
-        measures: expectations.iter().map(|expectation| metrics::measure(expectation, rows, telemetry)).collect(),
+        measures,
+        worst,
         excuses: excuses.collect(),
         ended: telemetry.ended.clone(),
         violations: violations(scenario, telemetry),
         divergence: detect_divergence(scenario, rows, telemetry),
         exclusion: if is_real_plate {
-            real_plate::find_exclusion(scenario, rows, telemetry.real_plate.as_deref())
+            find_real_plate_exclusion(scenario, rows, telemetry.real_plate.as_deref())
         } else {
             find_exclusion(scenario, rows, telemetry)
         },
@@ -86,8 +89,7 @@ impl TrialMeasures {
         }
         let of_trial = expectations.iter().zip(&self.measures).filter(|(expectation, _)| expectation.metric.has_over());
         let margins = of_trial.filter_map(|(expectation, measure)| match measure.value() {
-            Some(value) if expectation.metric == Metric::StaticError => expectation.margin(value.abs()),
-            Some(value) => expectation.margin(value),
+            Some(value) => expectation.margin(expectation.metric.spec().judged(value)),
             None => Some(f64::NEG_INFINITY),
         });
         margins.fold(f64::INFINITY, f64::min)
@@ -113,8 +115,7 @@ pub fn trial_record(
         let count = counts.entry(metric).or_default();
         *count += 1;
         let name = if *count == 1 { Cow::Borrowed(metric.name()) } else { Cow::Owned(format!("{metric}[{count}]")) };
-        let value = measure.value().map(|value| if metric == Metric::StaticError { value.abs() } else { value });
-        values.set(name, value);
+        values.set(name, measure.value().map(|value| metric.spec().judged(value)));
     }
     let excluded = trial.exclusion.clone().map(TrialReason::Excluded);
     let ended = || trial.ended.clone().map(TrialReason::Ended);

@@ -1,10 +1,11 @@
-//! Generates the reference pages from clap, `Metric` and the types of serde. The tests compare them
-//! with the stored pages; `ci/reference --update` writes them.
+//! Generates the reference pages and the table of metrics from clap, `Metric` and the types of
+//! serde. The tests compare them with the stored pages; `ci/reference --update` writes them.
 
 use crate::page::workspace_root;
 use crate::source::{describe_type, doc_comment, has_default};
 use clap::Command;
-use platebench_model::scenario::{Aggregation, Metric};
+use platebench_model::metrics::TrialRule;
+use platebench_model::scenario::{ChangingProfile, Metric};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
@@ -38,12 +39,11 @@ fn append_command(command: &mut Command, name: &str, page: &mut String) {
 
 #[test]
 fn the_key_reference_matches_the_loader() {
-    let mut page = format!("{HEAD}# Metrics and keys\n\n");
+    let mut page = format!("{HEAD}# Keys\n\n");
     page.push_str(
-        "Metrics, and the keys of all files. [Scenarios](scenarios.md), [verdicts](verdicts.md) and \
-         [acceptance](acceptance.md)\nexplain them.\n\n",
+        "The keys of all files. [Scenarios](scenarios.md), [verdicts](verdicts.md) and [acceptance](acceptance.md) \
+         explain\nthem. The metrics are in [verdicts](verdicts.md#metrics).\n",
     );
-    append_metrics(&mut page);
     for (title, files, top) in [
         (
             "Scenario file",
@@ -64,37 +64,41 @@ fn the_key_reference_matches_the_loader() {
     check_or_update("docs/reference-keys.md", &page);
 }
 
-fn append_metrics(page: &mut String) {
-    let scenario = parse_source("harness/model/src/scenario/expect.rs");
-    let listed = scenario.items.iter().find_map(|item| match item {
-        Item::Enum(metric) if metric.ident == "Metric" => Some(metric),
-        _ => None,
-    });
-    let docs: BTreeMap<_, _> = listed
-        .unwrap()
-        .variants
-        .iter()
-        .map(|variant| (variant.ident.to_string(), doc_comment(&variant.attrs)))
-        .collect();
-    assert_eq!(docs.len(), Metric::ALL.len(), "a metric is missing in `Metric::ALL`");
-    page.push_str("## Metrics\n\n| metric | what | options | trials come to |\n|---|---|---|---|\n");
+#[test]
+fn the_metric_table_matches_the_metrics() {
+    const FILE: &str = "docs/verdicts.md";
+    const BEGIN: &str = "<!-- metrics: written by `ci/reference --update` -->\n";
+    const END: &str = "<!-- end of metrics -->";
+    let page = fs::read_to_string(workspace_root().join(FILE)).unwrap();
+    let (before, rest) = page.split_once(BEGIN).unwrap();
+    let (_, after) = rest.split_once(END).unwrap();
+    check_or_update(FILE, &format!("{before}{BEGIN}{}{END}{after}", metric_table()));
+}
+
+fn metric_table() -> String {
+    let mut table = "| metric | unit | definition | options | over trials |\n|---|---|---|---|---|\n".to_owned();
     for &metric in Metric::ALL {
+        let spec = metric.spec();
+        let takes_after = ChangingProfile::ALL.into_iter().any(|profile| profile.applies_to(metric));
         let options = [
             (metric.has_band(), "`band_percent`"),
             (metric.has_from_ms(), "`from_ms`"),
+            (metric.has_from_ms(), "`until_ms`"),
+            (takes_after, "`after`"),
             (metric.has_window_ms(), "`window_ms`"),
             (metric.has_signal(), "`signal`"),
         ];
         let options: Vec<_> = options.iter().filter_map(|(has, name)| has.then_some(*name)).collect();
-        let over = match Aggregation::default_for(metric) {
-            Aggregation::Each => "each by itself",
-            Aggregation::Mean => "their mean",
-            Aggregation::Quantile(_) => "a quantile",
-            Aggregation::StandardDeviation => "their standard deviation",
+        let over = match spec.trials {
+            TrialRule::Each => "each",
+            TrialRule::Mean => "mean",
+            TrialRule::Deviation => "deviation",
+            TrialRule::FromFirst => "difference",
         };
-        let what = docs[&format!("{metric:?}")].replace('|', "\\|");
-        writeln!(page, "| `{metric}` | {what} | {} | {over} |", options.join(", ")).unwrap();
+        let (name, unit, definition) = (spec.name, spec.unit.symbol(), spec.definition.replace('|', "\\|"));
+        writeln!(table, "| `{name}` | {unit} | {definition} | {} | {over} |", options.join(", ")).unwrap();
     }
+    table
 }
 
 fn parse_source(file: &str) -> syn::File {

@@ -9,8 +9,8 @@ use crate::campaign::draw::Trial;
 use crate::campaign::error::CampaignError;
 use platebench_model::record::{Cause, Verdict};
 use platebench_model::scenario::Expectation;
-use platebench_verdict::statistics::alpha_spending::{Look, plan_looks};
-use platebench_verdict::statistics::proportion::clopper_pearson;
+use platebench_verdict::statistics::clopper_pearson;
+use platebench_verdict::statistics::{Look, plan_looks};
 use platebench_verdict::{Judgement, TrialMeasures, judge};
 
 const VERDICTS: [Verdict; 3] = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];

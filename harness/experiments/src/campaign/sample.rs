@@ -10,7 +10,7 @@
 use crate::campaign::definition::{Campaign, Method};
 use crate::campaign::distribution::Variable;
 use crate::campaign::row::Row;
-use platebench_verdict::statistics::quantile::quantile_bounds;
+use platebench_verdict::statistics::quantile_bounds;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;

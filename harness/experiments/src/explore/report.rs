@@ -8,7 +8,7 @@ use crate::explore::player::violated;
 use crate::explore::properties::Property;
 use platebench_engine::SafeEnds;
 use platebench_model::record::Verdict;
-use platebench_verdict::statistics::proportion::clopper_pearson;
+use platebench_verdict::statistics::clopper_pearson;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -1,7 +1,7 @@
 //! Defines the report of `platebench suite trust` (`trust.json`), and its text and Markdown tables.
 
 use platebench_model::record::Verdict;
-use platebench_verdict::statistics::proportion::clopper_pearson;
+use platebench_verdict::statistics::clopper_pearson;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Write};

@@ -1,8 +1,7 @@
 //! Names why a missed expectation is not the controller's failure.
 
-use crate::record::missing_value::MissingValue;
+use crate::metrics::{Metric, MissingValue};
 use crate::record::verdict::Cause;
-use crate::scenario::Metric;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;

@@ -1,8 +1,9 @@
 //! Records an expectation and its verdict.
 
+use crate::metrics::{Metric, SignalPoint};
 use crate::record::reason::{self, Reason};
 use crate::record::verdict::{Cause, Verdict};
-use crate::scenario::{Expectation, Limit, Metric};
+use crate::scenario::{Expectation, Limit};
 use platebench_plate::Time;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -34,10 +35,25 @@ pub struct ExpectationRecord {
     /// Start and end of each judged window, ms. The worst window decides.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub windows_ms: Vec<[f64; 2]>,
+    /// Absent if no trial has a measurement.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub worst: Option<WorstInstant>,
     #[serde(flatten)]
     pub definition: MetricDefinition,
     #[serde(default, skip_serializing_if = "Evidence::is_empty")]
     pub evidence: Evidence,
+}
+
+/// Trial, window and instants that decided the value.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct WorstInstant {
+    pub trial: u32,
+    /// Start and end, ms.
+    pub window_ms: [f64; 2],
+    /// Worst values of the signal that the metric evaluates. Two for a ripple; absent if no instant
+    /// decides, as for a count.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub points: Vec<SignalPoint>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -1,6 +1,6 @@
 //! Stores the metrics of a trial by name without copies of names, for runs with 10⁵ trials.
 
-use crate::scenario::Metric;
+use crate::metrics::Metric;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use serde::ser::{Serialize, Serializer};

@@ -1,9 +1,9 @@
 //! Names why an expectation or a trial did not pass.
 
+use crate::metrics::{MissingValue, UndefinedValue};
 use crate::record::bounds::Bounds;
 use crate::record::exclusion::Exclusion;
 use crate::record::excuse::Excuse;
-use crate::record::missing_value::{MissingValue, UndefinedValue};
 use crate::record::violation::Violation;
 use crate::scenario::Limit;
 use schemars::JsonSchema;

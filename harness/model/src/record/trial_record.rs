@@ -1,5 +1,6 @@
 //! Records a trial.
 
+use crate::metrics::RigReports;
 use crate::record::metric_values::MetricValues;
 use crate::record::real_plate::RealPlateRecord;
 use crate::record::reason::{self, TrialReason};
@@ -86,6 +87,16 @@ pub struct Telemetry {
 }
 
 impl Telemetry {
+    pub fn reports(&self) -> RigReports {
+        RigReports {
+            loop_delay_us: self.loop_delay_us,
+            instructions_worst: self.instructions_worst,
+            step_time_percent: self.step_time.map(|step| step.longest_percent),
+            reference_difference_percent: self.reference_difference_percent,
+            protocol_differences: self.protocol_differences.as_ref().map(|all| all.len() as f64),
+        }
+    }
+
     /// Adds what a scene between the trials shows about the controller. Its motion of the plate is
     /// not judged.
     pub fn include_scene(&mut self, scene: Self) {

@@ -1,8 +1,9 @@
 //! Defines a checked scenario. `raw.rs` describes its keys.
 
+use crate::metrics::{Metric, TrialRule};
 use crate::scenario::chip_fault::ChipFault;
 use crate::scenario::diagnostic::Diagnostic;
-use crate::scenario::expect::{Expectation, Metric};
+use crate::scenario::expect::Expectation;
 use crate::scenario::fault::Fault;
 use platebench_plate::{ConditionProfiles, Plate, Profile, Tier, Time};
 use schemars::JsonSchema;
@@ -115,7 +116,8 @@ impl Scenario {
 
     /// True if one controller plays all trials in order, because its history is tested.
     pub fn keeps_controller(&self) -> bool {
-        !self.between.is_empty() || self.expects(Metric::TrialDifference)
+        let compares_trials = |expectation: &Expectation| expectation.metric.spec().trials == TrialRule::FromFirst;
+        !self.between.is_empty() || self.expectations.iter().any(compares_trials)
     }
 
     pub fn expects(&self, metric: Metric) -> bool {

@@ -1,7 +1,7 @@
 //! Defines the scenario file as serde reads it, before any check.
 
+use crate::metrics::Metric;
 use crate::scenario::definition::{AUTO_MODEL, Gains, MAX_TRIALS, Spread};
-use crate::scenario::expect::Metric;
 use crate::scenario::window::ChangingProfile;
 use platebench_plate::RawProfile;
 use schemars::JsonSchema;
@@ -314,7 +314,7 @@ pub(crate) const METRIC_KEYS: [(&str, fn(Metric) -> bool); 9] = [
 ];
 
 fn has_any_after(metric: Metric) -> bool {
-    ChangingProfile::ALL.into_iter().any(|profile| metric.has_after(profile))
+    ChangingProfile::ALL.into_iter().any(|profile| profile.applies_to(metric))
 }
 
 #[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]

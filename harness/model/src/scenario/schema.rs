@@ -4,8 +4,9 @@
 //! bounds, and options that do not apply. Only [`crate::scenario::load()`] checks relations, such
 //! as a window that ends after the trial.
 
+use crate::metrics::{Metric, WindowRule};
 use crate::scenario::definition::Scenario;
-use crate::scenario::expect::{Aggregation, Metric, SIGNALS};
+use crate::scenario::expect::{Aggregation, SIGNALS};
 use crate::scenario::fault::Direction;
 use crate::scenario::raw::{FAULT_KEYS, FaultKeys, METRIC_KEYS, RawScenario};
 use crate::scenario::window::ChangingProfile;
@@ -151,6 +152,7 @@ fn add_rules(schema: &mut Schema, rules: Vec<Schema>) {
 }
 
 pub(crate) fn expectations(schema: &mut Schema) {
+    let with_window = |rule: WindowRule| Metric::ALL.iter().copied().filter(move |metric| metric.spec().window == rule);
     let limits = ["at_most", "at_least", "within", "about"].map(required);
     let mut rules: Vec<Schema> = METRIC_KEYS
         .iter()
@@ -166,13 +168,13 @@ pub(crate) fn expectations(schema: &mut Schema) {
         json_schema!({ "if": required("window_ms"), "then": {
             "properties": { "from_ms": false, "until_ms": false },
         } }),
-        required_one_for_rule(Metric::PeakDeviation),
-        required_one_for_rule(Metric::RecoveryTime),
-        required_for_rule("metric", Metric::ShutdownTime.name(), "from_ms"),
         only_for_rule("over", std::iter::once("quantile"), &["quantile"]),
         json_schema!({ "dependentRequired": { "tolerance_percent": ["about"], "quantile": ["over"] } }),
         json_schema!({ "oneOf": limits }),
     ]);
+    rules.extend(with_window(WindowRule::Required).map(required_one_for_rule));
+    let from_disturbance = with_window(WindowRule::FromDisturbance);
+    rules.extend(from_disturbance.map(|metric| required_for_rule("metric", metric.name(), "from_ms")));
     add_rules(schema, rules);
 }
 

@@ -1,5 +1,6 @@
 //! Finds disturbances that no expectation judges.
 
+use crate::metrics::Subject;
 use crate::scenario::definition::Scenario;
 use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::window::{ChangingProfile, ProfileChanges, Window};
@@ -46,7 +47,7 @@ pub fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
 }
 
 fn judged_intervals(scenario: &Scenario) -> Vec<Window> {
-    let plate = scenario.expectations.iter().filter(|expectation| expectation.metric.is_of_the_plate());
+    let plate = scenario.expectations.iter().filter(|expectation| expectation.metric.spec().subject == Subject::Plate);
     let mut windows: Vec<Window> = plate.flat_map(|expectation| expectation.windows.iter().copied()).collect();
     windows.sort_unstable_by_key(|window| window.from);
     let mut union: Vec<Window> = Vec::new();

@@ -1,5 +1,6 @@
 //! Derives the windows in which an expectation is judged.
 
+use crate::metrics::{Metric, WindowRule};
 use platebench_plate::{Profile, Time};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,6 +35,15 @@ impl ChangingProfile {
 
     pub const fn name(self) -> &'static str {
         self.into_str()
+    }
+
+    /// True if the metric can be judged after each change of the profile.
+    pub const fn applies_to(self, metric: Metric) -> bool {
+        match metric.spec().window {
+            WindowRule::WholeTrial | WindowRule::FromDisturbance | WindowRule::SetpointZero => false,
+            WindowRule::StepResponse => matches!(self, Self::Setpoint),
+            WindowRule::Any | WindowRule::Required | WindowRule::ConstantSetpoint => metric.has_over(),
+        }
     }
 }
 

@@ -1,15 +1,10 @@
 //! Finds start, end and deadline of the times that expectations measure in a trial.
 
 use crate::format;
+use platebench_model::metrics::ElapsedLabels;
 use platebench_model::record::{
     ExpectationRecord, Limit, Metric, MetricDefinition, ScenarioRecord, TrialRecord, Verdict,
 };
-
-/// Metrics measured from `from_ms`, with labels for "reached" and "not reached".
-const ELAPSED_METRICS: [(Metric, &str, &str); 2] = [
-    (Metric::RecoveryTime, "recovered after", "does not recover"),
-    (Metric::ShutdownTime, "stopped after", "does not stop"),
-];
 
 /// All instants are in ms since the start of the trial.
 #[derive(Debug, Clone, PartialEq)]
@@ -86,14 +81,15 @@ pub(crate) fn time_markers(
         let deadline = from_ms.and_then(|from_ms| deadline(scenario, index, from_ms));
         found.push(TimeMarker { text, from_ms, instant_ms, deadline, is_on_drive: false });
     }
-    for (metric, reached, not_reached) in ELAPSED_METRICS {
+    let elapsed_metrics = Metric::ALL.iter().filter_map(|&metric| Some((metric, metric.spec().elapsed?)));
+    for (metric, labels) in elapsed_metrics {
         let of_metric = || scenario.expectations.iter().enumerate().filter(|(_, found)| found.metric == metric);
         let mut shown: Vec<usize> =
             of_metric().filter(|(_, found)| found.verdict != Verdict::Pass).map(|(index, _)| index).collect();
         if shown.is_empty() {
             shown.extend(of_metric().next().map(|(index, _)| index));
         }
-        let marker = |index| elapsed_marker(scenario, trial, index, reached, not_reached);
+        let marker = |index| elapsed_marker(scenario, trial, index, labels);
         found.extend(shown.into_iter().filter_map(marker));
     }
     found
@@ -104,20 +100,21 @@ fn elapsed_marker(
     scenario: &ScenarioRecord,
     trial: &TrialRecord,
     index: usize,
-    reached: &str,
-    not_reached: &str,
+    labels: ElapsedLabels,
 ) -> Option<TimeMarker> {
     let expectation = scenario.expectations.get(index)?;
     let from_ms = expectation.definition.from_ms?;
     let after_ms = trial.metrics.get(&scenario.metric_key(index))?;
-    let text = after_ms
-        .map_or_else(|| not_reached.to_owned(), |after_ms| format!("{reached} {} ms", format::number(after_ms)));
+    let text = after_ms.map_or_else(
+        || labels.not_reached.to_owned(),
+        |after_ms| format!("{} {} ms", labels.reached, format::number(after_ms)),
+    );
     Some(TimeMarker {
         text,
         from_ms: Some(from_ms),
         instant_ms: after_ms.map(|after_ms| from_ms + after_ms),
         deadline: deadline(scenario, index, from_ms),
-        is_on_drive: expectation.metric == Metric::ShutdownTime,
+        is_on_drive: labels.is_on_drive,
     })
 }
 

@@ -9,6 +9,7 @@ use super::markers::{self, Settling, TimeMarker};
 use super::resolution::PlotResolution;
 use crate::chart::time_chart::{CurvePoint, TimeWindow};
 use crate::record_queries;
+use platebench_model::metrics::Levels;
 use platebench_model::record::{Metric, ScenarioRecord, TrialRecord, Verdict};
 use platebench_model::trace::{Column, Flags, Row, TraceError};
 use platebench_verdict::golden::{Baseline, ResponseFeatures};
@@ -102,8 +103,9 @@ impl TraceData {
             {
                 let is_missed = expectation.verdict != Verdict::Pass;
                 // The figures draw band and deadline of a passed settling or recovery time anyway.
-                if is_missed || !matches!(expectation.metric, Metric::SettlingTime | Metric::RecoveryTime) {
-                    data.limits.extend(LimitMark::find(expectation, is_missed, &rows));
+                let has_band = expectation.metric.spec().mark.is_some_and(|mark| mark.levels == Levels::Band);
+                if is_missed || !has_band {
+                    data.limits.extend(LimitMark::new(expectation, is_missed, &rows));
                 }
             }
         }

@@ -6,7 +6,12 @@ use platebench_model::record::{
     Reason, RigRecord, RunRecord, ScenarioRecord, Statistic, StepCost, Telemetry, TightestStep, Tool, TrialFinding,
     TrialReason, TrialRecord, Verdict,
 };
+use platebench_model::scenario::expect::SIGNALS;
+use platebench_model::scenario::{Expectation, Window};
+use platebench_model::trace::read_trace;
+use platebench_plate::Time;
 use platebench_verdict::golden::{Baseline, BaselineBuild, GoldenTubes, ResponseFeatures};
+use platebench_verdict::metrics::measure_with_instants;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -78,6 +83,7 @@ pub(crate) fn passed_expectation(metric: &str, limit: (&str, Value), value: f64)
     ExpectationRecord {
         name: String::new(),
         windows_ms: vec![[0.0, 60.0]],
+        worst: None,
         metric: Metric::from_name(metric).unwrap(),
         verdict: Verdict::Pass,
         value: Some(value),
@@ -371,8 +377,39 @@ pub(crate) fn run_with_traces(folder: &Path) -> RunRecord {
     run(vec![closed, open, finger])
 }
 
+/// Adds the worst instants as the judge does, for expectations whose deciding trial has a trace.
+pub(crate) fn with_worst_instants(record: &RunRecord, folder: &Path) -> RunRecord {
+    let mut record = record.clone();
+    for scenario in &mut record.scenarios {
+        for index in 0..scenario.expectations.len() {
+            let (key, expectation) = (scenario.metric_key(index), &scenario.expectations[index]);
+            let is_deciding = |trial: &&TrialRecord| trial.metrics.get(&key) == Some(expectation.value);
+            let deciding = scenario.trials.iter().find(is_deciding).or(scenario.trials.first());
+            let rows = deciding.and_then(|trial| read_trace(&folder.join(&trial.trace)).ok());
+            let Some((trial, rows)) = deciding.zip(rows).filter(|_| expectation.worst.is_none()) else { continue };
+            let expected = judged_expectation(expectation);
+            scenario.expectations[index].worst =
+                measure_with_instants(&expected, trial.index, &rows, &trial.telemetry).1;
+        }
+    }
+    record
+}
+
+fn judged_expectation(record: &ExpectationRecord) -> Expectation {
+    let window = |&[from, to]: &[f64; 2]| Window { from: Time::from_ms(from).unwrap(), to: Time::from_ms(to).unwrap() };
+    let windows: Vec<Window> = record.windows_ms.iter().map(window).collect();
+    let signal = record.definition.signal.as_deref().unwrap_or("amplitude_um");
+    Expectation {
+        signal: SIGNALS.into_iter().find(|known| *known == signal).unwrap(),
+        band_percent: record.definition.band_percent.unwrap_or(5.0),
+        limit: record.limit,
+        windows,
+        ..Expectation::for_window(record.metric, Window { from: Time::ZERO, to: Time::ZERO })
+    }
+}
+
 pub(crate) fn write_baseline(scenario: &ScenarioRecord, folder: &Path, baselines: &Path) {
-    let rows = platebench_model::trace::read_trace(&folder.join(&scenario.trials[0].trace)).unwrap();
+    let rows = read_trace(&folder.join(&scenario.trials[0].trace)).unwrap();
     let build =
         BaselineBuild { rig: "hosted".to_owned(), firmware: "dq-pi 0.1.0".to_owned(), id: "5f3a9c01".to_owned() };
     let baseline = Baseline {

@@ -13,7 +13,7 @@ use std::fs;
 use std::path::Path;
 
 pub(crate) fn write_page(record: &RunRecord, folder: &Path) -> String {
-    page::write(record, folder).unwrap();
+    page::write(&fixtures::with_worst_instants(record, folder), folder).unwrap();
     fs::read_to_string(folder.join(page::FILE)).unwrap()
 }
 

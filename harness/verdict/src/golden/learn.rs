@@ -7,10 +7,8 @@
 //! predictive inference for regression", *J. Am. Stat. Assoc.* 113, 2018, theorem 2; for curves: J.
 //! Diquigiovanni, M. Fontana, S. Vantini, *J. Multivar. Anal.* 189, 2022.
 
-use super::thin::thin;
-use super::tubes::GoldenTubes;
-use crate::bisection::bisect;
-use crate::statistics::SampleSummary;
+use super::tubes::{GoldenTubes, thin};
+use crate::statistics::{SampleSummary, bisect};
 use crate::tube::{TUBE_SIGNALS, Tube, TubePoint, TubeSignal, signal_response};
 use platebench_model::trace::Row;
 

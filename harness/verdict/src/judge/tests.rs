@@ -81,6 +81,7 @@ fn trial_measures(index: u32, measures: &[Measure]) -> TrialMeasures {
         index,
         seed: u64::from(index) + 1,
         measures: measures.to_vec(),
+        worst: vec![None; measures.len()],
         excuses: vec![None; measures.len()],
         divergence: None,
         exclusion: None,

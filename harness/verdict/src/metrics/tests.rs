@@ -1,6 +1,6 @@
 use super::*;
 use platebench_model::record::NonFiniteDrive;
-use platebench_model::scenario::{Limit, Window};
+use platebench_model::scenario::{Limit, Metric};
 use platebench_plate::Time;
 use rstest::rstest;
 use std::collections::BTreeMap;

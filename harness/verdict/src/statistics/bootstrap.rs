@@ -1,7 +1,7 @@
 //! Computes bounds of data that are not normal. The seed of the resamples is the number of values,
 //! so a stored run has the same bounds.
 
-use super::sample_summary::SampleSummary;
+use super::sample::SampleSummary;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -18,7 +18,7 @@ const MAX_RESAMPLES: usize = 20_000;
 /// B. Efron, "Better bootstrap confidence intervals", *J. Am. Stat. Assoc.* 82, 1987, pp. 171-185:
 /// the percentile `Φ(z0 + (z0 + z)/(1 − a (z0 + z)))` of the resampled statistic. The bias `z0` is
 /// from the share of resamples below the statistic, the acceleration `a` from the jackknife.
-pub fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence: f64) -> Option<[f64; 2]> {
+pub(super) fn bca_bounds(values: &[f64], statistic: impl Fn(&[f64]) -> f64, confidence: f64) -> Option<[f64; 2]> {
     let estimate = statistic(values);
     let acceleration = acceleration(values, &statistic)?;
     let mut resampled = resample(values, &statistic, confidence)?;
@@ -64,7 +64,7 @@ fn acceleration(values: &[f64], statistic: &impl Fn(&[f64]) -> f64) -> Option<f6
 /// fewer than three values or a standard error of 0. P. Hall, *Ann. Stat.* 16, 1988, pp. 927-953:
 /// the pivot `(θ* − θ)/s*` replaces Student's t. Its upper end covers more than that of BCa for the
 /// mean of skewed data and for the logarithm of a deviation.
-pub fn studentised_bounds(
+pub(super) fn studentised_bounds(
     values: &[f64],
     estimate: impl Fn(&[f64]) -> (f64, f64),
     confidence: f64,

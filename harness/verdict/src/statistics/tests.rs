@@ -1,7 +1,5 @@
 //! Simulates how often each interval contains the true value.
 
-use super::proportion::clopper_pearson;
-use super::quantile::quantile_bounds;
 use super::*;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -184,7 +182,153 @@ fn the_power_is_the_rate_of_rejected_deviations(#[case] ratio: f64) {
         !(low..=high).contains(&1.0)
     });
     let rate = rejected.count() as f64 / f64::from(runs);
-    let power = bounds::agreement_power(10, 0.975, ratio).unwrap();
+    let power = agreement_power(10, 0.975, ratio).unwrap();
     // Three standard errors of a proportion near a half: 1.9 %.
     assert!((rate - power).abs() < 0.02, "{rate} {power}");
+}
+
+#[test]
+fn one_value_has_no_bounds() {
+    assert_eq!((mean_bounds(&[7.0], 0.95), deviation_bounds(&[7.0], 0.95)), (None, None));
+}
+
+#[test]
+fn the_power_grows_from_the_level_with_the_distance() {
+    let power = |count, ratio| agreement_power(count, 0.975, ratio).unwrap();
+    for count in [2, 30, 300] {
+        assert!((power(count, 1.0) - 0.05).abs() < 1e-9);
+    }
+    assert!(power(5, 2.0) < power(10, 2.0) && power(10, 1.5) < power(10, 2.0) && power(10, 0.5) > 0.05);
+    assert_eq!(agreement_power(1, 0.975, 2.0), None);
+}
+
+#[test]
+fn resamples_data_that_are_not_normal() {
+    let even: Vec<f64> = (1..=20).map(f64::from).collect();
+    assert_eq!(mean_bounds(&even, 0.95).map(|(_, method)| method), Some(EvidenceMethod::T));
+    assert_eq!(deviation_bounds(&even, 0.95).map(|(_, method)| method), Some(EvidenceMethod::ChiSquare));
+    let skewed: Vec<f64> = even.iter().map(|value| (value / 3.0).exp()).collect();
+    let (mean, deviation) = (mean_bounds(&skewed, 0.95).unwrap(), deviation_bounds(&skewed, 0.95).unwrap());
+    assert_eq!((mean.1, deviation.1), (EvidenceMethod::Bootstrap, EvidenceMethod::Bootstrap));
+    let summary = SampleSummary::of(&skewed).unwrap();
+    for ([low, high], value) in [(mean.0, summary.mean), (deviation.0, summary.deviation)] {
+        assert!(0.0 < low && low < value && value < high, "{low} {value} {high}");
+    }
+    let flat: Vec<f64> = [0.0, 1.0].repeat(15);
+    let (bounds, method) = deviation_bounds(&flat, 0.95).unwrap();
+    let normal = SampleSummary::of(&flat).unwrap().deviation_bounds(0.95).unwrap();
+    assert_eq!((method, bounds), (EvidenceMethod::Bootstrap, normal));
+    assert_eq!(deviation_bounds(&skewed, 0.999_999_9).unwrap().0, [0.0, f64::INFINITY]);
+    assert_eq!(mean_bounds(&skewed, 0.999_999_9).unwrap().0, [f64::NEG_INFINITY, f64::INFINITY]);
+}
+
+#[test]
+fn the_margin_widens_both_bounds() {
+    assert_eq!(widen_bounds([0.5, 0.75], 0.25), [0.25, 1.0]);
+    assert_eq!(widen_bounds([0.1, 0.75], 0.25), [0.0, 1.0]);
+    assert_eq!(widen_bounds([-0.1, 0.75], 0.0), [-0.1, 0.75]);
+}
+
+#[rstest]
+// Without events the bound is 1 − 0.05^(1/n): below 1 % it needs 299 trials, below 0.1 % 2995.
+#[case(0, 30, 0.0, 0.095_034)]
+#[case(0, 299, 0.0, 0.009_969)]
+#[case(0, 2_995, 0.0, 0.000_999_7)]
+// Each end at 97.5 % gives the two-sided 95 % interval of the tables.
+#[case(5, 10, 0.187_086, 0.812_914)]
+#[case(10, 10, 0.691_503, 1.0)]
+fn the_bounds_are_the_tabulated_ones(#[case] seen: u32, #[case] count: u32, #[case] low: f64, #[case] high: f64) {
+    let confidence = if seen == 0 { 0.95 } else { 0.975 };
+    let [lower, upper] = clopper_pearson(seen, count, confidence).unwrap();
+    assert!((lower - low).abs() < 1e-6 && (upper - high).abs() < 1e-6, "{lower} {upper}");
+}
+
+#[test]
+fn below_one_percent_needs_299_trials() {
+    let upper = |count| clopper_pearson(0, count, 0.95).unwrap()[1];
+    assert!(upper(298) > 0.01 && upper(299) < 0.01);
+    assert!(upper(2_994) > 0.001 && upper(2_995) < 0.001);
+}
+
+#[test]
+fn the_tails_are_the_binomial_sums() {
+    for (seen, least, most) in [(0, 1.0, 0.125), (1, 0.875, 0.5), (2, 0.5, 0.875), (3, 0.125, 1.0)] {
+        assert!(
+            (probability_at_least(seen, 3, 0.5) - least).abs() < 1e-12
+                && (probability_at_most(seen, 3, 0.5) - most).abs() < 1e-12
+        );
+    }
+    assert_eq!(
+        (probability_at_least(4, 3, 0.5), probability_at_most(2, 3, 0.0), probability_at_least(1, 3, 0.0)),
+        (0.0, 1.0, 0.0)
+    );
+}
+
+#[test]
+fn no_trials_have_no_bounds() {
+    assert_eq!(clopper_pearson(0, 0, 0.95), None);
+    assert_eq!(clopper_pearson(2, 1, 0.95), None);
+}
+
+fn ramp(count: u32) -> Vec<f64> {
+    (1..=count).rev().map(f64::from).collect()
+}
+
+#[test]
+fn the_ranks_are_the_tabulated_ones() {
+    // Ranks 11 and 20 bound the median of 30: P(B ≤ 10) = 0.0494, P(B ≤ 19) = 0.9506.
+    assert_eq!(quantile_bounds(&ramp(30), 0.5, 0.95), Some((15.0, [11.0, 20.0])));
+    // An upper bound of the 95 % quantile needs 59 values and is then the largest one.
+    assert_eq!(quantile_bounds(&ramp(58), 0.95, 0.95).unwrap().1[1], f64::INFINITY);
+    assert_eq!(quantile_bounds(&ramp(59), 0.95, 0.95).unwrap().1[1], 59.0);
+    assert_eq!((min_values_for_bound(0.95, 0.95), min_values_for_bound(0.05, 0.95)), (59, 59));
+    assert_eq!(quantile_bounds(&ramp(92), 0.95, 0.95).unwrap().1[1], 92.0);
+    assert_eq!(quantile_bounds(&ramp(93), 0.95, 0.95).unwrap().1[1], 92.0);
+}
+
+#[test]
+fn low_quantiles_mirror_high_ones() {
+    let high = quantile_bounds(&ramp(100), 0.9, 0.95).unwrap().1;
+    let low = quantile_bounds(&ramp(100), 0.1, 0.95).unwrap().1;
+    assert_eq!(low.map(|rank| 101.0 - rank), [high[1], high[0]]);
+    assert_eq!(quantile_bounds(&ramp(10), 0.05, 0.95).unwrap().1[0], f64::NEG_INFINITY);
+}
+
+#[test]
+fn accepts_infinite_values_and_none() {
+    assert_eq!(quantile_bounds(&[], 0.5, 0.95), None);
+    let mut values = ramp(93);
+    values[0] = f64::INFINITY;
+    assert_eq!(quantile_bounds(&values, 0.95, 0.95).unwrap().1[1], 92.0);
+    assert_eq!(quantile_bounds(&[1.0], 0.5, 0.95), Some((1.0, [f64::NEG_INFINITY, f64::INFINITY])));
+}
+
+#[test]
+fn one_look_spends_everything() {
+    let planned = plan_looks(30, 30);
+    assert_eq!(planned.len(), 1);
+    assert_eq!((planned[0].trials, planned[0].confidence(0.95)), (30, 0.95));
+}
+
+#[test]
+fn the_looks_double_and_end_at_the_last_trial() {
+    let sizes = |count, max| plan_looks(count, max).iter().map(|look| look.trials).collect::<Vec<_>>();
+    assert_eq!(sizes(30, 200), [30, 60, 120, 200]);
+    assert_eq!(sizes(30, 60), [30, 60]);
+    assert_eq!(sizes(30, 61), [30, 60, 61]);
+    assert_eq!(sizes(1, 3), [1, 2, 3]);
+    assert_eq!(sizes(u32::MAX, u32::MAX), [u32::MAX]);
+    assert_eq!(sizes(7, 3), [7], "`load` rejects a smaller maximum");
+}
+
+#[test]
+fn all_looks_together_spend_the_whole_error() {
+    for (count, max) in [(30, 200), (2, 1_000), (5, 5), (10, 11)] {
+        let planned = plan_looks(count, max);
+        let sum: f64 = planned.iter().map(|look| 1.0 - look.confidence(0.9)).sum();
+        assert!((sum - 0.1).abs() < 1e-12, "{sum}");
+        assert!(planned.iter().all(|look| look.error_share > 0.0));
+    }
+    // The first look spends ln(1 + 1.71828 · 0.15) = 0.2294 of 5 %.
+    assert!((plan_looks(30, 200)[0].confidence(0.95) - 0.988_53).abs() < 1e-5);
 }

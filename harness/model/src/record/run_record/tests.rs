@@ -1,10 +1,11 @@
 use super::*;
-use crate::record::expectation_record::{Evidence, EvidenceMethod, MetricDefinition, Statistic};
+use crate::metrics::{Metric, SignalPoint};
+use crate::record::expectation_record::{Evidence, EvidenceMethod, MetricDefinition, Statistic, WorstInstant};
 use crate::record::reason::TrialReason;
 use crate::record::rig_record::Firmware;
 use crate::record::store::{RECORD_FILE, RecordError, RunSummary};
 use crate::record::trial_record::Telemetry;
-use crate::scenario::{Limit, Metric};
+use crate::scenario::Limit;
 use rstest::rstest;
 use serde_json::json;
 use std::fs;
@@ -24,6 +25,11 @@ fn combines_verdicts() {
 fn record() -> RunRecord {
     let passed = ExpectationRecord {
         name: "settling".to_owned(),
+        worst: Some(WorstInstant {
+            trial: 0,
+            window_ms: [0.0, 60.0],
+            points: vec![SignalPoint { t_ms: 1.5, value: 1.9 }],
+        }),
         windows_ms: vec![[0.0, 60.0]],
         metric: Metric::SettlingTime,
         verdict: Verdict::Pass,
@@ -60,6 +66,7 @@ fn record() -> RunRecord {
         cause: Some(Cause::Rig),
         reason: Some(Reason::Excluded { trial: 0, exclusion: Exclusion::NoAnswer { at_ms: 3.0 } }),
         limit: Limit::Within(1.0, 2.0),
+        worst: None,
         margin: None,
         paper: None,
         requirement: None,

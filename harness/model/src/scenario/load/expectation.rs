@@ -1,8 +1,9 @@
 //! Checks that each expectation can fail and has only the options of its metric.
 
 use super::checker::{Checker, TrialContext};
+use crate::metrics::Metric;
 use crate::scenario::diagnostic::Diagnostic;
-use crate::scenario::expect::{Aggregation, Expectation, Limit, Metric, SIGNALS};
+use crate::scenario::expect::{Aggregation, Expectation, Limit, SIGNALS};
 use crate::scenario::raw::{
     DEFAULT_BAND_PERCENT, DEFAULT_CONFIDENCE, DEFAULT_QUANTILE, DEFAULT_SIGNAL, DEFAULT_TOLERANCE_PERCENT, METRIC_KEYS,
     RawExpectation, keys_of,
@@ -100,7 +101,7 @@ impl Checker<'_> {
             Limit::Within(low, high) => [low, high],
         };
         self.require(numbers[0] <= numbers[1], name, || "expected [low, high] with low not above high")?;
-        let (smallest, largest) = metric.value_range();
+        let (smallest, largest) = metric.spec().value_range;
         let (low, high) = limit.range(tolerance_percent);
         let always = || match largest {
             f64::INFINITY => format!("{metric} is always {smallest} or more"),

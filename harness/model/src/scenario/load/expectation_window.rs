@@ -1,8 +1,8 @@
 //! Checks that the window of an expectation is inside the trial and contains something to judge.
 
 use super::checker::{Checker, TrialContext};
+use crate::metrics::{Metric, WindowRule};
 use crate::scenario::diagnostic::Diagnostic;
-use crate::scenario::expect::Metric;
 use crate::scenario::fault::Fault;
 use crate::scenario::raw::{RawExpectation, RawWindow};
 use crate::scenario::window::{ChangingProfile, Window};
@@ -45,7 +45,7 @@ impl Checker<'_> {
             "window_ms",
             || "`window_ms` with `from_ms`, `until_ms` or `after`, expected only one of both",
         )?;
-        let needs_window = matches!(metric, Metric::PeakDeviation | Metric::RecoveryTime);
+        let needs_window = metric.spec().window == WindowRule::Required;
         self.require(bounded || raw.after.is_some() || !needs_window, "metric", || {
             format!("{metric} without a window, expected `from_ms`, `until_ms` or `after`")
         })?;
@@ -55,7 +55,7 @@ impl Checker<'_> {
             return Ok((Some(profile), windows));
         }
         let window = self.bounded_window(raw, metric, trial)?;
-        if metric == Metric::RestDrive {
+        if metric.spec().window == WindowRule::SetpointZero {
             let windows = windows_at_setpoint_zero(window, trial);
             self.require(!windows.is_empty(), "metric", || {
                 format!("the setpoint is never 0 for longer than {}, expected a longer time at 0", trial.response_delay)
@@ -68,7 +68,7 @@ impl Checker<'_> {
     fn changing_profile(&self, name: &str, metric: Metric) -> Result<ChangingProfile, Diagnostic> {
         let all = ChangingProfile::ALL.map(|profile| (profile.name(), profile));
         let profile = self.find_by_name("after", "unknown profile ", name, all)?;
-        self.require(metric.has_after(profile), "after", || {
+        self.require(profile.applies_to(metric), "after", || {
             format!("`after = \"{name}\"` does not apply to {metric}")
         })?;
         Ok(profile)
@@ -87,7 +87,7 @@ impl Checker<'_> {
         })?;
         let before_end = |window: &Window| Time::from_nanos(window.to.as_nanos() - 1);
         let mut windows: Vec<Window> = trial.changes.windows(profile).collect();
-        if metric.is_relative_to_setpoint() || metric == Metric::Overshoot {
+        if metric.spec().needs_setpoint {
             windows.retain(|window| trial.setpoint.at(before_end(window)) != 0.0);
         }
         self.require(!windows.is_empty(), key, || {
@@ -125,14 +125,14 @@ impl Checker<'_> {
         })?;
         let bounded = from.is_some() || until.is_some();
         let mut window = Window { from: start, to: until.unwrap_or(duration) };
-        if metric.is_step_response() {
+        if metric.spec().window == WindowRule::StepResponse {
             // If the setpoint has no step, the verdict reports that there is nothing to measure.
             let response = trial.changes.response_window(from).unwrap_or(window);
             window = Window { from: response.from, to: until.unwrap_or(response.to) };
             self.require(window.from < window.to, "until_ms", || {
                 format!("the window ends at {}, expected after the setpoint step at {}", window.to, window.from)
             })?;
-        } else if metric == Metric::ShutdownTime {
+        } else if metric.spec().window == WindowRule::FromDisturbance {
             self.require(from.is_some(), "from_ms", || {
                 format!("{metric} without `from_ms`, expected the instant of the disturbance")
             })?;
@@ -184,7 +184,7 @@ impl Checker<'_> {
                 window.from, window.to
             )
         })?;
-        self.require(level > 0.0 || !metric.is_relative_to_setpoint(), key, || {
+        self.require(level > 0.0 || !metric.spec().needs_setpoint, key, || {
             format!("the setpoint is 0 between {} and {}, expected one above 0", window.from, window.to)
         })
     }

@@ -4,9 +4,9 @@ use super::checker::{Checker, Diagnostics, TrialContext};
 use super::expectation::expectation_names;
 use super::fault::CheckedFault;
 use super::scene::{Scene, SceneSource};
+use crate::metrics::TrialRule;
 use crate::scenario::definition::{AUTO_MODEL, InputFile, MAX_TRIALS, Scenario, Trials};
 use crate::scenario::diagnostic::Diagnostic;
-use crate::scenario::expect::Metric;
 use crate::scenario::raw::{RawScenario, RawTrials};
 use crate::scenario::window::ProfileChanges;
 use platebench_plate::{Plate, Tier, Time};
@@ -160,10 +160,12 @@ impl Checker<'_> {
     }
 
     fn check_trial_differences(&self, scenario: &Scenario) -> Result<(), Diagnostic> {
-        let metrics = scenario.expectations.iter().map(|expectation| expectation.metric);
-        let compares = metrics.into_iter().any(|metric| metric == Metric::TrialDifference);
-        self.require(!compares || scenario.trials.count > 1, "trials.count", || {
-            format!("1 trial, expected at least 2 for {}", Metric::TrialDifference)
+        let mut metrics = scenario.expectations.iter().map(|expectation| expectation.metric);
+        let Some(compared) = metrics.find(|metric| metric.spec().trials == TrialRule::FromFirst) else {
+            return Ok(());
+        };
+        self.require(scenario.trials.count > 1, "trials.count", || {
+            format!("1 trial, expected at least 2 for {compared}")
         })
     }
 }

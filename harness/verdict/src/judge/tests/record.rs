@@ -1,4 +1,5 @@
 use super::*;
+use platebench_model::record::{SignalPoint, WorstInstant};
 
 #[test]
 fn a_divergence_is_recorded_with_its_trial() {
@@ -96,4 +97,30 @@ fn a_scenario_without_trials_was_not_played(#[case] expect: &str) {
     let record = judge_single_expectation(&varied_scenario(expect, 3), &[]);
     assert_eq!((record.verdict, record.cause), inconclusive(Cause::Evidence));
     assert_eq!(record.reason.unwrap().to_string(), "0 of 3 trials were played");
+}
+
+/// The trials have an instant each at their index in ms; trial 2 does not count.
+#[rstest]
+#[case::worst_trial("metric = \"settling_time_ms\", at_most = 2.0", [1.0, 3.0, 9.0, 2.5], 1)]
+#[case::farthest_of_a_mean("metric = \"static_error_percent\", at_most = 1.0", [1.0, 0.5, 9.0, -3.0], 3)]
+#[case::first_of_equal("metric = \"settling_time_ms\", at_most = 2.0", [1.0, 1.0, 1.0, 1.0], 0)]
+fn records_the_worst_instant_of_the_deciding_trial(
+    #[case] expect: &str,
+    #[case] values: [f64; 4],
+    #[case] deciding: u32,
+) {
+    let scenario = varied_scenario(expect, 4);
+    let mut trials = trials_with_values(&values);
+    for trial in &mut trials {
+        let points = vec![SignalPoint { t_ms: f64::from(trial.index), value: 1.0 }];
+        trial.worst = vec![Some(WorstInstant { trial: trial.index, window_ms: [0.0, 60.0], points })];
+    }
+    let worst = |trials: &[TrialMeasures]| judge_single_expectation(&scenario, trials).worst.unwrap();
+    trials[2].measures = vec![Measure::Value(0.0)];
+    assert_eq!(worst(&trials).trial, deciding);
+    assert_eq!(worst(&trials).points[0].t_ms, f64::from(deciding));
+    trials[2].exclusion = Some(Exclusion::NoAnswer { at_ms: 1.0 });
+    let excluded = judge_single_expectation(&scenario, &trials);
+    let decided = if excluded.verdict == Verdict::Fail { deciding } else { 2 };
+    assert_eq!(excluded.worst.unwrap().trial, decided);
 }

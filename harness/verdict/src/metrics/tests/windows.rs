@@ -121,3 +121,49 @@ fn saturation_is_time_weighted() {
         assert!(matches!(measure(&expectation_for(unreported), &trace, &EMPTY_TELEMETRY), Measure::Undefined(_)));
     }
 }
+
+#[rstest]
+#[case(Metric::SettlingTime, &[[0.0, END_MS]], 0, &[(5.0, 2.2)])]
+#[case(Metric::RecoveryTime, &[[1.5, 4.0], [4.0, END_MS]], 1, &[(5.0, 2.2)])]
+#[case(Metric::Overshoot, &[[0.0, END_MS]], 0, &[(2.0, 2.6)])]
+#[case(Metric::PeakDeviation, &[[4.0, END_MS], [2.0, 4.0]], 1, &[(2.0, 2.6)])]
+#[case(Metric::StaticError, &[[3.0, 6.0]], 0, &[(6.0, 5.95 / 3.0)])]
+#[case(Metric::Ripple, &[[3.0, 6.0]], 0, &[(5.0, 2.2), (3.0, 1.5)])]
+#[case(Metric::RipplePercent, &[[3.0, 6.0]], 0, &[(5.0, 2.2), (3.0, 1.5)])]
+#[case(Metric::FinalAmplitude, &[[0.0, 5.5]], 0, &[(5.0, 2.2)])]
+#[case(Metric::FrequencyError, &[[0.0, END_MS]], 0, &[(6.0, 32_300.0)])]
+#[case(Metric::DrivePeak, &[[4.5, END_MS]], 0, &[(4.5, 300.0)])]
+#[case(Metric::Overruns, &[[0.0, END_MS]], 0, &[])]
+fn the_worst_window_has_its_instants(
+    #[case] metric: Metric,
+    #[case] windows: &[[f64; 2]],
+    #[case] worst: usize,
+    #[case] points: &[(f64, f64)],
+) {
+    let amplitudes = [0.0, 0.0, 2.6, 1.5, 2.0, 2.2, 2.0];
+    let levels = [0.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0];
+    let mut trace = trace_at(grid(1.0, 6.0), |t| levels[t as usize], |t| amplitudes[t as usize]);
+    trace[4].drive_vpp = 300.0;
+    trace[6].frequency_hz = 32_300.0;
+    let (measure, instants) = measure_with_instants(&expectation_in(metric, windows), 3, &trace, &EMPTY_TELEMETRY);
+    assert!(matches!(measure, Measure::Value(_)), "{measure:?}");
+    let instants = instants.unwrap();
+    assert_eq!((instants.trial, instants.window_ms), (3, windows[worst]));
+    let found: Vec<_> = instants.points.iter().map(|point| (point.t_ms, point.value)).collect();
+    assert_eq!(found.len(), points.len(), "{found:?}");
+    for (found, expected) in found.iter().zip(points) {
+        assert_eq!(found.0, expected.0);
+        assert_close(found.1, expected.1, 1e-12);
+    }
+}
+
+#[test]
+fn a_missing_value_has_its_instant_too() {
+    let trace = rows(&[(0.0, 2.0, 0.0), (1.0, 2.0, 1.5), (2.0, 2.0, f64::NAN)]);
+    let settling = expectation_for(Metric::SettlingTime);
+    let (measure, instants) = measure_with_instants(&settling, 0, &trace[..2], &EMPTY_TELEMETRY);
+    assert_eq!(measure, Measure::Missing(MissingValue::NeverSettles));
+    assert_eq!(instants.unwrap().points[0].value, 1.5);
+    let (_, instants) = measure_with_instants(&settling, 0, &trace, &EMPTY_TELEMETRY);
+    assert_eq!(instants.unwrap().points, [], "JSON has no NaN");
+}

@@ -1,5 +1,6 @@
 use super::{FORCE, create_folder, load_with_change, load_with_changes};
-use crate::scenario::expect::{Aggregation, Limit, Metric};
+use crate::metrics::Metric;
+use crate::scenario::expect::{Aggregation, Limit};
 use crate::scenario::fault::{Direction, Fault, FaultKind};
 use crate::scenario::load::load;
 use crate::scenario::window::Window;

@@ -40,7 +40,7 @@ fn rows(settled_ms: f64, end_ms: u32) -> Vec<Row> {
 }
 
 fn exclusion(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
-    find_exclusion(scenario, rows, Some(&RealPlateRecord::default()))
+    find_real_plate_exclusion(scenario, rows, Some(&RealPlateRecord::default()))
 }
 
 #[test]
@@ -89,7 +89,7 @@ fn excludes_a_trial_with_missing_telemetry() {
     assert_eq!(message(&unacknowledged), "a setpoint was not acknowledged by 250 ms");
     let mut overrun = whole.clone();
     overrun[250].flags |= Flags::OVERRUN;
-    assert_eq!(find_exclusion(&scenario, &overrun, None).as_ref().map(Exclusion::cause), Some(Cause::Bench));
+    assert_eq!(find_real_plate_exclusion(&scenario, &overrun, None).as_ref().map(Exclusion::cause), Some(Cause::Bench));
     let mut late = whole.clone();
     late[300].t_s += 4e-4;
     assert_eq!(exclusion(&scenario, &late), None);
@@ -97,7 +97,10 @@ fn excludes_a_trial_with_missing_telemetry() {
     stopped[299].flags |= Flags::SAFE;
     assert_eq!(exclusion(&scenario, &stopped), None);
     let lost = RealPlateRecord { lost_rows: 1, ..RealPlateRecord::default() };
-    assert_eq!(find_exclusion(&scenario, &whole, Some(&lost)).as_ref().map(Exclusion::cause), Some(Cause::Bench));
+    assert_eq!(
+        find_real_plate_exclusion(&scenario, &whole, Some(&lost)).as_ref().map(Exclusion::cause),
+        Some(Cause::Bench)
+    );
 }
 
 #[test]
@@ -148,10 +151,10 @@ fn excludes_conditions_that_were_not_made() {
     let warm = plain("temperature_offset_k = 9.0", 3_000.0);
     assert!(needs_operator(&warm) && !scene_changes(&warm) && operator_exclusion(&warm).is_none());
     assert_eq!(exclusion(&warm, &rows), None);
-    assert!(find_exclusion(&warm, &rows, None).is_some(), "a run without a record");
+    assert!(find_real_plate_exclusion(&warm, &rows, None).is_some(), "a run without a record");
     let undone = RealPlateRecord { undone: Some("no operator".to_owned()), ..RealPlateRecord::default() };
     assert_eq!(
-        find_exclusion(&warm, &rows, Some(&undone)),
+        find_real_plate_exclusion(&warm, &rows, Some(&undone)),
         Some(Exclusion::ConditionsNotMade { why: "no operator".to_owned() })
     );
     let touch = "finger_force_n = { hold = [[0.0, 0.0], [20.0, 2.0]] }";

@@ -1,8 +1,75 @@
-//! Names why a trial has no value of a metric.
+//! Defines the value of a metric in one trial, the instants that decided it, and why a value is
+//! missing.
 
+use crate::trace::Row;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+
+#[derive(Debug, Clone, PartialEq)]
+pub enum Measure {
+    /// The static error keeps its sign: mean − setpoint.
+    Value(f64),
+    /// Interval that contains the value, because the signal is known at control instants only.
+    Interval([f64; 2]),
+    /// The signal at the control instants of the window, for the comparison with the first trial.
+    Samples(Vec<f64>),
+    Missing(MissingValue),
+    Undefined(UndefinedValue),
+}
+
+impl Measure {
+    pub fn value(&self) -> Option<f64> {
+        match self {
+            Self::Value(value) | Self::Interval([_, value]) => Some(*value),
+            Self::Samples(_) | Self::Missing(_) | Self::Undefined(_) => None,
+        }
+    }
+}
+
+/// A measure, and the instants of the signal that decided it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measurement {
+    pub measure: Measure,
+    /// Empty if no instant of a signal decides, as for a count.
+    pub worst: Vec<SignalPoint>,
+}
+
+impl Measurement {
+    pub(crate) fn value_at(value: f64, worst: impl IntoIterator<Item = SignalPoint>) -> Self {
+        Self { measure: Measure::Value(value), worst: worst.into_iter().collect() }
+    }
+}
+
+impl From<Measure> for Measurement {
+    fn from(measure: Measure) -> Self {
+        Self { measure, worst: Vec::new() }
+    }
+}
+
+impl From<f64> for Measurement {
+    fn from(value: f64) -> Self {
+        Measure::Value(value).into()
+    }
+}
+
+/// Value of a signal at an instant, in the unit of the signal.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SignalPoint {
+    pub t_ms: f64,
+    pub value: f64,
+}
+
+impl SignalPoint {
+    /// The instant is rounded to 1 ns.
+    pub(crate) fn new(t_s: f64, value: f64) -> Self {
+        Self { t_ms: (t_s * 1e9).round() / 1e6, value }
+    }
+
+    pub(crate) fn of(row: &Row, value: impl Fn(&Row) -> f64) -> Self {
+        Self::new(row.t_s, value(row))
+    }
+}
 
 /// Why a trial has no value of a metric, if the controller is responsible.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Error)]

@@ -1,17 +1,28 @@
 //! Measures how fast a controller stops at 0 V.
 
-use super::band::rounded_ms;
-use super::measure::Measure;
-use super::window::end_index;
-use platebench_model::record::MissingValue;
-use platebench_model::scenario::Window;
-use platebench_model::trace::{Flags, Row};
+use super::input::{MeasureInput, rounded_ms};
+use super::measurement::{Measure, MissingValue};
+use super::spec::{ElapsedLabels, MetricSpec, Subject, Unit, ValidIf, WindowRule};
+use crate::trace::{Flags, Row};
+
+pub(super) const SHUTDOWN_TIME: MetricSpec = MetricSpec {
+    name: "shutdown_time_ms",
+    unit: Unit::Milliseconds,
+    definition: "from `from_ms` (required) to the instant from which the controller has stopped and the drive is 0 V, \
+                 until the end of the trial or of the next fault that reconfigures",
+    window: WindowRule::FromDisturbance,
+    subject: Subject::Controller,
+    valid_if: ValidIf::FiniteDrive,
+    elapsed: Some(ElapsedLabels { reached: "stopped after", not_reached: "does not stop", is_on_drive: true }),
+    measure: |input| Ok(shutdown_time(input).into()),
+    ..MetricSpec::DEFAULT
+};
 
 /// Time to the first row from which the controller is stopped at 0 V until the window ends.
-pub(super) fn shutdown_time(window: &Window, rows: &[Row]) -> Measure {
-    let from = window.from.seconds();
+fn shutdown_time(input: &MeasureInput<'_>) -> Measure {
+    let from = input.from_s;
     let has_stopped = |row: &Row| row.flags.contains(Flags::SAFE) && row.drive_vpp == 0.0;
-    let rows = rows.get(..end_index(window.to.seconds(), rows)).unwrap_or_default();
+    let rows = input.rows_until_end();
     let Some(ran) = rows.iter().rposition(|row| !has_stopped(row)) else {
         return Measure::Missing(MissingValue::NeverRan);
     };

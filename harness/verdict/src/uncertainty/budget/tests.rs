@@ -1,5 +1,5 @@
 use super::*;
-use crate::uncertainty::combine::{EvaluationError, TypeA};
+use crate::uncertainty::{EvaluationError, TypeA};
 use rstest::rstest;
 
 const GOOD: &str = "\

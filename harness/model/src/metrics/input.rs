@@ -1,0 +1,169 @@
+//! Selects the rows of a trial from which a metric is computed.
+//!
+//! The engine adds a row on either side of every crossing of an expected band. The plate's signals
+//! count as linear between rows. This changes a settling time by less than 1 ns, or by some µs if
+//! the run did not know the band. The controller's samples are known at control instants only, so a
+//! time measured from them is an interval.
+
+use super::measurement::{SignalPoint, UndefinedValue};
+use crate::trace::{Column, Flags, Row};
+
+/// What a metric is computed from. Instants are in s since the start of the trial.
+#[derive(Debug, Clone, Copy)]
+pub struct MeasureInput<'a> {
+    /// All rows of the trial.
+    pub rows: &'a [Row],
+    pub from_s: f64,
+    /// End of the window. A row at this instant belongs to the next window, except at the end of
+    /// the trace.
+    pub to_s: f64,
+    pub signal: MetricSignal,
+    pub band_percent: f64,
+    pub reports: RigReports,
+}
+
+/// Numbers that the rig reports about a whole trial; `None` if it does not measure them.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RigReports {
+    pub loop_delay_us: Option<f64>,
+    pub instructions_worst: Option<f64>,
+    pub step_time_percent: Option<f64>,
+    pub reference_difference_percent: Option<f64>,
+    pub protocol_differences: Option<f64>,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub struct MetricSignal {
+    column: Column,
+    /// True for samples, which stay constant until the next one. False for the motion of the plate.
+    pub(crate) is_zero_order_hold: bool,
+}
+
+impl MetricSignal {
+    pub fn from_name(name: &str, sensed: bool) -> Self {
+        let column = Column::from_name(name).unwrap_or(Column::Amplitude);
+        let is_sample = matches!(column, Column::SensedWd | Column::SensedWq);
+        Self { column, is_zero_order_hold: sensed || is_sample }
+    }
+}
+
+/// Lower and upper edge of the band around the setpoint. Both belong to the band.
+pub(crate) fn band_around(setpoint: f64, percent: f64) -> (f64, f64) {
+    let half = setpoint.abs() * percent / 100.0;
+    (setpoint - half, setpoint + half)
+}
+
+impl<'a> MeasureInput<'a> {
+    pub(crate) fn value_in(&self, row: &Row) -> f64 {
+        self.signal.column.value(row)
+    }
+
+    pub(crate) fn point(&self, row: &Row) -> SignalPoint {
+        SignalPoint::of(row, |row| self.value_in(row))
+    }
+
+    pub(crate) fn band(&self, setpoint: f64) -> (f64, f64) {
+        band_around(setpoint, self.band_percent)
+    }
+
+    pub(crate) fn is_outside(&self, row: &Row) -> bool {
+        let (low, high) = self.band(row.setpoint_um);
+        !(low..=high).contains(&self.value_in(row))
+    }
+
+    pub(crate) fn window_rows(&self) -> &'a [Row] {
+        let start = self.rows.partition_point(|row| row.t_s < self.from_s);
+        self.rows.get(start..end_index(self.to_s, self.rows)).unwrap_or_default()
+    }
+
+    /// Also contains the row before the window, whose drive and flags are in force at its start.
+    pub(crate) fn window_rows_with_previous(&self) -> &'a [Row] {
+        let inside = self.window_rows();
+        if inside.first().is_some_and(|row| row.t_s == self.from_s) {
+            return inside;
+        }
+        let start = self.rows.partition_point(|row| row.t_s < self.from_s);
+        self.rows.get(start.saturating_sub(1)..start + inside.len()).unwrap_or_default()
+    }
+
+    pub(crate) fn last_row(&self) -> Result<&'a Row, UndefinedValue> {
+        self.window_rows().last().ok_or(UndefinedValue::EmptyWindow)
+    }
+
+    /// Rows up to the end of the window, also those before it.
+    pub(crate) fn rows_until_end(&self) -> &'a [Row] {
+        self.rows.get(..end_index(self.to_s, self.rows)).unwrap_or_default()
+    }
+
+    /// Rows from the step to the next step or the end of the window, and the setpoint before the
+    /// step.
+    pub(crate) fn step_response(&self) -> Option<(&'a [Row], f64)> {
+        let rows = self.rows;
+        let delay = if rows.iter().any(|row| row.flags.contains(Flags::SENSED)) { MAX_TELEMETRY_DELAY_S } else { 0.0 };
+        let steps = setpoint_steps(rows);
+        let is_after = |step: &&usize| rows.get(**step).is_some_and(|row| row.t_s >= self.from_s);
+        let position = steps.iter().position(|step| is_after(&step)).unwrap_or(steps.len().saturating_sub(1));
+        let start = *steps.get(position)?;
+        let window_end = end_index(self.to_s + delay, rows);
+        let end = steps.get(position + 1).copied().unwrap_or(rows.len()).min(window_end);
+        let before = start.checked_sub(1).and_then(|index| rows.get(index)).map_or(0.0, |row| row.setpoint_um);
+        rows.get(start..end).map(|part| (part, before))
+    }
+}
+
+/// The telemetry of a real plate shows a setpoint up to this much later than the profile.
+const MAX_TELEMETRY_DELAY_S: f64 = 0.1;
+
+/// Number of rows before `to_s`; all rows if the trace ends by then.
+fn end_index(to_s: f64, rows: &[Row]) -> usize {
+    let is_last = rows.last().is_none_or(|row| to_s >= row.t_s);
+    if is_last { rows.len() } else { rows.partition_point(|row| row.t_s < to_s) }
+}
+
+/// The last row with the largest value.
+pub(crate) fn largest_row(rows: &[Row], value: impl Fn(&Row) -> f64) -> Option<&Row> {
+    rows.iter().max_by(|a, b| value(a).total_cmp(&value(b)))
+}
+
+/// Indices of the rows at which steps start. A constant setpoint above 0 steps at the start. A ramp
+/// or curve is one step from the row before its first change. It ends when two instants in a row do
+/// not change, because a curve may rest for one instant at its crest.
+pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
+    let mut steps = Vec::new();
+    let mut before = 0.0;
+    let mut start = 0;
+    let (mut moved, mut rested) = (0_u32, 0_u32);
+    for instant in rows.chunk_by(|a, b| a.t_s == b.t_s) {
+        let first_moved = instant.iter().position(|row| row.setpoint_um != before);
+        before = instant.last().map_or(before, |row| row.setpoint_um);
+        match first_moved {
+            Some(offset) => {
+                let continues = moved > 0 && (rested == 0 || (moved > 1 && rested == 1));
+                if continues {
+                    moved += 1;
+                } else {
+                    steps.push(start + offset);
+                    // The initial setpoint is no change that a ramp could continue.
+                    moved = u32::from(start > 0);
+                }
+                if moved == 2 && continues {
+                    // Two changes in a row are a ramp, which starts at the row before the first
+                    // change.
+                    let began = steps.pop().map_or(0, |step| step.saturating_sub(1));
+                    if steps.last() != Some(&began) {
+                        steps.push(began);
+                    }
+                }
+                rested = 0;
+            }
+            None => rested += 1,
+        }
+        start += instant.len();
+    }
+    steps
+}
+
+/// Time stamps have a resolution of 1 µs, so picoseconds are rounding and must not decide.
+pub(crate) fn rounded_ms(ms: f64) -> f64 {
+    (ms * 1e9).round() / 1e9
+}
