@@ -10,6 +10,7 @@
 mod blocks;
 mod book;
 mod command;
+mod diffs;
 mod examples;
 mod justfile;
 mod links;
