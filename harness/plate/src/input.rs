@@ -1,41 +1,63 @@
-//! Reads input files of limited size, and standard input if the path is `-`. Refuses pipes and
-//! devices, because they may never end.
+//! Reads files of limited size. Refuses pipes and devices without opening them, because opening a
+//! FIFO blocks and a device may never end.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 use std::sync::OnceLock;
 
-/// Largest size of an input. A CSV profile of 10⁶ points is smaller.
-const MAX_BYTES: u64 = 64 << 20;
+/// Largest input that a user writes. A CSV profile of 10⁶ points is smaller.
+const MAX_INPUT_BYTES: u64 = 64 << 20;
 /// Path that means standard input or output. `./-` is a file named `-`.
 pub const STANDARD_STREAM: &str = "-";
 pub const STANDARD_INPUT_NAME: &str = "stdin.toml";
 /// Content of standard input, stored because the stream can be read only once.
 static STDIN: OnceLock<Result<Vec<u8>, ErrorKind>> = OnceLock::new();
 
-/// Fails with `InvalidInput` for a pipe, device or socket, without opening it, and with
-/// `FileTooLarge` above 64 MiB.
+/// Reads an input that a user writes, or standard input if the path is `-`. Fails like
+/// [`open_regular_file`] above 64 MiB.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
-    if path == Path::new(STANDARD_STREAM) {
-        let content = STDIN.get_or_init(|| read_limited(io::stdin().lock()).map_err(|error| error.kind()));
-        return content.clone().map_err(io::Error::from);
+    if path != Path::new(STANDARD_STREAM) {
+        return read_regular_file(path, MAX_INPUT_BYTES);
     }
-    let kind = fs::metadata(path)?.file_type();
-    if !kind.is_file() && !kind.is_dir() {
-        return Err(io::Error::new(ErrorKind::InvalidInput, "it is a pipe or a device, expected a file"));
-    }
-    read_limited(File::open(path)?)
+    let content = STDIN.get_or_init(|| {
+        let mut content = Vec::new();
+        let read = io::stdin().lock().take(MAX_INPUT_BYTES + 1).read_to_end(&mut content);
+        read.map_err(|error| error.kind())?;
+        if content.len() as u64 > MAX_INPUT_BYTES { Err(ErrorKind::FileTooLarge) } else { Ok(content) }
+    });
+    content.clone().map_err(io::Error::from)
 }
 
-fn read_limited(source: impl Read) -> io::Result<Vec<u8>> {
-    let mut content = Vec::new();
-    source.take(MAX_BYTES + 1).read_to_end(&mut content)?;
-    if content.len() as u64 > MAX_BYTES {
-        let message = format!("it is larger than the limit of {} MiB for input files", MAX_BYTES >> 20);
-        return Err(io::Error::new(ErrorKind::FileTooLarge, message));
+/// Reading ends at `max_bytes` even if the file grows. Fails with [`ErrorKind::InvalidInput`] for a
+/// FIFO, a device or a folder, and with [`ErrorKind::FileTooLarge`] for a larger file.
+pub fn open_regular_file(path: &Path, max_bytes: u64) -> io::Result<io::Take<File>> {
+    let metadata = fs::metadata(path)?;
+    let refuse = |kind: ErrorKind, what: String| Err(io::Error::new(kind, what));
+    if metadata.is_dir() {
+        return refuse(ErrorKind::InvalidInput, "it is a folder, expected a file".to_owned());
     }
+    if !metadata.is_file() {
+        return refuse(ErrorKind::InvalidInput, "it is a pipe or a device, expected a file".to_owned());
+    }
+    if metadata.len() > max_bytes {
+        let message = format!("{} bytes, expected at most {max_bytes}", metadata.len());
+        return refuse(ErrorKind::FileTooLarge, message);
+    }
+    Ok(File::open(path)?.take(max_bytes))
+}
+
+pub fn read_regular_file(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
+    let mut content = Vec::new();
+    open_regular_file(path, max_bytes)?.read_to_end(&mut content)?;
     Ok(content)
+}
+
+/// Fails like [`open_regular_file`], and with [`ErrorKind::InvalidData`] if the file is not UTF-8.
+pub fn read_text_file(path: &Path, max_bytes: u64) -> io::Result<String> {
+    let mut text = String::new();
+    open_regular_file(path, max_bytes)?.read_to_string(&mut text)?;
+    Ok(text)
 }
 
 #[cfg(test)]
@@ -49,20 +71,17 @@ mod tests {
     }
 
     #[test]
-    fn returns_the_system_error_for_a_folder() {
-        assert_eq!(read(Path::new("/")).unwrap_err().kind(), ErrorKind::IsADirectory);
-    }
-
-    #[test]
     fn reads_at_most_64_mib() {
         let path = std::env::temp_dir().join(format!("platebench-input-{}", std::process::id()));
         let file = File::create(&path).unwrap();
-        file.set_len(MAX_BYTES).unwrap();
+        file.set_len(MAX_INPUT_BYTES).unwrap();
         let whole = read(&path).map(|content| content.len() as u64);
-        file.set_len(MAX_BYTES + 1).unwrap();
+        file.set_len(MAX_INPUT_BYTES + 1).unwrap();
         let more = read(&path);
         fs::remove_file(&path).unwrap();
-        assert_eq!(whole.unwrap(), MAX_BYTES);
-        assert_eq!(more.unwrap_err().kind(), ErrorKind::FileTooLarge);
+        assert_eq!(whole.unwrap(), MAX_INPUT_BYTES);
+        let error = more.unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::FileTooLarge);
+        assert_eq!(error.to_string(), "67108865 bytes, expected at most 67108864");
     }
 }

@@ -131,7 +131,7 @@ fn reports_the_position_of_a_fault(#[case] text: &str, #[case] expected: &str) {
 #[case::dangling_link(&["ln", "-s", "gone"], "cannot be read: No such file or directory (os error 2)")]
 #[case::pipe(&["mkfifo"], "cannot be read: it is a pipe or a device, expected a file")]
 #[case::device(&["ln", "-s", "/dev/zero"], "cannot be read: it is a pipe or a device, expected a file")]
-#[case::folder(&["mkdir"], "cannot be read: Is a directory (os error 21)")]
+#[case::folder(&["mkdir"], "cannot be read: it is a folder, expected a file")]
 fn rejects_a_settings_file_that_is_no_file(#[case] make: &[&str], #[case] expected: &str) {
     let folder = tempdir().unwrap();
     let path = folder.path().join(FILE);
