@@ -43,15 +43,38 @@ impl Actuation {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Law {
-    OpenLoop(OpenLoop),
-    DqPi(DqPi),
-    VoltageOnly(VoltageOnly),
-    FrequencyOnly(FrequencyOnly),
-    BangBang(BangBang),
-    Pll(Pll),
-    Deadbeat(Deadbeat),
+macro_rules! laws {
+    ($($law:ident = $($id:ident)|+,)*) => {
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        pub enum Law {
+            $($law($law),)*
+        }
+
+        impl Law {
+            fn start(configure: &Configure) -> (Self, Gains) {
+                match configure.law {
+                    $($(LawId::$id)|+ => $law::design(configure),)*
+                }
+            }
+
+            pub fn step(&mut self, measurement: &Measurement) -> Actuation {
+                match self {
+                    $(Self::$law(law) => law.step(measurement),)*
+                }
+            }
+        }
+    };
+}
+
+// `type of the law = its numbers in the protocol`.
+laws! {
+    OpenLoop = OpenLoop,
+    DqPi = DqPi | DqPiEuler | DqPiFixed,
+    VoltageOnly = VoltageOnly,
+    FrequencyOnly = FrequencyOnly,
+    BangBang = BangBang,
+    Pll = Pll,
+    Deadbeat = Deadbeat,
 }
 
 impl Law {
@@ -74,29 +97,9 @@ impl Law {
         if !usable {
             return Err(Rejection::Value);
         }
-        let (law, gains) = match configure.law {
-            LawId::OpenLoop => OpenLoop::design(configure),
-            LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed => DqPi::design(configure),
-            LawId::VoltageOnly => VoltageOnly::design(configure),
-            LawId::FrequencyOnly => FrequencyOnly::design(configure),
-            LawId::BangBang => BangBang::design(configure),
-            LawId::Pll => Pll::design(configure),
-            LawId::Deadbeat => Deadbeat::design(configure),
-        };
+        let (law, gains) = Self::start(configure);
         let all = [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
         if all.iter().all(|gain| gain.is_finite()) { Ok((law, gains)) } else { Err(Rejection::Value) }
-    }
-
-    pub fn step(&mut self, measurement: &Measurement) -> Actuation {
-        match self {
-            Self::OpenLoop(law) => law.step(measurement),
-            Self::DqPi(law) => law.step(measurement),
-            Self::VoltageOnly(law) => law.step(measurement),
-            Self::FrequencyOnly(law) => law.step(measurement),
-            Self::BangBang(law) => law.step(measurement),
-            Self::Pll(law) => law.step(measurement),
-            Self::Deadbeat(law) => law.step(measurement),
-        }
     }
 }
 

@@ -2,54 +2,47 @@
 
 use crate::field::{Field, MessageError, Reader, Writer, layout};
 
-/// The numbers are part of the protocol. Scenario files and the option `--law` use the names.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum LawId {
-    OpenLoop = 0,
+macro_rules! laws {
+    ($($(#[$doc:meta])* $law:ident = $number:literal, $name:literal;)*) => {
+        /// The numbers are part of the protocol. Scenario files and the option `--law` use the names.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+        #[repr(u8)]
+        pub enum LawId {
+            $($(#[$doc])* $law = $number,)*
+        }
+
+        impl LawId {
+            pub const ALL: [Self; [$($number),*].len()] = [$(Self::$law),*];
+
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$law => $name,)*
+                }
+            }
+        }
+    };
+}
+
+// `law = number, name`.
+laws! {
+    OpenLoop = 0, "open-loop";
     /// Two PI loops. Their gains are those of equation 24, matched to the zero-order hold and to
     /// the plate's present damping.
-    DqPi = 1,
+    DqPi = 1, "dq-pi";
     /// Two PI loops with the gains of equation 24 as printed and a forward-Euler integral.
-    DqPiEuler = 2,
-    VoltageOnly = 3,
+    DqPiEuler = 2, "dq-pi-euler";
+    VoltageOnly = 3, "voltage-only";
     /// At constant drive, the frequency adjusts the amplitude.
-    FrequencyOnly = 4,
-    BangBang = 5,
-    Pll = 6,
+    FrequencyOnly = 4, "frequency-only";
+    BangBang = 5, "bang-bang";
+    Pll = 6, "pll";
     /// Identifies the plate in one period, steers to the setpoint in the next, then holds it by PI.
-    Deadbeat = 7,
+    Deadbeat = 7, "deadbeat";
     /// `DqPi` with the constant gains of the untouched plate.
-    DqPiFixed = 8,
+    DqPiFixed = 8, "dq-pi-fixed";
 }
 
 impl LawId {
-    pub const ALL: [Self; 9] = [
-        Self::OpenLoop,
-        Self::DqPi,
-        Self::DqPiEuler,
-        Self::VoltageOnly,
-        Self::FrequencyOnly,
-        Self::BangBang,
-        Self::Pll,
-        Self::Deadbeat,
-        Self::DqPiFixed,
-    ];
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::OpenLoop => "open-loop",
-            Self::DqPi => "dq-pi",
-            Self::DqPiEuler => "dq-pi-euler",
-            Self::VoltageOnly => "voltage-only",
-            Self::FrequencyOnly => "frequency-only",
-            Self::BangBang => "bang-bang",
-            Self::Pll => "pll",
-            Self::Deadbeat => "deadbeat",
-            Self::DqPiFixed => "dq-pi-fixed",
-        }
-    }
-
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|law| law.name() == name)
     }
