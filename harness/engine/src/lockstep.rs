@@ -8,7 +8,7 @@ use platebench_model::record::{StepTime, Telemetry};
 use platebench_model::scenario::{Metric, Scenario, Variation};
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::Time;
-use platebench_rig::target_error::TargetError;
+use platebench_rig::TargetError;
 use platebench_rig::{ChipFaultPlan, FaultInjector, HostedLink, Link, LinkError, Reply, RigError, Session};
 use platebench_wire::{Command, Configure, ControllerState as Mode, LawId, StateCause};
 use rand_chacha::ChaCha8Rng;

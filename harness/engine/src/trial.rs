@@ -8,8 +8,8 @@ use platebench_model::scenario::{
 };
 use platebench_model::trace::Row;
 use platebench_plate::Time;
-use platebench_rig::chip_fault::{ChipFault as RigChipFault, ChipFaultKind as RigChipFaultKind, ChipFaultPlan};
 use platebench_rig::{CancelToken, Direction as Way, RigError, WireFault, WireFaultKind};
+use platebench_rig::{ChipFault as RigChipFault, ChipFaultKind as RigChipFaultKind, ChipFaultPlan};
 use platebench_wire::{Configure, Gains, Identity, LawId, capabilities};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};

@@ -9,39 +9,27 @@
 mod board;
 mod bus;
 mod chip_faults;
-mod chip_injection;
-mod debug_control;
-mod debug_target;
 mod debugger;
-mod execution_recorder;
-mod firmware_output;
 mod image;
 mod machine;
 mod memory;
-mod options;
-mod panic;
 mod post_mortem;
 
-pub use image::ImageError;
 #[cfg(feature = "probe")]
 pub(crate) use image::read_elf;
-pub use options::{EmulatedError, EmulatedOptions};
+pub use image::{EmulatedError, EmulatedOptions, ImageError};
 
-use crate::built_in_image::BUILT_IN_IMAGE;
 use crate::cancel::CancelToken;
-use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
 use crate::debug_port::DebugPort;
-use crate::link::{Chip, Link, LinkError};
-use crate::pending_requests::{PendingRequests, Request};
-use crate::target_error::TargetError;
+use crate::factory::BUILT_IN_IMAGE;
+use crate::link::{Chip, ChipFaultError, ChipFaultPlan, Link, LinkError, TargetError};
+use crate::port::{PendingRequests, Request};
 use board::ReceivedByte;
 use chip_faults::ChipFaults;
-use debug_control::DebugStop;
 use debugger::Debugger;
 use gdbstub::common::Signal;
-use image::Image;
-use machine::Machine;
-use panic::catch_emulator_panic;
+use image::{Image, catch_emulator_panic};
+use machine::{DebugStop, Machine};
 use platebench_wire::{MAX_ENCODED, Message, Packet};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -85,7 +73,7 @@ impl EmulatedLink {
     }
 
     pub fn open(elf: &Path) -> Result<Self, EmulatedError> {
-        Self::new(&options::read_image(elf)?, EmulatedOptions::default())
+        Self::new(&image::read_image(elf)?, EmulatedOptions::default())
     }
 
     /// Lets a debugger on `port` control the chip. `elf` is `None` for the built-in image.
@@ -94,7 +82,7 @@ impl EmulatedLink {
         port: &DebugPort,
         cancel: &CancelToken,
     ) -> Result<Self, EmulatedError> {
-        let content = elf.map_or_else(|| Ok(BUILT_IN_IMAGE.to_vec()), options::read_image)?;
+        let content = elf.map_or_else(|| Ok(BUILT_IN_IMAGE.to_vec()), image::read_image)?;
         Self::start_with(&content, EmulatedOptions::default(), Some((port, cancel)))
     }
 

@@ -1,7 +1,9 @@
-//! Defines the interface of every rig, which transports bytes to a target and back.
+//! Defines the interface of every rig, which transports bytes to a target and back, and the errors
+//! and planned faults of a target.
 
-use crate::chip_fault::{ChipFaultError, ChipFaultPlan};
-use crate::target_error::TargetError;
+use crate::crash_report::CrashReport;
+use crate::symbols::CodeLocation;
+use std::fmt;
 use std::ops::DerefMut;
 use std::time::{Duration, Instant};
 
@@ -128,5 +130,114 @@ impl<P: DerefMut<Target: Link> + Send> Link for P {
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
         (**self).real_time_line()
+    }
+}
+
+/// Planned fault of the chip, which only the emulated board can apply.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ChipFaultKind {
+    /// Flips one bit of `length` bytes at `start`: bit `draw` modulo the number of bits.
+    FlipRam {
+        start: u32,
+        length: u32,
+        draw: u64,
+    },
+    FlipVariable {
+        name: String,
+        draw: u64,
+    },
+    /// `number` is GDB's number of the register: 0 to 12 for r0 to r12, then sp, lr, pc.
+    FlipRegister {
+        number: usize,
+        draw: u64,
+    },
+    Reset,
+    PowerCut,
+    ClockDrift {
+        ppm: f64,
+    },
+    Hang,
+    Stuck {
+        address: u32,
+        value: u32,
+    },
+}
+
+impl ChipFaultKind {
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::FlipRam { .. } | Self::FlipVariable { .. } | Self::FlipRegister { .. } => "bit-flip",
+            Self::Reset => "reset",
+            Self::PowerCut => "power-cut",
+            Self::ClockDrift { .. } => "clock-drift",
+            Self::Hang => "hang",
+            Self::Stuck { .. } => "stuck",
+        }
+    }
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChipFault {
+    /// Time since the start of the trial.
+    pub at: Duration,
+    pub kind: ChipFaultKind,
+}
+
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ChipFaultPlan {
+    /// Sorted by time.
+    pub faults: Vec<ChipFault>,
+    /// The plate waits at most this long for an answer.
+    pub answer_timeout: Duration,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ChipFaultError {
+    #[error("only the emulated rig in lockstep can apply faults of the chip")]
+    Unsupported,
+    #[error("the firmware image has no variable `{0}` with a size; list them with `nm --size-sort --demangle`")]
+    NoVariable(String),
+    #[error("the fault needs {length} bytes at {start:#010x}, which are not RAM of the emulated STM32F427")]
+    NoRam { start: u32, length: u32 },
+}
+
+/// Error of firmware on an emulated board or on a board with a debug probe.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum TargetError {
+    #[error("{0}")]
+    Trap(Box<CrashReport>),
+    #[error("the processor locked up (a fault within a fault handler) at {0}")]
+    Lockup(CodeLocation),
+    #[error("the target reset itself ({cause}) {at_us} µs after power-on; it was at {place}")]
+    Reset { cause: String, at_us: u64, place: CodeLocation },
+    #[error("the emulated STM32F427 does not support this access by the firmware: {0}")]
+    Unsupported(UnsupportedAccess),
+    #[error("the firmware did not answer within {waited_us} µs after the message arrived; the processor is at {place}")]
+    Silent { waited_us: u64, place: CodeLocation },
+    #[error(
+        "the firmware did not answer the handshake on USART2 (PA2, PA3) within {waited_ms} ms after power-on; \
+         it uses {}, and the processor is at {place}",
+        if instances.is_empty() { "no peripheral".to_owned() } else { instances.join(", ") }
+    )]
+    NoHandshake { waited_ms: u64, instances: Vec<&'static str>, place: CodeLocation },
+    #[error("the emulator failed: {0}")]
+    Emulator(String),
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UnsupportedAccess {
+    /// Peripheral and register if they have names, and the kind of access.
+    pub access: String,
+    pub address: Option<u32>,
+    pub place: Option<CodeLocation>,
+}
+
+impl fmt::Display for UnsupportedAccess {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(&self.access)?;
+        if let Some(address) = self.address {
+            write!(formatter, ", address {address:#010x}")?;
+        }
+        self.place.as_ref().map_or(Ok(()), |place| write!(formatter, ", accessed from {place}"))
     }
 }

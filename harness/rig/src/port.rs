@@ -1,10 +1,14 @@
-//! Exchanges messages over an open terminal and waits for answers.
+//! Exchanges messages over an open terminal and waits for answers. Opens pseudo-terminals, for a
+//! program or for a controller that is started by hand.
 
-use crate::line_reader::LineReader;
 use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
-use crate::pending_requests::{PendingRequests, Request};
-use crate::tty::{Tty, disconnected};
+use crate::tty::{LineReader, Tty, disconnected};
+use platebench_wire::{ControllerState, Message, PacketReader};
 use rustix::fd::OwnedFd;
+use rustix::fs::{Mode, OFlags};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use std::io;
 use std::time::{Duration, Instant};
 
 /// Longest time from a hello, a configuration or a sample to the answer. Answers usually arrive
@@ -144,5 +148,152 @@ impl<T: Tty> RealTimeLine for Port<T> {
 
     fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
         self.read(until, bytes)
+    }
+}
+
+/// Finds the answer that ends an exchange.
+#[derive(Debug, Default)]
+pub(crate) struct PendingRequests {
+    requests: PacketReader,
+    answers: PacketReader,
+    /// Sequence number of the awaited answer; `None` if the last message needs no answer.
+    expected: Option<u8>,
+    request: Request,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Request {
+    #[default]
+    None,
+    Sample,
+    Setup,
+    Other,
+}
+
+impl PendingRequests {
+    /// Returns the request in the last complete message of `bytes`.
+    pub(crate) fn send(&mut self, bytes: &[u8]) -> Request {
+        (self.expected, self.request) = (None, Request::None);
+        for packet in self.requests.packets(bytes).flatten() {
+            let request = match packet.message {
+                Message::Sample(_) => Request::Sample,
+                Message::Hello | Message::Configure(_) => Request::Setup,
+                Message::Setpoint(_) | Message::Safe => Request::Other,
+                _ => continue,
+            };
+            (self.expected, self.request) = (Some(packet.sequence), request);
+        }
+        self.request
+    }
+
+    /// True if `byte` completes the expected answer, or a message after which no answer will come:
+    /// a fault report, or a command in the state *running* with a number that was not sent yet.
+    /// Ticks and telemetry do not count, because they have their own numbers.
+    pub(crate) fn ends_wait(&mut self, byte: u8) -> bool {
+        let (Some(Ok(packet)), Some(expected)) = (self.answers.push(byte), self.expected) else { return false };
+        // Numbers wrap: 127 numbers after the expected one are ahead, the others are late.
+        let is_ahead = (1..=u8::MAX / 2).contains(&packet.sequence.wrapping_sub(expected));
+        match packet.message {
+            Message::Fault(_) => true,
+            Message::Command(command)
+                if self.request == Request::Sample && command.state == ControllerState::Running && is_ahead =>
+            {
+                true
+            }
+            message => packet.sequence == expected && !message.is_unsolicited(),
+        }
+    }
+}
+
+/// Returns the bench's end in raw mode, the controller's end and its path.
+pub(crate) fn open_pseudo_terminal() -> rustix::io::Result<(Port<OwnedFd>, OwnedFd, String)> {
+    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+    grantpt(&master)?;
+    unlockpt(&master)?;
+    let name = ptsname(&master, Vec::new())?;
+    // The bench opens this end itself, because the kernel reports a hang-up if the other end of a
+    // line was never opened.
+    let slave = rustix::fs::open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
+    let mut settings = tcgetattr(&slave)?;
+    settings.make_raw();
+    tcsetattr(&slave, OptionalActions::Now, &settings)?;
+    Ok((Port::from_fd(master)?, slave, name.to_string_lossy().into_owned()))
+}
+
+/// Link to a controller that the user starts. Before that, the line is silent, not lost.
+#[derive(Debug)]
+pub struct PtyLink {
+    port: Port<OwnedFd>,
+    path: String,
+    _other_end: OwnedFd,
+}
+
+impl PtyLink {
+    pub fn open() -> io::Result<Self> {
+        let (port, other_end, path) = open_pseudo_terminal()?;
+        Ok(Self { port, path, _other_end: other_end })
+    }
+
+    pub fn path(&self) -> &str {
+        &self.path
+    }
+}
+
+impl Link for PtyLink {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        self.port.exchange(now, bytes, answer)
+    }
+
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        self.port.advance_to(now, received)
+    }
+
+    fn kind(&self) -> LinkKind {
+        LinkKind::Lossless
+    }
+
+    fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
+        Some(&mut self.port)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_wire::{Command, Packet, Sample, StateCause};
+    use rstest::rstest;
+
+    const SAMPLE: Message = Message::Sample(Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 });
+
+    fn is_answered(request: Packet, answer: Packet) -> bool {
+        let mut pending = PendingRequests::default();
+        assert_ne!(pending.send(request.encode().as_bytes()), Request::None);
+        answer.encode().as_bytes().iter().any(|&byte| pending.ends_wait(byte))
+    }
+
+    #[rstest]
+    #[case::equal(7, true)]
+    #[case::next(8, true)]
+    #[case::last_one_ahead(7 + 127, true)]
+    #[case::first_one_behind(7 + 128, false)]
+    #[case::previous(6, false)]
+    fn a_number_ahead_ends_the_wait_for_a_command(#[case] sequence: u8, #[case] expected: bool) {
+        let command = Command {
+            target_time_us: 0,
+            drive_vpp: 1.0,
+            frequency_mhz: 32_307_600,
+            state: ControllerState::Running,
+            cause: StateCause::None,
+            flags: 0,
+            compute_us: 0,
+        };
+        let answer = Packet { sequence, message: Message::Command(command) };
+        assert_eq!(is_answered(Packet { sequence: 7, message: SAMPLE }, answer), expected);
+        // The confirmation of 0 V has the number of its request.
+        assert_eq!(is_answered(Packet { sequence: 7, message: Message::Safe }, answer), sequence == 7);
+        // A stopped controller may use any number, and only the expected one ends the wait.
+        let stopped = Command { state: ControllerState::Safe, ..command };
+        let answer = Packet { sequence, message: Message::Command(stopped) };
+        assert_eq!(is_answered(Packet { sequence: 7, message: SAMPLE }, answer), sequence == 7);
     }
 }

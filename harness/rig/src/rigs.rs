@@ -5,7 +5,7 @@ pub mod exec;
 pub mod hosted;
 mod probe;
 mod rfc2217;
-mod serial;
+pub mod serial;
 mod tcp;
 
 use crate::factory::{

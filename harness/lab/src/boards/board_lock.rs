@@ -3,7 +3,7 @@
 use crate::boards::error::BoardError;
 use crate::boards::inventory::{Board, Inventory};
 use platebench_model::trace::AtPath;
-use platebench_rig::{LockHolder, port_lock};
+use platebench_rig::{LockHolder, lock_file};
 use std::fs::{self, File};
 use std::io;
 use std::path::PathBuf;
@@ -35,7 +35,7 @@ impl BoardFiles {
         let mut files = Vec::new();
         for path in &self.locks {
             let file = File::options().create(true).append(true).open(path).at(path)?;
-            match port_lock::lock(&file).map_err(io::Error::from).at(path)? {
+            match lock_file(&file).map_err(io::Error::from).at(path)? {
                 None => files.push(file),
                 Some(holder) => return Ok(Err(holder)),
             }

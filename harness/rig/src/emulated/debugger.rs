@@ -1,16 +1,29 @@
 //! Serves a debugger with GDB's remote protocol. While the chip is stopped, the plate waits, too.
 
-use super::debug_control::DebugStop;
-use super::machine::Machine;
+use super::machine::{DebugStop, Machine};
 use crate::cancel::CancelToken;
 use crate::debug_port::{DebuggerError, POLL};
+use gdbstub::arch::{Arch, RegId, Registers};
 use gdbstub::common::Signal;
 use gdbstub::stub::GdbStub;
 use gdbstub::stub::state_machine::GdbStubStateMachine;
-use std::fmt;
-use std::io::{self, Read as _};
+use gdbstub::target::ext::base::BaseOps;
+use gdbstub::target::ext::base::single_register_access::{SingleRegisterAccess, SingleRegisterAccessOps};
+use gdbstub::target::ext::base::singlethread::{
+    SingleThreadBase, SingleThreadResume, SingleThreadResumeOps, SingleThreadSingleStep, SingleThreadSingleStepOps,
+};
+use gdbstub::target::ext::breakpoints::{Breakpoints, BreakpointsOps, SwBreakpoint, SwBreakpointOps};
+use gdbstub::target::ext::target_description_xml_override::{
+    TargetDescriptionXmlOverride, TargetDescriptionXmlOverrideOps,
+};
+use gdbstub::target::{Target, TargetError, TargetResult};
+use rigless::soc::Width;
+use std::convert::Infallible;
+use std::io::Read as _;
 use std::net::TcpStream;
+use std::num::NonZeroUsize;
 use std::time::{Duration, Instant};
+use std::{fmt, io};
 
 /// If a debugger has stopped the chip and is silent for this time, the chip runs on.
 const COMMAND_TIMEOUT: Duration = Duration::from_hours(1);
@@ -104,4 +117,190 @@ impl Debugger {
 
 fn is_timeout(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut | io::ErrorKind::Interrupted)
+}
+
+/// Number of the registers r0 to r12, sp, lr and pc. The debugger requests others one by one.
+const GENERAL_REGISTERS: usize = 16;
+const PC_OFFSET: usize = 60;
+
+#[derive(Debug)]
+pub(super) struct CortexM;
+
+impl Arch for CortexM {
+    type Usize = u32;
+    type Registers = GeneralRegisters;
+    type BreakpointKind = usize;
+    type RegId = RegisterNumber;
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(super) struct GeneralRegisters(Vec<u8>);
+
+impl Registers for GeneralRegisters {
+    type ProgramCounter = u32;
+
+    fn pc(&self) -> u32 {
+        self.0.get(PC_OFFSET..).and_then(<[u8]>::first_chunk).map_or(0, |bytes| u32::from_le_bytes(*bytes))
+    }
+
+    fn gdb_serialize(&self, mut write_byte: impl FnMut(Option<u8>)) {
+        self.0.iter().for_each(|byte| write_byte(Some(*byte)));
+    }
+
+    fn gdb_deserialize(&mut self, bytes: &[u8]) -> Result<(), ()> {
+        self.0 = bytes.to_vec();
+        Ok(())
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct RegisterNumber(usize);
+
+impl RegId for RegisterNumber {
+    fn from_raw_id(id: usize) -> Option<(Self, Option<NonZeroUsize>)> {
+        Some((Self(id), None))
+    }
+}
+
+impl Machine {
+    fn read_memory(&mut self, start: u32, length: usize) -> Option<Vec<u8>> {
+        if let Some(bytes) = self.bus.memory.slice(u64::from(start), length) {
+            return Some(bytes.to_vec());
+        }
+        // Other addresses belong to registers of the processor, such as SCB and NVIC.
+        let now = self.bus.time_at(self.core.retired());
+        let read = |at| self.core.debugger_access(None, at, Width::W32, now);
+        let words: Option<Vec<u64>> = (u64::from(start)..).step_by(4).take(length.div_ceil(4)).map(read).collect();
+        let mut bytes: Vec<u8> = words?.iter().flat_map(|word| (*word as u32).to_le_bytes()).collect();
+        bytes.truncate(length);
+        Some(bytes)
+    }
+
+    fn resume_from_stop(&mut self, single_step: bool) {
+        self.debug.single_step = single_step;
+        let pc = self.core.pc();
+        if self.debug.has_breakpoint(pc) {
+            self.core.pass_breakpoint(pc);
+        }
+    }
+
+    pub(super) fn end_debugging(&mut self) {
+        self.resume_from_stop(false);
+        self.debug.end(&mut *self.core);
+    }
+}
+
+impl Target for Machine {
+    type Arch = CortexM;
+    type Error = Infallible;
+
+    fn base_ops(&mut self) -> BaseOps<'_, CortexM, Infallible> {
+        BaseOps::SingleThread(self)
+    }
+
+    fn support_breakpoints(&mut self) -> Option<BreakpointsOps<'_, Self>> {
+        Some(self)
+    }
+
+    fn support_target_description_xml_override(&mut self) -> Option<TargetDescriptionXmlOverrideOps<'_, Self>> {
+        Some(self)
+    }
+}
+
+impl SingleThreadBase for Machine {
+    fn read_registers(&mut self, registers: &mut GeneralRegisters) -> TargetResult<(), Self> {
+        registers.0 =
+            (0..GENERAL_REGISTERS).flat_map(|number| self.core.gdb_register(number).unwrap_or_default()).collect();
+        Ok(())
+    }
+
+    fn write_registers(&mut self, registers: &GeneralRegisters) -> TargetResult<(), Self> {
+        let all = registers.0.chunks_exact(4).take(GENERAL_REGISTERS).enumerate();
+        let written = all.fold(true, |written, (number, bytes)| self.core.set_gdb_register(number, bytes) && written);
+        if written { Ok(()) } else { Err(TargetError::NonFatal) }
+    }
+
+    fn support_single_register_access(&mut self) -> Option<SingleRegisterAccessOps<'_, (), Self>> {
+        Some(self)
+    }
+
+    fn read_addrs(&mut self, start: u32, data: &mut [u8]) -> TargetResult<usize, Self> {
+        let bytes = self.read_memory(start, data.len()).ok_or(TargetError::NonFatal)?;
+        data.copy_from_slice(&bytes);
+        Ok(data.len())
+    }
+
+    fn write_addrs(&mut self, start: u32, data: &[u8]) -> TargetResult<(), Self> {
+        if self.patch(start, data) { Ok(()) } else { Err(TargetError::NonFatal) }
+    }
+
+    fn support_resume(&mut self) -> Option<SingleThreadResumeOps<'_, Self>> {
+        Some(self)
+    }
+}
+
+impl SingleRegisterAccess<()> for Machine {
+    fn read_register(&mut self, (): (), number: RegisterNumber, data: &mut [u8]) -> TargetResult<usize, Self> {
+        let bytes = self.core.gdb_register(number.0).ok_or(TargetError::NonFatal)?;
+        data.get_mut(..bytes.len()).ok_or(TargetError::NonFatal)?.copy_from_slice(&bytes);
+        Ok(bytes.len())
+    }
+
+    fn write_register(&mut self, (): (), number: RegisterNumber, data: &[u8]) -> TargetResult<(), Self> {
+        if self.core.set_gdb_register(number.0, data) { Ok(()) } else { Err(TargetError::NonFatal) }
+    }
+}
+
+impl SingleThreadResume for Machine {
+    fn resume(&mut self, _signal: Option<Signal>) -> Result<(), Infallible> {
+        self.resume_from_stop(false);
+        Ok(())
+    }
+
+    fn support_single_step(&mut self) -> Option<SingleThreadSingleStepOps<'_, Self>> {
+        Some(self)
+    }
+}
+
+impl SingleThreadSingleStep for Machine {
+    fn step(&mut self, _signal: Option<Signal>) -> Result<(), Infallible> {
+        self.resume_from_stop(true);
+        Ok(())
+    }
+}
+
+impl Breakpoints for Machine {
+    fn support_sw_breakpoint(&mut self) -> Option<SwBreakpointOps<'_, Self>> {
+        Some(self)
+    }
+}
+
+impl SwBreakpoint for Machine {
+    fn add_sw_breakpoint(&mut self, address: u32, _kind: usize) -> TargetResult<bool, Self> {
+        Ok(self.debug.add(u64::from(address), &mut *self.core))
+    }
+
+    fn remove_sw_breakpoint(&mut self, address: u32, _kind: usize) -> TargetResult<bool, Self> {
+        Ok(self.debug.remove(u64::from(address), &mut *self.core))
+    }
+}
+
+impl TargetDescriptionXmlOverride for Machine {
+    fn target_description_xml(
+        &self,
+        annex: &[u8],
+        offset: u64,
+        length: usize,
+        buffer: &mut [u8],
+    ) -> TargetResult<usize, Self> {
+        if annex != b"target.xml" {
+            return Err(TargetError::NonFatal);
+        }
+        let rest = self.core.target_xml().as_bytes().get(offset as usize..).unwrap_or_default();
+        let count = rest.len().min(length).min(buffer.len());
+        for (to, from) in buffer.iter_mut().zip(rest).take(count) {
+            *to = *from;
+        }
+        Ok(count)
+    }
 }

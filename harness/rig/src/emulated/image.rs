@@ -1,11 +1,16 @@
-//! Checks a firmware image for the emulated board.
+//! Reads and checks a firmware image for the emulated board, and defines the options and the errors
+//! of its start.
 
+use crate::debug_port::DebuggerError;
+use crate::link::TargetError;
 use object::LittleEndian;
 use object::read::elf::{ElfFile32, ProgramHeader as _};
 use platebench_model::trace::{MAX_IMAGE_BYTES, read_regular_file};
-use std::io;
-use std::path::Path;
+use std::any::Any;
+use std::panic::AssertUnwindSafe;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::{io, panic};
 
 pub(super) const FLASH_START: u64 = 0x0800_0000;
 const FLASH: std::ops::Range<u64> = FLASH_START..0x0820_0000;
@@ -128,6 +133,45 @@ pub(crate) fn read_elf(elf: &Path) -> io::Result<Vec<u8>> {
     read_regular_file(elf, MAX_IMAGE_BYTES)
 }
 
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EmulatedOptions {
+    /// Frequency of the crystal on PH0 and PH1; 0 for no crystal.
+    pub crystal_hz: u64,
+    /// If false, the firmware handles traps, panics and resets, as on a board.
+    pub stop_at_traps: bool,
+}
+
+impl Default for EmulatedOptions {
+    fn default() -> Self {
+        Self { crystal_hz: 8_000_000, stop_at_traps: true }
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum EmulatedError {
+    #[error("{}: {error}", path.display())]
+    Read { path: PathBuf, error: std::io::Error },
+    #[error("not a firmware for the emulated board: {0}")]
+    Image(#[from] ImageError),
+    #[error(transparent)]
+    Debugger(#[from] DebuggerError),
+    #[error(transparent)]
+    Target(#[from] TargetError),
+}
+
+pub(super) fn read_image(elf: &Path) -> Result<Vec<u8>, EmulatedError> {
+    read_elf(elf).map_err(|error| EmulatedError::Read { path: elf.to_owned(), error })
+}
+
+pub(super) fn catch_emulator_panic<T>(run: impl FnOnce() -> Result<T, TargetError>) -> Result<T, TargetError> {
+    let panicked = |cause: Box<dyn Any + Send>| {
+        let text = cause.downcast_ref::<String>().map(String::as_str);
+        let text = text.or_else(|| cause.downcast_ref::<&str>().copied()).unwrap_or("no message");
+        TargetError::Emulator(format!("it panicked: {text}"))
+    };
+    panic::catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|cause| Err(panicked(cause)))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -137,5 +181,14 @@ mod tests {
         let error = read_elf(Path::new("/dev/zero")).unwrap_err().to_string();
         assert_eq!(error, "it is a pipe or a device, expected a file");
         assert_eq!(read_elf(Path::new("/")).unwrap_err().to_string(), "it is a folder, expected a file");
+    }
+
+    #[test]
+    fn reports_a_panic_of_the_emulator_as_an_error() {
+        let result =
+            catch_emulator_panic(
+                || if std::hint::black_box(false) { Ok(()) } else { panic!("checked at construction") },
+            );
+        assert_eq!(result, Err(TargetError::Emulator("it panicked: checked at construction".to_owned())));
     }
 }

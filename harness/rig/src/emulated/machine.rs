@@ -2,15 +2,13 @@
 
 use super::board::{EmulatedBoard, INSTRUCTIONS_PER_SECOND, ReceivedByte};
 use super::bus::{BusGuard, SystemBus};
-use super::debug_control::{DebugControl, DebugStop};
-use super::execution_recorder::ExecutionRecorder;
-use super::firmware_output::FirmwareOutput;
-use super::image::Image;
-use super::memory::{self, Memory, POWER_ON_FILL};
-use super::options::EmulatedOptions;
-use super::post_mortem::{self, FaultHandlers};
+use super::image::{EmulatedOptions, Image};
+use super::memory::{Memory, POWER_ON_FILL};
+use super::post_mortem::FaultHandlers;
+use super::{memory, post_mortem};
+use crate::link::TargetError;
 use crate::symbols::{CodeLocation, Symbols};
-use crate::target_error::TargetError;
+use gdbstub::stub::SingleThreadStopReason;
 use rigless::emulator::{Exit, Processor, Stop, StopReason};
 use rigless::machine::Board as _;
 use rigless::mcu::Operate as _;
@@ -350,4 +348,157 @@ impl Machine {
         let unused = memory.iter().take_while(|&&byte| byte == POWER_ON_FILL).count();
         u32::try_from(memory.len() - unused).ok()
     }
+}
+
+pub(super) type DebugStop = SingleThreadStopReason<u32>;
+
+/// Breakpoints of a debugger and its requests to step or to stop the chip.
+#[derive(Debug, Default)]
+pub(super) struct DebugControl {
+    breakpoints: BTreeSet<u64>,
+    pub(super) single_step: bool,
+    pub(super) stop: Option<DebugStop>,
+}
+
+impl DebugControl {
+    pub(super) fn has_breakpoint(&self, address: u64) -> bool {
+        self.breakpoints.contains(&address)
+    }
+
+    pub(super) fn add(&mut self, address: u64, core: &mut dyn Processor) -> bool {
+        self.breakpoints.contains(&address) || core.add_breakpoint(address) && self.breakpoints.insert(address)
+    }
+
+    pub(super) fn remove(&mut self, address: u64, core: &mut dyn Processor) -> bool {
+        let removed = self.breakpoints.remove(&address);
+        if removed {
+            core.remove_breakpoint(address);
+        }
+        removed
+    }
+
+    pub(super) fn end(&mut self, core: &mut dyn Processor) {
+        for address in std::mem::take(&mut self.breakpoints) {
+            core.remove_breakpoint(address);
+        }
+        *self = Self::default();
+    }
+}
+
+/// Records which watched instructions ran. Each has a breakpoint, which is removed at the first hit,
+/// so that code runs at full speed.
+#[derive(Debug, Default)]
+pub(super) struct ExecutionRecorder {
+    pending: BTreeSet<u64>,
+    /// Executed instructions by address. The value is true if one ran in a control step.
+    executed: BTreeMap<u32, bool>,
+    in_control_step: bool,
+    had_control_step: bool,
+}
+
+impl ExecutionRecorder {
+    pub(super) fn watch(&mut self, addresses: &BTreeSet<u32>, core: &mut dyn Processor) {
+        self.pending.iter().for_each(|&address| core.remove_breakpoint(address));
+        *self = Self { pending: addresses.iter().map(|&address| u64::from(address)).collect(), ..Self::default() };
+        self.pending.retain(|&address| core.add_breakpoint(address));
+    }
+
+    /// Before the first control step, watches instructions again that ran during the start, because
+    /// they may also run in a control step.
+    pub(super) fn set_control_step(&mut self, in_control_step: bool, core: &mut dyn Processor) {
+        self.in_control_step = in_control_step;
+        if in_control_step && !std::mem::replace(&mut self.had_control_step, true) {
+            let again = self.executed.keys().map(|&address| u64::from(address));
+            self.pending.extend(again.filter(|&address| core.add_breakpoint(address)));
+        }
+    }
+
+    pub(super) fn record(&mut self, address: u64, core: &mut dyn Processor) {
+        if self.pending.remove(&address)
+            && let Ok(recorded) = u32::try_from(address)
+        {
+            core.remove_breakpoint(address);
+            *self.executed.entry(recorded).or_default() |= self.in_control_step;
+        }
+    }
+
+    pub(super) fn executed_instructions(&self) -> &BTreeMap<u32, bool> {
+        &self.executed
+    }
+}
+
+const CONTROL_BLOCK: &str = "_SEGGER_RTT";
+const IDENTIFIER: &[u8] = b"SEGGER RTT\0";
+const CHANNEL_COUNT: u64 = 16;
+const BUFFER: u64 = 28;
+const SIZE: u64 = 32;
+const WRITE_OFFSET: u64 = 36;
+const READ_OFFSET: u64 = 40;
+/// Longest text of a trial, bytes. The rest is dropped.
+const MAX_BYTES: usize = 16 * 1024;
+
+/// Collects the text that the firmware writes to channel 0 of RTT (SEGGER, *Real Time Transfer*). The
+/// control block is the variable `_SEGGER_RTT`: an identifier of 16 bytes, the number of channels to
+/// the bench (4 bytes), the number from the bench (4 bytes), and per channel 24 bytes: name, buffer,
+/// size, write offset, read offset, flags.
+#[derive(Debug, Default)]
+pub(super) struct FirmwareOutput {
+    control_block: Option<u64>,
+    bytes: Vec<u8>,
+    is_cut: bool,
+}
+
+impl FirmwareOutput {
+    pub(super) fn new(elf: &[u8]) -> Self {
+        let control_block = Symbols::variable(elf, CONTROL_BLOCK).map(|(address, _)| u64::from(address));
+        Self { control_block, ..Self::default() }
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.bytes.clear();
+        self.is_cut = false;
+    }
+
+    /// Empties the ring buffer, as a debug probe does. Returns true if it wrote to the memory.
+    pub(super) fn drain(&mut self, memory: &mut Memory) -> bool {
+        let Some(block) = self.control_block else { return false };
+        let Some((text, write_offset)) = read_ring(memory, block) else { return false };
+        let room = MAX_BYTES - self.bytes.len();
+        self.is_cut |= text.len() > room;
+        self.bytes.extend(text.into_iter().take(room));
+        memory.store(block + READ_OFFSET, &write_offset.to_le_bytes())
+    }
+
+    /// Also returns unread text, because a trap may end a trial before the bench drains it. `None`
+    /// without text.
+    pub(super) fn text(&self, memory: &Memory) -> Option<String> {
+        let rest = self.control_block.and_then(|block| read_ring(memory, block)).map(|(rest, _)| rest);
+        let mut bytes = self.bytes.clone();
+        bytes.extend(rest.into_iter().flatten().take(MAX_BYTES - self.bytes.len()));
+        let text = String::from_utf8_lossy(&bytes).into_owned();
+        let end = if self.is_cut { "\n(cut after 16 KiB)" } else { "" };
+        (!text.is_empty()).then(|| text + end)
+    }
+}
+
+/// Returns the unread text and its end as an offset in the buffer. `None` without text or with an
+/// invalid control block.
+fn read_ring(memory: &Memory, block: u64) -> Option<(Vec<u8>, u32)> {
+    // RAM is undefined until the firmware has initialised the block.
+    if memory.slice(block, IDENTIFIER.len())? != IDENTIFIER || memory.word(block + CHANNEL_COUNT)? == 0 {
+        return None;
+    }
+    let [buffer, size, write_offset, read_offset] =
+        [BUFFER, SIZE, WRITE_OFFSET, READ_OFFSET].map(|field| memory.word(block + field));
+    let (buffer, size, write_offset, read_offset) = (buffer?, size?, write_offset?, read_offset?);
+    if write_offset == read_offset || write_offset >= size || read_offset >= size {
+        return None;
+    }
+    let part = |from: u32, to: u32| memory.slice(u64::from(buffer) + u64::from(from), (to - from) as usize);
+    let text = if read_offset < write_offset {
+        part(read_offset, write_offset)?.to_vec()
+    } else {
+        [part(read_offset, size)?, part(0, write_offset)?].concat()
+    };
+    Some((text, write_offset))
 }

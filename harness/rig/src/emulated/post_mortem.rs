@@ -4,13 +4,12 @@ use super::board::EmulatedBoard;
 use super::bus::SystemBus;
 use super::image::{FLASH_START, Image};
 use super::memory::Memory;
-use crate::call_frames::FrameRegisters;
 use crate::crash_report::{
     CallChain, CrashReport, FaultStatus, MAX_STACK_WORDS, StackReader, StoppedAt, call_chain, calls_before_overflow,
     calls_before_panic, exception_frame, fault_handler, fault_handlers,
 };
-use crate::symbols::Symbols;
-use crate::target_error::UnsupportedAccess;
+use crate::link::UnsupportedAccess;
+use crate::symbols::{FrameRegisters, Symbols};
 use rigless::device::ResetCause;
 use rigless::emulator::Processor;
 use rigless::session::Session;

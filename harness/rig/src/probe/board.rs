@@ -1,17 +1,17 @@
 //! Flashes, restarts and reads a board through probe-rs, on the probe's thread.
 
-use super::crash::read_crash;
-use super::error::ProbeError;
-use super::image::Image;
-use super::rtt_channels::RttChannels;
-use super::selection;
-use super::spec::ProbeSpec;
+use super::error::{ProbeError, error_chain};
+use super::image::{Image, read_crash};
 use crate::crash_report::CrashReport;
 use probe_rs::config::{MemoryRegion, Registry};
 use probe_rs::flashing::DownloadOptions;
-use probe_rs::probe::list::Lister;
-use probe_rs::rtt::{Rtt, ScanRegion, try_attach_to_rtt};
+use probe_rs::probe::list::{Accessibility, Lister, ProbeListItem};
+use probe_rs::probe::{DebugProbeError, DebugProbeInfo, DebugProbeSelector, Probe, ProbeCreationError, WireProtocol};
+use probe_rs::rtt::{DownChannel, Rtt, ScanRegion, UpChannel, try_attach_to_rtt};
 use probe_rs::{Core, MemoryInterface, Permissions, Session, Target};
+use std::fmt;
+use std::io::ErrorKind;
+use std::str::FromStr;
 use std::time::{Duration, Instant};
 use tracing::{debug, warn};
 
@@ -187,6 +187,165 @@ impl Drop for Board {
         let resume = |mut core: Core<'_>| if core.core_halted()? { core.run() } else { Ok(()) };
         if let Err(error) = self.session.core(0).and_then(resume) {
             warn!(error = super::error::error_chain(&error), "the processor may be halted");
+        }
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ProbeSpec {
+    pub chip: String,
+    /// `None` selects the only connected probe.
+    pub selector: Option<DebugProbeSelector>,
+}
+
+impl FromStr for ProbeSpec {
+    type Err = ProbeError;
+
+    fn from_str(text: &str) -> Result<Self, ProbeError> {
+        let (chip, selector) = text.split_once('@').map_or((text, None), |(chip, rest)| (chip, Some(rest)));
+        let refuse = || ProbeError::Spec { text: text.to_owned() };
+        if chip.is_empty() {
+            return Err(refuse());
+        }
+        let selector = selector.map(str::parse).transpose().map_err(|_| refuse())?;
+        Ok(Self { chip: chip.to_owned(), selector })
+    }
+}
+
+impl fmt::Display for ProbeSpec {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(&self.chip)?;
+        self.selector.as_ref().map_or(Ok(()), |selector| write!(formatter, "@{selector}"))
+    }
+}
+
+pub(super) fn open_probe(spec: &ProbeSpec, lister: &Lister) -> Result<(Probe, String), ProbeError> {
+    let mut found = lister.list_with_access(spec.selector.as_ref());
+    let item = match found.len() {
+        0 => {
+            let others =
+                if spec.selector.is_some() { selectors_of(&lister.list_all_with_access()) } else { Vec::new() };
+            return Err(ProbeError::NoProbe { wanted: spec.selector.as_ref().map(ToString::to_string), others });
+        }
+        1 => found.remove(0),
+        _ => return Err(ProbeError::SeveralProbes { found: selectors_of(&found) }),
+    };
+    let name = selector_of(&item.info);
+    if item.accessibility == Accessibility::PermissionDenied {
+        return Err(ProbeError::PermissionDenied { probe: name });
+    }
+    let opened = lister.open(DebugProbeSelector::from(&item.info));
+    let mut probe = opened.map_err(|cause| open_error(&name, cause))?;
+    probe.select_protocol(WireProtocol::Swd).map_err(|cause| open_error(&name, cause))?;
+    Ok((probe, name))
+}
+
+fn selector_of(info: &DebugProbeInfo) -> String {
+    let serial = info.serial_number.as_ref().map(|serial| format!(":{serial}")).unwrap_or_default();
+    format!("{:04x}:{:04x}{serial} ({})", info.vendor_id, info.product_id, info.identifier)
+}
+
+fn selectors_of(items: &[ProbeListItem]) -> Vec<String> {
+    items.iter().map(|item| selector_of(&item.info)).collect()
+}
+
+fn open_error(probe: &str, cause: DebugProbeError) -> ProbeError {
+    let probe = probe.to_owned();
+    let kind = match &cause {
+        DebugProbeError::Usb(error) | DebugProbeError::ProbeCouldNotBeCreated(ProbeCreationError::Usb(error)) => {
+            Some(error.kind())
+        }
+        _ => None,
+    };
+    let text = error_chain(&cause);
+    match kind {
+        Some(ErrorKind::PermissionDenied) => ProbeError::PermissionDenied { probe },
+        Some(ErrorKind::ResourceBusy) => ProbeError::Busy { probe, cause: text },
+        // The USB library reports a busy probe only in the text of its error.
+        _ if text.contains("busy") => ProbeError::Busy { probe, cause: text },
+        _ => ProbeError::Open { probe, cause: Box::new(cause) },
+    }
+}
+
+/// RTT channel 0. It exchanges bytes on the probe's thread.
+#[derive(Debug)]
+pub(super) struct RttChannels {
+    up: UpChannel,
+    down: DownChannel,
+}
+
+impl RttChannels {
+    pub(super) fn from_rtt(rtt: Rtt) -> Result<Self, ProbeError> {
+        let up = rtt.up_channels.into_iter().find(|channel| channel.number() == 0);
+        let down = rtt.down_channels.into_iter().find(|channel| channel.number() == 0);
+        Ok(Self {
+            up: up.ok_or(ProbeError::RttChannel { direction: "up channel 0 (to the bench)" })?,
+            down: down.ok_or(ProbeError::RttChannel { direction: "down channel 0 (from the bench)" })?,
+        })
+    }
+
+    /// Reads waiting bytes. Then sends `bytes`, if any, and reads to the end of the next frame.
+    pub(super) fn exchange(
+        &mut self,
+        core: &mut Core<'_>,
+        bytes: &[u8],
+        timeout: Duration,
+    ) -> Result<Vec<u8>, ProbeError> {
+        let until = Instant::now() + timeout;
+        let mut received = Vec::new();
+        self.read(core, &mut received)?;
+        if bytes.is_empty() {
+            return Ok(received);
+        }
+        // If a part of an unsolicited frame has arrived, the end of that frame precedes the answer.
+        let mut ends = if received.last().is_some_and(|&byte| byte != 0) { 2 } else { 1 };
+        let mut unsent = bytes;
+        loop {
+            if !unsent.is_empty() {
+                let sent = self.down.write(core, unsent).map_err(rtt_error)?;
+                unsent = unsent.get(sent..).unwrap_or_default();
+            }
+            let before = received.len();
+            self.read(core, &mut received)?;
+            let new = received.iter().skip(before).filter(|&&byte| byte == 0).count();
+            ends -= new.min(ends);
+            if ends == 0 || Instant::now() >= until {
+                return Ok(received);
+            }
+        }
+    }
+
+    fn read(&mut self, core: &mut Core<'_>, received: &mut Vec<u8>) -> Result<(), ProbeError> {
+        let mut buffer = [0; 256];
+        let count = self.up.read(core, &mut buffer).map_err(rtt_error)?;
+        received.extend(buffer.iter().take(count));
+        Ok(())
+    }
+}
+
+fn rtt_error(error: probe_rs::rtt::Error) -> ProbeError {
+    match error {
+        probe_rs::rtt::Error::Probe(cause) => ProbeError::Line { doing: "an RTT exchange", cause: Box::new(cause) },
+        other => ProbeError::Rtt(error_chain(&other)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prints_chip_and_selector_as_parsed() {
+        for text in ["STM32F407VG", "STM32F427VI@0483:374b", "STM32F405RG@0d28:0204:0240A1:B2"] {
+            assert_eq!(text.parse::<ProbeSpec>().unwrap().to_string(), text);
+        }
+    }
+
+    #[test]
+    fn rejects_a_wrong_chip_or_selector() {
+        for text in ["", "@0483:374b", "STM32F407VG@", "STM32F407VG@0483", "STM32F407VG@st:link"] {
+            let error = text.parse::<ProbeSpec>().unwrap_err().to_string();
+            assert!(error.contains("CHIP[@VID:PID[:SERIAL]]"), "{text}: {error}");
         }
     }
 }

@@ -1,9 +1,8 @@
 //! Defines the errors of a board on a debug probe.
 
 use crate::crash_report::CrashReport;
-use crate::link::LinkError;
+use crate::link::{LinkError, TargetError};
 use crate::serial_port::SerialError;
-use crate::target_error::TargetError;
 use probe_rs::flashing::FlashError;
 use probe_rs::probe::DebugProbeError;
 use std::error::Error;

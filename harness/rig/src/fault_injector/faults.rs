@@ -1,11 +1,70 @@
-//! Applies the faults of a trial to one message.
+//! Describes the faults of samples and commands and applies them to one message, without allocation
+//! during a trial.
 
-use super::packet::{QueuedPacket, decode_first_packet};
-use super::wire_fault::{Direction, WireFault, WireFaultKind};
-use platebench_wire::{Message, Packet, Sample};
+use arrayvec::ArrayVec;
+use platebench_wire::{MAX_ENCODED, Message, Packet, PacketReader, Sample};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::Duration;
+
+#[derive(Debug, Clone, Copy, PartialEq, strum::IntoStaticStr)]
+#[strum(const_into_str, serialize_all = "lowercase")]
+pub enum WireFaultKind {
+    Drop,
+    /// Flips one bit, possibly of the delimiter.
+    Flip,
+    Duplicate,
+    Delay(Duration),
+    /// Loses the second half of the message, with the delimiter.
+    Truncate,
+    /// Sends four invalid frames, 64 bytes, before the message.
+    Babble,
+    /// Loses all messages in the window.
+    Disconnect,
+    /// Keeps Wd and Wq of the last sample before the window.
+    Freeze,
+    /// Multiplies Wd and Wq.
+    Scale(f32),
+}
+
+impl WireFaultKind {
+    pub(super) const COUNT: usize = 9;
+
+    pub const fn name(self) -> &'static str {
+        self.into_str()
+    }
+
+    pub(super) const fn affects_sensor(self) -> bool {
+        matches!(self, Self::Freeze | Self::Scale(_))
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Direction {
+    ToController,
+    FromController,
+    /// Samples to the controller and commands from it, counted separately.
+    Both,
+}
+
+/// Instants count from the start of the trial.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WireFault {
+    pub kind: WireFaultKind,
+    pub from: Duration,
+    /// Exclusive end; `None` for the end of the trial.
+    pub until: Option<Duration>,
+    pub direction: Direction,
+    /// Affects every n-th message per direction in the window; 0 affects none.
+    pub every: u32,
+    pub seed: u64,
+}
+
+impl WireFault {
+    pub(super) fn is_active_at(&self, now: Duration) -> bool {
+        self.from <= now && self.until.is_none_or(|until| now < until)
+    }
+}
 
 /// First random stream of the faults. Sensor noise and plate spread use streams 0 and 1.
 const FIRST_STREAM: u64 = 2;
@@ -131,4 +190,66 @@ fn with_components(packet: QueuedPacket, change: impl FnOnce([f32; 2]) -> [f32; 
     let [wd_um, wq_um] = change([sample.wd_um, sample.wq_um]);
     let changed = Packet { sequence, message: Message::Sample(Sample { wd_um, wq_um, ..sample }) };
     QueuedPacket::new(packet.due, changed.encode().as_bytes())
+}
+
+/// Enough for a message with noise, or for a repeated message.
+const MAX_PACKET_BYTES: usize = 4 * MAX_ENCODED;
+
+#[derive(Debug, Clone)]
+pub(super) struct QueuedPacket {
+    pub(super) due: Duration,
+    pub(super) bytes: ArrayVec<u8, MAX_PACKET_BYTES>,
+}
+
+impl QueuedPacket {
+    /// `None` for no bytes, or more than [`MAX_PACKET_BYTES`].
+    pub(super) fn new(due: Duration, content: &[u8]) -> Option<Self> {
+        let bytes = ArrayVec::try_from(content).ok().filter(|bytes| !bytes.is_empty())?;
+        Some(Self { due, bytes })
+    }
+
+    pub(super) fn flip(&mut self, bit: usize) {
+        if let Some(byte) = self.bytes.get_mut(bit / 8) {
+            *byte ^= 1 << (bit % 8);
+        }
+    }
+
+    /// Changes nothing if there is not enough room.
+    pub(super) fn prepend(&mut self, content: &[u8]) {
+        let mut whole = ArrayVec::new();
+        let added = whole.try_extend_from_slice(content).and_then(|()| whole.try_extend_from_slice(&self.bytes));
+        if added.is_ok() {
+            self.bytes = whole;
+        }
+    }
+
+    pub(super) fn duplicate(&mut self) {
+        let _ = self.bytes.try_extend_from_slice(&self.bytes.clone());
+    }
+}
+
+#[derive(Debug, Default)]
+pub(super) struct FrameSplitter {
+    bytes: ArrayVec<u8, MAX_ENCODED>,
+    complete: bool,
+}
+
+impl FrameSplitter {
+    /// Returns the collected bytes if `byte` is the delimiter or fills the buffer.
+    pub(super) fn push(&mut self, byte: u8) -> Option<&[u8]> {
+        if std::mem::take(&mut self.complete) {
+            self.bytes.clear();
+        }
+        let _ = self.bytes.try_push(byte);
+        self.complete = byte == 0 || self.bytes.is_full();
+        self.complete.then_some(&self.bytes)
+    }
+}
+
+pub(super) fn decode_first_packet(bytes: &[u8]) -> Option<Packet> {
+    PacketReader::new().packets(bytes).next()?.ok()
+}
+
+pub(super) fn is_sample(bytes: &[u8]) -> bool {
+    matches!(decode_first_packet(bytes), Some(Packet { message: Message::Sample(_), .. }))
 }
