@@ -20,7 +20,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 macro_rules! effects {
-    ($($name:ident: $effect:ty = $table:ident,)*) => {
+    ($($(#[$attribute:meta])* $name:ident: $effect:ty = $key:ident: $table:ty,)*) => {
         /// The optional effects of a plate.
         #[derive(Debug, Clone, Copy, PartialEq, Default)]
         pub struct Effects {
@@ -29,50 +29,47 @@ macro_rules! effects {
 
         impl Effects {
             pub(crate) fn check(raw: &RawPlate) -> Result<Self, PlateError> {
-                Ok(Self { $($name: Effect::check(&raw.$table)?,)* })
+                Ok(Self { $($name: Effect::check(&raw.$key)?,)* })
             }
 
             pub(crate) fn list(&self) -> impl Iterator<Item = &dyn Effect> {
                 [$(&self.$name as &dyn Effect,)*].into_iter()
             }
         }
+
+        /// The plate file, unchecked.
+        #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+        #[serde(deny_unknown_fields)]
+        pub struct RawPlate {
+            /// Name of the plate.
+            pub name: String,
+            /// Origin of the numbers, such as a publication or a measurement.
+            pub source: String,
+            /// The bending mode.
+            pub mode: RawMode,
+            /// Effect of a finger; none by default.
+            #[serde(default, skip_serializing_if = "is_default")]
+            pub finger: RawFinger,
+            $($(#[$attribute])* pub $key: $table,)*
+            /// Uncertainty of the numbers; unknown by default.
+            #[serde(default, skip_serializing_if = "is_default")]
+            pub uncertainty: Uncertainty,
+        }
     };
 }
 
-// `field of Effects: type = table of the plate file`. Drives and readings pass the effects in this
-// order.
+// `field of Effects: type = table of the plate file: type`, with the documentation of the table. Drives
+// and readings pass the effects in this order.
 effects! {
-    second_mode: Option<SecondMode> = second_mode,
-    heating: Option<Heating> = heating,
-    amplifier: Amplifier = drive,
-    sensor: SensorElectronics = sensor,
-}
-
-/// The plate file, unchecked.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct RawPlate {
-    /// Name of the plate.
-    pub name: String,
-    /// Origin of the numbers, such as a publication or a measurement.
-    pub source: String,
-    /// The bending mode.
-    pub mode: RawMode,
     /// Another bending mode that the drive excites and the sensor measures; none by default.
-    pub second_mode: Option<RawSecondMode>,
-    /// Effect of a finger; none by default.
-    #[serde(default, skip_serializing_if = "is_default")]
-    pub finger: RawFinger,
+    second_mode: Option<SecondMode> = second_mode: Option<RawSecondMode>,
+    /// Warming by the plate's own vibration; none by default.
+    heating: Option<Heating> = heating: Option<RawHeating>,
     /// The amplifier.
-    pub drive: RawDrive,
+    amplifier: Amplifier = drive: RawDrive,
     /// The sensor; without noise by default.
     #[serde(default, skip_serializing_if = "is_default")]
-    pub sensor: RawSensor,
-    /// Warming by the plate's own vibration; none by default.
-    pub heating: Option<RawHeating>,
-    /// Uncertainty of the numbers; unknown by default.
-    #[serde(default, skip_serializing_if = "is_default")]
-    pub uncertainty: Uncertainty,
+    sensor: SensorElectronics = sensor: RawSensor,
 }
 
 /// `[mode]`

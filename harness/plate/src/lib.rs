@@ -24,10 +24,7 @@ mod varying;
 pub use crossing::{BandMonitor, BandSignal, Crossing};
 pub use demodulator::{Demodulator, Lockin};
 pub use effect::PlateError;
-pub use effects::{
-    Amplifier, ConverterResolution, DriveConverter, Effects, Heating, RawDrive, RawFinger, RawHeating, RawMode,
-    RawPlate, RawSecondMode, RawSensor, SecondMode, Sensor, SensorElectronics, Uncertainty,
-};
+pub use effects::*;
 pub use flow::{Flow, State, Tier};
 pub use mode::{ConditionProfiles, Conditions, Drive, Mode};
 pub use num_complex::Complex64;

@@ -22,8 +22,16 @@ use std::sync::Arc;
 pub use tcp::NetworkError;
 
 /// In the order of help and messages.
-pub const RIGS: &[&RigFactory] =
-    &[&hosted::RIG, &emulated::RIG, &exec::RIG, &serial::RIG, &tcp::RIG, &rfc2217::RIG, &probe::RIG];
+#[rustfmt::skip] // One line per kind.
+pub const RIGS: &[&RigFactory] = &[
+    &hosted::RIG,
+    &emulated::RIG,
+    &exec::RIG,
+    &serial::RIG,
+    &tcp::RIG,
+    &rfc2217::RIG,
+    &probe::RIG,
+];
 
 /// Prints the syntax of each kind that is not filtered out: "a, b or c".
 pub fn rig_syntaxes(filter: impl Fn(&RigFactory) -> bool) -> String {
