@@ -10,9 +10,7 @@
 //! Exit codes: 0 after a hang-up with the drive at 0 V, 1 if port or log failed, 2 for wrong usage.
 
 mod arguments;
-mod error;
 mod log;
-mod main_loop;
 mod port;
 mod program;
 

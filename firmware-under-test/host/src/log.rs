@@ -7,7 +7,7 @@
 //! `event` is `start`, `state`, `hang-up` or `end`. `since_sample_us` is the time since the last
 //! sample with a control step, or `null`. The program also logs after the bench has ended.
 
-use crate::error::HostError;
+use crate::port::HostError;
 use platebench_wire::{Command, ControllerState, StateCause};
 use std::fs::{File, OpenOptions};
 use std::io::Write;

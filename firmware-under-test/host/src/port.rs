@@ -1,13 +1,22 @@
 //! Reads and writes a terminal in raw, non-blocking mode.
 
 use crate::arguments::Arguments;
-use crate::error::HostError;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fd::OwnedFd;
 use rustix::fs::{Mode, OFlags};
 use rustix::io::Errno;
 use rustix::termios::{ControlModes, OptionalActions, tcgetattr, tcsetattr};
 use std::time::Duration;
+
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum HostError {
+    #[error("cannot open {port}: {error}")]
+    Open { port: String, error: std::io::Error },
+    #[error("{port} cannot be set to {baud} baud: {error}")]
+    Settings { port: String, baud: u32, error: std::io::Error },
+    #[error("cannot write {file}: {error}")]
+    Log { file: String, error: std::io::Error },
+}
 
 pub(crate) struct Port(OwnedFd);
 
