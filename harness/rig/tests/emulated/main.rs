@@ -6,7 +6,6 @@ mod debugger;
 mod equivalence;
 mod faults;
 mod images;
-mod pacing;
 mod provenance;
 
 use platebench_rig::{Chip, Link, LinkError, Session};

@@ -2,9 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-mod exec;
 mod network;
-mod python_controller;
+mod programs;
 mod serial;
 
 use platebench_wire::{Configure, Sample};

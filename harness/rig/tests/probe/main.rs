@@ -4,7 +4,6 @@
 #![allow(clippy::unwrap_used, reason = "a failed fixture fails the test")]
 
 mod chip;
-mod discovery;
 mod emulated_probe;
 mod flashing;
 mod image;
@@ -12,8 +11,6 @@ mod ports;
 mod rtt_buffers;
 mod rtt_exchange;
 mod setup;
-mod shutdown;
-mod traps;
 
 use chip::CHIP;
 use emulated_probe::SharedChip;
