@@ -3,7 +3,6 @@
 use platebench_engine::RunError;
 use platebench_model::record::FolderError;
 use platebench_model::scenario::Diagnostic;
-use platebench_report::ReportError;
 use platebench_rig::RigError;
 use std::io;
 
@@ -25,8 +24,6 @@ pub enum ChartError {
     Temporary(#[from] io::Error),
     #[error(transparent)]
     Folder(#[from] FolderError),
-    #[error(transparent)]
-    Report(#[from] ReportError),
 }
 
 impl From<Diagnostic> for ChartError {

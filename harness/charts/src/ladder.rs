@@ -146,7 +146,7 @@ fn section(results: &[RungResult]) -> Result<ChartSection, ChartError> {
     let mut blocks = vec![Block::Details(EXPLANATION.map(Block::paragraph).into())];
     blocks.push(Block::Table(table));
     for (place, (metric, file, unit)) in METRICS.into_iter().enumerate() {
-        let svg = drawing(results, place, metric, unit).svg()?;
+        let svg = drawing(results, place, metric, unit).svg();
         blocks.push(Block::figure(svg.clone(), format!("{}: difference against cost", metric.name())));
         files.push((file.to_owned(), svg));
     }

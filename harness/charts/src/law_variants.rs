@@ -5,7 +5,6 @@ use crate::law_results::LawScenario;
 use crate::measured_run::play_hosted;
 use platebench_model::scenario::Scenario;
 use platebench_plate::Time;
-use platebench_report::ReportError;
 use platebench_report::chart::{MultiplesChart, MultiplesPoint};
 use platebench_report::document::Table;
 use platebench_wire::LawId;
@@ -95,7 +94,7 @@ pub(crate) fn csv(scenes: &[&LawScenario], results: &[VariantResult]) -> String 
     table.csv()
 }
 
-pub(crate) fn svg(scenes: &[&LawScenario], results: &[VariantResult]) -> Result<String, ReportError> {
+pub(crate) fn svg(scenes: &[&LawScenario], results: &[VariantResult]) -> String {
     let laws = LawId::ALL;
     let panel = |scene: usize, variant: usize| {
         let own = results.iter().filter(move |result| result.at[..2] == [scene, variant]);

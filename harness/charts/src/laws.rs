@@ -21,10 +21,10 @@ pub fn build_chart(scenes: &[LawScenario]) -> Result<ChartSection, ChartError> {
     let results =
         pairs.map(|(law, (index, scene))| LawResult::measure(law, index, scene)).collect::<Result<Vec<_>, _>>()?;
     let table = result_table(scenes, &results);
-    let svg = scatter_chart(scenes, &results).svg()?;
+    let svg = scatter_chart(scenes, &results).svg();
     let quiet: Vec<&LawScenario> = scenes.iter().filter(|scene| !scene.is_noisy()).collect();
     let variants = law_variants::measure(&quiet)?;
-    let multiples = law_variants::svg(&quiet, &variants)?;
+    let multiples = law_variants::svg(&quiet, &variants);
     let files = [(FILE, csv_table(scenes, &results).csv()), (TABLE, table.markdown()), (DRAWING, svg.clone())];
     let variant_files =
         [(law_variants::CSV, law_variants::csv(&quiet, &variants)), (law_variants::DRAWING, multiples.clone())];

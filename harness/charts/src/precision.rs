@@ -50,7 +50,7 @@ pub fn build_chart(scenarios: &[Scenario], is_quick: bool) -> Result<ChartSectio
         headlines.extend(EquationForm::ALL.iter().filter_map(|form| headline_row(scenario, *form, &results)));
         drawings.push(Block::Details(vec![Block::heading(&scenario.title)]));
         for form in EquationForm::ALL {
-            let svg = loglog_chart(scenario, form, &results).svg()?;
+            let svg = loglog_chart(scenario, form, &results).svg();
             files.push((format!("precision-{}-{}.svg", scenario.name().replace('/', "-"), form.name()), svg.clone()));
             let caption = format!("{}: {} equations, after {}", scenario.title, form.name(), scenario.file);
             drawings.push(Block::figure(svg, caption));

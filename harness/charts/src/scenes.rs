@@ -126,7 +126,7 @@ impl ModelResult<'_> {
 }
 
 fn section(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Result<ChartSection, ChartError> {
-    let svg = strip_chart(results).svg()?;
+    let svg = strip_chart(results).svg();
     let (models, differences) = (model_table(results, costs), difference_table(results));
     let caption = format!("{} scenarios: largest difference of a metric on every model", results.len());
     let mut blocks = vec![Block::Details(EXPLANATION.map(Block::paragraph).into())];

@@ -16,7 +16,6 @@ use platebench_model::external_csv;
 use platebench_model::external_csv::ColumnMapping;
 use platebench_model::recording::{Recording, RecordingError};
 use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_atomically, write_new};
-use platebench_report::ReportError;
 use platebench_report::chart::FitChart;
 use platebench_report::document::{Block, Document, Figure, Table};
 use platebench_report::format::count;
@@ -144,7 +143,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         markdown(&tables)
     });
     if let Some(path) = &arguments.page {
-        let page = render_page(path, arguments, &tables, &recordings, &found, &fits)?;
+        let page = render_page(path, arguments, &tables, &recordings, &found, &fits);
         write_atomically(path, page.as_bytes()).or_invalid_at(path)?;
     }
     let exit = if found.inconsistencies.is_empty() { Exit::Passed } else { Exit::Inconclusive };
@@ -233,10 +232,10 @@ fn render_page(
     recordings: &[Recording],
     found: &Identification,
     fits: &[DirectFit],
-) -> Result<String, Failure> {
+) -> String {
     let title = format!("Identification: {}", arguments.name);
     if path.extension().is_some_and(|extension| extension == "md") {
-        return Ok(format!("# {title}\n\n{}", markdown(tables)));
+        return format!("# {title}\n\n{}", markdown(tables));
     }
     let fitted =
         found.recordings.iter().filter_map(|whole| recordings.iter().find(|each| each.name == whole.recording));
@@ -259,7 +258,7 @@ fn render_page(
         blocks.extend(table.notes.iter().cloned().map(Block::Paragraph));
     }
     blocks.push(Block::Heading("Measured (dashed) and fitted response".to_owned()));
-    let drawings = curves.iter().map(|curve| Ok(Figure::new(curve.svg()?, &curve.title)));
-    blocks.push(Block::Figures(drawings.collect::<Result<_, ReportError>>().or_invalid()?));
-    Ok(Document::new(title, blocks).to_html())
+    let drawings = curves.iter().map(|curve| Figure::new(curve.svg(), &curve.title));
+    blocks.push(Block::Figures(drawings.collect()));
+    Document::new(title, blocks).to_html()
 }

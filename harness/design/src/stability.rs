@@ -11,7 +11,6 @@ use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_engine::workers::collect_in_parallel;
 use platebench_model::record::RunRecord;
 use platebench_plate::{Plate, Tier, Time};
-use platebench_report::ReportError;
 use platebench_report::chart::{MapFigure, MapPanel, RigDelay};
 use platebench_report::document::{Block, Document};
 use platebench_report::page::ChartSection;
@@ -27,8 +26,6 @@ const START_PERIODS: u32 = 4_000;
 pub enum StabilityError {
     #[error(transparent)]
     Analysis(#[from] AnalysisError),
-    #[error(transparent)]
-    Report(#[from] ReportError),
 }
 
 pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartSection, StabilityError> {
@@ -45,9 +42,9 @@ pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartS
     let maps: Vec<(LawId, MapFigure)> =
         config.laws.iter().filter_map(|&law| Some((law, build_map(&result, law, rig)?))).collect();
     for (law, map) in &maps {
-        files.push((format!("{}.svg", law.name()), map.svg()?));
+        files.push((format!("{}.svg", law.name()), map.svg()));
     }
-    let blocks = page_blocks([step_table, boundaries, known_limit], &maps)?;
+    let blocks = page_blocks([step_table, boundaries, known_limit], &maps);
     Ok(ChartSection { document: Document::new("Where methods and loops become unstable", blocks), files })
 }
 
@@ -94,10 +91,7 @@ fn build_map(study: &Study, law: LawId, rig: Option<RigDelay>) -> Option<MapFigu
     (!maps.is_empty()).then(|| MapFigure { title, panels: panels.collect(), columns, rig })
 }
 
-fn page_blocks(
-    [steps, boundaries, known_limit]: [String; 3],
-    maps: &[(LawId, MapFigure)],
-) -> Result<Vec<Block>, ReportError> {
+fn page_blocks([steps, boundaries, known_limit]: [String; 3], maps: &[(LawId, MapFigure)]) -> Vec<Block> {
     let heading = |text: &str| Block::Details(vec![Block::heading(text)]);
     let mut blocks = vec![
         heading("The largest stable step of a method"),
@@ -111,9 +105,9 @@ fn page_blocks(
     for (law, map) in maps {
         blocks.push(heading(law.name()));
         blocks.extend(law_note(*law).map(|note| Block::Details(vec![Block::paragraph(note)])));
-        blocks.push(Block::figure(map.svg()?, &map.title));
+        blocks.push(Block::figure(map.svg(), &map.title));
     }
-    Ok(blocks)
+    blocks
 }
 
 pub const MAX_DELAY_S: f64 = 12e-3;

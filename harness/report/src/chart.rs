@@ -1,22 +1,13 @@
 //! Draws charts as SVG with classes instead of colours, for light, dark and paper.
 
+mod cells;
 pub(crate) mod colours;
-mod exceedance;
-mod fit;
-mod heat;
-mod loglog;
-mod map;
-mod multiples;
-mod scatter;
-mod strip;
-pub(crate) mod svg;
-pub(crate) mod time_chart;
+pub(crate) mod marks;
+mod points;
+mod strips;
+pub(crate) mod time;
 
-pub use exceedance::draw_exceedance;
-pub use fit::FitChart;
-pub use heat::{HeatAxis, HeatFigure, HeatPanel};
-pub use loglog::{LogLogChart, LogLogSeries};
-pub use map::{MapFigure, MapPanel, RigDelay};
-pub use multiples::{MultiplesChart, MultiplesPoint};
-pub use scatter::{ScatterChart, ScatterPanel, ScatterPoint};
-pub use strip::{StripChart, StripRow};
+pub use cells::{HeatAxis, HeatFigure, HeatPanel, MapFigure, MapPanel, RigDelay};
+pub use points::{LogLogChart, LogLogSeries, ScatterChart, ScatterPanel, ScatterPoint};
+pub use strips::{MultiplesChart, MultiplesPoint, StripChart, StripRow};
+pub use time::{FitChart, draw_exceedance};

@@ -9,8 +9,6 @@ pub enum ReportError {
     File(#[from] FileError),
     #[error("{}: {source}", path.display())]
     Junit { path: PathBuf, source: quick_junit::SerializeError },
-    #[error("cannot draw {title}: {source}")]
-    Plot { title: String, source: Box<dyn std::error::Error + Send + Sync> },
 }
 
 /// Replaces a file atomically. Writes directly into anything else, such as a pipe.

@@ -18,7 +18,7 @@ pub const REPORT_FILE: &str = "report.html";
 
 pub fn write(folder: &Path, summary: &Summary<'_>, links: &ResponseLinks) -> Result<(), CampaignError> {
     let mut blocks = vec![Block::Preformatted(summary.text())];
-    blocks.extend(maps(summary, links)?);
+    blocks.extend(maps(summary, links));
     let quantiles = quantiles(summary);
     if !quantiles.rows.is_empty() {
         blocks.push(Block::Heading("Quantiles".to_owned()));
@@ -100,39 +100,39 @@ fn length(variable: &Variable) -> usize {
     variable.distribution.choices().map_or(1, <[_]>::len)
 }
 
-fn maps(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Vec<Block>, CampaignError> {
-    let Some(layout) = Layout::new(summary) else { return Ok(Vec::new()) };
+fn maps(summary: &Summary<'_>, links: &ResponseLinks) -> Vec<Block> {
+    let Some(layout) = Layout::new(summary) else { return Vec::new() };
     let cells_per_panel = summary.cells.len() / layout.panels.max(1);
     if layout.panels > MAX_PANELS || cells_per_panel > MAX_PANEL_CELLS {
         let text = format!("{} cells, too many for maps: see {CSV_FILE}", summary.cells.len());
-        return Ok(vec![Block::Paragraph(text)]);
+        return vec![Block::Paragraph(text)];
     }
     let places = layout.places(summary);
     let figure = |title: String, is_low_bad, of: &dyn Fn(&Tally) -> Option<f64>| {
         let panels = places.panels(summary, of);
         let figure = HeatFigure { title, panels, is_low_bad };
         let links = places.links(summary, &figure, links);
-        Ok::<_, CampaignError>(Figure { svg: figure.svg()?, caption: figure.title, links })
+        Figure { svg: figure.svg(), caption: figure.title, links }
     };
     let share = |cell: &Tally| (cell.trials > 0).then(|| cell.failures as f64 / cell.trials as f64 * 100.0);
     let margin = |cell: &Tally| (cell.trials > 0).then_some(cell.smallest_margin);
     let mut figures = vec![
-        figure("share of failing trials, %".to_owned(), false, &share)?,
-        figure("smallest margin, relative to the limit".to_owned(), true, &margin)?,
+        figure("share of failing trials, %".to_owned(), false, &share),
+        figure("smallest margin, relative to the limit".to_owned(), true, &margin),
     ];
     let expectations = summary.campaign.template.scenario.expectations.iter().take(MAX_VALUE_MAPS);
     for (index, expectation) in expectations.enumerate() {
         let unit = format::unit(expectation.metric);
         let title =
             [&*expectation.name, unit].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ");
-        figures.push(figure(format!("mean {title}"), false, &|cell| cell.mean(index))?);
+        figures.push(figure(format!("mean {title}"), false, &|cell| cell.mean(index)));
     }
     let mut blocks = vec![Block::heading("Maps")];
     if !links.is_empty() {
         blocks.push(Block::paragraph("A cell opens the response of its worst trial."));
     }
     blocks.push(Block::Figures(figures));
-    Ok(blocks)
+    blocks
 }
 
 struct Places {

@@ -1,6 +1,7 @@
 //! Reads signals, flagged windows and setpoint steps from the rows of a trace.
 
-use crate::chart::time_chart::{CurvePoint, TimeWindow};
+use crate::chart::marks::Point;
+use crate::chart::time::TimeWindow;
 use platebench_model::trace::{Column, Flags, Row};
 use platebench_verdict::metrics::setpoint_steps;
 
@@ -39,18 +40,13 @@ fn row_ms(row: &Row) -> f64 {
 }
 
 /// Points after `from_ms`, up to and including `to_ms`.
-pub(crate) fn points_between(
-    rows: &[Row],
-    signal: Column,
-    from_ms: f64,
-    to_ms: f64,
-) -> impl Iterator<Item = CurvePoint> {
+pub(crate) fn points_between(rows: &[Row], signal: Column, from_ms: f64, to_ms: f64) -> impl Iterator<Item = Point> {
     let start = rows.partition_point(|row| row_ms(row) <= from_ms);
     let end = rows.partition_point(|row| row_ms(row) <= to_ms);
     points(rows.get(start..end).unwrap_or_default(), signal)
 }
 
-pub(crate) fn points(rows: &[Row], signal: Column) -> impl Iterator<Item = CurvePoint> {
+pub(crate) fn points(rows: &[Row], signal: Column) -> impl Iterator<Item = Point> {
     rows.iter().map(move |row| (row_ms(row), signal.value(row)))
 }
 
@@ -71,12 +67,12 @@ pub(crate) fn rows_until(rows: &[Row], t_ms: &[f64]) -> Vec<usize> {
     t_ms.iter().map(until).collect()
 }
 
-pub(crate) fn interpolate(points: &[CurvePoint], signal: Column, at_ms: f64) -> Option<f64> {
+pub(crate) fn interpolate(points: &[Point], signal: Column, at_ms: f64) -> Option<f64> {
     let next = points.partition_point(|point| point.0 <= at_ms);
     interpolate_between(*points.get(next.checked_sub(1)?)?, points.get(next).copied(), signal, at_ms)
 }
 
-fn interpolate_between(before: CurvePoint, after: Option<CurvePoint>, signal: Column, at_ms: f64) -> Option<f64> {
+fn interpolate_between(before: Point, after: Option<Point>, signal: Column, at_ms: f64) -> Option<f64> {
     let Some(after) = after else { return (before.0 == at_ms).then_some(before.1) };
     if is_zero_order_hold(signal) {
         return Some(before.1);

@@ -1,7 +1,7 @@
 //! Describes a figure once; the page's script and the SVG drawings show the same figures.
 
-use crate::chart::svg::Role;
-use crate::chart::time_chart::{CurvePoint, Mark, TimeChart, TimeWindow};
+use crate::chart::marks::{AxisValue, Mark, Point, Role, extent};
+use crate::chart::time::{TimeChart, TimeWindow, worst_point};
 
 /// One value per instant of the time grid; `None` for a missing value.
 pub(crate) type SampledLine = Vec<Option<f64>>;
@@ -70,38 +70,44 @@ impl Figure {
     /// `t_ms` contains the instants of the time grid. Each line is reduced to about `limit` points.
     pub(crate) fn chart(&self, t_ms: &[f64], window: TimeWindow, limit: usize) -> TimeChart {
         let points = |line: &SampledLine, is_stepped| line_points(t_ms, line, is_stepped, window, limit);
-        let mut chart = TimeChart::new(window, (0.0, 1.0), self.unit);
+        let mut marks = Vec::new();
         for layer in self.layers.iter().filter(|layer| layer.is_in_drawing()) {
+            let role = layer.role;
             match &layer.content {
                 Content::Lines { is_stepped, lines } => {
-                    chart.lines.extend(lines.iter().map(|line| (layer.role, points(line, *is_stepped))));
+                    marks.extend(lines.iter().map(|line| Mark::Line(role, points(line, *is_stepped))));
                 }
                 Content::Area { is_stepped, upper, lower } => {
-                    chart.areas.push((layer.role, [points(upper, *is_stepped), points(lower, *is_stepped)]));
+                    marks.push(Mark::Band(role, [points(upper, *is_stepped), points(lower, *is_stepped)]));
                 }
-                Content::Spans(spans) => chart.spans.extend(spans.iter().filter_map(|span| {
+                Content::Spans(spans) => marks.extend(spans.iter().filter_map(|span| {
                     let (from_ms, to_ms) = (span.from_ms.max(window.from_ms), span.to_ms.min(window.to_ms));
-                    (from_ms < to_ms).then_some((layer.role, TimeWindow { from_ms, to_ms }))
+                    let corners = [(from_ms, f64::NEG_INFINITY), (to_ms, f64::INFINITY)];
+                    (from_ms < to_ms).then_some(Mark::Cell(role, corners))
                 })),
-                Content::Marks(marks) => {
-                    let inside = marks.iter().filter(|(at_ms, _)| window.contains(*at_ms));
-                    chart.marks.extend(inside.cloned().map(|(at_ms, text)| Mark { role: layer.role, at_ms, text }));
+                Content::Marks(instants) => {
+                    let inside = instants.iter().filter(|(at_ms, _)| window.contains(*at_ms)).cloned();
+                    marks.extend(inside.map(|(at_ms, text)| Mark::Limit { role, at: AxisValue::X(at_ms), text }));
                 }
                 Content::Points(points) => {
                     let inside = points.iter().filter(|(at_ms, ..)| window.contains(*at_ms)).cloned();
-                    chart.points.extend(inside.map(|(at_ms, value, text)| (layer.role, (at_ms, value), text)));
+                    marks.extend(inside.map(|(at_ms, value, text)| worst_point(role, (at_ms, value), text)));
                 }
             }
         }
-        chart.range = self.axis_range(&chart);
-        chart
+        TimeChart { window, range: self.axis_range(&marks), unit: self.unit, marks }
     }
 
-    fn axis_range(&self, chart: &TimeChart) -> (f64, f64) {
-        let edges = chart.areas.iter().flat_map(|(_, edges)| edges).flatten();
-        let values = chart.lines.iter().flat_map(|(_, points)| points).chain(edges).map(|point| point.1);
-        let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
-        let (low, high) = if low <= high { (low, high) } else { (0.0, 0.0) };
+    fn axis_range(&self, marks: &[Mark]) -> (f64, f64) {
+        let mut values = Vec::new();
+        for mark in marks {
+            match mark {
+                Mark::Line(_, points) => values.extend(points.iter().map(|point| point.1)),
+                Mark::Band(_, edges) => values.extend(edges.iter().flatten().map(|point| point.1)),
+                Mark::Point { .. } | Mark::Cell(..) | Mark::Limit { .. } => {}
+            }
+        }
+        let (low, high) = extent(values.into_iter()).unwrap_or((0.0, 0.0));
         let (low, high) = if self.from_zero { (low.min(0.0), high.max(0.0)) } else { (low, high) };
         let span = (high - low).max(self.min_span);
         let centred = if self.from_zero { 0.0 } else { (span - (high - low)) / 2.0 };
@@ -111,15 +117,9 @@ impl Figure {
 }
 
 /// Omits missing values and adds corners to a stepped line.
-fn line_points(
-    t_ms: &[f64],
-    line: &SampledLine,
-    is_stepped: bool,
-    window: TimeWindow,
-    limit: usize,
-) -> Vec<CurvePoint> {
+fn line_points(t_ms: &[f64], line: &SampledLine, is_stepped: bool, window: TimeWindow, limit: usize) -> Vec<Point> {
     let known = t_ms.iter().zip(line).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
-    let mut points: Vec<CurvePoint> = Vec::new();
+    let mut points: Vec<Point> = Vec::new();
     for point in known.filter(|point| window.contains(point.0)) {
         match points.last() {
             Some((_, before)) if is_stepped && *before != point.1 => points.push((point.0, *before)),
@@ -131,17 +131,17 @@ fn line_points(
 }
 
 /// Keeps the extremes of each of `limit / 2` parts of the window, and both ends.
-fn decimate(points: &[CurvePoint], window: TimeWindow, limit: usize) -> Vec<CurvePoint> {
+fn decimate(points: &[Point], window: TimeWindow, limit: usize) -> Vec<Point> {
     if points.len() <= limit {
         return points.to_vec();
     }
     let buckets = (limit / 2).max(1) as f64;
-    let bucket = |point: &CurvePoint| ((point.0 - window.from_ms) / window.span_ms() * buckets).floor();
-    let mut kept: Vec<CurvePoint> = points.first().copied().into_iter().collect();
+    let bucket = |point: &Point| ((point.0 - window.from_ms) / window.span_ms() * buckets).floor();
+    let mut kept: Vec<Point> = points.first().copied().into_iter().collect();
     for part in points.chunk_by(|a, b| bucket(a) == bucket(b)) {
-        let by_value = |a: &&CurvePoint, b: &&CurvePoint| a.1.total_cmp(&b.1);
+        let by_value = |a: &&Point, b: &&Point| a.1.total_cmp(&b.1);
         let extremes = [part.iter().min_by(by_value), part.iter().max_by(by_value)];
-        let mut extremes: Vec<CurvePoint> = extremes.into_iter().flatten().copied().collect();
+        let mut extremes: Vec<Point> = extremes.into_iter().flatten().copied().collect();
         extremes.sort_by(|a, b| a.0.total_cmp(&b.0));
         kept.extend(extremes);
     }
@@ -158,7 +158,7 @@ mod tests {
 
     #[test]
     fn decimation_keeps_a_single_peak() {
-        let mut many: Vec<CurvePoint> = (0..60_000).map(|n| (f64::from(n) * 4.0 / 60_000.0, 1.0)).collect();
+        let mut many: Vec<Point> = (0..60_000).map(|n| (f64::from(n) * 4.0 / 60_000.0, 1.0)).collect();
         many[31_234].1 = 9.0;
         let thinned = decimate(&many, WINDOW, 400);
         assert!(thinned.len() <= 402, "{}", thinned.len());
@@ -188,9 +188,12 @@ mod tests {
             [Role::First, Role::Trial, Role::Saturated, Role::Settling]
         );
         let chart = figure.chart(&[0.0, 1.0, 8.0], WINDOW, 10);
-        assert_eq!(chart.lines, [(Role::First, vec![(0.0, 2.0), (1.0, 4.0)])]);
-        assert_eq!(chart.spans, [(Role::Saturated, TimeWindow { from_ms: 3.0, to_ms: 4.0 })]);
-        assert_eq!(chart.marks.iter().map(|mark| mark.at_ms).collect::<Vec<_>>(), [2.0]);
+        let expected = [
+            Mark::Line(Role::First, vec![(0.0, 2.0), (1.0, 4.0)]),
+            Mark::Cell(Role::Saturated, [(3.0, f64::NEG_INFINITY), (4.0, f64::INFINITY)]),
+            Mark::Limit { role: Role::Settling, at: AxisValue::X(2.0), text: None },
+        ];
+        assert_eq!(chart.marks, expected);
         assert_eq!(chart.range, (0.0, 10.8));
     }
 }

@@ -1,7 +1,8 @@
 //! Samples all trials at the same instants, which the plotting library draws fast.
 
 use super::curves;
-use crate::chart::time_chart::{CurvePoint, TimeWindow};
+use crate::chart::marks::Point;
+use crate::chart::time::TimeWindow;
 use platebench_model::trace::{Column, Row};
 
 /// Ascending instants at which all trials are sampled.
@@ -70,8 +71,8 @@ impl AlignedRows<'_> {
                 continue;
             }
             let known = instants.iter().zip(values).take(2).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
-            let all: Vec<CurvePoint> = known.chain(hidden()).collect();
-            let by_value = |a: &&CurvePoint, b: &&CurvePoint| a.1.total_cmp(&b.1);
+            let all: Vec<Point> = known.chain(hidden()).collect();
+            let by_value = |a: &&Point, b: &&Point| a.1.total_cmp(&b.1);
             let mut ends = [all.iter().min_by(by_value).copied(), all.iter().max_by(by_value).copied()];
             ends.sort_by(|a, b| a.map_or(0.0, |a| a.0).total_cmp(&b.map_or(0.0, |b| b.0)));
             for (value, end) in line.iter_mut().skip(start).zip(ends) {

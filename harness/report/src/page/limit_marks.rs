@@ -1,7 +1,7 @@
 //! Places the limit, the judged window and the worst instants of an expectation in a figure.
 
 use super::curves;
-use crate::chart::time_chart::TimeWindow;
+use crate::chart::time::TimeWindow;
 use crate::format;
 use platebench_model::metrics::{Levels, LimitMarkSpec, SignalPoint};
 use platebench_model::record::ExpectationRecord;

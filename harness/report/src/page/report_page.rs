@@ -10,7 +10,7 @@ use super::scenario::{ScenarioParts, scenario_article};
 use super::scenario_figures::{ReferenceCurves, scenario_figures};
 use super::trace_data::{MAX_TRIALS, SampledTrial, TraceData};
 use super::{boards, cost, environment, navigation, script, summary};
-use crate::chart::svg::Role;
+use crate::chart::marks::Role;
 use crate::error::{ReportError, write_file};
 use crate::record_queries;
 use crate::text::history::{RunHistory, TrendPoint};
@@ -78,10 +78,10 @@ impl<'a> ReportPage<'a> {
 
     /// The page lists traces and baselines that cannot be read; they are not an error.
     pub fn write(&self, path: &Path) -> Result<(), ReportError> {
-        write_file(path, &self.html()?)
+        write_file(path, &self.html())
     }
 
-    fn html(&self) -> Result<String, ReportError> {
+    fn html(&self) -> String {
         let record = self.record;
         let changed = self.changed_traces(self.folder, &record.scenarios);
         let resolution = self.resolution();
@@ -91,7 +91,7 @@ impl<'a> ReportPage<'a> {
             TraceData::read(scenario, self.folder, &self.rows, resolution, &changed, golden.as_ref())
         };
         let data: Vec<TraceData> = record.scenarios.iter().map(read).collect();
-        let articles = self.scenario_articles(&data, resolution)?;
+        let articles = self.scenario_articles(&data, resolution);
         let title = format!("{} · {} {}", record.verdict, record.tool.name, record.started);
         let body = html! {
             @if record.scenarios.len() > 1 { (navigation::list(record, &data)) }
@@ -114,7 +114,7 @@ impl<'a> ReportPage<'a> {
             }
             (script::end())
         };
-        Ok(report_page_frame(&title, &script::head(), &body))
+        report_page_frame(&title, &script::head(), &body)
     }
 
     fn resolution(&self) -> PlotResolution {
@@ -135,7 +135,7 @@ impl<'a> ReportPage<'a> {
         trials.filter(|trial| is_changed(folder, trial)).map(|trial| trial.trace.clone()).collect()
     }
 
-    fn scenario_articles(&self, all: &[TraceData], resolution: PlotResolution) -> Result<Vec<Markup>, ReportError> {
+    fn scenario_articles(&self, all: &[TraceData], resolution: PlotResolution) -> Vec<Markup> {
         let record = self.record;
         let mut articles = Vec::new();
         for (place, (index, scenario)) in sorted_by_verdict(record).into_iter().enumerate() {
@@ -163,9 +163,9 @@ impl<'a> ReportPage<'a> {
                 has_drawings: place < resolution.drawn_scenarios,
                 trends: self.trends(scenario),
             };
-            articles.push(scenario_article(index, scenario, &parts)?);
+            articles.push(scenario_article(index, scenario, &parts));
         }
-        Ok(articles)
+        articles
     }
 
     fn trends(&self, scenario: &ScenarioRecord) -> Vec<Vec<TrendPoint>> {

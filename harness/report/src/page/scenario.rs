@@ -8,7 +8,6 @@ use super::script;
 use super::trace_data::TraceData;
 use super::trend::trend;
 use crate::document::verdict_badge;
-use crate::error::ReportError;
 use crate::format;
 use crate::text::history::TrendPoint;
 use crate::text::timing;
@@ -29,19 +28,15 @@ pub(super) struct ScenarioParts<'a> {
     pub(super) trends: Vec<Vec<TrendPoint>>,
 }
 
-pub(super) fn scenario_article(
-    index: usize,
-    scenario: &ScenarioRecord,
-    parts: &ScenarioParts<'_>,
-) -> Result<Markup, ReportError> {
+pub(super) fn scenario_article(index: usize, scenario: &ScenarioRecord, parts: &ScenarioParts<'_>) -> Markup {
     let id = scenario_anchor(index);
     let (t_ms, views) = (&parts.data.grid.t_ms, &parts.data.views);
     let drawings = if parts.has_drawings {
-        drawings(t_ms, views, &parts.figures, parts.line_points)?
+        drawings(t_ms, views, &parts.figures, parts.line_points)
     } else {
         html! { p.facts.drawings { "The page has no drawing of this scenario; its plots need scripts." } }
     };
-    Ok(html! {
+    html! {
         section class={ "scenario " (scenario.verdict) } id=(id) aria-labelledby={ (id) "-title" } {
             p.eyebrow { (scenario.file) }
             h2 id={ (id) "-title" } { (scenario.title) " " (verdict_badge(scenario.verdict, scenario.verdict.name())) }
@@ -66,7 +61,7 @@ pub(super) fn scenario_article(
             (trials_table(scenario))
             (firmware_output(scenario))
         }
-    })
+    }
 }
 
 fn has_paper(scenario: &ScenarioRecord) -> bool {

@@ -5,7 +5,7 @@ use super::figure::{Content, Figure, SampledLine};
 use super::golden::GoldenCurves;
 use super::grid::percentiles;
 use super::trace_data::{SampledTrial, TraceData};
-use crate::chart::svg::Role;
+use crate::chart::marks::Role;
 use crate::format;
 use platebench_model::trace::Column;
 use platebench_verdict::tube::Exceedance;

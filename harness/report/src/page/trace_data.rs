@@ -7,7 +7,8 @@ use super::kept_rows::RowCache;
 use super::limit_marks::LimitMark;
 use super::markers::{self, Settling, TimeMarker};
 use super::resolution::PlotResolution;
-use crate::chart::time_chart::{CurvePoint, TimeWindow};
+use crate::chart::marks::Point;
+use crate::chart::time::TimeWindow;
 use crate::record_queries;
 use platebench_model::metrics::Levels;
 use platebench_model::record::{Metric, ScenarioRecord, TrialRecord, Verdict};
@@ -139,7 +140,7 @@ impl TraceData {
         let first = self.sampled_trials.first()?;
         let resample = |signal: Column, line: &Vec<Option<f64>>| {
             let known = self.grid.t_ms.iter().zip(line).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
-            let known: Vec<CurvePoint> = known.collect();
+            let known: Vec<Point> = known.collect();
             grid.t_ms.iter().map(|t_ms| curves::interpolate(&known, signal, *t_ms)).collect()
         };
         let lines = first.peak_lines.iter().map(|(signal, line)| (*signal, resample(*signal, line))).collect();

@@ -1,7 +1,7 @@
 //! Draws the values of an expectation over earlier runs against its limit.
 
 use super::navigation::margin_text;
-use crate::chart::svg::extent;
+use crate::chart::marks::extent;
 use crate::format;
 use crate::text::history::TrendPoint;
 use maud::{Markup, html};

@@ -1,6 +1,6 @@
 //! Draws the place where a response leaves its tolerance tube, in characters.
 
-use crate::chart::svg::extent;
+use crate::chart::marks::extent;
 use crate::format;
 use platebench_model::trace::Row;
 use platebench_verdict::tube::{Exceedance, Tube, TubeSignal, signal_response};

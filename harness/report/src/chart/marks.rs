@@ -1,0 +1,516 @@
+//! Draws figures as SVG from marks on two axes, with classes instead of colours.
+//!
+//! A mark has values of the axes as position. The axes convert values to CSS pixels; the writer
+//! rounds pixels to a quarter. Titles and legends have positions in pixels.
+
+use super::colours;
+use maud::{Markup, PreEscaped, html};
+use std::fmt::Write as _;
+use std::ops::Range;
+
+/// The view box counts quarters of a pixel, so that a position is a short whole number.
+const UNITS_PER_PIXEL: f64 = 4.0;
+const TICK_LENGTH: f64 = 4.0;
+
+pub(crate) type Point = (f64, f64);
+
+/// Meaning of a mark. The style sheet gives it colour, width and dashes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::EnumIter, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
+pub(crate) enum Role {
+    Text,
+    Title,
+    Grid,
+    Axis,
+    Mark,
+    Shape,
+    First,
+    Second,
+    DecidingTrial,
+    Other,
+    Setpoint,
+    Band,
+    Spread,
+    SecondSpread,
+    Saturated,
+    Settling,
+    Deadline,
+    Golden,
+    Tube,
+    Trial,
+    Median,
+    Resonance,
+    Overrun,
+    Lost,
+    Boundary,
+    Delay,
+    Measured,
+    Limit,
+    #[strum(serialize = "window")]
+    JudgedWindow,
+    Worst,
+    OpenLoop,
+    Series(usize),
+    Radius(usize),
+}
+
+/// Number of colours. Higher numbers of series and radii begin again with the first colour.
+pub(crate) const COLOURS: usize = 10;
+
+impl Role {
+    /// Name of the class without its prefix, which is `s-` for a stroke and `f-` for a filling.
+    pub(crate) fn name(self) -> String {
+        match self {
+            Self::Series(number) => format!("series-{}", number % COLOURS),
+            Self::Radius(number) => format!("radius-{}", number % COLOURS),
+            named => <&str>::from(named).to_owned(),
+        }
+    }
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Mark {
+    Line(Role, Vec<Point>),
+    /// Area between an upper and a lower edge, both from left to right.
+    Band(Role, [Vec<Point>; 2]),
+    Point {
+        role: Role,
+        at: Point,
+        shape: Shape,
+        /// CSS pixels.
+        radius: f64,
+        text: Option<String>,
+    },
+    /// Rectangle between two corners. The part outside the axes is not drawn.
+    Cell(Role, [Point; 2]),
+    /// Line across the plot at a value of one axis.
+    Limit {
+        role: Role,
+        at: AxisValue,
+        text: Option<String>,
+    },
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum AxisValue {
+    X(f64),
+    Y(f64),
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Shape {
+    Disc,
+    Ring,
+    Cross,
+    Square,
+    Triangle,
+    Diamond,
+    InvertedTriangle,
+}
+
+/// Corners in units of the radius. Empty for a shape that is no polygon.
+const fn corners(shape: Shape) -> &'static [Point] {
+    match shape {
+        Shape::Disc | Shape::Ring | Shape::Cross => &[],
+        Shape::Square => &[(0.9, 0.9), (-0.9, 0.9), (-0.9, -0.9), (0.9, -0.9)],
+        Shape::Triangle => &[(0.0, -1.25), (1.1, 0.75), (-1.1, 0.75)],
+        Shape::Diamond => &[(0.0, -1.35), (1.0, 0.0), (0.0, 1.35), (-1.0, 0.0)],
+        Shape::InvertedTriangle => &[(0.0, 1.25), (1.1, -0.75), (-1.1, -0.75)],
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Scale {
+    Linear,
+    Logarithmic,
+}
+
+/// Values and the pixels at which the first and the last of them lie.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Axis {
+    pub(crate) scale: Scale,
+    pub(crate) values: Range<f64>,
+    pub(crate) pixels: Range<f64>,
+}
+
+impl Axis {
+    pub(crate) const fn linear(values: Range<f64>, pixels: Range<f64>) -> Self {
+        Self { scale: Scale::Linear, values, pixels }
+    }
+
+    pub(crate) const fn logarithmic(values: Range<f64>, pixels: Range<f64>) -> Self {
+        Self { scale: Scale::Logarithmic, values, pixels }
+    }
+
+    /// Pixel of a value. A value outside the axis lies at its nearest end.
+    pub(crate) fn pixel(&self, value: f64) -> f64 {
+        let Range { start, end } = self.values;
+        let share = match self.scale {
+            Scale::Linear => (value - start) / (end - start),
+            Scale::Logarithmic => (value / start).ln() / (end / start).ln(),
+        };
+        self.pixels.start + share.clamp(0.0, 1.0) * (self.pixels.end - self.pixels.start)
+    }
+
+    pub(crate) fn contains(&self, value: f64) -> bool {
+        (self.values.start..=self.values.end).contains(&value)
+    }
+
+    /// At most `most` round values: 1, 2 or 5 times a power of ten apart, or powers of ten.
+    pub(crate) fn ticks(&self, most: usize) -> Vec<f64> {
+        let Range { start, end } = self.values;
+        let most = most.max(2) as f64;
+        if self.scale == Scale::Logarithmic {
+            let (first, last) = ((start.log10() - 1e-9).ceil() as i32, (end.log10() + 1e-9).floor() as i32);
+            let step = (f64::from(last - first + 1) / most).ceil().max(1.0) as usize;
+            return (first..=last).step_by(step).map(|exponent| 10.0_f64.powi(exponent)).collect();
+        }
+        let smallest = (end - start) / (most - 1.0);
+        if smallest.is_nan() || smallest <= 0.0 {
+            return Vec::new();
+        }
+        let power = 10.0_f64.powf(smallest.log10().floor());
+        let fits = |step: &f64| *step >= smallest * (1.0 - 1e-9);
+        let Some(step) = [1.0, 2.0, 5.0, 10.0].map(|digit| digit * power).into_iter().find(fits) else {
+            return Vec::new();
+        };
+        let (first, last) = ((start / step - 1e-9).ceil(), (end / step + 1e-9).floor());
+        (0..=(last - first).max(0.0) as usize).map(|index| (first + index as f64) * step).collect()
+    }
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Axes {
+    pub(crate) x: Axis,
+    pub(crate) y: Axis,
+}
+
+impl Axes {
+    fn place(&self, (x, y): Point) -> Point {
+        (self.x.pixel(x), self.y.pixel(y))
+    }
+}
+
+/// Values of an axis with their texts. A line of the grid lies at each value if `has_grid`.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Ticks {
+    pub(crate) texts: Vec<(f64, String)>,
+    pub(crate) has_grid: bool,
+}
+
+impl Ticks {
+    pub(crate) fn new(values: Vec<f64>, has_grid: bool, text: impl Fn(f64) -> String) -> Self {
+        Self { texts: values.into_iter().map(|value| (value, text(value))).collect(), has_grid }
+    }
+}
+
+/// End of a text that lies at its position.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr)]
+pub(crate) enum TextEnd {
+    #[strum(serialize = "start")]
+    Left,
+    #[strum(serialize = "middle")]
+    Centre,
+    #[strum(serialize = "end")]
+    Right,
+}
+
+/// The elements of an SVG drawing, in drawing order.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Drawing(String);
+
+impl Drawing {
+    fn push(&mut self, element: &Markup) {
+        self.0.push_str(&element.0);
+    }
+
+    pub(crate) fn into_markup(self) -> Markup {
+        PreEscaped(self.0)
+    }
+
+    /// Text of 12 px, centred vertically.
+    pub(crate) fn text(&mut self, role: Role, end: TextEnd, at: Point, text: &str) {
+        let ((x, y), anchor) = (units(at), <&str>::from(end));
+        self.push(&html! {
+            text x=(x) y=(y) dy="0.5ex" text-anchor=(anchor) class={ "f-" (role.name()) } { (text) }
+        });
+    }
+
+    pub(crate) fn line(&mut self, role: Role, points: impl IntoIterator<Item = Point>) {
+        self.path('s', role, points);
+    }
+
+    fn path(&mut self, prefix: char, role: Role, points: impl IntoIterator<Item = Point>) {
+        let data = path_data(points.into_iter().map(units));
+        if !data.is_empty() {
+            self.push(&html! { path class={ (prefix) "-" (role.name()) } d=(data) {} });
+        }
+    }
+
+    /// Rectangle between two opposite corners.
+    pub(crate) fn rectangle(&mut self, role: Role, corners: [Point; 2]) {
+        let [(x0, y0), (x1, y1)] = corners.map(units);
+        let (x, y, width, height) = (x0.min(x1), y0.min(y1), (x1 - x0).abs(), (y1 - y0).abs());
+        self.push(&html! { rect x=(x) y=(y) width=(width) height=(height) class={ "f-" (role.name()) } {} });
+    }
+
+    pub(crate) fn shape(&mut self, role: Role, shape: Shape, at: Point, radius: f64) {
+        let beside = |&(dx, dy): &Point| (at.0 + dx * radius, at.1 + dy * radius);
+        match shape {
+            Shape::Disc | Shape::Ring => {
+                let ((x, y), prefix) = (units(at), if shape == Shape::Ring { "s-" } else { "f-" });
+                let radius = (radius * UNITS_PER_PIXEL).round();
+                self.push(&html! { circle cx=(x) cy=(y) r=(radius) class={ (prefix) (role.name()) } {} });
+            }
+            Shape::Cross => {
+                for ends in [[(-1.0, -1.0), (1.0, 1.0)], [(-1.0, 1.0), (1.0, -1.0)]] {
+                    self.line(role, ends.iter().map(beside));
+                }
+            }
+            polygon => self.path('f', role, corners(polygon).iter().map(beside)),
+        }
+    }
+
+    /// Draws the grid, both axes and their ticks.
+    pub(crate) fn frame(&mut self, axes: &Axes, x_ticks: &Ticks, y_ticks: &Ticks) {
+        let [left, right] = [axes.x.pixels.start, axes.x.pixels.end];
+        let [bottom, top] = [axes.y.pixels.start, axes.y.pixels.end];
+        let [columns, rows] = [(x_ticks, &axes.x), (y_ticks, &axes.y)].map(|(ticks, axis)| {
+            ticks.texts.iter().map(|(value, text)| (axis.pixel(*value), text)).collect::<Vec<_>>()
+        });
+        for (x, _) in columns.iter().filter(|_| x_ticks.has_grid) {
+            self.line(Role::Grid, [(*x, bottom), (*x, top)]);
+        }
+        for (y, _) in rows.iter().filter(|_| y_ticks.has_grid) {
+            self.line(Role::Grid, [(left, *y), (right, *y)]);
+        }
+        self.line(Role::Axis, [(left, top), (left, bottom), (right, bottom)]);
+        for (x, text) in columns {
+            self.text(Role::Text, TextEnd::Centre, (x, bottom + 14.0), text);
+            self.line(Role::Axis, [(x, bottom), (x, bottom + TICK_LENGTH)]);
+        }
+        for (y, text) in rows {
+            self.text(Role::Text, TextEnd::Right, (left - 8.0, y), text);
+            self.line(Role::Axis, [(left - TICK_LENGTH, y), (left, y)]);
+        }
+    }
+
+    /// Draws marks and their texts. The texts of limits of the x axis have different heights.
+    pub(crate) fn marks<'a>(&mut self, axes: &Axes, marks: impl IntoIterator<Item = &'a Mark>) {
+        let mut height = LOWEST_TEXT;
+        for mark in marks {
+            match mark {
+                Mark::Line(role, points) => {
+                    let known = points.iter().filter(|(x, y)| !x.is_nan() && !y.is_nan());
+                    self.line(*role, known.map(|point| axes.place(*point)));
+                }
+                Mark::Band(role, [upper, lower]) => {
+                    let outline = upper.iter().chain(lower.iter().rev());
+                    self.path('f', *role, outline.map(|point| axes.place(*point)));
+                }
+                Mark::Point { role, at, shape, radius, text } => {
+                    let place = axes.place(*at);
+                    self.shape(*role, *shape, place, *radius);
+                    if let Some(text) = text {
+                        self.text_beside(axes, *role, place, 0.015, text);
+                    }
+                }
+                Mark::Cell(role, corners) => self.rectangle(*role, corners.map(|corner| axes.place(corner))),
+                Mark::Limit { role, at: AxisValue::X(value), text } => {
+                    let (x, Range { start: bottom, end: top }) = (axes.x.pixel(*value), axes.y.pixels.clone());
+                    self.line(*role, [(x, bottom), (x, top)]);
+                    if let Some(text) = text {
+                        self.text_beside(axes, *role, (x, bottom + height * (top - bottom)), 0.012, text);
+                        height += TEXT_HEIGHT;
+                    }
+                }
+                Mark::Limit { role, at: AxisValue::Y(value), text } => {
+                    let (y, Range { start: left, end: right }) = (axes.y.pixel(*value), axes.x.pixels.clone());
+                    self.line(*role, [(left, y), (right, y)]);
+                    if let Some(text) = text {
+                        self.text(Role::Text, TextEnd::Left, (left + 6.0, y - 8.0), text);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Right of an early mark and left of a late one, a settled response leaves room for text.
+    /// `distance` is a share of the plot's width.
+    fn text_beside(&mut self, axes: &Axes, role: Role, (x, y): Point, distance: f64, text: &str) {
+        let Range { start: left, end: right } = axes.x.pixels;
+        let distance = distance * (right - left);
+        if x - left < 0.55 * (right - left) {
+            self.text(role, TextEnd::Left, (x + distance, y), text);
+        } else {
+            self.text(role, TextEnd::Right, (x - distance, y), text);
+        }
+    }
+
+    /// An SVG file with a background and the styles for light and dark. `size` is in CSS pixels.
+    pub(crate) fn into_document(self, title: &str, size: Point) -> String {
+        let body = html! { rect class="f-card" width="100%" height="100%" {} (self.into_markup()) };
+        let style = PreEscaped(colours::document_style(&body.0));
+        let (width, height) = size;
+        let document = html! {
+            svg xmlns="http://www.w3.org/2000/svg" role="img" width=(width) height=(height) viewBox=(view_box(size)) {
+                title { (title) }
+                style { (style) }
+                (body)
+            }
+        };
+        document.into_string() + "\n"
+    }
+}
+
+/// Height of the text of the first limit and distance to the text of the next one, as shares of the
+/// plot.
+const LOWEST_TEXT: f64 = 0.12;
+const TEXT_HEIGHT: f64 = 0.1;
+
+pub(crate) fn view_box(size: Point) -> String {
+    let (width, height) = units(size);
+    format!("0 0 {width} {height}")
+}
+
+fn units((x, y): Point) -> (i64, i64) {
+    let unit = |pixels: f64| (pixels * UNITS_PER_PIXEL).round() as i64;
+    (unit(x), unit(y))
+}
+
+/// Data of a relative path, which is shorter than one with absolute positions.
+fn path_data(points: impl IntoIterator<Item = (i64, i64)>) -> String {
+    let mut before = (0, 0);
+    let mut data = String::new();
+    for (number, (x, y)) in points.into_iter().enumerate() {
+        let step = (x - before.0, y - before.1);
+        match number {
+            0 => data.push('m'),
+            1 => data.push('l'),
+            _ if step.0 < 0 => {}
+            _ => data.push(' '),
+        }
+        let separator = if step.1 >= 0 { " " } else { "" };
+        let _ = write!(data, "{}{separator}{}", step.0, step.1);
+        before = (x, y);
+    }
+    data
+}
+
+pub(crate) fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    values.map(|value| (value, value)).reduce(|(low, high), (value, _)| (low.min(value), high.max(value)))
+}
+
+pub(crate) fn logarithmic_extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    extent(values.filter(|value| value.is_finite() && *value > 0.0))
+}
+
+pub(crate) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
+    let Some((low, high)) = logarithmic_extent(values) else { return 0.1..10.0 };
+    let (from, to) = (low.log10().floor(), high.log10().ceil());
+    10.0_f64.powf(from)..10.0_f64.powf(to.max(from + 1.0))
+}
+
+/// 1, 2 and 5 times the powers of ten in the range.
+pub(crate) fn round_ticks(range: &Range<f64>) -> Vec<f64> {
+    let decades = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
+    let of_decade = |decade: i32| {
+        let power = 10.0_f64.powi(decade.abs());
+        [1.0, 2.0, 5.0].map(|digit| if decade < 0 { digit / power } else { digit * power })
+    };
+    decades.flat_map(of_decade).filter(|tick| range.contains(tick)).collect()
+}
+
+pub(crate) fn format_power_of_ten(value: f64) -> String {
+    // The conversion to a whole number removes the sign of −0.
+    let digits = (value.log10().round() as i64).to_string();
+    let raised = |digit| match digit {
+        '-' => '⁻',
+        '1' => '¹',
+        '2' => '²',
+        '3' => '³',
+        '0' | '4'..='9' => char::from_u32(0x2070 + u32::from(digit) - u32::from('0')).unwrap_or(digit),
+        other => other,
+    };
+    format!("10{}", digits.chars().map(raised).collect::<String>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+    use strum::IntoEnumIterator as _;
+
+    #[rstest]
+    #[case(&[(264, 1023), (295, 1023), (295, 187), (290, 190)], "m264 1023l31 0 0-836-5 3")]
+    #[case(&[(7, 8)], "m7 8")]
+    #[case(&[], "")]
+    fn points_become_differences(#[case] points: &[(i64, i64)], #[case] expected: &str) {
+        assert_eq!(path_data(points.iter().copied()), expected);
+    }
+
+    #[test]
+    fn decades_surround_the_positive_values() {
+        assert_eq!(decades([0.0, 3e-3, f64::INFINITY, 20.0].into_iter()), 1e-3..100.0);
+        assert_eq!(decades([1.0].into_iter()), 1.0..10.0);
+        assert_eq!(decades([f64::NAN].into_iter()), 0.1..10.0);
+    }
+
+    #[rstest]
+    #[case(1e-12, "10⁻¹²")]
+    #[case(1e5, "10⁵")]
+    #[case(0.999, "10⁰")]
+    fn writes_powers_of_ten(#[case] value: f64, #[case] expected: &str) {
+        assert_eq!(format_power_of_ten(value), expected);
+    }
+
+    #[rstest]
+    #[case(0.0..10.0, 7, &[0.0, 2.0, 4.0, 6.0, 8.0, 10.0])]
+    #[case(0.0..1.0, 6, &[0.0, 0.2, 0.4, 0.6, 0.8, 1.0])]
+    #[case(-0.7..33.0, 6, &[0.0, 10.0, 20.0, 30.0])]
+    #[case(32_306.9..32_308.2, 6, &[32_307.0, 32_307.5, 32_308.0])]
+    fn linear_ticks_are_round(#[case] values: Range<f64>, #[case] most: usize, #[case] expected: &[f64]) {
+        let found = Axis::linear(values, 0.0..1.0).ticks(most);
+        assert_eq!(found.len(), expected.len(), "{found:?}");
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
+    }
+
+    #[test]
+    fn logarithmic_ticks_are_decades() {
+        assert_eq!(Axis::logarithmic(1e-2..1e2, 0.0..1.0).ticks(9), [1e-2, 1e-1, 1.0, 1e1, 1e2]);
+        assert_eq!(Axis::logarithmic(1.0..1e4, 0.0..1.0).ticks(3), [1.0, 1e2, 1e4]);
+    }
+
+    #[test]
+    fn an_axis_ends_at_its_range() {
+        let axis = Axis::logarithmic(1.0..100.0, 10.0..30.0);
+        assert_eq!(
+            [0.0, 0.1, 1.0, 10.0, 100.0, 1e9].map(|value| axis.pixel(value)),
+            [10.0, 10.0, 10.0, 20.0, 30.0, 30.0]
+        );
+        let axis = Axis::linear(0.0..4.0, 100.0..0.0);
+        assert_eq!([f64::NEG_INFINITY, 1.0, f64::INFINITY].map(|value| axis.pixel(value)), [100.0, 75.0, 0.0]);
+    }
+
+    /// Roles that only the page's script draws need no rule.
+    #[test]
+    fn every_role_has_its_own_class() {
+        let numbered = (0..COLOURS).flat_map(|number| [Role::Series(number), Role::Radius(number)]);
+        for role in Role::iter().chain(numbered) {
+            let name = role.name();
+            let styled =
+                [format!(".s-{name} "), format!(".f-{name} ")].iter().any(|rule| colours::RULES.contains(rule));
+            assert!(styled || role == Role::Trial, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_document_has_classes_and_the_rules_of_its_classes() {
+        let mut drawing = Drawing::default();
+        drawing.text(Role::Title, TextEnd::Left, (2.0, 10.0), "1 < 2");
+        drawing.line(Role::Series(11), [(0.0, 0.0), (40.0, 20.0)]);
+        drawing.shape(Role::Series(1), Shape::Ring, (20.0, 10.0), 2.5);
+        drawing.shape(Role::Shape, Shape::Disc, (20.0, 10.0), 2.5);
+        insta::assert_snapshot!(drawing.into_document("a < b", (40.0, 20.0)).replace("><", ">\n<"));
+    }
+}
