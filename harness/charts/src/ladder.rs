@@ -1,8 +1,8 @@
 //! Compares cost and results of a run on rungs (levels of detail), from the linear plate to a real
 //! line.
 
-use crate::cost::median;
-use crate::error::ChartError;
+use crate::measured_run::ChartError;
+use crate::measured_run::median;
 use crate::measured_run::{LOCKSTEP, MeasuredRun};
 use crate::scenes::models;
 use platebench_engine::{Clock, Pacing, TimeBase};

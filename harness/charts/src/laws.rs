@@ -1,13 +1,16 @@
-//! Draws the response time of laws against static error and repeatability, with absolute limits.
+//! Draws response time and accuracy of the control laws, at several loop delays and on plates that a law does not expect.
 
-use crate::error::ChartError;
-use crate::law_results::{LawResult, LawScenario};
-use crate::law_variants;
-use platebench_plate::Time;
-use platebench_report::chart::{ScatterChart, ScatterPanel, ScatterPoint};
+use crate::measured_run::{ChartError, play_hosted};
+use platebench_engine::TrialResult;
+use platebench_model::scenario::{Expectation, Metric, Scenario, Window, load};
+use platebench_plate::{Profile, Tier, Time};
+use platebench_report::chart::{MultiplesChart, MultiplesPoint, ScatterChart, ScatterPanel, ScatterPoint};
 use platebench_report::document::{Block, Document, Table};
 use platebench_report::page::ChartSection;
+use platebench_verdict::statistics::SampleSummary;
+use platebench_verdict::{Measure, metrics};
 use platebench_wire::LawId;
+use std::path::Path;
 
 const FILE: &str = "laws.csv";
 const DRAWING: &str = "laws.svg";
@@ -23,11 +26,10 @@ pub fn build_chart(scenes: &[LawScenario]) -> Result<ChartSection, ChartError> {
     let table = result_table(scenes, &results);
     let svg = scatter_chart(scenes, &results).svg();
     let quiet: Vec<&LawScenario> = scenes.iter().filter(|scene| !scene.is_noisy()).collect();
-    let variants = law_variants::measure(&quiet)?;
-    let multiples = law_variants::svg(&quiet, &variants);
+    let variants = measure_variants(&quiet)?;
+    let multiples = variants_svg(&quiet, &variants);
     let files = [(FILE, csv_table(scenes, &results).csv()), (TABLE, table.markdown()), (DRAWING, svg.clone())];
-    let variant_files =
-        [(law_variants::CSV, law_variants::csv(&quiet, &variants)), (law_variants::DRAWING, multiples.clone())];
+    let variant_files = [(VARIANTS_CSV, variants_csv(&quiet, &variants)), (VARIANTS_DRAWING, multiples.clone())];
     let mut blocks = vec![Block::Details(EXPLANATION.map(Block::paragraph).into())];
     let caption = "Control laws: response time, static error, repeatability".to_owned();
     blocks.push(Block::figure(svg, caption));
@@ -35,7 +37,7 @@ pub fn build_chart(scenes: &[LawScenario]) -> Result<ChartSection, ChartError> {
     let caption = "Control laws: response time at loop delays of 0, 0.4 and 0.8 periods".to_owned();
     blocks.push(Block::figure(multiples, caption));
     blocks.push(Block::Table(table));
-    blocks.extend([FILE, TABLE, law_variants::CSV].map(|name| Block::File(name.to_owned())));
+    blocks.extend([FILE, TABLE, VARIANTS_CSV].map(|name| Block::File(name.to_owned())));
     Ok(ChartSection {
         document: Document::new("Control laws: speed and accuracy of what is under test", blocks),
         files: files.into_iter().chain(variant_files).map(|(name, text)| (name.to_owned(), text)).collect(),
@@ -177,4 +179,259 @@ fn time_limits(scenes: &[(usize, &LawScenario)]) -> Vec<(f64, String)> {
         }
     }
     limits
+}
+
+const BAND_PERCENT: f64 = 5.0;
+const TRIALS: u32 = 20;
+const QUICK_TRIALS: u32 = 4;
+const FORCE_STEP_MS: f64 = 30.0;
+const FORCE_STEP_N: f64 = 1.0;
+const FINGER_N: f64 = 2.0;
+
+pub struct LawScenario {
+    pub(crate) name: String,
+    pub(crate) scenario: Scenario,
+    /// Measures the response time from the setpoint step or from a disturbance.
+    response_expectation: Expectation,
+    /// Measures the mean over the last third of the trial.
+    window_mean_expectation: Expectation,
+    pub(crate) trials: u32,
+}
+
+impl LawScenario {
+    fn new(name: &str, mut scenario: Scenario, disturbed: Option<Time>, trials: u32) -> Self {
+        let metric = if disturbed.is_some() { Metric::RecoveryTime } else { Metric::SettlingTime };
+        let last_third = Window { from: Time::ZERO, to: scenario.duration }.last_third();
+        let first_step = scenario.setpoint.next_point_after(Time::ZERO).unwrap_or(Time::ZERO);
+        let response_window = Window { from: disturbed.unwrap_or(first_step), to: scenario.duration };
+        let expected = |metric: Metric, judged: Window| Expectation {
+            band_percent: BAND_PERCENT,
+            from: disturbed,
+            ..Expectation::for_window(metric, judged)
+        };
+        let (response, window_mean) = (expected(metric, response_window), expected(Metric::StaticError, last_third));
+        // Because of this expectation, the trace has a row at every crossing of the band.
+        scenario.expectations = vec![response.clone()];
+        scenario.tier = Tier::Modal;
+        Self {
+            name: name.to_owned(),
+            scenario,
+            response_expectation: response,
+            window_mean_expectation: window_mean,
+            trials,
+        }
+    }
+
+    pub(crate) fn is_noisy(&self) -> bool {
+        self.scenario.plate.noise_um_rms > 0.0
+    }
+
+    /// Response time in ms (`None` if |W| does not stay in the band), and overshoot in percent.
+    pub(crate) fn response(&self, played: &TrialResult) -> (Option<f64>, f64) {
+        let response = metric_value(&self.response_expectation, played);
+        let peak = played.trace_rows.iter().map(|row| row.amplitude_um).fold(0.0, f64::max);
+        (response, ((peak / self.scenario.setpoint.range().1 - 1.0) * 100.0).max(0.0))
+    }
+
+    fn window_samples(&self) -> f64 {
+        let Window { from, to } = Window { from: Time::ZERO, to: self.scenario.duration }.last_third();
+        (to.seconds() - from.seconds()) / self.scenario.controller.period.seconds()
+    }
+
+    /// Standard deviation of the mean of the window's samples due to noise, % of the setpoint.
+    pub(crate) fn noise_floor_percent(&self) -> f64 {
+        self.scenario.plate.noise_um_rms / self.scenario.setpoint.range().1 / self.window_samples().sqrt() * 100.0
+    }
+
+    /// Shortest response time that the drive limit allows, at resonance in the initial conditions.
+    pub(crate) fn drive_limited_ms(&self) -> Option<f64> {
+        let scenario = &self.scenario;
+        let mode = scenario.plate.mode(&scenario.conditions.at(Time::ZERO));
+        let share = 1.0 - BAND_PERCENT / 100.0;
+        mode.min_rise_time(scenario.setpoint.range().1, share, scenario.plate.drive_limit_vpp).map(|floor| floor * 1e3)
+    }
+}
+
+pub fn load_law_scenarios(folder: &Path, is_quick: bool) -> Result<Vec<LawScenario>, ChartError> {
+    let read = |file: &str| load(&folder.join(file), file).map_err(ChartError::from);
+    let [resonant, detuned, pressed] = [13, 14, 16].map(|figure| read(&format!("paper/fig{figure}-closed-loop.toml")));
+    let (resonant, detuned, pressed) = (resonant?, detuned?, pressed?);
+    let mut finger = resonant.clone();
+    finger.conditions.finger_force_n = Profile::constant(FINGER_N);
+    let mut stepped = resonant.clone();
+    let step = Time::from_ms(FORCE_STEP_MS).unwrap_or_default();
+    stepped.conditions.finger_force_n = Profile::Hold(vec![(Time::ZERO, 0.0), (step, FORCE_STEP_N)]);
+    let mut scenes = vec![
+        LawScenario::new("Fig. 13: at resonance", resonant, None, 1),
+        LawScenario::new("Fig. 14: 9 K off", detuned, None, 1),
+        LawScenario::new("Fig. 16: 9 K off, 2 N", pressed, None, 1),
+        LawScenario::new("2 N at resonance", finger, None, 1),
+        LawScenario::new("1 N comes down", stepped, Some(step), 1),
+    ];
+    for level in [3, 10, 32] {
+        let scenario = read(&format!("laws/noise-{level}nm-dq-pi.toml"))?;
+        let trials = if is_quick { QUICK_TRIALS } else { TRIALS };
+        scenes.push(LawScenario::new(&format!("Fig. 16, {level} nm of noise"), scenario, None, trials));
+    }
+    Ok(scenes)
+}
+
+pub(crate) struct LawResult {
+    pub(crate) law: LawId,
+    pub(crate) scenario_index: usize,
+    /// Median over trials. `None` if at least half of the trials do not stay in the band.
+    pub(crate) response_ms: Option<f64>,
+    pub(crate) settled_trials: u32,
+    /// |mean over trials − setpoint|/setpoint. `None` if the controller stopped in a trial.
+    pub(crate) static_error_percent: Option<f64>,
+    pub(crate) repeatability_percent: Option<f64>,
+}
+
+impl LawResult {
+    pub(crate) fn measure(law: LawId, scenario_index: usize, scene: &LawScenario) -> Result<Self, ChartError> {
+        let what = format!("{}, {}", scene.name, law.name());
+        let (mut responses, mut means) = (Vec::new(), Vec::new());
+        for index in 0..scene.trials {
+            let played = play_hosted(&what, &scene.scenario, law, index)?;
+            responses.push(metric_value(&scene.response_expectation, &played).unwrap_or(f64::INFINITY));
+            means.extend(metric_value(&scene.window_mean_expectation, &played));
+        }
+        let whole = SampleSummary::of(&means).filter(|summary| summary.count == responses.len());
+        let settled = responses.iter().filter(|response| response.is_finite()).count() as u32;
+        Ok(Self {
+            law,
+            scenario_index,
+            response_ms: median(responses).filter(|response| response.is_finite()),
+            settled_trials: settled,
+            static_error_percent: whole.map(|summary| summary.mean.abs()),
+            repeatability_percent: whole.filter(|summary| summary.count > 1).map(|summary| summary.deviation),
+        })
+    }
+}
+
+fn metric_value(expectation: &Expectation, played: &TrialResult) -> Option<f64> {
+    match metrics::measure(expectation, &played.trace_rows, &played.telemetry) {
+        Measure::Value(value) => Some(value),
+        Measure::Interval(_) | Measure::Samples(_) | Measure::Missing(_) | Measure::Undefined(_) => None,
+    }
+}
+
+/// If the number of values is even, returns the larger of the two middle values.
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+const VARIANTS_CSV: &str = "law-variants.csv";
+const VARIANTS_DRAWING: &str = "law-variants.svg";
+/// Loop delays in control periods.
+const DELAYS: [f64; 3] = [0.0, 0.4, 0.8];
+const LARGE_OVERSHOOT_PERCENT: f64 = 20.0;
+
+/// Deviation of the played scenario from the design of the law.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Variant {
+    name: &'static str,
+    is_delay_known: bool,
+    /// Gain of the plate relative to the gain for which the law is designed.
+    gain_factor: f64,
+}
+
+const VARIANTS: [Variant; 4] = [
+    Variant { name: "delay unknown", is_delay_known: false, gain_factor: 1.0 },
+    Variant { name: "delay known", is_delay_known: true, gain_factor: 1.0 },
+    Variant { name: "delay known, gain −10 %", is_delay_known: true, gain_factor: 0.9 },
+    Variant { name: "delay known, gain +10 %", is_delay_known: true, gain_factor: 1.1 },
+];
+
+impl Variant {
+    fn scenario(&self, scene: &Scenario, delay_periods: f64) -> Scenario {
+        let mut scenario = scene.clone();
+        let delay = Time::from_seconds(scene.controller.period.seconds() * delay_periods).unwrap_or_default();
+        scenario.controller.loop_delay = delay;
+        scenario.controller.design_delay = if self.is_delay_known { delay } else { Time::ZERO };
+        scenario.controller.design_plate = Some(scene.plate.clone());
+        scenario.plate.gain *= self.gain_factor;
+        scenario
+    }
+}
+
+struct VariantResult {
+    law: LawId,
+    /// Indices into the scenes, [`VARIANTS`] and [`DELAYS`].
+    at: [usize; 3],
+    /// `None` if |W| does not stay in the band.
+    response_ms: Option<f64>,
+    overshoot_percent: f64,
+}
+
+/// Plays one trial of each variant, so the scenes must not have noise.
+fn measure_variants(scenes: &[&LawScenario]) -> Result<Vec<VariantResult>, ChartError> {
+    let mut results = Vec::new();
+    for (scene_index, scene) in scenes.iter().enumerate() {
+        for (variant_index, variant) in VARIANTS.iter().enumerate() {
+            for (delay_index, delay) in DELAYS.iter().enumerate() {
+                let scenario = variant.scenario(&scene.scenario, *delay);
+                for law in LawId::ALL {
+                    let what = format!("{}, {}, {}", scene.name, variant.name, law.name());
+                    let played = play_hosted(&what, &scenario, law, 0)?;
+                    let (response_ms, overshoot_percent) = scene.response(&played);
+                    let at = [scene_index, variant_index, delay_index];
+                    results.push(VariantResult { law, at, response_ms, overshoot_percent });
+                }
+            }
+        }
+    }
+    Ok(results)
+}
+
+fn variants_csv(scenes: &[&LawScenario], results: &[VariantResult]) -> String {
+    let columns = ["law", "scene", "delay_known", "plate_gain", "delay_periods", "response_ms", "overshoot_percent"];
+    let mut table = Table::new(columns);
+    for result in results {
+        let [scene, variant, delay] = result.at;
+        let (Some(scene), Some(variant), Some(delay)) = (scenes.get(scene), VARIANTS.get(variant), DELAYS.get(delay))
+        else {
+            continue;
+        };
+        table.push(vec![
+            result.law.name().to_owned(),
+            scene.name.clone(),
+            variant.is_delay_known.to_string(),
+            variant.gain_factor.to_string(),
+            delay.to_string(),
+            result.response_ms.map_or_else(String::new, |ms| ms.to_string()),
+            format!("{:.2}", result.overshoot_percent),
+        ]);
+    }
+    table.csv()
+}
+
+fn variants_svg(scenes: &[&LawScenario], results: &[VariantResult]) -> String {
+    let laws = LawId::ALL;
+    let panel = |scene: usize, variant: usize| {
+        let own = results.iter().filter(move |result| result.at[..2] == [scene, variant]);
+        let points = own.filter_map(|result| {
+            Some(MultiplesPoint {
+                series: laws.iter().position(|law| *law == result.law)?,
+                setting: result.at[2],
+                value: result.response_ms,
+                is_hollow: result.overshoot_percent > LARGE_OVERSHOOT_PERCENT,
+            })
+        });
+        points.collect()
+    };
+    MultiplesChart {
+        title: "Control laws: loop delay, and plates that the law does not expect".to_owned(),
+        value_label: "response time to 5 %, ms".to_owned(),
+        setting_label: "loop delay in control periods".to_owned(),
+        settings: DELAYS.map(|delay| delay.to_string()).into(),
+        series: laws.iter().map(|law| law.name().to_owned()).collect(),
+        rows: scenes.iter().map(|scene| scene.name.clone()).collect(),
+        columns: VARIANTS.iter().map(|variant| variant.name.to_owned()).collect(),
+        edge_label: "never within 5 %".to_owned(),
+        hollow_label: format!("hollow: overshoot above {LARGE_OVERSHOOT_PERCENT} %"),
+        panels: (0..scenes.len()).map(|scene| (0..VARIANTS.len()).map(|at| panel(scene, at)).collect()).collect(),
+    }
+    .svg()
 }

@@ -1,16 +1,28 @@
 //! Draws charts of cost and error of methods, models and laws, as page blocks and files. Running
 //! scenarios does not need this crate.
 
-mod cost;
-mod error;
-pub mod integration;
 pub mod ladder;
-mod law_results;
-mod law_variants;
 pub mod laws;
 mod measured_run;
 pub mod precision;
 pub mod scenes;
 
-pub use error::ChartError;
-pub use law_results::{LawScenario, load_law_scenarios};
+pub use laws::{LawScenario, load_law_scenarios};
+pub use measured_run::ChartError;
+
+/// Compares general integration methods on the plate's equations.
+pub mod integration {
+    pub mod failure;
+    pub mod fixed;
+    pub mod method;
+    pub mod problem;
+    pub mod replay;
+    pub mod sweep;
+
+    pub use failure::MethodFailure;
+    pub use fixed::FixedStepMethod;
+    pub use method::{AdaptiveMethod, IntegrationMethod};
+    pub use problem::Problem;
+    pub use replay::{EquationForm, Replay, ReplayResult, ReplaySpec};
+    pub use sweep::{Solver, SolverStatus, SweepConfig, SweepResult, sweep};
+}

@@ -1,11 +1,11 @@
 //! Draws work-precision diagrams: error against cost. Every method replays the drives of one trial,
 //! which the hosted controller has played.
 
-use crate::error::ChartError;
 use crate::integration::sweep::{cheapest_from_a_crate, cheapest_method};
 use crate::integration::{
     EquationForm, IntegrationMethod, Replay, ReplaySpec, Solver, SolverStatus, SweepConfig, SweepResult, sweep,
 };
+use crate::measured_run::ChartError;
 use crate::measured_run::play_hosted;
 use platebench_engine::law;
 use platebench_model::scenario::{Scenario, Spread};

@@ -1,7 +1,7 @@
 //! Plays scenarios on every model of the plate and lists what a simpler model changes.
 
-use crate::cost::median;
-use crate::error::ChartError;
+use crate::measured_run::ChartError;
+use crate::measured_run::median;
 use crate::measured_run::{LOCKSTEP, MeasuredRun};
 use platebench_model::record::{ExpectationRecord, RunRecord};
 use platebench_model::scenario::{Expectation, Scenario};

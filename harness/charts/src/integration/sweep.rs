@@ -1,11 +1,11 @@
 //! Measures cost and error of every method on one replay, over its steps or tolerances.
 
-use crate::cost::{median, thread_cpu_time};
-use crate::integration::adaptive::AdaptiveMethod;
 use crate::integration::failure::MethodFailure;
 use crate::integration::fixed::FixedStepMethod;
+use crate::integration::method::AdaptiveMethod;
 use crate::integration::method::IntegrationMethod;
 use crate::integration::replay::{EquationForm, Replay, ReplayResult};
+use crate::measured_run::{median, thread_cpu_time};
 use platebench_plate::{Complex64, Plant, Tier};
 use std::hint::black_box;
 use std::time::Duration;
