@@ -7,8 +7,7 @@ use crate::options::{OutputFormat, parse_number};
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_design::identified_plate::{
-    IdentificationTable, ParameterUncertainty, PlateFileDetails, parameter_uncertainties, plate_file, tables,
-    uncertainty_table,
+    ParameterUncertainty, PlateFileDetails, document, parameter_uncertainties, plate_file,
 };
 use platebench_design::identify::{DirectFit, Identification};
 use platebench_lab::boards::Board;
@@ -17,7 +16,7 @@ use platebench_model::external_csv::ColumnMapping;
 use platebench_model::recording::{Recording, RecordingError};
 use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_atomically, write_new};
 use platebench_report::chart::FitChart;
-use platebench_report::document::{Block, Document, Figure, Table};
+use platebench_report::document::{Block, Figure, Style};
 use platebench_report::format::count;
 use platebench_verdict::uncertainty::{Budget, known_quantities};
 use serde::Serialize;
@@ -132,18 +131,21 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         RecordingError::Undetermined => Failure::new(Exit::Inconclusive, &error),
         error => Failure::invalid(&error),
     })?;
-    let mut tables = tables(&found);
     let budget = arguments.budget.as_deref().map(|path| Budget::load(path, &known_quantities())).transpose()?;
     let uncertainties = budget.map(|budget| parameter_uncertainties(&found, &budget)).transpose();
     let uncertainties = uncertainties.or_invalid()?.unwrap_or_default();
-    if !uncertainties.is_empty() {
-        tables.push(uncertainty_table(&uncertainties));
-    }
+    let mut document = document(&format!("Identification: {}", arguments.name), &found, &uncertainties);
     stdio::show_as(arguments.format, &IdentifyOutput { found: &found, uncertainties: &uncertainties }, || {
-        markdown(&tables)
+        document.to_console(None, Style::default())
     });
     if let Some(path) = &arguments.page {
-        let page = render_page(path, arguments, &tables, &recordings, &found, &fits);
+        let page = if path.extension().is_some_and(|extension| extension == "md") {
+            document.to_markdown()
+        } else {
+            document.blocks.push(Block::heading("Measured (dashed) and fitted response"));
+            document.blocks.push(Block::Figures(figures(&recordings, &found, &fits).or_invalid()?));
+            document.to_html()
+        };
         write_atomically(path, page.as_bytes()).or_invalid_at(path)?;
     }
     let exit = if found.inconsistencies.is_empty() { Exit::Passed } else { Exit::Inconclusive };
@@ -177,10 +179,6 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         );
     }
     Ok(exit)
-}
-
-fn markdown(tables: &[IdentificationTable]) -> String {
-    tables.iter().map(|table| table.markdown() + "\n").collect()
 }
 
 fn describe_source(arguments: &IdentifyArgs, recordings: &[Recording], board: Option<&Board>) -> String {
@@ -225,40 +223,19 @@ fn read_recording(path: &Path, arguments: &IdentifyArgs) -> Result<Recording, Fa
     Recording::from_trace(name, &rows, signal).or_invalid_at(path)
 }
 
-fn render_page(
-    path: &Path,
-    arguments: &IdentifyArgs,
-    tables: &[IdentificationTable],
-    recordings: &[Recording],
-    found: &Identification,
-    fits: &[DirectFit],
-) -> String {
-    let title = format!("Identification: {}", arguments.name);
-    if path.extension().is_some_and(|extension| extension == "md") {
-        return format!("# {title}\n\n{}", markdown(tables));
-    }
+fn figures(recordings: &[Recording], found: &Identification, fits: &[DirectFit]) -> Result<Vec<Figure>, ReportError> {
     let fitted =
         found.recordings.iter().filter_map(|whole| recordings.iter().find(|each| each.name == whole.recording));
-    let mut curves = Vec::new();
+    let mut figures = Vec::new();
     for (recording, fit) in fitted.zip(fits).take(MAX_DRAWN_RECORDINGS) {
         let of = |part: fn(&platebench_plate::Complex64) -> f64| {
             let measured = recording.outputs.iter().map(|output| (output.t * 1e3, part(&output.w))).collect();
             (measured, recording.outputs.iter().zip(&fit.curve).map(|(output, w)| (output.t * 1e3, part(w))).collect())
         };
         for (name, (measured, fitted)) in [("Wd", of(|w| w.re)), ("Wq", of(|w| w.im))] {
-            curves.push(FitChart { title: format!("{name}, {}", recording.name), unit: "µm", measured, fitted });
+            let chart = FitChart { title: format!("{name}, {}", recording.name), unit: "µm", measured, fitted };
+            figures.push(Figure::new(chart.svg()?, chart.title));
         }
     }
-    let mut blocks = Vec::new();
-    for table in tables {
-        blocks.push(Block::Heading(table.title.clone()));
-        let mut rows = Table::new(&table.header);
-        rows.extend(&table.rows);
-        blocks.push(Block::Table(rows));
-        blocks.extend(table.notes.iter().cloned().map(Block::Paragraph));
-    }
-    blocks.push(Block::Heading("Measured (dashed) and fitted response".to_owned()));
-    let drawings = curves.iter().map(|curve| Figure::new(curve.svg(), &curve.title));
-    blocks.push(Block::Figures(drawings.collect()));
-    Document::new(title, blocks).to_html()
+    Ok(figures)
 }

@@ -13,10 +13,11 @@ use crate::stdio;
 use platebench_design::tuning::design::TuningTarget;
 use platebench_design::tuning::verification::{VerificationStep, shortest_decimal};
 use platebench_design::tuning::{
-    DesignEvaluation, PlateSpread, TuningResult, format_tuning, infeasibility_reason, tune as design,
+    DesignEvaluation, PlateSpread, TuningResult, document, infeasibility_reason, tune as design,
 };
 use platebench_model::scenario::load::{implausible_values, load_plate, require_no_effects};
 use platebench_plate::{Plate, Tier};
+use platebench_report::Style;
 use platebench_rig::RigSpec;
 use platebench_wire::{Gains, LawId};
 use serde_json::json;
@@ -37,7 +38,7 @@ pub(crate) fn tune(arguments: &TuneArgs) -> CommandResult {
     refuse_implausible(path, &plate, arguments.force)?;
     let tuning = design(&target, arguments.discretisation(), &spread).or_invalid()?;
     if arguments.format == OutputFormat::Human {
-        stdio::show(&format_tuning(&target, &spread, &tuning));
+        stdio::show(&document(&target, &spread, &tuning).to_console(None, Style::default()));
     }
     let (mut exit, mut reason) = if tuning.met {
         (Exit::Passed, "the target is met".to_owned())

@@ -3,6 +3,7 @@
 
 use crate::identify::inconsistency::is_explained_by_chance;
 use crate::identify::{Estimate, FrequencyStep, Identification, IdentifiedHeating, RecordingFit, VoltageStep};
+use platebench_report::document::{Block, Document, Table};
 use platebench_verdict::uncertainty::{Budget, CombinedUncertainty, EvaluationError, TypeA};
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -18,33 +19,33 @@ const SLOPE_HZ_PER_K: f64 = -9.638;
 /// Force in N and σ/σ0: at 1.5 N the amplitude is halved (Fig. 3).
 const FINGER_DAMPING: [f64; 2] = [1.5, 2.0];
 
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct IdentificationTable {
-    pub title: String,
-    pub header: Vec<String>,
-    pub rows: Vec<Vec<String>>,
-    pub notes: Vec<String>,
+/// A table with its heading and the notes below it.
+struct Section {
+    title: &'static str,
+    table: Table,
+    notes: Vec<String>,
 }
 
-impl IdentificationTable {
-    fn new(title: &str, header: &[&str]) -> Self {
-        let header = header.iter().map(ToString::to_string).collect();
-        Self { title: title.to_owned(), header, rows: Vec::new(), notes: Vec::new() }
+impl Section {
+    fn new(title: &'static str, header: &[&str]) -> Self {
+        Self { title, table: Table::new(header.iter().copied()), notes: Vec::new() }
     }
+}
 
-    pub fn markdown(&self) -> String {
-        let lines = || std::iter::once(&self.header).chain(&self.rows);
-        let width = |column: usize| lines().filter_map(|row| Some(row.get(column)?.chars().count())).max().unwrap_or(0);
-        let widths: Vec<usize> = (0..self.header.len()).map(width).collect();
-        let line = |row: &Vec<String>| {
-            let cells = row.iter().zip(&widths).map(|(cell, width)| format!("{cell:<width$}"));
-            format!("| {} |\n", cells.collect::<Vec<_>>().join(" | "))
-        };
-        let rule = widths.iter().map(|width| format!("|{}", "-".repeat(width + 2))).collect::<Vec<_>>().concat();
-        let body = self.rows.iter().map(line).collect::<Vec<_>>().concat();
-        let notes = self.notes.iter().map(|note| format!("\n{note}\n")).collect::<Vec<_>>().concat();
-        format!("### {}\n\n{}{rule}|\n{body}{notes}", self.title, line(&self.header))
-    }
+/// Omits tables without rows. `uncertainties` may be empty.
+pub fn document(title: &str, found: &Identification, uncertainties: &[ParameterUncertainty]) -> Document {
+    let sections = [
+        plate_table(found),
+        voltage_table(found),
+        frequency_table(found),
+        residuals_table(found),
+        uncertainty_table(uncertainties),
+    ];
+    let sections = sections.into_iter().filter(|section| !section.table.rows.is_empty());
+    let blocks = sections.flat_map(|Section { title, table, notes }| {
+        [Block::heading(title), Block::Table(table)].into_iter().chain(notes.into_iter().map(Block::Paragraph))
+    });
+    Document::new(title, blocks.collect())
 }
 
 /// Formats value and half of the interval as `1.88 ± 0.02`. A dash means a missing estimate.
@@ -67,11 +68,6 @@ fn format_scatter(values: &[f64]) -> String {
     }
 }
 
-pub fn tables(found: &Identification) -> Vec<IdentificationTable> {
-    let all = [plate_table(found), voltage_table(found), frequency_table(found), residuals_table(found)];
-    all.into_iter().filter(|table| !table.rows.is_empty()).collect()
-}
-
 fn estimates_of_steps<T>(group: &[&T], of: impl Fn(&T) -> NamedEstimates<'_>, index: usize) -> Vec<(String, Estimate)> {
     let named = group.iter().filter_map(|step| of(step));
     named.filter_map(|(recording, pair)| Some((recording.to_owned(), *pair.get(index)?))).collect()
@@ -82,7 +78,7 @@ type NamedEstimates<'a> = Option<(&'a str, [Estimate; 2])>;
 /// Label of the row, values of the paper, and the steps.
 type VoltageRow<'a> = (String, Option<[f64; 2]>, Vec<&'a VoltageStep>);
 
-fn voltage_table(found: &Identification) -> IdentificationTable {
+fn voltage_table(found: &Identification) -> Section {
     let title = "Table I: steps of the voltage, K1 in pm/V and τ1 in ms";
     let header = [
         "Vpp",
@@ -98,7 +94,7 @@ fn voltage_table(found: &Identification) -> IdentificationTable {
         "scatter",
         "paper",
     ];
-    let mut table = IdentificationTable::new(title, &header);
+    let mut section = Section::new(title, &header);
     let mut steps: Vec<&VoltageStep> = found.voltage_steps.iter().collect();
     steps.sort_by(|a, b| a.vpp.total_cmp(&b.vpp));
     let mut rows: Vec<VoltageRow<'_>> = Vec::new();
@@ -124,24 +120,24 @@ fn voltage_table(found: &Identification) -> IdentificationTable {
             row.push(format_scatter(&direct.iter().map(|(_, estimate)| estimate.value).collect::<Vec<_>>()));
             row.push(paper.map_or(String::new(), |paper| format!("{:.printed$}", paper[index])));
         }
-        table.rows.push(row);
+        section.table.push(row);
     }
-    table.notes.push(
+    section.notes.push(
         "The paper's printed mean of K1, 6980 pm/V, is not the mean of its four trials, 6844.5 pm/V; \
          neither is that of τ1, 1.88 ms (1.8925 ms). Its trials scatter by ±5 % and ±6 %."
             .to_owned(),
     );
     if let Some(change) = found.gain_change_percent {
         let Estimate { value, low, high, .. } = change;
-        table.notes.push(format!(
+        section.notes.push(format!(
             "Linearity: from the lowest to the highest drive K1 changes by {value:.2} % \
              (95 %: {low:.2} to {high:.2} %)."
         ));
     }
-    table
+    section
 }
 
-fn frequency_table(found: &Identification) -> IdentificationTable {
+fn frequency_table(found: &Identification) -> Section {
     let title = "Table II: steps of the frequency at constant Wd, K2 and τ2 in ms";
     let header = [
         "Δω from, rad/s",
@@ -156,7 +152,7 @@ fn frequency_table(found: &Identification) -> IdentificationTable {
         "K2/τ2",
         "paper",
     ];
-    let mut table = IdentificationTable::new(title, &header);
+    let mut section = Section::new(title, &header);
     let mut steps: Vec<&FrequencyStep> = found.frequency_steps.iter().collect();
     steps.sort_by(|a, b| b.detuning.total_cmp(&a.detuning));
     let mut rows: Vec<(String, String, &[&FrequencyStep])> = Vec::new();
@@ -183,7 +179,7 @@ fn frequency_table(found: &Identification) -> IdentificationTable {
         let direct = pooled(|step| Some([step.direct?; 2]), 0);
         let (k2, tau2) = (pooled(|step| step.instruments, 0), pooled(|step| step.instruments, 1));
         let quotient = k2.zip(tau2).map_or(String::new(), |(k2, tau2)| format!("{:.3}", k2.value / tau2.value));
-        table.rows.push(vec![
+        section.table.push(vec![
             from,
             to,
             group.len().to_string(),
@@ -197,23 +193,22 @@ fn frequency_table(found: &Identification) -> IdentificationTable {
             format!("{:.3}, {:.3}", TABLE_II[0] * 1e3, TABLE_II[1] * 1e3),
         ]);
     }
-    table.notes.push(
+    section.notes.push(
         "By equation 19 K2 = τ2 at the resonance, and by theory τ2 = τ1; the paper prints K2/τ2 = 1.116 and a τ2 14 % \
          below its τ1. Off resonance a step of Δω also disturbs Wd. While a loop corrects it, Wq/Wd is faster than the \
          plate: an ARX model of Wq/Wd alone gives a τ2 that is too short, but the right K2. The direct fit uses \
          the drive and is not affected."
             .to_owned(),
     );
-    table
+    section
 }
 
-fn plate_table(found: &Identification) -> IdentificationTable {
-    let mut table =
-        IdentificationTable::new("The plate, with intervals of 95 %", &["quantity", "value", "interval", "paper"]);
+fn plate_table(found: &Identification) -> Section {
+    let mut section = Section::new("The plate, with intervals of 95 %", &["quantity", "value", "interval", "paper"]);
     let mut row = |name: &str, estimate: Option<Estimate>, factor: f64, decimals: usize, paper: String| {
         if let Some(estimate) = estimate.map(|estimate| estimate.scaled(factor)) {
             let interval = format!("{:.decimals$} to {:.decimals$}", estimate.low, estimate.high);
-            table.rows.push(vec![name.to_owned(), format!("{:.decimals$}", estimate.value), interval, paper]);
+            section.table.push(vec![name.to_owned(), format!("{:.decimals$}", estimate.value), interval, paper]);
         }
     };
     row("K1, pm/V", found.gain_um_per_vpp, 1e6, 1, format!("{:.0}", TABLE_I_MEANS[0]));
@@ -240,17 +235,17 @@ fn plate_table(found: &Identification) -> IdentificationTable {
     if let Some(first) = found.recordings.first() {
         row(&format!("detuning of {:.1} Hz, Hz", excitation(first)), Some(first.detuning_hz), 1.0, 2, String::new());
     }
-    table
+    section
 }
 
-fn residuals_table(found: &Identification) -> IdentificationTable {
+fn residuals_table(found: &Identification) -> Section {
     let header = ["recording", "samples", "noise, nm", "Ljung-Box p", "K1, pm/V", "τ, ms", "resonance, Hz"];
-    let mut table = IdentificationTable::new("Direct fits: residuals", &header);
+    let mut section = Section::new("Direct fits: residuals", &header);
     for whole in &found.recordings {
         let white = whole.whiteness.map_or("–".to_owned(), |white| {
             format!("{:.3}{}", white.p_value, if white.is_rejected() { " not white" } else { "" })
         });
-        table.rows.push(vec![
+        section.table.push(vec![
             whole.recording.clone(),
             whole.samples.to_string(),
             format!("{:.2}", whole.noise_um * 1e3),
@@ -270,12 +265,14 @@ fn residuals_table(found: &Identification) -> IdentificationTable {
             "chance does not explain this number. The plate changed in a way that the model does not include, and the \
              intervals are too narrow."
         };
-        table.notes.push(format!("The residuals of {coloured} of {tested} recordings are not white at 1 %: {meaning}"));
+        section
+            .notes
+            .push(format!("The residuals of {coloured} of {tested} recordings are not white at 1 %: {meaning}"));
     }
-    table.notes.extend(
+    section.notes.extend(
         found.undetermined.iter().map(|name| format!("{name} does not determine the parameters and was left out.")),
     );
-    table
+    section
 }
 
 /// Values of a plate file that no recording determines.
@@ -417,25 +414,20 @@ pub fn parameter_uncertainties(
         .collect()
 }
 
-pub fn uncertainty_table(parameters: &[ParameterUncertainty]) -> IdentificationTable {
+fn uncertainty_table(parameters: &[ParameterUncertainty]) -> Section {
     let header = ["quantity", "value", "u", "ν", "k", "U", "largest contribution"];
-    let row = |parameter: &ParameterUncertainty| {
-        let combined = &parameter.combined;
+    let mut section = Section::new("Combined and expanded uncertainty", &header);
+    section.table.extend(parameters.iter().map(|ParameterUncertainty { quantity, value, combined, .. }| {
         let largest = combined.contributions.iter().max_by(|a, b| a.standard.total_cmp(&b.standard));
-        vec![
-            parameter.quantity.clone(),
-            format!("{:.6e}", parameter.value),
+        [
+            quantity.clone(),
+            format!("{value:.6e}"),
             format!("{:.3e}", combined.standard),
             combined.degrees_of_freedom.map_or_else(|| "∞".to_owned(), |freedom| format!("{freedom:.1}")),
             format!("{:.2}", combined.coverage_factor),
             format!("{:.3e}", combined.expanded),
             largest.map_or_else(String::new, |largest| format!("{:.3e}, {}", largest.standard, largest.source)),
         ]
-    };
-    IdentificationTable {
-        title: "Combined and expanded uncertainty".to_owned(),
-        header: header.map(str::to_owned).to_vec(),
-        rows: parameters.iter().map(row).collect(),
-        notes: Vec::new(),
-    }
+    }));
+    section
 }

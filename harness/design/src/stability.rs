@@ -2,17 +2,16 @@
 //! period, delay and response.
 
 use crate::law_loops::{
-    LoopCase, OperatingCondition, PlainLoops, StartResult, loop_at_rest, measure_delay_boundary,
-    measure_delay_boundary_from_rest,
+    LoopCase, OperatingCondition, PlainLoops, loop_at_rest, measure_delay_boundary, measure_delay_boundary_from_rest,
 };
 use crate::loops::{AnalysisError, ClosedLoop, Discretisation, LoopTiming, delay_boundary};
-use crate::step_limits::{NOTE, limits_table, step_limits, to_csv};
+use crate::step_limits::{NOTE, limits_csv, limits_table, step_limits};
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_engine::workers::collect_in_parallel;
 use platebench_model::record::RunRecord;
 use platebench_plate::{Plate, Tier, Time};
 use platebench_report::chart::{MapFigure, MapPanel, RigDelay};
-use platebench_report::document::{Block, Document};
+use platebench_report::document::{Block, Column, Document, Table};
 use platebench_report::page::ChartSection;
 use platebench_wire::LawId;
 use std::fmt::Write;
@@ -31,20 +30,35 @@ pub enum StabilityError {
 pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartSection, StabilityError> {
     let result = study(config)?;
     let steps = step_limits(&config.plate);
-    let step_table = limits_table(&steps);
-    let boundaries = boundary_table(&result, config.delay);
-    let known_limit = known_limit(&config.plate)?;
     let mut files = vec![
-        ("methods.csv".to_owned(), to_csv(&steps)),
+        ("methods.csv".to_owned(), limits_csv(&steps)),
         ("boundaries.csv".to_owned(), boundaries_csv(&result)),
         ("maps.csv".to_owned(), maps_csv(&result)),
     ];
-    let maps: Vec<(LawId, MapFigure)> =
-        config.laws.iter().filter_map(|&law| Some((law, build_map(&result, law, rig)?))).collect();
-    for (law, map) in &maps {
-        files.push((format!("{}.svg", law.name()), map.svg()));
+    let delay_us = config.delay * 1e6;
+    let mut blocks = vec![
+        Block::heading("Methods: the largest stable step"),
+        Block::Details(vec![Block::paragraph(NOTE)]),
+        Block::Table(limits_table(&steps)),
+        Block::heading(format!(
+            "Loops: longest stable loop delay of each law at 1 kHz; margins at a loop delay of {delay_us:.0} µs"
+        )),
+        Block::Table(boundary_table(&result)),
+    ];
+    let mut laws: Vec<LawId> = result.rows.iter().map(|row| row.law).collect();
+    laws.dedup();
+    let notes = laws.into_iter().filter_map(|law| Some(format!("{}: {}", law.name(), law_note(law)?)));
+    blocks.extend(notes.map(Block::Paragraph));
+    blocks.push(Block::heading(
+        "Known limit: equation 24 with a backward-Euler integral, no delay, no limits, from rest to 2 µm",
+    ));
+    blocks.push(Block::lines(known_limit(&config.plate)?));
+    for &law in &config.laws {
+        let Some(map) = build_map(&result, law, rig) else { continue };
+        let svg = map.svg()?;
+        files.push((format!("{}.svg", law.name()), svg.clone()));
+        blocks.push(Block::Details(vec![Block::heading(law.name()), Block::figure(svg, map.title)]));
     }
-    let blocks = page_blocks([step_table, boundaries, known_limit], &maps);
     Ok(ChartSection { document: Document::new("Where methods and loops become unstable", blocks), files })
 }
 
@@ -61,13 +75,19 @@ pub fn rig_delay(record: &RunRecord) -> Option<RigDelay> {
 }
 
 /// Shows that backward Euler has a small spectral radius but never settles from a detuned start.
-fn known_limit(plate: &Plate) -> Result<String, AnalysisError> {
+fn known_limit(plate: &Plate) -> Result<Vec<String>, AnalysisError> {
     let loops = PlainLoops::new(plate, Discretisation::Backward, RESPONSE_S, PERIOD_S);
-    let starts = [OperatingCondition::Resonant, OperatingCondition::Detuned].map(|condition| {
+    let lines = [OperatingCondition::Resonant, OperatingCondition::Detuned].map(|condition| {
         let radius = loops.linearise(plate, condition, SETPOINT_UM)?.spectral_radius()?;
-        Ok((condition, radius, loops.simulate_start(plate, condition, SETPOINT_UM, START_PERIODS)))
+        let found = loops.simulate_start(plate, condition, SETPOINT_UM, START_PERIODS);
+        let outcome = match found.settled {
+            Some(seconds) => format!("within 5 % from {:.0} ms on", seconds * 1e3),
+            None if found.diverged => "never settles: Wq/Wd is not linear, and the excitation diverges".to_owned(),
+            None => format!("never settles: |W| between {:.2} and {:.2} setpoints", found.range[0], found.range[1]),
+        };
+        Ok(format!("{:<10} spectral radius {radius:.2}: {outcome}", condition.name()))
     });
-    Ok(format_plain_loop_starts(&starts.into_iter().collect::<Result<Vec<_>, AnalysisError>>()?))
+    lines.into_iter().collect()
 }
 
 /// One row per condition, one panel per response time. `None` for a law without a loop.
@@ -89,25 +109,6 @@ fn build_map(study: &Study, law: LawId, rig: Option<RigDelay>) -> Option<MapFigu
     });
     let title = format!("{}: settling time from rest over control period and loop delay, ms", law.name());
     (!maps.is_empty()).then(|| MapFigure { title, panels: panels.collect(), columns, rig })
-}
-
-fn page_blocks([steps, boundaries, known_limit]: [String; 3], maps: &[(LawId, MapFigure)]) -> Vec<Block> {
-    let heading = |text: &str| Block::Details(vec![Block::heading(text)]);
-    let mut blocks = vec![
-        heading("The largest stable step of a method"),
-        Block::Details(vec![Block::paragraph(NOTE)]),
-        Block::Preformatted(steps),
-        heading("Boundaries and margins"),
-        Block::Preformatted(boundaries),
-        heading("Known limit"),
-        Block::Preformatted(known_limit),
-    ];
-    for (law, map) in maps {
-        blocks.push(heading(law.name()));
-        blocks.extend(law_note(*law).map(|note| Block::Details(vec![Block::paragraph(note)])));
-        blocks.push(Block::figure(map.svg(), &map.title));
-    }
-    blocks
 }
 
 pub const MAX_DELAY_S: f64 = 12e-3;
@@ -264,49 +265,45 @@ fn stability_map(
     Ok(Some(StabilityMap { law, condition, response, periods, delays, spectral_radius: radius, settling, measured }))
 }
 
-/// `delay` is the loop delay of the margins, s. The table shows delays in µs.
-pub fn boundary_table(study: &Study, delay: f64) -> String {
-    let mut text = String::new();
-    let _ = writeln!(
-        text,
-        "Loops: longest stable loop delay of each law at 1 kHz, µs; margins at a loop delay of {:.0} µs\n\n\
-         law             condition   predicted   measured  difference   from rest   radius   gain   phase   \
-         delay margin",
-        delay * 1e6
-    );
-    for row in &study.rows {
-        let difference = row.difference_percent().map_or_else(|| "–".to_owned(), |percent| format!("{percent:+.2} %"));
+/// Delays are in µs.
+pub fn boundary_table(study: &Study) -> Table {
+    let mut table = Table::new([
+        Column::from("law"),
+        Column::from("condition"),
+        Column::number("predicted", "µs"),
+        Column::number("measured", "µs"),
+        Column::number("difference", "%"),
+        Column::number("from rest", "µs"),
+        Column::number("radius", ""),
+        Column::number("gain margin", ""),
+        Column::number("phase margin", "°"),
+        Column::number("delay margin", "µs"),
+    ]);
+    table.extend(study.rows.iter().map(|row| {
         let measured =
             row.measured.map_or_else(|| "unsteady".to_owned(), |boundary| format_microseconds(boundary, "none"));
-        let _ = writeln!(
-            text,
-            "{:<15} {:<10} {:>10} {:>10}  {:>10}  {:>10}  {:>7.3}  {:>5}  {:>6}  {:>13}",
-            row.law.name(),
-            row.condition.name(),
+        [
+            row.law.name().to_owned(),
+            row.condition.name().to_owned(),
             format_microseconds(row.predicted, "unstable"),
             measured,
-            difference,
+            format_optional(row.difference_percent(), |percent| format!("{percent:+.2}")),
             format_microseconds(row.from_rest, "never"),
-            row.spectral_radius,
+            format!("{:.3}", row.spectral_radius),
             format_optional(row.gain_margin, |gain| format!("{gain:.2}")),
-            format_optional(row.phase_margin_deg, |degrees| format!("{degrees:.1}°")),
+            format_optional(row.phase_margin_deg, |degrees| format!("{degrees:.1}")),
             format_optional(row.delay_margin, |seconds| format!("{:.0}", seconds * 1e6)),
-        );
-    }
+        ]
+    }));
     for (law, condition) in &study.out_of_reach {
-        let _ = writeln!(text, "{:<15} {:<10} no steady state within the drive's limit", law.name(), condition.name());
+        let mut row = vec![law.name(), condition.name(), "no steady state within the drive's limit"];
+        row.resize(table.columns.len(), "");
+        table.push(row);
     }
-    let mut laws: Vec<LawId> = study.rows.iter().map(|row| row.law).collect();
-    laws.dedup();
-    for law in laws {
-        if let Some(note) = law_note(law) {
-            let _ = writeln!(text, "\n{}: {note}", law.name());
-        }
-    }
-    text
+    table
 }
 
-pub const fn law_note(law: LawId) -> Option<&'static str> {
+const fn law_note(law: LawId) -> Option<&'static str> {
     Some(match law {
         LawId::OpenLoop => "without feedback no delay makes it unstable; its poles are the plate's",
         LawId::DqPi => {
@@ -324,21 +321,6 @@ pub const fn law_note(law: LawId) -> Option<&'static str> {
         LawId::FrequencyOnly => "the drive is half of the limit; it reaches the setpoint of 1 µm under the finger",
         LawId::VoltageOnly | LawId::Pll | LawId::DqPiEuler | LawId::DqPiFixed => return None,
     })
-}
-
-pub fn format_plain_loop_starts(starts: &[(OperatingCondition, f64, StartResult)]) -> String {
-    let mut text = String::from(
-        "Known limit: equation 24 with a backward-Euler integral, no delay, no limits, from rest to 2 µm\n",
-    );
-    for (condition, radius, found) in starts {
-        let outcome = match found.settled {
-            Some(seconds) => format!("within 5 % from {:.0} ms on", seconds * 1e3),
-            None if found.diverged => "never settles: Wq/Wd is not linear, and the excitation diverges".to_owned(),
-            None => format!("never settles: |W| between {:.2} and {:.2} setpoints", found.range[0], found.range[1]),
-        };
-        let _ = writeln!(text, "  {:<10} spectral radius {radius:.2}: {outcome}", condition.name());
-    }
-    text
 }
 
 fn format_microseconds(boundary: DelayBoundary, never: &str) -> String {

@@ -7,7 +7,7 @@
 
 use nalgebra::{DMatrix, DVector};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Plate, State, Tier};
-use std::fmt::Write as _;
+use platebench_report::document::{Column, Table};
 
 const STEP_RANGE_S: [f64; 2] = [1e-9, 1.0];
 /// Tolerance for the rounding error of a spectral radius of 1.
@@ -49,54 +49,59 @@ impl StepLimitRow {
     }
 }
 
-pub fn to_csv(rows: &[StepLimitRow]) -> String {
-    let mut text = "method,problem,measured_step_s,predicted_step_s,deviation_percent,in_usual_unit,\
-                    decades_at_99_percent,decades_at_101_percent,source\n"
-        .to_owned();
-    let quoted = |field: &str| format!("\"{}\"", field.replace('"', "\"\""));
+/// Contains all digits, for `methods.csv`.
+pub fn limits_csv(rows: &[StepLimitRow]) -> String {
+    let mut table = Table::new([
+        "method",
+        "problem",
+        "measured_step_s",
+        "predicted_step_s",
+        "deviation_percent",
+        "in_usual_unit",
+        "decades_at_99_percent",
+        "decades_at_101_percent",
+        "source",
+    ]);
     let limit = |limit: StepLimit| match limit {
         StepLimit::Never => "never".to_owned(),
         StepLimit::Step(step) => format!("{step:e}"),
         StepLimit::Always => "always".to_owned(),
     };
-    for row in rows {
-        let deviation = row.deviation().map_or_else(String::new, |share| format!("{:.4}", share * 100.0));
+    table.extend(rows.iter().map(|row| {
         let [below, above] =
             row.growth_decades.map_or_else(Default::default, |both| both.map(|decades| format!("{decades:.2}")));
-        let _ = writeln!(
-            text,
-            "{},{},{},{},{deviation},{},{below},{above},{}",
-            quoted(row.method),
-            quoted(row.problem),
+        [
+            row.method.to_owned(),
+            row.problem.to_owned(),
             limit(row.measured),
             limit(row.predicted),
-            quoted(&row.in_usual_unit),
-            quoted(row.source)
-        );
-    }
-    text
+            row.deviation().map_or_else(String::new, |share| format!("{:.4}", share * 100.0)),
+            row.in_usual_unit.clone(),
+            below,
+            above,
+            row.source.to_owned(),
+        ]
+    }));
+    table.csv()
 }
 
-pub(crate) fn limits_table(rows: &[StepLimitRow]) -> String {
-    let mut text = format!(
-        "Methods: the largest stable step\n\n{:<20} {:<38} {:>10} {:>10} {:>11}  in the usual unit\n",
-        "method", "problem", "measured", "theory", "difference"
-    );
-    for row in rows {
+pub(crate) fn limits_table(rows: &[StepLimitRow]) -> Table {
+    let mut table = Table::new([
+        Column::from("method"),
+        Column::from("problem"),
+        Column::number("measured", ""),
+        Column::number("theory", ""),
+        Column::number("difference", ""),
+        Column::from("in the usual unit"),
+    ]);
+    table.extend(rows.iter().map(|row| {
         // Rounds to 0.01 % and replaces −0 by 0.
         let hundredths = |share: f64| (share * 1e4).round() as i64 as f64 / 100.0;
         let difference = row.deviation().map_or_else(|| "–".to_owned(), |share| format!("{:.2} %", hundredths(share)));
-        let _ = writeln!(
-            text,
-            "{:<20} {:<38} {:>10} {:>10} {difference:>11}  {}",
-            row.method,
-            row.problem,
-            format_limit(row.measured),
-            format_limit(row.predicted),
-            row.in_usual_unit
-        );
-    }
-    text
+        let [measured, predicted] = [row.measured, row.predicted].map(format_limit);
+        [row.method.to_owned(), row.problem.to_owned(), measured, predicted, difference, row.in_usual_unit.clone()]
+    }));
+    table
 }
 
 fn format_limit(limit: StepLimit) -> String {

@@ -13,12 +13,12 @@ use crate::loops::{AnalysisError, Discretisation};
 use design::{BAND, GainDesign, LoopEvaluation, StepEvaluation, TuningTarget, delay_margin_ms, design_delay_boundary};
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::{Plate, Tier};
-use platebench_verdict::statistics::try_bisect;
+use platebench_report::document::{Block, Column, Document, Table};
+use platebench_verdict::bisection::try_bisect;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Uniform};
 use serde::Serialize;
-use std::fmt::Write as _;
 
 pub use design::{DesignEvaluation, evaluate_design};
 
@@ -346,48 +346,50 @@ fn worst_case(target: &TuningTarget<'_>, others: &[PlateVariant]) -> WorstCase {
 const NONE: &str = "–";
 
 /// `spread` is the plate spread with which the sensitivity in `tuning` was computed.
-pub fn format_tuning(target: &TuningTarget<'_>, spread: &PlateSpread, tuning: &TuningResult) -> String {
-    let mut text = format_target(target, tuning);
-    text += "\nEquation 24 for the target response time\n";
-    text += &format_readings(&tuning.readings);
+pub fn document(target: &TuningTarget<'_>, spread: &PlateSpread, tuning: &TuningResult) -> Document {
+    let mut blocks = vec![
+        Block::lines(target_lines(target, tuning)),
+        Block::heading("Equation 24 for the target response time"),
+        Block::Table(readings_table(&tuning.readings)),
+    ];
     match (&tuning.chosen, &tuning.possible) {
-        (Some(chosen), _) => {
-            text += &format_design("\nThe target is met", chosen);
-        }
+        (Some(chosen), _) => blocks.extend(design_blocks("The target is met", chosen)),
         (None, possible) => {
-            text += "\nThe target cannot be met\n";
-            for obstacle in &tuning.obstacles {
-                let _ = writeln!(text, "  {}", format_cause(target, obstacle));
-            }
+            blocks.push(Block::heading("The target cannot be met"));
+            blocks.push(Block::lines(tuning.obstacles.iter().map(|cause| format_cause(target, cause))));
             match possible {
-                Some(possible) => text += &format_design("\nFastest possible design", possible),
-                None => text += "\nNo design of this discretisation settles with this phase margin.\n",
+                Some(possible) => blocks.extend(design_blocks("Fastest possible design", possible)),
+                None => {
+                    blocks.push(Block::paragraph("No design of this discretisation settles with this phase margin."));
+                }
             }
         }
     }
-    if let Some(sensitivity) = &tuning.sensitivity {
-        text += &format_sensitivity(spread, sensitivity);
-    }
-    text
+    blocks.extend(tuning.sensitivity.iter().flat_map(|sensitivity| sensitivity_blocks(spread, sensitivity)));
+    Document::new(format!("Gains for {}", target.plate.name), blocks)
 }
 
-fn format_target(target: &TuningTarget<'_>, tuning: &TuningResult) -> String {
+fn target_lines(target: &TuningTarget<'_>, tuning: &TuningResult) -> [String; 3] {
     let TuningTarget { plate, force_n, setpoint, response, delay, phase_margin_deg, .. } = target;
     let floor = tuning.floor_ms.map_or_else(
         || "the band cannot be reached".to_owned(),
         |floor| format!("the band is reached after {floor:.3} ms at the earliest"),
     );
-    format!(
-        "{}\nTarget: {setpoint} µm within 5 % in {} ms at {force_n} N; period {} ms, delay {} ms, \
-         phase margin {phase_margin_deg}°\n\
-         Drive: {:.0} Vpp hold the setpoint; with the limit of {} Vpp {floor}\n",
-        plate.name,
-        without_rounding_noise(response * 1e3),
-        without_rounding_noise(target.period() * 1e3),
-        without_rounding_noise(delay * 1e3),
-        target.mode().drive_for(*setpoint),
-        plate.drive_limit_vpp,
-    )
+    [
+        plate.name.clone(),
+        format!(
+            "Target: {setpoint} µm within 5 % in {} ms at {force_n} N; period {} ms, delay {} ms, phase margin \
+             {phase_margin_deg}°",
+            without_rounding_noise(response * 1e3),
+            without_rounding_noise(target.period() * 1e3),
+            without_rounding_noise(delay * 1e3),
+        ),
+        format!(
+            "Drive: {:.0} Vpp hold the setpoint; with the limit of {} Vpp {floor}",
+            target.mode().drive_for(*setpoint),
+            plate.drive_limit_vpp,
+        ),
+    ]
 }
 
 fn without_rounding_noise(ms: f64) -> f64 {
@@ -398,125 +400,116 @@ fn format_optional(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(|| NONE.to_owned(), |value| format!("{value:.decimals$}"))
 }
 
-fn format_settling(step: &StepEvaluation) -> String {
-    format_optional(step.settling_ms, 3)
-}
-
-fn format_readings(readings: &[DesignEvaluation]) -> String {
-    let mut text = format!(
-        "  {:<26} {:^28} | {:^28} | {:>7} {:>7} {:>9}\n  {:<26} {:>9} {:>9} {:>8} | {:>9} {:>9} {:>8} |\n",
-        "",
-        "linear loop, no limit",
-        "|W| of the plate",
-        "radius",
-        "phase",
-        "delay",
-        "",
-        "settling",
-        "over",
-        "drive",
-        "settling",
-        "over",
-        "drive"
-    );
+fn readings_table(readings: &[DesignEvaluation]) -> Table {
+    let mut table = Table::new([
+        Column::from("discretisation"),
+        Column::number("linear loop, no limit: settling", "ms"),
+        Column::number("overshoot", "%"),
+        Column::number("drive", "Vpp"),
+        Column::number("|W| of the plate: settling", "ms"),
+        Column::number("overshoot", "%"),
+        Column::number("drive", "Vpp"),
+        Column::number("radius", ""),
+        Column::number("phase margin", "°"),
+        Column::number("delay margin", "ms"),
+    ]);
     for row in readings {
-        let step = |step: &StepEvaluation| {
-            let StepEvaluation { overshoot_percent, peak_drive_vpp, .. } = step;
-            let settling = step.settling_ms.map_or_else(|| "never".to_owned(), |ms| format!("{ms:.3} ms"));
-            if *overshoot_percent > 999.0 {
-                return format!("{settling:>9} {NONE:>9} {NONE:>8}");
-            }
-            format!("{settling:>9} {overshoot_percent:>7.1} % {peak_drive_vpp:>4.0} Vpp")
+        let step = |&StepEvaluation { settling_ms, overshoot_percent, peak_drive_vpp }: &StepEvaluation| {
+            let settling = settling_ms.map_or_else(|| "never".to_owned(), |ms| format!("{ms:.3}"));
+            let finite =
+                |value: f64, decimals| format_optional((overshoot_percent <= 999.0).then_some(value), decimals);
+            [settling, finite(overshoot_percent, 1), finite(peak_drive_vpp, 0)]
         };
-        let _ = writeln!(
-            text,
-            "  {:<26} {} | {} | {:>7.3} {:>6}° {:>6} ms",
-            row.discretisation.name(),
-            step(&row.linear),
-            step(&row.plate),
-            row.spectral_radius,
+        let margins = [
+            format!("{:.3}", row.spectral_radius),
             format_optional(row.amplitude.phase_margin_deg, 1),
             format_optional(row.amplitude.delay_margin_ms, 3),
-        );
+        ];
+        let steps = step(&row.linear).into_iter().chain(step(&row.plate));
+        table.push([row.discretisation.name().to_owned()].into_iter().chain(steps).chain(margins));
     }
-    text += "  phase: phase margin; delay: delay margin\n";
-    text
+    table
 }
 
-fn format_design(title: &str, figures: &DesignEvaluation) -> String {
-    let mut text = format!(
-        "{title}: {}, designed for {:.3} ms\n  predicted   settling {} ms, overshoot {:.1} %, peak drive {:.0} Vpp, \
-         {} periods at the limit; linear loop {} ms\n",
-        figures.discretisation.name(),
-        figures.designed_for_ms,
-        format_settling(&figures.plate),
-        figures.plate.overshoot_percent,
-        figures.plate.peak_drive_vpp,
-        figures.saturated_periods,
-        format_settling(&figures.linear),
+fn design_blocks(title: &str, design: &DesignEvaluation) -> [Block; 3] {
+    let predicted = format!(
+        "predicted: settling {} ms, overshoot {:.1} %, peak drive {:.0} Vpp, {} periods at the limit; linear loop {} ms",
+        format_optional(design.plate.settling_ms, 3),
+        design.plate.overshoot_percent,
+        design.plate.peak_drive_vpp,
+        design.saturated_periods,
+        format_optional(design.linear.settling_ms, 3),
     );
-    for (name, unit, figures) in
-        [("amplitude", "Vpp/µm", &figures.amplitude), ("frequency", "rad/s", &figures.frequency)]
+    let mut table = Table::new([
+        Column::from("loop"),
+        Column::number("kp", ""),
+        Column::from("unit"),
+        Column::number("ki", "unit/s"),
+        Column::from("poles"),
+        Column::number("gain margin", ""),
+        Column::number("phase margin", "°"),
+        Column::number("delay margin", "ms"),
+    ]);
+    for (name, unit, figures) in [("amplitude", "Vpp/µm", &design.amplitude), ("frequency", "rad/s", &design.frequency)]
     {
-        let LoopEvaluation { kp, ki_per_s, poles, .. } = figures;
+        let LoopEvaluation { kp, ki_per_s, poles, gain_margin, phase_margin_deg, delay_margin_ms, .. } = figures;
         let poles: Vec<_> = poles.iter().map(|[re, im]| format_pole(*re, *im)).collect();
-        let _ = writeln!(
-            text,
-            "  {name:<11} kp {kp:.6} {unit}, ki {ki_per_s:.6} {unit}/s\n  {:<11} poles {}; gain margin {}, \
-             phase margin {}°, delay margin {} ms",
-            "",
+        table.push([
+            name.to_owned(),
+            format!("{kp:.6}"),
+            unit.to_owned(),
+            format!("{ki_per_s:.6}"),
             poles.join(", "),
-            format_optional(figures.gain_margin, 2),
-            format_optional(figures.phase_margin_deg, 1),
-            format_optional(figures.delay_margin_ms, 3),
-        );
+            format_optional(*gain_margin, 2),
+            format_optional(*phase_margin_deg, 1),
+            format_optional(*delay_margin_ms, 3),
+        ]);
     }
-    text
+    let (name, response) = (design.discretisation.name(), design.designed_for_ms);
+    let heading = format!("{title}: {name}, designed for {response:.3} ms");
+    [Block::Heading(heading), Block::lines([predicted]), Block::Table(table)]
 }
 
 fn format_pole(re: f64, im: f64) -> String {
     if im == 0.0 { format!("{re:.4}") } else { format!("{re:.4}{im:+.4}j") }
 }
 
-fn format_sensitivity(spread: &PlateSpread, found: &Sensitivity) -> String {
+fn sensitivity_blocks(spread: &PlateSpread, found: &Sensitivity) -> Vec<Block> {
     let PlateSpread { gain_percent, time_constant_percent, .. } = spread;
-    let mut text = format!(
-        "\nThese gains on other plates, K1 ±{gain_percent} %, τ ±{time_constant_percent} %\n  \
-         {:<24} {:>12} {:>10} {:>7} {:>8} {:>9} {:>8}\n",
-        "", "settling, ms", "overshoot", "gain", "phase, °", "delay, ms", "in time"
-    );
-    let mut row = |name: &str, worst: &WorstCase| {
-        let _ = writeln!(
-            text,
-            "  {name:<24} {:>12} {:>8.1} % {:>7} {:>8} {:>9} {:>8}",
-            format_optional(worst.settling_ms, 3),
-            worst.overshoot_percent,
-            format_optional(worst.gain_margin, 2),
-            format_optional(worst.phase_margin_deg, 1),
-            format_optional(worst.delay_margin_ms, 3),
-            format!("{}/{}", worst.meeting, worst.plates),
-        );
+    let mut table = Table::new([
+        Column::from("plate"),
+        Column::number("settling", "ms"),
+        Column::number("overshoot", "%"),
+        Column::number("gain margin", ""),
+        Column::number("phase margin", "°"),
+        Column::number("delay margin", "ms"),
+        Column::number("in time", ""),
+    ]);
+    let mut row = |name: String, [settling, overshoot, gain, phase, delay]: [Option<f64>; 5], in_time: String| {
+        let numbers = [(settling, 3), (overshoot, 1), (gain, 2), (phase, 1), (delay, 3)];
+        let numbers = numbers.map(|(value, decimals)| format_optional(value, decimals));
+        table.push([name].into_iter().chain(numbers).chain([in_time]));
     };
-    row("worst corner", &found.worst_corner);
-    if let Some(worst) = &found.worst_sample {
-        row("worst random plate", worst);
+    let cases = [("worst corner", Some(&found.worst_corner)), ("worst random plate", found.worst_sample.as_ref())];
+    for (name, worst) in cases.into_iter().filter_map(|(name, worst)| Some((name, worst?))) {
+        let &WorstCase { plates, meeting, settling_ms, gain_margin, phase_margin_deg, delay_margin_ms, .. } = worst;
+        let overshoot = Some(worst.overshoot_percent);
+        let numbers = [settling_ms, overshoot, gain_margin, phase_margin_deg, delay_margin_ms];
+        row(name.to_owned(), numbers, format!("{meeting}/{plates}"));
     }
-    let Some(other_finger) = &found.other_finger else {
-        text += "  finger: the plate file has no [finger], so a force changes nothing\n";
-        return text;
-    };
-    let PlateVariant { force_n, plate, gain_margin, phase_margin_deg, delay_margin_ms, .. } = other_finger;
-    let _ = writeln!(
-        text,
-        "  {:<24} {:>12} {:>8.1} % {:>7} {:>8} {:>9}",
-        format!("finger of {force_n} N instead"),
-        format_settling(plate),
-        plate.overshoot_percent,
-        format_optional(*gain_margin, 2),
-        format_optional(*phase_margin_deg, 1),
-        format_optional(*delay_margin_ms, 3),
-    );
-    text
+    if let Some(PlateVariant { force_n, plate, gain_margin, phase_margin_deg, delay_margin_ms, .. }) =
+        found.other_finger
+    {
+        let StepEvaluation { settling_ms, overshoot_percent, .. } = plate;
+        let numbers = [settling_ms, Some(overshoot_percent), gain_margin, phase_margin_deg, delay_margin_ms];
+        row(format!("finger of {force_n} N instead"), numbers, String::new());
+    }
+    let heading = format!("These gains on other plates, K1 ±{gain_percent} %, τ ±{time_constant_percent} %");
+    let mut blocks = vec![Block::Heading(heading), Block::Table(table)];
+    if found.other_finger.is_none() {
+        blocks.push(Block::paragraph("finger: the plate file has no [finger], so a force changes nothing"));
+    }
+    blocks
 }
 
 /// Reason why the target cannot be met. Empty if it is met.

@@ -19,17 +19,17 @@ fn the_largest_steps_of_methods_are_next_to_theory() {
     let text = analyse(&arguments(Some(&out))).unwrap();
     let row = |method: &str, problem: &str| {
         let found = text.lines().find(|line| line.starts_with(method) && line.contains(problem));
-        found.unwrap_or_else(|| panic!("{method}, {problem}: {text}")).to_owned()
+        let found = found.unwrap_or_else(|| panic!("{method}, {problem}: {text}"));
+        found.split_whitespace().collect::<Vec<_>>().join(" ")
     };
     let euler = row("explicit Euler", "envelope, 545 rad/s off");
-    assert!(euler.contains("1.834 ms   1.834 ms") && euler.contains("  0.00 %"), "{euler}");
+    assert!(euler.contains("1.834 ms 1.834 ms 0.00 %"), "{euler}");
     assert!(
-        row("RK4", "modal").contains("6.974 µs   6.967 µs      0.10 %")
-            && row("RK4", "modal").contains("h·2ω0 = 2.831"),
+        row("RK4", "modal").contains("6.974 µs 6.967 µs 0.10 %") && row("RK4", "modal").contains("h·2ω0 = 2.831"),
         "{text}"
     );
     assert!(row("Störmer-Verlet", "carrier").contains("3.142 points per period"), "{text}");
-    assert!(row("exact", "modal").contains("no limit   no limit"), "{text}");
+    assert!(row("exact", "modal").contains("no limit no limit"), "{text}");
     assert!(text.find("Methods").unwrap() < text.find("Loops").unwrap(), "{text}");
     let rows = step_limits(&load_plate(&arguments(None).plate).unwrap());
     let csv = fs::read_to_string(out.join("methods.csv")).unwrap();
@@ -40,6 +40,6 @@ fn the_largest_steps_of_methods_are_next_to_theory() {
         assert!(csv.contains(row.problem), "{row:?}");
     }
     let page = fs::read_to_string(out.join("stability.html")).unwrap();
-    assert!(page.find("The largest stable step").unwrap() < page.find("Boundaries and margins").unwrap());
+    assert!(page.find("the largest stable step").unwrap() < page.find("longest stable loop delay").unwrap());
     assert!(page.contains("3.142 points per period"), "{}", page.len());
 }

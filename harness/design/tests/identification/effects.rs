@@ -1,7 +1,7 @@
 //! Identifies plates with a second mode or self-heating.
 
 use crate::simulation::{STILL, details, scene, simulate};
-use platebench_design::identified_plate::{PlateFileDetails, plate_file, tables};
+use platebench_design::identified_plate::{PlateFileDetails, document, plate_file};
 use platebench_design::identify::{Identification, identify};
 use platebench_model::recording::Recording;
 use platebench_plate::{Effects, Heating, Plate, RawPlate, SecondMode};
@@ -46,7 +46,7 @@ fn finds_a_second_mode_and_writes_it() {
     assert!(fits.iter().all(|fit| fit.effect.is_some()));
     let written = written_plate(&found, None).effects.second_mode.unwrap();
     assert!((written.omega0 / second.omega0 - 1.0).abs() < 1e-3);
-    assert!(tables(&found)[0].markdown().contains("second mode: resonance"));
+    assert!(document("plate", &found, &[]).to_markdown().contains("second mode: resonance"));
 }
 
 #[test]

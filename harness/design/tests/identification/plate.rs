@@ -1,11 +1,12 @@
 //! Checks tables and plate file from simulated recordings.
 
 use crate::simulation::{STILL, details, scene, simulate};
-use platebench_design::identified_plate::{plate_file, tables};
+use platebench_design::identified_plate::{document, plate_file};
 use platebench_design::identify::identify;
 use platebench_model::recording::{RecordedInput, RecordedSample, Recording, RecordingError, SampleSource};
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::{Complex64, ConditionProfiles, Conditions, Plate, RawPlate};
+use platebench_report::Style;
 use platebench_test_kit::paper_plate;
 use std::f64::consts::TAU;
 
@@ -43,7 +44,7 @@ fn four_levels_are_four_rows_and_linear() {
     }
     assert!(found.gain_change_percent.unwrap().contains(0.0));
     assert_eq!(fits[0].curve.len(), 160);
-    let text: String = tables(&found).iter().map(|table| table.markdown() + "\n").collect();
+    let text = document("plate", &found, &[]).to_console(None, Style::default());
     for printed in ["7108", "6547", "6620", "7103", "6980", "6844.5"] {
         assert!(text.contains(printed), "{printed}: {text}");
     }

@@ -1,6 +1,6 @@
 //! Compares the largest stable steps of methods with theory.
 
-use platebench_design::step_limits::{StepLimit, StepLimitRow, step_limits, to_csv};
+use platebench_design::step_limits::{StepLimit, StepLimitRow, limits_csv, step_limits};
 use platebench_test_kit::paper_plate;
 use rstest::rstest;
 
@@ -53,7 +53,7 @@ fn a_closed_loop_is_unstable_before_its_plate() {
 
 #[test]
 fn limits_as_csv_have_a_field_for_every_column() {
-    let csv = to_csv(&limits());
+    let csv = limits_csv(&limits());
     let fields = |line: &str| line.split('"').step_by(2).map(|outside| outside.matches(',').count()).sum::<usize>() + 1;
     assert!(csv.lines().all(|line| fields(line) == 9), "{csv}");
     assert!(csv.contains("never") && csv.contains("always"));

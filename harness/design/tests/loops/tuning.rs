@@ -4,10 +4,11 @@ use crate::{assert_close, scaled};
 use platebench_design::loops::Discretisation;
 use platebench_design::tuning::design::{GainDesign, TuningTarget};
 use platebench_design::tuning::{
-    DesignEvaluation, InfeasibilityCause, PlateSpread, TuningResult, evaluate_design, evaluate_sensitivity,
-    format_tuning, tune,
+    DesignEvaluation, InfeasibilityCause, PlateSpread, TuningResult, document, evaluate_design, evaluate_sensitivity,
+    tune,
 };
 use platebench_plate::{Plate, Tier};
+use platebench_report::Style;
 use platebench_test_kit::paper_plate;
 use rstest::rstest;
 
@@ -275,7 +276,7 @@ fn the_horizon_includes_a_long_loop_delay() {
 fn the_text_names_the_infeasibility_causes() {
     let plate = plate_with_limit(400.0);
     let demand = demand(&plate);
-    let text = format_tuning(&demand, &SPREAD, &tune_matched(&demand));
+    let text = document(&demand, &SPREAD, &tune_matched(&demand)).to_console(None, Style::default());
     for words in ["cannot be met", "2.145 ms", "415.7 Vpp", "Fastest possible design", "zero-order-hold match"] {
         assert!(text.contains(words), "{words} is not in\n{text}");
     }
