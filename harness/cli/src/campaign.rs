@@ -15,13 +15,14 @@ use crate::stdio;
 use arguments::{CampaignCommand, EngineName, PlayArgs, RunArgs, SubmitArgs};
 use platebench_engine::RunError;
 use platebench_experiments::campaign::{
-    Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, ShardEnd, ShardLock, Summary, confirm, lock_folder,
-    merge, play_shard, play_worst, report, shards_of_run, status, worst_trials,
+    Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, ShardEnd, ShardLock, confirm, lock_folder, merge,
+    play_shard, play_worst, report, shards_of_run, status, worst_trials,
 };
 use platebench_experiments::campaign::{Engine, command_line, submission};
 use platebench_lab::boards::BoardOutcome;
 use platebench_model::record::FileLock;
 use platebench_model::trace::AtPath;
+use platebench_report::Style;
 use platebench_rig::{CancelToken, RigSpec};
 use progress::{CampaignProgress, PlayEvent};
 use std::fs;
@@ -157,8 +158,10 @@ fn merge_and_show(
         ));
         ResponseLinks::new()
     });
-    report::write(folder, &summary, &links)?;
-    Ok(show(&summary, folder, format))
+    let document = report::write(folder, &summary, &links)?;
+    stdio::show_as(format, &summary.json(), || document.to_console(None, Style::default()));
+    stdio::note(&format!("report: {}", folder.join(report::REPORT_FILE).display()));
+    Ok(if summary.is_rig_lost() { Exit::Unreachable } else { Exit::of_verdict(summary.verdict()) })
 }
 
 /// Returns true if the rig counts as lost, although the shards are complete.
@@ -220,12 +223,6 @@ fn run_campaign_work<R: Send + 'static>(
             stdio::note("stopped by a signal; complete shards are kept, and the same command continues");
         }
     })
-}
-
-fn show(summary: &Summary<'_>, folder: &Path, format: OutputFormat) -> Exit {
-    stdio::show_as(format, &summary.json(), || summary.text());
-    stdio::note(&format!("report: {}", folder.join(report::REPORT_FILE).display()));
-    if summary.is_rig_lost() { Exit::Unreachable } else { Exit::of_verdict(summary.verdict()) }
 }
 
 fn show_status(folder: &Path) -> CommandResult {

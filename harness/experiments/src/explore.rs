@@ -19,7 +19,6 @@ pub mod kill_rate;
 pub mod law_properties;
 mod limits;
 pub mod line_fault;
-pub mod page;
 pub mod player;
 pub mod properties;
 pub mod regression;
@@ -29,7 +28,6 @@ pub mod scene;
 pub mod session;
 pub mod shrink;
 mod stratum;
-pub mod text;
 pub mod tuning;
 mod windows;
 

@@ -10,6 +10,7 @@ use platebench_engine::SafeEnds;
 use platebench_engine::workers::in_parallel;
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
+use platebench_report::document::{Block, Column, Document, Table};
 use platebench_rig::{CancelToken, Symbols};
 use platebench_wire::LawId;
 use std::cmp::Reverse;
@@ -214,42 +215,34 @@ fn check_baseline(scenario: &Scenario, outcome: &Outcome) -> Result<(), Analysis
     }
 }
 
-pub fn summary(coverage: &Coverage) -> String {
-    let mut text = String::new();
-    let _ = write_summary(&mut text, coverage);
-    text
-}
-
-fn write_summary(text: &mut String, coverage: &Coverage) -> fmt::Result {
-    writeln!(text, "{:>7}  {:>11}  {:>11}  file", "lines", "lines", "functions")?;
-    for (path, file) in &coverage.files {
-        let (lines, functions) = (file.line_ratio(), file.function_ratio());
-        let count = |ratio: Ratio| format!("{}/{}", ratio.executed, ratio.total);
-        writeln!(text, "{:>5.1} %  {:>11}  {:>11}  {path}", lines.percent(), count(lines), count(functions))?;
-    }
-    writeln!(text, "\nLines of the control path that never ran:")?;
-    let mut complete = true;
-    for (path, file) in &coverage.files {
+pub fn document(coverage: &Coverage) -> Document {
+    let count = |ratio: Ratio| format!("{}/{}", ratio.executed, ratio.total);
+    let columns = [Column::number("lines", "%"), Column::number("lines", ""), Column::number("functions", "")];
+    let mut table = Table::new(columns.into_iter().chain(["file".into()]));
+    table.extend(coverage.files.iter().map(|(path, file)| {
+        let lines = file.line_ratio();
+        [format!("{:.1}", lines.percent()), count(lines), count(file.function_ratio()), path.clone()]
+    }));
+    let missing = coverage.files.iter().filter_map(|(path, file)| {
         let missing = file.lines.iter().filter(|(_, line)| line.on_control_path && !line.executed);
         let missing: Vec<u32> = missing.map(|(&line, _)| line).collect();
-        if !missing.is_empty() {
-            complete = false;
-            writeln!(text, "  {path}: {}", ranges(&missing))?;
-        }
-    }
-    if complete {
-        writeln!(text, "  none")?;
+        (!missing.is_empty()).then(|| format!("  {path}: {}", ranges(&missing)))
+    });
+    let mut missing: Vec<String> = missing.collect();
+    if missing.is_empty() {
+        missing.push("  none".to_owned());
     }
     let (lines, instructions) = (coverage.line_ratio(), coverage.instructions);
-    writeln!(
-        text,
-        "\nlines: {} of {}, {:.1} %; instructions of the image: {} of {}, {:.1} %",
-        lines.executed,
-        lines.total,
-        lines.percent(),
-        instructions.executed,
-        instructions.total,
-        instructions.percent()
+    let total = |ratio: Ratio| format!("{} of {}, {:.1} %", ratio.executed, ratio.total, ratio.percent());
+    let totals = format!("lines: {}; instructions of the image: {}", total(lines), total(instructions));
+    Document::new(
+        "Executed lines of the firmware",
+        vec![
+            Block::Table(table),
+            Block::heading("Lines of the control path that never ran:"),
+            Block::lines(missing),
+            Block::paragraph(totals),
+        ],
     )
 }
 

@@ -11,13 +11,13 @@ use mutants::{Disassembler, Mutant, MutantFilter, Operator, all_mutants};
 use platebench_engine::SafeEnds;
 use platebench_engine::workers::in_parallel;
 use platebench_model::trace::read_text_file;
-use platebench_rig::CancelToken;
-use platebench_verdict::statistics::clopper_pearson;
+use platebench_report::document::{Block, Column, Document, Table};
+use platebench_rig::{CancelToken, EmulatedLink};
+use platebench_verdict::statistics::proportion::clopper_pearson;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::{self, Write};
 use std::path::Path;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
@@ -386,64 +386,65 @@ fn source(file: &str, mutants: &[Value]) -> String {
     })
 }
 
-pub fn summary(report: &MutationReport) -> String {
-    let mut text = String::new();
-    let _ = write_summary(&mut text, report);
-    text
-}
-
-fn write_summary(text: &mut String, report: &MutationReport) -> fmt::Result {
-    writeln!(text, "{:<22} {:>8} {:>8} {:>8}  {:>7}", "operator", "detected", "survived", "not run", "score")?;
-    for &operator in Operator::ALL {
-        let of_operator = || report.results.iter().filter(|result| result.mutant.operator == operator);
+pub fn document(report: &MutationReport) -> Document {
+    let mut table = Table::new([
+        Column::from("operator"),
+        Column::number("detected", ""),
+        Column::number("survived", ""),
+        Column::number("not run", ""),
+        Column::number("score", "%"),
+    ]);
+    table.extend(Operator::ALL.iter().map(|&operator| {
+        let of_operator = || report.results.iter().filter(move |result| result.mutant.operator == operator);
         let statuses = || of_operator().map(|result| &result.status);
+        let count =
+            |is_counted: fn(&Status) -> bool| statuses().filter(|status| is_counted(status)).count().to_string();
         let score = Score::of(statuses());
-        let survived = statuses().filter(|status| matches!(status, Status::Survived { .. })).count();
-        let not_run = statuses().filter(|status| **status == Status::NoCoverage).count();
-        let name = operator.name();
-        let (detected, percent) = (score.detected, score.percent());
-        writeln!(text, "{name:<22} {detected:>8} {survived:>8} {not_run:>8}  {percent:>5.1} %")?;
-    }
-    for result in &report.results {
-        if let Status::Survived { .. } = result.status {
-            write_survivor(text, result)?;
+        let survived = count(|status| matches!(status, Status::Survived { .. }));
+        let not_run = count(|status| *status == Status::NoCoverage);
+        let percent = format!("{:.1}", score.percent());
+        [operator.name().to_owned(), score.detected.to_string(), survived, not_run, percent]
+    }));
+    let survivors = report.results.iter().filter(|result| matches!(result.status, Status::Survived { .. }));
+    let failures = report.results.iter().filter_map(|MutantResult { mutant, status, .. }| match status {
+        Status::RuntimeError { reason, .. } => {
+            Some(format!("emulator failed: {:#010x} {}: {reason}", mutant.instruction, mutant.after))
         }
-    }
-    for result in &report.results {
-        if let Status::RuntimeError { reason, .. } = &result.status {
-            writeln!(text, "\nemulator failed: {:#010x} {}: {reason}", result.mutant.instruction, result.mutant.after)?;
-        }
-    }
-    writeln!(text, "\n{} of {} mutants", report.results.len(), report.population)?;
-    let [survivors, unchanged] = report.survivors();
-    writeln!(text, "{survivors} survived, {unchanged} of them without a change of any drive or frequency")?;
-    writeln!(text, "mutation score: {}", format_score(report.score()))?;
-    writeln!(text, "of executed mutants: {}", format_score(report.score_of_executed()))?;
-    writeln!(text, "of mutants in the control step: {}", format_score(report.score_of_control_step()))?;
-    let changed = format_score(report.score_of_changed_control_step());
-    writeln!(text, "of these, without survivors that change no drive and no frequency: {changed}")
+        _ => None,
+    });
+    let survivors: Vec<_> = survivors.map(|result| Block::lines(survivor_lines(result))).collect();
+    let [survived, unchanged] = report.survivors();
+    let totals = [
+        format!("{} of {} mutants", report.results.len(), report.population),
+        format!("{survived} survived, {unchanged} of them without a change of any drive or frequency"),
+        format!("mutation score: {}", format_score(report.score())),
+        format!("of executed mutants: {}", format_score(report.score_of_executed())),
+        format!("of mutants in the control step: {}", format_score(report.score_of_control_step())),
+        format!(
+            "of these, without survivors that change no drive and no frequency: {}",
+            format_score(report.score_of_changed_control_step())
+        ),
+    ];
+    let failures: Vec<_> = failures.map(Block::Paragraph).collect();
+    let blocks = [vec![Block::Table(table)], survivors, failures, vec![Block::lines(totals)]];
+    Document::new("Mutants of the machine code", blocks.concat())
 }
 
-fn write_survivor(text: &mut String, result: &MutantResult) -> fmt::Result {
-    let mutant = &result.mutant;
+fn survivor_lines(MutantResult { mutant, status, covered_by, .. }: &MutantResult) -> [String; 3] {
     let line = mutant.line.as_ref().map_or_else(|| "no line".to_owned(), |line| format!("{}:{}", line.file, line.line));
     let place = if mutant.in_control_step { ", control step" } else { "" };
-    writeln!(text, "\nsurvived: {:#010x} {line} in {}{place}", mutant.instruction, mutant.function)?;
-    writeln!(text, "    {}: {} -> {}", mutant.operator, mutant.before, mutant.after)?;
-    match &result.status {
-        Status::Survived { same_commands: true, .. } => {
-            writeln!(text, "    {} scenarios; no drive and no frequency changed", result.covered_by.len())
-        }
-        Status::Survived { closest: Some(closest), .. } => writeln!(
-            text,
-            "    {} scenarios; closest margin {:.3}: {} {}",
-            result.covered_by.len(),
-            closest.margin,
-            closest.scenario,
-            closest.expectation
-        ),
-        _ => writeln!(text, "    {} scenarios", result.covered_by.len()),
-    }
+    let scenarios = format!("    {} scenarios", covered_by.len());
+    [
+        format!("survived: {:#010x} {line} in {}{place}", mutant.instruction, mutant.function),
+        format!("    {}: {} -> {}", mutant.operator, mutant.before, mutant.after),
+        match status {
+            Status::Survived { same_commands: true, .. } => format!("{scenarios}; no drive and no frequency changed"),
+            Status::Survived { closest: Some(Margin { scenario, expectation, margin }), .. } => {
+                format!("{scenarios}; closest margin {margin:.3}: {scenario} {expectation}")
+            }
+            _ => scenarios,
+        },
+    ]
 }
 
 fn format_score(score: Score) -> String {

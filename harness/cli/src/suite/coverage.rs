@@ -8,10 +8,10 @@ use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
 use platebench_experiments::firmware_analysis::{
-    AnalysisError, Coverage, CoverageConfig, Suite, lcov_tracefile, measure_coverage, summary,
+    AnalysisError, Coverage, CoverageConfig, Suite, document, lcov_tracefile, measure_coverage,
 };
 use platebench_model::trace::write_atomically;
-use platebench_report::Detail;
+use platebench_report::{Detail, Style};
 use platebench_rig::{CancelToken, RigSpec};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -62,7 +62,7 @@ pub(super) fn coverage(arguments: &CoverageArgs, detail: Detail) -> CommandResul
     for reason in &not_applicable {
         stdio::note(&format!("not applicable: {reason}"));
     }
-    let text = summary(&coverage);
+    let text = document(&coverage).to_console(None, Style::default());
     write_files(arguments, &coverage, &text)?;
     stdio::show(&text);
     let Some(limit) = arguments.at_least else { return Ok(Exit::Passed) };

@@ -12,10 +12,10 @@ use crate::stdio;
 use budget::parse_duration;
 use clap::Args;
 use platebench_experiments::explore::session::{ExploreSession, ProgressEvent};
-use platebench_experiments::explore::{Envelope, ExploreError, page, report, text};
+use platebench_experiments::explore::{Envelope, ExploreError, report};
 use platebench_model::record::{RunFolder, Verdict};
 use platebench_model::scenario::find;
-use platebench_report::Detail;
+use platebench_report::{Detail, Style};
 use platebench_rig::{CancelToken, RigSpec};
 use platebench_wire::LawId;
 use std::path::PathBuf;
@@ -90,9 +90,9 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
             (unless_signalled(ended)?, None)
         }
     };
-    stdio::show_as(arguments.format, &report, || text::summary(&report));
+    stdio::show_as(arguments.format, &report, || report::document(&report).to_console(None, Style::default()));
     stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
-    stdio::note(&format!("report: {}", folder.path().join(page::FILE).display()));
+    stdio::note(&format!("report: {}", folder.path().join(report::PAGE_FILE).display()));
     let is_empty = report.scenes == 0 && report.regressions == 0;
     let exit = || match report.verdict {
         _ if is_empty => Exit::NothingToRun,

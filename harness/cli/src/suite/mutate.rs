@@ -10,10 +10,10 @@ use crate::stdio;
 use clap::Args;
 use platebench_experiments::firmware_analysis::Suite;
 use platebench_experiments::mutation::mutants::MutantFilter;
-use platebench_experiments::mutation::{MutationConfig, MutationReport, measure_mutation, mutation_json, summary};
+use platebench_experiments::mutation::{MutationConfig, MutationReport, document, measure_mutation, mutation_json};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::write_atomically;
-use platebench_report::Detail;
+use platebench_report::{Detail, Style};
 use platebench_rig::{CancelToken, RigSpec};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -89,7 +89,7 @@ pub(super) fn mutate(arguments: &MutateArgs, detail: Detail) -> CommandResult {
         }
     });
     let report = unless_signalled(ended)?;
-    let text = summary(&report);
+    let text = document(&report).to_console(None, Style::default());
     if let Some(folder) = &arguments.out {
         write_report(&report, &text, folder).or_invalid_at(folder)?;
     }

@@ -8,12 +8,12 @@ use crate::stdio;
 use clap::Args;
 use platebench_experiments::explore::Envelope;
 use platebench_experiments::explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
-use platebench_experiments::trust::report::{matrix, summary};
+use platebench_experiments::trust::report::{document, matrix};
 use platebench_experiments::trust::{TrustConfig, TrustReport, catalogue, clean_variants, measure};
 use platebench_model::record::Verdict;
 use platebench_model::trace::write_atomically;
-use platebench_report::Detail;
 use platebench_report::format::count;
+use platebench_report::{Detail, Style};
 use platebench_rig::CancelToken;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -81,8 +81,9 @@ pub(super) fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
         write_report(&report, exploration.as_ref(), folder).or_invalid_at(folder)?;
     }
     stdio::show_as(arguments.format, &report, || {
-        let explored = exploration.as_ref().map(|exploration| exploration.summary(&report));
-        summary(&report) + &explored.unwrap_or_default()
+        let mut document = document(&report);
+        document.blocks.extend(exploration.as_ref().map(|exploration| exploration.block(&report)));
+        document.to_console(None, Style::default())
     });
     let blames = exploration.map_or(0, |exploration| exploration.alarms.len());
     let exit = Exit::of_verdict(if blames > 0 { Verdict::Fail } else { report.verdict });

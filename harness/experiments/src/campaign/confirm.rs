@@ -17,7 +17,6 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::path::Path;
 
 /// Largest number of replayed trials in the group of failing trials and in the random sample.
@@ -210,36 +209,31 @@ impl Agreement {
         json
     }
 
-    pub(crate) fn text(&self, confidence: f64) -> String {
-        let mut text = format!(
-            "{} trials replayed on {}; largest difference of a margin {:.2e}\n",
-            self.replayed, self.rig, self.largest_margin_difference
-        );
-        for GroupAgreement { name, candidates, tally } in &self.groups {
-            let _ = write!(
-                text,
-                "  {name} trials: {} of {} pass on one rig and fail on the other, {} are inconclusive on one rig only",
-                tally.failures, tally.trials, tally.inconclusive
+    pub(crate) fn lines(&self, confidence: f64) -> Vec<String> {
+        let Self { replayed, rig, largest_margin_difference: largest, .. } = self;
+        let mut lines =
+            vec![format!("{replayed} trials replayed on {rig}; largest difference of a margin {largest:.2e}")];
+        for GroupAgreement { name, candidates, tally: tally @ Tally { trials, failures, inconclusive, .. } } in
+            &self.groups
+        {
+            let mut line = format!(
+                "  {name} trials: {failures} of {trials} pass on one rig and fail on the other, {inconclusive} are \
+                 inconclusive on one rig only"
             );
             // The worst trials are not a random sample, so they have no confidence interval.
             if let Some([low, high]) = tally.interval(confidence).filter(|_| *name != "worst") {
-                let [low, high] = [low, high].map(|share| share * 100.0);
-                let _ = write!(text, "; {low:.4} % to {high:.4} %, each end at {} % confidence", confidence * 100.0);
+                let [low, high, confidence] = [low, high, confidence].map(|share| share * 100.0);
+                line += &format!("; {low:.4} % to {high:.4} %, each end at {confidence} % confidence");
             }
-            if *candidates > tally.trials {
-                let _ = write!(text, "; {} of {candidates} were drawn at random", tally.trials);
+            if candidates > trials {
+                line += &format!("; {trials} of {candidates} were drawn at random");
             }
-            text += "\n";
+            lines.push(line);
         }
-        for difference in &self.differences {
-            let [screened, emulated] = difference.margins;
-            let _ = writeln!(
-                text,
-                "  trial {}: hosted {} (margin {screened:.4}), emulated {} (margin {emulated:.4})",
-                difference.trial, difference.screened, difference.emulated
-            );
-        }
-        text
+        lines.extend(self.differences.iter().map(|Difference { trial, screened, emulated, margins: [one, other] }| {
+            format!("  trial {trial}: hosted {screened} (margin {one:.4}), emulated {emulated} (margin {other:.4})")
+        }));
+        lines
     }
 }
 

@@ -5,35 +5,60 @@ use crate::campaign::distribution::Variable;
 use crate::campaign::error::CampaignError;
 use crate::campaign::results::{CSV_FILE, PARQUET_FILE, unit_of_key};
 use crate::campaign::row::{Row, Tally};
-use crate::campaign::sample::Quantile;
+use crate::campaign::sample::{Quantile, Sensitivity};
 use crate::campaign::summary::{SUMMARY_FILE, Summary};
 use crate::campaign::worst_run::ResponseLinks;
 use platebench_model::record::Verdict;
 use platebench_report::chart::{HeatAxis, HeatFigure, HeatPanel};
-use platebench_report::document::{AreaLink, Block, Cell, Document, Figure, Table};
+use platebench_report::document::{AreaLink, Block, Cell, Column, Document, Figure, Table};
 use platebench_report::format;
 use std::path::Path;
 
 pub const REPORT_FILE: &str = "report.html";
 
-pub fn write(folder: &Path, summary: &Summary<'_>, links: &ResponseLinks) -> Result<(), CampaignError> {
-    let mut blocks = vec![Block::Preformatted(summary.text())];
-    blocks.extend(maps(summary, links));
+/// Writes the page and returns its content.
+pub fn write(folder: &Path, summary: &Summary<'_>, links: &ResponseLinks) -> Result<Document, CampaignError> {
+    let document = document(summary, links)?;
+    document.write(&folder.join(REPORT_FILE))?;
+    Ok(document)
+}
+
+fn document(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Document, CampaignError> {
+    let mut blocks = vec![Block::lines(summary.lines())];
+    let sensitivities = sensitivities(summary);
+    if !sensitivities.rows.is_empty() {
+        blocks.push(Block::heading("Rank correlation with the smallest margin, and first-order index"));
+        blocks.push(Block::Table(sensitivities));
+    }
+    let mut details = maps(summary, links)?;
     let quantiles = quantiles(summary);
     if !quantiles.rows.is_empty() {
-        blocks.push(Block::Heading("Quantiles".to_owned()));
-        blocks.push(Block::Table(quantiles));
+        details.extend([Block::heading("Quantiles"), Block::Table(quantiles)]);
     }
-    blocks.push(Block::Heading("Trials with the smallest margins".to_owned()));
-    blocks.push(Block::Table(worst_trials(summary, links)));
+    details.extend([Block::heading("Trials with the smallest margins"), Block::Table(worst_trials(summary, links))]);
     if !summary.failing.is_empty() {
-        let text = "Each failing trial of this table is a scenario in the folder counterexamples; \
-                    `platebench run` plays it again.";
-        blocks.push(Block::Paragraph(text.to_owned()));
+        details.push(Block::paragraph(
+            "Each failing trial of this table is a scenario in the folder counterexamples; `platebench run` plays it \
+             again.",
+        ));
     }
-    blocks.push(Block::Heading("Files".to_owned()));
-    blocks.extend([CSV_FILE, PARQUET_FILE, SUMMARY_FILE].map(|name| Block::File(name.to_owned())));
-    Ok(Document::new(&summary.campaign.title, blocks).write(&folder.join(REPORT_FILE))?)
+    details.push(Block::heading("Files"));
+    details.extend([CSV_FILE, PARQUET_FILE, SUMMARY_FILE].map(|name| Block::File(name.to_owned())));
+    blocks.push(Block::Details(details));
+    Ok(Document::new(&summary.campaign.title, blocks))
+}
+
+fn sensitivities(summary: &Summary<'_>) -> Table {
+    let number = |name: &str| Column::number(name, "");
+    let names = ["rank correlation", "from", "to", "first-order index", "from", "to"];
+    let mut table = Table::new([Column::from("value")].into_iter().chain(names.map(number)));
+    table.extend(summary.sample.sensitivities(summary.campaign).into_iter().map(|sensitivity| {
+        let Sensitivity { key, correlation, interval: [low, high], first_order } = sensitivity;
+        let index = first_order.map(|(index, [low, high])| [index, low, high]);
+        let index = index.map_or_else(|| [const { String::new() }; 3], |index| index.map(|part| format!("{part:.3}")));
+        [key].into_iter().chain([correlation, low, high].map(|part| format!("{part:.3}"))).chain(index)
+    }));
+    table
 }
 
 fn quantiles(summary: &Summary<'_>) -> Table {

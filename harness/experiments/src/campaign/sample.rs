@@ -16,7 +16,6 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use serde_json::{Value, json};
 use statrs::distribution::{ContinuousCDF, Normal};
-use std::fmt::Write as _;
 
 /// Limits the memory. The first trials by number are used, for any order of play.
 const MAX_TRIALS: usize = 50_000;
@@ -105,22 +104,6 @@ impl Sample {
         });
         json!({ "trials": self.scores.len(), "quantiles": self.quantiles(campaign),
             "sensitivities": sensitivities.collect::<Vec<_>>() })
-    }
-
-    pub(crate) fn text(&self, campaign: &Campaign) -> String {
-        let mut text = String::new();
-        for sensitivity in self.sensitivities(campaign) {
-            let [low, high] = sensitivity.interval;
-            let _ = writeln!(
-                text,
-                "rank correlation of {} and the smallest margin: {:.3}, {low:.3} to {high:.3}",
-                sensitivity.key, sensitivity.correlation
-            );
-            if let Some((index, [low, high])) = sensitivity.first_order {
-                let _ = writeln!(text, "  first-order index: {index:.3}, {low:.3} to {high:.3}");
-            }
-        }
-        text
     }
 }
 

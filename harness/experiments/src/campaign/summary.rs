@@ -8,7 +8,6 @@ use crate::campaign::row::{CAUSES, Row, SequentialDecision, ShardEnd, Tally, kee
 use crate::campaign::sample::Sample;
 use platebench_model::record::{Cause, Verdict};
 use serde_json::{Value, json};
-use std::fmt::Write as _;
 
 pub const SUMMARY_FILE: &str = "summary.json";
 
@@ -233,54 +232,51 @@ impl<'a> Summary<'a> {
         Value::Object(values.collect())
     }
 
-    pub fn text(&self) -> String {
+    /// Sentences about the trials, for people.
+    pub fn lines(&self) -> Vec<String> {
         let Tally { trials, failures, inconclusive, .. } = self.overall;
-        let mut text = format!("{}: {}", self.campaign.title, self.verdict());
-        if let Some(cause) = self.cause() {
-            let _ = write!(text, " ({cause})");
-        }
-        let _ =
-            write!(text, "\n{trials} of {} trials: {failures} fail, {inconclusive} inconclusive", self.campaign.trials);
+        let cause = self.cause().map(|cause| format!(" ({cause})")).unwrap_or_default();
+        let mut lines = vec![format!("{}: {}{cause}", self.campaign.title, self.verdict())];
+        let mut counts =
+            format!("{trials} of {} trials: {failures} fail, {inconclusive} inconclusive", self.campaign.trials);
         let is_sample = self.campaign.chain_trials() == 1;
+        let confidence = self.campaign.confidence;
         if let Some([low, high]) = self.interval().filter(|_| is_sample) {
-            let [low, high] = [low, high].map(|share| share * 100.0);
-            let confidence = self.campaign.confidence * 100.0;
-            let _ =
-                write!(text, "; {low:.4} % to {high:.4} % of all trials fail, each end at {confidence} % confidence");
+            let [low, high, confidence] = [low, high, confidence].map(|share| share * 100.0);
+            counts += &format!("; {low:.4} % to {high:.4} % of all trials fail, each end at {confidence} % confidence");
         }
         if let Some(demanded) = self.campaign.at_most {
-            let _ = write!(text, ", at most {} % demanded", demanded * 100.0);
+            counts += &format!(", at most {} % demanded", demanded * 100.0);
         }
-        text += "\n";
+        lines.push(counts);
         match self.campaign.method {
-            Method::Search => text += &self.chains.search_text(self.failing.first()),
-            Method::Rare => text += &self.chains.rare_text(self.campaign.confidence),
+            Method::Search => lines.push(self.chains.search_line(self.failing.first())),
+            Method::Rare => lines.extend(self.chains.rare_lines(confidence)),
             Method::Grid | Method::Random | Method::Sobol => {
-                text += &self.sample.text(self.campaign);
-                if let Some((trials, verdict)) = self.sequential.decision() {
-                    let _ = writeln!(text, "the first {trials} trials alone give the verdict {verdict}");
-                }
+                let decision = self.sequential.decision();
+                lines
+                    .extend(decision.map(|(trials, verdict)| {
+                        format!("the first {trials} trials alone give the verdict {verdict}")
+                    }));
             }
         }
-        if let Some(agreement) = &self.agreement {
-            text += &agreement.text(self.campaign.confidence);
-        }
+        lines.extend(self.agreement.iter().flat_map(|agreement| agreement.lines(confidence)));
         if self.redraws > 0 {
-            let _ = writeln!(text, "the scenario refused {} draws, which were repeated", self.redraws);
+            lines.push(format!("the scenario refused {} draws, which were repeated", self.redraws));
         }
         if self.end.driven {
-            text += "the controller commanded a drive after it had confirmed 0 V\n";
+            lines.push("the controller commanded a drive after it had confirmed 0 V".to_owned());
         } else if self.end.unconfirmed {
-            text += "the controller did not confirm 0 V at the end\n";
+            lines.push("the controller did not confirm 0 V at the end".to_owned());
         }
         if self.end.lost {
-            text += "the controller was lost during a trial\n";
+            lines.push("the controller was lost during a trial".to_owned());
         }
         if !self.missing.is_empty() {
             let shards: Vec<_> = self.missing.iter().map(ToString::to_string).collect();
-            let _ = writeln!(text, "missing shards: {}", shards.join(", "));
+            lines.push(format!("missing shards: {}", shards.join(", ")));
         }
-        text
+        lines
     }
 }
 
@@ -376,41 +372,42 @@ impl ChainOutcome {
         })
     }
 
-    pub(crate) fn search_text(&self, worst: Option<&Row>) -> String {
+    fn search_line(&self, worst: Option<&Row>) -> String {
         match worst {
             Some(row) => format!(
                 "worst case: trial {}, margin {:.4} (negative: failed); \
-                 the search needed {} trials for its first failure\n",
+                 the search needed {} trials for its first failure",
                 row.trial,
                 row.margin(),
                 self.first_failure.unwrap_or_default(),
             ),
-            None => format!("no failing trial found in {} trials\n", self.trials),
+            None => format!("no failing trial found in {} trials", self.trials),
         }
     }
 
-    pub(crate) fn rare_text(&self, confidence: f64) -> String {
+    fn rare_lines(&self, confidence: f64) -> Vec<String> {
         let Some(combined) = self.combine_chains() else {
-            return "the probability of failure has no estimate, because the chains have too few trials\n".to_owned();
+            let message = "the probability of failure has no estimate, because the chains have too few trials";
+            return vec![message.to_owned()];
         };
         let [low, high] = combined.interval(confidence);
         let precision = match combined.coefficient_of_variation {
             variation if variation.is_finite() => format!("coefficient of variation {variation:.3}"),
             _ => "no trial failed".to_owned(),
         };
-        let mut text = format!(
-            "probability of failure {:.3e}, {low:.3e} to {high:.3e}, each end at {} % confidence; {precision}\n",
+        let mut lines = vec![format!(
+            "probability of failure {:.3e}, {low:.3e} to {high:.3e}, each end at {} % confidence; {precision}",
             combined.probability,
             confidence * 100.0,
-        );
-        for (method, chains, reason) in self.methods() {
+        )];
+        lines.extend(self.methods().into_iter().map(|(method, chains, reason)| {
             let method = match method {
                 RareMethod::ImportanceSampling => "importance sampling around the design point",
                 RareMethod::SubsetSimulation => "subset simulation",
             };
-            let _ = writeln!(text, "{method} in {chains} of {} chains: {reason}", self.estimates.len());
-        }
-        text
+            format!("{method} in {chains} of {} chains: {reason}", self.estimates.len())
+        }));
+        lines
     }
 }
 
@@ -446,6 +443,6 @@ mod tests {
         };
         let outcome = ChainOutcome { estimates: vec![estimate], ..ChainOutcome::default() };
         let method = "subset simulation in 1 of 1 chains: FORM did not converge";
-        assert_eq!(outcome.rare_text(0.95), format!("probability of failure {expected}\n{method}\n"));
+        assert_eq!(outcome.rare_lines(0.95), [format!("probability of failure {expected}"), method.to_owned()]);
     }
 }

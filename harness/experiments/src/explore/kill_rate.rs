@@ -9,6 +9,7 @@ use crate::explore::report::format_value;
 use crate::trust::report::{MutantOutcome, Rate, TrustReport, format_rate};
 use crate::trust::{CleanVariant, MutantSpec};
 use platebench_engine::SafeEnds;
+use platebench_report::document::Block;
 use platebench_rig::{BoxedLink, CancelToken, HostedLink};
 use platebench_wire::LawId;
 use serde::Serialize;
@@ -107,7 +108,7 @@ fn first_failure(result: &Exploration) -> Option<FoundScene> {
 
 impl KillRateReport {
     /// `suite` is the result of the repository's scenarios, without exploration.
-    pub fn summary(&self, suite: &TrustReport) -> String {
+    pub fn block(&self, suite: &TrustReport) -> Block {
         let caught =
             |name: &str| suite.faults.iter().any(|fault| fault.name == name && fault.outcome == MutantOutcome::Caught);
         let both = self.mutants.iter().filter(|mutant| mutant.found.is_some() || caught(mutant.name)).count();
@@ -126,7 +127,7 @@ impl KillRateReport {
             let [value, limit] = [value, limit].map(|value| format_value(*value, 4));
             format!("false alarm: {controller}, {law}, scene {scene}: {property} {value}, limit {limit}")
         }));
-        lines.join("\n") + "\n"
+        Block::lines(lines)
     }
 }
 

@@ -4,7 +4,6 @@ use crate::explore::envelope::Envelope;
 use crate::explore::error::ExploreError;
 use crate::explore::exploration::{Budget, ExploreConfig, FailedScene, explore};
 use crate::explore::law_properties::LawProperties;
-use crate::explore::page::{self, page};
 use crate::explore::player::Player;
 use crate::explore::properties::Property;
 use crate::explore::regression;
@@ -94,7 +93,7 @@ impl ExploreSession {
         let text = serde_json::to_string_pretty(&report).unwrap_or_default();
         let path = folder.join(report::FILE);
         write_atomically(&path, text.as_bytes()).at(&path)?;
-        page(&report).write(&folder.join(page::FILE))?;
+        report::document(&report).write(&folder.join(report::PAGE_FILE))?;
         Ok(report)
     }
 

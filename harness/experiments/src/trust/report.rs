@@ -1,7 +1,8 @@
 //! Defines the report of `platebench suite trust` (`trust.json`), and its text and Markdown tables.
 
 use platebench_model::record::Verdict;
-use platebench_verdict::statistics::clopper_pearson;
+use platebench_report::document::{Block, Column, Document, Table};
+use platebench_verdict::statistics::proportion::clopper_pearson;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Write};
@@ -101,46 +102,40 @@ pub struct FalseAlarm {
 
 const MAX_LISTED: usize = 6;
 
-pub fn summary(report: &TrustReport) -> String {
-    let mut text = String::new();
-    let _ = write_summary(&mut text, report);
-    text
-}
-
-fn write_summary(text: &mut String, report: &TrustReport) -> fmt::Result {
-    for scenario in &report.scenarios {
-        writeln!(text, "{:>3} of {} mutants: {}", scenario.kill_rate.seen, scenario.kill_rate.count, scenario.file)?;
-    }
-    writeln!(text)?;
+pub fn document(report: &TrustReport) -> Document {
+    let mut scenarios = Table::new([Column::number("mutants caught", ""), Column::from("scenario")]);
+    scenarios.extend(
+        report.scenarios.iter().map(|ScenarioRate { file, kill_rate }| {
+            [format!("{} of {}", kill_rate.seen, kill_rate.count), file.clone()]
+        }),
+    );
+    let mut failures = Vec::new();
     for fault in &report.faults {
         let word = match fault.outcome {
             MutantOutcome::Caught => continue,
             MutantOutcome::WrongReason => "caught for a wrong reason only",
             MutantOutcome::Survived => "survived",
         };
-        writeln!(text, "{word}: {}, {}", fault.name, fault.mistake)?;
-        for cell in fault.wrong.iter().take(MAX_LISTED) {
-            writeln!(text, "    {} {}", cell.scenario, cell.metric)?;
-        }
+        failures.push(format!("{word}: {}, {}", fault.name, fault.mistake));
+        let wrong = fault.wrong.iter().take(MAX_LISTED);
+        failures.extend(wrong.map(|cell| format!("    {} {}", cell.scenario, cell.metric)));
     }
-    for alarm in &report.clean.alarms {
-        let run = alarm.run.map_or_else(|| "unmodified suite".to_owned(), |run| format!("clean run {run}"));
-        writeln!(
-            text,
-            "false alarm: {}, {run}, seed {}: {} {}",
-            alarm.controller, alarm.seed, alarm.cell.scenario, alarm.cell.metric
-        )?;
-    }
-    let clean = &report.clean;
-    writeln!(text, "kill rate: {}", format_rate(report.kill_rate))?;
-    writeln!(
-        text,
-        "false alarms: {}; {} inconclusive clean runs; {} scenarios, first seed {}",
-        format_rate(clean.false_alarm_rate),
-        clean.inconclusive,
-        clean.scenarios,
-        clean.seed
-    )
+    failures.extend(report.clean.alarms.iter().map(|FalseAlarm { controller, run, seed, cell }| {
+        let run = run.map_or_else(|| "unmodified suite".to_owned(), |run| format!("clean run {run}"));
+        format!("false alarm: {controller}, {run}, seed {seed}: {} {}", cell.scenario, cell.metric)
+    }));
+    let FalseAlarmResult { false_alarm_rate, inconclusive, scenarios: played, seed, .. } = &report.clean;
+    let rates = [
+        format!("kill rate: {}", format_rate(report.kill_rate)),
+        format!(
+            "false alarms: {}; {inconclusive} inconclusive clean runs; {played} scenarios, first seed {seed}",
+            format_rate(*false_alarm_rate)
+        ),
+    ];
+    let mut blocks = vec![Block::Table(scenarios)];
+    blocks.extend((!failures.is_empty()).then(|| Block::lines(failures)));
+    blocks.push(Block::lines(rates));
+    Document::new("Kill rate and false-alarm rate", blocks)
 }
 
 /// Example: `33 of 33, 100 % (each bound at 95 %: at least 91.32 %, at most 100 %)`.
