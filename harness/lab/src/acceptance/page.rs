@@ -1,45 +1,43 @@
 //! Renders `record.html`: a session on one page to read, print and sign.
 
-use crate::acceptance::session_record::{EvidenceRecord, RequirementRecord, STEPS, SessionRecord, StepRecord};
-use maud::{Markup, html};
+use crate::acceptance::session_record::{
+    DecisionRecord, EvidenceRecord, RequirementRecord, STEPS, SessionRecord, StepRecord,
+};
 use platebench_model::record::Verdict;
-use platebench_report::document::verdict_badge;
-use platebench_report::page::page_frame;
+use platebench_report::document::{Block, Cell, Column, Document, Table};
 
 pub const FILE: &str = "record.html";
 
-const STYLE: &str = include_str!("page/style.css");
-
-pub fn render(session: &SessionRecord) -> String {
-    let title = format!("{} · {} {}", session.verdict, session.title, session.started);
-    let body = html! {
-        header {
-            p.eyebrow { "Acceptance record · " (session.started) }
-            h1 { (session.title) }
-            p.lead { (badge(session.verdict)) " " (summary(session)) }
-            @if let Some(line) = session.no_board_notice() { p.notice { (line) "." } }
-        }
-        main {
-            (people_section(session))
-            (requirements(session))
-            (steps(session))
-            (evidence(session))
-            (decision_section(session))
-            (environment(session))
-            (signatures(session))
-        }
-        footer {
-            p {
-                "manifest.sha256 lists every file of this record. platebench acceptance verify judges the traces again; "
-                "sha256sum -c manifest.sha256 checks the files alone."
-            }
-        }
-    };
-    page_frame(&title, STYLE, &html! {}, &body)
-}
-
-fn badge(verdict: Verdict) -> Markup {
-    verdict_badge(verdict, verdict.name())
+pub fn document(session: &SessionRecord) -> Document {
+    let mut blocks = vec![Block::Verdict(session.verdict, summary(session))];
+    blocks.extend(session.no_board_notice().map(|line| Block::paragraph(format!("{line}."))));
+    blocks.push(Block::Facts(people(session)));
+    blocks.extend([Block::heading("Requirements"), Block::Table(requirements(session)), Block::heading("Steps")]);
+    if !session.resumed.is_empty() {
+        let resumed = session.resumed.join(", ");
+        blocks.push(Block::paragraph(format!("The session was interrupted and resumed: {resumed}.")));
+    }
+    blocks.extend([Block::Table(steps(session)), Block::heading("Evidence"), Block::Table(evidence(session))]);
+    blocks.extend(session.decision.iter().flat_map(decision));
+    blocks.extend([
+        Block::heading("Environment"),
+        Block::Facts(environment(session)),
+        Block::Table(hashes(session)),
+        Block::heading("Signatures"),
+        Block::paragraph(session.signature.as_ref().map_or_else(
+            || "This record has no electronic signature.".to_owned(),
+            |signature| {
+                let algorithm = &signature.algorithm;
+                format!("manifest.sha256 is signed with an {algorithm} key; the public key is in session.json.")
+            },
+        )),
+        signature_form(),
+        Block::paragraph(
+            "manifest.sha256 lists every file of this record. platebench acceptance verify judges the traces again; \
+             sha256sum -c manifest.sha256 checks the files alone.",
+        ),
+    ]);
+    Document { lead: format!("Acceptance record · {}", session.started), ..Document::new(&session.title, blocks) }
 }
 
 fn summary(session: &SessionRecord) -> String {
@@ -52,7 +50,11 @@ fn summary(session: &SessionRecord) -> String {
     )
 }
 
-fn people_section(session: &SessionRecord) -> Markup {
+fn facts<const N: usize>(facts: [(&str, String); N]) -> Vec<(String, String)> {
+    facts.map(|(name, value)| (name.to_owned(), value)).into()
+}
+
+fn people(session: &SessionRecord) -> Vec<(String, String)> {
     let stated = |text: &Option<String>| text.clone().unwrap_or_else(|| "not stated".to_owned());
     let firmware = session.firmware.as_ref().map_or_else(
         || "not identified".to_owned(),
@@ -63,7 +65,7 @@ fn people_section(session: &SessionRecord) -> Markup {
         |found| format!("{}; chip {}, number {}", session.rig, found.firmware.chip, found.unique),
     );
     let board = if session.no_board_notice().is_some() { format!("none ({})", session.rig) } else { board };
-    let facts = [
+    facts([
         ("Operator", stated(&session.details.operator)),
         ("Place", stated(&session.details.place)),
         ("Board", board),
@@ -71,37 +73,17 @@ fn people_section(session: &SessionRecord) -> Markup {
         ("Begun", session.started.clone()),
         ("Ended", stated(&session.finished)),
         ("Notes", stated(&session.details.notes)),
-    ];
-    html! {
-        section { dl.facts { @for (name, value) in &facts { div { dt { (name) } dd { (value) } } } } }
-    }
+    ])
 }
 
-fn requirements(session: &SessionRecord) -> Markup {
-    html! {
-        section tabindex="0" {
-            h2 { "Requirements" }
-            (table(None, &["Requirement", "Text", "Expectations met", "Verdict"], &html! {
-                @for requirement in &session.requirements {
-                    tr {
-                        th scope="row" { (requirement.id) }
-                        td { (requirement.text) }
-                        td.number { (evidence_summary(requirement)) }
-                        td { (badge(requirement.verdict)) }
-                    }
-                }
-            }))
-        }
-    }
-}
-
-fn table(class: Option<&str>, columns: &[&str], rows: &Markup) -> Markup {
-    html! {
-        table class=[class] {
-            thead { tr { @for column in columns { th { (column) } } } }
-            tbody { (rows) }
-        }
-    }
+fn requirements(session: &SessionRecord) -> Table {
+    let met = Column::number("Expectations met", "");
+    let mut table = Table::new(["Requirement".into(), "Text".into(), met, "Verdict".into()]);
+    table.extend(session.requirements.iter().map(|requirement| {
+        let RequirementRecord { id, text, verdict, .. } = requirement;
+        [id.into(), text.into(), evidence_summary(requirement).into(), Cell::verdict(*verdict)]
+    }));
+    table
 }
 
 fn evidence_summary(requirement: &RequirementRecord) -> String {
@@ -112,51 +94,40 @@ fn evidence_summary(requirement: &RequirementRecord) -> String {
     }
 }
 
-fn steps(session: &SessionRecord) -> Markup {
-    html! {
-        section tabindex="0" {
-            h2 { "Steps" }
-            @if !session.resumed.is_empty() {
-                p.notice { "The session was interrupted and resumed: " (session.resumed.join(", ")) "." }
-            }
-            (table(None, &["Step", "Result", "Verdict"], &html! { @for step in &session.steps { (step_row(step)) } }))
-        }
-    }
+fn steps(session: &SessionRecord) -> Table {
+    let mut table = Table::new(["Step", "Result", "Verdict"]);
+    table.extend(session.steps.iter().map(|step| {
+        let link = step.run_sha256.is_some().then(|| report_of_step(&step.id));
+        let title = Cell::from(&step.title).with_link(link).with_notes([step.id.clone()]);
+        [title, step_result(step), step.verdict.map_or_else(|| "–".into(), Cell::verdict)]
+    }));
+    table
 }
 
-fn step_row(step: &StepRecord) -> Markup {
-    html! {
-        tr {
-            th scope="row" {
-                @if step.run_sha256.is_some() { a href={ (STEPS) "/" (step.id) "/report.html" } { (step.title) } }
-                @else { (step.title) }
-                span.file { (step.id) }
-            }
-            td {
-                @if let Some(answer) = &step.answer {
-                    @match &answer.text { Some(text) => { "“" (text) "”" }, None => "no answer" }
-                    " (" (answer.from.replace('-', " ")) ") "
-                }
-                @if let Some(reason) = &step.reason { (reason) }
-                @if let Some(trust) = &step.trust {
-                    @for name in &trust.survived { span.file { "not caught: " (name) (mutant_description(name)) } }
-                }
-                @if step.lost { strong { " The controller was lost or did not confirm 0 V." } }
-                @if step.attempts.len() > 1 {
-                    span.file {
-                        "started " (step.attempts.len()) " times: "
-                        @for (number, attempt) in step.attempts.iter().enumerate() {
-                            @if number > 0 { "; " }
-                            (attempt.started)
-                            @if let Some(why) = &attempt.broken_off { ", " (why) }
-                            @else if attempt.ended.is_none() { ", cut off" }
-                        }
-                    }
-                }
-            }
-            td { @if let Some(verdict) = step.verdict { (badge(verdict)) } @else { "–" } }
-        }
+fn report_of_step(step: &str) -> String {
+    format!("{STEPS}/{step}/report.html")
+}
+
+fn step_result(step: &StepRecord) -> Cell {
+    let answer = step.answer.as_ref().map(|answer| {
+        let text = answer.text.as_ref().map_or_else(|| "no answer".to_owned(), |text| format!("“{text}”"));
+        format!("{text} ({})", answer.from.replace('-', " "))
+    });
+    let lost = step.lost.then(|| "The controller was lost or did not confirm 0 V.".to_owned());
+    let parts: Vec<String> = [answer, step.reason.clone(), lost].into_iter().flatten().collect();
+    let survived = step.trust.iter().flat_map(|trust| &trust.survived);
+    let mut notes: Vec<String> =
+        survived.map(|name| format!("not caught: {name}{}", mutant_description(name))).collect();
+    if step.attempts.len() > 1 {
+        let attempts = step.attempts.iter().map(|attempt| match (&attempt.broken_off, &attempt.ended) {
+            (Some(why), _) => format!("{}, {why}", attempt.started),
+            (None, None) => format!("{}, cut off", attempt.started),
+            (None, Some(_)) => attempt.started.clone(),
+        });
+        let attempts = attempts.collect::<Vec<_>>().join("; ");
+        notes.push(format!("started {} times: {attempts}", step.attempts.len()));
     }
+    Cell::from(parts.join(" ")).with_notes(notes)
 }
 
 fn mutant_description(name: &str) -> String {
@@ -164,30 +135,24 @@ fn mutant_description(name: &str) -> String {
     known.map_or_else(String::new, |entry| format!(", {}", entry.description))
 }
 
-fn evidence(session: &SessionRecord) -> Markup {
-    html! {
-        section tabindex="0" {
-            h2 { "Evidence" }
-            (table(Some("evidence"), &["Requirement", "Scenario", "Metric", "Limit", "Value", "Verdict"], &html! {
-                @for requirement in &session.requirements { @for evidence in &requirement.evidence {
-                    tr {
-                        th scope="row" { (requirement.id) }
-                        td { a href={ (STEPS) "/" (evidence.step) "/report.html" } { (evidence.scenario) } }
-                        td {
-                            code { (evidence.metric) }
-                            @if let Some(reason) = &evidence.reason { span.file { (reason) } }
-                        }
-                        td.number { (evidence.demanded) }
-                        td.number {
-                            (evidence.found.as_deref().unwrap_or("–"))
-                            @if let Some(line) = uncertainty_line(evidence) { span.file { (line) } }
-                        }
-                        td { (badge(evidence.verdict)) }
-                    }
-                } }
-            }))
-        }
+fn evidence(session: &SessionRecord) -> Table {
+    let [limit, value] = ["Limit", "Value"].map(|name| Column::number(name, ""));
+    let mut table =
+        Table::new(["Requirement".into(), "Scenario".into(), "Metric".into(), limit, value, "Verdict".into()]);
+    for requirement in &session.requirements {
+        table.extend(requirement.evidence.iter().map(|evidence| {
+            let found = Cell::from(evidence.found.as_deref().unwrap_or("–"));
+            [
+                Cell::from(&requirement.id),
+                Cell::from(&evidence.scenario).with_link(Some(report_of_step(&evidence.step))),
+                Cell::from(&evidence.metric).with_notes(evidence.reason.clone()),
+                Cell::from(&evidence.demanded),
+                found.with_notes(uncertainty_line(evidence)),
+                Cell::verdict(evidence.verdict),
+            ]
+        }));
     }
+    table
 }
 
 fn uncertainty_line(evidence: &EvidenceRecord) -> Option<String> {
@@ -196,86 +161,43 @@ fn uncertainty_line(evidence: &EvidenceRecord) -> Option<String> {
     Some(format!("± {:.3e} (k = {:.2}, ν = {freedom})", combined.expanded, combined.coverage_factor))
 }
 
-fn decision_section(session: &SessionRecord) -> Markup {
-    html! {
-        @if let Some(decision) = &session.decision {
-            section tabindex="0" {
-                h2 { "Decision rule and instruments" }
-                p {
-                    "Rule: " (decision.rule) ". Budget: " (decision.title) ". Expanded uncertainties cover "
-                    (format!("{:.1}", decision.coverage * 100.0)) " %."
-                }
-                (table(None, &["Instrument", "Serial number", "Certificate", "Calibrated", "Valid until"], &html! {
-                    @for instrument in &decision.instruments {
-                        tr {
-                            th scope="row" { (instrument.name) }
-                            td { (instrument.serial) }
-                            td { (instrument.certificate.as_deref().unwrap_or("–")) }
-                            td { (instrument.calibrated) }
-                            td {
-                                (instrument.due)
-                                @if instrument.waived { strong { " not valid; waived by the operator" } }
-                            }
-                        }
-                    }
-                }))
-            }
-        }
-    }
+fn decision(decision: &DecisionRecord) -> [Block; 3] {
+    let DecisionRecord { rule, title, coverage, .. } = decision;
+    let mut table = Table::new(["Instrument", "Serial number", "Certificate", "Calibrated", "Valid until"]);
+    table.extend(decision.instruments.iter().map(|instrument| {
+        let waived = if instrument.waived { " not valid; waived by the operator" } else { "" };
+        let certificate = instrument.certificate.as_deref().unwrap_or("–").to_owned();
+        let due = format!("{}{waived}", instrument.due);
+        [instrument.name.clone(), instrument.serial.clone(), certificate, instrument.calibrated.clone(), due]
+    }));
+    let percent = coverage * 100.0;
+    let rule = format!("Rule: {rule}. Budget: {title}. Expanded uncertainties cover {percent:.1} %.");
+    [Block::heading("Decision rule and instruments"), Block::paragraph(rule), Block::Table(table)]
 }
 
-fn environment(session: &SessionRecord) -> Markup {
-    let bench = &session.bench;
-    let image = session.firmware.as_ref().and_then(|firmware| firmware.image_sha256.clone());
-    let facts = [
+fn environment(session: &SessionRecord) -> Vec<(String, String)> {
+    let (bench, clock) = (&session.bench, &session.clock);
+    facts([
         ("Bench", format!("{} {}, {}, {}", bench.tool.name, bench.tool.version, bench.host.os, bench.host.arch)),
         ("Rig", session.rig.clone()),
-        (
-            "Clock",
-            format!(
-                "{}, time scale {}, paced by {}",
-                session.clock.name, session.clock.time_scale, session.clock.pacing
-            ),
-        ),
-    ];
-    let mut hashes = vec![("bench program".to_owned(), bench.sha256.clone())];
-    hashes.extend(image.map(|hash| ("firmware image".to_owned(), hash)));
-    hashes.push((session.plan.file.clone(), session.plan.sha256.clone()));
-    hashes.extend(session.inputs.iter().map(|input| (input.file.clone(), input.sha256.clone())));
-    html! {
-        section tabindex="0" {
-            h2 { "Environment" }
-            dl.facts { @for (name, value) in &facts { div { dt { (name) } dd { (value) } } } }
-            (table(Some("hashes"), &["File", "SHA-256"], &html! {
-                @for (file, hash) in &hashes { tr { th scope="row" { (file) } td { code { (hash) } } } }
-            }))
-        }
-    }
+        ("Clock", format!("{}, time scale {}, paced by {}", clock.name, clock.time_scale, clock.pacing)),
+    ])
 }
 
-fn signatures(session: &SessionRecord) -> Markup {
-    html! {
-        section.signatures {
-            h2 { "Signatures" }
-            p {
-                @match &session.signature {
-                    Some(signature) => {
-                        "manifest.sha256 is signed with an " (signature.algorithm)
-                        " key; the public key is in session.json."
-                    },
-                    None => "This record has no electronic signature.",
-                }
-            }
-            div.fields {
-                @for role in ["Operator", "Reviewer"] {
-                    div.field { span.line {} span { (role) ", name" } }
-                    div.field { span.line {} span { "Date, signature" } }
-                }
-                div.field.wide {
-                    span.line {}
-                    span { "First 16 digits of the manifest's SHA-256, as printed by platebench acceptance verify" }
-                }
-            }
-        }
+fn hashes(session: &SessionRecord) -> Table {
+    let image = session.firmware.as_ref().and_then(|firmware| firmware.image_sha256.as_ref());
+    let mut table = Table::new(["File", "SHA-256"]);
+    table.push(["bench program", &session.bench.sha256]);
+    table.extend(image.map(|hash| ["firmware image", hash]));
+    table.extend(std::iter::once(&session.plan).chain(&session.inputs).map(|input| [&input.file, &input.sha256]));
+    table
+}
+
+fn signature_form() -> Block {
+    let mut lines: Vec<String> = Vec::new();
+    for role in ["Operator", "Reviewer"] {
+        lines.extend([format!("{role}, name"), "Date, signature".to_owned()]);
     }
+    lines.push("First 16 digits of the manifest's SHA-256, as printed by platebench acceptance verify".to_owned());
+    Block::Form(lines)
 }

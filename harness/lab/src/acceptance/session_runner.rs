@@ -239,7 +239,7 @@ impl<'a> SessionRunner<'a> {
             .as_ref()
             .map(|key| SignatureRecord { algorithm: "ed25519".to_owned(), public_key: key.public_key().to_pem() });
         self.record.write(folder)?;
-        write_file(folder, page::FILE, page::render(&self.record).as_bytes())?;
+        write_file(folder, page::FILE, page::document(&self.record).to_html().as_bytes())?;
         manifest::write(folder)?;
         if let Some(key) = &self.config.signing_key {
             let path = folder.join(manifest::FILE);
