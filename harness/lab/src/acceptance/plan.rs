@@ -1,6 +1,6 @@
 //! Reads the plan of a session: requirements, scenarios, questions.
 
-use crate::acceptance::decision::PlanDecision;
+use crate::acceptance::judge::PlanDecision;
 use platebench_model::scenario::{
     Diagnostic, Limit, MAX_TRIALS, Requirement, Scenario, find, parse_bytes, parse_file, schema,
 };

@@ -1,13 +1,15 @@
-//! Defines `session.json`, the state of a session.
+//! Defines `session.json`, the state of a session, and the errors of a session.
 
-use crate::acceptance::error::AcceptError;
+use platebench_engine::{RejudgeError, RunError};
+use platebench_experiments::trust::TrustError;
 use platebench_model::record::{Firmware, Host, InputRecord, Quantiles, Tool, Verdict};
+use platebench_model::scenario::Diagnostic;
 use platebench_model::trace::{AtPath, FileError, read_regular_file, write_atomically};
 use platebench_rig::{Capability, RigSpec};
 use platebench_verdict::uncertainty::{CombinedUncertainty, Conformity, DecisionRule};
 use serde::{Deserialize, Serialize};
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Largest record of a session.
 const MAX_RECORD_BYTES: u64 = 1 << 30;
@@ -280,4 +282,55 @@ impl SessionRecord {
 pub(crate) fn write_file(folder: &Path, name: &str, content: &[u8]) -> Result<(), FileError> {
     let path = folder.join(name);
     write_atomically(&path, content).at(&path)
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum AcceptError {
+    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
+    Plan(Vec<Diagnostic>),
+    #[error(transparent)]
+    File(#[from] FileError),
+    #[error(
+        "{what} is {now}, but the session was started with {then}; restore it, or start a new session with another \
+         --out FOLDER"
+    )]
+    Changed { what: String, then: String, now: String },
+    #[error("{} contains a finished session, which cannot be changed; name a new folder", .0.display())]
+    Finished(PathBuf),
+    #[error("{} contains files that belong to no acceptance session; name a new folder", .0.display())]
+    FolderNotEmpty(PathBuf),
+    #[error("another session is writing {}; wait until it ends, or name another folder", .0.display())]
+    InUse(PathBuf),
+    #[error("{}: contains no session, expected a folder that `platebench acceptance run` wrote", .0.display())]
+    NoSession(PathBuf),
+    #[error("{}: {message}", path.display())]
+    InvalidRecord { path: PathBuf, message: String },
+    #[error("{}: not the expected ed25519 key in PEM: {message}", path.display())]
+    Key { path: PathBuf, message: String },
+    #[error(
+        "{instrument}: its calibration is valid from {calibrated} to {due}, but not today; calibrate the instrument, \
+         or waive this with --waive-calibration NAME, which the record states"
+    )]
+    InvalidCalibration { instrument: String, calibrated: String, due: String },
+    #[error(
+        "--waive-calibration {0}: the budget has no instrument with this name, expected the name of an [[instrument]]"
+    )]
+    UnknownInstrument(String),
+    #[error(transparent)]
+    Run(#[from] RunError),
+    #[error(transparent)]
+    Rejudge(#[from] RejudgeError),
+    #[error(transparent)]
+    Trust(#[from] TrustError),
+    #[error(transparent)]
+    Report(#[from] platebench_report::ReportError),
+    #[error("stopped at \"{0}\": the answer was no; resume the session when the answer is yes")]
+    AnsweredNo(String),
+    #[error(
+        "stopped at \"{question}\": no answer, and {rig} may drive a plate; answer at a terminal, or \
+         confirm beforehand with --yes"
+    )]
+    Unanswered { question: String, rig: String },
+    #[error("the session was cancelled")]
+    Cancelled,
 }

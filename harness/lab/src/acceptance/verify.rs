@@ -2,15 +2,16 @@
 //! signature, and the verdicts with traces that it judges again. Without a signature, a changed
 //! file with a matching new manifest is found only if it contradicts the traces.
 
-use crate::acceptance::error::AcceptError;
 use crate::acceptance::judge::judge_requirements;
-use crate::acceptance::manifest::{self, Difference};
 use crate::acceptance::plan;
-use crate::acceptance::session_record::{BUDGET, FILE, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind};
-use crate::acceptance::signature::{self, PublicKey};
+use crate::acceptance::seal::{
+    Difference, MANIFEST_FILE, MAX_MANIFEST_BYTES, PublicKey, SIGNATURE_FILE, check_manifest,
+};
+use crate::acceptance::session_record::{
+    AcceptError, BUDGET, FILE, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind,
+};
 use platebench_engine::{RejudgeError, rejudge};
-use platebench_model::record::sha256;
-use platebench_model::record::{self as record, RunRecord};
+use platebench_model::record::{self, RunRecord, sha256};
 use platebench_model::trace::{FileError, read_regular_file};
 use std::io;
 use std::path::Path;
@@ -24,11 +25,11 @@ const MAX_PLAN_BYTES: u64 = 4 << 20;
 pub enum Finding {
     #[error(transparent)]
     File(Difference),
-    #[error("{}: missing, expected the SHA-256 of every file", manifest::FILE)]
+    #[error("{}: missing, expected the SHA-256 of every file", MANIFEST_FILE)]
     NoManifest,
-    #[error("{file}: missing, {0}", file = signature::FILE)]
+    #[error("{file}: missing, {0}", file = SIGNATURE_FILE)]
     NoSignature(&'static str),
-    #[error("{file}: wrong, {0}", file = signature::FILE)]
+    #[error("{file}: wrong, {0}", file = SIGNATURE_FILE)]
     WrongSignature(&'static str),
     #[error("{file}: {message}")]
     Contradiction { file: String, message: String },
@@ -60,7 +61,7 @@ impl Verification {
 
 /// Verifies manifest, traces and signature. Fails if `folder` contains no record.
 pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, AcceptError> {
-    let manifest = read_if_present(&folder.join(manifest::FILE), manifest::MAX_BYTES)?;
+    let manifest = read_if_present(&folder.join(MANIFEST_FILE), MAX_MANIFEST_BYTES)?;
     let session = match (SessionRecord::read(folder), &manifest) {
         (Err(error), None) => return Err(error),
         (session, _) => session,
@@ -76,7 +77,7 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, Ac
         Some(bytes) => {
             let text = String::from_utf8_lossy(bytes);
             found.files = text.lines().count();
-            found.findings.extend(manifest::check(folder, &text).into_iter().map(Finding::File));
+            found.findings.extend(check_manifest(folder, &text).into_iter().map(Finding::File));
         }
         None => found.findings.push(Finding::NoManifest),
     }
@@ -92,7 +93,7 @@ pub fn verify(folder: &Path, key: Option<&PublicKey>) -> Result<Verification, Ac
         }
         Err(error) => found.findings.push(contradiction(FILE, error.to_string())),
     }
-    let signature = read_if_present(&folder.join(signature::FILE), MAX_SIGNATURE_BYTES)?;
+    let signature = read_if_present(&folder.join(SIGNATURE_FILE), MAX_SIGNATURE_BYTES)?;
     let named = found.session.as_ref().and_then(|session| session.signature.as_ref());
     match check_signature(manifest.as_deref().unwrap_or_default(), signature.as_deref(), named, key) {
         Ok(signer) => found.signer = signer,

@@ -1,16 +1,18 @@
 //! Plays scenarios in rotation for hours (soak test). Each round has new seeds, and the record has
 //! a bounded size.
 
-use crate::boards::run_end::BoardOutcome;
-use crate::boards::soak_record::{SOAK_FILE, SoakEnd, SoakRecord};
+use crate::boards::state::BoardOutcome;
 use platebench_engine::plan::LinkFactory;
 use platebench_engine::{CancelToken, RunError, RunHooks, RunPlan, rejudge, run};
-use platebench_model::record::{FileLock, FolderError, RunFolder, RunRecord, Verdict};
+use platebench_model::record::{FileLock, FolderError, RunFolder, RunRecord, Verdict, utc_timestamp};
 use platebench_model::scenario::Scenario;
-use platebench_model::trace::AtPath as _;
-use std::fs;
+use platebench_model::trace::{AtPath as _, read_text_file, write_atomically};
+use platebench_report::document::Table;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+use std::{fs, io};
 
 const RUNS: &str = "runs";
 const MAX_KEPT_FAILURES: usize = 20;
@@ -115,4 +117,155 @@ fn plan_of(plan: &RunPlan, scenario: &Scenario, round: u64) -> RunPlan {
 
 fn write(record: &SoakRecord, out: &Path) -> Result<(), RunError> {
     Ok(record.write(out).at(out).map_err(FolderError::from)?)
+}
+
+pub const SOAK_FILE: &str = "soak.json";
+const FORMAT: u32 = 1;
+const MAX_BYTES: u64 = 1 << 26;
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SoakRecord {
+    format: u32,
+    pub board: String,
+    pub rig: String,
+    pub started: String,
+    pub updated: String,
+    /// The most severe verdict of all runs.
+    pub verdict: Verdict,
+    /// Absent while the soak test runs, and after it was killed.
+    pub end: Option<SoakEnd>,
+    pub runs: u64,
+    pub safe_confirmed: bool,
+    pub scenarios: BTreeMap<String, SoakScenario>,
+    pub newest: Option<String>,
+    /// Folders of the first runs that did not pass.
+    pub kept: Vec<String>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SoakEnd {
+    Time,
+    Cancelled,
+    Failed,
+    Lost,
+}
+
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct SoakScenario {
+    pub runs: u64,
+    pub trials: u64,
+    pub failed: u64,
+    pub inconclusive: u64,
+    pub metrics: BTreeMap<String, RunningStatistics>,
+}
+
+/// Mean and variance by Welford's method (*Technometrics* 4, 1962, pp. 419-420).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RunningStatistics {
+    pub count: u64,
+    pub mean: f64,
+    /// Sum of the squared distances from the mean.
+    pub squares: f64,
+    pub minimum: f64,
+    pub maximum: f64,
+}
+
+impl RunningStatistics {
+    fn of(value: f64) -> Self {
+        Self { count: 1, mean: value, squares: 0.0, minimum: value, maximum: value }
+    }
+
+    fn add(&mut self, value: f64) {
+        self.count += 1;
+        let before = value - self.mean;
+        self.mean += before / self.count as f64;
+        self.squares += before * (value - self.mean);
+        (self.minimum, self.maximum) = (self.minimum.min(value), self.maximum.max(value));
+    }
+
+    /// Standard deviation with n − 1 in the denominator, or 0 for one value.
+    fn deviation(&self) -> f64 {
+        if self.count > 1 { (self.squares / (self.count - 1) as f64).sqrt() } else { 0.0 }
+    }
+}
+
+impl SoakRecord {
+    pub(crate) fn new(board: &str, rig: &str) -> Self {
+        Self {
+            format: FORMAT,
+            board: board.to_owned(),
+            rig: rig.to_owned(),
+            started: utc_timestamp(),
+            updated: utc_timestamp(),
+            verdict: Verdict::Inconclusive,
+            end: None,
+            runs: 0,
+            safe_confirmed: true,
+            scenarios: BTreeMap::new(),
+            newest: None,
+            kept: Vec::new(),
+        }
+    }
+
+    pub fn read(folder: &Path) -> io::Result<Self> {
+        Ok(serde_json::from_str(&read_text_file(&folder.join(SOAK_FILE), MAX_BYTES)?)?)
+    }
+
+    pub(crate) fn write(&self, folder: &Path) -> io::Result<()> {
+        write_atomically(&folder.join(SOAK_FILE), format!("{}\n", serde_json::to_string_pretty(self)?).as_bytes())
+    }
+
+    pub(crate) fn add(&mut self, run: &RunRecord, folder: &str) {
+        let before = (self.runs > 0).then_some(self.verdict);
+        self.verdict = Verdict::combine(before.into_iter().chain([run.verdict]));
+        self.runs += 1;
+        self.updated = utc_timestamp();
+        self.safe_confirmed &= run.safe_confirmed == Some(true);
+        self.newest = Some(folder.to_owned());
+        for played in &run.scenarios {
+            let scenario = self.scenarios.entry(played.file.clone()).or_default();
+            scenario.runs += 1;
+            scenario.trials += played.trials.len() as u64;
+            scenario.failed += u64::from(played.verdict == Verdict::Fail);
+            scenario.inconclusive += u64::from(played.verdict == Verdict::Inconclusive);
+            let counted = played.trials.iter().filter(|trial| trial.cause.is_none());
+            for (metric, value) in counted.flat_map(|trial| trial.metrics.iter()) {
+                let Some(value) = value else { continue };
+                let known = scenario.metrics.entry(metric.to_owned());
+                known.and_modify(|known| known.add(value)).or_insert_with(|| RunningStatistics::of(value));
+            }
+        }
+    }
+
+    pub fn table(&self) -> Table {
+        let header = ["scenario", "runs", "trials", "failed", "inconclusive", "metric", "mean", "sd", "min", "max"];
+        let mut table = Table::new(header);
+        for (file, scenario) in &self.scenarios {
+            let counts = [scenario.runs, scenario.trials, scenario.failed, scenario.inconclusive];
+            let counts: Vec<_> = counts.iter().map(ToString::to_string).collect();
+            for (metric, known) in &scenario.metrics {
+                let numbers = [known.mean, known.deviation(), known.minimum, known.maximum];
+                let numbers = numbers.map(|number| format!("{number:.4}"));
+                let start = std::iter::once(file.clone()).chain(counts.clone());
+                table.push(start.chain(std::iter::once(metric.clone())).chain(numbers));
+            }
+        }
+        table
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn running_statistics_are_those_of_all_values() {
+        let mut known = RunningStatistics::of(1.0);
+        for value in [2.0, 3.0, 4.0] {
+            known.add(value);
+        }
+        assert_eq!((known.count, known.mean, known.minimum, known.maximum), (4, 2.5, 1.0, 4.0));
+        assert!((known.deviation() - (5.0_f64 / 3.0).sqrt()).abs() < 1e-15);
+    }
 }

@@ -1,9 +1,13 @@
-//! Stores the state of a board so that it survives a power cut.
+//! Locks a board, stores its state so that it survives a power cut, and derives the state from the end
+//! of a run.
 
-use crate::boards::error::BoardError;
-use platebench_model::record::{Verdict, utc_timestamp};
+use crate::boards::inventory::{Board, BoardError, Inventory};
+use platebench_engine::RunError;
+use platebench_model::record::{RECORD_FILE, RunRecord, Verdict, utc_timestamp};
 use platebench_model::trace::{AtPath, FileError, read_text_file, write_atomically};
+use platebench_rig::{LockHolder, lock_file};
 use serde::{Deserialize, Serialize};
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -99,4 +103,131 @@ impl StoredState {
 
 fn current_user() -> Option<String> {
     std::env::var("USER").ok().filter(|user| !user.is_empty())
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct BoardFiles {
+    pub(crate) state: PathBuf,
+    locks: Vec<PathBuf>,
+}
+
+impl BoardFiles {
+    /// Creates the state folder if it does not exist.
+    pub(crate) fn new(inventory: &Inventory, board: &Board) -> Result<Self, BoardError> {
+        let folder = inventory.state_folder();
+        fs::create_dir_all(&folder).at(&folder)?;
+        let probe = board.probe_serial.as_ref().map(|serial| {
+            let is_plain = |letter: char| letter.is_ascii_alphanumeric();
+            let name: String = serial.chars().map(|letter| if is_plain(letter) { letter } else { '_' }).collect();
+            folder.join(format!("{name}.probe.lock"))
+        });
+        let lock = folder.join(format!("{}.lock", board.name));
+        Ok(Self {
+            state: folder.join(format!("{}.json", board.name)),
+            locks: std::iter::once(lock).chain(probe).collect(),
+        })
+    }
+
+    pub(crate) fn lock(&self) -> Result<Result<BoardLock, LockHolder>, BoardError> {
+        let mut files = Vec::new();
+        for path in &self.locks {
+            let file = File::options().create(true).append(true).open(path).at(path)?;
+            match lock_file(&file).map_err(io::Error::from).at(path)? {
+                None => files.push(file),
+                Some(holder) => return Ok(Err(holder)),
+            }
+        }
+        Ok(Ok(BoardLock { _files: files }))
+    }
+}
+
+#[derive(Debug)]
+pub(crate) struct BoardLock {
+    _files: Vec<File>,
+}
+
+const NOT_CONFIRMED: &str = "the controller did not confirm 0 V";
+/// Runs of an acceptance session lie at most this number of folders below the session's folder.
+const MAX_DEPTH: usize = 4;
+
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct BoardOutcome {
+    /// Reason why no further run may start on the board.
+    pub quarantine: Option<String>,
+    pub last_run: Option<LastRun>,
+}
+
+impl BoardOutcome {
+    /// Outcome of a command that applied no voltage.
+    pub fn untouched() -> Self {
+        Self::default()
+    }
+
+    pub fn unconfirmed() -> Self {
+        Self { quarantine: Some(NOT_CONFIRMED.to_owned()), last_run: None }
+    }
+
+    /// An error of the bench leaves the board usable if the controller confirmed 0 V.
+    pub fn of_run(result: Result<&RunRecord, &RunError>, folder: &Path) -> Self {
+        match result {
+            Ok(record) => Self::of_record(record, folder),
+            Err(error) => Self::of_error(error, folder),
+        }
+    }
+
+    fn of_record(record: &RunRecord, folder: &Path) -> Self {
+        let quarantine = if record.safe_confirmed != Some(true) {
+            Some(record.unsafe_end().unwrap_or(NOT_CONFIRMED).to_owned())
+        } else if record.has_lost_controller() {
+            Some("the controller was lost during a trial".to_owned())
+        } else {
+            None
+        };
+        let folder = fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
+        let verdict = record.complete.then_some(record.verdict);
+        Self { quarantine, last_run: Some(LastRun { started: record.started.clone(), folder, verdict }) }
+    }
+
+    /// A run without a record ended before the bench configured the controller.
+    fn of_error(error: &RunError, folder: &Path) -> Self {
+        let mut end = match RunRecord::read(folder) {
+            Ok(record) => Self::of_record(&record, folder),
+            Err(_) if folder.join(RECORD_FILE).exists() => Self::unconfirmed(),
+            Err(_) => Self::untouched(),
+        };
+        if let RunError::DifferentController { .. } = error {
+            end.quarantine = Some(error.to_string());
+        }
+        end
+    }
+
+    /// Combines all runs in and below `folder` from `since` on. `last_run` is the newest of them.
+    pub fn of_runs_below(folder: &Path, since: &str) -> Self {
+        let mut end = Self::untouched();
+        end.add_runs_below(folder, since, MAX_DEPTH);
+        end
+    }
+
+    fn add_runs_below(&mut self, folder: &Path, since: &str, depth: usize) {
+        if folder.join(RECORD_FILE).exists() {
+            let run = match RunRecord::read(folder) {
+                Ok(record) if record.started.as_str() < since => return,
+                Ok(record) => Self::of_record(&record, folder),
+                Err(_) => Self::unconfirmed(),
+            };
+            self.quarantine = self.quarantine.take().or(run.quarantine);
+            // If two runs started in the same second, the one with the later folder name counts as
+            // newer.
+            if run.last_run.as_ref().map(|run| &run.started) >= self.last_run.as_ref().map(|run| &run.started) {
+                self.last_run = run.last_run;
+            }
+            return;
+        }
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+        let mut folders: Vec<_> = entries.filter(|path| depth > 0 && path.is_dir()).collect();
+        folders.sort_unstable();
+        for below in folders {
+            self.add_runs_below(&below, since, depth - 1);
+        }
+    }
 }

@@ -1,20 +1,25 @@
-//! Lists the SHA-256 of every file of a record except the manifest and its signature, in the format
-//! of `sha256sum -c`.
+//! Seals a record: the manifest lists the SHA-256 of every file except itself and its signature, in
+//! the format of `sha256sum -c`. The signature of the manifest (ed25519, 64 raw bytes) is in
+//! `manifest.sha256.sig`.
+//!
+//! Keys have the PEM formats of OpenSSL: PKCS #8 and SPKI. `openssl pkeyutl -verify -rawin` also
+//! checks a signature.
 
-use crate::acceptance::error::AcceptError;
-use crate::acceptance::session_record::write_file;
-use crate::acceptance::signature;
-use platebench_model::record::sha256_of_file;
-use platebench_model::trace::{AtPath, FileError};
+use crate::acceptance::session_record::{AcceptError, write_file};
+use ed25519_dalek::pkcs8::spki::der::pem::{LineEnding, decode_label};
+use ed25519_dalek::pkcs8::{DecodePrivateKey, DecodePublicKey, EncodePublicKey};
+use ed25519_dalek::{Signature, Signer as _, SigningKey, VerifyingKey};
+use platebench_model::record::{sha256, sha256_of_file};
+use platebench_model::trace::{AtPath, FileError, read_text_file};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::{fs, io};
 
-pub const FILE: &str = "manifest.sha256";
+pub const MANIFEST_FILE: &str = "manifest.sha256";
 const MAX_DEPTH: usize = 32;
 /// Largest manifest, about half a million files.
-pub(crate) const MAX_BYTES: u64 = 64 << 20;
+pub(crate) const MAX_MANIFEST_BYTES: u64 = 64 << 20;
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Difference {
@@ -29,13 +34,13 @@ pub enum Difference {
     #[error("{0}: cannot be read: {1}")]
     Unreadable(String, String),
     #[error(
-        "{FILE}:{0}: not a line of a manifest, expected 64 hexadecimal digits, two spaces and a file below the record, \
+        "{MANIFEST_FILE}:{0}: not a line of a manifest, expected 64 hexadecimal digits, two spaces and a file below the record, \
          each once and in order"
     )]
     Line(usize),
 }
 
-pub(crate) fn write(folder: &Path) -> Result<(), AcceptError> {
+pub(crate) fn write_manifest(folder: &Path) -> Result<(), AcceptError> {
     let mut found = FolderContents::default();
     found.collect_below(folder, "", 0);
     if let Some((name, what)) = found.not_files.first_key_value() {
@@ -50,10 +55,10 @@ pub(crate) fn write(folder: &Path) -> Result<(), AcceptError> {
         let path = folder.join(name);
         let _ = writeln!(text, "{}  {name}", sha256_of_file(&path).at(&path)?);
     }
-    Ok(write_file(folder, FILE, text.as_bytes())?)
+    Ok(write_file(folder, MANIFEST_FILE, text.as_bytes())?)
 }
 
-pub(crate) fn check(folder: &Path, text: &str) -> Vec<Difference> {
+pub(crate) fn check_manifest(folder: &Path, text: &str) -> Vec<Difference> {
     let mut differences = Vec::new();
     let mut listed: BTreeMap<&str, &str> = BTreeMap::new();
     let mut last = None;
@@ -119,7 +124,7 @@ impl FolderContents {
                     self.collect_below(&entry.path(), &format!("{name}/"), depth + 1);
                 }
                 Ok(kind) if kind.is_file() => {
-                    if name != FILE && name != signature::FILE {
+                    if name != MANIFEST_FILE && name != SIGNATURE_FILE {
                         self.files.insert(name);
                     }
                 }
@@ -131,8 +136,82 @@ impl FolderContents {
     }
 }
 
+pub const SIGNATURE_FILE: &str = "manifest.sha256.sig";
+/// Largest file of a key. A PEM of ed25519 has about 120 bytes.
+const MAX_KEY_BYTES: u64 = 64 << 10;
+
+#[derive(Clone)]
+pub struct SecretKey(SigningKey);
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PublicKey(VerifyingKey);
+
+impl SecretKey {
+    pub fn read(path: &Path) -> Result<Self, AcceptError> {
+        let text = read_text_file(path, MAX_KEY_BYTES).at(path)?;
+        SigningKey::from_pkcs8_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
+    }
+
+    pub fn public_key(&self) -> PublicKey {
+        PublicKey(self.0.verifying_key())
+    }
+
+    pub(crate) fn sign(&self, content: &[u8]) -> [u8; Signature::BYTE_SIZE] {
+        self.0.sign(content).to_bytes()
+    }
+}
+
+impl std::fmt::Debug for SecretKey {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_tuple("SecretKey").field(&self.public_key().fingerprint()).finish()
+    }
+}
+
+impl PublicKey {
+    pub fn read(path: &Path) -> Result<Self, AcceptError> {
+        let text = read_text_file(path, MAX_KEY_BYTES).at(path)?;
+        VerifyingKey::from_public_key_pem(&text).map(Self).map_err(|error| key_error(path, &text, &error.to_string()))
+    }
+
+    pub(crate) fn from_pem(text: &str) -> Option<Self> {
+        VerifyingKey::from_public_key_pem(text).ok().map(Self)
+    }
+
+    pub(crate) fn to_pem(&self) -> String {
+        self.0.to_public_key_pem(LineEnding::LF).unwrap_or_default()
+    }
+
+    /// Returns the SHA-256 of the 32 bytes of the key, hexadecimal.
+    pub fn fingerprint(&self) -> String {
+        sha256(self.0.as_bytes())
+    }
+
+    /// Rejects weak keys, because one signature of a weak key is valid for many messages.
+    pub(crate) fn verifies(&self, content: &[u8], signature: &[u8]) -> bool {
+        Signature::from_slice(signature).is_ok_and(|signature| self.0.verify_strict(content, &signature).is_ok())
+    }
+}
+
+fn key_error(path: &Path, text: &str, error: &str) -> AcceptError {
+    let path_text = path.display();
+    let message = match decode_label(text.as_bytes()) {
+        Ok("PRIVATE KEY") if SigningKey::from_pkcs8_pem(text).is_ok() => {
+            format!(
+                "this is the secret key, expected the public key, as `openssl pkey -in {path_text} -pubout` writes it"
+            )
+        }
+        Ok("PUBLIC KEY") if PublicKey::from_pem(text).is_some() => {
+            "this is the public key, expected the secret key".to_owned()
+        }
+        Ok("ENCRYPTED PRIVATE KEY") => {
+            format!("this secret key has a passphrase, expected one without; `openssl pkey -in {path_text}` removes it")
+        }
+        _ => error.to_owned(),
+    };
+    AcceptError::Key { path: path.to_owned(), message }
+}
+
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a test that cannot go on ends by panicking")]
 mod tests {
     use super::*;
     use platebench_model::record::sha256;
@@ -144,8 +223,8 @@ mod tests {
         for (name, content) in [("a.txt", "one"), ("b/c.csv", "two"), ("b-d", "three")] {
             fs::write(folder.path().join(name), content).unwrap();
         }
-        write(folder.path()).unwrap();
-        let text = fs::read_to_string(folder.path().join(FILE)).unwrap();
+        write_manifest(folder.path()).unwrap();
+        let text = fs::read_to_string(folder.path().join(MANIFEST_FILE)).unwrap();
         (folder, text)
     }
 
@@ -153,9 +232,9 @@ mod tests {
     fn an_unchanged_record_matches_its_manifest() {
         let (folder, text) = sealed_record();
         assert_eq!(text.lines().count(), 3);
-        assert_eq!(check(folder.path(), &text), []);
-        fs::write(folder.path().join(signature::FILE), "not listed").unwrap();
-        assert_eq!(check(folder.path(), &text), []);
+        assert_eq!(check_manifest(folder.path(), &text), []);
+        fs::write(folder.path().join(SIGNATURE_FILE), "not listed").unwrap();
+        assert_eq!(check_manifest(folder.path(), &text), []);
     }
 
     #[test]
@@ -171,16 +250,16 @@ mod tests {
             Difference::Added("b/new".to_owned()),
             Difference::Missing("b/c.csv".to_owned()),
         ];
-        assert_eq!(check(folder.path(), &text), expected);
+        assert_eq!(check_manifest(folder.path(), &text), expected);
     }
 
     #[test]
     fn reports_a_file_without_a_line_as_added() {
         let (folder, text) = sealed_record();
         let fewer: String = text.split_inclusive('\n').filter(|line| !line.ends_with("b-d\n")).collect();
-        assert_eq!(check(folder.path(), &fewer), [Difference::Added("b-d".to_owned())]);
+        assert_eq!(check_manifest(folder.path(), &fewer), [Difference::Added("b-d".to_owned())]);
         let twice = text.clone() + text.lines().next().unwrap() + "\n";
-        assert_eq!(check(folder.path(), &twice), [Difference::Line(4)]);
+        assert_eq!(check_manifest(folder.path(), &twice), [Difference::Line(4)]);
     }
 
     #[rstest]
