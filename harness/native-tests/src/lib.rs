@@ -13,9 +13,6 @@
 //! The program takes the arguments of a Rust test program and of `cargo nextest`. See
 //! `docs/native-tests.md`.
 
-pub mod error;
-mod play;
 pub mod suite;
 
-pub use error::SuiteError;
-pub use suite::Suite;
+pub use suite::{Suite, SuiteError};
