@@ -143,7 +143,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
             document.to_markdown()
         } else {
             document.blocks.push(Block::heading("Measured (dashed) and fitted response"));
-            document.blocks.push(Block::Figures(figures(&recordings, &found, &fits).or_invalid()?));
+            document.blocks.push(Block::Figures(figures(&recordings, &found, &fits)));
             document.to_html()
         };
         write_atomically(path, page.as_bytes()).or_invalid_at(path)?;
@@ -223,7 +223,7 @@ fn read_recording(path: &Path, arguments: &IdentifyArgs) -> Result<Recording, Fa
     Recording::from_trace(name, &rows, signal).or_invalid_at(path)
 }
 
-fn figures(recordings: &[Recording], found: &Identification, fits: &[DirectFit]) -> Result<Vec<Figure>, ReportError> {
+fn figures(recordings: &[Recording], found: &Identification, fits: &[DirectFit]) -> Vec<Figure> {
     let fitted =
         found.recordings.iter().filter_map(|whole| recordings.iter().find(|each| each.name == whole.recording));
     let mut figures = Vec::new();
@@ -234,8 +234,8 @@ fn figures(recordings: &[Recording], found: &Identification, fits: &[DirectFit])
         };
         for (name, (measured, fitted)) in [("Wd", of(|w| w.re)), ("Wq", of(|w| w.im))] {
             let chart = FitChart { title: format!("{name}, {}", recording.name), unit: "µm", measured, fitted };
-            figures.push(Figure::new(chart.svg()?, chart.title));
+            figures.push(Figure::new(chart.svg(), chart.title));
         }
     }
-    Ok(figures)
+    figures
 }

@@ -55,7 +55,7 @@ pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartS
     blocks.push(Block::lines(known_limit(&config.plate)?));
     for &law in &config.laws {
         let Some(map) = build_map(&result, law, rig) else { continue };
-        let svg = map.svg()?;
+        let svg = map.svg();
         files.push((format!("{}.svg", law.name()), svg.clone()));
         blocks.push(Block::Details(vec![Block::heading(law.name()), Block::figure(svg, map.title)]));
     }

@@ -14,7 +14,7 @@ use design::{BAND, GainDesign, LoopEvaluation, StepEvaluation, TuningTarget, del
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::{Plate, Tier};
 use platebench_report::document::{Block, Column, Document, Table};
-use platebench_verdict::bisection::try_bisect;
+use platebench_verdict::statistics::try_bisect;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Uniform};

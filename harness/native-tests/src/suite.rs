@@ -7,7 +7,7 @@ use platebench_model::record::{FolderError, Overrides, RECORD_FILE, RunFolder, R
 use platebench_model::scenario::{Diagnostic, Scenario, find};
 use platebench_report::document::Style;
 use platebench_report::{ReportError, console, junit, page, traceability};
-use platebench_rig::spec::SpecError;
+use platebench_rig::SpecError;
 use platebench_rig::{ConnectError, ConnectOptions, RigSpec};
 use std::fmt::Write as _;
 use std::fs::{self, Permissions};

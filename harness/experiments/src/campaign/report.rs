@@ -30,7 +30,7 @@ fn document(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Document, Ca
         blocks.push(Block::heading("Rank correlation with the smallest margin, and first-order index"));
         blocks.push(Block::Table(sensitivities));
     }
-    let mut details = maps(summary, links)?;
+    let mut details = maps(summary, links);
     let quantiles = quantiles(summary);
     if !quantiles.rows.is_empty() {
         details.extend([Block::heading("Quantiles"), Block::Table(quantiles)]);

@@ -10,7 +10,7 @@ use crate::explore::properties::Property;
 use platebench_engine::SafeEnds;
 use platebench_model::record::Verdict;
 use platebench_report::document::{Block, Document, Figure, Table};
-use platebench_verdict::statistics::proportion::clopper_pearson;
+use platebench_verdict::statistics::clopper_pearson;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

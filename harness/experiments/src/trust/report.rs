@@ -2,7 +2,7 @@
 
 use platebench_model::record::Verdict;
 use platebench_report::document::{Block, Column, Document, Table};
-use platebench_verdict::statistics::proportion::clopper_pearson;
+use platebench_verdict::statistics::clopper_pearson;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Write};
