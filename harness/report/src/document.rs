@@ -16,7 +16,7 @@ use crate::text::escape::{markdown_text, printable, printable_lines};
 use maud::{Markup, PreEscaped, html};
 use platebench_model::record::Verdict;
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 const STYLE: &str = "figure{margin:1.5rem 0}figure img{max-width:100%;height:auto;border:1px solid var(--hair);\
                      border-radius:.5rem}p{max-width:70ch;margin:.6rem 0}pre{white-space:pre-wrap}\
@@ -241,6 +241,37 @@ impl Block {
             }
         }
     }
+}
+
+/// A document that is a section of a page of charts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChartSection {
+    pub document: Document,
+    /// Name and content of each file.
+    pub files: Vec<(String, String)>,
+}
+
+/// Returns the path of the page. A section with the title of the page gets no heading of its own.
+pub fn write_chart_page(
+    folder: &Path,
+    name: &str,
+    title: &str,
+    lead: String,
+    sections: &[ChartSection],
+) -> Result<PathBuf, ReportError> {
+    let mut blocks = Vec::new();
+    for ChartSection { document, files } in sections {
+        for (name, text) in files {
+            write_file(&folder.join(name), text)?;
+        }
+        if document.title != title {
+            blocks.push(Block::heading(&document.title));
+        }
+        blocks.extend(document.blocks.iter().cloned());
+    }
+    let path = folder.join(name);
+    Document { lead, ..Document::new(title, blocks) }.write(&path)?;
+    Ok(path)
 }
 
 /// Longer than each row of backquotes in `text`, so that the text cannot end the code block.

@@ -1,15 +1,12 @@
 //! Renders run records and traces. Every number comes from a record or a trace.
 
-pub mod chart;
 pub mod document;
 mod error;
 #[cfg(feature = "export")]
 pub mod export;
 pub mod format;
 pub mod live;
-pub mod page;
 mod record_queries;
-pub mod text;
 
 pub use document::Style;
 pub use error::ReportError;
@@ -17,3 +14,59 @@ pub use text::console::{Detail, Progress, ProgressKind};
 pub use text::{
     annotations, comparison, console, events, junit, markdown, scenario_list, tap, traceability, tube_plot,
 };
+
+/// Draws charts as SVG with classes instead of colours, for light, dark and paper.
+pub mod chart {
+    mod cells;
+    pub(crate) mod colours;
+    pub(crate) mod marks;
+    mod points;
+    mod strips;
+    pub(crate) mod time;
+
+    pub use cells::{HeatAxis, HeatFigure, HeatPanel, MapFigure, MapPanel, RigDelay};
+    pub use points::{LogLogChart, LogLogSeries, ScatterChart, ScatterPanel, ScatterPoint};
+    pub use strips::{MultiplesChart, MultiplesPoint, StripChart, StripRow};
+    pub use time::{FitChart, draw_exceedance};
+}
+
+/// Writes `report.html`, which loads no other file.
+pub mod page {
+    mod curves;
+    mod figure;
+    pub(crate) mod frame;
+    mod limit_marks;
+    mod markers;
+    mod overview;
+    mod report_page;
+    mod scenario;
+    mod script;
+    mod trace_data;
+
+    pub use crate::document::{ChartSection, write_chart_page};
+    pub use frame::{page_frame, scenario_anchor};
+    pub use report_page::{COMPARISON_FILE, FILE, IsTraceChanged, ReportPage, write};
+    pub use trace_data::{MAX_TRIALS, RowCache};
+}
+
+/// Writes a run as text, for people and for machines.
+pub mod text {
+    pub mod annotations;
+    pub mod board_matrix;
+    pub mod comparison;
+    pub mod console;
+    pub(crate) mod cost;
+    pub(crate) mod escape;
+    pub mod events;
+    pub(crate) mod history;
+    pub mod junit;
+    pub mod markdown;
+    pub mod replay;
+    pub mod scenario_list;
+    pub mod tap;
+    pub(crate) mod timing;
+    pub mod traceability;
+    pub mod tube_plot;
+
+    pub use escape::{printable, printable_lines};
+}

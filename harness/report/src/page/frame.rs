@@ -1,8 +1,10 @@
-//! Writes the HTML around the content of every page.
+//! Writes the HTML around the content of every page, and its small parts: links, tables, anchors.
 
 use crate::chart::colours;
 use crate::text::escape::printable_lines;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use platebench_model::record::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
+use std::fmt::Write as _;
 
 const STYLE: &str = include_str!("style.css");
 
@@ -27,4 +29,68 @@ pub fn page_frame(title: &str, style: &str, head: &Markup, body: &Markup) -> Str
         }
     };
     printable_lines(&page.into_string()).into_owned()
+}
+
+/// Anchor in `report.html` of the scenario with this index in the record.
+pub fn scenario_anchor(index: usize) -> String {
+    format!("scenario-{index}")
+}
+
+pub(super) fn sorted_by_verdict(record: &RunRecord) -> Vec<(usize, &ScenarioRecord)> {
+    let mut scenarios: Vec<_> = record.scenarios.iter().enumerate().collect();
+    scenarios.sort_by_key(|(_, scenario)| match scenario.verdict {
+        Verdict::Fail => 0,
+        Verdict::Inconclusive => 1,
+        Verdict::Pass => 2,
+    });
+    scenarios
+}
+
+pub(super) fn file_link(path: &str) -> Markup {
+    html! { @if !path.is_empty() { a href={ "./" (percent_encode_path(path)) } { (path) } } }
+}
+
+pub(super) fn trace_link(trial: &TrialRecord) -> Markup {
+    html! { @if trial.sha256.is_some() { (file_link(&trial.trace)) } }
+}
+
+/// Encodes a relative path, so that no part of it is a scheme, a query or a fragment.
+fn percent_encode_path(path: &str) -> String {
+    path.bytes().fold(String::with_capacity(path.len()), |mut url, byte| {
+        if byte.is_ascii_alphanumeric() || b"-._~/".contains(&byte) {
+            url.push(char::from(byte));
+        } else {
+            let _ = write!(url, "%{byte:02X}");
+        }
+        url
+    })
+}
+
+/// Longer lists name this many entries and count the others.
+pub(super) const MAX_NAMED: usize = 5;
+
+/// A column whose name starts with `#` contains numbers.
+pub(super) fn scroll_table(label: &str, class: &str, columns: &[&str], rows: &Markup) -> Markup {
+    html! {
+        div.scroll role="group" aria-label=(label) tabindex="0" {
+            table class=(class) {
+                thead { tr {
+                    @for column in columns {
+                        @match column.strip_prefix('#') {
+                            Some(name) => th.number scope="col" { (name) },
+                            None => th scope="col" { (column) },
+                        }
+                    }
+                } }
+                tbody { (rows) }
+            }
+        }
+    }
+}
+
+pub(super) fn with_unit(text: Option<String>, unit: &str) -> Markup {
+    html! { @match text {
+        Some(text) => span { (text) @if !unit.is_empty() { " " span.unit { (unit) } } },
+        None => { span.nothing { "–" } },
+    } }
 }

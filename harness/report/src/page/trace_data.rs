@@ -1,19 +1,16 @@
 //! Reads each trace of a scenario once and samples it. Lists unreadable traces instead of failing.
 
-use super::curves;
-use super::golden::GoldenDifference;
-use super::grid::TimeGrid;
-use super::kept_rows::RowCache;
+use super::curves::{self, TimeGrid};
 use super::limit_marks::LimitMark;
 use super::markers::{self, Settling, TimeMarker};
-use super::resolution::PlotResolution;
 use crate::chart::marks::Point;
 use crate::chart::time::TimeWindow;
 use crate::record_queries;
 use platebench_model::metrics::Levels;
 use platebench_model::record::{Metric, ScenarioRecord, TrialRecord, Verdict};
 use platebench_model::trace::{Column, Flags, Row, TraceError};
-use platebench_verdict::golden::{Baseline, ResponseFeatures};
+use platebench_verdict::golden::{Baseline, BaselineError, ResponseFeatures};
+use platebench_verdict::tube::Exceedance;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -260,5 +257,137 @@ fn trace_error_reason(error: &TraceError) -> String {
     match error {
         TraceError::Io { source, .. } => source.to_string(),
         TraceError::Content { line, message, .. } => format!("line {line}: {message}"),
+    }
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct GoldenCurves {
+    pub(crate) text: String,
+    tubes: BTreeMap<Column, SampledTube>,
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct SampledTube {
+    pub(crate) line: Vec<Option<f64>>,
+    pub(crate) edges: [Vec<Option<f64>>; 2],
+}
+
+/// Differences from the baseline. Empty if there is none, or if the response is inside its tubes.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct GoldenDifference {
+    /// The worst exceedance of each signal that leaves its tube.
+    pub(crate) exceedances: Vec<Exceedance>,
+    /// Name, golden value and value of this run of each feature that differs.
+    pub(crate) features: Vec<(&'static str, Option<f64>, Option<f64>)>,
+}
+
+impl GoldenDifference {
+    pub(crate) fn find(baseline: &Baseline, rows: &[Row]) -> Self {
+        let exceedances = baseline.golden.exceedances(rows);
+        if exceedances.is_empty() {
+            return Self::default();
+        }
+        let now = ResponseFeatures::of(rows).by_name();
+        let pairs = baseline.features.by_name().into_iter().zip(now);
+        let features = pairs.map(|((name, before), (_, after))| (name, before, after));
+        Self { exceedances, features: features.filter(|(_, before, after)| before != after).collect() }
+    }
+}
+
+impl GoldenCurves {
+    pub(crate) fn read(folder: &Path, file: &str, grid: &TimeGrid) -> Result<Option<Self>, BaselineError> {
+        Ok(Baseline::read(folder, file)?.map(|accepted| Self::from_baseline(&accepted, grid)))
+    }
+
+    fn from_baseline(accepted: &Baseline, grid: &TimeGrid) -> Self {
+        let tubes = accepted.golden.tubes.iter().filter_map(|tube| {
+            let signal = Column::from_name(&tube.signal)?;
+            let (from_ms, to_ms) = tube.span_ms();
+            let inside = |t_ms: &f64| (from_ms..=to_ms).contains(t_ms).then_some(*t_ms);
+            let sampled = |value: &dyn Fn(f64) -> f64| grid.t_ms.iter().map(|t_ms| inside(t_ms).map(value)).collect();
+            let [lower, upper]: [fn([f64; 2]) -> f64; 2] = [|[low, _]| low, |[_, high]| high];
+            let edges = [sampled(&|t_ms| lower(tube.edges(t_ms))), sampled(&|t_ms| upper(tube.edges(t_ms)))];
+            Some((signal, SampledTube { line: sampled(&|t_ms| tube.point_at(t_ms).value), edges }))
+        });
+        Self { text: format!("golden trace ({})", accepted.law), tubes: tubes.collect() }
+    }
+
+    pub(crate) fn tube_of(&self, signal: Column) -> Option<&SampledTube> {
+        self.tubes.get(&signal)
+    }
+}
+
+/// Largest number of kept rows, about 56 MB. The report reads the other traces from their files.
+const MAX_ROWS: usize = 500_000;
+
+#[derive(Debug, Clone, Default)]
+pub struct RowCache {
+    by_trace: BTreeMap<String, Vec<Row>>,
+    count: usize,
+}
+
+impl RowCache {
+    /// `trace` is relative to the run folder. Drops rows beyond `MAX_ROWS`.
+    pub fn add(&mut self, trace: &str, rows: Vec<Row>) {
+        if !rows.is_empty() && self.count + rows.len() <= MAX_ROWS {
+            self.count += rows.len();
+            self.by_trace.insert(trace.to_owned(), rows);
+        }
+    }
+
+    pub(super) fn get(&self, trace: &str) -> Option<&[Row]> {
+        self.by_trace.get(trace).map(Vec::as_slice)
+    }
+}
+
+const MAX_CURVE_CHARS: usize = 2_000_000;
+const MAX_DRAWN_POINTS: usize = 100_000;
+/// Largest number of scenarios with drawings. Scenarios that did not pass have them first.
+const MAX_DRAWN_SCENARIOS: usize = 30;
+/// Lines of a scenario besides overlaid trials, such as percentiles, tubes and profiles.
+const OTHER_LINES: usize = 34;
+const CHARS_PER_POINT: usize = 2;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct PlotResolution {
+    pub(crate) instants: usize,
+    pub(crate) overlaid_trials: usize,
+    /// Scenarios with drawings for readers without scripts.
+    pub(crate) drawn_scenarios: usize,
+    pub(crate) line_points: usize,
+}
+
+impl PlotResolution {
+    /// `trials` is the largest number of trials of a scenario.
+    pub(crate) fn of(scenarios: usize, trials: usize) -> Self {
+        let scenarios = scenarios.max(1);
+        let curves = MAX_CURVE_CHARS / scenarios / CHARS_PER_POINT;
+        // Two figures contain the lines of overlaid trials.
+        let overlaid = trials.min((curves / 100).saturating_sub(OTHER_LINES) / 2).max(1);
+        Self {
+            instants: (curves / (OTHER_LINES + 2 * overlaid)).clamp(60, 1_200),
+            overlaid_trials: overlaid,
+            drawn_scenarios: if scenarios > 100 { MAX_DRAWN_SCENARIOS / 3 } else { MAX_DRAWN_SCENARIOS },
+            line_points: (MAX_DRAWN_POINTS / scenarios.min(MAX_DRAWN_SCENARIOS) / 8).clamp(100, 400),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fewer_scenarios_have_finer_figures() {
+        let one = PlotResolution::of(1, 30);
+        assert_eq!(one, PlotResolution { instants: 1_200, overlaid_trials: 30, drawn_scenarios: 30, line_points: 400 });
+        let forty = PlotResolution::of(40, 30);
+        assert!(forty.instants >= 180 && forty.overlaid_trials == 30, "{forty:?}");
+        let hundred = PlotResolution::of(100, 30);
+        assert!(hundred.instants >= 80 && hundred.overlaid_trials >= 20, "{hundred:?}");
+        for (scenarios, trials) in [(0, 0), (1, 0), (1_000_000, 30)] {
+            let coarse = PlotResolution::of(scenarios, trials);
+            assert!(coarse.instants >= 60 && coarse.overlaid_trials >= 1 && coarse.line_points >= 100, "{coarse:?}");
+        }
     }
 }

@@ -1,15 +1,21 @@
-//! Writes the overview: result, what did not pass and why, smallest margins, requirements.
+//! Writes the parts of the page about the whole run: result, what did not pass, requirements, cost, boards, environment,
+//! and the list of scenarios next to the page.
 
-use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, with_unit};
-use super::navigation::margin_text;
+use super::frame::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, with_unit};
 use super::trace_data::{TRACE_CHANGED, TraceData};
 use crate::document::verdict_badge;
+use crate::text::board_matrix::{difference_table, missing_shards, verdict_matrix};
+use crate::text::cost;
 use crate::text::history::RunHistory;
 use crate::text::traceability::{self, RequirementLink};
 use crate::{format, record_queries};
 use maud::{Markup, html};
-use platebench_model::record::{ExpectationRecord, RunRecord, ScenarioRecord, Statistic, Verdict};
+use platebench_model::record::{
+    CostTrend, EarlierCost, ExpectationRecord, RunRecord, ScenarioRecord, Statistic, Verdict,
+};
+use platebench_model::trace::Column;
 use std::collections::BTreeSet;
+use std::fmt::Write as _;
 
 const MAX_CLOSEST: usize = 5;
 
@@ -258,4 +264,182 @@ fn requirement_row(record: &RunRecord, links: &[RequirementLink]) -> Markup {
             } }
         }
     }
+}
+
+pub(super) fn cost_section(record: &RunRecord) -> Markup {
+    let tight = record_queries::tight_steps(record);
+    html! {
+        @if !record.cost.is_empty() || !tight.is_empty() {
+            section aria-labelledby="cost" {
+                h2 id="cost" { "Instructions per control step" }
+                @for trend in &record.cost {
+                    p {
+                        (cost::format_worst(trend)) ", mean " (cost::format_instructions(trend.cost.mean)) "."
+                        @if let Some(change) = cost::describe_change(trend) { " " strong { (change) } "." }
+                    }
+                }
+                @for (scenario, percent) in tight {
+                    p { strong { "Warning: " (cost::describe_tight_step(scenario, percent)) "." } }
+                }
+                @if record.cost.iter().any(|trend| !trend.earlier.is_empty()) { (earlier_runs_table(&record.cost)) }
+                p { "Instructions, not cycles. The comparison counts only trials that both runs played." }
+            }
+        }
+    }
+}
+
+fn earlier_runs_table(trends: &[CostTrend]) -> Markup {
+    let columns =
+        ["Earlier run", "Build", "Law", "#Trials of both", "#Worst then", "#Worst now", "#Mean then", "#Mean now"];
+    let rows = html! { @for trend in trends { @for earlier in &trend.earlier { (cost_row(trend, earlier)) } } };
+    scroll_table("Instructions per control step", "contents", &columns, &rows)
+}
+
+fn cost_row(trend: &CostTrend, earlier: &EarlierCost) -> Markup {
+    html! {
+        tr {
+            th scope="row" { (earlier.run.as_deref().unwrap_or(cost::SHIPPED_IMAGE)) }
+            td { code { (cost::short_build_id(&earlier.build)) } }
+            td { (trend.law) }
+            td.number { (earlier.trials) }
+            td.number { (cost::format_instructions(earlier.then.worst)) }
+            td.number { (format_change(earlier.then.worst, earlier.now.worst)) }
+            td.number { (cost::format_instructions(earlier.then.mean)) }
+            td.number { (format_change(earlier.then.mean, earlier.now.mean)) }
+        }
+    }
+}
+
+fn format_change(then: f64, now: f64) -> String {
+    if then == now {
+        return cost::format_instructions(now);
+    }
+    let percent = (now / then - 1.0) * 100.0;
+    let sign = if percent > 0.0 { "+" } else { "−" };
+    format!("{} ({sign}{} %)", cost::format_instructions(now), format::percent(percent))
+}
+
+pub(super) fn environment_section(record: &RunRecord) -> Markup {
+    let firmware = record.rig.firmware.as_ref().map(|firmware| {
+        format!("{} {}, build {}, chip {}", firmware.name, firmware.version, firmware.build, firmware.chip)
+    });
+    let facts = [
+        ("Tool", format!("{} {}", record.tool.name, record.tool.version)),
+        ("Started", record.started.clone()),
+        ("Rig", record.rig.name.clone()),
+        ("Firmware", firmware.unwrap_or_else(|| "unknown, the controller sent no identity".to_owned())),
+        ("Clock", record.clock.to_string()),
+        ("Host", format!("{}, {}", record.host.os, record.host.arch)),
+        ("Overridden", format::overrides(record).unwrap_or_else(|| "nothing".to_owned())),
+    ];
+    let inputs = record.scenarios.iter().flat_map(|scenario| &scenario.inputs);
+    let inputs: BTreeSet<(&str, &str)> = inputs.map(|input| (input.file.as_str(), input.sha256.as_str())).collect();
+    let rows = html! {
+        @for (file, sha256) in &inputs { tr { th scope="row" { (file) } td { code { (sha256) } } } }
+    };
+    html! {
+        section aria-labelledby="environment" {
+            h2 id="environment" { "Environment" }
+            dl { @for (name, value) in &facts { div { dt { (name) } dd { (value) } } } }
+            @if !inputs.is_empty() {
+                h3 { "Inputs" }
+                (scroll_table("Inputs", "inputs", &["File", "SHA-256"], &rows))
+            }
+        }
+    }
+}
+
+pub(super) fn boards_section(record: &RunRecord) -> Markup {
+    let Some(merge) = &record.merge else { return html! {} };
+    html! {
+        section id="boards" {
+            h2 { "Boards" }
+            @for line in missing_shards(merge) { p { (line) } }
+            @if let Some(table) = verdict_matrix(record) { (table.html()) }
+            @if let Some(table) = difference_table(merge) {
+                h3 { "Differences between boards" }
+                (table.html())
+            }
+        }
+    }
+}
+
+/// Width and height, CSS pixels.
+const SPARKLINE: (f64, f64) = (88.0, 22.0);
+const SPARKLINE_POINTS: usize = 44;
+/// The bar is full at this margin (100 %) and above.
+const FULL_MARGIN: f64 = 1.0;
+
+/// `navigation.js` builds the filters from the attributes of the entries.
+pub(super) fn scenario_list(record: &RunRecord, data: &[TraceData]) -> Markup {
+    html! {
+        nav.list aria-label="Scenarios" {
+            h1.home {
+                a href="#overview" {
+                    span class={ "sign " (record.verdict) } { (format::sign(record.verdict)) }
+                    " Run of " (record.started)
+                }
+            }
+            div.filters {}
+            ol {
+                @for (index, scenario) in sorted_by_verdict(record) { (list_entry(index, scenario, data.get(index))) }
+            }
+        }
+    }
+}
+
+fn list_entry(index: usize, scenario: &ScenarioRecord, data: Option<&TraceData>) -> Markup {
+    let folder = scenario.file.rsplit_once('/').map_or(".", |(folder, _)| folder);
+    let requirements = scenario.expectations.iter().filter_map(|expectation| expectation.requirement.as_deref());
+    let requirements: BTreeSet<&str> = requirements.collect();
+    let requirements: Vec<&str> = requirements.into_iter().collect();
+    html! {
+        li data-verdict=(scenario.verdict) data-folder=(folder)
+            data-law=(scenario.law) data-tag=(scenario.tags.join("\n"))
+            data-requirement=(requirements.join("\n")) {
+            a href={ "#" (scenario_anchor(index)) } {
+                span class={ "sign " (scenario.verdict) } { (format::sign(scenario.verdict)) }
+                span.name { (scenario.title) span.file { (scenario.file) } }
+                span.small { @if let Some(data) = data { (sparkline(data)) } (margin_bar(scenario)) }
+            }
+        }
+    }
+}
+
+fn sparkline(data: &TraceData) -> Markup {
+    let line = data.sampled_trials.first().and_then(|trial| trial.peak_lines.get(&Column::Amplitude));
+    let (Some(line), Some(whole)) = (line, data.views.last().map(|view| view.window)) else { return Markup::default() };
+    let known = data.grid.t_ms.iter().zip(line).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
+    let known: Vec<(f64, f64)> = known.collect();
+    let top = known.iter().map(|point| point.1).fold(f64::MIN_POSITIVE, f64::max);
+    let (width, height) = SPARKLINE;
+    let part = |t_ms: f64| ((t_ms - whole.from_ms) / whole.span_ms() * SPARKLINE_POINTS as f64).floor();
+    let mut path = String::new();
+    for points in known.chunk_by(|a, b| part(a.0) == part(b.0)) {
+        let Some(point) = points.iter().max_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
+        let x = (point.0 - whole.from_ms) / whole.span_ms() * width;
+        let y = height - 1.0 - point.1 / top * (height - 2.0);
+        let _ = write!(path, "{}{x:.0} {y:.1}", if path.is_empty() { "M" } else { "L" });
+    }
+    html! { svg.spark viewBox={ "0 0 " (width) " " (height) } aria-hidden="true" { path d=(path) {} } }
+}
+
+pub(super) fn margin_bar(scenario: &ScenarioRecord) -> Markup {
+    let closest = record_queries::closest_expectation(scenario).and_then(|index| scenario.expectations.get(index));
+    let Some((closest, margin)) = closest.and_then(|found| Some((found, found.margin?))) else {
+        return Markup::default();
+    };
+    let width = if margin < 0.0 { 100.0 } else { (margin / FULL_MARGIN).min(1.0) * 100.0 };
+    let title = format!("smallest margin {}: {}", margin_text(margin), closest.name);
+    let verdict = if margin < 0.0 { Verdict::Fail } else { scenario.verdict };
+    html! {
+        svg.margin viewBox="0 0 100 5" preserveAspectRatio="none" role="img" aria-label=(title) {
+            rect.rail width="100" height="5" {}
+            rect class=(verdict) width=(format::number(width)) height="5" {}
+        }
+    }
+}
+
+pub(super) fn margin_text(margin: f64) -> String {
+    format!("{} %", format::number((margin * 1e4).round() / 1e2))
 }
