@@ -55,7 +55,6 @@ pub mod text {
     pub mod board_matrix;
     pub mod comparison;
     pub mod console;
-    pub(crate) mod cost;
     pub(crate) mod escape;
     pub mod events;
     pub(crate) mod history;

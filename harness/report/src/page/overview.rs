@@ -5,8 +5,8 @@ use super::frame::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_b
 use super::trace_data::{TRACE_CHANGED, TraceData};
 use crate::document::verdict_badge;
 use crate::text::board_matrix::{difference_table, missing_shards, verdict_matrix};
-use crate::text::cost;
 use crate::text::history::RunHistory;
+use crate::text::timing;
 use crate::text::traceability::{self, RequirementLink};
 use crate::{format, record_queries};
 use maud::{Markup, html};
@@ -274,12 +274,12 @@ pub(super) fn cost_section(record: &RunRecord) -> Markup {
                 h2 id="cost" { "Instructions per control step" }
                 @for trend in &record.cost {
                     p {
-                        (cost::format_worst(trend)) ", mean " (cost::format_instructions(trend.cost.mean)) "."
-                        @if let Some(change) = cost::describe_change(trend) { " " strong { (change) } "." }
+                        (timing::format_worst(trend)) ", mean " (timing::format_instructions(trend.cost.mean)) "."
+                        @if let Some(change) = timing::describe_change(trend) { " " strong { (change) } "." }
                     }
                 }
                 @for (scenario, percent) in tight {
-                    p { strong { "Warning: " (cost::describe_tight_step(scenario, percent)) "." } }
+                    p { strong { "Warning: " (timing::describe_tight_step(scenario, percent)) "." } }
                 }
                 @if record.cost.iter().any(|trend| !trend.earlier.is_empty()) { (earlier_runs_table(&record.cost)) }
                 p { "Instructions, not cycles. The comparison counts only trials that both runs played." }
@@ -298,13 +298,13 @@ fn earlier_runs_table(trends: &[CostTrend]) -> Markup {
 fn cost_row(trend: &CostTrend, earlier: &EarlierCost) -> Markup {
     html! {
         tr {
-            th scope="row" { (earlier.run.as_deref().unwrap_or(cost::SHIPPED_IMAGE)) }
-            td { code { (cost::short_build_id(&earlier.build)) } }
+            th scope="row" { (earlier.run.as_deref().unwrap_or(timing::SHIPPED_IMAGE)) }
+            td { code { (timing::short_build_id(&earlier.build)) } }
             td { (trend.law) }
             td.number { (earlier.trials) }
-            td.number { (cost::format_instructions(earlier.then.worst)) }
+            td.number { (timing::format_instructions(earlier.then.worst)) }
             td.number { (format_change(earlier.then.worst, earlier.now.worst)) }
-            td.number { (cost::format_instructions(earlier.then.mean)) }
+            td.number { (timing::format_instructions(earlier.then.mean)) }
             td.number { (format_change(earlier.then.mean, earlier.now.mean)) }
         }
     }
@@ -312,11 +312,11 @@ fn cost_row(trend: &CostTrend, earlier: &EarlierCost) -> Markup {
 
 fn format_change(then: f64, now: f64) -> String {
     if then == now {
-        return cost::format_instructions(now);
+        return timing::format_instructions(now);
     }
     let percent = (now / then - 1.0) * 100.0;
     let sign = if percent > 0.0 { "+" } else { "−" };
-    format!("{} ({sign}{} %)", cost::format_instructions(now), format::percent(percent))
+    format!("{} ({sign}{} %)", timing::format_instructions(now), format::percent(percent))
 }
 
 pub(super) fn environment_section(record: &RunRecord) -> Markup {

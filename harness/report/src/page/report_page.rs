@@ -8,8 +8,8 @@ use super::{overview, script};
 use crate::chart::marks::Role;
 use crate::document::verdict_badge;
 use crate::error::{ReportError, write_file};
-use crate::text::cost;
 use crate::text::history::{RunHistory, TrendPoint};
+use crate::text::timing;
 use crate::{format, record_queries};
 use maud::{Markup, html};
 use platebench_model::record::{ExpectationRecord, Metric, RunRecord, ScenarioRecord, TrialRecord};
@@ -280,7 +280,7 @@ fn comparison_section(record: &RunRecord, other: OtherRun<'_>) -> Markup {
 fn format_build(record: &RunRecord) -> String {
     record.rig.firmware.as_ref().map_or_else(
         || "firmware unknown".to_owned(),
-        |firmware| format!("{} {}, build {}", firmware.name, firmware.version, cost::short_build_id(&firmware.build)),
+        |firmware| format!("{} {}, build {}", firmware.name, firmware.version, timing::short_build_id(&firmware.build)),
     )
 }
 

@@ -1,17 +1,15 @@
-//! Writes a run for a terminal. The text does not depend on the terminal's width.
+//! Writes a run for a terminal: tables, summary and progress. The text does not depend on the terminal's width.
 
-mod progress;
-mod summary;
-
-pub use progress::{Progress, ProgressKind};
-
-use super::escape::printable;
-use super::timing;
 use crate::document::{Cell, Style, Table, write_wrapped};
-use crate::format;
-use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
+use crate::text::escape::printable;
+use crate::text::timing;
+use crate::{format, record_queries};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use platebench_model::record::{Cause, CostTrend, Event, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;
+use std::io::IsTerminal as _;
 use std::io::{self, Write};
+use std::time::Duration;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Detail {
@@ -26,23 +24,18 @@ pub fn run_text(record: &RunRecord, style: Style, detail: Detail) -> String {
     let mut text = String::new();
     match detail {
         Detail::Failures if record.verdict == Verdict::Pass => {}
-        Detail::Failures => summary::write_not_passed(&mut text, record, style),
-        Detail::Summary => summary::write(&mut text, record, style, false),
+        Detail::Failures => write_not_passed(&mut text, record, style),
+        Detail::Summary => write_summary(&mut text, record, style, false),
         Detail::Tables => {
             for scenario in &record.scenarios {
                 write_heading(&mut text, scenario, style);
                 write_expectations(&mut text, scenario, style);
                 text.push('\n');
             }
-            summary::write(&mut text, record, style, true);
+            write_summary(&mut text, record, style, true);
         }
     }
     text
-}
-
-/// Reason of the verdict in one line. The verdict may be that of an interrupted run.
-pub fn verdict_reason(record: &RunRecord) -> String {
-    summary::verdict_reason(record)
 }
 
 pub fn run_table(record: &RunRecord, style: Style) -> String {
@@ -101,5 +94,311 @@ fn write_expectations(text: &mut String, scenario: &ScenarioRecord, style: Style
         if let Some(reason) = &expectation.reason {
             write_wrapped(text, "  ↳ ", "    ", &format!("{}: {reason}", expectation.name));
         }
+    }
+}
+
+/// Longest list without `-v`.
+const MAX_LISTED: usize = 3;
+
+/// `in_full` lists every scenario that is not applicable and the cost of every law.
+fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
+    write_not_applicable(text, record, in_full || record.overrides.require_all);
+    for (name, counts) in [
+        ("scenario", format::VerdictCounts::of_scenarios(record)),
+        ("expectation", format::VerdictCounts::of_expectations(record)),
+    ] {
+        let _ = writeln!(text, "{}: {counts}", format::count(counts.total(), name));
+    }
+    if let Some(duration) = record.wall_ms {
+        let _ = writeln!(text, "duration: {}", format::duration(duration));
+    }
+    if let Some((scenario, wall_ms)) = record_queries::slowest_scenario(record) {
+        let trials = format::count(scenario.trials.len(), "trial");
+        let slowest = format!("{}, {} in {trials}", scenario.file, format::duration(wall_ms));
+        write_wrapped(text, "slowest scenario: ", "  ", &slowest);
+    }
+    if let Some((scenario, expectation, margin)) = record_queries::smallest_margin(record) {
+        let result = format!("{}: {}", scenario.file, result(expectation));
+        let margin = format!("smallest margin: {} %, ", format::number(margin * 100.0));
+        write_wrapped(text, &margin, "  ", &result);
+    }
+    write_cost(text, &record.cost, in_full);
+    write_tight_steps(text, record, in_full);
+    if let Some(overrides) = format::overrides(record) {
+        write_wrapped(text, "", "  ", &format!("overridden: {overrides}"));
+    }
+    write_verdict(text, record, style);
+    write_list_of_not_passed(text, record, style);
+}
+
+/// Reason of the verdict in one line. The verdict may be that of an interrupted run.
+pub fn verdict_reason(record: &RunRecord) -> String {
+    let lost = record.scenarios.iter().flat_map(|scenario| &scenario.trials).find_map(|trial| {
+        let ended = trial.telemetry.ended.as_ref().filter(|_| trial.cause == Some(Cause::Rig))?;
+        Some(format!("the controller was lost: {ended}"))
+    });
+    let reasons = record_queries::expectations_not_passed(record).into_iter().filter_map(|(scenario, index)| {
+        let expectation = scenario.expectations.get(index)?;
+        let reason = format::remaining_reason(expectation).map_or_else(String::new, |reason| format!(" ({reason})"));
+        Some(format!("{}{reason}", result(expectation)))
+    });
+    let not_applicable = record.not_applicable.iter().map(|scenario| format!("not applicable: {}", scenario.reason));
+    let unsafe_end = record.unsafe_end().map(str::to_owned);
+    let unfinished = (!record.complete).then(|| "the run was not finished".to_owned());
+    let all: Vec<String> =
+        lost.into_iter().chain(unsafe_end).chain(reasons).chain(not_applicable).chain(unfinished).collect();
+    if all.is_empty() { "every expectation is met".to_owned() } else { all.join("; ") }
+}
+
+fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
+    if record.overrides.require_all || record.scenarios.is_empty() {
+        write_not_applicable(text, record, true);
+    }
+    write_verdict(text, record, style);
+    write_list_of_not_passed(text, record, style);
+}
+
+fn write_not_applicable(text: &mut String, record: &RunRecord, in_full: bool) {
+    if !in_full && record.not_applicable.len() > MAX_LISTED {
+        let count = format::count(record.not_applicable.len(), "scenario");
+        let _ = writeln!(text, "not applicable: {count}, listed with -v");
+        return;
+    }
+    for scenario in &record.not_applicable {
+        write_wrapped(text, "not applicable: ", "  ", &format!("{}: {}", scenario.file, scenario.reason));
+    }
+}
+
+/// Unless `in_full`, lists the laws whose cost changed, or else the law with the highest cost.
+fn write_cost(text: &mut String, trends: &[CostTrend], in_full: bool) {
+    let changed = |trend: &&CostTrend| in_full || timing::describe_change(trend).is_some();
+    let mut listed: Vec<_> = trends.iter().filter(changed).collect();
+    if listed.is_empty() {
+        listed.extend(trends.iter().max_by(|a, b| a.cost.worst.total_cmp(&b.cost.worst)));
+    }
+    let further = if in_full { 0 } else { listed.len().saturating_sub(MAX_LISTED) };
+    listed.truncate(listed.len() - further);
+    for trend in listed {
+        let _ = writeln!(text, "instructions per step: {}", timing::format_worst(trend));
+        if let Some(change) = timing::describe_change(trend) {
+            write_wrapped(text, "  ↳ ", "    ", &change);
+        }
+    }
+    if further > 0 {
+        let laws = format::count(further, "more law");
+        let _ = writeln!(text, "instructions per step: {laws} with a change, listed with -v");
+    }
+}
+
+fn write_tight_steps(text: &mut String, record: &RunRecord, in_full: bool) {
+    let tight = record_queries::tight_steps(record);
+    let listed = if in_full { tight.len() } else { MAX_LISTED };
+    for (scenario, percent) in tight.iter().take(listed) {
+        write_wrapped(text, "warning: ", "  ", &timing::describe_tight_step(scenario, *percent));
+    }
+    if tight.len() > listed {
+        let further = format::count(tight.len() - listed, "more scenario");
+        let _ = writeln!(text, "warning: {further} with a long control step, listed with -v");
+    }
+}
+
+fn write_verdict(text: &mut String, record: &RunRecord, style: Style) {
+    if !record.complete {
+        text.push_str("the run was not finished\n");
+    }
+    let verdict = format!("{} {}", format::sign(record.verdict), record.verdict);
+    let _ = writeln!(text, "verdict: {}", style.paint_verdict(record.verdict, &verdict));
+}
+
+fn write_list_of_not_passed(text: &mut String, record: &RunRecord, style: Style) {
+    let unplayed = record_queries::unplayed_scenarios(record);
+    if !unplayed.is_empty() {
+        let _ = writeln!(text, "not played after the first failure: {}", format::count(unplayed.len(), "scenario"));
+    }
+    let mut not_passed = record_queries::expectations_not_passed(record);
+    not_passed.retain(|(scenario, _)| !unplayed.contains(&scenario.file.as_str()));
+    if !not_passed.is_empty() {
+        text.push_str("\nnot passed:\n");
+    }
+    for (scenario, index) in not_passed {
+        if let Some(expectation) = scenario.expectations.get(index) {
+            write_result(text, scenario, index, expectation, style);
+        }
+    }
+}
+
+fn write_result(
+    text: &mut String,
+    scenario: &ScenarioRecord,
+    index: usize,
+    expectation: &ExpectationRecord,
+    style: Style,
+) {
+    let mut lines = String::new();
+    let (file, sign) = (&scenario.file, format::sign(expectation.verdict));
+    write_wrapped(&mut lines, &format!("  {sign} "), "    ", &format!("{file}: {}", result(expectation)));
+    text.push_str(&lines.replacen(sign, &style.paint_verdict(expectation.verdict, sign), 1));
+    let verdict = (expectation.verdict == Verdict::Inconclusive).then(|| format::verdict(expectation));
+    let reason: Vec<_> = verdict.into_iter().chain(format::remaining_reason(expectation)).collect();
+    if !reason.is_empty() {
+        write_wrapped(text, "    ↳ ", "      ", &reason.join(": "));
+    }
+    let trace = record_queries::trial_to_inspect(scenario, index).map_or("none", |trial| trial.trace.as_str());
+    write_wrapped(text, "    trace: ", "      ", trace);
+}
+
+fn result(expectation: &ExpectationRecord) -> String {
+    let unit = format::unit(expectation.metric);
+    let value = match format::value(expectation) {
+        Some(value) => format!("{value} {unit}"),
+        None => format::value_or_not_reached(expectation).unwrap_or_else(|| "no value".to_owned()),
+    };
+    let window = format::in_window(expectation).map_or_else(String::new, |window| format!(", {window}"));
+    format!("{}: {}, limit {}{window}", expectation.name, value.trim_end(), format::limit(expectation))
+}
+
+const TICK: Duration = Duration::from_millis(500);
+/// The message is cut at the width of the terminal.
+const TRIALS: &str = "  {bar:24} {pos}/{len} trials  {elapsed}  {wide_msg}";
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ProgressKind {
+    Bar,
+    /// A line at the start and one at the end of a scenario.
+    Lines,
+    Quiet,
+}
+
+impl ProgressKind {
+    pub fn detect() -> Self {
+        if io::stderr().is_terminal() { Self::Bar } else { Self::Lines }
+    }
+}
+
+pub struct Progress {
+    sink: Sink,
+}
+
+enum Sink {
+    Bar { bar: ProgressBar, under_way: Vec<String>, not_passed: usize },
+    Lines(Box<dyn Write + Send>),
+    Quiet,
+}
+
+impl Progress {
+    pub fn new(kind: ProgressKind) -> Self {
+        let sink = match kind {
+            ProgressKind::Bar => {
+                let target = ProgressDrawTarget::stderr();
+                let bar = ProgressBar::with_draw_target(Some(0), target).with_style(bar_style(TRIALS));
+                Sink::Bar { bar, under_way: Vec::new(), not_passed: 0 }
+            }
+            ProgressKind::Lines => Sink::Lines(Box::new(io::stderr())),
+            ProgressKind::Quiet => Sink::Quiet,
+        };
+        Self { sink }
+    }
+
+    pub fn to_writer(out: impl Write + Send + 'static) -> Self {
+        Self { sink: Sink::Lines(Box::new(out)) }
+    }
+
+    /// Sets the length of the bar. The default is the number of trials of the started scenarios.
+    #[must_use]
+    pub fn with_planned_trials(self, trials: u64) -> Self {
+        if let Sink::Bar { bar, .. } = &self.sink {
+            bar.set_length(trials);
+        }
+        self
+    }
+
+    /// The bar shows the elapsed time during a step without trials, such as mutation testing.
+    #[must_use]
+    pub fn with_elapsed_time(self, title: &str) -> Self {
+        if let Sink::Bar { bar, .. } = &self.sink {
+            bar.set_style(bar_style("  {elapsed}  {wide_msg}"));
+            bar.set_message(printable(title).into_owned());
+            bar.enable_steady_tick(TICK);
+        }
+        self
+    }
+
+    pub fn show(&mut self, event: &Event) {
+        match (&mut self.sink, event) {
+            (Sink::Bar { bar, under_way, not_passed }, Event::ScenarioStarted { file, trials }) => {
+                bar.set_style(bar_style(TRIALS));
+                bar.set_length(bar.length().unwrap_or(0).max(bar.position() + u64::from(*trials)));
+                under_way.push(file.clone());
+                bar.set_message(message(under_way, *not_passed));
+            }
+            (Sink::Bar { bar, .. }, Event::TrialFinished { .. }) => {
+                // A scenario may play more trials than planned until its verdicts are conclusive.
+                bar.set_length(bar.length().unwrap_or(0).max(bar.position() + 1));
+                bar.inc(1);
+            }
+            (Sink::Bar { bar, under_way, not_passed }, Event::ScenarioFinished(scenario)) => {
+                under_way.retain(|name| *name != scenario.file);
+                *not_passed += usize::from(scenario.verdict != Verdict::Pass);
+                bar.set_message(message(under_way, *not_passed));
+            }
+            (Sink::Lines(out), Event::ScenarioStarted { file, trials }) => {
+                let trials = format::count(usize::try_from(*trials).unwrap_or(usize::MAX), "trial");
+                write_line(out.as_mut(), &format!("… {}: {trials}", printable(file)));
+            }
+            (Sink::Lines(out), Event::ScenarioFinished(scenario)) => {
+                let (sign, verdict) = (format::sign(scenario.verdict), scenario.verdict);
+                let trials = format::count(scenario.trial_count, "trial");
+                write_line(out.as_mut(), &format!("{sign} {}: {verdict}, {trials}", printable(&scenario.file)));
+            }
+            (Sink::Lines(_), Event::TrialFinished { .. }) | (Sink::Quiet, _) => {}
+        }
+    }
+
+    pub fn finish(&mut self) {
+        match &mut self.sink {
+            Sink::Bar { bar, .. } => bar.finish_and_clear(),
+            Sink::Lines(out) => {
+                let _ = out.flush();
+            }
+            Sink::Quiet => {}
+        }
+    }
+}
+
+fn message(under_way: &[String], not_passed: usize) -> String {
+    let count = if not_passed == 0 { String::new() } else { format!("{not_passed} not passed  ") };
+    format!("{count}{}", printable(under_way.last().map_or("", String::as_str)))
+}
+
+fn write_line(out: &mut dyn Write, text: &str) {
+    let _ = writeln!(out, "{text}");
+}
+
+fn bar_style(template: &str) -> ProgressStyle {
+    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("━╸ ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Closed;
+
+    impl Write for Closed {
+        fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+            Err(io::ErrorKind::BrokenPipe.into())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Err(io::ErrorKind::BrokenPipe.into())
+        }
+    }
+
+    #[test]
+    fn a_closed_pipe_is_no_error() {
+        let mut progress = Progress::to_writer(Closed);
+        progress.show(&Event::ScenarioStarted { file: "a.toml".to_owned(), trials: 3 });
+        progress.finish();
+        super::print("text", &mut Closed).unwrap();
     }
 }

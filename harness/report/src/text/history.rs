@@ -1,6 +1,6 @@
 //! Finds since when an expectation does not pass, in earlier runs with the same rig and law.
 
-use super::cost::short_build_id;
+use super::timing::short_build_id;
 use crate::format;
 use maud::{Markup, html};
 use platebench_model::record::{
