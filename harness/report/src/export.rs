@@ -4,9 +4,7 @@
 //! Every format has the same [`columns`]. Memory does not grow with the length of a trace. Existing
 //! files are kept.
 
-mod arrow_schema;
 pub mod columns;
-mod error;
 mod mcap;
 mod mf4;
 mod parquet;
@@ -15,5 +13,5 @@ mod run_export;
 mod source;
 mod table;
 
-pub use error::ExportError;
 pub use run_export::{ExportFormat, ExportResult, export, select_scenarios};
+pub use source::ExportError;

@@ -5,8 +5,7 @@
 //! time.
 
 use crate::export::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
-use crate::export::error::ExportError;
-use crate::export::source::ExportScenario;
+use crate::export::source::{ExportError, ExportScenario};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions};
 use platebench_model::trace::AtPath;

@@ -1,7 +1,6 @@
 //! Exports a run to new files.
 
-use crate::export::error::ExportError;
-use crate::export::source::ExportScenario;
+use crate::export::source::{ExportError, ExportScenario};
 use crate::export::{mcap, mf4, parquet, table};
 use platebench_model::record::{RECORD_FILE, RunRecord, ScenarioRecord};
 use platebench_model::trace::{AtPath, AtomicFile};

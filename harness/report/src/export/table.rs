@@ -2,8 +2,7 @@
 //! "Metadata Vocabulary for Tabular Data".
 
 use crate::export::columns::{FLAG_COLUMNS, NUMBER_COLUMNS, Number};
-use crate::export::error::ExportError;
-use crate::export::source::ExportScenario;
+use crate::export::source::{ExportError, ExportScenario};
 use platebench_model::trace::AtPath;
 use serde::Serialize;
 use serde_json::json;
