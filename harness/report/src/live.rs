@@ -12,26 +12,18 @@
 
 #[cfg(feature = "screen")]
 mod draw;
-pub mod error;
+pub mod events;
 mod keys;
-pub mod run_description;
 #[cfg(feature = "screen")]
 mod screen;
-#[cfg(feature = "screen")]
-mod signal_history;
-#[cfg(feature = "screen")]
-mod stderr_capture;
 #[cfg(feature = "screen")]
 pub mod view;
 #[cfg(not(feature = "screen"))]
 #[path = "live/without_screen.rs"]
 pub mod view;
-pub mod view_event;
 #[cfg(feature = "screen")]
 mod view_state;
 
-pub use error::LiveViewError;
+pub use events::{LiveViewError, RunDescription, ScenarioDescription, ViewEvent};
 pub use keys::{INTERRUPT, watch_keys};
-pub use run_description::{RunDescription, ScenarioDescription};
 pub use view::{LiveView, ViewSender};
-pub use view_event::ViewEvent;

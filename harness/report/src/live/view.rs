@@ -1,12 +1,12 @@
 //! Runs the thread that reads rows and draws frames.
 
 use crate::live::draw::draw;
-use crate::live::error::{LiveViewError, MAX_CELLS};
+use crate::live::events::RunDescription;
+use crate::live::events::ViewEvent;
+use crate::live::events::{LiveViewError, MAX_CELLS};
 use crate::live::keys::watch_keys;
-use crate::live::run_description::RunDescription;
 use crate::live::screen::Screen;
-use crate::live::stderr_capture::{CapturedLines, StderrCapture};
-use crate::live::view_event::ViewEvent;
+use crate::live::screen::{CapturedLines, StderrCapture};
 use crate::live::view_state::ViewState;
 use crossterm::terminal::size;
 use platebench_engine::TapReader;

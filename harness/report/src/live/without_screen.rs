@@ -1,8 +1,8 @@
 //! Replaces the view in a build without the feature `screen`. It cannot be opened.
 
-use crate::live::error::LiveViewError;
-use crate::live::run_description::RunDescription;
-use crate::live::view_event::ViewEvent;
+use crate::live::events::LiveViewError;
+use crate::live::events::RunDescription;
+use crate::live::events::ViewEvent;
 use platebench_engine::TapReader;
 
 #[derive(Debug)]

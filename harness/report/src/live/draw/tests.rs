@@ -1,6 +1,6 @@
 use super::*;
-use crate::live::run_description::{RunDescription, ScenarioDescription};
-use crate::live::view_event::ViewEvent;
+use crate::live::events::ViewEvent;
+use crate::live::events::{RunDescription, ScenarioDescription};
 use insta::assert_snapshot;
 use platebench_engine::live_tap::{TapCounts, TapRow};
 use platebench_model::record::Verdict;

@@ -1,6 +1,9 @@
-//! Describes the run before the first row arrives.
+//! Defines what the view is told about a run: description, events, and the errors of a view that cannot open.
 
+use platebench_engine::Event;
+use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
+use std::io;
 
 /// Half width of the band in % if no expectation has one, as in the paper for the response time.
 const BAND_PERCENT: f64 = 5.0;
@@ -59,4 +62,43 @@ impl ScenarioDescription {
         let half = setpoint_um.abs() * self.band_percent / 100.0;
         (half > 0.0).then_some([setpoint_um - half, setpoint_um + half])
     }
+}
+
+#[derive(Debug)]
+pub enum ViewEvent {
+    RigLocation(String),
+    TrialFinished,
+    ScenarioFinished(Verdict),
+}
+
+impl ViewEvent {
+    pub fn of(event: &Event) -> Option<Self> {
+        match event {
+            Event::ScenarioStarted { .. } => None,
+            Event::TrialFinished { .. } => Some(Self::TrialFinished),
+            Event::ScenarioFinished(scenario) => Some(Self::ScenarioFinished(scenario.verdict)),
+        }
+    }
+}
+
+/// Largest terminal in cells. A terminal may report any size, and memory holds two frames.
+#[cfg(feature = "screen")]
+pub(crate) const MAX_CELLS: u32 = 1 << 20;
+
+#[derive(Debug, thiserror::Error)]
+pub enum LiveViewError {
+    #[cfg(not(feature = "screen"))]
+    #[error("this bench was built without it; build it with the feature `live`")]
+    NotBuilt,
+    #[error("standard output is not a terminal")]
+    NoTerminal,
+    #[error("TERM=dumb: the terminal has no cursor control")]
+    Dumb,
+    #[cfg(feature = "screen")]
+    #[error("the terminal reports {columns} x {rows} cells, expected at most {MAX_CELLS} in total")]
+    Size { columns: u16, rows: u16 },
+    #[error("platebench runs as a background job of the terminal; bring it to the foreground (fg)")]
+    Background,
+    #[error(transparent)]
+    Io(#[from] io::Error),
 }
