@@ -159,7 +159,7 @@ fn merge_and_show(
         ResponseLinks::new()
     });
     let document = report::write(folder, &summary, &links)?;
-    stdio::show_as(format, &summary.json(), || document.to_console(None, Style::default()));
+    stdio::show_as(format, &summary.result(), || document.to_console(None, Style::default()));
     stdio::note(&format!("report: {}", folder.join(report::REPORT_FILE).display()));
     Ok(if summary.is_rig_lost() { Exit::Unreachable } else { Exit::of_verdict(summary.verdict()) })
 }

@@ -69,7 +69,7 @@ pub fn merge<'a>(
     }
     results.commit()?;
     let path = folder.join(SUMMARY_FILE);
-    let text = serde_json::to_string_pretty(&summary.json()).unwrap_or_default();
+    let text = serde_json::to_string_pretty(&summary.result()).unwrap_or_default();
     write_atomically(&path, format!("{text}\n").as_bytes()).at(&path)?;
     let failing = summary.failing.iter().map(|row| row.trial_in(campaign)).collect::<Result<Vec<_>, _>>()?;
     write_scenarios(&folder.join(COUNTEREXAMPLES), campaign, &failing)?;

@@ -15,7 +15,6 @@ use platebench_model::record::Verdict;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
-use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -96,7 +95,7 @@ pub fn confirm(
     }
     let config = PlayConfig { rig: rig.clone(), ..config.clone() };
     let replays = replay(campaign, &selection.rows(), &config, on_trial)?;
-    let agreement = Agreement::new(&selection, &replays).ok_or(CampaignError::Cancelled)?;
+    let agreement = Agreement::new(&selection, &replays, campaign.confidence).ok_or(CampaignError::Cancelled)?;
     Ok(Some(Agreement { rig: rig.to_string(), firmware: firmware_digest(rig)?, ..agreement }))
 }
 
@@ -108,14 +107,17 @@ fn key(seed: u64, trial: u64) -> u64 {
     random.next_u64()
 }
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GroupAgreement {
-    pub name: &'static str,
-    /// Number of trials that belong to the group. `tally.trials` of them were replayed.
+    /// Number of trials that belong to the group.
     pub candidates: u64,
-    /// `failures` counts trials with a pass on one rig and a failure on the other. `inconclusive`
-    /// counts trials that are inconclusive on only one rig.
-    pub tally: Tally,
+    pub replayed: u64,
+    /// Trials that pass on one rig and fail on the other.
+    pub disagreements: u64,
+    /// Trials that are inconclusive on only one rig.
+    pub undecided: u64,
+    /// Share of disagreements, each end one-sided.
+    pub interval: Option<[f64; 2]>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -128,24 +130,26 @@ pub struct Difference {
 }
 
 /// Comparison of the hosted rig with the emulated firmware.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Agreement {
     pub rig: String,
     /// SHA-256 of the emulated firmware.
     pub firmware: String,
-    pub groups: Vec<GroupAgreement>,
     /// Number of replayed trials. A trial in several groups counts once.
     pub replayed: usize,
-    /// The first 20 trials, by number, with different verdicts.
-    pub differences: Vec<Difference>,
     /// Number of trials that pass on the hosted rig and fail on the emulated firmware.
     pub missed_failures: u64,
     pub largest_margin_difference: f64,
+    /// The first 20 trials, by number, with different verdicts.
+    pub differences: Vec<Difference>,
+    pub random: GroupAgreement,
+    pub failing: GroupAgreement,
+    pub worst: GroupAgreement,
 }
 
 impl Agreement {
     /// `None` if `replays` does not contain one row per selected row, in the same order.
-    fn new(selection: &Selection, replays: &[Row]) -> Option<Self> {
+    fn new(selection: &Selection, replays: &[Row], confidence: f64) -> Option<Self> {
         let screened = selection.rows();
         let is_same = screened.len() == replays.len()
             && screened.iter().zip(replays).all(|(one, other)| one.draws == other.draws);
@@ -154,7 +158,7 @@ impl Agreement {
         }
         let replay_of: BTreeMap<u64, &Row> =
             screened.iter().zip(replays).map(|(row, replay)| (row.trial, replay)).collect();
-        let group = |name, candidates, rows: &mut dyn Iterator<Item = &Row>| {
+        let group = |candidates, rows: &mut dyn Iterator<Item = &Row>| {
             let mut tally = Tally::new(0);
             for (row, replay) in rows.filter_map(|row| Some((row, *replay_of.get(&row.trial)?))) {
                 tally.trials += 1;
@@ -163,13 +167,10 @@ impl Agreement {
                 tally.failures += u64::from(differs && is_decided);
                 tally.inconclusive += u64::from(differs && !is_decided);
             }
-            GroupAgreement { name, candidates, tally }
+            let interval = tally.interval(confidence);
+            let Tally { trials: replayed, failures: disagreements, inconclusive: undecided, .. } = tally;
+            GroupAgreement { candidates, replayed, disagreements, undecided, interval }
         };
-        let groups = vec![
-            group("random", selection.sampled.candidates, &mut selection.sampled.rows.values()),
-            group("failing", selection.failing.candidates, &mut selection.failing.rows.values()),
-            group("worst", selection.worst.len() as u64, &mut selection.worst.iter()),
-        ];
         let pairs = || screened.iter().zip(replays);
         let differences =
             pairs().filter(|(row, replay)| row.verdict != replay.verdict).map(|(row, replay)| Difference {
@@ -183,7 +184,9 @@ impl Agreement {
         Some(Self {
             rig: String::new(),
             firmware: String::new(),
-            groups,
+            random: group(selection.sampled.candidates, &mut selection.sampled.rows.values()),
+            failing: group(selection.failing.candidates, &mut selection.failing.rows.values()),
+            worst: group(selection.worst.len() as u64, &mut selection.worst.iter()),
             replayed: replays.len(),
             differences: differences.take(MAX_DIFFERENCES).collect(),
             missed_failures: pairs().filter(missed).count() as u64,
@@ -191,42 +194,23 @@ impl Agreement {
         })
     }
 
-    pub(crate) fn json(&self, confidence: f64) -> Value {
-        let mut json = json!({
-            "rig": self.rig,
-            "firmware": self.firmware,
-            "replayed": self.replayed,
-            "missed_failures": self.missed_failures,
-            "largest_margin_difference": self.largest_margin_difference,
-            "differences": self.differences,
-        });
-        for GroupAgreement { name, candidates, tally } in &self.groups {
-            json[name] = json!({
-                "candidates": candidates, "replayed": tally.trials, "disagreements": tally.failures,
-                "undecided": tally.inconclusive, "interval": tally.interval(confidence),
-            });
-        }
-        json
-    }
-
     pub(crate) fn lines(&self, confidence: f64) -> Vec<String> {
         let Self { replayed, rig, largest_margin_difference: largest, .. } = self;
         let mut lines =
             vec![format!("{replayed} trials replayed on {rig}; largest difference of a margin {largest:.2e}")];
-        for GroupAgreement { name, candidates, tally: tally @ Tally { trials, failures, inconclusive, .. } } in
-            &self.groups
-        {
+        for (name, group) in [("random", &self.random), ("failing", &self.failing), ("worst", &self.worst)] {
+            let GroupAgreement { candidates, replayed, disagreements, undecided, interval } = group;
             let mut line = format!(
-                "  {name} trials: {failures} of {trials} pass on one rig and fail on the other, {inconclusive} are \
+                "  {name} trials: {disagreements} of {replayed} pass on one rig and fail on the other, {undecided} are \
                  inconclusive on one rig only"
             );
             // The worst trials are not a random sample, so they have no confidence interval.
-            if let Some([low, high]) = tally.interval(confidence).filter(|_| *name != "worst") {
+            if let Some([low, high]) = interval.filter(|_| name != "worst") {
                 let [low, high, confidence] = [low, high, confidence].map(|share| share * 100.0);
                 line += &format!("; {low:.4} % to {high:.4} %, each end at {confidence} % confidence");
             }
-            if candidates > trials {
-                line += &format!("; {trials} of {candidates} were drawn at random");
+            if candidates > replayed {
+                line += &format!("; {replayed} of {candidates} were drawn at random");
             }
             lines.push(line);
         }
@@ -289,13 +273,13 @@ mod tests {
         let mut replays = rows.clone();
         replays[0] = Row { trial: 0, draws: vec![0.0], ..row(0, 0.5) };
         replays[MAX_WORST] = Row { trial: 0, draws: vec![40.0], ..row(0, -0.25) };
-        let agreement = Agreement::new(&selection, &replays).unwrap();
-        let counts: Vec<_> =
-            agreement.groups.iter().map(|group| (group.name, group.tally.failures, group.tally.trials)).collect();
-        assert_eq!(counts, [("random", 1, 1), ("failing", 1, 10), ("worst", 1, 20)]);
+        let agreement = Agreement::new(&selection, &replays, 0.95).unwrap();
+        let counts = [&agreement.random, &agreement.failing, &agreement.worst]
+            .map(|group| (group.disagreements, group.replayed));
+        assert_eq!(counts, [(1, 1), (1, 10), (1, 20)]);
         assert_eq!((agreement.missed_failures, agreement.differences[1].trial), (1, 40));
         assert!((agreement.largest_margin_difference - 30.75).abs() < 1e-12);
         replays.pop();
-        assert_eq!(Agreement::new(&selection, &replays), None);
+        assert_eq!(Agreement::new(&selection, &replays, 0.95), None);
     }
 }

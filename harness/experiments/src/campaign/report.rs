@@ -5,7 +5,7 @@ use crate::campaign::distribution::Variable;
 use crate::campaign::error::CampaignError;
 use crate::campaign::results::{CSV_FILE, PARQUET_FILE, unit_of_key};
 use crate::campaign::row::{Row, Tally};
-use crate::campaign::sample::{Quantile, Sensitivity};
+use crate::campaign::sample::{FirstOrderIndex, Quantile, SampleResult, Sensitivity};
 use crate::campaign::summary::{SUMMARY_FILE, Summary};
 use crate::campaign::worst_run::ResponseLinks;
 use platebench_model::record::Verdict;
@@ -25,13 +25,14 @@ pub fn write(folder: &Path, summary: &Summary<'_>, links: &ResponseLinks) -> Res
 
 fn document(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Document, CampaignError> {
     let mut blocks = vec![Block::lines(summary.lines())];
-    let sensitivities = sensitivities(summary);
+    let sample = summary.sample.result(summary.campaign);
+    let sensitivities = sensitivities(&sample);
     if !sensitivities.rows.is_empty() {
         blocks.push(Block::heading("Rank correlation with the smallest margin, and first-order index"));
         blocks.push(Block::Table(sensitivities));
     }
     let mut details = maps(summary, links);
-    let quantiles = quantiles(summary);
+    let quantiles = quantiles(&sample);
     if !quantiles.rows.is_empty() {
         details.extend([Block::heading("Quantiles"), Block::Table(quantiles)]);
     }
@@ -48,28 +49,26 @@ fn document(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Document, Ca
     Ok(Document::new(&summary.campaign.title, blocks))
 }
 
-fn sensitivities(summary: &Summary<'_>) -> Table {
+fn sensitivities(sample: &SampleResult) -> Table {
     let number = |name: &str| Column::number(name, "");
     let names = ["rank correlation", "from", "to", "first-order index", "from", "to"];
     let mut table = Table::new([Column::from("value")].into_iter().chain(names.map(number)));
-    table.extend(summary.sample.sensitivities(summary.campaign).into_iter().map(|sensitivity| {
+    table.extend(sample.sensitivities.iter().map(|sensitivity| {
         let Sensitivity { key, correlation, interval: [low, high], first_order } = sensitivity;
-        let index = first_order.map(|(index, [low, high])| [index, low, high]);
+        let index = first_order.map(|FirstOrderIndex { index, interval: [low, high] }| [index, low, high]);
         let index = index.map_or_else(|| [const { String::new() }; 3], |index| index.map(|part| format!("{part:.3}")));
-        [key].into_iter().chain([correlation, low, high].map(|part| format!("{part:.3}"))).chain(index)
+        [key.clone()].into_iter().chain([correlation, low, high].map(|part| format!("{part:.3}"))).chain(index)
     }));
     table
 }
 
-fn quantiles(summary: &Summary<'_>) -> Table {
+fn quantiles(sample: &SampleResult) -> Table {
     let mut table = Table::new(["expectation", "share of trials below", "value", "from", "to"]);
     let number = |value: f64| if value.is_finite() { format!("{value:.4}") } else { "–".to_owned() };
-    let quantiles = summary.sample.quantiles(summary.campaign);
-    let row = |quantile: Quantile| {
-        let [low, high] = quantile.interval.map(number);
-        vec![quantile.expectation, format!("{} %", quantile.share * 100.0), number(quantile.value), low, high]
-    };
-    table.extend(quantiles.into_iter().map(row));
+    table.extend(sample.quantiles.iter().map(|Quantile { expectation, share, value, interval }| {
+        let [low, high] = interval.map(number);
+        [expectation.clone(), format!("{} %", share * 100.0), number(*value), low, high]
+    }));
     table
 }
 

@@ -14,7 +14,6 @@ use platebench_verdict::statistics::quantile_bounds;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
-use serde_json::{Value, json};
 use statrs::distribution::{ContinuousCDF, Normal};
 
 /// Limits the memory. The first trials by number are used, for any order of play.
@@ -41,14 +40,28 @@ pub struct Quantile {
 }
 
 /// Spearman's rank correlation of a varied value and the smallest margin.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Sensitivity {
     pub key: String,
+    #[serde(rename = "rank_correlation")]
     pub correlation: f64,
     pub interval: [f64; 2],
-    /// First-order Sobol index of the margin's rank, and its interval; for the methods `sobol` and
-    /// `random` only.
-    pub first_order: Option<(f64, [f64; 2])>,
+    /// For the methods `sobol` and `random` only.
+    pub first_order: Option<FirstOrderIndex>,
+}
+
+/// First-order Sobol index of the margin's rank.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct FirstOrderIndex {
+    pub index: f64,
+    pub interval: [f64; 2],
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SampleResult {
+    pub trials: usize,
+    pub quantiles: Vec<Quantile>,
+    pub sensitivities: Vec<Sensitivity>,
 }
 
 impl Sample {
@@ -67,7 +80,15 @@ impl Sample {
         self.scores.push(row.score);
     }
 
-    pub fn quantiles(&self, campaign: &Campaign) -> Vec<Quantile> {
+    pub(crate) fn result(&self, campaign: &Campaign) -> SampleResult {
+        SampleResult {
+            trials: self.scores.len(),
+            quantiles: self.quantiles(campaign),
+            sensitivities: self.sensitivities(campaign),
+        }
+    }
+
+    fn quantiles(&self, campaign: &Campaign) -> Vec<Quantile> {
         let names = campaign.expectation_names();
         let columns = names.iter().zip(&self.values);
         let quantile = |(name, values): (&String, &Vec<f64>), share| {
@@ -78,7 +99,7 @@ impl Sample {
     }
 
     /// Strongest correlation first. Leaves out variables that are not numbers or never vary.
-    pub fn sensitivities(&self, campaign: &Campaign) -> Vec<Sensitivity> {
+    fn sensitivities(&self, campaign: &Campaign) -> Vec<Sensitivity> {
         let scores = ranks(&self.scores);
         let sensitivity = |(variable, draws): (&Variable, &Vec<f64>)| {
             let is_number = draws.iter().all(|draw| draw.is_finite()) && draws.len() >= MIN_TRIALS;
@@ -86,24 +107,13 @@ impl Sample {
             let interval = bounds(correlation, draws.len(), campaign.confidence);
             let first_order = matches!(campaign.method, Method::Sobol | Method::Random)
                 .then(|| first_order(&ranks(draws), &scores, campaign.confidence, campaign.seed))
-                .flatten();
+                .flatten()
+                .map(|(index, interval)| FirstOrderIndex { index, interval });
             Some(Sensitivity { key: variable.key.clone(), correlation, interval, first_order })
         };
         let mut found: Vec<_> = campaign.variables.iter().zip(&self.draws).filter_map(sensitivity).collect();
         found.sort_by(|one, other| other.correlation.abs().total_cmp(&one.correlation.abs()));
         found
-    }
-
-    pub(crate) fn json(&self, campaign: &Campaign) -> Value {
-        let sensitivities = self.sensitivities(campaign).into_iter().map(|sensitivity| {
-            json!({ "key": sensitivity.key, "rank_correlation": sensitivity.correlation,
-                "interval": sensitivity.interval,
-                "first_order": sensitivity.first_order.map(|(index, interval)| {
-                    json!({ "index": index, "interval": interval })
-                }) })
-        });
-        json!({ "trials": self.scores.len(), "quantiles": self.quantiles(campaign),
-            "sensitivities": sensitivities.collect::<Vec<_>>() })
     }
 }
 

@@ -5,11 +5,99 @@ use crate::campaign::definition::{Campaign, Method};
 use crate::campaign::distribution::Variable;
 use crate::campaign::rare::{ChainEstimate, CombinedEstimate, RareMethod};
 use crate::campaign::row::{CAUSES, Row, SequentialDecision, ShardEnd, Tally, keep_worst};
-use crate::campaign::sample::Sample;
+use crate::campaign::sample::{Sample, SampleResult};
 use platebench_model::record::{Cause, Verdict};
+use serde::Serialize;
 use serde_json::{Value, json};
 
 pub const SUMMARY_FILE: &str = "summary.json";
+
+/// Content of `summary.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CampaignResult<'a> {
+    pub format: u32,
+    pub title: &'a str,
+    pub method: Method,
+    pub verdict: Verdict,
+    pub cause: Option<Cause>,
+    pub planned_trials: u64,
+    pub missing_shards: &'a [u32],
+    pub at_most: Option<f64>,
+    pub confidence: f64,
+    pub redrawn: u64,
+    pub overall: TallyResult,
+    pub cells: Vec<TallyResult>,
+    /// Only if 0 V was not confirmed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub safe_confirmed: Option<bool>,
+    /// Only if a controller was lost.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub controller_lost: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub confirm: Option<&'a Agreement>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub search: Option<SearchResult>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rare: Option<RareResult<'a>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sample: Option<SampleResult>,
+    /// The inner value is `None` if no look at the first trials gives a verdict.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sequential: Option<Option<SequentialResult>>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TallyResult {
+    /// Listed values of a cell.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub values: Option<Value>,
+    pub trials: u64,
+    pub failures: u64,
+    pub inconclusive: u64,
+    pub interval: Option<[f64; 2]>,
+    pub verdict: Verdict,
+    #[serde(flatten)]
+    pub worst: Option<WorstTrial>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct WorstTrial {
+    /// `None` if a trial has no finite margin.
+    pub smallest_margin: Option<f64>,
+    pub worst_trial: u64,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SearchResult {
+    pub counterexample: Option<String>,
+    pub margin: Option<f64>,
+    pub trials: u64,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RareResult<'a> {
+    pub probability: Option<f64>,
+    pub interval: Option<[f64; 2]>,
+    pub coefficient_of_variation: Option<f64>,
+    pub trials: u64,
+    pub reliability_index: Option<f64>,
+    pub methods: Vec<MethodUse<'a>>,
+    pub chains_without_estimate: u64,
+}
+
+/// A method, the number of its chains, and why the first of them used it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct MethodUse<'a> {
+    pub method: RareMethod,
+    pub chains: u64,
+    pub reason: &'a str,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct SequentialResult {
+    pub trials: u32,
+    pub verdict: Verdict,
+}
 
 #[derive(Debug)]
 pub struct Summary<'a> {
@@ -152,63 +240,46 @@ impl<'a> Summary<'a> {
         Some(most.filter(|_| self.missing.is_empty()).map_or(Cause::Evidence, |(cause, _)| cause))
     }
 
-    pub fn json(&self) -> Value {
+    pub fn result(&self) -> CampaignResult<'_> {
         let campaign = self.campaign;
-        let add_counts = |mut entry: Value, tally: &Tally| {
-            entry["trials"] = json!(tally.trials);
-            entry["failures"] = json!(tally.failures);
-            entry["inconclusive"] = json!(tally.inconclusive);
-            entry["interval"] = json!(tally.interval(campaign.confidence));
-            entry["verdict"] = json!(self.verdict_of(tally));
-            entry
+        let tally = |tally: &Tally| TallyResult {
+            values: None,
+            trials: tally.trials,
+            failures: tally.failures,
+            inconclusive: tally.inconclusive,
+            interval: tally.interval(campaign.confidence),
+            verdict: self.verdict_of(tally),
+            worst: None,
         };
         let cells = self.cells.iter().enumerate().map(|(number, cell)| {
-            let mut entry = add_counts(json!({ "values": self.cell_values(number) }), cell);
-            if cell.trials > 0 {
-                let margin = Some(cell.smallest_margin).filter(|margin| margin.is_finite());
-                entry["smallest_margin"] = json!(margin);
-                entry["worst_trial"] = json!(cell.worst_trial);
-            }
-            entry
+            let smallest_margin = Some(cell.smallest_margin).filter(|margin| margin.is_finite());
+            let worst = WorstTrial { smallest_margin, worst_trial: cell.worst_trial };
+            let values = Some(self.cell_values(number));
+            TallyResult { values, worst: (cell.trials > 0).then_some(worst), ..tally(cell) }
         });
-        let cells: Vec<_> = cells.collect();
-        let mut overall = add_counts(json!({}), &self.overall);
-        overall["verdict"] = json!(self.verdict());
-        overall["interval"] = json!(self.interval());
-        let mut summary = json!({
-            "format": 1,
-            "title": campaign.title,
-            "method": campaign.method,
-            "verdict": self.verdict(),
-            "cause": self.cause(),
-            "planned_trials": campaign.trials,
-            "missing_shards": self.missing,
-            "at_most": campaign.at_most,
-            "confidence": campaign.confidence,
-            "redrawn": self.redraws,
-            "overall": overall,
-            "cells": cells,
-        });
-        if self.end.unconfirmed {
-            summary["safe_confirmed"] = json!(false);
+        let is_sample = campaign.chain_trials() == 1;
+        let decision = || self.sequential.decision().map(|(trials, verdict)| SequentialResult { trials, verdict });
+        CampaignResult {
+            format: 1,
+            title: &campaign.title,
+            method: campaign.method,
+            verdict: self.verdict(),
+            cause: self.cause(),
+            planned_trials: campaign.trials,
+            missing_shards: &self.missing,
+            at_most: campaign.at_most,
+            confidence: campaign.confidence,
+            redrawn: self.redraws,
+            overall: TallyResult { verdict: self.verdict(), interval: self.interval(), ..tally(&self.overall) },
+            cells: cells.collect(),
+            safe_confirmed: self.end.unconfirmed.then_some(false),
+            controller_lost: self.end.lost.then_some(true),
+            confirm: self.agreement.as_ref(),
+            search: (campaign.method == Method::Search).then(|| self.chains.search_result(self.failing.first())),
+            rare: (campaign.method == Method::Rare).then(|| self.chains.rare_result(campaign.confidence)),
+            sample: is_sample.then(|| self.sample.result(campaign)),
+            sequential: is_sample.then(decision),
         }
-        if self.end.lost {
-            summary["controller_lost"] = json!(true);
-        }
-        if let Some(agreement) = &self.agreement {
-            summary["confirm"] = agreement.json(campaign.confidence);
-        }
-        match campaign.method {
-            Method::Search => summary["search"] = self.chains.search_json(self.failing.first()),
-            Method::Rare => summary["rare"] = self.chains.rare_json(campaign.confidence),
-            Method::Grid | Method::Random | Method::Sobol => {
-                summary["sample"] = self.sample.json(campaign);
-                let decision = self.sequential.decision();
-                summary["sequential"] =
-                    json!(decision.map(|(trials, verdict)| json!({ "trials": trials, "verdict": verdict })));
-            }
-        }
-        summary
     }
 
     /// Returns each variable with listed values, and the index of its value in the cell.
@@ -334,42 +405,37 @@ impl ChainOutcome {
         }
     }
 
-    /// Returns each method, the number of its chains, and why the first of them used it.
-    fn methods(&self) -> Vec<(RareMethod, u64, &str)> {
-        let mut methods: Vec<(RareMethod, u64, &str)> = Vec::new();
-        for estimate in &self.estimates {
-            match methods.iter_mut().find(|(method, ..)| *method == estimate.method) {
-                Some((_, count, _)) => *count += 1,
-                None => methods.push((estimate.method, 1, &estimate.reason)),
+    fn methods(&self) -> Vec<MethodUse<'_>> {
+        let mut methods: Vec<MethodUse<'_>> = Vec::new();
+        for ChainEstimate { method, reason, .. } in &self.estimates {
+            match methods.iter_mut().find(|known| known.method == *method) {
+                Some(known) => known.chains += 1,
+                None => methods.push(MethodUse { method: *method, chains: 1, reason }),
             }
         }
         methods
     }
 
-    pub(crate) fn search_json(&self, worst: Option<&Row>) -> Value {
-        json!({
-            "counterexample": worst.map(|row| format!("counterexamples/{}.toml", row.trial)),
-            "margin": worst.map(Row::margin).filter(|margin| margin.is_finite()),
-            "trials": self.first_failure.unwrap_or(self.trials),
-        })
+    fn search_result(&self, worst: Option<&Row>) -> SearchResult {
+        SearchResult {
+            counterexample: worst.map(|row| format!("counterexamples/{}.toml", row.trial)),
+            margin: worst.map(Row::margin).filter(|margin| margin.is_finite()),
+            trials: self.first_failure.unwrap_or(self.trials),
+        }
     }
 
-    pub(crate) fn rare_json(&self, confidence: f64) -> Value {
+    fn rare_result(&self, confidence: f64) -> RareResult<'_> {
         let combined = self.combine_chains();
-        let methods = self.methods().into_iter();
-        let methods =
-            methods.map(|(method, chains, reason)| json!({ "method": method, "chains": chains, "reason": reason }));
-        let index = self.estimates.first().and_then(|estimate| estimate.reliability_index);
-        json!({
-            "probability": combined.map(|combined| combined.probability),
-            "interval": combined.map(|combined| combined.interval(confidence)),
-            "coefficient_of_variation":
-                combined.map(|combined| combined.coefficient_of_variation).filter(|value| value.is_finite()),
-            "trials": self.trials,
-            "reliability_index": index,
-            "methods": methods.collect::<Vec<_>>(),
-            "chains_without_estimate": self.without_estimate,
-        })
+        let variation = combined.map(|combined| combined.coefficient_of_variation);
+        RareResult {
+            probability: combined.map(|combined| combined.probability),
+            interval: combined.map(|combined| combined.interval(confidence)),
+            coefficient_of_variation: variation.filter(|value| value.is_finite()),
+            trials: self.trials,
+            reliability_index: self.estimates.first().and_then(|estimate| estimate.reliability_index),
+            methods: self.methods(),
+            chains_without_estimate: self.without_estimate,
+        }
     }
 
     fn search_line(&self, worst: Option<&Row>) -> String {
@@ -400,7 +466,7 @@ impl ChainOutcome {
             combined.probability,
             confidence * 100.0,
         )];
-        lines.extend(self.methods().into_iter().map(|(method, chains, reason)| {
+        lines.extend(self.methods().into_iter().map(|MethodUse { method, chains, reason }| {
             let method = match method {
                 RareMethod::ImportanceSampling => "importance sampling around the design point",
                 RareMethod::SubsetSimulation => "subset simulation",
