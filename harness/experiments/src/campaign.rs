@@ -38,7 +38,7 @@ pub use confirm::confirm;
 pub use definition::{Campaign, RawCampaign};
 pub use error::CampaignError;
 pub use plan::{Plan, shards_of_run};
-pub use play::{PlayConfig, TrialEvent, play_shard};
+pub use play::{PlayConfig, TrialEvent, TrialSource, play_shard, play_trials};
 pub use row::ShardEnd;
 pub use summary::Summary;
 pub use worst_run::{ResponseLinks, play_worst, worst_trials};

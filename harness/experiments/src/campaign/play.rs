@@ -7,7 +7,7 @@ use crate::campaign::part::{PartReader, PartWriter};
 use crate::campaign::plan::Plan;
 use crate::campaign::row::{Row, ShardEnd};
 use platebench_engine::workers::{Emit, InOrder, run_workers};
-use platebench_engine::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, law};
+use platebench_engine::{Executor, ExecutorSettings, LinkFactory, MAX_LOSSES, SafeEnds, law};
 use platebench_model::record::Verdict;
 use platebench_model::trace::{AtPath, Row as TraceRow};
 use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
@@ -60,7 +60,7 @@ pub fn play_shard(
     let parts = path.parent().unwrap_or(folder);
     std::fs::create_dir_all(parts).at(parts)?;
     let mut part = PartWriter::new(path, plan, campaign, shard)?;
-    let end = play(campaign, &Source::Numbers(plan.trials_of(shard)), config, &mut |row| {
+    let end = play_on_rig(campaign, &TrialSource::Numbers(plan.trials_of(shard)), config, &mut |row| {
         on_trial(TrialEvent { is_failure: row.verdict == Verdict::Fail });
         part.push(row)
     })?;
@@ -76,7 +76,7 @@ pub(crate) fn replay(
     on_trial: &mut dyn FnMut(TrialEvent),
 ) -> Result<Vec<Row>, CampaignError> {
     let mut replayed = Vec::new();
-    let end = play(campaign, &Source::Rows(rows), config, &mut |row| {
+    let end = play_on_rig(campaign, &TrialSource::Rows(rows), config, &mut |row| {
         on_trial(TrialEvent { is_failure: row.verdict == Verdict::Fail });
         replayed.push(row);
         Ok(())
@@ -87,14 +87,25 @@ pub(crate) fn replay(
     Ok(replayed)
 }
 
-enum Source<'a> {
+fn play_on_rig(
+    campaign: &Campaign,
+    source: &TrialSource<'_>,
+    config: &PlayConfig,
+    on_row: &mut dyn FnMut(Row) -> Result<(), CampaignError>,
+) -> Result<ShardEnd, CampaignError> {
+    let options = ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
+    play_trials(campaign, source, &|| config.rig.connect_with(&options), config, on_row)
+}
+
+#[derive(Debug)]
+pub enum TrialSource<'a> {
     /// Draws the values of these trial numbers.
     Numbers(Range<u64>),
     /// Takes the values of these rows. The number of a trial is the index of its row.
     Rows(&'a [&'a Row]),
 }
 
-impl Source<'_> {
+impl TrialSource<'_> {
     fn places(&self) -> Range<u64> {
         match self {
             Self::Numbers(trials) => trials.clone(),
@@ -103,14 +114,14 @@ impl Source<'_> {
     }
 }
 
-fn play(
+/// Plays the trials of `source` on several workers. Passes the rows on in the order of the trials.
+pub fn play_trials(
     campaign: &Campaign,
-    source: &Source<'_>,
+    source: &TrialSource<'_>,
+    connect: &LinkFactory<'_>,
     config: &PlayConfig,
     on_row: &mut dyn FnMut(Row) -> Result<(), CampaignError>,
 ) -> Result<ShardEnd, CampaignError> {
-    let options = &ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
-    let connect = || config.rig.connect_with(options);
     let settings = ExecutorSettings {
         own_clock: config.rig.has_own_clock(),
         max_losses: Some(MAX_LOSSES),
@@ -126,7 +137,7 @@ fn play(
         let is_over = first >= trials.end || config.cancel.is_cancelled();
         (!is_over).then(|| first..first.saturating_add(count).min(trials.end))
     };
-    let executors = (0..config.jobs.max(1)).map(|_| Executor::new(&connect, settings.clone(), &ends));
+    let executors = (0..config.jobs.max(1)).map(|_| Executor::new(connect, settings.clone(), &ends));
     let mut rows = InOrder::starting_at(trials.start);
     let outcome =
         run_workers(executors, task, |executor, trials, emit| player.play(executor, trials, emit), &mut |row: Row| {
@@ -151,7 +162,7 @@ fn play(
 
 struct TrialPlayer<'a> {
     campaign: &'a Campaign,
-    source: &'a Source<'a>,
+    source: &'a TrialSource<'a>,
     /// Becomes true if a controller was lost and the rig caused it.
     lost: AtomicBool,
 }
@@ -159,7 +170,7 @@ struct TrialPlayer<'a> {
 impl TrialPlayer<'_> {
     /// Trials of a chain depend on each other, so one worker plays them.
     fn trials_per_task(&self) -> u64 {
-        if matches!(self.source, Source::Rows(_)) { 1 } else { self.campaign.chain_trials() }
+        if matches!(self.source, TrialSource::Rows(_)) { 1 } else { self.campaign.chain_trials() }
     }
 
     fn play(
@@ -173,8 +184,8 @@ impl TrialPlayer<'_> {
         }
         let number = trials.start;
         let trial = match self.source {
-            Source::Numbers(_) => self.campaign.trial(number)?,
-            Source::Rows(rows) => match rows.get(number as usize) {
+            TrialSource::Numbers(_) => self.campaign.trial(number)?,
+            TrialSource::Rows(rows) => match rows.get(number as usize) {
                 Some(row) => row.trial_in(self.campaign)?,
                 None => return Ok(()),
             },

@@ -6,7 +6,7 @@ use platebench_engine::plan::LinkFactory;
 use platebench_engine::{Executor, ExecutorSettings, SafeEnds, ScenarioEnd, TrialResult, law, missing_capability};
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
-use platebench_model::trace::{MAX_IMAGE_BYTES, read_regular_file};
+use platebench_model::trace::{MAX_IMAGE_BYTES, Row, read_regular_file};
 use platebench_rig::{
     BUILT_IN_IMAGE, CancelToken, Capability, ConnectError, EmulatedError, EmulatedLink, FaultInjector, LinkError,
     RigError, RigSpec, SafeEnd, Session, Symbols, TargetError,
@@ -113,9 +113,7 @@ pub(crate) fn play(
         if let Some(detection) = detection(result) {
             return ControlFlow::Break(detection);
         }
-        for row in &result.trace_rows {
-            (row.drive_vpp.to_bits(), row.frequency_hz.to_bits()).hash(&mut commands);
-        }
+        hash_commands(&result.trace_rows, &mut commands);
         ControlFlow::Continue(())
     })?;
     Ok(match end {
@@ -125,6 +123,12 @@ pub(crate) fn play(
         ScenarioEnd::Stopped(detection) => Some(detection.into()),
         ScenarioEnd::Cancelled => None,
     })
+}
+
+pub(crate) fn hash_commands(rows: &[Row], commands: &mut DefaultHasher) {
+    for row in rows {
+        (row.drive_vpp.to_bits(), row.frequency_hz.to_bits()).hash(commands);
+    }
 }
 
 impl From<Detection> for Outcome {

@@ -1,11 +1,12 @@
-//! Checks that `run`, `explore` and `trust` send the same samples to the controller. A sample
-//! contains the state of the plate, so equal samples mean equal plates, commands and scenes.
+//! Checks that `run`, `explore`, `trust` and `campaign` send the same samples to the controller. A
+//! sample contains the state of the plate, so equal samples mean equal plates, commands and scenes.
 
 use platebench_engine::{Clock, RunHooks, RunPlan, SafeEnds, run};
+use platebench_experiments::campaign::{Campaign, PlayConfig, TrialSource, play_trials};
 use platebench_experiments::explore::Player;
 use platebench_model::record::{Overrides, RunFolder};
 use platebench_model::scenario::{Scenario, load};
-use platebench_rig::{BoxedLink, CancelToken, HostedLink, Link, LinkError};
+use platebench_rig::{BoxedLink, CancelToken, HostedLink, Link, LinkError, RigSpec};
 use platebench_wire::{Message, PacketReader, Sample};
 use rstest::rstest;
 use std::path::Path;
@@ -83,4 +84,37 @@ fn run_explore_and_trust_play_the_same_trials(#[case] file: &str) {
     assert!(by_run.len() > 10 * scenario.trials.count as usize, "{} samples", by_run.len());
     assert!(by_run == by_trust, "trust plays other trials than run");
     assert!(by_run == by_explore, "explore plays other trials than run");
+}
+
+#[rstest]
+#[case::noise("paper/fig13-closed-loop.toml")]
+#[case::loop_delay("limits/one-period-delay.toml")]
+#[case::faults("faults/lost-command.toml")]
+fn a_campaign_plays_the_trial_of_run(#[case] file: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file).canonicalize().unwrap();
+    let mut scenario = load(&path, file).unwrap_or_else(|fault| panic!("{fault}"));
+    (scenario.trials.count, scenario.trials.max_count) = (1, 1);
+    let folder = tempfile::tempdir().unwrap();
+    let text = format!(
+        "title = \"one trial\"\nscenario = {:?}\n[vary]\n\"controller.law\" = {{ each = [{:?}] }}\n\
+         [plan]\nmethod = \"grid\"\ntrials = 1\nseed = {}\n",
+        path, scenario.controller.law, scenario.trials.seed
+    );
+    let campaign = folder.path().join("campaign.toml");
+    std::fs::write(&campaign, text).unwrap();
+    let campaign = Campaign::load(&campaign).unwrap_or_else(|faults| panic!("{}", faults[0]));
+    let by_campaign = samples(|connect| {
+        let config = PlayConfig::new(RigSpec::Hosted, 1);
+        let source = TrialSource::Numbers(0..1);
+        let mut rows = 0;
+        let on_row = &mut |_| {
+            rows += 1;
+            Ok(())
+        };
+        play_trials(&campaign, &source, &|| Ok(connect()), &config, on_row).unwrap();
+        assert_eq!(rows, 1);
+    });
+    let by_run = samples(|connect| play_by_run(&scenario, connect));
+    assert!(by_run.len() > 10, "{} samples", by_run.len());
+    assert!(by_run == by_campaign, "campaign plays another trial than run");
 }
