@@ -323,16 +323,4 @@ fn bounded_duration(seconds: f64) -> Duration {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn converts_both_ways_without_overflow() {
-        let (start, ms) = (Instant::now(), Duration::from_millis);
-        let clock = TrialClock { start, scale: 10.0 };
-        assert_eq!((clock.trial_time(start + ms(20)), clock.wall_instant(ms(200))), (ms(200), start + ms(20)));
-        assert_eq!(clock.trial_time(start.checked_sub(ms(20)).unwrap()), Duration::ZERO);
-        let still = TrialClock { start, scale: f64::MIN_POSITIVE };
-        assert!(still.wall_instant(Duration::MAX) > start && clock.wall_instant(Duration::MAX) > start);
-    }
-}
+mod tests;

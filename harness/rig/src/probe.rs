@@ -21,11 +21,10 @@ use crate::emulated::read_elf;
 use crate::factory::BUILT_IN_IMAGE;
 use crate::link::BoxedLink;
 use crate::serial_port::SerialLink;
+use board::Board;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tracing::info;
-
-use board::Board;
 
 /// Path and baud rate (bits per second).
 pub type SerialPort = (PathBuf, u32);

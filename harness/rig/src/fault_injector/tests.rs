@@ -426,3 +426,13 @@ fn passes_other_messages_at_once_in_real_time() {
     let delivered: Vec<u8> = fixture.delivered().into_iter().flat_map(|(_, bytes)| bytes).collect();
     assert_eq!(delivered, [&[DELIMITER], safe.as_bytes()].concat());
 }
+
+#[test]
+fn converts_both_ways_without_overflow() {
+    let (start, ms) = (Instant::now(), Duration::from_millis);
+    let clock = TrialClock { start, scale: 10.0 };
+    assert_eq!((clock.trial_time(start + ms(20)), clock.wall_instant(ms(200))), (ms(200), start + ms(20)));
+    assert_eq!(clock.trial_time(start.checked_sub(ms(20)).unwrap()), Duration::ZERO);
+    let still = TrialClock { start, scale: f64::MIN_POSITIVE };
+    assert!(still.wall_instant(Duration::MAX) > start && clock.wall_instant(Duration::MAX) > start);
+}

@@ -8,7 +8,7 @@ use std::time::Duration;
 const PAUSE: Duration = Duration::from_millis(5);
 const STALL: Duration = Duration::from_millis(80);
 
-/// A step of a script. Numbers without a unit of a sample are setpoint, Wd and Wq, µm.
+/// A step of a script. The three `f32` of a step are setpoint, Wd and Wq of a sample, µm.
 #[derive(Debug, Clone)]
 pub(super) enum Step {
     // Exchanges.
