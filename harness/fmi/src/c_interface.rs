@@ -7,7 +7,7 @@
 #![allow(clippy::missing_safety_doc, reason = "the standard states what a caller must guarantee")]
 #![allow(clippy::fn_params_excessive_bools, reason = "the signatures of the standard")]
 
-use crate::description::INSTANTIATION_TOKEN;
+use crate::fmu_file::INSTANTIATION_TOKEN;
 use crate::instance::{Instance, InstanceError};
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::path::Path;

@@ -6,11 +6,8 @@
 //! time.
 
 mod c_interface;
-mod description;
 mod fmu_file;
 mod instance;
-mod variables;
 
 pub use fmu_file::{FmuError, find_library, write};
-pub use instance::{Instance, InstanceError};
-pub use variables::{INPUTS, OUTPUTS, Variable};
+pub use instance::{INPUTS, Instance, InstanceError, OUTPUTS, Variable};
