@@ -1,27 +1,24 @@
-//! `platebench acceptance run`: conducts an acceptance session, or verifies its record.
+//! `platebench acceptance`: conducts an acceptance session, or verifies its record.
 
-mod progress;
-
-use crate::board_args::{BoardArgs, release};
-use crate::clock::{ClockRequest, check_line_speed};
-use crate::exit::Exit;
-use crate::failure::{CommandResult, Failure, OrInvalid};
-use crate::live::SessionView;
-use crate::options::{ClockArg, OutputFormat, PacingArg, job_count, parse_time_scale};
+use crate::board::{BoardArgs, release};
+use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
+use crate::options::{ClockArg, ClockRequest, OutputFormat, PacingArg, check_line_speed, job_count, parse_time_scale};
 use crate::prompt::TerminalOperator;
+use crate::run_plan::SessionView;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal};
 use crate::stdio;
 use clap::{Args, Subcommand};
-use platebench_engine::{CancelToken, RunError};
+use platebench_engine::{CancelToken, Event, LiveTap, RunError, RunPlan};
+use platebench_lab::acceptance::session_record::{StepKind, StepRecord};
 use platebench_lab::acceptance::{
-    AcceptError, Plan, PublicKey, SecretKey, SessionConfig, SessionDetails, SessionHooks, SessionRecord, Signer, page,
-    play_session, verify,
+    AcceptError, Plan, PublicKey, SecretKey, SessionConfig, SessionDetails, SessionHooks, SessionObserver,
+    SessionRecord, Signer, page, play_session, verify,
 };
 use platebench_lab::boards::BoardOutcome;
 use platebench_model::record::Verdict;
-use platebench_report::ProgressKind;
+use platebench_report::format::count;
+use platebench_report::{Progress, ProgressKind};
 use platebench_rig::RigSpec;
-use progress::SessionProgress;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -43,7 +40,7 @@ pub(crate) struct AcceptanceArgs {
 #[derive(Debug, Subcommand)]
 enum AcceptanceAction {
     /// Conduct a lab acceptance session and seal its record
-    Run(SessionArgs),
+    Run(Box<SessionArgs>),
     /// Verify a record: its files, its signature, and its verdicts from its traces
     #[command(after_help = "\
 Examples:
@@ -156,7 +153,7 @@ fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, fo
             stdio::note(&format!("record: {}", folder.join(page::FILE).display()));
             let lost = record.lost_a_controller();
             let exit = if lost { Exit::Unreachable } else { Exit::of_verdict(record.verdict) };
-            stdio::verdict(exit, &reason(&record), OutputFormat::Human);
+            exit.show_verdict(&reason(&record), OutputFormat::Human);
             exit
         }
         Err(error) => {
@@ -283,7 +280,7 @@ fn verify_record(record: &Path, key: Option<&Path>) -> CommandResult {
     }
     if !verified.findings.is_empty() {
         let reason = "rejected: the record was changed after it was sealed";
-        stdio::verdict(Exit::Failed, reason, OutputFormat::Human);
+        Exit::Failed.show_verdict(reason, OutputFormat::Human);
         return Ok(Exit::Failed);
     }
     let signer = match &verified.signer {
@@ -304,4 +301,72 @@ fn verify_record(record: &Path, key: Option<&Path>) -> CommandResult {
         verified.files
     ));
     Ok(Exit::Passed)
+}
+
+struct SessionProgress {
+    kind: ProgressKind,
+    progress: Option<Progress>,
+    is_self_test: bool,
+    live_view: SessionView,
+}
+
+impl SessionProgress {
+    fn new(kind: ProgressKind, live_view: SessionView) -> Self {
+        Self { kind, progress: None, is_self_test: false, live_view }
+    }
+
+    fn print(&self, text: &str) {
+        if self.kind != ProgressKind::Quiet {
+            stdio::note(text);
+        }
+    }
+}
+
+impl SessionObserver for SessionProgress {
+    fn step_started(&mut self, step: &StepRecord) {
+        // A progress bar would overwrite the question that the prompt shows.
+        if step.kind == StepKind::Ask {
+            return;
+        }
+        self.print(&format!("{}  {}", step.id, step.title));
+        self.progress = Some(Progress::new(self.kind).with_elapsed_time(&step.title));
+        self.is_self_test = step.kind == StepKind::SelfTest;
+    }
+
+    fn step_ended(&mut self, step: &StepRecord) {
+        self.live_view.close();
+        if let Some(mut progress) = self.progress.take() {
+            progress.finish();
+        }
+        let is_answered = step.answer.as_ref().is_none_or(|answer| answer.text.is_some());
+        let verdict = step.verdict.map_or(if is_answered { "done" } else { "no answer" }, |verdict| verdict.name());
+        let reason = step.reason.as_deref().map_or_else(String::new, |reason| format!(", {reason}"));
+        self.print(&format!("{}  {verdict}{reason}", step.id));
+    }
+
+    fn live_tap(&mut self, plan: &RunPlan) -> LiveTap {
+        let live_tap = if self.is_self_test { None } else { self.live_view.open(plan) };
+        if live_tap.is_some() {
+            self.progress = None;
+        }
+        live_tap.unwrap_or_default()
+    }
+
+    fn run_event(&mut self, event: &Event) {
+        self.live_view.send(event);
+        let Some(progress) = &mut self.progress else { return };
+        match event {
+            // The self-test measures the bench, so the scenario's verdict does not count.
+            Event::ScenarioFinished(scenario) if self.is_self_test => {
+                progress.finish();
+                self.progress = Some(Progress::new(self.kind));
+                self.print(&format!(
+                    "  {} measured in {}, not judged",
+                    scenario.file,
+                    count(scenario.trial_count, "trial")
+                ));
+            }
+            event => progress.show(event),
+        }
+    }
 }

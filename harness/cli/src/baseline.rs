@@ -1,7 +1,6 @@
 //! `platebench baseline`: accepts, reviews, lists and compares golden traces.
 
-use crate::exit::Exit;
-use crate::failure::{CommandResult, Failure, OrInvalid};
+use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat, parse_number};
 use crate::{prompt, stdio};
 use clap::{Args, Subcommand};
@@ -130,7 +129,7 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
     }
     let exit = if invalid { Exit::Invalid } else { Exit::of_verdict(Verdict::combine(verdicts.iter().copied())) };
     if exit != Exit::Passed {
-        stdio::verdict(exit, &reason(&verdicts), OutputFormat::Human);
+        exit.show_verdict(&reason(&verdicts), OutputFormat::Human);
     }
     Ok(exit)
 }

@@ -1,22 +1,16 @@
 //! `platebench campaign`: plays sweeps and Monte Carlo in shards, on one machine or many.
 
-mod arguments;
-mod progress;
-
-pub(crate) use arguments::CampaignArgs;
-
-use crate::board_args::{BoardArgs, release};
-use crate::exit::Exit;
-use crate::failure::{CommandResult, Failure};
-use crate::options::{OutputFormat, job_count};
-use crate::plate_warnings::warn_of_scenarios;
+use crate::board::{BoardArgs, release};
+use crate::exit::{CommandResult, Exit, Failure};
+use crate::options::{OutputFormat, job_count, rig_help};
+use crate::selection::warn_of_scenarios;
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
-use arguments::{CampaignCommand, EngineName, PlayArgs, RunArgs, SubmitArgs};
+use clap::{Args, Subcommand, ValueEnum};
 use platebench_engine::RunError;
 use platebench_experiments::campaign::{
-    Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, ShardEnd, ShardLock, confirm, lock_folder, merge,
-    play_shard, play_worst, report, shards_of_run, status, worst_trials,
+    Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, ShardEnd, ShardLock, TrialEvent, confirm, lock_folder,
+    merge, play_shard, play_worst, report, shards_of_run, status, worst_trials,
 };
 use platebench_experiments::campaign::{Engine, command_line, submission};
 use platebench_lab::boards::BoardOutcome;
@@ -24,11 +18,130 @@ use platebench_model::record::FileLock;
 use platebench_model::trace::AtPath;
 use platebench_report::Style;
 use platebench_rig::{CancelToken, RigSpec};
-use progress::{CampaignProgress, PlayEvent};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench campaign run scenarios/campaigns/laws.toml --out C
+  platebench campaign plan my.toml --out C --shards 64
+  platebench campaign play C --shard 7             on any machine that sees C
+  platebench campaign submit C --on slurm          prints the commands of an array
+  platebench campaign status C
+  platebench campaign merge C
+
+Exit codes: 0 passed (play: the shard is complete), 1 failed, 2 invalid input, or a damaged or foreign part or plan,
+3 inconclusive, or a shard is missing, 5 the rig could not be reached or was lost")]
+pub(crate) struct CampaignArgs {
+    #[command(subcommand)]
+    command: CampaignCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum CampaignCommand {
+    /// Plan, play and merge on this machine; the same command resumes
+    Run(RunArgs),
+    /// Write plan.json for a number of shards
+    Plan(PlanArgs),
+    /// Play one shard; a complete one is not played again
+    Play(PlayArgs),
+    /// Join the parts: results, summary, report, counterexamples
+    Merge(MergeArgs),
+    /// Print the commands that play all shards on many machines, or run them
+    Submit(SubmitArgs),
+    /// Show which shards are complete
+    Status(FolderArgs),
+}
+
+#[derive(Debug, Args)]
+struct RunArgs {
+    /// The campaign file
+    file: PathBuf,
+    /// The campaign folder
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Trials that are played at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    #[arg(long, help = rig_help(), default_value = "hosted", conflicts_with = "board")]
+    rig: RigSpec,
+    #[command(flatten)]
+    board: BoardArgs,
+    /// Format of standard output
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
+}
+
+#[derive(Debug, Args)]
+struct PlanArgs {
+    /// The campaign file
+    file: PathBuf,
+    /// The campaign folder
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Number of shards
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    shards: u32,
+    #[arg(long, help = rig_help(), default_value = "hosted")]
+    rig: RigSpec,
+}
+
+#[derive(Debug, Args)]
+struct PlayArgs {
+    /// The campaign folder
+    folder: PathBuf,
+    /// Number of the shard, from 1
+    #[arg(long, value_name = "K")]
+    shard: u32,
+    /// Trials that are played at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Rig with the planned firmware; default: the rig of the plan
+    #[arg(long, conflicts_with = "board")]
+    rig: Option<RigSpec>,
+    #[command(flatten)]
+    board: BoardArgs,
+}
+
+#[derive(Debug, Args)]
+struct MergeArgs {
+    /// The campaign folder
+    folder: PathBuf,
+    /// Trials that `plan.confirm` plays at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Format of standard output
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
+}
+
+#[derive(Debug, Args)]
+struct SubmitArgs {
+    /// The campaign folder
+    folder: PathBuf,
+    /// Engine that starts the shards
+    #[arg(long, value_enum)]
+    on: EngineName,
+    /// Run the commands instead of printing them
+    #[arg(long)]
+    run: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum EngineName {
+    Slurm,
+    Hyperqueue,
+}
+
+#[derive(Debug, Args)]
+struct FolderArgs {
+    /// The campaign folder
+    folder: PathBuf,
+}
 
 pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> CommandResult {
     match &arguments.command {
@@ -247,7 +360,7 @@ fn show_status(folder: &Path) -> CommandResult {
     let shards: Vec<_> = status.missing.iter().map(ToString::to_string).collect();
     stdio::show(&format!("missing: {}\n", shards.join(" ")));
     let reason = format!("{missing} of {} shards are missing; `campaign play` plays them", plan.shards);
-    stdio::verdict(Exit::Inconclusive, &reason, OutputFormat::Human);
+    Exit::Inconclusive.show_verdict(&reason, OutputFormat::Human);
     Ok(Exit::Inconclusive)
 }
 
@@ -261,6 +374,57 @@ impl From<CampaignError> for Failure {
             CampaignError::NotSafe => Self::new(Exit::Unreachable, &error),
             CampaignError::Cancelled => Self::new(Exit::Inconclusive, &error),
             error => Self::invalid(&error),
+        }
+    }
+}
+
+const PROGRESS_INTERVAL: Duration = Duration::from_secs(10);
+
+#[derive(Debug, Clone, Copy)]
+enum PlayEvent {
+    Trial(TrialEvent),
+    /// Number of trials in a shard that was complete before, so it is not played again.
+    Skipped(u64),
+}
+
+struct CampaignProgress {
+    started: Instant,
+    last: Instant,
+    quiet: bool,
+    total: u64,
+    played: u64,
+    skipped: u64,
+    failures: u64,
+}
+
+impl CampaignProgress {
+    /// `total` is the number of trials, or 0 if the number is not known.
+    fn new(total: u64, quiet: bool) -> Self {
+        let now = Instant::now();
+        Self { started: now, last: now, quiet, total, played: 0, skipped: 0, failures: 0 }
+    }
+
+    fn add(&mut self, event: PlayEvent) {
+        match event {
+            PlayEvent::Skipped(trials) => self.skipped += trials,
+            PlayEvent::Trial(TrialEvent { is_failure }) => {
+                self.played += 1;
+                self.failures += u64::from(is_failure);
+            }
+        }
+        if !self.quiet && self.last.elapsed() >= PROGRESS_INTERVAL {
+            self.last = Instant::now();
+            let failures = self.failures;
+            if self.total == 0 {
+                return stdio::note(&format!("{} trials played again, {failures} failed", self.played));
+            }
+            let rate = self.played as f64 / self.started.elapsed().as_secs_f64();
+            let left = self.total.saturating_sub(self.played + self.skipped) as f64 / rate.max(1e-9);
+            stdio::note(&format!(
+                "{} of {} trials, {failures} failed, {rate:.0} trials/s, {left:.0} s left",
+                self.played + self.skipped,
+                self.total
+            ));
         }
     }
 }

@@ -1,8 +1,7 @@
 //! `platebench check`: checks scenarios, plates, plans and settings without playing them.
 
 use crate::config::Config;
-use crate::exit::Exit;
-use crate::failure::{CommandResult, Failure};
+use crate::exit::{CommandResult, Exit, Failure};
 use crate::options::{OutputFormat, SCENARIOS};
 use crate::selection::TagFilter;
 use crate::stdio;

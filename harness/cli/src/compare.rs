@@ -1,7 +1,6 @@
 //! `platebench compare`: compares responses with other responses or with baselines.
 
-use crate::exit::Exit;
-use crate::failure::{CommandResult, Failure, OrInvalid};
+use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat};
 use crate::stdio;
 use clap::Args;

@@ -1,13 +1,24 @@
-//! `platebench generate`: prints or writes files that the program derives from its own definitions.
+//! `platebench generate`: prints or writes files that the program derives from its own definitions:
+//! JSON Schemas of input files (for editors) and of results (for programs), shell completions and
+//! manual pages.
 
-mod completions;
-mod man;
-mod schema;
-
-pub(crate) use schema::SchemaKind;
-
-use crate::failure::CommandResult;
-use clap::{Args, Command, Subcommand};
+use crate::config::RawConfig;
+use crate::exit::{CommandResult, Exit, OrInvalid};
+use crate::stdio;
+use clap::{Args, Command, Subcommand, ValueEnum};
+use clap_complete::Shell;
+#[cfg(feature = "export")]
+use platebench_experiments::campaign::RawCampaign;
+use platebench_experiments::explore::RawEnvelope;
+use platebench_lab::acceptance::plan::plan_schema;
+use platebench_lab::boards::RawInventory;
+use platebench_model::record::RunRecord;
+use platebench_model::scenario::schema;
+use platebench_model::trace::write_atomically;
+use platebench_report::events::EventLine;
+use platebench_wire::LawId;
+use std::fs;
+use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -23,18 +34,190 @@ pub(crate) struct GenerateArgs {
 #[derive(Debug, Subcommand)]
 enum GenerateAction {
     /// Print JSON Schemas: of input files for editors, of results for programs
-    Schema(schema::SchemaArgs),
+    Schema(SchemaArgs),
     /// Print shell completions
-    Completions(completions::CompletionsArgs),
+    Completions(CompletionsArgs),
     /// Print or write manual pages
-    Man(man::ManArgs),
+    Man(ManArgs),
 }
 
 /// `definition` returns the command line that completions and manual pages describe.
 pub(crate) fn generate(arguments: &GenerateArgs, definition: impl FnOnce() -> Command) -> CommandResult {
     match &arguments.action {
-        GenerateAction::Schema(arguments) => schema::schema(arguments),
-        GenerateAction::Completions(arguments) => Ok(completions::completions(arguments, definition())),
-        GenerateAction::Man(arguments) => man::man(arguments, definition()),
+        GenerateAction::Schema(arguments) => write_schemas(arguments),
+        GenerateAction::Completions(arguments) => Ok(show_completions(arguments, definition())),
+        GenerateAction::Man(arguments) => write_manual(arguments, definition()),
+    }
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench generate schema > scenario.json        `#:schema scenario.json` as the first line of a scenario enables completion
+  platebench generate schema config > config.json
+  platebench generate schema run > run.json         the record of a run, run.json
+  platebench generate schema --out scenarios/schema all files
+
+Exit codes: 0 written, 2 a file cannot be written")]
+struct SchemaArgs {
+    /// Kind of file
+    #[arg(value_enum, default_value_t = SchemaKind::Scenario)]
+    kind: SchemaKind,
+    /// Write the schemas of all kinds to this folder, as scenario.json and so on
+    #[arg(long, value_name = "FOLDER", conflicts_with = "kind")]
+    out: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum SchemaKind {
+    /// Scenario files
+    Scenario,
+    /// Plate files
+    Plate,
+    /// Plans of acceptance sessions
+    Plan,
+    /// Operating envelopes
+    Envelope,
+    /// Campaigns
+    #[cfg(feature = "export")]
+    Campaign,
+    /// boards.toml
+    Boards,
+    /// platebench.toml
+    Config,
+    /// run.json of a run folder
+    Run,
+    /// Lines of run --format json
+    Events,
+}
+
+impl SchemaKind {
+    /// Adds the identifier `$id`, which validators and other schemas need to refer to this schema.
+    fn schema(self) -> schemars::Schema {
+        let mut named = serde_json::Map::new();
+        let schema = self.content().to_value();
+        named.insert("$schema".to_owned(), schema["$schema"].clone());
+        named.insert("$id".to_owned(), format!("urn:platebench:schema:{}", self.name()).into());
+        named.extend(schema.as_object().cloned().unwrap_or_default());
+        named.into()
+    }
+
+    fn name(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+    }
+
+    fn file_name(self) -> String {
+        format!("{}.json", self.name())
+    }
+
+    fn content(self) -> schemars::Schema {
+        match self {
+            Self::Scenario => {
+                let mut schema = schema::scenario_schema();
+                let laws: Vec<_> = LawId::ALL.map(LawId::name).to_vec();
+                if let Some(law) = schema.pointer_mut("/$defs/RawController/properties/law") {
+                    law["enum"] = laws.into();
+                }
+                schema
+            }
+            Self::Plate => schema::plate_schema(),
+            Self::Plan => plan_schema(),
+            Self::Envelope => schema::schema_of::<RawEnvelope>("Operating envelope"),
+            #[cfg(feature = "export")]
+            Self::Campaign => schema::schema_of::<RawCampaign>("Campaign"),
+            Self::Boards => schema::schema_of::<RawInventory>("boards.toml"),
+            Self::Config => schema::schema_of::<RawConfig>("platebench.toml"),
+            Self::Run => schema::schema_of_json::<RunRecord>("Record of a run: run.json"),
+            Self::Events => schema::schema_of_json::<EventLine<'_>>("Event of a run: a line of run --format json"),
+        }
+    }
+
+    pub(crate) fn to_text(self) -> serde_json::Result<String> {
+        serde_json::to_string_pretty(&self.schema()).map(|text| format!("{text}\n"))
+    }
+}
+
+fn write_schemas(arguments: &SchemaArgs) -> CommandResult {
+    let Some(folder) = &arguments.out else {
+        stdio::show(&arguments.kind.to_text().or_invalid()?);
+        return Ok(Exit::Passed);
+    };
+    fs::create_dir_all(folder).or_invalid_at(folder)?;
+    for kind in SchemaKind::value_variants() {
+        let path = folder.join(kind.file_name());
+        write_atomically(&path, kind.to_text().or_invalid()?.as_bytes()).or_invalid_at(&path)?;
+    }
+    Ok(Exit::Passed)
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench generate completions bash > ~/.local/share/bash-completion/completions/platebench
+  platebench generate completions zsh > ~/.zfunc/_platebench           with ~/.zfunc in $fpath before compinit
+  platebench generate completions fish > ~/.config/fish/completions/platebench.fish")]
+struct CompletionsArgs {
+    /// The shell
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+fn show_completions(arguments: &CompletionsArgs, mut definition: Command) -> Exit {
+    let mut script = Vec::new();
+    clap_complete::generate(arguments.shell, &mut definition, "platebench", &mut script);
+    stdio::show(&String::from_utf8_lossy(&script));
+    Exit::Passed
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench generate man | man -l -
+  platebench generate man --out ~/.local/share/man/man1    platebench.1 and a page for each command
+
+Exit codes: 0 written, 2 a file cannot be written")]
+struct ManArgs {
+    /// Write the pages of all commands to this folder instead of printing the first
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+fn write_manual(arguments: &ManArgs, definition: Command) -> CommandResult {
+    if let Some(folder) = &arguments.out {
+        fs::create_dir_all(folder).or_invalid_at(folder)?;
+        clap_mangen::generate_to(definition, folder).or_invalid_at(folder)?;
+    } else {
+        let mut page = Vec::new();
+        clap_mangen::Man::new(definition).render(&mut page).or_invalid()?;
+        stdio::show(&String::from_utf8_lossy(&page));
+    }
+    Ok(Exit::Passed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    const FOLDER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenarios");
+
+    #[test]
+    fn the_schemas_in_the_repository_are_current() {
+        for kind in SchemaKind::value_variants() {
+            let committed =
+                fs::read_to_string(Path::new(FOLDER).join("schema").join(kind.file_name())).unwrap_or_default();
+            assert!(
+                committed == kind.to_text().unwrap(),
+                "{} has drifted: platebench generate schema --out scenarios/schema",
+                kind.file_name()
+            );
+        }
+    }
+
+    #[test]
+    fn the_schema_lists_every_law() {
+        let schema = SchemaKind::Scenario.schema();
+        let laws = &schema.as_value()["$defs"]["RawController"]["properties"]["law"]["enum"];
+        assert_eq!(laws.as_array().unwrap().len(), LawId::ALL.len());
     }
 }

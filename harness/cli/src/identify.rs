@@ -1,8 +1,7 @@
 //! `platebench identify`: identifies plate parameters from recorded steps.
 
-use crate::board_args::BoardSelection;
-use crate::exit::Exit;
-use crate::failure::{CommandResult, Failure, OrInvalid};
+use crate::board::BoardSelection;
+use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{OutputFormat, parse_number};
 use crate::stdio;
 use clap::{Args, ValueEnum};
@@ -11,8 +10,7 @@ use platebench_design::identified_plate::{
 };
 use platebench_design::identify::{DirectFit, Identification};
 use platebench_lab::boards::Board;
-use platebench_model::external_csv;
-use platebench_model::external_csv::ColumnMapping;
+use platebench_model::external_csv::{self, ColumnMapping};
 use platebench_model::recording::{Recording, RecordingError};
 use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_atomically, write_new};
 use platebench_report::chart::FitChart;
@@ -150,7 +148,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
     }
     let exit = if found.inconsistencies.is_empty() { Exit::Passed } else { Exit::Inconclusive };
     for inconsistency in &found.inconsistencies {
-        stdio::reason(exit, &format!("doubtful: {inconsistency}"));
+        exit.show_reason(&format!("doubtful: {inconsistency}"));
     }
     let Some(path) = &arguments.out else { return Ok(exit) };
     if exit != Exit::Passed && !arguments.force {

@@ -1,7 +1,6 @@
 //! `platebench replay`: sends recorded samples to another firmware and compares its commands.
 
-use crate::exit::Exit;
-use crate::failure::{CommandResult, Failure, OrInvalid};
+use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{OutputFormat, law_names, rig_help};
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;

@@ -2,8 +2,7 @@
 //! traces, or joins several runs.
 
 use crate::board::write_soak_page;
-use crate::exit::Exit;
-use crate::failure::{CommandResult, Failure, OrInvalid};
+use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat};
 use crate::stdio;
 use clap::Args;
@@ -15,26 +14,26 @@ use platebench_lab::boards::{MergeError, SOAK_FILE, SoakRecord, merge_runs};
 use platebench_model::record::{RunFolder, RunRecord};
 #[cfg(feature = "export")]
 use platebench_report::export::{ExportError, ExportFormat, select_scenarios};
-use platebench_report::page::{self, ReportPage};
+use platebench_report::page::ReportPage;
 use platebench_report::text::board_matrix::{difference_table, missing_shards, verdict_matrix};
-use platebench_report::{Detail, junit, traceability};
+use platebench_report::{Detail, junit, page, traceability};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench report runs/tonight                            runs/tonight/report.html
-  platebench report runs/tonight --against runs/yesterday   runs/tonight/comparison.html, both runs side by side
-  platebench report runs/tonight --rejudge                  the verdicts, from the stored traces
+  platebench report runs/tonight                     runs/tonight/report.html
+  platebench report runs/tonight --against runs/old  runs/tonight/comparison.html, both side by side
+  platebench report runs/tonight --rejudge           the verdicts, from the stored traces
   platebench report runs/tonight --rejudge --scenario scenarios/paper/fig13-closed-loop.toml
-                                                            with the expectations of this file
-  platebench report runs/tonight --export parquet           every scenario, below runs/tonight/export
+  platebench report runs/tonight --export parquet    every scenario, below runs/tonight/export
   platebench report runs/tonight --export mf4 paper/fig13-closed-loop --out /tmp/fig13
-  platebench report --merge runs/left runs/right --out runs/both      boards against scenarios, differences
-  platebench report --merge runs/shard-1 runs/shard-2 --out runs/all  shards of one board
+  platebench report --merge runs/left runs/right --out runs/both    boards against scenarios
+  platebench report --merge runs/part-1 runs/part-2 --out runs/all  shards of one board
 
-Exit codes: 0 written, 2 invalid input or a file exists already; with --rejudge and --merge as for run, with --export 4
-if no trial is complete, with --merge 2 if the same trial is in two runs or a file was changed, 3 if a shard is missing")]
+Exit codes: 0 written, 2 invalid input or a file exists already. With --rejudge and --merge as for
+run; with --merge 2 if a trial is in two runs or a file was changed, 3 if a shard is missing. With
+--export 4 if no trial is complete.")]
 pub(crate) struct ReportArgs {
     /// The run folder
     #[arg(required_unless_present = "merge", conflicts_with = "merge")]

@@ -1,16 +1,18 @@
-//! Finds the scenarios of a command and selects them by their tags.
+//! Finds the scenarios of a command, selects them by their tags, and warns of plates that no
+//! ultrasonic tactile plate resembles, such as a gain in a wrong unit.
 
-use crate::exit::Exit;
-use crate::failure::Failure;
+use crate::exit::{Exit, Failure};
 use crate::stdio;
 use clap::Args;
 use platebench_model::record::sha256;
-use platebench_model::scenario::{FoundScenarios, Scenario, find, suggestion};
+use platebench_model::scenario::load::implausible_values;
+use platebench_model::scenario::{FoundScenarios, Scenario, find, plate_warnings, suggestion};
+use platebench_plate::Plate;
 use platebench_report::Detail;
 use platebench_report::format::count;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Reports how many scenarios `only_if_named` excludes, for which reasons, and how to play them.
 pub(crate) fn note_skipped(found: &FoundScenarios, detail: Detail) {
@@ -38,7 +40,7 @@ pub(crate) fn check_not_empty(found: &FoundScenarios) -> Result<(), Failure> {
         return Err(nothing_to_run());
     }
     for folder in &found.empty_folders {
-        stdio::reason(Exit::NothingToRun, &format!("{}: no scenario was found below this folder", folder.display()));
+        Exit::NothingToRun.show_reason(&format!("{}: no scenario was found below this folder", folder.display()));
     }
     if found.empty_folders.is_empty() { Ok(()) } else { Err(Exit::NothingToRun.into()) }
 }
@@ -115,5 +117,21 @@ impl TagFilter {
             }
             stdio::note(&format!("no scenario has the tag `{tag}`{hint}"));
         }
+    }
+}
+
+/// Many scenarios share a plate, so each warning is printed once.
+pub(crate) fn warn_of_scenarios(scenarios: &[Scenario]) {
+    let mut printed = BTreeSet::new();
+    for warning in scenarios.iter().flat_map(plate_warnings) {
+        if printed.insert(warning.message.clone()) {
+            stdio::note(&format!("warning: {warning}"));
+        }
+    }
+}
+
+pub(crate) fn warn_of_plate(path: &Path, plate: &Plate) {
+    for warning in implausible_values(path, plate).unwrap_or_default() {
+        stdio::note(&format!("warning: {warning}"));
     }
 }

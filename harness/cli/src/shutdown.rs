@@ -7,8 +7,7 @@
 //!                           '--output not read for OUTPUT_TIMEOUT--> the process ends at once
 //! ```
 
-use crate::exit::Exit;
-use crate::failure::Failure;
+use crate::exit::{Exit, Failure};
 use crate::stdio;
 use crossterm::terminal::disable_raw_mode;
 use platebench_engine::CancelToken;

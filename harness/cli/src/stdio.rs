@@ -1,8 +1,8 @@
-//! Writes to standard output and standard error. A reader that closed its end is no error.
+//! Writes to standard output, standard error and the log, with or without colours. A reader that
+//! closed its end is no error.
 
-use crate::color;
-use crate::exit::Exit;
 use crate::options::OutputFormat;
+use clap::{Args, ColorChoice, ValueEnum};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::Diagnostic;
 use platebench_report::text::{printable, printable_lines};
@@ -10,10 +10,16 @@ use platebench_report::{Detail, Style, console};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use serde::Serialize;
-use std::io::{self, Write, stderr, stdout};
+use std::env::VarError;
+use std::ffi::OsStr;
+use std::io::{self, IsTerminal, Write, stderr, stdout};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+use tracing_subscriber::filter::{LevelFilter, ParseError, Targets};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{Layer, fmt, registry};
 
 /// First error of a write to standard output.
 static WRITE_ERROR: OnceLock<String> = OnceLock::new();
@@ -55,36 +61,17 @@ pub(crate) fn show(text: &str) {
     let _ = CheckedStdout.write_all(text.as_bytes()).and_then(|()| CheckedStdout.flush());
 }
 
-pub(crate) fn checked_exit(exit: Exit) -> Exit {
-    let Some(why) = WRITE_ERROR.get() else { return exit };
-    error(&format!("standard output is incomplete: {why}"));
-    Exit::Invalid
-}
-
 pub(crate) fn error(message: &str) {
     let _ = writeln!(stderr().lock(), "error: {}", escape_commands(message));
 }
 
-/// Reports the reason of an exit code, after the verdict that the code means.
-pub(crate) fn reason(exit: Exit, message: &str) {
-    let _ = writeln!(stderr().lock(), "{}: {}", exit.word(), escape_commands(message));
-}
-
-/// Ends a text on standard output with the verdict, if there is one. Beside JSON, which has its own
-/// verdict, it is on standard error.
-pub(crate) fn verdict(exit: Exit, reason: &str, format: OutputFormat) {
-    if matches!(exit, Exit::Invalid | Exit::Signal(_)) {
-        return;
-    }
-    let line = escape_commands(&exit.verdict_line(reason));
-    match format {
-        OutputFormat::Human => show(&format!("{line}\n")),
-        OutputFormat::Json => note(&line),
-    }
+/// Error of an earlier write to standard output.
+pub(crate) fn write_error() -> Option<&'static str> {
+    WRITE_ERROR.get().map(String::as_str)
 }
 
 /// Escapes control characters, and `::` at a line's start, which is a command for GitHub Actions.
-fn escape_commands(message: &str) -> String {
+pub(crate) fn escape_commands(message: &str) -> String {
     let message = printable_lines(message);
     let is_command = |line: &str| line.trim_start().starts_with("::");
     let lines = message.split('\n').map(|line| if is_command(line) { format!("\\n{line}") } else { line.to_owned() });
@@ -96,7 +83,7 @@ pub(crate) fn note(message: &str) {
 }
 
 pub(crate) fn diagnostic(diagnostic: &Diagnostic) {
-    let _ = writeln!(stderr().lock(), "{}\n", printable_diagnostic(diagnostic).render(color::applies_to(&stderr())));
+    let _ = writeln!(stderr().lock(), "{}\n", printable_diagnostic(diagnostic).render(colors_apply_to(&stderr())));
 }
 
 /// Escapes control characters, because a file name may contain them.
@@ -122,23 +109,18 @@ pub(crate) fn show_as(format: OutputFormat, value: &impl Serialize, text: impl F
 }
 
 pub(crate) fn record(record: &RunRecord, format: OutputFormat, detail: Detail) {
-    let style = Style { colour: color::applies_to(&stdout()) };
+    let style = Style { colour: colors_apply_to(&stdout()) };
     show_as(format, record, || console::run_text(record, style, detail));
 }
 
 pub(crate) fn warn_if_not_safe(record: &RunRecord) {
-    if record.drive_after_safe {
-        error(
-            "the controller commanded a drive after it had confirmed 0 V: check the amplifier before you touch the \
-             plate",
-        );
-    } else if record.safe_confirmed == Some(false) {
-        error("the controller did not confirm 0 V at the end: check the amplifier before you touch the plate");
+    if let Some(fault) = record.unsafe_end() {
+        error(&format!("{fault}: check the amplifier before you touch the plate"));
     }
 }
 
 pub(crate) fn record_to_stderr(record: &RunRecord, detail: Detail) {
-    let style = Style { colour: color::applies_to(&stderr()) };
+    let style = Style { colour: colors_apply_to(&stderr()) };
     let _ = stderr().lock().write_all(console::run_text(record, style, detail).as_bytes());
 }
 
@@ -173,6 +155,130 @@ impl Write for NonBlockingStderr {
     }
 }
 
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+pub(crate) enum ColorArg {
+    /// On a terminal, unless `NO_COLOR` is set
+    #[default]
+    Auto,
+    /// Also in files and pipes
+    Always,
+    /// No colours
+    Never,
+}
+
+static COLOR: OnceLock<ColorArg> = OnceLock::new();
+
+pub(crate) fn set_color(choice: ColorArg) {
+    COLOR.get_or_init(|| choice);
+}
+
+fn colors_apply_to(output: &impl IsTerminal) -> bool {
+    let choice = COLOR.get().copied().unwrap_or_default();
+    choice.applies(output.is_terminal(), std::env::var_os("NO_COLOR").as_deref())
+}
+
+/// Reads `--color` before clap parses the command line, because help and wrong usage need it too.
+pub(crate) fn color_of_arguments(words: impl Iterator<Item = String>) -> ColorArg {
+    let words: Vec<_> = words.take_while(|word| word != "--").collect();
+    let separate = words.array_windows().filter(|[word, _]| word == "--color").map(|[_, value]| value.as_str());
+    let joined = words.iter().filter_map(|word| word.strip_prefix("--color="));
+    separate.chain(joined).find_map(|value| ColorArg::from_str(value, false).ok()).unwrap_or_default()
+}
+
+impl ColorArg {
+    pub(crate) const fn for_clap(self) -> ColorChoice {
+        match self {
+            Self::Auto => ColorChoice::Auto,
+            Self::Always => ColorChoice::Always,
+            Self::Never => ColorChoice::Never,
+        }
+    }
+
+    /// An empty `NO_COLOR` counts as not set: <https://no-color.org>.
+    fn applies(self, is_terminal: bool, no_color: Option<&OsStr>) -> bool {
+        match self {
+            Self::Auto => is_terminal && no_color.is_none_or(OsStr::is_empty),
+            Self::Always => true,
+            Self::Never => false,
+        }
+    }
+}
+
+const LOG_VARIABLE: &str = "PLATEBENCH_LOG";
+const EXPECTED_LOG: &str = "expected a filter such as `debug` or `platebench_rig=trace,warn`";
+
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Options of every command")]
+pub(crate) struct LoggingArgs {
+    /// Print more: -v a table for each scenario and a log of the steps, -vv details, -vvv
+    /// everything
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub(crate) verbose: u8,
+    /// Print only errors and what did not pass
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub(crate) quiet: bool,
+    /// Format of the log on standard error; `PLATEBENCH_LOG` selects its content
+    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Human, value_name = "FORMAT")]
+    pub(crate) log_format: LogFormat,
+    /// Colours of the output for people, of diagnostics and of the log
+    #[arg(long, global = true, value_enum, default_value_t = ColorArg::Auto, value_name = "WHEN")]
+    pub(crate) color: ColorArg,
+}
+
+impl LoggingArgs {
+    pub(crate) const fn detail(&self) -> Detail {
+        match (self.quiet, self.verbose) {
+            (true, _) => Detail::Failures,
+            (false, 0) => Detail::Summary,
+            (false, _) => Detail::Tables,
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum LogFormat {
+    /// For people
+    Human,
+    /// One JSON object per line
+    Json,
+}
+
+pub(crate) fn start_log(arguments: &LoggingArgs) -> Result<(), String> {
+    let level = match (arguments.quiet, arguments.verbose) {
+        (true, _) => LevelFilter::ERROR,
+        (false, 0) => LevelFilter::WARN,
+        (false, 1) => LevelFilter::INFO,
+        (false, 2) => LevelFilter::DEBUG,
+        (false, _) => LevelFilter::TRACE,
+    };
+    let filter = match std::env::var(LOG_VARIABLE) {
+        Ok(text) => {
+            parse_log_filter(&text).map_err(|error| format!("{LOG_VARIABLE}: {text:?}: {error}, {EXPECTED_LOG}"))?
+        }
+        Err(VarError::NotPresent) => Targets::new().with_default(level),
+        Err(VarError::NotUnicode(_)) => return Err(format!("{LOG_VARIABLE}: not UTF-8, {EXPECTED_LOG}")),
+    };
+    // Does not block, because a slow reader must not delay the controller's thread, which logs too.
+    // Internal errors are not reported: if the terminal is closed, the report would panic.
+    let lines = fmt::layer().with_writer(|| NonBlockingStderr).log_internal_errors(false);
+    let lines = match arguments.log_format {
+        LogFormat::Human => lines.with_ansi(colors_apply_to(&stderr())).boxed(),
+        LogFormat::Json => lines.json().boxed(),
+    };
+    // If a logger exists already, for example in a test, it stays.
+    let _ = registry().with(filter).with(lines).try_init();
+    Ok(())
+}
+
+fn parse_log_filter(text: &str) -> Result<Targets, String> {
+    let filter: Targets = text.parse().map_err(|error: ParseError| error.to_string())?;
+    let is_path = |target: &str| !target.is_empty() && target.chars().all(|c| c.is_alphanumeric() || "_:".contains(c));
+    match filter.iter().find(|(target, _)| !is_path(target)) {
+        Some((target, _)) => Err(format!("invalid target `{target}`")),
+        None => Ok(filter),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -192,5 +298,30 @@ mod tests {
         let fault = Diagnostic::for_file("a\u{1b}[2J\n::error::b.toml".as_ref(), "x\n::error::y");
         let printed = "error: a\\u{1b}[2J\\n::error::b.toml: x\n\\n::error::y";
         assert_eq!(printable_diagnostic(&fault).render(true), printed);
+    }
+
+    #[rstest]
+    #[case(ColorArg::Auto, true, None, true)]
+    #[case(ColorArg::Auto, true, Some(""), true)]
+    #[case(ColorArg::Auto, true, Some("1"), false)]
+    #[case(ColorArg::Auto, false, None, false)]
+    #[case(ColorArg::Always, false, Some("1"), true)]
+    #[case(ColorArg::Never, true, None, false)]
+    fn colours_follow_option_variable_and_terminal(
+        #[case] choice: ColorArg,
+        #[case] is_terminal: bool,
+        #[case] no_color: Option<&str>,
+        #[case] expected: bool,
+    ) {
+        assert_eq!(choice.applies(is_terminal, no_color.map(OsStr::new)), expected);
+    }
+
+    #[rstest]
+    #[case(&["run", "--color", "never"], ColorArg::Never)]
+    #[case(&["--color=always", "run"], ColorArg::Always)]
+    #[case(&["run", "--", "--color=always"], ColorArg::Auto)]
+    #[case(&["run", "--color", "blue"], ColorArg::Auto)]
+    fn the_option_is_read_before_parsing(#[case] words: &[&str], #[case] expected: ColorArg) {
+        assert_eq!(color_of_arguments(words.iter().map(ToString::to_string)), expected);
     }
 }

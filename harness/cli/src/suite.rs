@@ -1,15 +1,25 @@
 //! `platebench suite`: measures how well the scenarios find faults, and searches for new ones.
 
-#[cfg(feature = "emulated")]
-mod coverage;
 mod explore;
 #[cfg(feature = "emulated")]
-mod mutate;
-mod trust;
+mod firmware;
 
-use crate::failure::CommandResult;
+use crate::exit::{CommandResult, Exit, OrInvalid};
+use crate::options::{OutputFormat, SCENARIOS, job_count};
+use crate::selection::{TagFilter, find_scenarios};
+use crate::stdio;
 use clap::{Args, Subcommand};
-use platebench_report::Detail;
+use platebench_experiments::explore::Envelope;
+use platebench_experiments::explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
+use platebench_experiments::trust::report::{document, matrix};
+use platebench_experiments::trust::{TrustConfig, TrustReport, catalogue, clean_variants, measure};
+use platebench_model::record::Verdict;
+use platebench_model::trace::write_atomically;
+use platebench_report::format::count;
+use platebench_report::{Detail, Style};
+use platebench_rig::CancelToken;
+use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -26,13 +36,13 @@ pub(crate) struct SuiteArgs {
 #[derive(Debug, Subcommand)]
 enum SuiteAction {
     /// Measure how well the scenarios catch faulty controllers: kill rate, false-alarm rate
-    Trust(trust::TrustArgs),
+    Trust(TrustArgs),
     /// Show which lines of the firmware the scenarios execute (emulated rig)
     #[cfg(feature = "emulated")]
-    Coverage(coverage::CoverageArgs),
+    Coverage(firmware::CoverageArgs),
     /// Change the firmware's machine code and check whether the scenarios notice (emulated rig)
     #[cfg(feature = "emulated")]
-    Mutate(mutate::MutateArgs),
+    Mutate(firmware::MutateArgs),
     /// Generate scenes from an operating envelope, check properties and reduce what fails to a
     /// minimal scenario
     Explore(explore::ExploreArgs),
@@ -40,11 +50,97 @@ enum SuiteAction {
 
 pub(crate) fn suite(arguments: &SuiteArgs, detail: Detail) -> CommandResult {
     match &arguments.action {
-        SuiteAction::Trust(arguments) => trust::trust(arguments, detail),
+        SuiteAction::Trust(arguments) => trust(arguments, detail),
         #[cfg(feature = "emulated")]
-        SuiteAction::Coverage(arguments) => coverage::coverage(arguments, detail),
+        SuiteAction::Coverage(arguments) => firmware::coverage(arguments, detail),
         #[cfg(feature = "emulated")]
-        SuiteAction::Mutate(arguments) => mutate::mutate(arguments, detail),
+        SuiteAction::Mutate(arguments) => firmware::mutate(arguments, detail),
         SuiteAction::Explore(arguments) => explore::explore(arguments, detail),
     }
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  platebench suite trust                          every scenario below scenarios/ without `only_if_named`
+  platebench suite trust --clean 30000 --seed 7 --out /tmp/trust
+  platebench suite trust scenarios/faults --clean 0
+  platebench suite trust --scenes 2000            the kill rate of platebench suite explore as well
+
+Exit codes: 0 the scenarios killed every mutant for the right reason without a false alarm, and no generated
+scene blamed a correct controller; 1 otherwise")]
+struct TrustArgs {
+    /// Scenario files, or folders with everything below them
+    #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
+    scenarios: Vec<PathBuf>,
+    #[command(flatten)]
+    tags: TagFilter,
+    /// Number of clean runs; each plays one scenario, in turn, with its own plate and noise
+    #[arg(long, value_name = "N", default_value_t = 3_000)]
+    clean: u32,
+    /// Seed of the first clean run
+    #[arg(long, value_name = "S", default_value_t = 31_415)]
+    seed: u64,
+    /// Also explore every mutant with this number of generated scenes, and every correct controller
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    scenes: Option<u64>,
+    /// The operating envelope of the generated scenes
+    #[arg(long, value_name = "FILE", default_value = "scenarios/envelope.toml")]
+    envelope: PathBuf,
+    /// Scenarios that run at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Format of standard output
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
+    /// Write trust.json, matrix.md and exploration.json to this folder
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+}
+
+fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
+    let config = TrustConfig {
+        scenarios: find_scenarios(&arguments.scenarios, &arguments.tags, |_| true, detail)?,
+        mutants: catalogue(),
+        variants: clean_variants(),
+        clean_runs: arguments.clean,
+        seed: arguments.seed,
+        jobs: job_count(arguments.jobs),
+    };
+    let envelope = arguments.scenes.map(|_| Envelope::load(&arguments.envelope)).transpose()?;
+    let report = measure(&config).or_invalid()?;
+    let exploration = arguments.scenes.zip(envelope).map(|(scenes, envelope)| KillRateConfig {
+        envelope,
+        mutants: catalogue(),
+        variants: clean_variants(),
+        scenes,
+        seed: arguments.seed,
+        jobs: job_count(arguments.jobs),
+    });
+    let exploration = exploration.map(|config| kill_rate(&config, &CancelToken::never())).transpose().or_invalid()?;
+    if let Some(folder) = &arguments.out {
+        write_report(&report, exploration.as_ref(), folder).or_invalid_at(folder)?;
+    }
+    stdio::show_as(arguments.format, &report, || {
+        let mut document = document(&report);
+        document.blocks.extend(exploration.as_ref().map(|exploration| exploration.block(&report)));
+        document.to_console(None, Style::default())
+    });
+    let blames = exploration.map_or(0, |exploration| exploration.alarms.len());
+    let exit = Exit::of_verdict(if blames > 0 { Verdict::Fail } else { report.verdict });
+    let caught =
+        format!("{} of {} mutants were caught for the right reason", report.kill_rate.seen, report.kill_rate.count);
+    let alarms = format!("{}, {} in generated scenes", count(report.clean.alarms.len(), "false alarm"), blames);
+    exit.show_verdict(&format!("{caught}; {alarms}"), arguments.format);
+    Ok(exit)
+}
+
+fn write_report(report: &TrustReport, exploration: Option<&KillRateReport>, folder: &Path) -> io::Result<()> {
+    fs::create_dir_all(folder)?;
+    if let Some(exploration) = exploration {
+        let text = serde_json::to_string_pretty(exploration)?;
+        write_atomically(&folder.join("exploration.json"), text.as_bytes())?;
+    }
+    write_atomically(&folder.join("trust.json"), serde_json::to_string_pretty(report)?.as_bytes())?;
+    write_atomically(&folder.join("matrix.md"), matrix(report).as_bytes())
 }

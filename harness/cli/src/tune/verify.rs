@@ -1,8 +1,7 @@
 //! Verifies gains on a rig: configures the rig, reads the gains back and plays one step.
 
-use crate::board_args::{BoardArgs, release};
-use crate::exit::Exit;
-use crate::failure::{Failure, OrInvalid};
+use crate::board::{BoardArgs, release};
+use crate::exit::{Exit, Failure, OrInvalid};
 use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
 use crate::stdio;
