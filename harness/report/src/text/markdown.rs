@@ -40,9 +40,8 @@ pub fn render_page(record: &RunRecord) -> String {
     if let Some(reason) = record_queries::run_inconclusive_reason(record) {
         let _ = writeln!(text, "**{reason}**\n");
     }
-    if record.safe_confirmed == Some(false) {
-        text +=
-            "**The controller did not confirm 0 V at the end: check the amplifier before you touch the plate.**\n\n";
+    if let Some(fault) = record.unsafe_end() {
+        let _ = writeln!(text, "**At the end {fault}: check the amplifier before you touch the plate.**\n");
     }
     let not_passed = record_queries::expectations_not_passed(record).len();
     if not_passed > 0 {

@@ -62,6 +62,17 @@ fn writes_a_summary() {
 }
 
 #[test]
+fn a_summary_names_the_fault_of_the_end() {
+    let mut record = cancelled_run();
+    record.safe_confirmed = Some(false);
+    let missing = "the controller did not confirm 0 V: check the amplifier";
+    assert!(markdown::render_page(&record).contains(missing));
+    record.drive_after_safe = true;
+    let page = markdown::render_page(&record);
+    assert!(!page.contains(missing) && page.contains("commanded a drive after it had confirmed 0 V"), "{page}");
+}
+
+#[test]
 fn a_summary_is_smaller_than_one_mebibyte() {
     let mut record = fixtures::mixed_run();
     let many = std::iter::repeat_with(|| record.scenarios[1].clone()).take(2_000).collect();
