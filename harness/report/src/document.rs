@@ -2,17 +2,19 @@
 //!
 //! A result derives `Serialize` for its JSON and builds one [`Document`] for everything that a person reads.
 
+mod frame;
 mod style;
 mod table;
 
+pub use frame::page_frame;
+pub(crate) use frame::report_page_frame;
 pub use style::Style;
 pub(crate) use style::write_wrapped;
 pub use table::{Alignment, Cell, Column, Table, verdict_badge};
 
 use crate::error::{ReportError, write_file};
+use crate::escape::{markdown_text, printable, printable_lines};
 use crate::format;
-use crate::page::frame::report_page_frame;
-use crate::text::escape::{markdown_text, printable, printable_lines};
 use maud::{Markup, PreEscaped, html};
 use platebench_model::record::Verdict;
 use std::fmt::Write as _;

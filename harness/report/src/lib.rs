@@ -2,6 +2,7 @@
 
 pub mod document;
 mod error;
+mod escape;
 #[cfg(feature = "export")]
 pub mod export;
 pub mod format;
@@ -33,8 +34,8 @@ pub mod chart {
 /// Writes `report.html`, which loads no other file.
 pub mod page {
     mod curves;
+    mod elements;
     mod figure;
-    pub(crate) mod frame;
     mod limit_marks;
     mod markers;
     mod overview;
@@ -43,8 +44,8 @@ pub mod page {
     mod script;
     mod trace_data;
 
-    pub use crate::document::{ChartSection, write_chart_page};
-    pub use frame::{page_frame, scenario_anchor};
+    pub use crate::document::{ChartSection, page_frame, write_chart_page};
+    pub use elements::scenario_anchor;
     pub use report_page::{COMPARISON_FILE, FILE, IsTraceChanged, ReportPage, write};
     pub use trace_data::{MAX_TRIALS, RowCache};
 }
@@ -55,7 +56,6 @@ pub mod text {
     pub mod board_matrix;
     pub mod comparison;
     pub mod console;
-    pub(crate) mod escape;
     pub mod events;
     pub(crate) mod history;
     pub mod junit;
@@ -67,5 +67,5 @@ pub mod text {
     pub mod traceability;
     pub mod tube_plot;
 
-    pub use escape::{printable, printable_lines};
+    pub use crate::escape::{printable, printable_lines};
 }

@@ -1,6 +1,6 @@
 //! Writes coloured and wrapped lines.
 
-use crate::text::escape::printable;
+use crate::escape::printable;
 use platebench_model::record::Verdict;
 use std::fmt::Write as _;
 

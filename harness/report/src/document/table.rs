@@ -1,8 +1,8 @@
 //! Renders one table as aligned text, Markdown, HTML or CSV.
 
 use crate::document::style::Style;
+use crate::escape::{csv_field, markdown_cell, printable};
 use crate::format;
-use crate::text::escape::{csv_field, markdown_cell, printable};
 use maud::{Markup, html};
 use platebench_model::record::Verdict;
 

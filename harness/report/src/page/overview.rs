@@ -1,7 +1,7 @@
 //! Writes the parts of the page about the whole run: result, what did not pass, requirements, cost, boards, environment,
 //! and the list of scenarios next to the page.
 
-use super::frame::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, with_unit};
+use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, with_unit};
 use super::trace_data::{TRACE_CHANGED, TraceData};
 use crate::document::verdict_badge;
 use crate::text::board_matrix::{difference_table, missing_shards, verdict_matrix};

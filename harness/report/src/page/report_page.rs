@@ -1,12 +1,12 @@
 //! Writes `report.html`: a run on one page, what did not pass first.
 
+use super::elements::{scenario_anchor, scroll_table, sorted_by_verdict};
 use super::figure::{ReferenceCurves, scenario_figures};
-use super::frame::{report_page_frame, scenario_anchor, scroll_table, sorted_by_verdict};
 use super::scenario::{ScenarioParts, scenario_article};
 use super::trace_data::{GoldenCurves, MAX_TRIALS, PlotResolution, RowCache, SampledTrial, TraceData};
 use super::{overview, script};
 use crate::chart::marks::Role;
-use crate::document::verdict_badge;
+use crate::document::{report_page_frame, verdict_badge};
 use crate::error::{ReportError, write_file};
 use crate::text::history::{RunHistory, TrendPoint};
 use crate::text::timing;

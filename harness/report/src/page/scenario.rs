@@ -1,7 +1,7 @@
 //! Writes the section of a scenario: expectations, figures, trials.
 
+use super::elements::{MAX_NAMED, scenario_anchor, scroll_table, trace_link, with_unit};
 use super::figure::{Figure, drawings};
-use super::frame::{MAX_NAMED, scenario_anchor, scroll_table, trace_link, with_unit};
 use super::overview::margin_text;
 use super::script;
 use super::trace_data::TraceData;

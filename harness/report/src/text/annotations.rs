@@ -1,7 +1,7 @@
 //! Writes workflow commands of GitHub Actions. A failure is an `error`, inconclusive is a
 //! `warning`. Failures come first, because GitHub shows ten annotations of a kind per step.
 
-use super::escape::{workflow_message, workflow_property};
+use crate::escape::{workflow_message, workflow_property};
 use crate::{format, record_queries};
 use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
 use std::fmt::Write as _;

@@ -1,6 +1,6 @@
 //! Describes the comparison of responses with their baseline.
 
-use super::escape::printable;
+use crate::escape::printable;
 use crate::format;
 use platebench_verdict::golden::TubeComparison;
 

@@ -1,7 +1,7 @@
 //! Writes a run for a terminal: tables, summary and progress. The text does not depend on the terminal's width.
 
 use crate::document::{Cell, Style, Table, write_wrapped};
-use crate::text::escape::printable;
+use crate::escape::printable;
 use crate::text::timing;
 use crate::{format, record_queries};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};

@@ -1,6 +1,6 @@
 //! Writes the events of a run as lines of JSON (`docs/formats.md`), flushed at once.
 
-use super::escape::json_line;
+use crate::escape::json_line;
 use crate::format::VerdictCounts;
 use platebench_model::record::{Event, ExpectationRecord, RunRecord, TrialRecord, Verdict};
 use schemars::JsonSchema;

@@ -6,8 +6,8 @@
 //! so requirements are properties `requirement.<name>` of the suite, and other facts are lines in
 //! `system-out`. Times come from the record: equal records give equal files.
 
-use super::escape::printable;
 use crate::error::{ReportError, write_file};
+use crate::escape::printable;
 use crate::{format, record_queries};
 use platebench_model::record::{ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict};
 use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};

@@ -2,9 +2,9 @@
 //!
 //! GitHub rejects a summary above 1 MiB, so a table has at most `MAX_ROWS` rows.
 
-use super::escape::markdown_cell;
 use crate::document::Table;
 use crate::error::{ReportError, write_file};
+use crate::escape::markdown_cell;
 use crate::{format, record_queries};
 use platebench_model::record::RunRecord;
 use platebench_model::trace::AtPath;

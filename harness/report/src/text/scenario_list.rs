@@ -1,7 +1,7 @@
 //! Lists scenarios and their expectations without playing them.
 
-use super::escape::printable;
 use crate::document::Table;
+use crate::escape::printable;
 use crate::format;
 use platebench_model::scenario::{Aggregation, Expectation, Limit, Scenario};
 use serde_json::{Value, json};

@@ -2,8 +2,8 @@
 //! subtests. Inconclusive is `not ok`, because readers count `SKIP` and `TODO` as passed. `SKIP`
 //! marks not applicable scenarios.
 
-use super::escape::tap_description;
 use crate::error::{ReportError, write_file};
+use crate::escape::tap_description;
 use crate::{format, record_queries};
 use platebench_model::record::{ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
 use serde_json::{Value, json};
@@ -89,7 +89,7 @@ fn write_test_point(text: &mut String, indent: &str, verdict: Verdict, number: u
 fn write_yaml_block(text: &mut String, indent: &str, entries: &[(&str, Value)]) {
     let _ = writeln!(text, "{indent}  ---");
     for (name, value) in entries.iter().filter(|(_, value)| !value.is_null()) {
-        let _ = writeln!(text, "{indent}  {name}: {}", super::escape::json_line(value));
+        let _ = writeln!(text, "{indent}  {name}: {}", crate::escape::json_line(value));
     }
     let _ = writeln!(text, "{indent}  ...");
 }

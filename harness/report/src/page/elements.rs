@@ -1,35 +1,8 @@
-//! Writes the HTML around the content of every page, and its small parts: links, tables, anchors.
+//! Writes the small parts of pages: links, tables, anchors.
 
-use crate::chart::colours;
-use crate::text::escape::printable_lines;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 use platebench_model::record::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use std::fmt::Write as _;
-
-const STYLE: &str = include_str!("style.css");
-
-pub(crate) fn report_page_frame(title: &str, head: &Markup, body: &Markup) -> String {
-    let style = format!("{}\n{}\n{STYLE}", colours::variables(), colours::RULES);
-    page_frame(title, &style, head, body)
-}
-
-pub fn page_frame(title: &str, style: &str, head: &Markup, body: &Markup) -> String {
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (title) }
-                style { (PreEscaped(style)) }
-                (head)
-            }
-            body { (body) }
-        }
-    };
-    printable_lines(&page.into_string()).into_owned()
-}
 
 /// Anchor in `report.html` of the scenario with this index in the record.
 pub fn scenario_anchor(index: usize) -> String {
