@@ -52,3 +52,4 @@ mod stored_runs;
 mod test_folder;
 mod trend;
 mod tune;
+mod ways_of_playing;

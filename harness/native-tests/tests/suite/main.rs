@@ -1,5 +1,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a failed fixture fails the test")]
 
+use platebench_engine::{Clock, RunHooks, RunPlan};
+use platebench_model::record::{Overrides, RunFolder};
+use platebench_model::scenario::load;
+use platebench_rig::RigSpec;
 use platebench_test_kit::PLATE;
 use rstest::rstest;
 use std::fs;
@@ -89,6 +93,21 @@ fn runs_one_test_by_its_exact_name() {
         assert!(project.run_folder("good").join(file).exists(), "{file}");
     }
     assert!(!project.run_folder("slow").exists());
+}
+
+#[test]
+fn a_test_plays_the_trial_of_run() {
+    let project = project_with_mixed_results();
+    assert_eq!(project.run_tests(&["good", "--exact"]).0, 0);
+    let scenario = load(&project.path().join("scenarios/good.toml"), "good.toml").unwrap();
+    let plan =
+        RunPlan::new(&RigSpec::Hosted, Clock::Lockstep { wire_time: false }, 1, vec![scenario], Overrides::default());
+    let folder = RunFolder::create(Some(&project.path().join("run"))).unwrap();
+    platebench_engine::run(&plan, &folder, &|| RigSpec::Hosted.connect(), RunHooks::default()).unwrap();
+    let trace = "traces/good/000.csv";
+    let [test, run] =
+        [project.run_folder("good"), folder.path().to_owned()].map(|run| fs::read(run.join(trace)).unwrap());
+    assert!(test == run);
 }
 
 #[test]
