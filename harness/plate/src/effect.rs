@@ -139,12 +139,6 @@ pub(crate) fn check(
     if holds { Ok(()) } else { Err(PlateError { key, value: value.to_string(), expected }) }
 }
 
-/// Keys with the value 0 by default are not written.
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "the type that serde calls")]
-pub(crate) fn is_zero(value: &f64) -> bool {
-    *value == 0.0
-}
-
 pub(crate) fn positive(key: &'static str, value: f64) -> Result<f64, PlateError> {
     check(value.is_finite() && value > 0.0, key, &value, "a finite number above 0").map(|()| value)
 }

@@ -101,7 +101,7 @@ pub struct RawFinger {
     #[schemars(length(min = 1))]
     pub damping_ratio: Vec<[f64; 2]>,
     /// Change of the resonance per newton, Hz.
-    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
+    #[serde(default)]
     pub resonance_shift_hz_per_n: f64,
 }
 

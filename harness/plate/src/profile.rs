@@ -48,7 +48,7 @@ pub struct RawSine {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub frequency_hz: f64,
     /// Phase at the start, degrees.
-    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
+    #[serde(default)]
     pub phase_deg: f64,
 }
 

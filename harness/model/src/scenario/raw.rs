@@ -126,16 +126,13 @@ pub struct RawController {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub start_frequency_hz: Option<f64>,
     /// Time from sampling to actuation, ms.
-    #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0))]
     pub loop_delay_ms: f64,
     /// Largest additional loop delay, ms. Each period draws one, uniformly from 0 to this value, by
     /// the trial's seed.
-    #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0))]
     pub loop_delay_jitter_ms: f64,
     /// Loop delay that the law is designed for, ms.
-    #[serde(skip_serializing_if = "is_default")]
     #[schemars(range(min = 0.0))]
     pub design_delay_ms: f64,
     /// Design value of the 5 % response time, ms.
@@ -278,12 +275,14 @@ pub struct RawFault {
     pub seed: Option<i64>,
     /// Configures the controller again after the window if the fault stopped it.
     #[serde(default, skip_serializing_if = "is_default")]
+    #[schemars(extend("default" = false))]
     pub reconfigure: bool,
     /// Instant of a fault of the chip, ms.
     #[schemars(range(min = 0.0))]
     pub at_ms: Option<f64>,
     /// Draws the instant of a fault of the chip from the trial's seed.
     #[serde(default, skip_serializing_if = "is_default")]
+    #[schemars(extend("default" = false))]
     pub random: bool,
     /// Place of a fault of the chip: `ram:START+LENGTH`, `variable:NAME`, `register:NAME` or
     /// `peripheral:ADDRESS`.

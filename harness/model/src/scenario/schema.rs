@@ -13,7 +13,7 @@ use crate::scenario::window::ChangingProfile;
 use platebench_plate::RawPlate;
 use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
@@ -63,7 +63,8 @@ struct TomlTransform;
 impl Transform for TomlTransform {
     fn transform(&mut self, schema: &mut Schema) {
         schema.remove("format");
-        if schema.get("default").is_some_and(|default| default.is_null() || default.is_object()) {
+        let is_empty = |default: &Value| default.is_null() || default.is_object() || *default == json!([]);
+        if schema.get("default").is_some_and(is_empty) {
             schema.remove("default");
         }
         if let Some(kinds) = schema.get_mut("type").and_then(|kinds| kinds.as_array_mut()) {
@@ -121,7 +122,7 @@ pub(crate) fn signals(_: &mut SchemaGenerator) -> Schema {
 }
 
 /// Rule: if `key` is present and its value meets `condition`, `then` applies.
-fn rule(key: &str, condition: &serde_json::Value, then: &Schema) -> Schema {
+fn rule(key: &str, condition: &Value, then: &Schema) -> Schema {
     json_schema!({ "if": { "required": [key], "properties": { (key): condition } }, "then": then })
 }
 
@@ -148,7 +149,7 @@ fn required_one_for_rule(metric: Metric) -> Schema {
 }
 
 fn add_rules(schema: &mut Schema, rules: Vec<Schema>) {
-    schema.insert("allOf".to_owned(), rules.into_iter().map(serde_json::Value::from).collect());
+    schema.insert("allOf".to_owned(), rules.into_iter().map(Value::from).collect());
 }
 
 pub(crate) fn expectations(schema: &mut Schema) {

@@ -44,11 +44,11 @@ pub struct RawDrive {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub slew_rate_vpp_per_ms: Option<f64>,
     /// Delay of a command (amplitude and frequency) on its way to the amplifier, µs.
-    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
+    #[serde(default)]
     #[schemars(range(min = 0.0, max = MAX_DELAY_US))]
     pub dead_time_us: f64,
     /// Constant amplitude that the amplifier adds to every drive, also to 0 Vpp, Vpp.
-    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
+    #[serde(default)]
     pub offset_vpp: f64,
 }
 

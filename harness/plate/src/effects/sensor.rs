@@ -26,7 +26,7 @@ const ROUNDING_OFFSET: f64 = 6_755_399_441_055_744.0;
 }))]
 pub struct RawSensor {
     /// Standard deviation of white noise on each demodulated component, µm.
-    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
+    #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub noise_um_rms: f64,
     /// Number of carrier periods over which the lock-in demodulator averages. Without this key the
@@ -45,11 +45,11 @@ pub struct RawSensor {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub converter_range_um: Option<f64>,
     /// Age of the demodulated components when they reach the controller, µs.
-    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
+    #[serde(default)]
     #[schemars(range(min = 0.0, max = MAX_DELAY_US))]
     pub latency_us: f64,
     /// Change of the sensor's gain since the start of the trial, percent per second.
-    #[serde(default, skip_serializing_if = "crate::effect::is_zero")]
+    #[serde(default)]
     pub gain_drift_percent_per_s: f64,
 }
 
