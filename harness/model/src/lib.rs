@@ -2,7 +2,82 @@
 
 pub mod external_csv;
 pub mod metrics;
-pub mod record;
 pub mod recording;
-pub mod scenario;
-pub mod trace;
+
+pub mod record {
+    //! Defines the record, the events and the folder of a run.
+
+    mod reason;
+    mod run_folder;
+    mod run_record;
+    mod trial_record;
+    mod verdict;
+
+    pub use crate::metrics::{Metric, MissingValue, SignalPoint, UndefinedValue};
+    pub use crate::scenario::Limit;
+    pub use reason::{
+        Bounds, DivergedTrials, Divergence, Evidence, EvidenceMethod, ExpectationRecord, MetricDefinition, Reason,
+        Statistic, TrialFinding, TrialReason, WideBoundsCause, WorstInstant, percent,
+    };
+    pub use run_folder::{
+        FileLock, FolderError, RECORD_FILE, RecordError, RunFolder, RunSummary, ScenarioSummary, sha256,
+        sha256_of_file, to_hex, trace_path, utc_timestamp,
+    };
+    pub use run_record::{
+        BoardDifference, ClockKind, Event, FORMAT, FinishedScenario, Firmware, Host, InputRecord, KeepTraces,
+        MergeRecord, MergedRun, MergedScenario, MissingShard, NotApplicable, Overrides, RigRecord, RunRecord,
+        ScenarioRecord, Tool,
+    };
+    pub use trial_record::{
+        CostChange, CostTrend, EarlierCost, MetricValues, NonFiniteDrive, OperatorRequest, Quantiles, RealPlateRecord,
+        StepCost, StepTime, Telemetry, TightestStep, TimingRecord, TrialRecord,
+    };
+    pub use verdict::{BestResponse, Cause, Exclusion, Excuse, Verdict, Violation, ViolationKind};
+}
+
+pub mod scenario {
+    //! Reads and checks scenario files.
+
+    mod definition;
+    pub mod diagnostic;
+    pub mod expect;
+    pub mod fault;
+    pub mod find;
+    pub mod load;
+    mod parse;
+    pub mod raw;
+    pub mod schema;
+    mod warnings;
+    mod window;
+
+    pub use crate::metrics::Metric;
+    pub use definition::{AUTO_MODEL, Controller, Gains, InputFile, MAX_TRIALS, Scenario, Spread, Trials, Variation};
+    pub use diagnostic::{Diagnostic, suggestion};
+    pub use expect::{Aggregation, Expectation, Limit};
+    pub use fault::{BitFlipTarget, ChipFault, ChipFaultKind, Direction, Fault, FaultKind};
+    pub use find::{FileKind, FoundScenarios, SETTINGS_FILE, find, find_file_above, list_files, repeated_names};
+    pub use load::{REQUIREMENTS_FILE, Requirement, load, load_copies, load_with_all_errors, read_requirements};
+    pub use parse::{parse, parse_bytes, parse_file, read_text};
+    pub use platebench_plate::input;
+    pub use warnings::{plate_warnings, unjudged_changes};
+    pub use window::{ChangingProfile, Window};
+}
+
+pub mod trace {
+    //! Reads and writes traces. A trace is a CSV file with the rows of one trial.
+    //!
+    //! A row contains the plate state **at** `t_s`, and the drive and frequency that act **from** `t_s`
+    //! until the next row. Floats have the shortest text that gives the same f64 again, so equal trials
+    //! have equal bytes.
+
+    mod files;
+    mod trace_file;
+
+    pub use files::{
+        AtPath, AtomicFile, FileError, MAX_IMAGE_BYTES, MAX_TABLE_BYTES, open_regular_file, read_regular_file,
+        read_text_file, remove_temporary_files, sync_tree, write_atomically, write_new,
+    };
+    pub use trace_file::{
+        COLUMNS, Column, Flags, OPTIONAL_COLUMNS, Row, TraceError, TraceReader, TraceWriter, read_trace,
+    };
+}

@@ -1,19 +1,18 @@
-//! Defines the content of `run.json`.
+//! Defines the record of a run (`run.json`) and the events of a run.
 
-use crate::record::cost::CostTrend;
-use crate::record::exclusion::Exclusion;
-use crate::record::expectation_record::ExpectationRecord;
-use crate::record::merge_record::MergeRecord;
-use crate::record::overrides::Overrides;
-use crate::record::provenance::{Host, Tool};
+use crate::record::reason::ExpectationRecord;
 use crate::record::reason::Reason;
-use crate::record::rig_record::RigRecord;
+use crate::record::trial_record::CostTrend;
 use crate::record::trial_record::TrialRecord;
+use crate::record::verdict::Exclusion;
 use crate::record::verdict::{Cause, Verdict};
+use crate::trace::Row;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::fs;
 use std::path::Path;
+use std::sync::OnceLock;
 
 /// Version of `run.json`. Readers reject other versions.
 pub const FORMAT: u32 = 1;
@@ -179,5 +178,259 @@ impl RunRecord {
     }
 }
 
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct RigRecord {
+    /// Name of the rig, as on the command line.
+    pub name: String,
+    /// `null` if the firmware never identified itself.
+    #[serde(default)]
+    pub firmware: Option<Firmware>,
+}
+
+impl RigRecord {
+    /// Kind of the rig without port or file, for example `emulated`.
+    pub fn kind(&self) -> &str {
+        self.name.split(':').next().unwrap_or_default()
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Firmware {
+    pub name: String,
+    pub version: String,
+    /// Build identity, hexadecimal.
+    pub build: String,
+    /// Chip identity code, hexadecimal; zero for a program on a computer.
+    pub chip: String,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+pub struct Overrides {
+    pub law: Option<String>,
+    pub trials: Option<u32>,
+    pub seed: Option<u64>,
+    /// `--model`: name of a tier, or `auto`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
+    /// `--require-all`: a scenario that is not applicable fails the run.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub require_all: bool,
+    /// `--fail-fast`: no trial starts after a scenario failed.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub fail_fast: bool,
+    #[serde(default, skip_serializing_if = "KeepTraces::keeps_all")]
+    pub keep_traces: KeepTraces,
+    /// `--board`: name of the board in boards.toml.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board: Option<String>,
+    /// `--shard`: number of the shard, counted from 1, and number of shards.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shard: Option<[usize; 2]>,
+    /// SHA-256 over all selected scenarios, before the shard was taken of them: their names, their
+    /// inputs and the filters. Shards of different selections are not joined.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub selection: Option<String>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum KeepTraces {
+    #[default]
+    All,
+    /// Keeps no trace. Trials are judged in memory.
+    None,
+    /// Trials that miss a limit of one trial, lack a value, break the protocol, diverge, lose the
+    /// link or are excluded.
+    Failing,
+    /// This many trials of each scenario, those with the smallest margins.
+    Worst(u32),
+}
+
+impl KeepTraces {
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
+    fn keeps_all(&self) -> bool {
+        *self == Self::All
+    }
+}
+
+/// The program's crate sets this value, because a new commit recompiles only that crate.
+static RUNNING: OnceLock<Tool> = OnceLock::new();
+
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+pub struct Tool {
+    pub name: String,
+    pub version: String,
+    /// Commit of the built checkout. Changes that were not committed do not show.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub commit: Option<String>,
+    /// Cargo profile.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub profile: Option<String>,
+    /// Cargo features that are not on by default.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub features: Vec<String>,
+}
+
+impl Tool {
+    pub fn set_running(self) {
+        RUNNING.get_or_init(|| self);
+    }
+
+    /// Contains only name and version if [`Tool::set_running`] was not called.
+    pub fn running() -> Self {
+        let unnamed =
+            || Self { name: "platebench".to_owned(), version: env!("CARGO_PKG_VERSION").to_owned(), ..Self::default() };
+        RUNNING.get().cloned().unwrap_or_else(unnamed)
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+pub struct Host {
+    pub os: String,
+    pub arch: String,
+    /// Model name of the first processor, if the kernel reports it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cpu: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kernel: Option<String>,
+    /// Frequency governor of the first processor; absent in most virtual machines.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub governor: Option<String>,
+}
+
+impl Host {
+    pub fn current() -> Self {
+        let line = |path: &str| fs::read_to_string(path).ok().map(|text| text.trim().to_owned());
+        let processors = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+        Self {
+            os: std::env::consts::OS.to_owned(),
+            arch: std::env::consts::ARCH.to_owned(),
+            cpu: model_name(&processors),
+            kernel: line("/proc/sys/kernel/osrelease"),
+            governor: line("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"),
+        }
+    }
+}
+
+fn model_name(processors: &str) -> Option<String> {
+    let (_, name) =
+        processors.lines().filter_map(|line| line.split_once(':')).find(|(key, _)| key.trim() == "model name")?;
+    Some(name.trim().to_owned()).filter(|name| !name.is_empty())
+}
+
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+pub struct MergeRecord {
+    pub runs: Vec<MergedRun>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub missing_shards: Vec<MissingShard>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub differences: Vec<BoardDifference>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MergedRun {
+    /// Name of the board; kind of the rig if the run names no board.
+    pub board: String,
+    pub folder: String,
+    pub started: String,
+    pub verdict: Verdict,
+    pub complete: bool,
+    pub rig: RigRecord,
+    pub overrides: Overrides,
+    pub tool: Tool,
+    pub host: Host,
+    pub scenarios: Vec<MergedScenario>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct MergedScenario {
+    /// Name of the scenario in the joined run.
+    pub file: String,
+    /// Name of the scenario in its own run.
+    pub original: String,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct MissingShard {
+    pub board: String,
+    /// Counted from 1.
+    pub shard: usize,
+    pub shards: usize,
+}
+
+/// Mean over the trials of a board minus the mean of the reference board.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct BoardDifference {
+    pub scenario: String,
+    pub metric: String,
+    pub board: String,
+    pub reference: String,
+    pub difference: f64,
+    /// Two-sided; `null` if one of the boards has only one trial.
+    pub interval: Option<[f64; 2]>,
+    pub confidence: f64,
+}
+
+impl MergeRecord {
+    pub fn overrides_of(&self, file: &str) -> Option<&Overrides> {
+        let run = self.runs.iter().find(|run| run.scenarios.iter().any(|scenario| scenario.file == file))?;
+        Some(&run.overrides)
+    }
+}
+
+#[derive(Debug, Clone)]
+pub enum Event {
+    ScenarioStarted {
+        /// Path below the scenario folder.
+        file: String,
+        trials: u32,
+    },
+    TrialFinished {
+        file: String,
+        /// The trace of this trial is complete when the event is sent.
+        trial: Box<TrialRecord>,
+        /// Rows of the first trials of each scenario if the receiver wants rows; otherwise empty.
+        rows: Vec<Row>,
+    },
+    ScenarioFinished(Box<FinishedScenario>),
+}
+
+/// A judged scenario without its trials, which may be many.
+#[derive(Debug, Clone)]
+pub struct FinishedScenario {
+    pub file: String,
+    pub title: String,
+    pub law: String,
+    pub verdict: Verdict,
+    pub trial_count: usize,
+    pub expectations: Vec<ExpectationRecord>,
+}
+
+impl From<&ScenarioRecord> for FinishedScenario {
+    fn from(record: &ScenarioRecord) -> Self {
+        Self {
+            file: record.file.clone(),
+            title: record.title.clone(),
+            law: record.law.clone(),
+            verdict: record.verdict,
+            trial_count: record.trials.len(),
+            expectations: record.expectations.clone(),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests;
+
+#[cfg(test)]
+mod provenance_tests {
+    use super::*;
+
+    #[test]
+    fn reads_the_model_name_of_the_first_processor() {
+        let text = "processor\t: 0\nmodel\t\t: 25\nmodel name\t: A CPU @ 2.0 GHz: fast\n\nmodel name\t: B\n";
+        assert_eq!(model_name(text).as_deref(), Some("A CPU @ 2.0 GHz: fast"));
+        assert_eq!(model_name("Hardware : board\nmodel name : \n"), None);
+        assert!(Host::current().kernel.is_some_and(|release| !release.contains('\n')));
+    }
+}

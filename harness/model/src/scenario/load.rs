@@ -1,34 +1,26 @@
-//! Checks raw scenario files, converts them to [`Scenario`] and points at every wrong value.
+//! Reads and checks scenario files, converts them to [`Scenario`] and points at every wrong value.
+//! Loads scenarios with changed values, and the texts of their requirements.
 
 mod checker;
-mod controller;
 mod expectation;
-mod expectation_window;
 mod fault;
-mod plate;
 mod profile;
 mod scenario;
-mod scene;
-mod template;
 
-pub use plate::{implausible_values, load_plate, require_no_effects};
-pub use template::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate};
-
-use crate::scenario::definition::Scenario;
+use crate::scenario::definition::{InputFile, Scenario};
 use crate::scenario::diagnostic::Diagnostic;
-use crate::scenario::parse::{parse, with_truncation_note};
+use crate::scenario::parse::{parse, parse_file, range_errors, read_text, with_truncation_note};
 use crate::scenario::raw::RawScenario;
-use crate::scenario::requirements::requirement_texts;
 use crate::scenario::schema::{PLATE_SCHEMA, SCENARIO_SCHEMA};
-use crate::scenario::value_range::range_errors;
-use checker::{Checker, KnownPlate};
-use plate::check_plate;
+use checker::{Checker, KnownPlate, check_plate};
+pub use checker::{implausible_values, load_plate, require_no_effects};
 use platebench_plate::RawPlate;
-use schemars::Schema;
-use serde::Serialize;
-use std::collections::BTreeMap;
+use schemars::{JsonSchema, Schema};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use toml::Table;
+use toml::{Table, Value};
 
 /// `file` is the name of the scenario in records. Returns only the first error.
 pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
@@ -85,7 +77,7 @@ fn first_diagnostic(path: &Path, faults: Vec<Diagnostic>) -> Diagnostic {
 }
 
 fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Vec<Diagnostic>> {
-    let text = crate::scenario::text::read_text(path).map_err(|fault| vec![fault])?;
+    let text = crate::scenario::parse::read_text(path).map_err(|fault| vec![fault])?;
     let mut raw: RawScenario = parse(path, &text)?;
     for (named, copy) in raw.files().zip(copies) {
         // A relative path would be resolved from the scenario's folder.
@@ -101,5 +93,233 @@ fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Ve
     Ok(scenario)
 }
 
+pub const PLATE_PREFIX: &str = "plate.";
+/// Name of a changed plate in the scenario's folder. No file has this name.
+const CHANGED_PLATE: &str = "changed-plate.toml";
+
+#[derive(Debug, Clone)]
+pub struct ScenarioTemplate {
+    path: PathBuf,
+    text: String,
+    file: String,
+    table: Table,
+    plate_name: String,
+    plate: KnownPlate,
+    plate_table: Table,
+    pub scenario: Scenario,
+}
+
+#[derive(Debug, Clone)]
+pub struct ScenarioTables {
+    pub scenario: Table,
+    /// `None` if the plate is unchanged.
+    pub plate: Option<Table>,
+}
+
+impl ScenarioTemplate {
+    /// `scenario` must be loaded from `path`. `edit` changes the table of the scenario file first.
+    pub(super) fn new(path: &Path, scenario: Scenario, edit: impl FnOnce(&mut Table)) -> Result<Self, Vec<Diagnostic>> {
+        let read = |path: &Path| read_text(path).map_err(|fault| vec![fault]);
+        let parse = |path: &Path, text: &str| {
+            text.parse::<Table>().map_err(|error| vec![Diagnostic::from_toml(path, text, &error)])
+        };
+        let text = read(path)?;
+        let mut table = parse(path, &text)?;
+        edit(&mut table);
+        let plate_name = table.get("plate").and_then(Value::as_str).unwrap_or_default().to_owned();
+        let plate_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&plate_name);
+        let plate_text = read(&plate_path)?;
+        let plate_table = parse(&plate_path, &plate_text)?;
+        let plate = load_plate(&plate_path)?;
+        let plate = KnownPlate { path: plate_path, plate, text: plate_text };
+        let (path, file) = (path.to_owned(), scenario.file.clone());
+        Ok(Self { path, text, file, table, plate_name, plate, plate_table, scenario })
+    }
+
+    /// Replaces the values at dotted keys. Fails if a key leads through a number, a text or a
+    /// missing element of a list.
+    pub fn tables<'a>(&self, changes: impl IntoIterator<Item = (&'a str, Value)>) -> Result<ScenarioTables, String> {
+        let mut tables = ScenarioTables { scenario: self.table.clone(), plate: None };
+        for (key, value) in changes {
+            match key.strip_prefix(PLATE_PREFIX) {
+                Some(key) => set(tables.plate.get_or_insert_with(|| self.plate_table.clone()), key, value)?,
+                None => set(&mut tables.scenario, key, value)?,
+            }
+        }
+        if tables.plate.is_some() {
+            // Keeps the controller configured for the unchanged plate.
+            let controller = tables.scenario.entry("controller").or_insert_with(|| Value::Table(Table::new()));
+            if let Value::Table(controller) = controller {
+                controller.entry("design_plate").or_insert_with(|| Value::String(self.plate_name.clone()));
+            }
+            tables.scenario.insert("plate".to_owned(), Value::String(CHANGED_PLATE.to_owned()));
+        }
+        Ok(tables)
+    }
+
+    /// Checks the tables like [`super::load`]. Diagnostics point into the unchanged files.
+    pub fn check(&self, tables: &ScenarioTables) -> Result<Scenario, Vec<Diagnostic>> {
+        let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
+        let mut known = vec![self.plate.clone()];
+        if let Some(table) = &tables.plate {
+            known.push(KnownPlate { path: folder.join(CHANGED_PLATE), ..self.changed_plate(table)? });
+        }
+        let raw: RawScenario = from_table(&tables.scenario, &SCENARIO_SCHEMA, &self.path, &self.text)?;
+        Checker { path: &self.path, text: &self.text, prefix: String::new(), plates: &known }.check(raw, &self.file)
+    }
+
+    fn changed_plate(&self, table: &Table) -> Result<KnownPlate, Vec<Diagnostic>> {
+        let KnownPlate { path, text, .. } = &self.plate;
+        let raw: RawPlate = from_table(table, &PLATE_SCHEMA, path, text)?;
+        let plate = check_plate(path, text, raw)?;
+        Ok(KnownPlate { path: path.clone(), plate, text: String::new() })
+    }
+
+    pub fn inputs(&self) -> &[InputFile] {
+        &self.scenario.inputs
+    }
+}
+
+/// Checks keys, types and bounds. The errors point into `text`.
+fn from_table<T: DeserializeOwned>(
+    table: &Table,
+    schema: &Schema,
+    path: &Path,
+    text: &str,
+) -> Result<T, Vec<Diagnostic>> {
+    let raw = T::deserialize(table.clone()).map_err(|error| vec![Diagnostic::from_toml(path, text, &error)])?;
+    let faults = range_errors(schema, table, path, text);
+    if faults.is_empty() { Ok(raw) } else { Err(faults) }
+}
+
+/// Replaces the value at a dotted key. A number in the key selects an element of a list. Creates
+/// missing tables.
+fn set(table: &mut Table, key: &str, value: Value) -> Result<(), String> {
+    let Some((name, rest)) = key.split_once('.') else {
+        table.insert(key.to_owned(), value);
+        return Ok(());
+    };
+    let next = table.entry(name).or_insert_with(|| Value::Table(Table::new()));
+    set_below(next, name, rest, value)
+}
+
+fn set_below(parent: &mut Value, name: &str, key: &str, value: Value) -> Result<(), String> {
+    match parent {
+        Value::Table(table) => set(table, key, value),
+        Value::Array(elements) => {
+            let (index, rest) = key.split_once('.').map_or((key, None), |(index, rest)| (index, Some(rest)));
+            let count = elements.len();
+            let element = index.parse().ok().and_then(|index: usize| elements.get_mut(index));
+            let missing = || format!("`{name}` has no element {index}, expected 0 to {}", count.saturating_sub(1));
+            let element = element.ok_or_else(missing)?;
+            if let Some(rest) = rest {
+                return set_below(element, index, rest, value);
+            }
+            *element = value;
+            Ok(())
+        }
+        other => Err(format!("`{name}` is a {} and has no key `{key}`", other.type_str())),
+    }
+}
+
+pub const REQUIREMENTS_FILE: &str = "requirements.toml";
+
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Requirement {
+    /// Identifier, as in the expectations of scenarios.
+    #[schemars(regex(pattern = "^[A-Za-z0-9-]+$"))]
+    pub id: String,
+    /// Text of the requirement.
+    #[schemars(length(min = 1))]
+    pub text: String,
+}
+
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct RawRequirements {
+    #[serde(default)]
+    requirement: Vec<Requirement>,
+}
+
+/// Fails if an identifier is empty or occurs twice, or if a text is empty.
+pub fn read_requirements(path: &Path) -> Result<Vec<Requirement>, Vec<Diagnostic>> {
+    let (text, raw) = parse_file::<RawRequirements>(path)?;
+    let mut known = BTreeSet::new();
+    let mut faults = Vec::new();
+    for (number, requirement) in raw.requirement.iter().enumerate() {
+        let mut report = |key: &str, message: String| {
+            faults.push(Diagnostic::at_key(path, &text, &format!("requirement.{number}.{key}"), message));
+        };
+        if requirement.text.trim().is_empty() {
+            report("text", "empty, expected a text".to_owned());
+        }
+        if requirement.id.trim().is_empty() || !known.insert(&requirement.id) {
+            report("id", format!("`{}`, expected each identifier once and none empty", requirement.id));
+        }
+    }
+    if faults.is_empty() { Ok(raw.requirement) } else { Err(faults) }
+}
+
+/// Returns the texts of the identifiers in `used`. Empty if no folder above `scenario` contains
+/// `requirements.toml`.
+pub(crate) fn requirement_texts<'a>(
+    scenario: &Path,
+    used: impl Iterator<Item = &'a str>,
+) -> Result<BTreeMap<String, String>, Vec<Diagnostic>> {
+    let used: BTreeSet<&str> = used.collect();
+    let Some(path) = (!used.is_empty()).then(|| file_above(scenario)).flatten() else { return Ok(BTreeMap::new()) };
+    let known = read_requirements(&path)?.into_iter();
+    let found = known.filter(|requirement| used.contains(requirement.id.as_str()));
+    Ok(found.map(|requirement| (requirement.id, requirement.text.trim().to_owned())).collect())
+}
+
+fn file_above(scenario: &Path) -> Option<PathBuf> {
+    let scenario = std::path::absolute(scenario).ok()?;
+    scenario.ancestors().skip(1).map(|folder| folder.join(REQUIREMENTS_FILE)).find(|path| path.is_file())
+}
+
 #[cfg(test)]
 mod tests;
+
+#[cfg(test)]
+mod template_tests;
+
+#[cfg(test)]
+mod requirements_tests {
+    use super::*;
+    use rstest::rstest;
+    use std::fs;
+
+    #[test]
+    fn the_nearest_file_above_gives_the_texts() {
+        let root = tempfile::tempdir().unwrap();
+        let folder = root.path().join("a/b");
+        fs::create_dir_all(&folder).unwrap();
+        let scenario = folder.join("s.toml");
+        let texts = || requirement_texts(&scenario, ["R-1", "R-3"].into_iter()).unwrap();
+        let outer =
+            "[[requirement]]\nid = \"R-1\"\ntext = \" It settles. \"\n[[requirement]]\nid = \"R-2\"\ntext = \"x\"\n";
+        fs::write(root.path().join(REQUIREMENTS_FILE), outer).unwrap();
+        assert_eq!(texts(), BTreeMap::from([("R-1".to_owned(), "It settles.".to_owned())]));
+        fs::write(folder.join(REQUIREMENTS_FILE), "").unwrap();
+        assert_eq!(texts(), BTreeMap::new());
+    }
+
+    #[rstest]
+    #[case("[[requirement]]\nid = \"R-1\"\ntext = \"\"", "empty, expected a text")]
+    #[case("[[requirement]]\nid = \"\"\ntext = \"x\"", "expected each identifier once")]
+    #[case(
+        "[[requirement]]\nid = \"A\"\ntext = \"x\"\n[[requirement]]\nid = \"A\"\ntext = \"y\"",
+        "`A`, expected each"
+    )]
+    #[case("[[requirement]]\nid = \"A\"\nwords = \"x\"", "unknown key")]
+    #[case("title = \"A\"", "unknown key")]
+    fn rejects_a_faulty_file(#[case] text: &str, #[case] expected: &str) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(REQUIREMENTS_FILE);
+        fs::write(&path, text).unwrap();
+        let faults = read_requirements(&path).unwrap_err();
+        assert!(faults[0].message.contains(expected), "{}", faults[0].message);
+    }
+}

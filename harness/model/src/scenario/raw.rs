@@ -299,8 +299,11 @@ pub struct RawFault {
     pub ppm: Option<f64>,
 }
 
+/// A key of `[[expect]]` and the metrics that it applies to.
+type MetricKey = (&'static str, fn(Metric) -> bool);
+
 /// Keys of an `[[expect]]` that apply to some metrics only.
-pub(crate) const METRIC_KEYS: [(&str, fn(Metric) -> bool); 9] = [
+pub(crate) const METRIC_KEYS: [MetricKey; 9] = [
     ("band_percent", Metric::has_band),
     ("from_ms", Metric::has_from_ms),
     ("until_ms", Metric::has_from_ms),

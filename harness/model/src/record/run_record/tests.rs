@@ -1,9 +1,9 @@
 use super::*;
 use crate::metrics::{Metric, SignalPoint};
-use crate::record::expectation_record::{Evidence, EvidenceMethod, MetricDefinition, Statistic, WorstInstant};
 use crate::record::reason::TrialReason;
-use crate::record::rig_record::Firmware;
-use crate::record::store::{RECORD_FILE, RecordError, RunSummary};
+use crate::record::reason::{Evidence, EvidenceMethod, MetricDefinition, Statistic, WorstInstant};
+use crate::record::run_folder::{RECORD_FILE, RecordError, RunSummary};
+use crate::record::run_record::Firmware;
 use crate::record::trial_record::Telemetry;
 use crate::scenario::Limit;
 use rstest::rstest;

@@ -1,9 +1,9 @@
 //! Checks that each planned fault has the keys of its kind, and that it acts at least once.
 
 use super::checker::Checker;
-use crate::scenario::bounds::MAX_DELAY_PERIODS;
-use crate::scenario::chip_fault::{BitFlipTarget, ChipFault, ChipFaultKind, parse_address};
+use super::checker::MAX_DELAY_PERIODS;
 use crate::scenario::diagnostic::Diagnostic;
+use crate::scenario::fault::{BitFlipTarget, ChipFault, ChipFaultKind, parse_address};
 use crate::scenario::fault::{Direction, Fault, FaultKind};
 use crate::scenario::raw::{FAULT_KEYS, RawFault, fault_keys, keys_of};
 use crate::scenario::schema::help_of_fault_key;

@@ -1,7 +1,7 @@
 //! Checks profiles and that the plate has a resonance at all of their values.
 
 use super::checker::Checker;
-use crate::scenario::bounds::MAX_QUALITY;
+use super::checker::MAX_QUALITY;
 use crate::scenario::definition::{InputFile, Spread};
 use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::raw::RawProfiles;

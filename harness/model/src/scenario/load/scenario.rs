@@ -1,16 +1,21 @@
-//! Checks a scenario as a whole, with its trials and its spacing of rows.
+//! Checks a scenario as a whole, with its controller, profiles, trials and scenes between trials.
 
-use super::checker::{Checker, Diagnostics, TrialContext};
-use super::expectation::expectation_names;
-use super::fault::CheckedFault;
-use super::scene::{Scene, SceneSource};
+use super::checker::MAX_DELAY_PERIODS;
 use crate::metrics::TrialRule;
-use crate::scenario::definition::{AUTO_MODEL, InputFile, MAX_TRIALS, Scenario, Trials};
+
+use crate::scenario::definition::{AUTO_MODEL, Controller, Gains, InputFile, MAX_TRIALS, Scenario, Spread, Trials};
 use crate::scenario::diagnostic::Diagnostic;
-use crate::scenario::raw::{RawScenario, RawTrials};
+use crate::scenario::load::checker::{Checker, Diagnostics, TrialContext};
+use crate::scenario::load::expectation::expectation_names;
+use crate::scenario::load::fault::CheckedFault;
+use crate::scenario::raw::{
+    DEFAULT_FREQUENCY_RANGE_HZ, DEFAULT_FREQUENCY_SLEW_HZ, DEFAULT_LAW, DEFAULT_PERIOD_MS, MAX_BETWEEN, RawBetween,
+    RawController, RawProfiles, RawScenario, RawTrials,
+};
 use crate::scenario::window::ProfileChanges;
-use platebench_plate::{Plate, Tier, Time};
+use platebench_plate::{ConditionProfiles, Plate, Profile, RawProfile, Tier, Time};
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 use std::path::Path;
 
 const DEFAULT_TRACE_STEP_MS: f64 = 0.05;
@@ -167,5 +172,212 @@ impl Checker<'_> {
         self.require(scenario.trials.count > 1, "trials.count", || {
             format!("1 trial, expected at least 2 for {compared}")
         })
+    }
+}
+
+pub(super) struct SceneSource<'a> {
+    pub(super) duration_ms: f64,
+    pub(super) controller: &'a RawController,
+    pub(super) profile: &'a RawProfiles,
+}
+
+/// Checked parts of a scene. A part with an error is `None`.
+pub(super) struct Scene {
+    pub(super) controller: Option<Controller>,
+    pub(super) duration: Option<Time>,
+    pub(super) setpoint: Option<Profile>,
+    pub(super) conditions: Option<ConditionProfiles>,
+}
+
+impl Checker<'_> {
+    pub(super) fn scene(
+        &self,
+        folder: &Path,
+        source: &SceneSource<'_>,
+        plate: Option<&Plate>,
+        spread: Spread,
+        inputs: &mut Vec<InputFile>,
+        faults: &mut Diagnostics,
+    ) -> Scene {
+        let SceneSource { duration_ms, controller: raw, profile: profiles } = *source;
+        let design_plate = raw.design_plate.as_ref().map(|file| (file, "controller.design_plate"));
+        let design_plate = design_plate.map(|(file, key)| self.plate(key, &folder.join(file), inputs, faults));
+        let is_complete = design_plate.as_ref().is_none_or(Option::is_some);
+        let controller = self.controller(raw, plate, design_plate.flatten(), faults).filter(|_| is_complete);
+        let duration = faults.record_error(self.time_from_ms("duration_ms", duration_ms));
+        if let (Some(controller), Some(duration)) = (&controller, duration) {
+            faults.record_error(self.require(duration >= controller.period, "duration_ms", || {
+                format!("{duration_ms} ms, expected at least one control period of {}", controller.period)
+            }));
+            faults.record_error(self.require(controller.loop_delay < duration, "controller.loop_delay_ms", || {
+                format!(
+                    "{}, expected less than the scenario's duration of {duration}: no command would act",
+                    controller.loop_delay
+                )
+            }));
+        }
+        let mut profile = |key: &str, raw: &RawProfile| faults.record_error(self.profile(folder, key, raw, inputs));
+        let setpoint = profile("profile.setpoint_um", &profiles.setpoint_um);
+        let temperature_offset_k = profile("profile.temperature_offset_k", &profiles.temperature_offset_k);
+        let finger_force_n = profile("profile.finger_force_n", &profiles.finger_force_n);
+        if let Some(setpoint) = &setpoint {
+            faults.record_error(self.check_setpoints(folder, profiles, setpoint));
+        }
+        let conditions = temperature_offset_k.zip(finger_force_n);
+        let conditions = conditions
+            .map(|(temperature_offset_k, finger_force_n)| ConditionProfiles { temperature_offset_k, finger_force_n });
+        if let (Some(plate), Some(conditions)) = (plate, &conditions) {
+            faults.record_error(self.check_conditions(folder, profiles, plate, conditions, &spread));
+        }
+        Scene { controller, duration, setpoint, conditions }
+    }
+
+    /// The scenes take the trials and the spacing of trace rows from `scenario`.
+    pub(super) fn scenes_between(
+        &self,
+        folder: &Path,
+        raw: &[RawBetween],
+        scenario: &Scenario,
+        inputs: &mut Vec<InputFile>,
+        faults: &mut Diagnostics,
+    ) -> Vec<Scenario> {
+        faults.record_error(self.require(raw.len() <= MAX_BETWEEN, "between", || {
+            format!("{} scenes, expected at most {MAX_BETWEEN}", raw.len())
+        }));
+        let mut between = |(index, raw): (usize, &RawBetween)| {
+            let checker = self.table(&format!("between.{index}"));
+            let plate = match &raw.plate {
+                Some(file) => checker.plate("plate", &folder.join(file), inputs, faults)?,
+                None => scenario.plate.clone(),
+            };
+            let source =
+                SceneSource { duration_ms: raw.duration_ms, controller: &raw.controller, profile: &raw.profile };
+            let scene = checker.scene(folder, &source, Some(&plate), scenario.trials.spread, inputs, faults);
+            Some(Scenario {
+                file: format!("{}, between.{index}", scenario.file),
+                controller: scene.controller?,
+                duration: scene.duration?,
+                setpoint: scene.setpoint?,
+                conditions: scene.conditions?,
+                tier: if raw.plate.is_some() { Tier::exact_for(&plate) } else { scenario.tier },
+                plate,
+                expectations: Vec::new(),
+                faults: Vec::new(),
+                chip_faults: Vec::new(),
+                ..scenario.clone()
+            })
+        };
+        raw.iter().enumerate().take(MAX_BETWEEN).filter_map(&mut between).collect()
+    }
+}
+
+impl Checker<'_> {
+    pub(super) fn controller(
+        &self,
+        raw: &RawController,
+        plate: Option<&Plate>,
+        design_plate: Option<Plate>,
+        faults: &mut Diagnostics,
+    ) -> Option<Controller> {
+        let period = faults.record_error(self.period(raw));
+        let delays = period.and_then(|period| {
+            let loop_delay = faults.record_error(self.loop_delay(raw, period));
+            loop_delay.zip(faults.record_error(self.design_delay(raw, period)))
+        });
+        let start_frequency_hz = plate
+            .map(|plate| design_plate.as_ref().unwrap_or(plate))
+            .and_then(|plate| faults.record_error(self.start_frequency(raw, plate)));
+        let optional = |key: &str, value: Option<f64>| value.map(|value| self.f32_range(key, value)).transpose();
+        let key = "controller.frequency_range_hz";
+        let range = faults.record_error(optional(key, raw.frequency_range_hz));
+        let slew = faults.record_error(optional("controller.frequency_slew_hz", raw.frequency_slew_hz));
+        if let (Some(Some(range)), Some(start_frequency_hz)) = (range, start_frequency_hz) {
+            faults.record_error(self.require(range < start_frequency_hz, key, || {
+                format!("{range} Hz, expected less than the start frequency of {start_frequency_hz:.1} Hz")
+            }));
+        }
+        let law = raw.law.clone().unwrap_or_else(|| DEFAULT_LAW.to_owned());
+        let is_named = !law.trim().is_empty();
+        faults.record_error(self.require(is_named, "controller.law", || "an empty name, expected a control law"));
+        let response_time_ms = faults.record_error(optional("controller.response_time_ms", raw.response_time_ms));
+        let gains = faults.record_error(raw.gains.map(|gains| self.gains(gains)).transpose());
+        let ([loop_delay, loop_delay_jitter], design_delay) = delays?;
+        Some(Controller {
+            law,
+            period: period?,
+            start_frequency_hz: start_frequency_hz?,
+            loop_delay,
+            loop_delay_jitter,
+            design_delay,
+            response_time_ms: response_time_ms?,
+            frequency_range_hz: range?.unwrap_or(DEFAULT_FREQUENCY_RANGE_HZ),
+            frequency_slew_hz: slew?.unwrap_or(DEFAULT_FREQUENCY_SLEW_HZ),
+            gains: gains?,
+            design_plate,
+        })
+    }
+
+    fn period(&self, raw: &RawController) -> Result<Time, Diagnostic> {
+        let period_ms = raw.period_ms.unwrap_or(DEFAULT_PERIOD_MS);
+        let key = "controller.period_ms";
+        let period = self.time_from_ms(key, period_ms)?;
+        self.require(period.as_nanos() > 0 && period.as_nanos().is_multiple_of(1_000), key, || {
+            format!("{period_ms} ms, expected whole microseconds: the wire carries no finer period")
+        })?;
+        Ok(period)
+    }
+
+    fn loop_delay(&self, raw: &RawController, period: Time) -> Result<[Time; 2], Diagnostic> {
+        let key = "controller.loop_delay_ms";
+        let loop_delay = self.time_from_ms(key, raw.loop_delay_ms)?;
+        self.require(loop_delay <= period.times(MAX_DELAY_PERIODS), key, || {
+            format!("{} ms, expected at most {MAX_DELAY_PERIODS} control periods", raw.loop_delay_ms)
+        })?;
+        let key = "controller.loop_delay_jitter_ms";
+        let jitter = self.time_from_ms(key, raw.loop_delay_jitter_ms)?;
+        self.require(loop_delay + jitter <= period.times(MAX_DELAY_PERIODS), key, || {
+            let jitter = raw.loop_delay_jitter_ms;
+            format!("{jitter} ms, expected at most {MAX_DELAY_PERIODS} control periods together with loop_delay_ms")
+        })?;
+        Ok([loop_delay, jitter])
+    }
+
+    fn design_delay(&self, raw: &RawController, period: Time) -> Result<Time, Diagnostic> {
+        let key = "controller.design_delay_ms";
+        let design_delay = self.time_from_ms(key, raw.design_delay_ms)?;
+        self.require(design_delay <= period, key, || {
+            format!("{} ms, expected at most one control period of {period}", raw.design_delay_ms)
+        })?;
+        self.require(design_delay.as_nanos().is_multiple_of(1_000), key, || {
+            format!("{} ms, expected whole microseconds: the wire carries no finer delay", raw.design_delay_ms)
+        })?;
+        Ok(design_delay)
+    }
+
+    fn start_frequency(&self, raw: &RawController, plate: &Plate) -> Result<f64, Diagnostic> {
+        let resonance_hz = plate.omega0 / TAU;
+        let key = "controller.start_frequency_hz";
+        let start_frequency_hz = raw.start_frequency_hz.unwrap_or(resonance_hz);
+        let share = start_frequency_hz / resonance_hz;
+        self.require((0.5..=1.5).contains(&share), key, || {
+            format!(
+                "{start_frequency_hz} Hz, expected between 0.5 and 1.5 times the plate's resonance of \
+                 {resonance_hz:.1} Hz"
+            )
+        })?;
+        Ok(start_frequency_hz)
+    }
+
+    fn gains(&self, gains: Gains) -> Result<Gains, Diagnostic> {
+        for (name, value) in [
+            ("amplitude_kp", gains.amplitude_kp),
+            ("amplitude_ki", gains.amplitude_ki),
+            ("frequency_kp", gains.frequency_kp),
+            ("frequency_ki", gains.frequency_ki),
+        ] {
+            let key = format!("controller.gains.{name}");
+            self.f32_range(&key, value)?;
+        }
+        Ok(gains)
     }
 }

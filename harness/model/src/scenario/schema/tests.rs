@@ -1,5 +1,5 @@
 use super::{plate_schema, scenario_schema};
-use crate::scenario::file_kind::FileKind;
+use crate::scenario::find::FileKind;
 use std::fs;
 use std::path::{Path, PathBuf};
 

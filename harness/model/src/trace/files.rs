@@ -1,9 +1,29 @@
-//! Replaces a file as a whole. After a kill or a power cut the file has its old or its new content.
+//! Writes files that appear as a whole, and names the file in errors. The bench reads every file of a
+//! run folder, every baseline, key, record, table of telemetry and program image with
+//! [`open_regular_file`].
 
-use crate::trace::file_error::{AtPath, FileError};
-use std::fs::{self, File};
-use std::io::{self, Write};
+pub use platebench_plate::input::{open_regular_file, read_regular_file, read_text_file};
+use std::fs::File;
+use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
+
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {source}", path.display())]
+pub struct FileError {
+    pub path: PathBuf,
+    pub source: io::Error,
+}
+
+pub trait AtPath<T> {
+    fn at(self, path: &Path) -> Result<T, FileError>;
+}
+
+impl<T> AtPath<T> for io::Result<T> {
+    fn at(self, path: &Path) -> Result<T, FileError> {
+        self.map_err(|source| FileError { path: path.to_owned(), source })
+    }
+}
 
 const TEMPORARY_SUFFIX: &str = ".part";
 
@@ -107,6 +127,11 @@ fn sync(path: &Path) -> io::Result<()> {
     File::open(path)?.sync_all()
 }
 
+/// Largest program image: an ELF with debug information, or a shared library.
+pub const MAX_IMAGE_BYTES: u64 = 256 << 20;
+/// Largest table of telemetry: about an hour at 1 kHz with twenty columns.
+pub const MAX_TABLE_BYTES: u64 = 1 << 30;
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -153,5 +178,34 @@ mod tests {
         remove_temporary_files(folder.path()).unwrap();
         sync_tree(folder.path()).unwrap();
         assert!(folder.path().join("a.json").exists() && !folder.path().join("b.json.part").exists());
+    }
+}
+
+#[cfg(test)]
+mod regular_file_tests {
+    use super::*;
+    use rustix::fs::{CWD, FileType, Mode, mknodat};
+    use std::fs;
+
+    #[test]
+    fn reads_a_file_up_to_its_limit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        fs::write(&path, "12345").unwrap();
+        assert_eq!(read_text_file(&path, 5).unwrap(), "12345");
+        assert_eq!(read_regular_file(&path, 4).unwrap_err().to_string(), "5 bytes, expected at most 4");
+    }
+
+    #[test]
+    fn rejects_irregular_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let fifo = folder.path().join("fifo");
+        mknodat(CWD, &fifo, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink("/dev/zero", &link).unwrap();
+        for path in [fifo.as_path(), &link, folder.path(), Path::new("/dev/zero")] {
+            let error = open_regular_file(path, 1_000).unwrap_err();
+            assert_eq!(error.kind(), io::ErrorKind::InvalidInput, "{}", path.display());
+        }
     }
 }

@@ -2,7 +2,7 @@ use super::*;
 use std::fs;
 use tempfile::TempDir;
 
-const PLATE: &str = include_str!("../../../../../../scenarios/plates/aluminium-198x138.toml");
+const PLATE: &str = include_str!("../../../../../scenarios/plates/aluminium-198x138.toml");
 const SCENARIO: &str = "title = \"x\"\nplate = \"plate.toml\"\nduration_ms = 20.0\n[profile]\n\
                         setpoint_um = { hold = [[0.0, 0.0], [1.0, 2.0]] }\n\
                         [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 2.0\n";
