@@ -1,8 +1,8 @@
 //! Counts what the scenes cover: value ranges, pairs of changes, histories.
 
 use crate::explore::envelope::Envelope;
+use crate::explore::properties::{Window, windows};
 use crate::explore::scene::{Scene, SceneTrial};
-use crate::explore::windows::{Window, windows};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;

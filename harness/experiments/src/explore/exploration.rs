@@ -2,8 +2,8 @@
 
 use crate::explore::coverage::Coverage;
 use crate::explore::envelope::Envelope;
-use crate::explore::error::ExploreError;
 use crate::explore::generator::Generator;
+use crate::explore::player::ExploreError;
 use crate::explore::player::{Failure, Player, SceneResult, violated};
 use crate::explore::properties::{Demand, Property, demands, reference_demands};
 use crate::explore::scenario_file::{ScenarioBuilder, SceneScenario};

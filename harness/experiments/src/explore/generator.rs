@@ -1,17 +1,17 @@
 //! Generates scene i from the envelope, the seed and i alone.
 
-use crate::explore::course::CourseBuilder;
+use crate::explore::draw;
+use crate::explore::draw::EventKind;
 use crate::explore::draw::{
-    self, ConfigurationDraw, DETUNING_STEP_HZ, DEVIATION_STEP_PERCENT, EventDraw, FORCE_STEP_N, Gap, LEVEL_STEP_UM,
+    ConfigurationDraw, DETUNING_STEP_HZ, DEVIATION_STEP_PERCENT, EventDraw, FORCE_STEP_N, Gap, LEVEL_STEP_UM,
     LIMIT_STEP_VPP, NOISE_STEP_UM, PERIOD_STEP_MS, SceneDraw, TEMPERATURE_STEP_K, Target, TrialDraw, USUAL_LEVEL_UM,
     USUAL_PERIOD_MS,
 };
+use crate::explore::draw::{SineOf, Stratum};
 use crate::explore::envelope::Envelope;
-use crate::explore::event_kind::EventKind;
-use crate::explore::law_properties::LawProperties;
+use crate::explore::limits::LawProperties;
+use crate::explore::scene::Tuning;
 use crate::explore::scene::{Course, PlateChoice, Scene, SceneTrial};
-use crate::explore::stratum::{SineOf, Stratum};
-use crate::explore::tuning::Tuning;
 use platebench_wire::LawId;
 use proptest::strategy::{BoxedStrategy, Strategy, ValueTree};
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
@@ -349,4 +349,57 @@ fn ramp_us(from: i32, to: i32, [slowest, fastest]: [f64; 2], slowness: u32) -> u
     let rate = fastest * (slowest / fastest).powf(f64::from(slowness) / 100.0);
     let us = f64::from((to - from).abs()) / 100.0 / rate * 1e6;
     ((us.min(MAX_RAMP_US) / 100.0).ceil() as u32).max(1) * 100
+}
+
+/// If a course has ramps, it is linear between its points. A step in it then becomes a ramp of this
+/// duration, µs.
+const EDGE_US: u32 = 10;
+
+pub(crate) struct CourseBuilder {
+    start: i32,
+    /// Start µs, end µs and final value of each move, in order of time.
+    moves: Vec<(u32, u32, i32)>,
+}
+
+impl CourseBuilder {
+    pub(crate) const fn new() -> Self {
+        Self { start: 0, moves: Vec::new() }
+    }
+
+    pub(crate) fn last(&self) -> i32 {
+        self.moves.last().map_or(self.start, |(_, _, value)| *value)
+    }
+
+    /// A step at 0 µs sets the start value.
+    pub(crate) fn step(&mut self, at_us: u32, value: i32) {
+        if at_us == 0 {
+            self.start = value;
+        } else if value != self.last() {
+            self.moves.push((at_us, at_us, value));
+        }
+    }
+
+    /// Returns the end of the ramp, µs.
+    pub(crate) fn ramp(&mut self, at_us: u32, duration_us: u32, value: i32) -> u32 {
+        if value == self.last() {
+            return at_us;
+        }
+        self.moves.push((at_us, at_us + duration_us, value));
+        at_us + duration_us
+    }
+
+    pub(crate) fn finish(self) -> Course {
+        let has_ramps = self.moves.iter().any(|(from, to, _)| from < to);
+        let mut points = vec![(0, self.start)];
+        let mut last = self.start;
+        for (from, to, value) in self.moves {
+            if has_ramps {
+                points.extend([(from, last), (to.max(from + EDGE_US), value)]);
+            } else {
+                points.push((from, value));
+            }
+            last = value;
+        }
+        if has_ramps { Course::Linear(points) } else { Course::Hold(points) }
+    }
 }

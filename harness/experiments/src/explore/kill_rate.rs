@@ -1,9 +1,9 @@
 //! Measures the exploration itself: which mutants it finds, and how many false alarms it raises.
 
 use crate::explore::envelope::Envelope;
-use crate::explore::error::ExploreError;
 use crate::explore::exploration::{Budget, Exploration, ExploreConfig, explore};
-use crate::explore::law_properties::LawProperties;
+use crate::explore::limits::LawProperties;
+use crate::explore::player::ExploreError;
 use crate::explore::properties::Property;
 use crate::explore::report::format_value;
 use crate::trust::report::{MutantOutcome, Rate, TrustReport, format_rate};

@@ -1,12 +1,12 @@
 //! Plays scenarios on one controller and judges them, as `run` does.
 
-use crate::explore::error::ExploreError;
 use crate::explore::properties::Property;
 use platebench_engine::plan::LinkFactory;
-use platebench_engine::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, law};
+use platebench_engine::{Executor, ExecutorSettings, MAX_LOSSES, RunError, SafeEnds, law};
 use platebench_model::record::{Cause, Reason, Verdict, Violation};
-use platebench_model::scenario::{Limit, Scenario};
-use platebench_rig::CancelToken;
+use platebench_model::scenario::{Diagnostic, Limit, Scenario};
+use platebench_model::trace::FileError;
+use platebench_rig::{CancelToken, ConnectError, RigError};
 use platebench_verdict::{TrialMeasures, judge, measure};
 use std::collections::BTreeSet;
 
@@ -144,4 +144,31 @@ fn protocol_failure(violation: &Violation) -> Failure {
         value: violation.worst,
         limit: violation.limit,
     }
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum ExploreError {
+    #[error(transparent)]
+    Report(#[from] platebench_report::ReportError),
+    #[error(transparent)]
+    Connect(#[from] ConnectError),
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    #[error(transparent)]
+    Run(#[from] RunError),
+    #[error("the controller does not announce the law {0}, expected --law with one of its laws")]
+    LawNotAnnounced(&'static str),
+    #[error(
+        "the law {0} cannot be explored, because it has no limits to check; expected --law dq-pi, dq-pi-fixed or \
+         deadbeat"
+    )]
+    LawWithoutProperties(&'static str),
+    #[error("internal error: the bench generated an invalid scenario ({0}); report this message and the seed")]
+    Generated(Box<Diagnostic>),
+    #[error("internal error: the bench generated no scene ({0}); report this message and the seed")]
+    Strategy(String),
+    #[error(transparent)]
+    File(#[from] FileError),
+    #[error("the exploration was cancelled")]
+    Cancelled,
 }

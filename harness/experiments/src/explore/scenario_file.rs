@@ -1,9 +1,8 @@
 //! Builds the scenario of a scene with its plates, checks it, and writes it as files.
 
-use crate::explore::error::ExploreError;
+use crate::explore::player::ExploreError;
 use crate::explore::properties::{Demand, Property};
-use crate::explore::scene::{Course, PlateChoice, Scene, SceneTrial};
-use crate::explore::tuning::rounded;
+use crate::explore::scene::{Course, LineFault, PlateChoice, Scene, SceneTrial, rounded};
 use platebench_model::scenario::load::check_raw;
 use platebench_model::scenario::raw::{RawBetween, RawController, RawExpectation, RawProfiles, RawScenario, RawTrials};
 use platebench_model::scenario::{Metric, Scenario};
@@ -37,7 +36,8 @@ impl SceneScenario {
     /// Text of the scenario file, with each line of `comment` as a comment at its head.
     pub fn text(&self, comment: &[String]) -> io::Result<String> {
         let scenario = toml::to_string(&self.scenario).map_err(io::Error::other)?;
-        Ok(comment.iter().map(|line| format!("# {line}\n")).collect::<String>() + &scenario)
+        let comment: Vec<String> = comment.iter().map(|line| format!("# {line}\n")).collect();
+        Ok(comment.concat() + &scenario)
     }
 
     /// Writes the files; the scenario is `folder/name.toml`.
@@ -80,7 +80,7 @@ impl ScenarioBuilder<'_> {
             controller: self.controller(trial, &mut plates),
             profile: profiles(trial),
             trials: RawTrials { count: scene.count.into(), seed: seed.unwrap_or(default.seed), ..default },
-            fault: trial.faults.iter().map(|fault| fault.raw()).collect(),
+            fault: trial.faults.iter().map(LineFault::raw).collect(),
             between: scene.earlier.iter().map(|earlier| self.between(earlier, &mut plates)).collect(),
             expect: expectations(scene, demands),
         };

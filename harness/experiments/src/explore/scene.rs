@@ -3,10 +3,15 @@
 //!
 //! Times and values are multiples of a small unit, so scenario files contain short numbers.
 
-use crate::explore::line_fault::LineFault;
-use crate::explore::tuning::Tuning;
-use platebench_plate::{Mode, Plate};
+use crate::explore::envelope::Ranges;
+use platebench_controller::design::{PiGains, default_response_time_s};
+use platebench_engine::wire_fault_kind;
+use platebench_model::scenario::raw::{RawController, RawFault};
+use platebench_model::scenario::{Direction, FaultKind, Gains};
+use platebench_plate::{Mode, Plate, Time};
 use platebench_wire::LawId;
+use proptest::prelude::{BoxedStrategy, Just, Strategy, any};
+use proptest::{option, prop_oneof};
 use std::f64::consts::TAU;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -161,4 +166,214 @@ impl SceneTrial {
         let ratio = plate.damping_ratio_at(self.force.range()[1]);
         (share * plate.drive_limit_vpp * plate.gain / ratio * 1e3) as u32
     }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LineFault {
+    pub kind: FaultKind,
+    pub direction: Direction,
+    /// Start of the window, µs. It is a control instant.
+    pub from_us: u32,
+    pub until_us: u32,
+    /// The fault applies to each n-th message of the direction in the window.
+    pub every: u32,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct LineFaultDraw {
+    kind: FaultKind,
+    /// Delay, percent of a period.
+    delay: u32,
+    to_controller: bool,
+    /// Share of the trial before the fault, percent.
+    at: u32,
+    every: u32,
+    /// Length of the window, control periods.
+    length: u32,
+}
+
+/// Length, in control periods, of a window in which every second frame is damaged. A rejected frame
+/// adds 2 to the controller's error counter, a sample subtracts 1, and the controller stops at 10
+/// (docs/wire-protocol.md), here in period 18. If every third frame is damaged, it never stops.
+const UNTIL_STOP: std::ops::RangeInclusive<u32> = 14..=24;
+const LONG_WINDOW: std::ops::RangeInclusive<u32> = 3..=24;
+/// Number of consecutive damaged messages that cannot stop the controller. Each may split its frame
+/// in two, so they add at most 8 to the error counter.
+const FEW_FLIPS: u32 = 2;
+/// Control periods between faults that lose messages. Closer ones could trigger the watchdog.
+const PERIODS_BETWEEN: u32 = 5;
+/// Shortest time after a fault, control periods, so that a stopped controller runs again at the
+/// end.
+const MIN_PERIODS_AFTER: u32 = 8;
+/// Control periods after a fault in which no limits apply, because the law measures the plate
+/// again.
+const RECOVERY_PERIODS: u32 = 60;
+
+impl LineFaultDraw {
+    pub(crate) fn strategy() -> BoxedStrategy<Self> {
+        let kind = prop_oneof![
+            // A fourth lost message in sequence would trigger the watchdog.
+            6 => (Just(FaultKind::Drop), Just(1), 1..=3_u32),
+            2 => (Just(FaultKind::Drop), 2..=3_u32, LONG_WINDOW),
+            4 => (Just(FaultKind::Duplicate), 1..=2_u32, 2..=8_u32),
+            2 => (Just(FaultKind::Flip), Just(1), 1..=FEW_FLIPS),
+            2 => (Just(FaultKind::Flip), Just(2), UNTIL_STOP),
+            1 => (Just(FaultKind::Flip), Just(3), LONG_WINDOW),
+            1 => (Just(FaultKind::Truncate), Just(1), Just(1)),
+            1 => (Just(FaultKind::Truncate), Just(3), LONG_WINDOW),
+            2 => (Just(FaultKind::Delay(Time::ZERO)), Just(1), 1..=4_u32),
+            // These two faults stop the controller, through its error counter or its watchdog.
+            2 => (Just(FaultKind::Babble), Just(1), 3..=4_u32),
+            2 => (Just(FaultKind::Disconnect), Just(1), 6..=9_u32),
+        ];
+        (kind, 20..=150_u32, any::<bool>(), 0..=90_u32)
+            .prop_map(|((kind, every, length), delay, to_controller, at)| Self {
+                kind,
+                delay,
+                to_controller,
+                at,
+                every,
+                length,
+            })
+            .boxed()
+    }
+
+    pub(crate) fn place(self, duration_us: u32, period_us: u32) -> Option<LineFault> {
+        let from_us = (duration_us / 100 * self.at).div_ceil(period_us) * period_us;
+        let until_us = from_us + self.length * period_us;
+        let kind = match self.kind {
+            FaultKind::Delay(_) => FaultKind::Delay(Time::from_nanos(u64::from(period_us * self.delay) * 10)),
+            kind => kind,
+        };
+        let direction = if self.to_controller { Direction::ToController } else { Direction::FromController };
+        (until_us + MIN_PERIODS_AFTER * period_us <= duration_us).then_some(LineFault {
+            kind,
+            direction,
+            from_us,
+            until_us,
+            every: self.every,
+        })
+    }
+}
+
+impl LineFault {
+    /// Instant from which limits apply again, µs.
+    pub(crate) const fn recovered_us(&self, period_us: u32) -> u32 {
+        self.until_us + RECOVERY_PERIODS * period_us
+    }
+
+    /// True if the controller may stop. It is then configured again.
+    pub(crate) const fn may_stop(&self) -> bool {
+        matches!(self.kind, FaultKind::Disconnect | FaultKind::Babble | FaultKind::Flip)
+    }
+
+    /// True if the time of a stop depends on the controller's clock or on the bytes of messages.
+    pub(crate) fn may_stop_differently(&self, period_us: u32) -> bool {
+        match self.kind {
+            FaultKind::Disconnect => true,
+            FaultKind::Flip => self.until_us - self.from_us > FEW_FLIPS * period_us,
+            _ => false,
+        }
+    }
+
+    /// True if both faults can be in one trial without a stop that neither fault causes alone.
+    pub(crate) fn combines_with(&self, other: &Self, period_us: u32) -> bool {
+        let gap_us = PERIODS_BETWEEN * period_us;
+        let are_apart = self.until_us + gap_us <= other.from_us || other.until_us + gap_us <= self.from_us;
+        are_apart || [self.kind, other.kind].contains(&FaultKind::Duplicate)
+    }
+
+    /// Largest number of control periods without an answer, until the controller is configured
+    /// again.
+    pub(crate) const fn longest_silence(&self, period_us: u32) -> u32 {
+        (self.until_us - self.from_us) / period_us + 3
+    }
+
+    pub(crate) fn raw(&self) -> RawFault {
+        let [from_ms, until_ms] = [self.from_us, self.until_us].map(|us| Some(f64::from(us) / 1e3));
+        let delay_ms = match self.kind {
+            FaultKind::Delay(delay) => Some(delay.seconds() * 1e3),
+            _ => None,
+        };
+        RawFault {
+            kind: wire_fault_kind(self.kind).name().to_owned(),
+            from_ms,
+            until_ms,
+            direction: Some(self.direction.name().to_owned()),
+            every: (self.every > 1).then_some(self.every.into()),
+            delay_ms,
+            seed: matches!(self.kind, FaultKind::Flip).then_some(1),
+            reconfigure: self.may_stop() || matches!(self.kind, FaultKind::Truncate),
+            ..RawFault::default()
+        }
+    }
+}
+
+/// In each field, `None` means the default of the law or of the scenario.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Tuning {
+    /// Design value of the response time, 0.1 ms.
+    pub response_tenths: Option<u32>,
+    /// Gains of the amplitude loop and the frequency loop, percent of the law's own design.
+    pub gains_percent: Option<[u32; 2]>,
+    /// Largest deviation of the excitation frequency from the start frequency, 0.1 Hz.
+    pub range_tenths: Option<u32>,
+    /// Largest change of the excitation frequency per control period, 0.1 Hz.
+    pub slew_tenths: Option<u32>,
+}
+
+/// Probability of each setting in a scene whose stratum has tuned configurations.
+const SHARE: f64 = 0.4;
+
+impl Tuning {
+    pub(crate) fn strategy(ranges: &Ranges, is_tuned: bool) -> BoxedStrategy<Self> {
+        if !is_tuned {
+            return Just(Self::default()).boxed();
+        }
+        let whole = |[low, high]: [f64; 2], scale: f64| (low * scale) as u32..=(high * scale) as u32;
+        let percent = || whole(ranges.configured_gains_percent, 1.0);
+        let fields = (
+            option::weighted(SHARE, whole(ranges.response_time_ms, 10.0)),
+            option::weighted(SHARE, (percent(), percent())),
+            option::weighted(SHARE, whole(ranges.frequency_range_hz, 10.0)),
+            option::weighted(SHARE, whole(ranges.frequency_slew_hz, 10.0)),
+        );
+        fields
+            .prop_map(|(response_tenths, gains, range_tenths, slew_tenths)| Self {
+                response_tenths,
+                gains_percent: gains.map(|(amplitude, frequency)| [amplitude, frequency]),
+                range_tenths,
+                slew_tenths,
+            })
+            .boxed()
+    }
+
+    /// `controller` with these settings. `design` is the configured plate.
+    pub(crate) fn apply(&self, controller: RawController, law: LawId, design: &Plate, period_us: u32) -> RawController {
+        let tenths = |value: Option<u32>| value.map(|tenths| f64::from(tenths) / 10.0);
+        let gains = self.gains_percent.map(|[amplitude, frequency]| {
+            let period = f64::from(period_us) * 1e-6;
+            let (tau, response) = (1.0 / design.sigma0, default_response_time_s(law));
+            let scaled = |plant_gain: f64, percent: u32| {
+                let PiGains { proportional, integral_per_period } =
+                    PiGains::of_law(law, plant_gain, tau, response, period);
+                [proportional, integral_per_period / period].map(|gain| rounded(gain * f64::from(percent) / 100.0, 4))
+            };
+            let ([amplitude_kp, amplitude_ki], [frequency_kp, frequency_ki]) =
+                (scaled(design.gain, amplitude), scaled(tau, frequency));
+            Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki }
+        });
+        RawController {
+            response_time_ms: tenths(self.response_tenths),
+            frequency_range_hz: tenths(self.range_tenths),
+            frequency_slew_hz: tenths(self.slew_tenths),
+            gains,
+            ..controller
+        }
+    }
+}
+
+/// Rounds to `decimals` + 1 significant digits.
+pub(crate) fn rounded(value: f64, decimals: usize) -> f64 {
+    format!("{value:.decimals$e}").parse().unwrap_or(value)
 }

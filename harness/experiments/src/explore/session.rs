@@ -1,14 +1,16 @@
-//! Runs a whole exploration: plays scenes, shrinks failing scenes, writes scenarios and the result.
+//! Runs a whole exploration: plays scenes, shrinks failing scenes, writes the minimal scenes as
+//! scenarios that the next run and the next exploration play, and writes the result.
 
 use crate::explore::envelope::Envelope;
-use crate::explore::error::ExploreError;
 use crate::explore::exploration::{Budget, ExploreConfig, FailedScene, explore};
-use crate::explore::law_properties::LawProperties;
+use crate::explore::limits::LawProperties;
+use crate::explore::player::ExploreError;
 use crate::explore::player::Player;
 use crate::explore::properties::Property;
-use crate::explore::regression;
-use crate::explore::report::{self, ExploreReport, ViolationReport, violated_properties};
-use crate::explore::shrink::Shrinker;
+use crate::explore::report::{ExploreReport, ViolationReport, violated_properties};
+use crate::explore::scenario_file::ScenarioBuilder;
+use crate::explore::shrink::{MinimalScene, Shrinker};
+use crate::explore::report;
 use platebench_engine::SafeEnds;
 use platebench_engine::plan::LinkFactory;
 use platebench_model::scenario::{Scenario, load};
@@ -136,7 +138,7 @@ impl ExploreSession {
         let mut player = Player::new(connect, config.own_clock, cancel, ends);
         let minimal = Shrinker::new(config, &mut player, time).shrink(failed, property)?;
         let rig = self.rig.to_string();
-        let path = regression::write(&self.regression_folder, config, &rig, failed, &minimal)?;
+        let path = write_regression(&self.regression_folder, config, &rig, failed, &minimal)?;
         // Checks that the written file also fails with a new controller, as in `platebench run`.
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let scenario = load(&path, &name).map_err(|fault| ExploreError::Generated(Box::new(fault)))?;
@@ -176,6 +178,52 @@ fn identify(connect: &LinkFactory<'_>, ends: &SafeEnds) -> Result<Identity, Expl
     let identity = *session.identity();
     ends.record(session.close());
     Ok(identity)
+}
+
+/// Returns the path of the scenario. `rig` is the rig as named on the command line.
+fn write_regression(
+    folder: &Path,
+    config: &ExploreConfig,
+    rig: &str,
+    failed: &FailedScene,
+    minimal: &MinimalScene,
+) -> Result<PathBuf, ExploreError> {
+    let property = minimal.failure.property;
+    let (law, seed, index) = (config.law.name(), config.seed, failed.index);
+    let name = format!("{law}-{property}-{seed}-{index}");
+    let title = format!("Explored: {law} violates the property {property} (scene {index} of seed {seed})");
+    let builder = ScenarioBuilder {
+        base: &config.envelope.plate,
+        title: &title,
+        source: "platebench suite explore; the property and its limit: docs/exploration.md",
+        plate_prefix: &format!("{name}-"),
+    };
+    fs::create_dir_all(folder).at(folder)?;
+    let scenario = builder.build(&minimal.scene, &minimal.demands);
+    scenario.write(folder, &name, &comment(rig, law, minimal)).at(folder)?;
+    Ok(folder.join(format!("{name}.toml")))
+}
+
+fn comment(rig: &str, law: &str, minimal: &MinimalScene) -> Vec<String> {
+    let failure = &minimal.failure;
+    let number = |value: Option<f64>| value.map_or_else(|| "none".to_owned(), |value| format!("{value:.6}"));
+    let unit = failure.property.metric().map_or("", |metric| metric.name());
+    let measured = if failure.property == Property::Protocol {
+        failure.name.clone()
+    } else {
+        format!("measured {} {unit}, limit {}", number(failure.value), number(failure.limit))
+    };
+    let mut lines = vec![
+        format!("Written by platebench suite explore: a minimal scene that violates a property."),
+        format!("property: {}", failure.property),
+        format!("value: {measured}"),
+        format!("law: {law}"),
+        format!("rig: {rig}").replace(char::is_control, " "),
+    ];
+    if !minimal.is_reproduced {
+        lines.push("The scene did not fail again with a new controller, so it is not minimal.".to_owned());
+    }
+    lines
 }
 
 #[cfg(test)]

@@ -1,11 +1,11 @@
 //! Makes a failing scene minimal: fewer trials, events and digits, and a shorter trial.
 
-use crate::explore::error::ExploreError;
 use crate::explore::exploration::{ExploreConfig, FailedScene};
+use crate::explore::player::ExploreError;
 use crate::explore::player::{Failure, Player};
 use crate::explore::properties::{Demand, Property};
+use crate::explore::scene::Tuning;
 use crate::explore::scene::{Course, Scene, SceneTrial};
-use crate::explore::tuning::Tuning;
 use std::time::{Duration, Instant};
 
 const MAX_REPLAYS: u32 = 2_000;

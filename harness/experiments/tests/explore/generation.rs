@@ -3,8 +3,8 @@
 use crate::fixtures::configuration;
 use platebench_experiments::explore::Property;
 use platebench_experiments::explore::coverage::{ChangeKind, Coverage};
+use platebench_experiments::explore::scene::Tuning;
 use platebench_experiments::explore::scene::{Course, PlateChoice, Scene, SceneTrial};
-use platebench_experiments::explore::tuning::Tuning;
 use platebench_model::scenario::load;
 use platebench_wire::LawId;
 use rstest::rstest;

@@ -104,7 +104,7 @@ fn a_campaign_plays_the_trial_of_run(#[case] file: &str) {
     std::fs::write(&campaign, text).unwrap();
     let campaign = Campaign::load(&campaign).unwrap_or_else(|faults| panic!("{}", faults[0]));
     let by_campaign = samples(|connect| {
-        let config = PlayConfig::new(RigSpec::Hosted, 1);
+        let config = PlayConfig::new(RigSpec::hosted(), 1);
         let source = TrialSource::Numbers(0..1);
         let mut rows = 0;
         let on_row = &mut |_| {

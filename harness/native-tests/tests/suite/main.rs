@@ -101,9 +101,9 @@ fn a_test_plays_the_trial_of_run() {
     assert_eq!(project.run_tests(&["good", "--exact"]).0, 0);
     let scenario = load(&project.path().join("scenarios/good.toml"), "good.toml").unwrap();
     let plan =
-        RunPlan::new(&RigSpec::Hosted, Clock::Lockstep { wire_time: false }, 1, vec![scenario], Overrides::default());
+        RunPlan::new(&RigSpec::hosted(), Clock::Lockstep { wire_time: false }, 1, vec![scenario], Overrides::default());
     let folder = RunFolder::create(Some(&project.path().join("run"))).unwrap();
-    platebench_engine::run(&plan, &folder, &|| RigSpec::Hosted.connect(), RunHooks::default()).unwrap();
+    platebench_engine::run(&plan, &folder, &|| RigSpec::hosted().connect(), RunHooks::default()).unwrap();
     let trace = "traces/good/000.csv";
     let [test, run] =
         [project.run_folder("good"), folder.path().to_owned()].map(|run| fs::read(run.join(trace)).unwrap());
