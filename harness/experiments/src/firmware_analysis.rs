@@ -215,42 +215,6 @@ fn check_baseline(scenario: &Scenario, outcome: &Outcome) -> Result<(), Analysis
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::firmware_analysis::suite::hash_commands;
-    use platebench_engine::{Clock, RunHooks, RunPlan, run};
-    use platebench_model::record::{Overrides, RunFolder};
-    use platebench_model::scenario::load;
-    use platebench_model::trace::read_trace;
-    use platebench_rig::RigSpec;
-    use std::hash::{DefaultHasher, Hasher};
-
-    /// Coverage and mutation both start with the baselines.
-    #[test]
-    fn baselines_have_the_commands_of_run() {
-        let file = "paper/fig13-closed-loop.toml";
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
-        let mut scenario = load(&path, file).unwrap_or_else(|fault| panic!("{fault}"));
-        (scenario.trials.count, scenario.trials.max_count) = (2, 2);
-        let rig: RigSpec = "emulated".parse().unwrap();
-        let folder = tempfile::tempdir().unwrap();
-        let folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
-        let clock = Clock::Lockstep { wire_time: false };
-        let plan = RunPlan::new(&rig, clock, 1, vec![scenario.clone()], Overrides::default());
-        let record = run(&plan, &folder, &|| rig.connect(), RunHooks::default()).unwrap();
-        let mut commands = DefaultHasher::new();
-        for trial in &record.scenarios[0].trials {
-            hash_commands(&read_trace(&folder.path().join(&trial.trace)).unwrap(), &mut commands);
-        }
-        let suite = Suite::new(&rig, vec![scenario]).unwrap();
-        let (_, map) = suite.code().unwrap();
-        let baselines = play_baselines(&suite, &map, 1, &CancelToken::never()).unwrap();
-        assert_eq!(record.scenarios[0].trials.len(), 2);
-        assert_eq!(baselines.iter().map(|baseline| baseline.commands).collect::<Vec<_>>(), [commands.finish()]);
-    }
-}
-
 pub fn document(coverage: &Coverage) -> Document {
     let count = |ratio: Ratio| format!("{}/{}", ratio.executed, ratio.total);
     let columns = [Column::number("lines", "%"), Column::number("lines", ""), Column::number("functions", "")];
@@ -324,6 +288,37 @@ fn write_tracefile(text: &mut String, coverage: &Coverage) -> fmt::Result {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::firmware_analysis::suite::hash_commands;
+    use platebench_engine::{Clock, RunHooks, RunPlan, run};
+    use platebench_model::record::{Overrides, RunFolder};
+    use platebench_model::scenario::load;
+    use platebench_model::trace::read_trace;
+    use platebench_rig::RigSpec;
+    use std::hash::{DefaultHasher, Hasher};
+
+    /// Coverage and mutation both start with the baselines.
+    #[test]
+    fn baselines_have_the_commands_of_run() {
+        let file = "paper/fig13-closed-loop.toml";
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
+        let mut scenario = load(&path, file).unwrap_or_else(|fault| panic!("{fault}"));
+        (scenario.trials.count, scenario.trials.max_count) = (2, 2);
+        let rig: RigSpec = "emulated".parse().unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
+        let clock = Clock::Lockstep { wire_time: false };
+        let plan = RunPlan::new(&rig, clock, 1, vec![scenario.clone()], Overrides::default());
+        let record = run(&plan, &folder, &|| rig.connect(), RunHooks::default()).unwrap();
+        let mut commands = DefaultHasher::new();
+        for trial in &record.scenarios[0].trials {
+            hash_commands(&read_trace(&folder.path().join(&trial.trace)).unwrap(), &mut commands);
+        }
+        let suite = Suite::new(&rig, vec![scenario]).unwrap();
+        let (_, map) = suite.code().unwrap();
+        let baselines = play_baselines(&suite, &map, 1, &CancelToken::never()).unwrap();
+        assert_eq!(record.scenarios[0].trials.len(), 2);
+        assert_eq!(baselines.iter().map(|baseline| baseline.commands).collect::<Vec<_>>(), [commands.finish()]);
+    }
 
     #[test]
     fn joins_successive_lines() {

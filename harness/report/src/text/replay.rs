@@ -48,6 +48,7 @@ fn difference(difference: &CommandDifference) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::document::Style;
     use platebench_model::record::{Verdict, Violation};
 
     #[test]
@@ -72,6 +73,7 @@ mod tests {
             recording_end: None,
             safe_confirmed: false,
         };
+        let text = |result: &ReplayResult| document(result).to_console(None, Style::default());
         assert!(!text(&result).contains("did not confirm 0 V"), "{}", text(&result));
         result.violations.clear();
         assert!(text(&result).ends_with("  the controller did not confirm 0 V\n"), "{}", text(&result));
