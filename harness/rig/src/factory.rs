@@ -20,9 +20,12 @@ pub struct RigFactory {
     /// One line for the help: what the controller runs on and how it is reached.
     pub help: &'static str,
     pub capabilities: &'static [Capability],
-    /// Parses the text after the colon; `None` without a colon. Returns the problem of a wrong text.
-    pub parse: fn(Option<&str>) -> Result<Box<dyn Rig>, &'static str>,
+    /// Parses the text after the colon; `None` without a colon.
+    pub parse: fn(Option<&str>) -> ParsedRig,
 }
+
+/// The error is the problem of a wrong text.
+pub type ParsedRig = Result<Box<dyn Rig>, &'static str>;
 
 /// Syntax of the text after the colon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
