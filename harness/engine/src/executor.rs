@@ -226,7 +226,7 @@ impl<'a, L: Link> Executor<'a, L> {
         let trial = Trial { wire_time, own_clock, continues, cancel, tap, ..Trial::new(scenario, law, index) };
         let session = self.session()?;
         match clock {
-            Clock::RealPlate => Ok(real_plate::play(session, trial, operator)?),
+            Clock::RealPlate => Ok(real_plate::play(session, &trial, operator)?),
             Clock::Lockstep { .. } => Ok(lockstep::play(session, trial)),
             Clock::RealTime(time_base) => Ok(real_time::play(session, trial, time_base)),
         }

@@ -24,7 +24,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// `None` if the trial was cancelled. Fails if the controller was lost before its first telemetry.
 pub(crate) fn play<L: Link>(
     session: &mut Session<FaultInjector<L>>,
-    trial: Trial<'_>,
+    trial: &Trial<'_>,
     operator: &dyn Operator,
 ) -> Result<Option<TrialResult>, RigError> {
     let (scenario, cancel) = (trial.scenario, &trial.cancel);
@@ -34,7 +34,7 @@ pub(crate) fn play<L: Link>(
     let (queue, consumer) = RowQueue::new();
     let is_attended = needs_operator(scenario) && preparation.not_done.is_none();
     let mut prompts = Prompts::from_scenario(scenario);
-    let telemetry_loop = TelemetryLoop::new(session, &trial, queue);
+    let telemetry_loop = TelemetryLoop::new(session, trial, queue);
     let (trace_rows, result) = thread::scope(|scope| {
         let telemetry_loop = scope.spawn(move || telemetry_loop.run());
         let rows = watch_rows(consumer, Vec::new(), POLL_INTERVAL, |rows| {
