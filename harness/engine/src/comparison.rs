@@ -1,5 +1,5 @@
-//! Compares the stored trials of a run with a reference: a baseline, a trace or another run. Builds a
-//! baseline (the accepted reference response) from a run.
+//! Compares the stored trials of a run with a reference: a baseline, a trace or another run. Builds
+//! a baseline (the accepted reference response) from a run.
 
 use crate::rejudge::{RejudgeError, load_stored_scenario, read_trial_rows};
 use platebench_model::record::{RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord, Verdict};

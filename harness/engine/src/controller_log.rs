@@ -1,5 +1,5 @@
-//! Records commands, stops and violations of a controller during a trial, for all trial loops. Checks
-//! every command against the configured limits, before the bench clips its drive.
+//! Records commands, stops and violations of a controller during a trial, for all trial loops.
+//! Checks every command against the configured limits, before the bench clips its drive.
 
 use crate::trial::{configure, needs_reconfiguration, start_frequency_mhz};
 use platebench_model::record::{Telemetry, Violation, ViolationKind};

@@ -1,5 +1,5 @@
-//! Finds the delay boundary, the longest constant loop delay at which a law still settles, and excuses
-//! a missed expectation that the delay of the rig explains.
+//! Finds the delay boundary, the longest constant loop delay at which a law still settles, and
+//! excuses a missed expectation that the delay of the rig explains.
 //!
 //! The simulated plate of the search has no noise, and no link lies between plate and controller.
 

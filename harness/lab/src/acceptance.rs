@@ -7,8 +7,8 @@
 //!
 //! A resumed session repeats the interrupted step, but no step that is done.
 //!
-//! It continues only with the same bench, rig, plan, inputs and firmware. The result is a sealed, signed
-//! record.
+//! It continues only with the same bench, rig, plan, inputs and firmware. The result is a sealed,
+//! signed record.
 
 pub mod judge;
 pub mod page;

@@ -1,5 +1,5 @@
-//! Builds the test program of a folder of scenarios and a rig, and runs each scenario in its own run
-//! folder.
+//! Builds the test program of a folder of scenarios and a rig, and runs each scenario in its own
+//! run folder.
 
 use libtest_mimic::{Arguments, Trial};
 use platebench_engine::{Clock, RunError, RunHooks, RunPlan};

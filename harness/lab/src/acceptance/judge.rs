@@ -1,5 +1,5 @@
-//! Derives a verdict for each requirement and one for the session from stored runs. Applies the plan's
-//! decision rule to the evidence, and checks calibrations before a session.
+//! Derives a verdict for each requirement and one for the session from stored runs. Applies the
+//! plan's decision rule to the evidence, and checks calibrations before a session.
 
 use crate::acceptance::session_record::{
     AcceptError, BUDGET, DecisionRecord, EvidenceRecord, EvidenceUncertainty, InstrumentRecord, RequirementRecord,

@@ -1,5 +1,5 @@
-//! Describes a session (plan, rig, record folder, operator, observer) and runs its steps: questions,
-//! self-test of the bench, trust of the scenarios, scenarios.
+//! Describes a session (plan, rig, record folder, operator, observer) and runs its steps:
+//! questions, self-test of the bench, trust of the scenarios, scenarios.
 
 use crate::acceptance::plan::{AnswerKind, Ask, Plan, PlannedScenario, QuestionTime};
 use crate::acceptance::seal::SecretKey;

@@ -1,5 +1,5 @@
-//! Locks a board, stores its state so that it survives a power cut, and derives the state from the end
-//! of a run.
+//! Locks a board, stores its state so that it survives a power cut, and derives the state from the
+//! end of a run.
 
 use crate::boards::inventory::{Board, BoardError, Inventory};
 use platebench_engine::RunError;
