@@ -221,7 +221,9 @@ impl Block {
                 write!(text, "\n{}", names.iter().map(line).collect::<String>())
             }
             Self::Details(blocks) => {
-                blocks.iter().for_each(|block| block.write_markdown(text));
+                for block in blocks {
+                    block.write_markdown(text);
+                }
                 Ok(())
             }
         };

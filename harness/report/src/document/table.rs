@@ -71,22 +71,25 @@ impl Cell {
         Self { verdict: Some(verdict), ..Self::from(verdict.name()) }
     }
 
+    #[must_use]
     pub fn with_verdict(self, verdict: Verdict) -> Self {
         Self { verdict: Some(verdict), ..self }
     }
 
+    #[must_use]
     pub fn with_link(self, link: Option<String>) -> Self {
         Self { link, ..self }
     }
 
+    #[must_use]
     pub fn with_notes(self, notes: impl IntoIterator<Item = String>) -> Self {
         Self { notes: notes.into_iter().collect(), ..self }
     }
 
     fn line(&self) -> String {
         let sign = self.verdict.map(|verdict| format!("{} ", format::sign(verdict))).unwrap_or_default();
-        let notes: String = self.notes.iter().map(|note| format!(", {note}")).collect();
-        format!("{sign}{}{notes}", self.text)
+        let parts: Vec<&str> = std::iter::once(&self.text).chain(&self.notes).map(String::as_str).collect();
+        format!("{sign}{}", parts.join(", "))
     }
 
     fn html(&self) -> Markup {

@@ -22,8 +22,8 @@ pub fn document(result: &ReplayResult) -> Document {
     let outside = result.differences.iter().filter_map(|difference| difference.exceedance.as_ref());
     lines.extend(outside.map(|worst| format!("  {}", format::outside_tube(worst))));
     lines.extend(result.violations.iter().map(|violation| format!("  {violation}")));
-    lines.extend(result.stopped.iter().map(|cause| format!("  the controller stopped: {}", cause)));
-    lines.extend(result.ended.iter().map(|cause| format!("  the session ended: {}", cause)));
+    lines.extend(result.stopped.iter().map(|cause| format!("  the controller stopped: {cause}")));
+    lines.extend(result.ended.iter().map(|cause| format!("  the session ended: {cause}")));
     if result.missed_replies > 0 {
         lines.push(format!("  {} without a reply", format::count(result.missed_replies, "sample")));
     }
