@@ -1,15 +1,17 @@
-//! Generates the reference pages and the table of metrics from clap, `Metric` and the types of
-//! serde. The tests compare them with the stored pages; `ci/reference --update` writes them.
+//! Generates the reference pages and the table of metrics from clap, `Metric` and the JSON Schemas
+//! of the input files. The tests compare them with the stored pages; `ci/reference --update` writes
+//! them.
 
 use crate::page::workspace_root;
-use crate::source::{describe_type, doc_comment, has_default};
+use crate::source::doc_comment;
 use clap::Command;
 use platebench_model::metrics::TrialRule;
 use platebench_model::scenario::{ChangingProfile, Metric};
+use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
-use syn::{Fields, Item, ItemStruct};
+use syn::Item;
 
 const HEAD: &str = "<!-- Written by `ci/reference --update`; a test compares it with the code. -->\n\n";
 
@@ -44,22 +46,20 @@ fn the_key_reference_matches_the_loader() {
         "The keys of all files. [Scenarios](scenarios.md), [verdicts](verdicts.md) and [acceptance](acceptance.md) \
          explain\nthem. The metrics are in [verdicts](verdicts.md#metrics).\n",
     );
-    for (title, files, top) in [
-        (
-            "Scenario file",
-            &["harness/model/src/scenario/raw.rs", "harness/model/src/scenario/definition.rs"][..],
-            "RawScenario",
-        ),
-        ("Plate file", &["harness/plate/src/effects.rs", "harness/plate/src/effects"], "RawPlate"),
-        (
-            "Plan of an acceptance session",
-            &["harness/lab/src/acceptance/plan.rs", "harness/model/src/scenario/requirements.rs"],
-            "RawPlan",
-        ),
+    for (title, schema) in [
+        ("Scenario file", "scenario"),
+        ("Plate file", "plate"),
+        ("Plan of an acceptance session", "plan"),
+        ("Campaign", "campaign"),
+        ("Operating envelope", "envelope"),
+        ("`boards.toml`", "boards"),
+        ("`platebench.toml`", "config"),
     ] {
         write!(page, "\n## {title}\n").unwrap();
-        let types = files.iter().flat_map(|path| source_files(path)).flat_map(|file| structs_by_name(&file)).collect();
-        append_keys(&types, top, "", &mut page);
+        // A test of the program compares this file with the types of serde.
+        let path = workspace_root().join(format!("scenarios/schema/{schema}.json"));
+        let schema: Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();
+        append_keys(&schema, &schema, "", &mut page);
     }
     check_or_update("docs/reference-keys.md", &page);
 }
@@ -105,49 +105,81 @@ fn parse_source(file: &str) -> syn::File {
     syn::parse_file(&fs::read_to_string(workspace_root().join(file)).unwrap()).unwrap()
 }
 
-/// The files of a folder, or the file itself.
-fn source_files(path: &str) -> Vec<String> {
-    match fs::read_dir(workspace_root().join(path)) {
-        Ok(files) => files.map(|file| format!("{path}/{}", file.unwrap().file_name().display())).collect(),
-        Err(_) => vec![path.to_owned()],
-    }
-}
-
-fn structs_by_name(file: &str) -> BTreeMap<String, ItemStruct> {
-    let items = parse_source(file).items.into_iter();
-    let structs = items.filter_map(|item| match item {
-        Item::Struct(of) => Some((of.ident.to_string(), of)),
-        _ => None,
-    });
-    structs.collect()
-}
-
-fn append_keys(types: &BTreeMap<String, ItemStruct>, name: &str, path: &str, page: &mut String) {
-    let of = types.get(name).unwrap_or_else(|| panic!("{name} does not exist"));
-    let Fields::Named(fields) = &of.fields else { panic!("{name} has no keys") };
+fn append_keys(root: &Value, table: &Value, path: &str, page: &mut String) {
     if !path.is_empty() {
         write!(page, "\n### `{path}`\n").unwrap();
     }
-    page.push_str("\n| key | value | | what |\n|---|---|---|---|\n");
-    let all_optional = has_default(&of.attrs);
+    page.push_str("\n| key | value | range | default | what |\n|---|---|---|---|---|\n");
+    let required = |key: &str| table["required"].as_array().is_some_and(|keys| keys.iter().any(|name| name == key));
     let mut below = Vec::new();
-    for field in &fields.named {
-        let key = field.ident.as_ref().unwrap().to_string();
-        let value = describe_type(&field.ty);
-        let optional = all_optional || value.optional || has_default(&field.attrs);
-        let meaning = doc_comment(&field.attrs).replace('|', "\\|");
-        assert!(!meaning.is_empty(), "`{key}` in {name} has no docstring");
-        let kind = if types.contains_key(&value.name) { "table".to_owned() } else { value.describe() };
-        let kind = if value.list && kind == "table" { "tables".to_owned() } else { kind };
-        writeln!(page, "| `{key}` | {kind} | {} | {meaning} |", if optional { "" } else { "required" }).unwrap();
-        if types.contains_key(&value.name) {
-            let inner = if path.is_empty() { key } else { format!("{}.{key}", path.trim_matches(['[', ']'])) };
-            below.push((value.name, if value.list { format!("[[{inner}]]") } else { format!("[{inner}]") }));
+    for (key, schema) in table["properties"].as_object().unwrap() {
+        let help = schema["description"].as_str().unwrap_or_else(|| panic!("`{key}` in {path} has no description"));
+        let help = help.replace('\n', " ").replace('|', "\\|");
+        let default = match &schema["default"] {
+            _ if required(key) => "required".to_owned(),
+            Value::Null | Value::Array(_) | Value::Object(_) => String::new(),
+            default => default.to_string().trim_matches('"').to_owned(),
+        };
+        let range = range_of(schema);
+        writeln!(page, "| `{key}` | {} | {range} | {default} | {help} |", type_of(root, schema)).unwrap();
+        let is_list = schema["type"] == "array";
+        let inner = resolve(root, if is_list { &schema["items"] } else { schema });
+        if inner["properties"].is_object() {
+            let name = if path.is_empty() { key.clone() } else { format!("{}.{key}", path.trim_matches(['[', ']'])) };
+            below.push((inner, if is_list { format!("[[{name}]]") } else { format!("[{name}]") }));
         }
     }
-    for (name, path) in below {
-        append_keys(types, &name, &path, page);
+    for (table, path) in below {
+        append_keys(root, table, &path, page);
     }
+}
+
+fn resolve<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {
+    let place = schema["$ref"].as_str().and_then(|place| root.pointer(place.trim_start_matches('#')));
+    place.map_or(schema, |definition| resolve(root, definition))
+}
+
+fn type_of(root: &Value, schema: &Value) -> String {
+    let schema = resolve(root, schema);
+    let alternatives = ["enum", "anyOf", "oneOf"].iter().find_map(|word| schema[word].as_array());
+    if let Some(alternatives) = alternatives.filter(|all| all.len() <= 8) {
+        let name = |one: &Value| match one.get("const").unwrap_or(one) {
+            Value::Object(_) => type_of(root, one),
+            name => format!("`{}`", name.to_string().trim_matches('"')),
+        };
+        let mut names: Vec<String> = alternatives.iter().map(name).collect();
+        names.dedup();
+        return names.join(" or ");
+    }
+    match (schema["type"].as_str(), &schema["items"]) {
+        (Some("array"), items) if items.is_object() => {
+            let inner = type_of(root, items);
+            match schema["maxItems"].as_u64() {
+                _ if inner == "table" => "tables".to_owned(),
+                Some(2) => format!("[{inner}, {inner}]"),
+                _ => format!("list of {inner}"),
+            }
+        }
+        (Some("array"), _) => "list".to_owned(),
+        (Some("integer"), _) => "whole number".to_owned(),
+        (Some("string"), _) => "text".to_owned(),
+        (Some("boolean"), _) => "true or false".to_owned(),
+        (Some("object"), _) => "table".to_owned(),
+        (Some("number"), _) => "number".to_owned(),
+        (kind, _) => panic!("a key has the unknown type {kind:?}: {schema}"),
+    }
+}
+
+fn range_of(schema: &Value) -> String {
+    if schema["items"]["type"] == "number" || schema["items"]["type"] == "integer" {
+        return range_of(&schema["items"]);
+    }
+    let bound = |words: [&str; 2]| words.into_iter().find_map(|word| Some((schema.get(word)?, word.starts_with("ex"))));
+    let low = bound(["exclusiveMinimum", "minimum"])
+        .map(|(low, open)| if open { format!("> {low}") } else { format!("≥ {low}") });
+    let high = bound(["exclusiveMaximum", "maximum"])
+        .map(|(high, open)| if open { format!("< {high}") } else { format!("≤ {high}") });
+    low.into_iter().chain(high).collect::<Vec<_>>().join(", ")
 }
 
 #[track_caller]

@@ -303,12 +303,15 @@ mod tests {
     fn reports_every_fault_with_its_line() {
         let faults = read(
             "[[board]]\nname = \"../a\"\nrig = \"can:0\"\nchip_id = \"12\"\nplate = \"none.toml\"\n\
-             [board.sensor]\nname = \"x\"\ncalibrated = \"2026-02-30\"\nuncertainty_percent = -1.0\n\
+             [board.sensor]\nname = \"x\"\ncalibrated = \"2026-02-30\"\nuncertainty_percent = 1.0\n\
              [[board]]\nname = \"b\"\nrig = \"hosted\"\n[[board]]\nname = \"b\"\nrig = \"hosted\"\n",
         )
         .unwrap_err();
         let lines: Vec<_> = faults.iter().map(|fault| fault.split(':').next().unwrap()).collect();
-        assert_eq!(lines, ["2", "3", "4", "5", "8", "9", "14"], "{faults:#?}");
+        assert_eq!(lines, ["2", "3", "4", "5", "8", "14"], "{faults:#?}");
+        let sensor =
+            "[[board]]\nname = \"a\"\nrig = \"hosted\"\n[board.sensor]\nname = \"x\"\nuncertainty_percent = -1.0\n";
+        assert_eq!(read(sensor).unwrap_err(), ["6: `uncertainty_percent`: -1 %, expected 0 or more"]);
         assert!(read("[[board]]\nname = \"a\"\nrig = \"hosted\"\nrigg = 1\n").unwrap_err()[0].contains("rigg"));
         assert!(read("").is_err() && read("board = []\n").is_err());
     }
