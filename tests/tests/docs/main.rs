@@ -16,6 +16,5 @@ mod justfile;
 mod links;
 mod page;
 mod reference;
-mod source;
 mod templates;
 mod tutorial;

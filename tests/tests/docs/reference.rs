@@ -3,15 +3,12 @@
 //! them.
 
 use crate::page::workspace_root;
-use crate::source::doc_comment;
 use clap::Command;
 use platebench_model::metrics::TrialRule;
 use platebench_model::scenario::{ChangingProfile, Metric};
 use serde_json::Value;
-use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
-use syn::Item;
 
 const HEAD: &str = "<!-- Written by `ci/reference --update`; a test compares it with the code. -->\n\n";
 
@@ -99,10 +96,6 @@ fn metric_table() -> String {
         writeln!(table, "| `{name}` | {unit} | {definition} | {} | {over} |", options.join(", ")).unwrap();
     }
     table
-}
-
-fn parse_source(file: &str) -> syn::File {
-    syn::parse_file(&fs::read_to_string(workspace_root().join(file)).unwrap()).unwrap()
 }
 
 fn append_keys(root: &Value, table: &Value, path: &str, page: &mut String) {
