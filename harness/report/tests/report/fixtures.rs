@@ -386,7 +386,10 @@ pub(crate) fn with_worst_instants(record: &RunRecord, folder: &Path) -> RunRecor
             let is_deciding = |trial: &&TrialRecord| trial.metrics.get(&key) == Some(expectation.value);
             let deciding = scenario.trials.iter().find(is_deciding).or(scenario.trials.first());
             let rows = deciding.and_then(|trial| read_trace(&folder.join(&trial.trace)).ok());
-            let Some((trial, rows)) = deciding.zip(rows).filter(|_| expectation.worst.is_none()) else { continue };
+            let has_band = expectation.definition.band_percent.is_some();
+            let is_known = has_band || !matches!(expectation.metric, Metric::SettlingTime | Metric::RecoveryTime);
+            let is_wanted = is_known && expectation.worst.is_none();
+            let Some((trial, rows)) = deciding.zip(rows).filter(|_| is_wanted) else { continue };
             let expected = judged_expectation(expectation);
             scenario.expectations[index].worst =
                 measure_with_instants(&expected, trial.index, &rows, &trial.telemetry).1;
