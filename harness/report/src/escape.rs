@@ -53,9 +53,12 @@ pub(crate) fn markdown_cell(text: &str) -> String {
 
 fn escape_markdown(characters: impl Iterator<Item = char>, length: usize) -> String {
     let mut escaped = String::with_capacity(length);
-    for character in characters {
+    let mut characters = characters.peekable();
+    while let Some(character) = characters.next() {
         match character {
             '\n' | '\r' => escaped.push(' '),
+            // No tag starts with a space.
+            '<' if characters.peek() == Some(&' ') => escaped.push('<'),
             '<' => escaped.push_str("&lt;"),
             '&' => escaped.push_str("&amp;"),
             '|' | '\\' | '`' | '*' | '_' | '[' | ']' | '~' | '#' | '@' => {
@@ -141,6 +144,7 @@ mod tests {
     #[test]
     fn a_markdown_cell_has_no_markup_and_an_end() {
         assert_eq!(markdown_cell("a|b <img> & `x` [y](z)"), "a\\|b &lt;img> &amp; \\`x\\` \\[y\\](z)");
+        assert_eq!(markdown_cell("a < 1 <b"), "a < 1 &lt;b");
         assert_eq!(markdown_cell(&"x".repeat(MAX_CELL_CHARS)), "x".repeat(MAX_CELL_CHARS));
         assert_eq!(markdown_cell(&"x".repeat(MAX_CELL_CHARS + 1)), "x".repeat(MAX_CELL_CHARS) + "…");
     }
