@@ -29,7 +29,7 @@ fn traces_of_run(folder: &TestFolder) -> BTreeMap<PathBuf, Vec<u8>> {
 fn soak_plays_the_trials_of_run() {
     let folder = folder_with_noisy_scenario();
     folder.write("boards.toml", &inventory(&[("left", "rig = \"hosted\"".to_owned())]));
-    folder.bench(["soak", "--board", "left", "--hours", "0.0000001", "--out", "soak"]).assert_exit_in(&[0, 1]);
+    folder.bench(["board", "soak", "--board", "left", "--hours", "0.0000001", "--out", "soak"]).assert_exit_in(&[0, 1]);
     let first = fs::read_dir(folder.join("soak/runs")).unwrap().next().unwrap().unwrap();
     assert!(read_traces(&first.path()) == traces_of_run(&folder));
 }
@@ -40,7 +40,7 @@ fn an_acceptance_session_plays_the_trials_of_run() {
     let plan = "title = \"A session\"\nrepetitions = 3\n[[requirement]]\nid = \"R-1\"\ntext = \"It settles.\"\n\
                 [[scenario]]\nfile = \"scenarios/s.toml\"\n[bench]\ntiming_trials = 1\nclean_runs = 2\n";
     folder.write("plan.toml", plan);
-    folder.bench(["accept", "--plan", "plan.toml", "--out", "record", "--rig", "hosted", "--yes"]);
+    folder.bench(["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--rig", "hosted", "--yes"]);
     let step = fs::read_dir(folder.join("record/steps")).unwrap().map(|entry| entry.unwrap().path());
     let step = step.filter(|step| step.join("traces/s").exists()).collect::<Vec<_>>();
     assert_eq!(step.len(), 1, "{step:?}");

@@ -124,7 +124,7 @@ fn saturation_is_time_weighted() {
 
 #[rstest]
 #[case(Metric::SettlingTime, &[[0.0, END_MS]], 0, &[(5.0, 2.2)])]
-#[case(Metric::RecoveryTime, &[[1.5, 4.0], [4.0, END_MS]], 1, &[(5.0, 2.2)])]
+#[case(Metric::RecoveryTime, &[[4.5, END_MS], [1.5, 4.5]], 1, &[(3.0, 1.5)])]
 #[case(Metric::Overshoot, &[[0.0, END_MS]], 0, &[(2.0, 2.6)])]
 #[case(Metric::PeakDeviation, &[[4.0, END_MS], [2.0, 4.0]], 1, &[(2.0, 2.6)])]
 #[case(Metric::StaticError, &[[3.0, 6.0]], 0, &[(6.0, 5.95 / 3.0)])]

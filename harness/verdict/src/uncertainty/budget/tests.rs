@@ -90,7 +90,7 @@ fn a_calibration_is_valid_through_its_last_day() {
 #[case::none("expanded = 0.6\n", "", "expected exactly one of")]
 #[case::normal_width("expanded = 0.6", "half_width = 0.6", "a normal distribution has no half width")]
 #[case::wide_normal("half_width = 2.0", "expanded = 2.0", "only for a normal distribution")]
-#[case::negative("expanded = 0.6", "expanded = -0.6", "budget.toml:12:12: `expanded`: -0.6, expected a finite number")]
+#[case::negative("expanded = 0.6", "expanded = -0.6", "budget.toml:12:12: `expanded`: -0.6, expected 0 or more")]
 #[case::sensitivity("-0.1", "0.0", "expected a finite number other than 0")]
 #[case::freedom("= 12", "= 0.5", "0.5, expected 1 to 1e9")]
 #[case::factor("half_width = 2.0", "half_width = 2.0\ncoverage_factor = 2.0", "belongs to `expanded`")]
