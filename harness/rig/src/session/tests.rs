@@ -9,6 +9,62 @@ use std::sync::{Arc, Mutex};
 
 const AT_REST: Sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };
 
+/// Link to a hosted controller. `answer` returns the bytes that arrive after a request.
+struct FakeLink<F> {
+    device: HostedLink,
+    answer: F,
+    /// Bytes that arrive before the next answer.
+    queued: Vec<u8>,
+}
+
+type Answer = Result<Vec<u8>, LinkError>;
+
+impl<F: FnMut(&mut HostedLink, Duration, &[u8], &mut Vec<u8>) -> Answer + Send> FakeLink<F> {
+    fn new(answer: F) -> Self {
+        Self { device: HostedLink::new(), answer, queued: Vec::new() }
+    }
+}
+
+impl<F: FnMut(&mut HostedLink, Duration, &[u8], &mut Vec<u8>) -> Answer + Send> Link for FakeLink<F> {
+    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        answer.append(&mut self.queued);
+        answer.extend((self.answer)(&mut self.device, now, bytes, &mut self.queued)?);
+        Ok(Duration::ZERO)
+    }
+
+    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+        received.append(&mut self.queued);
+        self.device.advance_to(now, received)
+    }
+}
+
+fn true_answer(device: &mut HostedLink, now: Duration, bytes: &[u8]) -> Vec<u8> {
+    let mut answer = Vec::new();
+    device.exchange(now, bytes, &mut answer).unwrap();
+    answer
+}
+
+fn first_packet(bytes: &[u8]) -> Option<Packet> {
+    PacketReader::new().packets(bytes).flatten().next()
+}
+
+fn command(state: ControllerState, drive_vpp: f32) -> Command {
+    let frequency_mhz = 32_307_600;
+    Command { target_time_us: 0, drive_vpp, frequency_mhz, state, cause: StateCause::None, flags: 0, compute_us: 0 }
+}
+
+fn command_frame(sequence: u8, state: ControllerState, drive_vpp: f32) -> Vec<u8> {
+    Packet { sequence, message: Message::Command(command(state, drive_vpp)) }.encode().as_bytes().to_vec()
+}
+
+fn with_changed_command(frame: &[u8], change: impl FnOnce(&mut Command)) -> Vec<u8> {
+    let mut packet = first_packet(frame).unwrap();
+    if let Message::Command(command) = &mut packet.message {
+        change(command);
+    }
+    packet.encode().as_bytes().to_vec()
+}
+
 #[derive(Clone, Copy, PartialEq)]
 enum LinkFault {
     None,
@@ -21,74 +77,47 @@ enum LinkFault {
     Disconnected,
 }
 
-struct FaultyDevice {
-    device: HostedLink,
-    fault: Arc<Mutex<LinkFault>>,
-    sent: Arc<Mutex<Vec<Message>>>,
-    previous_answer: Vec<u8>,
-}
-
-impl Link for FaultyDevice {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        let fault = *self.fault.lock().unwrap();
-        if fault == LinkFault::Disconnected {
-            return Err(LinkError::Disconnected("unplugged".to_owned()));
-        }
-        let mut reader = PacketReader::new();
-        let messages = reader.packets(bytes).map(|packet| packet.unwrap().message);
-        self.sent.lock().unwrap().extend(messages);
-        let mut real = Vec::new();
-        let delay = self.device.exchange(now, bytes, &mut real)?;
-        match fault {
-            LinkFault::Silent => {}
-            LinkFault::FlipAnswer => {
-                real[5] ^= 4;
-                answer.extend(&real);
-            }
-            LinkFault::PreviousAnswer => answer.extend(&self.previous_answer),
-            LinkFault::Duplicated => answer.extend([&real[..], &real[..]].concat()),
-            LinkFault::Contradicting => {
-                answer.extend(&real);
-                let mut packet = PacketReader::new().packets(&real).next().unwrap().unwrap();
-                if let Message::Command(command) = &mut packet.message {
-                    command.drive_vpp += 1.0;
-                }
-                answer.extend(packet.encode().as_bytes());
-            }
-            LinkFault::IgnoresSafe => {
-                let mut packet = PacketReader::new().packets(&real).next().unwrap().unwrap();
-                if let Message::Command(command) = &mut packet.message {
-                    command.state = ControllerState::Running;
-                }
-                answer.extend(packet.encode().as_bytes());
-            }
-            _ => answer.extend(&real),
-        }
-        self.previous_answer = real;
-        Ok(delay)
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.device.advance_to(now, received)
-    }
-}
-
 struct Fixture {
-    session: Session<FaultyDevice>,
+    session: Session<BoxedLink>,
     fault: Arc<Mutex<LinkFault>>,
     sent: Arc<Mutex<Vec<Message>>>,
+}
+
+impl Fixture {
+    fn set_fault(&self, fault: LinkFault) {
+        *self.fault.lock().unwrap() = fault;
+    }
+
+    fn sample(&mut self, ms: u64) -> Option<Reply> {
+        self.session.send_sample(Duration::from_millis(ms), &AT_REST).unwrap()
+    }
+}
+
+fn faulty_link(fault: &Arc<Mutex<LinkFault>>, sent: &Arc<Mutex<Vec<Message>>>) -> BoxedLink {
+    let (fault, sent, mut previous) = (fault.clone(), sent.clone(), Vec::new());
+    Box::new(FakeLink::new(move |device, now, bytes, _| {
+        let messages = PacketReader::new().packets(bytes).map(|packet| packet.unwrap().message).collect::<Vec<_>>();
+        sent.lock().unwrap().extend(messages);
+        let own = true_answer(device, now, bytes);
+        let previous = std::mem::replace(&mut previous, own.clone());
+        Ok(match *fault.lock().unwrap() {
+            LinkFault::None => own,
+            LinkFault::Silent => Vec::new(),
+            LinkFault::FlipAnswer => [&own[..5], &[own[5] ^ 4], &own[6..]].concat(),
+            LinkFault::PreviousAnswer => previous,
+            LinkFault::Duplicated => own.repeat(2),
+            LinkFault::Contradicting => {
+                [&own[..], &with_changed_command(&own, |command| command.drive_vpp += 1.0)].concat()
+            }
+            LinkFault::IgnoresSafe => with_changed_command(&own, |command| command.state = ControllerState::Running),
+            LinkFault::Disconnected => return Err(LinkError::Disconnected("unplugged".to_owned())),
+        })
+    }))
 }
 
 fn start_trial() -> Fixture {
-    let fault = Arc::new(Mutex::new(LinkFault::None));
-    let sent = Arc::new(Mutex::new(Vec::new()));
-    let link = FaultyDevice {
-        device: HostedLink::new(),
-        fault: fault.clone(),
-        sent: sent.clone(),
-        previous_answer: Vec::new(),
-    };
-    let mut session = Session::open(link).unwrap();
+    let (fault, sent) = (Arc::new(Mutex::new(LinkFault::None)), Arc::default());
+    let mut session = Session::open(faulty_link(&fault, &sent)).unwrap();
     session.start_trial(&CONFIGURE).unwrap();
     Fixture { session, fault, sent }
 }
@@ -98,7 +127,7 @@ fn controls_with_the_hosted_device() {
     let mut fixture = start_trial();
     assert_eq!(fixture.session.firmware_name(), "platebench-host");
     assert!(LawId::ALL.into_iter().all(|law| fixture.session.identity().has_law(law)));
-    let reply = fixture.session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
+    let reply = fixture.sample(0).unwrap();
     assert_eq!(reply.delay, Duration::ZERO);
     assert!(reply.command.drive_vpp > 500.0);
 }
@@ -114,23 +143,22 @@ fn replaces_control_characters_in_a_name() {
 fn returns_no_reply_without_a_valid_answer() {
     for fault in [LinkFault::Silent, LinkFault::FlipAnswer, LinkFault::PreviousAnswer] {
         let mut fixture = start_trial();
-        fixture.session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
-        *fixture.fault.lock().unwrap() = fault;
-        assert_eq!(fixture.session.send_sample(Duration::from_millis(1), &AT_REST).unwrap(), None);
-        *fixture.fault.lock().unwrap() = LinkFault::None;
-        assert!(fixture.session.send_sample(Duration::from_millis(2), &AT_REST).unwrap().is_some());
+        fixture.sample(0).unwrap();
+        fixture.set_fault(fault);
+        assert_eq!(fixture.sample(1), None);
+        fixture.set_fault(LinkFault::None);
+        assert!(fixture.sample(2).is_some());
     }
 }
 
 #[test]
 fn reports_a_lost_link_and_a_silent_controller() {
     let mut fixture = start_trial();
-    *fixture.fault.lock().unwrap() = LinkFault::Disconnected;
+    fixture.set_fault(LinkFault::Disconnected);
     assert!(matches!(fixture.session.send_sample(Duration::ZERO, &AT_REST), Err(RigError::Link(_))));
     assert!(!fixture.session.request_safe_state());
 
-    let fault = Arc::new(Mutex::new(LinkFault::Silent));
-    let link = FaultyDevice { device: HostedLink::new(), fault, sent: Arc::default(), previous_answer: Vec::new() };
+    let link = faulty_link(&Arc::new(Mutex::new(LinkFault::Silent)), &Arc::default());
     assert!(matches!(Session::open(link), Err(RigError::NoAnswer { expected: "identity" })));
 }
 
@@ -144,7 +172,7 @@ fn reports_why_a_configuration_is_rejected() {
 #[test]
 fn returns_the_stop_after_time_without_samples() {
     let mut fixture = start_trial();
-    fixture.session.send_sample(Duration::ZERO, &AT_REST).unwrap();
+    fixture.sample(0);
     assert_eq!(fixture.session.advance_to(Duration::from_micros(4_999)).unwrap(), None);
     let command = fixture.session.advance_to(Duration::from_millis(5)).unwrap().unwrap();
     assert_eq!((command.state, command.drive_vpp), (ControllerState::Fault, 0.0));
@@ -153,7 +181,7 @@ fn returns_the_stop_after_time_without_samples() {
 #[test]
 fn requests_0_v_when_dropped() {
     let mut fixture = start_trial();
-    fixture.session.send_sample(Duration::ZERO, &AT_REST).unwrap();
+    fixture.sample(0);
     assert!(fixture.session.request_safe_state());
     fixture.sent.lock().unwrap().clear();
     drop(fixture.session);
@@ -171,12 +199,12 @@ fn rejects_real_time_over_a_link_in_virtual_time() {
 #[test]
 fn counts_rejected_frames_per_trial() {
     let mut fixture = start_trial();
-    *fixture.fault.lock().unwrap() = LinkFault::FlipAnswer;
+    fixture.set_fault(LinkFault::FlipAnswer);
     for _ in 0..3 {
-        fixture.session.send_sample(Duration::ZERO, &AT_REST).unwrap();
+        fixture.sample(0);
     }
     assert_eq!(fixture.session.rejected_frames(), 3);
-    *fixture.fault.lock().unwrap() = LinkFault::None;
+    fixture.set_fault(LinkFault::None);
     fixture.session.start_trial(&CONFIGURE).unwrap();
     assert_eq!(fixture.session.rejected_frames(), 0);
 }
@@ -185,8 +213,8 @@ fn counts_rejected_frames_per_trial() {
 fn counts_two_different_answers_to_one_sample() {
     let mut fixture = start_trial();
     let mut sample = |fault, ms| {
-        *fixture.fault.lock().unwrap() = fault;
-        fixture.session.send_sample(Duration::from_millis(ms), &AT_REST).unwrap().unwrap();
+        fixture.set_fault(fault);
+        fixture.sample(ms).unwrap();
         fixture.session.contradictions()
     };
     assert_eq!(
@@ -196,7 +224,7 @@ fn counts_two_different_answers_to_one_sample() {
     );
     assert!((1..=300).all(|number| sample(LinkFault::Contradicting, number) == number));
     assert_eq!(sample(LinkFault::None, 301), 300);
-    *fixture.fault.lock().unwrap() = LinkFault::None;
+    fixture.set_fault(LinkFault::None);
     fixture.session.start_trial(&CONFIGURE).unwrap();
     assert_eq!(fixture.session.contradictions(), 0);
 }
@@ -204,7 +232,7 @@ fn counts_two_different_answers_to_one_sample() {
 #[test]
 fn counts_no_contradiction_for_a_stop() {
     let mut fixture = start_trial();
-    fixture.session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
+    fixture.sample(0).unwrap();
     let stopped = fixture.session.advance_to(Duration::from_millis(5)).unwrap().unwrap();
     assert_eq!((stopped.state, fixture.session.contradictions()), (ControllerState::Fault, 0));
 }
@@ -213,7 +241,7 @@ fn counts_no_contradiction_for_a_stop() {
 fn repeats_the_request_for_0_v_without_an_answer() {
     let mut fixture = start_trial();
     fixture.sent.lock().unwrap().clear();
-    *fixture.fault.lock().unwrap() = LinkFault::FlipAnswer;
+    fixture.set_fault(LinkFault::FlipAnswer);
     assert!(!fixture.session.request_safe_state());
     assert_eq!(*fixture.sent.lock().unwrap(), [Message::Safe; 3]);
 }
@@ -265,18 +293,9 @@ fn ends_a_wait_on_a_line_full_of_garbage() {
 
 #[test]
 fn filters_commands_by_sequence_number() {
-    let command = |state| Command {
-        target_time_us: 0,
-        drive_vpp: 0.0,
-        frequency_mhz: 0,
-        state,
-        cause: platebench_wire::StateCause::None,
-        flags: 0,
-        compute_us: 0,
-    };
     let is_new = |sent, last, sequence, state| {
         CommandFilter { last_sent: sent, last_command: last }
-            .new_command(&Packet { sequence, message: Message::Command(command(state)) })
+            .new_command(&Packet { sequence, message: Message::Command(command(state, 0.0)) })
             .is_some()
     };
     for (sent, last) in [(7, 5), (1, 255), (0, 254)] {
@@ -299,96 +318,54 @@ fn counts_requests_for_0_v_that_were_ignored() {
     let mut fixture = start_trial();
     assert!(fixture.session.request_safe_state());
     assert_eq!(fixture.session.ignored_safe_requests(), 0);
-    *fixture.fault.lock().unwrap() = LinkFault::Silent;
+    fixture.set_fault(LinkFault::Silent);
     assert!(!fixture.session.request_safe_state());
     assert_eq!(fixture.session.ignored_safe_requests(), 0);
-    *fixture.fault.lock().unwrap() = LinkFault::IgnoresSafe;
+    fixture.set_fault(LinkFault::IgnoresSafe);
     assert!(!fixture.session.request_safe_state());
     assert_eq!(fixture.session.ignored_safe_requests(), 1);
     fixture.session.start_trial(&CONFIGURE).unwrap();
     assert_eq!(fixture.session.ignored_safe_requests(), 0);
 }
 
-#[derive(Default)]
-struct LateDriver {
-    inner: HostedLink,
-    safe_sequence: Option<u8>,
-}
-
-impl Link for LateDriver {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        let mut reader = platebench_wire::PacketReader::new();
-        let is_safe = |packet: &Packet| matches!(packet.message, Message::Safe);
-        self.safe_sequence = reader.packets(bytes).flatten().find(is_safe).map(|packet| packet.sequence);
-        self.inner.exchange(now, bytes, answer)
-    }
-
-    fn advance_to(&mut self, _: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        let Some(sequence) = self.safe_sequence.take() else { return Ok(()) };
-        let command = Command {
-            target_time_us: 0,
-            drive_vpp: 100.0,
-            frequency_mhz: 32_307_600,
-            state: ControllerState::Running,
-            cause: platebench_wire::StateCause::None,
-            flags: 0,
-            compute_us: 0,
-        };
-        received.extend_from_slice(Packet { sequence, message: Message::Command(command) }.encode().as_bytes());
-        Ok(())
-    }
-}
-
 #[test]
 fn counts_drives_after_0_v_was_confirmed() {
-    let mut session = Session::open(LateDriver::default()).unwrap();
+    let late_driver = FakeLink::new(|device, now, bytes, queued| {
+        let safe = first_packet(bytes).filter(|packet| packet.message == Message::Safe);
+        queued
+            .extend(safe.map(|safe| command_frame(safe.sequence, ControllerState::Running, 100.0)).unwrap_or_default());
+        Ok(true_answer(device, now, bytes))
+    });
+    let mut session = Session::open(late_driver).unwrap();
     assert!(session.request_safe_state());
     assert_eq!(session.observe_safe_state(), Some(DrivesAfterSafe { count: 1, worst_vpp: 100.0 }));
     assert!(matches!(session.close(), SafeEnd::Driven(_)));
 }
 
-/// Controller that leaves the state *safe*: it configures itself again before each sample.
-struct RestartsAfterSafe(HostedLink);
-
-impl Link for RestartsAfterSafe {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        let packet = PacketReader::new().packets(bytes).flatten().next();
-        if matches!(packet, Some(Packet { message: Message::Sample(_), .. })) {
-            let configure = Packet { sequence: 0, message: Message::Configure(CONFIGURE) };
-            self.0.exchange(now, configure.encode().as_bytes(), &mut Vec::new())?;
-        }
-        self.0.exchange(now, bytes, answer)
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.0.advance_to(now, received)
-    }
-}
-
 #[test]
 fn counts_a_drive_that_a_sample_causes_after_0_v() {
-    let sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };
+    // This controller leaves the state *safe*: it configures itself again before each sample.
+    let restarting = FakeLink::new(|device, now, bytes, _| {
+        if matches!(first_packet(bytes), Some(Packet { message: Message::Sample(_), .. })) {
+            let configure = Packet { sequence: 0, message: Message::Configure(CONFIGURE) };
+            true_answer(device, now, configure.encode().as_bytes());
+        }
+        Ok(true_answer(device, now, bytes))
+    });
     let drives = |mut session: Session<BoxedLink>| {
         assert!(session.request_safe_state());
-        session.send_sample(Duration::ZERO, &sample).unwrap();
+        session.send_sample(Duration::ZERO, &AT_REST).unwrap();
         let drives = session.observe_safe_state().map_or(0, |drives| drives.count);
         session.start_trial(&CONFIGURE).unwrap();
-        session.send_sample(Duration::ZERO, &sample).unwrap();
+        session.send_sample(Duration::ZERO, &AT_REST).unwrap();
         (drives, session.observe_safe_state().map_or(0, |drives| drives.count))
     };
     let open = |link: BoxedLink| Session::open(link).unwrap();
-    assert_eq!(drives(open(Box::new(RestartsAfterSafe(HostedLink::new())))), (1, 0));
+    assert_eq!(drives(open(Box::new(restarting))), (1, 0));
     assert_eq!(drives(open(Box::<HostedLink>::default())), (0, 0));
 }
 
-/// Controller that sends something besides its answers.
-struct ChattyDevice {
-    inner: HostedLink,
-    chatter: Chatter,
-    /// Bytes that arrive between two requests.
-    queued: Vec<u8>,
-}
-
+/// Messages that a controller sends besides its answers.
 #[derive(Clone, Copy, PartialEq)]
 enum Chatter {
     /// Sends each answer twice.
@@ -407,77 +384,40 @@ enum Chatter {
     SafeForConfiguration,
 }
 
-fn chatty_session(chatter: Chatter) -> Session<ChattyDevice> {
-    let mut session = Session::open(ChattyDevice { inner: HostedLink::new(), chatter, queued: Vec::new() }).unwrap();
-    session.start_trial(&CONFIGURE).unwrap();
-    session
-}
-
-impl Link for ChattyDevice {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        let mut own = Vec::new();
-        let delay = self.inner.exchange(now, bytes, &mut own)?;
-        answer.append(&mut self.queued);
-        let Some(request) = PacketReader::new().packets(bytes).flatten().next() else { return Ok(delay) };
-        let Some(reply) = PacketReader::new().packets(&own).flatten().next() else { return Ok(delay) };
-        let command = |sequence: u8, state, drive_vpp| {
-            let Message::Command(command) = reply.message else { return Vec::new() };
-            let message = Message::Command(Command { state, drive_vpp, ..command });
-            Packet { sequence, message }.encode().as_bytes().to_vec()
-        };
+fn chatty_session(
+    chatter: Chatter,
+) -> Session<FakeLink<impl FnMut(&mut HostedLink, Duration, &[u8], &mut Vec<u8>) -> Answer + Send>> {
+    let link = FakeLink::new(move |device, now, bytes, queued| {
+        let own = true_answer(device, now, bytes);
+        let Some(request) = first_packet(bytes) else { return Ok(own) };
         let (safe, number) = (ControllerState::Safe, request.sequence);
-        let invented = |state, drive_vpp| {
-            let command = Command {
-                target_time_us: 0,
-                drive_vpp,
-                frequency_mhz: 32_300_000,
-                state,
-                cause: StateCause::None,
-                flags: 0,
-                compute_us: 0,
-            };
-            Packet { sequence: number, message: Message::Command(command) }.encode().as_bytes().to_vec()
-        };
-        match (self.chatter, request.message) {
-            (Chatter::Doubled, _) => answer.extend([&own[..], &own[..]].concat()),
-            (Chatter::SafeForSample, Message::Sample(_)) => {
-                answer.extend(own);
-                answer.extend(command(number, safe, 0.0));
+        let drive = |vpp| command_frame(number, ControllerState::Running, vpp);
+        Ok(match (chatter, request.message) {
+            (Chatter::Doubled, _) => own.repeat(2),
+            (Chatter::SafeForSample, Message::Sample(_)) | (Chatter::SafeForConfiguration, Message::Configure(_)) => {
+                [own, command_frame(number, safe, 0.0)].concat()
             }
             (Chatter::SafeBeforeRequest, Message::Sample(_)) => {
-                answer.extend(own);
-                self.queued = command(number.wrapping_add(1), safe, 0.0);
+                *queued = command_frame(number.wrapping_add(1), safe, 0.0);
+                own
             }
-            (Chatter::SafeBeforeRequest, Message::Safe) => {}
-            (Chatter::DriveThenSafe, Message::Safe) => {
-                answer.extend(command(number, ControllerState::Running, 400.0));
-                answer.extend(own);
-            }
-            (Chatter::SafeWithOldNumber, Message::Safe) => {
-                // The number of the sample, after those of hello and configuration.
-                answer.extend(command(3, safe, 0.0));
-            }
-            (Chatter::DriveForConfiguration, Message::Configure(_)) => {
-                answer.extend([own, invented(ControllerState::Running, 900.0)].concat());
-            }
-            (Chatter::SafeForConfiguration, Message::Configure(_)) => {
-                answer.extend([own, invented(safe, 0.0)].concat());
-            }
-            _ => answer.extend(own),
-        }
-        Ok(delay)
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        received.append(&mut self.queued);
-        self.inner.advance_to(now, received)
-    }
+            (Chatter::SafeBeforeRequest, Message::Safe) => Vec::new(),
+            (Chatter::DriveThenSafe, Message::Safe) => [drive(400.0), own].concat(),
+            // The number of the sample, after those of hello and configuration.
+            (Chatter::SafeWithOldNumber, Message::Safe) => command_frame(3, safe, 0.0),
+            (Chatter::DriveForConfiguration, Message::Configure(_)) => [own, drive(900.0)].concat(),
+            _ => own,
+        })
+    });
+    let mut session = Session::open(link).unwrap();
+    session.start_trial(&CONFIGURE).unwrap();
+    session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
+    session
 }
 
 #[test]
 fn doubled_answers_are_no_invented_confirmation() {
     let mut session = chatty_session(Chatter::Doubled);
-    session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
     assert!(session.request_safe_state());
     session.send_sample(Duration::from_millis(1), &AT_REST).unwrap().unwrap();
     // The sample, the request for 0 V, and the sample in the state *safe*.
@@ -489,7 +429,6 @@ fn doubled_answers_are_no_invented_confirmation() {
 fn an_invented_confirmation_is_no_second_answer() {
     for chatter in [Chatter::SafeForSample, Chatter::SafeBeforeRequest, Chatter::SafeWithOldNumber] {
         let mut session = chatty_session(chatter);
-        session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
         let confirmed = session.request_safe_state();
         assert_eq!(confirmed, chatter == Chatter::SafeForSample);
         assert!(session.unrequested_confirmations() > 0);
@@ -499,18 +438,15 @@ fn an_invented_confirmation_is_no_second_answer() {
 
 #[test]
 fn a_command_for_a_configuration_breaks_the_protocol() {
-    let mut session = chatty_session(Chatter::DriveForConfiguration);
-    session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
+    let session = chatty_session(Chatter::DriveForConfiguration);
     assert_eq!((session.wrong_sequences(), session.unrequested_confirmations()), (1, 0));
-    let mut session = chatty_session(Chatter::SafeForConfiguration);
-    session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
+    let session = chatty_session(Chatter::SafeForConfiguration);
     assert_eq!((session.wrong_sequences(), session.unrequested_confirmations()), (0, 1));
 }
 
 #[test]
 fn the_first_answer_to_a_request_for_0_v_counts() {
     let mut session = chatty_session(Chatter::DriveThenSafe);
-    session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
     assert!(!session.request_safe_state());
     assert_eq!((session.ignored_safe_requests(), session.contradictions()), (1, 1));
     assert_eq!(session.unrequested_confirmations(), 0);
@@ -519,7 +455,6 @@ fn the_first_answer_to_a_request_for_0_v_counts() {
 #[test]
 fn the_report_of_a_stop_is_no_second_answer() {
     let mut session = chatty_session(Chatter::SafeBeforeRequest);
-    session.send_sample(Duration::ZERO, &AT_REST).unwrap().unwrap();
     session.link_mut().queued.clear();
     let stopped = session.advance_to(Duration::from_millis(5)).unwrap().unwrap();
     assert_eq!(stopped.state, ControllerState::Fault);
