@@ -1,13 +1,11 @@
 //! Tests the live view through a terminal.
 
-mod terminal;
-
+use crate::terminal::{LARGE, SMALL, TestTerminal};
 use crate::test_folder::{
     ChildGuard, TestFolder, assert_same_traces, controller_rig, run_bench, step_text, workspace_root,
 };
 use rstest::rstest;
 use std::process::Command;
-use terminal::{LARGE, SMALL, TestTerminal};
 
 const EXPECT: &str = "metric = \"overshoot_percent\"\nat_most = 100.0";
 /// At this time scale the watchdog waits 0.25 s, so that a busy machine does not trigger it.
@@ -183,7 +181,7 @@ fn colours_are_forced_in_a_pipe(#[case] arguments: &[&str], #[case] exit: i32) {
     let folder = run_folder("60.0");
     folder.write("broken.toml", "title = 3\n[profile]\n");
     folder.bench(arguments).assert_exit(exit).assert_output_without("\u{1b}");
-    folder.bench(arguments.iter().chain(&["--color", "always"])).assert_exit(exit).assert_output(&["\u{1b}["]);
+    folder.bench(arguments.iter().chain(&["--color", "always"])).assert_text(exit, &["\u{1b}["]);
 }
 
 #[test]
@@ -228,8 +226,7 @@ fn a_session_restores_the_terminal_for_its_questions() {
     let answers = ["--operator", "A. Tester", "--place", "Lab 2", "--notes", "none"];
     let arguments = ["acceptance", "run", "--live", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
     let mut terminal = TestTerminal::start(folder.path(), SMALL, arguments.iter().chain(&answers).chain(&SLOW), &[]);
-    terminal.wait_for_terminal_text("near the plate?");
-    terminal.type_keys("yes\n");
+    terminal.answer("near the plate?", "yes\n");
     terminal.wait_for_view_text("acceptance run   trial 2 of 3   s.toml");
     terminal.wait_for_exit(&[0, 3]);
     terminal.assert_text("record: record/");

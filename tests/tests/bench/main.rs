@@ -49,6 +49,7 @@ mod serial_line;
 mod signals;
 mod starter_c;
 mod stored_runs;
+mod terminal;
 mod test_folder;
 mod trend;
 mod tune;

@@ -1,70 +1,16 @@
 //! Tests sessions with an operator at a terminal, a board on a pseudo-terminal, and a killed bench.
 
 use super::{copy_folder, plan_text, read_session_record, run_session, session_folder, verify};
-use crate::test_folder::{ChildGuard, TestFolder, bench_command, controller_rig, step_text, wait_until};
+use crate::terminal::TestTerminal;
+use crate::test_folder::{TestFolder, controller_rig, step_text, wait_until};
 use platebench_lab::acceptance::SessionRecord;
 use platebench_model::record::Verdict;
-use platebench_test_kit::open_terminal;
-use std::fs::{self, File, OpenOptions};
-use std::io::{Read, Write};
+use std::fs;
 use std::path::Path;
-use std::sync::{Arc, Mutex};
-use std::thread;
 
-struct OperatorTerminal {
-    child: ChildGuard,
-    keys: File,
-    screen: Arc<Mutex<String>>,
-    reader: thread::JoinHandle<()>,
-    read_to: usize,
-}
-
-impl OperatorTerminal {
-    fn start(folder: &Path, arguments: &[&str]) -> Self {
-        let (keys, path) = open_terminal();
-        let terminal = || OpenOptions::new().read(true).write(true).open(&path).unwrap();
-        let mut command = bench_command(folder);
-        command.args(arguments).stdin(terminal()).stderr(terminal()).stdout(terminal());
-        let child = ChildGuard(command.spawn().unwrap());
-        let mut output = keys.try_clone().unwrap();
-        let screen = Arc::new(Mutex::new(String::new()));
-        let text = Arc::clone(&screen);
-        let reader = thread::spawn(move || {
-            let mut bytes = [0; 4096];
-            while let Ok(count @ 1..) = output.read(&mut bytes) {
-                text.lock().unwrap().push_str(&String::from_utf8_lossy(&bytes[..count]));
-            }
-        });
-        Self { child, keys, screen, reader, read_to: 0 }
-    }
-
-    fn screen(&self) -> String {
-        self.screen.lock().unwrap().clone()
-    }
-
-    #[track_caller]
-    fn answer(&mut self, prompt: &str, answer: &str) {
-        self.wait_for_text(prompt);
-        self.keys.write_all(answer.as_bytes()).unwrap();
-    }
-
-    #[track_caller]
-    fn wait_for_text(&mut self, text: &str) {
-        let mut at = None;
-        wait_until(&format!("no prompt {text}"), || {
-            at = self.screen().get(self.read_to..).and_then(|fresh| fresh.find(text));
-            at.is_some()
-        });
-        self.read_to += at.unwrap() + text.len();
-    }
-
-    #[track_caller]
-    fn wait_for_exit(mut self, exits: &[i32]) -> String {
-        self.child.wait_for_exit(exits);
-        // The reader ends after the program has closed the terminal and all output is read.
-        wait_until("the terminal stays open", || self.reader.is_finished());
-        self.screen()
-    }
+/// Starts the program in a terminal that is large enough for its whole output.
+fn start(folder: &TestFolder, arguments: &[&str]) -> TestTerminal {
+    TestTerminal::start(folder.path(), [200, 500], arguments, &[])
 }
 
 /// The second scenario takes long enough for a kill of the bench while it runs.
@@ -72,7 +18,7 @@ fn long_session_folder() -> TestFolder {
     let folder = session_folder();
     let expect = "metric = \"settling_time_ms\"\nat_most = 100.0\nrequirement = \"R-1\"";
     folder.write_scenario("slow.toml", &step_text(expect).replace("duration_ms = 60.0", "duration_ms = 900.0"));
-    folder.write("plan.toml", &plan_text(&["s.toml", "slow.toml"], 8));
+    folder.write("plan.toml", &plan_text(&["s.toml", "slow.toml"], 5));
     folder
 }
 
@@ -86,12 +32,12 @@ fn a_session_killed_twice_resumes_and_verifies() {
     let folder = long_session_folder();
     let rig = controller_rig(None);
     let session = ["acceptance", "run", "--plan", "plan.toml", "--rig", &rig, "--sign", "key.pem"];
-    let mut first = OperatorTerminal::start(folder.path(), &[&session[..], &["--out", "record"]].concat());
+    let mut first = start(&folder, &[&session[..], &["--out", "record"]].concat());
     first.answer("operator?", "A. Tester\n");
     first.answer("Where does the session take place?", "Lab 2\n");
     first.answer("Notes?", "\n");
     first.answer("near the plate?", "perhaps\n");
-    first.wait_for_text("yes or no?");
+    first.wait_for_terminal_text("yes or no?");
     first.child.kill();
     let record = read_session_record(&folder);
     assert_eq!(
@@ -101,17 +47,17 @@ fn a_session_killed_twice_resumes_and_verifies() {
     assert!(record.steps[0].done && !record.steps[1].done);
     assert_eq!(record.steps[1].attempts.len(), 1);
 
-    let mut second = OperatorTerminal::start(folder.path(), &[&session[..], &["--resume", "record"]].concat());
+    let mut second = start(&folder, &[&session[..], &["--resume", "record"]].concat());
     second.answer("near the plate?", "yes\n");
     let record_folder = folder.join("record");
     let traces = record_folder.join("steps/06-slow/traces/slow");
-    wait_until("no complete trial", || complete_trace_count(&traces) >= 2);
-    assert!(!second.screen().contains("operator?"));
+    wait_until("no complete trial", || complete_trace_count(&traces) >= 1);
+    assert!(!second.text().contains("operator?"));
     second.child.kill();
     let record = read_session_record(&folder);
     let done: Vec<bool> = record.steps.iter().map(|step| step.done).collect();
     assert_eq!(done, [true, true, true, true, true, false]);
-    verify(&folder, "record", &[]).assert_exit(3).assert_output(&["the session is not finished"]);
+    verify(&folder, "record", &[]).assert_text(3, &["the session is not finished"]);
     // Copies the state after a kill between two steps, when the next step has no files yet.
     copy_folder(&record_folder, &folder.join("between"));
     let mut earlier = record.clone();
@@ -121,10 +67,10 @@ fn a_session_killed_twice_resumes_and_verifies() {
 
     let sealed_step = folder.read("record/steps/05-s/run.json");
     for name in ["record", "between"] {
-        let again = OperatorTerminal::start(folder.path(), &[&session[..], &["--out", name]].concat());
-        let screen = again.wait_for_exit(&[0, 3]);
-        assert!(!screen.contains("near the plate?"), "{screen}");
-        verify(&folder, name, &["--key", "public.pem"]).assert_exit(0).assert_output(&["the given key"]);
+        let mut again = start(&folder, &[&session[..], &["--out", name]].concat());
+        again.wait_for_exit(&[0, 3]);
+        assert!(!again.text().contains("near the plate?"), "{}", again.text());
+        verify(&folder, name, &["--key", "public.pem"]).assert_text(0, &["the given key"]);
     }
     let record = read_session_record(&folder);
     assert_eq!(record.resumed.len(), 2);
@@ -135,7 +81,7 @@ fn a_session_killed_twice_resumes_and_verifies() {
     let attempts: Vec<usize> = record.steps.iter().map(|step| step.attempts.len()).collect();
     assert_eq!(attempts, [1, 2, 1, 1, 1, 2]);
     assert!(record.steps[5].attempts[0].ended.is_none() && record.steps[5].attempts[1].ended.is_some());
-    assert_eq!(complete_trace_count(&traces), 8);
+    assert_eq!(complete_trace_count(&traces), 5);
     assert_eq!(folder.read("record/steps/05-s/run.json"), sealed_step, "a finished step is not changed");
     assert!(folder.read("record/record.html").contains("started 2 times"));
 
@@ -145,7 +91,7 @@ fn a_session_killed_twice_resumes_and_verifies() {
     }
     folder.bench([&session[..], &["--resume", "record", "--yes"]].concat()).assert_exit_in(&[0, 3]);
     assert_eq!(read_session_record(&folder).verdict, record.verdict);
-    verify(&folder, "record", &["--key", "public.pem"]).assert_exit(0).assert_output(&["the given key"]);
+    verify(&folder, "record", &["--key", "public.pem"]).assert_text(0, &["the given key"]);
 }
 
 #[test]
@@ -159,10 +105,10 @@ fn end_of_input_does_not_confirm() {
         ("record", "hosted", "02-ask-safe  inconclusive, no answer", 5),
     ] {
         let call: Vec<&str> = arguments.iter().chain(&[name, "--rig", rig]).copied().collect();
-        let mut session = OperatorTerminal::start(folder.path(), &call);
+        let mut session = start(&folder, &call);
         session.answer("near the plate?", "\u{4}");
-        let screen = session.wait_for_exit(&[3]);
-        assert!(screen.contains(message), "{screen}");
+        session.wait_for_exit(&[3]);
+        session.assert_text(message);
         let record = SessionRecord::read(&folder.join(name)).unwrap();
         assert_eq!(record.steps.iter().filter(|step| step.done).count(), steps);
     }
@@ -182,20 +128,21 @@ fn a_no_ends_the_session_and_ctrl_c_allows_resuming() {
     let folder = long_session_folder();
     let arguments = ["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--operator", "A", "--place", "B"];
     let hosted: Vec<&str> = arguments.iter().chain(&["--notes", "C", "--rig", "hosted"]).copied().collect();
-    let mut first = OperatorTerminal::start(folder.path(), &hosted);
+    let mut first = start(&folder, &hosted);
     first.answer("near the plate?", "no\n");
-    assert!(first.wait_for_exit(&[3]).contains("the answer was no"));
+    first.wait_for_exit(&[3]);
+    first.assert_text("the answer was no");
     let record = read_session_record(&folder);
     assert!(!record.steps[1].done && record.steps[1].answer.is_none());
     assert!(record.steps[1].attempts[0].broken_off.as_ref().unwrap().contains("the answer was no"));
 
-    let mut second = OperatorTerminal::start(folder.path(), &hosted);
-    second.wait_for_text("near the plate?");
+    let mut second = start(&folder, &hosted);
+    second.wait_for_terminal_text("near the plate?");
     second.child.signal("INT");
     second.wait_for_exit(&[130]);
-    let mut third = OperatorTerminal::start(folder.path(), &hosted);
+    let mut third = start(&folder, &hosted);
     third.answer("near the plate?", "yes\n");
-    third.wait_for_text("06-slow");
+    third.wait_for_terminal_text("06-slow");
     third.child.signal("TERM");
     third.wait_for_exit(&[143]);
     let record = read_session_record(&folder);
@@ -204,12 +151,12 @@ fn a_no_ends_the_session_and_ctrl_c_allows_resuming() {
     let text = folder.read("record/session.json");
     let build = &record.firmware.as_ref().unwrap().firmware.build;
     folder.write("record/session.json", &text.replace(build.as_str(), "0123456789abcdef"));
-    folder.bench(&hosted).assert_exit(2).assert_output(&["the firmware is ", "start a new session"]);
+    folder.bench(&hosted).assert_text(2, &["the firmware is ", "start a new session"]);
     assert_eq!(read_session_record(&folder).steps[5].attempts.len(), record.steps[5].attempts.len());
     folder.write("record/session.json", &text);
     let run = folder.read("record/steps/05-s/run.json");
     folder.write("record/steps/05-s/run.json", &format!("{run} "));
-    folder.bench(&hosted).assert_exit(2).assert_output(&["steps/05-s/run.json is "]);
+    folder.bench(&hosted).assert_text(2, &["steps/05-s/run.json is "]);
     folder.write("record/steps/05-s/run.json", &run);
-    folder.bench(&hosted).assert_exit(0).assert_output(&["pass"]);
+    folder.bench(&hosted).assert_text(0, &["pass"]);
 }

@@ -17,11 +17,11 @@ use std::thread::{self, JoinHandle};
 use vt100::{Color, Parser};
 
 /// Size of the terminal: columns, rows.
-pub(super) const SMALL: [u16; 2] = [80, 24];
-pub(super) const LARGE: [u16; 2] = [200, 50];
+pub(crate) const SMALL: [u16; 2] = [80, 24];
+pub(crate) const LARGE: [u16; 2] = [200, 50];
 
-pub(super) struct TestTerminal {
-    pub(super) child: ChildGuard,
+pub(crate) struct TestTerminal {
+    pub(crate) child: ChildGuard,
     keys: Option<File>,
     line: Option<File>,
     initial_modes: Termios,
@@ -31,7 +31,7 @@ pub(super) struct TestTerminal {
 }
 
 impl TestTerminal {
-    pub(super) fn start<A: AsRef<OsStr>>(
+    pub(crate) fn start<A: AsRef<OsStr>>(
         folder: &Path,
         size: [u16; 2],
         arguments: impl IntoIterator<Item = A>,
@@ -69,15 +69,15 @@ impl TestTerminal {
         self.screen.lock().unwrap()
     }
 
-    pub(super) fn text(&self) -> String {
+    pub(crate) fn text(&self) -> String {
         self.screen().screen().contents()
     }
 
-    pub(super) fn is_alternate(&self) -> bool {
+    pub(crate) fn is_alternate(&self) -> bool {
         self.screen().screen().alternate_screen()
     }
 
-    pub(super) fn has_colour(&self) -> bool {
+    pub(crate) fn has_colour(&self) -> bool {
         let parser = self.screen();
         let (rows, columns) = parser.screen().size();
         let mut cells = (0..rows.get()).flat_map(|row| (0..columns.get()).map(move |column| (row, column)));
@@ -88,17 +88,17 @@ impl TestTerminal {
     }
 
     #[track_caller]
-    pub(super) fn assert_text(&self, text: &str) {
+    pub(crate) fn assert_text(&self, text: &str) {
         assert!(self.text().contains(text), "{text} is not in:\n{}", self.text());
     }
 
     #[track_caller]
-    pub(super) fn wait_for_view_text(&mut self, text: &str) {
+    pub(crate) fn wait_for_view_text(&mut self, text: &str) {
         self.wait_for_text(text, true);
     }
 
     #[track_caller]
-    pub(super) fn wait_for_terminal_text(&mut self, text: &str) {
+    pub(crate) fn wait_for_terminal_text(&mut self, text: &str) {
         self.wait_for_text(text, false);
     }
 
@@ -110,17 +110,23 @@ impl TestTerminal {
         });
     }
 
-    pub(super) fn type_keys(&mut self, keys: &str) {
+    pub(crate) fn type_keys(&mut self, keys: &str) {
         self.keys.as_mut().unwrap().write_all(keys.as_bytes()).unwrap();
     }
 
-    pub(super) fn resize(&mut self, size: [u16; 2]) {
+    #[track_caller]
+    pub(crate) fn answer(&mut self, prompt: &str, answer: &str) {
+        self.wait_for_terminal_text(prompt);
+        self.type_keys(answer);
+    }
+
+    pub(crate) fn resize(&mut self, size: [u16; 2]) {
         self.screen().screen_mut().set_size(non_zero(size[1]), non_zero(size[0]));
         set_size(self.keys.as_ref().unwrap(), size);
     }
 
     #[track_caller]
-    pub(super) fn wait_for_exit(&mut self, expected: &[i32]) {
+    pub(crate) fn wait_for_exit(&mut self, expected: &[i32]) {
         wait_until("the program does not end", || self.child.has_ended());
         let code = self.child.0.wait().unwrap().code();
         let after = tcgetattr(self.line.as_ref().unwrap()).unwrap();
@@ -137,7 +143,7 @@ impl TestTerminal {
         assert!(!self.screen().screen().hide_cursor());
     }
 
-    pub(super) fn close(mut self) -> ChildGuard {
+    pub(crate) fn close(mut self) -> ChildGuard {
         self.closed.store(true, Ordering::Relaxed);
         self.reader.take().unwrap().join().unwrap();
         (self.keys, self.line) = (None, None);
