@@ -18,7 +18,7 @@ const UNDECIDED: &str = "metric = \"repeatability_percent\"\nat_most = 1.0";
 #[case::inconclusive(UNDECIDED, 3)]
 fn verdicts_become_exit_codes(#[case] expect: &str, #[case] expected: i32) {
     let folder = TestFolder::with_step(expect);
-    folder.bench(["run", "--out", "run"]).assert_exit(expected);
+    folder.run_hosted("run").assert_exit(expected);
     folder.bench(["report", "run", "--rejudge"]).assert_exit(expected);
 }
 
@@ -28,7 +28,7 @@ fn a_failure_outweighs_an_inconclusive_verdict() {
     for (name, expect) in [("a.toml", UNDECIDED), ("b.toml", FAILED_SETTLING), ("c.toml", SETTLING)] {
         folder.write_scenario(name, &step_text(expect));
     }
-    folder.bench(["run"]).assert_exit(1);
+    folder.run_hosted("run").assert_exit(1);
 }
 
 /// The inputs are pipes without a writer. A program that opened one would block.
@@ -73,7 +73,7 @@ fn a_pipe_as_input_is_rejected_without_waiting(#[case] arguments: &[&str]) {
     }
     let mut bench = start_bench(folder.path(), arguments);
     wait_until("the bench waits for a pipe", || bench.has_ended());
-    bench.finish().assert_exit(2).assert_stderr(&["pipe.toml", "it is a pipe or a device, expected"]);
+    bench.finish().assert_message(2, &["pipe.toml", "it is a pipe or a device, expected"]);
 }
 
 #[rstest]
@@ -84,7 +84,7 @@ fn a_write_error_is_not_a_success(#[case] arguments: &[&str]) {
     let folder = TestFolder::with_step(SETTLING);
     let full = fs::File::create("/dev/full").unwrap();
     let output = bench_command(folder.path()).args(arguments).stdout(full).stderr(Stdio::piped()).output().unwrap();
-    ProgramOutput::from(output).assert_exit(2).assert_stderr(&["standard output is incomplete: No space left"]);
+    ProgramOutput::from(output).assert_message(2, &["standard output is incomplete: No space left"]);
 }
 
 #[test]
@@ -92,7 +92,7 @@ fn invalid_input_outweighs_all_and_nothing_runs() {
     let folder = TestFolder::new();
     folder.write_scenario("bad.toml", &step_text(FAILED_SETTLING));
     folder.write_scenario("broken.toml", &step_text(SETTLING).replace("duration_ms", "duration"));
-    folder.bench(["run", "--out", "run"]).assert_exit(2).assert_stderr(&["broken.toml:3:1"]);
+    folder.bench(["run", "--out", "run"]).assert_message(2, &["broken.toml:3:1"]);
     assert!(!folder.exists("run"));
 }
 
@@ -108,13 +108,13 @@ fn invalid_input_outweighs_all_and_nothing_runs() {
 #[case::no_report(&["report", "nowhere"], "nowhere")]
 fn wrong_usage_names_the_argument(#[case] arguments: &[&str], #[case] named: &str) {
     let folder = tempfile::tempdir().unwrap();
-    run_bench(folder.path(), arguments).assert_exit(2).assert_stderr(&[named]).assert_output_without("panicked");
+    run_bench(folder.path(), arguments).assert_message(2, &[named]).assert_output_without("panicked");
 }
 
 #[test]
 fn an_unknown_law_is_reported_with_its_line() {
     let folder = TestFolder::with_scenario(&step_scenario("aluminium-198x138", "law = \"dq-pid\"", "", SETTLING));
-    folder.bench(["run"]).assert_exit(2).assert_stderr(&["s.toml:5:7", "`dq-pi`"]);
+    folder.bench(["run"]).assert_message(2, &["s.toml:5:7", "`dq-pi`"]);
 }
 
 #[test]
@@ -131,8 +131,7 @@ fn a_named_folder_without_scenarios_is_not_a_pass() {
     fs::create_dir(folder.join("more")).unwrap();
     folder
         .bench(["run", "scenarios", "more", "--out", "run"])
-        .assert_exit(4)
-        .assert_stderr(&["more: no scenario was found below this folder"]);
+        .assert_message(4, &["more: no scenario was found below this folder"]);
     assert!(!folder.exists("run"));
 }
 
@@ -171,9 +170,9 @@ fn comparison_with_the_reference_needs_lockstep(#[case] clock: &str, #[case] exp
 #[test]
 fn a_run_folder_is_not_overwritten() {
     let folder = TestFolder::with_step(SETTLING);
-    folder.bench(["run", "--out", "run"]).assert_exit(0);
+    folder.run_hosted("run").assert_exit(0);
     let before = folder.read("run/run.json");
-    folder.bench(["run", "--out", "run"]).assert_exit(2);
+    folder.run_hosted("run").assert_exit(2);
     assert_eq!(folder.read("run/run.json"), before);
 }
 
@@ -192,7 +191,7 @@ fn two_runs_into_one_folder_exclude_each_other() {
 fn an_unusable_rig_leaves_no_files() {
     let folder = TestFolder::with_step(SETTLING);
     for (rig, message) in [("exec:true", "`true` has no {port}"), ("probe:STM32F407VG", "--features probe")] {
-        folder.bench(["run", "--rig", rig]).assert_exit(2).assert_stderr(&[message]);
+        folder.bench(["run", "--rig", rig]).assert_message(2, &[message]);
     }
     assert!(!folder.exists("runs"));
 }
@@ -213,7 +212,7 @@ fn an_invalid_log_filter_is_refused(#[case] filter: &str) {
     let folder = TestFolder::new();
     let output: ProgramOutput =
         bench_command(folder.path()).args(["check", "."]).env("PLATEBENCH_LOG", filter).output().unwrap().into();
-    output.assert_exit(2).assert_stderr(&["PLATEBENCH_LOG", "expected a filter such as `debug`"]);
+    output.assert_message(2, &["PLATEBENCH_LOG", "expected a filter such as `debug`"]);
 }
 
 #[test]
@@ -271,5 +270,5 @@ fn every_exit_code_but_0_and_2_has_a_verdict_and_a_reason(
                     { uniform = [0.0, 0.1] }\n[plan]\nmethod = \"random\"\ntrials = 4\nseed = 1\n";
     folder.write("c.toml", campaign);
     folder.bench(["campaign", "plan", "c.toml", "--out", "c", "--shards", "2", "--rig", "hosted"]).assert_exit(0);
-    folder.bench(arguments).assert_exit(expected).assert_output(&[verdict]);
+    folder.bench(arguments).assert_text(expected, &[verdict]);
 }

@@ -185,8 +185,8 @@ fn the_trace_has_the_samples_of_the_controller() {
 fn stored_traces_are_not_judged_with_other_faults() {
     let fault = "[[fault]]\nkind = \"drop\"\nfrom_ms = 30.0\nuntil_ms = 31.0\n";
     let folder = TestFolder::with_scenario(&(step_text(MISSED) + fault));
-    folder.bench(["run", "--out", "run"]).assert_exit(0);
+    folder.run_hosted("run").assert_exit(0);
     folder.write_scenario("other.toml", &step_text(MISSED));
     let judge = folder.bench(["report", "run", "--rejudge", "--scenario", "scenarios/other.toml"]);
-    judge.assert_exit(2).assert_stderr(&["[[fault]]"]);
+    judge.assert_message(2, &["[[fault]]"]);
 }

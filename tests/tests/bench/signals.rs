@@ -18,7 +18,7 @@ fn long_folder() -> TestFolder {
 }
 
 fn start_run(folder: &TestFolder) -> ChildGuard {
-    let bench = start_bench(folder.path(), ["run", "--out", "run"]);
+    let bench = start_bench(folder.path(), ["run", "--rig", "hosted", "--out", "run"]);
     wait_for_traces(folder);
     bench
 }
@@ -50,7 +50,7 @@ fn a_signal_sets_the_exit_code(#[case] name: &str, #[case] expected: i32) {
     let folder = long_folder();
     let bench = start_run(&folder);
     bench.signal(name);
-    bench.finish().assert_exit(expected).assert_stderr(&["the run was cancelled"]);
+    bench.finish().assert_message(expected, &["the run was cancelled"]);
     assert!(!folder.record("run").complete);
 }
 
@@ -82,7 +82,7 @@ fn a_blocked_output_does_not_block_the_exit() {
 #[test]
 fn a_file_size_limit_is_a_reported_error() {
     let folder = long_folder();
-    start_by_shell(&folder, "ulimit -f 20").finish().assert_exit(2).assert_stderr(&["File too large"]);
+    start_by_shell(&folder, "ulimit -f 20").finish().assert_message(2, &["File too large"]);
 }
 
 /// Longer than 10 s, the watchdog timeout that the bench sets in a controller with its own clock.
@@ -111,8 +111,7 @@ fn a_killed_run_can_still_be_judged_and_reported() {
     start_run(&folder).kill();
     folder
         .bench(["report", "run", "--rejudge"])
-        .assert_exit(3)
-        .assert_stderr(&["the run was interrupted; only its complete trials were judged"]);
+        .assert_message(3, &["the run was interrupted; only its complete trials were judged"]);
     folder.bench(["report", "run"]).assert_exit(0);
     assert!(folder.read("run/report.html").contains("</html>"));
 }

@@ -18,9 +18,9 @@ fn step_run() -> TestFolder {
 #[test]
 fn judging_again_gives_identical_results() {
     let folder = tempfile::tempdir().unwrap();
-    for part in ["paper", "limits", "faults"] {
+    for (part, rig) in [("paper", "hosted"), ("limits", "hosted"), ("faults", "emulated")] {
         let scenarios = workspace_root().join("scenarios").join(part);
-        run_bench(folder.path(), ["run", scenarios.to_str().unwrap(), "--out", part]);
+        run_bench(folder.path(), ["run", scenarios.to_str().unwrap(), "--rig", rig, "--out", part]);
         let live = RunRecord::read(&folder.path().join(part)).unwrap();
         assert!(live.complete && live.scenarios.len() >= 4);
         assert_eq!(live, rejudge(&folder.path().join(part), None).unwrap());
@@ -82,7 +82,7 @@ fn an_interrupted_run_can_be_judged_and_reported() {
     let expect = "metric = \"settling_time_ms\"\nat_most = 4.0";
     let trials = "[trials]\ncount = 3\n[trials.spread]\nsensor_gain_percent = 1.0\n";
     let folder = TestFolder::with_scenario(&(step_scenario("aluminium-198x138-noisy", "", "", expect) + trials));
-    folder.bench(["run", "--out", "run"]);
+    folder.run_hosted("run");
     let run = folder.join("run");
     let mut record = folder.record("run");
     assert_eq!(record.verdict, Verdict::Pass);
@@ -144,7 +144,7 @@ fn stored_traces_can_be_judged_by_other_expectations() {
 fn a_changed_file_is_rejected_by_name(#[case] file: &str, #[case] from: &str, #[case] to: &str, #[case] name: &str) {
     let folder = step_run();
     folder.replace(file, from, to);
-    folder.bench(["report", "run", "--rejudge"]).assert_exit(2).assert_stderr(&[name, "SHA-256"]);
+    folder.bench(["report", "run", "--rejudge"]).assert_message(2, &[name, "SHA-256"]);
 }
 
 #[test]
@@ -180,7 +180,7 @@ fn rejects_a_record_of_another_format() {
     let folder = TestFolder::new();
     fs::create_dir(folder.join("run")).unwrap();
     folder.write("run/run.json", "{\n  \"format\": 2\n}");
-    folder.bench(["report", "run", "--rejudge"]).assert_exit(2).assert_stderr(&["format 2, expected 1"]);
+    folder.bench(["report", "run", "--rejudge"]).assert_message(2, &["format 2, expected 1"]);
 }
 
 #[rstest]
@@ -195,7 +195,7 @@ fn stored_traces_reject_another_experiment(#[case] good: &str, #[case] other: &s
     assert!(text.contains(good));
     folder.write_scenario("other.toml", &text.replacen(good, other, 1));
     let judge = folder.bench(["report", "run", "--rejudge", "--scenario", "scenarios/other.toml"]);
-    judge.assert_exit(2).assert_stderr(&[named, "differs from the scenario that was played"]);
+    judge.assert_message(2, &[named, "differs from the scenario that was played"]);
 }
 
 #[test]
@@ -214,7 +214,7 @@ fn an_absolute_plate_path_is_judged_by_its_copy() {
     fs::remove_file(&plate).unwrap();
     folder.bench(["report", "run", "--rejudge"]).assert_exit(0);
     folder.replace("run/inputs/elsewhere.toml", "limit_vpp = 900.0", "limit_vpp = 500.0");
-    folder.bench(["report", "run", "--rejudge"]).assert_exit(2).assert_stderr(&["elsewhere.toml", "SHA-256"]);
+    folder.bench(["report", "run", "--rejudge"]).assert_message(2, &["elsewhere.toml", "SHA-256"]);
 }
 
 #[test]
@@ -255,10 +255,7 @@ fn without_kept_traces_the_verdicts_are_the_same() {
     };
     let [none, all]: [Vec<String>; 2] = ["none", "all"].map(curves);
     assert_eq!((none.len(), &none), (2, &all));
-    folder
-        .bench(["report", "none", "--rejudge"])
-        .assert_exit(2)
-        .assert_stderr(&["none: the run did not keep all traces"]);
+    folder.bench(["report", "none", "--rejudge"]).assert_message(2, &["none: the run did not keep all traces"]);
 }
 
 #[test]
@@ -280,12 +277,9 @@ fn keeps_the_traces_of_failing_or_worst_trials() {
     };
     assert_eq!(stored("failing", "failing"), [0, 3]);
     assert_eq!(stored("worst:2", "worst"), [2, 2]);
-    folder
-        .bench(["report", "worst", "--rejudge"])
-        .assert_exit(2)
-        .assert_stderr(&["worst: the run did not keep all traces"]);
+    folder.bench(["report", "worst", "--rejudge"]).assert_message(2, &["worst: the run did not keep all traces"]);
     for wrong in ["worst", "worst:0", "worst:-1", "best"] {
         let expected = "expected all, failing, none or worst:N";
-        folder.bench(["run", "--keep-traces", wrong]).assert_exit(2).assert_stderr(&[expected]);
+        folder.bench(["run", "--keep-traces", wrong]).assert_message(2, &[expected]);
     }
 }
