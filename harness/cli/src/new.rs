@@ -25,7 +25,8 @@ Examples:
   platebench new first-step                 scenarios/first-step.toml; without a folder scenarios: first-step.toml
   platebench new mine/finger --law deadbeat mine/finger.toml
   platebench check scenarios/first-step.toml
-  platebench run scenarios/first-step.toml
+  platebench run scenarios/first-step.toml                           the bench's own firmware
+  platebench run scenarios/first-step.toml --rig emulated:firmware.elf   yours
 
 Exit codes: 0 written, 2 the file exists or cannot be written; nothing is ever overwritten")]
 pub(crate) struct NewArgs {
@@ -43,7 +44,8 @@ pub(crate) fn new(arguments: &NewArgs) -> CommandResult {
         stdio::show(&format!("{}\n", file.display()));
     }
     if let Some(scenario) = files.first() {
-        stdio::note(&format!("next: platebench run {}", scenario.display()));
+        let next = format!("next: platebench run {} --rig emulated:FIRMWARE.elf", scenario.display());
+        stdio::note(&format!("{next}; without --rig it tests the bench's own firmware"));
     }
     Ok(Exit::Passed)
 }

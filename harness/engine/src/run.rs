@@ -13,9 +13,10 @@ use platebench_model::record::{
 };
 use platebench_model::scenario::{Metric, Scenario};
 use platebench_model::trace::AtPath as _;
-use platebench_rig::{ChipFaultError, FaultInjector, Link};
+use platebench_rig::{ChipFaultError, FaultInjector, Link, RigSpec};
 use platebench_verdict::Judgement;
-use platebench_wire::{LawId, capabilities};
+use platebench_wire::{Identity, LawId, capabilities};
+use serde::Deserialize;
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
@@ -237,6 +238,23 @@ pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> Sce
     }
 }
 
+/// Lists the images of the bench's own firmware. `ci/firmware --update` writes this file.
+const IMAGE_MANIFEST: &str = include_str!("../../../firmware-under-test/images/manifest.toml");
+
+#[derive(Deserialize)]
+struct ImageManifest {
+    source_hash: String,
+}
+
+/// A changed copy of the bench's firmware has another build and is not the bench's own.
+fn is_bench_firmware(rig: &str, identity: &Identity) -> bool {
+    let without_image = [RigSpec::hosted(), RigSpec::emulated(None)].iter().any(|own| own.to_string() == rig);
+    let manifest = toml::from_str(IMAGE_MANIFEST).ok();
+    let has_own_build =
+        manifest.is_some_and(|images: ImageManifest| images.source_hash.starts_with(&to_hex(&identity.build)));
+    without_image || (has_own_build && identity.name.starts_with(b"platebench-"))
+}
+
 fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inputs: &[Vec<InputRecord>]) -> RunRecord {
     let scenarios = plan.scenarios.iter().zip(inputs).map(|(scenario, inputs)| empty_record(scenario, inputs.clone()));
     let identity = session.identity();
@@ -255,6 +273,7 @@ fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inpu
                 build: to_hex(&identity.build),
                 chip: format!("{:#010x}", identity.chip),
             }),
+            bench_firmware: is_bench_firmware(&plan.rig, identity),
         },
         clock: plan.clock.kind(),
         overrides: plan.overrides.clone(),
@@ -306,6 +325,26 @@ impl<'a> RecordFile<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rstest::rstest;
+
+    #[rstest]
+    #[case::hosted("hosted", *b"platebench-host\0", "", true)]
+    #[case::built_in_image("emulated", *b"platebench-f4\0\0\0", "0000000000000000", true)]
+    #[case::own_build("exec:controller {port}", *b"platebench-host\0", "", true)]
+    #[case::changed_copy("emulated:a.elf", *b"platebench-f4\0\0\0", "0000000000000000", false)]
+    #[case::other_name("emulated:a.elf", *b"starter-c\0\0\0\0\0\0\0", "", false)]
+    fn recognises_the_firmware_of_the_bench(
+        #[case] rig: &str,
+        #[case] name: [u8; 16],
+        #[case] build: &str,
+        #[case] is_own: bool,
+    ) {
+        let images: ImageManifest = toml::from_str(IMAGE_MANIFEST).unwrap();
+        let digits = if build.is_empty() { &images.source_hash[..16] } else { build };
+        let build = u64::from_str_radix(digits, 16).unwrap().to_be_bytes();
+        let identity = Identity { version: [0; 3], capabilities: 0, laws: 0, build, chip: 0, unique: [0; 12], name };
+        assert_eq!(is_bench_firmware(rig, &identity), is_own);
+    }
 
     #[test]
     fn only_a_change_makes_a_write_due() {

@@ -225,7 +225,7 @@ mod tests {
             complete: true,
             tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned(), ..Tool::default() },
             started: format!("2026-01-01T00:00:{second:02}Z"),
-            rig: RigRecord { name: format!("emulated:{build}.elf"), firmware: Some(firmware) },
+            rig: RigRecord { name: format!("emulated:{build}.elf"), firmware: Some(firmware), bench_firmware: false },
             clock: ClockKind::Lockstep,
             overrides: Overrides::default(),
             safe_confirmed: None,

@@ -1,7 +1,9 @@
 //! Formats numbers, limits, verdicts and counts, without layout or markup.
 
 use platebench_model::metrics::Unit;
-use platebench_model::record::{ExpectationRecord, Limit, Metric, Reason, RunRecord, Statistic, TrialFinding, Verdict};
+use platebench_model::record::{
+    ExpectationRecord, Limit, Metric, Reason, RunRecord, ScenarioRecord, Statistic, TrialFinding, Verdict,
+};
 use platebench_verdict::tube::{Exceedance, TubeSignal};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -48,6 +50,59 @@ impl fmt::Display for VerdictCounts {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "{} passed, {} failed, {} inconclusive", self.passed, self.failed, self.inconclusive)
     }
+}
+
+/// Longest list of names in [`tested`].
+const MAX_NAMES: usize = 3;
+
+/// One line: firmware, rig, clock, laws, plates and models of the run. It may contain control characters.
+pub(crate) fn tested(record: &RunRecord) -> String {
+    let mut firmware = firmware_build(record);
+    if record.rig.bench_firmware {
+        firmware += " (the bench's own firmware)";
+    }
+    let scenarios = || record.scenarios.iter();
+    let lists = [
+        names("law", scenarios().map(|scenario| scenario.law.as_str())),
+        names("plate", scenarios().filter_map(ScenarioRecord::plate)),
+        names("model", scenarios().map(|scenario| scenario.model.as_str())),
+    ];
+    let setting = [format!("rig {}", record.rig.name), format!("clock {}", record.clock)];
+    let parts: Vec<_> = [firmware].into_iter().chain(setting).chain(lists.into_iter().flatten()).collect();
+    parts.join("; ")
+}
+
+/// Different names in the order of the scenarios, or their number.
+fn names<'a>(noun: &str, all: impl Iterator<Item = &'a str>) -> Option<String> {
+    let mut different: Vec<&str> = Vec::new();
+    for name in all {
+        if !different.contains(&name) {
+            different.push(name);
+        }
+    }
+    match different.len() {
+        0 => None,
+        1 => Some(format!("{noun} {}", different.join(", "))),
+        2..=MAX_NAMES => Some(format!("{noun}s {}", different.join(", "))),
+        several => Some(count(several, noun)),
+    }
+}
+
+pub(crate) fn firmware_build(record: &RunRecord) -> String {
+    let Some(firmware) = &record.rig.firmware else { return "firmware unknown".to_owned() };
+    let is_known = firmware.build.contains(|digit| digit != '0');
+    let build = if is_known { short_build_id(&firmware.build) } else { "unknown" };
+    format!("{} {}, build {build}", firmware.name, firmware.version)
+}
+
+pub(crate) fn short_build_id(build: &str) -> &str {
+    build.get(..8).unwrap_or(build)
+}
+
+/// Follows the verdict of a run that tests no firmware of the user.
+pub(crate) fn bench_firmware_note(record: &RunRecord) -> String {
+    let note = || format!(" (the bench's own firmware on the rig {}; name yours with --rig)", record.rig.name);
+    if record.rig.bench_firmware { note() } else { String::new() }
 }
 
 /// Settings that the command line or the environment overrides, as `law = dq-pi, trials = 1`.

@@ -222,7 +222,11 @@ fn joined_head(runs: &[StoredRun], out: &RunFolder) -> RunRecord {
         complete: all().all(|run| run.complete),
         tool: Tool::running(),
         started: if runs.is_empty() { utc_timestamp() } else { out.started() },
-        rig: one_rig.unwrap_or(RigRecord { name: names, firmware: None }),
+        rig: one_rig.unwrap_or_else(|| RigRecord {
+            name: names,
+            firmware: None,
+            bench_firmware: all().all(|run| run.rig.bench_firmware),
+        }),
         clock: first.map_or(platebench_model::record::ClockKind::Lockstep, |first| first.clock),
         overrides: if is_common { first.map(common).unwrap_or_default() } else { different },
         host: Host::current(),

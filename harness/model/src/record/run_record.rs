@@ -95,7 +95,7 @@ pub struct ScenarioRecord {
     /// Control period; `null` in records of earlier versions.
     #[serde(default)]
     pub period_ms: Option<f64>,
-    /// Every input file; the first is the scenario.
+    /// Every input file; the first is the scenario, the second its plate.
     pub inputs: Vec<InputRecord>,
     pub expectations: Vec<ExpectationRecord>,
     /// Texts by identifier, from `requirements.toml`.
@@ -105,6 +105,11 @@ pub struct ScenarioRecord {
 }
 
 impl ScenarioRecord {
+    /// Name of the plate file without folder and extension. `None` if the record lists no plate.
+    pub fn plate(&self) -> Option<&str> {
+        Path::new(&self.inputs.get(1)?.file).file_stem()?.to_str()
+    }
+
     /// Key of an expectation in the metrics of a trial. The first expectation of a metric has its
     /// name, the second has the suffix `[2]`. Empty if there is no expectation `index`.
     pub fn metric_key(&self, index: usize) -> String {
@@ -185,6 +190,9 @@ pub struct RigRecord {
     /// `null` if the firmware never identified itself.
     #[serde(default)]
     pub firmware: Option<Firmware>,
+    /// True if the controller is the bench's own firmware, so that the run tests no other code.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub bench_firmware: bool,
 }
 
 impl RigRecord {

@@ -31,9 +31,9 @@ pub(super) fn head(record: &RunRecord) -> Markup {
         p.eyebrow { (record.tool.name) " · run of " (record.started) }
         h1 { "Run " (verdict_badge(record.verdict, record.verdict.name())) }
         p.lead {
-            (format::count(scenarios.total(), "scenario")) ", " (format::count(expectations.total(), "expectation"))
-            " on " code { (record.rig.name) } ", " (record.clock) " clock."
+            (format::count(scenarios.total(), "scenario")) ", " (format::count(expectations.total(), "expectation")) "."
         }
+        p.lead { "Tested: " (format::tested(record)) "." }
         @if !record.complete {
             p.notice { "The run was not finished. The page shows the part that was played." }
         }
@@ -299,7 +299,7 @@ fn cost_row(trend: &CostTrend, earlier: &EarlierCost) -> Markup {
     html! {
         tr {
             th scope="row" { (earlier.run.as_deref().unwrap_or(timing::SHIPPED_IMAGE)) }
-            td { code { (timing::short_build_id(&earlier.build)) } }
+            td { code { (format::short_build_id(&earlier.build)) } }
             td { (trend.law) }
             td.number { (earlier.trials) }
             td.number { (timing::format_instructions(earlier.then.worst)) }

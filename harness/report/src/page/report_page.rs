@@ -9,7 +9,6 @@ use crate::chart::marks::Role;
 use crate::document::{report_page_frame, verdict_badge};
 use crate::error::{ReportError, write_file};
 use crate::text::history::{RunHistory, TrendPoint};
-use crate::text::timing;
 use crate::{format, record_queries};
 use maud::{Markup, html};
 use platebench_model::record::{ExpectationRecord, Metric, RunRecord, ScenarioRecord, TrialRecord};
@@ -265,7 +264,7 @@ fn comparison_section(record: &RunRecord, other: OtherRun<'_>) -> Markup {
             p {
                 code { (other.name) } ": " (verdict_badge(other.record.verdict, other.record.verdict.name())) " on "
                 code { (other.record.rig.name) }
-                ", " (format_build(other.record)) "; this run: " (format_build(record)) ". "
+                ", " (format::firmware_build(other.record)) "; this run: " (format::firmware_build(record)) ". "
                 @match changed {
                     0 => "No verdict differs.",
                     1 => "1 verdict differs.",
@@ -275,13 +274,6 @@ fn comparison_section(record: &RunRecord, other: OtherRun<'_>) -> Markup {
             (scroll_table("Comparison of both runs", "contents stacked", &columns, &rows))
         }
     }
-}
-
-fn format_build(record: &RunRecord) -> String {
-    record.rig.firmware.as_ref().map_or_else(
-        || "firmware unknown".to_owned(),
-        |firmware| format!("{} {}, build {}", firmware.name, firmware.version, timing::short_build_id(&firmware.build)),
-    )
 }
 
 fn table_row(pair: &ExpectationPair<'_>) -> Markup {

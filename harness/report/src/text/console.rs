@@ -24,9 +24,17 @@ pub fn run_text(record: &RunRecord, style: Style, detail: Detail) -> String {
     let mut text = String::new();
     match detail {
         Detail::Failures if record.verdict == Verdict::Pass => {}
-        Detail::Failures => write_not_passed(&mut text, record, style),
-        Detail::Summary => write_summary(&mut text, record, style, false),
+        Detail::Failures => {
+            write_tested(&mut text, record);
+            write_not_passed(&mut text, record, style);
+        }
+        Detail::Summary => {
+            write_tested(&mut text, record);
+            write_summary(&mut text, record, style, false);
+        }
         Detail::Tables => {
+            write_tested(&mut text, record);
+            text.push('\n');
             for scenario in &record.scenarios {
                 write_heading(&mut text, scenario, style);
                 write_expectations(&mut text, scenario, style);
@@ -48,6 +56,11 @@ pub fn print(text: &str, out: &mut dyn Write) -> io::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         result => result,
     }
+}
+
+/// Not wrapped, so that programs find the whole line.
+fn write_tested(text: &mut String, record: &RunRecord) {
+    let _ = writeln!(text, "tested: {}", printable(&format::tested(record)));
 }
 
 fn write_heading(text: &mut String, scenario: &ScenarioRecord, style: Style) {
@@ -207,7 +220,8 @@ fn write_verdict(text: &mut String, record: &RunRecord, style: Style) {
         text.push_str("the run was not finished\n");
     }
     let verdict = format!("{} {}", format::sign(record.verdict), record.verdict);
-    let _ = writeln!(text, "verdict: {}", style.paint_verdict(record.verdict, &verdict));
+    let note = format::bench_firmware_note(record);
+    let _ = writeln!(text, "verdict: {}{}", style.paint_verdict(record.verdict, &verdict), printable(&note));
 }
 
 fn write_list_of_not_passed(text: &mut String, record: &RunRecord, style: Style) {

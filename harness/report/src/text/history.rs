@@ -1,7 +1,7 @@
 //! Finds since when an expectation does not pass, in earlier runs with the same rig and law.
 
-use super::timing::short_build_id;
 use crate::format;
+use crate::format::short_build_id;
 use maud::{Markup, html};
 use platebench_model::record::{
     ExpectationRecord, MetricDefinition, RigRecord, RunRecord, RunSummary, ScenarioRecord, ScenarioSummary, Verdict,

@@ -3,8 +3,8 @@
 //! An inconclusive expectation is an `error`, because readers count `skipped` as harmless. A run or
 //! scenario that did not pass although its expectations did has one more case with an error. The
 //! schema of Jenkins' xunit plugin (`tests/report/junit-10.xsd`) allows properties of suites only,
-//! so requirements are properties `requirement.<name>` of the suite, and other facts are lines in
-//! `system-out`. Times come from the record: equal records give equal files.
+//! so requirements are properties `requirement.<name>` of the suite, the controller and its setting
+//! are its property `tested`, and other facts are lines in `system-out`. Times come from the record: equal records give equal files.
 
 use crate::error::{ReportError, write_file};
 use crate::escape::printable;
@@ -25,10 +25,8 @@ pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
 
 fn junit_report(record: &RunRecord) -> Report {
     let mut report = Report::new(record.tool.name.as_str());
-    let started = record.started.as_str();
-    report.add_test_suites(record.scenarios.iter().map(|scenario| test_suite(scenario, started)));
-    let skipped = record.not_applicable.iter().map(|scenario| not_applicable_suite(scenario, started));
-    report.add_test_suites(skipped);
+    report.add_test_suites(record.scenarios.iter().map(|scenario| test_suite(scenario, record)));
+    report.add_test_suites(record.not_applicable.iter().map(|scenario| not_applicable_suite(scenario, record)));
     let Some(reason) = record_queries::run_inconclusive_reason(record) else { return report };
     let mut suite = TestSuite::new("run");
     suite.add_test_case(inconclusive_case("the whole run", "run", reason));
@@ -37,15 +35,16 @@ fn junit_report(record: &RunRecord) -> Report {
 }
 
 /// Jenkins' schema allows `file` and `timestamp` as attributes of a suite only.
-fn suite_of_file(file: &str, started: &str) -> TestSuite {
+fn suite_of_file(file: &str, record: &RunRecord) -> TestSuite {
     let mut suite = TestSuite::new(printable(file).as_ref());
     suite.extra.insert("file".into(), printable(file).as_ref().into());
-    suite.extra.insert("timestamp".into(), printable(started).as_ref().into());
+    suite.extra.insert("timestamp".into(), printable(&record.started).as_ref().into());
+    suite.add_property(("tested", printable(&format::tested(record)).as_ref()));
     suite
 }
 
-fn test_suite(scenario: &ScenarioRecord, started: &str) -> TestSuite {
-    let mut suite = suite_of_file(&scenario.file, started);
+fn test_suite(scenario: &ScenarioRecord, record: &RunRecord) -> TestSuite {
+    let mut suite = suite_of_file(&scenario.file, record);
     suite.add_properties([
         ("title", printable(&scenario.title).as_ref()),
         ("law", printable(&scenario.law).as_ref()),
@@ -76,12 +75,12 @@ fn test_suite(scenario: &ScenarioRecord, started: &str) -> TestSuite {
     suite
 }
 
-fn not_applicable_suite(scenario: &NotApplicable, started: &str) -> TestSuite {
+fn not_applicable_suite(scenario: &NotApplicable, record: &RunRecord) -> TestSuite {
     let mut status = TestCaseStatus::skipped();
     status.set_message(printable(&scenario.reason).as_ref());
     let mut case = TestCase::new("not applicable", status);
     case.set_classname(class_name(&scenario.file));
-    let mut suite = suite_of_file(&scenario.file, started);
+    let mut suite = suite_of_file(&scenario.file, record);
     suite.add_property(("title", printable(&scenario.title).as_ref()));
     suite.add_test_case(case);
     suite

@@ -27,13 +27,13 @@ pub fn append(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
 pub fn render_page(record: &RunRecord) -> String {
     let mut text = String::new();
     let counts = format::VerdictCounts::of_expectations(record);
-    let _ = writeln!(text, "## {} platebench: {}\n", format::sign(record.verdict), record.verdict);
+    let note = markdown_cell(&format::bench_firmware_note(record));
+    let _ = writeln!(text, "## {} platebench: {}{note}\n", format::sign(record.verdict), record.verdict);
+    let _ = writeln!(text, "Tested: {}.\n", markdown_cell(&format::tested(record)));
     let scenarios = format::count(record.scenarios.len(), "scenario");
     let trials = format::count(record.scenarios.iter().map(|scenario| scenario.trials.len()).sum(), "trial");
-    let firmware = record.rig.firmware.as_ref();
-    let firmware = firmware.map_or_else(String::new, |found| format!(", firmware {} {}", found.name, found.version));
-    let rig = markdown_cell(&format!("{}{firmware}, {}, started {}", record.rig.name, record.clock, record.started));
-    let _ = writeln!(text, "{scenarios}, {trials}; expectations: {counts}. Rig {rig}.\n");
+    let started = markdown_cell(&record.started);
+    let _ = writeln!(text, "{scenarios}, {trials}; expectations: {counts}. Started {started}.\n");
     if let Some(overrides) = format::overrides(record) {
         let _ = writeln!(text, "Overridden: {}.\n", markdown_cell(&overrides));
     }

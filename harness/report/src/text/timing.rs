@@ -100,18 +100,14 @@ pub(crate) fn describe_change(trend: &CostTrend) -> Option<String> {
         format!("{} {} over the {trials} of both runs: ", change.statistic, format_instructions(change.now))
     };
     let build = match &change.earlier.run {
-        Some(run) => format!("build {} (run {run})", short_build_id(&change.earlier.build)),
-        None => format!("build {} ({SHIPPED_IMAGE})", short_build_id(&change.earlier.build)),
+        Some(run) => format!("build {} (run {run})", format::short_build_id(&change.earlier.build)),
+        None => format!("build {} ({SHIPPED_IMAGE})", format::short_build_id(&change.earlier.build)),
     };
     Some(format!(
         "{subject}{} % {direction} than {} of {build}",
         format::percent(change.percent),
         format_instructions(change.then)
     ))
-}
-
-pub(crate) fn short_build_id(build: &str) -> &str {
-    build.get(..8).unwrap_or(build)
 }
 
 pub(crate) fn format_instructions(value: f64) -> String {
@@ -146,6 +142,6 @@ mod tests {
     #[case("1a2b", "1a2b")]
     #[case("", "")]
     fn shortens_builds_to_eight_digits(#[case] build: &str, #[case] expected: &str) {
-        assert_eq!(short_build_id(build), expected);
+        assert_eq!(format::short_build_id(build), expected);
     }
 }

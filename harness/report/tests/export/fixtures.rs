@@ -105,7 +105,7 @@ pub(crate) fn stored_run() -> StoredRun {
         complete: true,
         tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned(), ..Tool::default() },
         started: "2026-03-02T09:30:00Z".to_owned(),
-        rig: RigRecord { name: "hosted".to_owned(), firmware: Some(firmware) },
+        rig: RigRecord { name: "hosted".to_owned(), firmware: Some(firmware), bench_firmware: true },
         clock: ClockKind::Lockstep,
         overrides: Overrides::default(),
         safe_confirmed: Some(true),

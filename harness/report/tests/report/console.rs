@@ -3,7 +3,7 @@
 use crate::fixtures;
 use crate::hostile_text::written;
 use platebench_model::record::{Event, NotApplicable, Overrides, RunRecord};
-use platebench_report::{Detail, Progress, Style, console};
+use platebench_report::{Detail, Progress, Style, console, junit, page};
 use rstest::rstest;
 use serde_json::json;
 
@@ -11,14 +11,16 @@ use serde_json::json;
 fn shows_every_outcome() {
     let text = console::run_table(&fixtures::mixed_run(), Style::default());
     insta::assert_snapshot!(text);
-    assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
+    // The first line names the controller and is not wrapped.
+    assert!(text.lines().skip(1).all(|line| line.chars().count() <= 100), "{text}");
 }
 
 #[test]
 fn a_summary_lists_what_did_not_pass() {
     let text = console::run_text(&fixtures::mixed_run(), Style::default(), Detail::Summary);
     insta::assert_snapshot!(text);
-    assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
+    // The first line names the controller and is not wrapped.
+    assert!(text.lines().skip(1).all(|line| line.chars().count() <= 100), "{text}");
 }
 
 fn passed_run(scenarios: u32) -> RunRecord {
@@ -55,7 +57,9 @@ fn without_failures_there_is_no_list_of_failures() {
     assert_eq!(console::run_text(&passed_run(2), Style::default(), Detail::Failures), "");
     let failures = console::run_text(&fixtures::mixed_run(), Style::default(), Detail::Failures);
     let summary = console::run_text(&fixtures::mixed_run(), Style::default(), Detail::Summary);
-    assert!(failures.starts_with("verdict: ✗ fail") && summary.ends_with(&failures), "{failures}");
+    let (tested, failures) = failures.split_once('\n').unwrap();
+    assert!(tested.starts_with("tested: ") && failures.starts_with("verdict: ✗ fail"), "{tested}\n{failures}");
+    assert!(summary.ends_with(failures), "{failures}");
 }
 
 #[rstest]
@@ -103,7 +107,8 @@ fn an_empty_run_does_not_pass() {
     let text = console::run_table(&record, Style::default());
     assert_eq!(
         text,
-        "0 scenarios: 0 passed, 0 failed, 0 inconclusive\n0 expectations: 0 passed, 0 failed, 0 inconclusive\n\
+        "tested: dq-pi 0.1.0, build 5f3a9c01; rig hosted; clock lockstep\n\n\
+         0 scenarios: 0 passed, 0 failed, 0 inconclusive\n0 expectations: 0 passed, 0 failed, 0 inconclusive\n\
          duration: 2.5 s\noverridden: seed = 7\nthe run was not finished\nverdict: ? inconclusive\n"
     );
 }
@@ -127,7 +132,7 @@ fn shows_the_cost_of_a_step_and_its_change() {
     let mut record = fixtures::run(Vec::new());
     record.cost = fixtures::cost_trends();
     let text = console::run_table(&record, Style::default());
-    let lines: Vec<&str> = text.lines().skip(3).take_while(|line| !line.starts_with("verdict")).collect();
+    let lines: Vec<&str> = text.lines().skip(5).take_while(|line| !line.starts_with("verdict")).collect();
     assert_eq!(
         lines,
         [
@@ -155,4 +160,61 @@ fn progress_has_a_line_at_start_and_end() {
         progress.finish();
     });
     assert_eq!(text, "… paper/fig13-open-loop.toml: 3 trials\n✗ paper/fig13-open-loop.toml: fail, 3 trials\n");
+}
+
+const TESTED: &str = "dq-pi 0.1.0, build 5f3a9c01; rig hosted; clock lockstep; laws dq-pi, open-loop; \
+                      plate aluminium-198x138; model modal";
+
+#[rstest]
+#[case::summary(Detail::Summary)]
+#[case::tables(Detail::Tables)]
+#[case::failures(Detail::Failures)]
+fn the_first_line_names_what_was_tested(#[case] detail: Detail) {
+    let mut record = fixtures::mixed_run();
+    let text = console::run_text(&record, Style::default(), detail);
+    assert!(text.starts_with(&format!("tested: {TESTED}\n")), "{text}");
+    assert!(!text.contains("the bench's own firmware"), "{text}");
+    record.rig.bench_firmware = true;
+    let text = console::run_text(&record, Style::default(), detail);
+    let verdict = "verdict: ✗ fail (the bench's own firmware on the rig hosted; name yours with --rig)";
+    assert!(text.lines().any(|line| line == verdict), "{text}");
+    assert!(text.lines().next().unwrap().contains("build 5f3a9c01 (the bench's own firmware);"), "{text}");
+}
+
+#[test]
+fn more_than_three_laws_are_counted_and_a_build_of_zeros_is_unknown() {
+    let laws = ["pll", "dq-pi", "pll", "deadbeat", "bang-bang"];
+    let scenario = |law: &&str| fixtures::scenario(law, law, law, Vec::new());
+    let mut record = fixtures::run(laws.iter().map(scenario).collect());
+    "0000000000000000".clone_into(&mut record.rig.firmware.as_mut().unwrap().build);
+    let text = console::run_text(&record, Style::default(), Detail::Summary);
+    let tested = "tested: dq-pi 0.1.0, build unknown; rig hosted; clock lockstep; 4 laws; plate aluminium-198x138; \
+                  model modal\n";
+    assert!(text.starts_with(tested), "{text}");
+}
+
+#[rstest]
+#[case::page(report_page)]
+#[case::junit(junit_file)]
+#[case::markdown(platebench_report::markdown::render_page)]
+fn every_output_names_what_was_tested(#[case] render: fn(&RunRecord) -> String) {
+    let mut record = fixtures::mixed_run();
+    let text = render(&record);
+    assert!(text.contains(TESTED), "{text}");
+    record.rig.bench_firmware = true;
+    let text = render(&record).replace("&apos;", "'");
+    assert!(text.contains("build 5f3a9c01 (the bench's own firmware);"), "{text}");
+}
+
+fn report_page(record: &RunRecord) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    page::write(record, folder.path()).unwrap();
+    std::fs::read_to_string(folder.path().join(page::FILE)).unwrap()
+}
+
+fn junit_file(record: &RunRecord) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(junit::FILE);
+    junit::write(record, &path).unwrap();
+    std::fs::read_to_string(path).unwrap()
 }

@@ -32,6 +32,7 @@ pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
                 build: "5f3a9c01".to_owned(),
                 chip: "0".to_owned(),
             }),
+            bench_firmware: false,
         },
         clock: ClockKind::Lockstep,
         overrides: Overrides { seed: Some(7), ..Overrides::default() },

@@ -101,6 +101,7 @@ fn record() -> RunRecord {
                 build: "0123abcd".to_owned(),
                 chip: "00000000".to_owned(),
             }),
+            bench_firmware: false,
         },
         clock: ClockKind::Lockstep,
         overrides: Overrides { law: None, trials: Some(1), ..Overrides::default() },
