@@ -3,6 +3,7 @@
 use crate::command::{bench_arguments, command_fault, commands};
 use crate::page::workspace_root;
 use std::fs;
+use std::process::Command;
 use yaml_serde::Value;
 
 const RUN_FOLDER_FILES: [&str; 3] = ["junit.xml", "report.html", "run.json"];
@@ -50,10 +51,18 @@ fn check_recipe(recipe: &Value, script: &[&str], kept: &[&str]) {
             if command == "run" {
                 let at = arguments.iter().position(|word| word == "--out").expect("--out is missing");
                 out = arguments.get(at + 1).cloned();
+                assert!(arguments.iter().any(|word| word == "emulated:$ELF"), "another firmware is tested: {line}");
             }
         }
     }
     assert!(lines.iter().any(|line| line.starts_with("cargo install ")), "{lines:?}");
+    let check = lines.iter().find(|line| line.contains("${ELF:?")).expect("no line checks ELF");
+    for (elf, is_accepted) in [("", false), ("build/firmware.elf", true)] {
+        let output = Command::new("bash").args(["-c", check]).env("ELF", elf).output().unwrap();
+        assert_eq!(output.status.success(), is_accepted, "{check}");
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(message.contains("set ELF to the file of your firmware"), !is_accepted, "{message}");
+    }
     for command in ["run", "compare", "baseline"] {
         assert!(called.iter().any(|called| called == command), "{command} is not called: {called:?}");
     }

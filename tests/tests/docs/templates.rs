@@ -39,8 +39,10 @@ fn yaml_follows_the_schemas_of_the_services() {
     assert!(!check("github-actions", &broken).0, "the schema is checked");
 }
 
-fn with_defaults(text: &str, inputs: &Value) -> String {
+/// The input `rig` has no default.
+fn with_defaults(text: &str, inputs: &Value, rig: &str) -> String {
     match text.strip_prefix("${{ inputs.").and_then(|rest| rest.strip_suffix(" }}")) {
+        Some("rig") => rig.to_owned(),
         Some(name) => inputs[name]["default"].as_str().unwrap().to_owned(),
         None => text.to_owned(),
     }
@@ -62,21 +64,27 @@ fn the_steps_of_the_composite_action_run() {
         fs::copy(workspace_root().join("scenarios").join(from), at(to)).unwrap();
     }
     let path = format!("{}:{}", at("bin").display(), std::env::var("PATH").unwrap());
-    let mut count = 0;
-    for step in action["runs"]["steps"].as_sequence().unwrap() {
-        let Some(script) = step["run"].as_str() else { continue };
+    let run_script = |step: &Value, rig: &str| {
+        let script = step["run"].as_str()?;
         let mut command = Command::new("bash");
         command.args(["--noprofile", "--norc", "-eo", "pipefail", "-c", script]).current_dir(folder.path());
         command.env("PATH", &path).env("GITHUB_OUTPUT", at("output")).env("GITHUB_ACTION_PATH", at("absent"));
         for (name, value) in step["env"].as_mapping().into_iter().flatten() {
-            command.env(name.as_str().unwrap(), with_defaults(value.as_str().unwrap(), &action["inputs"]));
+            command.env(name.as_str().unwrap(), with_defaults(value.as_str().unwrap(), &action["inputs"], rig));
         }
-        let output = command.output().unwrap();
-        let text = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{script}: {text}");
-        count += 1;
+        Some(command.output().unwrap())
+    };
+    let steps = action["runs"]["steps"].as_sequence().unwrap();
+    let without_rig: Vec<_> = steps.iter().take(1).filter_map(|step| run_script(step, "")).collect();
+    assert_eq!(without_rig.iter().map(|output| output.status.code()).collect::<Vec<_>>(), [Some(2)]);
+    assert!(String::from_utf8_lossy(&without_rig[0].stdout).starts_with("::error::the input rig is empty"));
+    let image = workspace_root().join("firmware-under-test/images/platebench-stm32f4.elf");
+    let rig = format!("emulated:{}", image.display());
+    let outputs: Vec<_> = steps.iter().filter_map(|step| run_script(step, &rig)).collect();
+    for output in &outputs {
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     }
-    assert_eq!(count, 3);
+    assert_eq!(outputs.len(), 4);
     let out = fs::read_to_string(at("output")).unwrap();
     let out = out.trim().strip_prefix("run-folder=").unwrap();
     for file in ["report.html", "junit.xml", "run.json"] {
