@@ -107,7 +107,6 @@ impl std::error::Error for Diagnostic {}
 /// Returns `; did you mean …?` if a known name is similar or names the same quantity in another
 /// unit, otherwise an empty text.
 pub fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
-    const CLOSE: f64 = 0.85;
     let known: Vec<_> = known.into_iter().collect();
     let quantity = |name: &'a str| name.rsplit_once('_').filter(|(_, unit)| UNITS.contains(unit));
     let same = known.iter().filter_map(|known| Some((known, quantity(known)?)));
@@ -119,11 +118,19 @@ pub fn suggestion<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> S
     if let (Some((known, (_, unit))), None) = (same.next(), same.next()) {
         return format!("; did you mean `{known}`, in {}?", unit_symbol(unit));
     }
-    let rated = known.into_iter().map(|known| (strsim::jaro_winkler(name, known), known));
+    let rated = known.into_iter().map(|known| (closeness(name, known), known));
     match rated.filter(|(closeness, _)| *closeness >= CLOSE).max_by(|a, b| a.0.total_cmp(&b.0)) {
         Some((_, known)) => format!("; did you mean `{known}`?"),
         None => String::new(),
     }
+}
+
+/// Least closeness of a name that a message suggests.
+pub(crate) const CLOSE: f64 = 0.85;
+
+/// Returns a value from 0 to 1. Equal names have 1.
+pub(crate) fn closeness(name: &str, known: &str) -> f64 {
+    strsim::jaro_winkler(name, known)
 }
 
 const UNITS: [&str; 9] = ["ms", "us", "um", "hz", "k", "c", "n", "vpp", "percent"];

@@ -1,15 +1,15 @@
 //! Searches for scenario files, and recognises the kind of a TOML file by its top-level keys.
 
 use crate::scenario::definition::Scenario;
-use crate::scenario::diagnostic::Diagnostic;
+use crate::scenario::diagnostic::{CLOSE, Diagnostic, closeness};
 use crate::scenario::load::REQUIREMENTS_FILE;
 use crate::scenario::load::load_with_all_errors;
 use crate::scenario::parse::parse_syntax;
 use crate::scenario::parse::read_text;
 use platebench_plate::input;
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::{Path, PathBuf};
+use std::{env, fs, iter};
 
 /// A folder with `run.json` and `traces` is a run folder. The scenarios in its `inputs` are copies.
 const RUN_RECORD: &str = "run.json";
@@ -35,6 +35,68 @@ pub fn find_file_above(folder: &Path, name: &str) -> Option<PathBuf> {
     Some(if path.parent() == Some(folder) { PathBuf::from(name) } else { path })
 }
 
+/// Nearest folder `scenarios` in a folder or above it.
+struct ScenariosRoot {
+    /// Path of the folder that contains it, relative to the folder of the search: empty, or `../…`.
+    parent: PathBuf,
+    path: PathBuf,
+}
+
+impl ScenariosRoot {
+    fn find_above(folder: &Path) -> Option<Self> {
+        let level = folder.ancestors().position(|ancestor| ancestor.join(SCENARIOS_FOLDER).is_dir())?;
+        let parent = iter::repeat_n("..", level).collect();
+        Some(Self { parent, path: folder.ancestors().nth(level)?.join(SCENARIOS_FOLDER) })
+    }
+
+    /// Returns the path of a scenario or folder `name`, relative to the folder of the search.
+    fn resolve(&self, name: &Path) -> Option<PathBuf> {
+        let below = name.strip_prefix(SCENARIOS_FOLDER).unwrap_or(name);
+        let mut with_extension = below.as_os_str().to_owned();
+        with_extension.push(".toml");
+        let candidates = [below, Path::new(&with_extension)];
+        let found = candidates.into_iter().find(|below| self.path.join(below).exists())?;
+        Some(self.parent.join(SCENARIOS_FOLDER).join(found).components().collect())
+    }
+
+    /// Returns `; did you mean …?` with the most similar name of a file, otherwise an empty text.
+    fn suggestion(&self, name: &Path) -> String {
+        let name = name.strip_prefix(SCENARIOS_FOLDER).unwrap_or(name).to_string_lossy();
+        let known = Search::default().files_below(&self.path);
+        let known = known.iter().filter_map(|path| path.strip_prefix(&self.path).ok()).map(Path::to_string_lossy);
+        let rated = known.map(|known| (name_closeness(&name, &known), known));
+        match rated.filter(|(closeness, _)| *closeness >= CLOSE).max_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((_, known)) => format!("; did you mean `{known}`?"),
+            None => String::new(),
+        }
+    }
+}
+
+/// Also compares the file names, because a name without its folder is a frequent mistake.
+fn name_closeness(name: &str, known: &str) -> f64 {
+    let file = |path: &str| {
+        let file = path.rsplit('/').next().unwrap_or_default();
+        file.strip_suffix(".toml").unwrap_or(file).to_owned()
+    };
+    closeness(name, known).max(closeness(&file(name), &file(known)))
+}
+
+/// Returns the path of `argument`. If it does not exist in `folder`, the working directory, this is
+/// the path of the scenario or folder with this name below the nearest folder `scenarios`.
+fn resolve_argument(argument: &Path, folder: &Path) -> Result<PathBuf, Diagnostic> {
+    let is_stream = argument == Path::new(input::STANDARD_STREAM);
+    let Err(error) = folder.join(argument).symlink_metadata() else { return Ok(argument.to_owned()) };
+    if is_stream {
+        return Ok(argument.to_owned());
+    }
+    let root = if argument.is_absolute() { None } else { ScenariosRoot::find_above(folder) };
+    if let Some(path) = root.as_ref().and_then(|root| root.resolve(argument)) {
+        return Ok(path);
+    }
+    let hint = root.map_or_else(String::new, |root| root.suggestion(argument));
+    Err(Diagnostic::for_file(argument, format!("cannot be read: {error}{hint}")))
+}
+
 #[derive(Default)]
 struct Search {
     /// Canonical paths of visited folders, because a symbolic link may lead back to a folder.
@@ -51,7 +113,8 @@ struct FoundFile {
     is_named: bool,
 }
 
-/// Loads the scenarios that are arguments or are below folders in `arguments`. Skips a scenario
+/// Loads the scenarios that are arguments or are below folders in `arguments`. An argument may also
+/// be the name of a scenario or folder below the nearest folder `scenarios`. Skips a scenario
 /// with `only_if_named` unless it or its own folder is an argument. Fails with all faulty scenarios
 /// and with all TOML files that do not parse or are of no known kind.
 pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
@@ -106,11 +169,19 @@ impl Search {
         is_wanted: impl Fn(&Path) -> Result<bool, Vec<Diagnostic>>,
     ) -> Vec<FoundFile> {
         let mut files: BTreeMap<PathBuf, FoundFile> = BTreeMap::new();
+        let folder = env::current_dir().unwrap_or_default();
         for argument in arguments {
+            let argument = match resolve_argument(argument, &folder) {
+                Ok(path) => path,
+                Err(fault) => {
+                    self.faults.push(fault);
+                    continue;
+                }
+            };
             self.visited.clear();
-            let mut below = self.files_below(argument);
+            let mut below = self.files_below(&argument);
             below.retain(|path| {
-                path == argument
+                *path == argument
                     || is_wanted(path).unwrap_or_else(|faults| {
                         for fault in faults {
                             if !self.faults.contains(&fault) {
@@ -124,9 +195,9 @@ impl Search {
                 self.empty_folders.push(argument.clone());
             }
             for path in below {
-                let is_named = path == *argument || path.parent() == Some(argument.as_path());
+                let is_named = path == argument || path.parent() == Some(argument.as_path());
                 let canonical = canonical(&path);
-                let name = record_name(&canonical, argument);
+                let name = record_name(&canonical, &argument);
                 files.entry(canonical).or_insert(FoundFile { path, name, is_named: false }).is_named |= is_named;
             }
         }

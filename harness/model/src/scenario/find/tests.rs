@@ -207,3 +207,49 @@ fn the_extension_does_not_distinguish_names() {
     let errors: Vec<_> = repeated_names(&files).iter().map(ToString::to_string).collect();
     assert_eq!(errors, ["b/x: has the name x in records, like a/x.toml; rename one of them"]);
 }
+
+fn resolved(folder: &TempDir, from: &str, argument: &str) -> Result<String, String> {
+    let path = resolve_argument(Path::new(argument), &folder.path().join(from));
+    path.map(|path| path.display().to_string()).map_err(|fault| fault.to_string())
+}
+
+#[test]
+fn a_name_is_an_argument_from_any_folder_of_the_project() {
+    let folder = create_tree(&["scenarios/paper/x.toml", "scenarios/y.toml", "docs/notes/y.toml"]);
+    for (from, argument, expected) in [
+        ("", "paper/x.toml", "scenarios/paper/x.toml"),
+        ("", "paper/x", "scenarios/paper/x.toml"),
+        ("", "paper", "scenarios/paper"),
+        ("", "scenarios/paper/x.toml", "scenarios/paper/x.toml"),
+        ("docs", "paper/x.toml", "../scenarios/paper/x.toml"),
+        ("docs/notes", "paper/x.toml", "../../scenarios/paper/x.toml"),
+        ("docs/notes", "scenarios", "../../scenarios"),
+        ("docs/notes", "scenarios/paper", "../../scenarios/paper"),
+        ("scenarios/paper", "paper/x.toml", "../../scenarios/paper/x.toml"),
+        ("scenarios/paper", "x.toml", "x.toml"),
+        ("docs/notes", "y.toml", "y.toml"),
+        ("docs", "y.toml", "../scenarios/y.toml"),
+        ("", "-", "-"),
+    ] {
+        assert_eq!(resolved(&folder, from, argument).as_deref(), Ok(expected), "{argument} from `{from}`");
+    }
+}
+
+#[test]
+fn suggests_a_similar_name() {
+    let folder = create_tree(&["scenarios/paper/fig13-closed-loop.toml", "scenarios/faults/noise.toml"]);
+    let error = |argument| resolved(&folder, "scenarios", argument).unwrap_err();
+    for near in [
+        "paper/fig13-closd-loop.toml",
+        "scenarios/paper/fig13-closed-lop.toml",
+        "fig13-closed-loop.toml",
+        "fig13-closed-loop",
+        "papers/fig13-closed-loop.toml",
+    ] {
+        let error = error(near);
+        assert!(error.starts_with(&format!("{near}: cannot be read: ")), "{error}");
+        assert!(error.ends_with("; did you mean `paper/fig13-closed-loop.toml`?"), "{error}");
+    }
+    assert!(!error("other.toml").contains("did you mean"));
+    assert!(!error("/paper/fig13-closed-loop.toml").contains("did you mean"));
+}
