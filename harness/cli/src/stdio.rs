@@ -10,14 +10,18 @@ use platebench_report::{Detail, Style, console};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::env::VarError;
 use std::ffi::OsStr;
+use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write, stderr, stdout};
 use std::os::fd::{AsFd, BorrowedFd};
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, OnceLock, PoisonError};
+use tracing::field::{Field, Visit};
+use tracing::{Event, Metadata};
 use tracing_subscriber::filter::{LevelFilter, ParseError, Targets};
-use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::layer::{Context, Filter, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{Layer, fmt, registry};
 
@@ -265,9 +269,42 @@ pub(crate) fn start_log(arguments: &LoggingArgs) -> Result<(), String> {
         LogFormat::Human => lines.with_ansi(colors_apply_to(&stderr())).boxed(),
         LogFormat::Json => lines.json().boxed(),
     };
+    // -v and PLATEBENCH_LOG ask for a log of all steps.
+    let is_short = arguments.verbose == 0 && std::env::var_os(LOG_VARIABLE).is_none();
+    let lines = lines.with_filter(is_short.then(FirstOfCause::default));
     // If a logger exists already, for example in a test, it stays.
     let _ = registry().with(filter).with(lines).try_init();
     Ok(())
+}
+
+/// Logs the first event of each message and error, because a fault of the controller repeats in
+/// every trial.
+#[derive(Debug, Default)]
+struct FirstOfCause {
+    logged: Mutex<BTreeSet<String>>,
+}
+
+impl<S> Filter<S> for FirstOfCause {
+    fn enabled(&self, _: &Metadata<'_>, _: &Context<'_, S>) -> bool {
+        true
+    }
+
+    fn event_enabled(&self, event: &Event<'_>, _: &Context<'_, S>) -> bool {
+        let mut cause = EventCause(event.metadata().target().to_owned());
+        event.record(&mut cause);
+        self.logged.lock().unwrap_or_else(PoisonError::into_inner).insert(cause.0)
+    }
+}
+
+/// Target, message and error of an event, without the fields that name a scenario or a number.
+struct EventCause(String);
+
+impl Visit for EventCause {
+    fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
+        if matches!(field.name(), "message" | "error") {
+            let _ = write!(self.0, "\n{value:?}");
+        }
+    }
 }
 
 fn parse_log_filter(text: &str) -> Result<Targets, String> {
@@ -283,6 +320,7 @@ fn parse_log_filter(text: &str) -> Result<Targets, String> {
 mod tests {
     use super::*;
     use rstest::rstest;
+    use std::sync::Arc;
 
     #[rstest]
     #[case("2 scenarios\nrun folder: runs/a", "2 scenarios\nrun folder: runs/a")]
@@ -314,6 +352,43 @@ mod tests {
         #[case] expected: bool,
     ) {
         assert_eq!(choice.applies(is_terminal, no_color.map(OsStr::new)), expected);
+    }
+
+    #[derive(Clone, Default)]
+    struct Lines(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Lines {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().unwrap().write(bytes)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[rstest]
+    #[case(true, &["lost a", "lost b", "rejected"])]
+    #[case(false, &["lost a", "lost b", "lost a", "rejected", "rejected"])]
+    fn logs_each_cause_once(#[case] is_short: bool, #[case] expected: &[&str]) {
+        let lines = Lines::default();
+        let writer = lines.clone();
+        let layer = fmt::layer().without_time().with_ansi(false).with_writer(move || writer.clone());
+        let layer = layer.with_filter(is_short.then(FirstOfCause::default));
+        tracing::subscriber::with_default(registry().with(layer), || {
+            for cause in ["a", "b", "a"] {
+                tracing::error!(error = cause, "lost");
+            }
+            for (scenario, frames) in [("a.toml", 1), ("b.toml", 2)] {
+                tracing::warn!(scenario, frames, "rejected");
+            }
+        });
+        let text = String::from_utf8(lines.0.lock().unwrap().clone()).unwrap();
+        let found: Vec<&str> = text.lines().collect();
+        assert_eq!(found.len(), expected.len(), "{text}");
+        for (line, expected) in found.iter().zip(expected) {
+            assert!(expected.split(' ').all(|word| line.contains(word)), "{expected}: {text}");
+        }
     }
 
     #[rstest]

@@ -167,6 +167,7 @@ impl<'a> ControllerLog<'a> {
     ) -> Telemetry {
         Telemetry {
             ended: lost.map(ToString::to_string),
+            end_cause: lost.map(RigError::cause),
             stopped: self.stop_cause.map(|cause| stop_reason(cause).to_owned()),
             faults: session.link().fault_counts().map(|(kind, count)| (kind.to_owned(), count)).collect(),
             violations: self.checks.violations(),

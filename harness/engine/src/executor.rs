@@ -233,7 +233,7 @@ impl<'a, L: Link> Executor<'a, L> {
     }
 
     fn replace_lost_controller(&mut self, lost: &RigError) -> Result<(), RunError> {
-        error!(error = %lost, "controller lost");
+        error!(error = lost.cause(), "controller lost");
         if !self.settings.keeps_link {
             self.close();
         }

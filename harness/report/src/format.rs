@@ -1,5 +1,6 @@
 //! Formats numbers, limits, verdicts and counts, without layout or markup.
 
+use crate::record_queries::CauseGroup;
 use platebench_model::metrics::Unit;
 use platebench_model::record::{
     ExpectationRecord, Limit, Metric, Reason, RunRecord, ScenarioRecord, Statistic, TrialFinding, Verdict,
@@ -246,6 +247,14 @@ pub(crate) fn value_or_not_reached(expectation: &ExpectationRecord) -> Option<St
     };
     let never = is_time && missing.is_some_and(|missing| missing.is_not_reached());
     value(expectation).or_else(|| never.then(|| "never".to_owned()))
+}
+
+/// Size of a group, as `3 scenarios, 5 expectations, 8 trials with one cause`.
+pub(crate) fn group_size(group: &CauseGroup<'_>) -> String {
+    let sizes = [(Some(group.scenarios().len()), "scenario"), (Some(group.members.len()), "expectation")];
+    let sizes = sizes.into_iter().chain([(group.lost_trials(), "trial")]);
+    let sizes: Vec<String> = sizes.filter_map(|(size, name)| Some(count(size?, name))).collect();
+    format!("{} with one cause", sizes.join(", "))
 }
 
 /// The reason without the value and the limit, which the report shows next to it.

@@ -1,8 +1,10 @@
 //! Finds keys, trials and missed expectations in a record.
 
 use platebench_model::record::{
-    Cause, ExpectationRecord, Limit, Metric, RunRecord, ScenarioRecord, Statistic, TrialRecord, Verdict,
+    Cause, Exclusion, ExpectationRecord, Limit, Metric, MissingValue, Reason, RunRecord, ScenarioRecord, Statistic,
+    TrialFinding, TrialRecord, Verdict, ViolationKind,
 };
+use std::mem::{Discriminant, discriminant};
 
 pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
     scenario.expectations.get(index).filter(|found| found.verdict != Verdict::Pass)?;
@@ -49,6 +51,87 @@ pub(crate) fn expectations_not_passed(record: &RunRecord) -> Vec<(&ScenarioRecor
         scenarios.flat_map(move |scenario| with_verdict(scenario, verdict).map(move |index| (scenario, index)))
     };
     of(Verdict::Fail).chain(of(Verdict::Inconclusive)).collect()
+}
+
+/// Cause that several expectations and scenarios can share.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum SharedCause<'a> {
+    /// The controller was lost for the same fault at the same place.
+    Lost(&'a str),
+    Stopped(Option<&'a str>),
+    Violation(ViolationKind),
+    Excluded(Discriminant<Exclusion>),
+    NotPlayed,
+    TooFewTrials,
+}
+
+/// Expectations that did not pass for one cause.
+#[derive(Debug, Clone)]
+pub(crate) struct CauseGroup<'a> {
+    pub(crate) verdict: Verdict,
+    cause: Option<SharedCause<'a>>,
+    /// Index of the scenario, the scenario, and index of its expectation.
+    pub(crate) members: Vec<(usize, &'a ScenarioRecord, usize)>,
+}
+
+impl<'a> CauseGroup<'a> {
+    /// Each scenario once, with the indices of its expectations.
+    pub(crate) fn scenarios(&self) -> Vec<(usize, &'a ScenarioRecord, Vec<usize>)> {
+        let parts = self.members.chunk_by(|one, other| one.0 == other.0);
+        let scenario = |part: &[(usize, &'a ScenarioRecord, usize)]| {
+            let (place, scenario, _) = part.first().copied()?;
+            Some((place, scenario, part.iter().map(|member| member.2).collect()))
+        };
+        parts.filter_map(scenario).collect()
+    }
+
+    /// Number of trials in which the controller was lost. `None` for other causes.
+    pub(crate) fn lost_trials(&self) -> Option<usize> {
+        let Some(SharedCause::Lost(cause)) = self.cause else { return None };
+        let scenarios = self.scenarios();
+        let trials = scenarios.iter().flat_map(|(_, scenario, _)| &scenario.trials);
+        Some(trials.filter(|trial| end_cause(trial) == Some(cause)).count())
+    }
+}
+
+/// Groups the expectations that did not pass. Failures come first, and the groups have the order
+/// of their first expectations.
+pub(crate) fn cause_groups(record: &RunRecord) -> Vec<CauseGroup<'_>> {
+    let mut groups: Vec<CauseGroup<'_>> = Vec::new();
+    for verdict in [Verdict::Fail, Verdict::Inconclusive] {
+        for (place, scenario) in record.scenarios.iter().enumerate() {
+            for index in with_verdict(scenario, verdict) {
+                let cause = shared_cause(scenario, index);
+                let same = |group: &&mut CauseGroup<'_>| group.verdict == verdict && group.cause == cause;
+                match groups.iter_mut().find(same).filter(|_| cause.is_some()) {
+                    Some(group) => group.members.push((place, scenario, index)),
+                    None => groups.push(CauseGroup { verdict, cause, members: vec![(place, scenario, index)] }),
+                }
+            }
+        }
+    }
+    groups
+}
+
+fn end_cause(trial: &TrialRecord) -> Option<&str> {
+    trial.telemetry.end_cause.as_deref().or(trial.telemetry.ended.as_deref())
+}
+
+fn shared_cause(scenario: &ScenarioRecord, index: usize) -> Option<SharedCause<'_>> {
+    let trial = |number: u32| scenario.trials.iter().find(|trial| trial.index == number);
+    match scenario.expectations.get(index)?.reason.as_ref()? {
+        Reason::Trial { trial: number, ended: Some(ended), .. } => {
+            Some(SharedCause::Lost(trial(*number).and_then(end_cause).unwrap_or(ended)))
+        }
+        Reason::Trial { trial: number, finding: TrialFinding::Missing(MissingValue::NotRunning), .. } => {
+            Some(SharedCause::Stopped(trial(*number).and_then(|trial| trial.telemetry.stopped.as_deref())))
+        }
+        Reason::Violation { violation, .. } => Some(SharedCause::Violation(violation.kind)),
+        Reason::Excluded { exclusion, .. } => Some(SharedCause::Excluded(discriminant(exclusion))),
+        Reason::NotPlayed { .. } => Some(SharedCause::NotPlayed),
+        Reason::TooFewTrials { .. } => Some(SharedCause::TooFewTrials),
+        _ => None,
+    }
 }
 
 pub(crate) fn smallest_margin(record: &RunRecord) -> Option<(&ScenarioRecord, &ExpectationRecord, f64)> {

@@ -104,15 +104,18 @@ pub struct CrashReport {
     pub watchdog_reset: bool,
 }
 
+impl CrashReport {
+    /// Exception, causes and place: equal for the same fault at the same place.
+    pub fn cause(&self) -> String {
+        let causes = self.status.causes().into_iter().map(|cause| format!(", {cause}"));
+        let place = self.place.iter().map(|place| format!(", at {place}"));
+        format!("the firmware trapped: {}{}", self.exception, causes.chain(place).collect::<String>())
+    }
+}
+
 impl fmt::Display for CrashReport {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "the firmware trapped: {}", self.exception)?;
-        for cause in self.status.causes() {
-            write!(formatter, ", {cause}")?;
-        }
-        if let Some(place) = &self.place {
-            write!(formatter, ", at {place}")?;
-        }
+        formatter.write_str(&self.cause())?;
         if let Some(address) = self.status.address {
             write!(formatter, ", address {address:#010x}")?;
             self.address_owner.map_or(Ok(()), |owner| write!(formatter, " ({owner})"))?;

@@ -224,6 +224,18 @@ pub enum TargetError {
     Emulator(String),
 }
 
+impl TargetError {
+    /// The error without instants and callers: equal for the same fault at the same place.
+    pub fn cause(&self) -> String {
+        match self {
+            Self::Trap(crash) => crash.cause(),
+            Self::Reset { cause, place, .. } => format!("the target reset itself ({cause}); it was at {place}"),
+            Self::Silent { place, .. } => format!("the firmware did not answer; the processor is at {place}"),
+            other => other.to_string(),
+        }
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UnsupportedAccess {
     /// Peripheral and register if they have names, and the kind of access.

@@ -38,6 +38,16 @@ pub enum RigError {
     Trapped(FaultReport),
 }
 
+impl RigError {
+    /// The error without instants and callers: equal for the same fault at the same place.
+    pub fn cause(&self) -> String {
+        match self {
+            Self::Link(LinkError::Target(error)) => error.cause(),
+            other => other.to_string(),
+        }
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reply {
     pub command: Command,

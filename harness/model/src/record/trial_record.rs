@@ -67,6 +67,9 @@ pub struct Telemetry {
     /// The rig's message about the loss of the controller.
     #[serde(default)]
     pub ended: Option<String>,
+    /// `ended` without instants and callers: equal for the same fault at the same place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub end_cause: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timing: Option<Box<TimingRecord>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]

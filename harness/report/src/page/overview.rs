@@ -4,6 +4,7 @@
 use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, with_unit};
 use super::trace_data::{TRACE_CHANGED, TraceData};
 use crate::document::verdict_badge;
+use crate::record_queries::CauseGroup;
 use crate::text::board_matrix::{difference_table, missing_shards, verdict_matrix};
 use crate::text::history::RunHistory;
 use crate::text::timing;
@@ -55,19 +56,71 @@ pub(super) fn not_passed_section(
     history: &RunHistory,
     changed: &BTreeSet<String>,
 ) -> Markup {
-    let open: Vec<_> = sorted_by_verdict(record)
+    let (shared, alone): (Vec<_>, Vec<_>) =
+        record_queries::cause_groups(record).into_iter().partition(|group| group.members.len() > 1);
+    let (failed, inconclusive): (Vec<_>, Vec<_>) = shared.iter().partition(|group| group.verdict == Verdict::Fail);
+    let indices = |place: usize| -> Vec<usize> {
+        alone
+            .iter()
+            .flat_map(|group| &group.members)
+            .filter(|member| member.0 == place)
+            .map(|member| member.2)
+            .collect()
+    };
+    let open: Vec<(usize, Vec<usize>)> = sorted_by_verdict(record)
         .into_iter()
-        .filter(|(_, scenario)| scenario.expectations.iter().any(|found| found.verdict != Verdict::Pass))
+        .map(|(place, _)| (place, indices(place)))
+        .filter(|(_, indices)| !indices.is_empty())
         .collect();
+    let is_empty = shared.is_empty() && alone.is_empty();
     html! {
-        @if !open.is_empty() || !changed.is_empty() {
+        @if !is_empty || !changed.is_empty() {
             section aria-labelledby="open" {
-                h2 id="open" { @if open.is_empty() { "Changed traces" } @else { "What did not pass" } }
+                h2 id="open" { @if is_empty { "Changed traces" } @else { "What did not pass" } }
                 ol.open {
                     @for (index, scenario) in record.scenarios.iter().enumerate() {
                         (changed_traces(index, scenario, changed))
                     }
-                    @for (index, _) in open { (not_passed_card(record, index, data.get(index), history, changed)) }
+                    @for group in failed { (cause_card(record, group, data, history, changed)) }
+                    @for (place, indices) in open {
+                        (not_passed_card(record, place, &indices, data.get(place), history, changed))
+                    }
+                    @for group in inconclusive { (cause_card(record, group, data, history, changed)) }
+                }
+            }
+        }
+    }
+}
+
+/// Shows the first expectation of the group; the list of the others is folded.
+fn cause_card(
+    record: &RunRecord,
+    group: &CauseGroup<'_>,
+    data: &[TraceData],
+    history: &RunHistory,
+    changed: &BTreeSet<String>,
+) -> Markup {
+    let Some(&(place, scenario, index)) = group.members.first() else { return Markup::default() };
+    html! {
+        li class=(group.verdict) {
+            p.what {
+                (verdict_badge(group.verdict, group.verdict.name())) " " (format::group_size(group)) ". First: "
+                a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
+                " " span.file { (scenario.file) }
+            }
+            (not_passed_item(record, scenario, index, data.get(place), history, changed))
+            details {
+                summary { "All " (format::count(group.members.len(), "expectation")) " with this cause" }
+                ul {
+                    @for (place, scenario, indices) in group.scenarios() {
+                        li {
+                            a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
+                            " " span.file { (scenario.file) } ": "
+                            @for (number, found) in indices.iter().filter_map(|index| scenario.expectations.get(*index)).enumerate() {
+                                @if number > 0 { ", " } code { (found.name) }
+                            }
+                        }
+                    }
                 }
             }
         }
@@ -101,6 +154,7 @@ fn changed_traces(index: usize, scenario: &ScenarioRecord, changed: &BTreeSet<St
 fn not_passed_card(
     record: &RunRecord,
     place: usize,
+    indices: &[usize],
     data: Option<&TraceData>,
     history: &RunHistory,
     changed: &BTreeSet<String>,
@@ -113,8 +167,8 @@ fn not_passed_card(
                 " " a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
                 " " span.file { (scenario.file) }
             }
-            @for index in record_queries::indices_not_passed(scenario) {
-                (not_passed_item(record, scenario, index, data, history, changed))
+            @for index in indices {
+                (not_passed_item(record, scenario, *index, data, history, changed))
             }
         }
     }

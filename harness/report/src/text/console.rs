@@ -2,6 +2,7 @@
 
 use crate::document::{Cell, Style, Table, write_wrapped};
 use crate::escape::printable;
+use crate::record_queries::CauseGroup;
 use crate::text::timing;
 use crate::{format, record_queries};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -141,7 +142,7 @@ fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: b
         write_wrapped(text, "", "  ", &format!("overridden: {overrides}"));
     }
     write_verdict(text, record, style);
-    write_list_of_not_passed(text, record, style);
+    write_list_of_not_passed(text, record, style, in_full);
 }
 
 /// Reason of the verdict in one line. The verdict may be that of an interrupted run.
@@ -168,7 +169,7 @@ fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
         write_not_applicable(text, record, true);
     }
     write_verdict(text, record, style);
-    write_list_of_not_passed(text, record, style);
+    write_list_of_not_passed(text, record, style, false);
 }
 
 fn write_not_applicable(text: &mut String, record: &RunRecord, in_full: bool) {
@@ -224,21 +225,56 @@ fn write_verdict(text: &mut String, record: &RunRecord, style: Style) {
     let _ = writeln!(text, "verdict: {}{}", style.paint_verdict(record.verdict, &verdict), printable(&note));
 }
 
-fn write_list_of_not_passed(text: &mut String, record: &RunRecord, style: Style) {
+/// Writes one entry per cause. `in_full` lists everything that has the cause.
+fn write_list_of_not_passed(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
     let unplayed = record_queries::unplayed_scenarios(record);
     if !unplayed.is_empty() {
         let _ = writeln!(text, "not played after the first failure: {}", format::count(unplayed.len(), "scenario"));
     }
-    let mut not_passed = record_queries::expectations_not_passed(record);
-    not_passed.retain(|(scenario, _)| !unplayed.contains(&scenario.file.as_str()));
-    if !not_passed.is_empty() {
+    let mut groups = record_queries::cause_groups(record);
+    for group in &mut groups {
+        group.members.retain(|(_, scenario, _)| !unplayed.contains(&scenario.file.as_str()));
+    }
+    groups.retain(|group| !group.members.is_empty());
+    if !groups.is_empty() {
         text.push_str("\nnot passed:\n");
     }
-    for (scenario, index) in not_passed {
-        if let Some(expectation) = scenario.expectations.get(index) {
-            write_result(text, scenario, index, expectation, style);
-        }
+    for group in &groups {
+        write_group(text, group, style, in_full);
     }
+}
+
+fn write_group(text: &mut String, group: &CauseGroup<'_>, style: Style, in_full: bool) {
+    let Some(&(_, scenario, index)) = group.members.first() else { return };
+    let Some(expectation) = scenario.expectations.get(index) else { return };
+    if group.members.len() == 1 {
+        write_result(text, scenario, index, expectation, style);
+        return;
+    }
+    let sign = style.paint_verdict(group.verdict, format::sign(group.verdict));
+    let _ = writeln!(text, "  {sign} {}:", format::group_size(group));
+    let first = format!("{}: {}", scenario.file, result(expectation));
+    write_wrapped(text, "    first: ", "      ", &first);
+    write_reason_and_trace(text, scenario, index, expectation);
+    let names = |scenario: &ScenarioRecord, indices: &[usize]| {
+        let names = indices.iter().filter_map(|index| Some(scenario.expectations.get(*index)?.name.as_str()));
+        names.collect::<Vec<_>>().join(", ")
+    };
+    let scenarios = group.scenarios();
+    let others: Vec<String> = match scenarios.as_slice() {
+        [(_, only, indices)] => vec![names(only, indices.get(1..).unwrap_or_default())],
+        all if in_full => {
+            all.iter().map(|(_, scenario, of)| format!("{}: {}", scenario.file, names(scenario, of))).collect()
+        }
+        all => all.iter().skip(1).take(MAX_LISTED).map(|(_, scenario, _)| scenario.file.clone()).collect(),
+    };
+    if in_full {
+        others.iter().for_each(|line| write_wrapped(text, "    also ", "      ", line));
+        return;
+    }
+    let further = scenarios.len().saturating_sub(1 + MAX_LISTED);
+    let further = if further > 0 { format!(", and {further} more: -v lists them") } else { String::new() };
+    write_wrapped(text, "    also ", "      ", &format!("{}{further}", others.join(", ")));
 }
 
 fn write_result(
@@ -252,6 +288,10 @@ fn write_result(
     let (file, sign) = (&scenario.file, format::sign(expectation.verdict));
     write_wrapped(&mut lines, &format!("  {sign} "), "    ", &format!("{file}: {}", result(expectation)));
     text.push_str(&lines.replacen(sign, &style.paint_verdict(expectation.verdict, sign), 1));
+    write_reason_and_trace(text, scenario, index, expectation);
+}
+
+fn write_reason_and_trace(text: &mut String, scenario: &ScenarioRecord, index: usize, expectation: &ExpectationRecord) {
     let verdict = (expectation.verdict == Verdict::Inconclusive).then(|| format::verdict(expectation));
     let reason: Vec<_> = verdict.into_iter().chain(format::remaining_reason(expectation)).collect();
     if !reason.is_empty() {

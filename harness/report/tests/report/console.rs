@@ -86,6 +86,39 @@ fn unplayed_scenarios_are_counted_instead_of_listed() {
     assert!(text.ends_with(&format!("not played after the first failure: {count} scenarios\n")), "{text}");
 }
 
+#[rstest]
+#[case(Detail::Summary, &["    also paper/1.toml, paper/2.toml, paper/3.toml, and 36 more: -v lists them"])]
+#[case(Detail::Tables, &[
+    "    also paper/0.toml: settling_time_ms, overshoot_percent",
+    "    also paper/39.toml: settling_time_ms, overshoot_percent",
+])]
+fn expectations_with_one_cause_have_one_entry(#[case] detail: Detail, #[case] expected: &[&str]) {
+    let text = console::run_text(&fixtures::trapped_run(40), Style::default(), detail);
+    let (_, list) = text.split_once("not passed:\n").unwrap();
+    let entry = [
+        "  ✗ 40 scenarios, 80 expectations, 40 trials with one cause:",
+        "    first: paper/0.toml: settling_time_ms: no value, limit ≤ 2, window 0 … 60 ms",
+        "    ↳ trial 0: the controller does not run at the end: the firmware trapped: HardFault, at",
+        "      0x08000100 in step, 3000 µs after power-on",
+        "    trace: traces/paper/0/000.csv",
+    ];
+    assert!(list.starts_with(&entry.join("\n")), "{list}");
+    assert_eq!(list.matches("HardFault").count(), 1, "{list}");
+    for line in expected {
+        assert!(list.lines().any(|found| found == *line), "{line}: {list}");
+    }
+}
+
+#[test]
+fn a_trap_at_another_place_is_another_cause() {
+    let mut record = fixtures::trapped_run(3);
+    record.scenarios[2].trials[0].telemetry.end_cause = Some("the firmware trapped: lockup".to_owned());
+    let text = console::run_text(&record, Style::default(), Detail::Summary);
+    assert!(text.contains("2 scenarios, 4 expectations, 2 trials with one cause:"), "{text}");
+    assert!(text.contains("1 scenario, 2 expectations, 1 trial with one cause:"), "{text}");
+    assert!(text.contains("    also overshoot_percent\n"), "{text}");
+}
+
 #[test]
 fn colours_change_no_text() {
     let record = fixtures::mixed_run();

@@ -314,6 +314,27 @@ pub(crate) fn cost_trends() -> Vec<CostTrend> {
     ]
 }
 
+/// The firmware traps in each scenario at the same place, at another instant.
+pub(crate) fn trapped_run(scenarios: u32) -> RunRecord {
+    let trapped = |place: u32| {
+        let file = format!("paper/{place}.toml");
+        let cause = "the firmware trapped: HardFault, at 0x08000100 in step".to_owned();
+        let ended = format!("{cause}, {} µs after power-on", 3_000 + place);
+        let finding = TrialFinding::Missing(MissingValue::NotRunning);
+        let reason = Reason::Trial { trial: 0, divergence: None, finding, ended: Some(ended.clone()) };
+        let metrics = [("settling_time_ms", 2.0), ("overshoot_percent", 5.0)];
+        let expectations = metrics.map(|(metric, limit)| {
+            let expectation = passed_expectation(metric, ("at_most", json!(limit)), limit);
+            ExpectationRecord { value: None, ..failed_expectation(expectation, reason.clone()) }
+        });
+        let mut scenario = scenario(&file, &format!("Step {place}"), "dq-pi", expectations.to_vec());
+        scenario.trials = vec![trial(&file, 0, &[])];
+        scenario.trials[0].telemetry = Telemetry { ended: Some(ended), end_cause: Some(cause), ..Telemetry::default() };
+        scenario
+    };
+    run((0..scenarios).map(trapped).collect())
+}
+
 /// Writes traces. Their gains vary by ±`spread` around the gain of `response`.
 pub(crate) fn write_trials(scenario: &mut ScenarioRecord, folder: &Path, trials: u32, response: Response, spread: f64) {
     for index in 0..trials {

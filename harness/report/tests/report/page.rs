@@ -32,6 +32,20 @@ pub(crate) fn legend_texts(curves: &Value, figure: usize) -> Vec<String> {
 }
 
 #[test]
+fn cards_with_one_cause_are_folded_into_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = fixtures::trapped_run(40);
+    page::write(&record, folder.path()).unwrap();
+    let text = std::fs::read_to_string(folder.path().join(page::FILE)).unwrap();
+    let start = text.find("<ol class=\"open\">").unwrap();
+    let cards = &text[start..start + text[start..].find("</ol>").unwrap()];
+    assert!(cards.contains("40 scenarios, 80 expectations, 40 trials with one cause"), "{cards}");
+    assert_eq!((cards.matches("<li class=").count(), cards.matches("HardFault").count()), (1, 1), "{cards}");
+    let (_, folded) = cards.split_once("<details>").unwrap();
+    assert!((0..40).all(|place| folded.contains(&format!("paper/{place}.toml"))), "{folded}");
+}
+
+#[test]
 fn shows_every_outcome() {
     let folder = tempfile::tempdir().unwrap();
     let mut record = fixtures::mixed_run();

@@ -21,6 +21,7 @@ const EMPTY_TELEMETRY: Telemetry = Telemetry {
     protocol_differences: None,
     protocol_repeats: 0,
     ended: None,
+    end_cause: None,
     stopped: None,
     firmware_output: None,
     faults: BTreeMap::new(),
