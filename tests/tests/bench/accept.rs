@@ -76,8 +76,7 @@ fn read_session_record(folder: &TestFolder) -> SessionRecord {
 fn a_session_is_sealed_signed_and_verified() {
     let folder = session_folder();
     let output = run_session(&folder, &["--yes", "--sign", "key.pem", "--operator", "A. Tester", "--place", "Lab 2"])
-        .assert_exit(0)
-        .assert_output(&["R-1", "pass", "no board was attached", "s.toml measured in 1 trial, not judged"]);
+        .assert_text(0, &["R-1", "pass", "no board was attached", "s.toml measured in 1 trial, not judged"]);
     let all = output.text();
     let judged = all.lines().filter(|line| line.contains(" s.toml: ") && !line.starts_with('…')).count();
     assert_eq!(judged, 1, "only the controller's own runs are judged: {all}");
@@ -108,29 +107,27 @@ fn a_session_is_sealed_signed_and_verified() {
         (&["--key", "plan.toml"], 2, &["plan.toml: not the expected ed25519 key"]),
         (&["--key", "key.pem"], 2, &["key.pem: ", "this is the secret key, expected the public key", "-pubout"]),
     ] {
-        verify(&folder, "record", key).assert_exit(exit).assert_output(expected);
+        verify(&folder, "record", key).assert_text(exit, expected);
     }
-    verify(&folder, "scenarios", &[]).assert_exit(2).assert_output(&["contains no session"]);
+    verify(&folder, "scenarios", &[]).assert_text(2, &["contains no session"]);
 
     let mut check = Command::new("sha256sum");
     check.args(["-c", "--strict", "manifest.sha256"]).current_dir(folder.join("record"));
     if let Ok(sums) = check.output() {
         ProgramOutput::from(sums).assert_exit(0);
     }
-    run_session(&folder, &["--yes"]).assert_exit(2).assert_output(&["contains a finished session"]);
+    run_session(&folder, &["--yes"]).assert_text(2, &["contains a finished session"]);
 }
 
 #[test]
 fn missing_confirmation_or_evidence_does_not_pass() {
     let unconfirmed = session_folder();
-    run_session(&unconfirmed, &[]).assert_exit(3).assert_output(&["inconclusive"]);
+    run_session(&unconfirmed, &[]).assert_text(3, &["inconclusive"]);
     let record = read_session_record(&unconfirmed);
     assert_eq!(record.requirements[0].verdict, Verdict::Pass);
     assert_eq!(record.steps[1].answer.as_ref().unwrap().from, "not-asked");
-    verify(&unconfirmed, "record", &[]).assert_exit(0).assert_output(&["verdict: inconclusive", "not signed"]);
-    verify(&unconfirmed, "record", &["--key", "public.pem"])
-        .assert_exit(1)
-        .assert_output(&["manifest.sha256.sig: missing"]);
+    verify(&unconfirmed, "record", &[]).assert_text(0, &["verdict: inconclusive", "not signed"]);
+    verify(&unconfirmed, "record", &["--key", "public.pem"]).assert_text(1, &["manifest.sha256.sig: missing"]);
 
     let without_evidence = session_folder();
     let plan = plan_text(&["s.toml"], 2) + "[[requirement]]\nid = \"R-2\"\ntext = \"No scenario shows it.\"\n";
@@ -145,11 +142,11 @@ fn a_failed_scenario_fails_the_session() {
     let folder = session_folder();
     folder.write_scenario("bad.toml", &step_text(&GOOD.replace("4.0", "1.0")));
     folder.write("plan.toml", &plan_text(&["s.toml", "bad.toml"], 2));
-    run_session(&folder, &["--yes"]).assert_exit(1).assert_output(&["fail"]);
+    run_session(&folder, &["--yes"]).assert_text(1, &["fail"]);
     let record = read_session_record(&folder);
     let verdicts: Vec<_> = record.requirements[0].evidence.iter().map(|evidence| evidence.verdict).collect();
     assert_eq!(verdicts, [Verdict::Pass, Verdict::Fail]);
-    verify(&folder, "record", &[]).assert_exit(0).assert_output(&["verdict: fail"]);
+    verify(&folder, "record", &[]).assert_text(0, &["verdict: fail"]);
 }
 
 #[test]
@@ -157,7 +154,7 @@ fn an_unmet_kill_rate_does_not_pass() {
     let folder = session_folder();
     // The observed kill rate is above 12 %, but its lower confidence bound is below.
     folder.write("plan.toml", &(plan_text(&["s.toml"], 1) + "least_kill_rate_percent = 12.0\n"));
-    run_session(&folder, &["--yes"]).assert_exit(3).assert_output(&["inconclusive"]);
+    run_session(&folder, &["--yes"]).assert_text(3, &["inconclusive"]);
     let trust = read_session_record(&folder).steps[3].trust.clone().unwrap();
     assert!(0.12 < f64::from(trust.caught) / f64::from(trust.faults) && trust.clean_runs == 2, "{trust:?}");
 }
@@ -173,7 +170,7 @@ fn an_unmet_kill_rate_does_not_pass() {
 fn an_invalid_plan_is_reported_with_its_line(#[case] good: &str, #[case] bad: &str, #[case] message: &str) {
     let folder = session_folder();
     folder.write("plan.toml", &plan_text(&["s.toml"], 3).replace(good, bad));
-    run_session(&folder, &["--yes"]).assert_exit(2).assert_output(&[message]).assert_output_without(NO_PLAN);
+    run_session(&folder, &["--yes"]).assert_text(2, &[message]).assert_output_without(NO_PLAN);
     assert!(!folder.exists("record"));
 }
 
@@ -183,8 +180,7 @@ const NO_PLAN: &str = "--plan FILE names the plan";
 fn a_missing_plan_error_names_the_option() {
     session_folder()
         .bench(["acceptance", "run", "--rig", "hosted", "--yes"])
-        .assert_exit(2)
-        .assert_output(&["scenarios/plans/acceptance.toml: cannot be read", NO_PLAN]);
+        .assert_text(2, &["scenarios/plans/acceptance.toml: cannot be read", NO_PLAN]);
 }
 
 #[test]
@@ -194,7 +190,7 @@ fn errors_tell_public_keys_from_invalid_keys() {
     for (name, message) in
         [("public.pem", "this is the public key, expected the secret key"), ("locked.pem", "passphrase")]
     {
-        run_session(&folder, &["--yes", "--sign", name]).assert_exit(2).assert_output(&[name, message]);
+        run_session(&folder, &["--yes", "--sign", name]).assert_text(2, &[name, message]);
     }
     assert!(!folder.exists("record"));
 }
@@ -204,8 +200,7 @@ fn a_board_is_not_driven_without_confirmation() {
     let folder = session_folder();
     folder
         .bench(["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--rig", &controller_rig(None)])
-        .assert_exit(3)
-        .assert_output(&["no answer", "may drive a plate", "--yes", "--resume record"]);
+        .assert_text(3, &["no answer", "may drive a plate", "--yes", "--resume record"]);
     let record = read_session_record(&folder);
     assert!(record.steps[0].done && !record.steps[1].done && record.no_board_notice().is_none());
     assert!(record.steps[0].reason.as_ref().unwrap().contains("chip 0x"));
@@ -217,8 +212,7 @@ fn interrupted_session() -> TestFolder {
     let folder = session_folder();
     folder
         .bench(["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--yes", "--rig", ABSENT])
-        .assert_exit(5)
-        .assert_output(&[CONTINUE]);
+        .assert_text(5, &[CONTINUE]);
     let record = read_session_record(&folder);
     assert!(!record.complete && record.steps.iter().all(|step| !step.done));
     assert!(record.steps[0].attempts[0].broken_off.is_some());
@@ -234,17 +228,17 @@ const CONTINUE: &str = "continue with the same command and --resume record";
 fn a_session_does_not_resume_with_another_input(#[case] file: &str, #[case] message: &str) {
     let folder = interrupted_session();
     folder.write(file, &(folder.read(file) + "\n# another\n"));
-    resume(&folder, &[ABSENT]).assert_exit(2).assert_output(&[message, "start a new session"]);
+    resume(&folder, &[ABSENT]).assert_text(2, &[message, "start a new session"]);
 }
 
 #[test]
 fn a_session_does_not_resume_with_another_rig_or_clock() {
     let folder = interrupted_session();
-    resume(&folder, &["hosted"]).assert_exit(2).assert_output(&["the rig is hosted"]);
-    resume(&folder, &[ABSENT, "--clock", "real-time"]).assert_exit(2).assert_output(&["the clock is real-time"]);
+    resume(&folder, &["hosted"]).assert_text(2, &["the rig is hosted"]);
+    resume(&folder, &[ABSENT, "--clock", "real-time"]).assert_text(2, &["the clock is real-time"]);
     let version = format!("\"version\": \"{}\"", env!("CARGO_PKG_VERSION"));
     folder.replace("record/session.json", &version, "\"version\": \"0.0.1\"");
-    resume(&folder, &[ABSENT]).assert_exit(2).assert_output(&["the bench is "]);
+    resume(&folder, &[ABSENT]).assert_text(2, &["the bench is "]);
 }
 
 #[test]
@@ -253,20 +247,18 @@ fn a_broken_session_file_gives_no_hint_to_resume() {
     resume(&folder, &[ABSENT]).assert_stderr(&["continue with the same command"]);
     folder.write("record/session.json", "{ \"format\": ");
     resume(&folder, &[ABSENT])
-        .assert_exit(2)
-        .assert_output(&["session.json"])
+        .assert_text(2, &["session.json"])
         .assert_output_without("continue with the same command");
 }
 
 #[test]
 fn rejects_a_folder_with_other_content() {
     let folder = interrupted_session();
-    verify(&folder, "record", &[]).assert_exit(3).assert_output(&["the session is not finished"]);
+    verify(&folder, "record", &[]).assert_text(3, &["the session is not finished"]);
     for (option, message) in [("--out", "files that belong to no acceptance session"), ("--resume", "no session")] {
         folder
             .bench(["acceptance", "run", "--plan", "plan.toml", "--rig", "hosted", "--yes", option, "scenarios"])
-            .assert_exit(2)
-            .assert_output(&[message]);
+            .assert_text(2, &[message]);
     }
     assert!(!folder.exists("scenarios/session.json"));
 }

@@ -38,7 +38,7 @@ fn a_new_scenario_is_valid_and_passes(
 
 #[test]
 fn the_repository_s_files_pass_check() {
-    run_bench(&workspace_root(), ["check"]).assert_exit(0).assert_output(&["plates, 1 plan"]);
+    run_bench(&workspace_root(), ["check"]).assert_text(0, &["plates, 1 plan"]);
 }
 
 #[test]
@@ -137,7 +137,7 @@ fn an_invalid_environment_variable_is_named(#[case] variable: &str, #[case] opti
     let call = |arguments: &[&str]| -> ProgramOutput {
         bench_command(folder.path()).args(arguments).env(variable, value).output().unwrap().into()
     };
-    call(&["run"]).assert_exit(2).assert_output(&[option, variable]);
+    call(&["run"]).assert_text(2, &[option, variable]);
     // If the option is on the command line, the message does not name the environment variable.
     call(&["run", &format!("{option}={value}")]).assert_exit(2).assert_output_without(variable);
 }
@@ -266,7 +266,7 @@ fn output_paths_are_checked_before_the_run() {
     for (option, file, message) in
         [("--tap", "nowhere/x.tap", "no folder nowhere"), ("--summary", "scenarios", "expected a file")]
     {
-        folder.bench(["run", "--rig", "hosted", option, file]).assert_exit(2).assert_output(&[message]);
+        folder.bench(["run", "--rig", "hosted", option, file]).assert_text(2, &[message]);
         assert!(!folder.exists("runs"));
     }
     folder.bench(["run", "--rig", "hosted", "--tap", "x.tap", "--summary", "scenarios/../y.md"]).assert_exit(0);
@@ -294,5 +294,5 @@ fn run_folders_among_scenarios_are_not_run() {
 
 #[test]
 fn a_watched_run_has_no_folder_of_its_own() {
-    TestFolder::new().bench(["run", "--watch", "--out", "run"]).assert_exit(2).assert_output(&["--runs"]);
+    TestFolder::new().bench(["run", "--watch", "--out", "run"]).assert_text(2, &["--runs"]);
 }

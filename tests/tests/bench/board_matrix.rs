@@ -119,7 +119,7 @@ fn assert_states(folder: &TestFolder) {
 
 /// Ends the quarantine and waits until the controller of the killed bench has ended.
 fn clear_killed(folder: &TestFolder) {
-    folder.bench(["run", "--board", KILLED]).assert_exit(5).assert_stderr(&["quarantine"]);
+    folder.bench(["run", "--board", KILLED]).assert_message(5, &["quarantine"]);
     folder.bench(["board", "clear", KILLED, "--reason", "0 V measured"]).assert_exit(0);
     let exclusive = folder.join(&format!("{KILLED}.use"));
     wait_until("the controller of the killed bench does not end", || {
@@ -170,9 +170,9 @@ fn eight_boards_share_a_regression() {
     };
     let mut present = runs(&HEALTHY);
     present.pop();
-    merge(present.clone(), "part").assert_exit(3).assert_stderr(&["shard 2/2 of b5 is missing"]);
+    merge(present.clone(), "part").assert_message(3, &["shard 2/2 of b5 is missing"]);
     present.push("killed".to_owned());
-    merge(present, "mixed").assert_exit(2).assert_stderr(&["killed: the selection of scenarios (SHA-256) is "]);
+    merge(present, "mixed").assert_message(2, &["killed: the selection of scenarios (SHA-256) is "]);
     clear_killed(&folder);
     for shard in SHARDS {
         start_shard(&folder, KILLED, shard).finish().assert_exit(0);

@@ -22,7 +22,7 @@ fn assert_only_left_is_quarantined(folder: &TestFolder, reason: &str) {
     let left = state_of(folder, LEFT);
     assert_eq!(left["state"], "quarantined", "{left}");
     assert!(left["reason"].as_str().unwrap().contains(reason), "{left}");
-    folder.bench(["run", "--board", "left", "--out", "refused"]).assert_exit(5).assert_stderr(&["clear left"]);
+    folder.bench(["run", "--board", "left", "--out", "refused"]).assert_message(5, &["clear left"]);
     assert!(!folder.exists("refused"));
     folder.bench(["run", "--board", "right", "--out", "right"]).assert_exit(0);
     folder.bench(["board", "clear", "left", "--reason", "0 V measured"]).assert_exit(0);

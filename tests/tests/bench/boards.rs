@@ -38,11 +38,9 @@ fn a_killed_run_leaves_the_board_in_quarantine() {
     let folder = lab(&rig("hosted"));
     let mut first = start_minute(&folder);
     let process = first.0.id();
-    folder.bench(["run", "--board", "left", "--out", "second"]).assert_exit(5).assert_stderr(&[
-        "board left is held by",
-        &format!("process {process} "),
-        "since 20",
-    ]);
+    folder
+        .bench(["run", "--board", "left", "--out", "second"])
+        .assert_message(5, &["board left is held by", &format!("process {process} "), "since 20"]);
     assert!(!folder.exists("second"));
     assert_eq!(state_of(&folder, 0)["state"], "held");
     folder.bench(["board", "clear", "left", "--reason", "x"]).assert_exit(5);
@@ -50,14 +48,14 @@ fn a_killed_run_leaves_the_board_in_quarantine() {
     let quarantined = state_of(&folder, 0);
     assert_eq!(quarantined["state"], "quarantined");
     assert!(quarantined["reason"].as_str().unwrap().contains("without confirmed 0 V"), "{quarantined}");
-    folder.bench(["run", "--board", "left", "--wait", "1"]).assert_exit(5).assert_stderr(&["quarantine", "clear left"]);
+    folder.bench(["run", "--board", "left", "--wait", "1"]).assert_message(5, &["quarantine", "clear left"]);
     folder.bench(["board", "clear", "left", "--reason", " "]).assert_exit(2);
     folder.bench(["board", "clear", "left", "--reason", "0 V measured"]).assert_exit(0);
     folder.bench(["run", "--board", "left", "--out", "third"]).assert_exit(0);
     let free = state_of(&folder, 0);
     assert_eq!((&free["state"], &free["last_run"]["verdict"]), (&"free".into(), &"pass".into()));
     assert!(free["last_run"]["folder"].as_str().unwrap().ends_with("third"));
-    folder.bench(["board", "clear", "left", "--reason", "x"]).assert_exit(2).assert_stderr(&["not in quarantine"]);
+    folder.bench(["board", "clear", "left", "--reason", "x"]).assert_message(2, &["not in quarantine"]);
     assert!(folder.read("boards.state/left.json").contains("0 V measured"));
 }
 
@@ -68,7 +66,7 @@ fn a_cancelled_or_failed_run_leaves_the_board_free() {
     first.signal("INT");
     first.finish().assert_exit(130);
     assert_eq!(state_of(&folder, 0)["state"], "free");
-    folder.bench(["run", "--board", "left", "--out", "minute"]).assert_exit(2).assert_stderr(&["already contains"]);
+    folder.bench(["run", "--board", "left", "--out", "minute"]).assert_message(2, &["already contains"]);
     folder.replace("scenarios/s.toml", "at_most = 2.0", "at_most = 1.9");
     folder.bench(["run", "--board", "left", "--out", "failed"]).assert_exit(1);
     let free = state_of(&folder, 0);
@@ -99,8 +97,7 @@ fn a_board_with_another_chip_is_not_configured() {
     folder.write("boards.toml", &inventory(&[("left", keys.clone())]));
     folder
         .bench(["run", "--board", "left", "--out", "run"])
-        .assert_exit(5)
-        .assert_stderr(&["has the number ffffffffffffffffffffffff, boards.toml has 0102030405060708090a0b0c"]);
+        .assert_message(5, &["has the number ffffffffffffffffffffffff, boards.toml has 0102030405060708090a0b0c"]);
     let states = fs::read_to_string(&log).unwrap();
     assert!(states.contains("\"start\"") && !states.contains("running"), "{states}");
     assert!(!folder.exists("run"));
@@ -120,7 +117,7 @@ fn a_dead_board_stops_no_other_board() {
     folder.bench(["run", "--board", "dead", "--out", "a"]).assert_exit(5);
     assert_eq!(state_of(&folder, 0)["state"], "free", "no voltage was applied");
     let first = start_minute(&folder);
-    folder.bench(["run", "--board", "right", "--out", "b"]).assert_exit(5).assert_stderr(&["right is held"]);
+    folder.bench(["run", "--board", "right", "--out", "b"]).assert_message(5, &["right is held"]);
     first.signal("TERM");
     first.finish().assert_exit(143);
     folder.bench(["run", "--board", "right", "--out", "b"]).assert_exit(0);
@@ -129,15 +126,15 @@ fn a_dead_board_stops_no_other_board() {
 #[test]
 fn boards_are_found_and_checked_strictly() {
     let folder = lab(&rig("hosted"));
-    folder.bench(["run", "--board", "up"]).assert_exit(2).assert_stderr(&["no board `up`, expected one of left"]);
-    folder.bench(["run", "--board", "left", "--rig", "hosted"]).assert_exit(2).assert_stderr(&["--board"]);
+    folder.bench(["run", "--board", "up"]).assert_message(2, &["no board `up`, expected one of left"]);
+    folder.bench(["run", "--board", "left", "--rig", "hosted"]).assert_message(2, &["--board"]);
     folder.bench(["check", "boards.toml"]).assert_exit(0).assert_stdout(&["1 board inventory"]);
     folder.write("boards.toml", "[[board]]\nname = \"left\"\nrig = \"can:0\"\nchip = 1\n");
-    folder.bench(["board", "list"]).assert_exit(2).assert_stderr(&["boards.toml:4:1", "unknown key `chip`"]);
+    folder.bench(["board", "list"]).assert_message(2, &["boards.toml:4:1", "unknown key `chip`"]);
     folder.write("boards.toml", "[[board]]\nname = \"left\"\nrig = \"can:0\"\n");
-    folder.bench(["check", "boards.toml"]).assert_exit(2).assert_stderr(&["boards.toml:3:7", "unknown kind of rig"]);
+    folder.bench(["check", "boards.toml"]).assert_message(2, &["boards.toml:3:7", "unknown kind of rig"]);
     fs::rename(folder.join("boards.toml"), folder.join("lab.toml")).unwrap();
-    folder.bench(["board", "list"]).assert_exit(2).assert_stderr(&["no boards.toml"]);
+    folder.bench(["board", "list"]).assert_message(2, &["no boards.toml"]);
     folder.replace("lab.toml", "can:0", "hosted");
     folder.bench(["board", "list", "--boards", "lab.toml"]).assert_exit(0).assert_stdout(&["left", "free"]);
 }
@@ -150,8 +147,7 @@ fn other_commands_take_their_rig_from_the_board() {
     assert!(state_of(&folder, 0)["last_run"]["folder"].as_str().unwrap().ends_with("step"));
     folder
         .bench(["plate", "serve", "--board", "left", "--scenario", "scenarios/s.toml"])
-        .assert_exit(2)
-        .assert_stderr(&["expected serial:"]);
+        .assert_message(2, &["expected serial:"]);
     folder.write(
         "c.toml",
         "title = \"c\"\nscenario = \"scenarios/s.toml\"\n\

@@ -64,7 +64,7 @@ fn write_campaign(folder: &TestFolder) {
 fn a_drive_after_confirmed_0_v_fails_the_run() {
     let folder = TestFolder::with_step(ANSWERED);
     let Some(rig) = controller(&folder, Change::AfterAnswer(LATE_DRIVE)) else { return };
-    folder.bench(["run", "--rig", &rig, "--out", "run"]).assert_exit(1).assert_stderr(&["after it had confirmed 0 V"]);
+    folder.bench(["run", "--rig", &rig, "--out", "run"]).assert_message(1, &["after it had confirmed 0 V"]);
     let record = folder.record("run");
     assert_eq!((record.verdict, record.drive_after_safe, record.safe_confirmed), (Verdict::Fail, true, Some(false)));
     let mut violations = record.scenarios[0].trials[0].telemetry.violations.iter();
@@ -107,7 +107,7 @@ fn campaign_and_run_agree_without_confirmed_0_v(#[case] expect: &str, #[case] ex
     folder.bench(["run", "--rig", &rig, "--out", "run"]).assert_exit(expected);
     write_campaign(&folder);
     let played = folder.bench(["campaign", "run", "campaign.toml", "--out", "c", "--rig", &rig]);
-    played.assert_exit(expected).assert_output(&["did not confirm 0 V"]);
+    played.assert_text(expected, &["did not confirm 0 V"]);
     assert_eq!(summary(&folder)["safe_confirmed"], false);
     // The stored parts know it, too.
     folder.bench(["campaign", "merge", "c"]).assert_exit(expected);
@@ -119,7 +119,7 @@ fn a_played_shard_without_confirmed_0_v_ends_with_5() {
     let Some(rig) = controller(&folder, Change::Message { kind: "SAFE", action: "return None" }) else { return };
     write_campaign(&folder);
     folder.bench(["campaign", "plan", "campaign.toml", "--out", "c", "--rig", &rig, "--shards", "1"]).assert_exit(0);
-    folder.bench(["campaign", "play", "c", "--shard", "1"]).assert_exit(5).assert_stderr(&["did not confirm 0 V"]);
+    folder.bench(["campaign", "play", "c", "--shard", "1"]).assert_message(5, &["did not confirm 0 V"]);
 }
 
 #[test]
@@ -173,7 +173,7 @@ fn a_crash_fails_campaign_exploration_and_replay() {
     let envelope = workspace_root().join("scenarios/envelope.toml").display().to_string();
     folder.bench(["suite", "explore", &envelope, "--rig", &rig, "--scenes", "1", "--out", "out"]).assert_exit(1);
     let replayed = folder.bench(["replay", "run/traces/s/000.csv", "--rig", &rig]);
-    replayed.assert_exit(1).assert_output(&["exit status 3"]);
+    replayed.assert_text(1, &["exit status 3"]);
 }
 
 #[test]

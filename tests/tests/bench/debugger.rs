@@ -75,7 +75,7 @@ fn refuses_a_debugger_that_cannot_be_served() {
         (&[], "expected a free port for the debugger"),
     ] {
         let arguments = ["run", SCENARIO, "--gdb", &port, "--out", out.to_str().unwrap()];
-        run_bench(&workspace_root(), arguments.iter().chain(rig)).assert_exit(2).assert_stderr(&[expected]);
+        run_bench(&workspace_root(), arguments.iter().chain(rig)).assert_message(2, &[expected]);
         assert!(!out.exists());
     }
 }

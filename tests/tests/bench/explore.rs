@@ -121,6 +121,6 @@ fn rejects_what_it_cannot_explore() {
         (vec!["missing.toml"], "cannot be read"),
     ] {
         let all = ["suite", "explore", "--rig", "hosted"].into_iter().chain(arguments);
-        run_bench(folder.path(), all).assert_exit(2).assert_stderr(&[message]);
+        run_bench(folder.path(), all).assert_message(2, &[message]);
     }
 }

@@ -18,7 +18,7 @@ fn an_fmu_follows_the_trace_of_the_bench() {
     let folder = TestFolder::new();
     let fmu = folder.join("plate.fmu");
     export(&workspace_root().join(PLATE_FILE), &fmu).assert_exit(0);
-    export(&workspace_root().join(PLATE_FILE), &fmu).assert_exit(2).assert_stderr(&["exists already"]);
+    export(&workspace_root().join(PLATE_FILE), &fmu).assert_message(2, &["exists already"]);
     if !Path::new(PYTHON).exists() {
         return skip_without(&format!("FMPy at {PYTHON}"));
     }
@@ -38,10 +38,10 @@ fn a_wrong_plate_gives_no_fmu() {
     let folder = TestFolder::new();
     let (plate, fmu) = (folder.join("p.toml"), folder.join("plate.fmu"));
     std::fs::write(&plate, "name = \"x\"\n").unwrap();
-    export(&plate, &fmu).assert_exit(2).assert_stderr(&["p.toml", "missing"]);
+    export(&plate, &fmu).assert_message(2, &["p.toml", "missing"]);
     let library = ["--library", plate.to_str().unwrap()];
     let out = ["--out", fmu.to_str().unwrap()];
     let call = bench_command(&workspace_root()).args(["plate", "fmu", PLATE_FILE]).args(library).args(out).output();
-    ProgramOutput::from(call.unwrap()).assert_exit(2).assert_stderr(&["is not a shared library"]);
+    ProgramOutput::from(call.unwrap()).assert_message(2, &["is not a shared library"]);
     assert!(!fmu.exists());
 }

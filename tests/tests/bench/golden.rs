@@ -47,8 +47,7 @@ fn another_law_differs_from_every_baseline() {
     let folder = tempfile::tempdir().unwrap();
     run_paper(folder.path(), &["--law", "dq-pi-euler"]);
     let output = compare_with_baselines(folder.path())
-        .assert_exit(1)
-        .assert_output(&["trial 0: amplitude_um is 2.33 µm at 2 ms, 0.6989 µm outside ± 0.01795 µm around 1.59 µm"]);
+        .assert_text(1, &["trial 0: amplitude_um is 2.33 µm at 2 ms, 0.6989 µm outside ± 0.01795 µm around 1.59 µm"]);
     assert_eq!(output.text().matches("✗ fail  paper/").count(), 11, "{}", output.text());
     let svg = fs::read_to_string(folder.path().join("run/comparison/paper/fig13-closed-loop.svg")).unwrap();
     assert!(svg.contains("amplitude_um at 2 ms"));
@@ -75,9 +74,7 @@ fn run_folder(text: &str) -> TestFolder {
 #[test]
 fn an_accepted_baseline_is_listed_and_compared() {
     let folder = run_folder(&step_text(SETTLING));
-    compare(&folder, "run", "baseline")
-        .assert_exit(4)
-        .assert_output(&["nothing was compared", "platebench baseline review run"]);
+    compare(&folder, "run", "baseline").assert_text(4, &["nothing was compared", "platebench baseline review run"]);
     let review = folder.bench(["baseline", "diff", "run"]).assert_exit(4);
     assert_eq!(review.stdout, "? new  s.toml\n");
     assert!(!folder.exists(HEAD), "a review writes nothing");
@@ -105,12 +102,9 @@ fn a_change_is_shown_before_it_is_accepted() {
     folder.replace(HEAD, "absolute = 0.01", "absolute = 0.0123");
     folder.write_scenario("s.toml", &step_scenario("aluminium-198x138", "response_time_ms = 1.8", "", SETTLING));
     folder.run_hosted("other");
-    folder.bench(["baseline", "diff", "other"]).assert_exit(1).assert_output(&[
-        "✗ fail  s.toml",
-        "trial 0: ",
-        "settling_time_ms: 1.96 → 1.",
-        "drive_peak_vpp: 551 → ",
-    ]);
+    folder
+        .bench(["baseline", "diff", "other"])
+        .assert_text(1, &["✗ fail  s.toml", "trial 0: ", "settling_time_ms: 1.96 → 1.", "drive_peak_vpp: 551 → "]);
     assert_eq!(folder.read(TABLE), before);
     folder.bench(["baseline", "accept", "other"]).assert_output(&["✓ accepted  s.toml\n", "drive_peak_vpp: 551 → "]);
     assert_ne!(folder.read(TABLE), before);
@@ -153,10 +147,7 @@ fn a_review_draws_each_difference_and_asks() {
 #[test]
 fn a_failed_run_is_not_accepted_as_a_baseline() {
     let folder = run_folder(&step_text(FAILED_SETTLING));
-    folder
-        .bench(["baseline", "accept", "run"])
-        .assert_exit(1)
-        .assert_output(&["✗ not accepted  s.toml: it did not pass (fail)"]);
+    folder.bench(["baseline", "accept", "run"]).assert_text(1, &["✗ not accepted  s.toml: it did not pass (fail)"]);
     assert!(!folder.exists("scenarios/baselines"));
 }
 
@@ -168,8 +159,7 @@ fn a_tube_is_learned_from_varying_trials() {
     let folder = run_folder(&(step_scenario("aluminium-198x138-noisy", "", "", expect) + SPREAD));
     folder
         .bench(["baseline", "accept", "run", "--false-alarm-rate", "0.01"])
-        .assert_exit(2)
-        .assert_output(&["a false-alarm rate of 0.01 needs at least 148 trials, this run has 30"]);
+        .assert_text(2, &["a false-alarm rate of 0.01 needs at least 148 trials, this run has 30"]);
     folder.bench(["baseline", "accept", "run"]).assert_exit(0);
     let head = folder.read(HEAD);
     assert!(head.contains("[learned]\ntrials = 30\nfalse_alarm_rate = 0.05"), "{head}");
@@ -181,7 +171,7 @@ fn a_tube_is_learned_from_varying_trials() {
     compare(&folder, "other", "run").assert_exit(1);
     folder.bench(["run", "--rig", "hosted", "--out", "few", "--trials", "3"]);
     compare(&folder, "few", "run").assert_exit(0);
-    compare(&folder, "run", "few").assert_exit(3).assert_output(&["the reference has no complete trial 3"]);
+    compare(&folder, "run", "few").assert_text(3, &["the reference has no complete trial 3"]);
 }
 
 #[rstest]
@@ -202,7 +192,7 @@ fn wrong_usage_names_the_argument(#[case] arguments: &[&str], #[case] named: &st
     folder.write("half.csv", &trace.replace("setpoint_um,", ""));
     folder.write("broken.toml", "colour = 1\n");
     folder.write("broken.csv", "t_ms\n");
-    folder.bench(arguments).assert_exit(2).assert_output(&[named]);
+    folder.bench(arguments).assert_text(2, &[named]);
 }
 
 #[test]
@@ -213,9 +203,7 @@ fn a_trace_of_another_length_is_inconclusive() {
     let short = trace.split_inclusive('\n').take(count - 10).collect::<String>();
     folder.write("short.csv", &short);
     for [subject, reference] in [["short.csv", "run"], ["run", "short.csv"]] {
-        compare(&folder, subject, reference)
-            .assert_exit(3)
-            .assert_output(&["ms, expected those of the baseline, from 0 to"]);
+        compare(&folder, subject, reference).assert_text(3, &["ms, expected those of the baseline, from 0 to"]);
     }
 }
 
@@ -226,7 +214,7 @@ fn nothing_compared_does_not_pass() {
     fs::create_dir(folder.join("empty")).unwrap();
     for (baselines, why) in [("baseline", "baseline is no folder"), ("empty", "empty has no golden trace for run")] {
         let arguments = ["compare", "run", "baseline", "--baselines", baselines];
-        folder.bench(arguments).assert_exit(4).assert_stderr(&["nothing was compared", why]);
+        folder.bench(arguments).assert_message(4, &["nothing was compared", why]);
         folder.bench(["baseline", "diff", "run", "--baselines", baselines]).assert_exit(4);
     }
     let mut record = folder.record("run");
@@ -256,11 +244,11 @@ fn a_comparison_needs_a_time_range_without_holes() {
     };
     folder.write("one.csv", &keep(&|index, _| index <= 1));
     folder.write("other.csv", &keep(&|index, _| index <= 1));
-    compare(&folder, "one.csv", "other.csv").assert_exit(4).assert_output(&["fewer than two rows"]);
+    compare(&folder, "one.csv", "other.csv").assert_text(4, &["fewer than two rows"]);
     compare(&folder, "one.csv", TRACE).assert_exit(3);
     folder.write("hole.csv", &keep(&|_, t_ms| !(30.0..50.0).contains(&t_ms)));
     let gap = |subject: &str, reference: &str, place: &str| {
-        compare(&folder, subject, reference).assert_exit(1).assert_output(&[place, "no rows between 29.95 and 50 ms"]);
+        compare(&folder, subject, reference).assert_text(1, &[place, "no rows between 29.95 and 50 ms"]);
     };
     for reference in [TRACE, "run", HEAD] {
         gap("hole.csv", reference, "trial 0 has");
@@ -282,8 +270,8 @@ fn a_tampered_trace_is_neither_accepted_nor_compared() {
     let folder = run_folder(&step_text(SETTLING));
     folder.bench(["baseline", "accept", "run"]).assert_exit(0);
     folder.tamper_with_trace();
-    folder.bench(["baseline", "accept", "run"]).assert_exit(2).assert_output(&["000.csv: SHA-256"]);
-    compare(&folder, "run", "baseline").assert_exit(2).assert_output(&["000.csv: SHA-256"]);
+    folder.bench(["baseline", "accept", "run"]).assert_text(2, &["000.csv: SHA-256"]);
+    compare(&folder, "run", "baseline").assert_text(2, &["000.csv: SHA-256"]);
 }
 
 #[test]
@@ -291,6 +279,6 @@ fn missing_trials_are_reported() {
     let trials = "[trials]\ncount = 3\n[trials.spread]\nsensor_gain_percent = 1.0\n";
     let folder = run_folder(&(step_scenario("aluminium-198x138-noisy", "", "", SETTLING) + trials));
     folder.bench(["run", "--rig", "hosted", "--out", "few", "--trials", "1"]);
-    compare(&folder, "few", "run").assert_exit(0).assert_output(&["s.toml: the run has only 1 of the 3 trials of run"]);
+    compare(&folder, "few", "run").assert_text(0, &["s.toml: the run has only 1 of the 3 trials of run"]);
     compare(&folder, "run", "run").assert_output_without("trials of run");
 }

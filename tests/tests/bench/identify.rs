@@ -91,7 +91,7 @@ fn unusable_input_is_reported_with_its_line() {
         (&["t.csv", "--columns", "time=t:s"], "no column for the role drive"),
         (&["t.csv", "--columns", "drive=V"], "`drive=V` names the column `V` without its unit, expected drive=V:UNIT"),
     ] {
-        run_bench(folder.path(), ["identify"].iter().chain(arguments)).assert_exit(2).assert_stderr(&[message]);
+        run_bench(folder.path(), ["identify"].iter().chain(arguments)).assert_message(2, &[message]);
     }
     fs::create_dir(folder.path().join("empty")).unwrap();
     run_bench(folder.path(), ["identify", "empty"]).assert_exit(4);
@@ -127,7 +127,7 @@ fn impossible_estimates_write_no_plate_file() {
         folder.bench(arguments.iter().chain(more))
     };
     for (columns, cause) in [(NM_AS_UM, "check the units of amplitude"), (SWAPPED, "check the columns of wd and wq")] {
-        identify(columns, &[]).assert_exit(3).assert_stderr(&["inconclusive: ", cause, "no plate file was written"]);
+        identify(columns, &[]).assert_message(3, &["inconclusive: ", cause, "no plate file was written"]);
         assert!(!folder.exists("plate.toml"));
     }
     identify(NM, &[]).assert_exit(0);
@@ -145,9 +145,9 @@ fn an_impossible_plate_is_not_tuned_and_causes_warnings() {
     let tune = |more: &[&str]| {
         folder.bench(["tune", "--plate", PLATE, "--samples", "0", "--response-ms", "4"].iter().chain(more))
     };
-    tune(&[]).assert_exit(2).assert_stderr(&["aluminium-198x138.toml:10:", message, "--force designs"]);
+    tune(&[]).assert_message(2, &["aluminium-198x138.toml:10:", message, "--force designs"]);
     tune(&["--force"]).assert_exit_in(&[0, 1]).assert_stderr(&["warning: ", message]).assert_stdout(&["verdict: "]);
-    folder.bench(["check", "scenarios"]).assert_exit(0).assert_stderr(&["warning: ", message]);
-    folder.bench(["check", PLATE]).assert_exit(0).assert_stderr(&["warning: ", message]);
+    folder.bench(["check", "scenarios"]).assert_message(0, &["warning: ", message]);
+    folder.bench(["check", PLATE]).assert_message(0, &["warning: ", message]);
     folder.run_hosted("run").assert_stderr(&["warning: ", message]);
 }

@@ -23,8 +23,7 @@ fn shards_are_joined_and_a_missing_one_is_reported() {
     }
     folder
         .bench(["report", "--merge", "one", "--out", "part"])
-        .assert_exit(3)
-        .assert_stderr(&["inconclusive: evidence: shard 2/2 of a is missing"]);
+        .assert_message(3, &["inconclusive: evidence: shard 2/2 of a is missing"]);
     folder.bench(["report", "--merge", "one", "two", "--out", "all"]).assert_exit(0);
     let files: Vec<_> = folder.record("all").scenarios.iter().map(|scenario| scenario.file.clone()).collect();
     assert_eq!(files, ["s.toml", "t.toml"]);
@@ -33,13 +32,11 @@ fn shards_are_joined_and_a_missing_one_is_reported() {
     folder.bench(["report", "all"]).assert_exit(0);
     folder
         .bench(["report", "--merge", "one", "two", "one", "--out", "twice"])
-        .assert_exit(2)
-        .assert_stderr(&["trial 0 of s.toml"]);
+        .assert_message(2, &["trial 0 of s.toml"]);
     assert!(!folder.exists("twice"));
     folder
         .bench(["report", "--merge", "all", "--out", "again"])
-        .assert_exit(2)
-        .assert_stderr(&["is a run that `platebench report --merge` wrote"]);
+        .assert_message(2, &["is a run that `platebench report --merge` wrote"]);
 }
 
 #[test]
@@ -64,9 +61,9 @@ fn boards_are_compared_with_intervals() {
     folder.bench(["report", "both", "--rejudge"]).assert_exit(0);
     assert!(folder.read("both/report.html").contains("Differences between boards"));
     folder.replace("both/traces/b/s/000.csv", "control", "");
-    folder.bench(["report", "both", "--rejudge"]).assert_exit(2).assert_stderr(&["SHA-256"]);
+    folder.bench(["report", "both", "--rejudge"]).assert_message(2, &["SHA-256"]);
     folder.replace("b/traces/s/000.csv", "control", "");
-    folder.bench(["report", "--merge", "a", "b", "--out", "changed"]).assert_exit(2).assert_stderr(&["SHA-256"]);
+    folder.bench(["report", "--merge", "a", "b", "--out", "changed"]).assert_message(2, &["SHA-256"]);
 }
 
 /// Sets every verdict of the run to pass, as an edited record may have.
@@ -123,7 +120,7 @@ fn shards_with_different_options_are_refused(#[case] options: &[&str], #[case] f
     shard("1/2", "one", &[]);
     shard("2/2", "two", options);
     let message = format!("two: the set of options of the shard is {found}");
-    folder.bench(["report", "--merge", "one", "two", "--out", "all"]).assert_exit(2).assert_stderr(&[&message]);
+    folder.bench(["report", "--merge", "one", "two", "--out", "all"]).assert_message(2, &[&message]);
 }
 
 #[test]
@@ -137,8 +134,7 @@ fn a_selection_depends_on_the_content_of_its_scenarios() {
     shard("2/2", "two");
     folder
         .bench(["report", "--merge", "one", "two", "--out", "all"])
-        .assert_exit(2)
-        .assert_stderr(&["the selection of scenarios"]);
+        .assert_message(2, &["the selection of scenarios"]);
 }
 
 #[test]
@@ -151,17 +147,14 @@ fn edited_verdicts_have_no_effect() {
     let accept = folder.bench(["baseline", "accept", "run"]).assert_exit(1);
     accept.assert_output(&["✗ not accepted  s.toml: it did not pass (fail)"]);
     let note = "s.toml: settling_time_ms: pass in the record, fail now";
-    folder.bench(["report", "run"]).assert_exit(0).assert_stderr(&[note]);
+    folder.bench(["report", "run"]).assert_message(0, &[note]);
     assert!(folder.read("run/traceability.csv").contains("fail"));
-    folder.bench(["report", "run", "--export", "csv"]).assert_exit(0).assert_stderr(&[note]);
+    folder.bench(["report", "run", "--export", "csv"]).assert_message(0, &[note]);
 }
 
 #[test]
 fn a_run_without_all_traces_is_not_joined() {
     let folder = TestFolder::with_step(SETTLING);
     folder.bench(["run", "--rig", "hosted", "--keep-traces", "failing", "--out", "run"]).assert_exit(0);
-    folder
-        .bench(["report", "--merge", "run", "--out", "all"])
-        .assert_exit(2)
-        .assert_stderr(&["did not keep all traces"]);
+    folder.bench(["report", "--merge", "run", "--out", "all"]).assert_message(2, &["did not keep all traces"]);
 }

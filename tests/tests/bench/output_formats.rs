@@ -156,8 +156,7 @@ fn a_run_is_exported_once() {
     folder.replace(TRACE, "\n0.0,", "\nx,");
     folder
         .bench(["report", "run", "--export", "parquet", "--out", "other"])
-        .assert_exit(2)
-        .assert_stderr(&["run/traces/s/000.csv: SHA-256"]);
+        .assert_message(2, &["run/traces/s/000.csv: SHA-256"]);
     assert!(!folder.exists("other"));
 }
 
@@ -193,8 +192,7 @@ fn complete_trials_of_a_killed_run_are_exported() {
     fs::rename(traces.join("001.csv"), traces.join("001.csv.part")).unwrap();
     folder
         .bench(["report", "run", "--export", "csv"])
-        .assert_exit(0)
-        .assert_stderr(&["the run was interrupted; only its complete trials were exported"]);
+        .assert_message(0, &["the run was interrupted; only its complete trials were exported"]);
     let table = folder.read("run/export/traces.csv");
     assert_eq!(table.lines().count(), folder.read(TRACE).lines().count());
     assert!(table.lines().skip(1).all(|line| line.starts_with("s,0,")));
@@ -223,6 +221,6 @@ fn a_dash_is_standard_input_and_output() {
     assert_eq!(stored_record(&folder)["scenarios"][0]["file"], "stdin.toml");
     for second in [["--summary", "-"], ["--format", "json"]] {
         let arguments = [&run[..], &["--tap", "-"], &second].concat();
-        call(&arguments).assert_exit(2).assert_stderr(&["standard output"]);
+        call(&arguments).assert_message(2, &["standard output"]);
     }
 }

@@ -21,8 +21,7 @@ fn a_model_of_the_command_line_may_not_omit_effects() {
         let path = shipped(scenario);
         let message = format!("the model {model} omits `drive.bandwidth_hz` of the plate file");
         run_bench(folder.path(), ["run", path.to_str().unwrap(), "--model", model, "--out", "run"])
-            .assert_exit(2)
-            .assert_stderr(&[&at, &message]);
+            .assert_message(2, &[&at, &message]);
         assert!(!folder.path().join("run").exists());
     }
 }
@@ -35,8 +34,6 @@ fn calculations_with_one_mode_refuse_a_second_one() {
     let path = shipped(plate);
     for command in ["tune", "stability"] {
         let message = format!("{command} assumes one mode");
-        run_bench(folder.path(), [command, "--plate", path.to_str().unwrap()])
-            .assert_exit(2)
-            .assert_stderr(&[&at, &message]);
+        run_bench(folder.path(), [command, "--plate", path.to_str().unwrap()]).assert_message(2, &[&at, &message]);
     }
 }

@@ -144,7 +144,7 @@ const LINE_FAULT: &str = "[[fault]]\nkind = \"drop\"\nfrom_ms = 30.0\nuntil_ms =
 fn rejects_unsuitable_rigs_clocks_and_scenarios(#[case] rig: String, #[case] more: &[&str], #[case] message: &str) {
     let fault = if message.contains("[[fault]]") { LINE_FAULT } else { "" };
     let folder = plate_folder(400.0, STEP, &format!("{EXPECT}{fault}"));
-    folder.bench(RUN.iter().chain(&[&*rig]).chain(more)).assert_exit(2).assert_stderr(&[message]);
+    folder.bench(RUN.iter().chain(&[&*rig]).chain(more)).assert_message(2, &[message]);
 }
 
 const TOUCHED_PROFILE: &str =

@@ -137,7 +137,7 @@ fn a_terminated_program_fails_its_trial() {
 #[case::no_program(&["--rig", "exec:no-such-program {port}"], "no-such-program")]
 fn contradictory_options_are_rejected_before_the_run(#[case] arguments: &[&str], #[case] message: &str) {
     let folder = TestFolder::with_step(EXPECT);
-    folder.bench(["run", "--out", "run"].iter().chain(arguments)).assert_exit(2).assert_stderr(&[message]);
+    folder.bench(["run", "--out", "run"].iter().chain(arguments)).assert_message(2, &[message]);
 }
 
 #[rstest]
@@ -146,7 +146,7 @@ fn contradictory_options_are_rejected_before_the_run(#[case] arguments: &[&str],
 #[case::ends("exec:false {port}", "exit status 1")]
 fn an_absent_rig_is_reported(#[case] rig: &str, #[case] message: &str) {
     let folder = TestFolder::with_step(EXPECT);
-    folder.bench(["run", "--rig", rig, "--out", "run"]).assert_exit(5).assert_stderr(&[message]);
+    folder.bench(["run", "--rig", rig, "--out", "run"]).assert_message(5, &[message]);
 }
 
 #[test]

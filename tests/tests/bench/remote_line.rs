@@ -54,7 +54,7 @@ fn an_address_without_a_server_cannot_be_reached() {
     drop(listener);
     for kind in ["tcp", "rfc2217"] {
         let rig = format!("{kind}:{address}");
-        folder.bench(["run", "--rig", &rig, "--out", kind]).assert_exit(5).assert_stderr(&[&address]);
-        folder.bench(["run", "--rig", &format!("{kind}:lab")]).assert_exit(2).assert_stderr(&["HOST:PORT"]);
+        folder.bench(["run", "--rig", &rig, "--out", kind]).assert_message(5, &[&address]);
+        folder.bench(["run", "--rig", &format!("{kind}:lab")]).assert_message(2, &["HOST:PORT"]);
     }
 }

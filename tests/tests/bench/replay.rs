@@ -76,12 +76,12 @@ fn a_changed_or_truncated_trace_is_rejected() {
     for changed in [shorter, text.replacen("2.0", "2.1", 1), text[..text.len() / 2].to_owned()] {
         assert_ne!(changed, text);
         folder.write(TRACE, &changed);
-        folder.bench(["replay", TRACE]).assert_exit(2).assert_stderr(&["000.csv"]);
+        folder.bench(["replay", TRACE]).assert_message(2, &["000.csv"]);
     }
     folder.write("alone.csv", &text);
-    folder.bench(["replay", "alone.csv"]).assert_exit(2).assert_stderr(&["expected --scenario FILE"]);
-    folder.bench(["replay", "run"]).assert_exit(2).assert_stderr(&["expected a trace"]);
-    folder.bench(["replay", "absent.csv"]).assert_exit(2).assert_stderr(&["absent.csv"]);
+    folder.bench(["replay", "alone.csv"]).assert_message(2, &["expected --scenario FILE"]);
+    folder.bench(["replay", "run"]).assert_message(2, &["expected a trace"]);
+    folder.bench(["replay", "absent.csv"]).assert_message(2, &["absent.csv"]);
 }
 
 #[test]
@@ -133,9 +133,7 @@ fn replays_a_table_of_telemetry() {
         assert_eq!((&result["compared"], &result["verdict"]), (&60.into(), &"pass".into()), "{result}");
         assert!(result["differences"][1]["largest"].as_f64().unwrap() < 1e-3, "{result}");
     }
-    replay("time=ms:us,drive=V:V,frequency=f:Hz,wd=d:um,wq=q:um")
-        .assert_exit(2)
-        .assert_stderr(&["expected the period"]);
-    replay(&format!("{columns},setpoint=X:um")).assert_exit(2).assert_stderr(&["no column `X`"]);
+    replay("time=ms:us,drive=V:V,frequency=f:Hz,wd=d:um,wq=q:um").assert_message(2, &["expected the period"]);
+    replay(&format!("{columns},setpoint=X:um")).assert_message(2, &["no column `X`"]);
     assert!(folder.join(PLATE).is_file());
 }

@@ -52,7 +52,7 @@ fn only_selected_scenarios_are_played() {
 #[case::trust(&["suite", "trust"])]
 fn nothing_selected_is_nothing_to_run(#[case] command: &[&str]) {
     let folder = tagged_folder();
-    folder.bench(command.iter().chain(&["--tag", "papers"])).assert_exit(4).assert_stderr(&["there is nothing to"]);
+    folder.bench(command.iter().chain(&["--tag", "papers"])).assert_message(4, &["there is nothing to"]);
     assert!(!folder.exists("run"));
 }
 
@@ -60,9 +60,9 @@ fn nothing_selected_is_nothing_to_run(#[case] command: &[&str]) {
 fn an_unknown_tag_is_reported() {
     let folder = tagged_folder();
     let near = "no scenario has the tag `papers`; did you mean `paper`?";
-    folder.bench(["run", "--list", "--tag", "papers", "--tag", "laws"]).assert_exit(0).assert_stderr(&[near]);
+    folder.bench(["run", "--list", "--tag", "papers", "--tag", "laws"]).assert_message(0, &[near]);
     let far = "no scenario has the tag `x`; known tags: acceptance, laws, paper";
-    folder.bench(["run", "--list", "--not-tag", "x"]).assert_exit(0).assert_stderr(&[far]);
+    folder.bench(["run", "--list", "--not-tag", "x"]).assert_message(0, &[far]);
 }
 
 #[test]
@@ -71,7 +71,7 @@ fn check_reads_selected_scenarios_only() {
     let output = folder.bench(["check", "--tag", "paper"]).assert_exit(0);
     assert_eq!(output.stdout, "no faults in 2 scenarios\n");
     folder.write_scenario("e.toml", "title = 3");
-    folder.bench(["check", "--tag", "paper"]).assert_exit(2).assert_stderr(&["e.toml"]);
+    folder.bench(["check", "--tag", "paper"]).assert_message(2, &["e.toml"]);
 }
 
 #[test]
@@ -168,10 +168,10 @@ fn the_name_of_a_folder_does_not_hide_scenarios() {
 fn a_faulty_or_unknown_file_is_an_error(#[case] command: &[&str]) {
     let folder = TestFolder::with_step(SETTLING);
     folder.write_scenario("plates/broken.toml", "[mode\n");
-    folder.bench(command).assert_exit(2).assert_stderr(&["plates/broken.toml:1:6"]);
+    folder.bench(command).assert_message(2, &["plates/broken.toml:1:6"]);
     fs::remove_file(folder.join("scenarios/plates/broken.toml")).unwrap();
     folder.write_scenario("notes.toml", "[package]\n");
-    folder.bench(command).assert_exit(2).assert_stderr(&["notes.toml", "is a file of no known kind, expected "]);
+    folder.bench(command).assert_message(2, &["notes.toml", "is a file of no known kind, expected "]);
 }
 
 #[test]
@@ -192,5 +192,5 @@ fn scenarios_with_only_if_named_are_counted_with_their_reasons() {
     assert_eq!(listed_files(&folder, &["scenarios/extra/b.toml"]), ["extra/b.toml"]);
     assert_eq!(listed_files(&folder, &["scenarios/extra"]).len(), 3);
     folder.write_scenario("bad.toml", &format!("only_if_named = \"\"\n{}", step_text(SETTLING)));
-    folder.bench(["check"]).assert_exit(2).assert_stderr(&["bad.toml:1", "expected one line of text"]);
+    folder.bench(["check"]).assert_message(2, &["bad.toml:1", "expected one line of text"]);
 }

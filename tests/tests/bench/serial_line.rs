@@ -134,7 +134,7 @@ fn a_busy_port_error_names_the_other_bench() {
     wait_until("the first bench never ran", || board.samples.load(Ordering::Relaxed) > 20);
 
     let holder = format!("in use by process {} ", first.0.id());
-    folder.bench(["run", "--rig", &rig, "--out", "second"]).assert_exit(5).assert_stderr(&[&holder, "--out first"]);
+    folder.bench(["run", "--rig", &rig, "--out", "second"]).assert_message(5, &[&holder, "--out first"]);
 
     first.signal("TERM");
     first.wait_for_exit(&[143]);

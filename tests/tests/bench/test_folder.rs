@@ -101,6 +101,18 @@ impl ProgramOutput {
         self
     }
 
+    /// Checks the exit code and that the standard error contains `parts`.
+    #[track_caller]
+    pub(crate) fn assert_message(self, expected: i32, parts: &[&str]) -> Self {
+        self.assert_exit(expected).assert_stderr(parts)
+    }
+
+    /// Checks the exit code and that the output contains `parts`.
+    #[track_caller]
+    pub(crate) fn assert_text(self, expected: i32, parts: &[&str]) -> Self {
+        self.assert_exit(expected).assert_output(parts)
+    }
+
     #[track_caller]
     pub(crate) fn assert_output_without(self, part: &str) -> Self {
         assert!(!self.text().contains(part), "{part:?} is in: {}", self.text());

@@ -167,9 +167,7 @@ fn a_controller_that_ignores_the_gains_is_an_error(#[case] gains: &str, #[case] 
     fs::copy(workspace_root().join("docs/examples/controller.py"), folder.join("mine.py")).unwrap();
     folder.replace("mine.py", "tuple(gains) if bits & 1 else ()", gains);
     folder.write("serial.py", SERIAL);
-    run_tune(&folder, &["--send", "exec:python3 mine.py {port}", "--out", "run"])
-        .assert_exit(expected)
-        .assert_output(&[message]);
+    run_tune(&folder, &["--send", "exec:python3 mine.py {port}", "--out", "run"]).assert_text(expected, &[message]);
     assert_eq!(folder.exists("run"), expected == 0);
 }
 
@@ -233,7 +231,7 @@ fn writing_gains_keeps_the_rest_of_the_scenario(#[case] controller: &str) {
     assert!((settling - predicted).abs() < 0.002, "{settling}\n{written}");
     let scenario = platebench_model::scenario::load(&path, "mine.toml").unwrap();
     assert_eq!(scenario.controller.gains.unwrap().amplitude_ki, json_number(&tuning, "/gains/amplitude_ki"));
-    run_tune(&folder, &["--write", "scenarios/mine.toml"]).assert_exit(0).assert_stderr(&["already"]);
+    run_tune(&folder, &["--write", "scenarios/mine.toml"]).assert_message(0, &["already"]);
     assert_eq!(fs::read_to_string(&path).unwrap(), written);
     let names = fs::read_dir(path.parent().unwrap()).unwrap().count();
     assert_eq!(names, ["plates", "mine.toml"].len() + usize::from(path.with_file_name("value.toml").exists()));
@@ -253,8 +251,7 @@ fn an_unsuitable_scenario_is_not_written(#[case] (good, bad): (&str, &str), #[ca
     let folder = TestFolder::new();
     folder.write_scenario("mine.toml", &text);
     run_tune(&folder, &["--write", "scenarios/mine.toml", "--send", "hosted", "--out", "run"])
-        .assert_exit(2)
-        .assert_stderr(&[place]);
+        .assert_message(2, &[place]);
     assert_eq!(folder.read("scenarios/mine.toml"), text);
     assert!(!folder.exists("run"));
 }
@@ -292,8 +289,7 @@ fn a_written_file_keeps_its_permissions_and_its_link() {
 fn wrong_usage_names_the_argument(#[case] arguments: &[&str], #[case] named: &str) {
     TestFolder::new()
         .bench(std::iter::once(&"tune").chain(arguments))
-        .assert_exit(2)
-        .assert_stderr(&[named])
+        .assert_message(2, &[named])
         .assert_output_without("panicked");
 }
 
@@ -304,7 +300,7 @@ fn a_plate_file_error_is_reported_with_its_line(#[case] good: &str, #[case] bad:
     let folder = TestFolder::new();
     let line = folder.read(PLATE).lines().position(|line| line.contains(good)).unwrap() + 1;
     folder.replace(PLATE, good, bad);
-    run_tune(&folder, &[]).assert_exit(2).assert_stderr(&[&format!("aluminium-198x138.toml:{line}:")]);
+    run_tune(&folder, &[]).assert_message(2, &[&format!("aluminium-198x138.toml:{line}:")]);
 }
 
 #[rstest]
@@ -333,7 +329,7 @@ fn a_too_large_plate_uncertainty_is_rejected() {
     append_uncertainty(&folder, "gain_percent = 50.01\n");
     let line = folder.read(PLATE).lines().position(|line| line.starts_with("gain_percent")).unwrap() + 1;
     let place = format!("aluminium-198x138.toml:{line}:");
-    run_tune(&folder, &[]).assert_exit(2).assert_stderr(&[&place, "at most 50"]);
+    run_tune(&folder, &[]).assert_message(2, &[&place, "at most 50"]);
 }
 
 fn append_uncertainty(folder: &TestFolder, keys: &str) {
@@ -351,9 +347,7 @@ fn a_plate_without_a_finger_has_no_prediction_with_one() {
         .assert_exit(0)
         .assert_stdout(&["the plate file has no [finger]", "verdict: ✓ pass: the target is met"])
         .assert_output_without("finger of 2 N");
-    run_tune(&folder, &["--force-n", "2"])
-        .assert_exit(2)
-        .assert_stderr(&["--force-n 2: the plate file has no [finger]"]);
+    run_tune(&folder, &["--force-n", "2"]).assert_message(2, &["--force-n 2: the plate file has no [finger]"]);
 }
 
 #[test]

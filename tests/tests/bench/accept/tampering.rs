@@ -80,9 +80,9 @@ fn every_change_is_rejected_with_its_file() {
         let name = format!("changed-{number}");
         let copy = folder.join(&name);
         copy_folder(&folder.join("record"), &copy);
-        verify(&folder, &name, &[]).assert_exit(0).assert_output(&["intact"]);
+        verify(&folder, &name, &[]).assert_text(0, &["intact"]);
         change(&copy);
-        verify(&folder, &name, &[]).assert_exit(1).assert_output(&[message, "rejected"]);
+        verify(&folder, &name, &[]).assert_text(1, &[message, "rejected"]);
     }
 }
 
@@ -96,21 +96,16 @@ fn a_resealed_record_is_checked_against_its_traces() {
         verify(&folder, "record", &[])
     };
     replace_text(&record.join(SESSION), "Lab 2", "Lab 3");
-    verify_resealed().assert_exit(0).assert_output(&["not signed"]);
+    verify_resealed().assert_text(0, &["not signed"]);
     let run = folder.read("record/steps/05-s/run.json");
     replace_text(&record.join("steps/05-s/run.json"), PASS, FAIL);
-    verify_resealed()
-        .assert_exit(1)
-        .assert_output(&["steps/05-s/run.json: its verdicts differ from those of the traces"]);
+    verify_resealed().assert_text(1, &["steps/05-s/run.json: its verdicts differ from those of the traces"]);
     folder.write("record/steps/05-s/run.json", &run);
     replace_text(&record.join(SESSION), "\"text\": \"It settles.\"", "\"text\": \"It hums.\"");
-    verify_resealed()
-        .assert_exit(1)
-        .assert_output(&["session.json: text or evidence of R-1 differs from plan and traces"]);
+    verify_resealed().assert_text(1, &["session.json: text or evidence of R-1 differs from plan and traces"]);
     replace_text(&record.join(SESSION), "\"text\": \"It hums.\"", "\"text\": \"It settles.\"");
     verify_resealed().assert_exit(0);
     flip_one_byte(&record.join(TRACE));
     verify_resealed()
-        .assert_exit(1)
-        .assert_output(&["steps/05-s/run.json: the traces of this run cannot be judged again", "001.csv"]);
+        .assert_text(1, &["steps/05-s/run.json: the traces of this run cannot be judged again", "001.csv"]);
 }

@@ -53,10 +53,7 @@ impl Labgrid {
 
     fn assert_free(&self) {
         for board in boards() {
-            self.line(&format!("labgrid-client -p {board} release"))
-                .finish()
-                .assert_exit(1)
-                .assert_stderr(&["not acquired"]);
+            self.line(&format!("labgrid-client -p {board} release")).finish().assert_message(1, &["not acquired"]);
         }
     }
 }
