@@ -1,13 +1,10 @@
-use crate::test_folder::{bench_command, run_bench, start_bench, wait_until, workspace_root};
+use crate::test_folder::{PLATE, ProgramOutput, TestFolder, bench_command, run_bench, start_bench, wait_until};
 use platebench_model::record::FileLock;
 use rstest::rstest;
 use serde_json::Value;
 use std::fs;
-use std::path::Path;
-use std::time::{Duration, Instant};
-use tempfile::TempDir;
 
-const SCENARIO: &str = "title = \"Step\"\nplate = \"plates/plate.toml\"\nduration_ms = 20.0\n\
+const SCENARIO: &str = "title = \"Step\"\nplate = \"scenarios/plates/plate.toml\"\nduration_ms = 20.0\n\
     [profile]\nsetpoint_um = { hold = [[0.0, 0.0], [1.0, 2.0]] }\n\
     [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 2.0\n\
     [[expect]]\nmetric = \"static_error_percent\"\nat_most = 1.0\n";
@@ -18,57 +15,54 @@ const VARY: &str = "title = \"Tolerance\"\nscenario = \"step.toml\"\n[vary]\n\
     \"plate.mode.gain_um_per_vpp\" = { normal = { mean = 0.00698, sd_percent = 2.0 } }\n\
     \"controller.loop_delay_ms\" = { uniform = [0.0, 0.1] }\n";
 
-pub(crate) fn folder(plan: &str) -> TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
-    fs::create_dir(folder.path().join("plates")).unwrap();
-    let plate = fs::read_to_string(workspace_root().join("scenarios/plates/aluminium-198x138.toml")).unwrap();
-    write("plates/plate.toml", &plate.replace("noise_um_rms = 0.0", "noise_um_rms = 0.001"));
-    write("step.toml", SCENARIO);
-    write("campaign.toml", &format!("{VARY}{plan}"));
+pub(crate) fn folder(plan: &str) -> TestFolder {
+    let folder = TestFolder::new();
+    let plate = folder.read(PLATE).replace("noise_um_rms = 0.0", "noise_um_rms = 0.001");
+    folder.write("scenarios/plates/plate.toml", &plate);
+    folder.write("step.toml", SCENARIO);
+    folder.write("campaign.toml", &format!("{VARY}{plan}"));
     folder
 }
 
-pub(crate) const GRID: &str = "[plan]\nmethod = \"grid\"\ntrials = 22\nseed = 5\n";
+pub(crate) const GRID: &str = "[plan]\nmethod = \"grid\"\ntrials = 4\nseed = 5\n";
 
-pub(crate) fn plan(folder: &Path, out: &str, shards: u32) {
+pub(crate) fn plan(folder: &TestFolder, out: &str, shards: u32) {
     let shards = shards.to_string();
-    run_bench(folder, ["campaign", "plan", "campaign.toml", "--out", out, "--shards", &shards]).assert_exit(0);
+    folder.bench(["campaign", "plan", "campaign.toml", "--out", out, "--shards", &shards]).assert_exit(0);
 }
 
-pub(crate) fn play(folder: &Path, out: &str, shard: u32, jobs: u32) {
+pub(crate) fn play(folder: &TestFolder, out: &str, shard: u32, jobs: u32) {
     let (shard, jobs) = (shard.to_string(), jobs.to_string());
-    run_bench(folder, ["campaign", "play", out, "--shard", &shard, "--jobs", &jobs]).assert_exit(0);
+    folder.bench(["campaign", "play", out, "--shard", &shard, "--jobs", &jobs]).assert_exit(0);
 }
 
-pub(crate) fn results(folder: &Path, out: &str) -> Vec<Vec<u8>> {
+pub(crate) fn results(folder: &TestFolder, out: &str) -> Vec<Vec<u8>> {
     let names = ["results.csv", "results.parquet", "summary.json", "report.html"];
     names.map(|name| fs::read(folder.join(out).join(name)).unwrap()).to_vec()
 }
 
-pub(crate) fn summary(folder: &Path, out: &str) -> Value {
-    serde_json::from_slice(&fs::read(folder.join(out).join("summary.json")).unwrap()).unwrap()
+pub(crate) fn summary(folder: &TestFolder, out: &str) -> Value {
+    serde_json::from_str(&folder.read(&format!("{out}/summary.json"))).unwrap()
 }
 
 #[rstest]
 #[case::grid(GRID)]
-#[case::random("[plan]\nmethod = \"random\"\ntrials = 70\n[judge]\nat_most = 0.9\n")]
-#[case::search("[plan]\nmethod = \"search\"\ntrials = 600\n")]
-#[case::sobol("[plan]\nmethod = \"sobol\"\ntrials = 70\n[judge]\nat_most = 0.9\n")]
+#[case::random("[plan]\nmethod = \"random\"\ntrials = 30\n[judge]\nat_most = 0.9\n")]
+#[case::search("[plan]\nmethod = \"search\"\ntrials = 200\n")]
+#[case::sobol("[plan]\nmethod = \"sobol\"\ntrials = 30\n[judge]\nat_most = 0.9\n")]
 fn results_do_not_depend_on_shards_and_jobs(#[case] plan_text: &str) {
     let folder = folder(plan_text);
-    let folder = folder.path();
     let mut merged = Vec::new();
     let mut exits = Vec::new();
-    for (out, shards, jobs) in [("a", 1, 1), ("b", 7, 2), ("c", 64, 1)] {
-        plan(folder, out, shards);
+    for (out, shards, jobs) in [("a", 1, 1), ("b", 7, 2), ("c", 13, 1)] {
+        plan(&folder, out, shards);
         // Plays the last shard first, because the order of the shards must not matter.
-        (1..=shards).rev().for_each(|shard| play(folder, out, shard, jobs));
-        exits.push(run_bench(folder, ["campaign", "merge", out]).exit);
-        merged.push(results(folder, out));
+        (1..=shards).rev().for_each(|shard| play(&folder, out, shard, jobs));
+        exits.push(folder.bench(["campaign", "merge", out]).exit);
+        merged.push(results(&folder, out));
     }
-    exits.push(run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "d", "--jobs", "2"]).exit);
-    merged.push(results(folder, "d"));
+    exits.push(folder.bench(["campaign", "run", "campaign.toml", "--out", "d", "--jobs", "2"]).exit);
+    merged.push(results(&folder, "d"));
     assert!(merged.windows(2).all(|pair| pair[0] == pair[1]), "results depend on shards or jobs");
     assert!(exits.windows(2).all(|pair| pair[0] == pair[1]), "{exits:?}");
     let header = String::from_utf8_lossy(&merged[0][0]).lines().next().unwrap().to_owned();
@@ -82,18 +76,18 @@ fn results_do_not_depend_on_shards_and_jobs(#[case] plan_text: &str) {
 #[test]
 fn the_cells_of_a_grid_are_in_the_order_of_its_keys() {
     let folder = folder(GRID);
-    run_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]);
-    let summary = summary(folder.path(), "c");
+    folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]);
+    let summary = summary(&folder, "c");
     let cells = summary["cells"].as_array().unwrap();
-    assert_eq!((cells.len(), &summary["overall"]["trials"]), (6, &132.into()));
+    assert_eq!((cells.len(), &summary["overall"]["trials"]), (6, &24.into()));
     let values = |cell: usize| (cells[cell]["values"].clone(), cells[cell]["trials"].clone());
     let expected = |law: &str, force: f64| {
-        (serde_json::json!({ "controller.law": law, "profile.finger_force_n": force }), Value::from(22))
+        (serde_json::json!({ "controller.law": law, "profile.finger_force_n": force }), Value::from(4))
     };
     assert_eq!(values(1), expected("dq-pi", 0.5));
     assert_eq!(values(5), expected("deadbeat", 1.0));
-    let csv = fs::read_to_string(folder.path().join("c/results.csv")).unwrap();
-    assert!(csv.lines().nth(23).unwrap().starts_with("22,27,dq-pi,0.5,"), "{csv}");
+    let csv = folder.read("c/results.csv");
+    assert!(csv.lines().nth(5).unwrap().starts_with("4,9,dq-pi,0.5,"), "{csv}");
     let total: u64 = cells.iter().map(|cell| cell["failures"].as_u64().unwrap()).sum();
     assert_eq!(summary["overall"]["failures"], total);
 }
@@ -101,11 +95,10 @@ fn the_cells_of_a_grid_are_in_the_order_of_its_keys() {
 #[test]
 fn a_damaged_part_is_refused_and_played_anew() {
     let folder = folder(GRID);
-    let folder = folder.path();
-    plan(folder, "c", 3);
-    (1..=3).for_each(|shard| play(folder, "c", shard, 2));
-    let exit = run_bench(folder, ["campaign", "merge", "c"]).exit;
-    let before = results(folder, "c");
+    plan(&folder, "c", 3);
+    (1..=3).for_each(|shard| play(&folder, "c", shard, 2));
+    let exit = folder.bench(["campaign", "merge", "c"]).exit;
+    let before = results(&folder, "c");
     let part = folder.join("c/parts/2.parquet");
     let whole = fs::read(&part).unwrap();
     let flip = |at: usize| {
@@ -118,82 +111,74 @@ fn a_damaged_part_is_refused_and_played_anew() {
         [flip(4), flip(whole.len() / 2), flip(whole.len() - 1), whole[..whole.len() - 9].to_vec(), Vec::new()];
     for bytes in damaged {
         fs::write(&part, &bytes).unwrap();
-        run_bench(folder, ["campaign", "merge", "c"]).assert_exit(2).assert_stderr(&["2.parquet", "damaged"]);
-        assert!(results(folder, "c") == before, "earlier results were lost");
-        play(folder, "c", 2, 1);
+        folder.bench(["campaign", "merge", "c"]).assert_message(2, &["2.parquet", "damaged"]);
+        assert!(results(&folder, "c") == before, "earlier results were lost");
+        play(&folder, "c", 2, 1);
         assert!(fs::read(&part).unwrap() == whole);
     }
     fs::write(&part, other).unwrap();
-    run_bench(folder, ["campaign", "merge", "c"]).assert_exit(2).assert_stderr(&["2.parquet", "another plan or shard"]);
-    let again = run_bench(folder, ["campaign", "play", "c", "--shard", "2"]);
-    again.assert_exit(2).assert_stderr(&["2.parquet", "another plan or shard"]);
+    folder.bench(["campaign", "merge", "c"]).assert_message(2, &["2.parquet", "another plan or shard"]);
+    let again = folder.bench(["campaign", "play", "c", "--shard", "2"]);
+    again.assert_message(2, &["2.parquet", "another plan or shard"]);
     fs::remove_file(&part).unwrap();
-    run_bench(folder, ["campaign", "status", "c"])
-        .assert_exit(3)
-        .assert_stdout(&["2 of 3 shards complete", "missing: 2"]);
-    run_bench(folder, ["campaign", "merge", "c"])
+    folder.bench(["campaign", "status", "c"]).assert_exit(3).assert_stdout(&["2 of 3 shards complete", "missing: 2"]);
+    folder
+        .bench(["campaign", "merge", "c"])
         .assert_exit(3)
         .assert_stdout(&["inconclusive (evidence)", "missing shards: 2"]);
-    play(folder, "c", 2, 1);
-    assert_eq!(run_bench(folder, ["campaign", "merge", "c"]).exit, exit);
-    assert!(results(folder, "c") == before);
+    play(&folder, "c", 2, 1);
+    assert_eq!(folder.bench(["campaign", "merge", "c"]).exit, exit);
+    assert!(results(&folder, "c") == before);
 }
 
 #[test]
 fn a_changed_plan_input_or_firmware_is_refused_by_name() {
     let folder = folder(GRID);
-    let folder = folder.path();
-    plan(folder, "c", 2);
+    plan(&folder, "c", 2);
     let refused = |file: &str, from: &str, to: &str, messages: &[&str]| {
         let path = folder.join(file);
         let text = fs::read_to_string(&path).unwrap();
         assert!(text.contains(from), "{text}");
         fs::write(&path, text.replace(from, to)).unwrap();
-        let play = run_bench(folder, ["campaign", "play", "c", "--shard", "1"]);
-        play.assert_exit(2).assert_stderr(messages);
+        let play = folder.bench(["campaign", "play", "c", "--shard", "1"]);
+        play.assert_message(2, messages);
         fs::write(&path, text).unwrap();
     };
     refused("c/plan.json", "\"shards\": 2", "\"shards\": 3", &["plan.json", "SHA-256"]);
     refused("c/plan.json", "}", "", &["plan.json"]);
     refused("step.toml", "20.0", "21.0", &["step.toml", "changed since"]);
-    refused("plates/plate.toml", "1.88", "1.89", &["plate.toml", "changed since"]);
-    refused("campaign.toml", "trials = 22", "trials = 23", &["campaign.toml", "changed since"]);
-    let emulated = run_bench(folder, ["campaign", "play", "c", "--shard", "1", "--rig", "emulated"]);
-    emulated.assert_exit(2).assert_stderr(&["firmware is not the one of the plan"]);
-    fs::write(folder.join("campaign.toml"), format!("{VARY}{}", GRID.replace("22", "3"))).unwrap();
-    let run = run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]);
-    run.assert_exit(2).assert_stderr(&["contains the plan of another campaign"]);
-    run_bench(folder, ["campaign", "play", "nowhere", "--shard", "1"]).assert_exit(2).assert_stderr(&["no plan.json"]);
+    refused("scenarios/plates/plate.toml", "1.88", "1.89", &["plate.toml", "changed since"]);
+    refused("campaign.toml", "trials = 4", "trials = 5", &["campaign.toml", "changed since"]);
+    let emulated = folder.bench(["campaign", "play", "c", "--shard", "1", "--rig", "emulated"]);
+    emulated.assert_message(2, &["firmware is not the one of the plan"]);
+    folder.write("campaign.toml", &format!("{VARY}{}", GRID.replace("trials = 4", "trials = 3")));
+    let run = folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]);
+    run.assert_message(2, &["contains the plan of another campaign"]);
+    folder.bench(["campaign", "play", "nowhere", "--shard", "1"]).assert_message(2, &["no plan.json"]);
 }
 
 #[test]
 fn a_killed_run_resumes_to_the_same_bytes() {
-    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 9000\n");
-    let folder = folder.path();
+    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 3000\n");
     let run = ["campaign", "run", "campaign.toml", "--jobs", "2", "--out"];
-    let complete = run_bench(folder, run.into_iter().chain(["a"])).exit;
-    let mut killed = start_bench(folder, run.into_iter().chain(["b"]));
-    let deadline = Instant::now() + Duration::from_mins(1);
-    while !folder.join("b/parts/1.parquet").exists() && Instant::now() < deadline {
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    killed.0.kill().unwrap();
-    killed.0.wait().unwrap();
-    assert!(!folder.join("b/results.csv").exists(), "the run ended before it was killed");
+    let complete = folder.bench(run.into_iter().chain(["a"])).exit;
+    let mut killed = start_bench(folder.path(), run.into_iter().chain(["b"]));
+    wait_until("the run plays no shard", || folder.exists("b/parts/1.parquet"));
+    killed.kill();
+    assert!(!folder.exists("b/results.csv"), "the run ended before it was killed");
     let part = folder.join("b/parts/1.parquet");
     let written = fs::metadata(&part).unwrap().modified().unwrap();
-    assert_eq!(run_bench(folder, run.into_iter().chain(["b"])).exit, complete);
+    assert_eq!(folder.bench(run.into_iter().chain(["b"])).exit, complete);
     assert_eq!(fs::metadata(&part).unwrap().modified().unwrap(), written, "a complete shard was played again");
-    assert!(results(folder, "a") == results(folder, "b"));
+    assert!(results(&folder, "a") == results(&folder, "b"));
 }
 
 #[test]
 fn a_counterexample_fails_under_run_with_the_same_values() {
     let folder = folder(GRID);
-    let folder = folder.path();
-    run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]).assert_exit(1);
+    folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]).assert_exit(1);
     let mut reader = Vec::new();
-    for line in fs::read_to_string(folder.join("c/results.csv")).unwrap().lines() {
+    for line in folder.read("c/results.csv").lines() {
         reader.push(line.split(',').map(str::to_owned).collect::<Vec<_>>());
     }
     let entries = fs::read_dir(folder.join("c/counterexamples")).unwrap().map(|entry| entry.unwrap().path());
@@ -203,7 +188,7 @@ fn a_counterexample_fails_under_run_with_the_same_values() {
         let trial = file.file_stem().unwrap().to_str().unwrap();
         let out = format!("again-{trial}");
         let arguments = ["run", file.to_str().unwrap(), "--rig", "hosted", "--out", &out];
-        run_bench(folder, arguments).assert_exit(1);
+        folder.bench(arguments).assert_exit(1);
         let record: Value = serde_json::from_slice(&fs::read(folder.join(&out).join("run.json")).unwrap()).unwrap();
         let row = reader.iter().find(|row| row[0] == trial).unwrap();
         assert_eq!(row[10], "fail");
@@ -215,50 +200,48 @@ fn a_counterexample_fails_under_run_with_the_same_values() {
 }
 
 #[rstest]
-#[case::method("[plan]\nmethod = \"guess\"\ntrials = 5\n", "", &["campaign.toml:9", "guess"])]
-#[case::rare("[plan]\nmethod = \"rare\"\ntrials = 5\n", "", &["campaign.toml:4", "listed values"])]
-#[case::correlation(
-    GRID,
-    "[[correlate]]\nkeys = [\"plate.mode.gain_um_per_vpp\", \"controller.law\"]\ncoefficient = 0.5\n",
-    &["controller.law", "expected a key of [vary]"]
-)]
-#[case::unit(GRID, "\"profile.finger_force_mn\" = { uniform = [0.0, 1.0] }\n",
-    &["campaign.toml:8", "finger_force_n`, in N"])]
-#[case::plate_key(GRID, "\"plate.mode.gain\" = { uniform = [0.0, 1.0] }\n", &["campaign.toml:8", "unknown key `gain`"])]
-#[case::domain(GRID, "\"controller.period_ms\" = { uniform = [-1.0, 1.0] }\n", &["campaign.toml:8", "-1"])]
-#[case::law(GRID, "\"controller.design_plate\" = { each = [\"x\"] }\n", &["campaign.toml:8"])]
-#[case::trials(GRID, "\"trials.count\" = { each = [1, 2] }\n", &["campaign.toml:8", "cannot be varied"])]
-#[case::type_of_value(GRID, "\"duration_ms\" = { each = [\"long\"] }\n", &["campaign.toml:8", "duration_ms"])]
-#[case::unknown_distribution(GRID, "\"duration_ms\" = { poisson = 3.0 }\n", &["campaign.toml:8", "poisson"])]
-#[case::unknown_key("[plan]\nmethod = \"grid\"\ntrials = 5\nshards = 3\n", "",
-    &["campaign.toml:11", "unknown key `shards`"])]
-#[case::confirm("[plan]\nmethod = \"grid\"\ntrials = 5\nconfirm = \"hosted\"\n", "", &[
+#[case::method(("[plan]\nmethod = \"guess\"\ntrials = 5\n", ""), &["campaign.toml:9", "guess"])]
+#[case::rare(("[plan]\nmethod = \"rare\"\ntrials = 5\n", ""), &["campaign.toml:4", "listed values"])]
+#[case::correlation((GRID,
+    "[[correlate]]\nkeys = [\"plate.mode.gain_um_per_vpp\", \"controller.law\"]\ncoefficient = 0.5\n"),
+    &["controller.law", "expected a key of [vary]"])]
+#[case::unit((GRID, "\"profile.finger_force_mn\" = { uniform = [0.0, 1.0] }\n"), &["campaign.toml:8",
+    "finger_force_n`, in N"])]
+#[case::plate_key((GRID, "\"plate.mode.gain\" = { uniform = [0.0, 1.0] }\n"), &["campaign.toml:8",
+    "unknown key `gain`"])]
+#[case::domain((GRID, "\"controller.period_ms\" = { uniform = [-1.0, 1.0] }\n"), &["campaign.toml:8", "-1"])]
+#[case::law((GRID, "\"controller.design_plate\" = { each = [\"x\"] }\n"), &["campaign.toml:8"])]
+#[case::trials((GRID, "\"trials.count\" = { each = [1, 2] }\n"), &["campaign.toml:8", "cannot be varied"])]
+#[case::type_of_value((GRID, "\"duration_ms\" = { each = [\"long\"] }\n"), &["campaign.toml:8", "duration_ms"])]
+#[case::unknown_distribution((GRID, "\"duration_ms\" = { poisson = 3.0 }\n"), &["campaign.toml:8", "poisson"])]
+#[case::unknown_key(("[plan]\nmethod = \"grid\"\ntrials = 5\nshards = 3\n", ""), &["campaign.toml:11",
+    "unknown key `shards`"])]
+#[case::confirm(("[plan]\nmethod = \"grid\"\ntrials = 5\nconfirm = \"hosted\"\n", ""), &[
     "campaign.toml:11", "`hosted`, expected emulated or emulated:ELF",
 ])]
-#[case::no_elf("[plan]\nmethod = \"grid\"\ntrials = 5\nconfirm = \"emulated:no.elf\"\n", "", &[
+#[case::no_elf(("[plan]\nmethod = \"grid\"\ntrials = 5\nconfirm = \"emulated:no.elf\"\n", ""), &[
     "campaign.toml:11", "no.elf: no such file, expected an ELF",
 ])]
-#[case::share("[plan]\nmethod = \"grid\"\ntrials = 5\n[judge]\nat_most = 1.5\n", "", &["campaign.toml:12", "1.5"])]
-fn a_wrong_campaign_is_refused_with_its_line(#[case] plan: &str, #[case] vary: &str, #[case] messages: &[&str]) {
+#[case::share(("[plan]\nmethod = \"grid\"\ntrials = 5\n[judge]\nat_most = 1.5\n", ""), &["campaign.toml:12", "1.5"])]
+fn a_wrong_campaign_is_refused_with_its_line(#[case] (plan, vary): (&str, &str), #[case] messages: &[&str]) {
     let folder = folder("");
-    fs::write(folder.path().join("campaign.toml"), format!("{VARY}{vary}{plan}")).unwrap();
-    let refused = run_bench(folder.path(), ["campaign", "plan", "campaign.toml", "--out", "c"]);
-    refused.assert_exit(2).assert_stderr(messages);
-    assert!(!folder.path().join("c").exists());
+    folder.write("campaign.toml", &format!("{VARY}{vary}{plan}"));
+    let refused = folder.bench(["campaign", "plan", "campaign.toml", "--out", "c"]);
+    refused.assert_message(2, messages);
+    assert!(!folder.exists("c"));
 }
 
 #[test]
 fn some_trials_are_confirmed_on_the_emulated_firmware() {
     let folder = folder("[plan]\nmethod = \"random\"\ntrials = 400\nconfirm = \"emulated\"\n");
-    let folder = folder.path();
-    plan(folder, "a", 3);
-    (1..=2).for_each(|shard| play(folder, "a", shard, 2));
-    run_bench(folder, ["campaign", "merge", "a"]).assert_exit(3);
-    assert_eq!(summary(folder, "a").get("confirm"), None, "a shard is missing");
-    play(folder, "a", 3, 1);
-    let merged = run_bench(folder, ["campaign", "merge", "a", "--jobs", "1"]);
+    plan(&folder, "a", 3);
+    (1..=2).for_each(|shard| play(&folder, "a", shard, 2));
+    folder.bench(["campaign", "merge", "a"]).assert_exit(3);
+    assert_eq!(summary(&folder, "a").get("confirm"), None, "a shard is missing");
+    play(&folder, "a", 3, 1);
+    let merged = folder.bench(["campaign", "merge", "a", "--jobs", "1"]);
     merged.assert_stdout(&["trials replayed on emulated", "random trials: 0 of "]);
-    let result = summary(folder, "a");
+    let result = summary(&folder, "a");
     let confirmed = &result["confirm"];
     let failures = result["overall"]["failures"].as_u64().unwrap();
     assert!(failures > 0, "{result}");
@@ -268,36 +251,29 @@ fn some_trials_are_confirmed_on_the_emulated_firmware() {
     assert!((1..=15).contains(&sampled), "{confirmed}");
     assert!(confirmed["random"]["interval"][1].as_f64().unwrap() > 0.1, "few trials prove little: {confirmed}");
     assert_eq!((&confirmed["missed_failures"], &confirmed["differences"]), (&0.into(), &Value::Array(Vec::new())));
-    run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "b", "--jobs", "2"]);
-    assert_eq!(results(folder, "a"), results(folder, "b"));
+    folder.bench(["campaign", "run", "campaign.toml", "--out", "b", "--jobs", "2"]);
+    assert_eq!(results(&folder, "a"), results(&folder, "b"));
     let other_rig = ["campaign", "run", "campaign.toml", "--out", "c", "--rig", "emulated"];
-    run_bench(folder, other_rig).assert_exit(2).assert_stderr(&["expected --rig hosted"]);
+    folder.bench(other_rig).assert_message(2, &["expected --rig hosted"]);
 }
 
 #[test]
 fn a_grid_needs_listed_values() {
     let folder = folder("");
     let campaign = "title = \"x\"\nscenario = \"step.toml\"\n[vary]\nduration_ms = { uniform = [15.0, 20.0] }\n";
-    fs::write(folder.path().join("campaign.toml"), format!("{campaign}{GRID}")).unwrap();
-    let refused = run_bench(folder.path(), ["campaign", "plan", "campaign.toml", "--out", "c"]);
-    refused.assert_exit(2).assert_stderr(&["campaign.toml:6", "a grid without `steps` or `each`"]);
+    folder.write("campaign.toml", &format!("{campaign}{GRID}"));
+    let refused = folder.bench(["campaign", "plan", "campaign.toml", "--out", "c"]);
+    refused.assert_message(2, &["campaign.toml:6", "a grid without `steps` or `each`"]);
 }
 
 #[test]
 fn ctrl_c_keeps_complete_shards() {
-    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 200000\n");
-    let folder = folder.path();
-    let mut command = bench_command(folder);
-    let child = command.args(["campaign", "run", "campaign.toml", "--out", "c"]).spawn().unwrap();
-    let deadline = Instant::now() + Duration::from_mins(1);
-    while !folder.join("c/parts/1.parquet").exists() && Instant::now() < deadline {
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    let pid = rustix::process::Pid::from_child(&child);
-    rustix::process::kill_process(pid, rustix::process::Signal::INT).unwrap();
-    let output: crate::test_folder::ProgramOutput = child.wait_with_output().unwrap().into();
-    output.assert_exit(130);
-    let status = run_bench(folder, ["campaign", "status", "c"]);
+    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 40000\n");
+    let run = start_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]);
+    wait_until("the run plays no shard", || folder.exists("c/parts/1.parquet"));
+    run.signal("INT");
+    run.finish().assert_exit(130);
+    let status = folder.bench(["campaign", "status", "c"]);
     status.assert_exit(3).assert_stdout(&["of 100 shards complete", "0 unusable"]);
 }
 
@@ -306,9 +282,8 @@ fn ctrl_c_keeps_complete_shards() {
 #[case::hyperqueue("hyperqueue", "hq", "HQ_TASK_ID")]
 fn submitted_commands_play_every_shard(#[case] on: &str, #[case] program: &str, #[case] task: &str) {
     let folder = folder(GRID);
-    let folder = folder.path();
-    plan(folder, "a folder", 3);
-    let printed = run_bench(folder, ["campaign", "submit", "a folder", "--on", on]);
+    plan(&folder, "a folder", 3);
+    let printed = folder.bench(["campaign", "submit", "a folder", "--on", on]);
     printed.assert_exit(0).assert_stdout(&[program, "--array=1-3", task, "campaign merge"]);
     // A script replaces the engine. It runs the last word of its command line for each task.
     let tools = folder.join("tools");
@@ -320,23 +295,23 @@ fn submitted_commands_play_every_shard(#[case] on: &str, #[case] program: &str, 
     let executable = std::os::unix::fs::PermissionsExt::from_mode(0o755);
     fs::set_permissions(tools.join(program), executable).unwrap();
     let path = format!("{}:{}", tools.display(), std::env::var("PATH").unwrap());
-    let mut command = bench_command(folder);
+    let mut command = bench_command(folder.path());
     command.args(["campaign", "submit", "a folder", "--on", on, "--run"]).env("PATH", path);
-    let output: crate::test_folder::ProgramOutput = command.output().unwrap().into();
-    let run = run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "b"]);
+    let output = ProgramOutput::from(command.output().unwrap());
+    let run = folder.bench(["campaign", "run", "campaign.toml", "--out", "b"]);
     assert_eq!(output.exit, run.exit);
-    assert!(results(folder, "a folder") == results(folder, "b"));
+    assert!(results(&folder, "a folder") == results(&folder, "b"));
 }
 
 #[test]
 fn a_campaign_moves_with_its_folder() {
     let folder = folder(GRID);
     let root = tempfile::tempdir().unwrap();
-    plan(folder.path(), "c", 2);
-    play(folder.path(), "c", 1, 1);
+    plan(&folder, "c", 2);
+    play(&folder, "c", 1, 1);
     let moved = root.path().join("moved");
     fs::rename(folder.path(), &moved).unwrap();
-    play(&moved, "c", 2, 1);
+    run_bench(&moved, ["campaign", "play", "c", "--shard", "2"]).assert_exit(0);
     run_bench(&moved, ["campaign", "merge", "c"]).assert_exit(1);
     fs::create_dir(folder.path()).unwrap();
 }
@@ -344,13 +319,12 @@ fn a_campaign_moves_with_its_folder() {
 #[test]
 fn jitter_follows_the_seed_of_the_trial() {
     let folder = folder("");
-    let folder = folder.path();
     let delays = |jitter: &str, seed: &str| {
         let scenario =
             SCENARIO.replace("[profile]", &format!("[controller]\nloop_delay_jitter_ms = {jitter}\n[profile]"));
-        fs::write(folder.join("jitter.toml"), scenario).unwrap();
-        run_bench(folder, ["run", "jitter.toml", "--rig", "hosted", "--seed", seed, "--out", "run"]);
-        let trace = fs::read_to_string(folder.join("run/traces/jitter/000.csv")).unwrap();
+        folder.write("jitter.toml", &scenario);
+        folder.bench(["run", "jitter.toml", "--rig", "hosted", "--seed", seed, "--out", "run"]);
+        let trace = folder.read("run/traces/jitter/000.csv");
         fs::remove_dir_all(folder.join("run")).unwrap();
         let rows = trace.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>()).collect::<Vec<_>>();
         let changes = rows.windows(2).filter(|pair| pair[0][5] != pair[1][5]);
@@ -369,12 +343,11 @@ fn jitter_follows_the_seed_of_the_trial() {
 
 #[test]
 fn one_campaign_folder_has_one_run() {
-    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 200000\n");
-    let folder = folder.path();
-    let mut running = start_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]);
-    wait_until("the run plays no shard", || folder.join("c/parts/1.parquet").exists());
+    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 40000\n");
+    let mut running = start_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]);
+    wait_until("the run plays no shard", || folder.exists("c/parts/1.parquet"));
     let in_use = |arguments: &[&str]| {
-        let output = run_bench(folder, ["campaign"].iter().chain(arguments)).assert_exit(2);
+        let output = folder.bench(["campaign"].iter().chain(arguments)).assert_exit(2);
         output.assert_stderr(&["c: is in use by another campaign command"]);
     };
     in_use(&["run", "campaign.toml", "--out", "c"]);
@@ -383,23 +356,22 @@ fn one_campaign_folder_has_one_run() {
     in_use(&["merge", "c"]);
     assert!(!running.has_ended(), "the run ended before the other commands");
     running.kill();
-    play(folder, "c", 100, 2);
-    assert!(!folder.join("c/parts/100.lock").exists());
+    play(&folder, "c", 100, 2);
+    assert!(!folder.exists("c/parts/100.lock"));
 }
 
 #[test]
 fn only_one_process_plays_a_shard() {
     let folder = folder(GRID);
-    let folder = folder.path();
-    plan(folder, "c", 2);
+    plan(&folder, "c", 2);
     let other = folder.join("c/parts/1.lock");
     fs::write(&other, "").unwrap();
     let shared = FileLock::shared(&folder.join("c")).unwrap().unwrap();
     let own = FileLock::exclusive(&other).unwrap().unwrap();
-    let play_first = || run_bench(folder, ["campaign", "play", "c", "--shard", "1"]);
-    play_first().assert_exit(2).assert_stderr(&["c: another process plays shard 1"]);
-    play(folder, "c", 2, 1);
+    let play_first = || folder.bench(["campaign", "play", "c", "--shard", "1"]);
+    play_first().assert_message(2, &["c: another process plays shard 1"]);
+    play(&folder, "c", 2, 1);
     drop((shared, own));
     play_first().assert_exit(0);
-    run_bench(folder, ["campaign", "merge", "c"]).assert_exit(1);
+    folder.bench(["campaign", "merge", "c"]).assert_exit(1);
 }

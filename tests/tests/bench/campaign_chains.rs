@@ -1,16 +1,14 @@
 //! Tests the methods `search` and `rare` of `platebench campaign`.
 
 use crate::campaign::{folder, plan, play, results, summary};
-use crate::test_folder::run_bench;
+use crate::test_folder::TestFolder;
 use rstest::rstest;
 use serde_json::Value;
-use std::fs;
-use tempfile::TempDir;
 
-fn folder_with(vary: &str, plan: &str) -> TempDir {
+fn folder_with(vary: &str, plan: &str) -> TestFolder {
     let folder = folder("");
     let text = format!("title = \"x\"\nscenario = \"step.toml\"\n[vary]\n{vary}{plan}");
-    fs::write(folder.path().join("campaign.toml"), text).unwrap();
+    folder.write("campaign.toml", &text);
     folder
 }
 
@@ -21,11 +19,10 @@ fn a_search_writes_a_counterexample_that_fails() {
     let vary = "\"plate.mode.gain_um_per_vpp\" = { normal = { mean = 0.00698, sd_percent = 3.0 } }\n\
                 \"plate.mode.time_constant_ms\" = { uniform = [1.5, 2.3] }\n";
     let folder = folder_with(vary, SEARCH);
-    let folder = folder.path();
-    run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]).assert_exit(1).assert_stdout(&["worst case"]);
-    let summary = summary(folder, "c");
+    folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]).assert_exit(1).assert_stdout(&["worst case"]);
+    let summary = summary(&folder, "c");
     let search = &summary["search"];
-    let smallest = fs::read_to_string(folder.join("c/results.csv")).unwrap();
+    let smallest = folder.read("c/results.csv");
     let smallest = smallest.lines().skip(1).map(|line| {
         let fields: Vec<_> = line.split(',').collect();
         fields[5].parse::<f64>().unwrap().min(fields[7].parse().unwrap())
@@ -35,7 +32,7 @@ fn a_search_writes_a_counterexample_that_fails() {
     let trials = search["trials"].as_u64().unwrap();
     assert!((1..=200).contains(&trials), "{search}");
     let file = format!("c/{}", search["counterexample"].as_str().unwrap());
-    run_bench(folder, ["run", &file, "--rig", "hosted", "--out", "again"]).assert_exit(1);
+    folder.bench(["run", &file, "--rig", "hosted", "--out", "again"]).assert_exit(1);
 }
 
 #[rstest]
@@ -44,9 +41,9 @@ fn a_search_writes_a_counterexample_that_fails() {
 fn a_search_without_a_failure_proves_no_share(#[case] judge: &str, #[case] exit: i32) {
     let vary = "\"plate.mode.gain_um_per_vpp\" = { uniform = [0.00697, 0.00699] }\n";
     let folder = folder_with(vary, &format!("{SEARCH}{judge}"));
-    let run = run_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]);
+    let run = folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]);
     run.assert_exit(exit).assert_stdout(&["no failing trial found"]);
-    assert!(summary(folder.path(), "c")["search"]["counterexample"].is_null());
+    assert!(summary(&folder, "c")["search"]["counterexample"].is_null());
 }
 
 const RARE_VARY: &str = "\"plate.mode.gain_um_per_vpp\" = { normal = { mean = 0.00698, sd_percent = 1.0 } }\n\
@@ -59,23 +56,22 @@ fn rare_and_random_trials_agree() {
     let judge = "[judge]\nat_most = 0.5\n";
     let rare = format!("[plan]\nmethod = \"rare\"\ntrials = 3000\n{judge}{correlation}");
     let folder = folder_with(RARE_VARY, &rare);
-    let folder = folder.path();
     let mut merged = Vec::new();
     for (out, shards) in [("a", 1), ("b", 3)] {
-        plan(folder, out, shards);
-        (1..=shards).rev().for_each(|shard| play(folder, out, shard, 2));
-        run_bench(folder, ["campaign", "merge", out]);
-        merged.push(results(folder, out));
+        plan(&folder, out, shards);
+        (1..=shards).rev().for_each(|shard| play(&folder, out, shard, 2));
+        folder.bench(["campaign", "merge", out]);
+        merged.push(results(&folder, out));
     }
     assert!(merged[0] == merged[1], "results depend on shards");
-    let rare = summary(folder, "a")["rare"].clone();
+    let rare = summary(&folder, "a")["rare"].clone();
     assert_eq!(rare["trials"], 3_000);
     assert!(!rare["methods"].as_array().unwrap().is_empty() && rare["coefficient_of_variation"].is_f64(), "{rare}");
     let random = format!("[plan]\nmethod = \"random\"\ntrials = 20000\n{judge}{correlation}");
     let vary = format!("title = \"x\"\nscenario = \"step.toml\"\n[vary]\n{RARE_VARY}");
-    fs::write(folder.join("campaign.toml"), format!("{vary}{random}")).unwrap();
-    run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]);
-    let random = summary(folder, "c")["overall"].clone();
+    folder.write("campaign.toml", &format!("{vary}{random}"));
+    folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]);
+    let random = summary(&folder, "c")["overall"].clone();
     let end = |interval: &Value, end: usize| interval[end].as_f64().unwrap();
     let (rare, random) = (&rare["interval"], &random["interval"]);
     assert!(end(rare, 0) <= end(random, 1) && end(random, 0) <= end(rare, 1), "{rare} {random}");

@@ -3,7 +3,7 @@
 
 use crate::board_matrix::start_line;
 use crate::campaign::{self, results};
-use crate::test_folder::{ChildGuard, run_bench, wait_until};
+use crate::test_folder::{ChildGuard, wait_until};
 use platebench_test_kit::skip_without;
 use std::fs;
 use std::net::{Ipv4Addr, TcpListener};
@@ -30,24 +30,23 @@ fn kill_a_shard(folder: &Path, random: usize) -> bool {
 /// `exit` if a shard was killed.
 pub(crate) fn assert_same_bytes(engine: &str, begin: &str, start: &dyn Fn(&Path, &str) -> ChildGuard, exit: i32) {
     let folder = campaign::folder("[plan]\nmethod = \"random\"\ntrials = 4000\n");
-    let folder = folder.path();
-    let alone = run_bench(folder, ["campaign", "run", "campaign.toml", "--jobs", "1", "--out", "alone"]).exit;
-    campaign::plan(folder, "c", 8);
-    let printed = run_bench(folder, ["campaign", "submit", "c", "--on", engine]).assert_exit(0).stdout;
+    let alone = folder.bench(["campaign", "run", "campaign.toml", "--jobs", "1", "--out", "alone"]).exit;
+    campaign::plan(&folder, "c", 8);
+    let printed = folder.bench(["campaign", "submit", "c", "--on", engine]).assert_exit(0).stdout;
     let line = printed.lines().find(|line| line.starts_with(begin)).unwrap();
-    let mut submission = start(folder, line);
+    let mut submission = start(folder.path(), line);
     let mut kills = 0;
     while !submission.has_ended() {
         // The number of kills so far selects the next shard to kill.
-        kills += usize::from(kills < KILLS && kill_a_shard(folder, kills));
+        kills += usize::from(kills < KILLS && kill_a_shard(folder.path(), kills));
         thread::sleep(Duration::from_millis(20));
     }
     assert!(kills > 0, "no shard was killed");
     submission.finish().assert_exit(exit);
-    run_bench(folder, ["campaign", "merge", "c"]).assert_exit(3).assert_stdout(&["missing shards"]);
-    start(folder, line).finish().assert_exit(0);
-    assert_eq!(run_bench(folder, ["campaign", "merge", "c"]).exit, alone);
-    assert!(results(folder, "c") == results(folder, "alone"), "the results depend on killed shards");
+    folder.bench(["campaign", "merge", "c"]).assert_exit(3).assert_stdout(&["missing shards"]);
+    start(folder.path(), line).finish().assert_exit(0);
+    assert_eq!(folder.bench(["campaign", "merge", "c"]).exit, alone);
+    assert!(results(&folder, "c") == results(&folder, "alone"), "the results depend on killed shards");
 }
 
 /// Slurm cluster of one controller and one node on this machine, run by this user.

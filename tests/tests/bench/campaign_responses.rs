@@ -1,16 +1,16 @@
 //! Tests the links from the maps of a campaign to the responses of its worst trials.
 
 use crate::campaign::{GRID, folder, summary};
-use crate::test_folder::{run_bench, workspace_root};
+use crate::test_folder::workspace_root;
 use serde_json::Value;
 use std::fs;
 
 #[test]
 fn a_cell_opens_the_response_of_its_worst_trial() {
     let folder = folder(GRID);
-    run_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]);
-    let summary = summary(folder.path(), "c");
-    let read = |name: &str| fs::read_to_string(folder.path().join("c").join(name)).unwrap();
+    folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]);
+    let summary = summary(&folder, "c");
+    let read = |name: &str| fs::read_to_string(folder.join("c").join(name)).unwrap();
     let (csv, maps, responses) = (read("results.csv"), read("report.html"), read("worst/run/report.html"));
     let played: Value = serde_json::from_str(&read("worst/run/run.json")).unwrap();
     let played = played["scenarios"].as_array().unwrap();
@@ -35,14 +35,14 @@ fn a_cell_opens_the_response_of_its_worst_trial() {
 #[test]
 fn a_merge_without_the_firmware_of_the_plan_shows_no_responses() {
     let folder = folder("[plan]\nmethod = \"random\"\ntrials = 2\n");
-    let elf = folder.path().join("firmware.elf");
+    let elf = folder.join("firmware.elf");
     fs::copy(workspace_root().join("firmware-under-test/images/platebench-stm32f4.elf"), &elf).unwrap();
     let run = ["campaign", "run", "campaign.toml", "--rig", "emulated:firmware.elf", "--out", "c"];
-    let exit = run_bench(folder.path(), run).exit;
-    let page = || fs::read_to_string(folder.path().join("c/report.html")).unwrap();
+    let exit = folder.bench(run).exit;
+    let page = || folder.read("c/report.html");
     assert!(page().contains("href=\"worst/run/report.html#scenario-"));
     fs::write(&elf, [fs::read(&elf).unwrap(), vec![0]].concat()).unwrap();
-    let merged = run_bench(folder.path(), ["campaign", "merge", "c"]);
+    let merged = folder.bench(["campaign", "merge", "c"]);
     assert_eq!(merged.assert_stderr(&["no responses of the worst trials", "not the one of the plan"]).exit, exit);
     assert!(!page().contains("href=\"worst/run"));
 }
