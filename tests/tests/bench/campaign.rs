@@ -200,30 +200,30 @@ fn a_counterexample_fails_under_run_with_the_same_values() {
 }
 
 #[rstest]
-#[case::method(("[plan]\nmethod = \"guess\"\ntrials = 5\n", ""), &["campaign.toml:9", "guess"])]
-#[case::rare(("[plan]\nmethod = \"rare\"\ntrials = 5\n", ""), &["campaign.toml:4", "listed values"])]
-#[case::correlation((GRID,
-    "[[correlate]]\nkeys = [\"plate.mode.gain_um_per_vpp\", \"controller.law\"]\ncoefficient = 0.5\n"),
+#[case::method("[plan]\nmethod = \"guess\"\ntrials = 5\n", "", &["campaign.toml:9", "guess"])]
+#[case::rare("[plan]\nmethod = \"rare\"\ntrials = 5\n", "", &["campaign.toml:4", "listed values"])]
+#[case::correlation(GRID,
+    "[[correlate]]\nkeys = [\"plate.mode.gain_um_per_vpp\", \"controller.law\"]\ncoefficient = 0.5\n",
     &["controller.law", "expected a key of [vary]"])]
-#[case::unit((GRID, "\"profile.finger_force_mn\" = { uniform = [0.0, 1.0] }\n"), &["campaign.toml:8",
+#[case::unit(GRID, "\"profile.finger_force_mn\" = { uniform = [0.0, 1.0] }\n", &["campaign.toml:8",
     "finger_force_n`, in N"])]
-#[case::plate_key((GRID, "\"plate.mode.gain\" = { uniform = [0.0, 1.0] }\n"), &["campaign.toml:8",
+#[case::plate_key(GRID, "\"plate.mode.gain\" = { uniform = [0.0, 1.0] }\n", &["campaign.toml:8",
     "unknown key `gain`"])]
-#[case::domain((GRID, "\"controller.period_ms\" = { uniform = [-1.0, 1.0] }\n"), &["campaign.toml:8", "-1"])]
-#[case::law((GRID, "\"controller.design_plate\" = { each = [\"x\"] }\n"), &["campaign.toml:8"])]
-#[case::trials((GRID, "\"trials.count\" = { each = [1, 2] }\n"), &["campaign.toml:8", "cannot be varied"])]
-#[case::type_of_value((GRID, "\"duration_ms\" = { each = [\"long\"] }\n"), &["campaign.toml:8", "duration_ms"])]
-#[case::unknown_distribution((GRID, "\"duration_ms\" = { poisson = 3.0 }\n"), &["campaign.toml:8", "poisson"])]
-#[case::unknown_key(("[plan]\nmethod = \"grid\"\ntrials = 5\nshards = 3\n", ""), &["campaign.toml:11",
+#[case::domain(GRID, "\"controller.period_ms\" = { uniform = [-1.0, 1.0] }\n", &["campaign.toml:8", "-1"])]
+#[case::law(GRID, "\"controller.design_plate\" = { each = [\"x\"] }\n", &["campaign.toml:8"])]
+#[case::trials(GRID, "\"trials.count\" = { each = [1, 2] }\n", &["campaign.toml:8", "cannot be varied"])]
+#[case::type_of_value(GRID, "\"duration_ms\" = { each = [\"long\"] }\n", &["campaign.toml:8", "duration_ms"])]
+#[case::unknown_distribution(GRID, "\"duration_ms\" = { poisson = 3.0 }\n", &["campaign.toml:8", "poisson"])]
+#[case::unknown_key("[plan]\nmethod = \"grid\"\ntrials = 5\nshards = 3\n", "", &["campaign.toml:11",
     "unknown key `shards`"])]
-#[case::confirm(("[plan]\nmethod = \"grid\"\ntrials = 5\nconfirm = \"hosted\"\n", ""), &[
+#[case::confirm("[plan]\nmethod = \"grid\"\ntrials = 5\nconfirm = \"hosted\"\n", "", &[
     "campaign.toml:11", "`hosted`, expected emulated or emulated:ELF",
 ])]
-#[case::no_elf(("[plan]\nmethod = \"grid\"\ntrials = 5\nconfirm = \"emulated:no.elf\"\n", ""), &[
+#[case::no_elf("[plan]\nmethod = \"grid\"\ntrials = 5\nconfirm = \"emulated:no.elf\"\n", "", &[
     "campaign.toml:11", "no.elf: no such file, expected an ELF",
 ])]
-#[case::share(("[plan]\nmethod = \"grid\"\ntrials = 5\n[judge]\nat_most = 1.5\n", ""), &["campaign.toml:12", "1.5"])]
-fn a_wrong_campaign_is_refused_with_its_line(#[case] (plan, vary): (&str, &str), #[case] messages: &[&str]) {
+#[case::share("[plan]\nmethod = \"grid\"\ntrials = 5\n[judge]\nat_most = 1.5\n", "", &["campaign.toml:12", "1.5"])]
+fn a_wrong_campaign_is_refused_with_its_line(#[case] plan: &str, #[case] vary: &str, #[case] messages: &[&str]) {
     let folder = folder("");
     folder.write("campaign.toml", &format!("{VARY}{vary}{plan}"));
     let refused = folder.bench(["campaign", "plan", "campaign.toml", "--out", "c"]);

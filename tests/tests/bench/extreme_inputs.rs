@@ -64,13 +64,13 @@ const RINGING_FOR_HOURS: (&str, &str) = ("time_constant_ms = 1.88", "time_consta
 #[case::period_of_one_carrier_cycle(UNCHANGED, ("", "period_ms = 0.031"))]
 #[case::shortest_period(UNCHANGED, ("duration_ms = 5.0", "period_ms = 0.001"))]
 #[case::ten_days(UNCHANGED, ("duration_ms = 8.64e8\ntrace_step_ms = 1e6", "period_ms = 1000.0"))]
-#[case::largest_gain(("0.00698", "3.4e38"), ("", ""))]
-#[case::tiny_gain(("0.00698", "1e-30"), ("", ""))]
-#[case::largest_drive(("limit_vpp = 900.0", "limit_vpp = 3.4e38"), ("", ""))]
-#[case::nothing_but_noise(("noise_um_rms = 0.0", "noise_um_rms = 1e308"), ("", ""))]
+#[case::largest_gain("0.00698", "3.4e38", ("", ""))]
+#[case::tiny_gain("0.00698", "1e-30", ("", ""))]
+#[case::largest_drive("limit_vpp = 900.0", "limit_vpp = 3.4e38", ("", ""))]
+#[case::nothing_but_noise("noise_um_rms = 0.0", "noise_um_rms = 1e308", ("", ""))]
 #[case::largest_gains(UNCHANGED, ("",
     "[controller.gains]\namplitude_kp = 3e38\namplitude_ki = 3e38\nfrequency_kp = -3e38\nfrequency_ki = 3e38"))]
-fn an_extreme_run_writes_finite_numbers(#[case] change: (&str, &str), #[case] (head, controller): (&str, &str)) {
+fn an_extreme_run_writes_finite_numbers(#[case] change: (&str, &str), #[case] head: &str, #[case] controller: &str) {
     let folder = extreme_folder(head, controller, change);
     folder.run_hosted("run").assert_exit_in(&[0, 1, 3]);
     let out = folder.join("run");
@@ -79,13 +79,18 @@ fn an_extreme_run_writes_finite_numbers(#[case] change: (&str, &str), #[case] (h
 }
 
 #[rstest]
-#[case::no_damping(("= 1.88", "= inf", "plates/plate.toml:9:20", "expected a finite number above 0"))]
-#[case::negative_damping(("= 1.88", "= -1.88", "plates/plate.toml:9:20", "expected a finite number above 0"))]
-#[case::tiny_damping(("= 1.88", "= 1e300", "plates/plate.toml:9:20", "a quality factor of "))]
-#[case::a_finger_that_undamps(("[1.5, 2.0]", "[1.5, 0.0]", "plates/plate.toml:13:17", "expected ratios above 0"))]
-#[case::a_finger_that_drives(("[0.0, 1.0]", "[0.0, -1.0]", "plates/plate.toml:13:17", "expected ratios above 0"))]
-#[case::a_gain_beyond_the_wire(("0.00698", "1e60", "plates/plate.toml:10:19", "single precision"))]
-fn an_impossible_plate_is_reported_with_its_line(#[case] (from, to, place, message): (&str, &str, &str, &str)) {
+#[case::no_damping("= 1.88", "= inf", "plates/plate.toml:9:20", "expected a finite number above 0")]
+#[case::negative_damping("= 1.88", "= -1.88", "plates/plate.toml:9:20", "expected a finite number above 0")]
+#[case::tiny_damping("= 1.88", "= 1e300", "plates/plate.toml:9:20", "a quality factor of ")]
+#[case::a_finger_that_undamps("[1.5, 2.0]", "[1.5, 0.0]", "plates/plate.toml:13:17", "expected ratios above 0")]
+#[case::a_finger_that_drives("[0.0, 1.0]", "[0.0, -1.0]", "plates/plate.toml:13:17", "expected ratios above 0")]
+#[case::a_gain_beyond_the_wire("0.00698", "1e60", "plates/plate.toml:10:19", "single precision")]
+fn an_impossible_plate_is_reported_with_its_line(
+    #[case] from: &str,
+    #[case] to: &str,
+    #[case] place: &str,
+    #[case] message: &str,
+) {
     let folder = extreme_folder("", "", (from, to));
     folder.run_hosted("run").assert_message(2, &[place, message]);
 }

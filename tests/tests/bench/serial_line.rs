@@ -43,7 +43,8 @@ fn telemetry(record: &RunRecord) -> &Telemetry {
 #[case::the_line("disconnect-and-reconnect", ("disconnect", 31), STOPPED, true)]
 fn wire_faults_act_on_a_live_line(
     #[case] name: &str,
-    #[case] (kind, count): (&str, u64),
+    #[case] kind: &str,
+    #[case] count: u64,
     #[case] reason: Option<&str>,
     #[case] runs_at_the_end: bool,
 ) {

@@ -238,13 +238,13 @@ fn writing_gains_keeps_the_rest_of_the_scenario(#[case] controller: &str) {
 }
 
 #[rstest]
-#[case::another_plate(("aluminium-198x138.toml", "aluminium-198x138-400vpp.toml"), "mine.toml:3:")]
-#[case::another_period(("law = \"dq-pi\"", "period_ms = 0.5"), "mine.toml:6:")]
-#[case::a_law_without_such_gains(("law = \"dq-pi\"", "law = \"frequency-only\""), "mine.toml:6:")]
-#[case::a_design_delay(("law = \"dq-pi\"", "law = \"dq-pi\"\ndesign_delay_ms = 0.5"), "mine.toml:7:")]
-#[case::no_scenario(("duration_ms", "duration"), "mine.toml:4:1")]
-#[case::no_toml(("[profile]", "[profile"), "mine.toml:8:")]
-fn an_unsuitable_scenario_is_not_written(#[case] (good, bad): (&str, &str), #[case] place: &str) {
+#[case::another_plate("aluminium-198x138.toml", "aluminium-198x138-400vpp.toml", "mine.toml:3:")]
+#[case::another_period("law = \"dq-pi\"", "period_ms = 0.5", "mine.toml:6:")]
+#[case::a_law_without_such_gains("law = \"dq-pi\"", "law = \"frequency-only\"", "mine.toml:6:")]
+#[case::a_design_delay("law = \"dq-pi\"", "law = \"dq-pi\"\ndesign_delay_ms = 0.5", "mine.toml:7:")]
+#[case::no_scenario("duration_ms", "duration", "mine.toml:4:1")]
+#[case::no_toml("[profile]", "[profile", "mine.toml:8:")]
+fn an_unsuitable_scenario_is_not_written(#[case] good: &str, #[case] bad: &str, #[case] place: &str) {
     let text = commented_scenario("[controller]\nlaw = \"dq-pi\"");
     assert!(text.contains(good));
     let text = text.replace(good, bad);

@@ -25,12 +25,17 @@ fn folder_with(decision: &str, half_width: f64, due: &str) -> TestFolder {
 }
 
 #[rstest]
-#[case::guarded(("rule = \"guarded\"", 0.1, 0, "accepted"))]
-#[case::guard_band(("rule = \"guarded\"", 2.5, 3, "within the guard band"))]
-#[case::simple(("rule = \"simple\"", 2.5, 0, "accepted"))]
-#[case::shared(("rule = \"shared-risk\"\nlargest_uncertainty_percent = 20.0", 0.1, 0, "accepted"))]
-#[case::shared_wide(("rule = \"shared-risk\"\nlargest_uncertainty_percent = 20.0", 2.5, 3, "% of the tolerance"))]
-fn a_rule_decides_with_the_uncertainty(#[case] (decision, half_width, exit, expected): (&str, f64, i32, &str)) {
+#[case::guarded("rule = \"guarded\"", 0.1, 0, "accepted")]
+#[case::guard_band("rule = \"guarded\"", 2.5, 3, "within the guard band")]
+#[case::simple("rule = \"simple\"", 2.5, 0, "accepted")]
+#[case::shared("rule = \"shared-risk\"\nlargest_uncertainty_percent = 20.0", 0.1, 0, "accepted")]
+#[case::shared_wide("rule = \"shared-risk\"\nlargest_uncertainty_percent = 20.0", 2.5, 3, "% of the tolerance")]
+fn a_rule_decides_with_the_uncertainty(
+    #[case] decision: &str,
+    #[case] half_width: f64,
+    #[case] exit: i32,
+    #[case] expected: &str,
+) {
     let folder = folder_with(decision, half_width, "2999-12-31");
     run_session(&folder, &["--yes"]).assert_exit(exit);
     let record = read_session_record(&folder);
@@ -64,14 +69,22 @@ fn an_expired_calibration_stops_the_session_unless_waived_by_name() {
 }
 
 #[rstest]
-#[case::no_budget(("rule = \"guarded\"", "settling_time_ms", "overshoot_percent",
-    "needs a [[budget]] for settling_time_ms"))]
-#[case::no_share(("rule = \"shared-risk\"", "x", "x", "shared-risk needs `largest_uncertainty_percent`"))]
-#[case::share(("rule = \"guarded\"\nlargest_uncertainty_percent = 20.0", "x", "x",
-    "this limit is only for shared-risk"))]
-#[case::rule(("rule = \"strict\"", "x", "x", "plan.toml:16:8"))]
-#[case::budget(("rule = \"simple\"", "rectangular", "round", "lab.toml:11:16"))]
-fn an_invalid_decision_is_reported_with_its_line(#[case] (decision, good, bad, message): (&str, &str, &str, &str)) {
+#[case::no_budget(
+    "rule = \"guarded\"",
+    "settling_time_ms",
+    "overshoot_percent",
+    "needs a [[budget]] for settling_time_ms"
+)]
+#[case::no_share("rule = \"shared-risk\"", "x", "x", "shared-risk needs `largest_uncertainty_percent`")]
+#[case::share("rule = \"guarded\"\nlargest_uncertainty_percent = 20.0", "x", "x", "this limit is only for shared-risk")]
+#[case::rule("rule = \"strict\"", "x", "x", "plan.toml:16:8")]
+#[case::budget("rule = \"simple\"", "rectangular", "round", "lab.toml:11:16")]
+fn an_invalid_decision_is_reported_with_its_line(
+    #[case] decision: &str,
+    #[case] good: &str,
+    #[case] bad: &str,
+    #[case] message: &str,
+) {
     let folder = folder_with(decision, 0.1, "2999-12-31");
     folder.write("lab.toml", &folder.read("lab.toml").replace(good, bad));
     run_session(&folder, &["--yes"]).assert_text(2, &[message]);
