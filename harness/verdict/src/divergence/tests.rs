@@ -1,23 +1,18 @@
 use super::*;
 use platebench_model::record::NonFiniteDrive;
+use platebench_test_kit::{PLATE, parse_scenario};
 use rstest::rstest;
 use std::f64::consts::TAU;
 
-const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
-
 fn scenario(noise_um: f64, more: &str) -> Scenario {
-    let folder = tempfile::tempdir().unwrap();
     let silent = "noise_um_rms = 0.0";
     assert!(PLATE.contains(silent));
     let plate = PLATE.replace(silent, &format!("noise_um_rms = {noise_um:?}"));
-    std::fs::write(folder.path().join("plate.toml"), plate).unwrap();
     let text = format!(
         "title = \"Synthetic\"\nplate = \"plate.toml\"\nduration_ms = 120.0\n[profile]\nsetpoint_um = 2.0\n\
          [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 2.0\n{more}"
     );
-    let path = folder.path().join("s.toml");
-    std::fs::write(&path, text).unwrap();
-    platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
+    parse_scenario(&text, &plate)
 }
 
 /// Creates a row every 50 µs up to `end_ms`. Deviation and Wq are shares of the setpoint of 2 µm.

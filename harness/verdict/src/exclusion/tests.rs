@@ -1,19 +1,14 @@
 use super::*;
 use crate::{judge, measure};
 use platebench_model::record::{Cause, Telemetry, Verdict};
-use tempfile::TempDir;
+use platebench_test_kit::{PLATE, parse_scenario};
 
 fn scenario(duration_ms: f64, profile: &str, expect: &str) -> Scenario {
-    let folder = TempDir::new().unwrap();
-    let plate = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
-    std::fs::write(folder.path().join("plate.toml"), plate).unwrap();
     let text = format!(
         "title = \"Real\"\nplate = \"plate.toml\"\nduration_ms = {duration_ms:?}\nexpect = [{{ {expect} }}]\n\
          [profile]\n{profile}\n"
     );
-    let path = folder.path().join("s.toml");
-    std::fs::write(&path, text).unwrap();
-    platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
+    parse_scenario(&text, PLATE)
 }
 
 const SETTLES: &str = "metric = \"settling_time_ms\", at_most = 2.0";

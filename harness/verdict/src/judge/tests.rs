@@ -9,11 +9,11 @@ use platebench_model::record::{
 use platebench_model::scenario::Metric;
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::Time;
+use platebench_test_kit::{PLATE, parse_scenario};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rstest::rstest;
-use tempfile::TempDir;
 
 mod each_trial;
 mod exclusion;
@@ -23,8 +23,6 @@ mod over_trials;
 mod record;
 mod sequential;
 mod trial_difference;
-
-const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
 
 struct ScenarioBuilder<'a> {
     expect: &'a [&'a str],
@@ -48,11 +46,9 @@ const BASE: ScenarioBuilder<'_> = ScenarioBuilder {
 
 impl ScenarioBuilder<'_> {
     fn scenario(&self) -> Scenario {
-        let folder = TempDir::new().unwrap();
         let limit = "limit_vpp = 900.0";
         assert!(PLATE.contains(limit));
         let plate = PLATE.replace(limit, &format!("limit_vpp = {:?}", self.limit_vpp));
-        std::fs::write(folder.path().join("plate.toml"), plate).unwrap();
         let spread = if self.is_varied { "[trials.spread]\nsensor_gain_percent = 1.2\n" } else { "" };
         let text = format!(
             "title = \"Synthetic\"\nplate = \"plate.toml\"\nduration_ms = 60.0\n\
@@ -64,10 +60,13 @@ impl ScenarioBuilder<'_> {
             self.trials,
             self.max_count.max(self.trials)
         );
-        let path = folder.path().join("s.toml");
-        std::fs::write(&path, text).unwrap();
-        platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{}", fault.render(false)))
+        parse_scenario(&text, &plate)
     }
+}
+
+/// Scenario of one deterministic trial.
+fn fixed_scenario(expect: &str) -> Scenario {
+    ScenarioBuilder { expect: &[expect], ..BASE }.scenario()
 }
 
 fn varied_scenario(expect: &str, trials: u32) -> Scenario {
@@ -100,6 +99,14 @@ fn judge_single_expectation(scenario: &Scenario, trials: &[TrialMeasures]) -> Ex
         Verdict::combine(judgement.expectations.iter().map(|expectation| expectation.verdict))
     );
     judgement.expectations.into_iter().next().unwrap()
+}
+
+fn judge_values(scenario: &Scenario, values: &[f64]) -> ExpectationRecord {
+    judge_single_expectation(scenario, &trials_with_values(values))
+}
+
+fn decide(scenario: &Scenario, values: &[f64]) -> (Verdict, Option<Cause>) {
+    verdict_and_cause(scenario, &trials_with_values(values))
 }
 
 fn verdict_and_cause(scenario: &Scenario, trials: &[TrialMeasures]) -> (Verdict, Option<Cause>) {

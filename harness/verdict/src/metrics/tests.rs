@@ -75,8 +75,20 @@ fn grid(step: f64, end: f64) -> impl Iterator<Item = f64> + Clone {
     (0..=(end / step).round() as u32).map(move |index| f64::from(index) * step)
 }
 
+fn measured(expectation: &Expectation, rows: &[Row]) -> Measure {
+    measure(expectation, rows, &EMPTY_TELEMETRY)
+}
+
+fn measure_of(metric: Metric, rows: &[Row]) -> Measure {
+    measured(&expectation_for(metric), rows)
+}
+
+fn value_of(metric: Metric, rows: &[Row]) -> f64 {
+    measured_value(&expectation_for(metric), rows)
+}
+
 fn measured_value(expectation: &Expectation, rows: &[Row]) -> f64 {
-    let measured = measure(expectation, rows, &EMPTY_TELEMETRY);
+    let measured = measured(expectation, rows);
     measured.value().unwrap_or_else(|| panic!("{measured:?}"))
 }
 

@@ -14,18 +14,17 @@ use super::*;
 #[case("about = 2.0, tolerance_percent = 50.0", 3.0, true)]
 #[case("about = 2.0, tolerance_percent = 50.0", 3.0_f64.next_up(), false)]
 fn the_limit_is_good_and_the_next_float_is_not(#[case] limit: &str, #[case] value: f64, #[case] good: bool) {
-    let scenario =
-        ScenarioBuilder { expect: &[&format!("metric = \"final_amplitude_um\", {limit}")], ..BASE }.scenario();
-    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[value])), if good { PASS } else { FAIL });
+    let scenario = fixed_scenario(&format!("metric = \"final_amplitude_um\", {limit}"));
+    assert_eq!(decide(&scenario, &[value]), if good { PASS } else { FAIL });
 }
 
 #[test]
 fn one_bad_trial_among_thirty_fails() {
     let scenario = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 30);
     let mut values = [1.9; 30];
-    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&values)), PASS);
+    assert_eq!(decide(&scenario, &values), PASS);
     values[17] = 2.1;
-    let record = judge_single_expectation(&scenario, &trials_with_values(&values));
+    let record = judge_values(&scenario, &values);
     assert_eq!((record.verdict, record.value, record.interval), (Verdict::Fail, Some(2.1), Some([1.9, 2.1])));
     assert_eq!(record.reason.map(|reason| reason.to_string()).as_deref(), Some("trial 17: 2.1000, expected ≤ 2"));
     assert_eq!((record.statistic, record.confidence), (Statistic::Worst, Some(0.95)));
@@ -117,7 +116,7 @@ fn no_measure_is_never_a_pass(#[case] expect: &str) {
     for count in [1, 30] {
         assert_eq!(verdict_and_cause(&varied_scenario(expect, count), &[]), inconclusive(Cause::Evidence));
     }
-    let scenario = ScenarioBuilder { expect: &[expect], ..BASE }.scenario();
+    let scenario = fixed_scenario(expect);
     assert_eq!(verdict_and_cause(&scenario, &[]), inconclusive(Cause::Evidence));
     let undefined = [
         trial_measures(0, &[Measure::Undefined(UndefinedValue::NotReported)]),
@@ -130,11 +129,11 @@ fn no_measure_is_never_a_pass(#[case] expect: &str) {
 #[test]
 fn a_killed_run_can_fail_but_not_pass() {
     let scenario = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 30);
-    let record = judge_single_expectation(&scenario, &trials_with_values(&[1.0; 29]));
+    let record = judge_values(&scenario, &[1.0; 29]);
     assert_eq!((record.verdict, record.cause), inconclusive(Cause::Evidence));
     assert_eq!(record.reason.map(|reason| reason.to_string()).as_deref(), Some("29 of 30 trials were played"));
-    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[9.0; 29])), FAIL);
-    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[1.0; 30])), PASS);
+    assert_eq!(decide(&scenario, &[9.0; 29]), FAIL);
+    assert_eq!(decide(&scenario, &[1.0; 30]), PASS);
 }
 
 #[test]

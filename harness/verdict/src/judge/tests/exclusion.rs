@@ -36,7 +36,7 @@ fn accepts_as_many_overruns_as_the_scenario_allows(
     #[case] expected: (Verdict, Option<Cause>),
 ) {
     let expect = expect.trim_start_matches("{ ").trim_end_matches(" }");
-    let scenario = ScenarioBuilder { expect: &[expect], ..BASE }.scenario();
+    let scenario = fixed_scenario(expect);
     let mut rows = trace_rows(&scenario, |_| 2.0);
     rows.iter_mut().skip(100).step_by(20).take(overruns).for_each(|row| row.flags |= Flags::OVERRUN);
     assert_eq!(judge_rows(&scenario, &rows), expected);
@@ -44,7 +44,7 @@ fn accepts_as_many_overruns_as_the_scenario_allows(
 
 #[test]
 fn a_trial_with_lost_rows_does_not_count() {
-    let scenario = ScenarioBuilder { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..BASE }.scenario();
+    let scenario = fixed_scenario("metric = \"settling_time_ms\", at_most = 2.0");
     let rows = trace_rows(&scenario, |_| 2.0);
     let cause = |lost_rows| {
         let timing = platebench_model::record::TimingRecord { lost_rows, ..Default::default() };
@@ -56,16 +56,12 @@ fn a_trial_with_lost_rows_does_not_count() {
 
 /// 50 ms of stall in 60 ms (833 333 ppm), 2 % of clock error, four standard errors of 0.5 %.
 #[rstest]
-#[case::in_step("target", 873_333.0, None)]
-#[case::fast("target", 873_334.0, Some(Cause::Rig))]
-#[case::slow("target", -873_334.0, Some(Cause::Rig))]
-#[case::bench_paces("bench", 1e6, None)]
-fn excludes_a_pacing_target_with_a_wrong_clock(
-    #[case] pacing: &str,
-    #[case] ppm: f64,
-    #[case] expected: Option<Cause>,
-) {
-    let scenario = ScenarioBuilder { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..BASE }.scenario();
+#[case::in_step(("target", 873_333.0, None))]
+#[case::fast(("target", 873_334.0, Some(Cause::Rig)))]
+#[case::slow(("target", -873_334.0, Some(Cause::Rig)))]
+#[case::bench_paces(("bench", 1e6, None))]
+fn excludes_a_pacing_target_with_a_wrong_clock(#[case] (pacing, ppm, expected): (&str, f64, Option<Cause>)) {
+    let scenario = fixed_scenario("metric = \"settling_time_ms\", at_most = 2.0");
     let timing = platebench_model::record::TimingRecord {
         pacing: pacing.to_owned(),
         target_clock_ppm: Some(ppm),
@@ -79,7 +75,7 @@ fn excludes_a_pacing_target_with_a_wrong_clock(
 
 #[test]
 fn finds_disturbances_in_the_trace() {
-    let scenario = ScenarioBuilder { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], ..BASE }.scenario();
+    let scenario = fixed_scenario("metric = \"settling_time_ms\", at_most = 2.0");
     let good = trace_rows(&scenario, |_| 2.0);
     assert_eq!(judge_rows(&scenario, &good), PASS);
     let flagged = |flag| {
@@ -118,7 +114,7 @@ fn finds_disturbances_in_the_trace() {
 #[case::of_the_sensor(30, "kind = \"freeze\", from_ms = 30.0, until_ms = 40.0", false)]
 fn a_planned_fault_explains_a_missing_answer(#[case] at_ms: usize, #[case] fault: &str, #[case] planned: bool) {
     let expect = "metric = \"settling_time_ms\", at_most = 2.0 }]\nfault = [{ ".to_owned() + fault;
-    let scenario = ScenarioBuilder { expect: &[&expect], ..BASE }.scenario();
+    let scenario = fixed_scenario(&expect);
     let mut rows = trace_rows(&scenario, |_| 2.0);
     rows[at_ms * 20].flags |= Flags::LINK_LOST;
     assert_eq!(judge_rows(&scenario, &rows), if planned { PASS } else { inconclusive(Cause::Rig) });

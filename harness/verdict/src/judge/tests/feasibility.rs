@@ -8,7 +8,7 @@ fn set_saturated(mut rows: Vec<Row>) -> Vec<Row> {
 #[test]
 fn a_stop_at_the_limit_fails_a_feasible_demand() {
     for expect in ["metric = \"settling_time_ms\", at_most = 3.0", "metric = \"static_error_percent\", at_most = 1.0"] {
-        let scenario = ScenarioBuilder { expect: &[expect], ..BASE }.scenario();
+        let scenario = fixed_scenario(expect);
         let mut rows = set_saturated(trace_rows(&scenario, |_| 2.0));
         rows.last_mut().unwrap().flags = Flags::SAFE;
         assert_eq!(judge_rows(&scenario, &rows), FAIL, "{expect}");

@@ -15,8 +15,8 @@ fn compares_both_bounds_of_the_static_error(#[case] mean_plus_half: f64, #[case]
     let scenario = varied_scenario("metric = \"static_error_percent\", at_most = 1.0", 30);
     for sign in [1.0, -1.0] {
         let values = values_with_moments(30, sign * (mean_plus_half - 0.1), deviation);
-        assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&values)), expected);
-        let record = judge_single_expectation(&scenario, &trials_with_values(&values));
+        assert_eq!(decide(&scenario, &values), expected);
+        let record = judge_values(&scenario, &values);
         assert_eq!((record.statistic, record.confidence), (Statistic::Mean, Some(0.95)));
         assert!((record.value.unwrap() - (mean_plus_half - 0.1).abs()).abs() < 1e-12);
     }
@@ -26,7 +26,7 @@ fn compares_both_bounds_of_the_static_error(#[case] mean_plus_half: f64, #[case]
 fn errors_of_opposite_sign_do_not_cancel() {
     let scenario = varied_scenario("metric = \"static_error_percent\", at_most = 1.0", 30);
     let errors: Vec<f64> = (0..30).map(|index| if index % 2 == 0 { 5.0 } else { -5.0 }).collect();
-    let record = judge_single_expectation(&scenario, &trials_with_values(&errors));
+    let record = judge_values(&scenario, &errors);
     assert_eq!((record.verdict, record.value), (Verdict::Fail, Some(5.0)));
 }
 
@@ -48,7 +48,7 @@ fn a_failure_outweighs_an_inconclusive_trial(#[case] expect: &str) {
 #[test]
 fn one_random_trial_has_no_mean() {
     let scenario = varied_scenario("metric = \"static_error_percent\", at_most = 1.0", 1);
-    let record = judge_single_expectation(&scenario, &trials_with_values(&[0.01]));
+    let record = judge_values(&scenario, &[0.01]);
     assert_eq!(
         (record.verdict, record.cause, record.value),
         (Verdict::Inconclusive, Some(Cause::Evidence), Some(0.01))
@@ -61,7 +61,7 @@ fn one_random_trial_has_no_mean() {
 
 #[test]
 fn one_trial_decides_a_deterministic_scenario() {
-    let scenario = ScenarioBuilder { expect: &["metric = \"static_error_percent\", at_most = 1.0"], ..BASE }.scenario();
+    let scenario = fixed_scenario("metric = \"static_error_percent\", at_most = 1.0");
     for (error, expected) in [
         (0.5, PASS),
         (-0.5, PASS),
@@ -70,35 +70,31 @@ fn one_trial_decides_a_deterministic_scenario() {
         (1.001, FAIL),
         (-1.001, FAIL),
     ] {
-        assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[error])), expected, "{error}");
+        assert_eq!(decide(&scenario, &[error]), expected, "{error}");
     }
     let scenario =
         ScenarioBuilder { expect: &["metric = \"static_error_percent\", at_most = 1.0"], trials: 2, ..BASE }.scenario();
-    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[0.5, 0.5])), PASS);
-    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[0.2, 0.8])), inconclusive(Cause::Evidence));
+    assert_eq!(decide(&scenario, &[0.5, 0.5]), PASS);
+    assert_eq!(decide(&scenario, &[0.2, 0.8]), inconclusive(Cause::Evidence));
 }
 
 #[rstest]
-#[case("at_most = 1.3", 1.015, PASS)]
-#[case("at_most = 1.3", 1.017, inconclusive(Cause::Evidence))]
-#[case("at_most = 1.3", 1.3, inconclusive(Cause::Evidence))]
+#[case(("at_most = 1.3", 1.015, PASS))]
+#[case(("at_most = 1.3", 1.017, inconclusive(Cause::Evidence)))]
+#[case(("at_most = 1.3", 1.3, inconclusive(Cause::Evidence)))]
 // The lower bound is the deviation times √(29/χ²) = 0.8254: 1.58 fails, 1.57 does not.
-#[case("at_most = 1.3", 1.57, inconclusive(Cause::Evidence))]
-#[case("at_most = 1.3", 1.58, FAIL)]
-#[case("at_least = 1.0", 1.22, PASS)]
-#[case("at_least = 1.0", 1.20, inconclusive(Cause::Evidence))]
-#[case("within = [0.5, 2.0]", 1.3, PASS)]
-#[case("within = [1.2, 1.4]", 1.3, inconclusive(Cause::Evidence))]
+#[case(("at_most = 1.3", 1.57, inconclusive(Cause::Evidence)))]
+#[case(("at_most = 1.3", 1.58, FAIL))]
+#[case(("at_least = 1.0", 1.22, PASS))]
+#[case(("at_least = 1.0", 1.20, inconclusive(Cause::Evidence)))]
+#[case(("within = [0.5, 2.0]", 1.3, PASS))]
+#[case(("within = [1.2, 1.4]", 1.3, inconclusive(Cause::Evidence)))]
 // The two-sided interval at 95 % is 0.7964 to 1.3443 times the deviation.
-#[case("about = 1.3", 0.968, PASS)]
-#[case("about = 1.3", 0.966, FAIL)]
-#[case("about = 1.3", 1.631, PASS)]
-#[case("about = 1.3", 1.634, FAIL)]
-fn repeatability_must_be_demonstrated(
-    #[case] limit: &str,
-    #[case] deviation: f64,
-    #[case] expected: (Verdict, Option<Cause>),
-) {
+#[case(("about = 1.3", 0.968, PASS))]
+#[case(("about = 1.3", 0.966, FAIL))]
+#[case(("about = 1.3", 1.631, PASS))]
+#[case(("about = 1.3", 1.634, FAIL))]
+fn repeatability_must_be_demonstrated(#[case] (limit, deviation, expected): (&str, f64, (Verdict, Option<Cause>))) {
     let scenario = varied_scenario(&format!("metric = \"repeatability_percent\", {limit}"), 30);
     let values = trials_with_values(&values_with_moments(30, 100.0, deviation));
     assert_eq!(verdict_and_cause(&scenario, &values), expected);
@@ -112,25 +108,22 @@ fn few_trials_cannot_agree() {
     for count in [2, 5, 14] {
         let scenario = varied_scenario("metric = \"repeatability_percent\", about = 1.3", count);
         for deviation in [0.6, 0.9, 1.3, 2.0] {
-            let (verdict, _) = verdict_and_cause(
-                &scenario,
-                &trials_with_values(&values_with_moments(count as usize, 100.0, deviation)),
-            );
+            let (verdict, _) = decide(&scenario, &values_with_moments(count as usize, 100.0, deviation));
             assert!(verdict != Verdict::Pass || count == 14, "{deviation} over {count} trials");
         }
     }
     let scenario = varied_scenario("metric = \"repeatability_percent\", about = 1.3", 1);
-    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[100.0])), inconclusive(Cause::Evidence));
+    assert_eq!(decide(&scenario, &[100.0]), inconclusive(Cause::Evidence));
 }
 
 #[test]
 fn constant_values_are_inconclusive() {
     let scenario = varied_scenario("metric = \"repeatability_percent\", at_most = 1.3", 30);
-    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[100.0; 30])), inconclusive(Cause::Evidence));
+    assert_eq!(decide(&scenario, &[100.0; 30]), inconclusive(Cause::Evidence));
     let scenario =
         ScenarioBuilder { expect: &["metric = \"repeatability_percent\", at_most = 1.3"], trials: 30, ..BASE }
             .scenario();
-    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[100.0; 30])), inconclusive(Cause::Evidence));
+    assert_eq!(decide(&scenario, &[100.0; 30]), inconclusive(Cause::Evidence));
 }
 
 fn pass_rate(expect: &str, count: usize, draw: impl Fn(f64) -> f64) -> f64 {

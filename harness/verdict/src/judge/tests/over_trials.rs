@@ -5,7 +5,7 @@ use std::iter;
 #[test]
 fn trials_without_a_failure_bound_the_failure_rate() {
     let scenario = varied_scenario("metric = \"settling_time_ms\", at_most = 2.0", 30);
-    let record = judge_single_expectation(&scenario, &trials_with_values(&[1.9; 30]));
+    let record = judge_values(&scenario, &[1.9; 30]);
     let [low, high] = record.evidence.failure_rate.unwrap();
     assert_eq!((record.verdict, low, record.confidence), (Verdict::Pass, 0.0, Some(0.95)));
     assert!((high - (1.0 - 0.05_f64.powf(1.0 / 30.0))).abs() < 1e-9);
@@ -13,7 +13,7 @@ fn trials_without_a_failure_bound_the_failure_rate() {
     assert_eq!(record.evidence.says.as_deref(), Some(says));
     let mut values = [1.9; 30];
     values[3] = 2.1;
-    let [low, high] = judge_single_expectation(&scenario, &trials_with_values(&values)).evidence.failure_rate.unwrap();
+    let [low, high] = judge_values(&scenario, &values).evidence.failure_rate.unwrap();
     assert!((low - 0.001_708).abs() < 1e-5 && (high - 0.148_6).abs() < 1e-3, "{low} {high}");
     let mut open = trials_with_values(&[1.9; 30]);
     open[3].measures = vec![Measure::Interval([1.5, 2.5])];
@@ -21,9 +21,9 @@ fn trials_without_a_failure_bound_the_failure_rate() {
     assert!(low == 0.0 && (high - 0.148_6).abs() < 1e-3, "{low} {high}");
     let certain =
         ScenarioBuilder { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], trials: 2, ..BASE }.scenario();
-    assert!(judge_single_expectation(&certain, &trials_with_values(&[1.9, 1.9])).evidence.is_empty());
-    assert_eq!(judge_single_expectation(&certain, &trials_with_values(&[1.9, 1.9])).confidence, None);
-    assert!(judge_single_expectation(&certain, &trials_with_values(&[1.9, 1.8])).evidence.failure_rate.is_some());
+    assert!(judge_values(&certain, &[1.9, 1.9]).evidence.is_empty());
+    assert_eq!(judge_values(&certain, &[1.9, 1.9]).confidence, None);
+    assert!(judge_values(&certain, &[1.9, 1.8]).evidence.failure_rate.is_some());
 }
 
 #[rstest]
@@ -49,22 +49,18 @@ fn judges_a_response_time_by_each_statistic(
 }
 
 #[rstest]
-#[case::too_few(58, 0, inconclusive(Cause::Evidence))]
-#[case::just_enough(59, 0, PASS)]
-#[case::one_beyond(59, 1, inconclusive(Cause::Evidence))]
-#[case::one_beyond_of_92(92, 1, inconclusive(Cause::Evidence))]
-#[case::one_beyond_of_93(93, 1, PASS)]
+#[case::too_few((58, 0, inconclusive(Cause::Evidence)))]
+#[case::just_enough((59, 0, PASS))]
+#[case::one_beyond((59, 1, inconclusive(Cause::Evidence)))]
+#[case::one_beyond_of_92((92, 1, inconclusive(Cause::Evidence)))]
+#[case::one_beyond_of_93((93, 1, PASS))]
 // At 5 % beyond the limit, P(at least 9 of 93) = 0.045 and P(at least 8) = 0.10.
-#[case::eight_beyond(93, 8, inconclusive(Cause::Evidence))]
-#[case::nine_beyond(93, 9, FAIL)]
-fn a_quantile_is_demonstrated_by_ranks(
-    #[case] count: u32,
-    #[case] beyond: usize,
-    #[case] expected: (Verdict, Option<Cause>),
-) {
+#[case::eight_beyond((93, 8, inconclusive(Cause::Evidence)))]
+#[case::nine_beyond((93, 9, FAIL))]
+fn a_quantile_is_demonstrated_by_ranks(#[case] (count, beyond, expected): (u32, usize, (Verdict, Option<Cause>))) {
     let expect = "metric = \"settling_time_ms\", at_most = 2.0, over = \"quantile\"";
     let values: Vec<f64> = (0..count as usize).map(|index| if index < beyond { 3.0 } else { 1.9 }).collect();
-    assert_eq!(verdict_and_cause(&varied_scenario(expect, count), &trials_with_values(&values)), expected);
+    assert_eq!(decide(&varied_scenario(expect, count), &values), expected);
     let mut never = trials_with_values(&values);
     for trial in never.iter_mut().take(beyond) {
         trial.measures = vec![Measure::Missing(MissingValue::NotRunning)];
@@ -75,7 +71,7 @@ fn a_quantile_is_demonstrated_by_ranks(
     let mirrored = "metric = \"settling_time_ms\", at_least = 2.0, over = \"quantile\", quantile = 0.05";
     let values: Vec<f64> = values.iter().map(|value| 4.0 - value).collect();
     let scenario = varied_scenario(mirrored, count);
-    assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&values)), expected);
+    assert_eq!(decide(&scenario, &values), expected);
     let mut never = trials_with_values(&values);
     for trial in never.iter_mut().take(beyond) {
         trial.measures = vec![Measure::Missing(MissingValue::NotRunning)];
@@ -89,7 +85,7 @@ fn a_quantile_is_demonstrated_by_ranks(
 fn an_undecided_quantile_states_what_is_missing(#[case] count: usize, #[case] beyond: &[f64], #[case] text: &str) {
     let expect = "metric = \"settling_time_ms\", at_most = 2.0, over = \"quantile\"";
     let values: Vec<f64> = beyond.iter().copied().chain(iter::repeat(1.9)).take(count).collect();
-    let record = judge_single_expectation(&varied_scenario(expect, count as u32), &trials_with_values(&values));
+    let record = judge_values(&varied_scenario(expect, count as u32), &values);
     assert_eq!(record.reason.unwrap().to_string(), text);
 }
 
@@ -97,13 +93,10 @@ fn an_undecided_quantile_states_what_is_missing(#[case] count: usize, #[case] be
 fn a_deterministic_mean_or_quantile_needs_one_trial() {
     for over in ["mean", "quantile"] {
         let expect = format!("metric = \"settling_time_ms\", at_most = 2.0, over = \"{over}\"");
-        let scenario = ScenarioBuilder { expect: &[&expect], ..BASE }.scenario();
-        assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[2.0])), PASS);
-        assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[2.0_f64.next_up()])), FAIL);
-        assert_eq!(
-            verdict_and_cause(&varied_scenario(&expect, 1), &trials_with_values(&[1.0])),
-            inconclusive(Cause::Evidence)
-        );
+        let scenario = fixed_scenario(&expect);
+        assert_eq!(decide(&scenario, &[2.0]), PASS);
+        assert_eq!(decide(&scenario, &[2.0_f64.next_up()]), FAIL);
+        assert_eq!(decide(&varied_scenario(&expect, 1), &[1.0]), inconclusive(Cause::Evidence));
         let never = [trial_measures(0, &[Measure::Missing(MissingValue::NotRunning)])];
         assert_eq!(verdict_and_cause(&scenario, &never), FAIL);
     }
@@ -112,7 +105,7 @@ fn a_deterministic_mean_or_quantile_needs_one_trial() {
 #[test]
 fn adds_the_error_of_the_bench_to_each_trial() {
     let expect = "metric = \"static_error_percent\", at_most = 1.0, over = \"each\"";
-    let scenario = ScenarioBuilder { expect: &[expect], ..BASE }.scenario();
+    let scenario = fixed_scenario(expect);
     for (error, expected) in [
         (1.0 - 2e-4 - 1e-9, PASS),
         (-1.0 + 2e-4 + 1e-9, PASS),
@@ -120,7 +113,7 @@ fn adds_the_error_of_the_bench_to_each_trial() {
         (-1.0 - 1e-4, inconclusive(Cause::Evidence)),
         (1.0 + 2e-4 + 1e-9, FAIL),
     ] {
-        assert_eq!(verdict_and_cause(&scenario, &trials_with_values(&[error])), expected, "{error}");
+        assert_eq!(decide(&scenario, &[error]), expected, "{error}");
     }
 }
 
@@ -139,7 +132,7 @@ fn an_interval_that_straddles_the_limit_is_inconclusive(
     #[case] between: [f64; 2],
     #[case] expected: (Verdict, Option<Cause>),
 ) {
-    let scenario = ScenarioBuilder { expect: &[&format!("metric = \"settling_time_ms\", {limit}")], ..BASE }.scenario();
+    let scenario = fixed_scenario(&format!("metric = \"settling_time_ms\", {limit}"));
     let sampled = [trial_measures(0, &[Measure::Interval(between)])];
     assert_eq!(verdict_and_cause(&scenario, &sampled), expected);
     assert_eq!(judge_single_expectation(&scenario, &sampled).interval, Some(between));
@@ -151,14 +144,13 @@ fn an_interval_that_straddles_the_limit_is_inconclusive(
 #[test]
 fn an_agreement_states_its_power() {
     let scenario = varied_scenario("metric = \"repeatability_percent\", about = 1.3", 30);
-    let evidence =
-        judge_single_expectation(&scenario, &trials_with_values(&values_with_moments(30, 100.0, 1.3))).evidence;
+    let evidence = judge_values(&scenario, &values_with_moments(30, 100.0, 1.3)).evidence;
     assert!(evidence.power.unwrap() > 0.99, "{evidence:?}");
     assert_eq!(evidence.method, Some(EvidenceMethod::ChiSquare));
     assert!(evidence.says.unwrap().starts_with("half or double of 1.3 would be detected in 99."));
-    let few = judge_single_expectation(
+    let few = judge_values(
         &varied_scenario("metric = \"repeatability_percent\", about = 1.3", 5),
-        &trials_with_values(&values_with_moments(5, 100.0, 1.3)),
+        &values_with_moments(5, 100.0, 1.3),
     );
     assert!(few.evidence.power.unwrap() < 0.7 && few.verdict == Verdict::Inconclusive);
 }

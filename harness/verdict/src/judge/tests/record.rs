@@ -22,7 +22,7 @@ fn a_confidence_close_to_1_is_inconclusive_in_json() {
     for metric in ["repeatability_percent", "static_error_percent"] {
         let scenario =
             varied_scenario(&format!("metric = \"{metric}\", at_most = 1.3, confidence = 0.9999999999999999"), 3);
-        let record = judge_single_expectation(&scenario, &trials_with_values(&[0.1, 0.2, 0.3]));
+        let record = judge_values(&scenario, &[0.1, 0.2, 0.3]);
         assert_eq!((record.verdict, record.cause), inconclusive(Cause::Evidence));
         let text = serde_json::to_string(&record).unwrap();
         assert_eq!(serde_json::from_str::<ExpectationRecord>(&text).unwrap().verdict, Verdict::Inconclusive, "{text}");
@@ -32,7 +32,7 @@ fn a_confidence_close_to_1_is_inconclusive_in_json() {
 #[test]
 fn writes_a_readable_record_of_a_huge_number() {
     let scenario = varied_scenario("metric = \"static_error_percent\", at_most = 1.0", 2);
-    let record = judge_single_expectation(&scenario, &trials_with_values(&[f64::MAX, f64::MAX]));
+    let record = judge_values(&scenario, &[f64::MAX, f64::MAX]);
     assert_ne!(record.verdict, Verdict::Pass);
     let text = serde_json::to_string(&record).unwrap();
     assert!(serde_json::from_str::<ExpectationRecord>(&text).is_ok(), "{text}");
@@ -71,8 +71,8 @@ fn numbers_repeated_metrics_from_the_second() {
 #[case("metric = \"overshoot_percent\", at_most = 2.0, from_ms = 3.0", (Some(3.0), None, Some("amplitude_um")))]
 #[case("metric = \"drive_peak_vpp\", at_most = 900.0", (None, None, None))]
 fn records_the_options_of_a_metric(#[case] expect: &str, #[case] expected: (Option<f64>, Option<f64>, Option<&str>)) {
-    let scenario = ScenarioBuilder { expect: &[expect], ..BASE }.scenario();
-    let found = judge_single_expectation(&scenario, &trials_with_values(&[1.0])).definition;
+    let scenario = fixed_scenario(expect);
+    let found = judge_values(&scenario, &[1.0]).definition;
     assert_eq!((found.from_ms, found.band_percent, found.signal.as_deref()), expected);
 }
 
@@ -86,7 +86,7 @@ fn records_the_margin_of_the_deciding_value(
     #[case] values: &[f64],
     #[case] expected: Option<f64>,
 ) {
-    let record = judge_single_expectation(&varied_scenario(expect, 2), &trials_with_values(values));
+    let record = judge_values(&varied_scenario(expect, 2), values);
     assert_eq!(record.margin, expected, "{record:?}");
 }
 
@@ -101,14 +101,10 @@ fn a_scenario_without_trials_was_not_played(#[case] expect: &str) {
 
 /// The trials have an instant each at their index in ms; trial 2 does not count.
 #[rstest]
-#[case::worst_trial("metric = \"settling_time_ms\", at_most = 2.0", [1.0, 3.0, 9.0, 2.5], 1)]
-#[case::farthest_of_a_mean("metric = \"static_error_percent\", at_most = 1.0", [1.0, 0.5, 9.0, -3.0], 3)]
-#[case::first_of_equal("metric = \"settling_time_ms\", at_most = 2.0", [1.0, 1.0, 1.0, 1.0], 0)]
-fn records_the_worst_instant_of_the_deciding_trial(
-    #[case] expect: &str,
-    #[case] values: [f64; 4],
-    #[case] deciding: u32,
-) {
+#[case::worst_trial(("metric = \"settling_time_ms\", at_most = 2.0", [1.0, 3.0, 9.0, 2.5], 1))]
+#[case::farthest_of_a_mean(("metric = \"static_error_percent\", at_most = 1.0", [1.0, 0.5, 9.0, -3.0], 3))]
+#[case::first_of_equal(("metric = \"settling_time_ms\", at_most = 2.0", [1.0, 1.0, 1.0, 1.0], 0))]
+fn records_the_worst_instant_of_the_deciding_trial(#[case] (expect, values, deciding): (&str, [f64; 4], u32)) {
     let scenario = varied_scenario(expect, 4);
     let mut trials = trials_with_values(&values);
     for trial in &mut trials {

@@ -13,17 +13,13 @@ fn a_first_order_response_settles_after_tau_ln_20() {
     // slope, this is a time of h²/8τ.
     for step in [0.05, 0.01] {
         assert_close(
-            measured_value(&expectation_for(Metric::SettlingTime), &trace_at(grid(step, 60.0), |_| 2.0, first_order)),
+            value_of(Metric::SettlingTime, &trace_at(grid(step, 60.0), |_| 2.0, first_order)),
             exact,
             step * step / (8.0 * TAU),
         );
     }
     let irregular = (0_u32..3_000).map(|index| f64::from(index) * 0.02 + 0.009 * (f64::from(index) * 1.7).sin().abs());
-    assert_close(
-        measured_value(&expectation_for(Metric::SettlingTime), &trace_at(irregular, |_| 2.0, first_order)),
-        exact,
-        1e-4,
-    );
+    assert_close(value_of(Metric::SettlingTime, &trace_at(irregular, |_| 2.0, first_order)), exact, 1e-4);
 }
 
 #[test]
@@ -31,22 +27,13 @@ fn a_row_after_the_crossing_makes_settling_exact() {
     let exact = TAU * 20.0_f64.ln();
     let crossing = (exact * 1e6).ceil() / 1e6;
     let instants = grid(1.0, 5.0).chain([crossing]).chain((6..60).map(f64::from));
-    assert_close(
-        measured_value(&expectation_for(Metric::SettlingTime), &trace_at(instants, |_| 2.0, first_order)),
-        exact,
-        1e-6,
-    );
+    assert_close(value_of(Metric::SettlingTime, &trace_at(instants, |_| 2.0, first_order)), exact, 1e-6);
 }
 
 #[test]
 fn the_edges_of_the_band_are_inside() {
-    let held = |level: f64| {
-        measure(
-            &expectation_for(Metric::SettlingTime),
-            &rows(&[(0.0, 2.0, 0.0), (1.0, 2.0, level), (2.0, 2.0, level)]),
-            &EMPTY_TELEMETRY,
-        )
-    };
+    let held =
+        |level: f64| measure_of(Metric::SettlingTime, &rows(&[(0.0, 2.0, 0.0), (1.0, 2.0, level), (2.0, 2.0, level)]));
     let (low, high) = expectation_for(Metric::SettlingTime).band(2.0);
     assert_eq!(held(low), Measure::Value(1.0));
     assert_eq!(held(high).value().map(|t| t < 1.0), Some(true));
@@ -66,7 +53,7 @@ fn the_edges_of_the_band_are_inside() {
 #[case::across_the_whole_band(&[(0.0, 2.0, 0.0), (1.0, 2.0, 3.0), (2.0, 2.0, 2.0)], Some(1.9))]
 #[case::falling(&[(0.0, 2.0, 2.0), (1.0, 1.0, 2.0), (2.0, 1.0, 1.1), (3.0, 1.0, 1.0)], Some(0.0))]
 fn the_last_entry_counts(#[case] points: &[(f64, f64, f64)], #[case] settled: Option<f64>) {
-    let measured = measure(&expectation_for(Metric::SettlingTime), &rows(points), &EMPTY_TELEMETRY);
+    let measured = measure_of(Metric::SettlingTime, &rows(points));
     match settled {
         Some(t) => assert_close(measured.value().unwrap(), t, 1e-12),
         None => assert_eq!(measured, Measure::Missing(MissingValue::NeverSettles)),
@@ -138,7 +125,7 @@ fn the_worst_window_decides() {
     assert_close(measured_value(&least, &staircase_rows()), 0.95, 1e-9);
     let mut never = staircase_rows();
     never.iter_mut().filter(|row| row.t_s > 0.018 && row.t_s < 0.02).for_each(|row| row.amplitude_um = 2.0);
-    assert_eq!(measure(&settling, &never, &EMPTY_TELEMETRY), Measure::Missing(MissingValue::NeverSettles));
+    assert_eq!(measured(&settling, &never), Measure::Missing(MissingValue::NeverSettles));
 }
 
 /// A setpoint step of 0.0001 µm at 15 ms must not end a window.
@@ -160,8 +147,8 @@ fn ignores_rows_after_the_next_step() {
     for row in trace.iter_mut().filter(|row| row.t_s > 0.021) {
         row.amplitude_um = 9.0;
     }
-    assert_close(measured_value(&expectation_for(Metric::SettlingTime), &trace), 1.9, 1e-9);
-    assert_eq!(measured_value(&expectation_for(Metric::Overshoot), &trace), 0.0);
+    assert_close(value_of(Metric::SettlingTime, &trace), 1.9, 1e-9);
+    assert_eq!(value_of(Metric::Overshoot, &trace), 0.0);
     assert_eq!(measured_value(&expectation_in(Metric::RecoveryTime, &[[15.0, 20.0]]), &trace), 0.0);
 }
 
@@ -179,16 +166,10 @@ fn settling_of_a_ramp_ends_in_its_moving_band() {
 #[test]
 fn settling_is_undefined_without_a_step_or_at_setpoint_0() {
     let settling = expectation_for(Metric::SettlingTime);
-    assert!(matches!(
-        measure(&settling, &rows(&[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]), &EMPTY_TELEMETRY),
-        Measure::Undefined(_)
-    ));
+    assert!(matches!(measured(&settling, &rows(&[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])), Measure::Undefined(_)));
     let to_rest = rows(&[(0.0, 2.0, 2.0), (1.0, 0.0, 2.0), (2.0, 0.0, 0.0)]);
-    assert!(matches!(
-        measure(&expectation_with_from(Metric::SettlingTime, 1.0), &to_rest, &EMPTY_TELEMETRY),
-        Measure::Undefined(_)
-    ));
-    assert!(matches!(measure(&settling, &[], &EMPTY_TELEMETRY), Measure::Undefined(_)));
+    assert!(matches!(measured(&expectation_with_from(Metric::SettlingTime, 1.0), &to_rest), Measure::Undefined(_)));
+    assert!(matches!(measured(&settling, &[]), Measure::Undefined(_)));
 }
 
 #[test]
@@ -198,7 +179,7 @@ fn holds_sensed_values_between_rows() {
         (row.sensed_wd_um, row.wd_um) = (sensed, sensed);
     }
     let settling = |signal| Expectation { signal, ..expectation_for(Metric::SettlingTime) };
-    assert_eq!(measure(&settling("sensed_wd_um"), &trace, &EMPTY_TELEMETRY), Measure::Interval([1.0, 2.0]));
+    assert_eq!(measured(&settling("sensed_wd_um"), &trace), Measure::Interval([1.0, 2.0]));
     assert_close(measured_value(&settling("wd_um"), &trace), 1.9, 1e-12);
     let error = |signal| Expectation { signal, ..expectation_in(Metric::StaticError, &[[0.0, 3.0]]) };
     // Held for 1 ms each: 0, 1, 2 µm, mean 1 µm. Linear: 0.5, 1.5, 2 µm, mean 4/3 µm.
@@ -225,18 +206,18 @@ fn a_time_from_samples_is_an_interval() {
     }
     let settling = Expectation { signal: "sensed_wd_um", ..expectation_for(Metric::SettlingTime) };
     let recovery = Expectation { signal: "sensed_wd_um", ..expectation_with_from(Metric::RecoveryTime, 0.25) };
-    assert_eq!(measure(&settling, &trace, &EMPTY_TELEMETRY), Measure::Interval([1.5, 2.5]));
-    let Measure::Interval([first, last]) = measure(&recovery, &trace, &EMPTY_TELEMETRY) else { panic!("samples") };
+    assert_eq!(measured(&settling, &trace), Measure::Interval([1.5, 2.5]));
+    let Measure::Interval([first, last]) = measured(&recovery, &trace) else { panic!("samples") };
     assert_close(first, 1.25, 1e-12);
     assert_close(last, 2.25, 1e-12);
     for row in &mut trace {
         row.sensed_wd_um = 2.0;
     }
-    assert_eq!(measure(&settling, &trace, &EMPTY_TELEMETRY), Measure::Interval([0.0, 0.5]));
+    assert_eq!(measured(&settling, &trace), Measure::Interval([0.0, 0.5]));
     trace[0].flags = Flags::CONTROL;
-    assert_eq!(measure(&settling, &trace, &EMPTY_TELEMETRY), Measure::Value(0.0));
+    assert_eq!(measured(&settling, &trace), Measure::Value(0.0));
     trace[7].sensed_wd_um = 0.0;
-    assert!(matches!(measure(&settling, &trace, &EMPTY_TELEMETRY), Measure::Missing(_)));
+    assert!(matches!(measured(&settling, &trace), Measure::Missing(_)));
 }
 
 #[rstest]
@@ -258,7 +239,7 @@ fn overshoot_is_in_the_direction_of_the_step(
 #[test]
 fn a_triangle_has_no_step_to_overshoot() {
     let triangle = trace_at(grid(1.0, 20.0), |t| 10.0 - (t - 10.0).abs(), |_| 0.0);
-    assert!(matches!(measure(&expectation_for(Metric::Overshoot), &triangle, &EMPTY_TELEMETRY), Measure::Undefined(_)));
+    assert!(matches!(measure_of(Metric::Overshoot, &triangle), Measure::Undefined(_)));
 }
 
 #[rstest]
@@ -270,7 +251,7 @@ fn recovery_runs_from_the_disturbance_to_the_last_entry(
     #[case] points: &[(f64, f64, f64)],
     #[case] recovered: Option<f64>,
 ) {
-    match (measure(&expectation_with_from(Metric::RecoveryTime, 10.0), &rows(points), &EMPTY_TELEMETRY), recovered) {
+    match (measured(&expectation_with_from(Metric::RecoveryTime, 10.0), &rows(points)), recovered) {
         (Measure::Value(value), Some(expected)) => assert_close(value, expected, 1e-9),
         (measured, expected) => {
             assert_eq!((measured, expected), (Measure::Missing(MissingValue::NeverRecovers), None));

@@ -54,10 +54,7 @@ fn shutdown_time_ends_at_the_lasting_stop() {
     assert_close(time(60.0, &rows_with_stop(|t| t >= 60)), 20.0, 1e-9);
     let resumed = rows_with_stop(|t| (44..50).contains(&t));
     assert_close(time(50.0, &resumed), 4.0, 1e-9);
-    assert_eq!(
-        measure(&shutdown_expectation(51.0), &resumed, &EMPTY_TELEMETRY),
-        Measure::Missing(MissingValue::NotAtRest)
-    );
+    assert_eq!(measured(&shutdown_expectation(51.0), &resumed), Measure::Missing(MissingValue::NotAtRest));
 }
 
 #[test]
@@ -81,7 +78,7 @@ fn other_stops_have_no_shutdown_time() {
     let idle = stopped.iter().map(|row| Row { drive_vpp: 0.0, ..*row }).collect::<Vec<_>>();
     assert_eq!(missing(&idle, &EMPTY_TELEMETRY), MissingValue::NeverDrove);
     let without_setpoint = idle.iter().map(|row| Row { setpoint_um: 0.0, ..*row }).collect::<Vec<_>>();
-    assert!(matches!(measure(&shutdown_expectation(60.0), &without_setpoint, &EMPTY_TELEMETRY), Measure::Value(_)));
+    assert!(matches!(measured(&shutdown_expectation(60.0), &without_setpoint), Measure::Value(_)));
     let trapped = Telemetry { ended: Some("trapped".to_owned()), ..EMPTY_TELEMETRY };
     assert_eq!(missing(&stopped, &trapped), MissingValue::NotRunning);
 }
@@ -89,11 +86,11 @@ fn other_stops_have_no_shutdown_time() {
 #[test]
 fn control_instants_without_an_answer_are_missed_replies() {
     let mut rows = rows_with_stop(|t| t >= 44);
-    assert_eq!(measured_value(&expectation_for(Metric::MissedReplies), &rows), 0.0);
+    assert_eq!(value_of(Metric::MissedReplies, &rows), 0.0);
     rows[3].flags |= Flags::LINK_LOST;
     rows[5].flags |= Flags::LINK_LOST;
     rows[5].flags -= Flags::CONTROL;
-    assert_eq!(measured_value(&expectation_for(Metric::MissedReplies), &rows), 1.0);
+    assert_eq!(value_of(Metric::MissedReplies, &rows), 1.0);
 }
 
 fn as_real_plate(rows: &[Row]) -> Vec<Row> {
@@ -113,18 +110,18 @@ fn a_time_of_a_real_plate_is_an_interval() {
     let step = |t: f64| if t < 1.0 { 0.0 } else { 2.0 };
     // The step is at 1 ms, and the sample at 3 ms is the first one inside the band.
     let rows = as_real_plate(&trace_at(grid(1.0, 60.0), step, |t| if t < 3.0 { 0.0 } else { 1.95 }));
-    let measured = measure(&expectation_for(Metric::SettlingTime), &rows, &EMPTY_TELEMETRY);
+    let measured = measure_of(Metric::SettlingTime, &rows);
     assert_eq!(measured, Measure::Interval([1.0, 2.0]));
     // Time stamps in µs far from zero have differences with rounding errors.
     let late: Vec<Row> = rows.iter().map(|row| Row { t_s: (row.t_s * 1e6 + 43_000.0) / 1e6, ..*row }).collect();
-    assert_eq!(measure(&expectation_for(Metric::SettlingTime), &late, &EMPTY_TELEMETRY), Measure::Interval([1.0, 2.0]));
+    assert_eq!(measure_of(Metric::SettlingTime, &late), Measure::Interval([1.0, 2.0]));
 }
 
 #[test]
 fn unknown_quantities_of_a_real_plate_are_undefined() {
     let rows = as_real_plate(&trace_at(grid(1.0, 60.0), |_| 2.0, |_| 2.0));
     for &metric in Metric::ALL {
-        let unknown = matches!(measure(&expectation_for(metric), &rows, &EMPTY_TELEMETRY), Measure::Undefined(_));
+        let unknown = matches!(measure_of(metric, &rows), Measure::Undefined(_));
         let expected = matches!(
             metric,
             Metric::FrequencyError
@@ -147,11 +144,11 @@ fn a_non_finite_drive_has_no_values() {
     let settled = trace_at([0.0, 1.0, 60.0], |_| 2.0, |t| if t < 1.0 { 0.0 } else { 2.0 });
     let not_a_number = Telemetry { not_finite: Some(NonFiniteDrive { at_s: 0.01, count: 1 }), ..EMPTY_TELEMETRY };
     for metric in [Metric::SettlingTime, Metric::Overshoot, Metric::DrivePeak, Metric::FinalAmplitude] {
-        assert!(matches!(measure(&expectation_for(metric), &settled, &EMPTY_TELEMETRY), Measure::Value(_)), "{metric}");
+        assert!(matches!(measure_of(metric, &settled), Measure::Value(_)), "{metric}");
         assert!(matches!(measure(&expectation_for(metric), &settled, &not_a_number), Measure::Missing(_)), "{metric}");
     }
     let shut = rows_with_stop(|t| t >= 44);
-    assert!(matches!(measure(&shutdown_expectation(60.0), &shut, &EMPTY_TELEMETRY), Measure::Value(_)));
+    assert!(matches!(measured(&shutdown_expectation(60.0), &shut), Measure::Value(_)));
     assert!(
         matches!(measure(&shutdown_expectation(60.0), &shut, &not_a_number), Measure::Missing(_)),
         "the bench applied its 0 V"

@@ -14,21 +14,17 @@ fn ripple_and_rest_drive_take_the_worst_window() {
     assert_close(value(Metric::RestDrive, [21.0, 30.0]), 300.0, 0.0);
     assert_close(value(Metric::RestDrive, [21.5, 30.0]), 300.0, 0.0);
     let at_rest = expectation_in(Metric::RipplePercent, &[[22.0, 30.0]]);
-    assert_eq!(measure(&at_rest, &trace, &EMPTY_TELEMETRY), Measure::Undefined(UndefinedValue::ZeroSetpoint));
+    assert_eq!(measured(&at_rest, &trace), Measure::Undefined(UndefinedValue::ZeroSetpoint));
 }
 
 fn error_over(window: (f64, f64), trace: &[Row]) -> Measure {
-    measure(&expectation_in(Metric::StaticError, &[window.into()]), trace, &EMPTY_TELEMETRY)
+    measured(&expectation_in(Metric::StaticError, &[window.into()]), trace)
 }
 
 #[test]
 fn the_static_error_is_signed_and_time_weighted() {
     for (level, error) in [(2.1, 5.0), (1.9, -5.0)] {
-        assert_close(
-            measured_value(&expectation_for(Metric::StaticError), &trace_at(grid(0.05, 60.0), |_| 2.0, |_| level)),
-            error,
-            1e-9,
-        );
+        assert_close(value_of(Metric::StaticError, &trace_at(grid(0.05, 60.0), |_| 2.0, |_| level)), error, 1e-9);
     }
     // 1 µm for 9 ms, then a thousand rows of 3 µm in 1 ms: the mean weights rows by their duration.
     let instants = [0.0, 9.0].into_iter().chain((0..=1_000).map(|index| 9.0 + 1e-6 + f64::from(index) * 0.000_999));
@@ -63,7 +59,7 @@ fn a_mean_over_a_changing_setpoint_is_undefined() {
 #[test]
 fn repeatability_uses_the_mean_in_percent() {
     let trace = trace_at(grid(0.05, 60.0), |_| 2.0, |_| 1.9);
-    assert_close(measured_value(&expectation_for(Metric::Repeatability), &trace), 95.0, 1e-9);
+    assert_close(value_of(Metric::Repeatability, &trace), 95.0, 1e-9);
 }
 
 #[test]
@@ -71,14 +67,11 @@ fn final_values_are_from_the_last_row() {
     let mut trace = rows(&[(0.0, 2.0, 9.0), (1.0, 2.0, 1.95)]);
     trace[0] = Row { frequency_hz: 1.0, wq_um: 5.0, wd_um: 1.0, ..trace[0] };
     trace[1] = Row { frequency_hz: 32_300.0, resonance_hz: 32_307.6, wd_um: -1.0, wq_um: 0.25, ..trace[1] };
-    assert_close(measured_value(&expectation_for(Metric::FrequencyError), &trace), 7.6, 1e-9);
-    assert_eq!(measured_value(&expectation_for(Metric::QuadratureRatio), &trace), 0.25);
-    assert_eq!(measured_value(&expectation_for(Metric::FinalAmplitude), &trace), 1.95);
+    assert_close(value_of(Metric::FrequencyError, &trace), 7.6, 1e-9);
+    assert_eq!(value_of(Metric::QuadratureRatio, &trace), 0.25);
+    assert_eq!(value_of(Metric::FinalAmplitude, &trace), 1.95);
     trace[1].wd_um = 0.0;
-    assert!(matches!(
-        measure(&expectation_for(Metric::QuadratureRatio), &trace, &EMPTY_TELEMETRY),
-        Measure::Undefined(_)
-    ));
+    assert!(matches!(measure_of(Metric::QuadratureRatio, &trace), Measure::Undefined(_)));
 }
 
 #[test]
@@ -86,14 +79,14 @@ fn saturation_is_time_weighted() {
     let mut trace = rows(&[(0.0, 2.0, 0.0), (1.0, 2.0, 0.0), (4.0, 2.0, 0.0), (10.0, 2.0, 0.0)]);
     trace[1].flags = Flags::SATURATED | Flags::CONTROL;
     trace[3].flags = Flags::SATURATED;
-    assert_close(measured_value(&expectation_for(Metric::Saturated), &trace), 30.0, 1e-12);
+    assert_close(value_of(Metric::Saturated, &trace), 30.0, 1e-12);
     for (row, drive) in trace.iter_mut().zip([1.0, 540.0, 12.0, 3.0]) {
         row.drive_vpp = drive;
     }
-    assert_eq!(measured_value(&expectation_for(Metric::DrivePeak), &trace), 540.0);
+    assert_eq!(value_of(Metric::DrivePeak, &trace), 540.0);
     trace[0].flags = Flags::OVERRUN;
     trace[2].flags = Flags::OVERRUN | Flags::SATURATED;
-    assert_eq!(measured_value(&expectation_for(Metric::Overruns), &trace), 2.0);
+    assert_eq!(value_of(Metric::Overruns, &trace), 2.0);
     assert_eq!(
         measure(
             &expectation_for(Metric::LoopDelay),
@@ -118,7 +111,7 @@ fn saturation_is_time_weighted() {
         Metric::ReferenceDifference,
         Metric::ProtocolDifferences,
     ] {
-        assert!(matches!(measure(&expectation_for(unreported), &trace, &EMPTY_TELEMETRY), Measure::Undefined(_)));
+        assert!(matches!(measure_of(unreported, &trace), Measure::Undefined(_)));
     }
 }
 
