@@ -53,23 +53,32 @@ const LONG_RINGING: (&str, &str) = ("time_constant_ms = 1.88", "time_constant_ms
 const RINGING_FOR_HOURS: (&str, &str) = ("time_constant_ms = 1.88", "time_constant_ms = 9.852e6");
 
 #[rstest]
-#[case::far_below_resonance(UNCHANGED, ("",
-    "start_frequency_hz = 16153.8\nfrequency_range_hz = 16000.0\nfrequency_slew_hz = 1e9"))]
-#[case::far_above_resonance(UNCHANGED, ("",
-    "start_frequency_hz = 48461.0\nfrequency_range_hz = 48000.0\nfrequency_slew_hz = 1e9"))]
-#[case::quality_of_a_million(LONG_RINGING, ("", ""))]
-#[case::quality_of_a_million_in_the_envelope(LONG_RINGING, ("model = \"envelope\"", "start_frequency_hz = 32307.61"))]
-#[case::highest_quality(RINGING_FOR_HOURS, ("", ""))]
-#[case::highest_quality_in_the_envelope(RINGING_FOR_HOURS, ("model = \"envelope\"", ""))]
-#[case::period_of_one_carrier_cycle(UNCHANGED, ("", "period_ms = 0.031"))]
-#[case::shortest_period(UNCHANGED, ("duration_ms = 5.0", "period_ms = 0.001"))]
-#[case::ten_days(UNCHANGED, ("duration_ms = 8.64e8\ntrace_step_ms = 1e6", "period_ms = 1000.0"))]
-#[case::largest_gain("0.00698", "3.4e38", ("", ""))]
-#[case::tiny_gain("0.00698", "1e-30", ("", ""))]
-#[case::largest_drive("limit_vpp = 900.0", "limit_vpp = 3.4e38", ("", ""))]
-#[case::nothing_but_noise("noise_um_rms = 0.0", "noise_um_rms = 1e308", ("", ""))]
-#[case::largest_gains(UNCHANGED, ("",
-    "[controller.gains]\namplitude_kp = 3e38\namplitude_ki = 3e38\nfrequency_kp = -3e38\nfrequency_ki = 3e38"))]
+#[case::far_below_resonance(
+    UNCHANGED,
+    "",
+    "start_frequency_hz = 16153.8\nfrequency_range_hz = 16000.0\nfrequency_slew_hz = 1e9"
+)]
+#[case::far_above_resonance(
+    UNCHANGED,
+    "",
+    "start_frequency_hz = 48461.0\nfrequency_range_hz = 48000.0\nfrequency_slew_hz = 1e9"
+)]
+#[case::quality_of_a_million(LONG_RINGING, "", "")]
+#[case::quality_of_a_million_in_the_envelope(LONG_RINGING, "model = \"envelope\"", "start_frequency_hz = 32307.61")]
+#[case::highest_quality(RINGING_FOR_HOURS, "", "")]
+#[case::highest_quality_in_the_envelope(RINGING_FOR_HOURS, "model = \"envelope\"", "")]
+#[case::period_of_one_carrier_cycle(UNCHANGED, "", "period_ms = 0.031")]
+#[case::shortest_period(UNCHANGED, "duration_ms = 5.0", "period_ms = 0.001")]
+#[case::ten_days(UNCHANGED, "duration_ms = 8.64e8\ntrace_step_ms = 1e6", "period_ms = 1000.0")]
+#[case::largest_gain(("0.00698", "3.4e38"), "", "")]
+#[case::tiny_gain(("0.00698", "1e-30"), "", "")]
+#[case::largest_drive(("limit_vpp = 900.0", "limit_vpp = 3.4e38"), "", "")]
+#[case::nothing_but_noise(("noise_um_rms = 0.0", "noise_um_rms = 1e308"), "", "")]
+#[case::largest_gains(
+    UNCHANGED,
+    "",
+    "[controller.gains]\namplitude_kp = 3e38\namplitude_ki = 3e38\nfrequency_kp = -3e38\nfrequency_ki = 3e38"
+)]
 fn an_extreme_run_writes_finite_numbers(#[case] change: (&str, &str), #[case] head: &str, #[case] controller: &str) {
     let folder = extreme_folder(head, controller, change);
     folder.run_hosted("run").assert_exit_in(&[0, 1, 3]);
@@ -92,14 +101,14 @@ fn an_impossible_plate_is_reported_with_its_line(
     #[case] message: &str,
 ) {
     let folder = extreme_folder("", "", (from, to));
-    folder.run_hosted("run").assert_message(2, &[place, message]);
+    folder.run_hosted("run").assert_exit(2).assert_stderr(&[place, message]);
 }
 
 /// The period is one cycle of the carrier, 30.95 µs, but the protocol carries whole microseconds.
 #[test]
 fn rejects_a_period_between_two_microseconds() {
     let folder = extreme_folder("", "period_ms = 0.030952", UNCHANGED);
-    folder.run_hosted("run").assert_message(2, &["expected whole microseconds"]);
+    folder.run_hosted("run").assert_exit(2).assert_stderr(&["expected whole microseconds"]);
 }
 
 #[rstest]

@@ -38,9 +38,9 @@ fn telemetry(record: &RunRecord) -> &Telemetry {
 }
 
 #[rstest]
-#[case::a_sample("lost-sample", ("drop", 1), None, true)]
-#[case::five_samples("five-periods-of-silence", ("drop", 5), STOPPED, false)]
-#[case::the_line("disconnect-and-reconnect", ("disconnect", 31), STOPPED, true)]
+#[case::a_sample("lost-sample", "drop", 1, None, true)]
+#[case::five_samples("five-periods-of-silence", "drop", 5, STOPPED, false)]
+#[case::the_line("disconnect-and-reconnect", "disconnect", 31, STOPPED, true)]
 fn wire_faults_act_on_a_live_line(
     #[case] name: &str,
     #[case] kind: &str,

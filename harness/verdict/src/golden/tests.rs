@@ -96,14 +96,19 @@ fn does_not_pass_without_trials() {
 
 /// At a rate of 5 %, P(at least 4 of 30 trials outside) = 0.061, P(at least 5) = 0.016.
 #[rstest]
-#[case((0.05, 30, 1, Verdict::Pass))]
-#[case((0.05, 30, 2, Verdict::Inconclusive))]
-#[case((0.05, 30, 4, Verdict::Inconclusive))]
-#[case((0.05, 30, 5, Verdict::Fail))]
-#[case((0.05, 1, 1, Verdict::Fail))]
-#[case((0.06, 1, 1, Verdict::Inconclusive))]
-#[case((0.05, 1, 0, Verdict::Pass))]
-fn allows_some_trials_outside_a_learned_tube(#[case] (rate, trials, outside, expected): (f64, usize, usize, Verdict)) {
+#[case(0.05, 30, 1, Verdict::Pass)]
+#[case(0.05, 30, 2, Verdict::Inconclusive)]
+#[case(0.05, 30, 4, Verdict::Inconclusive)]
+#[case(0.05, 30, 5, Verdict::Fail)]
+#[case(0.05, 1, 1, Verdict::Fail)]
+#[case(0.06, 1, 1, Verdict::Inconclusive)]
+#[case(0.05, 1, 0, Verdict::Pass)]
+fn allows_some_trials_outside_a_learned_tube(
+    #[case] rate: f64,
+    #[case] trials: usize,
+    #[case] outside: usize,
+    #[case] expected: Verdict,
+) {
     let golden = GoldenTubes { false_alarm_rate: Some(rate), ..golden() };
     let all: Vec<_> = (0..trials).map(|index| rows(0.0, if index < outside { 1.1 } else { 1.0 })).collect();
     assert_eq!(compare(&golden, &all).verdict, expected);
@@ -162,23 +167,36 @@ fn round_trips_within_a_thousandth_of_the_tolerance() {
 }
 
 #[rstest]
-#[case::no_absolute_part(("toml", "absolute = 0.01", "absolute = 0.0",
-    "expected absolute above 0 (the tolerance near zero)"))]
-#[case::relative_of_one(("toml", "relative = 0.005", "relative = 1.0", "relative 1"))]
-#[case::negative_time(("toml", "time_ms = 0.05", "time_ms = -0.05", "time_ms -0.05"))]
-#[case::unknown_key(("toml", "law =", "laws =", ":2: unknown field `laws`"))]
-#[case::unknown_signal(("toml", "tolerance.drive_vpp", "tolerance.drive",
-    "tolerance of `drive`, expected one of amplitude_um"))]
-#[case::no_step(("toml", "step_ms = 0.05", "step_ms = 0.0", "expected a step"))]
-#[case::missing_column(("csv", ",wq_um,", ",wd_um,", "no column `wq_um`"))]
-#[case::other_column(("csv", ",wq_um,", ",wq,", "column `wq` has no tolerance"))]
-#[case::not_learned(("csv", ",frequency_hz\n", ",frequency_hz_width\n", "no column `frequency_hz`"))]
-#[case::no_time(("csv", "t_ms,", "t_s,", ":1: the first column is not `t_ms`"))]
-#[case::no_number(("csv", "\n0,0,", "\n0,x,", ":2: expected 6 finite numbers"))]
-#[case::not_finite(("csv", "\n0,0,", "\n0,inf,", ":2: expected 6 finite numbers"))]
-#[case::too_few(("csv", "\n0,0,", "\n0,", ":2: expected 6 finite numbers"))]
-#[case::back_in_time(("csv", "\n0,0,", "\n99,0,", ":3: `t_ms` is"))]
-fn rejects_a_damaged_baseline_with_its_position(#[case] (extension, good, bad, message): (&str, &str, &str, &str)) {
+#[case::no_absolute_part(
+    "toml",
+    "absolute = 0.01",
+    "absolute = 0.0",
+    "expected absolute above 0 (the tolerance near zero)"
+)]
+#[case::relative_of_one("toml", "relative = 0.005", "relative = 1.0", "relative 1")]
+#[case::negative_time("toml", "time_ms = 0.05", "time_ms = -0.05", "time_ms -0.05")]
+#[case::unknown_key("toml", "law =", "laws =", ":2: unknown field `laws`")]
+#[case::unknown_signal(
+    "toml",
+    "tolerance.drive_vpp",
+    "tolerance.drive",
+    "tolerance of `drive`, expected one of amplitude_um"
+)]
+#[case::no_step("toml", "step_ms = 0.05", "step_ms = 0.0", "expected a step")]
+#[case::missing_column("csv", ",wq_um,", ",wd_um,", "no column `wq_um`")]
+#[case::other_column("csv", ",wq_um,", ",wq,", "column `wq` has no tolerance")]
+#[case::not_learned("csv", ",frequency_hz\n", ",frequency_hz_width\n", "no column `frequency_hz`")]
+#[case::no_time("csv", "t_ms,", "t_s,", ":1: the first column is not `t_ms`")]
+#[case::no_number("csv", "\n0,0,", "\n0,x,", ":2: expected 6 finite numbers")]
+#[case::not_finite("csv", "\n0,0,", "\n0,inf,", ":2: expected 6 finite numbers")]
+#[case::too_few("csv", "\n0,0,", "\n0,", ":2: expected 6 finite numbers")]
+#[case::back_in_time("csv", "\n0,0,", "\n99,0,", ":3: `t_ms` is")]
+fn rejects_a_damaged_baseline_with_its_position(
+    #[case] extension: &str,
+    #[case] good: &str,
+    #[case] bad: &str,
+    #[case] message: &str,
+) {
     let folder = TempDir::new().unwrap();
     baseline().write(folder.path()).unwrap();
     let path = folder.path().join(format!("paper/step.{extension}"));

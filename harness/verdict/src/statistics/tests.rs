@@ -147,10 +147,14 @@ fn covers_proportions_at_least_at_the_nominal_rate(#[case] p: f64) {
 }
 
 #[rstest]
-#[case(TestDistribution::Normal, (0.5, 0.0))]
-#[case(TestDistribution::Exponential, (0.9, 10.0_f64.ln()))]
-#[case(TestDistribution::Uniform, (0.95, 0.95))]
-fn covers_quantiles_at_least_at_the_nominal_rate(#[case] data: TestDistribution, #[case] (share, truth): (f64, f64)) {
+#[case(TestDistribution::Normal, 0.5, 0.0)]
+#[case(TestDistribution::Exponential, 0.9, 10.0_f64.ln())]
+#[case(TestDistribution::Uniform, 0.95, 0.95)]
+fn covers_quantiles_at_least_at_the_nominal_rate(
+    #[case] data: TestDistribution,
+    #[case] share: f64,
+    #[case] truth: f64,
+) {
     let runs = 6_000;
     let mut random = ChaCha8Rng::seed_from_u64(4);
     let mut covered = [0_u32; 2];

@@ -56,11 +56,15 @@ fn a_trial_with_lost_rows_does_not_count() {
 
 /// 50 ms of stall in 60 ms (833 333 ppm), 2 % of clock error, four standard errors of 0.5 %.
 #[rstest]
-#[case::in_step(("target", 873_333.0, None))]
-#[case::fast(("target", 873_334.0, Some(Cause::Rig)))]
-#[case::slow(("target", -873_334.0, Some(Cause::Rig)))]
-#[case::bench_paces(("bench", 1e6, None))]
-fn excludes_a_pacing_target_with_a_wrong_clock(#[case] (pacing, ppm, expected): (&str, f64, Option<Cause>)) {
+#[case::in_step("target", 873_333.0, None)]
+#[case::fast("target", 873_334.0, Some(Cause::Rig))]
+#[case::slow("target", -873_334.0, Some(Cause::Rig))]
+#[case::bench_paces("bench", 1e6, None)]
+fn excludes_a_pacing_target_with_a_wrong_clock(
+    #[case] pacing: &str,
+    #[case] ppm: f64,
+    #[case] expected: Option<Cause>,
+) {
     let scenario = fixed_scenario("metric = \"settling_time_ms\", at_most = 2.0");
     let timing = platebench_model::record::TimingRecord {
         pacing: pacing.to_owned(),

@@ -79,22 +79,26 @@ fn one_trial_decides_a_deterministic_scenario() {
 }
 
 #[rstest]
-#[case(("at_most = 1.3", 1.015, PASS))]
-#[case(("at_most = 1.3", 1.017, inconclusive(Cause::Evidence)))]
-#[case(("at_most = 1.3", 1.3, inconclusive(Cause::Evidence)))]
+#[case("at_most = 1.3", 1.015, PASS)]
+#[case("at_most = 1.3", 1.017, inconclusive(Cause::Evidence))]
+#[case("at_most = 1.3", 1.3, inconclusive(Cause::Evidence))]
 // The lower bound is the deviation times √(29/χ²) = 0.8254: 1.58 fails, 1.57 does not.
-#[case(("at_most = 1.3", 1.57, inconclusive(Cause::Evidence)))]
-#[case(("at_most = 1.3", 1.58, FAIL))]
-#[case(("at_least = 1.0", 1.22, PASS))]
-#[case(("at_least = 1.0", 1.20, inconclusive(Cause::Evidence)))]
-#[case(("within = [0.5, 2.0]", 1.3, PASS))]
-#[case(("within = [1.2, 1.4]", 1.3, inconclusive(Cause::Evidence)))]
+#[case("at_most = 1.3", 1.57, inconclusive(Cause::Evidence))]
+#[case("at_most = 1.3", 1.58, FAIL)]
+#[case("at_least = 1.0", 1.22, PASS)]
+#[case("at_least = 1.0", 1.20, inconclusive(Cause::Evidence))]
+#[case("within = [0.5, 2.0]", 1.3, PASS)]
+#[case("within = [1.2, 1.4]", 1.3, inconclusive(Cause::Evidence))]
 // The two-sided interval at 95 % is 0.7964 to 1.3443 times the deviation.
-#[case(("about = 1.3", 0.968, PASS))]
-#[case(("about = 1.3", 0.966, FAIL))]
-#[case(("about = 1.3", 1.631, PASS))]
-#[case(("about = 1.3", 1.634, FAIL))]
-fn repeatability_must_be_demonstrated(#[case] (limit, deviation, expected): (&str, f64, (Verdict, Option<Cause>))) {
+#[case("about = 1.3", 0.968, PASS)]
+#[case("about = 1.3", 0.966, FAIL)]
+#[case("about = 1.3", 1.631, PASS)]
+#[case("about = 1.3", 1.634, FAIL)]
+fn repeatability_must_be_demonstrated(
+    #[case] limit: &str,
+    #[case] deviation: f64,
+    #[case] expected: (Verdict, Option<Cause>),
+) {
     let scenario = varied_scenario(&format!("metric = \"repeatability_percent\", {limit}"), 30);
     let values = trials_with_values(&values_with_moments(30, 100.0, deviation));
     assert_eq!(verdict_and_cause(&scenario, &values), expected);

@@ -49,15 +49,19 @@ fn judges_a_response_time_by_each_statistic(
 }
 
 #[rstest]
-#[case::too_few((58, 0, inconclusive(Cause::Evidence)))]
-#[case::just_enough((59, 0, PASS))]
-#[case::one_beyond((59, 1, inconclusive(Cause::Evidence)))]
-#[case::one_beyond_of_92((92, 1, inconclusive(Cause::Evidence)))]
-#[case::one_beyond_of_93((93, 1, PASS))]
+#[case::too_few(58, 0, inconclusive(Cause::Evidence))]
+#[case::just_enough(59, 0, PASS)]
+#[case::one_beyond(59, 1, inconclusive(Cause::Evidence))]
+#[case::one_beyond_of_92(92, 1, inconclusive(Cause::Evidence))]
+#[case::one_beyond_of_93(93, 1, PASS)]
 // At 5 % beyond the limit, P(at least 9 of 93) = 0.045 and P(at least 8) = 0.10.
-#[case::eight_beyond((93, 8, inconclusive(Cause::Evidence)))]
-#[case::nine_beyond((93, 9, FAIL))]
-fn a_quantile_is_demonstrated_by_ranks(#[case] (count, beyond, expected): (u32, usize, (Verdict, Option<Cause>))) {
+#[case::eight_beyond(93, 8, inconclusive(Cause::Evidence))]
+#[case::nine_beyond(93, 9, FAIL)]
+fn a_quantile_is_demonstrated_by_ranks(
+    #[case] count: u32,
+    #[case] beyond: usize,
+    #[case] expected: (Verdict, Option<Cause>),
+) {
     let expect = "metric = \"settling_time_ms\", at_most = 2.0, over = \"quantile\"";
     let values: Vec<f64> = (0..count as usize).map(|index| if index < beyond { 3.0 } else { 1.9 }).collect();
     assert_eq!(decide(&varied_scenario(expect, count), &values), expected);

@@ -101,10 +101,14 @@ fn a_scenario_without_trials_was_not_played(#[case] expect: &str) {
 
 /// The trials have an instant each at their index in ms; trial 2 does not count.
 #[rstest]
-#[case::worst_trial(("metric = \"settling_time_ms\", at_most = 2.0", [1.0, 3.0, 9.0, 2.5], 1))]
-#[case::farthest_of_a_mean(("metric = \"static_error_percent\", at_most = 1.0", [1.0, 0.5, 9.0, -3.0], 3))]
-#[case::first_of_equal(("metric = \"settling_time_ms\", at_most = 2.0", [1.0, 1.0, 1.0, 1.0], 0))]
-fn records_the_worst_instant_of_the_deciding_trial(#[case] (expect, values, deciding): (&str, [f64; 4], u32)) {
+#[case::worst_trial("metric = \"settling_time_ms\", at_most = 2.0", [1.0, 3.0, 9.0, 2.5], 1)]
+#[case::farthest_of_a_mean("metric = \"static_error_percent\", at_most = 1.0", [1.0, 0.5, 9.0, -3.0], 3)]
+#[case::first_of_equal("metric = \"settling_time_ms\", at_most = 2.0", [1.0, 1.0, 1.0, 1.0], 0)]
+fn records_the_worst_instant_of_the_deciding_trial(
+    #[case] expect: &str,
+    #[case] values: [f64; 4],
+    #[case] deciding: u32,
+) {
     let scenario = varied_scenario(expect, 4);
     let mut trials = trials_with_values(&values);
     for trial in &mut trials {
