@@ -79,6 +79,7 @@ pub struct RareResult<'a> {
     pub probability: Option<f64>,
     pub interval: Option<[f64; 2]>,
     pub coefficient_of_variation: Option<f64>,
+    pub effective_sample_size: Option<f64>,
     pub trials: u64,
     pub reliability_index: Option<f64>,
     pub methods: Vec<MethodUse<'a>>,
@@ -216,7 +217,7 @@ impl<'a> Summary<'a> {
         let confidence = self.campaign.confidence;
         match self.campaign.method {
             Method::Search => None,
-            Method::Rare => self.chains.combine_chains().map(|combined| combined.interval(confidence)),
+            Method::Rare => self.chains.combine_chains().and_then(|combined| combined.interval(confidence)),
             Method::Grid | Method::Random | Method::Sobol => self.overall.interval(confidence),
         }
     }
@@ -396,11 +397,10 @@ impl ChainOutcome {
     /// The verdict is not `pass` if a chain has no estimate.
     pub(crate) fn rare_verdict(&self, at_most: Option<f64>, confidence: f64) -> Verdict {
         let Some(combined) = self.combine_chains() else { return Verdict::Inconclusive };
-        let [low, high] = combined.interval(confidence);
-        match at_most {
-            Some(share) if low > share => Verdict::Fail,
-            Some(share) if high <= share && self.without_estimate == 0 => Verdict::Pass,
-            None if combined.probability > 0.0 => Verdict::Fail,
+        match (at_most, combined.interval(confidence)) {
+            (Some(share), Some([low, _])) if low > share => Verdict::Fail,
+            (Some(share), Some([_, high])) if high <= share && self.without_estimate == 0 => Verdict::Pass,
+            (None, _) if combined.probability > 0.0 => Verdict::Fail,
             _ => Verdict::Inconclusive,
         }
     }
@@ -429,8 +429,9 @@ impl ChainOutcome {
         let variation = combined.map(|combined| combined.coefficient_of_variation);
         RareResult {
             probability: combined.map(|combined| combined.probability),
-            interval: combined.map(|combined| combined.interval(confidence)),
+            interval: combined.and_then(|combined| combined.interval(confidence)),
             coefficient_of_variation: variation.filter(|value| value.is_finite()),
+            effective_sample_size: combined.map(|combined| combined.effective_samples),
             trials: self.trials,
             reliability_index: self.estimates.first().and_then(|estimate| estimate.reliability_index),
             methods: self.methods(),
@@ -456,16 +457,21 @@ impl ChainOutcome {
             let message = "the probability of failure has no estimate, because the chains have too few trials";
             return vec![message.to_owned()];
         };
-        let [low, high] = combined.interval(confidence);
+        let size = combined.effective_samples;
         let precision = match combined.coefficient_of_variation {
-            variation if variation.is_finite() => format!("coefficient of variation {variation:.3}"),
+            variation if variation.is_finite() => {
+                format!("coefficient of variation {variation:.3}, effective sample size {size:.0}")
+            }
             _ => "no trial failed".to_owned(),
         };
-        let mut lines = vec![format!(
-            "probability of failure {:.3e}, {low:.3e} to {high:.3e}, each end at {} % confidence; {precision}",
-            combined.probability,
-            confidence * 100.0,
-        )];
+        let interval = match combined.interval(confidence) {
+            Some([low, high]) => format!("{low:.3e} to {high:.3e}, each end at {} % confidence", confidence * 100.0),
+            None => format!(
+                "without an interval, because the effective sample size is below {}; play more trials",
+                combined.min_effective_samples
+            ),
+        };
+        let mut lines = vec![format!("probability of failure {:.3e}, {interval}; {precision}", combined.probability)];
         lines.extend(self.methods().into_iter().map(|MethodUse { method, chains, reason }| {
             let method = match method {
                 RareMethod::ImportanceSampling => "importance sampling around the design point",
@@ -486,7 +492,14 @@ mod tests {
     #[case::failures(
         1e-4,
         0.1,
-        "1.000e-4, 8.487e-5 to 1.178e-4, each end at 95 % confidence; coefficient of variation 0.100"
+        "1.000e-4, 8.487e-5 to 1.178e-4, each end at 95 % confidence; coefficient of variation 0.100, \
+         effective sample size 100"
+    )]
+    #[case::few_failures(
+        1e-4,
+        0.6,
+        "1.000e-4, without an interval, because the effective sample size is below 4; play more trials; coefficient \
+         of variation 0.600, effective sample size 3"
     )]
     #[case::no_failure(
         0.0,
@@ -501,6 +514,8 @@ mod tests {
         let estimate = ChainEstimate {
             probability,
             coefficient_of_variation,
+            effective_samples: coefficient_of_variation.powi(-2),
+            bias: 0.0,
             ceiling: 2e-3,
             method: RareMethod::SubsetSimulation,
             reason: "FORM did not converge".to_owned(),
