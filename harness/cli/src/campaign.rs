@@ -10,7 +10,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use platebench_engine::RunError;
 use platebench_experiments::campaign::{
     Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, ShardEnd, ShardLock, TrialEvent, confirm, lock_folder,
-    merge, play_shard, play_worst, report, shards_of_run, status, worst_trials,
+    merge, part_name, play_shard, play_worst, report, shards_of_run, status, worst_trials,
 };
 use platebench_experiments::campaign::{Engine, command_line, submission};
 use platebench_lab::boards::BoardOutcome;
@@ -358,7 +358,8 @@ fn show_status(folder: &Path) -> CommandResult {
         return Ok(Exit::Passed);
     }
     let shards: Vec<_> = status.missing.iter().map(ToString::to_string).collect();
-    stdio::show(&format!("missing: {}\n", shards.join(" ")));
+    let parts: Vec<_> = status.missing.iter().map(|shard| part_name(*shard)).collect();
+    stdio::show(&format!("missing: {}\nmissing parts: {}\n", shards.join(" "), parts.join(" ")));
     let reason = format!("{missing} of {} shards are missing; `campaign play` plays them", plan.shards);
     Exit::Inconclusive.show_verdict(&reason, OutputFormat::Human);
     Ok(Exit::Inconclusive)

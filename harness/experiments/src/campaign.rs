@@ -31,19 +31,17 @@ use platebench_model::trace::{AtPath, write_atomically};
 use results::ResultsWriter;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
-use summary::SUMMARY_FILE;
+use summary::{COUNTEREXAMPLES, SUMMARY_FILE};
 use worst_run::write_scenarios;
 
 pub use confirm::confirm;
 pub use definition::{Campaign, RawCampaign};
 pub use error::CampaignError;
-pub use plan::{Plan, shards_of_run};
+pub use plan::{Plan, part_name, shards_of_run};
 pub use play::{PlayConfig, TrialEvent, TrialSource, play_shard, play_trials};
 pub use row::ShardEnd;
 pub use summary::Summary;
 pub use worst_run::{ResponseLinks, play_worst, worst_trials};
-
-const COUNTEREXAMPLES: &str = "counterexamples";
 
 /// If a part is damaged, returns an error and keeps the results of an earlier merge.
 pub fn merge<'a>(

@@ -74,6 +74,15 @@ fn results_do_not_depend_on_shards_and_jobs(#[case] plan_text: &str) {
 }
 
 #[test]
+fn a_missing_scenario_is_reported_with_its_line() {
+    let folder = folder("");
+    fs::write(folder.path().join("campaign.toml"), format!("{VARY}{GRID}").replace("step.toml", "none.toml")).unwrap();
+    run_bench(folder.path(), ["campaign", "plan", "campaign.toml", "--out", "c"])
+        .assert_exit(2)
+        .assert_stderr(&["campaign.toml:2", "none.toml: no such file, expected a scenario file"]);
+}
+
+#[test]
 fn the_cells_of_a_grid_are_in_the_order_of_its_keys() {
     let folder = folder(GRID);
     folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]);
@@ -121,11 +130,15 @@ fn a_damaged_part_is_refused_and_played_anew() {
     let again = folder.bench(["campaign", "play", "c", "--shard", "2"]);
     again.assert_message(2, &["2.parquet", "another plan or shard"]);
     fs::remove_file(&part).unwrap();
-    folder.bench(["campaign", "status", "c"]).assert_exit(3).assert_stdout(&["2 of 3 shards complete", "missing: 2"]);
+    folder.bench(["campaign", "status", "c"]).assert_exit(3).assert_stdout(&[
+        "2 of 3 shards complete",
+        "missing: 2",
+        "missing parts: parts/2.parquet",
+    ]);
     folder
         .bench(["campaign", "merge", "c"])
         .assert_exit(3)
-        .assert_stdout(&["inconclusive (evidence)", "missing shards: 2"]);
+        .assert_stdout(&["inconclusive (evidence)", "missing shards: 2 (parts/2.parquet)"]);
     play(&folder, "c", 2, 1);
     assert_eq!(folder.bench(["campaign", "merge", "c"]).exit, exit);
     assert!(results(&folder, "c") == before);

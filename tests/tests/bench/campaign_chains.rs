@@ -19,7 +19,7 @@ fn a_search_writes_a_counterexample_that_fails() {
     let vary = "\"plate.mode.gain_um_per_vpp\" = { normal = { mean = 0.00698, sd_percent = 3.0 } }\n\
                 \"plate.mode.time_constant_ms\" = { uniform = [1.5, 2.3] }\n";
     let folder = folder_with(vary, SEARCH);
-    folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]).assert_exit(1).assert_stdout(&["worst case"]);
+    let run = folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]);
     let summary = summary(&folder, "c");
     let search = &summary["search"];
     let smallest = folder.read("c/results.csv");
@@ -31,7 +31,9 @@ fn a_search_writes_a_counterexample_that_fails() {
     assert_eq!(search["margin"].as_f64().unwrap_or(f64::NEG_INFINITY), smallest);
     let trials = search["trials"].as_u64().unwrap();
     assert!((1..=200).contains(&trials), "{search}");
-    let file = format!("c/{}", search["counterexample"].as_str().unwrap());
+    let counterexample = search["counterexample"].as_str().unwrap();
+    run.assert_exit(1).assert_stdout(&["worst case", counterexample, "in 200 trials"]);
+    let file = format!("c/{counterexample}");
     folder.bench(["run", &file, "--rig", "hosted", "--out", "again"]).assert_exit(1);
 }
 

@@ -142,7 +142,13 @@ impl Campaign {
         let mut faults = checker.plain_faults(&raw);
         let scenario_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&raw.scenario);
         let name = scenario_path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let template = load_template(&scenario_path, &name, prepare).map_err(|found| faults.extend(found)).ok();
+        let template = if scenario_path.is_file() {
+            load_template(&scenario_path, &name, prepare).map_err(|found| faults.extend(found)).ok()
+        } else {
+            let message = format!("{}: no such file, expected a scenario file", scenario_path.display());
+            faults.push(checker.fault("scenario", message));
+            None
+        };
         let variables = checker.variables(raw.vary, &mut faults);
         if let Some(template) = &template {
             faults.extend(checker.scenario_fault(&template.scenario));

@@ -163,8 +163,13 @@ impl Plan {
     }
 
     pub fn part_path(&self, folder: &Path, shard: u32) -> PathBuf {
-        folder.join(PARTS).join(format!("{shard}.parquet"))
+        folder.join(part_name(shard))
     }
+}
+
+/// Path of a part, relative to the campaign folder.
+pub fn part_name(shard: u32) -> String {
+    format!("{PARTS}/{shard}.parquet")
 }
 
 /// `folder` need not exist. Resolves links, because `..` after a link leads to another folder.

@@ -3,6 +3,7 @@
 use crate::campaign::confirm::Agreement;
 use crate::campaign::definition::{Campaign, Method};
 use crate::campaign::distribution::Variable;
+use crate::campaign::plan::part_name;
 use crate::campaign::rare::{ChainEstimate, CombinedEstimate, RareMethod};
 use crate::campaign::row::{CAUSES, Row, SequentialDecision, ShardEnd, Tally, keep_worst};
 use crate::campaign::sample::{Sample, SampleResult};
@@ -11,6 +12,8 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 pub const SUMMARY_FILE: &str = "summary.json";
+/// Folder of failing trials, in the campaign folder.
+pub(crate) const COUNTEREXAMPLES: &str = "counterexamples";
 
 /// Content of `summary.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -333,6 +336,12 @@ impl<'a> Summary<'a> {
             }
         }
         lines.extend(self.agreement.iter().flat_map(|agreement| agreement.lines(confidence)));
+        if let Some(row) = self.failing.first() {
+            lines.push(format!(
+                "counterexample with the smallest margin, of {failures} failing in {trials} trials: {}",
+                counterexample_name(row.trial)
+            ));
+        }
         if self.redraws > 0 {
             lines.push(format!("the scenario refused {} draws, which were repeated", self.redraws));
         }
@@ -346,10 +355,16 @@ impl<'a> Summary<'a> {
         }
         if !self.missing.is_empty() {
             let shards: Vec<_> = self.missing.iter().map(ToString::to_string).collect();
-            lines.push(format!("missing shards: {}", shards.join(", ")));
+            let parts: Vec<_> = self.missing.iter().map(|shard| part_name(*shard)).collect();
+            lines.push(format!("missing shards: {} ({})", shards.join(", "), parts.join(", ")));
         }
         lines
     }
+}
+
+/// Path of a counterexample, relative to the campaign folder.
+fn counterexample_name(trial: u64) -> String {
+    format!("{COUNTEREXAMPLES}/{trial}.toml")
 }
 
 /// The caller adds rows in the order of their trials.
@@ -418,7 +433,7 @@ impl ChainOutcome {
 
     fn search_result(&self, worst: Option<&Row>) -> SearchResult {
         SearchResult {
-            counterexample: worst.map(|row| format!("counterexamples/{}.toml", row.trial)),
+            counterexample: worst.map(|row| counterexample_name(row.trial)),
             margin: worst.map(Row::margin).filter(|margin| margin.is_finite()),
             trials: self.first_failure.unwrap_or(self.trials),
         }
