@@ -150,6 +150,7 @@ pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> CommandResult {
             let campaign = Campaign::load(&arguments.file)?;
             let (plan, _lock) = plan(&campaign, &arguments.out, &arguments.rig, arguments.shards)?;
             stdio::note(&format!("{} trials in {} shards: {}", plan.trials, plan.shards, arguments.out.display()));
+            campaign.truncated.iter().for_each(|truncation| stdio::note(&truncation.line()));
             Ok(Exit::Passed)
         }
         CampaignCommand::Play(arguments) => play_one(arguments, quiet),

@@ -22,6 +22,7 @@ pub mod row;
 pub mod sample;
 mod search;
 pub mod summary;
+pub mod truncation;
 pub mod worst_run;
 
 use confirm::Agreement;
@@ -41,6 +42,7 @@ pub use plan::{Plan, part_name, shards_of_run};
 pub use play::{PlayConfig, TrialEvent, TrialSource, play_shard, play_trials};
 pub use row::ShardEnd;
 pub use summary::Summary;
+pub use truncation::Truncation;
 pub use worst_run::{ResponseLinks, play_worst, worst_trials};
 
 /// If a part is damaged, returns an error and keeps the results of an earlier merge.

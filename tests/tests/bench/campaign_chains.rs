@@ -78,3 +78,65 @@ fn rare_and_random_trials_agree() {
     let (rare, random) = (&rare["interval"], &random["interval"]);
     assert!(end(rare, 0) <= end(random, 1) && end(random, 0) <= end(rare, 1), "{rare} {random}");
 }
+
+/// The mean is 2.5 standard deviations above 0 N, the smallest possible force.
+const FORCE: &str = "\"profile.finger_force_n\" = { normal = { mean = 0.5, sd = 0.2 } }\n";
+/// The amplitude increases towards small forces, and would exceed the limit at a negative force.
+const AMPLITUDE: &str = "title = \"Step\"\nplate = \"plates/plate.toml\"\nduration_ms = 20.0\n\
+    [controller]\nlaw = \"open-loop\"\n[profile]\nsetpoint_um = { hold = [[0.0, 0.0], [1.0, 2.0]] }\n\
+    [[expect]]\nmetric = \"final_amplitude_um\"\nat_most = 2.1\n";
+
+#[rstest]
+#[case::rare("rare", 600, 2.1, 6.2097e-3, 3)]
+#[case::search("search", 60, 1.3, 6.2413e-3, 0)]
+fn a_force_is_truncated_at_zero(
+    #[case] method: &str,
+    #[case] trials: usize,
+    #[case] highest: f64,
+    #[case] excluded: f64,
+    #[case] exit: i32,
+) {
+    let folder = folder_with(FORCE, &format!("[plan]\nmethod = \"{method}\"\ntrials = {trials}\n"));
+    let folder = folder.path();
+    fs::write(folder.join("step.toml"), AMPLITUDE).unwrap();
+    let statement = "`profile.finger_force_n` is truncated to 0 to";
+    let planned = run_bench(folder, ["campaign", "plan", "campaign.toml", "--out", "c"]);
+    planned.assert_exit(0).assert_stderr(&[statement]);
+    assert!(fs::read_to_string(folder.join("c/plan.json")).unwrap().contains("\"truncated\""));
+    let run = run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]);
+    run.assert_exit(exit).assert_stdout(&[statement]);
+    let summary = summary(folder, "c");
+    let truncated = &summary["truncated"][0];
+    let number = |value: &Value| value.as_f64().unwrap();
+    assert_eq!((&truncated["key"], number(&truncated["range"][0])), (&"profile.finger_force_n".into(), 0.0));
+    assert!((number(&truncated["range"][1]) - highest).abs() < 1e-9, "{truncated}");
+    assert!((number(&truncated["excluded"]) - excluded).abs() < 1e-6, "{truncated}");
+    let text = fs::read_to_string(folder.join("c/results.csv")).unwrap();
+    let forces = text.lines().skip(1).map(|line| line.split(',').nth(2).unwrap().parse::<f64>().unwrap());
+    assert!(forces.clone().all(|force| force >= 0.0));
+    assert_eq!(forces.count(), trials);
+}
+
+#[test]
+fn refuses_what_a_rare_campaign_cannot_play() {
+    let correlation = "[[correlate]]\nkeys = [\"profile.finger_force_n\", \"plate.mode.gain_um_per_vpp\"]\n\
+                       coefficient = 0.5\n";
+    let vary =
+        format!("{FORCE}\"plate.mode.gain_um_per_vpp\" = {{ normal = {{ mean = 0.00698, sd_percent = 1.0 }} }}\n");
+    let folder = folder_with(&vary, &format!("[plan]\nmethod = \"rare\"\ntrials = 600\n{correlation}"));
+    run_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]).assert_exit(2).assert_stderr(&[
+        "campaign.toml:4",
+        "refuses values outside 0 to",
+        "correlated",
+        "expected `truncate`",
+    ]);
+    let vary = "\"profile.setpoint_um.hold.1.0\" = { uniform = [1.0, 6.0] }\n\
+                \"duration_ms\" = { uniform = [3.0, 20.0] }\n";
+    let folder = folder_with(vary, "[plan]\nmethod = \"search\"\ntrials = 60\n");
+    run_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]).assert_exit(2).assert_stderr(&[
+        "campaign.toml:3",
+        "refuses the combination",
+        "duration_ms = 3",
+        "smaller ranges",
+    ]);
+}

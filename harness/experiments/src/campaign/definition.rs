@@ -2,7 +2,8 @@
 
 use crate::campaign::distribution::RawDistribution;
 use crate::campaign::distribution::Variable;
-use crate::campaign::distribution::{Correlation, RawCorrelation};
+use crate::campaign::distribution::{Correlation, RawCorrelation, SEARCH_DEVIATIONS};
+use crate::campaign::truncation::{Truncation, corners, truncate_to_accepted};
 use platebench_model::scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
 use platebench_model::scenario::{Diagnostic, Metric, Scenario, parse_file};
 use platebench_rig::{Capability, RigSpec};
@@ -97,6 +98,8 @@ pub enum Method {
 /// Number of trials of one search. Several short searches find more failures than one long one.
 const SEARCH_CHAIN_TRIALS: u64 = 256;
 const RARE_CHAIN_TRIALS: u64 = 2_048;
+/// Points of `rare` beyond this many standard deviations of a value are moved to this distance.
+pub(crate) const RARE_DEVIATIONS: f64 = 8.0;
 
 impl Method {
     /// Number of trials in a chain of dependent trials. 1 if the trials are independent.
@@ -116,6 +119,8 @@ pub struct Campaign {
     pub title: String,
     /// Varied values in the order of the campaign file.
     pub variables: Vec<Variable>,
+    /// Normal values of `search` and `rare` that the scenario refuses in part.
+    pub truncated: Vec<Truncation>,
     pub method: Method,
     pub trials: u64,
     pub trials_per_cell: u64,
@@ -149,7 +154,7 @@ impl Campaign {
             faults.push(checker.fault("scenario", message));
             None
         };
-        let variables = checker.variables(raw.vary, &mut faults);
+        let mut variables = checker.variables(raw.vary, &mut faults);
         if let Some(template) = &template {
             faults.extend(checker.scenario_fault(&template.scenario));
             for variable in &variables {
@@ -170,10 +175,14 @@ impl Campaign {
         else {
             return Err(faults);
         };
+        let truncated = checker
+            .truncate(raw.plan.method, &mut variables, &template, &raw.correlate)
+            .map_err(|fault| vec![fault])?;
         Ok(Self {
             path: path.to_owned(),
             title: raw.title,
             variables,
+            truncated,
             method: raw.plan.method,
             trials,
             trials_per_cell: raw.plan.trials.unsigned_abs(),
@@ -205,6 +214,13 @@ impl Campaign {
     pub fn expectation_names(&self) -> Vec<String> {
         self.template.scenario.expectations.iter().map(|expectation| expectation.name.clone()).collect()
     }
+}
+
+/// Why a trial with these values cannot be played. `None` if it can.
+fn refusal<'a>(template: &ScenarioTemplate, changes: impl IntoIterator<Item = (&'a str, Value)>) -> Option<String> {
+    let first = |faults: Vec<Diagnostic>| faults.into_iter().next().map_or_else(String::new, |fault| fault.message);
+    let scenario = template.tables(changes).and_then(|tables| template.check(&tables).map_err(first));
+    scenario.and_then(|scenario| platebench_engine::law(&scenario).map_err(|fault| fault.message)).err()
 }
 
 /// Removes the keys that concern several trials, because a campaign judges each trial alone.
@@ -337,6 +353,51 @@ impl Checker<'_> {
             }
         }
         None
+    }
+
+    /// Truncates the distributions of `search` and `rare`, which play every point that they compute.
+    /// Refuses the campaign if the scenario refuses a combination of values.
+    fn truncate(
+        &self,
+        method: Method,
+        variables: &mut [Variable],
+        template: &ScenarioTemplate,
+        correlations: &[RawCorrelation],
+    ) -> Result<Vec<Truncation>, Diagnostic> {
+        let deviations = match method {
+            Method::Grid | Method::Random | Method::Sobol => return Ok(Vec::new()),
+            Method::Search => SEARCH_DEVIATIONS,
+            Method::Rare => RARE_DEVIATIONS,
+        };
+        let truncated = truncate_to_accepted(variables, deviations, &|key, value| {
+            refusal(template, [(key, Value::Float(value))]).is_none()
+        });
+        let is_correlated = |truncation: &&Truncation| {
+            correlations.iter().any(|correlation| correlation.keys.contains(&truncation.key))
+        };
+        // The correlation coefficient is that of the distributions in the file.
+        if let Some(Truncation { key, range: [low, high], .. }) = truncated.iter().find(is_correlated)
+            && method == Method::Rare
+        {
+            let message = format!(
+                "the scenario refuses values outside {low} to {high}, and the value is correlated; expected `truncate`"
+            );
+            return Err(self.vary_fault(key, message));
+        }
+        // A search moves normal values to the middle of their range if the scenario refuses a point.
+        let deviations = if method == Method::Search { 0.0 } else { deviations };
+        for corner in corners(variables, deviations) {
+            let values = variables.iter().zip(&corner);
+            let changes = values.clone().map(|(variable, value)| (&*variable.key, variable.distribution.value(*value)));
+            if let Some(why) = refusal(template, changes) {
+                let texts = values
+                    .map(|(variable, value)| format!("{} = {}", variable.key, variable.distribution.text(*value)));
+                let texts = texts.collect::<Vec<_>>().join(", ");
+                let message = format!("the scenario refuses the combination {texts}: {why}; expected smaller ranges");
+                return Err(self.fault("vary", message));
+            }
+        }
+        Ok(truncated)
     }
 
     /// Returns the number of trials and the number of cells (combinations of listed values).

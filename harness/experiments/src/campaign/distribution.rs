@@ -180,7 +180,9 @@ impl RawNormal {
 }
 
 /// A search covers this number of standard deviations on both sides of the mean.
-const SEARCH_DEVIATIONS: f64 = 4.0;
+pub(crate) const SEARCH_DEVIATIONS: f64 = 4.0;
+/// After this many bisections the end of a range is known to 10⁻¹³ standard deviations.
+const MAX_BISECTIONS: u32 = 47;
 
 pub(crate) fn normal_cdf(z: f64) -> f64 {
     0.5 * erfc(-z / SQRT_2)
@@ -198,7 +200,51 @@ impl NormalDistribution {
     }
 
     fn at_score(&self, z: f64) -> f64 {
-        if self.truncate.is_some() { self.at(normal_cdf(z)) } else { self.value(self.mean + self.sd * z) }
+        let Some(ends) = self.truncate else { return self.value(self.mean + self.sd * z) };
+        let [low, high] = ends.map(|end| (end - self.mean) / self.sd);
+        // The tail beyond z keeps its digits, the probability near 1 does not.
+        let (sign, ends) = if z > 0.0 { (-1.0, [-high, -low]) } else { (1.0, [low, high]) };
+        let [from, to] = ends.map(normal_cdf);
+        let score = normal_quantile(from + (to - from) * normal_cdf(-z.abs()));
+        self.value(self.mean + self.sd * sign * score)
+    }
+
+    /// Truncates the distribution to the values up to `deviations` standard deviations from the
+    /// mean that are accepted. Returns the ends and the excluded share, or `None` if all values are
+    /// accepted.
+    fn truncate_to(&mut self, deviations: f64, is_accepted: &dyn Fn(f64) -> bool) -> Option<([f64; 2], f64)> {
+        let given = self.truncate.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+        let edges = [-deviations, deviations].map(|score| (self.mean + self.sd * score).clamp(given[0], given[1]));
+        if edges.iter().all(|edge| is_accepted(self.value(*edge))) {
+            return None;
+        }
+        let ends = edges.map(|edge| self.accepted_end(edge, is_accepted));
+        let share = |ends: [f64; 2]| {
+            let [low, high] = ends.map(|end| (end - self.mean) / self.sd);
+            // Both are tails, so that a small excluded share keeps its digits.
+            (normal_cdf(low), normal_cdf(-high))
+        };
+        let ((below, above), (given_below, given_above)) = (share(ends), share(given));
+        let excluded = (below - given_below + above - given_above) / (1.0 - given_below - given_above);
+        self.truncate = Some(ends);
+        Some((ends.map(|end| self.value(end)), excluded))
+    }
+
+    /// The accepted value between the mean and `edge` that is nearest to `edge`.
+    fn accepted_end(&self, edge: f64, is_accepted: &dyn Fn(f64) -> bool) -> f64 {
+        let is_accepted = |normal: f64| is_accepted(self.value(normal));
+        if is_accepted(edge) {
+            return edge;
+        }
+        let (mut inside, mut outside) = (self.mean, edge);
+        for _ in 0..MAX_BISECTIONS {
+            let middle = f64::midpoint(inside, outside);
+            if is_accepted(middle) { inside = middle } else { outside = middle }
+        }
+        // Prefers a short number, because most ranges end at one, such as 0. Adding 0 removes −0.
+        let scale = 10.0_f64.powf(9.0 - self.sd.log10().floor());
+        let short = (inside * scale).round() / scale + 0.0;
+        if is_accepted(short) { short } else { inside }
     }
 
     fn score(&self, value: f64) -> f64 {
@@ -244,6 +290,30 @@ impl Distribution {
         }
     }
 
+    /// See [`NormalDistribution::truncate_to`]. `None` if the distribution is not normal.
+    pub(crate) fn truncate_to(
+        &mut self,
+        deviations: f64,
+        is_accepted: &dyn Fn(f64) -> bool,
+    ) -> Option<([f64; 2], f64)> {
+        if let Self::Normal(normal) = self { normal.truncate_to(deviations, is_accepted) } else { None }
+    }
+
+    /// Values whose combinations with those of other variables must be accepted: the ends of a
+    /// range up to `deviations` from the mean, the first and the last number of a list, all texts.
+    pub(crate) fn extremes(&self, deviations: f64) -> Vec<f64> {
+        let mut extremes = match self {
+            Self::Choices(values) if values.iter().all(Choice::is_number) => vec![0.0, values.len() as f64 - 1.0],
+            Self::Choices(values) => (0..values.len()).map(|index| index as f64).collect(),
+            Self::Uniform(ends) => ends.to_vec(),
+            Self::Normal(normal) => {
+                [-deviations, deviations].map(|score| normal.value(normal.mean + normal.sd * score)).to_vec()
+            }
+        };
+        extremes.dedup();
+        extremes
+    }
+
     /// True for `normal` and `lognormal`.
     pub const fn is_normal(&self) -> bool {
         matches!(self, Self::Normal(_))
@@ -286,7 +356,7 @@ impl Distribution {
     }
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Variable {
     pub key: String,
     pub distribution: Distribution,
@@ -314,7 +384,7 @@ impl Variable {
 #[serde(deny_unknown_fields)]
 pub(crate) struct RawCorrelation {
     /// Two keys of `[vary]` with a `normal` or `lognormal` distribution.
-    keys: [String; 2],
+    pub(crate) keys: [String; 2],
     /// Correlation coefficient of the two values; of the logarithm for `lognormal`.
     #[schemars(extend("exclusiveMinimum" = -1, "exclusiveMaximum" = 1))]
     coefficient: f64,

@@ -2,7 +2,7 @@
 //! in a chain, also on the scores of earlier trials. Therefore a merge can repeat a chain from
 //! stored scores.
 
-use crate::campaign::definition::{Campaign, Method};
+use crate::campaign::definition::{Campaign, Method, RARE_DEVIATIONS};
 use crate::campaign::distribution::{Correlation, Distribution, Variable};
 use crate::campaign::error::CampaignError;
 use crate::campaign::rare::{self, ChainEstimate};
@@ -162,7 +162,9 @@ impl Campaign {
             let scores = self.correlation.as_ref().map(|correlation| correlation.apply(point));
             let scores = scores.as_deref().unwrap_or(point);
             let values = self.variables.iter().zip(scores);
-            let values = values.map(|(variable, score)| variable.distribution.at_score(*score)).collect();
+            let values = values
+                .map(|(variable, score)| variable.distribution.at_score(score.clamp(-RARE_DEVIATIONS, RARE_DEVIATIONS)))
+                .collect();
             return self.trial_with(number, values, 0);
         }
         let mut point = point.to_vec();
@@ -175,7 +177,7 @@ impl Campaign {
             }
             for (share, variable) in point.iter_mut().zip(&self.variables) {
                 if variable.distribution.is_normal() {
-                    *share = 0.5 + (*share - 0.5) * 0.7;
+                    *share = if step + 1 < MAX_STEPS { 0.5 + (*share - 0.5) * 0.7 } else { 0.5 };
                 }
             }
         }

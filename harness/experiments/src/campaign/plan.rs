@@ -2,6 +2,7 @@
 
 use crate::campaign::definition::{Campaign, Method};
 use crate::campaign::error::CampaignError;
+use crate::campaign::truncation::Truncation;
 use platebench_model::record::{sha256, sha256_of_file, to_hex};
 use platebench_model::trace::{AtPath, MAX_IMAGE_BYTES, read_regular_file, read_text_file, write_atomically};
 use platebench_rig::{BUILT_IN_IMAGE, FaultInjector, FirmwareImage, RigSpec, Session, printable_name};
@@ -28,7 +29,7 @@ pub fn shards_of_run(campaign: &Campaign) -> u32 {
     u32::try_from(campaign.trials.div_ceil(size).min(MAX_RUN_SHARDS)).unwrap_or(1)
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
     format: u32,
@@ -44,6 +45,8 @@ pub struct Plan {
     /// SHA-256 of the firmware image, or of the controller's identity and program.
     firmware: String,
     inputs: Vec<PinnedInput>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    truncated: Vec<Truncation>,
     /// SHA-256 of `plan.json`, computed while this field is an empty text.
     pub sha256: String,
 }
@@ -75,6 +78,7 @@ impl Plan {
             bench: bench_digest()?,
             firmware: firmware_digest(rig)?,
             inputs: std::iter::once(own).chain(of_scenario).collect(),
+            truncated: campaign.truncated.clone(),
             sha256: String::new(),
         };
         plan.sha256 = plan.digest();
@@ -229,6 +233,7 @@ mod tests {
             bench: String::new(),
             firmware: String::new(),
             inputs: Vec::new(),
+            truncated: Vec::new(),
             sha256: String::new(),
         }
     }

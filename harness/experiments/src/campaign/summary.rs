@@ -7,6 +7,7 @@ use crate::campaign::plan::part_name;
 use crate::campaign::rare::{ChainEstimate, CombinedEstimate, RareMethod};
 use crate::campaign::row::{CAUSES, Row, SequentialDecision, ShardEnd, Tally, keep_worst};
 use crate::campaign::sample::{Sample, SampleResult};
+use crate::campaign::truncation::Truncation;
 use platebench_model::record::{Cause, Verdict};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -28,6 +29,8 @@ pub struct CampaignResult<'a> {
     pub at_most: Option<f64>,
     pub confidence: f64,
     pub redrawn: u64,
+    #[serde(skip_serializing_if = "<[_]>::is_empty")]
+    pub truncated: &'a [Truncation],
     pub overall: TallyResult,
     pub cells: Vec<TallyResult>,
     /// Only if 0 V was not confirmed.
@@ -274,6 +277,7 @@ impl<'a> Summary<'a> {
             at_most: campaign.at_most,
             confidence: campaign.confidence,
             redrawn: self.redraws,
+            truncated: &campaign.truncated,
             overall: TallyResult { verdict: self.verdict(), interval: self.interval(), ..tally(&self.overall) },
             cells: cells.collect(),
             safe_confirmed: self.end.unconfirmed.then_some(false),
@@ -342,6 +346,7 @@ impl<'a> Summary<'a> {
                 counterexample_name(row.trial)
             ));
         }
+        lines.extend(self.campaign.truncated.iter().map(Truncation::line));
         if self.redraws > 0 {
             lines.push(format!("the scenario refused {} draws, which were repeated", self.redraws));
         }
