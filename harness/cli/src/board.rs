@@ -5,7 +5,7 @@ use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{
     ClockArg, ClockRequest, OutputFormat, SCENARIOS, check_line_speed, law_names, parse_number, parse_seconds,
 };
-use crate::selection::{TagFilter, find_scenarios};
+use crate::selection::{ScenarioFilter, find_scenarios};
 use crate::shutdown::{EventSender, WorkResult, received_signal, run_until_signal};
 use crate::{shutdown, stdio};
 use clap::{Args, Subcommand};
@@ -207,7 +207,7 @@ fn run_soak(arguments: &SoakArgs, detail: Detail) -> CommandResult {
     let board = arguments.board.selection.find()?.ok_or("--board NAME is missing").or_invalid()?;
     board.rig.check().or_invalid()?;
     let clock = ClockRequest::new(&board.rig, arguments.clock).resolve().or_invalid()?;
-    let mut scenarios = find_scenarios(&arguments.scenarios, &TagFilter::default(), |_| true, detail)?;
+    let mut scenarios = find_scenarios(&arguments.scenarios, &ScenarioFilter::default(), |_| true, detail)?;
     let (law, name) = (arguments.law.clone(), Some(board.name.clone()));
     let overrides = Overrides { law, board: name, ..Overrides::default() };
     for scenario in &mut scenarios {

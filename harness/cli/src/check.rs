@@ -3,7 +3,7 @@
 use crate::config::Config;
 use crate::exit::{CommandResult, Exit, Failure};
 use crate::options::{OutputFormat, SCENARIOS};
-use crate::selection::TagFilter;
+use crate::selection::ScenarioFilter;
 use crate::stdio;
 use clap::{Args, Command};
 use platebench_engine::law;
@@ -42,7 +42,7 @@ pub(crate) struct CheckArgs {
     #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
     format: OutputFormat,
     #[command(flatten)]
-    tags: TagFilter,
+    tags: ScenarioFilter,
 }
 
 #[derive(Serialize)]
@@ -99,7 +99,7 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
 
 /// Selects a scenario by its tags. A file that cannot be loaded or recognised is selected, because
 /// its tags are unknown.
-fn is_selected(tags: &TagFilter, path: &Path, name: &str) -> bool {
+fn is_selected(tags: &ScenarioFilter, path: &Path, name: &str) -> bool {
     match FileKind::detect(path) {
         Ok(FileKind::Scenario) => load_with_all_errors(path, name).map_or(true, |scenario| tags.selects(&scenario)),
         Ok(_) => false,

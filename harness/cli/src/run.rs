@@ -7,7 +7,7 @@ pub(crate) use play::RunArgs;
 
 use crate::exit::{CommandResult, Exit, Failure};
 use crate::options::SCENARIOS;
-use crate::selection::{check_not_empty, note_skipped, nothing_to_run, warn_of_scenarios};
+use crate::selection::{check_not_empty, keep_last_failed, note_skipped, nothing_to_run, warn_of_scenarios};
 use crate::{shutdown, stdio};
 use platebench_engine::Clock;
 use platebench_model::scenario::{Diagnostic, Scenario, find, input, list_files};
@@ -23,7 +23,10 @@ use std::time::{Duration, Instant, SystemTime};
 pub(crate) fn run(arguments: &RunArgs, detail: Detail) -> CommandResult {
     if arguments.list {
         let scenarios = scenarios_to_run(arguments, detail)?.scenarios;
-        stdio::show_as(arguments.format, &scenario_list::json(&scenarios), || scenario_list::text(&scenarios));
+        stdio::show_as(arguments.format, &scenario_list::json(&scenarios), || match detail {
+            Detail::Failures => scenario_list::names(&scenarios),
+            Detail::Summary | Detail::Tables => scenario_list::text(&scenarios),
+        });
         return Ok(Exit::Passed);
     }
     let mut arguments = arguments.clone();
@@ -44,13 +47,16 @@ pub(crate) fn run(arguments: &RunArgs, detail: Detail) -> CommandResult {
 
 /// Fails if no scenario is selected.
 fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Selection, Failure> {
-    let found = find(&arguments.scenarios).map_err(|faults| {
+    let mut found = find(&arguments.scenarios).map_err(|faults| {
         let exit = Failure::from(faults).report();
         if arguments.scenarios == [Path::new(SCENARIOS)] && !Path::new(SCENARIOS).exists() {
             stdio::note("the default folder is `scenarios`; platebench new writes a first scenario");
         }
         exit
     })?;
+    if arguments.last_failed {
+        keep_last_failed(&mut found, &arguments.runs)?;
+    }
     note_skipped(&found, detail);
     for copies in &found.copies {
         stdio::note(&format!("{}: skipped, copies of scenarios in a run folder", copies.display()));

@@ -1,10 +1,10 @@
-//! Finds the scenarios of a command, selects them by their tags, and warns of plates that no
-//! ultrasonic tactile plate resembles, such as a gain in a wrong unit.
+//! Finds the scenarios of a command, selects them by tags, names and the last run, and warns of
+//! plates that no ultrasonic tactile plate resembles, such as a gain in a wrong unit.
 
-use crate::exit::{Exit, Failure};
+use crate::exit::{Exit, Failure, OrInvalid};
 use crate::stdio;
 use clap::Args;
-use platebench_model::record::sha256;
+use platebench_model::record::{RunRecord, Verdict, newest_run, sha256};
 use platebench_model::scenario::load::implausible_values;
 use platebench_model::scenario::{FoundScenarios, Scenario, find, plate_warnings, suggestion};
 use platebench_plate::Plate;
@@ -56,7 +56,7 @@ pub(crate) fn nothing_to_run() -> Failure {
 /// Loads the scenarios below `paths` that `tags` and `keep` select. Fails if no scenario remains.
 pub(crate) fn find_scenarios(
     paths: &[PathBuf],
-    tags: &TagFilter,
+    tags: &ScenarioFilter,
     keep: impl Fn(&Scenario) -> bool,
     detail: Detail,
 ) -> Result<Vec<Scenario>, Failure> {
@@ -68,24 +68,53 @@ pub(crate) fn find_scenarios(
     Ok(found.scenarios)
 }
 
+/// Keeps the scenarios that did not pass in the newest run below `runs`, also with `only_if_named`.
+pub(crate) fn keep_last_failed(found: &mut FoundScenarios, runs: &Path) -> Result<(), Failure> {
+    let folder = newest_run(runs).ok_or_else(|| {
+        let message = format!("--last-failed: {} contains no run; --runs selects another folder", runs.display());
+        Failure::invalid(&message)
+    })?;
+    let record = RunRecord::read(&folder).or_invalid()?;
+    let not_passed = record.scenarios.iter().filter(|scenario| scenario.verdict != Verdict::Pass);
+    let mut names: BTreeSet<&str> = not_passed.map(|scenario| scenario.file.as_str()).collect();
+    if names.is_empty() {
+        let message = format!("every scenario of {} passed, so there is nothing to run", folder.display());
+        return Err(Failure::new(Exit::NothingToRun, &message));
+    }
+    found.scenarios.append(&mut found.skipped);
+    found.scenarios.retain(|scenario| names.contains(scenario.file.as_str()));
+    found.scenarios.sort_by(|a, b| a.file.cmp(&b.file));
+    for scenario in &found.scenarios {
+        names.remove(scenario.file.as_str());
+    }
+    for name in names {
+        stdio::note(&format!("{name} did not pass in {}, but is not among the scenarios now", folder.display()));
+    }
+    Ok(())
+}
+
 #[derive(Debug, Clone, Default, Args)]
-pub(crate) struct TagFilter {
+pub(crate) struct ScenarioFilter {
     /// Only scenarios with this tag; if given again, scenarios with any of the tags
     #[arg(long = "tag", value_name = "TAG")]
     tags: Vec<String>,
     /// No scenarios with this tag, also if --tag selects them; may be given again
     #[arg(long = "not-tag", value_name = "TAG")]
     excluded: Vec<String>,
+    /// Only scenarios whose name contains this text; if given again, any of the texts
+    #[arg(short = 'k', long = "filter", value_name = "TEXT")]
+    texts: Vec<String>,
 }
 
-impl TagFilter {
+impl ScenarioFilter {
     pub(crate) fn is_empty(&self) -> bool {
-        self.tags.is_empty() && self.excluded.is_empty()
+        self.tags.is_empty() && self.excluded.is_empty() && self.texts.is_empty()
     }
 
     pub(crate) fn selects(&self, scenario: &Scenario) -> bool {
         let has_any = |tags: &[String]| tags.iter().any(|tag| scenario.tags.contains(tag));
-        (self.tags.is_empty() || has_any(&self.tags)) && !has_any(&self.excluded)
+        let is_named = self.texts.is_empty() || self.texts.iter().any(|text| name_contains(&scenario.file, text));
+        is_named && (self.tags.is_empty() || has_any(&self.tags)) && !has_any(&self.excluded)
     }
 
     pub(crate) fn retain(&self, scenarios: &mut Vec<Scenario>) {
@@ -93,6 +122,7 @@ impl TagFilter {
             return;
         }
         self.report_unknown_tags(scenarios);
+        self.report_unknown_texts(scenarios);
         scenarios.retain(|scenario| self.selects(scenario));
     }
 
@@ -108,6 +138,15 @@ impl TagFilter {
         sha256(serde_json::to_string(&all).unwrap_or_default().as_bytes())
     }
 
+    fn report_unknown_texts(&self, scenarios: &[Scenario]) {
+        let is_unknown = |text: &&String| !scenarios.iter().any(|scenario| name_contains(&scenario.file, text));
+        for text in self.texts.iter().filter(is_unknown) {
+            let parts = scenarios.iter().flat_map(|scenario| scenario.name().split('/'));
+            let hint = suggestion(text, parts);
+            stdio::note(&format!("no scenario name contains `{text}`{hint}"));
+        }
+    }
+
     fn report_unknown_tags(&self, scenarios: &[Scenario]) {
         let known: BTreeSet<&str> = scenarios.iter().flat_map(|scenario| &scenario.tags).map(String::as_str).collect();
         for tag in self.tags.iter().chain(&self.excluded).filter(|tag| !known.contains(&***tag)) {
@@ -118,6 +157,11 @@ impl TagFilter {
             stdio::note(&format!("no scenario has the tag `{tag}`{hint}"));
         }
     }
+}
+
+/// Ignores upper and lower case.
+fn name_contains(file: &str, text: &str) -> bool {
+    file.to_lowercase().contains(&text.to_lowercase())
 }
 
 /// Many scenarios share a plate, so each warning is printed once.

@@ -6,7 +6,7 @@ mod firmware;
 
 use crate::exit::{CommandResult, Exit, OrInvalid};
 use crate::options::{OutputFormat, SCENARIOS, job_count};
-use crate::selection::{TagFilter, find_scenarios};
+use crate::selection::{ScenarioFilter, find_scenarios};
 use crate::stdio;
 use clap::{Args, Subcommand};
 use platebench_experiments::explore::Envelope;
@@ -74,7 +74,7 @@ struct TrustArgs {
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     scenarios: Vec<PathBuf>,
     #[command(flatten)]
-    tags: TagFilter,
+    tags: ScenarioFilter,
     /// Number of clean runs; each plays one scenario, in turn, with its own plate and noise
     #[arg(long, value_name = "N", default_value_t = 3_000)]
     clean: u32,

@@ -20,7 +20,7 @@ pub mod record {
         Statistic, TrialFinding, TrialReason, WideBoundsCause, WorstInstant, percent,
     };
     pub use run_folder::{
-        FileLock, FolderError, RECORD_FILE, RecordError, RunFolder, RunSummary, ScenarioSummary, sha256,
+        FileLock, FolderError, RECORD_FILE, RecordError, RunFolder, RunSummary, ScenarioSummary, newest_run, sha256,
         sha256_of_file, to_hex, trace_path, utc_timestamp,
     };
     pub use run_record::{

@@ -10,7 +10,7 @@ use crate::options::{
 use crate::outputs::{Outputs, RESULTS, ScenarioLocations};
 use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
-use crate::selection::TagFilter;
+use crate::selection::ScenarioFilter;
 use crate::{outputs, run_plan, stdio};
 use clap::Args;
 use clap::builder::PossibleValuesParser;
@@ -37,14 +37,17 @@ const PLATE: &str = "Plate, clock and line";
 #[command(after_help = "\
 Examples:
   platebench run                                        every scenario below scenarios/ without `only_if_named`
-  platebench run scenarios/limits/one-period-delay.toml one scenario
+  platebench run paper/fig13-closed-loop.toml           one scenario by its name, from any folder of the project
+  platebench run -k fig13 -k fig14                      scenarios whose names contain a text
+  platebench run --last-failed                          scenarios that did not pass in the last run
   platebench run scenarios/paper --law dq-pi-euler      another law of the firmware
   platebench run --trials 300 --seed 7 --out /tmp/night
   platebench run scenarios/paper --watch                run changed scenarios again
-  platebench run --list --tag paper --not-tag acceptance      list scenarios and limits without playing them")]
+  platebench run --list --tag paper --not-tag acceptance      list scenarios and limits without playing them
+  platebench run --list -q -k fig13                     list names only")]
 #[expect(clippy::struct_excessive_bools, reason = "each is a flag of its own on the command line")]
 pub(crate) struct RunArgs {
-    /// Scenario files, or folders with everything below them
+    /// Scenario files or folders, or their names below the nearest folder `scenarios`
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     pub(crate) scenarios: Vec<PathBuf>,
     #[arg(long, help = rig_help(), default_value = "emulated", conflicts_with = "board")]
@@ -59,11 +62,15 @@ pub(crate) struct RunArgs {
     #[arg(long, value_name = "S")]
     pub(crate) seed: Option<u64>,
     #[command(flatten)]
-    pub(crate) tags: TagFilter,
+    pub(crate) tags: ScenarioFilter,
     /// The run folder; default: a new folder below --runs
     #[arg(long, value_name = "FOLDER")]
     pub(crate) out: Option<PathBuf>,
-    /// List the scenarios with tags, limits and windows instead of playing them
+    /// Only scenarios that did not pass in the newest run below --runs
+    #[arg(long, conflicts_with = "watch")]
+    pub(crate) last_failed: bool,
+    /// List the scenarios with tags, limits and windows instead of playing them; with -q, one name
+    /// per line
     #[arg(long, conflicts_with = "watch")]
     pub(crate) list: bool,
     /// Run changed scenarios again until Ctrl-C: a scenario if its file, plate or profile changed,

@@ -3,7 +3,7 @@
 
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{OutputFormat, SCENARIOS, job_count, law_names, parse_percent};
-use crate::selection::{TagFilter, find_scenarios};
+use crate::selection::{ScenarioFilter, find_scenarios};
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
@@ -34,7 +34,7 @@ pub(super) struct CoverageArgs {
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     scenarios: Vec<PathBuf>,
     #[command(flatten)]
-    tags: TagFilter,
+    tags: ScenarioFilter,
     /// Firmware image on the emulator: emulated | emulated:ELF
     #[arg(long, default_value = "emulated")]
     rig: RigSpec,
@@ -116,7 +116,7 @@ pub(super) struct MutateArgs {
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     scenarios: Vec<PathBuf>,
     #[command(flatten)]
-    tags: TagFilter,
+    tags: ScenarioFilter,
     /// Only scenarios with this control law
     #[arg(long, value_name = "NAME", value_parser = law_names())]
     law: Option<String>,

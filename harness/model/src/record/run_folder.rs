@@ -107,6 +107,13 @@ pub fn trace_path(scenario: &str, index: u32) -> String {
     format!("{TRACES}/{scenario}/{index:03}.csv")
 }
 
+/// Returns the folder of the run below `runs` that started last. Skips records that cannot be read.
+pub fn newest_run(runs: &Path) -> Option<PathBuf> {
+    let folders = fs::read_dir(runs).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
+    let started = folders.filter_map(|path| Some((read_started(&path).ok()?, path)));
+    started.max().map(|(_, path)| path)
+}
+
 pub fn sha256(bytes: &[u8]) -> String {
     to_hex(&Sha256::digest(bytes))
 }

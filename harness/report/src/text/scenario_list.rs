@@ -37,6 +37,11 @@ pub fn text(scenarios: &[Scenario]) -> String {
     text
 }
 
+/// Returns one name per line.
+pub fn names(scenarios: &[Scenario]) -> String {
+    scenarios.iter().map(|scenario| format!("{}\n", printable(&scenario.file))).collect()
+}
+
 pub fn json(scenarios: &[Scenario]) -> Value {
     let expectation = |expectation: &Expectation| {
         json!({
