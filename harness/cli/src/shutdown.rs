@@ -216,6 +216,26 @@ pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
     }
 }
 
+/// Runs `work`, which drives no plate, on its own thread. `None` if a signal comes before `work`
+/// ends; the thread then ends with the process.
+pub(crate) fn run_unless_signalled<T: Send + 'static>(
+    work: impl FnOnce() -> T + Send + 'static,
+) -> io::Result<Option<T>> {
+    let (sender, result) = sync_channel(1);
+    thread::Builder::new().name("reports".to_owned()).spawn(move || {
+        // The receiver is gone after a signal.
+        let _ = sender.send(work());
+    })?;
+    loop {
+        match result.recv_timeout(POLL_INTERVAL) {
+            Ok(result) => return Ok(Some(result)),
+            Err(RecvTimeoutError::Disconnected) => return Err(io::Error::other("a thread of the bench panicked")),
+            Err(RecvTimeoutError::Timeout) if received_signal().is_some() => return Ok(None),
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+    }
+}
+
 pub(crate) fn unless_signalled<T, F: Into<Failure>>(ended: io::Result<WorkResult<Result<T, F>>>) -> Result<T, Failure> {
     match ended {
         Ok(WorkResult::Finished(result, None)) => result.map_err(Into::into),

@@ -224,12 +224,21 @@ impl<'a, L: Link> Executor<'a, L> {
         let wire_time = clock == Clock::Lockstep { wire_time: true };
         let cancel = self.settings.cancel.clone();
         let trial = Trial { wire_time, own_clock, continues, cancel, tap, ..Trial::new(scenario, law, index) };
-        let session = self.session()?;
-        match clock {
-            Clock::RealPlate => Ok(real_plate::play(session, &trial, operator)?),
-            Clock::Lockstep { .. } => Ok(lockstep::play(session, trial)),
-            Clock::RealTime(time_base) => Ok(real_time::play(session, trial, time_base)),
+        // The start of an emulated board or a program takes up to seconds.
+        if trial.cancel.is_cancelled() {
+            return Ok(None);
         }
+        let session = self.session()?;
+        let played = match clock {
+            Clock::RealPlate => real_plate::play(session, &trial, operator)?,
+            Clock::Lockstep { .. } => lockstep::play(session, trial),
+            Clock::RealTime(time_base) => real_time::play(session, trial, time_base),
+        };
+        // Requests 0 V now, because other workers may need longer until they end.
+        if played.is_none() {
+            self.close();
+        }
+        Ok(played)
     }
 
     fn replace_lost_controller(&mut self, lost: &RigError) -> Result<(), RunError> {

@@ -27,12 +27,11 @@ const WATCHDOG_MARGIN: Duration = Duration::from_millis(100);
 /// Random stream of the jitter. Streams 0 and 1 of a seed belong to sensor noise and plate spread.
 const JITTER_STREAM: u64 = 2;
 
-/// `None` if the trial was cancelled.
+/// `None` if the trial was cancelled. The caller then closes the session, which requests 0 V.
 pub fn play<L: Link>(session: &mut Session<FaultInjector<L>>, trial: Trial<'_>) -> Option<TrialResult> {
     let mut lockstep = LockstepLoop::start(session, trial);
     while !lockstep.step() {
         if lockstep.trial.cancel.is_cancelled() {
-            lockstep.session.request_safe_state();
             return None;
         }
     }

@@ -70,7 +70,10 @@ pub fn run(
     if played.is_ok() {
         record.complete = true;
         record.update_verdict();
-        record.cost = trend::cost_trends(&record, folder.path());
+        // It reads earlier runs, which may take seconds.
+        if !cancel.is_cancelled() {
+            record.cost = trend::cost_trends(&record, folder.path());
+        }
     }
     record.wall_ms = Some(started.elapsed().as_secs_f64() * 1e3);
     let written = file.write(&record);

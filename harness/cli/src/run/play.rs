@@ -11,7 +11,7 @@ use crate::outputs::{Outputs, RESULTS, ScenarioLocations};
 use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
 use crate::selection::ScenarioFilter;
-use crate::{outputs, run_plan, stdio};
+use crate::{outputs, run_plan, shutdown, stdio};
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use platebench_engine::{Clock, RunError, RunPlan, rejudge};
@@ -22,7 +22,7 @@ use platebench_plate::Tier;
 use platebench_report::events::EventWriter;
 use platebench_report::format::count;
 use platebench_report::page::RowCache;
-use platebench_report::{Detail, Progress, ProgressKind, junit, page, traceability};
+use platebench_report::{Detail, Progress, ProgressKind, counts_so_far, junit, page, traceability};
 use platebench_rig::{Capability, ConnectOptions, DebugPort, RigSpec};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -347,16 +347,21 @@ fn write_reports(
     detail: Detail,
 ) -> CommandResult {
     let page = folder.path().join(page::FILE);
-    let written = junit::write(record, &folder.path().join(junit::FILE))
-        .and_then(|()| {
-            page::ReportPage::new(record, folder.path())
-                .with_baselines(Path::new(BASELINES))
-                .with_earlier_runs()
-                .with_rows(rows)
-                .write(&page)
-        })
-        .and_then(|()| traceability::write(record, folder.path()))
-        .and_then(|()| arguments.outputs.write(record, locations));
+    let (owned, path) = (record.clone(), folder.path().to_owned());
+    let write_files = move || {
+        junit::write(&owned, &path.join(junit::FILE))
+            .and_then(|()| {
+                page::ReportPage::new(&owned, &path)
+                    .with_baselines(Path::new(BASELINES))
+                    .with_earlier_runs()
+                    .with_rows(rows)
+                    .write(&path.join(page::FILE))
+            })
+            .and_then(|()| traceability::write(&owned, &path))
+    };
+    let files = shutdown::run_unless_signalled(write_files).or_invalid()?;
+    let is_cancelled = files.is_none();
+    let written = files.unwrap_or(Ok(())).and_then(|()| arguments.outputs.write(record, locations));
     if arguments.format == OutputFormat::Human {
         if arguments.outputs.replaces_table() {
             stdio::record_to_stderr(record, detail);
@@ -366,11 +371,18 @@ fn write_reports(
     }
     if detail != Detail::Failures || record.verdict != Verdict::Pass {
         stdio::note(&format!("run folder: {}", folder.path().display()));
-        stdio::note(&format!("report: {}", page.display()));
+        if !is_cancelled {
+            stdio::note(&format!("report: {}", page.display()));
+        }
+    }
+    if is_cancelled {
+        let folder = folder.path().display();
+        stdio::note(&format!("a signal ended the report; `platebench report {folder}` writes it"));
     }
     stdio::warn_if_not_safe(record);
     written.or_invalid()?;
-    Ok(Exit::of_record(record))
+    let signal = shutdown::received_signal().filter(|_| is_cancelled);
+    Ok(signal.map_or_else(|| Exit::of_record(record), Exit::Signal))
 }
 
 fn report_run_error(error: RunError, folder: &RunFolder) -> Exit {
@@ -380,6 +392,7 @@ fn report_run_error(error: RunError, folder: &RunFolder) -> Exit {
     }
     stdio::note(&format!("run folder: {}", folder.path().display()));
     if let Ok(record) = RunRecord::read(folder.path()) {
+        stdio::note(&counts_so_far(&record));
         stdio::note(&format!("`platebench report {}` shows the complete trials", folder.path().display()));
         stdio::warn_if_not_safe(&record);
     }

@@ -311,6 +311,14 @@ fn result(expectation: &ExpectationRecord) -> String {
     format!("{}: {}, limit {}{window}", expectation.name, value.trim_end(), format::limit(expectation))
 }
 
+/// Scenarios with a verdict, counted by verdict, of a run that ended early.
+pub fn counts_so_far(record: &RunRecord) -> String {
+    let judged = record.scenarios.iter().filter(|scenario| !scenario.expectations.is_empty());
+    let counts: format::VerdictCounts = judged.map(|scenario| scenario.verdict).collect();
+    let all = format::count(record.scenarios.len(), "scenario");
+    format!("played so far: {} of {all}: {counts}", counts.total())
+}
+
 const TICK: Duration = Duration::from_millis(500);
 /// The message is cut at the width of the terminal.
 const TRIALS: &str = "  {bar:24} {pos}/{len} trials  {elapsed}  {wide_msg}";
