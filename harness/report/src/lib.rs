@@ -11,7 +11,7 @@ mod record_queries;
 
 pub use document::Style;
 pub use error::ReportError;
-pub use text::console::{Detail, Progress, ProgressKind, counts_so_far};
+pub use text::console::{Detail, Progress, ProgressKind, counts_so_far, slow_scenarios};
 pub use text::{
     annotations, comparison, console, events, junit, markdown, scenario_list, tap, traceability, tube_plot,
 };

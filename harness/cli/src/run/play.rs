@@ -22,7 +22,7 @@ use platebench_plate::Tier;
 use platebench_report::events::EventWriter;
 use platebench_report::format::count;
 use platebench_report::page::RowCache;
-use platebench_report::{Detail, Progress, ProgressKind, counts_so_far, junit, page, traceability};
+use platebench_report::{Detail, Progress, ProgressKind, counts_so_far, junit, page, slow_scenarios, traceability};
 use platebench_rig::{Capability, ConnectOptions, DebugPort, RigSpec};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -378,6 +378,9 @@ fn write_reports(
     if is_cancelled {
         let folder = folder.path().display();
         stdio::note(&format!("a signal ended the report; `platebench report {folder}` writes it"));
+    }
+    if let Some(slow) = slow_scenarios(record) {
+        stdio::note(&slow);
     }
     stdio::warn_if_not_safe(record);
     written.or_invalid()?;

@@ -10,7 +10,9 @@ use platebench_model::record::{Cause, CostTrend, Event, ExpectationRecord, RunRe
 use std::fmt::Write as _;
 use std::io::IsTerminal as _;
 use std::io::{self, Write};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Detail {
@@ -319,6 +321,21 @@ pub fn counts_so_far(record: &RunRecord) -> String {
     format!("played so far: {} of {all}: {counts}", counts.total())
 }
 
+/// Wall time of the trials of a scenario above which it is listed as slow.
+const SLOW_MS: f64 = 10_000.0;
+
+/// Lists the scenarios whose trials took more than 10 s in total, the slowest first.
+pub fn slow_scenarios(record: &RunRecord) -> Option<String> {
+    let wall_ms = |scenario: &ScenarioRecord| scenario.trials.iter().filter_map(|trial| trial.wall_ms).sum::<f64>();
+    let timed = record.scenarios.iter().map(|scenario| (wall_ms(scenario), scenario));
+    let mut slow: Vec<_> = timed.filter(|(wall_ms, _)| *wall_ms > SLOW_MS).collect();
+    slow.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let named =
+        slow.iter().map(|(wall_ms, scenario)| format!("{} {}", printable(&scenario.file), format::duration(*wall_ms)));
+    let named: Vec<_> = named.collect();
+    (!named.is_empty()).then(|| format!("slow, over 10 s: {}", named.join(", ")))
+}
+
 const TICK: Duration = Duration::from_millis(500);
 /// The message is cut at the width of the terminal.
 const TRIALS: &str = "  {bar:24} {pos}/{len} trials  {elapsed}  {wide_msg}";
@@ -342,9 +359,44 @@ pub struct Progress {
 }
 
 enum Sink {
-    Bar { bar: ProgressBar, under_way: Vec<String>, not_passed: usize },
+    Bar { bar: ProgressBar, running: Arc<Mutex<Running>> },
     Lines(Box<dyn Write + Send>),
     Quiet,
+}
+
+/// Scenarios that have started and not ended, oldest first, and the number that did not pass.
+#[derive(Default)]
+struct Running {
+    scenarios: Vec<(String, Instant)>,
+    not_passed: usize,
+}
+
+impl Running {
+    fn message(&self) -> String {
+        let count = if self.not_passed == 0 { String::new() } else { format!("{} not passed  ", self.not_passed) };
+        let name = |(file, started): &(String, Instant)| format!("{file} {} s", started.elapsed().as_secs());
+        let names: Vec<_> = self.scenarios.iter().map(name).collect();
+        format!("{count}{}", printable(&names.join(", ")))
+    }
+}
+
+fn lock(running: &Mutex<Running>) -> MutexGuard<'_, Running> {
+    running.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Updates the times of the running scenarios until the progress is dropped.
+fn update_times(bar: ProgressBar, running: &Arc<Mutex<Running>>) {
+    let running = Arc::downgrade(running);
+    // Without the thread, the times change only with the events.
+    let _ = thread::Builder::new().name("progress".to_owned()).spawn(move || {
+        while let Some(running) = running.upgrade() {
+            if !lock(&running).scenarios.is_empty() {
+                bar.set_message(lock(&running).message());
+            }
+            drop(running);
+            thread::sleep(TICK);
+        }
+    });
 }
 
 impl Progress {
@@ -353,7 +405,9 @@ impl Progress {
             ProgressKind::Bar => {
                 let target = ProgressDrawTarget::stderr();
                 let bar = ProgressBar::with_draw_target(Some(0), target).with_style(bar_style(TRIALS));
-                Sink::Bar { bar, under_way: Vec::new(), not_passed: 0 }
+                let running = Arc::default();
+                update_times(bar.clone(), &running);
+                Sink::Bar { bar, running }
             }
             ProgressKind::Lines => Sink::Lines(Box::new(io::stderr())),
             ProgressKind::Quiet => Sink::Quiet,
@@ -387,21 +441,23 @@ impl Progress {
 
     pub fn show(&mut self, event: &Event) {
         match (&mut self.sink, event) {
-            (Sink::Bar { bar, under_way, not_passed }, Event::ScenarioStarted { file, trials }) => {
+            (Sink::Bar { bar, running }, Event::ScenarioStarted { file, trials }) => {
                 bar.set_style(bar_style(TRIALS));
                 bar.set_length(bar.length().unwrap_or(0).max(bar.position() + u64::from(*trials)));
-                under_way.push(file.clone());
-                bar.set_message(message(under_way, *not_passed));
+                let mut running = lock(running);
+                running.scenarios.push((file.clone(), Instant::now()));
+                bar.set_message(running.message());
             }
             (Sink::Bar { bar, .. }, Event::TrialFinished { .. }) => {
                 // A scenario may play more trials than planned until its verdicts are conclusive.
                 bar.set_length(bar.length().unwrap_or(0).max(bar.position() + 1));
                 bar.inc(1);
             }
-            (Sink::Bar { bar, under_way, not_passed }, Event::ScenarioFinished(scenario)) => {
-                under_way.retain(|name| *name != scenario.file);
-                *not_passed += usize::from(scenario.verdict != Verdict::Pass);
-                bar.set_message(message(under_way, *not_passed));
+            (Sink::Bar { bar, running }, Event::ScenarioFinished(scenario)) => {
+                let mut running = lock(running);
+                running.scenarios.retain(|(name, _)| *name != scenario.file);
+                running.not_passed += usize::from(scenario.verdict != Verdict::Pass);
+                bar.set_message(running.message());
             }
             (Sink::Lines(out), Event::ScenarioStarted { file, trials }) => {
                 let trials = format::count(usize::try_from(*trials).unwrap_or(usize::MAX), "trial");
@@ -418,18 +474,16 @@ impl Progress {
 
     pub fn finish(&mut self) {
         match &mut self.sink {
-            Sink::Bar { bar, .. } => bar.finish_and_clear(),
+            Sink::Bar { bar, running } => {
+                lock(running).scenarios.clear();
+                bar.finish_and_clear();
+            }
             Sink::Lines(out) => {
                 let _ = out.flush();
             }
             Sink::Quiet => {}
         }
     }
-}
-
-fn message(under_way: &[String], not_passed: usize) -> String {
-    let count = if not_passed == 0 { String::new() } else { format!("{not_passed} not passed  ") };
-    format!("{count}{}", printable(under_way.last().map_or("", String::as_str)))
 }
 
 fn write_line(out: &mut dyn Write, text: &str) {
@@ -454,6 +508,14 @@ mod tests {
         fn flush(&mut self) -> io::Result<()> {
             Err(io::ErrorKind::BrokenPipe.into())
         }
+    }
+
+    #[test]
+    fn the_progress_names_the_running_scenarios_with_their_times() {
+        let started = |seconds| Instant::now().checked_sub(Duration::from_secs(seconds)).unwrap();
+        let scenarios = vec![("a.toml".to_owned(), started(70)), ("b.toml".to_owned(), started(0))];
+        let running = Running { scenarios, not_passed: 2 };
+        assert_eq!(running.message(), "2 not passed  a.toml 70 s, b.toml 0 s");
     }
 
     #[test]
