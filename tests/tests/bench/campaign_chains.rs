@@ -97,21 +97,20 @@ fn a_force_is_truncated_at_zero(
     #[case] exit: i32,
 ) {
     let folder = folder_with(FORCE, &format!("[plan]\nmethod = \"{method}\"\ntrials = {trials}\n"));
-    let folder = folder.path();
-    fs::write(folder.join("step.toml"), AMPLITUDE).unwrap();
+    folder.write("step.toml", AMPLITUDE);
     let statement = "`profile.finger_force_n` is truncated to 0 to";
-    let planned = run_bench(folder, ["campaign", "plan", "campaign.toml", "--out", "c"]);
+    let planned = folder.bench(["campaign", "plan", "campaign.toml", "--out", "c"]);
     planned.assert_exit(0).assert_stderr(&[statement]);
-    assert!(fs::read_to_string(folder.join("c/plan.json")).unwrap().contains("\"truncated\""));
-    let run = run_bench(folder, ["campaign", "run", "campaign.toml", "--out", "c"]);
+    assert!(folder.read("c/plan.json").contains("\"truncated\""));
+    let run = folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]);
     run.assert_exit(exit).assert_stdout(&[statement]);
-    let summary = summary(folder, "c");
+    let summary = summary(&folder, "c");
     let truncated = &summary["truncated"][0];
     let number = |value: &Value| value.as_f64().unwrap();
     assert_eq!((&truncated["key"], number(&truncated["range"][0])), (&"profile.finger_force_n".into(), 0.0));
     assert!((number(&truncated["range"][1]) - highest).abs() < 1e-9, "{truncated}");
     assert!((number(&truncated["excluded"]) - excluded).abs() < 1e-6, "{truncated}");
-    let text = fs::read_to_string(folder.join("c/results.csv")).unwrap();
+    let text = folder.read("c/results.csv");
     let forces = text.lines().skip(1).map(|line| line.split(',').nth(2).unwrap().parse::<f64>().unwrap());
     assert!(forces.clone().all(|force| force >= 0.0));
     assert_eq!(forces.count(), trials);
@@ -124,19 +123,13 @@ fn refuses_what_a_rare_campaign_cannot_play() {
     let vary =
         format!("{FORCE}\"plate.mode.gain_um_per_vpp\" = {{ normal = {{ mean = 0.00698, sd_percent = 1.0 }} }}\n");
     let folder = folder_with(&vary, &format!("[plan]\nmethod = \"rare\"\ntrials = 600\n{correlation}"));
-    run_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]).assert_exit(2).assert_stderr(&[
-        "campaign.toml:4",
-        "refuses values outside 0 to",
-        "correlated",
-        "expected `truncate`",
-    ]);
+    folder
+        .bench(["campaign", "run", "campaign.toml", "--out", "c"])
+        .assert_message(2, &["campaign.toml:4", "refuses values outside 0 to", "correlated", "expected `truncate`"]);
     let vary = "\"profile.setpoint_um.hold.1.0\" = { uniform = [1.0, 6.0] }\n\
                 \"duration_ms\" = { uniform = [3.0, 20.0] }\n";
     let folder = folder_with(vary, "[plan]\nmethod = \"search\"\ntrials = 60\n");
-    run_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]).assert_exit(2).assert_stderr(&[
-        "campaign.toml:3",
-        "refuses the combination",
-        "duration_ms = 3",
-        "smaller ranges",
-    ]);
+    folder
+        .bench(["campaign", "run", "campaign.toml", "--out", "c"])
+        .assert_message(2, &["campaign.toml:3", "refuses the combination", "duration_ms = 3", "smaller ranges"]);
 }
