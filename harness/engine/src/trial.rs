@@ -107,11 +107,27 @@ pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
 
 pub fn missing_capability(scenario: &Scenario, law: LawId, identity: &Identity) -> Option<String> {
     if !identity.has_law(law) {
-        return Some(format!("the controller does not announce the law {}", law.name()));
+        return Some(missing_law(law, identity));
     }
     let needs_delay = scenario.controller.design_delay != Time::ZERO;
     (needs_delay && !identity.has_capability(capabilities::LOOP_DELAY))
         .then(|| "the controller does not announce that it accepts a loop delay (design_delay_ms)".to_owned())
+}
+
+/// Names the option or the change that makes the scenario applicable.
+fn missing_law(law: LawId, identity: &Identity) -> String {
+    let announced: Vec<_> = LawId::ALL
+        .into_iter()
+        .filter(|&law| identity.has_law(law))
+        .map(|law| format!("--law {}", law.name()))
+        .collect();
+    let (missing, options) = (law.name(), announced.join(" or "));
+    let remedy = if announced.is_empty() {
+        "it announces none; set the bit of one law in its identity".to_owned()
+    } else {
+        format!("{options} plays every scenario with a law that it announces")
+    };
+    format!("the controller does not announce the law {missing}; {remedy}")
 }
 
 pub(crate) fn start_frequency_mhz(scenario: &Scenario) -> u32 {
@@ -228,7 +244,15 @@ mod tests {
         let missing = |scenario: &Scenario, identity| missing_capability(scenario, LawId::DqPi, &identity);
         assert_eq!(missing(&scenario, identity(0, u32::MAX)), None);
         let reason = missing(&scenario, identity(0, 1 << LawId::OpenLoop as u8)).unwrap();
-        assert!(reason.contains("the law dq-pi"), "{reason}");
+        assert_eq!(
+            reason,
+            "the controller does not announce the law dq-pi; --law open-loop plays every scenario with a law that it \
+             announces"
+        );
+        let reason = missing(&scenario, identity(0, 1 << LawId::Pll as u8 | 1 << LawId::OpenLoop as u8)).unwrap();
+        assert!(reason.contains("; --law open-loop or --law pll plays every scenario"), "{reason}");
+        let reason = missing(&scenario, identity(0, 0)).unwrap();
+        assert!(reason.ends_with("; it announces none; set the bit of one law in its identity"), "{reason}");
         // `loop_delay` is the simulated delay. The controller gets only `design_delay`.
         scenario.controller.loop_delay = Time::from_nanos(700_000);
         assert_eq!(configure(&scenario, LawId::DqPi).loop_delay_us, 0);

@@ -75,18 +75,24 @@ pub(crate) fn tested(record: &RunRecord) -> String {
 
 /// Different names in the order of the scenarios, or their number.
 fn names<'a>(noun: &str, all: impl Iterator<Item = &'a str>) -> Option<String> {
-    let mut different: Vec<&str> = Vec::new();
-    for name in all {
-        if !different.contains(&name) {
-            different.push(name);
-        }
-    }
+    let different = distinct(all);
     match different.len() {
         0 => None,
         1 => Some(format!("{noun} {}", different.join(", "))),
         2..=MAX_NAMES => Some(format!("{noun}s {}", different.join(", "))),
         several => Some(count(several, noun)),
     }
+}
+
+/// Values without repetition, in their order.
+pub(crate) fn distinct<'a>(all: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+    let mut found = Vec::new();
+    for value in all {
+        if !found.contains(&value) {
+            found.push(value);
+        }
+    }
+    found
 }
 
 pub(crate) fn firmware_build(record: &RunRecord) -> String {

@@ -158,7 +158,8 @@ pub fn verdict_reason(record: &RunRecord) -> String {
         let reason = format::remaining_reason(expectation).map_or_else(String::new, |reason| format!(" ({reason})"));
         Some(format!("{}{reason}", result(expectation)))
     });
-    let not_applicable = record.not_applicable.iter().map(|scenario| format!("not applicable: {}", scenario.reason));
+    let not_applicable = format::distinct(record.not_applicable.iter().map(|scenario| scenario.reason.as_str()));
+    let not_applicable = not_applicable.into_iter().map(|reason| format!("not applicable: {reason}"));
     let unsafe_end = record.unsafe_end().map(str::to_owned);
     let unfinished = (!record.complete).then(|| "the run was not finished".to_owned());
     let all: Vec<String> =
@@ -176,12 +177,28 @@ fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
 
 fn write_not_applicable(text: &mut String, record: &RunRecord, in_full: bool) {
     if !in_full && record.not_applicable.len() > MAX_LISTED {
-        let count = format::count(record.not_applicable.len(), "scenario");
-        let _ = writeln!(text, "not applicable: {count}, listed with -v");
+        write_reasons_not_applicable(text, record);
         return;
     }
     for scenario in &record.not_applicable {
         write_wrapped(text, "not applicable: ", "  ", &format!("{}: {}", scenario.file, scenario.reason));
+    }
+}
+
+/// Counts the scenarios of each reason, the most frequent reason first.
+fn write_reasons_not_applicable(text: &mut String, record: &RunRecord) {
+    let all = || record.not_applicable.iter().map(|scenario| scenario.reason.as_str());
+    let mut counts: Vec<_> =
+        format::distinct(all()).into_iter().map(|reason| (reason, all().filter(|it| *it == reason).count())).collect();
+    counts.sort_by_key(|(_, scenarios)| std::cmp::Reverse(*scenarios));
+    let (listed, others) = counts.split_at(counts.len().min(MAX_LISTED));
+    for (reason, scenarios) in listed {
+        let scenarios = format::count(*scenarios, "scenario");
+        write_wrapped(text, "not applicable: ", "  ", &format!("{scenarios}, listed with -v: {reason}"));
+    }
+    if !others.is_empty() {
+        let scenarios = format::count(others.iter().map(|(_, scenarios)| scenarios).sum(), "more scenario");
+        let _ = writeln!(text, "not applicable: {scenarios}, listed with -v");
     }
 }
 
