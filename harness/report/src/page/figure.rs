@@ -399,6 +399,17 @@ pub(super) fn drawings(t_ms: &[f64], views: &[View], figures: &[Figure], limit: 
     }
 }
 
+/// Draws the figure of the first worst instant and, below it, drive and frequency.
+pub(super) fn failure_drawings(t_ms: &[f64], window: TimeWindow, figures: &[Figure], limit: usize) -> Markup {
+    let [amplitude, .., drive, frequency, components] = figures else { return Markup::default() };
+    let has_worst = |figure: &&Figure| figure.layers.iter().any(|layer| layer.role == Role::Worst);
+    let main = [amplitude, drive, frequency, components].into_iter().find(has_worst).unwrap_or(amplitude);
+    let below = [drive, frequency, amplitude].into_iter().filter(|figure| figure.title != main.title).take(2);
+    html! {
+        div.failure { @for figure in std::iter::once(main).chain(below) { (drawing(figure, t_ms, window, limit)) } }
+    }
+}
+
 fn drawing(figure: &Figure, t_ms: &[f64], window: TimeWindow, limit: usize) -> Markup {
     let layers: Vec<&Layer> = figure.layers.iter().filter(|layer| layer.is_in_drawing()).collect();
     let keys: Vec<&str> = layers.iter().map(|layer| layer.text.as_str()).collect();

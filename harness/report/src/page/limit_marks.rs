@@ -13,6 +13,8 @@ pub(crate) struct LimitMark {
     pub(crate) text: String,
     pub(crate) name: String,
     pub(crate) is_missed: bool,
+    /// False for a settling or recovery time that never came.
+    has_value: bool,
     pub(crate) signal: Column,
     pub(crate) window: TimeWindow,
     pub(crate) levels: Vec<Level>,
@@ -57,6 +59,7 @@ impl LimitMark {
             text: format!("{} {limit} {unit}", expectation.name).trim_end().to_owned(),
             name: if expectation.name.is_empty() { expectation.metric.to_string() } else { expectation.name.clone() },
             is_missed,
+            has_value: expectation.value.is_some(),
             signal,
             window,
             levels: levels(expectation, mark.levels, &worst.points, window, rows),
@@ -83,6 +86,24 @@ impl LimitMark {
             around(worst.t_ms - half, worst.t_ms + half)
         };
         (view.span_ms() > 0.0 && view.span_ms() < 0.8 * whole.span_ms()).then_some(view)
+    }
+}
+
+impl LimitMark {
+    /// From the last setpoint step before the worst instants to the end of these instants. The
+    /// whole trial if the metric has no value.
+    pub(crate) fn failure_window(&self, steps_ms: &[f64], whole: TimeWindow) -> TimeWindow {
+        let instants = || self.worst.iter().map(|worst| worst.t_ms);
+        let (first, last) = (instants().fold(f64::INFINITY, f64::min), instants().fold(f64::NEG_INFINITY, f64::max));
+        if !self.has_value || !first.is_finite() {
+            return whole;
+        }
+        let step_ms = steps_ms.iter().copied().rfind(|step_ms| *step_ms < first).unwrap_or(whole.from_ms);
+        let air_ms = (0.2 * (last - step_ms)).max(1.0);
+        TimeWindow {
+            from_ms: (step_ms - 0.5 * air_ms).max(whole.from_ms),
+            to_ms: (last + air_ms).clamp(whole.from_ms, whole.to_ms),
+        }
     }
 }
 
@@ -138,4 +159,39 @@ fn setpoints_of_step(window: TimeWindow, rows: &[Row]) -> [f64; 2] {
         let count = rows.partition_point(|row| row.t_s * 1e3 < at_ms);
         count.checked_sub(1).and_then(|last| rows.get(last)).map_or(0.0, |row| row.setpoint_um)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rstest::rstest;
+
+    #[rstest]
+    #[case::after_the_second_step(true, &[70.0], [48.0, 74.0])]
+    #[case::two_instants(true, &[20.0, 40.0], [7.0, 46.0])]
+    #[case::before_all_steps(true, &[5.0], [0.0, 6.0])]
+    #[case::at_the_end(true, &[100.0], [45.0, 100.0])]
+    #[case::never(false, &[70.0], [0.0, 100.0])]
+    fn the_window_contains_step_and_violation(
+        #[case] has_value: bool,
+        #[case] worst_ms: &[f64],
+        #[case] expected: [f64; 2],
+    ) {
+        let whole = TimeWindow { from_ms: 0.0, to_ms: 100.0 };
+        let worst = worst_ms.iter().map(|t_ms| WorstPoint { t_ms: *t_ms, value: 1.0, text: String::new() });
+        let mark = LimitMark {
+            text: String::new(),
+            name: String::new(),
+            is_missed: true,
+            has_value,
+            signal: Column::Amplitude,
+            window: whole,
+            levels: Vec::new(),
+            kind: "worst",
+            ends_at_worst: false,
+            worst: worst.collect(),
+        };
+        let window = mark.failure_window(&[10.0, 50.0], whole);
+        assert_eq!([window.from_ms, window.to_ms], expected);
+    }
 }

@@ -38,7 +38,7 @@ pub(super) fn head(record: &RunRecord) -> Markup {
         @if !record.complete {
             p.notice { "The run was not finished. The page shows the part that was played." }
         }
-        ul.tiles {
+        ul.tiles.compact[record.verdict != Verdict::Pass] {
             @for (word, verdict, of_scenarios, of_expectations) in tiles {
                 li class={ "tile " (verdict) @if of_scenarios + of_expectations == 0 { " none" } } {
                     span.number { (of_scenarios) }
@@ -53,6 +53,7 @@ pub(super) fn head(record: &RunRecord) -> Markup {
 pub(super) fn not_passed_section(
     record: &RunRecord,
     data: &[TraceData],
+    plots: &[Markup],
     history: &RunHistory,
     changed: &BTreeSet<String>,
 ) -> Markup {
@@ -81,11 +82,11 @@ pub(super) fn not_passed_section(
                     @for (index, scenario) in record.scenarios.iter().enumerate() {
                         (changed_traces(index, scenario, changed))
                     }
-                    @for group in failed { (cause_card(record, group, data, history, changed)) }
+                    @for group in failed { (cause_card(record, group, data, plots, history, changed)) }
                     @for (place, indices) in open {
-                        (not_passed_card(record, place, &indices, data.get(place), history, changed))
+                        (not_passed_card(record, place, &indices, data.get(place), plots.get(place), history, changed))
                     }
-                    @for group in inconclusive { (cause_card(record, group, data, history, changed)) }
+                    @for group in inconclusive { (cause_card(record, group, data, plots, history, changed)) }
                 }
             }
         }
@@ -97,6 +98,7 @@ fn cause_card(
     record: &RunRecord,
     group: &CauseGroup<'_>,
     data: &[TraceData],
+    plots: &[Markup],
     history: &RunHistory,
     changed: &BTreeSet<String>,
 ) -> Markup {
@@ -109,6 +111,7 @@ fn cause_card(
                 " " span.file { (scenario.file) }
             }
             (not_passed_item(record, scenario, index, data.get(place), history, changed))
+            @if let Some(plot) = plots.get(place) { (plot) }
             details {
                 summary { "All " (format::count(group.members.len(), "expectation")) " with this cause" }
                 ul {
@@ -156,6 +159,7 @@ fn not_passed_card(
     place: usize,
     indices: &[usize],
     data: Option<&TraceData>,
+    plot: Option<&Markup>,
     history: &RunHistory,
     changed: &BTreeSet<String>,
 ) -> Markup {
@@ -167,8 +171,9 @@ fn not_passed_card(
                 " " a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
                 " " span.file { (scenario.file) }
             }
-            @for index in indices {
+            @for (number, index) in indices.iter().enumerate() {
                 (not_passed_item(record, scenario, *index, data, history, changed))
+                @if let Some(plot) = plot.filter(|_| number == 0) { (plot) }
             }
         }
     }

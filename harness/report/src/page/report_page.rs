@@ -1,7 +1,7 @@
 //! Writes `report.html`: a run on one page, what did not pass first.
 
 use super::elements::{scenario_anchor, scroll_table, sorted_by_verdict};
-use super::figure::{ReferenceCurves, scenario_figures};
+use super::figure::{ReferenceCurves, failure_drawings, scenario_figures};
 use super::scenario::{ScenarioParts, scenario_article};
 use super::trace_data::{GoldenCurves, MAX_TRIALS, PlotResolution, RowCache, SampledTrial, TraceData};
 use super::{overview, script};
@@ -11,13 +11,17 @@ use crate::error::{ReportError, write_file};
 use crate::text::history::{RunHistory, TrendPoint};
 use crate::{format, record_queries};
 use maud::{Markup, html};
-use platebench_model::record::{ExpectationRecord, Metric, RunRecord, ScenarioRecord, TrialRecord};
+use platebench_model::record::{ExpectationRecord, Metric, RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use platebench_verdict::golden::Baseline;
 use std::collections::BTreeSet;
 use std::path::Path;
 
 pub const FILE: &str = "report.html";
 pub const COMPARISON_FILE: &str = "comparison.html";
+
+/// Number of scenarios, worst first, whose cards have a plot.
+const MAX_CARD_PLOTS: usize = 10;
+const CARD_LINE_POINTS: usize = 200;
 
 pub fn write(record: &RunRecord, folder: &Path) -> Result<(), ReportError> {
     ReportPage::new(record, folder).write(&folder.join(FILE))
@@ -87,14 +91,14 @@ impl<'a> ReportPage<'a> {
             TraceData::read(scenario, self.folder, &self.rows, resolution, &changed, golden.as_ref())
         };
         let data: Vec<TraceData> = record.scenarios.iter().map(read).collect();
-        let articles = self.scenario_articles(&data, resolution);
+        let (articles, plots) = self.scenario_articles(&data, resolution);
         let title = format!("{} · {} {}", record.verdict, record.tool.name, record.started);
         let body = html! {
             @if record.scenarios.len() > 1 { (overview::scenario_list(record, &data)) }
             div.content {
                 div.overview id="overview" {
                     header { (overview::head(record)) }
-                    (overview::not_passed_section(record, &data, &self.history, &changed))
+                    (overview::not_passed_section(record, &data, &plots, &self.history, &changed))
                     @if let Some(other) = self.other_run() { (comparison_section(record, other)) }
                     (overview::boards_section(record))
                     (overview::closest(record))
@@ -131,9 +135,11 @@ impl<'a> ReportPage<'a> {
         trials.filter(|trial| is_changed(folder, trial)).map(|trial| trial.trace.clone()).collect()
     }
 
-    fn scenario_articles(&self, all: &[TraceData], resolution: PlotResolution) -> Vec<Markup> {
+    /// Returns the articles, and by index of the scenario the plots for the cards.
+    fn scenario_articles(&self, all: &[TraceData], resolution: PlotResolution) -> (Vec<Markup>, Vec<Markup>) {
         let record = self.record;
         let mut articles = Vec::new();
+        let mut plots = vec![Markup::default(); record.scenarios.len()];
         for (place, (index, scenario)) in sorted_by_verdict(record).into_iter().enumerate() {
             let Some(data) = all.get(index) else { continue };
             let open_loop = || {
@@ -160,8 +166,12 @@ impl<'a> ReportPage<'a> {
                 trends: self.trends(scenario),
             };
             articles.push(scenario_article(index, scenario, &parts));
+            let window = data.failure_window.filter(|_| place < MAX_CARD_PLOTS && scenario.verdict != Verdict::Pass);
+            if let (Some(window), Some(plot)) = (window, plots.get_mut(index)) {
+                *plot = failure_drawings(&data.grid.t_ms, window, &parts.figures, CARD_LINE_POINTS);
+            }
         }
-        articles
+        (articles, plots)
     }
 
     fn trends(&self, scenario: &ScenarioRecord) -> Vec<Vec<TrendPoint>> {

@@ -29,6 +29,8 @@ pub(crate) struct TraceData {
     pub(crate) views: Vec<View>,
     /// Limits of the expectations that did not pass, or else of the one with the smallest margin.
     pub(crate) limits: Vec<LimitMark>,
+    /// Window that contains the setpoint step and the first missed limit, for the card.
+    pub(crate) failure_window: Option<TimeWindow>,
     /// Index of the trial that is drawn as a line.
     pub(crate) first_trial: u32,
     pub(crate) golden: GoldenDifference,
@@ -183,6 +185,8 @@ impl TraceData {
         let settling = expected.map_or(Settling::Unknown, |index| markers::settling(scenario, trial, index, &steps));
         self.markers = markers::time_markers(scenario, trial, settling, expected, &steps);
         let whole = whole_window(rows);
+        let first_missed = self.limits.iter().find(|limit| limit.is_missed);
+        self.failure_window = Some(first_missed.map_or(whole, |limit| limit.failure_window(&steps, whole)));
         let response = response_window(scenario, settling, whole);
         let view = |name: &str, window: TimeWindow| View { name: name.to_owned(), window };
         let missed = self.limits.iter().filter(|limit| limit.is_missed);

@@ -32,6 +32,23 @@ pub(crate) fn legend_texts(curves: &Value, figure: usize) -> Vec<String> {
 }
 
 #[test]
+fn a_failing_card_contains_the_plot_with_step_and_violation() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = write_page(&fixtures::run_with_traces(folder.path()), folder.path());
+    let plots: Vec<&str> = page.split("<div class=\"failure\">").skip(1).collect();
+    assert_eq!(plots.len(), 2, "one for each scenario that did not pass");
+    let plot = plots[0].split_once("</div>").unwrap().0;
+    let labels: Vec<&str> = plot.split("aria-label=\"").skip(1).map(|part| part.split_once('"').unwrap().0).collect();
+    let [amplitude, drive, frequency] = &labels[..] else { panic!("{labels:?}") };
+    for part in ["Amplitude |W| in µm", "5 % band", "setpoint", "last outside the band"] {
+        assert!(amplitude.contains(part), "{part}: {amplitude}");
+    }
+    assert!(drive.starts_with("Drive in Vpp") && frequency.starts_with("Excitation frequency"), "{labels:?}");
+    // The step is at 1 ms, and the slowest trial enters the band after 7 ms.
+    assert!(amplitude.contains("against time, 0.35 to 8.8 ms"), "{amplitude}");
+}
+
+#[test]
 fn cards_with_one_cause_are_folded_into_one() {
     let folder = tempfile::tempdir().unwrap();
     let record = fixtures::trapped_run(40);
