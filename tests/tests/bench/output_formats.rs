@@ -113,9 +113,15 @@ fn quiet_output_has_failures_only() {
     assert_eq!(run("good").assert_exit(0).text(), "");
     folder.write_scenario("bad.toml", &step_text(BAD));
     let output = run("run").assert_exit(1);
+    let tested = format!(
+        "tested: platebench-host {}, build unknown (the bench's own firmware); rig hosted; clock lockstep; law dq-pi; \
+         plate aluminium-198x138; model modal\n",
+        env!("CARGO_PKG_VERSION")
+    );
     assert_eq!(
-        output.stdout,
-        "verdict: ✗ fail\n\nnot passed:\n  ✗ bad.toml: settling_time_ms: 1.956 ms, limit ≤ 0.5, window 0 … 60 ms\n    \
+        output.stdout.strip_prefix(&tested).unwrap_or_else(|| panic!("{}", output.stdout)),
+        "verdict: ✗ fail (the bench's own firmware on the rig hosted; name yours with --rig)\n\n\
+         not passed:\n  ✗ bad.toml: settling_time_ms: 1.956 ms, limit ≤ 0.5, window 0 … 60 ms\n    \
          trace: traces/bad/000.csv\n"
     );
     assert_eq!(output.stderr, "run folder: run\nreport: run/report.html\n");

@@ -50,8 +50,9 @@ fn the_default_run_passes_and_excludes_limits() {
     let cost = (r"step: [\d ]+ worst (\(.*?\))[,;](?: [\d ]+ are)? [\d.]+ %", "step: # worst $1, # %");
     let duration = (r"duration: .*", "duration: #");
     let slowest = (r"slowest scenario: .*\n", "");
+    let build = (r"tested: platebench-f4 [\d.]+, build [0-9a-f]{8} ", "tested: platebench-f4 # ");
     insta::with_settings!({
-        filters => vec![(r"\d(\.\d+)?e-\d+", "tiny"), (" {2,}", "  "), cost, duration, slowest]
+        filters => vec![(r"\d(\.\d+)?e-\d+", "tiny"), (" {2,}", "  "), cost, duration, slowest, build]
     }, {
         insta::assert_snapshot!(output.stdout);
     });

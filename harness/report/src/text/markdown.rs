@@ -27,8 +27,7 @@ pub fn append(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
 pub fn render_page(record: &RunRecord) -> String {
     let mut text = String::new();
     let counts = format::VerdictCounts::of_expectations(record);
-    let note = markdown_cell(&format::bench_firmware_note(record));
-    let _ = writeln!(text, "## {} platebench: {}{note}\n", format::sign(record.verdict), record.verdict);
+    let _ = writeln!(text, "## {} platebench: {}\n", format::sign(record.verdict), record.verdict);
     let _ = writeln!(text, "Tested: {}.\n", markdown_cell(&format::tested(record)));
     let scenarios = format::count(record.scenarios.len(), "scenario");
     let trials = format::count(record.scenarios.iter().map(|scenario| scenario.trials.len()).sum(), "trial");
