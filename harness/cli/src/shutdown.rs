@@ -243,3 +243,18 @@ pub(crate) fn unless_signalled<T, F: Into<Failure>>(ended: io::Result<WorkResult
         Err(error) => Err(Failure::new(Exit::Inconclusive, &error)),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_signal_ends_the_wait_for_reports() {
+        assert_eq!(run_unless_signalled(|| 7).unwrap(), Some(7));
+        let (_open, blocked) = channel::<()>();
+        State::lock().first_signal = Some((2, Instant::now()));
+        let ended = run_unless_signalled(move || blocked.recv());
+        State::lock().first_signal = None;
+        assert!(ended.unwrap().is_none());
+    }
+}

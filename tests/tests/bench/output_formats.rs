@@ -89,7 +89,7 @@ fn a_passed_run_prints_a_summary_and_no_progress() {
     let stdout = output.stdout.replace(|digit: char| digit.is_ascii_digit(), "#");
     assert_eq!(
         stdout.lines().map(|line| line.split_once(": ").map_or(line, |(name, _)| name)).collect::<Vec<_>>(),
-        ["# scenario", "# expectation", "duration", "smallest margin", "verdict"]
+        ["tested", "# scenario", "# expectation", "duration", "smallest margin", "verdict"]
     );
     assert!(output.stdout.contains(" %, s.toml: settling_time_ms: "), "{}", output.stdout);
     let skipped =

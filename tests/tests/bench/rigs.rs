@@ -1,7 +1,7 @@
 //! Compares the hosted rig with the emulated one, and tests features of the emulated rig.
 
 use crate::test_folder::{
-    SETTLING, TestFolder, assert_same_traces, bench_command, step_scenario, step_text, workspace_root,
+    SETTLING, TestFolder, assert_same_traces, run_bench, step_scenario, step_text, workspace_root,
 };
 use platebench_engine::rejudge;
 use platebench_model::record::{Cause, RunRecord, Verdict};
@@ -16,12 +16,11 @@ use std::fs;
 #[case::open_loop(&["--law", "open-loop"])]
 fn hosted_and_emulated_traces_are_identical(#[case] law: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
-    // The scenarios of `limits` depend on their own laws.
-    let parts = if law.is_empty() { &["paper", "limits"][..] } else { &["paper"] };
+    let scenarios =
+        ["paper", "limits"].map(|part| workspace_root().join("scenarios").join(part).to_str().unwrap().to_owned());
     for rig in ["hosted", "emulated"] {
-        let mut run = bench_command(folder.path());
-        run.args(["run", "--rig", rig, "--out", rig, "--trials", "2"]).args(law);
-        run.args(parts.iter().map(|part| workspace_root().join("scenarios").join(part))).output().unwrap();
+        let arguments = ["run", &scenarios[0], &scenarios[1], "--rig", rig, "--out", rig, "--trials", "2"];
+        run_bench(folder.path(), arguments.iter().chain(law));
     }
     assert_same_traces(folder.path(), ["hosted", "emulated"]);
 }
@@ -233,5 +232,5 @@ fn a_run_that_crashed_is_no_reference() {
 #[case::not_an_elf("Cargo.toml", "not a firmware for the emulated board")]
 fn rejects_a_file_without_firmware(#[case] elf: &str, #[case] message: &str) {
     let rig = format!("emulated:{}", workspace_root().join(elf).display());
-    TestFolder::with_step(SETTLING).bench(["run", "--rig", &rig]).assert_message(2, &[message]);
+    TestFolder::with_step(SETTLING).bench(["run", "--rig", &rig]).assert_exit(2).assert_stderr(&[message]);
 }

@@ -1,6 +1,6 @@
 //! Tests which scenarios are listed, selected and skipped.
 
-use crate::test_folder::{FAILED_SETTLING, SETTLING, TestFolder, step_text};
+use crate::test_folder::{FAILED_SETTLING, SETTLING, TestFolder, run_bench, step_text};
 use Verdict::{Fail, Inconclusive, Pass};
 use platebench_model::record::{Cause, RunRecord, ScenarioRecord, Verdict};
 use rstest::rstest;
@@ -32,6 +32,10 @@ fn listed_files(folder: &TestFolder, arguments: &[&str]) -> Vec<String> {
 #[case::any(&["--tag", "acceptance", "--tag", "laws"], &["a.toml", "c.toml"])]
 #[case::without(&["--not-tag", "paper"], &["c.toml", "d.toml"])]
 #[case::without_wins(&["--tag", "paper", "--not-tag", "acceptance"], &["b.toml"])]
+#[case::text(&["-k", "B.TOML"], &["b.toml"])]
+#[case::any_text(&["-k", "a.", "-k", "c."], &["a.toml", "c.toml"])]
+#[case::text_and_tag(&["-k", ".toml", "--tag", "laws"], &["c.toml"])]
+#[case::name(&["b.toml"], &["b.toml"])]
 #[case::shard_of_selected(&["--tag", "paper", "--shard", "2/2"], &["b.toml"])]
 fn tags_select_scenarios(#[case] arguments: &[&str], #[case] expected: &[&str]) {
     assert_eq!(listed_files(&tagged_folder(), arguments), expected);
@@ -63,6 +67,63 @@ fn an_unknown_tag_is_reported() {
     folder.bench(["run", "--list", "--tag", "papers", "--tag", "laws"]).assert_message(0, &[near]);
     let far = "no scenario has the tag `x`; known tags: acceptance, laws, paper";
     folder.bench(["run", "--list", "--not-tag", "x"]).assert_message(0, &[far]);
+}
+
+#[test]
+fn an_unknown_text_of_a_name_is_reported() {
+    let folder = TestFolder::new();
+    folder.write_scenario("ramp-slow.toml", &step_text(SETTLING));
+    let message = "no scenario name contains `ramp-slw`; did you mean `ramp-slow`?";
+    folder.bench(["run", "--list", "-k", "ramp-slw"]).assert_exit(4).assert_stderr(&[message]);
+}
+
+#[test]
+fn the_names_of_messages_are_arguments_from_any_folder() {
+    let folder = tagged_folder();
+    fs::create_dir_all(folder.join("docs/notes")).unwrap();
+    let run = |arguments: &[&str]| run_bench(&folder.join("docs/notes"), arguments);
+    let list = |arguments: &[&str]| run(&[&["run", "--list", "-q"], arguments].concat()).assert_exit(0).stdout;
+    assert_eq!(list(&[]), "a.toml\nb.toml\nc.toml\nd.toml\n");
+    assert_eq!(list(&["b.toml"]), "b.toml\n");
+    assert_eq!(list(&["scenarios/b.toml", "c"]), "b.toml\nc.toml\n");
+    run(&["check", "b.toml"]).assert_exit(0).assert_stdout(&["no faults in 1 scenario"]);
+    run(&["check", "plates/aluminium-198x138.toml"]).assert_exit(0).assert_stdout(&["no faults in 1 plate"]);
+    folder.write_scenario("fig13.toml", &step_text(SETTLING));
+    run(&["run", "fig31.toml"])
+        .assert_exit(2)
+        .assert_stderr(&["fig31.toml: cannot be read", "did you mean `fig13.toml`?"]);
+}
+
+#[test]
+fn last_failed_selects_what_did_not_pass_in_the_newest_run() {
+    let folder = tagged_folder();
+    let list = ["run", "--list", "-q", "--last-failed"];
+    folder.bench(list).assert_exit(2).assert_stderr(&["--last-failed: runs contains no run"]);
+    folder.bench(["run", "--rig", "hosted"]).assert_exit(1);
+    assert_eq!(folder.bench(list).assert_exit(0).stdout, "b.toml\n");
+    folder.replace("scenarios/b.toml", FAILED_SETTLING, SETTLING);
+    folder.bench(["run", "--rig", "hosted", "--last-failed", "--runs", "runs"]).assert_exit(0);
+    folder.bench(list).assert_exit_in(&[0, 4]);
+}
+
+#[test]
+fn last_failed_selects_named_scenarios_and_reports_missing_ones() {
+    let folder = TestFolder::new();
+    folder.write_scenario("limit.toml", &format!("only_if_named = \"known limit\"\n{}", step_text(FAILED_SETTLING)));
+    folder.write_scenario("gone.toml", &step_text(FAILED_SETTLING));
+    folder.bench(["run", "--rig", "hosted", "--runs", "other", "limit.toml", "gone.toml"]).assert_exit(1);
+    fs::remove_file(folder.join("scenarios/gone.toml")).unwrap();
+    let list = folder.bench(["run", "--list", "-q", "--last-failed", "--runs", "other"]).assert_exit(0);
+    assert_eq!(list.stdout, "limit.toml\n");
+    assert!(list.stderr.starts_with("gone.toml did not pass in other/"), "{}", list.stderr);
+}
+
+#[test]
+fn last_failed_has_nothing_to_run_after_a_pass() {
+    let folder = TestFolder::with_step(SETTLING);
+    folder.bench(["run", "--rig", "hosted"]).assert_exit(0);
+    let message = "passed, so there is nothing to run";
+    folder.bench(["run", "--rig", "hosted", "--last-failed"]).assert_exit(4).assert_stderr(&[message]);
 }
 
 #[test]
