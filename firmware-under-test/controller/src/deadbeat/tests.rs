@@ -17,6 +17,11 @@ fn raised_flags(periods: &[SimulatedPeriod]) -> u8 {
     periods.iter().fold(0, |all, period| all | period.actuation.flags)
 }
 
+#[track_caller]
+fn assert_near(periods: &[SimulatedPeriod], setpoint: f64, tolerance: f64, case: &str) {
+    assert!(periods.iter().all(|period| (period.amplitude - setpoint).abs() < tolerance), "{case}: {periods:?}");
+}
+
 #[test]
 fn settles_in_two_periods() {
     for damping in [1.0, 1.2, 1.5, 2.0, 7.0 / 3.0] {
@@ -28,7 +33,7 @@ fn settles_in_two_periods() {
             assert!(at_two.wq.abs() < 0.2, "σ × {damping}, {resonance} rad/s: {at_two:?}");
             let peak = periods.iter().map(|period| period.actuation.drive_vpp).fold(0.0, f32::max);
             assert!(peak <= 800.0, "σ × {damping}, {resonance} rad/s: {peak} Vpp");
-            assert!(periods[2..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02), "{periods:?}");
+            assert_near(&periods[2..], 2.0, 0.02, "");
             let last = periods[39];
             assert!(last.wq.abs() < 1e-3 && (last.amplitude - 2.0).abs() < 1e-4, "{last:?}");
             assert_eq!(raised_flags(&periods) & (flags::SATURATED | flags::PREDICTION_MISSED), 0);
@@ -81,7 +86,7 @@ fn drive_stays_at_its_limit_until_the_setpoint_is_near() {
     let drives: Vec<_> = periods.iter().map(|period| period.actuation.drive_vpp).collect();
     assert_eq!(drives[..2], [400.0, 400.0]);
     assert!((300.0..340.0).contains(&drives[2]), "{drives:?}");
-    assert!(periods[3..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.01), "{periods:?}");
+    assert_near(&periods[3..], 2.0, 0.01, "");
     assert_eq!(periods[0].actuation.flags & flags::SATURATED, flags::SATURATED);
     assert_eq!(periods[2].actuation.flags & flags::SATURATED, 0);
 }
@@ -98,7 +103,7 @@ fn out_of_reach_only_raises_saturated_and_recovers() {
     simulation.damping = 1.0;
     let periods = simulation.run_periods(2.0, 30);
     assert!(highest_drive(&periods) < 2.1, "{periods:?}");
-    assert!(periods[6..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02), "{periods:?}");
+    assert_near(&periods[6..], 2.0, 0.02, "");
 }
 
 #[test]
@@ -132,10 +137,7 @@ fn a_sudden_finger_is_corrected_at_once() {
         simulation.damping = after;
         let periods = simulation.run_periods(2.0, 30);
         assert!((periods[1].amplitude - 2.0).abs() > 0.2, "{periods:?}");
-        assert!(
-            periods[2..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02),
-            "σ × {before} to {after}: {periods:?}"
-        );
+        assert_near(&periods[2..], 2.0, 0.02, &std::format!("σ × {before} to {after}"));
         assert_eq!(raised_flags(&periods) & flags::PREDICTION_MISSED, 0);
     }
 }
@@ -149,7 +151,7 @@ fn a_finger_within_a_period_is_not_taken_for_a_delay() {
             simulation.run_periods(2.0, 30);
             simulation.change_damping(after, share);
             let periods = simulation.run_periods(2.0, 30);
-            assert!(periods[4..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.04), "{share}: {periods:?}");
+            assert_near(&periods[4..], 2.0, 0.04, &std::format!("{share}"));
             let Law::Deadbeat(law) = simulation.law else { panic!("another law") };
             assert_eq!(law.delay, 0.0, "σ × {before} to {after} after {share} of a period");
         }
@@ -171,25 +173,17 @@ fn steering_ends_on_an_unsteady_plate() {
 fn an_unknown_delay_is_found_and_compensated() {
     for delay in [0.1e-3, 0.2e-3, 0.3e-3, 0.4e-3, 0.5e-3] {
         for (damping, resonance) in [(1.0, 0.0), (1.0, NINE_KELVIN), (1.5, 0.0)] {
+            let case = std::format!("{delay} s, σ × {damping}");
             let mut simulation = LawSimulation { delay, ..LawSimulation::new(&DEADBEAT, damping, resonance) };
             let first = simulation.run_periods(2.0, 30);
-            assert!(
-                first[6..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.1),
-                "{delay} s, σ × {damping}: {first:?}"
-            );
+            assert_near(&first[6..], 2.0, 0.1, &case);
             assert_eq!(raised_flags(&first) & flags::PREDICTION_MISSED, 0);
             simulation.run_periods(0.0, 30);
             let second = simulation.run_periods(2.0, 30);
             assert!(highest_drive(&second) < 2.04, "{delay} s, σ × {damping}: {second:?}");
-            assert!(
-                second[4..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.04),
-                "{delay} s, σ × {damping}: {second:?}"
-            );
+            assert_near(&second[4..], 2.0, 0.04, &case);
             let third = simulation.run_periods(2.4, 12);
-            assert!(
-                third[2..].iter().all(|period| (period.amplitude - 2.4).abs() < 0.05),
-                "{delay} s, σ × {damping}: {third:?}"
-            );
+            assert_near(&third[2..], 2.4, 0.05, &case);
         }
     }
 }
@@ -200,7 +194,7 @@ fn a_very_heavy_finger_costs_one_period() {
         let configure = Configure { drive_limit_vpp: 1500.0, ..DEADBEAT };
         let mut simulation = LawSimulation::new(&configure, damping, NINE_KELVIN);
         let periods = simulation.run_periods(2.0, 30);
-        assert!(periods[3..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.02), "σ × {damping}: {periods:?}");
+        assert_near(&periods[3..], 2.0, 0.02, &std::format!("σ × {damping}"));
         assert_eq!(raised_flags(&periods) & flags::PREDICTION_MISSED, 0);
         let Law::Deadbeat(law) = simulation.law else { panic!("another law") };
         assert_eq!(law.delay, 0.0);
@@ -215,10 +209,7 @@ fn a_gain_error_is_not_taken_for_a_delay() {
             let mut simulation =
                 LawSimulation { force: FORCE * gain, ..LawSimulation::new(&DEADBEAT, damping, NINE_KELVIN) };
             let periods = simulation.run_periods(2.0, 40);
-            assert!(
-                periods[3..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.1),
-                "K1 × {gain}, σ × {damping}: {periods:?}"
-            );
+            assert_near(&periods[3..], 2.0, 0.1, &std::format!("K1 × {gain}, σ × {damping}"));
             assert!((periods[39].amplitude - 2.0).abs() < 1e-3);
             let Law::Deadbeat(law) = simulation.law else { panic!("another law") };
             let allowed = if gain < 1.0 && damping > 2.0 { 0.1e-3 } else { 0.0 };
@@ -277,11 +268,8 @@ fn a_wrong_given_delay_is_corrected() {
         let second = simulation.run_periods(2.0, 30);
         assert!(highest_drive(&second) < 2.04, "{loop_delay_us} µs configured, {delay} s: {second:?}");
         let Law::Deadbeat(law) = simulation.law else { panic!("another law") };
-        assert!(
-            (f64::from(law.delay) - delay).abs() < 1e-5,
-            "{loop_delay_us} µs configured, {delay} s: {} s",
-            law.delay
-        );
+        let found = f64::from(law.delay);
+        assert!((found - delay).abs() < 1e-5, "{loop_delay_us} µs configured, {delay} s: {found} s");
     }
 }
 
@@ -291,6 +279,6 @@ fn a_heavy_finger_costs_nothing_with_a_given_delay() {
         let configure = Configure { drive_limit_vpp: 1500.0, loop_delay_us: 300, ..DEADBEAT };
         let mut simulation = LawSimulation { delay: 0.3e-3, ..LawSimulation::new(&configure, damping, NINE_KELVIN) };
         let periods = simulation.run_periods(2.0, 30);
-        assert!(periods[3..].iter().all(|period| (period.amplitude - 2.0).abs() < 0.06), "σ × {damping}: {periods:?}");
+        assert_near(&periods[3..], 2.0, 0.06, &std::format!("σ × {damping}"));
     }
 }

@@ -7,6 +7,11 @@ use platebench_wire::{LawId, flags};
 const AT_SETPOINT: Sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 2.0, wq_um: 0.0 };
 const FROM_REST: Sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };
 
+#[track_caller]
+fn assert_fault(command: &Command, cause: StateCause) {
+    assert_eq!((command.state, command.cause, command.drive_vpp), (ControllerState::Fault, cause, 0.0));
+}
+
 fn running_machine() -> StateMachine {
     let mut machine = StateMachine::new();
     machine.configure(&CONFIGURE).outcome.unwrap();
@@ -49,10 +54,7 @@ fn the_fifth_period_without_a_sample_is_a_timeout() {
     let mut machine = running_machine();
     assert_eq!(machine.tick(4_999), None);
     let command = machine.tick(5_000).unwrap();
-    assert_eq!(
-        (command.state, command.cause, command.drive_vpp),
-        (ControllerState::Fault, StateCause::SampleTimeout, 0.0)
-    );
+    assert_fault(&command, StateCause::SampleTimeout);
     assert_eq!(machine.tick(6_000), None, "sent once");
 
     let mut late = running_machine();
@@ -90,7 +92,7 @@ fn the_fifth_rejected_frame_in_a_row_is_line_noise() {
         assert_eq!(machine.count_rejected_frame(10), None);
     }
     let command = machine.count_rejected_frame(20).unwrap();
-    assert_eq!((command.state, command.cause, command.drive_vpp), (ControllerState::Fault, StateCause::LineNoise, 0.0));
+    assert_fault(&command, StateCause::LineNoise);
 }
 
 #[test]
@@ -121,10 +123,7 @@ fn a_value_that_is_not_finite_is_a_lasting_fault() {
         ] {
             let mut machine = running_machine();
             let command = machine.sample(&sample, 1_000);
-            assert_eq!(
-                (command.state, command.cause, command.drive_vpp),
-                (ControllerState::Fault, StateCause::NonFinite, 0.0)
-            );
+            assert_fault(&command, StateCause::NonFinite);
             assert_eq!(machine.sample(&AT_SETPOINT, 2_000).drive_vpp, 0.0);
         }
     }
