@@ -119,8 +119,9 @@ fn cause_card(
                         li {
                             a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
                             " " span.file { (scenario.file) } ": "
-                            @for (number, found) in indices.iter().filter_map(|index| scenario.expectations.get(*index)).enumerate() {
-                                @if number > 0 { ", " } code { (found.name) }
+                            @for (number, index) in indices.iter().enumerate() {
+                                @if number > 0 { ", " }
+                                @if let Some(found) = scenario.expectations.get(*index) { code { (found.name) } }
                             }
                         }
                     }
