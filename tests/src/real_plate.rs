@@ -20,7 +20,7 @@
 //! | `clock=X` | the board's timer runs faster by this factor |
 
 use platebench_controller::StateMachine;
-use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, RawPlate, Tier, Time};
+use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Model, Plant, Plate, Profile, RawPlate, Time};
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, FaultReport, Identity, LawId, Message, Packet, PacketReader,
     Rejection, Sample, Telemetry, capabilities,
@@ -207,7 +207,7 @@ impl SimulatedBoard {
             ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.0) };
         self.trial = configured.outcome.is_ok().then(|| BoardTrial {
             configure: *configure,
-            plant: Plant::new(self.plate.clone(), scene, Tier::Envelope),
+            plant: Plant::new(self.plate.clone(), scene, Model::Envelope),
             started: None,
             setpoint_um: 0.0,
             last_setpoint: Instant::now(),

@@ -8,7 +8,7 @@ use crate::scenes::models;
 use platebench_engine::{Clock, Pacing, TimeBase};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::{Metric, Scenario};
-use platebench_plate::Tier;
+use platebench_plate::Model;
 use platebench_report::chart::{LogLogChart, LogLogSeries};
 use platebench_report::document::{Block, Document, Table};
 use platebench_report::page::ChartSection;
@@ -28,7 +28,7 @@ const METRICS: [(Metric, &str, &str); 3] = [
 
 #[derive(Debug, Clone, PartialEq)]
 enum Rung {
-    Model(Tier),
+    Model(Model),
     Rig(RigSpec, Clock),
 }
 
@@ -48,10 +48,10 @@ impl Rung {
 
     fn question(&self) -> &'static str {
         match self {
-            Self::Model(Tier::Linear) => "Roughly how large and how fast, without detuning?",
-            Self::Model(Tier::Envelope) => "Which law, gains, period and delay work?",
-            Self::Model(Tier::Modal) => "Does the control law pass?",
-            Self::Model(Tier::Carrier) => "Does it pass with converter and demodulator?",
+            Self::Model(Model::Linear) => "Roughly how large and how fast, without detuning?",
+            Self::Model(Model::Envelope) => "Which law, gains, period and delay work?",
+            Self::Model(Model::Modal) => "Does the control law pass?",
+            Self::Model(Model::Carrier) => "Does it pass with converter and demodulator?",
             Self::Rig(rig, _) if rig.has(Capability::EmulatedChip) => "Does the firmware image pass, as compiled?",
             Self::Rig(_, Clock::Lockstep { .. }) => "Does this controller program pass?",
             Self::Rig(..) => "Does it pass with the delay of its line?",
@@ -86,7 +86,7 @@ struct RungResult {
 
 /// Plays `scenarios` on every rung. Each of `rigs` adds a rung in lockstep and one in real time.
 pub fn build_chart(scenarios: &[Scenario], rounds: u32, rigs: &[RigSpec]) -> Result<ChartSection, ChartError> {
-    let mut rungs: Vec<Rung> = Tier::ALL.map(Rung::Model).into();
+    let mut rungs: Vec<Rung> = Model::ALL.map(Rung::Model).into();
     rungs.push(Rung::reference());
     for rig in rigs {
         rungs.extend([LOCKSTEP, REAL_TIME].map(|clock| Rung::Rig(rig.clone(), clock)));

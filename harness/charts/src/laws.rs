@@ -3,7 +3,7 @@
 use crate::measured_run::{ChartError, play_hosted};
 use platebench_engine::TrialResult;
 use platebench_model::scenario::{Expectation, Metric, Scenario, Window, load};
-use platebench_plate::{Profile, Tier, Time};
+use platebench_plate::{Model, Profile, Time};
 use platebench_report::chart::{MultiplesChart, MultiplesPoint, ScatterChart, ScatterPanel, ScatterPoint};
 use platebench_report::document::{Block, Document, Table};
 use platebench_report::page::ChartSection;
@@ -212,7 +212,7 @@ impl LawScenario {
         let (response, window_mean) = (expected(metric, response_window), expected(Metric::StaticError, last_third));
         // Because of this expectation, the trace has a row at every crossing of the band.
         scenario.expectations = vec![response.clone()];
-        scenario.tier = Tier::Modal;
+        scenario.tier = Model::Modal;
         Self {
             name: name.to_owned(),
             scenario,

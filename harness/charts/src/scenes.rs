@@ -5,7 +5,7 @@ use crate::measured_run::median;
 use crate::measured_run::{LOCKSTEP, MeasuredRun};
 use platebench_model::record::{ExpectationRecord, RunRecord};
 use platebench_model::scenario::{Expectation, Scenario};
-use platebench_plate::Tier;
+use platebench_plate::Model;
 use platebench_report::chart::{StripChart, StripRow};
 use platebench_report::document::{Block, Document, Table};
 use platebench_report::page::ChartSection;
@@ -31,7 +31,7 @@ impl MetricResult<'_> {
 }
 
 struct ModelResult<'a> {
-    tier: Tier,
+    tier: Model,
     /// True if the scenario's verdict differs from that on the reference model.
     is_changed: bool,
     metrics: Vec<MetricResult<'a>>,
@@ -44,17 +44,17 @@ struct SceneResult<'a> {
 }
 
 struct ModelCost {
-    tier: Tier,
+    tier: Model,
     scenario_count: usize,
     period_us: f64,
 }
 
 /// Models that include all effects of the plate. The carrier model is included only if the plate
 /// has a converter or the scenario names this model.
-pub(crate) fn models(scenario: &Scenario) -> Vec<Tier> {
-    let has_carrier = [scenario.tier, Tier::exact_for(&scenario.plate)].contains(&Tier::Carrier);
-    let is_complete = |tier: &Tier| Scenario::omitted_effect(*tier, &scenario.plate).is_none();
-    Tier::ALL.into_iter().filter(|tier| *tier != Tier::Carrier || has_carrier).filter(is_complete).collect()
+pub(crate) fn models(scenario: &Scenario) -> Vec<Model> {
+    let has_carrier = [scenario.tier, Model::exact_for(&scenario.plate)].contains(&Model::Carrier);
+    let is_complete = |tier: &Model| Scenario::omitted_effect(*tier, &scenario.plate).is_none();
+    Model::ALL.into_iter().filter(|tier| *tier != Model::Carrier || has_carrier).filter(is_complete).collect()
 }
 
 pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, ChartError> {
@@ -62,7 +62,7 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, 
     let mut costs: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     // Measures the models in turn, so that other load affects all of them equally.
     for _ in 0..rounds.max(1) {
-        for tier in Tier::ALL {
+        for tier in Model::ALL {
             let with_tier = |scenario: &Scenario| Scenario { tier, ..scenario.clone() };
             let own: Vec<_> = scenarios.iter().filter(|scene| models(scene).contains(&tier)).map(with_tier).collect();
             if own.is_empty() {
@@ -73,21 +73,21 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, 
             records.insert(tier.name(), record);
         }
     }
-    let cost = |tier: Tier| {
+    let cost = |tier: Model| {
         let period_us = median(costs.get(tier.name())?.clone());
         Some(ModelCost { tier, scenario_count: records.get(tier.name())?.scenarios.len(), period_us })
     };
-    let costs: Vec<ModelCost> = Tier::ALL.into_iter().filter_map(cost).collect();
+    let costs: Vec<ModelCost> = Model::ALL.into_iter().filter_map(cost).collect();
     let results: Vec<_> = scenarios.iter().filter_map(|scenario| SceneResult::new(scenario, &records)).collect();
     section(&results, &costs)
 }
 
 impl<'a> SceneResult<'a> {
     fn new(scenario: &'a Scenario, records: &'a BTreeMap<&str, RunRecord>) -> Option<Self> {
-        let on = |tier: Tier| records.get(tier.name())?.scenarios.iter().find(|scene| scene.file == scenario.file);
+        let on = |tier: Model| records.get(tier.name())?.scenarios.iter().find(|scene| scene.file == scenario.file);
         let tiers = models(scenario);
         let reference = on(*tiers.last()?)?;
-        let model = |tier: Tier| {
+        let model = |tier: Model| {
             let record = on(tier)?;
             let both = record.expectations.iter().zip(&reference.expectations);
             let metrics = both
@@ -244,7 +244,7 @@ fn full_table(results: &[SceneResult<'_>]) -> Table {
 }
 
 fn strip_chart(results: &[SceneResult<'_>]) -> StripChart {
-    let colour = |tier: Tier| Tier::ALL.iter().position(|known| *known == tier).unwrap_or_default();
+    let colour = |tier: Model| Model::ALL.iter().position(|known| *known == tier).unwrap_or_default();
     let row = |scene: &SceneResult<'_>| {
         let changed = scene.models.iter().filter(|model| model.is_changed);
         let names: Vec<&str> = changed.map(|model| model.tier.name()).collect();
@@ -261,7 +261,7 @@ fn strip_chart(results: &[SceneResult<'_>]) -> StripChart {
         title: "Models of the plate against the most detailed one".to_owned(),
         x_label: "largest difference of a metric / its tolerance".to_owned(),
         floor: SCALE_FLOOR,
-        colours: Tier::ALL.map(|tier| tier.name().to_owned()).into(),
+        colours: Model::ALL.map(|tier| tier.name().to_owned()).into(),
         chosen_label: "ring: model of the scenario".to_owned(),
         limit_label: "a tenth of the tolerance".to_owned(),
         rows: results.iter().map(row).collect(),

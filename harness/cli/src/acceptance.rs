@@ -11,7 +11,7 @@ use clap::{Args, Subcommand};
 use platebench_engine::{CancelToken, Event, LiveTap, RunError, RunPlan};
 use platebench_lab::acceptance::session_record::{StepKind, StepRecord};
 use platebench_lab::acceptance::{
-    AcceptError, Plan, PublicKey, SecretKey, SessionConfig, SessionDetails, SessionHooks, SessionObserver,
+    AcceptError, AcceptancePlan, PublicKey, SecretKey, SessionConfig, SessionDetails, SessionHooks, SessionObserver,
     SessionRecord, Signer, page, play_session, verify,
 };
 use platebench_lab::boards::BoardOutcome;
@@ -185,7 +185,7 @@ fn session_config(arguments: &SessionArgs) -> Result<SessionConfig, Failure> {
     let (time_scale, pacing) = (arguments.time_scale, arguments.pacing);
     let request = ClockRequest { time_scale, pacing, ..ClockRequest::new(&rig, arguments.clock) };
     let clock = request.resolve().or_invalid()?;
-    let plan = Plan::load(&arguments.plan).map_err(|faults| {
+    let plan = AcceptancePlan::load(&arguments.plan).map_err(|faults| {
         let exit = Failure::from(faults).report();
         if !arguments.plan.exists() {
             stdio::note(NO_PLAN);

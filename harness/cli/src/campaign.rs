@@ -9,8 +9,8 @@ use crate::stdio;
 use clap::{Args, Subcommand, ValueEnum};
 use platebench_engine::RunError;
 use platebench_experiments::campaign::{
-    Campaign, CampaignError, Plan, PlayConfig, ResponseLinks, ShardEnd, ShardLock, TrialEvent, confirm, lock_folder,
-    merge, part_name, play_shard, play_worst, report, shards_of_run, status, worst_trials,
+    Campaign, CampaignError, CampaignPlan, PlayConfig, ResponseLinks, ShardEnd, ShardLock, TrialEvent, confirm,
+    lock_folder, merge, part_name, play_shard, play_worst, report, shards_of_run, status, worst_trials,
 };
 use platebench_experiments::campaign::{Engine, command_line, submission};
 use platebench_lab::boards::BoardOutcome;
@@ -161,13 +161,18 @@ pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> CommandResult {
 }
 
 /// Creates the folder and reserves it until the lock is dropped.
-fn plan(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<(Plan, FileLock), CampaignError> {
+fn plan(
+    campaign: &Campaign,
+    folder: &Path,
+    rig: &RigSpec,
+    shards: u32,
+) -> Result<(CampaignPlan, FileLock), CampaignError> {
     rig.check()?;
     warn_of_scenarios(std::slice::from_ref(&campaign.template.scenario));
     if campaign.confirm.is_some() && *rig != RigSpec::hosted() {
         return Err(CampaignError::ConfirmedRig(rig.to_string()));
     }
-    let plan = Plan::new(campaign, folder, rig, shards)?;
+    let plan = CampaignPlan::new(campaign, folder, rig, shards)?;
     fs::create_dir_all(folder).at(folder)?;
     let lock = lock_folder(folder)?;
     plan.write(folder)?;
@@ -177,7 +182,7 @@ fn plan(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Resul
 fn run(arguments: &RunArgs, quiet: bool) -> CommandResult {
     let campaign = Arc::new(Campaign::load(&arguments.file)?);
     let rig = arguments.board.find_rig()?.unwrap_or_else(|| arguments.rig.clone());
-    let planned = Plan::exists(&arguments.out).then(|| Plan::read(&arguments.out)).transpose()?;
+    let planned = CampaignPlan::exists(&arguments.out).then(|| CampaignPlan::read(&arguments.out)).transpose()?;
     let shards = planned.map_or_else(|| shards_of_run(&campaign), |plan| plan.shards);
     let (plan, _lock) = plan(&campaign, &arguments.out, &rig, shards)?;
     let shards = (1..=plan.shards).collect();
@@ -187,7 +192,7 @@ fn run(arguments: &RunArgs, quiet: bool) -> CommandResult {
 }
 
 fn play_one(arguments: &PlayArgs, quiet: bool) -> CommandResult {
-    let (plan, campaign) = Plan::open(&arguments.folder)?;
+    let (plan, campaign) = CampaignPlan::open(&arguments.folder)?;
     let rig = match arguments.board.find_rig()?.or_else(|| arguments.rig.clone()) {
         Some(rig) => rig,
         None => plan_rig(&plan, &arguments.folder)?,
@@ -201,7 +206,7 @@ fn play_one(arguments: &PlayArgs, quiet: bool) -> CommandResult {
 }
 
 fn submit(arguments: &SubmitArgs, quiet: bool) -> CommandResult {
-    let plan = Plan::read(&arguments.folder)?;
+    let plan = CampaignPlan::read(&arguments.folder)?;
     let engine = match arguments.on {
         EngineName::Slurm => Engine::Slurm,
         EngineName::Hyperqueue => Engine::HyperQueue,
@@ -228,7 +233,7 @@ fn submit(arguments: &SubmitArgs, quiet: bool) -> CommandResult {
 }
 
 fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFormat) -> CommandResult {
-    let (plan, campaign) = Plan::open(folder)?;
+    let (plan, campaign) = CampaignPlan::open(folder)?;
     let _lock = lock_folder(folder)?;
     let rig = plan_rig(&plan, folder)?;
     // Other machines may have played the shards. Only the worst trials need the planned bench here.
@@ -236,7 +241,7 @@ fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFor
     merge_and_show(folder, (plan, Arc::new(campaign)), bench, jobs, quiet, format)
 }
 
-fn plan_rig(plan: &Plan, folder: &Path) -> Result<RigSpec, CampaignError> {
+fn plan_rig(plan: &CampaignPlan, folder: &Path) -> Result<RigSpec, CampaignError> {
     plan.rig.parse().map_err(|_| CampaignError::NoPlan(folder.to_owned()))
 }
 
@@ -244,7 +249,7 @@ fn plan_rig(plan: &Plan, folder: &Path) -> Result<RigSpec, CampaignError> {
 /// `bench` is an error because bench or firmware differ from the plan.
 fn merge_and_show(
     folder: &Path,
-    (plan, campaign): (Plan, Arc<Campaign>),
+    (plan, campaign): (CampaignPlan, Arc<Campaign>),
     bench: Result<(), CampaignError>,
     jobs: Option<u16>,
     quiet: bool,
@@ -282,7 +287,7 @@ fn merge_and_show(
 fn play_on_board(
     board: &BoardArgs,
     folder: &Path,
-    context: (Plan, Arc<Campaign>),
+    context: (CampaignPlan, Arc<Campaign>),
     shards: Vec<u32>,
     rig: &RigSpec,
     jobs: Option<u16>,
@@ -303,7 +308,7 @@ fn play_on_board(
 
 fn play(
     folder: &Path,
-    (plan, campaign): (Plan, Arc<Campaign>),
+    (plan, campaign): (CampaignPlan, Arc<Campaign>),
     shards: Vec<u32>,
     config: PlayConfig,
     quiet: bool,
@@ -340,7 +345,7 @@ fn run_campaign_work<R: Send + 'static>(
 }
 
 fn show_status(folder: &Path) -> CommandResult {
-    let (plan, campaign) = Plan::open(folder)?;
+    let (plan, campaign) = CampaignPlan::open(folder)?;
     let status = status(folder, &plan, &campaign)?;
     let (whole, missing) = (status.whole.len(), status.missing.len());
     stdio::show(&format!(

@@ -10,7 +10,7 @@ use platebench_engine::law;
 #[cfg(feature = "export")]
 use platebench_experiments::campaign::Campaign;
 use platebench_experiments::explore::Envelope;
-use platebench_lab::acceptance::Plan;
+use platebench_lab::acceptance::AcceptancePlan;
 use platebench_lab::boards::Inventory;
 use platebench_model::scenario::{
     Diagnostic, FileKind, list_files, load, load_with_all_errors, plate_warnings, read_requirements, repeated_names,
@@ -75,7 +75,7 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
             Err(faults) => faults,
         },
         FileKind::Plate => load::load_plate(path).err().unwrap_or_default(),
-        FileKind::Plan => Plan::load(path).err().unwrap_or_default(),
+        FileKind::Plan => AcceptancePlan::load(path).err().unwrap_or_default(),
         FileKind::Envelope => Envelope::load(path).err().unwrap_or_default(),
         #[cfg(not(feature = "export"))]
         FileKind::Campaign => vec![Diagnostic::for_file(path, "this bench was built without the feature `export`")],

@@ -16,7 +16,7 @@ use platebench_design::tuning::{
 };
 use platebench_model::scenario::load::{implausible_values, load_plate, require_no_effects};
 use platebench_model::scenario::{Diagnostic, load, read_text};
-use platebench_plate::{Plate, Tier, Time, Uncertainty};
+use platebench_plate::{Model, Plate, Time, Uncertainty};
 use platebench_report::Style;
 use platebench_rig::RigSpec;
 use platebench_wire::{Gains, LawId};
@@ -335,7 +335,7 @@ fn show_json(
         "reason": reason,
         "plate": target.plate.name,
         "law": law.name(),
-        "model": Tier::Modal.name(),
+        "model": Model::Modal.name(),
         "demand": {
             "response_ms": target.response * 1e3, "period_ms": target.period() * 1e3, "delay_ms": target.delay * 1e3,
             "setpoint_um": target.setpoint, "force_n": target.force_n, "phase_margin_deg": target.phase_margin_deg,

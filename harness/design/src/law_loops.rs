@@ -15,7 +15,7 @@ use crate::loops::{
 };
 use platebench_controller::design;
 use platebench_engine::delay_boundary::{DelayBoundary, DelayedLoop, search_boundary};
-use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Plate, State, Tier, Time};
+use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Model, Plate, State, Time};
 use platebench_verdict::statistics::bisect;
 use platebench_wire::{Configure, Gains, LawId};
 use std::f64::consts::TAU;
@@ -115,7 +115,7 @@ impl<'a> LoopCase<'a> {
     }
 
     /// Drive and excitation of the law's steady state. `None` if the law cannot reach the setpoint.
-    pub fn steady_drive(&self, tier: Tier) -> Option<Drive> {
+    pub fn steady_drive(&self, tier: Model) -> Option<Drive> {
         let (mode, setpoint) = (self.mode(), self.setpoint());
         let start = self.condition.start_omega(self.plate);
         let undisturbed = setpoint / self.plate.gain;
@@ -152,7 +152,7 @@ impl<'a> LoopCase<'a> {
     ///   are loops matched to the present plate.
     /// * `deadbeat` is in its holding phase and assumes no delay.
     /// * The relay of `bang-bang` has no linear form, so only its amplitude loop is analysed.
-    pub fn linearise(&self, tier: Tier) -> Option<(LinearPlant, LinearController)> {
+    pub fn linearise(&self, tier: Model) -> Option<(LinearPlant, LinearController)> {
         let drive = self.steady_drive(tier)?;
         let plant = LinearPlant::linearised_at(tier, &self.mode(), &drive);
         let at = plant.at();
@@ -266,7 +266,7 @@ pub struct LoopSimulation {
 
 /// `None` if the firmware rejects the configuration.
 pub fn loop_at_rest(case: &LoopCase<'_>) -> Option<DelayedLoop> {
-    DelayedLoop::new(&case.configure(), case.plate, case.condition.conditions(), Tier::Modal, case.setpoint())
+    DelayedLoop::new(&case.configure(), case.plate, case.condition.conditions(), Model::Modal, case.setpoint())
 }
 
 impl LoopSimulation {
@@ -393,7 +393,7 @@ impl PlainLoops {
             feedforward: 0.0,
         };
         let timing = LoopTiming { period: self.period, delay: 0.0 };
-        ClosedLoop::new(LinearPlant::linearised_at(Tier::Envelope, &mode, &drive), controller, timing)
+        ClosedLoop::new(LinearPlant::linearised_at(Model::Envelope, &mode, &drive), controller, timing)
     }
 
     /// Starts from rest towards `setpoint` µm, without delay.
@@ -430,7 +430,7 @@ impl PlainLoops {
                 return StartResult { settled: None, diverged: true, ..result };
             }
             let drive = Drive { vpp: outputs[0], omega };
-            state = Flow::new(Tier::Modal, &mode, &drive, &state).after(self.period);
+            state = Flow::new(Model::Modal, &mode, &drive, &state).after(self.period);
         }
         result
     }

@@ -18,7 +18,7 @@ use nalgebra::linalg::balancing::balance_parlett_reinsch;
 use nalgebra::{DMatrix, Matrix2, Schur, Vector2};
 use platebench_controller::design;
 use platebench_engine::delay_boundary::DelayBoundary;
-use platebench_plate::{Complex64, Drive, Flow, Mode, State, Tier};
+use platebench_plate::{Complex64, Drive, Flow, Mode, Model, State};
 use platebench_verdict::statistics::{bisect, try_bisect};
 use std::collections::VecDeque;
 use std::f64::consts::PI;
@@ -54,22 +54,22 @@ pub struct LinearPlant {
 
 impl LinearPlant {
     /// `drive` defines the steady state. The mode must be underdamped.
-    pub fn linearised_at(tier: Tier, mode: &Mode, drive: &Drive) -> Self {
+    pub fn linearised_at(tier: Model, mode: &Mode, drive: &Drive) -> Self {
         let at = steady_state(tier, mode, drive);
         let j = Complex64::I;
         let poles = match tier {
             // In this tier Wd and Wq are decoupled: detuning has no effect, both decay with σ.
-            Tier::Linear => vec![Pole {
+            Model::Linear => vec![Pole {
                 value: (-mode.sigma).into(),
                 drive_gain: mode.envelope_constant.into(),
                 frequency_gain: -j * at.re,
             }],
-            Tier::Envelope => vec![Pole {
+            Model::Envelope => vec![Pole {
                 value: Complex64::new(-mode.sigma, mode.omega0 - drive.omega),
                 drive_gain: mode.envelope_constant.into(),
                 frequency_gain: -j * at,
             }],
-            Tier::Modal | Tier::Carrier => {
+            Model::Modal | Model::Carrier => {
                 let damped = ((mode.omega0 - mode.sigma) * (mode.omega0 + mode.sigma)).sqrt();
                 let [plus, minus] = [damped, -damped].map(|damped| Complex64::new(-mode.sigma, damped));
                 // An input (w, u) on (W, U) splits into A = (u − s₋w)/(s₊ − s₋), B = w − A.
@@ -99,7 +99,7 @@ impl LinearPlant {
     }
 }
 
-pub fn steady_state(tier: Tier, mode: &Mode, drive: &Drive) -> Complex64 {
+pub fn steady_state(tier: Model, mode: &Mode, drive: &Drive) -> Complex64 {
     Flow::new(tier, mode, drive, &State::default()).steady_state()
 }
 

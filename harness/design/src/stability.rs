@@ -9,7 +9,7 @@ use crate::step_limits::{NOTE, limits_csv, limits_table, step_limits};
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_engine::workers::collect_in_parallel;
 use platebench_model::record::RunRecord;
-use platebench_plate::{Plate, Tier, Time};
+use platebench_plate::{Model, Plate, Time};
 use platebench_report::chart::{MapFigure, MapPanel, RigDelay};
 use platebench_report::document::{Block, Column, Document, Table};
 use platebench_report::page::ChartSection;
@@ -212,7 +212,7 @@ fn study_row(
     condition: OperatingCondition,
 ) -> Result<Option<StudyRow>, AnalysisError> {
     let case = LoopCase::new(&config.plate, law, condition);
-    let Some((plant, controller)) = case.linearise(Tier::Modal) else { return Ok(None) };
+    let Some((plant, controller)) = case.linearise(Model::Modal) else { return Ok(None) };
     let predicted = delay_boundary(&plant, &controller, case.period(), MAX_DELAY_S)?;
     let closed = ClosedLoop::new(plant, controller, LoopTiming { period: case.period(), delay: config.delay })?;
     let margins = closed.margins();
@@ -246,7 +246,7 @@ fn stability_map(
     let (mut radius, mut settling) = (Vec::with_capacity(periods.len()), Vec::with_capacity(periods.len()));
     for &period_us in &periods {
         let case = LoopCase { period_us, ..case };
-        let Some((plant, controller)) = case.linearise(Tier::Modal) else { return Ok(None) };
+        let Some((plant, controller)) = case.linearise(Model::Modal) else { return Ok(None) };
         let of = |&delay: &f64| {
             let timing = LoopTiming { period: case.period(), delay };
             ClosedLoop::new(plant.clone(), controller, timing)?.spectral_radius()

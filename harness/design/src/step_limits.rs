@@ -6,7 +6,7 @@
 //! gives its spectral radius.
 
 use nalgebra::{DMatrix, DVector};
-use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Plate, State, Tier};
+use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Model, Plate, State};
 use platebench_report::document::{Column, Table};
 
 const STEP_RANGE_S: [f64; 2] = [1e-9, 1.0];
@@ -201,8 +201,8 @@ pub fn step_limits(plate: &Plate) -> Vec<StepLimitRow> {
         Midpoint.limit(&resonant, "envelope, resonant", StepLimit::Always, a_stable, none),
         Midpoint.limit(&modal, "modal, resonant", StepLimit::Always, a_stable, none),
         Midpoint.limit(&undamped, "carrier, undamped", StepLimit::Always, a_stable, none),
-        exact_form_limit(Tier::Envelope, "envelope, 545 rad/s off", &free),
-        exact_form_limit(Tier::Modal, "modal, 545 rad/s off", &free),
+        exact_form_limit(Model::Envelope, "envelope, 545 rad/s off", &free),
+        exact_form_limit(Model::Modal, "modal, 545 rad/s off", &free),
     ]
 }
 
@@ -261,7 +261,7 @@ fn limit_row(
     StepLimitRow { method, problem, measured, predicted, source, in_usual_unit, growth_decades }
 }
 
-fn exact_form_limit(tier: Tier, problem: &'static str, mode: &Mode) -> StepLimitRow {
+fn exact_form_limit(tier: Model, problem: &'static str, mode: &Mode) -> StepLimitRow {
     let drive = Drive { vpp: 0.0, omega: mode.omega0 + DETUNING };
     let column = |number: usize, seconds: f64| {
         let unit = if number % 2 == 0 { Complex64::ONE } else { Complex64::I };

@@ -12,7 +12,7 @@ pub mod verification;
 use crate::loops::{AnalysisError, Discretisation};
 use design::{BAND, GainDesign, LoopEvaluation, StepEvaluation, TuningTarget, delay_margin_ms, design_delay_boundary};
 use platebench_engine::delay_boundary::DelayBoundary;
-use platebench_plate::{Plate, Tier};
+use platebench_plate::{Model, Plate};
 use platebench_report::document::{Block, Column, Document, Table};
 use platebench_verdict::statistics::try_bisect;
 use rand_chacha::ChaCha8Rng;
@@ -111,7 +111,7 @@ fn infeasibility_causes(
         }
     }
     if let Some(stable) = search.meeting_target(0.0)? {
-        let closed = stable.design.closed_loop(target, target.plate, Tier::Modal, [true; 2])?;
+        let closed = stable.design.closed_loop(target, target.plate, Model::Modal, [true; 2])?;
         causes.push(InfeasibilityCause::PhaseMargin { found_deg: closed.margins().phase_deg.unwrap_or(180.0) });
     }
     if causes.is_empty() {
@@ -171,7 +171,7 @@ impl<'a> DesignSearch<'a> {
     }
 
     fn has_margin(&self, candidate: &DesignCandidate, phase_deg: f64) -> Result<bool, AnalysisError> {
-        let closed = candidate.design.closed_loop(&self.target, self.target.plate, Tier::Modal, [true; 2])?;
+        let closed = candidate.design.closed_loop(&self.target, self.target.plate, Model::Modal, [true; 2])?;
         Ok(closed.spectral_radius()? < 1.0 && closed.margins().phase_deg.is_none_or(|found| found >= phase_deg))
     }
 
@@ -317,7 +317,7 @@ fn evaluate_variant(
     let nominal = target.plate;
     let factor = |percent: f64| 1.0 + percent / 100.0;
     let plate = Plate { gain: nominal.gain * factor(gain), sigma0: nominal.sigma0 / factor(tau), ..nominal.clone() };
-    let margins = design.closed_loop(target, &plate, Tier::Modal, [true; 2])?.margins();
+    let margins = design.closed_loop(target, &plate, Model::Modal, [true; 2])?.margins();
     Ok(PlateVariant {
         gain_percent: gain,
         time_constant_percent: tau,

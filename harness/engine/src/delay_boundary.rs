@@ -11,7 +11,7 @@ use platebench_model::metrics::Subject;
 use platebench_model::record::{Excuse, Telemetry};
 use platebench_model::scenario::{Expectation, Metric, Scenario};
 use platebench_model::trace::Row;
-use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, Tier, Time};
+use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Model, Plant, Plate, Profile, Time};
 use platebench_verdict::metrics::Measure;
 use platebench_verdict::statistics::bisect;
 use platebench_verdict::{TrialMeasures, measure};
@@ -65,7 +65,7 @@ impl DelayedLoop {
         configure: &Configure,
         plate: &Plate,
         conditions: Conditions,
-        tier: Tier,
+        tier: Model,
         setpoint: f64,
     ) -> Option<Self> {
         let mut machine = StateMachine::new();

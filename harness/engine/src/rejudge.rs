@@ -9,7 +9,7 @@ use platebench_model::record::{
 };
 use platebench_model::scenario::{Diagnostic, Expectation, MAX_TRIALS, Scenario, Variation, load, load_copies};
 use platebench_model::trace::{AtPath, Row, TraceError, read_trace};
-use platebench_plate::Tier;
+use platebench_plate::Model;
 use platebench_verdict::{SequentialDecision, TrialMeasures, judge, judge_sequentially, trial_record};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -70,7 +70,7 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
         let overrides = own.unwrap_or(&record.overrides);
         let mut scenario = load_stored_scenario(folder, stored)?;
         // Uses the model of the run, because this version of the bench might select another one.
-        let tier = Tier::from_name(&stored.model).unwrap_or(scenario.tier);
+        let tier = Model::from_name(&stored.model).unwrap_or(scenario.tier);
         if let Some((path, _)) = replaced.filter(|(_, chosen)| *chosen == number) {
             scenario.expectations = replacement_expectations(path, &scenario, tier, overrides)?;
         }
@@ -132,7 +132,7 @@ fn matching_scenario(record: &RunRecord, path: &Path) -> Result<usize, RejudgeEr
 fn replacement_expectations(
     path: &Path,
     played: &Scenario,
-    tier: Tier,
+    tier: Model,
     overrides: &Overrides,
 ) -> Result<Vec<Expectation>, RejudgeError> {
     let other = load(path, &played.file)?;

@@ -38,7 +38,7 @@ use worst_run::write_scenarios;
 pub use confirm::confirm;
 pub use definition::{Campaign, RawCampaign};
 pub use error::CampaignError;
-pub use plan::{Plan, part_name, shards_of_run};
+pub use plan::{CampaignPlan, part_name, shards_of_run};
 pub use play::{PlayConfig, TrialEvent, TrialSource, play_shard, play_trials};
 pub use row::ShardEnd;
 pub use summary::Summary;
@@ -48,7 +48,7 @@ pub use worst_run::{ResponseLinks, play_worst, worst_trials};
 /// If a part is damaged, returns an error and keeps the results of an earlier merge.
 pub fn merge<'a>(
     folder: &Path,
-    plan: &Plan,
+    plan: &CampaignPlan,
     campaign: &'a Campaign,
     agreement: Option<Agreement>,
 ) -> Result<Summary<'a>, CampaignError> {
@@ -84,7 +84,7 @@ pub struct Status {
     pub unusable: Vec<(u32, String)>,
 }
 
-pub fn status(folder: &Path, plan: &Plan, campaign: &Campaign) -> Result<Status, CampaignError> {
+pub fn status(folder: &Path, plan: &CampaignPlan, campaign: &Campaign) -> Result<Status, CampaignError> {
     let mut status = Status::default();
     for shard in 1..=plan.shards {
         if !plan.part_path(folder, shard).exists() {
@@ -117,7 +117,7 @@ pub struct ShardLock {
 
 impl ShardLock {
     /// Creates the lock file of the shard. It stays after a crash, without effect.
-    pub fn new(folder: &Path, plan: &Plan, shard: u32) -> Result<Self, CampaignError> {
+    pub fn new(folder: &Path, plan: &CampaignPlan, shard: u32) -> Result<Self, CampaignError> {
         if !(1..=plan.shards).contains(&shard) {
             return Err(CampaignError::NoShard { shard, shards: plan.shards });
         }
@@ -148,7 +148,7 @@ pub enum Engine {
 }
 
 /// Returns two commands as words. The first starts all shards, the second merges their results.
-pub fn submission(engine: Engine, plan: &Plan, folder: &Path) -> Result<[Vec<String>; 2], CampaignError> {
+pub fn submission(engine: Engine, plan: &CampaignPlan, folder: &Path) -> Result<[Vec<String>; 2], CampaignError> {
     let program = std::env::current_exe().at(Path::new("the bench's own program"))?;
     let folder = std::path::absolute(folder).at(folder)?;
     let [program, folder] = [&program, &folder].map(|path| path.to_string_lossy().into_owned());

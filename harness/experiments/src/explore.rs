@@ -23,7 +23,7 @@ pub mod session;
 pub mod shrink;
 
 pub use envelope::{Envelope, RawEnvelope};
-pub use exploration::{Budget, Exploration, ExploreConfig, explore};
+pub use exploration::{Exploration, ExplorationBudget, ExploreConfig, explore};
 pub use generator::Generator;
 pub use limits::LawProperties;
 pub use player::{ExploreError, Player};

@@ -18,7 +18,7 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
-use suite::{BoardExecutor, Outcome, new_executor, play};
+use suite::{BoardExecutor, SuiteOutcome, new_executor, play};
 
 pub use code_map::CodeMap;
 pub use error::AnalysisError;
@@ -160,7 +160,7 @@ pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisErr
 }
 
 /// Result of a scenario with the unchanged firmware.
-pub(crate) struct Baseline {
+pub(crate) struct ReferencePlay {
     /// Executed blocks, as in [`platebench_rig::EmulatedLink::executed_instructions`].
     pub(crate) executed: BTreeMap<u32, bool>,
     pub(crate) duration: Duration,
@@ -174,7 +174,7 @@ pub(crate) fn play_baselines(
     map: &CodeMap,
     jobs: usize,
     cancel: &CancelToken,
-) -> Result<Vec<Baseline>, AnalysisError> {
+) -> Result<Vec<ReferencePlay>, AnalysisError> {
     // The longest scenarios come first, so that no worker ends long after the others.
     let mut order: Vec<(usize, &(Scenario, LawId))> = suite.scenarios.iter().enumerate().collect();
     order.sort_by_key(|(_, (scenario, _))| Reverse(scenario.duration.as_nanos() * u64::from(scenario.trials.count)));
@@ -187,7 +187,7 @@ pub(crate) fn play_baselines(
         check_baseline(scenario, &outcome)?;
         let executed = executor.session()?.link_mut().inner_mut().executed_instructions().clone();
         let (commands, fails) = (outcome.commands, outcome.detection.is_some());
-        Ok::<_, AnalysisError>((*number, Baseline { executed, duration: start.elapsed(), commands, fails }))
+        Ok::<_, AnalysisError>((*number, ReferencePlay { executed, duration: start.elapsed(), commands, fails }))
     };
     let mut baselines = BTreeMap::new();
     in_parallel(executors, &order, work, |(number, baseline)| {
@@ -197,7 +197,7 @@ pub(crate) fn play_baselines(
     Ok(baselines.into_values().collect())
 }
 
-pub(crate) fn executed_by_all(baselines: &[Baseline]) -> BTreeMap<u32, bool> {
+pub(crate) fn executed_by_all(baselines: &[ReferencePlay]) -> BTreeMap<u32, bool> {
     let mut executed = BTreeMap::new();
     for (&address, &in_step) in baselines.iter().flat_map(|baseline| &baseline.executed) {
         *executed.entry(address).or_default() |= in_step;
@@ -205,7 +205,7 @@ pub(crate) fn executed_by_all(baselines: &[Baseline]) -> BTreeMap<u32, bool> {
     executed
 }
 
-fn check_baseline(scenario: &Scenario, outcome: &Outcome) -> Result<(), AnalysisError> {
+fn check_baseline(scenario: &Scenario, outcome: &SuiteOutcome) -> Result<(), AnalysisError> {
     match &outcome.detection {
         Some(detection) if detection.is_unconfirmed => Err(AnalysisError::NotSafe),
         Some(detection) if outcome.verdict == Verdict::Fail && scenario.expected_exit.is_none_or(|exit| exit == 0) => {

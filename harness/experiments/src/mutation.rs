@@ -5,8 +5,8 @@ pub mod mutants;
 
 use crate::firmware_analysis::code_map::CodeMap;
 use crate::firmware_analysis::error::AnalysisError;
-use crate::firmware_analysis::suite::{BoardExecutor, Margin, Outcome, Suite, new_executor, play};
-use crate::firmware_analysis::{Baseline, executed_by_all, play_baselines};
+use crate::firmware_analysis::suite::{BoardExecutor, Margin, Suite, SuiteOutcome, new_executor, play};
+use crate::firmware_analysis::{ReferencePlay, executed_by_all, play_baselines};
 use mutants::{Disassembler, Mutant, MutantFilter, Operator, all_mutants};
 use platebench_engine::SafeEnds;
 use platebench_engine::workers::in_parallel;
@@ -87,7 +87,7 @@ fn shuffle(mutants: &mut [Mutant], seed: u64) {
 struct MutantRunner<'a> {
     config: &'a MutationConfig,
     map: &'a CodeMap,
-    baselines: &'a [Baseline],
+    baselines: &'a [ReferencePlay],
     /// Indices of the scenarios, fastest first.
     order: &'a [usize],
 }
@@ -96,7 +96,7 @@ impl MutantRunner<'_> {
     fn run(&self, executor: &mut BoardExecutor<'_>, mutant: &Mutant) -> Result<MutantResult, AnalysisError> {
         let start = Instant::now();
         let leader = self.map.leader_of(mutant.instruction);
-        let covers = |baseline: &Baseline| !baseline.fails && baseline.executed.contains_key(&leader);
+        let covers = |baseline: &ReferencePlay| !baseline.fails && baseline.executed.contains_key(&leader);
         let covering: Vec<usize> =
             self.order.iter().copied().filter(|&index| self.baselines.get(index).is_some_and(covers)).collect();
         let status = if covering.is_empty() { Status::NoCoverage } else { self.play(executor, mutant, &covering)? };
@@ -144,7 +144,7 @@ impl MutantRunner<'_> {
             }
             let by = scenario.file.clone();
             let Some(outcome) = played? else { return Ok(Status::Timeout { by }) };
-            let Outcome { detection, closest_margin, commands, .. } = outcome;
+            let SuiteOutcome { detection, closest_margin, commands, .. } = outcome;
             same_commands &= commands == baseline.commands;
             match detection {
                 Some(detection) if detection.emulator_failed => {

@@ -99,9 +99,9 @@ fn mutant_result(
         let by_reference: Vec<_> = failures(scenario, without).map(|(_, cell)| cell).collect();
         for (reason, cell) in failures(scenario, judged).filter(|(_, cell)| !by_reference.contains(cell)) {
             let is_right = match reason {
-                Reason::Metric(Metric::ReferenceDifference | Metric::ProtocolDifferences) => true,
-                Reason::Metric(metric) => entry.detecting_metrics.contains(&metric),
-                Reason::Violation(kind) => entry.detecting_violations.contains(&kind),
+                FailedBy::Metric(Metric::ReferenceDifference | Metric::ProtocolDifferences) => true,
+                FailedBy::Metric(metric) => entry.detecting_metrics.contains(&metric),
+                FailedBy::Violation(kind) => entry.detecting_violations.contains(&kind),
             };
             if is_right { right.push(cell) } else { wrong.push(cell) }
         }
@@ -121,7 +121,7 @@ fn mutant_result(
     }
 }
 
-enum Reason {
+enum FailedBy {
     Metric(Metric),
     Violation(ViolationKind),
 }
@@ -130,14 +130,14 @@ enum Reason {
 fn failures<'a>(
     scenario: &'a Scenario,
     result: &'a PlayResult,
-) -> impl Iterator<Item = (Reason, FailedExpectation)> + 'a {
+) -> impl Iterator<Item = (FailedBy, FailedExpectation)> + 'a {
     let cell = |expectation, metric| FailedExpectation { scenario: scenario.file.clone(), expectation, metric };
     let both = scenario.expectations.iter().zip(&result.judgement.expectations).zip(1..);
     let failed = both.filter(|((_, record), _)| record.verdict == Verdict::Fail);
     let by_metric = failed.map(move |((expectation, _), number)| {
-        (Reason::Metric(expectation.metric), cell(number, expectation.metric.to_string()))
+        (FailedBy::Metric(expectation.metric), cell(number, expectation.metric.to_string()))
     });
-    let violation = move |&kind: &ViolationKind| (Reason::Violation(kind), cell(0, format!("violation {kind:?}")));
+    let violation = move |&kind: &ViolationKind| (FailedBy::Violation(kind), cell(0, format!("violation {kind:?}")));
     by_metric.chain(result.violations.iter().map(violation))
 }
 

@@ -2,7 +2,7 @@
 //! form is exact for every step size.
 
 use platebench_model::trace::read_text_file;
-use platebench_plate::{ConditionProfiles, Conditions, Drive, Plant, Plate, Profile, RawPlate, Tier, Time};
+use platebench_plate::{ConditionProfiles, Conditions, Drive, Model, Plant, Plate, Profile, RawPlate, Time};
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -41,7 +41,7 @@ pub struct Instance {
 fn plant_at_rest(plate: &Plate) -> Plant {
     let scene =
         ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.0) };
-    Plant::new(plate.clone(), scene, Tier::Modal)
+    Plant::new(plate.clone(), scene, Model::Modal)
 }
 
 impl Instance {

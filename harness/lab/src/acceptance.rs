@@ -19,7 +19,7 @@ mod steps;
 mod verify;
 
 pub use judge::PlanDecision;
-pub use plan::Plan;
+pub use plan::AcceptancePlan;
 pub use seal::{PublicKey, SecretKey};
 pub use session_record::{AcceptError, SessionDetails, SessionRecord};
 pub use steps::{SessionConfig, SessionHooks, SessionObserver};

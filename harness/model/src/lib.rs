@@ -51,7 +51,9 @@ pub mod scenario {
     mod window;
 
     pub use crate::metrics::Metric;
-    pub use definition::{AUTO_MODEL, Controller, Gains, InputFile, MAX_TRIALS, Scenario, Spread, Trials, Variation};
+    pub use definition::{
+        AUTO_MODEL, Controller, InputFile, MAX_TRIALS, Scenario, ScenarioGains, Spread, Trials, Variation,
+    };
     pub use diagnostic::{Diagnostic, suggestion};
     pub use expect::{Aggregation, Expectation, Limit};
     pub use fault::{BitFlipTarget, ChipFault, ChipFaultKind, Direction, Fault, FaultKind};

@@ -127,7 +127,7 @@ fn find_crossings(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flow::{ExponentialSum, Flow, Tier};
+    use crate::flow::{ExponentialSum, Flow, Model};
     use crate::mode::{Drive, Mode};
     use num_complex::Complex64;
     use proptest::prelude::*;
@@ -137,7 +137,7 @@ mod tests {
     proptest! {
         #[test]
         fn skips_no_crossing(
-            tier in prop::sample::select(&Tier::ALL),
+            tier in prop::sample::select(&Model::ALL),
             sigma in 300.0..2_000.0,
             vpp in 0.0..800.0,
             detuning in -3_000.0..3_000.0,
@@ -151,9 +151,9 @@ mod tests {
             let drive = Drive { vpp, omega: OMEGA0 + detuning };
             let w = Complex64::new(w[0], w[1]);
             let state = match tier {
-                Tier::Linear => State { w: w.re * Complex64::new(1.0, 0.4), u: 0.4.into() },
-                Tier::Envelope => State { w, u: Complex64::ZERO },
-                Tier::Modal | Tier::Carrier => State { w, u: Complex64::I * drive.omega * fast * w },
+                Model::Linear => State { w: w.re * Complex64::new(1.0, 0.4), u: 0.4.into() },
+                Model::Envelope => State { w, u: Complex64::ZERO },
+                Model::Modal | Model::Carrier => State { w, u: Complex64::I * drive.omega * fast * w },
             };
             let monitor = BandMonitor { signal, low, high: low + width };
             let flow = Flow::new(tier, &mode, &drive, &state);

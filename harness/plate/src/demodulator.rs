@@ -186,15 +186,15 @@ impl Demodulator {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flow::{ExponentialSum, Flow, State, Tier};
+    use crate::flow::{ExponentialSum, Flow, Model, State};
     use crate::mode::{Drive, Mode};
     use crate::phase::PhaseRate;
 
     const OMEGA: f64 = 203_540.0;
 
-    fn flow(tier: Tier) -> Flow {
+    fn flow(tier: Model) -> Flow {
         let mode = Mode { sigma: 532.0, omega0: 202_995.0, force_constant: 1.5e6, envelope_constant: 3.71 };
-        let u = if tier == Tier::Linear { 0.5 } else { 3e5 };
+        let u = if tier == Model::Linear { 0.5 } else { 3e5 };
         let state = State { w: Complex64::new(1.0, 0.5), u: u.into() };
         Flow::new(tier, &mode, &Drive { vpp: 300.0, omega: OMEGA }, &state)
     }
@@ -207,10 +207,10 @@ mod tests {
     fn every_sample_equals_the_closed_form() {
         // The samples are at whole nanoseconds, so that the phase of each is exact.
         let converter_hz = 1.25e6;
-        for tier in Tier::ALL {
+        for tier in Model::ALL {
             let flow = flow(tier);
             let (_, [slow, other]) = flow.terms();
-            assert!(tier == Tier::Envelope || other.0 != Complex64::ZERO);
+            assert!(tier == Model::Envelope || other.0 != Complex64::ZERO);
             assert!(slow.1.re < 0.0);
             let mut demodulator = Demodulator::new(lockin(converter_hz, 2_000), OMEGA);
             let rate = PhaseRate::from_omega(OMEGA);

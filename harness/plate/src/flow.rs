@@ -28,7 +28,7 @@ const MIN_POLE_DISTANCE: f64 = 1e-8;
 /// Model of the plate, the key `model` of a scenario. `docs/mathematics.md` states the terms that
 /// each tier omits, and its error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
-pub enum Tier {
+pub enum Model {
     /// Equations 13 and 19: V gives Wd and Δω gives Wq/Wd, by two decoupled first-order systems.
     Linear,
     /// First order in the complex W, with the slow pole only.
@@ -41,7 +41,7 @@ pub enum Tier {
     Carrier,
 }
 
-impl Tier {
+impl Model {
     pub const ALL: [Self; 4] = [Self::Linear, Self::Envelope, Self::Modal, Self::Carrier];
 
     pub const fn name(self) -> &'static str {
@@ -161,11 +161,11 @@ impl ExponentialTerm {
 
 impl Flow {
     /// `mode` must be resonant (σ < ω0), which a checked plate and scenario guarantee.
-    pub fn new(tier: Tier, mode: &Mode, drive: &Drive, state: &State) -> Self {
+    pub fn new(tier: Model, mode: &Mode, drive: &Drive, state: &State) -> Self {
         match tier {
-            Tier::Linear => Self::linear(mode, drive, state),
-            Tier::Modal | Tier::Carrier => Self::modal(mode, drive, state),
-            Tier::Envelope => Self::envelope(mode, drive, state),
+            Model::Linear => Self::linear(mode, drive, state),
+            Model::Modal | Model::Carrier => Self::modal(mode, drive, state),
+            Model::Envelope => Self::envelope(mode, drive, state),
         }
     }
 
@@ -375,11 +375,11 @@ mod tests {
 
     #[test]
     fn tiers_are_ordered_and_found_by_name() {
-        for tier in Tier::ALL {
-            assert_eq!(Tier::from_name(tier.name()), Some(tier));
+        for tier in Model::ALL {
+            assert_eq!(Model::from_name(tier.name()), Some(tier));
         }
-        assert!(Tier::ALL.is_sorted());
-        assert_eq!(Tier::from_name("Modal"), None);
-        assert_eq!(Tier::default(), Tier::Modal);
+        assert!(Model::ALL.is_sorted());
+        assert_eq!(Model::from_name("Modal"), None);
+        assert_eq!(Model::default(), Model::Modal);
     }
 }

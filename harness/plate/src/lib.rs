@@ -25,7 +25,7 @@ pub use crossing::{BandMonitor, BandSignal, Crossing};
 pub use demodulator::{Demodulator, Lockin};
 pub use effect::PlateError;
 pub use effects::*;
-pub use flow::{Flow, State, Tier};
+pub use flow::{Flow, Model, State};
 pub use mode::{ConditionProfiles, Conditions, Drive, Mode};
 pub use num_complex::Complex64;
 pub use phase::{Phase, PhaseRate};

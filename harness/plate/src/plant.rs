@@ -9,7 +9,7 @@ use crate::crossing::{BandMonitor, BandSearch, Crossing};
 use crate::demodulator::Demodulator;
 use crate::effect::Step;
 use crate::effects::ActiveEffects;
-use crate::flow::{ExponentialSum, Flow, Forcing, State, Tier};
+use crate::flow::{ExponentialSum, Flow, Forcing, Model, State};
 use crate::mode::{ConditionProfiles, Conditions, Drive, Mode};
 use crate::motion::{FrozenMotion, ModeMotion, Motion, PerMode};
 use crate::phase::{Phase, PhaseRate};
@@ -54,7 +54,7 @@ struct SmoothInterval {
 pub struct Plant {
     plate: Plate,
     scene: ConditionProfiles,
-    tier: Tier,
+    tier: Model,
     time: Time,
     state: State,
     /// Drive at the amplifier's input.
@@ -71,8 +71,8 @@ pub struct Plant {
 impl Plant {
     /// The plate starts at rest without drive. In the carrier tier the lock-in demodulator is the
     /// sensor, if the plate has one.
-    pub fn new(plate: Plate, scene: ConditionProfiles, tier: Tier) -> Self {
-        let lockin = plate.lockin.filter(|_| tier == Tier::Carrier);
+    pub fn new(plate: Plate, scene: ConditionProfiles, tier: Model) -> Self {
+        let lockin = plate.lockin.filter(|_| tier == Model::Carrier);
         Self {
             demodulator: lockin.map(|lockin| Demodulator::new(lockin, plate.omega0)),
             max_pole_rate: max_slow_pole_rate(&plate, &scene),
@@ -382,7 +382,7 @@ impl Plant {
             let times = [middle, last].map(|time| (time - start).seconds());
             first.zip(second).zip(third).zip(states).map(|(((first, second), third), state)| {
                 let drive = Drive { vpp: forcing.constant, omega: self.drive.omega };
-                let flow = VaryingFlow::new(Tier::Modal, [first, second, third], times, &drive, &state);
+                let flow = VaryingFlow::new(Model::Modal, [first, second, third], times, &drive, &state);
                 ModeMotion::Varying(flow, *forcing)
             })
         };

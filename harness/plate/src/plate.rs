@@ -3,7 +3,7 @@
 use crate::demodulator::Lockin;
 use crate::effect::{Effect, PlateError, check, finite, positive, resonance};
 use crate::effects::{ConverterResolution, Effects, RawPlate, Uncertainty};
-use crate::flow::Tier;
+use crate::flow::Model;
 use crate::mode::{Conditions, Mode};
 use std::f64::consts::TAU;
 
@@ -176,7 +176,7 @@ impl Plate {
     }
 }
 
-impl Tier {
+impl Model {
     pub const fn exact_for(plate: &Plate) -> Self {
         if plate.lockin.is_some() { Self::Carrier } else { Self::Modal }
     }

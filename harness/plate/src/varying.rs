@@ -17,7 +17,7 @@
 //! `√Ω (W ∓ jv/Ω)/2` has one of the poles `−σ ± jΩ − jω`, so no step excites the fast pole.
 //! `docs/mathematics.md` derives the error.
 
-use crate::flow::{Forcing, State, Tier};
+use crate::flow::{Forcing, Model, State};
 use crate::mode::{Drive, Mode};
 use num_complex::Complex64;
 
@@ -121,7 +121,7 @@ fn forced_part(forcing: &Forcing, pole: Complex64, pole_slope: Complex64, force_
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct VaryingFlow {
-    tier: Tier,
+    tier: Model,
     drive: Drive,
     state: State,
     force_constant: f64,
@@ -132,7 +132,7 @@ pub(crate) struct VaryingFlow {
 
 impl VaryingFlow {
     /// The modes are those at 0 s and at `times` in s.
-    pub(crate) fn new(tier: Tier, modes: [Mode; 3], times: [f64; 2], drive: &Drive, state: &State) -> Self {
+    pub(crate) fn new(tier: Model, modes: [Mode; 3], times: [f64; 2], drive: &Drive, state: &State) -> Self {
         let through = |of: fn(&Mode) -> f64| Parabola::through(modes.each_ref().map(of), times);
         let [first, ..] = modes;
         Self {
@@ -148,9 +148,9 @@ impl VaryingFlow {
 
     pub(crate) fn after(&self, seconds: f64) -> State {
         let state = match self.tier {
-            Tier::Linear => self.linear(seconds),
-            Tier::Envelope => self.envelope(seconds),
-            Tier::Modal | Tier::Carrier => self.modal(seconds),
+            Model::Linear => self.linear(seconds),
+            Model::Envelope => self.envelope(seconds),
+            Model::Modal | Model::Carrier => self.modal(seconds),
         };
         state.flush_negligible()
     }
@@ -163,14 +163,14 @@ impl VaryingFlow {
         let (damping_swing, detuning_swing) = (self.sigma.max_change(seconds), self.omega0.max_change(seconds));
         let swing = damping_swing + detuning_swing;
         match self.tier {
-            Tier::Linear => {
+            Model::Linear => {
                 let in_phase = seconds * ((force - damping * w.re).abs() + damping_swing * w.re.abs());
                 let turned = damping_swing * u.re.abs() + detuning_swing;
                 let ratio = seconds * ((detuning - damping * u.re).abs() + turned);
                 in_phase * (1.0 + u.re.abs()) + (w.re.abs() + in_phase) * ratio
             }
-            Tier::Envelope => seconds * ((Complex64::new(-damping, detuning) * w + force).norm() + swing * w.norm()),
-            Tier::Modal | Tier::Carrier => {
+            Model::Envelope => seconds * ((Complex64::new(-damping, detuning) * w + force).norm() + swing * w.norm()),
+            Model::Modal | Model::Carrier => {
                 let now = self.oscillation(0.0);
                 let (slow, fast) = self.pole_amplitudes(now);
                 let force = self.force_constant * self.drive.vpp / (2.0 * now.omega);
@@ -272,7 +272,7 @@ mod tests {
         Mode { sigma, omega0: OMEGA0 + shift, force_constant: 1.5e6, envelope_constant: 3.71 }
     }
 
-    fn varying(tier: Tier, modes: [(f64, f64); 3], drive: Drive, state: State) -> VaryingFlow {
+    fn varying(tier: Model, modes: [(f64, f64); 3], drive: Drive, state: State) -> VaryingFlow {
         let modes = modes.map(|(sigma, shift)| mode(sigma, shift));
         VaryingFlow::new(tier, modes, [0.5e-3, 1e-3], &drive, &state)
     }
@@ -280,9 +280,9 @@ mod tests {
     #[test]
     fn a_constant_mode_gives_the_closed_form() {
         let drive = Drive { vpp: 300.0, omega: OMEGA0 + 300.0 };
-        for tier in Tier::ALL {
-            let u = if tier == Tier::Linear { 0.5.into() } else { Complex64::new(3e5, 2e5) };
-            let u = if tier == Tier::Envelope { Complex64::ZERO } else { u };
+        for tier in Model::ALL {
+            let u = if tier == Model::Linear { 0.5.into() } else { Complex64::new(3e5, 2e5) };
+            let u = if tier == Model::Envelope { Complex64::ZERO } else { u };
             let state = State { w: Complex64::new(1.0, 0.5), u };
             let varying = varying(tier, [(532.0, 9.0); 3], drive, state);
             let flow = crate::flow::Flow::new(tier, &mode(532.0, 9.0), &drive, &state);
@@ -306,7 +306,7 @@ mod tests {
     proptest! {
         #[test]
         fn the_change_of_w_stays_within_its_bound(
-            tier in prop::sample::select(&Tier::ALL),
+            tier in prop::sample::select(&Model::ALL),
             sigmas in prop::array::uniform3(300.0..2_000.0),
             shifts in prop::array::uniform3(-600.0..600.0),
             vpp in 0.0..800.0,
@@ -322,12 +322,12 @@ mod tests {
                 w = 3.71 * vpp / Complex64::new(sigmas[0], drive.omega - OMEGA0 - shifts[0]);
             }
             let u = match tier {
-                Tier::Linear if at_rest => Complex64::from((shifts[0] - detuning) / sigmas[0]),
-                Tier::Linear => (w.im / w.re).clamp(-2.0, 2.0).into(),
-                Tier::Envelope => Complex64::ZERO,
-                Tier::Modal | Tier::Carrier => J * drive.omega * w,
+                Model::Linear if at_rest => Complex64::from((shifts[0] - detuning) / sigmas[0]),
+                Model::Linear => (w.im / w.re).clamp(-2.0, 2.0).into(),
+                Model::Envelope => Complex64::ZERO,
+                Model::Modal | Model::Carrier => J * drive.omega * w,
             };
-            if tier == Tier::Linear {
+            if tier == Model::Linear {
                 w = if at_rest { 3.71 * vpp / sigmas[0] } else { w.re } * Complex64::new(1.0, u.re);
             }
             let varying = varying(tier, modes, drive, State { w, u });

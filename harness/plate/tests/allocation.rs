@@ -4,7 +4,7 @@
 
 use allocation_counter::measure;
 use platebench_plate::{
-    BandMonitor, BandSignal, ConditionProfiles, Drive, Lockin, Plant, Plate, Profile, RawPlate, Sensor, Tier, Time,
+    BandMonitor, BandSignal, ConditionProfiles, Drive, Lockin, Model, Plant, Plate, Profile, RawPlate, Sensor, Time,
 };
 use rstest::rstest;
 use std::hint::black_box;
@@ -21,7 +21,7 @@ fn detects_an_allocation() {
 }
 
 #[rstest]
-fn no_control_period_allocates(#[values(Tier::Linear, Tier::Envelope, Tier::Modal, Tier::Carrier)] tier: Tier) {
+fn no_control_period_allocates(#[values(Model::Linear, Model::Envelope, Model::Modal, Model::Carrier)] tier: Model) {
     let ms = |ms| Time::from_ms(ms).unwrap();
     let scene = ConditionProfiles {
         temperature_offset_k: Profile::constant(3.0),

@@ -8,7 +8,7 @@ mod scripts;
 
 use crate::link::{Link, LinkError, LinkKind};
 use crate::rigs::hosted::HostedLink;
-use comparison::{BenchCause, Comparison, Difference, ReceivedPackets};
+use comparison::{BenchCause, CommandDifference, Comparison, ReceivedPackets};
 use platebench_wire::{Configure, Identity};
 use script::{Script, Variation};
 use std::thread;
@@ -69,7 +69,7 @@ pub fn check_protocol(
     let mut player = Player { link, identity, period, own_clock, now: Duration::ZERO };
     let mut check = ProtocolCheck::default();
     let kind = player.link.kind();
-    let may_repeat = |difference: &Difference| match difference.other_cause {
+    let may_repeat = |difference: &CommandDifference| match difference.other_cause {
         None => false,
         Some(BenchCause::NoAnswer) => kind == LinkKind::Lossy,
         Some(BenchCause::LateTicks | BenchCause::Stall) => kind != LinkKind::Simulated,
@@ -87,7 +87,7 @@ pub fn check_protocol(
             difference = player.play(script, &varied)?;
         }
         // If the host stalled, the stall may have caused the difference.
-        let is_certain = |difference: &Difference| difference.other_cause != Some(BenchCause::Stall);
+        let is_certain = |difference: &CommandDifference| difference.other_cause != Some(BenchCause::Stall);
         let difference = difference.filter(is_certain);
         check.differences.extend(difference.map(|difference| format!("{}: {}", script.name, difference.text)));
     }
@@ -104,7 +104,7 @@ struct Player<'a> {
 }
 
 impl Player<'_> {
-    fn play(&mut self, script: &Script, varied: &[&Script]) -> Result<Option<Difference>, LinkError> {
+    fn play(&mut self, script: &Script, varied: &[&Script]) -> Result<Option<CommandDifference>, LinkError> {
         let scripts: Vec<_> = [script].into_iter().chain(varied.iter().copied()).collect();
         let mut references = vec![HostedLink::new(); scripts.len()];
         let mut comparison = Comparison::new(self.identity);
@@ -144,11 +144,11 @@ impl Player<'_> {
             let expected: Vec<_> = expected.iter().map(|bytes| ReceivedPackets::new(bytes, request)).collect();
             let received = ReceivedPackets::new(&received, request);
             let silence = exchange.wait.max(self.period)..=longest;
-            if let Err(Difference { text, other_cause }) = comparison.compare(&received, &expected, silence) {
+            if let Err(CommandDifference { text, other_cause }) = comparison.compare(&received, &expected, silence) {
                 // A stall of the host may change an answer, but does not suppress it.
                 let is_stall = is_stalled && other_cause != Some(BenchCause::NoAnswer);
                 let other_cause = if is_stall { Some(BenchCause::Stall) } else { other_cause };
-                return Ok(Some(Difference { text: format!("exchange {}: {text}", number + 1), other_cause }));
+                return Ok(Some(CommandDifference { text: format!("exchange {}: {text}", number + 1), other_cause }));
             }
         }
         Ok(None)

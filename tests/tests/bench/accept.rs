@@ -10,7 +10,7 @@ use crate::test_folder::{
 use ed25519_dalek::SigningKey;
 use ed25519_dalek::pkcs8::spki::der::pem::LineEnding;
 use ed25519_dalek::pkcs8::{EncodePrivateKey, EncodePublicKey};
-use platebench_lab::acceptance::{Plan, SessionRecord};
+use platebench_lab::acceptance::{AcceptancePlan, SessionRecord};
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Limit;
 use rstest::rstest;
@@ -277,7 +277,7 @@ fn copy_folder(folder: &Path, copy: &Path) {
 }
 
 fn supplied_plan() -> Plan {
-    Plan::load(&workspace_root().join("scenarios/plans/acceptance.toml")).unwrap()
+    AcceptancePlan::load(&workspace_root().join("scenarios/plans/acceptance.toml")).unwrap()
 }
 
 #[test]

@@ -57,7 +57,7 @@ fn check_toml(text: &str) -> Result<TomlKind, String> {
             platebench_model::scenario::load(&path, "block.toml").map(drop).map_err(|fault| fault.to_string())
         }
         TomlKind::Plate => check_plate(&path, &folder),
-        TomlKind::Plan => platebench_lab::acceptance::Plan::load(&path)
+        TomlKind::Plan => platebench_lab::acceptance::AcceptancePlan::load(&path)
             .map(drop)
             .map_err(|faults| faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")),
         TomlKind::Other => Ok(()),

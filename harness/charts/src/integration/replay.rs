@@ -5,7 +5,7 @@ use crate::integration::method::IntegrationMethod;
 use crate::integration::problem::{
     CarrierProblem, ConstantMode, EnvelopeProblem, ModalProblem, ProblemParameters, TimeVarying, with_clock,
 };
-use platebench_plate::{Complex64, ConditionProfiles, Drive, Plant, Plate, State, Tier, Time};
+use platebench_plate::{Complex64, ConditionProfiles, Drive, Model, Plant, Plate, State, Time};
 use std::f64::consts::TAU;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::IntoStaticStr)]
@@ -23,10 +23,10 @@ impl EquationForm {
         self.into_str()
     }
 
-    pub const fn tier(self) -> Tier {
+    pub const fn tier(self) -> Model {
         match self {
-            Self::Envelope => Tier::Envelope,
-            Self::Modal | Self::Carrier => Tier::Modal,
+            Self::Envelope => Model::Envelope,
+            Self::Modal | Self::Carrier => Model::Modal,
         }
     }
 }
@@ -117,7 +117,7 @@ impl Replay {
         self.intervals.iter().map(|piece| piece.seconds).sum()
     }
 
-    pub fn plant(&self, tier: Tier) -> Plant {
+    pub fn plant(&self, tier: Model) -> Plant {
         Plant::new(self.plate.clone(), self.scene.clone(), tier)
     }
 
@@ -138,7 +138,7 @@ impl Replay {
     }
 
     /// Samples of the exact propagation with `tier`, in the form of `frame`.
-    pub(crate) fn samples(&self, tier: Tier, frame: EquationForm) -> Vec<Complex64> {
+    pub(crate) fn samples(&self, tier: Model, frame: EquationForm) -> Vec<Complex64> {
         let mut states = Vec::new();
         self.advance_plant(&mut self.plant(tier), |state| states.push(state));
         let ends = self.intervals.iter().filter(|piece| piece.ends_at_control);

@@ -6,7 +6,7 @@ use crate::integration::method::AdaptiveMethod;
 use crate::integration::method::IntegrationMethod;
 use crate::integration::replay::{EquationForm, Replay, ReplayResult};
 use crate::measured_run::{median, thread_cpu_time};
-use platebench_plate::{Complex64, Plant, Tier};
+use platebench_plate::{Complex64, Model, Plant};
 use std::hint::black_box;
 use std::time::Duration;
 
@@ -44,7 +44,7 @@ impl std::fmt::Display for SolverStatus {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Solver {
-    Exact(Tier),
+    Exact(Model),
     /// The number is the step in s or the tolerance.
     General(EquationForm, IntegrationMethod, f64),
 }
@@ -130,7 +130,7 @@ impl SolverTimer<'_> {
 
 pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
     let truths = ReferenceSolutions::new(passage);
-    let exact = Tier::ALL.map(Solver::Exact);
+    let exact = Model::ALL.map(Solver::Exact);
     let general = EquationForm::ALL.into_iter().flat_map(|frame| {
         IntegrationMethod::all().flat_map(move |method| {
             settings(frame, method)
@@ -200,7 +200,7 @@ impl<'a> ReferenceSolutions<'a> {
         };
         let own = match runner.solver {
             // No general method solves this tier's equations, so their error is all model error.
-            Solver::Exact(Tier::Linear) => &samples,
+            Solver::Exact(Model::Linear) => &samples,
             Solver::Exact(_) => self.of(frame)[1],
             Solver::General(..) => self.best(frame),
         };
@@ -222,7 +222,7 @@ impl<'a> ReferenceSolutions<'a> {
             status,
             numerical_error,
             model_error: match runner.solver {
-                Solver::Exact(Tier::Linear) => error(self.best(truth)),
+                Solver::Exact(Model::Linear) => error(self.best(truth)),
                 _ => passage.relative_error(self.best(frame), self.best(truth)),
             },
             total_error: error(self.best(truth)),
@@ -232,10 +232,10 @@ impl<'a> ReferenceSolutions<'a> {
 }
 
 /// Equations whose W the tier computes. The linear tier simplifies the envelope equations.
-const fn form_of_tier(tier: Tier) -> EquationForm {
+const fn form_of_tier(tier: Model) -> EquationForm {
     match tier {
-        Tier::Linear | Tier::Envelope => EquationForm::Envelope,
-        Tier::Modal | Tier::Carrier => EquationForm::Modal,
+        Model::Linear | Model::Envelope => EquationForm::Envelope,
+        Model::Modal | Model::Carrier => EquationForm::Modal,
     }
 }
 

@@ -7,7 +7,7 @@ use platebench_charts::integration::{
     AdaptiveMethod, EquationForm, IntegrationMethod, Replay, ReplayResult, ReplaySpec, Solver, SolverStatus,
     SweepConfig, sweep,
 };
-use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Mode, Profile, State, Tier, Time};
+use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Mode, Model, Profile, State, Time};
 use platebench_test_kit::paper_plate;
 use rstest::rstest;
 use std::time::Duration;
@@ -247,7 +247,7 @@ fn failures_are_reported() {
 fn a_sweep_covers_every_problem_and_marks_failures() {
     let passage = replay_from_rest(&constant_scene(), 3);
     let measured = sweep(&passage, &SweepConfig { rounds: 1, batch: Duration::ZERO, setting_stride: 4 });
-    for tier in Tier::ALL {
+    for tier in Model::ALL {
         let exact = measured.iter().find(|row| row.solver == Solver::Exact(tier)).unwrap();
         assert!(exact.numerical_error < 1e-9 && exact.status == SolverStatus::Ok, "{exact:?}");
     }

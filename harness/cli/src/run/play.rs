@@ -18,7 +18,7 @@ use platebench_engine::{Clock, RunError, RunPlan, rejudge};
 use platebench_lab::boards::BoardOutcome;
 use platebench_model::record::{KeepTraces, Overrides, RunFolder, RunRecord, Verdict};
 use platebench_model::scenario::{AUTO_MODEL, Diagnostic, MAX_TRIALS, Scenario};
-use platebench_plate::Tier;
+use platebench_plate::Model;
 use platebench_report::events::EventWriter;
 use platebench_report::format::count;
 use platebench_report::page::RowCache;
@@ -99,7 +99,7 @@ pub(crate) struct RunArgs {
     pub(crate) board: BoardArgs,
     /// Model of the plate, instead of the scenario's
     #[arg(long, help_heading = PLATE, value_name = "NAME", value_parser = PossibleValuesParser::new(
-        std::iter::once(AUTO_MODEL).chain(Tier::ALL.map(Tier::name))))]
+        std::iter::once(AUTO_MODEL).chain(Model::ALL.map(Model::name))))]
     pub(crate) model: Option<String>,
     /// Clock of the plate; default: real-time on a serial port, lockstep otherwise
     #[arg(long, help_heading = PLATE, value_enum)]

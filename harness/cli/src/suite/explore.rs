@@ -113,9 +113,10 @@ fn prepare(arguments: &ExploreArgs, detail: Detail) -> Result<ExploreSession, Fa
     let law = arguments.law.as_deref().and_then(LawId::from_name).unwrap_or(DEFAULT_LAW);
     let jobs = if arguments.rig.allows_parallel_links() { job_count(arguments.jobs) } else { 1 };
     let time = arguments.time.unwrap_or(Duration::from_mins(1));
-    let budget = arguments
-        .scenes
-        .map_or(platebench_experiments::explore::Budget::Time(time), platebench_experiments::explore::Budget::Scenes);
+    let budget = arguments.scenes.map_or(
+        platebench_experiments::explore::ExplorationBudget::Time(time),
+        platebench_experiments::explore::ExplorationBudget::Scenes,
+    );
     Ok(ExploreSession {
         envelope,
         rig: arguments.rig.clone(),

@@ -21,7 +21,7 @@ use crate::identify::estimate::{
 };
 use nalgebra::{DMatrix, DVector};
 use platebench_model::recording::{Recording, RecordingError};
-use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, State, Tier};
+use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Model, State};
 use std::f64::consts::TAU;
 
 const MAX_ITERATIONS: usize = 80;
@@ -164,7 +164,7 @@ impl<'a> ParameterLayout<'a> {
                 let end = next.map_or(output.t, |next| next.t.min(output.t));
                 let end = changes.peek().map_or(end, |change| at(change).min(end));
                 let drive = Drive { vpp: input.vpp, omega: input.omega };
-                state = Flow::new(Tier::Modal, &modes[number], &drive, &state).after(end - now);
+                state = Flow::new(Model::Modal, &modes[number], &drive, &state).after(end - now);
                 now = end;
                 index += usize::from(next.is_some_and(|next| next.t <= now));
             }
@@ -379,9 +379,9 @@ impl EffectModel<'_> {
                 let squared = (first.w + other.w).norm_sqr();
                 let middle = warmth + rate * seconds / 2.0 * (squared - warmth);
                 let plate = mode(gain, sigma, omega0 + shift * middle);
-                first = Flow::new(Tier::Modal, &plate, &drive, &first).after(seconds);
+                first = Flow::new(Model::Modal, &plate, &drive, &first).after(seconds);
                 if let Some(second) = &second {
-                    other = Flow::new(Tier::Modal, second, &drive, &other).after(seconds);
+                    other = Flow::new(Model::Modal, second, &drive, &other).after(seconds);
                 }
                 let mean = squared.midpoint((first.w + other.w).norm_sqr());
                 warmth = mean + (warmth - mean) * (-rate * seconds).exp();

@@ -13,7 +13,7 @@ use crate::loops::{
 use platebench_controller::{Law, Measurement};
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::{
-    BandMonitor, BandSignal, ConditionProfiles, Conditions, Drive, Mode, Plant, Plate, Profile, Tier, Time,
+    BandMonitor, BandSignal, ConditionProfiles, Conditions, Drive, Mode, Model, Plant, Plate, Profile, Time,
 };
 use platebench_wire::{Configure, Gains, LawId, flags};
 use serde::Serialize;
@@ -101,7 +101,7 @@ impl GainDesign {
         &self,
         target: &TuningTarget<'_>,
         plate: &Plate,
-        tier: Tier,
+        tier: Model,
         which: [bool; 2],
     ) -> Result<ClosedLoop, AnalysisError> {
         let (plant, controller) = self.linear_parts(&TuningTarget { plate, ..*target }, tier, which);
@@ -111,7 +111,7 @@ impl GainDesign {
     pub(crate) fn linear_parts(
         &self,
         target: &TuningTarget<'_>,
-        tier: Tier,
+        tier: Model,
         [drive, frequency]: [bool; 2],
     ) -> (LinearPlant, LinearController) {
         let mode = target.mode();
@@ -156,7 +156,7 @@ impl GainDesign {
             temperature_offset_k: Profile::constant(0.0),
             finger_force_n: Profile::constant(force_n),
         };
-        let mut plant = Plant::new(plate.clone(), scene, Tier::Modal);
+        let mut plant = Plant::new(plate.clone(), scene, Model::Modal);
         plant.set_drive(Drive { vpp: 0.0, omega: plate.omega0 });
         let band =
             BandMonitor { signal: BandSignal::Amplitude, low: (1.0 - BAND) * setpoint, high: (1.0 + BAND) * setpoint };
@@ -265,7 +265,7 @@ pub(crate) fn design_delay_boundary(
     plate: &Plate,
     design: &GainDesign,
 ) -> Result<DelayBoundary, AnalysisError> {
-    let (plant, controller) = design.linear_parts(&TuningTarget { plate, ..*target }, Tier::Modal, [true; 2]);
+    let (plant, controller) = design.linear_parts(&TuningTarget { plate, ..*target }, Model::Modal, [true; 2]);
     delay_boundary(&plant, &controller, target.period(), longest_delay(target))
 }
 
@@ -287,8 +287,8 @@ pub(crate) fn delay_margin_ms(target: &TuningTarget<'_>, boundary: DelayBoundary
 
 pub fn evaluate_design(target: &TuningTarget<'_>, design: GainDesign) -> Result<DesignEvaluation, AnalysisError> {
     let GainDesign { amplitude, frequency, discretisation, response } = design;
-    let both = design.closed_loop(target, target.plate, Tier::Modal, [true; 2])?;
-    let alone = design.closed_loop(target, target.plate, Tier::Envelope, [true, false])?;
+    let both = design.closed_loop(target, target.plate, Model::Modal, [true; 2])?;
+    let alone = design.closed_loop(target, target.plate, Model::Envelope, [true, false])?;
     let transient = design.simulate_step(target, target.plate);
     Ok(DesignEvaluation {
         discretisation,
@@ -309,7 +309,7 @@ fn evaluate_loop(
     pi: PiGains,
     which: [bool; 2],
 ) -> Result<LoopEvaluation, AnalysisError> {
-    let closed = design.closed_loop(target, target.plate, Tier::Envelope, which)?;
+    let closed = design.closed_loop(target, target.plate, Model::Envelope, which)?;
     let mut poles = closed.poles()?;
     // Wd and Wq are decoupled here. Removes the pole of the component of the other, open loop.
     let other = (-target.mode().sigma * target.period()).exp();
@@ -321,7 +321,7 @@ fn evaluate_loop(
     poles.retain(|pole| pole.norm() > PENDING_POLE_RADIUS);
     poles.sort_by(|a, b| b.norm().total_cmp(&a.norm()).then(b.im.total_cmp(&a.im)));
     let margins = closed.margins();
-    let (plant, controller) = design.linear_parts(target, Tier::Envelope, which);
+    let (plant, controller) = design.linear_parts(target, Model::Envelope, which);
     let bears = delay_boundary(&plant, &controller, target.period(), longest_delay(target))?;
     Ok(LoopEvaluation {
         kp: pi.proportional,

@@ -4,7 +4,7 @@ use crate::simulation::details;
 use platebench_design::identified_plate::plate_file;
 use platebench_design::identify::{Identification, Inconsistency, identify};
 use platebench_model::recording::{RecordedInput, RecordedSample, Recording};
-use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Sensor, State, Tier};
+use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Model, Sensor, State};
 use rstest::rstest;
 
 const OMEGA0: f64 = 202_995.0;
@@ -56,7 +56,7 @@ fn capture(defect: Defect, seed: u64) -> Recording {
                 force_constant: GAIN * 2.0 * SIGMA0 * OMEGA0,
                 envelope_constant: GAIN * SIGMA0,
             };
-            state = Flow::new(Tier::Modal, &mode, &Drive { vpp, omega }, &state).after(5e-5);
+            state = Flow::new(Model::Modal, &mode, &Drive { vpp, omega }, &state).after(5e-5);
         }
     }
     Recording::new(format!("capture {seed}"), inputs, outputs).unwrap()

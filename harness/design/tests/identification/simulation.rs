@@ -2,7 +2,7 @@
 
 use platebench_design::identified_plate::PlateFileDetails;
 use platebench_model::recording::{RecordedInput, RecordedSample, Recording};
-use platebench_plate::{ConditionProfiles, Drive, Plant, Plate, Profile, Sensor, Tier, Time};
+use platebench_plate::{ConditionProfiles, Drive, Model, Plant, Plate, Profile, Sensor, Time};
 
 pub(crate) fn hold_profile(points: &[(f64, f64)]) -> Profile {
     Profile::Hold(points.iter().map(|(ms, value)| (Time::from_ms(*ms).unwrap(), *value)).collect())
@@ -24,7 +24,7 @@ pub(crate) fn simulate(
     samples: u32,
     mut drive: impl FnMut(u32, f64) -> (f64, f64),
 ) -> Recording {
-    let mut plant = Plant::new(plate.clone(), scene.clone(), Tier::Modal);
+    let mut plant = Plant::new(plate.clone(), scene.clone(), Model::Modal);
     let mut sensor = Sensor::new(1.0, plate.noise_um_rms, seed);
     let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
     for ms in 0..samples {

@@ -5,7 +5,7 @@ use platebench_design::law_loops::{
 };
 use platebench_design::loops::{ClosedLoop, LoopTiming, delay_boundary};
 use platebench_engine::delay_boundary::DelayBoundary;
-use platebench_plate::{Tier, Time};
+use platebench_plate::{Model, Time};
 use platebench_test_kit::paper_plate;
 use platebench_wire::LawId;
 use rstest::rstest;
@@ -13,7 +13,7 @@ use rstest::rstest;
 const LONGEST: f64 = 12e-3;
 
 fn predicted_boundary(case: &LoopCase<'_>) -> DelayBoundary {
-    let (plant, controller) = case.linearise(Tier::Modal).unwrap();
+    let (plant, controller) = case.linearise(Model::Modal).unwrap();
     delay_boundary(&plant, &controller, case.period(), LONGEST).unwrap()
 }
 
@@ -56,7 +56,7 @@ fn motion_grows_or_decays_by_the_spectral_radius(
     let plate = paper_plate();
     let case = LoopCase::new(&plate, law, OperatingCondition::Detuned);
     let delay = share * predicted_boundary(&case).seconds().unwrap();
-    let (plant, controller) = case.linearise(Tier::Modal).unwrap();
+    let (plant, controller) = case.linearise(Model::Modal).unwrap();
     let closed = ClosedLoop::new(plant, controller, LoopTiming { period: case.period(), delay }).unwrap();
     let radius = closed.spectral_radius().unwrap();
     let motion = LoopSimulation::in_steady_state(&case).unwrap().perturbed_motion(Time::from_seconds(delay).unwrap());
@@ -104,7 +104,7 @@ fn an_unreachable_setpoint_has_no_steady_state() {
     // `frequency-only` uses half of the drive limit, which reaches only 0.9 µm.
     plate.drive_limit_vpp = 2.0 * 0.9 / plate.gain;
     let case = LoopCase::new(&plate, LawId::FrequencyOnly, OperatingCondition::Resonant);
-    assert!(case.linearise(Tier::Modal).is_none());
+    assert!(case.linearise(Model::Modal).is_none());
 }
 
 #[test]

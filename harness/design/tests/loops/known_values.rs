@@ -6,7 +6,7 @@ use platebench_design::loops::{
     delay_boundary,
 };
 use platebench_engine::delay_boundary::DelayBoundary;
-use platebench_plate::{Conditions, Drive, Tier};
+use platebench_plate::{Conditions, Drive, Model};
 use platebench_test_kit::paper_plate;
 use rstest::rstest;
 
@@ -19,7 +19,7 @@ fn amplitude_loop(pi: impl Fn(f64, f64) -> PiGains) -> (LinearPlant, LinearContr
     let drive = Drive { vpp: mode.drive_for(2.0), omega: mode.omega0 };
     let channel = LoopChannel { pi: pi(plate.gain, 1.0 / plate.sigma0), error_weights: [-1.0, 0.0] };
     let controller = LinearController { drive: Some(channel), ..LinearController::default() };
-    (LinearPlant::linearised_at(Tier::Envelope, &mode, &drive), controller)
+    (LinearPlant::linearised_at(Model::Envelope, &mode, &drive), controller)
 }
 
 fn forward(gain: f64, tau: f64) -> PiGains {

@@ -2,20 +2,20 @@
 
 use platebench_design::law_loops::OperatingCondition;
 use platebench_design::loops::{LinearPlant, steady_state};
-use platebench_plate::{Complex64, Drive, Flow, State, Tier};
+use platebench_plate::{Complex64, Drive, Flow, Model, State};
 use platebench_test_kit::paper_plate;
 use rstest::rstest;
 
-fn propagated(tier: Tier, condition: OperatingCondition, from: &Drive, drive: &Drive, seconds: f64) -> Complex64 {
+fn propagated(tier: Model, condition: OperatingCondition, from: &Drive, drive: &Drive, seconds: f64) -> Complex64 {
     let mode = paper_plate().mode(&condition.conditions());
     let w = steady_state(tier, &mode, from);
-    let u = if tier == Tier::Modal { Complex64::I * from.omega * w } else { Complex64::ZERO };
+    let u = if tier == Model::Modal { Complex64::I * from.omega * w } else { Complex64::ZERO };
     Flow::new(tier, &mode, drive, &State { w, u }).after(seconds).w - w
 }
 
 #[rstest]
 fn linear_plant_matches_the_exact_plate_for_small_motions(
-    #[values(Tier::Envelope, Tier::Modal)] tier: Tier,
+    #[values(Model::Envelope, Model::Modal)] tier: Model,
     #[values(OperatingCondition::Resonant, OperatingCondition::Detuned, OperatingCondition::Finger)]
     condition: OperatingCondition,
     #[values([1e-3, 0.0], [0.0, 1e-3])] change: [f64; 2],

@@ -7,7 +7,7 @@ use platebench_design::tuning::{
     DesignEvaluation, InfeasibilityCause, PlateSpread, TuningResult, document, evaluate_design, evaluate_sensitivity,
     tune,
 };
-use platebench_plate::{Plate, Tier};
+use platebench_plate::{Model, Plate};
 use platebench_report::Style;
 use platebench_test_kit::paper_plate;
 use rstest::rstest;
@@ -198,7 +198,7 @@ fn margins_end_at_the_last_settling_response(
         louder.amplitude = scaled(louder.amplitude, gain * share);
         // Uses the linear loop, because the plate's drive would saturate at 0 Vpp if the gain is
         // too high.
-        let closed = louder.closed_loop(&long, &plate, Tier::Envelope, [true, false]).unwrap();
+        let closed = louder.closed_loop(&long, &plate, Model::Envelope, [true, false]).unwrap();
         let settled = closed.step_response(2.0, long.horizon()).settling;
         assert_eq!(settled.is_some(), settles, "{share} of the gain margin {gain}");
         let later = TuningTarget { delay: demand.delay + share * delay, ..long };

@@ -8,9 +8,9 @@
 use crate::campaign::definition::Campaign;
 use crate::campaign::error::CampaignError;
 use crate::campaign::part::PartReader;
-use crate::campaign::plan::{Plan, firmware_digest};
+use crate::campaign::plan::{CampaignPlan, firmware_digest};
 use crate::campaign::play::{PlayConfig, TrialEvent, replay};
-use crate::campaign::row::{Row, Tally, keep_worst};
+use crate::campaign::row::{Tally, TrialRow, keep_worst};
 use platebench_model::record::Verdict;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -30,12 +30,12 @@ const STREAM: u64 = 0xC0F1;
 /// Keeps the [`MAX_REPLAYED`] rows with the smallest random keys.
 #[derive(Debug, Default)]
 struct Subset {
-    rows: BTreeMap<(u64, u64), Row>,
+    rows: BTreeMap<(u64, u64), TrialRow>,
     candidates: u64,
 }
 
 impl Subset {
-    fn add(&mut self, key: u64, row: &Row) {
+    fn add(&mut self, key: u64, row: &TrialRow) {
         self.candidates += 1;
         let key = (key, row.trial);
         if self.rows.len() < MAX_REPLAYED {
@@ -50,12 +50,12 @@ impl Subset {
 #[derive(Debug, Default)]
 struct Selection {
     failing: Subset,
-    worst: Vec<Row>,
+    worst: Vec<TrialRow>,
     sampled: Subset,
 }
 
 impl Selection {
-    fn add(&mut self, seed: u64, row: &Row) {
+    fn add(&mut self, seed: u64, row: &TrialRow) {
         let key = key(seed, row.trial);
         if row.verdict == Verdict::Fail {
             self.failing.add(key, row);
@@ -67,9 +67,9 @@ impl Selection {
     }
 
     /// Rows of all groups by trial number. A row in several groups is returned once.
-    fn rows(&self) -> Vec<&Row> {
+    fn rows(&self) -> Vec<&TrialRow> {
         let rows = self.failing.rows.values().chain(&self.worst).chain(self.sampled.rows.values());
-        let rows: BTreeMap<u64, &Row> = rows.map(|row| (row.trial, row)).collect();
+        let rows: BTreeMap<u64, &TrialRow> = rows.map(|row| (row.trial, row)).collect();
         rows.into_values().collect()
     }
 }
@@ -77,7 +77,7 @@ impl Selection {
 /// `None` if the campaign file has no `plan.confirm`, or if the results of a shard are missing.
 pub fn confirm(
     folder: &Path,
-    plan: &Plan,
+    plan: &CampaignPlan,
     campaign: &Campaign,
     config: &PlayConfig,
     on_trial: &mut dyn FnMut(TrialEvent),
@@ -121,7 +121,7 @@ pub struct GroupAgreement {
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Difference {
+pub struct RowDifference {
     pub trial: u64,
     pub screened: Verdict,
     pub emulated: Verdict,
@@ -141,7 +141,7 @@ pub struct Agreement {
     pub missed_failures: u64,
     pub largest_margin_difference: f64,
     /// The first 20 trials, by number, with different verdicts.
-    pub differences: Vec<Difference>,
+    pub differences: Vec<RowDifference>,
     pub random: GroupAgreement,
     pub failing: GroupAgreement,
     pub worst: GroupAgreement,
@@ -149,16 +149,16 @@ pub struct Agreement {
 
 impl Agreement {
     /// `None` if `replays` does not contain one row per selected row, in the same order.
-    fn new(selection: &Selection, replays: &[Row], confidence: f64) -> Option<Self> {
+    fn new(selection: &Selection, replays: &[TrialRow], confidence: f64) -> Option<Self> {
         let screened = selection.rows();
         let is_same = screened.len() == replays.len()
             && screened.iter().zip(replays).all(|(one, other)| one.draws == other.draws);
         if !is_same {
             return None;
         }
-        let replay_of: BTreeMap<u64, &Row> =
+        let replay_of: BTreeMap<u64, &TrialRow> =
             screened.iter().zip(replays).map(|(row, replay)| (row.trial, replay)).collect();
-        let group = |candidates, rows: &mut dyn Iterator<Item = &Row>| {
+        let group = |candidates, rows: &mut dyn Iterator<Item = &TrialRow>| {
             let mut tally = Tally::new(0);
             for (row, replay) in rows.filter_map(|row| Some((row, *replay_of.get(&row.trial)?))) {
                 tally.trials += 1;
@@ -173,14 +173,15 @@ impl Agreement {
         };
         let pairs = || screened.iter().zip(replays);
         let differences =
-            pairs().filter(|(row, replay)| row.verdict != replay.verdict).map(|(row, replay)| Difference {
+            pairs().filter(|(row, replay)| row.verdict != replay.verdict).map(|(row, replay)| RowDifference {
                 trial: row.trial,
                 screened: row.verdict,
                 emulated: replay.verdict,
                 margins: [row.margin(), replay.margin()],
             });
         let margins = pairs().map(|(row, replay)| (row.margin() - replay.margin()).abs());
-        let missed = |(row, replay): &(&&Row, &Row)| row.verdict == Verdict::Pass && replay.verdict == Verdict::Fail;
+        let missed =
+            |(row, replay): &(&&TrialRow, &TrialRow)| row.verdict == Verdict::Pass && replay.verdict == Verdict::Fail;
         Some(Self {
             rig: String::new(),
             firmware: String::new(),
@@ -214,9 +215,11 @@ impl Agreement {
             }
             lines.push(line);
         }
-        lines.extend(self.differences.iter().map(|Difference { trial, screened, emulated, margins: [one, other] }| {
-            format!("  trial {trial}: hosted {screened} (margin {one:.4}), emulated {emulated} (margin {other:.4})")
-        }));
+        lines.extend(self.differences.iter().map(
+            |RowDifference { trial, screened, emulated, margins: [one, other] }| {
+                format!("  trial {trial}: hosted {screened} (margin {one:.4}), emulated {emulated} (margin {other:.4})")
+            },
+        ));
         lines
     }
 }
@@ -226,9 +229,9 @@ mod tests {
     use super::*;
     use crate::campaign::row::MAX_WORST;
 
-    fn row(trial: u64, margin: f64) -> Row {
+    fn row(trial: u64, margin: f64) -> TrialRow {
         let verdict = if margin < 0.0 { Verdict::Fail } else { Verdict::Pass };
-        Row::example(trial, verdict, margin)
+        TrialRow::example(trial, verdict, margin)
     }
 
     #[test]
@@ -244,7 +247,7 @@ mod tests {
     #[test]
     fn a_subset_keeps_the_smallest_keys_in_any_order() {
         let rows: Vec<_> = (0..30_000).map(|trial| row(trial, 1.0)).collect();
-        let kept = |rows: &mut dyn Iterator<Item = &Row>| {
+        let kept = |rows: &mut dyn Iterator<Item = &TrialRow>| {
             let mut subset = Subset::default();
             for row in rows {
                 subset.add(key(1, row.trial), row);
@@ -268,11 +271,11 @@ mod tests {
             keep_worst(&mut selection.worst, &row);
         }
         selection.sampled.add(1, &row(40, 30.5));
-        let rows: Vec<Row> = selection.rows().into_iter().cloned().collect();
+        let rows: Vec<TrialRow> = selection.rows().into_iter().cloned().collect();
         assert_eq!(rows.len(), MAX_WORST + 1, "the failing trials are among the worst");
         let mut replays = rows.clone();
-        replays[0] = Row { trial: 0, draws: vec![0.0], ..row(0, 0.5) };
-        replays[MAX_WORST] = Row { trial: 0, draws: vec![40.0], ..row(0, -0.25) };
+        replays[0] = TrialRow { trial: 0, draws: vec![0.0], ..row(0, 0.5) };
+        replays[MAX_WORST] = TrialRow { trial: 0, draws: vec![40.0], ..row(0, -0.25) };
         let agreement = Agreement::new(&selection, &replays, 0.95).unwrap();
         let counts = [&agreement.random, &agreement.failing, &agreement.worst]
             .map(|group| (group.disagreements, group.replayed));

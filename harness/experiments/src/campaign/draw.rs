@@ -20,7 +20,7 @@ const MAX_REDRAWS: u32 = 100;
 const SOBOL_BLOCK: u64 = 1 << 16;
 
 #[derive(Debug)]
-pub struct Trial {
+pub struct DrawnTrial {
     pub number: u64,
     pub seed: u64,
     /// One number per variable. For listed values it is the index of the chosen value, from 0.
@@ -36,7 +36,7 @@ impl Campaign {
     }
 
     /// Draws normal values again while the scenario refuses them, up to 100 draws in all.
-    pub fn trial(&self, number: u64) -> Result<Trial, CampaignError> {
+    pub fn trial(&self, number: u64) -> Result<DrawnTrial, CampaignError> {
         let is_redrawn = self.variables.iter().any(|variable| variable.distribution.is_normal());
         let attempts = if is_redrawn { MAX_REDRAWS } else { 1 };
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
@@ -54,7 +54,7 @@ impl Campaign {
         Err(refused)
     }
 
-    pub(crate) fn trial_with(&self, number: u64, values: Vec<f64>, redraws: u32) -> Result<Trial, CampaignError> {
+    pub(crate) fn trial_with(&self, number: u64, values: Vec<f64>, redraws: u32) -> Result<DrawnTrial, CampaignError> {
         let seed = self.seed_of(number);
         let refuse = |message: &str| Diagnostic::for_file(&self.path, message);
         let checked = self.tables(seed, &values).map_err(|message| refuse(&message)).and_then(|tables| {
@@ -63,7 +63,7 @@ impl Campaign {
             scenario.map(|scenario| (tables, scenario)).map_err(first)
         });
         let fault = match checked {
-            Ok((tables, scenario)) => return Ok(Trial { number, seed, values, redraws, tables, scenario }),
+            Ok((tables, scenario)) => return Ok(DrawnTrial { number, seed, values, redraws, tables, scenario }),
             Err(fault) => fault,
         };
         let values = self.variables.iter().zip(&values);
@@ -73,7 +73,7 @@ impl Campaign {
         Err(CampaignError::Trial { trial: number, values, fault: Box::new(fault) })
     }
 
-    pub(crate) fn title_of(&self, trial: &Trial) -> String {
+    pub(crate) fn title_of(&self, trial: &DrawnTrial) -> String {
         let values = self.variables.iter().zip(&trial.values);
         let values = values.map(|(variable, value)| format!("{} {}", variable.short_name(), variable.text(*value)));
         format!("Trial {}: {}", trial.number, values.collect::<Vec<_>>().join(", "))
@@ -157,7 +157,7 @@ impl Campaign {
 
     /// For `rare`, `point` contains standard normal scores. For `search`, it contains positions
     /// from 0 to 1 in the ranges of the values.
-    pub(crate) fn chain_trial(&self, number: u64, point: &[f64]) -> Result<Trial, CampaignError> {
+    pub(crate) fn chain_trial(&self, number: u64, point: &[f64]) -> Result<DrawnTrial, CampaignError> {
         if self.method == Method::Rare {
             let scores = self.correlation.as_ref().map(|correlation| correlation.apply(point));
             let scores = scores.as_deref().unwrap_or(point);

@@ -6,8 +6,8 @@
 
 use crate::campaign::definition::Campaign;
 use crate::campaign::error::CampaignError;
-use crate::campaign::plan::Plan;
-use crate::campaign::row::{END_KEY, Row, ShardEnd};
+use crate::campaign::plan::CampaignPlan;
+use crate::campaign::row::{END_KEY, ShardEnd, TrialRow};
 use parquet::basic::{Compression, Repetition, Type as Physical};
 use parquet::column::reader::get_typed_column_reader;
 use parquet::data_type::DoubleType;
@@ -32,12 +32,17 @@ const MAX_PART_BYTES: u64 = 8 << 30;
 pub(crate) struct PartWriter {
     path: PathBuf,
     columns: usize,
-    rows: Vec<Row>,
+    rows: Vec<TrialRow>,
     writer: SerializedFileWriter<Vec<u8>>,
 }
 
 impl PartWriter {
-    pub(crate) fn new(path: PathBuf, plan: &Plan, campaign: &Campaign, shard: u32) -> Result<Self, CampaignError> {
+    pub(crate) fn new(
+        path: PathBuf,
+        plan: &CampaignPlan,
+        campaign: &Campaign,
+        shard: u32,
+    ) -> Result<Self, CampaignError> {
         let columns = column_count(campaign);
         let metadata = [
             ("plan", plan.sha256.clone()),
@@ -54,7 +59,7 @@ impl PartWriter {
     }
 
     /// The caller adds rows in the order of their trials.
-    pub(crate) fn push(&mut self, row: Row) -> Result<(), CampaignError> {
+    pub(crate) fn push(&mut self, row: TrialRow) -> Result<(), CampaignError> {
         self.rows.push(row);
         if self.rows.len() == GROUP_ROWS { self.write_group() } else { Ok(()) }
     }
@@ -95,7 +100,7 @@ impl PartWriter {
 }
 
 fn column_count(campaign: &Campaign) -> usize {
-    Row::column_count(campaign.variables.len(), campaign.template.scenario.expectations.len())
+    TrialRow::column_count(campaign.variables.len(), campaign.template.scenario.expectations.len())
 }
 
 fn schema(columns: usize) -> Result<Type, ParquetError> {
@@ -130,7 +135,12 @@ pub(crate) struct PartReader<'a> {
 
 impl<'a> PartReader<'a> {
     /// Fails with [`CampaignError::Damaged`] or [`CampaignError::OtherPart`].
-    pub(crate) fn open(folder: &Path, plan: &Plan, campaign: &'a Campaign, shard: u32) -> Result<Self, CampaignError> {
+    pub(crate) fn open(
+        folder: &Path,
+        plan: &CampaignPlan,
+        campaign: &'a Campaign,
+        shard: u32,
+    ) -> Result<Self, CampaignError> {
         let path = plan.part_path(folder, shard);
         let damaged = |why| CampaignError::Damaged { path: path.clone(), why };
         let mut bytes = read_regular_file(&path, MAX_PART_BYTES).at(&path)?;
@@ -173,14 +183,17 @@ impl<'a> PartReader<'a> {
         self.end
     }
 
-    pub(crate) fn rows(&self, each: &mut dyn FnMut(Row) -> Result<(), CampaignError>) -> Result<(), CampaignError> {
+    pub(crate) fn rows(
+        &self,
+        each: &mut dyn FnMut(TrialRow) -> Result<(), CampaignError>,
+    ) -> Result<(), CampaignError> {
         let mut trial = self.first;
         let damaged = |why| CampaignError::Damaged { path: self.path.clone(), why };
         for group in 0..self.reader.num_row_groups() {
             let columns = self.group(group).map_err(CampaignError::write(&self.path))?;
             for row in 0..columns.first().map_or(0, Vec::len) {
                 let numbers: Option<Vec<f64>> = columns.iter().map(|column| column.get(row).copied()).collect();
-                let row = numbers.and_then(|numbers| Row::decode(trial, &numbers, self.campaign.variables.len()));
+                let row = numbers.and_then(|numbers| TrialRow::decode(trial, &numbers, self.campaign.variables.len()));
                 let row = row.ok_or_else(|| damaged("its rows cannot be read"))?;
                 if !row.agrees_with_limits(self.campaign)? {
                     return Err(damaged("a margin or a verdict contradicts the values"));
@@ -234,10 +247,14 @@ mod tests {
         write("step.toml", SCENARIO);
         write("campaign.toml", &format!("title = \"x\"\nscenario = \"step.toml\"\n[vary]\n{vary}\n{plan}"));
         let campaign = Campaign::load(&folder.path().join("campaign.toml")).unwrap();
-        let plan = Plan::new(&campaign, folder.path(), &RigSpec::hosted(), 1).unwrap();
+        let plan = CampaignPlan::new(&campaign, folder.path(), &RigSpec::hosted(), 1).unwrap();
         plan.write(folder.path()).unwrap();
-        let row =
-            Row { draws: vec![3.0], values: vec![value], margins: vec![margin], ..Row::example(0, verdict, margin) };
+        let row = TrialRow {
+            draws: vec![3.0],
+            values: vec![value],
+            margins: vec![margin],
+            ..TrialRow::example(0, verdict, margin)
+        };
         let mut part = PartWriter::new(plan.part_path(folder.path(), 1), &plan, &campaign, 1).unwrap();
         part.push(row).unwrap();
         part.commit(ShardEnd::default()).unwrap();

@@ -31,7 +31,7 @@ pub fn shards_of_run(campaign: &Campaign) -> u32 {
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Plan {
+pub struct CampaignPlan {
     format: u32,
     pub title: String,
     /// Campaign file, relative to the campaign folder, as the paths of the inputs.
@@ -58,7 +58,7 @@ struct PinnedInput {
     sha256: String,
 }
 
-impl Plan {
+impl CampaignPlan {
     /// `folder` is the campaign folder, which need not exist.
     pub fn new(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Self, CampaignError> {
         let relative = |path: &Path| relative_path(path, folder).at(path);
@@ -221,8 +221,8 @@ fn identity(rig: &RigSpec) -> Result<String, CampaignError> {
 mod tests {
     use super::*;
 
-    fn plan(method: Method, trials: u64, shards: u32) -> Plan {
-        Plan {
+    fn plan(method: Method, trials: u64, shards: u32) -> CampaignPlan {
+        CampaignPlan {
             format: FORMAT,
             title: String::new(),
             campaign: PathBuf::new(),

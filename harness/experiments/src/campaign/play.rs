@@ -1,11 +1,11 @@
 //! Plays the trials of a shard on several workers. Traces stay in memory.
 
 use crate::campaign::definition::Campaign;
-use crate::campaign::draw::Trial;
+use crate::campaign::draw::DrawnTrial;
 use crate::campaign::error::CampaignError;
 use crate::campaign::part::{PartReader, PartWriter};
-use crate::campaign::plan::Plan;
-use crate::campaign::row::{Row, ShardEnd};
+use crate::campaign::plan::CampaignPlan;
+use crate::campaign::row::{ShardEnd, TrialRow};
 use platebench_engine::workers::{Emit, InOrder, run_workers};
 use platebench_engine::{Executor, ExecutorSettings, LinkFactory, MAX_LOSSES, SafeEnds, law};
 use platebench_model::record::Verdict;
@@ -40,7 +40,7 @@ pub struct TrialEvent {
 /// Returns false without playing if the part of the shard is complete. Replaces a damaged part.
 pub fn play_shard(
     folder: &Path,
-    plan: &Plan,
+    plan: &CampaignPlan,
     campaign: &Campaign,
     shard: u32,
     config: &PlayConfig,
@@ -71,10 +71,10 @@ pub fn play_shard(
 /// Plays the trials of `rows` again. Result i belongs to row i and has the trial number i.
 pub(crate) fn replay(
     campaign: &Campaign,
-    rows: &[&Row],
+    rows: &[&TrialRow],
     config: &PlayConfig,
     on_trial: &mut dyn FnMut(TrialEvent),
-) -> Result<Vec<Row>, CampaignError> {
+) -> Result<Vec<TrialRow>, CampaignError> {
     let mut replayed = Vec::new();
     let end = play_on_rig(campaign, &TrialSource::Rows(rows), config, &mut |row| {
         on_trial(TrialEvent { is_failure: row.verdict == Verdict::Fail });
@@ -91,7 +91,7 @@ fn play_on_rig(
     campaign: &Campaign,
     source: &TrialSource<'_>,
     config: &PlayConfig,
-    on_row: &mut dyn FnMut(Row) -> Result<(), CampaignError>,
+    on_row: &mut dyn FnMut(TrialRow) -> Result<(), CampaignError>,
 ) -> Result<ShardEnd, CampaignError> {
     let options = ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
     play_trials(campaign, source, &|| config.rig.connect_with(&options), config, on_row)
@@ -102,7 +102,7 @@ pub enum TrialSource<'a> {
     /// Draws the values of these trial numbers.
     Numbers(Range<u64>),
     /// Takes the values of these rows. The number of a trial is the index of its row.
-    Rows(&'a [&'a Row]),
+    Rows(&'a [&'a TrialRow]),
 }
 
 impl TrialSource<'_> {
@@ -120,7 +120,7 @@ pub fn play_trials(
     source: &TrialSource<'_>,
     connect: &LinkFactory<'_>,
     config: &PlayConfig,
-    on_row: &mut dyn FnMut(Row) -> Result<(), CampaignError>,
+    on_row: &mut dyn FnMut(TrialRow) -> Result<(), CampaignError>,
 ) -> Result<ShardEnd, CampaignError> {
     let settings = ExecutorSettings {
         own_clock: config.rig.has_own_clock(),
@@ -139,15 +139,19 @@ pub fn play_trials(
     };
     let executors = (0..config.jobs.max(1)).map(|_| Executor::new(connect, settings.clone(), &ends));
     let mut rows = InOrder::starting_at(trials.start);
-    let outcome =
-        run_workers(executors, task, |executor, trials, emit| player.play(executor, trials, emit), &mut |row: Row| {
+    let outcome = run_workers(
+        executors,
+        task,
+        |executor, trials, emit| player.play(executor, trials, emit),
+        &mut |row: TrialRow| {
             rows.insert(row.trial, row);
             while let Some(row) = rows.take_next() {
                 failed |= row.verdict == Verdict::Fail;
                 on_row(row)?;
             }
             Ok(ControlFlow::Continue(()))
-        });
+        },
+    );
     let (unconfirmed, driven) = (!ends.are_confirmed(), ends.have_drive());
     let end = ShardEnd { unconfirmed, driven, lost: player.lost.into_inner(), failed };
     config.end.lock().unwrap_or_else(PoisonError::into_inner).add(end);
@@ -177,7 +181,7 @@ impl TrialPlayer<'_> {
         &self,
         executor: &mut Executor<'_>,
         trials: Range<u64>,
-        emit: &mut Emit<'_, Row>,
+        emit: &mut Emit<'_, TrialRow>,
     ) -> Result<(), CampaignError> {
         if self.trials_per_task() > 1 {
             return self.play_chain(executor, &trials, emit);
@@ -191,7 +195,7 @@ impl TrialPlayer<'_> {
             },
         };
         if let Some(row) = self.play_trial(executor, &trial)? {
-            emit(Row { trial: number, ..row });
+            emit(TrialRow { trial: number, ..row });
         }
         Ok(())
     }
@@ -200,7 +204,7 @@ impl TrialPlayer<'_> {
         &self,
         executor: &mut Executor<'_>,
         trials: &Range<u64>,
-        emit: &mut Emit<'_, Row>,
+        emit: &mut Emit<'_, TrialRow>,
     ) -> Result<(), CampaignError> {
         let campaign = self.campaign;
         let (mut number, mut outcome) = (trials.start, Ok(()));
@@ -221,12 +225,12 @@ impl TrialPlayer<'_> {
     }
 
     /// `None` if the trial was cancelled.
-    fn play_trial(&self, executor: &mut Executor<'_>, trial: &Trial) -> Result<Option<Row>, CampaignError> {
+    fn play_trial(&self, executor: &mut Executor<'_>, trial: &DrawnTrial) -> Result<Option<TrialRow>, CampaignError> {
         let law = law(&trial.scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
         let Some(played) = executor.play(&trial.scenario, law, 0, None)? else { return Ok(None) };
         let measures = measure(&trial.scenario, 0, &played.trace_rows, &played.telemetry);
         self.lost.fetch_or(measures.has_lost_controller(), Ordering::Relaxed);
-        Ok(Some(Row::new(trial, measures, final_distance(&played.trace_rows))))
+        Ok(Some(TrialRow::new(trial, measures, final_distance(&played.trace_rows))))
     }
 }
 

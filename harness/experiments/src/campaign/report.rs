@@ -4,7 +4,7 @@
 use crate::campaign::distribution::Variable;
 use crate::campaign::error::CampaignError;
 use crate::campaign::results::{CSV_FILE, PARQUET_FILE, unit_of_key};
-use crate::campaign::row::{Row, Tally};
+use crate::campaign::row::{Tally, TrialRow};
 use crate::campaign::sample::{FirstOrderIndex, Quantile, SampleResult, Sensitivity};
 use crate::campaign::summary::{SUMMARY_FILE, Summary};
 use crate::campaign::worst_run::ResponseLinks;
@@ -79,7 +79,7 @@ fn worst_trials(summary: &Summary<'_>, links: &ResponseLinks) -> Table {
     let header: Vec<_> =
         ["trial", "verdict", "margin"].map(str::to_owned).into_iter().chain(keys).chain(names).collect();
     let mut table = Table::new(header);
-    let row = |row: &Row| {
+    let row = |row: &TrialRow| {
         let cause = row.cause.filter(|_| row.verdict != Verdict::Pass).map(|cause| format!(" ({cause})"));
         let mut cells = vec![
             Cell::from(row.trial.to_string()).with_link(links.get(&row.trial).cloned()),

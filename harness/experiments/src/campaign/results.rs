@@ -3,7 +3,7 @@
 use crate::campaign::definition::Campaign;
 use crate::campaign::error::CampaignError;
 use crate::campaign::part::{create, finish};
-use crate::campaign::row::Row;
+use crate::campaign::row::TrialRow;
 use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
 use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, Int64Type};
 use parquet::errors::ParquetError;
@@ -47,7 +47,7 @@ pub fn unit_of_key(key: &str) -> &'static str {
 
 pub(crate) struct ResultsWriter<'a> {
     campaign: &'a Campaign,
-    rows: Vec<Row>,
+    rows: Vec<TrialRow>,
     csv: csv::Writer<BufWriter<AtomicFile>>,
     csv_path: PathBuf,
     parquet: SerializedFileWriter<File>,
@@ -73,13 +73,13 @@ impl<'a> ResultsWriter<'a> {
         Ok(Self { campaign, rows: Vec::with_capacity(GROUP_ROWS), csv, csv_path, parquet, parquet_file, parquet_path })
     }
 
-    pub(crate) fn push(&mut self, row: Row) -> Result<(), CampaignError> {
+    pub(crate) fn push(&mut self, row: TrialRow) -> Result<(), CampaignError> {
         self.write_csv(&row)?;
         self.rows.push(row);
         if self.rows.len() == GROUP_ROWS { self.write_group() } else { Ok(()) }
     }
 
-    fn write_csv(&mut self, row: &Row) -> Result<(), CampaignError> {
+    fn write_csv(&mut self, row: &TrialRow) -> Result<(), CampaignError> {
         let mut fields = vec![row.trial.to_string(), self.campaign.seed_of(row.trial).to_string()];
         let variables = self.campaign.variables.iter().zip(&row.draws);
         fields.extend(variables.map(|(variable, draw)| variable.distribution.text(*draw)));
@@ -158,8 +158,8 @@ fn schema(campaign: &Campaign) -> Result<Type, ParquetError> {
 
 type Group<'a> = SerializedRowGroupWriter<'a, File>;
 
-fn write_columns(group: &mut Group<'_>, campaign: &Campaign, rows: &[Row]) -> Result<(), ParquetError> {
-    let whole = |of: &dyn Fn(&Row) -> u64| -> Vec<i64> { rows.iter().map(|row| of(row).cast_signed()).collect() };
+fn write_columns(group: &mut Group<'_>, campaign: &Campaign, rows: &[TrialRow]) -> Result<(), ParquetError> {
+    let whole = |of: &dyn Fn(&TrialRow) -> u64| -> Vec<i64> { rows.iter().map(|row| of(row).cast_signed()).collect() };
     write_column::<Int64Type>(group, &whole(&|row| row.trial))?;
     write_column::<Int64Type>(group, &whole(&|row| campaign.seed_of(row.trial)))?;
     for (index, variable) in campaign.variables.iter().enumerate() {

@@ -5,7 +5,7 @@
 //! Each look at the results spends a part of the error probability (alpha spending).
 
 use crate::campaign::definition::Campaign;
-use crate::campaign::draw::Trial;
+use crate::campaign::draw::DrawnTrial;
 use crate::campaign::error::CampaignError;
 use platebench_model::record::{Cause, Verdict};
 use platebench_model::scenario::Expectation;
@@ -27,9 +27,9 @@ const MARGIN_ROUNDING: f64 = 1e-9;
 const EXPECT_PREFIX: &str = "expect.";
 
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub struct TrialRow {
     pub trial: u64,
-    /// Drawn values, as in [`Trial::values`].
+    /// Drawn values, as in [`DrawnTrial::values`].
     pub draws: Vec<f64>,
     /// One value per expectation; NaN if the trial has no value.
     pub values: Vec<f64>,
@@ -42,9 +42,9 @@ pub struct Row {
     pub score: f64,
 }
 
-impl Row {
+impl TrialRow {
     /// `distance` is the relative distance from the setpoint at the end of the trial.
-    pub(crate) fn new(trial: &Trial, measures: TrialMeasures, distance: f64) -> Self {
+    pub(crate) fn new(trial: &DrawnTrial, measures: TrialMeasures, distance: f64) -> Self {
         let Judgement { verdict, expectations } = judge(&trial.scenario, &[measures]);
         let undecided = expectations.iter().filter(|expectation| expectation.verdict == Verdict::Inconclusive);
         let margins = expectations.iter().map(|expectation| expectation.margin);
@@ -71,7 +71,7 @@ impl Row {
         self.margins.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
-    pub(crate) fn trial_in(&self, campaign: &Campaign) -> Result<Trial, CampaignError> {
+    pub(crate) fn trial_in(&self, campaign: &Campaign) -> Result<DrawnTrial, CampaignError> {
         campaign.trial_with(self.trial, self.draws.clone(), self.redraws)
     }
 
@@ -140,7 +140,7 @@ impl Tally {
         Self { trials: 0, failures: 0, inconclusive: 0, smallest_margin: f64::INFINITY, worst_trial: 0, values }
     }
 
-    pub(crate) fn add(&mut self, row: &Row) {
+    pub(crate) fn add(&mut self, row: &TrialRow) {
         self.trials += 1;
         self.failures += u64::from(row.verdict == Verdict::Fail);
         self.inconclusive += u64::from(row.verdict == Verdict::Inconclusive);
@@ -179,7 +179,7 @@ impl Tally {
 }
 
 /// Adds `row` if it is among the worst. Of rows with equal margins, the earlier one is worse.
-pub(crate) fn keep_worst(worst: &mut Vec<Row>, row: &Row) {
+pub(crate) fn keep_worst(worst: &mut Vec<TrialRow>, row: &TrialRow) {
     let place = worst.partition_point(|kept| kept.margin() <= row.margin());
     if place < MAX_WORST {
         worst.insert(place, row.clone());
@@ -209,7 +209,7 @@ impl SequentialDecision {
     }
 
     /// Ignores all trials after a missing trial.
-    pub(crate) fn add(&mut self, row: &Row) {
+    pub(crate) fn add(&mut self, row: &TrialRow) {
         let (Some(_), Some(look)) = (self.at_most, self.next) else { return };
         if row.trial != self.tally.trials || self.decision.is_some() {
             return;
@@ -275,7 +275,7 @@ mod tests {
     use super::*;
     use rstest::rstest;
 
-    impl Row {
+    impl TrialRow {
         pub(crate) fn example(trial: u64, verdict: Verdict, margin: f64) -> Self {
             let (draws, values, margins) = (vec![trial as f64], Vec::new(), vec![margin]);
             Self { trial, draws, values, margins, verdict, cause: None, redraws: 0, score: margin }
@@ -284,7 +284,7 @@ mod tests {
 
     #[test]
     fn a_row_survives_its_part() {
-        let row = Row {
+        let row = TrialRow {
             trial: 7,
             draws: vec![1.0, 0.25],
             values: vec![1.5],
@@ -295,9 +295,9 @@ mod tests {
             score: -1_000.5,
         };
         let columns: Vec<f64> = row.encode().collect();
-        assert_eq!(columns.len(), Row::column_count(2, 1));
-        assert_eq!(Row::decode(7, &columns, 2), Some(row));
-        assert_eq!(Row::decode(7, &columns[..columns.len() - 1], 2), None);
+        assert_eq!(columns.len(), TrialRow::column_count(2, 1));
+        assert_eq!(TrialRow::decode(7, &columns, 2), Some(row));
+        assert_eq!(TrialRow::decode(7, &columns[..columns.len() - 1], 2), None);
     }
 
     fn tally(trials: u64, failures: u64, inconclusive: u64) -> Tally {
@@ -338,17 +338,17 @@ mod tests {
     fn the_worst_rows_are_sorted_by_margin() {
         let mut worst = Vec::new();
         for trial in 0..100 {
-            keep_worst(&mut worst, &Row::example(trial, Verdict::Fail, -((trial % 10) as f64)));
+            keep_worst(&mut worst, &TrialRow::example(trial, Verdict::Fail, -((trial % 10) as f64)));
         }
         assert_eq!(worst.len(), MAX_WORST);
         assert_eq!((worst[0].trial, worst[9].trial, worst[10].trial), (9, 99, 8));
     }
 
-    fn row(trial: u64, verdict: Verdict) -> Row {
-        Row::example(trial, verdict, 1.0)
+    fn row(trial: u64, verdict: Verdict) -> TrialRow {
+        TrialRow::example(trial, verdict, 1.0)
     }
 
-    fn decide(rows: impl IntoIterator<Item = Row>) -> Option<(u32, Verdict)> {
+    fn decide(rows: impl IntoIterator<Item = TrialRow>) -> Option<(u32, Verdict)> {
         let mut decision = SequentialDecision::new(1_000, Some(0.1), 0.95);
         rows.into_iter().for_each(|row| decision.add(&row));
         decision.decision()

@@ -9,7 +9,7 @@
 
 use crate::campaign::definition::{Campaign, Method};
 use crate::campaign::distribution::Variable;
-use crate::campaign::row::Row;
+use crate::campaign::row::TrialRow;
 use platebench_verdict::statistics::quantile_bounds;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -65,7 +65,7 @@ pub struct SampleResult {
 }
 
 impl Sample {
-    pub(crate) fn add(&mut self, campaign: &Campaign, row: &Row) {
+    pub(crate) fn add(&mut self, campaign: &Campaign, row: &TrialRow) {
         if self.scores.len() >= MAX_TRIALS {
             return;
         }

@@ -5,7 +5,7 @@ use crate::campaign::definition::{Campaign, Method};
 use crate::campaign::distribution::Variable;
 use crate::campaign::plan::part_name;
 use crate::campaign::rare::{ChainEstimate, CombinedEstimate, RareMethod};
-use crate::campaign::row::{CAUSES, Row, SequentialDecision, ShardEnd, Tally, keep_worst};
+use crate::campaign::row::{CAUSES, SequentialDecision, ShardEnd, Tally, TrialRow, keep_worst};
 use crate::campaign::sample::{Sample, SampleResult};
 use crate::campaign::truncation::Truncation;
 use platebench_model::record::{Cause, Verdict};
@@ -115,8 +115,8 @@ pub struct Summary<'a> {
     pub cells: Vec<Tally>,
     pub redraws: u64,
     /// Trials with the smallest margins, smallest first.
-    pub worst: Vec<Row>,
-    pub failing: Vec<Row>,
+    pub worst: Vec<TrialRow>,
+    pub failing: Vec<TrialRow>,
     causes: [u64; 4],
     /// Results of the chains of `search` and `rare`. Empty for other methods.
     pub chains: ChainOutcome,
@@ -148,7 +148,7 @@ impl<'a> Summary<'a> {
         }
     }
 
-    pub(crate) fn add(&mut self, row: &Row) {
+    pub(crate) fn add(&mut self, row: &TrialRow) {
         self.overall.add(row);
         if self.campaign.chain_trials() > 1 {
             self.chains.add(self.campaign, row);
@@ -384,7 +384,7 @@ pub struct ChainOutcome {
 }
 
 impl ChainOutcome {
-    pub(crate) fn add(&mut self, campaign: &Campaign, row: &Row) {
+    pub(crate) fn add(&mut self, campaign: &Campaign, row: &TrialRow) {
         self.trials += 1;
         match campaign.method {
             Method::Search if self.first_failure.is_none() && row.verdict == Verdict::Fail => {
@@ -436,10 +436,10 @@ impl ChainOutcome {
         methods
     }
 
-    fn search_result(&self, worst: Option<&Row>) -> SearchResult {
+    fn search_result(&self, worst: Option<&TrialRow>) -> SearchResult {
         SearchResult {
             counterexample: worst.map(|row| counterexample_name(row.trial)),
-            margin: worst.map(Row::margin).filter(|margin| margin.is_finite()),
+            margin: worst.map(TrialRow::margin).filter(|margin| margin.is_finite()),
             trials: self.first_failure.unwrap_or(self.trials),
         }
     }
@@ -459,7 +459,7 @@ impl ChainOutcome {
         }
     }
 
-    fn search_line(&self, worst: Option<&Row>) -> String {
+    fn search_line(&self, worst: Option<&TrialRow>) -> String {
         match worst {
             Some(row) => format!(
                 "worst case: trial {}, margin {:.4} (negative: failed); \

@@ -2,10 +2,10 @@
 //! whose report shows their responses.
 
 use crate::campaign::definition::Campaign;
-use crate::campaign::draw::Trial;
+use crate::campaign::draw::DrawnTrial;
 use crate::campaign::error::CampaignError;
 use crate::campaign::play::PlayConfig;
-use crate::campaign::row::{MAX_WORST, Row};
+use crate::campaign::row::{MAX_WORST, TrialRow};
 use crate::campaign::summary::Summary;
 use platebench_engine::{Clock, Event, RunError, RunHooks, RunPlan, run};
 use platebench_model::record::{KeepTraces, Overrides, RunFolder};
@@ -30,7 +30,7 @@ const MAX_TRACES: usize = 2 * MAX_WORST;
 pub type ResponseLinks = BTreeMap<u64, String>;
 
 /// Trials with the smallest margins, failing trials, and the worst of each cell; worst first.
-pub fn worst_trials(summary: &Summary<'_>) -> Result<Vec<Trial>, CampaignError> {
+pub fn worst_trials(summary: &Summary<'_>) -> Result<Vec<DrawnTrial>, CampaignError> {
     let campaign = summary.campaign;
     let mut trials = BTreeMap::new();
     for row in summary.worst.iter().chain(&summary.failing) {
@@ -42,7 +42,7 @@ pub fn worst_trials(summary: &Summary<'_>) -> Result<Vec<Trial>, CampaignError> 
     }
     let mut trials: Vec<_> = trials.into_iter().collect();
     trials.sort_by(|(_, (a, _)), (_, (b, _))| a.partial_cmp(b).unwrap_or(Ordering::Equal));
-    let trial = |(number, (_, row)): (u64, (f64, Option<&Row>))| match row {
+    let trial = |(number, (_, row)): (u64, (f64, Option<&TrialRow>))| match row {
         Some(row) => row.trial_in(campaign),
         None => campaign.trial(number),
     };
@@ -53,7 +53,7 @@ pub fn worst_trials(summary: &Summary<'_>) -> Result<Vec<Trial>, CampaignError> 
 pub fn play_worst(
     folder: &Path,
     campaign: &Campaign,
-    trials: &[Trial],
+    trials: &[DrawnTrial],
     config: &PlayConfig,
 ) -> Result<ResponseLinks, CampaignError> {
     let scenario_folder = folder.join(FOLDER);
@@ -88,7 +88,7 @@ pub fn play_worst(
             error => CampaignError::Run(error),
         })?;
     ReportPage::new(&record, run_folder.path()).with_rows(rows).write(&run_folder.path().join(page::FILE))?;
-    let link = |trial: &Trial| {
+    let link = |trial: &DrawnTrial| {
         let file = file_name(trial.number);
         let index = record.scenarios.iter().position(|scenario| scenario.file == file)?;
         Some((trial.number, format!("{FOLDER}/{RUN}/{}#{}", page::FILE, scenario_anchor(index))))
@@ -107,7 +107,7 @@ fn file_name(trial: u64) -> String {
 }
 
 /// Replaces the folder, or removes it if there are no trials.
-pub(crate) fn write_scenarios(folder: &Path, campaign: &Campaign, trials: &[Trial]) -> Result<(), CampaignError> {
+pub(crate) fn write_scenarios(folder: &Path, campaign: &Campaign, trials: &[DrawnTrial]) -> Result<(), CampaignError> {
     if folder.exists() {
         fs::remove_dir_all(folder).at(folder)?;
     }
@@ -134,7 +134,7 @@ fn source_folder(campaign: &Campaign) -> PathBuf {
 fn write_trial(
     folder: &Path,
     campaign: &Campaign,
-    trial: &Trial,
+    trial: &DrawnTrial,
     copies: &mut Copies<'_>,
 ) -> Result<(), CampaignError> {
     let mut scenario = trial.tables.scenario.clone();

@@ -1,7 +1,7 @@
 //! Counts what the scenes cover: value ranges, pairs of changes, histories.
 
 use crate::explore::envelope::Envelope;
-use crate::explore::properties::{Window, windows};
+use crate::explore::properties::{PropertyWindow, windows};
 use crate::explore::scene::{Scene, SceneTrial};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -32,7 +32,7 @@ impl ChangeKind {
         self.into_str()
     }
 
-    fn of(trial: &SceneTrial, window: &Window) -> Self {
+    fn of(trial: &SceneTrial, window: &PropertyWindow) -> Self {
         let change = window.change;
         let before = change.from_us.saturating_sub(1);
         let rises = |from: f64, to: f64| to > from;

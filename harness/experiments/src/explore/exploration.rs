@@ -4,7 +4,7 @@ use crate::explore::coverage::Coverage;
 use crate::explore::envelope::Envelope;
 use crate::explore::generator::Generator;
 use crate::explore::player::ExploreError;
-use crate::explore::player::{Failure, Player, SceneResult, violated};
+use crate::explore::player::{Player, SceneFailure, SceneResult, violated};
 use crate::explore::properties::{Demand, Property, demands, reference_demands};
 use crate::explore::scenario_file::{ScenarioBuilder, SceneScenario};
 use crate::explore::scene::Scene;
@@ -25,7 +25,7 @@ const MAX_HISTORY: usize = 8;
 const MAX_UNDECIDED: usize = 10;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Budget {
+pub enum ExplorationBudget {
     Time(Duration),
     Scenes(u64),
 }
@@ -37,7 +37,7 @@ pub struct ExploreConfig {
     pub law: LawId,
     /// Laws that earlier trials may use.
     pub laws: Vec<LawId>,
-    pub budget: Budget,
+    pub budget: ExplorationBudget,
     /// The exploration ends after this number of failing scenes.
     pub max_failed: u64,
     pub jobs: usize,
@@ -73,13 +73,13 @@ impl ExploreConfig {
 #[derive(Debug, Clone, PartialEq)]
 pub struct FailedScene {
     pub index: u64,
-    pub failures: Vec<Failure>,
+    pub failures: Vec<SceneFailure>,
     /// Scenes that the same controller played before, oldest first.
     pub history: Vec<u64>,
 }
 
 impl FailedScene {
-    pub(crate) fn failure_of(&self, property: Property) -> Option<&Failure> {
+    pub(crate) fn failure_of(&self, property: Property) -> Option<&SceneFailure> {
         self.failures.iter().find(|failure| failure.property == property)
     }
 }
@@ -172,8 +172,8 @@ pub fn explore(
     let source = || {
         let index = next.fetch_add(1, Ordering::Relaxed);
         let is_used = match config.budget {
-            Budget::Time(time) => started.elapsed() >= time,
-            Budget::Scenes(count) => index >= count,
+            ExplorationBudget::Time(time) => started.elapsed() >= time,
+            ExplorationBudget::Scenes(count) => index >= count,
         };
         let is_over = is_used || cancel.is_cancelled() || failed.load(Ordering::Relaxed) >= config.max_failed;
         (!is_over).then_some(index)

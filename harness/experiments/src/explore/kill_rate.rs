@@ -1,7 +1,7 @@
 //! Measures the exploration itself: which mutants it finds, and how many false alarms it raises.
 
 use crate::explore::envelope::Envelope;
-use crate::explore::exploration::{Budget, Exploration, ExploreConfig, explore};
+use crate::explore::exploration::{Exploration, ExplorationBudget, ExploreConfig, explore};
 use crate::explore::limits::LawProperties;
 use crate::explore::player::ExploreError;
 use crate::explore::properties::Property;
@@ -144,7 +144,7 @@ impl KillRateConfig {
             seed: self.seed,
             law,
             laws: LawProperties::explored_laws().collect(),
-            budget: Budget::Scenes(self.scenes),
+            budget: ExplorationBudget::Scenes(self.scenes),
             max_failed,
             jobs: self.jobs,
             own_clock: false,

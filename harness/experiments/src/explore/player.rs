@@ -11,7 +11,7 @@ use platebench_verdict::{TrialMeasures, judge, measure};
 use std::collections::BTreeSet;
 
 #[derive(Debug, Clone, PartialEq)]
-pub struct Failure {
+pub struct SceneFailure {
     pub property: Property,
     /// Name of the expectation. For [`Property::Protocol`] it is the text of the violation.
     pub name: String,
@@ -31,19 +31,19 @@ pub struct WindowResult {
 #[derive(Debug, Clone, Default)]
 pub struct SceneResult {
     /// Violations of the protocol come first.
-    pub failures: Vec<Failure>,
+    pub failures: Vec<SceneFailure>,
     pub windows: Vec<WindowResult>,
     /// Cause (`rig` or `bench`) and reason, if the rig or the bench prevented a verdict.
     pub undecided: Option<String>,
 }
 
 impl SceneResult {
-    pub fn failure_of(&self, property: Property) -> Option<&Failure> {
+    pub fn failure_of(&self, property: Property) -> Option<&SceneFailure> {
         self.failures.iter().find(|failure| failure.property == property)
     }
 }
 
-pub(crate) fn violated(failures: &[Failure]) -> Vec<Property> {
+pub(crate) fn violated(failures: &[SceneFailure]) -> Vec<Property> {
     let properties: BTreeSet<_> = failures.iter().map(|failure| failure.property).collect();
     properties.into_iter().collect()
 }
@@ -121,7 +121,7 @@ fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
         result.windows.push(WindowResult { property, margin });
         if record.verdict == Verdict::Fail && !matches!(record.reason, Some(Reason::Violation { .. })) {
             let (name, value) = (record.name.clone(), record.value);
-            result.failures.push(Failure { property, name, value, limit: Some(limit) });
+            result.failures.push(SceneFailure { property, name, value, limit: Some(limit) });
         }
         if record.verdict == Verdict::Inconclusive
             && let Some(cause @ (Cause::Rig | Cause::Bench)) = record.cause
@@ -137,8 +137,8 @@ fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
     result
 }
 
-fn protocol_failure(violation: &Violation) -> Failure {
-    Failure {
+fn protocol_failure(violation: &Violation) -> SceneFailure {
+    SceneFailure {
         property: Property::Protocol,
         name: violation.to_string(),
         value: violation.worst,

@@ -197,7 +197,7 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
 struct WindowJudge<'a> {
     limits: &'a Limits<'a>,
     trial: &'a SceneTrial,
-    window: Window,
+    window: PropertyWindow,
     is_known: bool,
     /// True if the previous window was long enough to settle.
     was_steady: bool,
@@ -232,7 +232,7 @@ impl WindowJudge<'_> {
     }
 
     fn add_demands(&self, demands: &mut Vec<Demand>) {
-        let Window { change, until_us } = self.window;
+        let PropertyWindow { change, until_us } = self.window;
         let (before, after) = self.levels();
         if after == 0.0 {
             // At setpoint 0 the drive loop is active, so the drive may rise again during the decay.
@@ -266,7 +266,7 @@ impl WindowJudge<'_> {
     }
 
     fn add_step(&self, demands: &mut Vec<Demand>, before: f64, after: f64) {
-        let Window { change, until_us } = self.window;
+        let PropertyWindow { change, until_us } = self.window;
         let is_first = change.from_us == 0;
         if !(is_first || self.was_steady) || change.from_us != change.to_us {
             return;
@@ -288,7 +288,7 @@ impl WindowJudge<'_> {
     }
 
     fn add_disturbance(&self, demands: &mut Vec<Demand>, level: f64) {
-        let Window { change, until_us } = self.window;
+        let PropertyWindow { change, until_us } = self.window;
         if !self.was_steady {
             return;
         }
@@ -307,7 +307,7 @@ impl WindowJudge<'_> {
     }
 
     fn add_steady_state(&self, demands: &mut Vec<Demand>, level: f64) {
-        let Window { change, until_us } = self.window;
+        let PropertyWindow { change, until_us } = self.window;
         let from_us = change.to_us + self.steady_us();
         if from_us + STEADY_PERIODS * self.trial.period_us > until_us {
             return;
@@ -343,12 +343,12 @@ pub(crate) struct Change {
 
 /// A change, and the time without changes after it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Window {
+pub(crate) struct PropertyWindow {
     pub(crate) change: Change,
     pub(crate) until_us: u32,
 }
 
-impl Window {
+impl PropertyWindow {
     pub(crate) const fn quiet_us(&self) -> u32 {
         self.until_us.saturating_sub(self.change.to_us)
     }
@@ -385,8 +385,8 @@ fn changes(trial: &SceneTrial) -> Vec<Change> {
     merged
 }
 
-pub(crate) fn windows(trial: &SceneTrial) -> Vec<Window> {
+pub(crate) fn windows(trial: &SceneTrial) -> Vec<PropertyWindow> {
     let changes = changes(trial);
     let ends = changes.iter().skip(1).map(|next| next.from_us).chain([trial.duration_us]);
-    changes.iter().zip(ends).map(|(change, until_us)| Window { change: *change, until_us }).collect()
+    changes.iter().zip(ends).map(|(change, until_us)| PropertyWindow { change: *change, until_us }).collect()
 }

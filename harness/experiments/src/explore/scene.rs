@@ -7,7 +7,7 @@ use crate::explore::envelope::Ranges;
 use platebench_controller::design::{PiGains, default_response_time_s};
 use platebench_engine::wire_fault_kind;
 use platebench_model::scenario::raw::{RawController, RawFault};
-use platebench_model::scenario::{Direction, FaultKind, Gains};
+use platebench_model::scenario::{Direction, FaultKind, ScenarioGains};
 use platebench_plate::{Mode, Plate, Time};
 use platebench_wire::LawId;
 use proptest::prelude::{BoxedStrategy, Just, Strategy, any};
@@ -361,7 +361,7 @@ impl Tuning {
             };
             let ([amplitude_kp, amplitude_ki], [frequency_kp, frequency_ki]) =
                 (scaled(design.gain, amplitude), scaled(tau, frequency));
-            Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki }
+            ScenarioGains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki }
         });
         RawController {
             response_time_ms: tenths(self.response_tenths),

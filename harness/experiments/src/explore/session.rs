@@ -2,7 +2,7 @@
 //! scenarios that the next run and the next exploration play, and writes the result.
 
 use crate::explore::envelope::Envelope;
-use crate::explore::exploration::{Budget, ExploreConfig, FailedScene, explore};
+use crate::explore::exploration::{ExplorationBudget, ExploreConfig, FailedScene, explore};
 use crate::explore::limits::LawProperties;
 use crate::explore::player::ExploreError;
 use crate::explore::player::Player;
@@ -34,7 +34,7 @@ pub struct ExploreSession {
     pub rig: RigSpec,
     pub law: LawId,
     pub seed: u64,
-    pub budget: Budget,
+    pub budget: ExplorationBudget,
     pub jobs: usize,
     pub compares_reference: bool,
     pub regressions: Vec<Scenario>,

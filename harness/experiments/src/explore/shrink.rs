@@ -2,7 +2,7 @@
 
 use crate::explore::exploration::{ExploreConfig, FailedScene};
 use crate::explore::player::ExploreError;
-use crate::explore::player::{Failure, Player};
+use crate::explore::player::{Player, SceneFailure};
 use crate::explore::properties::{Demand, Property};
 use crate::explore::scene::Tuning;
 use crate::explore::scene::{Course, Scene, SceneTrial};
@@ -17,7 +17,7 @@ pub struct MinimalScene {
     pub scene: Scene,
     /// The violated demand, or all demands of the property if several are possible.
     pub demands: Vec<Demand>,
-    pub failure: Failure,
+    pub failure: SceneFailure,
     /// False if the scene did not fail again with a new controller. It is then not minimal.
     pub is_reproduced: bool,
     pub replays: u32,
@@ -44,7 +44,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         let mut tree = generator.tree(failed.index).map_err(ExploreError::Strategy)?;
         let original = tree.current();
         let Some((earlier, mut best)) = self.reproduce(&original, failed, property)? else {
-            let none = Failure { property, name: String::new(), value: None, limit: None };
+            let none = SceneFailure { property, name: String::new(), value: None, limit: None };
             let failure = failed.failure_of(property).cloned().unwrap_or(none);
             let demands = self.config.demands(&original);
             return Ok(MinimalScene { scene: original, demands, failure, is_reproduced: false, replays: self.replays });
@@ -86,7 +86,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         original: &Scene,
         failed: &FailedScene,
         property: Property,
-    ) -> Result<Option<(Option<Vec<SceneTrial>>, (Scene, Failure))>, ExploreError> {
+    ) -> Result<Option<(Option<Vec<SceneTrial>>, (Scene, SceneFailure))>, ExploreError> {
         if let Some(failure) = self.replay(original, property)? {
             return Ok(Some((None, (original.clone(), failure))));
         }
@@ -108,9 +108,9 @@ impl<'a, 'p> Shrinker<'a, 'p> {
     fn remove_earlier(
         &mut self,
         scene: Scene,
-        failure: Failure,
+        failure: SceneFailure,
         property: Property,
-    ) -> Result<(Vec<SceneTrial>, (Scene, Failure)), ExploreError> {
+    ) -> Result<(Vec<SceneTrial>, (Scene, SceneFailure)), ExploreError> {
         let mut best = (scene, failure);
         let mut chunk = best.0.earlier.len().div_ceil(2);
         while chunk > 0 && !self.is_over() {
@@ -131,7 +131,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
 
     /// Tries changes that shrinking of drawn numbers cannot make: rounder values, fewer points, an
     /// earlier end.
-    fn simplify_directly(&mut self, best: &mut (Scene, Failure), property: Property) -> Result<(), ExploreError> {
+    fn simplify_directly(&mut self, best: &mut (Scene, SceneFailure), property: Property) -> Result<(), ExploreError> {
         let mut has_changed = true;
         while has_changed && !self.is_over() {
             has_changed = false;
@@ -150,7 +150,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
     }
 
     /// End, µs, of the first window with a demand of `property`.
-    fn end_of(&self, best: &(Scene, Failure), property: Property) -> Option<u32> {
+    fn end_of(&self, best: &(Scene, SceneFailure), property: Property) -> Option<u32> {
         let demands = self.config.demands(&best.0);
         demands.iter().filter(|demand| demand.property == property).map(|demand| demand.until_us).min()
     }
@@ -160,7 +160,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
     }
 
     /// Plays `scene` with a new controller. `None` if it does not violate `property`.
-    fn replay(&mut self, scene: &Scene, property: Property) -> Result<Option<Failure>, ExploreError> {
+    fn replay(&mut self, scene: &Scene, property: Property) -> Result<Option<SceneFailure>, ExploreError> {
         self.replays += 1;
         let scenario = self.config.scenario(scene, "Replay").check()?;
         self.player.renew();

@@ -29,7 +29,7 @@ pub struct Suite {
 }
 
 #[derive(Debug, Clone)]
-pub(crate) struct Outcome {
+pub(crate) struct SuiteOutcome {
     pub(crate) verdict: Verdict,
     pub(crate) detection: Option<Detection>,
     pub(crate) closest_margin: Option<Margin>,
@@ -107,7 +107,7 @@ pub(crate) fn play(
     executor: &mut BoardExecutor<'_>,
     scenario: &Scenario,
     law: LawId,
-) -> Result<Option<Outcome>, AnalysisError> {
+) -> Result<Option<SuiteOutcome>, AnalysisError> {
     let mut commands = DefaultHasher::new();
     let end = executor.play_until_decided(scenario, scenario, law, |result| {
         if let Some(detection) = detection(result) {
@@ -118,7 +118,7 @@ pub(crate) fn play(
     })?;
     Ok(match end {
         ScenarioEnd::Judged(judgement) => {
-            Some(Outcome { commands: commands.finish(), ..outcome(scenario, &judgement) })
+            Some(SuiteOutcome { commands: commands.finish(), ..outcome(scenario, &judgement) })
         }
         ScenarioEnd::Stopped(detection) => Some(detection.into()),
         ScenarioEnd::Cancelled => None,
@@ -131,7 +131,7 @@ pub(crate) fn hash_commands(rows: &[Row], commands: &mut DefaultHasher) {
     }
 }
 
-impl From<Detection> for Outcome {
+impl From<Detection> for SuiteOutcome {
     fn from(detection: Detection) -> Self {
         Self { verdict: Verdict::Fail, detection: Some(detection), closest_margin: None, commands: 0 }
     }
@@ -154,7 +154,7 @@ fn detection(result: &TrialResult) -> Option<Detection> {
     Some(Detection { reason, emulator_failed: false, is_unconfirmed })
 }
 
-fn outcome(scenario: &Scenario, judgement: &Judgement) -> Outcome {
+fn outcome(scenario: &Scenario, judgement: &Judgement) -> SuiteOutcome {
     let failed = judgement.expectations.iter().find(|record| record.verdict == Verdict::Fail);
     let reason = failed.map_or_else(
         || "a trial failed".to_owned(),
@@ -165,7 +165,7 @@ fn outcome(scenario: &Scenario, judgement: &Judgement) -> Outcome {
     );
     let margins = judgement.expectations.iter().filter_map(|record| Some((record.name.clone(), record.margin?)));
     let closest = margins.min_by(|(_, one), (_, other)| one.total_cmp(other));
-    Outcome {
+    SuiteOutcome {
         verdict: judgement.verdict,
         detection: (judgement.verdict == Verdict::Fail).then_some(Detection {
             reason,

@@ -6,7 +6,7 @@ use platebench_experiments::explore::kill_rate::{KillRateConfig, kill_rate};
 use platebench_experiments::explore::report::violated_properties;
 use platebench_experiments::explore::session::ExploreSession;
 use platebench_experiments::explore::shrink::Shrinker;
-use platebench_experiments::explore::{Budget, ExploreConfig, Player, Property, explore};
+use platebench_experiments::explore::{ExplorationBudget, ExploreConfig, Player, Property, explore};
 use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, clean_variants};
 use platebench_model::record::Verdict;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, RigSpec};
@@ -106,7 +106,7 @@ fn a_mutant_is_found_and_its_scene_shrinks_to_one_level() {
 #[test]
 fn an_interrupted_exploration_writes_its_result() {
     let ExploreConfig { envelope, law, seed, jobs, .. } = configuration(LawId::DqPi, 1);
-    let budget = Budget::Scenes(u64::MAX / 4);
+    let budget = ExplorationBudget::Scenes(u64::MAX / 4);
     let (regressions, regression_folder) = (Vec::new(), PathBuf::from("none"));
     let rig = RigSpec::hosted();
     let session = ExploreSession {

@@ -1,6 +1,6 @@
 //! Provides the envelope of the repository and explorations of it.
 
-use platebench_experiments::explore::{Budget, Envelope, ExploreConfig};
+use platebench_experiments::explore::{Envelope, ExplorationBudget, ExploreConfig};
 use platebench_wire::LawId;
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ pub(crate) fn configuration(law: LawId, scenes: u64) -> ExploreConfig {
         seed: 1,
         law,
         laws: vec![LawId::DqPi, LawId::Deadbeat, LawId::DqPiFixed],
-        budget: Budget::Scenes(scenes),
+        budget: ExplorationBudget::Scenes(scenes),
         max_failed: 10,
         jobs: 2,
         own_clock: false,

@@ -142,7 +142,7 @@ pub struct PlannedScenario {
 }
 
 #[derive(Debug, Clone)]
-pub struct Plan {
+pub struct AcceptancePlan {
     pub bytes: Vec<u8>,
     pub title: String,
     pub requirements: Vec<Requirement>,
@@ -152,7 +152,7 @@ pub struct Plan {
     pub decision: Option<PlanDecision>,
 }
 
-impl Plan {
+impl AcceptancePlan {
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawPlan>(path)?;
         let mut checker = PlanChecker { path, text: &text, faults: Vec::new() };

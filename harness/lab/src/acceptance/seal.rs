@@ -22,7 +22,7 @@ const MAX_DEPTH: usize = 32;
 pub(crate) const MAX_MANIFEST_BYTES: u64 = 64 << 20;
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Difference {
+pub enum FileDifference {
     #[error("{0}: changed, its SHA-256 is not the one in the manifest")]
     Changed(String),
     #[error("{0}: missing, the manifest names it")]
@@ -58,7 +58,7 @@ pub(crate) fn write_manifest(folder: &Path) -> Result<(), AcceptError> {
     Ok(write_file(folder, MANIFEST_FILE, text.as_bytes())?)
 }
 
-pub(crate) fn check_manifest(folder: &Path, text: &str) -> Vec<Difference> {
+pub(crate) fn check_manifest(folder: &Path, text: &str) -> Vec<FileDifference> {
     let mut differences = Vec::new();
     let mut listed: BTreeMap<&str, &str> = BTreeMap::new();
     let mut last = None;
@@ -68,7 +68,7 @@ pub(crate) fn check_manifest(folder: &Path, text: &str) -> Vec<Difference> {
                 listed.insert(name, hash);
                 last = Some(name);
             }
-            None => differences.push(Difference::Line(number + 1)),
+            None => differences.push(FileDifference::Line(number + 1)),
         }
     }
     let mut found = FolderContents::default();
@@ -76,14 +76,14 @@ pub(crate) fn check_manifest(folder: &Path, text: &str) -> Vec<Difference> {
     differences.extend(found.not_files.into_values());
     for name in &found.files {
         match (listed.get(name.as_str()), sha256_of_file(&folder.join(name))) {
-            (None, _) => differences.push(Difference::Added(name.clone())),
-            (Some(_), Err(error)) => differences.push(Difference::Unreadable(name.clone(), error.to_string())),
-            (Some(hash), Ok(found)) if found != *hash => differences.push(Difference::Changed(name.clone())),
+            (None, _) => differences.push(FileDifference::Added(name.clone())),
+            (Some(_), Err(error)) => differences.push(FileDifference::Unreadable(name.clone(), error.to_string())),
+            (Some(hash), Ok(found)) if found != *hash => differences.push(FileDifference::Changed(name.clone())),
             (Some(_), Ok(_)) => {}
         }
     }
     let missing = listed.keys().filter(|name| !found.files.contains(**name));
-    differences.extend(missing.map(|name| Difference::Missing((*name).to_owned())));
+    differences.extend(missing.map(|name| FileDifference::Missing((*name).to_owned())));
     differences
 }
 
@@ -98,7 +98,7 @@ fn parse_line(line: &str) -> Option<(&str, &str)> {
 #[derive(Default)]
 struct FolderContents {
     files: BTreeSet<String>,
-    not_files: BTreeMap<String, Difference>,
+    not_files: BTreeMap<String, FileDifference>,
 }
 
 impl FolderContents {
@@ -107,14 +107,14 @@ impl FolderContents {
             Ok(entries) => entries,
             Err(error) => {
                 let name = if prefix.is_empty() { "." } else { prefix.trim_end_matches('/') };
-                self.not_files.insert(name.to_owned(), Difference::Unreadable(name.to_owned(), error.to_string()));
+                self.not_files.insert(name.to_owned(), FileDifference::Unreadable(name.to_owned(), error.to_string()));
                 return;
             }
         };
         for entry in entries {
             let Some(last) = entry.file_name().to_str().map(str::to_owned) else {
                 let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
-                self.not_files.insert(name.clone(), Difference::UnsupportedEntry(name));
+                self.not_files.insert(name.clone(), FileDifference::UnsupportedEntry(name));
                 continue;
             };
             let name = format!("{prefix}{last}");
@@ -129,7 +129,7 @@ impl FolderContents {
                     }
                 }
                 _ => {
-                    self.not_files.insert(name.clone(), Difference::UnsupportedEntry(name));
+                    self.not_files.insert(name.clone(), FileDifference::UnsupportedEntry(name));
                 }
             }
         }
@@ -245,10 +245,10 @@ mod tests {
         fs::write(folder.path().join("b/new"), "").unwrap();
         std::os::unix::fs::symlink("a.txt", folder.path().join("link")).unwrap();
         let expected = [
-            Difference::UnsupportedEntry("link".to_owned()),
-            Difference::Changed("a.txt".to_owned()),
-            Difference::Added("b/new".to_owned()),
-            Difference::Missing("b/c.csv".to_owned()),
+            FileDifference::UnsupportedEntry("link".to_owned()),
+            FileDifference::Changed("a.txt".to_owned()),
+            FileDifference::Added("b/new".to_owned()),
+            FileDifference::Missing("b/c.csv".to_owned()),
         ];
         assert_eq!(check_manifest(folder.path(), &text), expected);
     }
@@ -257,9 +257,9 @@ mod tests {
     fn reports_a_file_without_a_line_as_added() {
         let (folder, text) = sealed_record();
         let fewer: String = text.split_inclusive('\n').filter(|line| !line.ends_with("b-d\n")).collect();
-        assert_eq!(check_manifest(folder.path(), &fewer), [Difference::Added("b-d".to_owned())]);
+        assert_eq!(check_manifest(folder.path(), &fewer), [FileDifference::Added("b-d".to_owned())]);
         let twice = text.clone() + text.lines().next().unwrap() + "\n";
-        assert_eq!(check_manifest(folder.path(), &twice), [Difference::Line(4)]);
+        assert_eq!(check_manifest(folder.path(), &twice), [FileDifference::Line(4)]);
     }
 
     #[rstest]

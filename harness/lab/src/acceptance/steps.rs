@@ -1,7 +1,7 @@
 //! Describes a session (plan, rig, record folder, operator, observer) and runs its steps:
 //! questions, self-test of the bench, trust of the scenarios, scenarios.
 
-use crate::acceptance::plan::{AnswerKind, Ask, Plan, PlannedScenario, QuestionTime};
+use crate::acceptance::plan::{AcceptancePlan, AnswerKind, Ask, PlannedScenario, QuestionTime};
 use crate::acceptance::seal::SecretKey;
 use crate::acceptance::session_record::{
     AcceptError, AnswerRecord, SelfTestRecord, SessionDetails, StepKind, StepRecord, TrustRecord, write_file,
@@ -21,7 +21,7 @@ use std::{fs, io, thread};
 
 #[derive(Debug, Clone)]
 pub struct SessionConfig {
-    pub plan: Plan,
+    pub plan: AcceptancePlan,
     pub rig: RigSpec,
     pub clock: Clock,
     pub jobs: usize,
@@ -56,7 +56,7 @@ pub(crate) enum StepAction<'a> {
     Scenario(&'a PlannedScenario),
 }
 
-pub(crate) fn step_actions(plan: &Plan) -> Vec<StepAction<'_>> {
+pub(crate) fn step_actions(plan: &AcceptancePlan) -> Vec<StepAction<'_>> {
     let asks = |when| plan.asks.iter().filter(move |ask| ask.when == when).map(StepAction::Ask);
     let mut actions = vec![StepAction::Identity];
     actions.extend(asks(QuestionTime::Before));
@@ -66,7 +66,7 @@ pub(crate) fn step_actions(plan: &Plan) -> Vec<StepAction<'_>> {
     actions
 }
 
-pub(crate) fn step_records(plan: &Plan) -> Vec<StepRecord> {
+pub(crate) fn step_records(plan: &AcceptancePlan) -> Vec<StepRecord> {
     let describe = |action: StepAction<'_>| match action {
         StepAction::Identity => ("identity".to_owned(), "Board and firmware".to_owned(), StepKind::Identity),
         StepAction::Ask(ask) => (format!("ask-{}", ask.id), ask.question.clone(), StepKind::Ask),
@@ -172,7 +172,7 @@ const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Plays the shortest scenario to the hosted controller: twice in lockstep to compare the traces,
 /// then in real time to measure lateness.
 pub(crate) fn run_self_test(
-    plan: &Plan,
+    plan: &AcceptancePlan,
     real_time: bool,
     folder: &Path,
     step: &mut StepRecord,
@@ -236,7 +236,7 @@ fn self_test_record(timed: &RunRecord, scenario: &Scenario, repeats: bool) -> Se
 }
 
 pub(crate) fn measure_trust(
-    plan: &Plan,
+    plan: &AcceptancePlan,
     folder: &Path,
     step: &mut StepRecord,
     cancel: &CancelToken,

@@ -5,7 +5,7 @@
 use crate::acceptance::judge::judge_requirements;
 use crate::acceptance::plan;
 use crate::acceptance::seal::{
-    Difference, MANIFEST_FILE, MAX_MANIFEST_BYTES, PublicKey, SIGNATURE_FILE, check_manifest,
+    FileDifference, MANIFEST_FILE, MAX_MANIFEST_BYTES, PublicKey, SIGNATURE_FILE, check_manifest,
 };
 use crate::acceptance::session_record::{
     AcceptError, BUDGET, FILE, PLAN, STEPS, SessionRecord, SignatureRecord, StepKind,
@@ -24,7 +24,7 @@ const MAX_PLAN_BYTES: u64 = 4 << 20;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Finding {
     #[error(transparent)]
-    File(Difference),
+    File(FileDifference),
     #[error("{}: missing, expected the SHA-256 of every file", MANIFEST_FILE)]
     NoManifest,
     #[error("{file}: missing, {0}", file = SIGNATURE_FILE)]

@@ -6,7 +6,7 @@ use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::expect::Expectation;
 use crate::scenario::fault::ChipFault;
 use crate::scenario::fault::Fault;
-use platebench_plate::{ConditionProfiles, Plant, Plate, Profile, Sensor, Tier, Time};
+use platebench_plate::{ConditionProfiles, Model, Plant, Plate, Profile, Sensor, Time};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -36,7 +36,7 @@ pub struct Scenario {
     pub source: Option<String>,
     pub tags: Vec<String>,
     pub plate: Plate,
-    pub tier: Tier,
+    pub tier: Model,
     pub duration: Time,
     pub trace_step: Time,
     /// Reason why the scenario is played only if it or its own folder is named.
@@ -69,13 +69,13 @@ pub struct Controller {
     pub response_time_ms: Option<f64>,
     pub frequency_range_hz: f64,
     pub frequency_slew_hz: f64,
-    pub gains: Option<Gains>,
+    pub gains: Option<ScenarioGains>,
     pub design_plate: Option<Plate>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Gains {
+pub struct ScenarioGains {
     /// Amplitude loop, Vpp per µm.
     pub amplitude_kp: f64,
     /// Amplitude loop, Vpp per µm and second.
@@ -133,19 +133,19 @@ impl Scenario {
     }
 
     pub(crate) fn models() -> [&'static str; 5] {
-        let [linear, envelope, modal, carrier] = Tier::ALL.map(Tier::name);
+        let [linear, envelope, modal, carrier] = Model::ALL.map(Model::name);
         [AUTO_MODEL, linear, envelope, modal, carrier]
     }
 
     /// Tier (kind of plate model) named `model`. `auto` selects the exact tier for `plate`. `None`
     /// if the name is unknown.
-    pub fn tier_for(model: &str, plate: &Plate) -> Option<Tier> {
-        if model == AUTO_MODEL { Some(Tier::exact_for(plate)) } else { Tier::from_name(model) }
+    pub fn tier_for(model: &str, plate: &Plate) -> Option<Model> {
+        if model == AUTO_MODEL { Some(Model::exact_for(plate)) } else { Model::from_name(model) }
     }
 
-    pub fn omitted_effect(tier: Tier, plate: &Plate) -> Option<String> {
+    pub fn omitted_effect(tier: Model, plate: &Plate) -> Option<String> {
         let effect = plate.first_effect().filter(|_| !tier.has_both_poles())?;
-        let [auto, modal, carrier] = [AUTO_MODEL, Tier::Modal.name(), Tier::Carrier.name()];
+        let [auto, modal, carrier] = [AUTO_MODEL, Model::Modal.name(), Model::Carrier.name()];
         Some(format!(
             "the model {} omits `{effect}` of the plate file, expected {auto}, {modal} or {carrier}",
             tier.name()

@@ -1,7 +1,7 @@
 //! Defines the scenario file as serde reads it, before any check.
 
 use crate::metrics::Metric;
-use crate::scenario::definition::{AUTO_MODEL, Gains, MAX_TRIALS, Spread};
+use crate::scenario::definition::{AUTO_MODEL, MAX_TRIALS, ScenarioGains, Spread};
 use crate::scenario::window::ChangingProfile;
 use platebench_plate::RawProfile;
 use schemars::JsonSchema;
@@ -145,7 +145,7 @@ pub struct RawController {
     #[schemars(extend("exclusiveMinimum" = 0, "default" = DEFAULT_FREQUENCY_SLEW_HZ))]
     pub frequency_slew_hz: Option<f64>,
     /// Gains instead of the law's own design.
-    pub gains: Option<Gains>,
+    pub gains: Option<ScenarioGains>,
     /// Plate file that the controller is configured for, relative to this file. Default: the plate
     /// of the scenario.
     pub design_plate: Option<PathBuf>,

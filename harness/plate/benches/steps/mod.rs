@@ -3,7 +3,7 @@
 #![allow(clippy::expect_used, reason = "the repository's plate file is valid")]
 
 use platebench_plate::{
-    ConditionProfiles, Conditions, Drive, Flow, Lockin, Plant, Plate, Profile, RawPlate, State, Tier, Time,
+    ConditionProfiles, Conditions, Drive, Flow, Lockin, Model, Plant, Plate, Profile, RawPlate, State, Time,
 };
 use std::fmt;
 use std::hint::black_box;
@@ -29,14 +29,14 @@ impl fmt::Display for Step {
 }
 
 pub(crate) static STEPS: &[Step] = &[
-    Step { name: "flow-linear", items: 1, make: || flow(Tier::Linear) },
-    Step { name: "flow-envelope", items: 1, make: || flow(Tier::Envelope) },
-    Step { name: "flow-modal", items: 1, make: || flow(Tier::Modal) },
-    Step { name: "plant-envelope", items: 1, make: || plant(Tier::Envelope) },
-    Step { name: "plant-modal", items: 1, make: || plant(Tier::Modal) },
-    Step { name: "ramp-envelope", items: 1, make: || ramp(Tier::Envelope) },
-    Step { name: "ramp-modal", items: 1, make: || ramp(Tier::Modal) },
-    Step { name: "carrier-sample", items: 1_000, make: || plant(Tier::Carrier) },
+    Step { name: "flow-linear", items: 1, make: || flow(Model::Linear) },
+    Step { name: "flow-envelope", items: 1, make: || flow(Model::Envelope) },
+    Step { name: "flow-modal", items: 1, make: || flow(Model::Modal) },
+    Step { name: "plant-envelope", items: 1, make: || plant(Model::Envelope) },
+    Step { name: "plant-modal", items: 1, make: || plant(Model::Modal) },
+    Step { name: "ramp-envelope", items: 1, make: || ramp(Model::Envelope) },
+    Step { name: "ramp-modal", items: 1, make: || ramp(Model::Modal) },
+    Step { name: "carrier-sample", items: 1_000, make: || plant(Model::Carrier) },
     Step { name: "lock-in-read", items: 1, make: read },
 ];
 
@@ -52,7 +52,7 @@ fn drive(plate: &Plate, period: u64) -> Drive {
     Drive { vpp: 200.0 + turn, omega: plate.omega0 + 10.0 * turn }
 }
 
-fn flow(tier: Tier) -> Box<dyn FnMut()> {
+fn flow(tier: Model) -> Box<dyn FnMut()> {
     let plate = plate();
     let mode = plate.mode(&Conditions::default());
     let (mut state, mut period) = (State::default(), 0);
@@ -63,13 +63,13 @@ fn flow(tier: Tier) -> Box<dyn FnMut()> {
     })
 }
 
-fn moving_plant(tier: Tier) -> Plant {
+fn moving_plant(tier: Model) -> Plant {
     let scene =
         ConditionProfiles { temperature_offset_k: Profile::constant(3.0), finger_force_n: Profile::constant(0.5) };
     Plant::new(plate(), scene, tier)
 }
 
-fn plant(tier: Tier) -> Box<dyn FnMut()> {
+fn plant(tier: Model) -> Box<dyn FnMut()> {
     let (mut plant, mut period, mut crossings) = (moving_plant(tier), 0, Vec::new());
     Box::new(move || {
         period += 1;
@@ -80,7 +80,7 @@ fn plant(tier: Tier) -> Box<dyn FnMut()> {
 }
 
 /// The finger force rises for 0.1 s and falls for 0.1 s, at 10 N/s.
-fn ramp(tier: Tier) -> Box<dyn FnMut()> {
+fn ramp(tier: Model) -> Box<dyn FnMut()> {
     let points = (0..=100).map(|turn| (PERIOD.times(100 * turn), f64::from(turn % 2 == 1)));
     let scene = ConditionProfiles {
         temperature_offset_k: Profile::constant(3.0),
@@ -100,7 +100,7 @@ fn ramp(tier: Tier) -> Box<dyn FnMut()> {
 }
 
 fn read() -> Box<dyn FnMut()> {
-    let mut plant = moving_plant(Tier::Carrier);
+    let mut plant = moving_plant(Model::Carrier);
     plant.set_drive(drive(plant.plate(), 1));
     plant.advance(PERIOD, &[], &mut Vec::new());
     Box::new(move || {

@@ -5,7 +5,7 @@ use crate::reference::{
     state_at,
 };
 use platebench_plate::{
-    Complex64, ConditionProfiles, ConverterResolution, Drive, Lockin, Plant, Plate, Profile, Tier, Time,
+    Complex64, ConditionProfiles, ConverterResolution, Drive, Lockin, Model, Plant, Plate, Profile, Time,
 };
 use rstest::rstest;
 use std::f64::consts::{PI, TAU};
@@ -33,8 +33,8 @@ fn moving_conditions() -> ConditionProfiles {
 #[test]
 fn the_carrier_tier_is_the_modal_plate_bit_for_bit() {
     let plate = with_lockin(8, 1e6, None);
-    let mut modal = Plant::new(plate.clone(), moving_conditions(), Tier::Modal);
-    let mut carrier = Plant::new(plate.clone(), moving_conditions(), Tier::Carrier);
+    let mut modal = Plant::new(plate.clone(), moving_conditions(), Model::Modal);
+    let mut carrier = Plant::new(plate.clone(), moving_conditions(), Model::Carrier);
     random_drives(21, &plate, |ms, drive| {
         for plant in [&mut modal, &mut carrier] {
             plant.set_drive(drive);
@@ -49,7 +49,7 @@ fn the_carrier_tier_is_the_modal_plate_bit_for_bit() {
 
 #[test]
 fn without_a_lock_in_the_reading_is_w() {
-    let mut plant = holding_plant(&paper_plate(), Tier::Carrier, 0.0);
+    let mut plant = holding_plant(&paper_plate(), Model::Carrier, 0.0);
     let state = state_at(&mut plant, 3.0);
     assert_eq!(plant.sensor_reading(), state.w);
 }
@@ -57,7 +57,7 @@ fn without_a_lock_in_the_reading_is_w() {
 #[test]
 fn the_waveform_equals_the_reference() {
     let plate = paper_plate();
-    let mut plant = Plant::new(plate.clone(), constant_conditions(), Tier::Carrier);
+    let mut plant = Plant::new(plate.clone(), constant_conditions(), Model::Carrier);
     let mut reference = ReferencePlate::at_rest(plate.omega0);
     let mut worst = 0.0_f64;
     let mode = plant.mode_at(Time::ZERO);
@@ -84,7 +84,7 @@ fn run_loop(control: ControlLoop, plate: &Plate, detuning: f64) -> (Vec<Complex6
     let (plant_pole, loop_pole) = ((-1.0_f64 / 1.88).exp(), (-1.5_f64).exp());
     let normalised = (1.0 - loop_pole) / (1.0 - plant_pole);
     let mut drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
-    let mut plant = driven_plant(plate, &constant_conditions(), Tier::Carrier, drive);
+    let mut plant = driven_plant(plate, &constant_conditions(), Model::Carrier, drive);
     let (mut voltage, mut frequency) = (0.0, drive.omega);
     let (mut at_instants, mut worst) = (Vec::new(), [0.0_f64; 2]);
     for period in 0..40 {
@@ -145,7 +145,7 @@ fn the_ripple_of_a_steady_reading_is_bounded(
     #[values(2.0e5, 1e6, 1.234_567e6, 7e6)] converter_hz: f64,
 ) {
     let plate = with_lockin(periods, converter_hz, None);
-    let mut plant = holding_plant(&plate, Tier::Carrier, 300.0);
+    let mut plant = holding_plant(&plate, Model::Carrier, 300.0);
     let window = f64::from(periods) * converter_hz * TAU / (plate.omega0 + 300.0);
     let bound = PI * f64::from(periods) / (2.0 * window * window);
     let mut worst = 0.0_f64;
@@ -165,7 +165,7 @@ fn a_lock_in_delays_by_half_its_window(#[values(1, 8, 32)] periods: u32) {
     let plate = with_lockin(periods, 2e6, None);
     // Mean age of the samples in the window; the newest sample has age 0.
     let latency = (f64::from(periods) * TAU / plate.omega0 - 0.5e-6) / 2.0;
-    let mut plant = holding_plant(&plate, Tier::Carrier, 0.0);
+    let mut plant = holding_plant(&plate, Model::Carrier, 0.0);
     let mut earlier = plant.clone();
     state_at(&mut plant, 4.0);
     let reading = plant.sensor_reading();
@@ -182,7 +182,7 @@ fn a_lock_in_delays_by_half_its_window(#[values(1, 8, 32)] periods: u32) {
 #[test]
 fn the_reading_does_not_depend_on_intervals() {
     let plate = with_lockin(8, 1.234_567e6, None);
-    let mut whole = holding_plant(&plate, Tier::Carrier, 545.0);
+    let mut whole = holding_plant(&plate, Model::Carrier, 545.0);
     let mut pieces = whole.clone();
     let mut random = Random::new(23);
     let mut ms = 0.0;
@@ -202,7 +202,7 @@ fn the_reading_does_not_depend_on_intervals() {
 fn a_converter_rounds_and_clips() {
     let reading = |resolution: Option<ConverterResolution>| {
         let plate = with_lockin(8, 1e6, resolution);
-        let mut plant = holding_plant(&plate, Tier::Carrier, 150.0);
+        let mut plant = holding_plant(&plate, Model::Carrier, 150.0);
         state_at(&mut plant, 50.0);
         plant.sensor_reading()
     };
@@ -227,7 +227,7 @@ fn a_converter_rounds_and_clips() {
 #[test]
 fn the_first_window_contains_the_rest_before_the_start() {
     let plate = with_lockin(100, 1e6, None);
-    let mut plant = holding_plant(&plate, Tier::Carrier, 0.0);
+    let mut plant = holding_plant(&plate, Model::Carrier, 0.0);
     assert_eq!(plant.sensor_reading(), Complex64::ZERO);
     let w = state_at(&mut plant, 1.0).w;
     assert!(plant.sensor_reading().norm() < 0.3 * w.norm());
@@ -238,7 +238,7 @@ fn readings_are_finite_for_any_frequency_and_interval(#[values(0.0, 1.0, 1e5, 4e
     let resolution = Some(ConverterResolution { bits: 12, range_um: 4.0 });
     let plate = with_lockin(2, 1e6, resolution);
     let mut plant =
-        driven_plant(&plate, &constant_conditions(), Tier::Carrier, Drive { vpp: 900.0, omega: plate.omega0 });
+        driven_plant(&plate, &constant_conditions(), Model::Carrier, Drive { vpp: 900.0, omega: plate.omega0 });
     for (step, ms) in [1e-6, 0.0309, 1.0, 1.000_001, 20.0, 2_000.0].into_iter().enumerate() {
         plant.set_drive(Drive { vpp: if step % 2 == 0 { 900.0 } else { 0.0 }, omega });
         assert!(state_at(&mut plant, ms).is_finite());
@@ -250,7 +250,7 @@ fn readings_are_finite_for_any_frequency_and_interval(#[values(0.0, 1.0, 1e5, 4e
 #[test]
 fn a_control_period_of_one_carrier_cycle_is_exact() {
     let plate = with_lockin(1, 1e6, None);
-    let mut plant = Plant::new(plate.clone(), constant_conditions(), Tier::Carrier);
+    let mut plant = Plant::new(plate.clone(), constant_conditions(), Model::Carrier);
     let mut reference = ReferencePlate::at_rest(plate.omega0);
     let mode = plant.mode_at(Time::ZERO);
     let mut random = Random::new(24);

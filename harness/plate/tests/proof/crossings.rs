@@ -4,7 +4,7 @@ use crate::reference::{
     HOLDING_DRIVE_VPP, Random, ReferencePlate, SETPOINT, constant_conditions, driven_plant, finger_profile,
     holding_plant, line, paper_plate,
 };
-use platebench_plate::{BandMonitor, BandSignal, Conditions, Crossing, Drive, Flow, Plant, Plate, State, Tier, Time};
+use platebench_plate::{BandMonitor, BandSignal, Conditions, Crossing, Drive, Flow, Model, Plant, Plate, State, Time};
 use rstest::rstest;
 
 fn band(signal: BandSignal, low: f64, high: f64) -> BandMonitor {
@@ -27,7 +27,7 @@ fn the_first_order_plate_settles_after_tau_ln_20(
     #[values(1_000_000, 50_000, 10_000_000, 333_333)] interval_ns: u64,
     #[values(BandSignal::Amplitude, BandSignal::InPhase)] signal: BandSignal,
 ) {
-    let mut plant = holding_plant(&paper_plate(), Tier::Envelope, 0.0);
+    let mut plant = holding_plant(&paper_plate(), Model::Envelope, 0.0);
     let found = crossings(&mut plant, &[band(signal, 1.9, 2.1)], 10.0, interval_ns);
     let expected = 20.0_f64.ln() * 1.88e6;
     println!("{signal:?}, intervals of {interval_ns} ns: {} (τ ln 20 = {:.6} ms)", found[0].time, expected / 1e6);
@@ -75,10 +75,10 @@ fn modal_crossings_match_closed_form_and_reference(
 ) {
     let plate = paper_plate();
     let drive = Drive { vpp, omega: plate.omega0 + detuning };
-    let mut plant = driven_plant(&plate, &constant_conditions(), Tier::Modal, drive);
+    let mut plant = driven_plant(&plate, &constant_conditions(), Model::Modal, drive);
     let found = crossings(&mut plant, &[monitor], 8.0, interval_ns);
     let is_inside = |state: &State| (monitor.low..=monitor.high).contains(&monitor.signal.value(state));
-    let flow = Flow::new(Tier::Modal, &plate.mode(&Conditions::default()), &drive, &State::default());
+    let flow = Flow::new(Model::Modal, &plate.mode(&Conditions::default()), &drive, &State::default());
     let brackets = crossing_intervals(&flow, is_inside, 8_000_000);
     println!("{monitor:?} at {vpp} Vpp, {detuning} rad/s off: {} crossings", found.len());
     assert!(!found.is_empty());
@@ -104,7 +104,7 @@ fn modal_crossings_match_closed_form_and_reference(
 #[test]
 fn a_decaying_amplitude_leaves_the_band() {
     let plate = paper_plate();
-    let mut plant = holding_plant(&plate, Tier::Envelope, 0.0);
+    let mut plant = holding_plant(&plate, Model::Envelope, 0.0);
     let mut found = crossings(&mut plant, &[FIVE_PERCENT], 10.0, 1_000_000);
     let from = plant.state().w.re;
     plant.set_drive(Drive { vpp: 0.0, omega: plate.omega0 });
@@ -137,10 +137,10 @@ fn a_peak_at_the_edge_of_a_band(
 ) {
     let plate = paper_plate();
     let drive = Drive { vpp: 600.0, omega: plate.omega0 + 3000.0 };
-    let flow = Flow::new(Tier::Envelope, &plate.mode(&Conditions::default()), &drive, &State::default());
+    let flow = Flow::new(Model::Envelope, &plate.mode(&Conditions::default()), &drive, &State::default());
     let (at, peak) = first_peak(&flow);
     let monitor = band(BandSignal::Amplitude, edge * peak, 10.0);
-    let mut plant = driven_plant(&plate, &constant_conditions(), Tier::Envelope, drive);
+    let mut plant = driven_plant(&plate, &constant_conditions(), Model::Envelope, drive);
     let found = crossings(&mut plant, &[monitor], 5.0, interval_ns);
     assert_eq!(found.len(), count, "{found:?}");
     if let [entered, left] = found[..] {
@@ -165,7 +165,7 @@ fn crossings_of_several_bands_are_in_order_of_time() {
         band(BandSignal::Amplitude, 1.5, 1.6),
         band(BandSignal::Quadrature, 5.0, 6.0),
     ];
-    let mut plant = holding_plant(&plate, Tier::Envelope, 0.0);
+    let mut plant = holding_plant(&plate, Model::Envelope, 0.0);
     let other = Crossing { time: Time::from_ms(99.0).unwrap(), state: State::default(), before: State::default() };
     let mut found = vec![other];
     plant.advance(Time::from_ms(12.0).unwrap(), &monitors, &mut found);
@@ -192,10 +192,10 @@ fn a_finger_moves_the_amplitude_out_of_its_band() {
     let scene = finger_profile(line(20.0, 0.0, 120.0, 1.0));
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
     let mut random = Random::new(7);
-    let mut unmonitored = driven_plant(&plate, &scene, Tier::Modal, drive);
+    let mut unmonitored = driven_plant(&plate, &scene, Model::Modal, drive);
     let mut times = Vec::new();
     for interval_ns in [1_000_000, 50_000, random.in_range(1e5, 1e6) as u64] {
-        let mut plant = driven_plant(&plate, &scene, Tier::Modal, drive);
+        let mut plant = driven_plant(&plate, &scene, Model::Modal, drive);
         let found = crossings(&mut plant, &[FIVE_PERCENT], 60.0, interval_ns);
         let left = found.last().unwrap();
         assert!(left.time > Time::from_ms(20.0).unwrap() && left.state.amplitude() < 1.9);

@@ -6,7 +6,7 @@ use crate::reference::{
 };
 use platebench_plate::{
     Amplifier, BandMonitor, BandSignal, Complex64, ConditionProfiles, Drive, DriveConverter, Effects, Heating, Lockin,
-    Plant, Plate, SecondMode, SensorElectronics, Tier, Time,
+    Model, Plant, Plate, SecondMode, SensorElectronics, Time,
 };
 use rstest::rstest;
 use std::f64::consts::TAU;
@@ -47,7 +47,7 @@ fn ramps() -> ConditionProfiles {
 
 /// Applies a random drive of 0 to 800 Vpp within ±600 rad/s in each period of 1 ms.
 fn largest_error(plate: &Plate, scene: &ConditionProfiles, periods: u32) -> f64 {
-    let mut plant = Plant::new(plate.clone(), scene.clone(), Tier::Modal);
+    let mut plant = Plant::new(plate.clone(), scene.clone(), Model::Modal);
     let mut reference = EffectsReference::at_rest(plate, scene);
     let mut random = Random::new(31);
     let (dead, period) = (plate.effects.amplifier.dead_time, Time::from_nanos(1_000_000));
@@ -110,7 +110,7 @@ fn self_heating_detunes_a_held_drive_as_the_reference_does(#[case] damping: f64,
     let effects = Effects { heating, ..Effects::default() };
     let plate = Plate { sigma0: damping * paper_plate().sigma0, ..plate_with(effects) };
     let scene = constant_conditions();
-    let mut plant = Plant::new(plate.clone(), scene.clone(), Tier::Modal);
+    let mut plant = Plant::new(plate.clone(), scene.clone(), Model::Modal);
     let mut reference = EffectsReference::at_rest(&plate, &scene);
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
     plant.set_drive(drive);
@@ -134,8 +134,8 @@ fn a_sensor_with_latency_reads_the_earlier_state_with_its_drift() {
     let latency = Time::from_nanos(1_234_567);
     let sensor = SensorElectronics { latency, gain_drift_per_s: 0.2 };
     let plate = plate_with(Effects { sensor, ..two_modes() });
-    let mut now = Plant::new(plate.clone(), ramps(), Tier::Modal);
-    let mut earlier = Plant::new(plate_with(two_modes()), ramps(), Tier::Modal);
+    let mut now = Plant::new(plate.clone(), ramps(), Model::Modal);
+    let mut earlier = Plant::new(plate_with(two_modes()), ramps(), Model::Modal);
     let mut random = Random::new(5);
     let mut changes = Vec::new();
     let mut worst = 0.0_f64;
@@ -171,7 +171,7 @@ fn a_converter_gives_the_plate_its_nearest_step() {
     let plate = plate_with(Effects { amplifier, ..Effects::default() });
     let step = 900.0 / 1023.0;
     let run = |plate: &Plate, vpp| {
-        let mut plant = driven_plant(plate, &constant_conditions(), Tier::Modal, Drive { vpp, omega: plate.omega0 });
+        let mut plant = driven_plant(plate, &constant_conditions(), Model::Modal, Drive { vpp, omega: plate.omega0 });
         (state_at(&mut plant, 5.0).w, plant.drive().vpp)
     };
     for code in [0.0_f64, 1.0, 326.0, 1023.0] {
@@ -190,7 +190,7 @@ fn a_lock_in_reads_both_modes(#[values(false, true)] changing: bool) {
     let plate = Plate { lockin, ..plate_with(effects) };
     let scene = if changing { ramps() } else { constant_conditions() };
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 100.0 };
-    let mut plant = driven_plant(&plate, &scene, Tier::Carrier, drive);
+    let mut plant = driven_plant(&plate, &scene, Model::Carrier, drive);
     let mut whole = plant.clone();
     let w = state_at(&mut plant, 40.0).w;
     let error = (plant.sensor_reading() - w).norm() / SETPOINT;
@@ -209,7 +209,7 @@ fn crossings_are_found_with_both_modes() {
     let monitor = BandMonitor { signal: BandSignal::Amplitude, low: 1.2, high: 1.6 };
     for scene in [constant_conditions(), ramps()] {
         let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
-        let mut plant = driven_plant(&plate, &scene, Tier::Modal, drive);
+        let mut plant = driven_plant(&plate, &scene, Model::Modal, drive);
         let mut exact = plant.clone();
         let mut crossings = Vec::new();
         plant.advance(Time::from_nanos(20_000_000), &[monitor], &mut crossings);
@@ -224,7 +224,7 @@ fn crossings_are_found_with_both_modes() {
 }
 
 #[rstest]
-fn simple_models_omit_the_effects(#[values(Tier::Linear, Tier::Envelope)] tier: Tier) {
+fn simple_models_omit_the_effects(#[values(Model::Linear, Model::Envelope)] tier: Model) {
     let plate = plate_with(Effects { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) });
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
     let run = |plate: &Plate| state_at(&mut driven_plant(plate, &constant_conditions(), tier, drive), 3.0);

@@ -3,7 +3,7 @@
 use crate::reference::{
     HOLDING_DRIVE_VPP, ReferencePlate, SETPOINT, distance, driven_plant, finger_profile, line, paper_plate, state_at,
 };
-use platebench_plate::{ConditionProfiles, Conditions, Drive, Flow, Lockin, Plant, Plate, Profile, State, Tier, Time};
+use platebench_plate::{ConditionProfiles, Conditions, Drive, Flow, Lockin, Model, Plant, Plate, Profile, State, Time};
 use rstest::rstest;
 use std::f64::consts::TAU;
 
@@ -18,7 +18,7 @@ fn moving_conditions(start_ms: f64, warm_up_ms: f64) -> ConditionProfiles {
     }
 }
 
-fn largest_error(plate: &Plate, tier: Tier, short_ns: u64, error: impl Fn(&Plant, &Plant) -> f64) -> f64 {
+fn largest_error(plate: &Plate, tier: Model, short_ns: u64, error: impl Fn(&Plant, &Plant) -> f64) -> f64 {
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 50.0 };
     let [mut long, mut short] = [(); 2].map(|()| driven_plant(plate, &moving_conditions(3.0, 500.0), tier, drive));
     let mut worst = 0.0_f64;
@@ -35,7 +35,7 @@ fn largest_error(plate: &Plate, tier: Tier, short_ns: u64, error: impl Fn(&Plant
 
 /// The reference uses intervals of 1 µs; their error (first commutator) is below 1e-9.
 #[rstest]
-fn every_tier_is_accurate_in_long_intervals(#[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier) {
+fn every_tier_is_accurate_in_long_intervals(#[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model) {
     let plate = Plate { omega0_per_n: 50.0, ..paper_plate() };
     let worst = largest_error(&plate, tier, 1_000, |long, short| distance(&long.state(), &short.state(), plate.omega0));
     println!("{}, 1 ms against 1 µs: {worst:.1e}", tier.name());
@@ -46,7 +46,7 @@ fn every_tier_is_accurate_in_long_intervals(#[values(Tier::Linear, Tier::Envelop
 fn the_lock_in_does_not_depend_on_the_interval() {
     let lockin = Some(Lockin { converter_hz: 1e6, periods: 8, resolution: None });
     let plate = Plate { lockin, ..paper_plate() };
-    let worst = largest_error(&plate, Tier::Carrier, 500, |long, short| {
+    let worst = largest_error(&plate, Model::Carrier, 500, |long, short| {
         (long.sensor_reading() - short.sensor_reading()).norm() / SETPOINT
     });
     println!("output of the lock-in, 1 ms against 0.5 µs: {worst:.1e}");
@@ -54,7 +54,7 @@ fn the_lock_in_does_not_depend_on_the_interval() {
 }
 
 #[rstest]
-fn intervals_of_nanoseconds_add_up(#[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier) {
+fn intervals_of_nanoseconds_add_up(#[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model) {
     let plate = paper_plate();
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
     let [mut once, mut often] = [(); 2].map(|()| {
@@ -74,11 +74,11 @@ fn intervals_of_nanoseconds_add_up(#[values(Tier::Linear, Tier::Envelope, Tier::
 fn held_conditions_replace_the_profiles(#[values(0.0, 50.0)] newtons_per_second: f64) {
     let plate = paper_plate();
     let scene = finger_profile(line(0.0, 0.1, 100.0, 0.1 + newtons_per_second / 10.0));
-    let mut plant = driven_plant(&plate, &scene, Tier::Modal, Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
+    let mut plant = driven_plant(&plate, &scene, Model::Modal, Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
     let state: State = state_at(&mut plant, 5.0);
     let held = Conditions { temperature_offset_k: 3.0, finger_force_n: 1.0 };
     plant.hold_conditions(held);
-    let expected = Flow::new(Tier::Modal, &plate.mode(&held), &plant.drive(), &state).after(2e-3);
+    let expected = Flow::new(Model::Modal, &plate.mode(&held), &plant.drive(), &state).after(2e-3);
     assert!(distance(&state_at(&mut plant, 7.0), &expected, plate.omega0) < 1e-14);
 }
 
@@ -99,7 +99,7 @@ fn a_jump_within_an_interval_acts_at_its_time() {
         from = to;
     }
     for interval in [15_000_000, 1_000_000, 70_000] {
-        let mut plant = driven_plant(&plate, &scene, Tier::Modal, drive);
+        let mut plant = driven_plant(&plate, &scene, Model::Modal, drive);
         while plant.time() < ms(15.0) {
             plant.advance((plant.time() + Time::from_nanos(interval)).min(ms(15.0)), &[], &mut Vec::new());
         }

@@ -1,7 +1,7 @@
 //! Tests extreme values: decay to zero, large detuning, small damping.
 
 use crate::reference::{HOLDING_DRIVE_VPP, constant_conditions, driven_plant, holding_plant, paper_plate, state_at};
-use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Plant, Plate, State, Tier};
+use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Model, Plant, Plate, State};
 use rstest::rstest;
 use std::num::FpCategory;
 
@@ -17,7 +17,7 @@ fn assert_normal(plant: &Plant) {
 
 #[rstest]
 fn without_drive_the_plate_reaches_exactly_zero(
-    #[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier,
+    #[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model,
     #[values(0.05, 1.0, 30.0)] interval_ms: f64,
 ) {
     let plate = paper_plate();
@@ -29,7 +29,7 @@ fn without_drive_the_plate_reaches_exactly_zero(
         let state = state_at(&mut plant, 30.0 + f64::from(step) * interval_ms);
         assert_normal(&plant);
         // In the linear tier U is the ratio Wq/Wd, which decays independently of W.
-        let state = if tier == Tier::Linear { State { u: Complex64::ZERO, ..state } } else { state };
+        let state = if tier == Model::Linear { State { u: Complex64::ZERO, ..state } } else { state };
         if state == State::default() && at_rest_from.is_none() {
             at_rest_from = Some(plant.time());
         }
@@ -42,7 +42,9 @@ fn without_drive_the_plate_reaches_exactly_zero(
 }
 
 #[rstest]
-fn a_decaying_quadrature_does_not_become_subnormal(#[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier) {
+fn a_decaying_quadrature_does_not_become_subnormal(
+    #[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model,
+) {
     let plate = paper_plate();
     let mut plant = holding_plant(&plate, tier, 545.0);
     state_at(&mut plant, 5.0);
@@ -74,7 +76,7 @@ fn is_finite_detects_every_component() {
 
 #[rstest]
 fn no_excitation_frequency_makes_the_plate_diverge(
-    #[values(Tier::Linear, Tier::Envelope, Tier::Modal, Tier::Carrier)] tier: Tier,
+    #[values(Model::Linear, Model::Envelope, Model::Modal, Model::Carrier)] tier: Model,
     #[values(0.0, 1.0, 1e5, 4e5, 1e9, 1e12)] omega: f64,
     #[values(None, Some(1e6))] quality: Option<f64>,
 ) {
@@ -90,7 +92,7 @@ fn no_excitation_frequency_makes_the_plate_diverge(
         assert!(state.is_finite());
         largest = largest.max(state.amplitude());
     }
-    if tier == Tier::Linear {
+    if tier == Model::Linear {
         // The linear tier has no resonance curve: Wd is that at resonance, and Wq = −τΔω Wd.
         let furthest = (omega - plate.omega0).abs() / plate.sigma0;
         assert!(largest <= plate.gain * 900.0 * (1.0 + furthest), "{largest} µm");
@@ -105,7 +107,8 @@ fn at_quality_1e6_the_amplitude_follows_the_closed_form() {
     let plate = paper_plate();
     let sigma0 = plate.omega0 / 2e6;
     let plate = Plate { sigma0, gain: plate.gain * plate.sigma0 / sigma0, ..plate };
-    let mut plant = driven_plant(&plate, &constant_conditions(), Tier::Modal, Drive { vpp: 10.0, omega: plate.omega0 });
+    let mut plant =
+        driven_plant(&plate, &constant_conditions(), Model::Modal, Drive { vpp: 10.0, omega: plate.omega0 });
     for seconds in [1.0, 10.0, 100.0] {
         let w = state_at(&mut plant, 1e3 * seconds).w;
         let expected = plate.gain * 10.0 * -(-sigma0 * seconds).exp_m1();
@@ -131,6 +134,6 @@ fn is_resonant_rejects_other_modes() {
     }
     let almost = Mode { sigma: mode.omega0 * 0.999, ..mode };
     assert!(almost.is_resonant());
-    let flow = Flow::new(Tier::Modal, &almost, &Drive { vpp: 400.0, omega: mode.omega0 }, &State::default());
+    let flow = Flow::new(Model::Modal, &almost, &Drive { vpp: 400.0, omega: mode.omega0 }, &State::default());
     assert!(flow.after(1e-5).is_finite());
 }

@@ -3,7 +3,7 @@
 use crate::reference::{
     HOLDING_DRIVE_VPP, SETPOINT, conditions, constant_conditions, driven_plant, paper_plate, state_at,
 };
-use platebench_plate::{Complex64, Drive, Tier};
+use platebench_plate::{Complex64, Drive, Model};
 use rstest::rstest;
 
 #[rstest]
@@ -14,7 +14,7 @@ fn the_linear_tier_is_the_two_transfer_functions(
     let plate = paper_plate();
     let sigma = plate.sigma0 * plate.damping_ratio_at(force);
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
-    let mut plant = driven_plant(&plate, &conditions(0.0, force), Tier::Linear, drive);
+    let mut plant = driven_plant(&plate, &conditions(0.0, force), Model::Linear, drive);
     for ms in [0.01, 1.0, 1.88, 5.0, 50.0] {
         let risen = -(-sigma * ms * 1e-3).exp_m1();
         let in_phase = plate.gain * plate.sigma0 / sigma * HOLDING_DRIVE_VPP * risen;
@@ -30,7 +30,7 @@ fn the_linear_tier_is_the_two_transfer_functions(
 fn the_ratio_does_not_depend_on_the_vibration() {
     let plate = paper_plate();
     let off = Drive { vpp: 0.0, omega: plate.omega0 + 200.0 };
-    let mut plant = driven_plant(&plate, &constant_conditions(), Tier::Linear, off);
+    let mut plant = driven_plant(&plate, &constant_conditions(), Model::Linear, off);
     let state = state_at(&mut plant, 30.0);
     let settled = -200.0 / plate.sigma0;
     assert_eq!(state.w, Complex64::ZERO);
@@ -55,7 +55,8 @@ fn closed_loop_error(start: StartCondition, detuning: f64) -> f64 {
     let normalised = (1.0 - loop_pole) / (1.0 - plant_pole);
     let settling = if start == StartCondition::Settled { 40 } else { 0 };
     let mut drive = Drive { vpp: 0.0, omega: plate.omega0 };
-    let mut plants = [Tier::Modal, Tier::Linear].map(|tier| driven_plant(&plate, &constant_conditions(), tier, drive));
+    let mut plants =
+        [Model::Modal, Model::Linear].map(|tier| driven_plant(&plate, &constant_conditions(), tier, drive));
     let (mut voltage, mut frequency) = (0.0, plate.omega0);
     let mut worst = 0.0_f64;
     for period in 0..settling + 40 {
@@ -84,7 +85,7 @@ fn closed_loop_error(start: StartCondition, detuning: f64) -> f64 {
 fn open_loop_error(detuning: f64) -> [f64; 2] {
     let plate = paper_plate();
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
-    let [modal, linear] = [Tier::Modal, Tier::Linear]
+    let [modal, linear] = [Model::Modal, Model::Linear]
         .map(|tier| state_at(&mut driven_plant(&plate, &constant_conditions(), tier, drive), 60.0).w);
     let error = (linear - modal).norm();
     [error / SETPOINT, error / modal.norm()]

@@ -1,7 +1,7 @@
 //! Compares steady states of the plate with the paper.
 
 use crate::reference::{HOLDING_DRIVE_VPP, SETPOINT, conditions, driven_plant, paper_plate, state_at};
-use platebench_plate::{Complex64, Conditions, Drive, Mode, Plate, Tier};
+use platebench_plate::{Complex64, Conditions, Drive, Mode, Model, Plate};
 use rstest::rstest;
 use std::f64::consts::TAU;
 
@@ -9,7 +9,7 @@ fn mode(plate: &Plate, temperature_offset_k: f64, finger_force_n: f64) -> Mode {
     plate.mode(&Conditions { temperature_offset_k, finger_force_n })
 }
 
-fn steady_state(plate: &Plate, tier: Tier, [offset_k, force_n]: [f64; 2], drive: Drive) -> Complex64 {
+fn steady_state(plate: &Plate, tier: Model, [offset_k, force_n]: [f64; 2], drive: Drive) -> Complex64 {
     state_at(&mut driven_plant(plate, &conditions(offset_k, force_n), tier, drive), 100.0).w
 }
 
@@ -26,12 +26,12 @@ fn the_steady_state_is_on_the_resonance_curve() {
             let (spring, damper) = (plate.omega0.powi(2) - omega.powi(2), 2.0 * sigma * omega);
             let magnitude = plate.gain * 2.0 * plate.sigma0 * plate.omega0 * HOLDING_DRIVE_VPP / spring.hypot(damper);
             let phase = TAU / 4.0 - damper.atan2(spring);
-            let modal = steady_state(&plate, Tier::Modal, [0.0, force], drive);
+            let modal = steady_state(&plate, Model::Modal, [0.0, force], drive);
             worst = worst.max((modal - Complex64::from_polar(magnitude, phase)).norm() / SETPOINT);
             // Reference for the envelope (first order): K1 V σ0 / (σ + jΔω).
             let detuning = omega - plate.omega0;
             let lorentz = plate.gain * HOLDING_DRIVE_VPP * plate.sigma0 / sigma.hypot(detuning);
-            let envelope = steady_state(&plate, Tier::Envelope, [0.0, force], drive);
+            let envelope = steady_state(&plate, Model::Envelope, [0.0, force], drive);
             worst = worst.max((envelope.norm() - lorentz).abs() / SETPOINT);
             assert!((envelope.im / envelope.re + detuning / sigma).abs() < 1e-9, "Wq/Wd = −Δω/σ");
             widest = widest.max((modal - envelope).norm() / SETPOINT);
@@ -47,7 +47,7 @@ fn the_steady_state_is_on_the_resonance_curve() {
 #[case::fig_3_half(1.5, 0.5)]
 #[case::light(0.75, 1.0 / 1.5)]
 #[case::fig_16(2.0, 0.428_571)]
-fn a_finger_damps(#[case] force: f64, #[case] left: f64, #[values(Tier::Modal, Tier::Envelope)] tier: Tier) {
+fn a_finger_damps(#[case] force: f64, #[case] left: f64, #[values(Model::Modal, Model::Envelope)] tier: Model) {
     let plate = paper_plate();
     let w = steady_state(&plate, tier, [0.0, force], Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
     println!("{}, {force} N: |W| = {:.4} of the untouched", tier.name(), w.norm() / SETPOINT);
@@ -62,7 +62,7 @@ fn nine_kelvin_shift_the_resonance_as_in_fig_4() {
     println!("resonance {cold:.1} Hz at 24 °C, {warm:.1} Hz at 33 °C; paper: 32.3 and 32.2 kHz");
     assert!((cold - 32_307.6).abs() < 0.05 && (warm - 32_220.9).abs() < 0.05, "{cold} {warm}");
     let response =
-        |omega: f64| steady_state(&plate, Tier::Modal, [9.0, 0.0], Drive { vpp: HOLDING_DRIVE_VPP, omega }).norm();
+        |omega: f64| steady_state(&plate, Model::Modal, [9.0, 0.0], Drive { vpp: HOLDING_DRIVE_VPP, omega }).norm();
     let resonance = mode(&plate, 9.0, 0.0).omega0;
     // A damped mode has its largest |W| σ²/ω0 = 1.4 rad/s below ω0.
     let top = resonance - plate.sigma0.powi(2) / resonance;
@@ -82,7 +82,7 @@ fn amplitude_of_the_detuned_open_loop(
     #[case] paper: f64,
 ) {
     let plate = Plate { sigma0: 1e3 / tau_ms, ..paper_plate() };
-    let w = steady_state(&plate, Tier::Modal, [offset_k, 0.0], Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
+    let w = steady_state(&plate, Model::Modal, [offset_k, 0.0], Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
     println!("+{offset_k} K open loop, τ = {tau_ms} ms: {:.3} µm, {paper} µm in the paper", w.norm());
     assert!((w.norm() - ours).abs() < 5e-3, "{w}");
 }
@@ -91,7 +91,7 @@ fn amplitude_of_the_detuned_open_loop(
 fn amplitude_is_linear_in_the_voltage_as_in_fig_7() {
     let plate = paper_plate();
     for vpp in [50.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0] {
-        let w = steady_state(&plate, Tier::Modal, [0.0, 0.0], Drive { vpp, omega: plate.omega0 });
+        let w = steady_state(&plate, Model::Modal, [0.0, 0.0], Drive { vpp, omega: plate.omega0 });
         assert!((w.re / vpp / 6980e-6 - 1.0).abs() < 1e-12 && w.im.abs() < 1e-12, "{w} at {vpp} Vpp");
     }
 }
@@ -112,7 +112,7 @@ fn the_shortest_settling_time(#[case] limit: f64, #[case] expected_ms: Option<f6
     if let (Some(floor), Some(expected_ms)) = (floor, expected_ms) {
         assert!((1e3 * floor / expected_ms - 1.0).abs() < 1e-4, "{floor}");
         let mut plant =
-            driven_plant(&plate, &conditions(0.0, 0.0), Tier::Envelope, Drive { vpp: limit, omega: plate.omega0 });
+            driven_plant(&plate, &conditions(0.0, 0.0), Model::Envelope, Drive { vpp: limit, omega: plate.omega0 });
         let reached = state_at(&mut plant, 1e3 * floor).amplitude();
         assert!((reached / (0.95 * SETPOINT) - 1.0).abs() < 1e-5, "{reached} µm");
     }
@@ -128,7 +128,7 @@ fn the_drive_that_holds_the_setpoint(#[case] force: f64, #[case] expected: f64) 
     let needed = mode.drive_for(SETPOINT);
     println!("{force} N: {needed:.2} Vpp hold 2 µm");
     assert!((needed - expected).abs() < 0.01, "{needed}");
-    let amplitude = steady_state(&plate, Tier::Modal, [0.0, force], Drive { vpp: needed, omega: plate.omega0 }).norm();
+    let amplitude = steady_state(&plate, Model::Modal, [0.0, force], Drive { vpp: needed, omega: plate.omega0 }).norm();
     assert!((amplitude / SETPOINT - 1.0).abs() < 1e-12, "{amplitude}");
     assert!(mode.min_rise_time(SETPOINT, 0.95, 0.95 * needed * 1.000_001).is_some());
     assert_eq!(mode.min_rise_time(SETPOINT, 0.95, 0.95 * needed * 0.999_999), None);

@@ -5,7 +5,7 @@ use crate::reference::{
     paper_plate, state_at,
 };
 use platebench_plate::{
-    Complex64, ConditionProfiles, Conditions, Drive, Flow, Mode, Plant, Plate, Profile, State, Tier, Time,
+    Complex64, ConditionProfiles, Conditions, Drive, Flow, Mode, Model, Plant, Plate, Profile, State, Time,
 };
 use rstest::rstest;
 
@@ -22,7 +22,7 @@ fn error_under_random_drives(seed: u64, detuning: f64, jumps: bool) -> f64 {
         Profile::Hold(points.collect())
     };
     let scene = ConditionProfiles { temperature_offset_k: jumping(9.0), finger_force_n: jumping(2.0) };
-    let mut plant = Plant::new(plate.clone(), scene.clone(), Tier::Modal);
+    let mut plant = Plant::new(plate.clone(), scene.clone(), Model::Modal);
     let mut carrier = ReferencePlate::at_rest(plate.omega0);
     let mut worst = 0.0_f64;
     for period in 1..=40 {
@@ -65,7 +65,7 @@ fn a_minute_in_steps_equals_one_step(
     #[case] quality: Option<f64>,
     #[case] detuning: f64,
     #[case] vpp: f64,
-    #[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier,
+    #[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model,
     #[values(false, true)] irregular: bool,
 ) {
     let plate = plate_with_quality(quality);
@@ -81,7 +81,7 @@ fn a_minute_in_steps_equals_one_step(
         plant.advance((plant.time() + Time::from_nanos(step)).min(end), &[], &mut Vec::new());
         let expected = whole.after(plant.time().seconds());
         // The linear tier has no resonance curve: at quality 10⁶ it gives 5000 times the setpoint.
-        let scale = if tier == Tier::Linear { expected.amplitude().max(1.0) } else { 1.0 };
+        let scale = if tier == Model::Linear { expected.amplitude().max(1.0) } else { 1.0 };
         worst = worst.max(distance(&plant.state(), &expected, plate.omega0) / scale);
         steps += 1;
     }
@@ -95,7 +95,7 @@ fn a_minute_in_steps_equals_one_step(
 }
 
 #[rstest]
-fn splitting_an_interval_changes_nothing(#[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier) {
+fn splitting_an_interval_changes_nothing(#[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model) {
     let plate = paper_plate();
     let mut random = Random::new(5);
     let mut worst = 0.0_f64;
@@ -106,11 +106,11 @@ fn splitting_an_interval_changes_nothing(#[values(Tier::Linear, Tier::Envelope, 
         let mut component = || Complex64::new(random.in_range(-2.0, 2.0), random.in_range(-2.0, 2.0));
         let mut w = component();
         let u = match tier {
-            Tier::Linear => (w.im / w.re).into(),
-            Tier::Envelope => Complex64::ZERO,
-            Tier::Modal | Tier::Carrier => (component() + Complex64::I * w) * omega,
+            Model::Linear => (w.im / w.re).into(),
+            Model::Envelope => Complex64::ZERO,
+            Model::Modal | Model::Carrier => (component() + Complex64::I * w) * omega,
         };
-        if tier == Tier::Linear && w.re.abs() < 0.1 {
+        if tier == Model::Linear && w.re.abs() < 0.1 {
             w.re = 1.0;
         }
         let mut state = State { w, u };
@@ -151,8 +151,8 @@ fn the_envelope_has_the_documented_error(
     let hold = Drive { vpp: HOLDING_DRIVE_VPP, omega };
     let (plant_pole, loop_pole) = ((-1.0_f64 / 1.88).exp(), (-1.5_f64).exp());
     let proportional = (1.0 - loop_pole) / (plate.gain * (1.0 - plant_pole));
-    let mut modal = driven_plant(&plate, &constant_conditions(), Tier::Modal, hold);
-    let mut envelope = driven_plant(&plate, &constant_conditions(), Tier::Envelope, hold);
+    let mut modal = driven_plant(&plate, &constant_conditions(), Model::Modal, hold);
+    let mut envelope = driven_plant(&plate, &constant_conditions(), Model::Envelope, hold);
     let mut integral = 0.0;
     let (mut at_instants, mut ever) = (0.0_f64, 0.0_f64);
     for period in 0..40 {
@@ -200,8 +200,8 @@ fn u_and_not_the_derivative_of_w_is_continuous() {
         theirs.u += Complex64::I * (next - omega) * theirs.w;
         omega = next;
         let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega };
-        ours = Flow::new(Tier::Modal, &mode, &drive, &ours).after(1e-3);
-        theirs = Flow::new(Tier::Modal, &mode, &drive, &theirs).after(1e-3);
+        ours = Flow::new(Model::Modal, &mode, &drive, &ours).after(1e-3);
+        theirs = Flow::new(Model::Modal, &mode, &drive, &theirs).after(1e-3);
         carrier.advance(1e-3, plate.force_constant(), &drive, &|_| (mode.sigma, mode.omega0));
         our_error = our_error.max((ours.w - carrier.state().w).norm() / SETPOINT);
         their_error = their_error.max((theirs.w - carrier.state().w).norm() / SETPOINT);
@@ -212,7 +212,7 @@ fn u_and_not_the_derivative_of_w_is_continuous() {
 }
 
 #[rstest]
-fn a_new_drive_does_not_change_the_state(#[values(Tier::Linear, Tier::Envelope, Tier::Modal)] tier: Tier) {
+fn a_new_drive_does_not_change_the_state(#[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model) {
     let plate = paper_plate();
     let mut plant =
         driven_plant(&plate, &conditions(3.0, 1.0), tier, Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });

@@ -2,7 +2,7 @@
 
 use ode_solvers::dop_shared::OutputType;
 use ode_solvers::{Dop853, System, Vector5};
-use platebench_plate::{Complex64, ConditionProfiles, Drive, Plant, Plate, Profile, RawPlate, State, Tier, Time};
+use platebench_plate::{Complex64, ConditionProfiles, Drive, Model, Plant, Plate, Profile, RawPlate, State, Time};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Uniform};
@@ -38,12 +38,12 @@ pub(crate) fn temperature_profile(temperature_offset_k: Profile) -> ConditionPro
     ConditionProfiles { temperature_offset_k, ..constant_conditions() }
 }
 
-pub(crate) fn holding_plant(plate: &Plate, tier: Tier, detuning: f64) -> Plant {
+pub(crate) fn holding_plant(plate: &Plate, tier: Model, detuning: f64) -> Plant {
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
     driven_plant(plate, &constant_conditions(), tier, drive)
 }
 
-pub(crate) fn driven_plant(plate: &Plate, scene: &ConditionProfiles, tier: Tier, drive: Drive) -> Plant {
+pub(crate) fn driven_plant(plate: &Plate, scene: &ConditionProfiles, tier: Model, drive: Drive) -> Plant {
     let mut plant = Plant::new(plate.clone(), scene.clone(), tier);
     plant.set_drive(drive);
     plant

@@ -4,7 +4,7 @@ use crate::reference::{
     HOLDING_DRIVE_VPP, ModeOverTime, Random, ReferencePlate, SETPOINT, distance, driven_plant, finger_profile, line,
     paper_plate, state_at, temperature_profile,
 };
-use platebench_plate::{BandMonitor, BandSignal, ConditionProfiles, Drive, Plant, Plate, Profile, Tier, Time};
+use platebench_plate::{BandMonitor, BandSignal, ConditionProfiles, Drive, Model, Plant, Plate, Profile, Time};
 use rstest::rstest;
 use std::f64::consts::TAU;
 
@@ -52,7 +52,7 @@ fn errors(
     let mut carrier = ReferencePlate::at_rest(plate.omega0);
     let mut random = Random::new(6);
     let hold = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
-    let mut plants: Vec<Plant> = intervals.iter().map(|_| driven_plant(plate, scene, Tier::Modal, hold)).collect();
+    let mut plants: Vec<Plant> = intervals.iter().map(|_| driven_plant(plate, scene, Model::Modal, hold)).collect();
     let mut worst = vec![0.0_f64; intervals.len()];
     for period in 1..=end {
         let drive = match drive_pattern {
@@ -214,7 +214,7 @@ fn the_state_within_a_substep_is_accurate() {
     let scene = finger_profile(line(20.0, 0.0, 120.0, 1.0));
     let mode = |t: f64| (plate.sigma0 * (1.0 + ramp(t, 20.0, 0.0, 120.0, 1.0) / 1.5), plate.omega0);
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
-    let mut plant = driven_plant(&plate, &scene, Tier::Modal, drive);
+    let mut plant = driven_plant(&plate, &scene, Model::Modal, drive);
     state_at(&mut plant, 20.0);
     let monitors = [1.99, 1.97, 1.95, 1.9, 1.83, 1.8].map(|low| BandMonitor {
         signal: BandSignal::Amplitude,
@@ -254,7 +254,7 @@ fn a_jump_during_a_ramp_acts_at_its_time() {
     for (from, to) in [(0.0, 5.25e-3), (5.25e-3, 10e-3)] {
         carrier.advance(to - from, plate.force_constant(), &drive, &|t| mode(t.clamp(from, to.next_down())));
     }
-    let state = state_at(&mut driven_plant(&plate, &scene, Tier::Modal, drive), 10.0);
+    let state = state_at(&mut driven_plant(&plate, &scene, Model::Modal, drive), 10.0);
     let error = distance(&state, &carrier.state(), plate.omega0);
     println!("1.5 N at once while it warms up: {error:.1e}");
     assert!(error <= 3e-7, "{error:e}");

@@ -32,7 +32,7 @@ const ROUNDING_VARIATIONS: usize = 2;
 const COMPARED_SILENCE: Duration = Duration::from_millis(100);
 const CLOCK_TOLERANCE: f64 = 0.1;
 
-pub(super) struct Difference {
+pub(super) struct CommandDifference {
     pub(super) text: String,
     pub(super) other_cause: Option<BenchCause>,
 }
@@ -122,22 +122,22 @@ impl<'a> Comparison<'a> {
         received: &ReceivedPackets,
         expected: &[ReceivedPackets],
         silence: RangeInclusive<Duration>,
-    ) -> Result<(), Difference> {
+    ) -> Result<(), CommandDifference> {
         let Some((reference, varied)) = expected.split_first() else { return Ok(()) };
         let previous = self.previous.take();
         let late = silence.end().saturating_sub(*silence.start());
         if let Some(text) = self.ticks.add(&received.ticks, reference.ticks.len(), late) {
-            return Err(Difference { text, other_cause: Some(BenchCause::LateTicks) });
+            return Err(CommandDifference { text, other_cause: Some(BenchCause::LateTicks) });
         }
         if let Some(drift) = self.ticks.drift() {
             let text =
                 format!("the ticks of the controller drifted by {drift:.1?}, expected at most a quarter of the period");
-            return Err(Difference { text, other_cause: Some(BenchCause::LateTicks) });
+            return Err(CommandDifference { text, other_cause: Some(BenchCause::LateTicks) });
         }
         for (position, expected) in reference.answers.iter().enumerate() {
             let Some(answer) = received.answers.get(position) else {
                 let text = format!("no answer, expected {}", show(expected));
-                return Err(Difference { text, other_cause: Some(BenchCause::NoAnswer) });
+                return Err(CommandDifference { text, other_cause: Some(BenchCause::NoAnswer) });
             };
             self.observe_design(answer, expected);
             for (number, other) in varied.iter().enumerate() {
@@ -147,7 +147,7 @@ impl<'a> Comparison<'a> {
             if !self.is_equal(answer, expected) {
                 let text = format!("{}, expected {}", show(answer), show(expected));
                 let other_cause = (answer.sequence != expected.sequence).then_some(BenchCause::NoAnswer);
-                return Err(Difference { text, other_cause });
+                return Err(CommandDifference { text, other_cause });
             }
             if let (Message::Command(answer), Message::Command(expected)) = (&answer.message, &expected.message)
                 && expected.state == ControllerState::Running
@@ -240,15 +240,15 @@ impl<'a> Comparison<'a> {
     }
 }
 
-fn differs<T>(text: String) -> Result<T, Difference> {
-    Err(Difference { text, other_cause: None })
+fn differs<T>(text: String) -> Result<T, CommandDifference> {
+    Err(CommandDifference { text, other_cause: None })
 }
 
 fn compare_clocks(
     previous: [Command; 2],
     present: [Command; 2],
     silence: &RangeInclusive<Duration>,
-) -> Result<(), Difference> {
+) -> Result<(), CommandDifference> {
     let (shortest, longest) = (*silence.start(), *silence.end());
     let mut advances = previous.into_iter().zip(present).map(|(previous, present)| {
         Duration::from_micros(present.target_time_us.wrapping_sub(previous.target_time_us).into())

@@ -3,7 +3,9 @@
 use super::checker::MAX_DELAY_PERIODS;
 use crate::metrics::TrialRule;
 
-use crate::scenario::definition::{AUTO_MODEL, Controller, Gains, InputFile, MAX_TRIALS, Scenario, Spread, Trials};
+use crate::scenario::definition::{
+    AUTO_MODEL, Controller, InputFile, MAX_TRIALS, Scenario, ScenarioGains, Spread, Trials,
+};
 use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::load::checker::{Checker, Diagnostics, TrialContext};
 use crate::scenario::load::expectation::expectation_names;
@@ -13,7 +15,7 @@ use crate::scenario::raw::{
     RawController, RawProfiles, RawScenario, RawTrials,
 };
 use crate::scenario::window::ProfileChanges;
-use platebench_plate::{ConditionProfiles, Plate, Profile, RawProfile, Tier, Time};
+use platebench_plate::{ConditionProfiles, Model, Plate, Profile, RawProfile, Time};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -59,7 +61,7 @@ impl Checker<'_> {
         let model = raw.model.as_deref().unwrap_or(AUTO_MODEL);
         let tier = plate.as_ref().and_then(|plate| faults.record_error(self.tier(model, plate)));
         let expected_exit = faults.record_error(self.expected_exit(raw.expected_exit));
-        let Scene { controller, duration, setpoint, conditions } = scene;
+        let BetweenScene { controller, duration, setpoint, conditions } = scene;
         let (Some(controller), Some(duration), Some(setpoint), Some(conditions)) =
             (controller, duration, setpoint, conditions)
         else {
@@ -133,7 +135,7 @@ impl Checker<'_> {
         Ok(step)
     }
 
-    fn tier(&self, model: &str, plate: &Plate) -> Result<Tier, Diagnostic> {
+    fn tier(&self, model: &str, plate: &Plate) -> Result<Model, Diagnostic> {
         if let Some(tier) = Scenario::tier_for(model, plate) {
             return match Scenario::omitted_effect(tier, plate) {
                 None => Ok(tier),
@@ -182,7 +184,7 @@ pub(super) struct SceneSource<'a> {
 }
 
 /// Checked parts of a scene. A part with an error is `None`.
-pub(super) struct Scene {
+pub(super) struct BetweenScene {
     pub(super) controller: Option<Controller>,
     pub(super) duration: Option<Time>,
     pub(super) setpoint: Option<Profile>,
@@ -198,7 +200,7 @@ impl Checker<'_> {
         spread: Spread,
         inputs: &mut Vec<InputFile>,
         faults: &mut Diagnostics,
-    ) -> Scene {
+    ) -> BetweenScene {
         let SceneSource { duration_ms, controller: raw, profile: profiles } = *source;
         let design_plate = raw.design_plate.as_ref().map(|file| (file, "controller.design_plate"));
         let design_plate = design_plate.map(|(file, key)| self.plate(key, &folder.join(file), inputs, faults));
@@ -229,7 +231,7 @@ impl Checker<'_> {
         if let (Some(plate), Some(conditions)) = (plate, &conditions) {
             faults.record_error(self.check_conditions(folder, profiles, plate, conditions, &spread));
         }
-        Scene { controller, duration, setpoint, conditions }
+        BetweenScene { controller, duration, setpoint, conditions }
     }
 
     /// The scenes take the trials and the spacing of trace rows from `scenario`.
@@ -259,7 +261,7 @@ impl Checker<'_> {
                 duration: scene.duration?,
                 setpoint: scene.setpoint?,
                 conditions: scene.conditions?,
-                tier: if raw.plate.is_some() { Tier::exact_for(&plate) } else { scenario.tier },
+                tier: if raw.plate.is_some() { Model::exact_for(&plate) } else { scenario.tier },
                 plate,
                 expectations: Vec::new(),
                 faults: Vec::new(),
@@ -368,7 +370,7 @@ impl Checker<'_> {
         Ok(start_frequency_hz)
     }
 
-    fn gains(&self, gains: Gains) -> Result<Gains, Diagnostic> {
+    fn gains(&self, gains: ScenarioGains) -> Result<ScenarioGains, Diagnostic> {
         for (name, value) in [
             ("amplitude_kp", gains.amplitude_kp),
             ("amplitude_ki", gains.amplitude_ki),

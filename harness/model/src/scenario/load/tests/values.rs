@@ -4,7 +4,7 @@ use crate::scenario::expect::{Aggregation, Limit};
 use crate::scenario::fault::{Direction, Fault, FaultKind};
 use crate::scenario::load::load;
 use crate::scenario::window::Window;
-use platebench_plate::{Tier, Time};
+use platebench_plate::{Model, Time};
 use rstest::rstest;
 
 #[test]
@@ -102,14 +102,14 @@ fn a_shutdown_lasts_until_the_next_planned_configuration() {
 }
 
 #[rstest]
-#[case::plain("auto", "", Tier::Modal)]
-#[case::left_out("", "", Tier::Modal)]
-#[case::converter("auto", "demodulator_periods = 1\nconverter_hz = 1e6\n", Tier::Carrier)]
-#[case::linear("linear", "demodulator_periods = 1\nconverter_hz = 1e6\n", Tier::Linear)]
-#[case::envelope("envelope", "", Tier::Envelope)]
-#[case::modal("modal", "demodulator_periods = 1\nconverter_hz = 1e6\n", Tier::Modal)]
-#[case::carrier("carrier", "", Tier::Carrier)]
-fn auto_is_the_carrier_for_a_plate_with_a_demodulator(#[case] model: &str, #[case] sensor: &str, #[case] tier: Tier) {
+#[case::plain("auto", "", Model::Modal)]
+#[case::left_out("", "", Model::Modal)]
+#[case::converter("auto", "demodulator_periods = 1\nconverter_hz = 1e6\n", Model::Carrier)]
+#[case::linear("linear", "demodulator_periods = 1\nconverter_hz = 1e6\n", Model::Linear)]
+#[case::envelope("envelope", "", Model::Envelope)]
+#[case::modal("modal", "demodulator_periods = 1\nconverter_hz = 1e6\n", Model::Modal)]
+#[case::carrier("carrier", "", Model::Carrier)]
+fn auto_is_the_carrier_for_a_plate_with_a_demodulator(#[case] model: &str, #[case] sensor: &str, #[case] tier: Model) {
     let model = if model.is_empty() { String::new() } else { format!("model = \"{model}\"") };
     let folder = create_folder(&[("model = \"modal\"", &model), ("[sensor]\n", &format!("[sensor]\n{sensor}"))]);
     assert_eq!(load(&folder.path().join("s.toml"), "s.toml").unwrap().tier, tier);
@@ -136,7 +136,7 @@ fn a_model_that_omits_an_effect_of_the_plate_is_refused(
     assert_eq!(fault.message, expected);
     assert_eq!(fault.position(), (7, 9));
     let scenario = load_with_changes(&[(good, keys), ("model = \"modal\"", "")]).unwrap();
-    assert_eq!((scenario.tier, scenario.plate.first_effect()), (Tier::Modal, Some(effect)));
+    assert_eq!((scenario.tier, scenario.plate.first_effect()), (Model::Modal, Some(effect)));
 }
 
 #[test]
