@@ -105,11 +105,11 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32, rigs: &[RigSpec]) -> Res
     let Some(reference) =
         runs.iter().find(|(rung, ..)| *rung == Rung::reference()).map(|(_, record, _)| record.clone())
     else {
-        return section(&[]);
+        return Ok(section(&[]));
     };
     let results: Vec<_> =
         runs.into_iter().map(|(rung, record, costs)| RungResult::new(rung, &record, &reference, costs)).collect();
-    section(&results)
+    Ok(section(&results))
 }
 
 impl RungResult {
@@ -140,7 +140,7 @@ const EXPLANATION: [&str; 2] = [
      delay.",
 ];
 
-fn section(results: &[RungResult]) -> Result<ChartSection, ChartError> {
+fn section(results: &[RungResult]) -> ChartSection {
     let table = rung_table(results);
     let mut files = vec![(FILE.to_owned(), numbers(results).csv())];
     let mut blocks = vec![Block::Details(EXPLANATION.map(Block::paragraph).into())];
@@ -152,7 +152,7 @@ fn section(results: &[RungResult]) -> Result<ChartSection, ChartError> {
     }
     blocks.push(Block::File(FILE.to_owned()));
     let title = "Rungs: cost of a run against its difference from the emulated firmware";
-    Ok(ChartSection { document: Document::new(title, blocks), files })
+    ChartSection { document: Document::new(title, blocks), files }
 }
 
 fn rung_table(results: &[RungResult]) -> Table {

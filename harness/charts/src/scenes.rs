@@ -79,7 +79,7 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, 
     };
     let costs: Vec<ModelCost> = Model::ALL.into_iter().filter_map(cost).collect();
     let results: Vec<_> = scenarios.iter().filter_map(|scenario| SceneResult::new(scenario, &records)).collect();
-    section(&results, &costs)
+    Ok(section(&results, &costs))
 }
 
 impl<'a> SceneResult<'a> {
@@ -125,7 +125,7 @@ impl ModelResult<'_> {
     }
 }
 
-fn section(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Result<ChartSection, ChartError> {
+fn section(results: &[SceneResult<'_>], costs: &[ModelCost]) -> ChartSection {
     let svg = strip_chart(results).svg();
     let (models, differences) = (model_table(results, costs), difference_table(results));
     let caption = format!("{} scenarios: largest difference of a metric on every model", results.len());
@@ -134,10 +134,10 @@ fn section(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Result<ChartSect
     blocks.push(Block::figure(svg.clone(), caption));
     blocks.push(Block::Table(differences));
     blocks.push(Block::File(FILE.to_owned()));
-    Ok(ChartSection {
+    ChartSection {
         document: Document::new("Scenarios: models of the plate against the most detailed one", blocks),
         files: vec![(FILE.to_owned(), full_table(results).csv()), (DRAWING.to_owned(), svg)],
-    })
+    }
 }
 
 const EXPLANATION: [&str; 2] = [

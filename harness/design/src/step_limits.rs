@@ -264,7 +264,7 @@ fn limit_row(
 fn exact_form_limit(tier: Model, problem: &'static str, mode: &Mode) -> StepLimitRow {
     let drive = Drive { vpp: 0.0, omega: mode.omega0 + DETUNING };
     let column = |number: usize, seconds: f64| {
-        let unit = if number % 2 == 0 { Complex64::ONE } else { Complex64::I };
+        let unit = if number.is_multiple_of(2) { Complex64::ONE } else { Complex64::I };
         let (w, u) = if number < 2 { (unit, Complex64::ZERO) } else { (Complex64::ZERO, unit * mode.omega0) };
         let State { w, u } = Flow::new(tier, mode, &drive, &State { w, u }).after(seconds);
         DVector::from_vec(vec![w.re, w.im, u.re / mode.omega0, u.im / mode.omega0])

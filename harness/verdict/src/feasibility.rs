@@ -40,7 +40,7 @@ pub(crate) fn infeasibility_excuse(
     }
     // The ideal amplitude is known at all times, even if the expectation's signal is sampled.
     let plain = Expectation { signal: "amplitude_um", ..expectation.clone() };
-    let best = unreachable_best(expectation, metrics::measure(&plain, &ideal.rows, &Telemetry::default()))?;
+    let best = unreachable_best(expectation, &metrics::measure(&plain, &ideal.rows, &Telemetry::default()))?;
     Some(if ideal.required_drive_vpp > limit_vpp {
         Excuse::SetpointOutOfReach { needed_vpp: ideal.required_drive_vpp, limit_vpp, best }
     } else {
@@ -60,9 +60,9 @@ fn may_be_limited(rows: &[Row]) -> bool {
 }
 
 /// Best value of the ideal controller if it misses the limit; `None` if it meets the limit.
-fn unreachable_best(expectation: &Expectation, best: Measure) -> Option<BestResponse> {
+fn unreachable_best(expectation: &Expectation, best: &Measure) -> Option<BestResponse> {
     let (lowest, highest) = expectation.range();
-    let value = match best {
+    let value = match *best {
         Measure::Missing(missing) => return Some(BestResponse::Missing(missing)),
         Measure::Undefined(_) | Measure::Samples(_) => return None,
         Measure::Value(value) | Measure::Interval([value, _]) => value,

@@ -276,7 +276,7 @@ fn copy_folder(folder: &Path, copy: &Path) {
     }
 }
 
-fn supplied_plan() -> Plan {
+fn supplied_plan() -> AcceptancePlan {
     AcceptancePlan::load(&workspace_root().join("scenarios/plans/acceptance.toml")).unwrap()
 }
 

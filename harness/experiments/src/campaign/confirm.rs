@@ -16,6 +16,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::fmt::Write as _;
 use std::path::Path;
 
 /// Largest number of replayed trials in the group of failing trials and in the random sample.
@@ -208,10 +209,10 @@ impl Agreement {
             // The worst trials are not a random sample, so they have no confidence interval.
             if let Some([low, high]) = interval.filter(|_| name != "worst") {
                 let [low, high, confidence] = [low, high, confidence].map(|share| share * 100.0);
-                line += &format!("; {low:.4} % to {high:.4} %, each end at {confidence} % confidence");
+                let _ = write!(line, "; {low:.4} % to {high:.4} %, each end at {confidence} % confidence");
             }
             if candidates > replayed {
-                line += &format!("; {replayed} of {candidates} were drawn at random");
+                let _ = write!(line, "; {replayed} of {candidates} were drawn at random");
             }
             lines.push(line);
         }

@@ -18,12 +18,12 @@ pub const REPORT_FILE: &str = "report.html";
 
 /// Writes the page and returns its content.
 pub fn write(folder: &Path, summary: &Summary<'_>, links: &ResponseLinks) -> Result<Document, CampaignError> {
-    let document = document(summary, links)?;
+    let document = document(summary, links);
     document.write(&folder.join(REPORT_FILE))?;
     Ok(document)
 }
 
-fn document(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Document, CampaignError> {
+fn document(summary: &Summary<'_>, links: &ResponseLinks) -> Document {
     let mut blocks = vec![Block::lines(summary.lines())];
     let sample = summary.sample.result(summary.campaign);
     let sensitivities = sensitivities(&sample);
@@ -46,7 +46,7 @@ fn document(summary: &Summary<'_>, links: &ResponseLinks) -> Result<Document, Ca
     details.push(Block::heading("Files"));
     details.extend([CSV_FILE, PARQUET_FILE, SUMMARY_FILE].map(|name| Block::File(name.to_owned())));
     blocks.push(Block::Details(details));
-    Ok(Document::new(&summary.campaign.title, blocks))
+    Document::new(&summary.campaign.title, blocks)
 }
 
 fn sensitivities(sample: &SampleResult) -> Table {

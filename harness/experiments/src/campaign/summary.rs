@@ -322,10 +322,11 @@ impl<'a> Summary<'a> {
         let confidence = self.campaign.confidence;
         if let Some([low, high]) = self.interval().filter(|_| is_sample) {
             let [low, high, confidence] = [low, high, confidence].map(|share| share * 100.0);
-            counts += &format!("; {low:.4} % to {high:.4} % of all trials fail, each end at {confidence} % confidence");
+            let _ =
+                write!(counts, "; {low:.4} % to {high:.4} % of all trials fail, each end at {confidence} % confidence");
         }
         if let Some(demanded) = self.campaign.at_most {
-            counts += &format!(", at most {} % demanded", demanded * 100.0);
+            let _ = write!(counts, ", at most {} % demanded", demanded * 100.0);
         }
         lines.push(counts);
         match self.campaign.method {
@@ -502,6 +503,8 @@ impl ChainOutcome {
         lines
     }
 }
+
+use std::fmt::Write as _;
 
 #[cfg(test)]
 mod tests {

@@ -4,8 +4,8 @@ use super::measurement::{Measurement, SignalPoint, UndefinedValue};
 use super::spec::{DriveBound, Levels, LimitMarkSpec, MetricSpec, Unit};
 use crate::trace::Column;
 
-const fn end_mark(signal: Column, levels: Levels) -> Option<LimitMarkSpec> {
-    Some(LimitMarkSpec { signal: Some(signal), levels, label: "end" })
+const fn end_mark(signal: Column, levels: Levels) -> LimitMarkSpec {
+    LimitMarkSpec { signal: Some(signal), levels, label: "end" }
 }
 
 pub(super) const FREQUENCY_ERROR: MetricSpec = MetricSpec {
@@ -13,7 +13,7 @@ pub(super) const FREQUENCY_ERROR: MetricSpec = MetricSpec {
     unit: Unit::Hertz,
     definition: "|excitation − true resonance| in the last row",
     on_real_plate: Some(UndefinedValue::UnknownResonance),
-    mark: end_mark(Column::Frequency, Levels::Around(Column::Resonance)),
+    mark: Some(end_mark(Column::Frequency, Levels::Around(Column::Resonance))),
     measure: |input| {
         let row = input.last_row()?;
         let value = (row.frequency_hz - row.resonance_hz).abs();
@@ -26,7 +26,7 @@ pub(super) const QUADRATURE_RATIO: MetricSpec = MetricSpec {
     name: "quadrature_ratio",
     unit: Unit::Ratio,
     definition: "|Wq/Wd| in the last row",
-    mark: end_mark(Column::Wq, Levels::TimesColumn(Column::Wd)),
+    mark: Some(end_mark(Column::Wq, Levels::TimesColumn(Column::Wd))),
     measure: |input| {
         let row = input.last_row()?;
         if row.wd_um == 0.0 {
@@ -42,7 +42,7 @@ pub(super) const FINAL_AMPLITUDE: MetricSpec = MetricSpec {
     unit: Unit::Micrometres,
     definition: "|W| in the last row",
     drive_bound: DriveBound::Largest,
-    mark: end_mark(Column::Amplitude, Levels::Constant),
+    mark: Some(end_mark(Column::Amplitude, Levels::Constant)),
     measure: |input| {
         let row = input.last_row()?;
         Ok(Measurement::value_at(row.amplitude_um, [SignalPoint::of(row, |row| row.amplitude_um)]))

@@ -288,7 +288,9 @@ fn write_group(text: &mut String, group: &CauseGroup<'_>, style: Style, in_full:
         all => all.iter().skip(1).take(MAX_LISTED).map(|(_, scenario, _)| scenario.file.clone()).collect(),
     };
     if in_full {
-        others.iter().for_each(|line| write_wrapped(text, "    also ", "      ", line));
+        for line in &others {
+            write_wrapped(text, "    also ", "      ", line);
+        }
         return;
     }
     let further = scenarios.len().saturating_sub(1 + MAX_LISTED);

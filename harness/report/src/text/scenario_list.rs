@@ -39,7 +39,7 @@ pub fn text(scenarios: &[Scenario]) -> String {
 
 /// Returns one name per line.
 pub fn names(scenarios: &[Scenario]) -> String {
-    scenarios.iter().map(|scenario| format!("{}\n", printable(&scenario.file))).collect()
+    scenarios.iter().fold(String::new(), |names, scenario| names + &printable(&scenario.file) + "\n")
 }
 
 pub fn json(scenarios: &[Scenario]) -> Value {

@@ -384,6 +384,7 @@ enum Chatter {
     SafeForConfiguration,
 }
 
+#[expect(clippy::type_complexity, reason = "the closure has no name")]
 fn chatty_session(
     chatter: Chatter,
 ) -> Session<FakeLink<impl FnMut(&mut HostedLink, Duration, &[u8], &mut Vec<u8>) -> Answer + Send>> {

@@ -22,6 +22,7 @@ fn combines_verdicts() {
     assert_eq!(Verdict::combine([]), Inconclusive);
 }
 
+#[expect(clippy::too_many_lines, reason = "one value of every field")]
 fn record() -> RunRecord {
     let passed = ExpectationRecord {
         name: "settling".to_owned(),
