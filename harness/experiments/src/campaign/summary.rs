@@ -11,6 +11,7 @@ use crate::campaign::truncation::Truncation;
 use platebench_model::record::{Cause, Verdict};
 use serde::Serialize;
 use serde_json::{Value, json};
+use std::fmt::Write as _;
 
 pub const SUMMARY_FILE: &str = "summary.json";
 /// Folder of failing trials, in the campaign folder.
@@ -503,8 +504,6 @@ impl ChainOutcome {
         lines
     }
 }
-
-use std::fmt::Write as _;
 
 #[cfg(test)]
 mod tests {
