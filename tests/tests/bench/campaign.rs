@@ -281,7 +281,7 @@ fn a_grid_needs_listed_values() {
 
 #[test]
 fn ctrl_c_keeps_complete_shards() {
-    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 40000\n");
+    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 200000\n");
     let run = start_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]);
     wait_until("the run plays no shard", || folder.exists("c/parts/1.parquet"));
     run.signal("INT");
@@ -356,7 +356,7 @@ fn jitter_follows_the_seed_of_the_trial() {
 
 #[test]
 fn one_campaign_folder_has_one_run() {
-    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 40000\n");
+    let folder = folder("[plan]\nmethod = \"random\"\ntrials = 200000\n");
     let mut running = start_bench(folder.path(), ["campaign", "run", "campaign.toml", "--out", "c"]);
     wait_until("the run plays no shard", || folder.exists("c/parts/1.parquet"));
     let in_use = |arguments: &[&str]| {

@@ -82,7 +82,7 @@ fn rare_and_random_trials_agree() {
 /// The mean is 2.5 standard deviations above 0 N, the smallest possible force.
 const FORCE: &str = "\"profile.finger_force_n\" = { normal = { mean = 0.5, sd = 0.2 } }\n";
 /// The amplitude increases towards small forces, and would exceed the limit at a negative force.
-const AMPLITUDE: &str = "title = \"Step\"\nplate = \"plates/plate.toml\"\nduration_ms = 20.0\n\
+const AMPLITUDE: &str = "title = \"Step\"\nplate = \"scenarios/plates/plate.toml\"\nduration_ms = 20.0\n\
     [controller]\nlaw = \"open-loop\"\n[profile]\nsetpoint_um = { hold = [[0.0, 0.0], [1.0, 2.0]] }\n\
     [[expect]]\nmetric = \"final_amplitude_um\"\nat_most = 2.1\n";
 
