@@ -299,9 +299,9 @@ impl CombinedEstimate {
     }
 
     /// Log-normal interval; each end is one-sided at `confidence`. The lower end allows for the bias
-    /// of subset simulation, which overestimates. `None` if the effective sample
-    /// size is below [`MIN_EFFECTIVE_SAMPLES`]. Without a failing trial, the upper end is that of
-    /// the last level, which contains all failing trials.
+    /// of subset simulation, which overestimates. `None` if the effective sample size is too small.
+    /// Without a failing trial, the upper end is that of the last level, which contains all failing
+    /// trials.
     pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
         if !self.coefficient_of_variation.is_finite() {
             return Some([0.0, self.ceiling.min(1.0)]);

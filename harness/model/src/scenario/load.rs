@@ -157,7 +157,7 @@ impl ScenarioTemplate {
         Ok(tables)
     }
 
-    /// Checks the tables like [`super::load`]. Diagnostics point into the unchanged files.
+    /// Checks the tables like [`super::load()`]. Diagnostics point into the unchanged files.
     pub fn check(&self, tables: &ScenarioTables) -> Result<Scenario, Vec<Diagnostic>> {
         let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
         let mut known = vec![self.plate.clone()];

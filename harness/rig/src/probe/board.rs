@@ -77,7 +77,7 @@ impl Board {
 
     pub(super) fn attach(spec: &ProbeSpec, lister: &Lister) -> Result<(Self, ChipId), ProbeError> {
         let (expected, target) = Self::resolve_target(spec)?;
-        let (probe, probe_name) = selection::open_probe(spec, lister)?;
+        let (probe, probe_name) = open_probe(spec, lister)?;
         let chip = target.name.clone();
         let no_target =
             |cause| ProbeError::NoTarget { chip: chip.clone(), probe: probe_name.clone(), cause: Box::new(cause) };
