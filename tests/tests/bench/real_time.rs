@@ -6,7 +6,7 @@ use crate::test_folder::{
     ChildGuard, TestFolder, assert_same_traces, bench_command, controller_rig, run_bench, start_bench, step_scenario,
     wait_until, workspace_root,
 };
-use platebench_model::record::{ClockKind, RunRecord, TimingRecord, TrialRecord, Verdict};
+use platebench_model::record::{Cause, ClockKind, RunRecord, TimingRecord, TrialRecord, Verdict};
 use platebench_model::trace::Flags;
 use rstest::rstest;
 use std::fs;
@@ -117,8 +117,13 @@ fn a_terminated_program_fails_its_trial() {
     let bench = start_bench(folder.path(), ["run", "--clock", "real-time", "--out", "run", "--rig", &rig]);
     wait_until("the controller never ran", || fs::read_to_string(&log).is_ok_and(|text| text.contains("running")));
     assert!(Command::new("kill").args(["-KILL", &bench.child_id()]).status().unwrap().success());
-    bench.finish().assert_exit(1);
+    bench.finish().assert_exit_in(&[1, 5]);
     let record = folder.record("run");
+    // On a busy machine, the bench may be too late for a verdict.
+    if record.verdict == Verdict::Inconclusive {
+        assert_eq!(trial(&record).cause, Some(Cause::Bench));
+        return;
+    }
     assert_eq!((record.verdict, record.safe_confirmed), (Verdict::Fail, Some(false)));
     let ended = trial(&record).telemetry.ended.as_ref().unwrap();
     assert!(ended.contains("signal 9"), "{ended}");
