@@ -1,4 +1,5 @@
-//! Draws response time and accuracy of the control laws, at several loop delays and on plates that a law does not expect.
+//! Draws response time and accuracy of the control laws, at several loop delays and on plates that
+//! a law does not expect.
 
 use crate::measured_run::{ChartError, play_hosted};
 use platebench_engine::TrialResult;

@@ -255,7 +255,7 @@ impl Drawing {
     }
 
     pub(crate) fn shape(&mut self, role: Role, shape: Shape, at: Point, radius: f64) {
-        let beside = |&(dx, dy): &Point| (at.0 + dx * radius, at.1 + dy * radius);
+        let corner = |&(dx, dy): &Point| (at.0 + dx * radius, at.1 + dy * radius);
         match shape {
             Shape::Disc | Shape::Ring => {
                 let ((x, y), prefix) = (units(at), if shape == Shape::Ring { "s-" } else { "f-" });
@@ -264,10 +264,10 @@ impl Drawing {
             }
             Shape::Cross => {
                 for ends in [[(-1.0, -1.0), (1.0, 1.0)], [(-1.0, 1.0), (1.0, -1.0)]] {
-                    self.line(role, ends.iter().map(beside));
+                    self.line(role, ends.iter().map(corner));
                 }
             }
-            polygon => self.path('f', role, corners(polygon).iter().map(beside)),
+            polygon => self.path('f', role, corners(polygon).iter().map(corner)),
         }
     }
 

@@ -1,4 +1,5 @@
-//! Defines what the view is told about a run: description, events, and the errors of a view that cannot open.
+//! Defines the description and the events of a run that the view receives, and the errors of a view
+//! that cannot open.
 
 use platebench_engine::Event;
 use platebench_model::record::Verdict;

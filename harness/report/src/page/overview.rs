@@ -1,5 +1,5 @@
-//! Writes the parts of the page about the whole run: result, what did not pass, requirements, cost, boards, environment,
-//! and the list of scenarios next to the page.
+//! Writes the parts of the page about the whole run: result, what did not pass, requirements, cost,
+//! boards, environment, and the list of scenarios next to the page.
 
 use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, with_unit};
 use super::trace_data::{TRACE_CHANGED, TraceData};

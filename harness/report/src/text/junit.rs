@@ -4,7 +4,8 @@
 //! scenario that did not pass although its expectations did has one more case with an error. The
 //! schema of Jenkins' xunit plugin (`tests/report/junit-10.xsd`) allows properties of suites only,
 //! so requirements are properties `requirement.<name>` of the suite, the controller and its setting
-//! are its property `tested`, and other facts are lines in `system-out`. Times come from the record: equal records give equal files.
+//! are its property `tested`, and other facts are lines in `system-out`. Times come from the
+//! record: equal records give equal files.
 
 use crate::error::{ReportError, write_file};
 use crate::escape::printable;
