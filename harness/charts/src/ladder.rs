@@ -4,7 +4,7 @@
 use crate::measured_run::ChartError;
 use crate::measured_run::median;
 use crate::measured_run::{LOCKSTEP, MeasuredRun};
-use crate::scenes::models;
+use crate::scenes::applicable_models;
 use platebench_engine::{Clock, Pacing, TimeBase};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::{Metric, Scenario};
@@ -40,7 +40,7 @@ impl Rung {
 
     fn name(&self) -> String {
         match self {
-            Self::Model(tier) => format!("hosted, {} plate", tier.name()),
+            Self::Model(model) => format!("hosted, {} plate", model.name()),
             Self::Rig(rig, Clock::Lockstep { .. }) => format!("{}, lockstep", rig.name()),
             Self::Rig(rig, _) => format!("{}, real time", rig.name()),
         }
@@ -60,10 +60,10 @@ impl Rung {
 
     fn play(&self, scenarios: &[Scenario]) -> Result<Option<MeasuredRun>, ChartError> {
         let (own, rig, clock): (Vec<Scenario>, _, _) = match self {
-            Self::Model(tier) => {
-                let own = scenarios.iter().filter(|scenario| models(scenario).contains(tier));
+            Self::Model(model) => {
+                let own = scenarios.iter().filter(|scenario| applicable_models(scenario).contains(model));
                 (
-                    own.map(|scenario| Scenario { tier: *tier, ..scenario.clone() }).collect(),
+                    own.map(|scenario| Scenario { model: *model, ..scenario.clone() }).collect(),
                     RigSpec::hosted(),
                     LOCKSTEP,
                 )

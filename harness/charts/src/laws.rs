@@ -213,7 +213,7 @@ impl LawScenario {
         let (response, window_mean) = (expected(metric, response_window), expected(Metric::StaticError, last_third));
         // Because of this expectation, the trace has a row at every crossing of the band.
         scenario.expectations = vec![response.clone()];
-        scenario.tier = Model::Modal;
+        scenario.model = Model::Modal;
         Self {
             name: name.to_owned(),
             scenario,

@@ -73,7 +73,7 @@ const EXPLANATION: [&str; 3] = [
      compared with DOP853 at a tolerance of 1e-13. If a profile changes the mode within a period, that solution is the \
      reference for all, and the closed form shows the error of its substeps.",
     "On the carrier the error of a general method is that of the phasor of y and y'. Its cost is that of following the \
-     waveform step by step, which no tier of the bench does.",
+     waveform step by step, which no model of the bench does.",
 ];
 
 /// Simulates the first trial on the nominal plate without noise, from its start for `window`.
@@ -140,10 +140,10 @@ const HEADLINE_COLUMNS: [&str; 9] = [
     "the same at a tolerance of 1e-9",
 ];
 
-/// `None` if no tier has a closed form for the equations `form`.
+/// `None` if no model has a closed form for the equations `form`.
 fn headline_row(scenario: &Scenario, form: EquationForm, results: &[SweepResult]) -> Option<Vec<String>> {
     let problem = form.name();
-    let exact = results.iter().find(|row| matches!(row.solver, Solver::Exact(tier) if tier.name() == problem))?;
+    let exact = results.iter().find(|row| matches!(row.solver, Solver::Exact(model) if model.name() == problem))?;
     let times = |peer: &SweepResult| {
         let ratio = peer.ns_per_ms / exact.ns_per_ms;
         if ratio < 20.0 { format!("{ratio:.1}×") } else { format!("{ratio:.0}×") }

@@ -31,7 +31,7 @@ impl MetricResult<'_> {
 }
 
 struct ModelResult<'a> {
-    tier: Model,
+    model: Model,
     /// True if the scenario's verdict differs from that on the reference model.
     is_changed: bool,
     metrics: Vec<MetricResult<'a>>,
@@ -44,17 +44,17 @@ struct SceneResult<'a> {
 }
 
 struct ModelCost {
-    tier: Model,
+    model: Model,
     scenario_count: usize,
     period_us: f64,
 }
 
 /// Models that include all effects of the plate. The carrier model is included only if the plate
 /// has a converter or the scenario names this model.
-pub(crate) fn models(scenario: &Scenario) -> Vec<Model> {
-    let has_carrier = [scenario.tier, Model::exact_for(&scenario.plate)].contains(&Model::Carrier);
-    let is_complete = |tier: &Model| Scenario::omitted_effect(*tier, &scenario.plate).is_none();
-    Model::ALL.into_iter().filter(|tier| *tier != Model::Carrier || has_carrier).filter(is_complete).collect()
+pub(crate) fn applicable_models(scenario: &Scenario) -> Vec<Model> {
+    let has_carrier = [scenario.model, Model::exact_for(&scenario.plate)].contains(&Model::Carrier);
+    let is_complete = |model: &Model| Scenario::omitted_effect(*model, &scenario.plate).is_none();
+    Model::ALL.into_iter().filter(|model| *model != Model::Carrier || has_carrier).filter(is_complete).collect()
 }
 
 pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, ChartError> {
@@ -62,20 +62,21 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, 
     let mut costs: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     // Measures the models in turn, so that other load affects all of them equally.
     for _ in 0..rounds.max(1) {
-        for tier in Model::ALL {
-            let with_tier = |scenario: &Scenario| Scenario { tier, ..scenario.clone() };
-            let own: Vec<_> = scenarios.iter().filter(|scene| models(scene).contains(&tier)).map(with_tier).collect();
+        for model in Model::ALL {
+            let with_model = |scenario: &Scenario| Scenario { model, ..scenario.clone() };
+            let own: Vec<_> =
+                scenarios.iter().filter(|scene| applicable_models(scene).contains(&model)).map(with_model).collect();
             if own.is_empty() {
                 continue;
             }
             let MeasuredRun { record, period_us } = MeasuredRun::play(own, &RigSpec::hosted(), LOCKSTEP)?;
-            costs.entry(tier.name()).or_default().push(period_us);
-            records.insert(tier.name(), record);
+            costs.entry(model.name()).or_default().push(period_us);
+            records.insert(model.name(), record);
         }
     }
-    let cost = |tier: Model| {
-        let period_us = median(costs.get(tier.name())?.clone());
-        Some(ModelCost { tier, scenario_count: records.get(tier.name())?.scenarios.len(), period_us })
+    let cost = |model: Model| {
+        let period_us = median(costs.get(model.name())?.clone());
+        Some(ModelCost { model, scenario_count: records.get(model.name())?.scenarios.len(), period_us })
     };
     let costs: Vec<ModelCost> = Model::ALL.into_iter().filter_map(cost).collect();
     let results: Vec<_> = scenarios.iter().filter_map(|scenario| SceneResult::new(scenario, &records)).collect();
@@ -84,19 +85,19 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32) -> Result<ChartSection, 
 
 impl<'a> SceneResult<'a> {
     fn new(scenario: &'a Scenario, records: &'a BTreeMap<&str, RunRecord>) -> Option<Self> {
-        let on = |tier: Model| records.get(tier.name())?.scenarios.iter().find(|scene| scene.file == scenario.file);
-        let tiers = models(scenario);
-        let reference = on(*tiers.last()?)?;
-        let model = |tier: Model| {
-            let record = on(tier)?;
+        let on = |model: Model| records.get(model.name())?.scenarios.iter().find(|scene| scene.file == scenario.file);
+        let models = applicable_models(scenario);
+        let reference = on(*models.last()?)?;
+        let result = |model: Model| {
+            let record = on(model)?;
             let both = record.expectations.iter().zip(&reference.expectations);
             let metrics = both
                 .zip(&scenario.expectations)
                 .map(|((own, reference), expectation)| MetricResult::new(expectation, own, reference));
             let is_changed = record.verdict != reference.verdict;
-            Some(ModelResult { tier, is_changed, metrics: metrics.collect() })
+            Some(ModelResult { model, is_changed, metrics: metrics.collect() })
         };
-        Some(Self { scenario, models: tiers.iter().filter_map(|tier| model(*tier)).collect() })
+        Some(Self { scenario, models: models.into_iter().filter_map(result).collect() })
     }
 }
 
@@ -160,13 +161,13 @@ fn model_table(results: &[SceneResult<'_>], costs: &[ModelCost]) -> Table {
     ]);
     for cost in costs {
         let own: Vec<&ModelResult<'_>> =
-            results.iter().flat_map(|scene| &scene.models).filter(|model| model.tier == cost.tier).collect();
+            results.iter().flat_map(|scene| &scene.models).filter(|model| model.model == cost.model).collect();
         let changed = own.iter().filter(|model| model.is_changed).count();
         let differs = |metric: &&MetricResult<'_>| metric.difference > LISTED_DIFFERENCE;
         let metrics = own.iter().flat_map(|model| &model.metrics).filter(differs).count();
         let scenes = own.iter().filter(|model| model.largest_difference() > LISTED_DIFFERENCE).count();
         table.push(vec![
-            cost.tier.name().to_owned(),
+            cost.model.name().to_owned(),
             cost.scenario_count.to_string(),
             changed.to_string(),
             metrics.to_string(),
@@ -191,7 +192,7 @@ fn difference_table(results: &[SceneResult<'_>]) -> Table {
                 };
                 table.push(vec![
                     scene.scenario.name().to_owned(),
-                    model.tier.name().to_owned(),
+                    model.model.name().to_owned(),
                     own.name.clone(),
                     format_value(own.value),
                     format_value(reference.value),
@@ -228,8 +229,8 @@ fn full_table(results: &[SceneResult<'_>]) -> Table {
                 table.push(vec![
                     scenario.file.clone(),
                     scenario.controller.law.clone(),
-                    scenario.tier.name().to_owned(),
-                    model.tier.name().to_owned(),
+                    scenario.model.name().to_owned(),
+                    model.model.name().to_owned(),
                     own.name.clone(),
                     number(own.value),
                     number(reference.value),
@@ -244,16 +245,16 @@ fn full_table(results: &[SceneResult<'_>]) -> Table {
 }
 
 fn strip_chart(results: &[SceneResult<'_>]) -> StripChart {
-    let colour = |tier: Model| Model::ALL.iter().position(|known| *known == tier).unwrap_or_default();
+    let colour = |model: Model| Model::ALL.iter().position(|known| *known == model).unwrap_or_default();
     let row = |scene: &SceneResult<'_>| {
         let changed = scene.models.iter().filter(|model| model.is_changed);
-        let names: Vec<&str> = changed.map(|model| model.tier.name()).collect();
+        let names: Vec<&str> = changed.map(|model| model.model.name()).collect();
         let note = if names.is_empty() { String::new() } else { format!("verdict changes: {}", names.join(", ")) };
         StripRow {
             name: scene.scenario.name().to_owned(),
             limit: Some(LISTED_DIFFERENCE),
-            values: scene.models.iter().map(|model| (colour(model.tier), model.largest_difference())).collect(),
-            chosen_colour: colour(scene.scenario.tier),
+            values: scene.models.iter().map(|model| (colour(model.model), model.largest_difference())).collect(),
+            chosen_colour: colour(scene.scenario.model),
             note,
         }
     };
@@ -261,7 +262,7 @@ fn strip_chart(results: &[SceneResult<'_>]) -> StripChart {
         title: "Models of the plate against the most detailed one".to_owned(),
         x_label: "largest difference of a metric / its tolerance".to_owned(),
         floor: SCALE_FLOOR,
-        colours: Model::ALL.map(|tier| tier.name().to_owned()).into(),
+        colours: Model::ALL.map(|model| model.name().to_owned()).into(),
         chosen_label: "ring: model of the scenario".to_owned(),
         limit_label: "a tenth of the tolerance".to_owned(),
         rows: results.iter().map(row).collect(),

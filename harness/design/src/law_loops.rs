@@ -115,7 +115,7 @@ impl<'a> LoopCase<'a> {
     }
 
     /// Drive and excitation of the law's steady state. `None` if the law cannot reach the setpoint.
-    pub fn steady_drive(&self, tier: Model) -> Option<Drive> {
+    pub fn steady_drive(&self, model: Model) -> Option<Drive> {
         let (mode, setpoint) = (self.mode(), self.setpoint());
         let start = self.condition.start_omega(self.plate);
         let undisturbed = setpoint / self.plate.gain;
@@ -123,13 +123,13 @@ impl<'a> LoopCase<'a> {
             LawId::OpenLoop => Drive { vpp: undisturbed, omega: start },
             LawId::Pll => Drive { vpp: undisturbed, omega: mode.omega0 },
             LawId::VoltageOnly => {
-                let per_volt = steady_state(tier, &mode, &Drive { vpp: 1.0, omega: start }).norm();
+                let per_volt = steady_state(model, &mode, &Drive { vpp: 1.0, omega: start }).norm();
                 Drive { vpp: setpoint / per_volt, omega: start }
             }
             LawId::FrequencyOnly => {
                 let vpp = self.frequency_only_drive();
                 let (low, high) = (mode.omega0, start + RANGE_HZ * TAU);
-                let reaches = |omega| steady_state(tier, &mode, &Drive { vpp, omega }).norm() >= setpoint;
+                let reaches = |omega| steady_state(model, &mode, &Drive { vpp, omega }).norm() >= setpoint;
                 if !reaches(low) || reaches(high) {
                     return None;
                 }
@@ -152,9 +152,9 @@ impl<'a> LoopCase<'a> {
     ///   are loops matched to the present plate.
     /// * `deadbeat` is in its holding phase and assumes no delay.
     /// * The relay of `bang-bang` has no linear form, so only its amplitude loop is analysed.
-    pub fn linearise(&self, tier: Model) -> Option<(LinearPlant, LinearController)> {
-        let drive = self.steady_drive(tier)?;
-        let plant = LinearPlant::linearised_at(tier, &self.mode(), &drive);
+    pub fn linearise(&self, model: Model) -> Option<(LinearPlant, LinearController)> {
+        let drive = self.steady_drive(model)?;
+        let plant = LinearPlant::linearised_at(model, &self.mode(), &drive);
         let at = plant.at();
         let size = at.norm();
         // Gradients with respect to (Wd, Wq) of Wq/Wd at Wq = 0, of arg W, and of |W|.

@@ -2,10 +2,10 @@
 //! response to a step. Amplitudes are in µm and voltages in Vpp, both peak to peak. Times are in s,
 //! angular frequencies in rad/s.
 //!
-//! **Plant.** Both tiers are linear in W; only the product of W and ω is not. Around a steady state
+//! **Plant.** Both models are linear in W; only the product of W and ω is not. Around a steady state
 //! W0 at drive V0 and excitation ω a small δω acts on the envelope as `−jW0 δω`. The envelope has
 //! the equation `δW' = λ δW + b δV − jW0 δω` with one pole `λ = −σ − jΔω` (at resonance equations
-//! 13 and 19). The modal tier has the poles `s± − jω`, each with its share of `jN/m δV` on U and of
+//! 13 and 19). The modal model has the poles `s± − jω`, each with its share of `jN/m δV` on U and of
 //! `−j(W0, U0) δω` on both states. Between two actuations each pole has the closed form `x(h) =
 //! e^{sh} x + φ(h) u`, `φ = (e^{sh} − 1)/s`. Therefore sampling is exact for any part of a period.
 //!
@@ -54,11 +54,11 @@ pub struct LinearPlant {
 
 impl LinearPlant {
     /// `drive` defines the steady state. The mode must be underdamped.
-    pub fn linearised_at(tier: Model, mode: &Mode, drive: &Drive) -> Self {
-        let at = steady_state(tier, mode, drive);
+    pub fn linearised_at(model: Model, mode: &Mode, drive: &Drive) -> Self {
+        let at = steady_state(model, mode, drive);
         let j = Complex64::I;
-        let poles = match tier {
-            // In this tier Wd and Wq are decoupled: detuning has no effect, both decay with σ.
+        let poles = match model {
+            // In this model Wd and Wq are decoupled: detuning has no effect, both decay with σ.
             Model::Linear => vec![Pole {
                 value: (-mode.sigma).into(),
                 drive_gain: mode.envelope_constant.into(),
@@ -99,8 +99,8 @@ impl LinearPlant {
     }
 }
 
-pub fn steady_state(tier: Model, mode: &Mode, drive: &Drive) -> Complex64 {
-    Flow::new(tier, mode, drive, &State::default()).steady_state()
+pub fn steady_state(model: Model, mode: &Mode, drive: &Drive) -> Complex64 {
+    Flow::new(model, mode, drive, &State::default()).steady_state()
 }
 
 /// `u = proportional · e + x`, then `x += integral_per_period · e`. The firmware's type in f64.

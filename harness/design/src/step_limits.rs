@@ -261,12 +261,12 @@ fn limit_row(
     StepLimitRow { method, problem, measured, predicted, source, in_usual_unit, growth_decades }
 }
 
-fn exact_form_limit(tier: Model, problem: &'static str, mode: &Mode) -> StepLimitRow {
+fn exact_form_limit(model: Model, problem: &'static str, mode: &Mode) -> StepLimitRow {
     let drive = Drive { vpp: 0.0, omega: mode.omega0 + DETUNING };
     let column = |number: usize, seconds: f64| {
         let unit = if number.is_multiple_of(2) { Complex64::ONE } else { Complex64::I };
         let (w, u) = if number < 2 { (unit, Complex64::ZERO) } else { (Complex64::ZERO, unit * mode.omega0) };
-        let State { w, u } = Flow::new(tier, mode, &drive, &State { w, u }).after(seconds);
+        let State { w, u } = Flow::new(model, mode, &drive, &State { w, u }).after(seconds);
         DVector::from_vec(vec![w.re, w.im, u.re / mode.omega0, u.im / mode.omega0])
     };
     let step = |seconds| DMatrix::from_columns(&[0, 1, 2, 3].map(|number| column(number, seconds)));

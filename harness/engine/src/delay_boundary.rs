@@ -65,7 +65,7 @@ impl DelayedLoop {
         configure: &Configure,
         plate: &Plate,
         conditions: Conditions,
-        tier: Model,
+        model: Model,
         setpoint: f64,
     ) -> Option<Self> {
         let mut machine = StateMachine::new();
@@ -74,7 +74,7 @@ impl DelayedLoop {
             temperature_offset_k: Profile::constant(conditions.temperature_offset_k),
             finger_force_n: Profile::constant(conditions.finger_force_n),
         };
-        let mut plant = Plant::new(plate.clone(), scene, tier);
+        let mut plant = Plant::new(plate.clone(), scene, model);
         plant.set_drive(Drive { vpp: 0.0, omega: f64::from(configure.start_frequency_mhz) * 1e-3 * TAU });
         let period = Time::from_nanos(u64::from(configure.period_us) * 1_000);
         Some(Self { machine, plant, setpoint, period, pending: VecDeque::new() })
@@ -148,7 +148,7 @@ impl DelayedLoop {
 pub(crate) fn scenario_delay_boundary(scenario: &Scenario, law: LawId) -> Option<Time> {
     let (_, setpoint) = scenario.setpoint.range();
     let conditions = scenario.conditions.at(Time::ZERO);
-    let start = DelayedLoop::new(&configure(scenario, law), &scenario.plate, conditions, scenario.tier, setpoint)?;
+    let start = DelayedLoop::new(&configure(scenario, law), &scenario.plate, conditions, scenario.model, setpoint)?;
     match start.settling_boundary(MAX_PERIODS * scenario.controller.period.seconds()) {
         DelayBoundary::Unstable => None,
         DelayBoundary::At(seconds) | DelayBoundary::Beyond(seconds) => Time::from_seconds(seconds),
@@ -287,7 +287,7 @@ mod tests {
         let scenario = load(&path, name).unwrap_or_else(|fault| panic!("{fault}"));
         let configure = configure(&scenario, LawId::DqPi);
         let conditions = scenario.conditions.at(Time::ZERO);
-        let start = DelayedLoop::new(&configure, &scenario.plate, conditions, scenario.tier, 2.0).unwrap();
+        let start = DelayedLoop::new(&configure, &scenario.plate, conditions, scenario.model, 2.0).unwrap();
         let settling = |delay_ms: f64| start.clone().settling_time(Time::from_ms(delay_ms).unwrap(), 0.05);
         assert_eq!(settling(0.0), Some(2e-3));
         let late = settling(0.8).unwrap();

@@ -70,12 +70,12 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
         let overrides = own.unwrap_or(&record.overrides);
         let mut scenario = load_stored_scenario(folder, stored)?;
         // Uses the model of the run, because this version of the bench might select another one.
-        let tier = Model::from_name(&stored.model).unwrap_or(scenario.tier);
+        let model = Model::from_name(&stored.model).unwrap_or(scenario.model);
         if let Some((path, _)) = replaced.filter(|(_, chosen)| *chosen == number) {
-            scenario.expectations = replacement_expectations(path, &scenario, tier, overrides)?;
+            scenario.expectations = replacement_expectations(path, &scenario, model, overrides)?;
         }
         apply_overrides(overrides, &mut scenario);
-        scenario.tier = tier;
+        scenario.model = model;
         scenarios.push(rejudge_scenario(folder, &scenario, stored, record.complete)?);
     }
     record.scenarios = scenarios;
@@ -99,7 +99,7 @@ pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
         scenario.between.iter_mut().for_each(|scene| scene.trials.seed = seed);
     }
     if let Some(model) = &overrides.model {
-        scenario.tier = Scenario::tier_for(model, &scenario.plate).unwrap_or(scenario.tier);
+        scenario.model = Scenario::model_for(model, &scenario.plate).unwrap_or(scenario.model);
     }
 }
 
@@ -107,8 +107,8 @@ pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
 pub fn check_overrides(overrides: &Overrides, scenarios: &[Scenario]) -> Result<(), Box<Diagnostic>> {
     let Some(model) = &overrides.model else { return Ok(()) };
     for scenario in scenarios {
-        let tier = Scenario::tier_for(model, &scenario.plate);
-        if let Some(message) = tier.and_then(|tier| Scenario::omitted_effect(tier, &scenario.plate)) {
+        let model = Scenario::model_for(model, &scenario.plate);
+        if let Some(message) = model.and_then(|model| Scenario::omitted_effect(model, &scenario.plate)) {
             return Err(Box::new(scenario.diagnostic("plate", message)));
         }
     }
@@ -132,7 +132,7 @@ fn matching_scenario(record: &RunRecord, path: &Path) -> Result<usize, RejudgeEr
 fn replacement_expectations(
     path: &Path,
     played: &Scenario,
-    tier: Model,
+    model: Model,
     overrides: &Overrides,
 ) -> Result<Vec<Expectation>, RejudgeError> {
     let other = load(path, &played.file)?;
@@ -140,7 +140,7 @@ fn replacement_expectations(
         let Scenario { duration, plate, controller, setpoint, conditions, .. } = scene.clone();
         (duration, plate, controller, setpoint, conditions)
     };
-    let same_model = overrides.model.is_some() || other.tier == tier;
+    let same_model = overrides.model.is_some() || other.model == model;
     let alike = [
         (other.duration == played.duration, "duration_ms"),
         (other.trace_step == played.trace_step, "trace_step_ms"),

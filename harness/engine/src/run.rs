@@ -232,7 +232,7 @@ pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> Sce
         tags: scenario.tags.clone(),
         verdict: Verdict::Inconclusive,
         law: scenario.controller.law.clone(),
-        model: scenario.tier.name().to_owned(),
+        model: scenario.model.name().to_owned(),
         period_ms: Some(scenario.controller.period.seconds() * 1e3),
         inputs,
         expectations: Vec::new(),

@@ -1,4 +1,4 @@
-//! Measures the time of a step of each tier: `cargo bench -p platebench-plate --bench cost`.
+//! Measures the time of a step of each model: `cargo bench -p platebench-plate --bench cost`.
 
 mod steps;
 

@@ -137,7 +137,7 @@ mod tests {
     proptest! {
         #[test]
         fn skips_no_crossing(
-            tier in prop::sample::select(&Model::ALL),
+            model in prop::sample::select(&Model::ALL),
             sigma in 300.0..2_000.0,
             vpp in 0.0..800.0,
             detuning in -3_000.0..3_000.0,
@@ -150,13 +150,13 @@ mod tests {
             let mode = Mode { sigma, omega0: OMEGA0, force_constant: 1.5e6, envelope_constant: 3.71 };
             let drive = Drive { vpp, omega: OMEGA0 + detuning };
             let w = Complex64::new(w[0], w[1]);
-            let state = match tier {
+            let state = match model {
                 Model::Linear => State { w: w.re * Complex64::new(1.0, 0.4), u: 0.4.into() },
                 Model::Envelope => State { w, u: Complex64::ZERO },
                 Model::Modal | Model::Carrier => State { w, u: Complex64::I * drive.omega * fast * w },
             };
             let monitor = BandMonitor { signal, low, high: low + width };
-            let flow = Flow::new(tier, &mode, &drive, &state);
+            let flow = Flow::new(model, &mode, &drive, &state);
             let bound = flow.excursion_bound();
             let (start, end) = (Time::from_nanos(5_000_123), Time::from_nanos(6_000_400));
             let search = |seconds_within: &dyn Fn(f64, f64) -> f64| {

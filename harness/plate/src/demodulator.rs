@@ -1,4 +1,4 @@
-//! Models the sensor's electronics in the carrier tier: sampling converter and lock-in demodulator.
+//! Models the sensor's electronics in the carrier model: sampling converter and lock-in demodulator.
 //!
 //! The converter samples `y = Re(W e^{jθ})` at multiples of its own period, clips and rounds it.
 //! The demodulator multiplies each sample by `2 e^{−jθ}`, with the phase θ of the excitation. Its
@@ -192,11 +192,11 @@ mod tests {
 
     const OMEGA: f64 = 203_540.0;
 
-    fn flow(tier: Model) -> Flow {
+    fn flow(model: Model) -> Flow {
         let mode = Mode { sigma: 532.0, omega0: 202_995.0, force_constant: 1.5e6, envelope_constant: 3.71 };
-        let u = if tier == Model::Linear { 0.5 } else { 3e5 };
+        let u = if model == Model::Linear { 0.5 } else { 3e5 };
         let state = State { w: Complex64::new(1.0, 0.5), u: u.into() };
-        Flow::new(tier, &mode, &Drive { vpp: 300.0, omega: OMEGA }, &state)
+        Flow::new(model, &mode, &Drive { vpp: 300.0, omega: OMEGA }, &state)
     }
 
     fn lockin(converter_hz: f64, periods: u32) -> Lockin {
@@ -207,10 +207,10 @@ mod tests {
     fn every_sample_equals_the_closed_form() {
         // The samples are at whole nanoseconds, so that the phase of each is exact.
         let converter_hz = 1.25e6;
-        for tier in Model::ALL {
-            let flow = flow(tier);
+        for model in Model::ALL {
+            let flow = flow(model);
             let (_, [slow, other]) = flow.terms();
-            assert!(tier == Model::Envelope || other.0 != Complex64::ZERO);
+            assert!(model == Model::Envelope || other.0 != Complex64::ZERO);
             assert!(slow.1.re < 0.0);
             let mut demodulator = Demodulator::new(lockin(converter_hz, 2_000), OMEGA);
             let rate = PhaseRate::from_omega(OMEGA);
@@ -222,7 +222,7 @@ mod tests {
                 let so_far = start_phase.after(now, rate);
                 let state = flow.after(now.seconds());
                 let mode = Mode { sigma: 532.0, omega0: 202_995.0, force_constant: 1.5e6, envelope_constant: 3.71 };
-                let from_here = Flow::new(tier, &mode, &Drive { vpp: 300.0, omega: OMEGA }, &state);
+                let from_here = Flow::new(model, &mode, &Drive { vpp: 300.0, omega: OMEGA }, &state);
                 let (rest, terms) = from_here.terms();
                 demodulator.advance(rest, terms, now, next, so_far, OMEGA);
                 (now, piece) = (next, piece * 3 % 2_345_678 + 1);
@@ -235,8 +235,8 @@ mod tests {
                 let expected = 2.0 * (flow.after(instant.seconds()).w * theta).re * theta.conj();
                 worst = worst.max((demodulator.products[number as usize] - expected).norm());
             }
-            println!("{}: 25 001 samples in pieces against the closed form: {worst:.1e} µm", tier.name());
-            assert!(worst < 4e-12, "{}: {worst:e}", tier.name());
+            println!("{}: 25 001 samples in pieces against the closed form: {worst:.1e} µm", model.name());
+            assert!(worst < 4e-12, "{}: {worst:e}", model.name());
         }
     }
 }

@@ -26,7 +26,7 @@ const NEGLIGIBLE: f64 = 1e-150;
 const MIN_POLE_DISTANCE: f64 = 1e-8;
 
 /// Model of the plate, the key `model` of a scenario. `docs/mathematics.md` states the terms that
-/// each tier omits, and its error.
+/// each model omits, and its error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub enum Model {
     /// Equations 13 and 19: V gives Wd and Δω gives Wq/Wd, by two decoupled first-order systems.
@@ -54,7 +54,7 @@ impl Model {
     }
 
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|tier| tier.name() == name)
+        Self::ALL.into_iter().find(|model| model.name() == name)
     }
 
     pub const fn has_both_poles(self) -> bool {
@@ -66,7 +66,7 @@ impl Model {
 pub struct State {
     /// `W = Wd + jWq`, µm.
     pub w: Complex64,
-    /// `U = W' + jωW`, µm/s; 0 in the envelope tier. In the linear tier the real part is the ratio
+    /// `U = W' + jωW`, µm/s; 0 in the envelope model. In the linear model the real part is the ratio
     /// Wq/Wd, and `w` is `Wd (1 + j Wq/Wd)`.
     pub u: Complex64,
 }
@@ -137,9 +137,9 @@ pub struct Flow {
 #[derive(Debug, Clone, Copy)]
 enum SecondTerm {
     Envelope,
-    /// Fast pole, and the excitation frequency ω. Modal and carrier tier.
+    /// Fast pole, and the excitation frequency ω. Modal and carrier model.
     FastPole(ExponentialTerm, f64),
-    /// Ratio Wq/Wd of the linear tier. `slow_pole` is then the pole of Wd.
+    /// Ratio Wq/Wd of the linear model. `slow_pole` is then the pole of Wd.
     Ratio {
         rest: f64,
         amplitude: f64,
@@ -161,8 +161,8 @@ impl ExponentialTerm {
 
 impl Flow {
     /// `mode` must be resonant (σ < ω0), which a checked plate and scenario guarantee.
-    pub fn new(tier: Model, mode: &Mode, drive: &Drive, state: &State) -> Self {
-        match tier {
+    pub fn new(model: Model, mode: &Mode, drive: &Drive, state: &State) -> Self {
+        match model {
             Model::Linear => Self::linear(mode, drive, state),
             Model::Modal | Model::Carrier => Self::modal(mode, drive, state),
             Model::Envelope => Self::envelope(mode, drive, state),
@@ -374,9 +374,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tiers_are_ordered_and_found_by_name() {
-        for tier in Model::ALL {
-            assert_eq!(Model::from_name(tier.name()), Some(tier));
+    fn models_are_ordered_and_found_by_name() {
+        for model in Model::ALL {
+            assert_eq!(Model::from_name(model.name()), Some(model));
         }
         assert!(Model::ALL.is_sorted());
         assert_eq!(Model::from_name("Modal"), None);

@@ -54,7 +54,7 @@ struct SmoothInterval {
 pub struct Plant {
     plate: Plate,
     scene: ConditionProfiles,
-    tier: Model,
+    model: Model,
     time: Time,
     state: State,
     /// Drive at the amplifier's input.
@@ -64,24 +64,24 @@ pub struct Plant {
     demodulator: Option<Demodulator>,
     max_pole_rate: f64,
     interval: Option<SmoothInterval>,
-    /// `None` in the tiers `linear` and `envelope`, and for a plate without optional effects.
+    /// `None` in the models `linear` and `envelope`, and for a plate without optional effects.
     effects: Option<Box<ActiveEffects>>,
 }
 
 impl Plant {
-    /// The plate starts at rest without drive. In the carrier tier the lock-in demodulator is the
+    /// The plate starts at rest without drive. In the carrier model the lock-in demodulator is the
     /// sensor, if the plate has one.
-    pub fn new(plate: Plate, scene: ConditionProfiles, tier: Model) -> Self {
-        let lockin = plate.lockin.filter(|_| tier == Model::Carrier);
+    pub fn new(plate: Plate, scene: ConditionProfiles, model: Model) -> Self {
+        let lockin = plate.lockin.filter(|_| model == Model::Carrier);
         Self {
             demodulator: lockin.map(|lockin| Demodulator::new(lockin, plate.omega0)),
             max_pole_rate: max_slow_pole_rate(&plate, &scene),
             interval: None,
-            effects: (tier.has_both_poles() && plate.first_effect().is_some())
+            effects: (model.has_both_poles() && plate.first_effect().is_some())
                 .then(|| Box::new(ActiveEffects::start(&plate.effects))),
             plate,
             scene,
-            tier,
+            model,
             time: Time::ZERO,
             state: State::default(),
             drive: Drive::default(),
@@ -276,7 +276,7 @@ impl Plant {
     }
 
     fn advance_frozen(&mut self, mode: &Mode, end: Time, bands: &mut BandSearch<'_>) {
-        let flow = Flow::new(self.tier, mode, &self.drive, &self.state);
+        let flow = Flow::new(self.model, mode, &self.drive, &self.state);
         self.observe_frozen(&flow, end, bands);
         self.finish_step(end, flow.after((end - self.time).seconds()));
     }
@@ -289,7 +289,7 @@ impl Plant {
         let middle = start.midpoint(last);
         let modes = self.scene.at_each([start, middle, last]).map(|conditions| self.plate.mode(&conditions));
         let [middle, last] = [middle, last].map(|time| (time - start).seconds());
-        let varying = VaryingFlow::new(self.tier, modes, [middle, last], &self.drive, &self.state);
+        let varying = VaryingFlow::new(self.model, modes, [middle, last], &self.drive, &self.state);
         let seconds = (end - start).seconds();
         if !bands.monitors.is_empty() {
             // The bound is valid only from the start of the interval.
@@ -299,7 +299,7 @@ impl Plant {
         }
         self.demodulate_pieces(end, longest, |plant, from, to| {
             let (mode, state) = (plant.mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
-            Flow::new(plant.tier, &mode, &plant.drive, &state)
+            Flow::new(plant.model, &mode, &plant.drive, &state)
         });
         self.finish_step(end, varying.after(seconds));
     }

@@ -27,7 +27,7 @@ pub struct Plate {
     pub drive_limit_vpp: f64,
     /// Standard deviation of the noise on each of Wd and Wq.
     pub noise_um_rms: f64,
-    /// Lock-in of the carrier tier; `None` if the sensor measures W directly.
+    /// Lock-in of the carrier model; `None` if the sensor measures W directly.
     pub lockin: Option<Lockin>,
     /// Resolution of Wd and Wq if the sensor has a converter but no lock-in.
     pub resolution: Option<ConverterResolution>,

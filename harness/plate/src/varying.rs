@@ -1,6 +1,6 @@
 //! Propagates the plate while a finger or the temperature changes its mode.
 //!
-//! Over a step, σ and ω0 follow a parabola each. Every tier is transformed to scalar equations
+//! Over a step, σ and ω0 follow a parabola each. Every model is transformed to scalar equations
 //! `x' = λ(t)x + g(t)`, one per pole. The first two terms of the Magnus series solve each of them
 //! (Blanes, Casas, Oteo, Ros, "The Magnus expansion and some of its applications", Physics Reports
 //! 470, 2009). With λ the mean over the step t, λ' its slope and `E = e^{λt}`,
@@ -121,7 +121,7 @@ fn forced_part(forcing: &Forcing, pole: Complex64, pole_slope: Complex64, force_
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct VaryingFlow {
-    tier: Model,
+    model: Model,
     drive: Drive,
     state: State,
     force_constant: f64,
@@ -132,11 +132,11 @@ pub(crate) struct VaryingFlow {
 
 impl VaryingFlow {
     /// The modes are those at 0 s and at `times` in s.
-    pub(crate) fn new(tier: Model, modes: [Mode; 3], times: [f64; 2], drive: &Drive, state: &State) -> Self {
+    pub(crate) fn new(model: Model, modes: [Mode; 3], times: [f64; 2], drive: &Drive, state: &State) -> Self {
         let through = |of: fn(&Mode) -> f64| Parabola::through(modes.each_ref().map(of), times);
         let [first, ..] = modes;
         Self {
-            tier,
+            model,
             drive: *drive,
             state: *state,
             force_constant: first.force_constant,
@@ -147,7 +147,7 @@ impl VaryingFlow {
     }
 
     pub(crate) fn after(&self, seconds: f64) -> State {
-        let state = match self.tier {
+        let state = match self.model {
             Model::Linear => self.linear(seconds),
             Model::Envelope => self.envelope(seconds),
             Model::Modal | Model::Carrier => self.modal(seconds),
@@ -162,7 +162,7 @@ impl VaryingFlow {
         let (damping, detuning) = (self.sigma.start, self.omega0.start - self.drive.omega);
         let (damping_swing, detuning_swing) = (self.sigma.max_change(seconds), self.omega0.max_change(seconds));
         let swing = damping_swing + detuning_swing;
-        match self.tier {
+        match self.model {
             Model::Linear => {
                 let in_phase = seconds * ((force - damping * w.re).abs() + damping_swing * w.re.abs());
                 let turned = damping_swing * u.re.abs() + detuning_swing;
@@ -272,24 +272,24 @@ mod tests {
         Mode { sigma, omega0: OMEGA0 + shift, force_constant: 1.5e6, envelope_constant: 3.71 }
     }
 
-    fn varying(tier: Model, modes: [(f64, f64); 3], drive: Drive, state: State) -> VaryingFlow {
+    fn varying(model: Model, modes: [(f64, f64); 3], drive: Drive, state: State) -> VaryingFlow {
         let modes = modes.map(|(sigma, shift)| mode(sigma, shift));
-        VaryingFlow::new(tier, modes, [0.5e-3, 1e-3], &drive, &state)
+        VaryingFlow::new(model, modes, [0.5e-3, 1e-3], &drive, &state)
     }
 
     #[test]
     fn a_constant_mode_gives_the_closed_form() {
         let drive = Drive { vpp: 300.0, omega: OMEGA0 + 300.0 };
-        for tier in Model::ALL {
-            let u = if tier == Model::Linear { 0.5.into() } else { Complex64::new(3e5, 2e5) };
-            let u = if tier == Model::Envelope { Complex64::ZERO } else { u };
+        for model in Model::ALL {
+            let u = if model == Model::Linear { 0.5.into() } else { Complex64::new(3e5, 2e5) };
+            let u = if model == Model::Envelope { Complex64::ZERO } else { u };
             let state = State { w: Complex64::new(1.0, 0.5), u };
-            let varying = varying(tier, [(532.0, 9.0); 3], drive, state);
-            let flow = crate::flow::Flow::new(tier, &mode(532.0, 9.0), &drive, &state);
+            let varying = varying(model, [(532.0, 9.0); 3], drive, state);
+            let flow = crate::flow::Flow::new(model, &mode(532.0, 9.0), &drive, &state);
             for seconds in [0.0, 1e-9, 1e-6, 1e-4, 1e-3] {
                 let (ours, theirs) = (varying.after(seconds), flow.after(seconds));
-                assert!((ours.w - theirs.w).norm() < 1e-13, "{} {seconds} {ours:?} {theirs:?}", tier.name());
-                assert!((ours.u - theirs.u).norm() < 1e-13 * OMEGA0, "{} {seconds} {ours:?} {theirs:?}", tier.name());
+                assert!((ours.w - theirs.w).norm() < 1e-13, "{} {seconds} {ours:?} {theirs:?}", model.name());
+                assert!((ours.u - theirs.u).norm() < 1e-13 * OMEGA0, "{} {seconds} {ours:?} {theirs:?}", model.name());
             }
         }
     }
@@ -306,7 +306,7 @@ mod tests {
     proptest! {
         #[test]
         fn the_change_of_w_stays_within_its_bound(
-            tier in prop::sample::select(&Model::ALL),
+            model in prop::sample::select(&Model::ALL),
             sigmas in prop::array::uniform3(300.0..2_000.0),
             shifts in prop::array::uniform3(-600.0..600.0),
             vpp in 0.0..800.0,
@@ -321,16 +321,16 @@ mod tests {
                 // Start in the steady state of the first mode: only the change of the mode moves W.
                 w = 3.71 * vpp / Complex64::new(sigmas[0], drive.omega - OMEGA0 - shifts[0]);
             }
-            let u = match tier {
+            let u = match model {
                 Model::Linear if at_rest => Complex64::from((shifts[0] - detuning) / sigmas[0]),
                 Model::Linear => (w.im / w.re).clamp(-2.0, 2.0).into(),
                 Model::Envelope => Complex64::ZERO,
                 Model::Modal | Model::Carrier => J * drive.omega * w,
             };
-            if tier == Model::Linear {
+            if model == Model::Linear {
                 w = if at_rest { 3.71 * vpp / sigmas[0] } else { w.re } * Complex64::new(1.0, u.re);
             }
-            let varying = varying(tier, modes, drive, State { w, u });
+            let varying = varying(model, modes, drive, State { w, u });
             for step in 1..=100 {
                 let seconds = 1e-5 * f64::from(step);
                 let (gone, reach) = ((varying.after(seconds).w - w).norm(), varying.max_excursion(seconds));

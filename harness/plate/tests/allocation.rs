@@ -21,7 +21,7 @@ fn detects_an_allocation() {
 }
 
 #[rstest]
-fn no_control_period_allocates(#[values(Model::Linear, Model::Envelope, Model::Modal, Model::Carrier)] tier: Model) {
+fn no_control_period_allocates(#[values(Model::Linear, Model::Envelope, Model::Modal, Model::Carrier)] model: Model) {
     let ms = |ms| Time::from_ms(ms).unwrap();
     let scene = ConditionProfiles {
         temperature_offset_k: Profile::constant(3.0),
@@ -29,7 +29,7 @@ fn no_control_period_allocates(#[values(Model::Linear, Model::Envelope, Model::M
     };
     let plate = plate();
     let omega = plate.omega0;
-    let mut plant = Plant::new(plate, scene, tier);
+    let mut plant = Plant::new(plate, scene, model);
     let mut sensor = Sensor::new(1.0, 0.01, 1);
     let mut crossings = Vec::with_capacity(64);
     let monitors = [BandMonitor { signal: BandSignal::Amplitude, low: 0.5, high: 1.5 }];
@@ -42,5 +42,5 @@ fn no_control_period_allocates(#[values(Model::Linear, Model::Envelope, Model::M
         }
     });
     assert!(!crossings.is_empty() && crossings.capacity() == 64);
-    assert_eq!(allocations.count_total, 0, "{}: {allocations:?}", tier.name());
+    assert_eq!(allocations.count_total, 0, "{}: {allocations:?}", model.name());
 }

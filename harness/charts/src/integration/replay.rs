@@ -1,4 +1,4 @@
-//! Replays the drives of a part of a trial with any tier or integration method.
+//! Replays the drives of a part of a trial with any model or integration method.
 
 use crate::integration::failure::MethodFailure;
 use crate::integration::method::IntegrationMethod;
@@ -23,7 +23,7 @@ impl EquationForm {
         self.into_str()
     }
 
-    pub const fn tier(self) -> Model {
+    pub const fn model(self) -> Model {
         match self {
             Self::Envelope => Model::Envelope,
             Self::Modal | Self::Carrier => Model::Modal,
@@ -117,8 +117,8 @@ impl Replay {
         self.intervals.iter().map(|piece| piece.seconds).sum()
     }
 
-    pub fn plant(&self, tier: Model) -> Plant {
-        Plant::new(self.plate.clone(), self.scene.clone(), tier)
+    pub fn plant(&self, model: Model) -> Plant {
+        Plant::new(self.plate.clone(), self.scene.clone(), model)
     }
 
     /// Calls `see` with the state at each control instant.
@@ -134,13 +134,13 @@ impl Replay {
     }
 
     pub fn exact_samples(&self, frame: EquationForm) -> Vec<Complex64> {
-        self.samples(frame.tier(), frame)
+        self.samples(frame.model(), frame)
     }
 
-    /// Samples of the exact propagation with `tier`, in the form of `frame`.
-    pub(crate) fn samples(&self, tier: Model, frame: EquationForm) -> Vec<Complex64> {
+    /// Samples of the exact propagation with `model`, in the form of `frame`.
+    pub(crate) fn samples(&self, model: Model, frame: EquationForm) -> Vec<Complex64> {
         let mut states = Vec::new();
-        self.advance_plant(&mut self.plant(tier), |state| states.push(state));
+        self.advance_plant(&mut self.plant(model), |state| states.push(state));
         let ends = self.intervals.iter().filter(|piece| piece.ends_at_control);
         let seen = |(state, piece): (State, &ReplayInterval)| match frame {
             EquationForm::Envelope | EquationForm::Modal => state.w,

@@ -59,7 +59,7 @@ impl Solver {
 
     pub const fn problem(&self) -> &'static str {
         match self {
-            Self::Exact(tier) => tier.name(),
+            Self::Exact(model) => model.name(),
             Self::General(frame, ..) => frame.name(),
         }
     }
@@ -96,8 +96,8 @@ impl SolverTimer<'_> {
     fn measure_cost(&mut self) -> f64 {
         let repeats = self.repeats;
         let (elapsed, seconds) = match self.solver {
-            Solver::Exact(tier) => {
-                let mut plants: Vec<Plant> = (0..repeats).map(|_| self.passage.plant(tier)).collect();
+            Solver::Exact(model) => {
+                let mut plants: Vec<Plant> = (0..repeats).map(|_| self.passage.plant(model)).collect();
                 let started = thread_cpu_time();
                 for plant in &mut plants {
                     self.passage.advance_plant(plant, |state| {
@@ -195,11 +195,11 @@ impl<'a> ReferenceSolutions<'a> {
     fn measure_errors(&self, runner: SolverTimer<'_>) -> SweepResult {
         let passage = self.passage;
         let (samples, frame, failure) = match runner.solver {
-            Solver::Exact(tier) => (passage.samples(tier, EquationForm::Modal), form_of_tier(tier), None),
+            Solver::Exact(model) => (passage.samples(model, EquationForm::Modal), form_of_model(model), None),
             Solver::General(frame, ..) => (runner.outcome.samples, frame, runner.outcome.failure),
         };
         let own = match runner.solver {
-            // No general method solves this tier's equations, so their error is all model error.
+            // No general method solves this model's equations, so their error is all model error.
             Solver::Exact(Model::Linear) => &samples,
             Solver::Exact(_) => self.of(frame)[1],
             Solver::General(..) => self.best(frame),
@@ -231,9 +231,9 @@ impl<'a> ReferenceSolutions<'a> {
     }
 }
 
-/// Equations whose W the tier computes. The linear tier simplifies the envelope equations.
-const fn form_of_tier(tier: Model) -> EquationForm {
-    match tier {
+/// Equations whose W the model computes. The linear model simplifies the envelope equations.
+const fn form_of_model(model: Model) -> EquationForm {
+    match model {
         Model::Linear | Model::Envelope => EquationForm::Envelope,
         Model::Modal | Model::Carrier => EquationForm::Modal,
     }

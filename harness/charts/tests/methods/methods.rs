@@ -247,8 +247,8 @@ fn failures_are_reported() {
 fn a_sweep_covers_every_problem_and_marks_failures() {
     let passage = replay_from_rest(&constant_scene(), 3);
     let measured = sweep(&passage, &SweepConfig { rounds: 1, batch: Duration::ZERO, setting_stride: 4 });
-    for tier in Model::ALL {
-        let exact = measured.iter().find(|row| row.solver == Solver::Exact(tier)).unwrap();
+    for model in Model::ALL {
+        let exact = measured.iter().find(|row| row.solver == Solver::Exact(model)).unwrap();
         assert!(exact.numerical_error < 1e-9 && exact.status == SolverStatus::Ok, "{exact:?}");
     }
     for row in &measured {

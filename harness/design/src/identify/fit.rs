@@ -1,6 +1,6 @@
 //! Fits the exact response of the mode to all samples (the direct fit).
 //!
-//! The model is the modal tier with piecewise constant drive, frequency, temperature and force. Its
+//! The plate is the modal model with piecewise constant drive, frequency, temperature and force. Its
 //! parameters are K1, one time constant per force, one resonance per temperature and force, the
 //! time of each change of force, and W at the first sample. Noise is modelled as an error of the
 //! output. Therefore the estimates are unbiased to first order, and the residuals of the right

@@ -101,22 +101,22 @@ impl GainDesign {
         &self,
         target: &TuningTarget<'_>,
         plate: &Plate,
-        tier: Model,
+        model: Model,
         which: [bool; 2],
     ) -> Result<ClosedLoop, AnalysisError> {
-        let (plant, controller) = self.linear_parts(&TuningTarget { plate, ..*target }, tier, which);
+        let (plant, controller) = self.linear_parts(&TuningTarget { plate, ..*target }, model, which);
         ClosedLoop::new(plant, controller, LoopTiming { period: target.period(), delay: target.delay })
     }
 
     pub(crate) fn linear_parts(
         &self,
         target: &TuningTarget<'_>,
-        tier: Model,
+        model: Model,
         [drive, frequency]: [bool; 2],
     ) -> (LinearPlant, LinearController) {
         let mode = target.mode();
         let steady = Drive { vpp: mode.drive_for(target.setpoint), omega: mode.omega0 };
-        let plant = LinearPlant::linearised_at(tier, &mode, &steady);
+        let plant = LinearPlant::linearised_at(model, &mode, &steady);
         let controller = LinearController {
             drive: drive.then_some(LoopChannel { pi: self.amplitude, error_weights: [-1.0, 0.0] }),
             frequency: frequency

@@ -1,4 +1,4 @@
-//! Tests samples behind a lock-in: its output in the carrier tier, W in the other tiers.
+//! Tests samples behind a lock-in: its output in the carrier model, W in the other models.
 
 use crate::fixtures::{LOCKSTEP, plan, run_hosted};
 use platebench_test_kit::{PLATE, write_scenario};
@@ -30,7 +30,7 @@ fn play(model: &str, sensor: &str) -> Vec<[f64; 2]> {
 }
 
 #[test]
-fn the_carrier_tier_samples_the_delayed_lock_in() {
+fn the_carrier_model_samples_the_delayed_lock_in() {
     let samples = play("carrier", LOCKIN);
     assert!(samples.len() >= 10);
     // At 286 Vpp, Wd rises to 2 µm with the time constant τ. Eight periods delay it by 124 µs.
@@ -43,7 +43,7 @@ fn the_carrier_tier_samples_the_delayed_lock_in() {
 }
 
 #[test]
-fn other_tiers_and_plates_without_a_lock_in_sample_w() {
+fn other_models_and_plates_without_a_lock_in_sample_w() {
     let carrier = play("carrier", "[sensor]");
     assert_eq!(carrier, play("modal", LOCKIN));
     for [wd, sensed] in carrier.into_iter().chain(play("envelope", LOCKIN)) {

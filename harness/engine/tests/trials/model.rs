@@ -8,8 +8,8 @@ use platebench_test_kit::{PLATE, load_scenario, write_scenario};
 use std::fs;
 use std::path::Path;
 
-fn rows(scenario: &Scenario, tier: Model) -> Vec<Row> {
-    let scenario = Scenario { tier, ..scenario.clone() };
+fn rows(scenario: &Scenario, model: Model) -> Vec<Row> {
+    let scenario = Scenario { model, ..scenario.clone() };
     lockstep::play_hosted(&scenario, law(&scenario).unwrap(), 0).unwrap().trace_rows
 }
 
@@ -24,7 +24,7 @@ fn max_deviation(left: &[Row], right: &[Row]) -> (f64, usize) {
 #[test]
 fn every_model_has_a_row_at_every_control_instant() {
     let scenario = load_scenario(FIG13);
-    let [carrier, exact, cheap] = [Model::Carrier, Model::Modal, Model::Envelope].map(|tier| rows(&scenario, tier));
+    let [carrier, exact, cheap] = [Model::Carrier, Model::Modal, Model::Envelope].map(|model| rows(&scenario, model));
     let controls = |rows: &[Row]| rows.iter().filter(|row| row.flags.contains(Flags::CONTROL)).count();
     assert_eq!(controls(&exact), controls(&cheap));
     let (error, compared) = max_deviation(&exact, &cheap);

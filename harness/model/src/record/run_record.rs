@@ -217,7 +217,7 @@ pub struct Overrides {
     pub law: Option<String>,
     pub trials: Option<u32>,
     pub seed: Option<u64>,
-    /// `--model`: name of a tier, or `auto`.
+    /// `--model`: name of a model, or `auto`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
     /// `--require-all`: a scenario that is not applicable fails the run.

@@ -36,7 +36,7 @@ pub struct Scenario {
     pub source: Option<String>,
     pub tags: Vec<String>,
     pub plate: Plate,
-    pub tier: Model,
+    pub model: Model,
     pub duration: Time,
     pub trace_step: Time,
     /// Reason why the scenario is played only if it or its own folder is named.
@@ -137,18 +137,17 @@ impl Scenario {
         [AUTO_MODEL, linear, envelope, modal, carrier]
     }
 
-    /// Tier (kind of plate model) named `model`. `auto` selects the exact tier for `plate`. `None`
-    /// if the name is unknown.
-    pub fn tier_for(model: &str, plate: &Plate) -> Option<Model> {
-        if model == AUTO_MODEL { Some(Model::exact_for(plate)) } else { Model::from_name(model) }
+    /// Model named `name`. `auto` selects the exact model for `plate`. `None` if the name is unknown.
+    pub fn model_for(name: &str, plate: &Plate) -> Option<Model> {
+        if name == AUTO_MODEL { Some(Model::exact_for(plate)) } else { Model::from_name(name) }
     }
 
-    pub fn omitted_effect(tier: Model, plate: &Plate) -> Option<String> {
-        let effect = plate.first_effect().filter(|_| !tier.has_both_poles())?;
+    pub fn omitted_effect(model: Model, plate: &Plate) -> Option<String> {
+        let effect = plate.first_effect().filter(|_| !model.has_both_poles())?;
         let [auto, modal, carrier] = [AUTO_MODEL, Model::Modal.name(), Model::Carrier.name()];
         Some(format!(
             "the model {} omits `{effect}` of the plate file, expected {auto}, {modal} or {carrier}",
-            tier.name()
+            model.name()
         ))
     }
 
@@ -216,7 +215,7 @@ impl Variation {
             temperature_offset_k: shift_profile(&scenario.conditions.temperature_offset_k, self.temperature_k),
             finger_force_n: scenario.conditions.finger_force_n.clone(),
         };
-        Plant::new(self.plate(&scenario.plate), scene, scenario.tier)
+        Plant::new(self.plate(&scenario.plate), scene, scenario.model)
     }
 
     pub fn sensor(&self, scenario: &Scenario) -> Sensor {

@@ -52,25 +52,25 @@ fn drive(plate: &Plate, period: u64) -> Drive {
     Drive { vpp: 200.0 + turn, omega: plate.omega0 + 10.0 * turn }
 }
 
-fn flow(tier: Model) -> Box<dyn FnMut()> {
+fn flow(model: Model) -> Box<dyn FnMut()> {
     let plate = plate();
     let mode = plate.mode(&Conditions::default());
     let (mut state, mut period) = (State::default(), 0);
     Box::new(move || {
         period += 1;
-        let flow = Flow::new(tier, black_box(&mode), &drive(&plate, period), &state);
+        let flow = Flow::new(model, black_box(&mode), &drive(&plate, period), &state);
         state = black_box(flow.after(black_box(1e-3)));
     })
 }
 
-fn moving_plant(tier: Model) -> Plant {
+fn moving_plant(model: Model) -> Plant {
     let scene =
         ConditionProfiles { temperature_offset_k: Profile::constant(3.0), finger_force_n: Profile::constant(0.5) };
-    Plant::new(plate(), scene, tier)
+    Plant::new(plate(), scene, model)
 }
 
-fn plant(tier: Model) -> Box<dyn FnMut()> {
-    let (mut plant, mut period, mut crossings) = (moving_plant(tier), 0, Vec::new());
+fn plant(model: Model) -> Box<dyn FnMut()> {
+    let (mut plant, mut period, mut crossings) = (moving_plant(model), 0, Vec::new());
     Box::new(move || {
         period += 1;
         plant.set_drive(drive(plant.plate(), period));
@@ -80,13 +80,13 @@ fn plant(tier: Model) -> Box<dyn FnMut()> {
 }
 
 /// The finger force rises for 0.1 s and falls for 0.1 s, at 10 N/s.
-fn ramp(tier: Model) -> Box<dyn FnMut()> {
+fn ramp(model: Model) -> Box<dyn FnMut()> {
     let points = (0..=100).map(|turn| (PERIOD.times(100 * turn), f64::from(turn % 2 == 1)));
     let scene = ConditionProfiles {
         temperature_offset_k: Profile::constant(3.0),
         finger_force_n: Profile::Linear(points.collect()),
     };
-    let fresh = Plant::new(plate(), scene, tier);
+    let fresh = Plant::new(plate(), scene, model);
     let (mut plant, mut period, mut crossings) = (fresh.clone(), 0, Vec::new());
     Box::new(move || {
         if period == 10_000 {

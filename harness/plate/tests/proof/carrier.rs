@@ -1,4 +1,4 @@
-//! Tests the carrier tier: state, waveform, converter and lock-in.
+//! Tests the carrier model: state, waveform, converter and lock-in.
 
 use crate::reference::{
     HOLDING_DRIVE_VPP, Random, ReferencePlate, SETPOINT, constant_conditions, driven_plant, holding_plant, paper_plate,
@@ -31,7 +31,7 @@ fn moving_conditions() -> ConditionProfiles {
 }
 
 #[test]
-fn the_carrier_tier_is_the_modal_plate_bit_for_bit() {
+fn the_carrier_model_is_the_modal_plate_bit_for_bit() {
     let plate = with_lockin(8, 1e6, None);
     let mut modal = Plant::new(plate.clone(), moving_conditions(), Model::Modal);
     let mut carrier = Plant::new(plate.clone(), moving_conditions(), Model::Carrier);

@@ -224,9 +224,9 @@ fn crossings_are_found_with_both_modes() {
 }
 
 #[rstest]
-fn simple_models_omit_the_effects(#[values(Model::Linear, Model::Envelope)] tier: Model) {
+fn simple_models_omit_the_effects(#[values(Model::Linear, Model::Envelope)] model: Model) {
     let plate = plate_with(Effects { second_mode: Some(second_mode()), ..amplified(Some(5e3), None) });
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
-    let run = |plate: &Plate| state_at(&mut driven_plant(plate, &constant_conditions(), tier, drive), 3.0);
+    let run = |plate: &Plate| state_at(&mut driven_plant(plate, &constant_conditions(), model, drive), 3.0);
     assert_eq!(run(&plate), run(&paper_plate()));
 }

@@ -18,9 +18,9 @@ fn moving_conditions(start_ms: f64, warm_up_ms: f64) -> ConditionProfiles {
     }
 }
 
-fn largest_error(plate: &Plate, tier: Model, short_ns: u64, error: impl Fn(&Plant, &Plant) -> f64) -> f64 {
+fn largest_error(plate: &Plate, model: Model, short_ns: u64, error: impl Fn(&Plant, &Plant) -> f64) -> f64 {
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + 50.0 };
-    let [mut long, mut short] = [(); 2].map(|()| driven_plant(plate, &moving_conditions(3.0, 500.0), tier, drive));
+    let [mut long, mut short] = [(); 2].map(|()| driven_plant(plate, &moving_conditions(3.0, 500.0), model, drive));
     let mut worst = 0.0_f64;
     for period in 1..=30_u64 {
         let end = Time::from_nanos(period * 1_000_000);
@@ -35,10 +35,11 @@ fn largest_error(plate: &Plate, tier: Model, short_ns: u64, error: impl Fn(&Plan
 
 /// The reference uses intervals of 1 µs; their error (first commutator) is below 1e-9.
 #[rstest]
-fn every_tier_is_accurate_in_long_intervals(#[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model) {
+fn every_model_is_accurate_in_long_intervals(#[values(Model::Linear, Model::Envelope, Model::Modal)] model: Model) {
     let plate = Plate { omega0_per_n: 50.0, ..paper_plate() };
-    let worst = largest_error(&plate, tier, 1_000, |long, short| distance(&long.state(), &short.state(), plate.omega0));
-    println!("{}, 1 ms against 1 µs: {worst:.1e}", tier.name());
+    let worst =
+        largest_error(&plate, model, 1_000, |long, short| distance(&long.state(), &short.state(), plate.omega0));
+    println!("{}, 1 ms against 1 µs: {worst:.1e}", model.name());
     assert!(worst <= 1e-7, "{worst:e}");
 }
 
@@ -54,11 +55,11 @@ fn the_lock_in_does_not_depend_on_the_interval() {
 }
 
 #[rstest]
-fn intervals_of_nanoseconds_add_up(#[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model) {
+fn intervals_of_nanoseconds_add_up(#[values(Model::Linear, Model::Envelope, Model::Modal)] model: Model) {
     let plate = paper_plate();
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 };
     let [mut once, mut often] = [(); 2].map(|()| {
-        let mut plant = driven_plant(&plate, &moving_conditions(0.0, 50.0), tier, drive);
+        let mut plant = driven_plant(&plate, &moving_conditions(0.0, 50.0), model, drive);
         state_at(&mut plant, 5.0);
         plant
     });
@@ -67,7 +68,7 @@ fn intervals_of_nanoseconds_add_up(#[values(Model::Linear, Model::Envelope, Mode
     }
     once.advance(often.time(), &[], &mut Vec::new());
     let error = distance(&once.state(), &often.state(), plate.omega0);
-    assert!(error < 1e-13, "{}: {error:e}", tier.name());
+    assert!(error < 1e-13, "{}: {error:e}", model.name());
 }
 
 #[rstest]

@@ -17,25 +17,25 @@ fn assert_normal(plant: &Plant) {
 
 #[rstest]
 fn without_drive_the_plate_reaches_exactly_zero(
-    #[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model,
+    #[values(Model::Linear, Model::Envelope, Model::Modal)] model: Model,
     #[values(0.05, 1.0, 30.0)] interval_ms: f64,
 ) {
     let plate = paper_plate();
-    let mut plant = holding_plant(&plate, tier, 100.0);
+    let mut plant = holding_plant(&plate, model, 100.0);
     state_at(&mut plant, 30.0);
     plant.set_drive(Drive { vpp: 0.0, omega: plate.omega0 + 100.0 });
     let mut at_rest_from = None;
     for step in 1..=(5_000.0 / interval_ms) as u32 {
         let state = state_at(&mut plant, 30.0 + f64::from(step) * interval_ms);
         assert_normal(&plant);
-        // In the linear tier U is the ratio Wq/Wd, which decays independently of W.
-        let state = if tier == Model::Linear { State { u: Complex64::ZERO, ..state } } else { state };
+        // In the linear model U is the ratio Wq/Wd, which decays independently of W.
+        let state = if model == Model::Linear { State { u: Complex64::ZERO, ..state } } else { state };
         if state == State::default() && at_rest_from.is_none() {
             at_rest_from = Some(plant.time());
         }
     }
     let from = at_rest_from.unwrap();
-    println!("{}, intervals of {interval_ms} ms: exactly at rest from {from} on", tier.name());
+    println!("{}, intervals of {interval_ms} ms: exactly at rest from {from} on", model.name());
     // The decay from 2 µm to 1e-150 µm takes τ · 346 = 0.65 s, that of U in µm/s about 20 ms more.
     assert!((600.0..800.0).contains(&from.ms()));
     assert_eq!(plant.state().w, Complex64::ZERO);
@@ -43,10 +43,10 @@ fn without_drive_the_plate_reaches_exactly_zero(
 
 #[rstest]
 fn a_decaying_quadrature_does_not_become_subnormal(
-    #[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model,
+    #[values(Model::Linear, Model::Envelope, Model::Modal)] model: Model,
 ) {
     let plate = paper_plate();
-    let mut plant = holding_plant(&plate, tier, 545.0);
+    let mut plant = holding_plant(&plate, model, 545.0);
     state_at(&mut plant, 5.0);
     plant.set_drive(Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
     for period in 6..=5_000 {
@@ -54,7 +54,7 @@ fn a_decaying_quadrature_does_not_become_subnormal(
         assert_normal(&plant);
     }
     let w = plant.state().w;
-    println!("{}, 5 s at resonance: Wq = {:e} µm", tier.name(), w.im);
+    println!("{}, 5 s at resonance: Wq = {:e} µm", model.name(), w.im);
     assert!(w.im.abs() < 1e-15 && (w.re - 2.0).abs() < 1e-12, "{w}");
 }
 
@@ -76,14 +76,14 @@ fn is_finite_detects_every_component() {
 
 #[rstest]
 fn no_excitation_frequency_makes_the_plate_diverge(
-    #[values(Model::Linear, Model::Envelope, Model::Modal, Model::Carrier)] tier: Model,
+    #[values(Model::Linear, Model::Envelope, Model::Modal, Model::Carrier)] model: Model,
     #[values(0.0, 1.0, 1e5, 4e5, 1e9, 1e12)] omega: f64,
     #[values(None, Some(1e6))] quality: Option<f64>,
 ) {
     let plate = paper_plate();
     let sigma0 = quality.map_or(plate.sigma0, |quality| plate.omega0 / (2.0 * quality));
     let plate = Plate { sigma0, gain: plate.gain * plate.sigma0 / sigma0, ..plate };
-    let mut plant = driven_plant(&plate, &constant_conditions(), tier, Drive { vpp: 900.0, omega: plate.omega0 });
+    let mut plant = driven_plant(&plate, &constant_conditions(), model, Drive { vpp: 900.0, omega: plate.omega0 });
     let before = state_at(&mut plant, 10.0).amplitude();
     let mut largest = 0.0_f64;
     for period in 11..=60 {
@@ -92,8 +92,8 @@ fn no_excitation_frequency_makes_the_plate_diverge(
         assert!(state.is_finite());
         largest = largest.max(state.amplitude());
     }
-    if tier == Model::Linear {
-        // The linear tier has no resonance curve: Wd is that at resonance, and Wq = −τΔω Wd.
+    if model == Model::Linear {
+        // The linear model has no resonance curve: Wd is that at resonance, and Wq = −τΔω Wd.
         let furthest = (omega - plate.omega0).abs() / plate.sigma0;
         assert!(largest <= plate.gain * 900.0 * (1.0 + furthest), "{largest} µm");
         return;

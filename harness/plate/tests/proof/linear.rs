@@ -1,4 +1,4 @@
-//! Tests the linear tier, equations 13 and 19, and its error.
+//! Tests the linear model, equations 13 and 19, and its error.
 
 use crate::reference::{
     HOLDING_DRIVE_VPP, SETPOINT, conditions, constant_conditions, driven_plant, paper_plate, state_at,
@@ -7,7 +7,7 @@ use platebench_plate::{Complex64, Drive, Model};
 use rstest::rstest;
 
 #[rstest]
-fn the_linear_tier_is_the_two_transfer_functions(
+fn the_linear_model_is_the_two_transfer_functions(
     #[values(0.0, 1.5)] force: f64,
     #[values(-300.0, 0.0, 545.0)] detuning: f64,
 ) {
@@ -56,7 +56,7 @@ fn closed_loop_error(start: StartCondition, detuning: f64) -> f64 {
     let settling = if start == StartCondition::Settled { 40 } else { 0 };
     let mut drive = Drive { vpp: 0.0, omega: plate.omega0 };
     let mut plants =
-        [Model::Modal, Model::Linear].map(|tier| driven_plant(&plate, &constant_conditions(), tier, drive));
+        [Model::Modal, Model::Linear].map(|model| driven_plant(&plate, &constant_conditions(), model, drive));
     let (mut voltage, mut frequency) = (0.0, plate.omega0);
     let mut worst = 0.0_f64;
     for period in 0..settling + 40 {
@@ -86,7 +86,7 @@ fn open_loop_error(detuning: f64) -> [f64; 2] {
     let plate = paper_plate();
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
     let [modal, linear] = [Model::Modal, Model::Linear]
-        .map(|tier| state_at(&mut driven_plant(&plate, &constant_conditions(), tier, drive), 60.0).w);
+        .map(|model| state_at(&mut driven_plant(&plate, &constant_conditions(), model, drive), 60.0).w);
     let error = (linear - modal).norm();
     [error / SETPOINT, error / modal.norm()]
 }
@@ -97,7 +97,7 @@ fn open_loop_error(detuning: f64) -> [f64; 2] {
 #[case::one_step_of_figure_9(77.0, [2.24e-2, 2.19e-3, 2.13e-2])]
 #[case::detuned(545.0, [0.182, 0.105, 1.054])]
 #[case::far(2000.0, [1.357, 4.16, 14.22])]
-fn the_linear_tier_has_the_documented_error(#[case] detuning: f64, #[case] expected: [f64; 3]) {
+fn the_linear_model_has_the_documented_error(#[case] detuning: f64, #[case] expected: [f64; 3]) {
     let [from_rest, from_settled] =
         [StartCondition::Rest, StartCondition::Settled].map(|start| closed_loop_error(start, detuning));
     let [open, of_true] = open_loop_error(detuning);

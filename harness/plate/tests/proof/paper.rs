@@ -9,8 +9,8 @@ fn mode(plate: &Plate, temperature_offset_k: f64, finger_force_n: f64) -> Mode {
     plate.mode(&Conditions { temperature_offset_k, finger_force_n })
 }
 
-fn steady_state(plate: &Plate, tier: Model, [offset_k, force_n]: [f64; 2], drive: Drive) -> Complex64 {
-    state_at(&mut driven_plant(plate, &conditions(offset_k, force_n), tier, drive), 100.0).w
+fn steady_state(plate: &Plate, model: Model, [offset_k, force_n]: [f64; 2], drive: Drive) -> Complex64 {
+    state_at(&mut driven_plant(plate, &conditions(offset_k, force_n), model, drive), 100.0).w
 }
 
 #[test]
@@ -37,7 +37,9 @@ fn the_steady_state_is_on_the_resonance_curve() {
             widest = widest.max((modal - envelope).norm() / SETPOINT);
         }
     }
-    println!("steady states over ±5000 rad/s, 0 and 2 N, against the curves: {worst:.1e}; tiers apart by {widest:.1e}");
+    println!(
+        "steady states over ±5000 rad/s, 0 and 2 N, against the curves: {worst:.1e}; models apart by {widest:.1e}"
+    );
     assert!(worst <= 1e-12, "{worst:e}");
     assert!((1e-3..2e-3).contains(&widest), "{widest:e}");
 }
@@ -47,10 +49,10 @@ fn the_steady_state_is_on_the_resonance_curve() {
 #[case::fig_3_half(1.5, 0.5)]
 #[case::light(0.75, 1.0 / 1.5)]
 #[case::fig_16(2.0, 0.428_571)]
-fn a_finger_damps(#[case] force: f64, #[case] left: f64, #[values(Model::Modal, Model::Envelope)] tier: Model) {
+fn a_finger_damps(#[case] force: f64, #[case] left: f64, #[values(Model::Modal, Model::Envelope)] model: Model) {
     let plate = paper_plate();
-    let w = steady_state(&plate, tier, [0.0, force], Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
-    println!("{}, {force} N: |W| = {:.4} of the untouched", tier.name(), w.norm() / SETPOINT);
+    let w = steady_state(&plate, model, [0.0, force], Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
+    println!("{}, {force} N: |W| = {:.4} of the untouched", model.name(), w.norm() / SETPOINT);
     assert!((w.norm() / SETPOINT - left).abs() < 1e-6, "{w}");
     assert!(w.im.abs() < 1e-12, "still at resonance: {w}");
 }

@@ -1,4 +1,4 @@
-//! Compares each tier with the reference and with itself in other steps, for constant modes.
+//! Compares each model with the reference and with itself in other steps, for constant modes.
 
 use crate::reference::{
     HOLDING_DRIVE_VPP, Random, ReferencePlate, SETPOINT, conditions, constant_conditions, distance, driven_plant,
@@ -65,13 +65,13 @@ fn a_minute_in_steps_equals_one_step(
     #[case] quality: Option<f64>,
     #[case] detuning: f64,
     #[case] vpp: f64,
-    #[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model,
+    #[values(Model::Linear, Model::Envelope, Model::Modal)] model: Model,
     #[values(false, true)] irregular: bool,
 ) {
     let plate = plate_with_quality(quality);
     let drive = Drive { vpp, omega: plate.omega0 + detuning };
-    let whole = Flow::new(tier, &nominal_mode(&plate), &drive, &State::default());
-    let mut plant = driven_plant(&plate, &constant_conditions(), tier, drive);
+    let whole = Flow::new(model, &nominal_mode(&plate), &drive, &State::default());
+    let mut plant = driven_plant(&plate, &constant_conditions(), model, drive);
     let mut random = Random::new(4);
     let end = Time::from_nanos(60_000_000_000);
     let (mut worst, mut steps) = (0.0_f64, 0);
@@ -80,12 +80,12 @@ fn a_minute_in_steps_equals_one_step(
         let step = if irregular { random.in_range(0.0, 16.0).exp() as u64 } else { 1_000_000 };
         plant.advance((plant.time() + Time::from_nanos(step)).min(end), &[], &mut Vec::new());
         let expected = whole.after(plant.time().seconds());
-        // The linear tier has no resonance curve: at quality 10⁶ it gives 5000 times the setpoint.
-        let scale = if tier == Model::Linear { expected.amplitude().max(1.0) } else { 1.0 };
+        // The linear model has no resonance curve: at quality 10⁶ it gives 5000 times the setpoint.
+        let scale = if model == Model::Linear { expected.amplitude().max(1.0) } else { 1.0 };
         worst = worst.max(distance(&plant.state(), &expected, plate.omega0) / scale);
         steps += 1;
     }
-    println!("{}, {steps} steps over 60 s, quality {quality:?}, {detuning} rad/s off: {worst:.1e}", tier.name());
+    println!("{}, {steps} steps over 60 s, quality {quality:?}, {detuning} rad/s off: {worst:.1e}", model.name());
     assert!(worst <= 1e-9, "{worst:e}");
     if quality.is_none() {
         let rest = (plant.state().w - whole.steady_state()).norm() / SETPOINT;
@@ -95,7 +95,7 @@ fn a_minute_in_steps_equals_one_step(
 }
 
 #[rstest]
-fn splitting_an_interval_changes_nothing(#[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model) {
+fn splitting_an_interval_changes_nothing(#[values(Model::Linear, Model::Envelope, Model::Modal)] model: Model) {
     let plate = paper_plate();
     let mut random = Random::new(5);
     let mut worst = 0.0_f64;
@@ -105,25 +105,25 @@ fn splitting_an_interval_changes_nothing(#[values(Model::Linear, Model::Envelope
         let mode = plate.mode(&Conditions { temperature_offset_k: random.in_range(0.0, 9.0), finger_force_n: 1.0 });
         let mut component = || Complex64::new(random.in_range(-2.0, 2.0), random.in_range(-2.0, 2.0));
         let mut w = component();
-        let u = match tier {
+        let u = match model {
             Model::Linear => (w.im / w.re).into(),
             Model::Envelope => Complex64::ZERO,
             Model::Modal | Model::Carrier => (component() + Complex64::I * w) * omega,
         };
-        if tier == Model::Linear && w.re.abs() < 0.1 {
+        if model == Model::Linear && w.re.abs() < 0.1 {
             w.re = 1.0;
         }
         let mut state = State { w, u };
-        let flow = Flow::new(tier, &mode, &drive, &state);
+        let flow = Flow::new(model, &mode, &drive, &state);
         let mut elapsed = 0.0;
         while elapsed < 5e-3 {
             let step = random.in_range(0.0, 2e-4);
-            state = Flow::new(tier, &mode, &drive, &state).after(step);
+            state = Flow::new(model, &mode, &drive, &state).after(step);
             elapsed += step;
         }
         worst = worst.max(distance(&state, &flow.after(elapsed), omega));
     }
-    println!("{}, 5 ms in some 50 random pieces against one: {worst:.1e}", tier.name());
+    println!("{}, 5 ms in some 50 random pieces against one: {worst:.1e}", model.name());
     assert!(worst <= 1e-12, "{worst:e}");
 }
 
@@ -212,10 +212,10 @@ fn u_and_not_the_derivative_of_w_is_continuous() {
 }
 
 #[rstest]
-fn a_new_drive_does_not_change_the_state(#[values(Model::Linear, Model::Envelope, Model::Modal)] tier: Model) {
+fn a_new_drive_does_not_change_the_state(#[values(Model::Linear, Model::Envelope, Model::Modal)] model: Model) {
     let plate = paper_plate();
     let mut plant =
-        driven_plant(&plate, &conditions(3.0, 1.0), tier, Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
+        driven_plant(&plate, &conditions(3.0, 1.0), model, Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 });
     let before = state_at(&mut plant, 3.0);
     plant.set_drive(Drive { vpp: 10.0, omega: plate.omega0 - 300.0 });
     assert_eq!(plant.state(), before);

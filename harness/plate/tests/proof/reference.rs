@@ -38,13 +38,13 @@ pub(crate) fn temperature_profile(temperature_offset_k: Profile) -> ConditionPro
     ConditionProfiles { temperature_offset_k, ..constant_conditions() }
 }
 
-pub(crate) fn holding_plant(plate: &Plate, tier: Model, detuning: f64) -> Plant {
+pub(crate) fn holding_plant(plate: &Plate, model: Model, detuning: f64) -> Plant {
     let drive = Drive { vpp: HOLDING_DRIVE_VPP, omega: plate.omega0 + detuning };
-    driven_plant(plate, &constant_conditions(), tier, drive)
+    driven_plant(plate, &constant_conditions(), model, drive)
 }
 
-pub(crate) fn driven_plant(plate: &Plate, scene: &ConditionProfiles, tier: Model, drive: Drive) -> Plant {
-    let mut plant = Plant::new(plate.clone(), scene.clone(), tier);
+pub(crate) fn driven_plant(plate: &Plate, scene: &ConditionProfiles, model: Model, drive: Drive) -> Plant {
+    let mut plant = Plant::new(plate.clone(), scene.clone(), model);
     plant.set_drive(drive);
     plant
 }

@@ -59,7 +59,7 @@ impl Checker<'_> {
             || "no [[expect]], expected at least one: a scenario that expects nothing cannot fail",
         ));
         let model = raw.model.as_deref().unwrap_or(AUTO_MODEL);
-        let tier = plate.as_ref().and_then(|plate| faults.record_error(self.tier(model, plate)));
+        let model = plate.as_ref().and_then(|plate| faults.record_error(self.model(model, plate)));
         let expected_exit = faults.record_error(self.expected_exit(raw.expected_exit));
         let BetweenScene { controller, duration, setpoint, conditions } = scene;
         let (Some(controller), Some(duration), Some(setpoint), Some(conditions)) =
@@ -96,7 +96,7 @@ impl Checker<'_> {
             title: raw.title,
             source: raw.source,
             tags: raw.tags,
-            tier: tier?,
+            model: model?,
             only_if_named: raw.only_if_named,
             expected_exit: expected_exit?,
             expectations: expected,
@@ -135,14 +135,14 @@ impl Checker<'_> {
         Ok(step)
     }
 
-    fn tier(&self, model: &str, plate: &Plate) -> Result<Model, Diagnostic> {
-        if let Some(tier) = Scenario::tier_for(model, plate) {
-            return match Scenario::omitted_effect(tier, plate) {
-                None => Ok(tier),
+    fn model(&self, name: &str, plate: &Plate) -> Result<Model, Diagnostic> {
+        if let Some(model) = Scenario::model_for(name, plate) {
+            return match Scenario::omitted_effect(model, plate) {
+                None => Ok(model),
                 Some(message) => self.error("model", message),
             };
         }
-        self.unknown_name("model", "unknown model ", model, &Scenario::models())
+        self.unknown_name("model", "unknown model ", name, &Scenario::models())
     }
 
     fn expected_exit(&self, raw: Option<i64>) -> Result<Option<u8>, Diagnostic> {
@@ -261,7 +261,7 @@ impl Checker<'_> {
                 duration: scene.duration?,
                 setpoint: scene.setpoint?,
                 conditions: scene.conditions?,
-                tier: if raw.plate.is_some() { Model::exact_for(&plate) } else { scenario.tier },
+                model: if raw.plate.is_some() { Model::exact_for(&plate) } else { scenario.model },
                 plate,
                 expectations: Vec::new(),
                 faults: Vec::new(),

@@ -109,10 +109,10 @@ fn a_shutdown_lasts_until_the_next_planned_configuration() {
 #[case::envelope("envelope", "", Model::Envelope)]
 #[case::modal("modal", "demodulator_periods = 1\nconverter_hz = 1e6\n", Model::Modal)]
 #[case::carrier("carrier", "", Model::Carrier)]
-fn auto_is_the_carrier_for_a_plate_with_a_demodulator(#[case] model: &str, #[case] sensor: &str, #[case] tier: Model) {
-    let model = if model.is_empty() { String::new() } else { format!("model = \"{model}\"") };
-    let folder = create_folder(&[("model = \"modal\"", &model), ("[sensor]\n", &format!("[sensor]\n{sensor}"))]);
-    assert_eq!(load(&folder.path().join("s.toml"), "s.toml").unwrap().tier, tier);
+fn auto_is_the_carrier_for_a_plate_with_a_demodulator(#[case] name: &str, #[case] sensor: &str, #[case] model: Model) {
+    let line = if name.is_empty() { String::new() } else { format!("model = \"{name}\"") };
+    let folder = create_folder(&[("model = \"modal\"", &line), ("[sensor]\n", &format!("[sensor]\n{sensor}"))]);
+    assert_eq!(load(&folder.path().join("s.toml"), "s.toml").unwrap().model, model);
 }
 
 #[rstest]
@@ -136,7 +136,7 @@ fn a_model_that_omits_an_effect_of_the_plate_is_refused(
     assert_eq!(fault.message, expected);
     assert_eq!(fault.position(), (7, 9));
     let scenario = load_with_changes(&[(good, keys), ("model = \"modal\"", "")]).unwrap();
-    assert_eq!((scenario.tier, scenario.plate.first_effect()), (Model::Modal, Some(effect)));
+    assert_eq!((scenario.model, scenario.plate.first_effect()), (Model::Modal, Some(effect)));
 }
 
 #[test]
