@@ -10,7 +10,7 @@ use crate::campaign::error::CampaignError;
 use crate::campaign::part::PartReader;
 use crate::campaign::plan::{CampaignPlan, firmware_digest};
 use crate::campaign::play::{PlayConfig, TrialEvent, replay};
-use crate::campaign::row::{Tally, TrialRow, keep_worst};
+use crate::campaign::row::{Tally, TrialRow, keep_worst, margin_text};
 use platebench_model::record::Verdict;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -126,7 +126,8 @@ pub struct RowDifference {
     pub trial: u64,
     pub screened: Verdict,
     pub emulated: Verdict,
-    /// Smallest margins on the hosted rig and on the emulated firmware.
+    /// Smallest margins on the hosted rig and on the emulated firmware; `null` in the file without
+    /// a value.
     pub margins: [f64; 2],
 }
 
@@ -218,7 +219,8 @@ impl Agreement {
         }
         lines.extend(self.differences.iter().map(
             |RowDifference { trial, screened, emulated, margins: [one, other] }| {
-                format!("  trial {trial}: hosted {screened} (margin {one:.4}), emulated {emulated} (margin {other:.4})")
+                let [one, other] = [*one, *other].map(margin_text);
+                format!("  trial {trial}: hosted {screened} (margin {one}), emulated {emulated} (margin {other})")
             },
         ));
         lines

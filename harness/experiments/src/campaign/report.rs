@@ -4,7 +4,7 @@
 use crate::campaign::distribution::Variable;
 use crate::campaign::error::CampaignError;
 use crate::campaign::results::{CSV_FILE, PARQUET_FILE, unit_of_key};
-use crate::campaign::row::{Tally, TrialRow};
+use crate::campaign::row::{Tally, TrialRow, margin_text};
 use crate::campaign::sample::{FirstOrderIndex, Quantile, SampleResult, Sensitivity};
 use crate::campaign::summary::{SUMMARY_FILE, Summary};
 use crate::campaign::worst_run::ResponseLinks;
@@ -84,7 +84,7 @@ fn worst_trials(summary: &Summary<'_>, links: &ResponseLinks) -> Table {
         let mut cells = vec![
             Cell::from(row.trial.to_string()).with_link(links.get(&row.trial).cloned()),
             format!("{}{}", row.verdict, cause.unwrap_or_default()).into(),
-            format!("{:.4}", row.margin()).into(),
+            margin_text(row.margin()).into(),
         ];
         let variables = campaign.variables.iter().zip(&row.draws);
         cells.extend(variables.map(|(variable, draw)| Cell::from(variable.text(*draw))));

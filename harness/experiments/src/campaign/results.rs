@@ -84,8 +84,7 @@ impl<'a> ResultsWriter<'a> {
         let variables = self.campaign.variables.iter().zip(&row.draws);
         fields.extend(variables.map(|(variable, draw)| variable.distribution.text(*draw)));
         for (value, margin) in row.values.iter().zip(&row.margins) {
-            fields.push(if value.is_nan() { String::new() } else { format!("{value:?}") });
-            fields.push(format!("{margin:?}"));
+            fields.extend([value, margin].map(|number| number_field(known(Some(number)))));
         }
         fields.push(row.verdict.to_string());
         fields.push(row.cause.map(|cause| cause.to_string()).unwrap_or_default());
@@ -112,6 +111,15 @@ impl<'a> ResultsWriter<'a> {
         let file = buffer.into_inner().map_err(io::IntoInnerError::into_error).at(&self.csv_path)?;
         finish(file, &self.csv_path)
     }
+}
+
+/// `None` for a value that was never reached and for its margin.
+fn known(number: Option<&f64>) -> Option<f64> {
+    number.copied().filter(|number| number.is_finite())
+}
+
+fn number_field(number: Option<f64>) -> String {
+    number.map_or_else(String::new, |number| format!("{number:?}"))
 }
 
 fn columns(campaign: &Campaign) -> Vec<String> {
@@ -149,7 +157,7 @@ fn schema(campaign: &Campaign) -> Result<Type, ParquetError> {
     }
     for name in campaign.expectation_names() {
         fields.push(number(&name, Repetition::OPTIONAL)?);
-        fields.push(number(&format!("{name}_margin"), Repetition::REQUIRED)?);
+        fields.push(number(&format!("{name}_margin"), Repetition::OPTIONAL)?);
     }
     fields.push(text("verdict", Repetition::REQUIRED)?);
     fields.push(text("cause", Repetition::OPTIONAL)?);
@@ -173,10 +181,8 @@ fn write_columns(group: &mut Group<'_>, campaign: &Campaign, rows: &[TrialRow]) 
         }
     }
     for index in 0..campaign.template.scenario.expectations.len() {
-        let values = rows.iter().map(|row| row.values.get(index).copied().filter(|value| !value.is_nan()));
-        write_optional_column::<DoubleType>(group, values)?;
-        let margins: Vec<_> = rows.iter().map(|row| row.margins.get(index).copied().unwrap_or(f64::NAN)).collect();
-        write_column::<DoubleType>(group, &margins)?;
+        write_optional_column::<DoubleType>(group, rows.iter().map(|row| known(row.values.get(index))))?;
+        write_optional_column::<DoubleType>(group, rows.iter().map(|row| known(row.margins.get(index))))?;
     }
     let verdicts: Vec<_> = rows.iter().map(|row| ByteArray::from(row.verdict.name())).collect();
     write_column::<ByteArrayType>(group, &verdicts)?;

@@ -120,6 +120,11 @@ impl TrialRow {
     }
 }
 
+/// A margin for people. A trial without a value has none.
+pub(crate) fn margin_text(margin: f64) -> String {
+    if margin.is_finite() { format!("{margin:.4}") } else { "–".to_owned() }
+}
+
 /// Number of trials in the table of the report and in the folder of counterexamples.
 pub const MAX_WORST: usize = 20;
 

@@ -5,7 +5,7 @@ use crate::campaign::definition::{Campaign, Method};
 use crate::campaign::distribution::Variable;
 use crate::campaign::plan::part_name;
 use crate::campaign::rare::{ChainEstimate, CombinedEstimate, RareMethod};
-use crate::campaign::row::{CAUSES, SequentialDecision, ShardEnd, Tally, TrialRow, keep_worst};
+use crate::campaign::row::{CAUSES, SequentialDecision, ShardEnd, Tally, TrialRow, keep_worst, margin_text};
 use crate::campaign::sample::{Sample, SampleResult};
 use crate::campaign::truncation::Truncation;
 use platebench_model::record::{Cause, Verdict};
@@ -464,10 +464,10 @@ impl ChainOutcome {
     fn search_line(&self, worst: Option<&TrialRow>) -> String {
         match worst {
             Some(row) => format!(
-                "worst case: trial {}, margin {:.4} (negative: failed); \
+                "worst case: trial {}, margin {} (negative: failed; –: no value); \
                  the search needed {} trials for its first failure",
                 row.trial,
-                row.margin(),
+                margin_text(row.margin()),
                 self.first_failure.unwrap_or_default(),
             ),
             None => format!("no failing trial found in {} trials", self.trials),
