@@ -25,7 +25,7 @@ pub mod chart {
     mod strips;
     pub(crate) mod time;
 
-    pub use cells::{HeatAxis, HeatFigure, HeatPanel, MapFigure, MapPanel, RigDelay};
+    pub use cells::{HeatAxis, HeatFigure, HeatPanel, HeatScale, MapFigure, MapPanel, RigDelay};
     pub use points::{LogLogChart, LogLogSeries, ScatterChart, ScatterPanel, ScatterPoint};
     pub use strips::{MultiplesChart, MultiplesPoint, StripChart, StripRow};
     pub use time::{FitChart, draw_exceedance};

@@ -9,7 +9,7 @@ use crate::campaign::sample::{FirstOrderIndex, Quantile, SampleResult, Sensitivi
 use crate::campaign::summary::{SUMMARY_FILE, Summary};
 use crate::campaign::worst_run::ResponseLinks;
 use platebench_model::record::Verdict;
-use platebench_report::chart::{HeatAxis, HeatFigure, HeatPanel};
+use platebench_report::chart::{HeatAxis, HeatFigure, HeatPanel, HeatScale};
 use platebench_report::document::{AreaLink, Block, Cell, Column, Document, Figure, Table};
 use platebench_report::format;
 use std::path::Path;
@@ -132,24 +132,24 @@ fn maps(summary: &Summary<'_>, links: &ResponseLinks) -> Vec<Block> {
         return vec![Block::Paragraph(text)];
     }
     let places = layout.places(summary);
-    let figure = |title: String, is_low_bad, of: &dyn Fn(&Tally) -> Option<f64>| {
+    let figure = |title: String, scale, of: &dyn Fn(&Tally) -> Option<f64>| {
         let panels = places.panels(summary, of);
-        let figure = HeatFigure { title, panels, is_low_bad };
+        let figure = HeatFigure { title, panels, scale };
         let links = places.links(summary, &figure, links);
         Figure { svg: figure.svg(), caption: figure.title, links }
     };
     let share = |cell: &Tally| (cell.trials > 0).then(|| cell.failures as f64 / cell.trials as f64 * 100.0);
     let margin = |cell: &Tally| (cell.trials > 0).then_some(cell.smallest_margin);
     let mut figures = vec![
-        figure("share of failing trials, %".to_owned(), false, &share),
-        figure("smallest margin, relative to the limit".to_owned(), true, &margin),
+        figure("share of failing trials, %".to_owned(), HeatScale::Range, &share),
+        figure("smallest margin, relative to the limit".to_owned(), HeatScale::Diverging, &margin),
     ];
     let expectations = summary.campaign.template.scenario.expectations.iter().take(MAX_VALUE_MAPS);
     for (index, expectation) in expectations.enumerate() {
         let unit = format::unit(expectation.metric);
         let title =
             [&*expectation.name, unit].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ");
-        figures.push(figure(format!("mean {title}"), false, &|cell| cell.mean(index)));
+        figures.push(figure(format!("mean {title}"), HeatScale::Range, &|cell| cell.mean(index)));
     }
     let mut blocks = vec![Block::heading("Maps")];
     if !links.is_empty() {
@@ -160,7 +160,7 @@ fn maps(summary: &Summary<'_>, links: &ResponseLinks) -> Vec<Block> {
 }
 
 struct Places {
-    /// Panels with titles and axes, without values.
+    /// Panels with titles, axes and passing cells, without values.
     panels: Vec<HeatPanel>,
     /// Panel, column and row of each cell.
     cells: Vec<(usize, usize, usize)>,
@@ -179,6 +179,7 @@ impl Layout<'_> {
         };
         let (x, y) = (axis(Some(self.x)), axis(self.y));
         let values = vec![vec![None; x.values.len()]; y.values.len()];
+        let passes = vec![vec![None; x.values.len()]; y.values.len()];
         let mut places = Places { panels: Vec::new(), cells: Vec::new() };
         for number in 0..summary.cells.len() {
             let (is_x, is_y) = (
@@ -193,9 +194,14 @@ impl Layout<'_> {
             let title = choice_texts(summary, number, |variable| !is_x(variable) && !is_y(variable)).join(", ");
             let panels = &mut places.panels;
             let panel = panels.iter().position(|panel| panel.title == title).unwrap_or_else(|| {
-                panels.push(HeatPanel { title, x: x.clone(), y: y.clone(), values: values.clone() });
+                let (x, y, values, passes) = (x.clone(), y.clone(), values.clone(), passes.clone());
+                panels.push(HeatPanel { title, x, y, values, passes });
                 panels.len() - 1
             });
+            let passes = panels.get_mut(panel).and_then(|panel| panel.passes.get_mut(row)?.get_mut(column));
+            if let (Some(passes), Some(cell)) = (passes, summary.cells.get(number)) {
+                *passes = cell.passes(summary.campaign.at_most);
+            }
             places.cells.push((panel, column, row));
         }
         places

@@ -161,6 +161,13 @@ impl Tally {
         self.values.get(expectation).filter(|(_, count)| *count > 0).map(|(sum, count)| sum / *count as f64)
     }
 
+    /// Whether no larger share of the cell's trials than `at_most` (default 0) fails or is
+    /// inconclusive. `None` without trials.
+    pub fn passes(&self, at_most: Option<f64>) -> Option<bool> {
+        let missed = (self.failures + self.inconclusive) as f64;
+        (self.trials > 0).then(|| missed <= at_most.unwrap_or(0.0) * self.trials as f64)
+    }
+
     /// Share of failing trials, each end one-sided. The upper end also counts inconclusive trials.
     pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let count = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);

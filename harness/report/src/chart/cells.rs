@@ -28,25 +28,61 @@ pub struct HeatPanel {
     pub y: HeatAxis,
     /// Values by row (y) and then by column (x).
     pub values: Vec<Vec<Option<f64>>>,
+    /// Whether a cell passes, by row and then by column; `None` if it is not known.
+    pub passes: Vec<Vec<Option<bool>>>,
+}
+
+/// How colours are assigned to values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum HeatScale {
+    /// Classes of equal width from the smallest to the largest value.
+    Range,
+    /// Half of the classes from the smallest value to 0 and half from 0 to the largest value. A
+    /// negative value is a bad one.
+    Diverging,
 }
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeatFigure {
     pub title: String,
     pub panels: Vec<HeatPanel>,
-    /// True if small values are the bad ones.
-    pub is_low_bad: bool,
+    pub scale: HeatScale,
 }
 
 impl HeatFigure {
-    /// Range of the finite values. An infinite value has the first or the last class.
-    fn scale(&self) -> (f64, f64) {
+    /// Ascending edges of the classes. A class contains its lower edge. An infinite value has the
+    /// first or the last class.
+    fn edges(&self) -> Vec<f64> {
         let values = self.panels.iter().flat_map(|panel| panel.values.iter().flatten().copied().flatten());
-        match extent(values.filter(|value| value.is_finite())) {
-            Some((low, high)) if low < high => (low, high),
-            Some((low, _)) => (low - 0.5, low + 0.5),
-            None => (0.0, 1.0),
+        let range = extent(values.filter(|value| value.is_finite()));
+        let share = |number: usize, count: usize| number as f64 / count as f64;
+        match self.scale {
+            HeatScale::Range => {
+                let (low, high) = match range {
+                    Some((low, high)) if low < high => (low, high),
+                    Some((low, _)) => (low - 0.5, low + 0.5),
+                    None => (0.0, 1.0),
+                };
+                (0..=CLASSES).map(|edge| low + (high - low) * share(edge, CLASSES)).collect()
+            }
+            HeatScale::Diverging => {
+                const HALF: usize = CLASSES / 2;
+                let (low, high) = range.map_or((0.0, 0.0), |(low, high)| (low.min(0.0), high.max(0.0)));
+                // A side without values is as wide as the other one.
+                let (low, high) = match (low < 0.0, high > 0.0) {
+                    (true, true) => (low, high),
+                    (true, false) => (low, -low),
+                    (false, true) => (-high, high),
+                    (false, false) => (-0.5, 0.5),
+                };
+                let below = (0..HALF).map(|edge| low * share(HALF - edge, HALF));
+                below.chain((0..=HALF).map(|edge| high * share(edge, HALF))).collect()
+            }
         }
+    }
+
+    fn has_edge(&self) -> bool {
+        self.panels.iter().any(|panel| !panel.edge_lines().is_empty())
     }
 
     fn panel_grid(&self) -> (usize, usize) {
@@ -62,8 +98,8 @@ impl HeatFigure {
     fn size(&self) -> (f64, f64, f64) {
         let (columns, rows) = self.panel_grid();
         let height = HEAT_PANEL.1 * rows as f64;
-        let legend_lines = CLASSES.div_ceil(self.classes_per_line()) as f64;
-        (HEAT_PANEL.0 * columns as f64, height, height + legend_lines * LEGEND_LINE_HEIGHT)
+        let legend_lines = CLASSES.div_ceil(self.classes_per_line()) + usize::from(self.has_edge());
+        (HEAT_PANEL.0 * columns as f64, height, height + legend_lines as f64 * LEGEND_LINE_HEIGHT)
     }
 
     fn axes(&self, number: usize, panel: &HeatPanel) -> Axes {
@@ -86,31 +122,32 @@ impl HeatFigure {
 
     pub fn svg(&self) -> String {
         let (width, panel_height, height) = self.size();
-        let scale = self.scale();
+        let edges = self.edges();
         let mut drawing = Drawing::default();
         for (number, panel) in self.panels.iter().enumerate() {
-            self.draw_panel(&mut drawing, number, panel, scale);
+            self.draw_panel(&mut drawing, number, panel, &edges);
         }
-        self.draw_legend(&mut drawing, scale, (width, panel_height));
+        self.draw_legend(&mut drawing, &edges, (width, panel_height));
         drawing.into_document(&self.title, (width, height))
     }
 
-    fn role(&self, value: f64, (low, high): (f64, f64)) -> Role {
-        let share = ((value - low) / (high - low)).clamp(0.0, 1.0);
-        let class = ((share * CLASSES as f64) as usize).min(CLASSES - 1);
-        Role::Radius(if self.is_low_bad { CLASSES - 1 - class } else { class })
+    fn role(&self, class: usize) -> Role {
+        Role::Radius(if self.scale == HeatScale::Diverging { CLASSES - 1 - class } else { class })
     }
 
-    fn draw_panel(&self, drawing: &mut Drawing, number: usize, panel: &HeatPanel, scale: (f64, f64)) {
+    fn draw_panel(&self, drawing: &mut Drawing, number: usize, panel: &HeatPanel, edges: &[f64]) {
         let axes = self.axes(number, panel);
         let cells = panel.values.iter().enumerate().flat_map(|(row, values)| {
             let cell = move |(column, value): (usize, &Option<f64>)| {
                 let corner = (column as f64, row as f64);
-                Some(Mark::Cell(self.role((*value)?, scale), [corner, (corner.0 + 1.0, corner.1 + 1.0)]))
+                let class = class_of((*value)?, edges);
+                Some(Mark::Cell(self.role(class), [corner, (corner.0 + 1.0, corner.1 + 1.0)]))
             };
             values.iter().enumerate().filter_map(cell)
         });
         drawing.marks(&axes, &cells.collect::<Vec<_>>());
+        let lines = panel.edge_lines().into_iter().map(|line| Mark::Line(Role::Boundary, line.to_vec()));
+        drawing.marks(&axes, &lines.collect::<Vec<_>>());
         let ((left, right), (bottom, top)) =
             ((axes.x.pixels.start, axes.x.pixels.end), (axes.y.pixels.start, axes.y.pixels.end));
         drawing.line(Role::Axis, [(left, top), (left, bottom), (right, bottom)]);
@@ -127,18 +164,52 @@ impl HeatFigure {
         drawing.text(Role::Text, TextEnd::Right, (right, bottom + 32.0), &panel.x.label);
     }
 
-    fn draw_legend(&self, drawing: &mut Drawing, scale: (f64, f64), (width, top): Point) {
-        let (low, high) = scale;
-        let (step, per_line) = ((high - low) / CLASSES as f64, self.classes_per_line());
-        for class in 0..CLASSES {
-            let from = low + step * class as f64;
-            let x = 8.0 + (class % per_line) as f64 * width / per_line as f64;
-            let y = top + LEGEND_LINE_HEIGHT * (0.5 + (class / per_line) as f64);
-            drawing.rectangle(self.role(from + step / 2.0, scale), [(x, y - 5.0), (x + 16.0, y + 5.0)]);
-            let text = format!("{} to {}", number(from), number(from + step));
+    fn draw_legend(&self, drawing: &mut Drawing, edges: &[f64], (width, top): Point) {
+        let per_line = self.classes_per_line();
+        let place = |entry: usize| {
+            let x = 8.0 + (entry % per_line) as f64 * width / per_line as f64;
+            (x, top + LEGEND_LINE_HEIGHT * (0.5 + (entry / per_line) as f64))
+        };
+        for (class, [from, to]) in edges.array_windows().enumerate() {
+            let (x, y) = place(class);
+            drawing.rectangle(self.role(class), [(x, y - 5.0), (x + 16.0, y + 5.0)]);
+            let text = format!("{} to {}", number(*from), number(*to));
             drawing.text(Role::Text, TextEnd::Left, (x + 21.0, y), &text);
         }
+        if self.has_edge() {
+            let (x, y) = place(CLASSES);
+            drawing.line(Role::Boundary, [(x, y), (x + 16.0, y)]);
+            drawing.text(Role::Text, TextEnd::Left, (x + 21.0, y), "edge of the passing cells");
+        }
     }
+}
+
+impl HeatPanel {
+    fn passes_at(&self, column: usize, row: usize) -> Option<bool> {
+        *self.passes.get(row)?.get(column)?
+    }
+
+    /// Lines between passing and other known cells. The unit is the width or height of a cell.
+    fn edge_lines(&self) -> Vec<[Point; 2]> {
+        let mut lines = Vec::new();
+        for (row, cells) in self.passes.iter().enumerate() {
+            for (column, passes) in cells.iter().enumerate() {
+                let (x, y) = (column as f64, row as f64);
+                let differs = |other: Option<bool>| matches!((passes, other), (Some(a), Some(b)) if *a != b);
+                if differs(self.passes_at(column + 1, row)) {
+                    lines.push([(x + 1.0, y), (x + 1.0, y + 1.0)]);
+                }
+                if differs(self.passes_at(column, row + 1)) {
+                    lines.push([(x, y + 1.0), (x + 1.0, y + 1.0)]);
+                }
+            }
+        }
+        lines
+    }
+}
+
+fn class_of(value: f64, edges: &[f64]) -> usize {
+    edges.partition_point(|edge| *edge <= value).saturating_sub(1).min(CLASSES - 1)
 }
 
 /// Upper left corner of a panel.
@@ -370,15 +441,18 @@ mod tests {
             values: (0..count).map(|value| value.to_string()).collect(),
         };
         let (x, y) = (axis(values[0].len()), axis(values.len()));
-        let panel = HeatPanel { title: "dq-pi".to_owned(), x, y, values };
-        HeatFigure { title: "margin".to_owned(), panels: vec![panel], is_low_bad: true }
+        let panel = HeatPanel { title: "dq-pi".to_owned(), x, y, values, passes: Vec::new() };
+        HeatFigure { title: "margin".to_owned(), panels: vec![panel], scale: HeatScale::Diverging }
     }
 
     #[test]
     fn draws_a_rectangle_per_value_and_no_missing_one() {
         let svg = figure(vec![vec![Some(0.0), None], vec![Some(1.0), Some(f64::NEG_INFINITY)]]).svg();
-        // The lowest class occurs twice and the highest once, each once more in the legend.
-        assert_eq!((svg.matches("class=\"f-radius-9\"").count(), svg.matches("class=\"f-radius-0\"").count()), (3, 2));
+        // Each class of a cell occurs once more in the legend.
+        assert_eq!(
+            [9, 4, 0, 5].map(|colour| svg.matches(&format!("class=\"f-radius-{colour}\"")).count()),
+            [2, 2, 2, 1]
+        );
         assert!(svg.contains("finger_force_n, N") && svg.contains("dq-pi"));
     }
 
@@ -396,11 +470,43 @@ mod tests {
         assert!(svg.contains("x=\"2260\" y=\"144\" width=\"564\" height=\"400\""), "{svg}");
     }
 
+    // Five classes of 4 below 0 and five of 0.2 above. The class of 0 is the first that passes.
+    #[rstest]
+    #[case(f64::NEG_INFINITY, 0)]
+    #[case(-20.0, 0)]
+    #[case(-4.1, 3)]
+    #[case(-1e-12, 4)]
+    #[case(0.0, 5)]
+    #[case(0.19, 5)]
+    #[case(0.21, 6)]
+    #[case(1.0, 9)]
+    fn a_diverging_scale_changes_its_colour_at_zero(#[case] value: f64, #[case] class: usize) {
+        let figure = figure(vec![vec![Some(-20.0), Some(1.0), Some(f64::NEG_INFINITY)]]);
+        assert_eq!(class_of(value, &figure.edges()), class);
+        let Role::Radius(colour) = figure.role(class) else { panic!() };
+        assert_eq!(colour < CLASSES / 2, value >= 0.0, "the colours 0 to 4 are those of passing cells");
+    }
+
+    #[test]
+    fn an_edge_separates_passing_from_other_known_cells() {
+        let mut figure = figure(vec![vec![Some(1.0), Some(1.0), None], vec![Some(1.0), Some(-1.0), Some(1.0)]]);
+        assert!(!figure.svg().contains("s-boundary"));
+        let [yes, no, unknown] = [Some(true), Some(false), None];
+        figure.panels[0].passes = vec![vec![yes, yes, unknown], vec![yes, no, yes]];
+        let lines = figure.panels[0].edge_lines();
+        let expected = [[(1.0, 1.0), (2.0, 1.0)], [(1.0, 1.0), (1.0, 2.0)], [(2.0, 1.0), (2.0, 2.0)]];
+        assert_eq!(lines, expected);
+        // Three lines and the one of the legend.
+        assert_eq!(figure.svg().matches("class=\"s-boundary\"").count(), 4);
+        assert!(figure.svg().contains("edge of the passing cells"));
+    }
+
     #[test]
     fn equal_values_have_a_scale() {
-        for value in [0.0, -3.0, 5.0] {
-            let (low, high) = figure(vec![vec![Some(value)]]).scale();
-            assert!(low < high && (low..=high).contains(&value), "{value}: {low} {high}");
+        for (value, scale) in [0.0, -3.0, 5.0].into_iter().zip([HeatScale::Range, HeatScale::Diverging].repeat(3)) {
+            let edges = HeatFigure { scale, ..figure(vec![vec![Some(value)]]) }.edges();
+            assert!(edges.is_sorted_by(|a, b| a < b) && edges.len() == CLASSES + 1, "{value}: {edges:?}");
+            assert!((edges[0]..=edges[CLASSES]).contains(&value), "{value}: {edges:?}");
         }
         assert!(figure(vec![vec![None]]).svg().contains("finger_force_n"));
     }
