@@ -280,7 +280,12 @@ fn merge_and_show(
     let document = report::write(folder, &summary, &links)?;
     stdio::show_as(format, &summary.result(), || document.to_console(None, Style::default()));
     stdio::note(&format!("report: {}", folder.join(report::REPORT_FILE).display()));
-    Ok(if summary.is_rig_lost() { Exit::Unreachable } else { Exit::of_verdict(summary.verdict()) })
+    Ok(match summary.verdict() {
+        _ if summary.is_rig_lost() => Exit::Unreachable,
+        // The result of a map is its table.
+        None => Exit::Passed,
+        Some(verdict) => Exit::of_verdict(verdict),
+    })
 }
 
 /// Returns true if the rig counts as lost, although the shards are complete.

@@ -24,7 +24,7 @@ pub(crate) fn folder(plan: &str) -> TestFolder {
     folder
 }
 
-pub(crate) const GRID: &str = "[plan]\nmethod = \"grid\"\ntrials = 4\nseed = 5\n";
+pub(crate) const GRID: &str = "[plan]\nmethod = \"grid\"\ntrials = 4\nseed = 5\n[judge]\n";
 
 pub(crate) fn plan(folder: &TestFolder, out: &str, shards: u32) {
     let shards = shards.to_string();
@@ -99,6 +99,25 @@ fn the_cells_of_a_grid_are_in_the_order_of_its_keys() {
     assert!(csv.lines().nth(5).unwrap().starts_with("4,9,dq-pi,0.5,"), "{csv}");
     let total: u64 = cells.iter().map(|cell| cell["failures"].as_u64().unwrap()).sum();
     assert_eq!(summary["overall"]["failures"], total);
+}
+
+/// Trials under 1 N miss the settling time.
+#[test]
+fn a_grid_without_judge_and_requirement_is_a_map() {
+    let folder = folder(&GRID.replace("[judge]\n", ""));
+    plan(&folder, "c", 2);
+    play(&folder, "c", 1, 1);
+    folder.bench(["campaign", "merge", "c"]).assert_exit(3).assert_stdout(&["inconclusive (evidence)"]);
+    play(&folder, "c", 2, 1);
+    let merged = folder.bench(["campaign", "merge", "c"]);
+    merged.assert_exit(0).assert_stdout(&["map, not judged", "of 24 trials"]);
+    let result = summary(&folder, "c");
+    assert!(result["overall"]["failures"].as_u64().unwrap() > 0, "{result}");
+    assert_eq!((&result["verdict"], &result["judged"]), (&Value::Null, &Value::Bool(false)));
+    assert!(result["cells"].as_array().unwrap().iter().any(|cell| cell["verdict"] == "fail"), "{result}");
+    folder.write("step.toml", &SCENARIO.replace("at_most = 1.0", "at_most = 1.0\nrequirement = \"ACC-1\""));
+    folder.bench(["campaign", "run", "campaign.toml", "--out", "d"]).assert_exit(1);
+    assert_eq!(summary(&folder, "d")["judged"], true);
 }
 
 #[test]

@@ -42,9 +42,9 @@ pub struct RawCampaign {
     correlate: Vec<RawCorrelation>,
     /// Number and choice of the trials.
     plan: RawPlan,
-    /// Demand on the share of failing trials.
-    #[serde(default)]
-    judge: RawJudge,
+    /// Demand on the share of failing trials. A grid without it, and without an expectation that
+    /// names a requirement, is a map and is not judged.
+    judge: Option<RawJudge>,
 }
 
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -130,6 +130,9 @@ pub struct Campaign {
     pub confirm: Option<RigSpec>,
     pub at_most: Option<f64>,
     pub confidence: f64,
+    /// True for a grid without `[judge]` and without a requirement. Its failing trials are the result
+    /// and no failure of the campaign.
+    pub is_map: bool,
     pub(crate) correlation: Option<Correlation>,
     pub template: ScenarioTemplate,
 }
@@ -175,6 +178,9 @@ impl Campaign {
         else {
             return Err(faults);
         };
+        let is_judged = raw.judge.is_some()
+            || template.scenario.expectations.iter().any(|expectation| expectation.requirement.is_some());
+        let judge = raw.judge.unwrap_or_default();
         let truncated = checker
             .truncate(raw.plan.method, &mut variables, &template, &raw.correlate)
             .map_err(|fault| vec![fault])?;
@@ -189,8 +195,9 @@ impl Campaign {
             cells,
             seed: raw.plan.seed.unsigned_abs(),
             confirm,
-            at_most: raw.judge.at_most,
-            confidence: raw.judge.confidence.unwrap_or(DEFAULT_CONFIDENCE),
+            at_most: judge.at_most,
+            confidence: judge.confidence.unwrap_or(DEFAULT_CONFIDENCE),
+            is_map: raw.plan.method == Method::Grid && !is_judged,
             correlation,
             template,
             text,
@@ -419,5 +426,25 @@ impl Checker<'_> {
             self.fault("plan.trials", format!("{}, expected 1 to {MAX_TRIALS} trials in all", plan.trials))
         })?;
         Ok([trials, cells])
+    }
+}
+
+#[cfg(test)]
+impl Campaign {
+    /// Writes a campaign with a step to 2 µm and the metric settling time, and reads it.
+    pub(crate) fn example(folder: &Path, vary: &str, plan: &str) -> Self {
+        Self::example_with(folder, "", vary, plan)
+    }
+
+    /// `expect` are further keys of the expectation, and further expectations.
+    pub(crate) fn example_with(folder: &Path, expect: &str, vary: &str, plan: &str) -> Self {
+        let scenario = "title = \"Step\"\nplate = \"plate.toml\"\nduration_ms = 20.0\n[profile]\n\
+            setpoint_um = { hold = [[0.0, 0.0], [1.0, 2.0]] }\n[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 2.0\n";
+        let plate = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
+        let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).unwrap();
+        write("plate.toml", plate);
+        write("step.toml", &format!("{scenario}{expect}"));
+        write("campaign.toml", &format!("title = \"x\"\nscenario = \"step.toml\"\n[vary]\n{vary}\n{plan}"));
+        Self::load(&folder.join("campaign.toml")).unwrap()
     }
 }

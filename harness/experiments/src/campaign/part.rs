@@ -232,21 +232,11 @@ mod tests {
     use platebench_model::record::Verdict;
     use platebench_rig::RigSpec;
     use rstest::rstest;
-    use std::fs;
-
-    const SCENARIO: &str = "title = \"Step\"\nplate = \"plate.toml\"\nduration_ms = 20.0\n[profile]\n\
-        setpoint_um = { hold = [[0.0, 0.0], [1.0, 2.0]] }\n[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 2.0\n";
-    const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
 
     /// Writes a part with one row and reads it. The digest of the part is always right.
     fn read_back(vary: &str, value: f64, margin: f64, verdict: Verdict) -> Result<(), CampaignError> {
         let folder = tempfile::tempdir().unwrap();
-        let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
-        let plan = "[plan]\nmethod = \"random\"\ntrials = 1\n";
-        write("plate.toml", PLATE);
-        write("step.toml", SCENARIO);
-        write("campaign.toml", &format!("title = \"x\"\nscenario = \"step.toml\"\n[vary]\n{vary}\n{plan}"));
-        let campaign = Campaign::load(&folder.path().join("campaign.toml")).unwrap();
+        let campaign = Campaign::example(folder.path(), vary, "[plan]\nmethod = \"random\"\ntrials = 1\n");
         let plan = CampaignPlan::new(&campaign, folder.path(), &RigSpec::hosted(), 1).unwrap();
         plan.write(folder.path()).unwrap();
         let row = TrialRow {

@@ -23,8 +23,11 @@ pub struct CampaignResult<'a> {
     pub format: u32,
     pub title: &'a str,
     pub method: Method,
-    pub verdict: Verdict,
+    /// `None` for a complete map, which is not judged.
+    pub verdict: Option<Verdict>,
     pub cause: Option<Cause>,
+    /// False for a map.
+    pub judged: bool,
     pub planned_trials: u64,
     pub missing_shards: &'a [u32],
     pub at_most: Option<f64>,
@@ -62,7 +65,7 @@ pub struct TallyResult {
     pub failures: u64,
     pub inconclusive: u64,
     pub interval: Option<[f64; 2]>,
-    pub verdict: Verdict,
+    pub verdict: Option<Verdict>,
     #[serde(flatten)]
     pub worst: Option<WorstTrial>,
 }
@@ -175,18 +178,32 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// A drive after confirmed 0 V is a failure. A pass also needs confirmed 0 V.
-    pub fn verdict(&self) -> Verdict {
-        match self.confirmed_verdict() {
-            _ if self.end.driven => Verdict::Fail,
-            Verdict::Pass if self.end.unconfirmed => Verdict::Inconclusive,
+    /// A drive after confirmed 0 V is a failure. A pass also needs confirmed 0 V. `None` for a map
+    /// that is complete: all shards are there, and the rig or the bench spoiled no trial.
+    pub fn verdict(&self) -> Option<Verdict> {
+        let verdict = if self.campaign.is_map { self.map_verdict() } else { Some(self.confirmed_verdict()) };
+        match verdict {
+            _ if self.end.driven => Some(Verdict::Fail),
+            Some(Verdict::Pass) if self.end.unconfirmed => Some(Verdict::Inconclusive),
+            None if self.end.is_lost(self.overall.failures > 0) => Some(Verdict::Inconclusive),
             verdict => verdict,
         }
     }
 
     /// True if the rig counts as lost, so that the command ends with exit code 5.
     pub fn is_rig_lost(&self) -> bool {
-        self.end.is_lost(self.verdict() == Verdict::Fail)
+        let has_failure = self.verdict() == Some(Verdict::Fail);
+        self.end.is_lost(has_failure || (self.campaign.is_map && self.overall.failures > 0))
+    }
+
+    fn map_verdict(&self) -> Option<Verdict> {
+        let count = |wanted: Cause| {
+            CAUSES.iter().zip(self.causes).find(|(cause, _)| **cause == wanted).map_or(0, |(_, count)| count)
+        };
+        let is_spoiled = count(Cause::Rig) + count(Cause::Bench) > 0;
+        // If the hosted rig missed a failure, its cells are not those of the emulated firmware.
+        let is_wrong = self.agreement.as_ref().is_some_and(|agreement| agreement.missed_failures > 0);
+        (!self.missing.is_empty() || is_spoiled || is_wrong).then_some(Verdict::Inconclusive)
     }
 
     fn confirmed_verdict(&self) -> Verdict {
@@ -237,7 +254,7 @@ impl<'a> Summary<'a> {
     /// [`Cause::Evidence`] if there is none or a shard is missing, and [`Cause::Rig`] if 0 V was
     /// not confirmed.
     pub fn cause(&self) -> Option<Cause> {
-        if self.verdict() != Verdict::Inconclusive {
+        if self.verdict() != Some(Verdict::Inconclusive) {
             return None;
         }
         if self.end.unconfirmed {
@@ -256,7 +273,7 @@ impl<'a> Summary<'a> {
             failures: tally.failures,
             inconclusive: tally.inconclusive,
             interval: tally.interval(campaign.confidence),
-            verdict: self.verdict_of(tally),
+            verdict: Some(self.verdict_of(tally)),
             worst: None,
         };
         let cells = self.cells.iter().enumerate().map(|(number, cell)| {
@@ -273,6 +290,7 @@ impl<'a> Summary<'a> {
             method: campaign.method,
             verdict: self.verdict(),
             cause: self.cause(),
+            judged: !campaign.is_map,
             planned_trials: campaign.trials,
             missing_shards: &self.missing,
             at_most: campaign.at_most,
@@ -316,7 +334,11 @@ impl<'a> Summary<'a> {
     pub fn lines(&self) -> Vec<String> {
         let Tally { trials, failures, inconclusive, .. } = self.overall;
         let cause = self.cause().map(|cause| format!(" ({cause})")).unwrap_or_default();
-        let mut lines = vec![format!("{}: {}{cause}", self.campaign.title, self.verdict())];
+        let title = &self.campaign.title;
+        let mut lines = vec![match self.verdict() {
+            Some(verdict) => format!("{title}: {verdict}{cause}"),
+            None => format!("{title}: map, not judged: no [judge], and no expectation with a requirement"),
+        }];
         let mut counts =
             format!("{trials} of {} trials: {failures} fail, {inconclusive} inconclusive", self.campaign.trials);
         let is_sample = self.campaign.chain_trials() == 1;
