@@ -13,6 +13,7 @@ pub mod distribution;
 pub mod draw;
 pub mod error;
 mod part;
+pub mod passing_region;
 pub mod plan;
 pub mod play;
 pub mod rare;

@@ -3,7 +3,8 @@
 
 use crate::campaign::distribution::Variable;
 use crate::campaign::error::CampaignError;
-use crate::campaign::results::{CSV_FILE, PARQUET_FILE, unit_of_key};
+use crate::campaign::passing_region::PassingRegion;
+use crate::campaign::results::{CSV_FILE, PARQUET_FILE, axis_label};
 use crate::campaign::row::{Tally, TrialRow, margin_text};
 use crate::campaign::sample::{FirstOrderIndex, Quantile, SampleResult, Sensitivity};
 use crate::campaign::summary::{SUMMARY_FILE, Summary};
@@ -25,13 +26,19 @@ pub fn write(folder: &Path, summary: &Summary<'_>, links: &ResponseLinks) -> Res
 
 fn document(summary: &Summary<'_>, links: &ResponseLinks) -> Document {
     let mut blocks = vec![Block::lines(summary.lines())];
+    let (region, further_ranges) = PassingRegion::new(summary).map(|region| region.blocks()).unwrap_or_default();
+    blocks.extend(region);
     let sample = summary.sample.result(summary.campaign);
     let sensitivities = sensitivities(&sample);
     if !sensitivities.rows.is_empty() {
         blocks.push(Block::heading("Rank correlation with the smallest margin, and first-order index"));
         blocks.push(Block::Table(sensitivities));
     }
-    let mut details = maps(summary, links);
+    let mut details = Vec::new();
+    if let Some(ranges) = further_ranges {
+        details.extend([Block::heading("Further combinations"), ranges]);
+    }
+    details.extend(maps(summary, links));
     let quantiles = quantiles(&sample);
     if !quantiles.rows.is_empty() {
         details.extend([Block::heading("Quantiles"), Block::Table(quantiles)]);
@@ -233,11 +240,4 @@ impl Places {
 fn choice_texts(summary: &Summary<'_>, cell: usize, is_selected: impl Fn(&Variable) -> bool) -> Vec<String> {
     let choices = summary.cell_choices(cell).into_iter().filter(|(variable, _)| is_selected(variable));
     choices.map(|(variable, choice)| format!("{} {}", variable.short_name(), variable.text(choice as f64))).collect()
-}
-
-fn axis_label(variable: &Variable) -> String {
-    match unit_of_key(&variable.key) {
-        "" => variable.key.clone(),
-        unit => format!("{}, {unit}", variable.key),
-    }
 }

@@ -1,6 +1,7 @@
 //! Writes `results.csv` and `results.parquet`: one row per trial.
 
 use crate::campaign::definition::Campaign;
+use crate::campaign::distribution::Variable;
 use crate::campaign::error::CampaignError;
 use crate::campaign::part::{create, finish};
 use crate::campaign::row::TrialRow;
@@ -43,6 +44,14 @@ pub fn unit_of_key(key: &str) -> &'static str {
     let named = key.split('.').rev().find(|name| name.contains('_')).unwrap_or_default();
     let fitting = UNIT_SUFFIXES.iter().filter(|(suffix, _)| named.ends_with(suffix));
     fitting.max_by_key(|(suffix, _)| suffix.len()).map_or("", |(_, unit)| unit)
+}
+
+/// Key and unit.
+pub(crate) fn axis_label(variable: &Variable) -> String {
+    match unit_of_key(&variable.key) {
+        "" => variable.key.clone(),
+        unit => format!("{}, {unit}", variable.key),
+    }
 }
 
 pub(crate) struct ResultsWriter<'a> {

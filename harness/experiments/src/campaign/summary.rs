@@ -3,6 +3,7 @@
 use crate::campaign::confirm::Agreement;
 use crate::campaign::definition::{Campaign, Method};
 use crate::campaign::distribution::Variable;
+use crate::campaign::passing_region::PassingRegion;
 use crate::campaign::plan::part_name;
 use crate::campaign::rare::{ChainEstimate, CombinedEstimate, RareMethod};
 use crate::campaign::row::{CAUSES, SequentialDecision, ShardEnd, Tally, TrialRow, keep_worst, margin_text};
@@ -37,6 +38,9 @@ pub struct CampaignResult<'a> {
     pub truncated: &'a [Truncation],
     pub overall: TallyResult,
     pub cells: Vec<TallyResult>,
+    /// Only with a listed number of two or more values.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub passing_region: Option<PassingRegion>,
     /// Only if 0 V was not confirmed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub safe_confirmed: Option<bool>,
@@ -299,6 +303,7 @@ impl<'a> Summary<'a> {
             truncated: &campaign.truncated,
             overall: TallyResult { verdict: self.verdict(), interval: self.interval(), ..tally(&self.overall) },
             cells: cells.collect(),
+            passing_region: PassingRegion::new(self),
             safe_confirmed: self.end.unconfirmed.then_some(false),
             controller_lost: self.end.lost.then_some(true),
             confirm: self.agreement.as_ref(),
