@@ -10,6 +10,7 @@ use platebench_engine::comparison::{
 };
 use platebench_engine::rejudge;
 use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
+use platebench_report::document::Document;
 use platebench_report::format::count;
 use platebench_report::{comparison, tube_plot};
 use platebench_verdict::golden::{Baseline, BaselineBuild, ResponseFeatures};
@@ -157,11 +158,10 @@ fn print_difference(
         return Ok(Verdict::Inconclusive);
     };
     let compared = compare_with_tubes(&old.golden, trials)?;
-    let mut lines = comparison::lines(&scenario.file, &compared);
-    if let Ok(new) = build_baseline(record, scenario, trials, Some(old), rate) {
-        lines.extend(describe_changes(old, &new));
-    }
-    stdio::show(&(lines.join("\n") + "\n"));
+    let new = build_baseline(record, scenario, trials, Some(old), rate);
+    let changes = new.map(|new| describe_changes(old, &new)).unwrap_or_default();
+    let blocks = comparison::blocks(&scenario.file, &compared, changes);
+    stdio::document(&Document::new("Differences from the baseline", blocks));
     Ok(compared.verdict)
 }
 
@@ -173,9 +173,7 @@ fn print_drawings(trials: &ScenarioTrials, old: Option<&Baseline>) -> Result<(),
         let outside = old.golden.exceedances(&rows);
         for worst in &outside {
             let Some(tube) = old.golden.tubes.iter().find(|tube| tube.signal == worst.signal) else { continue };
-            let place = format!("  {}", platebench_report::format::exceedance(trial.index, worst));
-            let lines = tube_plot::lines(tube, &rows, worst);
-            stdio::show(&format!("{place}\n{}\n", lines.join("\n")));
+            stdio::document(&tube_plot::document(tube, &rows, trial.index, worst));
         }
         if !outside.is_empty() {
             break;

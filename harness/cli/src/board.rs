@@ -12,10 +12,9 @@ use clap::{Args, Subcommand};
 use platebench_engine::{CancelToken, RunError, RunPlan, rejudge};
 use platebench_lab::boards::{
     Board, BoardError, BoardOutcome, Inventory, Reservation, SoakConfig, SoakEnd, SoakRecord, SoakResult, SoakScenario,
-    clear, list, soak, status_table,
+    clear, document, list, soak,
 };
 use platebench_model::record::Overrides;
-use platebench_report::document::{Block, Document};
 use platebench_report::{Detail, page};
 use platebench_rig::{ConnectOptions, RigSpec};
 use std::path::{Path, PathBuf};
@@ -84,7 +83,7 @@ pub(crate) fn board(arguments: &BoardCommandArgs, detail: Detail) -> CommandResu
     match &arguments.action {
         BoardAction::List { inventory, format } => {
             let boards = list(&inventory.open()?)?;
-            stdio::show_as(*format, &boards, || status_table(&boards).lines().join("\n") + "\n");
+            stdio::show_result(*format, &boards, &document(&boards));
         }
         BoardAction::Clear { name, reason, inventory } => {
             clear(&inventory.open()?, name, reason)?;
@@ -233,7 +232,7 @@ fn run_soak(arguments: &SoakArgs, detail: Detail) -> CommandResult {
     };
     let (end, exit) = match result {
         Ok(SoakResult { record, board, error }) => {
-            stdio::show(&format!("{}\n", record.table().lines().join("\n")));
+            stdio::document(&record.document());
             let written = write_soak_page(&record, &arguments.out).err().map(Failure::report);
             let exit = error.map_or_else(|| exit_of(&record), |error| Failure::from(error).report());
             exit.show_verdict(&soak_reason(&record), OutputFormat::Human);
@@ -254,38 +253,17 @@ fn exit_of(record: &SoakRecord) -> Exit {
 
 fn soak_reason(record: &SoakRecord) -> String {
     let count = |of: fn(&SoakScenario) -> u64| record.scenarios.values().map(of).sum::<u64>();
-    let end = describe_end(record);
+    let end = record.describe_end();
     let [failed, inconclusive, trials] =
         [count(|one| one.failed), count(|one| one.inconclusive), count(|one| one.trials)];
     let safe = if record.safe_confirmed { "" } else { "; 0 V was not confirmed after each run" };
     format!("{failed} failed and {inconclusive} inconclusive of {trials} trials in {} runs; {end}{safe}", record.runs)
 }
 
-fn describe_end(record: &SoakRecord) -> &'static str {
-    record.end.map_or("not ended", |end| match end {
-        SoakEnd::Time => "ended after its time",
-        SoakEnd::Cancelled => "cancelled",
-        SoakEnd::Failed => "ended at the first failure",
-        SoakEnd::Lost => "ended because the board was lost",
-    })
-}
-
 /// Writes the report. This is also possible while the soak still runs.
 pub(crate) fn write_soak_page(record: &SoakRecord, folder: &Path) -> CommandResult {
     let path = folder.join(page::FILE);
-    let state = describe_end(record);
-    let intro = format!(
-        "{} runs on {}, {}, from {} to {}: {state}. 0 V {} after each run.",
-        record.runs,
-        record.board,
-        record.verdict,
-        record.started,
-        record.updated,
-        if record.safe_confirmed { "was confirmed" } else { "was not confirmed" },
-    );
-    let kept = record.kept.iter().chain(&record.newest).map(|run| Block::File(format!("{run}/run.json")));
-    let blocks = std::iter::once(Block::Table(record.table())).chain(kept).collect();
-    Document { title: format!("Soak of {}", record.board), lead: intro, blocks }.write(&path).or_invalid()?;
+    record.document().write(&path).or_invalid()?;
     stdio::note(&format!("report: {}", path.display()));
     Ok(Exit::Passed)
 }

@@ -16,7 +16,6 @@ use platebench_experiments::campaign::{Engine, command_line, submission};
 use platebench_lab::boards::BoardOutcome;
 use platebench_model::record::FileLock;
 use platebench_model::trace::AtPath;
-use platebench_report::Style;
 use platebench_rig::{CancelToken, RigSpec};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -278,7 +277,7 @@ fn merge_and_show(
         ResponseLinks::new()
     });
     let document = report::write(folder, &summary, &links)?;
-    stdio::show_as(format, &summary.result(), || document.to_console(None, Style::default()));
+    stdio::show_result(format, &summary.result(), &document);
     stdio::note(&format!("report: {}", folder.join(report::REPORT_FILE).display()));
     Ok(match summary.verdict() {
         _ if summary.is_rig_lost() => Exit::Unreachable,

@@ -9,9 +9,8 @@ use platebench_engine::comparison::{
 };
 use platebench_model::record::{RunRecord, Verdict};
 use platebench_model::trace::{AtPath, write_atomically};
-use platebench_report::comparison;
+use platebench_report::comparison::{ScenarioComparison, document};
 use platebench_verdict::golden::TubeComparison;
-use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -45,17 +44,9 @@ pub(crate) struct CompareArgs {
 
 const DRAWINGS_FOLDER: &str = "comparison";
 
-#[derive(Serialize)]
-struct ComparisonOutput {
-    scenario: String,
-    #[serde(flatten)]
-    comparison: TubeComparison,
-    drawing: Option<PathBuf>,
-}
-
 pub(crate) fn compare(arguments: &CompareArgs) -> CommandResult {
     let comparisons = compare_all(arguments).or_invalid()?;
-    stdio::show_as(arguments.format, &comparisons, || comparisons.iter().map(ComparisonOutput::text).collect());
+    stdio::show_result(arguments.format, &comparisons, &document(&comparisons));
     if comparisons.is_empty() {
         return Err(Failure::new(Exit::NothingToRun, &"the run contains no scenario, so there is nothing to compare"));
     }
@@ -64,14 +55,6 @@ pub(crate) fn compare(arguments: &CompareArgs) -> CommandResult {
         return Err(nothing_compared(arguments, reason.unwrap_or_default()));
     }
     Ok(Exit::of_verdict(Verdict::combine(comparisons.iter().map(|one| one.comparison.verdict))))
-}
-
-impl ComparisonOutput {
-    fn text(&self) -> String {
-        let mut lines = comparison::lines(&self.scenario, &self.comparison);
-        lines.extend(self.drawing.iter().map(|path| format!("  drawing: {}", path.display())));
-        lines.join("\n") + "\n"
-    }
 }
 
 fn nothing_compared(arguments: &CompareArgs, reason: &str) -> Failure {
@@ -92,7 +75,7 @@ fn nothing_compared(arguments: &CompareArgs, reason: &str) -> Failure {
     Failure::new(Exit::NothingToRun, &format!("nothing was compared: {hint}"))
 }
 
-fn compare_all(arguments: &CompareArgs) -> Result<Vec<ComparisonOutput>, CompareError> {
+fn compare_all(arguments: &CompareArgs) -> Result<Vec<ScenarioComparison>, CompareError> {
     let subject = read_trials(&arguments.subject)?;
     let drawings = arguments
         .draw
@@ -107,7 +90,7 @@ fn compare_all(arguments: &CompareArgs) -> Result<Vec<ComparisonOutput>, Compare
             Some(folder) => draw_worst(&reference, &scenario, &comparison, folder)?,
             None => None,
         };
-        comparisons.push(ComparisonOutput { scenario: scenario.name, comparison, drawing });
+        comparisons.push(ScenarioComparison { scenario: scenario.name, comparison, drawing });
     }
     Ok(comparisons)
 }

@@ -14,7 +14,7 @@ use platebench_model::external_csv::{self, ColumnMapping};
 use platebench_model::recording::{Recording, RecordingError};
 use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_atomically, write_new};
 use platebench_report::chart::FitChart;
-use platebench_report::document::{Block, Figure, Style};
+use platebench_report::document::{Block, Figure};
 use platebench_report::format::count;
 use platebench_verdict::uncertainty::{Budget, known_quantities};
 use serde::Serialize;
@@ -133,9 +133,8 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
     let uncertainties = budget.map(|budget| parameter_uncertainties(&found, &budget)).transpose();
     let uncertainties = uncertainties.or_invalid()?.unwrap_or_default();
     let mut document = document(&format!("Identification: {}", arguments.name), &found, &uncertainties);
-    stdio::show_as(arguments.format, &IdentifyOutput { found: &found, uncertainties: &uncertainties }, || {
-        document.to_console(None, Style::default())
-    });
+    let output = IdentifyOutput { found: &found, uncertainties: &uncertainties };
+    stdio::show_result(arguments.format, &output, &document);
     if let Some(path) = &arguments.page {
         let page = if path.extension().is_some_and(|extension| extension == "md") {
             document.to_markdown()

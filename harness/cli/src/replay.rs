@@ -8,7 +8,6 @@ use clap::Args;
 use platebench_engine::replay::{ReplayError, ReplayInput, read_recorded_trace, read_telemetry_table, replay as play};
 use platebench_model::external_csv::ColumnMapping;
 use platebench_model::record::Verdict;
-use platebench_report::document::Style;
 use platebench_report::text::replay::document;
 use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
 use platebench_verdict::replay::ReplayResult;
@@ -56,7 +55,7 @@ pub(crate) fn replay(arguments: &ReplayArgs) -> CommandResult {
         play(&input, &rig.to_string(), rig.has_own_clock(), &|| rig.connect_with(&options), cancel)
     };
     let result = unless_signalled(run_until_signal(None, work, |()| {}))?;
-    stdio::show_as(arguments.format, &result, || document(&result).to_console(None, Style::default()));
+    stdio::show_result(arguments.format, &result, &document(&result));
     Ok(exit_of(&result))
 }
 

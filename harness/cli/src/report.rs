@@ -15,7 +15,7 @@ use platebench_model::record::{RunFolder, RunRecord};
 #[cfg(feature = "export")]
 use platebench_report::export::{ExportError, ExportFormat, select_scenarios};
 use platebench_report::page::ReportPage;
-use platebench_report::text::board_matrix::{difference_table, missing_shards, verdict_matrix};
+use platebench_report::text::board_matrix;
 use platebench_report::{Detail, junit, page, traceability};
 use std::path::{Path, PathBuf};
 
@@ -249,8 +249,9 @@ fn merge(arguments: &ReportArgs, detail: Detail) -> CommandResult {
         }
     })?;
     stdio::record(&record, arguments.format, detail);
-    if arguments.format == OutputFormat::Human {
-        show_boards(&record);
+    if let (OutputFormat::Human, Some(boards)) = (arguments.format, board_matrix::document(&record)) {
+        stdio::show("\n");
+        stdio::document(&boards);
     }
     let page = folder.path().join(page::FILE);
     let written = junit::write(&record, &folder.path().join(junit::FILE))
@@ -260,13 +261,4 @@ fn merge(arguments: &ReportArgs, detail: Detail) -> CommandResult {
     written.or_invalid()?;
     stdio::warn_if_not_safe(&record);
     Ok(Exit::of_record(&record))
-}
-
-fn show_boards(record: &RunRecord) {
-    let Some(merge) = &record.merge else { return };
-    let tables = verdict_matrix(record).into_iter().chain(difference_table(merge));
-    tables.for_each(|table| stdio::show(&format!("\n{}\n", table.lines().join("\n"))));
-    for line in missing_shards(merge) {
-        stdio::note(&line);
-    }
 }

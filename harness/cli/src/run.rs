@@ -11,8 +11,9 @@ use crate::selection::{check_not_empty, keep_last_failed, note_skipped, nothing_
 use crate::{shutdown, stdio};
 use platebench_engine::Clock;
 use platebench_model::scenario::{Diagnostic, Scenario, find, input, list_files};
+use platebench_report::Detail;
 use platebench_report::format::count;
-use platebench_report::{Detail, scenario_list};
+use platebench_report::scenario_list::ScenarioList;
 use play::Selection;
 use std::collections::BTreeMap;
 use std::fs;
@@ -23,9 +24,10 @@ use std::time::{Duration, Instant, SystemTime};
 pub(crate) fn run(arguments: &RunArgs, detail: Detail) -> CommandResult {
     if arguments.list {
         let scenarios = scenarios_to_run(arguments, detail)?.scenarios;
-        stdio::show_as(arguments.format, &scenario_list::json(&scenarios), || match detail {
-            Detail::Failures => scenario_list::names(&scenarios),
-            Detail::Summary | Detail::Tables => scenario_list::text(&scenarios),
+        let list = ScenarioList::new(&scenarios);
+        stdio::show_as(arguments.format, &list, || match detail {
+            Detail::Failures => list.names(),
+            Detail::Summary | Detail::Tables => stdio::console_text(&list.document()),
         });
         return Ok(Exit::Passed);
     }

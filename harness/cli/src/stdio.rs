@@ -5,6 +5,7 @@ use crate::options::OutputFormat;
 use clap::{Args, ColorChoice, ValueEnum};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::Diagnostic;
+use platebench_report::document::Document;
 use platebench_report::text::{printable, printable_lines};
 use platebench_report::{Detail, Style, console};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -110,6 +111,19 @@ pub(crate) fn show_as(format: OutputFormat, value: &impl Serialize, text: impl F
         OutputFormat::Human => show(&text()),
         OutputFormat::Json => show_json(value),
     }
+}
+
+/// Text for standard output, with colours if they apply there.
+pub(crate) fn console_text(document: &Document) -> String {
+    document.to_console(None, Style { colour: colors_apply_to(&stdout()) })
+}
+
+pub(crate) fn show_result(format: OutputFormat, value: &impl Serialize, document: &Document) {
+    show_as(format, value, || console_text(document));
+}
+
+pub(crate) fn document(document: &Document) {
+    show(&console_text(document));
 }
 
 pub(crate) fn record(record: &RunRecord, format: OutputFormat, detail: Detail) {

@@ -15,8 +15,8 @@ use platebench_experiments::trust::report::{document, matrix};
 use platebench_experiments::trust::{TrustConfig, TrustReport, catalogue, clean_variants, measure};
 use platebench_model::record::Verdict;
 use platebench_model::trace::write_atomically;
+use platebench_report::Detail;
 use platebench_report::format::count;
-use platebench_report::{Detail, Style};
 use platebench_rig::CancelToken;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -121,11 +121,9 @@ fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
     if let Some(folder) = &arguments.out {
         write_report(&report, exploration.as_ref(), folder).or_invalid_at(folder)?;
     }
-    stdio::show_as(arguments.format, &report, || {
-        let mut document = document(&report);
-        document.blocks.extend(exploration.as_ref().map(|exploration| exploration.block(&report)));
-        document.to_console(None, Style::default())
-    });
+    let mut document = document(&report);
+    document.blocks.extend(exploration.as_ref().map(|exploration| exploration.block(&report)));
+    stdio::show_result(arguments.format, &report, &document);
     let blames = exploration.map_or(0, |exploration| exploration.alarms.len());
     let exit = Exit::of_verdict(if blames > 0 { Verdict::Fail } else { report.verdict });
     let caught =

@@ -17,7 +17,6 @@ use platebench_design::tuning::{
 use platebench_model::scenario::load::{implausible_values, load_plate, require_no_effects};
 use platebench_model::scenario::{Diagnostic, load, read_text};
 use platebench_plate::{Model, Plate, Time, Uncertainty};
-use platebench_report::Style;
 use platebench_rig::RigSpec;
 use platebench_wire::{Gains, LawId};
 use serde_json::json;
@@ -232,7 +231,7 @@ pub(crate) fn tune(arguments: &TuneArgs) -> CommandResult {
     refuse_implausible(path, &plate, arguments.force)?;
     let tuning = design(&target, arguments.discretisation(), &spread).or_invalid()?;
     if arguments.format == OutputFormat::Human {
-        stdio::show(&document(&target, &spread, &tuning).to_console(None, Style::default()));
+        stdio::document(&document(&target, &spread, &tuning));
     }
     let (mut exit, mut reason) = if tuning.met {
         (Exit::Passed, "the target is met".to_owned())
@@ -269,7 +268,12 @@ pub(crate) fn tune(arguments: &TuneArgs) -> CommandResult {
         stdio::note("the target is not met: nothing was written or sent");
     }
     match arguments.format {
-        OutputFormat::Human => verification.iter().for_each(|done| stdio::show(&comparison_table(&tuning, done))),
+        OutputFormat::Human => {
+            for (done, chosen) in verification.iter().zip(&tuning.chosen) {
+                stdio::show("\n");
+                stdio::document(&done.document(&chosen.plate));
+            }
+        }
         OutputFormat::Json => {
             let verdict = (exit, reason.as_str());
             show_json(&target, &spread, arguments.law(), &tuning, verification.as_ref(), verdict);
@@ -292,26 +296,6 @@ fn refuse_implausible(path: &Path, plate: &Plate, force: bool) -> Result<(), Fai
         fault.message += "; --force designs for it nevertheless";
     }
     if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
-}
-
-fn comparison_table(tuning: &TuningResult, measured: &RigVerification) -> String {
-    let Some(DesignEvaluation { plate: predicted, .. }) = &tuning.chosen else { return String::new() };
-    let row = |name: &str, predicted: Option<f64>, measured: Option<f64>| {
-        let number = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |value| format!("{value:.3}"));
-        format!("  {name:<16} {:>10} {:>10}\n", number(predicted), number(measured))
-    };
-    format!(
-        "\n{} on {} accepted the gains: run folder {}\n  {:<16} {:>10} {:>10}\n{}{}{}",
-        measured.firmware,
-        measured.rig,
-        measured.folder.display(),
-        "",
-        "predicted",
-        "measured",
-        row("settling, ms", predicted.settling_ms, measured.settling_ms),
-        row("overshoot, %", Some(predicted.overshoot_percent), measured.overshoot_percent),
-        row("peak drive, Vpp", Some(predicted.peak_drive_vpp), measured.peak_drive_vpp),
-    )
 }
 
 fn show_json(
@@ -348,11 +332,7 @@ fn show_json(
         "gains": tuning.chosen.as_ref().map(gains),
         "possible_gains": tuning.possible.as_ref().map(gains),
         "tuning": tuning,
-        "measured": verification.map(|measured| json!({
-            "rig": measured.rig, "firmware": measured.firmware, "folder": measured.folder,
-            "settling_ms": measured.settling_ms, "overshoot_percent": measured.overshoot_percent,
-            "peak_drive_vpp": measured.peak_drive_vpp,
-        })),
+        "measured": verification,
     }));
 }
 

@@ -15,7 +15,7 @@ pub use state::{BoardOutcome, LastRun, Quarantine};
 
 use crate::boards::state::{BoardFiles, BoardLock, StoredState};
 use platebench_model::record::{to_hex, utc_timestamp};
-use platebench_report::document::Table;
+use platebench_report::document::{Block, Document, Table};
 use platebench_rig::{CancelToken, ConnectOptions, Session};
 use serde::Serialize;
 use std::thread::sleep;
@@ -173,7 +173,7 @@ fn status(inventory: &Inventory, board: &Board) -> Result<BoardStatus, BoardErro
     Ok(BoardStatus { board: board.clone(), state, last_run: stored.last_run })
 }
 
-pub fn status_table(boards: &[BoardStatus]) -> Table {
+pub fn document(boards: &[BoardStatus]) -> Document {
     let mut table = Table::new(["board", "state", "since", "holder or reason", "last run", "verdict"]);
     for status in boards {
         let (state, since, why) = match &status.state {
@@ -197,7 +197,7 @@ pub fn status_table(boards: &[BoardStatus]) -> Table {
             verdict.unwrap_or_default(),
         ]);
     }
-    table
+    Document::new("Boards", vec![Block::Table(table)])
 }
 
 pub fn clear(inventory: &Inventory, name: &str, reason: &str) -> Result<(), BoardError> {

@@ -98,9 +98,14 @@ impl Document {
     pub fn to_html(&self) -> String {
         let body = html! {
             header { h1 { (self.title) } @if !self.lead.is_empty() { p.lead { (self.lead) } } }
-            main { @for block in &self.blocks { (block.html()) } }
+            main { (self.body()) }
         };
         report_page_frame(&self.title, &html! { style { (PreEscaped(STYLE)) } }, &body)
+    }
+
+    /// The blocks as a part of a page.
+    pub(crate) fn body(&self) -> Markup {
+        html! { @for block in &self.blocks { (block.html()) } }
     }
 
     pub fn to_markdown(&self) -> String {

@@ -143,9 +143,9 @@ fn a_list_shows_limits_and_windows_without_playing() {
     let list = || folder.bench(["run", "--list", "--rig", "exec:false {port}"]).assert_exit(0).stdout;
     assert_eq!(
         list(),
-        "a.toml  (law dq-pi, 1 trial)  [paper]\n  step\n\n  \
-         metric              limit      unit  window\n  \
-         settling_time_ms    ≤ 2        ms    0 … 60 ms\n  \
+        "a.toml  (law dq-pi, 1 trial)  [paper]\nstep\n\n\
+         metric              limit      unit  window\n\
+         settling_time_ms    ≤ 2        ms    0 … 60 ms\n\
          final_amplitude_um  ≈ 2 ± 5 %  µm    30 … 60 ms\n\n1 scenario, 2 expectations\n"
     );
     let json = folder.bench(["run", "--list", "--trials", "3", "--format", "json"]).assert_exit(0).json();

@@ -11,7 +11,7 @@ use platebench_experiments::explore::session::{ExploreSession, ProgressEvent};
 use platebench_experiments::explore::{Envelope, ExploreError, report};
 use platebench_model::record::{RunFolder, Verdict};
 use platebench_model::scenario::find;
-use platebench_report::{Detail, Style};
+use platebench_report::Detail;
 use platebench_rig::{CancelToken, RigSpec};
 use platebench_wire::LawId;
 use std::path::PathBuf;
@@ -86,7 +86,7 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
             (unless_signalled(ended)?, None)
         }
     };
-    stdio::show_as(arguments.format, &report, || report::document(&report).to_console(None, Style::default()));
+    stdio::show_result(arguments.format, &report, &report::document(&report));
     stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
     stdio::note(&format!("report: {}", folder.path().join(report::PAGE_FILE).display()));
     let is_empty = report.scenes == 0 && report.regressions == 0;

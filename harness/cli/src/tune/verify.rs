@@ -5,14 +5,17 @@ use crate::exit::{Exit, Failure, OrInvalid};
 use crate::prompt::TerminalOperator;
 use crate::run_plan::{EventSinks, run_plan};
 use crate::stdio;
+use platebench_design::tuning::design::StepEvaluation;
 use platebench_design::tuning::verification::{VerificationStep, gains_match, step_scenario};
 use platebench_engine::{Clock, LiveTap, RunError, RunPlan, configure};
 use platebench_lab::boards::BoardOutcome;
 use platebench_model::record::{ClockKind, Overrides, RunFolder, TrialRecord};
 use platebench_model::scenario::Scenario;
 use platebench_report::console;
+use platebench_report::document::{Block, Column, Document, Table};
 use platebench_rig::{ConnectOptions, RigSpec, SafeEnd, Session, check_baud};
 use platebench_wire::{Gains, LawId};
+use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -23,7 +26,7 @@ pub(super) struct VerificationConfig<'a> {
     pub(super) out: Option<&'a Path>,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Serialize)]
 pub(super) struct RigVerification {
     pub(super) rig: String,
     pub(super) firmware: String,
@@ -31,9 +34,30 @@ pub(super) struct RigVerification {
     pub(super) settling_ms: Option<f64>,
     pub(super) overshoot_percent: Option<f64>,
     pub(super) peak_drive_vpp: Option<f64>,
+    #[serde(skip)]
     pub(super) exit: Exit,
     /// Reason of the exit code.
+    #[serde(skip)]
     pub(super) reason: String,
+}
+
+impl RigVerification {
+    /// Compares the step with the prediction of the design.
+    pub(super) fn document(&self, predicted: &StepEvaluation) -> Document {
+        let mut table = Table::new([Column::from(""), Column::number("predicted", ""), Column::number("measured", "")]);
+        let number = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |value| format!("{value:.3}"));
+        table.extend(
+            [
+                ("settling, ms", predicted.settling_ms, self.settling_ms),
+                ("overshoot, %", Some(predicted.overshoot_percent), self.overshoot_percent),
+                ("peak drive, Vpp", Some(predicted.peak_drive_vpp), self.peak_drive_vpp),
+            ]
+            .map(|(name, predicted, measured)| [name.to_owned(), number(predicted), number(measured)]),
+        );
+        let Self { firmware, rig, folder, .. } = self;
+        let sentence = format!("{firmware} on {rig} accepted the gains: run folder {}", folder.display());
+        Document::new("Step with the gains", vec![Block::Paragraph(sentence), Block::Table(table)])
+    }
 }
 
 pub(super) fn verify_on_rig(rig: &RigSpec, config: &VerificationConfig<'_>) -> Result<RigVerification, Failure> {

@@ -7,7 +7,7 @@ use platebench_engine::{CancelToken, RunError, RunHooks, RunPlan, rejudge, run};
 use platebench_model::record::{FileLock, FolderError, RunFolder, RunRecord, Verdict, utc_timestamp};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{AtPath as _, read_text_file, write_atomically};
-use platebench_report::document::Table;
+use platebench_report::document::{Block, Document, Table};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -238,7 +238,32 @@ impl SoakRecord {
         }
     }
 
-    pub fn table(&self) -> Table {
+    pub fn document(&self) -> Document {
+        let lead = format!(
+            "{} runs on {}, {}, from {} to {}: {}. 0 V {} after each run.",
+            self.runs,
+            self.board,
+            self.verdict,
+            self.started,
+            self.updated,
+            self.describe_end(),
+            if self.safe_confirmed { "was confirmed" } else { "was not confirmed" },
+        );
+        let kept = self.kept.iter().chain(&self.newest).map(|run| Block::File(format!("{run}/run.json")));
+        let blocks = std::iter::once(Block::Table(self.table())).chain(kept).collect();
+        Document { lead, ..Document::new(format!("Soak of {}", self.board), blocks) }
+    }
+
+    pub fn describe_end(&self) -> &'static str {
+        self.end.map_or("not ended", |end| match end {
+            SoakEnd::Time => "ended after its time",
+            SoakEnd::Cancelled => "cancelled",
+            SoakEnd::Failed => "ended at the first failure",
+            SoakEnd::Lost => "ended because the board was lost",
+        })
+    }
+
+    fn table(&self) -> Table {
         let header = ["scenario", "runs", "trials", "failed", "inconclusive", "metric", "mean", "sd", "min", "max"];
         let mut table = Table::new(header);
         for (file, scenario) in &self.scenarios {

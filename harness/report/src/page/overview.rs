@@ -5,10 +5,9 @@ use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorte
 use super::trace_data::{TRACE_CHANGED, TraceData};
 use crate::document::verdict_badge;
 use crate::record_queries::CauseGroup;
-use crate::text::board_matrix::{difference_table, missing_shards, verdict_matrix};
 use crate::text::history::RunHistory;
-use crate::text::timing;
 use crate::text::traceability::{self, RequirementLink};
+use crate::text::{board_matrix, timing};
 use crate::{format, record_queries};
 use maud::{Markup, html};
 use platebench_model::record::{
@@ -410,18 +409,7 @@ pub(super) fn environment_section(record: &RunRecord) -> Markup {
 }
 
 pub(super) fn boards_section(record: &RunRecord) -> Markup {
-    let Some(merge) = &record.merge else { return html! {} };
-    html! {
-        section id="boards" {
-            h2 { "Boards" }
-            @for line in missing_shards(merge) { p { (line) } }
-            @if let Some(table) = verdict_matrix(record) { (table.html()) }
-            @if let Some(table) = difference_table(merge) {
-                h3 { "Differences between boards" }
-                (table.html())
-            }
-        }
-    }
+    html! { @if let Some(boards) = board_matrix::document(record) { section id="boards" { (boards.body()) } } }
 }
 
 /// Width and height, CSS pixels.

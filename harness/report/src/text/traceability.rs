@@ -1,6 +1,6 @@
 //! Writes `traceability.csv`: the expectations of each requirement with verdict, value and trace.
 
-use crate::document::Table;
+use crate::document::{Block, Document, Table};
 use crate::error::{ReportError, write_file};
 use crate::{format, record_queries};
 use platebench_model::record::{RunRecord, Verdict};
@@ -48,10 +48,10 @@ pub(crate) fn requirement_links(record: &RunRecord) -> Vec<RequirementLink> {
 }
 
 pub fn write(record: &RunRecord, folder: &Path) -> Result<(), ReportError> {
-    write_file(&folder.join(FILE), &text(record))
+    write_file(&folder.join(FILE), &document(record).to_csv())
 }
 
-pub fn text(record: &RunRecord) -> String {
+pub fn document(record: &RunRecord) -> Document {
     let mut table = Table::new([
         "requirement",
         "expectation",
@@ -71,5 +71,5 @@ pub fn text(record: &RunRecord) -> String {
         let unit = link.unit.to_owned();
         vec![link.requirement, link.expectation, link.limit, link.scenario, verdict, value, unit, low, high, link.trace]
     }));
-    table.csv()
+    Document::new("Requirements", vec![Block::Table(table)])
 }

@@ -1,6 +1,7 @@
 //! Draws the place where a response leaves its tolerance tube, in characters.
 
 use crate::chart::marks::extent;
+use crate::document::{Block, Document};
 use crate::format;
 use platebench_model::trace::Row;
 use platebench_verdict::tube::{Exceedance, Tube, TubeSignal, signal_response};
@@ -10,7 +11,13 @@ const ROWS: usize = 12;
 const MARGIN_MS: f64 = 5.0;
 
 /// Draws the tube as `.`, the golden curve as `-` and the response as `#`.
-pub fn lines(tube: &Tube, rows: &[Row], worst: &Exceedance) -> Vec<String> {
+pub fn document(tube: &Tube, rows: &[Row], trial: u32, worst: &Exceedance) -> Document {
+    let place = format!("  {}", format::exceedance(trial, worst));
+    let lines = std::iter::once(place).chain(lines(tube, rows, worst));
+    Document::new("Response outside its tolerance tube", vec![Block::lines(lines)])
+}
+
+fn lines(tube: &Tube, rows: &[Row], worst: &Exceedance) -> Vec<String> {
     let (first, last) = tube.span_ms();
     let (from, to) = ((worst.t_ms - MARGIN_MS).max(first), (worst.t_ms + MARGIN_MS).min(last));
     let response = TubeSignal::from_name(&tube.signal).map(|signal| signal_response(signal, rows)).unwrap_or_default();
