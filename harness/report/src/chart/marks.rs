@@ -5,6 +5,7 @@
 
 use super::colours;
 use maud::{Markup, PreEscaped, html};
+use platebench_model::record::Verdict;
 use std::fmt::Write as _;
 use std::ops::Range;
 
@@ -50,8 +51,21 @@ pub(crate) enum Role {
     JudgedWindow,
     Worst,
     OpenLoop,
+    Pass,
+    Fail,
+    Inconclusive,
     Series(usize),
     Radius(usize),
+}
+
+impl From<Verdict> for Role {
+    fn from(verdict: Verdict) -> Self {
+        match verdict {
+            Verdict::Pass => Self::Pass,
+            Verdict::Fail => Self::Fail,
+            Verdict::Inconclusive => Self::Inconclusive,
+        }
+    }
 }
 
 /// Number of colours. Higher numbers of series and radii begin again with the first colour.

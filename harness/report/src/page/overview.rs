@@ -3,6 +3,7 @@
 
 use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, with_unit};
 use super::trace_data::{TRACE_CHANGED, TraceData};
+use crate::chart::marks::{Axes, Axis, Drawing, Mark, Point, Role, view_box};
 use crate::document::verdict_badge;
 use crate::record_queries::CauseGroup;
 use crate::text::history::RunHistory;
@@ -15,7 +16,6 @@ use platebench_model::record::{
 };
 use platebench_model::trace::Column;
 use std::collections::BTreeSet;
-use std::fmt::Write as _;
 
 const MAX_CLOSEST: usize = 5;
 
@@ -412,8 +412,9 @@ pub(super) fn boards_section(record: &RunRecord) -> Markup {
     html! { @if let Some(boards) = board_matrix::document(record) { section id="boards" { (boards.body()) } } }
 }
 
-/// Width and height, CSS pixels.
-const SPARKLINE: (f64, f64) = (88.0, 22.0);
+/// Width and height of small drawings, CSS pixels.
+const SPARKLINE: Point = (88.0, 22.0);
+const MARGIN_BAR: Point = (88.0, 5.0);
 const SPARKLINE_POINTS: usize = 44;
 /// The bar is full at this margin (100 %) and above.
 const FULL_MARGIN: f64 = 1.0;
@@ -460,30 +461,33 @@ fn sparkline(data: &TraceData) -> Markup {
     let known = data.grid.t_ms.iter().zip(line).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
     let known: Vec<(f64, f64)> = known.collect();
     let top = known.iter().map(|point| point.1).fold(f64::MIN_POSITIVE, f64::max);
-    let (width, height) = SPARKLINE;
     let part = |t_ms: f64| ((t_ms - whole.from_ms) / whole.span_ms() * SPARKLINE_POINTS as f64).floor();
-    let mut path = String::new();
-    for points in known.chunk_by(|a, b| part(a.0) == part(b.0)) {
-        let Some(point) = points.iter().max_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
-        let x = (point.0 - whole.from_ms) / whole.span_ms() * width;
-        let y = height - 1.0 - point.1 / top * (height - 2.0);
-        let _ = write!(path, "{}{x:.0} {y:.1}", if path.is_empty() { "M" } else { "L" });
-    }
-    html! { svg.spark viewBox={ "0 0 " (width) " " (height) } aria-hidden="true" { path d=(path) {} } }
+    let parts = known.chunk_by(|a, b| part(a.0) == part(b.0));
+    let peaks = parts.filter_map(|points| points.iter().max_by(|a, b| a.1.total_cmp(&b.1)).copied());
+    let axes = Axes {
+        x: Axis::linear(whole.from_ms..whole.to_ms, 0.0..SPARKLINE.0),
+        y: Axis::linear(0.0..top, SPARKLINE.1 - 1.0..1.0),
+    };
+    let mut drawing = Drawing::default();
+    drawing.marks(&axes, &[Mark::Line(Role::First, peaks.collect())]);
+    html! { svg.spark viewBox=(view_box(SPARKLINE)) aria-hidden="true" { (drawing.into_markup()) } }
 }
 
-pub(super) fn margin_bar(scenario: &ScenarioRecord) -> Markup {
+fn margin_bar(scenario: &ScenarioRecord) -> Markup {
     let closest = record_queries::closest_expectation(scenario).and_then(|index| scenario.expectations.get(index));
     let Some((closest, margin)) = closest.and_then(|found| Some((found, found.margin?))) else {
         return Markup::default();
     };
-    let width = if margin < 0.0 { 100.0 } else { (margin / FULL_MARGIN).min(1.0) * 100.0 };
+    let (verdict, end) = if margin < 0.0 { (Verdict::Fail, FULL_MARGIN) } else { (scenario.verdict, margin) };
+    let (width, height) = MARGIN_BAR;
+    let axes = Axes { x: Axis::linear(0.0..FULL_MARGIN, 0.0..width), y: Axis::linear(0.0..1.0, height..0.0) };
+    let bar = |role: Role, end: f64| Mark::Cell(role, [(0.0, 0.0), (end, 1.0)]);
+    let mut drawing = Drawing::default();
+    drawing.marks(&axes, &[bar(Role::Grid, FULL_MARGIN), bar(verdict.into(), end)]);
     let title = format!("smallest margin {}: {}", margin_text(margin), closest.name);
-    let verdict = if margin < 0.0 { Verdict::Fail } else { scenario.verdict };
     html! {
-        svg.margin viewBox="0 0 100 5" preserveAspectRatio="none" role="img" aria-label=(title) {
-            rect.rail width="100" height="5" {}
-            rect class=(verdict) width=(format::number(width)) height="5" {}
+        svg.margin viewBox=(view_box(MARGIN_BAR)) preserveAspectRatio="none" role="img" aria-label=(title) {
+            (drawing.into_markup())
         }
     }
 }

@@ -5,7 +5,7 @@ use super::figure::{Figure, drawings};
 use super::overview::margin_text;
 use super::script;
 use super::trace_data::TraceData;
-use crate::chart::marks::extent;
+use crate::chart::marks::{Axes, Axis, AxisValue, Drawing, Mark, Point, Role, Shape, extent, view_box};
 use crate::document::verdict_badge;
 use crate::format;
 use crate::text::history::TrendPoint;
@@ -254,11 +254,11 @@ fn firmware_output(scenario: &ScenarioRecord) -> Markup {
 }
 
 /// Width and height, CSS pixels.
-const TREND_SIZE: (f64, f64) = (132.0, 34.0);
+const TREND_SIZE: Point = (132.0, 34.0);
 const TREND_AIR: f64 = 5.0;
 
 /// `points` begin with the oldest run and end with this one. Draws nothing without an earlier run.
-pub(super) fn trend(expectation: &ExpectationRecord, points: &[TrendPoint]) -> Markup {
+fn trend(expectation: &ExpectationRecord, points: &[TrendPoint]) -> Markup {
     let ends = format::limit_ends(expectation.limit);
     if points.len() < 2 {
         return Markup::default();
@@ -266,13 +266,24 @@ pub(super) fn trend(expectation: &ExpectationRecord, points: &[TrendPoint]) -> M
     let values = points.iter().filter_map(|point| point.value).chain(ends.iter().copied());
     let (low, high) = extent(values).unwrap_or_default();
     let (width, height) = TREND_SIZE;
-    let y = |value: f64| {
-        let share = if high > low { (value - low) / (high - low) } else { 0.5 };
-        format!("{:.1}", height - TREND_AIR - share * (height - 2.0 * TREND_AIR))
+    // Equal values lie in the middle.
+    let spread = if high > low { 0.0 } else { 1.0 };
+    let axes = Axes {
+        x: Axis::linear(0.0..(points.len() - 1) as f64, TREND_AIR..width - TREND_AIR),
+        y: Axis::linear(low - spread..high + spread, height - TREND_AIR..TREND_AIR),
     };
-    let x = |index: usize| {
-        format!("{:.1}", TREND_AIR + index as f64 * (width - 2.0 * TREND_AIR) / (points.len() - 1) as f64)
+    let line = |role: Role, at: AxisValue| Mark::Limit { role, at, text: None };
+    let mark = |(index, point): (usize, &TrendPoint)| match point.value {
+        Some(value) => {
+            let at = (index as f64, value);
+            Mark::Point { role: point.verdict.into(), at, shape: Shape::Disc, radius: 3.0, text: None }
+        }
+        None => line(point.verdict.into(), AxisValue::X(index as f64)),
     };
+    let limits = ends.iter().map(|end| line(Role::Mark, AxisValue::Y(*end)));
+    let marks: Vec<Mark> = limits.chain(points.iter().enumerate().map(mark)).collect();
+    let mut drawing = Drawing::default();
+    drawing.marks(&axes, &marks);
     let unit = format::unit(expectation.metric);
     let text = |point: &TrendPoint| {
         let value =
@@ -282,15 +293,9 @@ pub(super) fn trend(expectation: &ExpectationRecord, points: &[TrendPoint]) -> M
     };
     let label = points.iter().map(text).collect::<Vec<_>>().join("; ");
     html! {
-        svg.trend viewBox={ "0 0 " (width) " " (height) } role="img" aria-label=(label) {
+        svg.trend viewBox=(view_box(TREND_SIZE)) role="img" aria-label=(label) {
             title { (label) }
-            @for end in &ends { path.end d={ "M0 " (y(*end)) "H" (width) } {} }
-            @for (index, point) in points.iter().enumerate() {
-                @match point.value {
-                    Some(value) => circle class=(point.verdict) cx=(x(index)) cy=(y(value)) r="3" {},
-                    None => path class=(point.verdict) d={ "M" (x(index)) " " (TREND_AIR) "v" (height - 2.0 * TREND_AIR) } {},
-                }
-            }
+            (drawing.into_markup())
         }
     }
 }

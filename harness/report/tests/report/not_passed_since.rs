@@ -170,11 +170,8 @@ fn the_trend_shows_value_and_margin_of_earlier_runs() {
     assert!(drawing.contains(label), "{drawing}");
     let heights: Vec<f64> =
         drawing.split("cy=\"").skip(1).map(|part| part.split('"').next().unwrap().parse().unwrap()).collect();
-    let limit = drawing.split_once("class=\"end\" d=\"M0 ").unwrap().1.split_once('H').unwrap().0;
+    let limit = drawing.split_once("class=\"s-mark\" d=\"m20 ").unwrap().1.split_once('l').unwrap().0;
     let limit: f64 = limit.parse().unwrap();
     assert!(heights[0] < limit && limit < heights[2] && heights[2] < heights[1], "{drawing}");
-    assert_eq!(
-        (drawing.matches("circle class=\"fail\"").count(), drawing.matches("circle class=\"pass\"").count()),
-        (1, 2)
-    );
+    assert_eq!((drawing.matches("class=\"f-fail\"").count(), drawing.matches("class=\"f-pass\"").count()), (1, 2));
 }
