@@ -7,7 +7,10 @@ pub mod catalogue;
 pub mod mutant_controller;
 mod mutants;
 pub mod play;
+mod protocol_faults;
+mod protocol_mutants;
 pub mod report;
+mod watchdog_mutants;
 
 use platebench_engine::workers::collect_in_parallel;
 use platebench_model::record::{Verdict, ViolationKind};
@@ -21,6 +24,7 @@ use report::{
 pub use catalogue::{CleanVariant, MutantSpec, ReferenceController, catalogue, clean_variants};
 pub use mutant_controller::{Mutant, MutantController};
 pub use play::{PlayResult, TrustError, play};
+pub use protocol_faults::protocol_faults;
 pub use report::TrustReport;
 
 /// Standard deviations of the plate in clean runs. They replace zeros of the scenario.

@@ -94,7 +94,7 @@ pub struct MutantSpec {
 }
 
 /// A mutant without mistakes, detecting metrics and witness, which the following methods set.
-fn mutant(name: &'static str, description: &'static str) -> MutantSpec {
+pub(crate) fn mutant(name: &'static str, description: &'static str) -> MutantSpec {
     MutantSpec {
         name,
         description,
@@ -123,7 +123,7 @@ impl MutantSpec {
         Self { reference, ..self }
     }
 
-    fn with(self, build: fn() -> Box<dyn Mutant>) -> Self {
+    pub(crate) fn with(self, build: fn() -> Box<dyn Mutant>) -> Self {
         Self { build, ..self }
     }
 }

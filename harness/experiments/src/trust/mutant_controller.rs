@@ -8,6 +8,17 @@ use std::time::Duration;
 /// A mistake of a controller, with its state. By default a method changes nothing. A closure that
 /// takes a message is a mutant.
 pub trait Mutant: Send {
+    /// Handles a frame (with its delimiter) instead of the methods below and returns the packets to
+    /// the bench, which pass [`Mutant::on_send`]. `None`: the methods below handle the frame.
+    fn handle(&mut self, _frame: &[u8], _inner: &mut Inner<'_>) -> Result<Option<Vec<Packet>>, LinkError> {
+        Ok(None)
+    }
+
+    /// Passes the time without a frame. Returns the packets like [`Mutant::handle`].
+    fn wait(&mut self, inner: &mut Inner<'_>) -> Result<Vec<Packet>, LinkError> {
+        inner.wait(Duration::ZERO)
+    }
+
     /// Changes a packet to the controller.
     fn on_receive(&mut self, packet: &mut Packet) {
         self.on_message(&mut packet.message);
@@ -48,6 +59,34 @@ impl<F: FnMut(&mut Message) + Send> Mutant for F {
     }
 }
 
+/// The correct controller in a mutant.
+pub struct Inner<'a> {
+    link: &'a mut dyn Link,
+    trial_start: Duration,
+    now: Duration,
+}
+
+impl Inner<'_> {
+    /// Time on the clock of the controller since its restart, µs. It does not wrap.
+    pub fn clock_us(&self) -> u64 {
+        (self.trial_start + self.now).as_micros() as u64
+    }
+
+    /// Sends bytes to the controller and returns its answers.
+    pub fn send(&mut self, bytes: &[u8]) -> Result<Vec<Packet>, LinkError> {
+        let mut answer = Vec::new();
+        self.link.exchange(self.now, bytes, &mut answer)?;
+        Ok(PacketReader::new().packets(&answer).flatten().collect())
+    }
+
+    /// Moves the time of the controller to `ahead` after the present and returns what it sends.
+    pub fn wait(&mut self, ahead: Duration) -> Result<Vec<Packet>, LinkError> {
+        let mut received = Vec::new();
+        self.link.advance_to(self.now + ahead, &mut received)?;
+        Ok(PacketReader::new().packets(&received).flatten().collect())
+    }
+}
+
 /// Maximum length of a frame. Longer ones are forwarded in parts of this length.
 const MAX_UNDELIMITED_BYTES: usize = 4096;
 
@@ -61,6 +100,9 @@ pub struct MutantController<L> {
     scratch: Vec<u8>,
     /// Answers that the bench has not received yet, in order, each with the time of its arrival.
     outgoing: VecDeque<(Duration, Packet)>,
+    trial_start: Duration,
+    /// Time of the last call since the start of the trial.
+    now: Duration,
 }
 
 impl<L: Link> MutantController<L> {
@@ -74,11 +116,20 @@ impl<L: Link> MutantController<L> {
             reader: PacketReader::new(),
             scratch: Vec::new(),
             outgoing: VecDeque::new(),
+            trial_start: Duration::ZERO,
+            now: Duration::ZERO,
         }
     }
 
     /// Forwards a frame with its delimiter. Returns the time that the inner link reports.
     fn deliver(&mut self, now: Duration, frame: &[u8]) -> Result<Duration, LinkError> {
+        let mut inner = Inner { link: &mut self.inner, trial_start: self.trial_start, now };
+        if let Some(answers) = self.mutant.handle(frame, &mut inner)? {
+            for packet in answers {
+                self.queue(now, packet);
+            }
+            return Ok(Duration::ZERO);
+        }
         let Some(mut packet) = decode(frame) else {
             let kept = if frame.len() > 1 { self.mutant.on_unreadable_frame(frame) } else { Some(frame.to_vec()) };
             return kept.map_or(Ok(Duration::ZERO), |bytes| self.exchange_raw(now, &bytes));
@@ -107,14 +158,22 @@ impl<L: Link> MutantController<L> {
     }
 
     fn queue_answers(&mut self, now: Duration) {
-        for byte in self.scratch.drain(..) {
-            let Some(Ok(mut packet)) = self.reader.push(byte) else { continue };
-            self.mutant.on_send(&mut packet);
-            let acts = matches!(packet.message, Message::Command(Command { state: ControllerState::Running, .. }));
-            let due = now + if acts { self.mutant.command_delay() } else { Duration::ZERO };
-            let due = self.outgoing.back().map_or(due, |(before, _)| due.max(*before));
-            self.outgoing.push_back((due, packet));
+        let answers = std::mem::take(&mut self.scratch);
+        for &byte in &answers {
+            if let Some(Ok(packet)) = self.reader.push(byte) {
+                self.queue(now, packet);
+            }
         }
+        self.scratch = answers;
+        self.scratch.clear();
+    }
+
+    fn queue(&mut self, now: Duration, mut packet: Packet) {
+        self.mutant.on_send(&mut packet);
+        let acts = matches!(packet.message, Message::Command(Command { state: ControllerState::Running, .. }));
+        let due = now + if acts { self.mutant.command_delay() } else { Duration::ZERO };
+        let due = self.outgoing.back().map_or(due, |(before, _)| due.max(*before));
+        self.outgoing.push_back((due, packet));
     }
 
     fn send_due(&mut self, now: Duration, answer: &mut Vec<u8>) {
@@ -126,6 +185,7 @@ impl<L: Link> MutantController<L> {
 
 impl<L: Link> Link for MutantController<L> {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+        self.now = now;
         let mut took = Duration::ZERO;
         for &byte in bytes {
             self.received.push(byte);
@@ -139,8 +199,12 @@ impl<L: Link> Link for MutantController<L> {
     }
 
     fn advance_to(&mut self, now: Duration, answer: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.inner.advance_to(now, &mut self.scratch)?;
-        self.queue_answers(now);
+        self.now = now;
+        let mut inner = Inner { link: &mut self.inner, trial_start: self.trial_start, now };
+        let packets = self.mutant.wait(&mut inner)?;
+        for packet in packets {
+            self.queue(now, packet);
+        }
         self.send_due(now, answer);
         Ok(())
     }
@@ -152,11 +216,14 @@ impl<L: Link> Link for MutantController<L> {
         self.scratch.clear();
         self.outgoing.clear();
         self.reader = PacketReader::new();
+        (self.trial_start, self.now) = (Duration::ZERO, Duration::ZERO);
         Ok(restarted)
     }
 
     fn continue_trial(&mut self) {
         self.inner.continue_trial();
+        self.trial_start += self.now;
+        self.now = Duration::ZERO;
     }
 
     fn chip(&mut self) -> Option<&mut dyn Chip> {

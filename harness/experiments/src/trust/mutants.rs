@@ -11,7 +11,7 @@ use std::time::Duration;
 
 /// Calls `change` with each message, with commands only if the controller sends them in state
 /// `Running`.
-fn on_message(change: impl FnMut(&mut Message) + Send + 'static) -> Box<dyn Mutant> {
+pub(crate) fn on_message(change: impl FnMut(&mut Message) + Send + 'static) -> Box<dyn Mutant> {
     Box::new(change)
 }
 
@@ -49,7 +49,7 @@ impl<F: FnMut(&mut Packet) + Send> Mutant for OnSend<F> {
 }
 
 /// Changes the commands of every state, with their sequence numbers.
-fn on_any_command(mut change: impl FnMut(&mut u8, &mut Command) + Send + 'static) -> Box<dyn Mutant> {
+pub(crate) fn on_any_command(mut change: impl FnMut(&mut u8, &mut Command) + Send + 'static) -> Box<dyn Mutant> {
     Box::new(OnSend(move |packet: &mut Packet| {
         if let Message::Command(command) = &mut packet.message {
             change(&mut packet.sequence, command);
