@@ -13,7 +13,6 @@ use ed25519_dalek::pkcs8::{EncodePrivateKey, EncodePublicKey};
 use platebench_lab::acceptance::{AcceptancePlan, SessionRecord};
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Limit;
-use rstest::rstest;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -49,18 +48,10 @@ fn session_folder() -> TestFolder {
 }
 
 const SESSION: [&str; 8] = ["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
-const RESUME: [&str; 8] = ["acceptance", "run", "--plan", "plan.toml", "--resume", "record", "--yes", "--rig"];
-/// Rig whose program ends at once, so that no controller answers.
-const ABSENT: &str = "exec:false {port}";
 
 #[track_caller]
 fn run_session(folder: &TestFolder, more: &[&str]) -> ProgramOutput {
     folder.bench(SESSION.iter().chain(more))
-}
-
-#[track_caller]
-fn resume(folder: &TestFolder, rig: &[&str]) -> ProgramOutput {
-    folder.bench(RESUME.iter().chain(rig))
 }
 
 #[track_caller]
@@ -159,30 +150,6 @@ fn an_unmet_kill_rate_does_not_pass() {
     assert!(0.12 < f64::from(trust.caught) / f64::from(trust.faults) && trust.clean_runs == 2, "{trust:?}");
 }
 
-#[rstest]
-#[case::unknown_key("title =", "titel =", "plan.toml:1:1")]
-#[case::no_repetition("repetitions = 3", "repetitions = 0", "expected 1 to 100000")]
-#[case::twice("[[ask]]", "[[requirement]]\nid = \"R-1\"\ntext = \"Again.\"\n[[ask]]", "another identifier in each")]
-#[case::empty_text("It settles.", " ", "empty, expected a text")]
-#[case::unknown_requirement("\"R-1\"", "\"R-9\"", "the plan has no requirement `R-1`")]
-#[case::missing("s.toml", "no.toml", "no.toml")]
-#[case::clean_runs("clean_runs = 2", "clean_runs = 0", "expected 1 to 1000000")]
-fn an_invalid_plan_is_reported_with_its_line(#[case] good: &str, #[case] bad: &str, #[case] message: &str) {
-    let folder = session_folder();
-    folder.write("plan.toml", &plan_text(&["s.toml"], 3).replace(good, bad));
-    run_session(&folder, &["--yes"]).assert_text(2, &[message]).assert_output_without(NO_PLAN);
-    assert!(!folder.exists("record"));
-}
-
-const NO_PLAN: &str = "--plan FILE names the plan";
-
-#[test]
-fn a_missing_plan_error_names_the_option() {
-    session_folder()
-        .bench(["acceptance", "run", "--rig", "hosted", "--yes"])
-        .assert_text(2, &["scenarios/plans/acceptance.toml: cannot be read", NO_PLAN]);
-}
-
 #[test]
 fn errors_tell_public_keys_from_invalid_keys() {
     let folder = session_folder();
@@ -206,61 +173,6 @@ fn a_board_is_not_driven_without_confirmation() {
     assert!(record.steps[0].reason.as_ref().unwrap().contains("chip 0x"));
     assert!(record.steps[1].attempts[0].broken_off.as_ref().unwrap().contains("no answer"));
     assert!(record.steps[2..].iter().all(|step| step.attempts.is_empty()));
-}
-
-fn interrupted_session() -> TestFolder {
-    let folder = session_folder();
-    folder
-        .bench(["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--yes", "--rig", ABSENT])
-        .assert_text(5, &[CONTINUE]);
-    let record = read_session_record(&folder);
-    assert!(!record.complete && record.steps.iter().all(|step| !step.done));
-    assert!(record.steps[0].attempts[0].broken_off.is_some());
-    folder
-}
-
-const CONTINUE: &str = "continue with the same command and --resume record";
-
-#[rstest]
-#[case::plan("plan.toml", "the plan is ")]
-#[case::scenario("scenarios/s.toml", "s.toml is ")]
-#[case::plate("scenarios/plates/aluminium-198x138-noisy.toml", "s.toml: aluminium-198x138-noisy.toml is ")]
-fn a_session_does_not_resume_with_another_input(#[case] file: &str, #[case] message: &str) {
-    let folder = interrupted_session();
-    folder.write(file, &(folder.read(file) + "\n# another\n"));
-    resume(&folder, &[ABSENT]).assert_text(2, &[message, "start a new session"]);
-}
-
-#[test]
-fn a_session_does_not_resume_with_another_rig_or_clock() {
-    let folder = interrupted_session();
-    resume(&folder, &["hosted"]).assert_text(2, &["the rig is hosted"]);
-    resume(&folder, &[ABSENT, "--clock", "real-time"]).assert_text(2, &["the clock is real-time"]);
-    let version = format!("\"version\": \"{}\"", env!("CARGO_PKG_VERSION"));
-    folder.replace("record/session.json", &version, "\"version\": \"0.0.1\"");
-    resume(&folder, &[ABSENT]).assert_text(2, &["the bench is "]);
-}
-
-#[test]
-fn a_broken_session_file_gives_no_hint_to_resume() {
-    let folder = interrupted_session();
-    resume(&folder, &[ABSENT]).assert_stderr(&["continue with the same command"]);
-    folder.write("record/session.json", "{ \"format\": ");
-    resume(&folder, &[ABSENT])
-        .assert_text(2, &["session.json"])
-        .assert_output_without("continue with the same command");
-}
-
-#[test]
-fn rejects_a_folder_with_other_content() {
-    let folder = interrupted_session();
-    verify(&folder, "record", &[]).assert_text(3, &["the session is not finished"]);
-    for (option, message) in [("--out", "files that belong to no acceptance session"), ("--resume", "no session")] {
-        folder
-            .bench(["acceptance", "run", "--plan", "plan.toml", "--rig", "hosted", "--yes", option, "scenarios"])
-            .assert_text(2, &[message]);
-    }
-    assert!(!folder.exists("scenarios/session.json"));
 }
 
 fn copy_folder(folder: &Path, copy: &Path) {

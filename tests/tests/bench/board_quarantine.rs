@@ -2,11 +2,9 @@
 
 use crate::boards::{inventory, state_of};
 use crate::test_folder::{SETTLING, TestFolder, controller_rig, start_bench, wait_until};
-use rstest::rstest;
 use std::process::Command;
 
 const LEFT: usize = 0;
-const RIGHT: usize = 1;
 
 fn lab(rig: &str) -> TestFolder {
     let folder = TestFolder::with_step(SETTLING);
@@ -48,17 +46,4 @@ fn a_board_lost_during_a_trial_is_quarantined_despite_0_v() {
     folder.bench(["run", "--plate-mode", "real", "--board", "left", "--out", "run"]).assert_exit(5);
     assert_eq!(folder.record("run").safe_confirmed, Some(true));
     assert_only_left_is_quarantined(&folder, "lost during a trial");
-}
-
-#[rstest]
-#[case::invalid_scenario("scenarios/bad.toml", 2)]
-#[case::failed_scenario("scenarios/failed.toml", 1)]
-fn a_fault_of_the_bench_leaves_the_board_free(#[case] scenario: &str, #[case] exit: i32) {
-    let folder = lab(&controller_rig(None));
-    let text = folder.read("scenarios/s.toml");
-    folder.write_scenario("bad.toml", &text.replace("duration_ms = 60.0", "duration_ms = -1.0"));
-    folder.write_scenario("failed.toml", &text.replace("at_most = 2.0", "at_most = 1.9"));
-    folder.bench(["run", scenario, "--board", "left", "--clock", "lockstep", "--out", "run"]).assert_exit(exit);
-    assert_eq!(state_of(&folder, LEFT)["state"], "free");
-    assert_eq!(state_of(&folder, RIGHT)["state"], "free");
 }

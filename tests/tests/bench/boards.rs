@@ -124,41 +124,6 @@ fn a_dead_board_stops_no_other_board() {
 }
 
 #[test]
-fn boards_are_found_and_checked_strictly() {
-    let folder = lab(&rig("hosted"));
-    folder.bench(["run", "--board", "up"]).assert_message(2, &["no board `up`, expected one of left"]);
-    folder.bench(["run", "--board", "left", "--rig", "hosted"]).assert_message(2, &["--board"]);
-    folder.bench(["check", "boards.toml"]).assert_exit(0).assert_stdout(&["1 board inventory"]);
-    folder.write("boards.toml", "[[board]]\nname = \"left\"\nrig = \"can:0\"\nchip = 1\n");
-    folder.bench(["board", "list"]).assert_message(2, &["boards.toml:4:1", "unknown key `chip`"]);
-    folder.write("boards.toml", "[[board]]\nname = \"left\"\nrig = \"can:0\"\n");
-    folder.bench(["check", "boards.toml"]).assert_message(2, &["boards.toml:3:7", "unknown kind of rig"]);
-    fs::rename(folder.join("boards.toml"), folder.join("lab.toml")).unwrap();
-    folder.bench(["board", "list"]).assert_message(2, &["no boards.toml"]);
-    folder.replace("lab.toml", "can:0", "hosted");
-    folder.bench(["board", "list", "--boards", "lab.toml"]).assert_exit(0).assert_stdout(&["left", "free"]);
-}
-
-#[test]
-fn other_commands_take_their_rig_from_the_board() {
-    let folder = lab("rig = \"hosted\"\nplate = \"scenarios/plates/aluminium-198x138.toml\"");
-    folder.bench(["tune", "--board", "left", "--out", "step"]).assert_exit(0).assert_stdout(&["accepted the gains"]);
-    assert_eq!(folder.record("step").overrides.board.as_deref(), Some("left"));
-    assert!(state_of(&folder, 0)["last_run"]["folder"].as_str().unwrap().ends_with("step"));
-    folder
-        .bench(["plate", "serve", "--board", "left", "--scenario", "scenarios/s.toml"])
-        .assert_message(2, &["expected serial:"]);
-    folder.write(
-        "c.toml",
-        "title = \"c\"\nscenario = \"scenarios/s.toml\"\n\
-         [vary]\n\"controller.loop_delay_ms\" = { uniform = [0.0, 0.1] }\n\
-         [plan]\nmethod = \"random\"\ntrials = 3\n",
-    );
-    folder.bench(["campaign", "run", "c.toml", "--board", "left", "--out", "c"]).assert_exit_in(&[0, 1]);
-    assert_eq!(state_of(&folder, 0)["state"], "free");
-}
-
-#[test]
 fn a_soak_advances_its_seeds_and_ends_at_0_volt() {
     let folder = lab(&rig("hosted"));
     let soak = start_bench(folder.path(), ["board", "soak", "--board", "left", "--hours", "1", "--out", "soak"]);
@@ -179,15 +144,4 @@ fn a_soak_advances_its_seeds_and_ends_at_0_volt() {
     assert_eq!(newest.scenarios[0].trials[0].seed, runs, "the first seed is 1");
     assert!(fs::read_dir(folder.join("soak/runs")).unwrap().count() <= 2);
     folder.bench(["board", "soak", "--board", "left", "--hours", "1", "--out", "soak"]).assert_exit(2);
-}
-
-#[test]
-fn a_soak_ends_after_its_time_or_at_the_first_failure() {
-    let folder = lab(&rig("hosted"));
-    folder.bench(["board", "soak", "--board", "left", "--hours", "0.0001", "--out", "soak"]).assert_exit(0);
-    folder.replace("scenarios/s.toml", "at_most = 2.0", "at_most = 1.9");
-    folder.bench(["board", "soak", "--board", "left", "--hours", "1", "--fail-fast", "--out", "failed"]).assert_exit(1);
-    let record: serde_json::Value = serde_json::from_str(&folder.read("failed/soak.json")).unwrap();
-    assert_eq!((&record["end"], &record["runs"]), (&"failed".into(), &1.into()));
-    folder.bench(["report", &format!("failed/{}", record["kept"][0].as_str().unwrap()), "--rejudge"]).assert_exit(1);
 }

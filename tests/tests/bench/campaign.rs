@@ -74,15 +74,6 @@ fn results_do_not_depend_on_shards_and_jobs(#[case] plan_text: &str) {
 }
 
 #[test]
-fn a_missing_scenario_is_reported_with_its_line() {
-    let folder = folder("");
-    fs::write(folder.path().join("campaign.toml"), format!("{VARY}{GRID}").replace("step.toml", "none.toml")).unwrap();
-    run_bench(folder.path(), ["campaign", "plan", "campaign.toml", "--out", "c"])
-        .assert_exit(2)
-        .assert_stderr(&["campaign.toml:2", "none.toml: no such file, expected a scenario file"]);
-}
-
-#[test]
 fn the_cells_of_a_grid_are_in_the_order_of_its_keys() {
     let folder = folder(GRID);
     folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]);
@@ -164,32 +155,6 @@ fn a_damaged_part_is_refused_and_played_anew() {
 }
 
 #[test]
-fn a_changed_plan_input_or_firmware_is_refused_by_name() {
-    let folder = folder(GRID);
-    plan(&folder, "c", 2);
-    let refused = |file: &str, from: &str, to: &str, messages: &[&str]| {
-        let path = folder.join(file);
-        let text = fs::read_to_string(&path).unwrap();
-        assert!(text.contains(from), "{text}");
-        fs::write(&path, text.replace(from, to)).unwrap();
-        let play = folder.bench(["campaign", "play", "c", "--shard", "1"]);
-        play.assert_message(2, messages);
-        fs::write(&path, text).unwrap();
-    };
-    refused("c/plan.json", "\"shards\": 2", "\"shards\": 3", &["plan.json", "SHA-256"]);
-    refused("c/plan.json", "}", "", &["plan.json"]);
-    refused("step.toml", "20.0", "21.0", &["step.toml", "changed since"]);
-    refused("scenarios/plates/plate.toml", "1.88", "1.89", &["plate.toml", "changed since"]);
-    refused("campaign.toml", "trials = 4", "trials = 5", &["campaign.toml", "changed since"]);
-    let emulated = folder.bench(["campaign", "play", "c", "--shard", "1", "--rig", "emulated"]);
-    emulated.assert_message(2, &["firmware is not the one of the plan"]);
-    folder.write("campaign.toml", &format!("{VARY}{}", GRID.replace("trials = 4", "trials = 3")));
-    let run = folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]);
-    run.assert_message(2, &["contains the plan of another campaign"]);
-    folder.bench(["campaign", "play", "nowhere", "--shard", "1"]).assert_message(2, &["no plan.json"]);
-}
-
-#[test]
 fn a_killed_run_resumes_to_the_same_bytes() {
     let folder = folder("[plan]\nmethod = \"random\"\ntrials = 3000\n");
     let run = ["campaign", "run", "campaign.toml", "--jobs", "2", "--out"];
@@ -231,38 +196,6 @@ fn a_counterexample_fails_under_run_with_the_same_values() {
     }
 }
 
-#[rstest]
-#[case::method("[plan]\nmethod = \"guess\"\ntrials = 5\n", "", &["campaign.toml:9", "guess"])]
-#[case::rare("[plan]\nmethod = \"rare\"\ntrials = 5\n", "", &["campaign.toml:4", "listed values"])]
-#[case::correlation(GRID,
-    "[[correlate]]\nkeys = [\"plate.mode.gain_um_per_vpp\", \"controller.law\"]\ncoefficient = 0.5\n",
-    &["controller.law", "expected a key of [vary]"])]
-#[case::unit(GRID, "\"profile.finger_force_mn\" = { uniform = [0.0, 1.0] }\n", &["campaign.toml:8",
-    "finger_force_n`, in N"])]
-#[case::plate_key(GRID, "\"plate.mode.gain\" = { uniform = [0.0, 1.0] }\n", &["campaign.toml:8",
-    "unknown key `gain`"])]
-#[case::domain(GRID, "\"controller.period_ms\" = { uniform = [-1.0, 1.0] }\n", &["campaign.toml:8", "-1"])]
-#[case::law(GRID, "\"controller.design_plate\" = { each = [\"x\"] }\n", &["campaign.toml:8"])]
-#[case::trials(GRID, "\"trials.count\" = { each = [1, 2] }\n", &["campaign.toml:8", "cannot be varied"])]
-#[case::type_of_value(GRID, "\"duration_ms\" = { each = [\"long\"] }\n", &["campaign.toml:8", "duration_ms"])]
-#[case::unknown_distribution(GRID, "\"duration_ms\" = { poisson = 3.0 }\n", &["campaign.toml:8", "poisson"])]
-#[case::unknown_key("[plan]\nmethod = \"grid\"\ntrials = 5\nshards = 3\n", "", &["campaign.toml:11",
-    "unknown key `shards`"])]
-#[case::confirm("[plan]\nmethod = \"grid\"\ntrials = 5\nconfirm = \"hosted\"\n", "", &[
-    "campaign.toml:11", "`hosted`, expected emulated or emulated:ELF",
-])]
-#[case::no_elf("[plan]\nmethod = \"grid\"\ntrials = 5\nconfirm = \"emulated:no.elf\"\n", "", &[
-    "campaign.toml:11", "no.elf: no such file, expected an ELF",
-])]
-#[case::share("[plan]\nmethod = \"grid\"\ntrials = 5\n[judge]\nat_most = 1.5\n", "", &["campaign.toml:12", "1.5"])]
-fn a_wrong_campaign_is_refused_with_its_line(#[case] plan: &str, #[case] vary: &str, #[case] messages: &[&str]) {
-    let folder = folder("");
-    folder.write("campaign.toml", &format!("{VARY}{vary}{plan}"));
-    let refused = folder.bench(["campaign", "plan", "campaign.toml", "--out", "c"]);
-    refused.assert_message(2, messages);
-    assert!(!folder.exists("c"));
-}
-
 #[test]
 fn some_trials_are_confirmed_on_the_emulated_firmware() {
     let folder = folder("[plan]\nmethod = \"random\"\ntrials = 400\nconfirm = \"emulated\"\n");
@@ -287,15 +220,6 @@ fn some_trials_are_confirmed_on_the_emulated_firmware() {
     assert_eq!(results(&folder, "a"), results(&folder, "b"));
     let other_rig = ["campaign", "run", "campaign.toml", "--out", "c", "--rig", "emulated"];
     folder.bench(other_rig).assert_message(2, &["expected --rig hosted"]);
-}
-
-#[test]
-fn a_grid_needs_listed_values() {
-    let folder = folder("");
-    let campaign = "title = \"x\"\nscenario = \"step.toml\"\n[vary]\nduration_ms = { uniform = [15.0, 20.0] }\n";
-    folder.write("campaign.toml", &format!("{campaign}{GRID}"));
-    let refused = folder.bench(["campaign", "plan", "campaign.toml", "--out", "c"]);
-    refused.assert_message(2, &["campaign.toml:6", "a grid without `steps` or `each`"]);
 }
 
 #[test]

@@ -115,21 +115,3 @@ fn a_force_is_truncated_at_zero(
     assert!(forces.clone().all(|force| force >= 0.0));
     assert_eq!(forces.count(), trials);
 }
-
-#[test]
-fn refuses_what_a_rare_campaign_cannot_play() {
-    let correlation = "[[correlate]]\nkeys = [\"profile.finger_force_n\", \"plate.mode.gain_um_per_vpp\"]\n\
-                       coefficient = 0.5\n";
-    let vary =
-        format!("{FORCE}\"plate.mode.gain_um_per_vpp\" = {{ normal = {{ mean = 0.00698, sd_percent = 1.0 }} }}\n");
-    let folder = folder_with(&vary, &format!("[plan]\nmethod = \"rare\"\ntrials = 600\n{correlation}"));
-    folder
-        .bench(["campaign", "run", "campaign.toml", "--out", "c"])
-        .assert_message(2, &["campaign.toml:4", "refuses values outside 0 to", "correlated", "expected `truncate`"]);
-    let vary = "\"profile.setpoint_um.hold.1.0\" = { uniform = [1.0, 6.0] }\n\
-                \"duration_ms\" = { uniform = [3.0, 20.0] }\n";
-    let folder = folder_with(vary, "[plan]\nmethod = \"search\"\ntrials = 60\n");
-    folder
-        .bench(["campaign", "run", "campaign.toml", "--out", "c"])
-        .assert_message(2, &["campaign.toml:3", "refuses the combination", "duration_ms = 3", "smaller ranges"]);
-}

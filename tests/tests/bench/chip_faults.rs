@@ -57,17 +57,6 @@ fn a_reset_of_the_chip_ends_at_0_v() {
     assert_eq!(drive_at_ms(&rows, 22.5), 0.0);
 }
 
-#[rstest]
-#[case::no_variable("variable:no_such", "no variable `no_such`")]
-#[case::no_ram("ram:0x60000000+4", "not RAM of the emulated STM32F427")]
-fn rejects_a_target_that_the_firmware_lacks(#[case] target: &str, #[case] message: &str) {
-    let folder = TestFolder::new();
-    let fault = format!("[[fault]]\nkind = \"bit-flip\"\nat_ms = 20.0\ntarget = \"{target}\"\n");
-    folder.write_scenario("s.toml", &format!("{}\n{fault}", step_text(MISSED)));
-    let output = folder.bench(["run", "--rig", "emulated", "--out", "run"]).assert_exit(2);
-    assert!(output.stderr.contains(message) && output.stderr.contains("s.toml:"), "{}", output.stderr);
-}
-
 /// A setpoint of 902 µm makes the test firmware divide by zero (`stm32f4/src/planted_faults.rs`).
 #[test]
 fn a_later_fault_of_the_chip_excuses_nothing() {

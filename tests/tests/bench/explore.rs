@@ -1,4 +1,4 @@
-use crate::test_folder::{bench_command, run_bench, start_bench, wait_until, workspace_root};
+use crate::test_folder::{run_bench, start_bench, wait_until, workspace_root};
 use platebench_test_kit::python_with_pyserial;
 use serde_json::Value;
 use std::fs;
@@ -10,18 +10,6 @@ fn envelope() -> String {
 
 fn report(folder: &Path) -> Value {
     serde_json::from_slice(&fs::read(folder.join("out/explore.json")).unwrap()).unwrap()
-}
-
-#[test]
-fn a_correct_controller_ends_with_0_and_a_bound() {
-    let folder = tempfile::tempdir().unwrap();
-    let arguments = ["suite", "explore", &envelope(), "--rig", "hosted", "--scenes", "60", "--out", "out"];
-    run_bench(folder.path(), arguments)
-        .assert_exit(0)
-        .assert_stdout(&["At 95 % confidence fewer than 4.870 % of all scenes fail."]);
-    let report = report(folder.path());
-    assert_eq!((&report["scenes"], &report["failed"]), (&60.into(), &0.into()));
-    assert!(!folder.path().join("scenarios").exists());
 }
 
 #[test]
@@ -66,14 +54,6 @@ fn a_controller_that_ends_once_fails_its_scene() {
 }
 
 #[test]
-fn a_controller_that_does_not_start_ends_with_5() {
-    let folder = tempfile::tempdir().unwrap();
-    let arguments = ["suite", "explore", &envelope(), "--rig", "exec:false {port}", "--scenes", "4", "--out", "out"];
-    run_bench(folder.path(), arguments).assert_exit(5);
-    assert!(!folder.path().join("out").exists());
-}
-
-#[test]
 fn an_interrupt_ends_an_exploration() {
     let folder = tempfile::tempdir().unwrap();
     let arguments = ["suite", "explore", &envelope(), "--rig", "hosted", "--for", "10m", "--out", "out"];
@@ -90,37 +70,5 @@ fn an_interrupt_ends_an_exploration() {
     // If the signal came before the first scene, there is no report.
     if folder.path().join("out").exists() {
         assert_eq!(report(folder.path())["is_interrupted"], true);
-    }
-}
-
-#[test]
-fn regressions_are_played_first() {
-    let folder = tempfile::tempdir().unwrap();
-    fs::create_dir(folder.path().join("found")).unwrap();
-    let plate = workspace_root().join("scenarios/plates/aluminium-198x138.toml");
-    let scenario = format!(
-        "title = \"x\"\nplate = {:?}\nduration_ms = 20.0\n[profile]\nsetpoint_um = 2.0\n\
-         [[expect]]\nname = \"settling 1\"\nmetric = \"settling_time_ms\"\nat_most = 1.0\n",
-        plate.display().to_string()
-    );
-    fs::write(folder.path().join("found/old.toml"), scenario).unwrap();
-    let arguments = ["suite", "explore", &envelope(), "--rig", "hosted", "--scenes", "1", "--regressions", "found"];
-    let mut command = bench_command(folder.path());
-    let output: crate::test_folder::ProgramOutput = command.args(arguments).output().unwrap().into();
-    output.assert_exit(1).assert_stdout(&["old.toml (a scenario of an earlier exploration) still violates: settling"]);
-}
-
-#[test]
-fn rejects_what_it_cannot_explore() {
-    let folder = tempfile::tempdir().unwrap();
-    let envelope = envelope();
-    for (arguments, message) in [
-        (vec![&*envelope, "--law", "open-loop"], "the law open-loop cannot be explored"),
-        (vec![&*envelope, "--for", "60s", "--scenes", "3"], "cannot be used with"),
-        (vec![&*envelope, "--for", "soon"], "expected a duration"),
-        (vec!["missing.toml"], "cannot be read"),
-    ] {
-        let all = ["suite", "explore", "--rig", "hosted"].into_iter().chain(arguments);
-        run_bench(folder.path(), all).assert_message(2, &[message]);
     }
 }

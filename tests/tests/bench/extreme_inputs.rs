@@ -88,30 +88,6 @@ fn an_extreme_run_writes_finite_numbers(#[case] change: (&str, &str), #[case] he
 }
 
 #[rstest]
-#[case::no_damping("= 1.88", "= inf", "plates/plate.toml:9:20", "expected a finite number above 0")]
-#[case::negative_damping("= 1.88", "= -1.88", "plates/plate.toml:9:20", "expected a finite number above 0")]
-#[case::tiny_damping("= 1.88", "= 1e300", "plates/plate.toml:9:20", "a quality factor of ")]
-#[case::a_finger_that_undamps("[1.5, 2.0]", "[1.5, 0.0]", "plates/plate.toml:13:17", "expected ratios above 0")]
-#[case::a_finger_that_drives("[0.0, 1.0]", "[0.0, -1.0]", "plates/plate.toml:13:17", "expected ratios above 0")]
-#[case::a_gain_beyond_the_wire("0.00698", "1e60", "plates/plate.toml:10:19", "single precision")]
-fn an_impossible_plate_is_reported_with_its_line(
-    #[case] from: &str,
-    #[case] to: &str,
-    #[case] place: &str,
-    #[case] message: &str,
-) {
-    let folder = extreme_folder("", "", (from, to));
-    folder.run_hosted("run").assert_exit(2).assert_stderr(&[place, message]);
-}
-
-/// The period is one cycle of the carrier, 30.95 µs, but the protocol carries whole microseconds.
-#[test]
-fn rejects_a_period_between_two_microseconds() {
-    let folder = extreme_folder("", "period_ms = 0.030952", UNCHANGED);
-    folder.run_hosted("run").assert_exit(2).assert_stderr(&["expected whole microseconds"]);
-}
-
-#[rstest]
 #[case("past-the-delay-budget.toml")]
 #[case("backward-euler.toml")]
 fn every_report_format_shows_a_divergence(#[case] name: &str) {

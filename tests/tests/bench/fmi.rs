@@ -32,16 +32,3 @@ fn an_fmu_follows_the_trace_of_the_bench() {
     assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(text.lines().count(), 4, "{text}");
 }
-
-#[test]
-fn a_wrong_plate_gives_no_fmu() {
-    let folder = TestFolder::new();
-    let (plate, fmu) = (folder.join("p.toml"), folder.join("plate.fmu"));
-    std::fs::write(&plate, "name = \"x\"\n").unwrap();
-    export(&plate, &fmu).assert_message(2, &["p.toml", "missing"]);
-    let library = ["--library", plate.to_str().unwrap()];
-    let out = ["--out", fmu.to_str().unwrap()];
-    let call = bench_command(&workspace_root()).args(["plate", "fmu", PLATE_FILE]).args(library).args(out).output();
-    ProgramOutput::from(call.unwrap()).assert_message(2, &["is not a shared library"]);
-    assert!(!fmu.exists());
-}

@@ -1,6 +1,6 @@
 //! Identifies the plate from runs of the repository's scenarios.
 
-use crate::test_folder::{PLATE, SETTLING, TestFolder, read_traces, run_bench, workspace_root};
+use crate::test_folder::{TestFolder, read_traces, run_bench, workspace_root};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -78,25 +78,6 @@ fn identified_tables_match_the_paper() {
     run_bench(folder.path(), ["run", "again.toml", "--rig", "hosted", "--out", "again"]).assert_exit(0);
 }
 
-#[test]
-fn unusable_input_is_reported_with_its_line() {
-    let folder = tempfile::tempdir().unwrap();
-    fs::write(folder.path().join("t.csv"), "t,V,f,d,q\n0,0,32000,0,0\n1,300,32000,oops,0\n").unwrap();
-    let columns = "time=t:ms,drive=V:Vpp,frequency=f:Hz,wd=d:um,wq=q:um";
-    for (arguments, message) in [
-        (&["nothing.csv"][..], "nothing.csv"),
-        (&[], "required"),
-        (&["t.csv"], "t.csv:1: columns `t,V,f,d,q`, expected"),
-        (&["t.csv", "--columns", columns], "t.csv:3: column 4 (`d`) is `oops`, expected a finite number"),
-        (&["t.csv", "--columns", "time=t:s"], "no column for the role drive"),
-        (&["t.csv", "--columns", "drive=V"], "`drive=V` names the column `V` without its unit, expected drive=V:UNIT"),
-    ] {
-        run_bench(folder.path(), ["identify"].iter().chain(arguments)).assert_message(2, &[message]);
-    }
-    fs::create_dir(folder.path().join("empty")).unwrap();
-    run_bench(folder.path(), ["identify", "empty"]).assert_exit(4);
-}
-
 /// Writes recorded steps as a table with W in nm.
 fn write_telemetry(folder: &TestFolder) {
     let scenario = workspace_root().join("scenarios/identify/voltage-steps.toml");
@@ -135,19 +116,4 @@ fn impossible_estimates_write_no_plate_file() {
     fs::remove_file(folder.join("plate.toml")).unwrap();
     identify(NM_AS_UM, &["--force"]).assert_exit(3);
     assert!(folder.read("plate.toml").starts_with("# DOUBTFUL: gain K1 of "), "{}", folder.read("plate.toml"));
-}
-
-#[test]
-fn an_impossible_plate_is_not_tuned_and_causes_warnings() {
-    let folder = TestFolder::with_step(SETTLING);
-    folder.replace(PLATE, "gain_um_per_vpp = 0.00698", "gain_um_per_vpp = 6.98");
-    let message = "gain K1 of 6.98 µm/Vpp, expected 0.0005 to 0.1 µm/Vpp";
-    let tune = |more: &[&str]| {
-        folder.bench(["tune", "--plate", PLATE, "--samples", "0", "--response-ms", "4"].iter().chain(more))
-    };
-    tune(&[]).assert_message(2, &["aluminium-198x138.toml:10:", message, "--force designs"]);
-    tune(&["--force"]).assert_exit_in(&[0, 1]).assert_stderr(&["warning: ", message]).assert_stdout(&["verdict: "]);
-    folder.bench(["check", "scenarios"]).assert_message(0, &["warning: ", message]);
-    folder.bench(["check", PLATE]).assert_message(0, &["warning: ", message]);
-    folder.run_hosted("run").assert_stderr(&["warning: ", message]);
 }

@@ -8,7 +8,6 @@
 )]
 
 mod accept;
-mod authoring;
 mod board_matrix;
 mod board_quarantine;
 mod boards;
@@ -25,6 +24,7 @@ mod determinism;
 mod exit_codes;
 mod explore;
 mod extreme_inputs;
+mod fail_fast;
 mod firmware_output;
 mod fmi;
 mod golden;
@@ -33,7 +33,6 @@ mod line_faults;
 mod live;
 mod merge;
 mod output_formats;
-mod plate_effects;
 mod python_package;
 mod real_plate;
 mod real_time;
@@ -41,7 +40,6 @@ mod remote_line;
 mod replay;
 mod report_content;
 mod rigs;
-mod run_selection;
 mod safe_exit;
 mod scenarios;
 mod schemas;
@@ -53,4 +51,5 @@ mod terminal;
 mod test_folder;
 mod trend;
 mod tune;
+mod watch;
 mod ways_of_playing;

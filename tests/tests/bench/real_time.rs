@@ -130,30 +130,6 @@ fn a_terminated_program_fails_its_trial() {
     assert!(!timing(&record).safe_confirmed);
 }
 
-#[rstest]
-#[case::too_slow(&["--rig", "serial:/dev/no-such-port@115200"], "500000 baud is enough")]
-#[case::scale_in_lockstep(&["--rig", "hosted", "--time-scale", "0.5"], "--clock real-time")]
-#[case::wire_time_in_real_time(&["--rig", "emulated", "--clock", "real-time", "--wire-time"], "--clock lockstep")]
-#[case::scaled_target(
-    &["--rig", "hosted", "--clock", "real-time", "--pacing", "target", "--time-scale", "0.5"],
-    "--pacing bench"
-)]
-#[case::no_placeholder(&["--rig", "exec:true"], "{port}")]
-#[case::no_program(&["--rig", "exec:no-such-program {port}"], "no-such-program")]
-fn contradictory_options_are_rejected_before_the_run(#[case] arguments: &[&str], #[case] message: &str) {
-    let folder = TestFolder::with_step(EXPECT);
-    folder.bench(["run", "--out", "run"].iter().chain(arguments)).assert_message(2, &[message]);
-}
-
-#[rstest]
-#[case::no_port("serial:/dev/no-such-port", "/dev/no-such-port")]
-#[case::silent("exec:sh -c 'exec sleep 60' {port}", "did not answer the handshake")]
-#[case::ends("exec:false {port}", "exit status 1")]
-fn an_absent_rig_is_reported(#[case] rig: &str, #[case] message: &str) {
-    let folder = TestFolder::with_step(EXPECT);
-    folder.bench(["run", "--rig", rig, "--out", "run"]).assert_message(5, &[message]);
-}
-
 #[test]
 fn plate_serve_serves_several_controllers_in_turn() {
     // The watchdog waits five periods. With 20 ms these are 100 ms, enough for a busy machine.

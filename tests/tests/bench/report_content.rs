@@ -32,16 +32,6 @@ fn the_report_has_the_texts_of_requirements() {
     assert_eq!(folder.read("run/report.html").matches(TEXT).count(), 2);
 }
 
-#[test]
-fn a_faulty_list_of_requirements_is_refused() {
-    let folder = TestFolder::new();
-    folder.write_scenario("s.toml", &step_text(&format!("{SETTLING}\nrequirement = \"R-1\"")));
-    folder.write("scenarios/requirements.toml", "[[requirement]]\nid = \"R-1\"\nwords = \"x\"\n");
-    for command in [&["check"][..], &["run", "--rig", "hosted"]] {
-        folder.bench(command).assert_text(2, &["requirements.toml", "words"]);
-    }
-}
-
 /// The plan of an acceptance session repeats the texts of its requirements.
 #[test]
 fn plan_and_list_have_the_same_texts() {

@@ -226,11 +226,3 @@ fn a_run_that_crashed_is_no_reference() {
     let compared = folder.bench(["compare", "runs/second", "runs/first"]).assert_exit(4);
     compared.assert_output(&["nothing was compared: the reference has no complete trial 0"]);
 }
-
-#[rstest]
-#[case::not_there("no-such.elf", "no-such.elf")]
-#[case::not_an_elf("Cargo.toml", "not a firmware for the emulated board")]
-fn rejects_a_file_without_firmware(#[case] elf: &str, #[case] message: &str) {
-    let rig = format!("emulated:{}", workspace_root().join(elf).display());
-    TestFolder::with_step(SETTLING).bench(["run", "--rig", &rig]).assert_exit(2).assert_stderr(&[message]);
-}

@@ -57,23 +57,6 @@ fn the_record_names_build_and_computer() {
     assert!(record["host"]["kernel"].is_string(), "{}", record["host"]);
 }
 
-#[test]
-fn check_prints_faults_for_programs() {
-    let folder = TestFolder::new();
-    folder.write_scenario("s.toml", &step_text(MIXED));
-    let found = folder.bench(["check", "--format", "json"]).assert_exit(0).json();
-    assert_eq!(found["faults"], serde_json::json!([]));
-    assert!(found["files"].as_u64() >= Some(2), "{found}");
-    folder.write_scenario("s.toml", &step_text(MIXED).replacen("at_most = 2.0", "at_mostt = 2.0", 1));
-    let found = folder.bench(["check", "--format", "json"]).assert_exit(2).json();
-    let fault = &found["faults"][0];
-    assert!(fault["file"].as_str().unwrap().ends_with("s.toml"), "{fault}");
-    assert!(fault["message"].as_str().unwrap().contains("at_most"), "{fault}");
-    let line = fs::read_to_string(folder.join("scenarios/s.toml")).unwrap();
-    let line = line.lines().position(|line| line.starts_with("at_mostt")).unwrap() + 1;
-    assert_eq!((&fault["line"], &fault["column"]), (&line.into(), &1.into()));
-}
-
 /// In strict mode, ajv refuses unknown formats and keywords and requires an identifier per schema.
 #[test]
 fn a_strict_validator_accepts_every_schema() {

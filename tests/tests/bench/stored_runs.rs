@@ -1,19 +1,9 @@
 //! Tests stored runs that are judged or reported again, interrupted, or changed.
 
-use crate::test_folder::{
-    FAILED_SETTLING, PLATE, SETTLING, TestFolder, run_bench, step_scenario, step_text, workspace_root,
-};
+use crate::test_folder::{FAILED_SETTLING, SETTLING, TestFolder, run_bench, step_scenario, step_text, workspace_root};
 use platebench_engine::rejudge;
 use platebench_model::record::{Cause, RunRecord, Verdict};
-use rstest::rstest;
 use std::fs;
-use std::os::unix::fs::symlink;
-
-fn step_run() -> TestFolder {
-    let folder = TestFolder::with_step(SETTLING);
-    folder.run_hosted("run").assert_exit(0);
-    folder
-}
 
 #[test]
 fn judging_again_gives_identical_results() {
@@ -103,16 +93,6 @@ fn an_interrupted_run_can_be_judged_and_reported() {
 }
 
 #[test]
-fn a_run_killed_after_its_last_trial_does_not_pass() {
-    let folder = step_run();
-    let mut record = folder.record("run");
-    (record.complete, record.safe_confirmed) = (false, None);
-    record.write(&folder.join("run")).unwrap();
-    let judge = folder.bench(["report", "run", "--rejudge"]).assert_exit(3);
-    judge.assert_stdout(&["the run was not finished", "? inconclusive"]);
-}
-
-#[test]
 fn the_report_dates_a_failure_from_earlier_runs() {
     let folder = TestFolder::with_step("metric = \"settling_time_ms\"\nat_most = 0.1");
     for out in ["runs/one", "runs/two"] {
@@ -128,23 +108,6 @@ fn the_report_dates_a_failure_from_earlier_runs() {
     let page = folder.read("runs/two/comparison.html");
     assert!(page.contains("Comparison with the run of 2020-01-01T00:00:00Z") && page.contains("No verdict differs."));
     folder.bench(["report", "runs/two", "--against", "runs/nowhere"]).assert_exit(2);
-}
-
-#[test]
-fn stored_traces_can_be_judged_by_other_expectations() {
-    let folder = step_run();
-    folder.write_scenario("stricter.toml", &step_text(FAILED_SETTLING));
-    folder.bench(["report", "run", "--rejudge"]).assert_exit(0);
-    folder.bench(["report", "run", "--rejudge", "--scenario", "scenarios/stricter.toml"]).assert_exit(1);
-}
-
-#[rstest]
-#[case::scenario("run/inputs/s.toml", "at_most = 2.0", "at_most = 9.0", "s.toml")]
-#[case::trace("run/traces/s/000.csv", "control", "", "000.csv")]
-fn a_changed_file_is_rejected_by_name(#[case] file: &str, #[case] from: &str, #[case] to: &str, #[case] name: &str) {
-    let folder = step_run();
-    folder.replace(file, from, to);
-    folder.bench(["report", "run", "--rejudge"]).assert_message(2, &[name, "SHA-256"]);
 }
 
 #[test]
@@ -176,64 +139,6 @@ fn a_tampered_trace_is_named_and_not_drawn() {
 }
 
 #[test]
-fn rejects_a_record_of_another_format() {
-    let folder = TestFolder::new();
-    fs::create_dir(folder.join("run")).unwrap();
-    folder.write("run/run.json", "{\n  \"format\": 2\n}");
-    folder.bench(["report", "run", "--rejudge"]).assert_message(2, &["format 2, expected 1"]);
-}
-
-#[rstest]
-#[case::duration("duration_ms = 60.0", "duration_ms = 30.0", "duration_ms")]
-#[case::setpoint("setpoint_um = 2.0", "setpoint_um = 1.0", "[profile]")]
-#[case::controller("[controller]", "[controller]\nloop_delay_ms = 0.1", "[controller]")]
-#[case::trials("[profile]", "[trials]\nseed = 9\n[profile]", "[trials]")]
-#[case::plate("aluminium-198x138.toml", "aluminium-198x138-noisy.toml", "the plate")]
-fn stored_traces_reject_another_experiment(#[case] good: &str, #[case] other: &str, #[case] named: &str) {
-    let folder = step_run();
-    let text = step_text(SETTLING);
-    assert!(text.contains(good));
-    folder.write_scenario("other.toml", &text.replacen(good, other, 1));
-    let judge = folder.bench(["report", "run", "--rejudge", "--scenario", "scenarios/other.toml"]);
-    judge.assert_message(2, &[named, "differs from the scenario that was played"]);
-}
-
-#[test]
-fn an_absolute_plate_path_is_judged_by_its_copy() {
-    let folder = TestFolder::new();
-    let plate = folder.join("elsewhere.toml");
-    fs::copy(folder.join(PLATE), &plate).unwrap();
-    folder.write_scenario(
-        "s.toml",
-        &step_text(SETTLING).replace("plates/aluminium-198x138.toml", plate.to_str().unwrap()),
-    );
-    folder.run_hosted("run").assert_exit(0);
-    folder.bench(["report", "run", "--rejudge"]).assert_exit(0);
-    folder.replace("elsewhere.toml", "limit_vpp = 900.0", "limit_vpp = 500.0");
-    folder.bench(["report", "run", "--rejudge"]).assert_exit(0);
-    fs::remove_file(&plate).unwrap();
-    folder.bench(["report", "run", "--rejudge"]).assert_exit(0);
-    folder.replace("run/inputs/elsewhere.toml", "limit_vpp = 900.0", "limit_vpp = 500.0");
-    folder.bench(["report", "run", "--rejudge"]).assert_message(2, &["elsewhere.toml", "SHA-256"]);
-}
-
-#[test]
-fn a_scenario_behind_a_symlink_can_be_judged() {
-    let folder = TestFolder::new();
-    let text = step_text(SETTLING)
-        .replace("plates/", "../plates/")
-        .replace("setpoint_um = 2.0", "setpoint_um = { csv = \"../setpoint.csv\" }");
-    fs::create_dir_all(folder.join("elsewhere/deep")).unwrap();
-    folder.write("elsewhere/deep/s.toml", &text);
-    folder.write("elsewhere/setpoint.csv", "t_ms,value\n0,2\n");
-    // `linked/..` is `scenarios` by its text but `elsewhere` on disk. Both have `plates`.
-    symlink(folder.join("scenarios/plates"), folder.join("elsewhere/plates")).unwrap();
-    symlink(folder.join("elsewhere/deep"), folder.join("scenarios/linked")).unwrap();
-    folder.bench(["run", "scenarios/linked/s.toml", "--rig", "hosted", "--out", "run"]).assert_exit(0);
-    folder.bench(["report", "run", "--rejudge"]).assert_exit(0);
-}
-
-#[test]
 fn without_kept_traces_the_verdicts_are_the_same() {
     let folder = TestFolder::new();
     folder.write_scenario("a.toml", &step_text(SETTLING));
@@ -255,7 +160,6 @@ fn without_kept_traces_the_verdicts_are_the_same() {
     };
     let [none, all]: [Vec<String>; 2] = ["none", "all"].map(curves);
     assert_eq!((none.len(), &none), (2, &all));
-    folder.bench(["report", "none", "--rejudge"]).assert_message(2, &["none: the run did not keep all traces"]);
 }
 
 #[test]
@@ -277,9 +181,4 @@ fn keeps_the_traces_of_failing_or_worst_trials() {
     };
     assert_eq!(stored("failing", "failing"), [0, 3]);
     assert_eq!(stored("worst:2", "worst"), [2, 2]);
-    folder.bench(["report", "worst", "--rejudge"]).assert_message(2, &["worst: the run did not keep all traces"]);
-    for wrong in ["worst", "worst:0", "worst:-1", "best"] {
-        let expected = "expected all, failing, none or worst:N";
-        folder.bench(["run", "--keep-traces", wrong]).assert_message(2, &[expected]);
-    }
 }

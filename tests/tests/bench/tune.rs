@@ -1,8 +1,6 @@
 //! Tests `platebench tune`: predictions against the firmware, and gains written into scenarios.
 
-use crate::test_folder::{
-    PLATE, ProgramOutput, SETTLING, TestFolder, bench_command, controller_rig, step_scenario, step_text, workspace_root,
-};
+use crate::test_folder::{PLATE, ProgramOutput, SETTLING, TestFolder, step_scenario, step_text, workspace_root};
 use rstest::rstest;
 use serde_json::Value;
 use std::fs;
@@ -125,13 +123,6 @@ fn an_unmet_demand_is_neither_written_nor_sent(
     run_tune(&folder, arguments).assert_exit(expected);
 }
 
-#[test]
-fn gains_are_sent_and_confirmed() {
-    run_tune(&TestFolder::new(), &["--send", &controller_rig(None), "--out", "run"])
-        .assert_exit(0)
-        .assert_stdout(&["accepted the gains", "measured"]);
-}
-
 const SERIAL: &str = r#"
 import os, select, tty
 
@@ -169,15 +160,6 @@ fn a_controller_that_ignores_the_gains_is_an_error(#[case] gains: &str, #[case] 
     folder.write("serial.py", SERIAL);
     run_tune(&folder, &["--send", "exec:python3 mine.py {port}", "--out", "run"]).assert_text(expected, &[message]);
     assert_eq!(folder.exists("run"), expected == 0);
-}
-
-#[rstest]
-#[case::absent_program("exec:true {port}")]
-#[case::no_such_port("serial:/dev/no-such-port")]
-fn an_absent_rig_is_not_a_failed_tuning(#[case] rig: &str) {
-    let folder = TestFolder::new();
-    run_tune(&folder, &["--send", rig, "--out", "run"]).assert_exit(5);
-    assert!(!folder.exists("run"));
 }
 
 fn commented_scenario(controller: &str) -> String {
@@ -237,25 +219,6 @@ fn writing_gains_keeps_the_rest_of_the_scenario(#[case] controller: &str) {
     assert_eq!(names, ["plates", "mine.toml"].len() + usize::from(path.with_file_name("value.toml").exists()));
 }
 
-#[rstest]
-#[case::another_plate("aluminium-198x138.toml", "aluminium-198x138-400vpp.toml", "mine.toml:3:")]
-#[case::another_period("law = \"dq-pi\"", "period_ms = 0.5", "mine.toml:6:")]
-#[case::a_law_without_such_gains("law = \"dq-pi\"", "law = \"frequency-only\"", "mine.toml:6:")]
-#[case::a_design_delay("law = \"dq-pi\"", "law = \"dq-pi\"\ndesign_delay_ms = 0.5", "mine.toml:7:")]
-#[case::no_scenario("duration_ms", "duration", "mine.toml:4:1")]
-#[case::no_toml("[profile]", "[profile", "mine.toml:8:")]
-fn an_unsuitable_scenario_is_not_written(#[case] good: &str, #[case] bad: &str, #[case] place: &str) {
-    let text = commented_scenario("[controller]\nlaw = \"dq-pi\"");
-    assert!(text.contains(good));
-    let text = text.replace(good, bad);
-    let folder = TestFolder::new();
-    folder.write_scenario("mine.toml", &text);
-    run_tune(&folder, &["--write", "scenarios/mine.toml", "--send", "hosted", "--out", "run"])
-        .assert_message(2, &[place]);
-    assert_eq!(folder.read("scenarios/mine.toml"), text);
-    assert!(!folder.exists("run"));
-}
-
 #[cfg(unix)]
 #[test]
 fn a_written_file_keeps_its_permissions_and_its_link() {
@@ -269,94 +232,4 @@ fn a_written_file_keeps_its_permissions_and_its_link() {
     assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
     assert!(fs::read_to_string(&path).unwrap().contains("amplitude_kp"));
     assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o640);
-}
-
-#[rstest]
-#[case::no_plate(&["--plate", "nowhere.toml"], "nowhere.toml")]
-#[case::response(&["--plate", PLATE, "--response-ms", "0"], "response-ms")]
-#[case::tiny_response(&["--plate", PLATE, "--response-ms", "1e-300"], "response-ms")]
-#[case::long_response(&["--plate", PLATE, "--response-ms", "1000", "--period-ms", "0.999"], "response-ms")]
-#[case::period(&["--plate", PLATE, "--period-ms", "1.0005"], "a multiple of 1 µs")]
-#[case::short_period(&["--plate", PLATE, "--period-ms", "0.019"], "at least 20 µs")]
-#[case::delay(&["--plate", PLATE, "--delay-ms=-0.1"], "delay-ms")]
-#[case::long_delay(&["--plate", PLATE, "--delay-ms", "20.001"], "delay-ms")]
-#[case::setpoint(&["--plate", PLATE, "--setpoint-um", "NaN"], "setpoint-um")]
-#[case::phase(&["--plate", PLATE, "--phase-margin-deg", "90"], "phase-margin-deg")]
-#[case::spread(&["--plate", PLATE, "--gain-spread-percent", "50.1"], "gain-spread-percent")]
-#[case::law(&["--plate", PLATE, "--law", "deadbeat"], "deadbeat")]
-#[case::rig(&["--plate", PLATE, "--send", "can:0"], "can:0")]
-#[case::out_without_rig(&["--plate", PLATE, "--out", "run"], "--send")]
-fn wrong_usage_names_the_argument(#[case] arguments: &[&str], #[case] named: &str) {
-    TestFolder::new()
-        .bench(std::iter::once(&"tune").chain(arguments))
-        .assert_message(2, &[named])
-        .assert_output_without("panicked");
-}
-
-#[rstest]
-#[case::negative("time_constant_ms = 1.88", "time_constant_ms = -1.0")]
-#[case::unknown_table("[drive]", "[drives]")]
-fn a_plate_file_error_is_reported_with_its_line(#[case] good: &str, #[case] bad: &str) {
-    let folder = TestFolder::new();
-    let line = folder.read(PLATE).lines().position(|line| line.contains(good)).unwrap() + 1;
-    folder.replace(PLATE, good, bad);
-    run_tune(&folder, &[]).assert_message(2, &[&format!("aluminium-198x138.toml:{line}:")]);
-}
-
-#[rstest]
-#[case::default("", &[], 5.0, 6.0)]
-#[case::plate_file("gain_percent = 1.7\ntime_constant_percent = 0.0\n", &[], 1.7, 0.0)]
-#[case::one_key("time_constant_percent = 50.0\n", &[], 5.0, 50.0)]
-#[case::command_line("gain_percent = 90.0\n", &["--gain-spread-percent", "3"], 3.0, 6.0)]
-fn the_spread_defaults_to_the_plate_s_uncertainty(
-    #[case] keys: &str,
-    #[case] arguments: &[&str],
-    #[case] gain: f64,
-    #[case] time_constant: f64,
-) {
-    let folder = TestFolder::new();
-    append_uncertainty(&folder, keys);
-    let tuning = run_tune(&folder, &[&["--format", "json"], arguments].concat()).json();
-    assert_eq!(
-        (json_number(&tuning, "/spread/gain_percent"), json_number(&tuning, "/spread/time_constant_percent")),
-        (gain, time_constant)
-    );
-}
-
-#[test]
-fn a_too_large_plate_uncertainty_is_rejected() {
-    let folder = TestFolder::new();
-    append_uncertainty(&folder, "gain_percent = 50.01\n");
-    let line = folder.read(PLATE).lines().position(|line| line.starts_with("gain_percent")).unwrap() + 1;
-    let place = format!("aluminium-198x138.toml:{line}:");
-    run_tune(&folder, &[]).assert_message(2, &[&place, "at most 50"]);
-}
-
-fn append_uncertainty(folder: &TestFolder, keys: &str) {
-    folder.write(PLATE, &format!("{}\n[uncertainty]\n{keys}", folder.read(PLATE)));
-}
-
-#[test]
-fn a_plate_without_a_finger_has_no_prediction_with_one() {
-    let folder = TestFolder::new();
-    let text = folder.read(PLATE);
-    let start = text.find("[finger]").unwrap();
-    let end = start + text[start..].find("[drive]").unwrap();
-    folder.write(PLATE, &format!("{}{}", &text[..start], &text[end..]));
-    run_tune(&folder, &[])
-        .assert_exit(0)
-        .assert_stdout(&["the plate file has no [finger]", "verdict: ✓ pass: the target is met"])
-        .assert_output_without("finger of 2 N");
-    run_tune(&folder, &["--force-n", "2"]).assert_message(2, &["--force-n 2: the plate file has no [finger]"]);
-}
-
-#[test]
-fn a_plate_from_standard_input_is_tuned_and_sent() {
-    let folder = TestFolder::new();
-    let mut bench = bench_command(folder.path());
-    bench.args(["tune", "--plate", "-", "--samples", "0", "--send", "hosted", "--out", "run"]);
-    bench.stdin(fs::File::open(folder.join(PLATE)).unwrap());
-    ProgramOutput::from(bench.output().unwrap())
-        .assert_exit(0)
-        .assert_stdout(&["accepted the gains", "verdict: ✓ pass: "]);
 }

@@ -68,29 +68,6 @@ fn an_expired_calibration_stops_the_session_unless_waived_by_name() {
     assert!(folder.read("record/record.html").contains("not valid; waived by the operator"));
 }
 
-#[rstest]
-#[case::no_budget(
-    "rule = \"guarded\"",
-    "settling_time_ms",
-    "overshoot_percent",
-    "needs a [[budget]] for settling_time_ms"
-)]
-#[case::no_share("rule = \"shared-risk\"", "x", "x", "shared-risk needs `largest_uncertainty_percent`")]
-#[case::share("rule = \"guarded\"\nlargest_uncertainty_percent = 20.0", "x", "x", "this limit is only for shared-risk")]
-#[case::rule("rule = \"strict\"", "x", "x", "plan.toml:16:8")]
-#[case::budget("rule = \"simple\"", "rectangular", "round", "lab.toml:11:16")]
-fn an_invalid_decision_is_reported_with_its_line(
-    #[case] decision: &str,
-    #[case] good: &str,
-    #[case] bad: &str,
-    #[case] message: &str,
-) {
-    let folder = folder_with(decision, 0.1, "2999-12-31");
-    folder.write("lab.toml", &folder.read("lab.toml").replace(good, bad));
-    run_session(&folder, &["--yes"]).assert_text(2, &[message]);
-    assert!(!folder.exists("record"));
-}
-
 /// Plays the example that docs/acceptance.md computes.
 #[test]
 fn the_example_of_the_documentation_passes() {
