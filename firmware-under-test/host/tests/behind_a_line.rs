@@ -3,7 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a panic fails the test")]
 
 use platebench_rig::{ExecLink, HostedLink, Link, Session};
-use platebench_wire::{Command, Configure, ControllerState, LawId, Message, Packet, Sample, Tick, capabilities};
+use platebench_test_kit::wave_sample as sample;
+use platebench_wire::{Command, Configure, ControllerState, LawId, Message, Packet, Tick, capabilities};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
@@ -19,11 +20,6 @@ const TIMEOUT: Duration = Duration::from_secs(5);
 fn start(log: Option<&Path>) -> ExecLink {
     let log = log.map_or_else(String::new, |file| format!(" --log '{}'", file.display()));
     ExecLink::start(&format!("'{PROGRAM}' {{port}}{log}")).unwrap()
-}
-
-fn sample(step: u32) -> Sample {
-    let wave = (step as f32 * 0.7).sin();
-    Sample { time_us: step * 1_000, setpoint_um: 2.0, wd_um: 1.5 + wave, wq_um: 0.3 * wave }
 }
 
 fn acting_bits(command: &Command) -> (u32, u32, ControllerState, u8) {

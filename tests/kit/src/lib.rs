@@ -1,8 +1,10 @@
-//! Provides fixtures for the tests of several crates: plate, configuration, scenarios.
+//! Provides fixtures for the tests of several crates: plate, configuration, board,
+//! scenarios.
 //!
 //! Unit tests of `wire` and `scenario` cannot use this crate: it would bring a second version of
 //! their types.
 
+mod board;
 mod configuration;
 mod identity;
 mod process;
@@ -10,6 +12,7 @@ mod python;
 mod scenarios;
 mod terminal;
 
+pub use board::{answer_line, random_configure, random_sample, serve_board, uniform, wave_sample};
 pub use configuration::CONFIGURE;
 pub use identity::IDENTITY;
 pub use process::{ChildGuard, skip_without};

@@ -1,35 +1,9 @@
 //! Tests whole runs over TCP.
 
 use crate::test_folder::{SETTLING, TestFolder};
-use platebench_controller::Device;
 use platebench_model::record::{ClockKind, RunRecord, Verdict};
-use platebench_test_kit::IDENTITY;
-use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpListener};
-use std::thread;
-use std::time::Instant;
-
-/// Starts a server with a simulated board. It accepts one connection after the other.
-pub(crate) fn serve_board() -> SocketAddr {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = listener.local_addr().unwrap();
-    thread::spawn(move || {
-        for stream in listener.incoming() {
-            let mut stream = stream.unwrap();
-            stream.set_nodelay(true).unwrap();
-            let (mut device, start) = (Device::new(IDENTITY), Instant::now());
-            let mut bytes = [0; 256];
-            while let Ok(count @ 1..) = stream.read(&mut bytes) {
-                let mut answer = Vec::new();
-                device.receive(&bytes[..count], start.elapsed().as_micros() as u32, |frame| answer.extend(frame));
-                if stream.write_all(&answer).is_err() {
-                    break;
-                }
-            }
-        }
-    });
-    address
-}
+use platebench_test_kit::serve_board;
+use std::net::TcpListener;
 
 #[test]
 fn a_run_over_tcp_is_in_real_time_and_measures_the_delay() {
@@ -55,6 +29,5 @@ fn an_address_without_a_server_cannot_be_reached() {
     for kind in ["tcp", "rfc2217"] {
         let rig = format!("{kind}:{address}");
         folder.bench(["run", "--rig", &rig, "--out", kind]).assert_message(5, &[&address]);
-        folder.bench(["run", "--rig", &format!("{kind}:lab")]).assert_message(2, &["HOST:PORT"]);
     }
 }

@@ -4,9 +4,10 @@ use platebench_engine::Trial;
 use platebench_engine::lockstep::play;
 use platebench_model::scenario::find;
 use platebench_rig::{CancelToken, FaultInjector, HostedLink, Link, LinkError, Session};
-use platebench_wire::{Configure, Gains, LawId, Message, Packet, PacketReader, Sample};
+use platebench_test_kit::{random_configure, random_sample};
+use platebench_wire::{LawId, Message, Packet, PacketReader};
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand_chacha::rand_core::SeedableRng;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -108,54 +109,4 @@ pub(crate) fn record_random_samples(count: u32) -> Vec<RecordedTrial> {
         RecordedTrial { name: format!("design {design}, {}", law.name()), exchanges }
     };
     (0..count.div_ceil(PER_DESIGN)).map(trial).collect()
-}
-
-fn uniform(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
-    low + (high - low) * (random.next_u32() >> 8) as f32 / 16_777_216.0
-}
-
-fn one_in(random: &mut ChaCha8Rng, many: u32) -> bool {
-    random.next_u32().is_multiple_of(many)
-}
-
-fn random_configure(law: LawId, random: &mut ChaCha8Rng) -> Configure {
-    let gains = one_in(random, 2).then(|| Gains {
-        amplitude_kp: uniform(random, 0.0, 400.0),
-        amplitude_ki: uniform(random, 0.0, 400e3),
-        frequency_kp: uniform(random, 0.0, 400.0),
-        frequency_ki: uniform(random, 0.0, 400e3),
-    });
-    Configure {
-        paced_by_target: false,
-        drives_own_plate: false,
-        watchdog_timeout_ms: 0,
-        law,
-        period_us: 1_000,
-        loop_delay_us: if one_in(random, 2) { 0 } else { random.next_u32() % 1_000 },
-        start_frequency_mhz: 30_000_000 + random.next_u32() % 4_000_000,
-        gain_um_per_vpp: uniform(random, 1e-3, 2e-2),
-        time_constant_s: uniform(random, 2e-4, 1e-2),
-        response_time_s: if one_in(random, 2) { 0.0 } else { uniform(random, 5e-4, 1e-2) },
-        drive_limit_vpp: uniform(random, 100.0, 1_000.0),
-        frequency_range_hz: uniform(random, 1.0, 500.0),
-        frequency_slew_hz: uniform(random, 0.1, 100.0),
-        gains,
-    }
-}
-
-fn random_sample(random: &mut ChaCha8Rng, time_us: u32) -> Sample {
-    let setpoint_um = if one_in(random, 32) { 0.0 } else { uniform(random, 0.0, 4.0) };
-    // Some samples are almost zero, subnormal, or as large as with a broken sensor cable.
-    let wd_um = match random.next_u32() % 32 {
-        0 => 1e-9,
-        1 => f32::from_bits(random.next_u32() % 0x80_0000),
-        2 => -0.0,
-        _ => uniform(random, -1.0, 4.0),
-    };
-    let wq_um = match random.next_u32() % 64 {
-        0 => 1e6,
-        1 => f32::MAX,
-        _ => uniform(random, -1.0, 1.0),
-    };
-    Sample { time_us, setpoint_um, wd_um, wq_um }
 }

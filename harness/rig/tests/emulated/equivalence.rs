@@ -4,9 +4,8 @@ use super::{CONFIGURE, PERIOD, firmware_under_test, open_logged, sample};
 use crate::provenance::source_hash;
 use platebench_rig::emulated::EmulatedOptions;
 use platebench_rig::{Chip, EmulatedLink, HostedLink, Link, Session, WallClockLink};
-use platebench_wire::{
-    Configure, ControllerState, Gains, LawId, Message, Packet, PacketReader, Sample, StateCause, Tick,
-};
+use platebench_test_kit::{random_configure, uniform};
+use platebench_wire::{Configure, ControllerState, LawId, Message, Packet, PacketReader, Sample, StateCause, Tick};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::{Duration, Instant};
@@ -27,24 +26,7 @@ fn reads_the_identity_of_the_firmware() {
     assert_eq!(session.link().baud(), 1_000_000);
 }
 
-fn random_configure(law: LawId, random: &mut ChaCha8Rng) -> Configure {
-    let gain = |random: &mut ChaCha8Rng| uniform(random, 0.0, 400.0);
-    let gains = random.next_u32().is_multiple_of(2).then(|| Gains {
-        amplitude_kp: gain(random),
-        amplitude_ki: 1e3 * gain(random),
-        frequency_kp: gain(random),
-        frequency_ki: 1e3 * gain(random),
-    });
-    let response_time_s = [0.0, 2e-3][random.next_u32() as usize % 2];
-    let loop_delay_us = [0, 350, 1_000][random.next_u32() as usize % 3];
-    let drive_limit_vpp = uniform(random, 100.0, 1_000.0);
-    Configure { law, gains, response_time_s, drive_limit_vpp, loop_delay_us, ..CONFIGURE }
-}
-
-fn uniform(random: &mut ChaCha8Rng, low: f32, high: f32) -> f32 {
-    low + (high - low) * (random.next_u32() >> 8) as f32 / 16_777_216.0
-}
-
+/// Finite samples of a plate, so that the controller goes on.
 fn random_sample(random: &mut ChaCha8Rng, time_us: u32) -> Sample {
     let setpoint_um = uniform(random, 0.0, 4.0);
     // Wd is sometimes almost zero, and Wq sometimes that of a broken sensor cable.

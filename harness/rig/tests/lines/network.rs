@@ -1,32 +1,15 @@
 //! Tests lines behind a network: a bridge in this process, and ser2net.
 
 use super::{CONFIGURE, RECEIVE_TIMEOUT, sample};
-use platebench_controller::Device;
 use platebench_rig::{BoxedLink, ConnectError, NetworkError, RigSpec, Session};
-use platebench_test_kit::{ChildGuard, IDENTITY, open_terminal, skip_without};
+use platebench_test_kit::{ChildGuard, IDENTITY, answer_line, open_terminal, serve_board, skip_without};
 use platebench_wire::Message;
 use rstest::rstest;
 use std::fs;
-use std::io::{Read, Write};
 use std::net::TcpListener;
 use std::process::{Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
-
-fn board(mut reader: impl Read + Send + 'static, mut writer: impl Write + Send + 'static) {
-    let mut device = Device::new(IDENTITY);
-    thread::spawn(move || {
-        let start = Instant::now();
-        let mut bytes = [0; 256];
-        while let Ok(count @ 1..) = reader.read(&mut bytes) {
-            let mut answer = Vec::new();
-            device.receive(&bytes[..count], start.elapsed().as_micros() as u32, |frame| answer.extend(frame));
-            if writer.write_all(&answer).is_err() {
-                break;
-            }
-        }
-    });
-}
 
 fn connect(spec: &str) -> Result<BoxedLink, ConnectError> {
     spec.parse::<RigSpec>().unwrap().connect()
@@ -47,14 +30,7 @@ fn control(link: BoxedLink) {
 
 #[test]
 fn controls_over_tcp() {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = listener.local_addr().unwrap();
-    thread::spawn(move || {
-        let (stream, _) = listener.accept().unwrap();
-        stream.set_nodelay(true).unwrap();
-        board(stream.try_clone().unwrap(), stream);
-    });
-    control(connect(&format!("tcp:{address}")).unwrap());
+    control(connect(&format!("tcp:{}", serve_board())).unwrap());
 }
 
 #[test]
@@ -76,7 +52,7 @@ fn ser2net(accepter: &str) -> Option<(ChildGuard, String, (tempfile::TempDir, fs
         return None;
     }
     let (master, path) = open_terminal();
-    board(master.try_clone().unwrap(), master);
+    thread::spawn(move || answer_line(master.try_clone().unwrap(), master, 1));
     // The terminal is kept open, because it would hang up when ser2net closes it.
     let slave = fs::File::options().read(true).write(true).open(&path).unwrap();
     let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();

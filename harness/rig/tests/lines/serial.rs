@@ -1,9 +1,8 @@
 //! Tests serial ports with a pseudo-terminal as the cable.
 
 use super::{CONFIGURE, RECEIVE_TIMEOUT, sample};
-use platebench_controller::Device;
 use platebench_rig::{Link, LinkError, RigError, RigSpec, SerialError, SerialLink, Session};
-use platebench_test_kit::{IDENTITY, open_terminal};
+use platebench_test_kit::{IDENTITY, answer_line, open_terminal};
 use platebench_wire::{ControllerState, Message};
 use std::fs::File;
 use std::io::{Read, Write};
@@ -16,21 +15,8 @@ fn cable() -> (File, PathBuf) {
     (master, path.into())
 }
 
-fn board(mut line: File, times: usize) {
-    let mut device = Device::new(IDENTITY);
-    thread::spawn(move || {
-        let start = Instant::now();
-        let mut bytes = [0; 256];
-        while let Ok(count @ 1..) = line.read(&mut bytes) {
-            let mut answer = Vec::new();
-            device.receive(&bytes[..count], start.elapsed().as_micros() as u32, |frame| {
-                answer.extend(frame.repeat(times));
-            });
-            if line.write_all(&answer).is_err() {
-                break;
-            }
-        }
-    });
+fn board(line: File, copies: usize) {
+    thread::spawn(move || answer_line(line.try_clone().unwrap(), line, copies));
 }
 
 fn open(port: &Path) -> SerialLink {

@@ -4,10 +4,9 @@ use super::{
     DEAD, HEALTHY, KILLED, WRONG_CHIP, assert_states, boards, clear_killed, kill_first_bench, lab, start_line,
     write_plan,
 };
-use crate::remote_line::serve_board;
 use crate::test_folder::{ChildGuard, SETTLING, TestFolder, wait_until};
 use platebench_model::record::{ClockKind, RunRecord, Verdict};
-use platebench_test_kit::{skip_without, workspace_root};
+use platebench_test_kit::{serve_board, skip_without, workspace_root};
 use std::fs;
 use std::net::{Ipv4Addr, TcpListener};
 use std::process::{Command, Stdio};
