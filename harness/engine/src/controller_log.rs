@@ -6,7 +6,7 @@ use platebench_model::record::{Telemetry, Violation, ViolationKind};
 use platebench_model::scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_plate::Time;
 use platebench_rig::{
-    DrivesAfterSafe, FaultInjector, Link, LinkError, ProtocolCheck, RigError, Session, check_protocol,
+    CheckOptions, DrivesAfterSafe, FaultInjector, Link, LinkError, ProtocolCheck, RigError, Session, check_protocol,
 };
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
 use tracing::warn;
@@ -114,7 +114,8 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
-    /// Plays the protocol scripts if the scenario expects [`Metric::ProtocolDifferences`].
+    /// Plays the scenario's messages, or the protocol scripts if it has none, if the scenario expects
+    /// [`Metric::ProtocolDifferences`].
     /// Afterwards the controller may be in any state.
     pub(crate) fn check_protocol<L: Link>(
         &mut self,
@@ -129,7 +130,13 @@ impl<'a> ControllerLog<'a> {
         let identity = *session.identity();
         let seed = Variation::of_trial(self.scenario, index).seed;
         let link = session.link_mut().inner_mut();
-        let check = check_protocol(link, &identity, base, own_clock, seed)?;
+        let compares_numbers = self.scenario.expects(Metric::ReferenceDifference);
+        let messages = &self.scenario.messages;
+        let options = CheckOptions { own_clock, seed, messages, compares_numbers };
+        let check = check_protocol(link, &identity, base, options)?;
+        for skipped in &check.skipped {
+            warn!(scenario = self.scenario.file, "protocol: {skipped} skipped, because the controller is too slow");
+        }
         for difference in &check.differences {
             warn!(scenario = self.scenario.file, "protocol: {difference}");
         }

@@ -137,6 +137,15 @@ fn missing_step_time(plan: &RunPlan, scenario: &Scenario, session: &mut RigSessi
     (scenario.expects(Metric::StepTime) && !is_measured).then_some(why)
 }
 
+/// The rules of the protocol hold for every law. A scenario that tests only them is played with the
+/// first law that the controller announces if it does not announce that of the scenario.
+fn protocol_law(scenario: &Scenario, law: LawId, identity: &Identity) -> LawId {
+    let tests_rules_only = scenario.expectations.iter().all(|expect| expect.metric == Metric::ProtocolDifferences);
+    let is_played = identity.has_law(law) || !tests_rules_only;
+    let first = LawId::ALL.into_iter().find(|law| identity.has_law(*law));
+    if is_played { law } else { first.unwrap_or(LawId::OpenLoop) }
+}
+
 fn select_applicable(
     plan: &RunPlan,
     laws: Vec<LawId>,
@@ -146,6 +155,7 @@ fn select_applicable(
     let mut selected = RunPlan { scenarios: Vec::new(), ..plan.clone() };
     let (mut selected_laws, mut not_applicable) = (Vec::new(), Vec::new());
     for (scenario, law) in plan.scenarios.iter().zip(laws) {
+        let law = protocol_law(scenario, law, &identity);
         let mut between = scenario.between.iter().filter_map(|scene| Some((scene, trial::law(scene).ok()?)));
         let is_compared =
             scenario.expects(Metric::ReferenceDifference) || scenario.expects(Metric::ProtocolDifferences);
@@ -157,7 +167,9 @@ fn select_applicable(
             .or_else(|| between.find_map(|(scene, law)| missing_capability(scene, law, &identity)));
         match missing {
             None => {
-                selected.scenarios.push(scenario.clone());
+                let mut scenario = scenario.clone();
+                law.name().clone_into(&mut scenario.controller.law);
+                selected.scenarios.push(scenario);
                 selected_laws.push(law);
             }
             Some(reason) => {

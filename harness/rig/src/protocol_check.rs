@@ -8,9 +8,10 @@ mod scripts;
 
 use crate::link::{Link, LinkError, LinkKind};
 use crate::rigs::hosted::HostedLink;
-use comparison::{BenchCause, CommandDifference, Comparison, ReceivedPackets};
-use platebench_wire::{Configure, Identity};
-use script::{Script, Variation};
+use comparison::{BenchCause, CommandDifference, CommandHistory, Comparison, ReceivedPackets};
+use platebench_model::scenario::ScenarioMessage;
+use platebench_wire::{Configure, Identity, LawId};
+use script::{Script, Step, Variation};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -34,6 +35,8 @@ const MIN_WATCHDOG_MS: u16 = 1_000;
 /// Time step of target and reference. It is not longer than any tick period of the scripts, so that
 /// the reference sends at most one tick per step.
 const STEP: Duration = Duration::from_millis(3);
+/// A script that would take longer is skipped.
+const LONGEST_SCRIPT: Duration = Duration::from_secs(15);
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ProtocolCheck {
@@ -41,32 +44,51 @@ pub struct ProtocolCheck {
     pub differences: Vec<String>,
     /// Number of times that a script was repeated.
     pub repeats: u32,
+    /// Names of the scripts that would take too long on this rig.
+    pub skipped: Vec<String>,
+}
+
+/// What is played and compared.
+#[derive(Debug, Clone, Copy)]
+pub struct CheckOptions<'a> {
+    /// True if the controller's clock runs while the bench waits.
+    pub own_clock: bool,
+    /// Selects the random samples.
+    pub seed: u64,
+    /// Messages of the scenario, which replace the scripts.
+    pub messages: &'a [ScenarioMessage],
+    /// True if drive and frequency of every law are compared with the reference. Otherwise the
+    /// scripts compare those of the laws that `docs/wire-protocol.md` defines, and `messages` none.
+    pub compares_numbers: bool,
 }
 
 /// Plays every script on `link`. Fails if the link is lost. Afterwards the controller may have
 /// stopped or have another configuration. `base` supplies the law, the watchdog timeout and the
-/// plate. `own_clock` is true if the controller's clock runs while the bench waits. `seed` selects
-/// the random samples.
+/// plate.
 pub fn check_protocol(
     link: &mut dyn Link,
     identity: &Identity,
     base: &Configure,
-    own_clock: bool,
-    seed: u64,
+    options: CheckOptions<'_>,
 ) -> Result<ProtocolCheck, LinkError> {
+    let CheckOptions { own_clock, seed, messages, compares_numbers } = options;
     if !link.restart()? {
         link.continue_trial();
     }
-    let base = Configure {
-        paced_by_target: false,
-        drives_own_plate: false,
-        loop_delay_us: 0,
-        gains: None,
-        watchdog_timeout_ms: base.watchdog_timeout_ms.max(MIN_WATCHDOG_MS),
-        ..*base
-    };
+    let base = script_base(base);
     let period = Duration::from_micros(base.period_us.into());
-    let mut player = Player { link, identity, period, own_clock, now: Duration::ZERO };
+    let is_defined = matches!(base.law, LawId::OpenLoop | LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed);
+    let compares_numbers = compares_numbers || (messages.is_empty() && is_defined);
+    let mut player = Player {
+        link,
+        identity,
+        period,
+        own_clock,
+        compares_numbers,
+        now: Duration::ZERO,
+        history: CommandHistory::default(),
+        speed: Speed::default(),
+    };
     let mut check = ProtocolCheck::default();
     let kind = player.link.kind();
     let may_repeat = |difference: &CommandDifference| match difference.other_cause {
@@ -74,17 +96,23 @@ pub fn check_protocol(
         Some(BenchCause::NoAnswer) => kind == LinkKind::Lossy,
         Some(BenchCause::LateTicks | BenchCause::Stall) => kind != LinkKind::Simulated,
     };
-    let varied = VARIATIONS.map(|variation| scripts::scripts(&base, identity, variation, seed));
-    for (position, script) in scripts::scripts(&base, identity, Variation::NONE, seed).iter().enumerate() {
-        let varied = varied.iter().filter_map(|scripts| scripts.get(position));
-        let varied: Vec<_> = varied.filter(|script| !script.exchanges.is_empty()).collect();
-        let mut difference = player.play(script, &varied)?;
+    let scripts = if messages.is_empty() {
+        scripts::scripts(&base, identity, seed)
+    } else {
+        vec![message_script(messages, &base)]
+    };
+    for script in scripts {
+        if messages.is_empty() && player.speed.time_for(script.length()) > LONGEST_SCRIPT {
+            check.skipped.push(script.name.into_owned());
+            continue;
+        }
+        let mut difference = player.play(&script)?;
         for _ in 1..ATTEMPTS {
             if !difference.as_ref().is_some_and(may_repeat) {
                 break;
             }
             check.repeats += 1;
-            difference = player.play(script, &varied)?;
+            difference = player.play(&script)?;
         }
         // If the host stalled, the stall may have caused the difference.
         let is_certain = |difference: &CommandDifference| difference.other_cause != Some(BenchCause::Stall);
@@ -94,25 +122,64 @@ pub fn check_protocol(
     Ok(check)
 }
 
+/// Configuration of the scripts for a trial with the configuration `base`.
+fn script_base(base: &Configure) -> Configure {
+    Configure {
+        paced_by_target: false,
+        drives_own_plate: false,
+        loop_delay_us: 0,
+        gains: None,
+        watchdog_timeout_ms: base.watchdog_timeout_ms.max(MIN_WATCHDOG_MS),
+        ..*base
+    }
+}
+
+fn message_script(messages: &[ScenarioMessage], base: &Configure) -> Script {
+    Script::new("messages of the scenario", messages.iter().map(|message| Step::of_message(message, base)))
+}
+
+/// Mean time of an exchange with the controller.
+#[derive(Debug, Default)]
+struct Speed {
+    exchanges: u32,
+    time: Duration,
+}
+
+impl Speed {
+    fn add(&mut self, time: Duration) {
+        self.exchanges = self.exchanges.saturating_add(1);
+        self.time += time;
+    }
+
+    fn time_for(&self, exchanges: u64) -> Duration {
+        let mean = self.time.checked_div(self.exchanges).unwrap_or_default();
+        mean.saturating_mul(u32::try_from(exchanges).unwrap_or(u32::MAX))
+    }
+}
+
 struct Player<'a> {
     link: &'a mut dyn Link,
     identity: &'a Identity,
     /// Shortest simulated time from one exchange to the next.
     period: Duration,
     own_clock: bool,
+    compares_numbers: bool,
     now: Duration,
+    history: CommandHistory,
+    speed: Speed,
 }
 
 impl Player<'_> {
-    fn play(&mut self, script: &Script, varied: &[&Script]) -> Result<Option<CommandDifference>, LinkError> {
-        let scripts: Vec<_> = [script].into_iter().chain(varied.iter().copied()).collect();
-        let mut references = vec![HostedLink::new(); scripts.len()];
-        let mut comparison = Comparison::new(self.identity);
+    fn play(&mut self, script: &Script) -> Result<Option<CommandDifference>, LinkError> {
+        let varied = if self.compares_numbers && script.is_varied { &VARIATIONS[..] } else { &[] };
+        let mut encoders: Vec<_> = varied.iter().map(|variation| script.exchanges(*variation)).collect();
+        let mut references = vec![HostedLink::new(); 1 + varied.len()];
+        let mut comparison = Comparison::new(self.identity, self.compares_numbers);
         let (mut since_start, mut is_stalled) = (Duration::ZERO, false);
         let mut last_request = Instant::now();
-        for (number, exchange) in script.exchanges.iter().enumerate() {
-            let mut received = Vec::new();
-            let mut expected = vec![Vec::new(); scripts.len()];
+        let mut received = Vec::new();
+        let mut expected = vec![Vec::new(); references.len()];
+        for (number, exchange) in script.exchanges(Variation::NONE).enumerate() {
             if self.own_clock {
                 thread::sleep(exchange.wait);
             }
@@ -134,17 +201,24 @@ impl Player<'_> {
             let since_request = last_request;
             last_request = Instant::now();
             self.link.exchange(self.now, &exchange.bytes, &mut received)?;
-            let requests = scripts.iter().filter_map(|script| script.exchanges.get(number));
+            self.speed.add(last_request.elapsed());
+            let requests = encoders.iter_mut().filter_map(Iterator::next).map(|request| request.bytes);
+            let requests = [exchange.bytes.clone()].into_iter().chain(requests);
             for ((reference, request), expected) in references.iter_mut().zip(requests).zip(&mut expected) {
-                reference.exchange(since_start, &request.bytes, expected)?;
+                reference.exchange(since_start, &request, expected)?;
             }
             let longest = if self.own_clock { since_request.elapsed() } else { exchange.wait.max(self.period) + STEP };
             is_stalled |= self.own_clock && longest > exchange.wait + script.stall;
             let request = comparison.observe_requests(&exchange.bytes);
-            let expected: Vec<_> = expected.iter().map(|bytes| ReceivedPackets::new(bytes, request)).collect();
-            let received = ReceivedPackets::new(&received, request);
+            if !exchange.is_complete {
+                continue;
+            }
+            let answers: Vec<_> =
+                expected.iter_mut().map(|bytes| ReceivedPackets::new(&std::mem::take(bytes), request)).collect();
+            let received = ReceivedPackets::new(&std::mem::take(&mut received), request);
             let silence = exchange.wait.max(self.period)..=longest;
-            if let Err(CommandDifference { text, other_cause }) = comparison.compare(&received, &expected, silence) {
+            let compared = comparison.compare(&received, &answers, silence, &mut self.history);
+            if let Err(CommandDifference { text, other_cause }) = compared {
                 // A stall of the host may change an answer, but does not suppress it.
                 let is_stall = is_stalled && other_cause != Some(BenchCause::NoAnswer);
                 let other_cause = if is_stall { Some(BenchCause::Stall) } else { other_cause };
@@ -163,6 +237,9 @@ mod tests {
     use platebench_test_kit::CONFIGURE;
     use platebench_wire::{Command, ControllerState, Gains, Message, Packet, StateCause};
     use rstest::rstest;
+
+    const SCRIPTS: CheckOptions<'_> =
+        CheckOptions { own_clock: false, seed: 1, messages: &[], compares_numbers: false };
 
     struct ChangedAnswers<F> {
         device: HostedLink,
@@ -205,7 +282,7 @@ mod tests {
     fn check(kind: LinkKind, change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> ProtocolCheck {
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
         let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind, change };
-        check_protocol(&mut link, &identity, &CONFIGURE, false, 1).unwrap()
+        check_protocol(&mut link, &identity, &CONFIGURE, SCRIPTS).unwrap()
     }
 
     fn differences(change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> Vec<String> {
@@ -241,7 +318,7 @@ mod tests {
     fn a_design_may_be_five_percent_off(#[case] gain: f32, #[case] expected: &[&str]) {
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
         let mut link = OtherGain(HostedLink::new(), gain);
-        let mut found = check_protocol(&mut link, &identity, &CONFIGURE, false, 1).unwrap().differences;
+        let mut found = check_protocol(&mut link, &identity, &CONFIGURE, SCRIPTS).unwrap().differences;
         found.sort_unstable();
         assert_eq!(names(&found).iter().filter(|name| !expected.contains(name)).count(), 0, "{found:?}");
         assert_eq!(found.is_empty(), expected.is_empty());
@@ -284,13 +361,88 @@ mod tests {
     }
 
     #[test]
-    fn one_millihertz_differs_if_the_range_is_small() {
+    fn two_millihertz_differ_if_the_range_is_small() {
         let found = differences(|_, packets| {
             for command in commands(packets).filter(|command| command.state == ControllerState::Running) {
-                command.frequency_mhz += 1;
+                command.frequency_mhz += 2;
             }
         });
         assert!(names(&found).contains(&"frequency limits of a few mHz"), "{found:?}");
+    }
+
+    #[test]
+    fn a_frequency_may_be_rounded_to_two_millihertz() {
+        let found = differences(|_, packets| {
+            for command in commands(packets) {
+                command.frequency_mhz &= !1;
+            }
+        });
+        assert_eq!(found, [""; 0]);
+    }
+
+    fn play_messages(messages: &[ScenarioMessage], change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> Vec<String> {
+        let identity = *Session::open(HostedLink::new()).unwrap().identity();
+        let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Simulated, change };
+        let options = CheckOptions { messages, ..SCRIPTS };
+        check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap().differences
+    }
+
+    /// Three samples, a stop, and the same samples after the next configuration.
+    fn resumed() -> Vec<ScenarioMessage> {
+        let sample = |wd: f32| ScenarioMessage::sample(2.0, wd, -0.2);
+        let trial = [ScenarioMessage::CONFIGURE, sample(0.1), sample(1.2), sample(1.8)];
+        [&trial[..], &[ScenarioMessage::Safe {}], &trial].concat()
+    }
+
+    #[test]
+    fn a_law_of_its_own_has_its_own_figures() {
+        let found = play_messages(&resumed(), |_, packets| {
+            for command in commands(packets) {
+                command.drive_vpp *= 0.5;
+            }
+        });
+        assert_eq!(found, [""; 0]);
+    }
+
+    #[test]
+    fn a_state_that_a_configuration_keeps_differs() {
+        let mut configurations = 0;
+        let found = play_messages(&resumed(), |_, packets| {
+            configurations += packets.iter().filter(|packet| matches!(packet.message, Message::Configured(_))).count();
+            for command in commands(packets).filter(|_| configurations == 2) {
+                command.drive_vpp *= 0.5;
+            }
+        });
+        assert_eq!(found.len(), 1);
+        assert!(found[0].contains("but after an earlier configuration with the same samples"), "{found:?}");
+    }
+
+    #[rstest]
+    #[case::a_drive_above_its_limit(|command: &mut Command| command.drive_vpp = 900.5, "a drive of 900.5 Vpp")]
+    #[case::a_frequency_step(|command: &mut Command| command.frequency_mhz += 200_010, "a frequency step of")]
+    #[case::a_drive_after_a_stop(|command: &mut Command| command.drive_vpp = 1.0, "expected command")]
+    fn rules_hold_for_every_law(#[case] change: fn(&mut Command), #[case] text: &str) {
+        let found = play_messages(&resumed(), |_, packets| commands(packets).for_each(change));
+        assert!(found.len() == 1 && found[0].contains(text), "{found:?}");
+    }
+
+    #[test]
+    fn messages_repeat_and_wait() {
+        let message = |kind: &str| toml::from_str::<ScenarioMessage>(kind).unwrap();
+        let messages = [
+            message("kind = 'configure'\nwatchdog_timeout_ms = 50"),
+            ScenarioMessage::sample(2.0, 1.2, -0.2),
+            message("kind = 'damaged'\nbyte = 5"),
+            message("kind = 'wait'\nms = 30.0"),
+            message("kind = 'again'\nmessages = 2\ntimes = 1"),
+            ScenarioMessage::sample(2.0, 1.2, -0.2),
+        ];
+        let mut states = Vec::new();
+        let found =
+            play_messages(&messages, |_, packets| states.extend(commands(packets).map(|command| command.cause)));
+        assert_eq!(found, [""; 0]);
+        // The watchdog reports its stop, and the last sample gets the same state.
+        assert_eq!(states, [StateCause::None, StateCause::SampleTimeout, StateCause::SampleTimeout]);
     }
 
     #[rstest]

@@ -6,6 +6,7 @@ use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::expect::Expectation;
 use crate::scenario::fault::ChipFault;
 use crate::scenario::fault::Fault;
+use crate::scenario::message::ScenarioMessage;
 use platebench_plate::{ConditionProfiles, Model, Plant, Plate, Profile, Sensor, Time};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -50,6 +51,8 @@ pub struct Scenario {
     pub faults: Vec<Fault>,
     pub chip_faults: Vec<ChipFault>,
     pub between: Vec<Self>,
+    /// Messages before every trial, instead of the scripts of the protocol check.
+    pub messages: Vec<ScenarioMessage>,
     pub expectations: Vec<Expectation>,
     /// Texts from `requirements.toml` by the identifier of the requirement.
     pub requirement_texts: BTreeMap<String, String>,

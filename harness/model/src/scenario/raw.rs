@@ -2,6 +2,7 @@
 
 use crate::metrics::Metric;
 use crate::scenario::definition::{AUTO_MODEL, MAX_TRIALS, ScenarioGains, Spread};
+use crate::scenario::message::{MAX_MESSAGES, ScenarioMessage};
 use crate::scenario::window::ChangingProfile;
 use platebench_plate::RawProfile;
 use schemars::JsonSchema;
@@ -70,6 +71,11 @@ pub struct RawScenario {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(length(max = MAX_BETWEEN))]
     pub between: Vec<RawBetween>,
+    /// Messages that the bench plays before every trial. `protocol_differences` compares the answers
+    /// with those of the reference.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schemars(length(max = MAX_MESSAGES))]
+    pub message: Vec<ScenarioMessage>,
     /// Expectations; at least one.
     #[serde(default)]
     #[schemars(length(min = 1))]

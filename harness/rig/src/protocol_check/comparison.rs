@@ -3,8 +3,10 @@
 
 use crate::compared_link::command_difference;
 use platebench_wire::{
-    Command, Configure, ControllerState, Gains, Identity, LawId, Message, Packet, PacketReader, StateCause,
+    Command, Configure, ControllerState, Gains, Identity, LawId, Message, Packet, PacketReader, Sample, StateCause,
 };
+use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
@@ -25,6 +27,12 @@ const OTHER_DESIGN_TOLERANCE: f64 = 0.15;
 /// command is not compared. The first share is for rounding, the second for another design.
 const ROUNDING_SHARE: f64 = 0.25;
 const OTHER_DESIGN_SHARE: f64 = 0.5;
+/// Largest difference of a frequency by its rounding, mHz: a controller may round to 1 or 2 mHz.
+const FREQUENCY_STEP_MHZ: u32 = 1;
+/// Tolerance of the frequency's range and slew, Hz, as in every trial.
+const FREQUENCY_TOLERANCE_HZ: f64 = 5e-3;
+/// Largest number of stored commands of [`CommandHistory`].
+const MAX_HISTORY: usize = 50_000;
 /// Number of variations by rounding. They precede the variations of the design.
 const ROUNDING_VARIATIONS: usize = 2;
 /// Shortest time between two commands whose time stamps are compared, and the relative tolerance of
@@ -77,8 +85,49 @@ pub(super) fn packets(bytes: &[u8]) -> Vec<Packet> {
     PacketReader::new().packets(bytes).flatten().collect()
 }
 
+/// Commands of a controller by everything that its law received since the configuration. A
+/// configuration clears the whole state, so the same samples must give the same commands.
+#[derive(Debug, Default)]
+pub(super) struct CommandHistory(HashMap<u64, (f32, u32)>);
+
+/// The configuration and the samples of the law since then.
+#[derive(Debug, Default)]
+struct LawInputs {
+    hash: u64,
+    first_us: Option<u32>,
+    last_number: Option<u8>,
+}
+
+impl LawInputs {
+    fn configure(configure: &Configure) -> Self {
+        // `Debug` writes every digit of a float.
+        Self { hash: hash_of(&format!("{configure:?}")), ..Self::default() }
+    }
+
+    /// A repeated sample does not reach the law.
+    fn add(&mut self, number: u8, sample: &Sample) {
+        if self.last_number.replace(number) == Some(number) {
+            return;
+        }
+        let since_us = sample.time_us.wrapping_sub(*self.first_us.get_or_insert(sample.time_us));
+        let values = [sample.setpoint_um, sample.wd_um, sample.wq_um].map(f32::to_bits);
+        self.hash = hash_of(&(self.hash, since_us, values));
+    }
+}
+
+fn hash_of(value: &impl Hash) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    value.hash(&mut hasher);
+    hasher.finish()
+}
+
 pub(super) struct Comparison<'a> {
     identity: &'a Identity,
+    /// False if only the rules of the protocol are compared, because the law's figures are its own.
+    compares_numbers: bool,
+    requests: PacketReader,
+    inputs: LawInputs,
+    last_command: Option<Command>,
     configuration: Option<Configure>,
     has_other_design: bool,
     /// True if a variation changed a command too much, so that commands are not compared.
@@ -91,9 +140,13 @@ pub(super) struct Comparison<'a> {
 }
 
 impl<'a> Comparison<'a> {
-    pub(super) fn new(identity: &'a Identity) -> Self {
+    pub(super) fn new(identity: &'a Identity, compares_numbers: bool) -> Self {
         Self {
             identity,
+            compares_numbers,
+            requests: PacketReader::new(),
+            inputs: LawInputs::default(),
+            last_command: None,
             configuration: None,
             has_other_design: false,
             is_ambiguous: false,
@@ -104,12 +157,19 @@ impl<'a> Comparison<'a> {
     }
 
     pub(super) fn observe_requests(&mut self, bytes: &[u8]) -> u8 {
-        let requests = packets(bytes);
+        let requests: Vec<_> = self.requests.packets(bytes).flatten().collect();
         let last = requests.last().map_or(0, |packet| packet.sequence);
         for packet in requests {
-            if let Message::Configure(configure) = packet.message {
-                let (running, ticks) = (self.running, TickComparison::new(&configure));
-                *self = Self { configuration: Some(configure), running, ticks, ..Self::new(self.identity) };
+            match packet.message {
+                Message::Configure(configure) => {
+                    self.configuration = Some(configure);
+                    (self.has_other_design, self.is_ambiguous) = (false, false);
+                    self.previous = None;
+                    self.inputs = LawInputs::configure(&configure);
+                    self.ticks = TickComparison::new(&configure);
+                }
+                Message::Sample(sample) => self.inputs.add(packet.sequence, &sample),
+                _ => {}
             }
         }
         last
@@ -122,6 +182,7 @@ impl<'a> Comparison<'a> {
         received: &ReceivedPackets,
         expected: &[ReceivedPackets],
         silence: RangeInclusive<Duration>,
+        history: &mut CommandHistory,
     ) -> Result<(), CommandDifference> {
         let Some((reference, varied)) = expected.split_first() else { return Ok(()) };
         let previous = self.previous.take();
@@ -149,9 +210,13 @@ impl<'a> Comparison<'a> {
                 let other_cause = (answer.sequence != expected.sequence).then_some(BenchCause::NoAnswer);
                 return Err(CommandDifference { text, other_cause });
             }
+            if matches!(answer.message, Message::Configured(configured) if configured.outcome.is_ok()) {
+                (self.running, self.last_command) = (None, None);
+            }
             if let (Message::Command(answer), Message::Command(expected)) = (&answer.message, &expected.message)
                 && expected.state == ControllerState::Running
             {
+                self.check_rules(answer, history)?;
                 let commands = [*answer, *expected];
                 if let Some(previous) = previous {
                     compare_clocks(previous, commands, &silence)?;
@@ -171,6 +236,41 @@ impl<'a> Comparison<'a> {
         {
             self.has_other_design = !are_close(answer, expected, SAME_DESIGN);
         }
+    }
+
+    /// Checks the rules for a *running* command that hold for every law.
+    fn check_rules(&mut self, answer: &Command, history: &mut CommandHistory) -> Result<(), CommandDifference> {
+        let (Some(configuration), ControllerState::Running) = (self.configuration, answer.state) else {
+            return Ok(());
+        };
+        let Command { drive_vpp, frequency_mhz, .. } = *answer;
+        if !(0.0..=configuration.drive_limit_vpp).contains(&drive_vpp) {
+            return differs(format!("a drive of {drive_vpp} Vpp, expected 0 to {} Vpp", configuration.drive_limit_vpp));
+        }
+        let distance_hz = |from: u32| (f64::from(frequency_mhz) - f64::from(from)).abs() * 1e-3;
+        let [range, slew] = [configuration.frequency_range_hz, configuration.frequency_slew_hz].map(f64::from);
+        let offset = distance_hz(configuration.start_frequency_mhz);
+        if offset > range + FREQUENCY_TOLERANCE_HZ {
+            return differs(format!("a frequency {offset:.3} Hz from its start, expected at most {range} Hz"));
+        }
+        let previous = self.last_command.replace(*answer);
+        let change = distance_hz(previous.map_or(configuration.start_frequency_mhz, |last| last.frequency_mhz));
+        if change > slew + FREQUENCY_TOLERANCE_HZ {
+            return differs(format!("a frequency step of {change:.3} Hz, expected at most {slew} Hz"));
+        }
+        let CommandHistory(commands) = history;
+        let Some((drive, frequency)) = commands.get(&self.inputs.hash).copied() else {
+            if commands.len() < MAX_HISTORY {
+                commands.insert(self.inputs.hash, (drive_vpp, frequency_mhz));
+            }
+            return Ok(());
+        };
+        let earlier = Command { drive_vpp: drive, frequency_mhz: frequency, ..*answer };
+        if self.distance(answer, &earlier) <= SAME_GAINS_TOLERANCE {
+            return Ok(());
+        }
+        let [answer, earlier] = [*answer, earlier].map(|command| show_command(0, &command));
+        differs(format!("{answer}, but after an earlier configuration with the same samples {earlier}"))
     }
 
     fn tolerance(&self) -> f64 {
@@ -210,11 +310,19 @@ impl<'a> Comparison<'a> {
     fn are_gains_equal(&self, answer: Gains, expected: Gains) -> bool {
         let Some(configuration) = self.configuration else { return true };
         let uses_four = matches!(configuration.law, LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed);
-        if configuration.gains.is_some() {
-            are_close(answer, expected, GAIN_TOLERANCE)
-        } else {
-            !uses_four || are_close(answer, expected, DESIGN_TOLERANCE)
-        }
+        let is_finite = numbers(answer).into_iter().all(f32::is_finite);
+        is_finite
+            && match configuration.gains {
+                Some(configured) => {
+                    are_close(answer, configured, GAIN_TOLERANCE) || {
+                        // A law may report 0 for a gain that it does not use.
+                        let mut pairs = numbers(answer).into_iter().zip(numbers(configured));
+                        let is_close = |(one, other): (f32, f32)| (one - other).abs() <= GAIN_TOLERANCE * other.abs();
+                        !uses_four && pairs.all(|(own, configured)| own == 0.0 || is_close((own, configured)))
+                    }
+                }
+                None => !uses_four || !self.compares_numbers || are_close(answer, expected, DESIGN_TOLERANCE),
+            }
     }
 
     fn is_equal_command(&self, answer: &Command, expected: &Command) -> bool {
@@ -222,20 +330,24 @@ impl<'a> Comparison<'a> {
             return self.is_ambiguous && expected.state == ControllerState::Running;
         }
         if expected.state == ControllerState::Running {
-            return self.is_ambiguous || self.distance(answer, expected) <= self.tolerance();
+            return !self.compares_numbers || self.is_ambiguous || self.distance(answer, expected) <= self.tolerance();
         }
-        let expected_mhz = match &self.running {
+        let has_frequency = match &self.running {
             // A stopped controller keeps its own last frequency, not that of the reference.
-            Some([own, reference]) if expected.frequency_mhz == reference.frequency_mhz => own.frequency_mhz,
-            _ => expected.frequency_mhz,
+            Some([own, reference]) if expected.frequency_mhz == reference.frequency_mhz => {
+                answer.frequency_mhz == own.frequency_mhz
+            }
+            _ => answer.frequency_mhz.abs_diff(expected.frequency_mhz) <= FREQUENCY_STEP_MHZ,
         };
-        answer.drive_vpp == 0.0 && answer.frequency_mhz == expected_mhz
+        answer.drive_vpp == 0.0 && has_frequency
     }
 
     /// Returns the larger difference of [`command_difference`]; infinite if a drive is not finite.
     fn distance(&self, one: &Command, other: &Command) -> f64 {
         let Some(configuration) = self.configuration else { return 0.0 };
-        let [drive, frequency] = command_difference(one, other, &configuration);
+        let is_rounding = one.frequency_mhz.abs_diff(other.frequency_mhz) <= FREQUENCY_STEP_MHZ;
+        let frequency_mhz = if is_rounding { one.frequency_mhz } else { other.frequency_mhz };
+        let [drive, frequency] = command_difference(one, &Command { frequency_mhz, ..*other }, &configuration);
         if drive.is_finite() { drive.max(frequency) } else { f64::INFINITY }
     }
 }
@@ -264,18 +376,17 @@ fn compare_clocks(
     differs(format!("the controller's clock advanced by {own:.1?}, expected {shortest:.1?} to {longest:.1?}"))
 }
 
+fn numbers(gains: Gains) -> [f32; 4] {
+    [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki]
+}
+
 fn are_close(one: Gains, other: Gains, tolerance: f32) -> bool {
-    let numbers = |gains: Gains| [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
     numbers(one).into_iter().zip(numbers(other)).all(|(one, other)| (one - other).abs() <= tolerance * other.abs())
 }
 
 fn show(packet: &Packet) -> String {
     match &packet.message {
-        Message::Command(Command { drive_vpp, frequency_mhz, state, cause, .. }) => {
-            let frequency_hz = f64::from(*frequency_mhz) / 1e3;
-            let number = packet.sequence;
-            format!("command {number} ({state:?}, cause {cause:?}, {drive_vpp:.3} Vpp, {frequency_hz:.3} Hz)")
-        }
+        Message::Command(command) => show_command(packet.sequence, command),
         Message::Configured(configured) => match configured.outcome {
             Ok(gains) => format!("accepted with {gains:?}"),
             Err(rejection) => format!("rejected as {rejection:?}"),
@@ -283,6 +394,12 @@ fn show(packet: &Packet) -> String {
         Message::Identity(_) => "identity".to_owned(),
         other => format!("{other:?}"),
     }
+}
+
+fn show_command(number: u8, command: &Command) -> String {
+    let Command { drive_vpp, frequency_mhz, state, cause, .. } = command;
+    let frequency_hz = f64::from(*frequency_mhz) / 1e3;
+    format!("command {number} ({state:?}, cause {cause:?}, {drive_vpp:.3} Vpp, {frequency_hz:.3} Hz)")
 }
 
 /// Largest difference between the clocks of controller and bench.

@@ -1,12 +1,17 @@
 //! Defines the steps of a script and turns them into exchanges. An exchange consists of frames that
 //! the controller does not answer and one frame that it answers.
 
-use platebench_wire::{Configure, EncodedFrame, Message, Packet, Sample};
+use platebench_model::scenario::{ScenarioMessage, WireNumber};
+use platebench_wire::{Configure, EncodedFrame, Gains, LawId, Message, Packet, Sample};
+use std::borrow::Cow;
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Silence between the two pieces of [`Step::InPieces`].
 const PAUSE: Duration = Duration::from_millis(5);
 const STALL: Duration = Duration::from_millis(80);
+/// Setpoint, Wd and Wq of [`Step::Damaged`], µm.
+const DAMAGED_SAMPLE: [f32; 3] = [3.0, 0.7, -0.3];
 
 /// A step of a script. The three `f32` of a step are setpoint, Wd and Wq of a sample, µm.
 #[derive(Debug, Clone)]
@@ -28,7 +33,7 @@ pub(super) enum Step {
     Silence(u64),
 
     // Before the next exchange.
-    /// Sends nothing for this time, ms.
+    /// Sends nothing for this time, ms. Earlier steps without an exchange act before it.
     Wait(u64),
     WaitUs(u64),
     Send(Message),
@@ -40,14 +45,92 @@ pub(super) enum Step {
     Damaged(usize),
     /// Sends as many damaged samples.
     Rejected(usize),
+
+    /// Plays the last `steps` steps `times` more times.
+    Again {
+        steps: usize,
+        times: u32,
+    },
+}
+
+impl Step {
+    /// `base` is the configuration that the keys of a `configure` change.
+    pub(super) fn of_message(message: &ScenarioMessage, base: &Configure) -> Self {
+        let bytes = |hex: &str| ScenarioMessage::bytes_of(hex).unwrap_or_default();
+        match message {
+            ScenarioMessage::Configure { .. } => Self::Setup(configuration(message, base)),
+            ScenarioMessage::Sample { setpoint_um, wd_um, wq_um, ahead, split_at } => {
+                let [setpoint, wd, wq] = [setpoint_um, wd_um, wq_um].map(|number| number.value());
+                match (split_at, ahead) {
+                    (Some(at), _) => Self::InPieces(usize::from(*at), setpoint, wd, wq),
+                    (None, 1) => Self::Sample(setpoint, wd, wq),
+                    (None, ahead) => Self::Ahead(*ahead, setpoint, wd, wq),
+                }
+            }
+            ScenarioMessage::Repeat {} => Self::Repeat,
+            ScenarioMessage::Hello {} => Self::Ask(Message::Hello),
+            ScenarioMessage::Safe {} => Self::Ask(Message::Safe),
+            ScenarioMessage::Wait { ms } => Self::WaitUs((ms * 1e3).round() as u64),
+            ScenarioMessage::Body { hex } => Self::Body(bytes(hex)),
+            ScenarioMessage::Bytes { hex } => Self::Bytes(bytes(hex)),
+            ScenarioMessage::Damaged { byte } => Self::Damaged(usize::from(*byte)),
+            ScenarioMessage::Again { messages, times } => Self::Again { steps: *messages as usize, times: *times },
+        }
+    }
+}
+
+fn configuration(message: &ScenarioMessage, base: &Configure) -> Configure {
+    let ScenarioMessage::Configure {
+        law,
+        watchdog_timeout_ms,
+        period_us,
+        start_frequency_mhz,
+        gain_um_per_vpp,
+        time_constant_s,
+        response_time_s,
+        drive_limit_vpp,
+        frequency_range_hz,
+        frequency_slew_hz,
+        gains,
+        loop_delay_us,
+        own_plate,
+    } = message
+    else {
+        return *base;
+    };
+    let float = |number: &Option<WireNumber>, base: f32| number.map_or(base, WireNumber::value);
+    let law = law.and_then(|law| LawId::ALL.into_iter().find(|known| *known as u8 == law));
+    let gains = gains.map(|gains| {
+        let [amplitude_kp, amplitude_ki, frequency_kp, frequency_ki] = gains.map(WireNumber::value);
+        Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki }
+    });
+    Configure {
+        law: law.unwrap_or(base.law),
+        paced_by_target: false,
+        drives_own_plate: *own_plate,
+        watchdog_timeout_ms: watchdog_timeout_ms.unwrap_or(base.watchdog_timeout_ms),
+        period_us: period_us.unwrap_or(base.period_us),
+        loop_delay_us: loop_delay_us.unwrap_or(base.loop_delay_us),
+        start_frequency_mhz: start_frequency_mhz.unwrap_or(base.start_frequency_mhz),
+        gain_um_per_vpp: float(gain_um_per_vpp, base.gain_um_per_vpp),
+        time_constant_s: float(time_constant_s, base.time_constant_s),
+        response_time_s: float(response_time_s, base.response_time_s),
+        drive_limit_vpp: float(drive_limit_vpp, base.drive_limit_vpp),
+        frequency_range_hz: float(frequency_range_hz, base.frequency_range_hz),
+        frequency_slew_hz: float(frequency_slew_hz, base.frequency_slew_hz),
+        gains: gains.or(base.gains),
+    }
 }
 
 #[derive(Debug, Clone)]
 pub(super) struct Script {
-    pub(super) name: &'static str,
+    pub(super) name: Cow<'static, str>,
     /// If an exchange is later than planned by more than this time, the watchdog may act.
     pub(super) stall: Duration,
-    pub(super) exchanges: Vec<Exchange>,
+    /// False if rounding and the design of the gains decide nothing, so that the variations are not
+    /// played.
+    pub(super) is_varied: bool,
+    pub(super) steps: Vec<Step>,
 }
 
 #[derive(Debug, Clone)]
@@ -55,6 +138,8 @@ pub(super) struct Exchange {
     /// Silence before the exchange.
     pub(super) wait: Duration,
     pub(super) bytes: Vec<u8>,
+    /// False if the controller may answer later, so that its answers belong to the next exchange.
+    pub(super) is_complete: bool,
 }
 
 /// Change of the values in a script's messages. It does not change the number of exchanges.
@@ -71,27 +156,47 @@ impl Variation {
 }
 
 impl Script {
-    pub(super) fn new(name: &'static str, variation: Variation, steps: impl IntoIterator<Item = Step>) -> Self {
-        let mut encoder = Encoder {
-            exchanges: Vec::new(),
+    pub(super) fn new(name: impl Into<Cow<'static, str>>, steps: impl IntoIterator<Item = Step>) -> Self {
+        Self { name: name.into(), stall: STALL, is_varied: true, steps: steps.into_iter().collect() }
+    }
+
+    /// Number of steps, repetitions included.
+    pub(super) fn length(&self) -> u64 {
+        let length = |step: &Step| match step {
+            Step::Again { steps, times } => *steps as u64 * u64::from(*times),
+            _ => 1,
+        };
+        self.steps.iter().map(length).sum()
+    }
+
+    /// Makes the exchanges one after the other, because a long script does not fit in memory.
+    pub(super) fn exchanges(&self, variation: Variation) -> Encoder<'_> {
+        Encoder {
+            steps: &self.steps,
+            position: 0,
+            repetition: 0,
+            ready: VecDeque::new(),
             variation,
             period_us: 0,
             // The sequence numbers start at 248, so that they wrap within the first messages.
             sequence: 248,
             time_us: 0,
-            unanswered: Vec::new(),
+            // Ends a frame that the previous script did not end.
+            unanswered: vec![0],
             wait: Duration::ZERO,
             last_sample: Vec::new(),
-        };
-        for step in steps {
-            encoder.add(step);
         }
-        Self { name, stall: STALL, exchanges: encoder.exchanges }
     }
 }
 
-struct Encoder {
-    exchanges: Vec<Exchange>,
+#[derive(Debug)]
+pub(super) struct Encoder<'a> {
+    steps: &'a [Step],
+    /// The next step.
+    position: usize,
+    /// Number of the repetition by the next [`Step::Again`].
+    repetition: u32,
+    ready: VecDeque<Exchange>,
     variation: Variation,
     period_us: u32,
     sequence: u8,
@@ -101,7 +206,33 @@ struct Encoder {
     last_sample: Vec<u8>,
 }
 
-impl Encoder {
+impl Iterator for Encoder<'_> {
+    type Item = Exchange;
+
+    fn next(&mut self) -> Option<Exchange> {
+        while self.ready.is_empty() {
+            let Some(step) = self.steps.get(self.position) else {
+                if self.unanswered.is_empty() {
+                    return None;
+                }
+                self.add(Step::Ask(Message::Hello));
+                break;
+            };
+            self.position += 1;
+            match step {
+                Step::Again { steps, times } if self.repetition < *times => {
+                    self.repetition += 1;
+                    self.position = self.position.saturating_sub(steps + 1);
+                }
+                Step::Again { .. } => self.repetition = 0,
+                step => self.add(step.clone()),
+            }
+        }
+        self.ready.pop_front()
+    }
+}
+
+impl Encoder<'_> {
     fn add(&mut self, step: Step) {
         match step {
             Step::Setup(configure) => self.configure(configure),
@@ -120,10 +251,11 @@ impl Encoder {
             }
             Step::InPieces(at, setpoint, wd, wq) => {
                 self.add(Step::Sample(setpoint, wd, wq));
-                if let Some(whole) = self.exchanges.pop() {
-                    let (first, second) = whole.bytes.split_at(at.min(whole.bytes.len()));
-                    self.exchanges.push(Exchange { wait: whole.wait, bytes: first.to_vec() });
-                    self.exchanges.push(Exchange { wait: PAUSE, bytes: second.to_vec() });
+                if let Some(whole) = self.ready.pop_back() {
+                    let frame = whole.bytes.len().saturating_sub(self.last_sample.len());
+                    let (first, second) = whole.bytes.split_at((frame + at).min(whole.bytes.len()));
+                    self.ready.push_back(Exchange { bytes: first.to_vec(), is_complete: false, ..whole });
+                    self.ready.push_back(Exchange { wait: PAUSE, bytes: second.to_vec(), is_complete: true });
                 }
             }
             Step::Ask(message) => {
@@ -136,11 +268,17 @@ impl Encoder {
                 }
             }
             Step::Silence(ms) => {
-                self.wait = Duration::from_millis(ms);
+                self.add(Step::Wait(ms));
                 self.close(&[]);
             }
-            Step::Wait(ms) => self.wait = Duration::from_millis(ms),
-            Step::WaitUs(us) => self.wait = Duration::from_micros(us),
+            Step::Wait(ms) => self.add(Step::WaitUs(ms * 1_000)),
+            Step::WaitUs(us) => {
+                if !self.unanswered.is_empty() {
+                    self.close(&[]);
+                    self.ready.back_mut().into_iter().for_each(|exchange| exchange.is_complete = false);
+                }
+                self.wait += Duration::from_micros(us);
+            }
             Step::Send(message) => {
                 let frame = self.frame(message);
                 self.unanswered.extend(frame);
@@ -153,6 +291,7 @@ impl Encoder {
             }
             Step::Damaged(position) => self.damaged(position),
             Step::Rejected(count) => (0..count).for_each(|_| self.damaged(5)),
+            Step::Again { .. } => {}
         }
     }
 
@@ -174,7 +313,8 @@ impl Encoder {
     }
 
     fn damaged(&mut self, position: usize) {
-        let sample = Sample { time_us: self.time_us, setpoint_um: 3.0, wd_um: 0.7, wq_um: -0.3 };
+        let [setpoint_um, wd_um, wq_um] = DAMAGED_SAMPLE;
+        let sample = Sample { time_us: self.time_us, setpoint_um, wd_um, wq_um };
         let mut frame = self.frame(Message::Sample(sample));
         let data = frame.len() - 1;
         if let Some(byte) = frame.get_mut(position % data) {
@@ -192,7 +332,7 @@ impl Encoder {
     fn close(&mut self, request: &[u8]) {
         let mut bytes = std::mem::take(&mut self.unanswered);
         bytes.extend_from_slice(request);
-        self.exchanges.push(Exchange { wait: std::mem::take(&mut self.wait), bytes });
+        self.ready.push_back(Exchange { wait: std::mem::take(&mut self.wait), bytes, is_complete: true });
     }
 
     fn next_sequence(&mut self) -> u8 {

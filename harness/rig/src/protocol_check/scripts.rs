@@ -1,10 +1,10 @@
 //! Lists the scripts: messages that no closed loop with a plate sends.
 
+use super::script::Script;
 use super::script::Step::{
-    self, Ahead, Ask, AskBody, Body, Bytes, Damaged, InPieces, Rejected, Repeat, Sample, Send, Setup, Silence, Wait,
-    WaitUs,
+    self, Again, Ahead, Ask, AskBody, Body, Bytes, Damaged, InPieces, Rejected, Repeat, Sample, Send, Setup, Silence,
+    Wait, WaitUs,
 };
-use super::script::{Script, Variation};
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, LawId, Message, Rejection, Setpoint,
     StateCause, Tick, capabilities,
@@ -23,11 +23,10 @@ const RANDOM_SAMPLES: usize = 40;
 /// A script with periods of 300 µs tolerates a delay of an exchange below one period.
 const SHORT_STALL: Duration = Duration::from_micros(250);
 
-pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variation, seed: u64) -> Vec<Script> {
+pub(super) fn scripts(base: &Configure, identity: &Identity, seed: u64) -> Vec<Script> {
     let fixed = Configure { gains: Some(CONFIGURED_GAINS), start_frequency_mhz: 32_307_654, ..*base };
     let own_design = Configure { gains: None, ..fixed };
-    let with =
-        |name, configure, steps: Vec<Step>| Script::new(name, variation, [Setup(configure)].into_iter().chain(steps));
+    let with = |name, configure, steps: Vec<Step>| Script::new(name, [Setup(configure)].into_iter().chain(steps));
     let start = |name, steps| with(name, fixed, steps);
     let mut all = vec![
         start("a repeated sample", repeated_samples(fixed)),
@@ -41,7 +40,7 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variatio
         start("invalid messages with a valid CRC", invalid_bodies()),
         start("the watchdog with its own timeout", watchdog(fixed)),
         Script { stall: SHORT_STALL, ..start("a watchdog of five short periods", short_watchdog(fixed)) },
-        many_samples(variation, fixed),
+        many_samples(fixed),
         start("frames in two pieces", pieces()),
         start("configurations that are rejected as messages", invalid_configurations(fixed)),
         with("a drive limit with a fraction", Configure { drive_limit_vpp: 9.75, ..fixed }, drive_limit(1.0)),
@@ -59,9 +58,9 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variatio
             [1.9, -1.9, 2.2, -2.2, 9.0, -9.0, 0.5].map(|wq| Sample(2.0, 1.0, wq)).into(),
         ),
         with("gains that are not used", own_design, unused_gains(&own_design)),
-        Script::new("gains of the law's own design", variation, designs(own_design)),
+        Script::new("gains of the law's own design", designs(own_design)),
         // This script tests an exact threshold, so Wd must not vary.
-        Script::new("Wd of a tenth of the setpoint", Variation { components: 0.0, ..variation }, threshold(fixed)),
+        Script { is_varied: false, ..Script::new("Wd of a tenth of the setpoint", threshold(fixed)) },
     ];
     if identity.has_capability(capabilities::TARGET_PACED) {
         all.push(start("ticks", ticks(fixed)));
@@ -83,7 +82,7 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, variation: Variatio
             ],
         ));
     }
-    all.extend(random_scripts(base, identity, variation, seed));
+    all.extend(random_scripts(base, identity, seed));
     all
 }
 
@@ -353,13 +352,10 @@ fn short_ticks(configure: Configure) -> Vec<Step> {
 
 /// After the first sample, Wd is equal to the setpoint and the drive is constant. No variation is
 /// needed, because nothing depends on rounding.
-fn many_samples(variation: Variation, configure: Configure) -> Script {
-    let mut steps = Vec::new();
-    if variation == Variation::NONE {
-        steps.extend([Setup(configure), Sample(2.0, 1.9, 0.05)]);
-        steps.resize(steps.len() + (1 << 16), Sample(2.0, 2.0, 0.0));
-    }
-    Script::new("more samples than sixteen bits count", variation, steps)
+fn many_samples(configure: Configure) -> Script {
+    let steps =
+        [Setup(configure), Sample(2.0, 1.9, 0.05), Sample(2.0, 2.0, 0.0), Again { steps: 1, times: (1 << 16) - 1 }];
+    Script { is_varied: false, ..Script::new("more samples than sixteen bits count", steps) }
 }
 
 fn drive_limit(scale: f32) -> Vec<Step> {
@@ -470,7 +466,7 @@ fn configuration_body(configure: &Configure, bits: u8, values: [f32; 10]) -> Vec
 
 /// Returns pairs of scripts, each with its own random configuration. The first of a pair has
 /// configured gains, the second the law's own design.
-fn random_scripts(base: &Configure, identity: &Identity, variation: Variation, seed: u64) -> Vec<Script> {
+fn random_scripts(base: &Configure, identity: &Identity, seed: u64) -> Vec<Script> {
     let mut all = Vec::new();
     for number in 0..RANDOM_SCRIPTS {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -481,7 +477,7 @@ fn random_scripts(base: &Configure, identity: &Identity, variation: Variation, s
         let mut script = |name, law, has_gains, has_delay| {
             let configure = random_configuration(&mut random, base, has_gains, has_delay);
             let setup = Setup(Configure { law, ..configure });
-            Script::new(name, variation, [setup].into_iter().chain(random_samples(&mut random)))
+            Script::new(name, [setup].into_iter().chain(random_samples(&mut random)))
         };
         all.push(script("random samples with configured gains", base.law, true, false));
         let law = match number % 8 {

@@ -21,7 +21,7 @@ pub(super) struct KnownPlate {
     pub(super) text: String,
 }
 
-pub(super) struct Checker<'a> {
+pub(crate) struct Checker<'a> {
     pub(super) path: &'a Path,
     pub(super) text: &'a str,
     /// Path of the checked table, for example `between.0.`; empty for the whole file.
@@ -70,7 +70,7 @@ impl<'a> Checker<'a> {
         Err(self.diagnostic(key, message))
     }
 
-    pub(super) fn require<M: Into<String>>(
+    pub(crate) fn require<M: Into<String>>(
         &self,
         holds: bool,
         key: &str,

@@ -1,7 +1,7 @@
 //! Checks a scenario as a whole, with its controller, profiles, trials and scenes between trials.
 
 use super::checker::MAX_DELAY_PERIODS;
-use crate::metrics::TrialRule;
+use crate::metrics::{Metric, TrialRule};
 
 use crate::scenario::definition::{
     AUTO_MODEL, Controller, InputFile, MAX_TRIALS, Scenario, ScenarioGains, Spread, Trials,
@@ -104,6 +104,7 @@ impl Checker<'_> {
             faults: line_faults,
             chip_faults,
             between: Vec::new(),
+            messages: raw.message,
             conditions,
             inputs: Vec::new(),
             plate: plate?,
@@ -114,6 +115,8 @@ impl Checker<'_> {
             trials: trials?,
         };
         faults.record_error(self.check_trial_differences(&scenario));
+        let is_compared = scenario.expects(Metric::ProtocolDifferences);
+        faults.record_error(self.check_messages(&scenario.messages, is_compared));
         scenario.between = self.scenes_between(folder, &raw.between, &scenario, &mut inputs, faults);
         Some(Scenario { inputs, ..scenario })
     }
@@ -266,6 +269,7 @@ impl Checker<'_> {
                 expectations: Vec::new(),
                 faults: Vec::new(),
                 chip_faults: Vec::new(),
+                messages: Vec::new(),
                 ..scenario.clone()
             })
         };
