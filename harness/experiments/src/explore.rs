@@ -19,6 +19,7 @@ pub mod properties;
 pub mod report;
 pub mod scenario_file;
 pub mod scene;
+pub mod sequence;
 pub mod session;
 pub mod shrink;
 

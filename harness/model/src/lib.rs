@@ -60,7 +60,7 @@ pub mod scenario {
     pub use fault::{BitFlipTarget, ChipFault, ChipFaultKind, Direction, Fault, FaultKind};
     pub use find::{FileKind, FoundScenarios, SETTINGS_FILE, find, find_file_above, list_files, repeated_names};
     pub use load::{REQUIREMENTS_FILE, Requirement, load, load_copies, load_with_all_errors, read_requirements};
-    pub use message::{NonFinite, ScenarioMessage, WireNumber};
+    pub use message::{ConfigurationChange, NonFinite, ScenarioMessage, WireNumber};
     pub use parse::{parse, parse_bytes, parse_file, read_text};
     pub use platebench_plate::input;
     pub use warnings::{plate_warnings, unjudged_changes};

@@ -234,6 +234,7 @@ mod tests {
     use super::comparison::packets;
     use super::*;
     use crate::session::Session;
+    use platebench_model::scenario::ConfigurationChange;
     use platebench_test_kit::CONFIGURE;
     use platebench_wire::{Command, ControllerState, Gains, Message, Packet, StateCause};
     use rstest::rstest;
@@ -390,7 +391,7 @@ mod tests {
     /// Three samples, a stop, and the same samples after the next configuration.
     fn resumed() -> Vec<ScenarioMessage> {
         let sample = |wd: f32| ScenarioMessage::sample(2.0, wd, -0.2);
-        let trial = [ScenarioMessage::CONFIGURE, sample(0.1), sample(1.2), sample(1.8)];
+        let trial = [ScenarioMessage::Configure(ConfigurationChange::default()), sample(0.1), sample(1.2), sample(1.8)];
         [&trial[..], &[ScenarioMessage::Safe {}], &trial].concat()
     }
 

@@ -8,10 +8,11 @@ use crate::explore::player::{Player, SceneFailure, SceneResult, violated};
 use crate::explore::properties::{Demand, Property, demands, reference_demands};
 use crate::explore::scenario_file::{ScenarioBuilder, SceneScenario};
 use crate::explore::scene::Scene;
+use crate::explore::sequence::{self, SequenceLimits};
 use platebench_engine::SafeEnds;
 use platebench_engine::plan::LinkFactory;
 use platebench_engine::workers::{Emit, run_workers};
-use platebench_model::scenario::Scenario;
+use platebench_model::scenario::{Scenario, ScenarioMessage};
 use platebench_rig::CancelToken;
 use platebench_wire::LawId;
 use serde::Serialize;
@@ -47,6 +48,8 @@ pub struct ExploreConfig {
     pub compares_reference: bool,
     /// Scenarios of earlier explorations, which are played first.
     pub regressions: Vec<Scenario>,
+    /// If present, a sequence of messages follows each scene.
+    pub sequences: Option<SequenceLimits>,
 }
 
 impl ExploreConfig {
@@ -68,6 +71,10 @@ impl ExploreConfig {
         let builder = ScenarioBuilder { base: plate, title, source: &source, plate_prefix: "" };
         builder.build(scene, &self.demands(scene))
     }
+
+    pub fn sequence_scenario(&self, messages: &[ScenarioMessage], title: &str, prefix: &str) -> SceneScenario {
+        sequence::scenario(&self.envelope, self.law, messages, title, prefix, self.compares_reference)
+    }
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -82,6 +89,14 @@ impl FailedScene {
     pub(crate) fn failure_of(&self, property: Property) -> Option<&SceneFailure> {
         self.failures.iter().find(|failure| failure.property == property)
     }
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FailedSequence {
+    pub index: u64,
+    pub properties: Vec<Property>,
+    /// The difference or the violated rule, in words.
+    pub text: String,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -112,6 +127,17 @@ impl Default for PropertyTally {
     }
 }
 
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct SequenceTally {
+    pub played: u64,
+    /// Messages of these sequences, repetitions included.
+    pub messages: u64,
+    pub undecided: u64,
+    /// Sequences that would take too long on this rig.
+    pub skipped: u64,
+    pub failed: u64,
+}
+
 #[derive(Debug, Clone, Default)]
 pub struct Exploration {
     pub scenes: u64,
@@ -120,6 +146,8 @@ pub struct Exploration {
     pub undecided_scenes: Vec<UndecidedScene>,
     pub properties: BTreeMap<Property, PropertyTally>,
     pub failed: Vec<FailedScene>,
+    pub sequences: SequenceTally,
+    pub failed_sequences: Vec<FailedSequence>,
     pub regressions: usize,
     pub failed_regressions: Vec<FailedRegression>,
     pub coverage: Coverage,
@@ -128,6 +156,27 @@ pub struct Exploration {
 }
 
 impl Exploration {
+    fn add_sequence(&mut self, sequence: &PlayedSequence) {
+        let Some(result) = &sequence.result else {
+            self.sequences.skipped += 1;
+            return;
+        };
+        self.sequences.played += 1;
+        self.sequences.messages += sequence.messages;
+        self.sequences.undecided += u64::from(result.undecided.is_some());
+        if let Some(cause) = result.undecided.clone()
+            && self.undecided_scenes.len() < MAX_UNDECIDED
+        {
+            self.undecided_scenes.push(UndecidedScene { scene: sequence.index, cause });
+        }
+        if let Some(failure) = result.failures.first() {
+            self.sequences.failed += 1;
+            let text = result.differences.first().unwrap_or(&failure.name).clone();
+            let properties = violated(&result.failures);
+            self.failed_sequences.push(FailedSequence { index: sequence.index, properties, text });
+        }
+    }
+
     fn add(&mut self, scene: &Scene, index: u64, result: &SceneResult, envelope: &Envelope) {
         self.scenes += 1;
         if let Some(cause) = result.undecided.clone() {
@@ -170,32 +219,47 @@ pub fn explore(
     play_regressions(config, connect, cancel, ends, &mut exploration)?;
     let (next, failed) = (AtomicU64::new(0), AtomicU64::new(0));
     let source = || {
-        let index = next.fetch_add(1, Ordering::Relaxed);
+        let number = next.fetch_add(1, Ordering::Relaxed);
+        let item = match config.sequences {
+            Some(_) if number % 2 == 1 => Item::Sequence(number / 2),
+            Some(_) => Item::Scene(number / 2),
+            None => Item::Scene(number),
+        };
+        let (Item::Scene(index) | Item::Sequence(index)) = item;
         let is_used = match config.budget {
             ExplorationBudget::Time(time) => started.elapsed() >= time,
             ExplorationBudget::Scenes(count) => index >= count,
         };
         let is_over = is_used || cancel.is_cancelled() || failed.load(Ordering::Relaxed) >= config.max_failed;
-        (!is_over).then_some(index)
+        (!is_over).then_some(item)
     };
     let workers = (0..config.jobs.max(1)).map(|_| SceneWorker::new(config, connect, cancel, ends));
-    let work = |worker: &mut SceneWorker<'_>, index, emit: &mut Emit<'_, PlayedScene>| {
-        let Some(played) = worker.play(index)? else { return Ok(()) };
-        if !played.result.failures.is_empty() {
+    let work = |worker: &mut SceneWorker<'_>, item, emit: &mut Emit<'_, PlayedItem>| {
+        let played = match item {
+            Item::Scene(index) => worker.play(index)?.map(PlayedItem::Scene),
+            Item::Sequence(index) => worker.play_sequence(index)?.map(PlayedItem::Sequence),
+        };
+        let Some(played) = played else { return Ok(()) };
+        if !played.result().is_none_or(|result| result.failures.is_empty()) {
             failed.fetch_add(1, Ordering::Relaxed);
         }
         emit(played);
         Ok(())
     };
-    run_workers(workers, source, work, &mut |played: PlayedScene| {
-        let PlayedScene { index, scene, result, history } = played;
-        exploration.add(&scene, index, &result, &config.envelope);
-        if !result.failures.is_empty() {
-            exploration.failed.push(FailedScene { index, failures: result.failures, history });
+    run_workers(workers, source, work, &mut |played: PlayedItem| {
+        match played {
+            PlayedItem::Scene(PlayedScene { index, scene, result, history }) => {
+                exploration.add(&scene, index, &result, &config.envelope);
+                if !result.failures.is_empty() {
+                    exploration.failed.push(FailedScene { index, failures: result.failures, history });
+                }
+            }
+            PlayedItem::Sequence(sequence) => exploration.add_sequence(&sequence),
         }
-        on_scene(exploration.scenes, exploration.failed.len() as u64);
+        on_scene(exploration.scenes, (exploration.failed.len() + exploration.failed_sequences.len()) as u64);
         Ok::<_, ExploreError>(ControlFlow::Continue(()))
     })?;
+    exploration.failed_sequences.sort_by_key(|sequence| sequence.index);
     exploration.is_interrupted = cancel.is_cancelled();
     exploration.failed.sort_by_key(|scene| scene.index);
     exploration.elapsed = started.elapsed();
@@ -223,6 +287,34 @@ fn play_regressions(
     Ok(())
 }
 
+/// What a worker plays next.
+#[derive(Debug, Clone, Copy)]
+enum Item {
+    Scene(u64),
+    Sequence(u64),
+}
+
+enum PlayedItem {
+    Scene(PlayedScene),
+    Sequence(PlayedSequence),
+}
+
+impl PlayedItem {
+    fn result(&self) -> Option<&SceneResult> {
+        match self {
+            Self::Scene(scene) => Some(&scene.result),
+            Self::Sequence(sequence) => sequence.result.as_ref(),
+        }
+    }
+}
+
+struct PlayedSequence {
+    index: u64,
+    messages: u64,
+    /// `None` if the sequence is too long for the rig.
+    result: Option<SceneResult>,
+}
+
 struct PlayedScene {
     index: u64,
     scene: Scene,
@@ -240,6 +332,20 @@ impl<'a> SceneWorker<'a> {
     fn new(config: &'a ExploreConfig, connect: &'a LinkFactory<'a>, cancel: &CancelToken, ends: &'a SafeEnds) -> Self {
         let player = Player::new(connect, config.own_clock, cancel, ends);
         Self { config, player, history: Vec::new() }
+    }
+
+    /// `None` if the sequence was cancelled.
+    fn play_sequence(&mut self, index: u64) -> Result<Option<PlayedSequence>, ExploreError> {
+        let Some(limits) = &self.config.sequences else { return Ok(None) };
+        let sequence = limits.sequence(self.config.seed, index);
+        let messages = ScenarioMessage::count(&sequence);
+        if messages > limits.longest {
+            return Ok(Some(PlayedSequence { index, messages, result: None }));
+        }
+        let title = format!("Sequence {index} of seed {}", self.config.seed);
+        let scenario = self.config.sequence_scenario(&sequence, &title, "").check()?;
+        let result = self.player.play(&scenario)?;
+        Ok(result.map(|result| PlayedSequence { index, messages, result: Some(result) }))
     }
 
     /// `None` if the scene was cancelled.

@@ -151,6 +151,7 @@ impl KillRateConfig {
             // Clean variants may have other gains, so their commands may differ from the reference.
             compares_reference: false,
             regressions: Vec::new(),
+            sequences: None,
         };
         let exploration = explore(&config, &|| Ok(link()), cancel, &SafeEnds::default(), &mut |_, _| {})?;
         if exploration.is_interrupted { Err(ExploreError::Cancelled) } else { Ok(exploration) }

@@ -35,6 +35,8 @@ pub struct SceneResult {
     pub windows: Vec<WindowResult>,
     /// Cause (`rig` or `bench`) and reason, if the rig or the bench prevented a verdict.
     pub undecided: Option<String>,
+    /// Answers to messages that differ from those of the reference.
+    pub differences: Vec<String>,
 }
 
 impl SceneResult {
@@ -89,15 +91,17 @@ impl<'a> Player<'a> {
         self.scenes += 1;
         let law = law(scenario).map_err(|unknown| ExploreError::Generated(Box::new(unknown)))?;
         let mut trials = Vec::with_capacity(scenario.trials.count as usize);
+        let mut differences = Vec::new();
         for index in 0..scenario.trials.count {
             let Some(played) = self.executor.play(scenario, law, index, None)? else { return Ok(None) };
             trials.push(measure(scenario, index, &played.trace_rows, &played.telemetry));
+            differences.extend(played.telemetry.protocol_differences.into_iter().flatten());
             if played.link_error.is_some() {
                 // The executor has replaced the controller.
                 self.scenes = 0;
             }
         }
-        Ok(Some(scene_result(scenario, &trials)))
+        Ok(Some(SceneResult { differences, ..scene_result(scenario, &trials) }))
     }
 }
 

@@ -121,7 +121,7 @@ const DEVIATION_PERCENT: f64 = 1.0;
 
 /// Allowed difference of commands, percent of the drive limit or of the frequency range. f32
 /// rounding causes about a hundredth of it.
-const REFERENCE_DIFFERENCE_PERCENT: f64 = 0.1;
+pub(crate) const REFERENCE_DIFFERENCE_PERCENT: f64 = 0.1;
 
 /// Demands that commands and answers in the judged trial of `scene` equal those of the reference.
 pub fn reference_demands(scene: &Scene) -> Vec<Demand> {

@@ -3,7 +3,7 @@
 
 use crate::explore::coverage::{ChangeKind, RangeCoverage};
 use crate::explore::exploration::{
-    Exploration, ExploreConfig, FailedRegression, FailedScene, PropertyTally, UndecidedScene,
+    Exploration, ExploreConfig, FailedRegression, FailedScene, PropertyTally, SequenceTally, UndecidedScene,
 };
 use crate::explore::player::violated;
 use crate::explore::properties::Property;
@@ -37,6 +37,8 @@ pub struct ExploreReport {
     pub scenes: u64,
     pub failed: u64,
     pub undecided: u64,
+    /// Sequences of messages between the scenes.
+    pub sequences: SequenceTally,
     pub undecided_scenes: Vec<UndecidedScene>,
     /// Duration of the exploration without shrinking, s.
     pub elapsed_s: f64,
@@ -60,7 +62,9 @@ pub struct PropertyReport {
 #[derive(Debug, Clone, Serialize)]
 pub struct ViolationReport {
     pub property: Property,
+    /// Number of the scene or the sequence of messages.
     pub scene: u64,
+    pub is_sequence: bool,
     pub value: Option<f64>,
     pub limit: Option<f64>,
     /// The violated rule of the protocol, in words.
@@ -96,9 +100,11 @@ impl ExploreReport {
     /// Leaves `violations` empty. The session adds them after shrinking.
     pub fn new(config: &ExploreConfig, exploration: &Exploration, rig: &str, firmware: &str) -> Self {
         let failed = exploration.failed.len() as u64;
-        let has_failed = failed > 0 || !exploration.failed_regressions.is_empty();
+        let sequences = exploration.sequences;
+        let has_failed = failed > 0 || sequences.failed > 0 || !exploration.failed_regressions.is_empty();
+        let undecided = exploration.undecided + sequences.undecided;
         let is_empty = exploration.scenes == 0 && exploration.regressions == 0;
-        let verdict = match (has_failed, exploration.undecided > 0 || exploration.is_interrupted || is_empty) {
+        let verdict = match (has_failed, undecided > 0 || exploration.is_interrupted || is_empty) {
             (true, _) => Verdict::Fail,
             (false, false) => Verdict::Pass,
             (false, true) => Verdict::Inconclusive,
@@ -118,6 +124,7 @@ impl ExploreReport {
             scenes: exploration.scenes,
             failed,
             undecided: exploration.undecided,
+            sequences,
             undecided_scenes: exploration.undecided_scenes.clone(),
             elapsed_s: exploration.elapsed.as_secs_f64(),
             failing_share: clopper_pearson(
@@ -149,8 +156,12 @@ impl ExploreReport {
 
     /// Reason of the verdict.
     pub fn reason(&self) -> String {
-        let Self { scenes, failed, undecided, failed_regressions, is_interrupted, .. } = self;
+        let Self { scenes, failed, undecided, failed_regressions, is_interrupted, sequences, .. } = self;
         match self.verdict {
+            Verdict::Fail if sequences.failed > 0 => format!(
+                "{failed} of {scenes} scenes violate a property, and {} of {} sequences of messages",
+                sequences.failed, sequences.played
+            ),
             Verdict::Fail if *failed == 0 && failed_regressions.is_empty() => {
                 "the controller commanded a drive after it had confirmed 0 V".to_owned()
             }
@@ -161,8 +172,14 @@ impl ExploreReport {
             ),
             Verdict::Inconclusive if *is_interrupted => "a signal ended the exploration".to_owned(),
             Verdict::Inconclusive if !self.safe_confirmed => "the controller did not confirm 0 V at the end".to_owned(),
+            Verdict::Inconclusive if sequences.undecided > 0 => format!(
+                "{undecided} of {scenes} scenes and {} of {} sequences are undecided, because of the rig",
+                sequences.undecided, sequences.played
+            ),
             Verdict::Inconclusive => format!("{undecided} of {scenes} scenes are undecided, because of the rig"),
-            Verdict::Pass => format!("no property was violated in {scenes} scenes"),
+            Verdict::Pass => {
+                format!("no property was violated in {scenes} scenes and {} sequences of messages", sequences.played)
+            }
         }
     }
 
@@ -185,13 +202,18 @@ impl ExploreReport {
             " The controller did not confirm 0 V or did not stay there: check the amplifier before you touch the plate."
         };
         match (failed, self.failing_share) {
-            (0, Some([_, most])) => {
+            (0, Some([_, most])) if self.sequences.failed == 0 => {
                 let percent = most * 100.0;
                 format!(
                     "No generated scene violates a property. \
                      At 95 % confidence fewer than {percent:.3} % of all scenes fail.{interrupted}{unsafe_end}"
                 )
             }
+            _ if self.sequences.failed > 0 => format!(
+                "{failed} of {scenes} scenes and {} of {} sequences of messages violate a property.\
+                 {interrupted}{unsafe_end}",
+                self.sequences.failed, self.sequences.played
+            ),
             _ => format!("{failed} of {scenes} scenes violate a property.{interrupted}{unsafe_end}"),
         }
     }
@@ -236,8 +258,9 @@ pub fn document(report: &ExploreReport) -> Document {
     for violation in &report.violations {
         let [value, limit] = [violation.minimal_value, violation.minimal_limit].map(|value| format_value(value, 6));
         let difference = violation.rule.clone().unwrap_or_else(|| format!("value {value}, limit {limit}"));
-        let ViolationReport { property, file, .. } = violation;
-        failures.push(format!("property {property} violated: {difference}; minimal scene: {file}"));
+        let ViolationReport { property, file, is_sequence, .. } = violation;
+        let what = if *is_sequence { "sequence" } else { "scene" };
+        failures.push(format!("property {property} violated: {difference}; minimal {what}: {file}"));
         if !violation.is_reproduced {
             failures.push("  this scene did not fail again with a new controller".to_owned());
         }
@@ -254,12 +277,19 @@ pub fn document(report: &ExploreReport) -> Document {
     ]);
     let mut blocks = vec![
         Block::paragraph(format!("{scenes} scenes of {envelope} for {law}, seed {seed}, {elapsed_s:.1} s")),
+        Block::paragraph(sequences(&report.sequences)),
         Block::Table(properties(report)),
     ];
     blocks.extend((!failures.is_empty()).then(|| Block::lines(failures)));
     blocks.extend([Block::paragraph(report.conclusion()), Block::Details(details)]);
     let lead = format!("{envelope}, seed {seed}, on {rig}, controller {firmware}.");
     Document { lead, ..Document::new(format!("{verdict}: exploration of {law}"), blocks) }
+}
+
+fn sequences(tally: &SequenceTally) -> String {
+    let SequenceTally { played, messages, skipped, failed, .. } = tally;
+    let skipped = if *skipped > 0 { format!("; {skipped} too long for this rig") } else { String::new() };
+    format!("{played} sequences with {messages} messages, {failed} failed{skipped}")
 }
 
 fn properties(report: &ExploreReport) -> Table {
@@ -289,7 +319,8 @@ fn violation_blocks(violation: &ViolationReport) -> [Block; 6] {
         )),
         Block::Preformatted(violation.minimal.clone()),
         Block::Paragraph(format!(
-            "Original scene {}, {}.",
+            "Original {} {}, {}.",
+            if violation.is_sequence { "sequence" } else { "scene" },
             violation.scene,
             measured(violation.value, violation.limit)
         )),

@@ -82,6 +82,7 @@ impl ScenarioBuilder<'_> {
             trials: RawTrials { count: scene.count.into(), seed: seed.unwrap_or(default.seed), ..default },
             fault: trial.faults.iter().map(LineFault::raw).collect(),
             between: scene.earlier.iter().map(|earlier| self.between(earlier, &mut plates)).collect(),
+            message: Vec::new(),
             expect: expectations(scene, demands),
         };
         SceneScenario { scenario, plates }
@@ -125,34 +126,33 @@ impl ScenarioBuilder<'_> {
             }
         }
         let path = PathBuf::from(name + ".toml");
-        plates.entry(path.clone()).or_insert_with(|| self.plate(choice));
+        plates.entry(path.clone()).or_insert_with(|| raw_plate(&choice.apply(self.base)));
         path
     }
+}
 
-    fn plate(&self, choice: PlateChoice) -> RawPlate {
-        let plate = choice.apply(self.base);
-        // Removes the rounding errors of products.
-        let rounded = |value| rounded(value, 9);
-        RawPlate {
-            mode: RawMode {
-                resonance_hz: rounded(plate.omega0 / TAU),
-                reference_temperature_c: plate.reference_temperature_c,
-                resonance_slope_hz_per_k: rounded(plate.omega0_per_k / TAU),
-                time_constant_ms: rounded(1e3 / plate.sigma0),
-                gain_um_per_vpp: rounded(plate.gain),
-            },
-            second_mode: None,
-            finger: RawFinger {
-                damping_ratio: plate.damping_ratio,
-                resonance_shift_hz_per_n: rounded(plate.omega0_per_n / TAU),
-            },
-            drive: RawDrive { limit_vpp: plate.drive_limit_vpp, ..RawDrive::default() },
-            sensor: RawSensor { noise_um_rms: rounded(plate.noise_um_rms), ..RawSensor::default() },
-            heating: None,
-            uncertainty: Uncertainty::default(),
-            name: plate.name,
-            source: plate.source,
-        }
+pub(crate) fn raw_plate(plate: &Plate) -> RawPlate {
+    // Removes the rounding errors of products.
+    let rounded = |value| rounded(value, 9);
+    RawPlate {
+        mode: RawMode {
+            resonance_hz: rounded(plate.omega0 / TAU),
+            reference_temperature_c: plate.reference_temperature_c,
+            resonance_slope_hz_per_k: rounded(plate.omega0_per_k / TAU),
+            time_constant_ms: rounded(1e3 / plate.sigma0),
+            gain_um_per_vpp: rounded(plate.gain),
+        },
+        second_mode: None,
+        finger: RawFinger {
+            damping_ratio: plate.damping_ratio.clone(),
+            resonance_shift_hz_per_n: rounded(plate.omega0_per_n / TAU),
+        },
+        drive: RawDrive { limit_vpp: plate.drive_limit_vpp, ..RawDrive::default() },
+        sensor: RawSensor { noise_um_rms: rounded(plate.noise_um_rms), ..RawSensor::default() },
+        heating: None,
+        uncertainty: Uncertainty::default(),
+        name: plate.name.clone(),
+        source: plate.source.clone(),
     }
 }
 

@@ -2,7 +2,7 @@
 //! scenarios that the next run and the next exploration play, and writes the result.
 
 use crate::explore::envelope::Envelope;
-use crate::explore::exploration::{ExplorationBudget, ExploreConfig, FailedScene, explore};
+use crate::explore::exploration::{ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, explore};
 use crate::explore::limits::LawProperties;
 use crate::explore::player::ExploreError;
 use crate::explore::player::Player;
@@ -10,20 +10,29 @@ use crate::explore::properties::Property;
 use crate::explore::report;
 use crate::explore::report::{ExploreReport, ViolationReport, violated_properties};
 use crate::explore::scenario_file::ScenarioBuilder;
+use crate::explore::sequence::{self, SequenceLimits};
 use crate::explore::shrink::{MinimalScene, Shrinker};
 use platebench_engine::SafeEnds;
 use platebench_engine::plan::LinkFactory;
 use platebench_model::scenario::{Scenario, load};
 use platebench_model::trace::{AtPath, write_atomically};
 use platebench_plate::Time;
-use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, RigSpec, Session};
-use platebench_wire::{Identity, LawId, capabilities};
+use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, RigError, RigSpec, Session};
+use platebench_wire::{Identity, LawId, Message, Packet, capabilities};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use std::{fmt, fs};
 
 /// Longest wall time for shrinking all properties together.
 const SHRINK_TIME: Duration = Duration::from_mins(1);
+/// Longest wall time for shrinking sequences of messages.
+const SEQUENCE_SHRINK_TIME: Duration = Duration::from_secs(30);
+/// Longest wall time of a sequence of messages.
+const LONGEST_SEQUENCE: Duration = Duration::from_secs(8);
+/// The reference and the comparison take at least this time.
+const FASTEST_EXCHANGE: Duration = Duration::from_micros(20);
+/// Number of exchanges that measure the speed of the rig.
+const MEASURED_EXCHANGES: u32 = 20;
 /// The exploration ends after this many failing scenes, because more add little information.
 const ENOUGH_FAILURES: u64 = 10;
 const MAX_MINIMAL: usize = 3;
@@ -66,8 +75,8 @@ impl ExploreSession {
         let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
         let connect = || self.rig.connect_with(&options);
         let ends = SafeEnds::default();
-        let identity = identify(&connect, &ends)?;
-        let config = self.config(&identity)?;
+        let (identity, exchange_time) = identify(&connect, &ends)?;
+        let config = self.config(&identity, exchange_time)?;
         let started = Instant::now();
         let exploration = explore(&config, &connect, cancel, &ends, &mut |scenes, failed| {
             on_progress(ProgressEvent { elapsed: started.elapsed(), scenes, failed });
@@ -91,6 +100,20 @@ impl ExploreSession {
                 Err(error) => return Err(error),
             }
         }
+        if !exploration.is_interrupted {
+            for (position, failed) in distinct_sequences(&exploration.failed_sequences).into_iter().enumerate() {
+                let rest = (deadline + SEQUENCE_SHRINK_TIME).saturating_duration_since(Instant::now());
+                let deadline = Instant::now() + rest / (MAX_MINIMAL - position) as u32;
+                match self.minimise_sequence(&config, &connect, (cancel, &ends), failed, deadline) {
+                    Ok(violation) => report.violations.push(violation),
+                    Err(ExploreError::Cancelled) => {
+                        report.is_interrupted = true;
+                        break;
+                    }
+                    Err(error) => return Err(error),
+                }
+            }
+        }
         report.record_ends(&ends);
         let text = serde_json::to_string_pretty(&report).unwrap_or_default();
         let path = folder.join(report::FILE);
@@ -99,7 +122,7 @@ impl ExploreSession {
         Ok(report)
     }
 
-    fn config(&self, identity: &Identity) -> Result<ExploreConfig, ExploreError> {
+    fn config(&self, identity: &Identity, exchange_time: Duration) -> Result<ExploreConfig, ExploreError> {
         if LawProperties::of(self.law).is_none() {
             return Err(ExploreError::LawWithoutProperties(self.law.name()));
         }
@@ -122,7 +145,72 @@ impl ExploreSession {
             jobs: self.jobs,
             own_clock: self.rig.has_own_clock(),
             compares_reference: self.compares_reference,
+            sequences: Some(SequenceLimits::new(
+                identity,
+                self.rig.has_own_clock(),
+                LONGEST_SEQUENCE.div_duration_f64(exchange_time.max(FASTEST_EXCHANGE)) as u64,
+            )),
             regressions: self.regressions.iter().filter(|scenario| announced(scenario)).cloned().collect(),
+        })
+    }
+
+    fn minimise_sequence(
+        &self,
+        config: &ExploreConfig,
+        connect: &LinkFactory<'_>,
+        (cancel, ends): (&CancelToken, &SafeEnds),
+        failed: &FailedSequence,
+        deadline: Instant,
+    ) -> Result<ViolationReport, ExploreError> {
+        let FailedSequence { index, properties, text } = failed;
+        let property = properties.first().copied().unwrap_or(Property::Answers);
+        let (law, seed) = (config.law.name(), config.seed);
+        let limits = config.sequences.as_ref();
+        let original = limits.map(|limits| limits.sequence(seed, *index)).unwrap_or_default();
+        let mut player = Player::new(connect, config.own_clock, cancel, ends);
+        let mut replays = 0;
+        let (minimal, difference) = sequence::shrink(original.clone(), deadline, &mut |messages| {
+            // A candidate may be invalid, for example if the messages before an `again` are gone.
+            let Ok(scenario) = config.sequence_scenario(messages, "Replay", "").check() else { return Ok(None) };
+            replays += 1;
+            player.renew();
+            let result = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
+            let failure = result.failure_of(property).map(|failure| failure.name.clone());
+            Ok(failure.map(|name| result.differences.into_iter().next().unwrap_or(name)))
+        })?;
+        let name = format!("{law}-messages-{seed}-{index}");
+        let title = format!("Explored: {law} violates the property {property} (sequence {index} of seed {seed})");
+        let mut comment = vec![
+            "Written by platebench suite explore: a minimal sequence of messages.".to_owned(),
+            format!("property: {property}"),
+            format!("difference: {}", difference.as_ref().unwrap_or(text)),
+            format!("rig: {}", self.rig).replace(char::is_control, " "),
+        ];
+        if difference.is_none() {
+            comment.push("The sequence did not fail again with a new controller, so it is not minimal.".to_owned());
+        }
+        let folder = &self.regression_folder;
+        fs::create_dir_all(folder).at(folder)?;
+        let scenario = config.sequence_scenario(&minimal, &title, &format!("{name}-"));
+        scenario.write(folder, &name, &comment).at(folder)?;
+        let path = folder.join(format!("{name}.toml"));
+        let scenario = load(&path, &name).map_err(|fault| ExploreError::Generated(Box::new(fault)))?;
+        player.renew();
+        let again = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
+        Ok(ViolationReport {
+            property,
+            scene: *index,
+            is_sequence: true,
+            value: None,
+            limit: None,
+            rule: Some(difference.unwrap_or_else(|| text.clone())),
+            original: config.sequence_scenario(&original, &title, "").text(&[]).at(&path)?,
+            minimal: fs::read_to_string(&path).at(&path)?,
+            minimal_value: None,
+            minimal_limit: None,
+            file: path.display().to_string(),
+            is_reproduced: again.failure_of(property).is_some(),
+            replays,
         })
     }
 
@@ -150,6 +238,7 @@ impl ExploreSession {
         Ok(ViolationReport {
             property,
             scene: failed.index,
+            is_sequence: false,
             value: original.and_then(|failure| failure.value),
             limit: original.and_then(|failure| failure.limit),
             rule: (property == Property::Protocol).then(|| minimal.failure.name.clone()),
@@ -173,11 +262,35 @@ fn envelope_for(envelope: &Envelope, identity: &Identity) -> Envelope {
     reduced
 }
 
-fn identify(connect: &LinkFactory<'_>, ends: &SafeEnds) -> Result<Identity, ExploreError> {
-    let session = Session::open(FaultInjector::new(connect()?))?;
+/// Returns the identity and the mean time of an exchange.
+fn identify(connect: &LinkFactory<'_>, ends: &SafeEnds) -> Result<(Identity, Duration), ExploreError> {
+    let mut session = Session::open(FaultInjector::new(connect()?))?;
     let identity = *session.identity();
+    let hello = Packet { sequence: 0, message: Message::Hello }.encode();
+    let started = Instant::now();
+    for _ in 0..MEASURED_EXCHANGES {
+        let link = session.link_mut().inner_mut();
+        link.exchange(Duration::ZERO, hello.as_bytes(), &mut Vec::new()).map_err(RigError::Link)?;
+    }
+    let exchange_time = started.elapsed() / MEASURED_EXCHANGES;
     ends.record(session.close());
-    Ok(identity)
+    Ok((identity, exchange_time))
+}
+
+/// The first sequences with different differences, at most three.
+fn distinct_sequences(failed: &[FailedSequence]) -> Vec<&FailedSequence> {
+    let kind = |sequence: &FailedSequence| -> String {
+        let letters = sequence.text.chars().filter(|letter| !letter.is_ascii_digit() && !"-.".contains(*letter));
+        letters.collect()
+    };
+    let mut distinct: Vec<&FailedSequence> = Vec::new();
+    for sequence in failed {
+        if distinct.iter().all(|known| kind(known) != kind(sequence)) {
+            distinct.push(sequence);
+        }
+    }
+    distinct.truncate(MAX_MINIMAL);
+    distinct
 }
 
 /// Returns the path of the scenario. `rig` is the rig as named on the command line.
@@ -234,7 +347,7 @@ mod tests {
     fn a_controller_without_the_capability_gets_no_loop_delay() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml");
         let envelope = Envelope::load(&path).unwrap();
-        let identity = identify(&|| RigSpec::hosted().connect(), &SafeEnds::default()).unwrap();
+        let (identity, _) = identify(&|| RigSpec::hosted().connect(), &SafeEnds::default()).unwrap();
         assert_eq!(envelope_for(&envelope, &identity).range.loop_delay_periods, envelope.range.loop_delay_periods);
         let without = Identity { capabilities: 0, ..identity };
         assert!(envelope.range.loop_delay_periods[1] > 0.0);

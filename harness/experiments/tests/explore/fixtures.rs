@@ -20,5 +20,6 @@ pub(crate) fn configuration(law: LawId, scenes: u64) -> ExploreConfig {
         own_clock: false,
         compares_reference: false,
         regressions: Vec::new(),
+        sequences: None,
     }
 }

@@ -60,30 +60,35 @@ impl From<f32> for WireNumber {
 }
 
 /// Changes of the scenario's configuration; the watchdog timeout is 1000 ms by default.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ConfigurationChange {
+    /// Number of the law.
+    #[schemars(range(max = LAST_LAW))]
+    pub law: Option<u8>,
+    pub watchdog_timeout_ms: Option<u16>,
+    pub period_us: Option<u32>,
+    pub start_frequency_mhz: Option<u32>,
+    pub gain_um_per_vpp: Option<WireNumber>,
+    pub time_constant_s: Option<WireNumber>,
+    pub response_time_s: Option<WireNumber>,
+    pub drive_limit_vpp: Option<WireNumber>,
+    pub frequency_range_hz: Option<WireNumber>,
+    pub frequency_slew_hz: Option<WireNumber>,
+    /// Kp and Ki of the amplitude loop, Kp and Ki of the frequency loop.
+    pub gains: Option<[WireNumber; 4]>,
+    pub loop_delay_us: Option<u32>,
+    /// Bit 3 of the flags: the controller drives its own plate.
+    #[serde(skip_serializing_if = "is_default")]
+    pub own_plate: bool,
+}
+
+/// A message of a sequence, or a step between messages.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ScenarioMessage {
-    /// A configuration. Keys that are not given have the value of the scenario.
-    Configure {
-        /// Number of the law.
-        #[schemars(range(max = LAST_LAW))]
-        law: Option<u8>,
-        watchdog_timeout_ms: Option<u16>,
-        period_us: Option<u32>,
-        start_frequency_mhz: Option<u32>,
-        gain_um_per_vpp: Option<WireNumber>,
-        time_constant_s: Option<WireNumber>,
-        response_time_s: Option<WireNumber>,
-        drive_limit_vpp: Option<WireNumber>,
-        frequency_range_hz: Option<WireNumber>,
-        frequency_slew_hz: Option<WireNumber>,
-        /// Kp and Ki of the amplitude loop, Kp and Ki of the frequency loop.
-        gains: Option<[WireNumber; 4]>,
-        loop_delay_us: Option<u32>,
-        /// Bit 3 of the flags: the controller drives its own plate.
-        #[serde(default, skip_serializing_if = "is_default")]
-        own_plate: bool,
-    },
+    /// Keys that are not given have the value of the scenario.
+    Configure(ConfigurationChange),
     Sample {
         setpoint_um: WireNumber,
         wd_um: WireNumber,
@@ -141,23 +146,6 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 }
 
 impl ScenarioMessage {
-    /// A configuration without changes.
-    pub const CONFIGURE: Self = Self::Configure {
-        law: None,
-        watchdog_timeout_ms: None,
-        period_us: None,
-        start_frequency_mhz: None,
-        gain_um_per_vpp: None,
-        time_constant_s: None,
-        response_time_s: None,
-        drive_limit_vpp: None,
-        frequency_range_hz: None,
-        frequency_slew_hz: None,
-        gains: None,
-        loop_delay_us: None,
-        own_plate: false,
-    };
-
     pub fn sample(setpoint_um: f32, wd_um: f32, wq_um: f32) -> Self {
         let [setpoint_um, wd_um, wq_um] = [setpoint_um, wd_um, wq_um].map(WireNumber::from);
         Self::Sample { setpoint_um, wd_um, wq_um, ahead: 1, split_at: None }
@@ -194,7 +182,7 @@ impl Checker<'_> {
             || "[[message]] without an expectation for its answers, expected [[expect]] with protocol_differences",
         )?;
         self.require(
-            matches!(first, ScenarioMessage::Configure { .. }),
+            matches!(first, ScenarioMessage::Configure(_)),
             "message.0.kind",
             || "the first message, expected `configure`: a sequence starts in a known state",
         )?;

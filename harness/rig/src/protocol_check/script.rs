@@ -1,7 +1,7 @@
 //! Defines the steps of a script and turns them into exchanges. An exchange consists of frames that
 //! the controller does not answer and one frame that it answers.
 
-use platebench_model::scenario::{ScenarioMessage, WireNumber};
+use platebench_model::scenario::{ConfigurationChange, ScenarioMessage, WireNumber};
 use platebench_wire::{Configure, EncodedFrame, Gains, LawId, Message, Packet, Sample};
 use std::borrow::Cow;
 use std::collections::VecDeque;
@@ -58,7 +58,7 @@ impl Step {
     pub(super) fn of_message(message: &ScenarioMessage, base: &Configure) -> Self {
         let bytes = |hex: &str| ScenarioMessage::bytes_of(hex).unwrap_or_default();
         match message {
-            ScenarioMessage::Configure { .. } => Self::Setup(configuration(message, base)),
+            ScenarioMessage::Configure(change) => Self::Setup(configuration(change, base)),
             ScenarioMessage::Sample { setpoint_um, wd_um, wq_um, ahead, split_at } => {
                 let [setpoint, wd, wq] = [setpoint_um, wd_um, wq_um].map(|number| number.value());
                 match (split_at, ahead) {
@@ -79,8 +79,8 @@ impl Step {
     }
 }
 
-fn configuration(message: &ScenarioMessage, base: &Configure) -> Configure {
-    let ScenarioMessage::Configure {
+fn configuration(change: &ConfigurationChange, base: &Configure) -> Configure {
+    let ConfigurationChange {
         law,
         watchdog_timeout_ms,
         period_us,
@@ -94,11 +94,8 @@ fn configuration(message: &ScenarioMessage, base: &Configure) -> Configure {
         gains,
         loop_delay_us,
         own_plate,
-    } = message
-    else {
-        return *base;
-    };
-    let float = |number: &Option<WireNumber>, base: f32| number.map_or(base, WireNumber::value);
+    } = *change;
+    let float = |number: Option<WireNumber>, base: f32| number.map_or(base, WireNumber::value);
     let law = law.and_then(|law| LawId::ALL.into_iter().find(|known| *known as u8 == law));
     let gains = gains.map(|gains| {
         let [amplitude_kp, amplitude_ki, frequency_kp, frequency_ki] = gains.map(WireNumber::value);
@@ -107,7 +104,7 @@ fn configuration(message: &ScenarioMessage, base: &Configure) -> Configure {
     Configure {
         law: law.unwrap_or(base.law),
         paced_by_target: false,
-        drives_own_plate: *own_plate,
+        drives_own_plate: own_plate,
         watchdog_timeout_ms: watchdog_timeout_ms.unwrap_or(base.watchdog_timeout_ms),
         period_us: period_us.unwrap_or(base.period_us),
         loop_delay_us: loop_delay_us.unwrap_or(base.loop_delay_us),

@@ -1,0 +1,586 @@
+//! Draws sequences of messages and builds their scenarios. Sequence i depends on the seed, i and
+//! the announced features only.
+//!
+//! A sequence starts with a reference trial: a configuration and samples. Blocks of messages
+//! follow, and the reference trial again after some of them. The answers are compared with those of
+//! the hosted reference, and equal trials with each other.
+
+use crate::explore::envelope::Envelope;
+use crate::explore::player::ExploreError;
+use crate::explore::properties::{Property, REFERENCE_DIFFERENCE_PERCENT};
+use crate::explore::scenario_file::{SceneScenario, raw_plate};
+use platebench_model::scenario::raw::{RawController, RawExpectation, RawProfiles, RawScenario, RawTrials};
+use platebench_model::scenario::{ConfigurationChange, Metric, NonFinite, ScenarioMessage, WireNumber};
+use platebench_plate::RawProfile;
+use platebench_wire::{Identity, LawId, capabilities};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Number of blocks of a sequence.
+const BLOCKS: std::ops::RangeInclusive<u32> = 5..=11;
+/// A sequence of this many has a long run.
+const LONG_RUN_EVERY: u64 = 48;
+/// Numbers of repetitions around which counters of a controller overflow.
+const LONG_RUNS: [u32; 4] = [1 << 16, 100_000, 1 << 17, 40_000];
+const MANY_CONFIGURATIONS: u32 = 1_000;
+/// Watchdog timeout of trials that do not test it, ms; shorter ones only in simulated time.
+const LONG_TIMEOUTS_MS: [u16; 7] = [1_000, 1_023, 1_024, 32_767, 32_768, 40_000, 65_535];
+const SHORT_TIMEOUTS_MS: [u16; 6] = [50, 100, 254, 255, 256, 257];
+/// Timeouts of the watchdog's own blocks in wall time, ms. They are long, because a busy host is
+/// late, and need more than eight bits in part.
+const WALL_TIMEOUTS_MS: [u16; 4] = [180, 220, 260, 300];
+/// Lengths of garbage, around the longest frame of 70 bytes.
+const GARBAGE_BYTES: [usize; 6] = [1, 24, 69, 70, 71, 200];
+
+/// Features of the controller and the rig that decide which messages are sent.
+#[derive(Debug, Clone)]
+pub struct SequenceLimits {
+    /// Largest number of messages of a sequence, from the speed of the rig.
+    pub longest: u64,
+    pub own_clock: bool,
+    pub has_loop_delay: bool,
+    pub has_own_plate: bool,
+    pub laws: Vec<LawId>,
+}
+
+impl SequenceLimits {
+    pub fn new(identity: &Identity, own_clock: bool, longest: u64) -> Self {
+        Self {
+            longest,
+            own_clock,
+            has_loop_delay: identity.has_capability(capabilities::LOOP_DELAY),
+            has_own_plate: identity.has_capability(capabilities::OWN_PLATE),
+            laws: LawId::ALL.into_iter().filter(|law| identity.has_law(*law)).collect(),
+        }
+    }
+
+    /// Sequence `index` of an exploration with this seed.
+    pub fn sequence(&self, seed: u64, index: u64) -> Vec<ScenarioMessage> {
+        let mut hash = Sha256::new_with_prefix("messages");
+        hash.update(seed.to_le_bytes());
+        hash.update(index.to_le_bytes());
+        let random = ChaCha8Rng::from_seed(hash.finalize().into());
+        let mut draw = Draw { limits: self, random, messages: Vec::new(), trial: Vec::new() };
+        draw.play(index);
+        draw.messages
+    }
+}
+
+/// Kinds of blocks. A sequence prefers one of them.
+#[derive(Debug, Clone, Copy)]
+enum Block {
+    Boundary,
+    Unusable,
+    Rejected,
+    Ignored,
+    Watchdog,
+    NotFinite,
+    Numbers,
+    Stop,
+}
+
+const ALL_BLOCKS: [Block; 8] = [
+    Block::Boundary,
+    Block::Unusable,
+    Block::Rejected,
+    Block::Ignored,
+    Block::Watchdog,
+    Block::NotFinite,
+    Block::Numbers,
+    Block::Stop,
+];
+
+struct Draw<'a> {
+    limits: &'a SequenceLimits,
+    random: ChaCha8Rng,
+    messages: Vec<ScenarioMessage>,
+    /// The reference trial.
+    trial: Vec<ScenarioMessage>,
+}
+
+impl Draw<'_> {
+    fn below(&mut self, count: usize) -> usize {
+        (u64::from(self.random.next_u32()) * count as u64 >> 32) as usize
+    }
+
+    fn one_in(&mut self, count: usize) -> bool {
+        self.below(count) == 0
+    }
+
+    fn range(&mut self, range: std::ops::RangeInclusive<u32>) -> u32 {
+        range.start() + self.below((range.end() - range.start() + 1) as usize) as u32
+    }
+
+    /// A value with three decimals.
+    fn uniform(&mut self, low: f32, high: f32) -> f32 {
+        let share = self.below(1_000) as f32 / 1e3;
+        ((low + (high - low) * share) * 1e3).round() / 1e3
+    }
+
+    fn pick<T: Copy>(&mut self, all: &[T], default: T) -> T {
+        let index = self.below(all.len().max(1));
+        all.get(index).copied().unwrap_or(default)
+    }
+
+    fn play(&mut self, index: u64) {
+        let change = self.usable();
+        self.trial = vec![configure(change)];
+        for _ in 0..self.range(3..=6) {
+            let sample = self.sample();
+            self.trial.push(sample);
+        }
+        self.messages = self.trial.clone();
+        if index % LONG_RUN_EVERY == LONG_RUN_EVERY - 1 {
+            self.long_run(index / LONG_RUN_EVERY);
+            return;
+        }
+        let preferred = self.pick_block(index as usize % ALL_BLOCKS.len());
+        for _ in 0..self.range(BLOCKS) {
+            let any = self.below(ALL_BLOCKS.len());
+            let block = if self.one_in(2) { preferred } else { self.pick_block(any) };
+            self.add(block);
+            if self.one_in(2) {
+                self.messages.extend(self.trial.iter().cloned());
+            }
+        }
+        self.messages.extend(self.trial.iter().cloned());
+    }
+
+    /// Silences cost wall time, so sequences in wall time have few.
+    fn pick_block(&mut self, index: usize) -> Block {
+        let block = ALL_BLOCKS.get(index).copied().unwrap_or(Block::Stop);
+        let is_rare = self.limits.own_clock && matches!(block, Block::Watchdog);
+        if is_rare && !self.one_in(4) { Block::Rejected } else { block }
+    }
+
+    fn long_run(&mut self, number: u64) {
+        if number % 3 == 2 {
+            self.messages.truncate(3);
+            self.messages.push(ScenarioMessage::Again { messages: 3, times: MANY_CONFIGURATIONS });
+        } else {
+            let times = LONG_RUNS.get((number % 4) as usize).copied().unwrap_or(MANY_CONFIGURATIONS);
+            self.messages.push(ScenarioMessage::Again { messages: 1, times });
+            self.samples(4);
+        }
+        self.messages.extend(self.trial.iter().cloned());
+    }
+
+    fn add(&mut self, block: Block) {
+        match block {
+            Block::Boundary => self.boundary(),
+            Block::Unusable => {
+                let configure = self.unusable();
+                self.messages.push(configure);
+                self.samples(2);
+                if self.one_in(2) {
+                    self.messages.push(ScenarioMessage::Hello {});
+                }
+            }
+            Block::Rejected => {
+                for _ in 0..self.range(1..=4) {
+                    for _ in 0..self.range(1..=5) {
+                        let rejected = self.rejected();
+                        self.messages.push(rejected);
+                    }
+                    let samples = self.range(1..=6);
+                    self.samples(samples);
+                }
+            }
+            Block::Ignored => {
+                let body = self.ignored();
+                let count = self.range(1..=7) as usize;
+                self.messages.extend(vec![body; count]);
+                self.samples(1);
+                for _ in 0..self.range(0..=4) {
+                    let rejected = self.rejected();
+                    self.messages.push(rejected);
+                }
+                self.samples(2);
+            }
+            Block::Watchdog => self.watchdog(),
+            Block::NotFinite => {
+                let sample = self.not_finite();
+                self.messages.push(sample);
+                if self.one_in(3) {
+                    self.messages.push(ScenarioMessage::Repeat {});
+                }
+                for _ in 0..self.range(0..=6) {
+                    let rejected = self.rejected();
+                    self.messages.push(rejected);
+                }
+                self.samples(2);
+            }
+            Block::Numbers => self.numbers(),
+            Block::Stop => self.stop(),
+        }
+    }
+
+    fn samples(&mut self, count: u32) {
+        for _ in 0..count {
+            let sample = self.sample();
+            self.messages.push(sample);
+        }
+    }
+
+    fn sample(&mut self) -> ScenarioMessage {
+        let setpoint = self.pick(&[2.0, 0.5, 4.0, 2.0, 0.0], 2.0);
+        let scale = f32::max(setpoint, 0.5);
+        ScenarioMessage::sample(setpoint, self.uniform(0.0, 1.1) * scale, self.uniform(-0.4, 0.4) * scale)
+    }
+
+    fn not_finite(&mut self) -> ScenarioMessage {
+        let mut values = [2.0, 1.2, -0.2];
+        let value = self.pick(&[f32::NAN, f32::INFINITY, f32::NEG_INFINITY], f32::NAN);
+        let at = self.below(3);
+        values.get_mut(at).into_iter().for_each(|place| *place = value);
+        let [setpoint, wd, wq] = values;
+        ScenarioMessage::sample(setpoint, wd, wq)
+    }
+
+    fn numbers(&mut self) {
+        for _ in 0..self.range(2..=6) {
+            let mut sample = self.sample();
+            let ahead_of = self.pick(&[0, 2, 127, 128, 129, 255], 0);
+            let split = self.range(1..=23) as u8;
+            let kind = self.below(4);
+            if let ScenarioMessage::Sample { ahead, split_at, .. } = &mut sample {
+                match kind {
+                    0 => *split_at = Some(split),
+                    1 | 2 => *ahead = ahead_of,
+                    _ => {}
+                }
+            }
+            self.messages.push(sample);
+            match self.below(5) {
+                0 => self.messages.push(ScenarioMessage::Repeat {}),
+                1 => self.messages.push(ScenarioMessage::Hello {}),
+                2 => {
+                    let rejected = self.rejected();
+                    self.messages.push(rejected);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Ends the trial in one of the ways of the protocol.
+    fn stop(&mut self) {
+        match self.below(5) {
+            0 => self.messages.push(ScenarioMessage::Safe {}),
+            1 => {
+                let sample = self.not_finite();
+                self.messages.push(sample);
+            }
+            2 => {
+                let count = self.range(5..=6) as usize;
+                self.messages.extend(vec![ScenarioMessage::Damaged { byte: 5 }; count]);
+                self.messages.push(ScenarioMessage::Hello {});
+            }
+            3 => {
+                let configure = self.unusable();
+                self.messages.push(configure);
+            }
+            _ => self.messages.extend([ScenarioMessage::Safe {}, ScenarioMessage::Safe {}]),
+        }
+        for _ in 0..self.range(0..=2) {
+            let sample = self.sample();
+            self.messages.push(sample);
+            if self.one_in(2) {
+                self.messages.push(ScenarioMessage::Repeat {});
+            }
+        }
+        if self.one_in(3) {
+            self.messages.push(ScenarioMessage::Hello {});
+        }
+    }
+
+    /// Silences shorter and longer than the timeout, with messages that do not restart it.
+    fn watchdog(&mut self) {
+        let own_clock = self.limits.own_clock;
+        let timeouts = if own_clock { &WALL_TIMEOUTS_MS[..] } else { &SHORT_TIMEOUTS_MS };
+        let timeout = self.pick(timeouts, 200);
+        let is_default = self.one_in(4);
+        let (watchdog_timeout_ms, period_us) =
+            if is_default { (0, u32::from(timeout) * 200) } else { (timeout, 1_000) };
+        self.messages.push(configure(ConfigurationChange {
+            watchdog_timeout_ms: Some(watchdog_timeout_ms),
+            period_us: Some(period_us),
+            gains: Some([275.0, 110_000.0, 900.0, 400_000.0].map(number)),
+            ..NONE
+        }));
+        let before = self.range(0..=2);
+        if before == 0 {
+            // The watchdog starts with the first sample.
+            let ms = f64::from(timeout) * 1.5;
+            self.messages.push(ScenarioMessage::Wait { ms });
+        }
+        let samples = self.range(1..=3);
+        self.samples(samples);
+        let timeout = f64::from(timeout);
+        let shares: &[f64] = match self.below(4) {
+            0 => &[0.4],
+            1 => &[0.55, 0.6],
+            2 => &[0.4, 1.7],
+            _ => &[1.7],
+        };
+        let between = self.below(5);
+        for (number, share) in shares.iter().enumerate() {
+            // In simulated time a silence may end next to the timeout.
+            let near = if *share < 1.0 { timeout - 6.0 } else { timeout + 6.0 };
+            let is_near = !own_clock && shares.len() == 1 && self.one_in(2);
+            let ms = if is_near { near } else { share * timeout };
+            self.messages.push(ScenarioMessage::Wait { ms: (ms * 10.0).round() / 10.0 });
+            if number + 1 < shares.len() {
+                let message = match between {
+                    0 => ScenarioMessage::Damaged { byte: 5 },
+                    1 => ScenarioMessage::Hello {},
+                    2 => ScenarioMessage::Repeat {},
+                    3 => self.ignored(),
+                    _ => self.sample(),
+                };
+                self.messages.push(message);
+            }
+        }
+        self.samples(2);
+    }
+
+    /// An accepted configuration at a boundary of one field.
+    fn boundary(&mut self) {
+        let mut change = self.usable();
+        let mut has_samples = true;
+        let timeout = self.pick(&LONG_TIMEOUTS_MS, 1_000);
+        match self.below(9) {
+            0 => change.watchdog_timeout_ms = Some(timeout),
+            1 => change.period_us = Some(self.pick(&[255, 256, 300, 4_000, 16_383, 20_000], 300)),
+            2 => {
+                change.start_frequency_mhz = Some(self.pick(&[1, u32::MAX, 1 << 24, (1 << 24) + 1], 1));
+                has_samples = false;
+            }
+            3 => change.drive_limit_vpp = Some(number(self.pick(&[0.125, 1.0, 6_553.5, 65_536.25, 1e6], 1.0))),
+            4 => change.frequency_range_hz = Some(number(self.pick(&[0.001, 0.05, 3.75, 65.536, 5_000.0], 3.75))),
+            5 => change.frequency_slew_hz = Some(number(self.pick(&[0.001, 0.014, 1.6, 65.536, 5_000.0], 1.6))),
+            6 => change.response_time_s = Some(number(self.pick(&[0.0, 0.000_9, 0.008], 0.0))),
+            7 => change.gains = Some(self.pick(&[[0.0; 4], [275.0, 0.0, -900.0, 0.0]], [0.0; 4]).map(number)),
+            _ if self.limits.has_loop_delay => {
+                let period = self.pick(&[1_000, 3_000], 1_000);
+                (change.period_us, change.gains) = (Some(period), None);
+                change.loop_delay_us = Some(self.pick(&[1, period / 20, period / 12, period / 3, period], 1));
+            }
+            _ => change.watchdog_timeout_ms = Some(u16::MAX),
+        }
+        self.messages.push(configure(change));
+        if has_samples {
+            let count = self.range(2..=8);
+            self.samples(count);
+        } else {
+            // The answer contains the start frequency.
+            self.messages.extend([ScenarioMessage::Hello {}, ScenarioMessage::Safe {}]);
+        }
+    }
+
+    fn usable(&mut self) -> ConfigurationChange {
+        let is_other = self.limits.laws.len() > 1 && self.one_in(4);
+        let law = self.pick(&self.limits.laws, LawId::OpenLoop) as u8;
+        ConfigurationChange { law: is_other.then_some(law), gains: self.gains(), ..NONE }
+    }
+
+    fn gains(&mut self) -> Option<[WireNumber; 4]> {
+        self.one_in(2).then(|| [275.0, 110_000.0, 900.0, 400_000.0].map(number))
+    }
+
+    /// A configuration that the controller must answer with 1.
+    fn unusable(&mut self) -> ScenarioMessage {
+        let wrong = number(self.pick(&[0.0, -0.0, -1.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY], 0.0));
+        let mut gains = [275.0, 110_000.0, 900.0, 400_000.0].map(number);
+        let at = self.below(4);
+        let gain = self.pick(&[NonFinite::Nan, NonFinite::Infinity, NonFinite::NegativeInfinity], NonFinite::Nan);
+        gains.get_mut(at).into_iter().for_each(|place| *place = WireNumber::NonFinite(gain));
+        let response = number(self.pick(&[-0.001, f32::NAN, f32::INFINITY], f32::NAN));
+        match self.below(10) {
+            0 => configure(ConfigurationChange { period_us: Some(0), ..NONE }),
+            1 => configure(ConfigurationChange { start_frequency_mhz: Some(0), ..NONE }),
+            2 => configure(ConfigurationChange { gain_um_per_vpp: Some(wrong), ..NONE }),
+            3 => configure(ConfigurationChange { time_constant_s: Some(wrong), ..NONE }),
+            4 => configure(ConfigurationChange { drive_limit_vpp: Some(wrong), ..NONE }),
+            5 => configure(ConfigurationChange { frequency_range_hz: Some(wrong), ..NONE }),
+            6 => configure(ConfigurationChange { frequency_slew_hz: Some(wrong), ..NONE }),
+            7 => configure(ConfigurationChange { response_time_s: Some(response), ..NONE }),
+            8 if self.limits.has_loop_delay => {
+                configure(ConfigurationChange { period_us: Some(1_000), loop_delay_us: Some(1_001), ..NONE })
+            }
+            9 if !self.limits.has_own_plate => configure(ConfigurationChange { own_plate: true, ..NONE }),
+            _ => configure(ConfigurationChange { gains: Some(gains), ..NONE }),
+        }
+    }
+
+    /// A frame that the controller rejects.
+    fn rejected(&mut self) -> ScenarioMessage {
+        let zeros = |first: &str, count: usize| ScenarioMessage::Body { hex: format!("{first}{}", "00".repeat(count)) };
+        match self.below(9) {
+            0 => ScenarioMessage::Bytes { hex: format!("{}00", "07".repeat(self.pick(&GARBAGE_BYTES, 24))) },
+            1 => zeros(self.pick(&["055a", "255a", "f55a"], "255a"), 16),
+            2 => zeros(self.pick(&["105a", "1c5a", "1f5a"], "1c5a"), self.below(18)),
+            3 => zeros("155a", self.pick(&[0, 15, 17, 40], 15)),
+            4 => zeros("175a", 1),
+            5 => zeros("115a", self.pick(&[1, 16], 1)),
+            // A law that the page does not list, and an unknown bit.
+            6 => zeros(self.pick(&["135a09", "135a0010", "135a0080"], "135a09"), 51 - self.below(2)),
+            _ => ScenarioMessage::Damaged { byte: self.range(0..=22) as u8 },
+        }
+    }
+
+    /// A valid message that only a controller sends, or a setpoint for a controller without a plate.
+    fn ignored(&mut self) -> ScenarioMessage {
+        let command = "165ad2040000 0000c843 90f9ec01 01 00 0000";
+        let configured = "145a01 00 00000000000000000000000000000000";
+        let fault = "185a0200 34120008 01000000 00000000 00000000";
+        let setpoint = "1a5a 00000040";
+        let all = [command, configured, fault, "195a 04030201", setpoint];
+        let count = if self.limits.has_own_plate { all.len() - 1 } else { all.len() };
+        let hex = self.pick(all.get(..count).unwrap_or_default(), command).to_owned();
+        ScenarioMessage::Body { hex }
+    }
+}
+
+fn number(value: f32) -> WireNumber {
+    WireNumber::from(value)
+}
+
+/// No change of the configuration.
+const NONE: ConfigurationChange = ConfigurationChange {
+    law: None,
+    watchdog_timeout_ms: None,
+    period_us: None,
+    start_frequency_mhz: None,
+    gain_um_per_vpp: None,
+    time_constant_s: None,
+    response_time_s: None,
+    drive_limit_vpp: None,
+    frequency_range_hz: None,
+    frequency_slew_hz: None,
+    gains: None,
+    loop_delay_us: None,
+    own_plate: false,
+};
+
+const fn configure(change: ConfigurationChange) -> ScenarioMessage {
+    ScenarioMessage::Configure(change)
+}
+
+/// Builds the scenario of a sequence. Its trial is as short as possible.
+pub fn scenario(
+    envelope: &Envelope,
+    law: LawId,
+    messages: &[ScenarioMessage],
+    title: &str,
+    plate_prefix: &str,
+    compares_reference: bool,
+) -> SceneScenario {
+    let expect = |property: Property, metric: Metric, at_most| RawExpectation {
+        name: Some(property.name().to_owned()),
+        metric: metric.name().to_owned(),
+        at_most: Some(at_most),
+        ..RawExpectation::default()
+    };
+    let mut expectations = vec![expect(Property::Answers, Metric::ProtocolDifferences, 0.0)];
+    if compares_reference {
+        let metric = Metric::ReferenceDifference;
+        expectations.push(expect(Property::Reference, metric, REFERENCE_DIFFERENCE_PERCENT));
+    }
+    let plate = PathBuf::from(format!("plates/{plate_prefix}messages.toml"));
+    let raw_plate = raw_plate(&envelope.plate);
+    let scenario = RawScenario {
+        title: title.to_owned(),
+        source: Some("platebench suite explore; the rules: docs/wire-protocol.md".to_owned()),
+        plate: plate.clone(),
+        duration_ms: 1.0,
+        tags: vec!["explored".to_owned()],
+        trace_step_ms: None,
+        model: None,
+        only_if_named: None,
+        expected_exit: None,
+        controller: RawController { law: Some(law.name().to_owned()), ..RawController::default() },
+        profile: RawProfiles {
+            setpoint_um: RawProfile::Number(2.0),
+            temperature_offset_k: RawProfile::Number(0.0),
+            finger_force_n: RawProfile::Number(0.0),
+        },
+        trials: RawTrials::default(),
+        fault: Vec::new(),
+        between: Vec::new(),
+        message: messages.to_vec(),
+        expect: expectations,
+    };
+    SceneScenario { scenario, plates: BTreeMap::from([(plate, raw_plate)]) }
+}
+
+/// Makes a failing sequence minimal. `fails` plays a candidate with a new controller. Returns the
+/// sequence, and the difference of its last play if the first candidate fails.
+pub(crate) fn shrink(
+    messages: Vec<ScenarioMessage>,
+    deadline: Instant,
+    fails: &mut dyn FnMut(&[ScenarioMessage]) -> Result<Option<String>, ExploreError>,
+) -> Result<(Vec<ScenarioMessage>, Option<String>), ExploreError> {
+    let Some(mut text) = fails(&messages)? else { return Ok((messages, None)) };
+    let mut best = messages;
+    let mut has_changed = true;
+    while has_changed && Instant::now() < deadline {
+        has_changed = false;
+        let mut chunk = best.len().div_ceil(2);
+        while chunk > 0 {
+            let mut at = 1;
+            while at < best.len() && Instant::now() < deadline {
+                let mut candidate = best.clone();
+                candidate.drain(at..(at + chunk).min(best.len()));
+                match fails(&candidate)? {
+                    Some(new) => (best, text, has_changed) = (candidate, new, true),
+                    None => at += chunk,
+                }
+            }
+            chunk /= 2;
+        }
+        for index in 0..best.len() {
+            for simpler in simpler_messages(best.get(index)) {
+                if Instant::now() >= deadline {
+                    break;
+                }
+                let mut candidate = best.clone();
+                candidate.get_mut(index).into_iter().for_each(|message| *message = simpler.clone());
+                if let Some(new) = fails(&candidate)? {
+                    (best, text, has_changed) = (candidate, new, true);
+                    break;
+                }
+            }
+        }
+    }
+    Ok((best, Some(text)))
+}
+
+/// Simpler messages in place of `message`, the simplest first.
+fn simpler_messages(message: Option<&ScenarioMessage>) -> Vec<ScenarioMessage> {
+    let usual = ScenarioMessage::sample(2.0, 1.2, -0.2);
+    match message {
+        Some(ScenarioMessage::Configure(change)) if *change != NONE => {
+            let with = |simpler: ConfigurationChange| (simpler != *change).then(|| configure(simpler));
+            [NONE, ConfigurationChange { gains: None, ..*change }, ConfigurationChange { law: None, ..*change }]
+                .into_iter()
+                .filter_map(with)
+                .collect()
+        }
+        Some(ScenarioMessage::Sample { .. }) if message != Some(&usual) => vec![usual],
+        Some(ScenarioMessage::Again { messages, times }) if *times > 1 => {
+            let shorter = [times / 2, times - times / 4, times - times / 16, times - times / 256, times - 1];
+            let again = |times| ScenarioMessage::Again { messages: *messages, times };
+            shorter.into_iter().filter(|shorter| shorter < times).map(again).collect()
+        }
+        Some(ScenarioMessage::Damaged { byte }) if *byte != 5 => vec![ScenarioMessage::Damaged { byte: 5 }],
+        Some(ScenarioMessage::Body { .. } | ScenarioMessage::Bytes { .. }) => {
+            vec![ScenarioMessage::Damaged { byte: 5 }]
+        }
+        _ => Vec::new(),
+    }
+}
