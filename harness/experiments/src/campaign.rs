@@ -7,6 +7,7 @@
 //! shard writes its results to a file, the part, and [`merge`] joins the parts. With the methods
 //! `search` and `rare`, trials form chains, in which a trial depends on earlier results.
 
+mod bench_error;
 pub mod confirm;
 pub mod definition;
 pub mod distribution;
@@ -26,6 +27,7 @@ pub mod summary;
 pub mod truncation;
 pub mod worst_run;
 
+use bench_error::BenchErrors;
 use confirm::Agreement;
 use part::PartReader;
 use platebench_model::record::FileLock;
@@ -55,7 +57,6 @@ pub fn merge<'a>(
 ) -> Result<Summary<'a>, CampaignError> {
     let mut summary = Summary::new(campaign);
     summary.agreement = agreement;
-    let mut results = ResultsWriter::new(folder, campaign)?;
     for shard in 1..=plan.shards {
         if !plan.part_path(folder, shard).exists() {
             summary.missing.push(shard);
@@ -65,7 +66,16 @@ pub fn merge<'a>(
         summary.end.add(part.end());
         part.rows(&mut |row| {
             summary.add(&row);
-            results.push(row)
+            Ok(())
+        })?;
+    }
+    // The scatter in a cell is known only after all of its trials.
+    let mut results = ResultsWriter::new(folder, campaign)?;
+    let mut errors = BenchErrors::new(campaign);
+    for shard in (1..=plan.shards).filter(|shard| !summary.missing.contains(shard)) {
+        PartReader::open(folder, plan, campaign, shard)?.rows(&mut |row| {
+            let errors = errors.of(&row, summary.cells.get(campaign.cell(&row.draws)))?;
+            results.push(row, errors)
         })?;
     }
     results.commit()?;

@@ -5,12 +5,14 @@
 //! effective degrees of freedom are `ν = u⁴ / Σ uᵢ⁴/νᵢ` (Welch and Satterthwaite; G.4). The
 //! expanded uncertainty for a coverage p is `U = t_ν((1 + p)/2) u`.
 
+mod bench;
 mod budget;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
+pub use bench::ErrorOrigin;
 pub use budget::{Budget, Component, ComponentKind, Distribution, Instrument, QuantityBudget, known_quantities};
 
 /// For more degrees of freedom, Student's t equals the normal distribution to 1e-8.
@@ -79,6 +81,20 @@ pub enum EvaluationError {
     NoValue,
 }
 
+impl Component {
+    /// Standard uncertainty and degrees of freedom. `None` if they come from trials that were not
+    /// observed.
+    fn evaluate(&self, value: f64, observed: Option<TypeA>) -> Option<(f64, f64)> {
+        match (self.standard, observed) {
+            (Some(standard), _) if self.is_percent_of_value => {
+                Some((standard / 100.0 * value.abs(), self.degrees_of_freedom))
+            }
+            (Some(standard), _) => Some((standard, self.degrees_of_freedom)),
+            (None, observed) => observed.map(|observed| (observed.standard, observed.degrees_of_freedom)),
+        }
+    }
+}
+
 impl QuantityBudget {
     /// `observed` is the repeatability from trials, used if the budget states none.
     pub fn combine(
@@ -92,14 +108,7 @@ impl QuantityBudget {
         }
         let mut contributions = Vec::with_capacity(self.components.len());
         for component in &self.components {
-            let (standard, freedom) = match (component.standard, observed) {
-                (Some(standard), _) if component.is_percent_of_value => {
-                    (standard / 100.0 * value.abs(), component.degrees_of_freedom)
-                }
-                (Some(standard), _) => (standard, component.degrees_of_freedom),
-                (None, Some(observed)) => (observed.standard, observed.degrees_of_freedom),
-                (None, None) => return Err(EvaluationError::NoRepeatability),
-            };
+            let (standard, freedom) = component.evaluate(value, observed).ok_or(EvaluationError::NoRepeatability)?;
             contributions.push(Contribution {
                 kind: component.kind,
                 distribution: component.distribution,

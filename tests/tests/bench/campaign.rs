@@ -69,7 +69,11 @@ fn results_do_not_depend_on_shards_and_jobs(#[case] plan_text: &str) {
     assert_eq!(
         header,
         "trial,seed,controller.law,profile.finger_force_n,plate.mode.gain_um_per_vpp,controller.loop_delay_ms,\
-         settling_time_ms,settling_time_ms_margin,static_error_percent,static_error_percent_margin,verdict,cause"
+         settling_time_ms,settling_time_ms_margin,static_error_percent,static_error_percent_margin,verdict,cause,\
+         settling_time_ms_error_numerical,settling_time_ms_error_quantisation,settling_time_ms_error_sensor,\
+         settling_time_ms_error_statistics,static_error_percent_error_numerical,\
+         static_error_percent_error_quantisation,static_error_percent_error_sensor,\
+         static_error_percent_error_statistics"
     );
 }
 

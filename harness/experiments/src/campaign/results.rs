@@ -1,5 +1,6 @@
 //! Writes `results.csv` and `results.parquet`: one row per trial.
 
+use crate::campaign::bench_error::RowErrors;
 use crate::campaign::definition::Campaign;
 use crate::campaign::distribution::Variable;
 use crate::campaign::error::CampaignError;
@@ -12,9 +13,11 @@ use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::Type;
+use platebench_model::scenario::Metric;
 use platebench_model::trace::{AtPath, AtomicFile};
 use platebench_report::export::parquet_column::{write_column, write_optional_column};
 use platebench_report::format;
+use platebench_verdict::uncertainty::ErrorOrigin;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
@@ -56,7 +59,7 @@ pub(crate) fn axis_label(variable: &Variable) -> String {
 
 pub(crate) struct ResultsWriter<'a> {
     campaign: &'a Campaign,
-    rows: Vec<TrialRow>,
+    rows: Vec<(TrialRow, Vec<RowErrors>)>,
     csv: csv::Writer<BufWriter<AtomicFile>>,
     csv_path: PathBuf,
     parquet: SerializedFileWriter<File>,
@@ -82,13 +85,14 @@ impl<'a> ResultsWriter<'a> {
         Ok(Self { campaign, rows: Vec::with_capacity(GROUP_ROWS), csv, csv_path, parquet, parquet_file, parquet_path })
     }
 
-    pub(crate) fn push(&mut self, row: TrialRow) -> Result<(), CampaignError> {
-        self.write_csv(&row)?;
-        self.rows.push(row);
+    /// `errors` has one element per expectation.
+    pub(crate) fn push(&mut self, row: TrialRow, errors: Vec<RowErrors>) -> Result<(), CampaignError> {
+        self.write_csv(&row, &errors)?;
+        self.rows.push((row, errors));
         if self.rows.len() == GROUP_ROWS { self.write_group() } else { Ok(()) }
     }
 
-    fn write_csv(&mut self, row: &TrialRow) -> Result<(), CampaignError> {
+    fn write_csv(&mut self, row: &TrialRow, errors: &[RowErrors]) -> Result<(), CampaignError> {
         let mut fields = vec![row.trial.to_string(), self.campaign.seed_of(row.trial).to_string()];
         let variables = self.campaign.variables.iter().zip(&row.draws);
         fields.extend(variables.map(|(variable, draw)| variable.distribution.text(*draw)));
@@ -97,6 +101,7 @@ impl<'a> ResultsWriter<'a> {
         }
         fields.push(row.verdict.to_string());
         fields.push(row.cause.map(|cause| cause.to_string()).unwrap_or_default());
+        fields.extend(errors.iter().flatten().map(|error| number_field(*error)));
         Ok(self.csv.write_record(fields).map_err(io::Error::from).at(&self.csv_path)?)
     }
 
@@ -138,14 +143,23 @@ fn columns(campaign: &Campaign) -> Vec<String> {
         columns.extend([name.clone(), format!("{name}_margin")]);
     }
     columns.extend(["verdict".to_owned(), "cause".to_owned()]);
+    columns.extend(error_columns(campaign).map(|(name, _)| name));
     columns
+}
+
+/// Names of the columns with the bench's own errors, with the metric that has the unit.
+fn error_columns(campaign: &Campaign) -> impl Iterator<Item = (String, Metric)> {
+    campaign.template.scenario.expectations.iter().flat_map(|expectation| {
+        ErrorOrigin::ALL.map(|origin| (format!("{}_error_{}", expectation.name, origin.name()), expectation.metric))
+    })
 }
 
 fn metadata(campaign: &Campaign) -> Vec<KeyValue> {
     let keys = campaign.variables.iter().map(|variable| (variable.key.clone(), unit_of_key(&variable.key)));
     let expectations = campaign.template.scenario.expectations.iter();
     let values = expectations.map(|expectation| (expectation.name.clone(), format::unit(expectation.metric)));
-    let units = keys.chain(values).filter(|(_, unit)| !unit.is_empty());
+    let errors = error_columns(campaign).map(|(name, metric)| (name, format::unit(metric)));
+    let units = keys.chain(values).chain(errors).filter(|(_, unit)| !unit.is_empty());
     let units = units.map(|(column, unit)| (format!("unit.{column}"), unit.to_owned()));
     let title = ("title".to_owned(), campaign.title.clone());
     std::iter::once(title).chain(units).map(|(key, value)| KeyValue::new(key, value)).collect()
@@ -170,12 +184,20 @@ fn schema(campaign: &Campaign) -> Result<Type, ParquetError> {
     }
     fields.push(text("verdict", Repetition::REQUIRED)?);
     fields.push(text("cause", Repetition::OPTIONAL)?);
+    for (name, _) in error_columns(campaign) {
+        fields.push(number(&name, Repetition::OPTIONAL)?);
+    }
     Type::group_type_builder("trials").with_fields(fields).build()
 }
 
 type Group<'a> = SerializedRowGroupWriter<'a, File>;
 
-fn write_columns(group: &mut Group<'_>, campaign: &Campaign, rows: &[TrialRow]) -> Result<(), ParquetError> {
+fn write_columns(
+    group: &mut Group<'_>,
+    campaign: &Campaign,
+    rows: &[(TrialRow, Vec<RowErrors>)],
+) -> Result<(), ParquetError> {
+    let (rows, errors): (Vec<&TrialRow>, Vec<&Vec<RowErrors>>) = rows.iter().map(|(row, errors)| (row, errors)).unzip();
     let whole = |of: &dyn Fn(&TrialRow) -> u64| -> Vec<i64> { rows.iter().map(|row| of(row).cast_signed()).collect() };
     write_column::<Int64Type>(group, &whole(&|row| row.trial))?;
     write_column::<Int64Type>(group, &whole(&|row| campaign.seed_of(row.trial)))?;
@@ -198,12 +220,48 @@ fn write_columns(group: &mut Group<'_>, campaign: &Campaign, rows: &[TrialRow]) 
     write_optional_column::<ByteArrayType>(
         group,
         rows.iter().map(|row| Some(ByteArray::from(&*row.cause?.to_string()))),
-    )
+    )?;
+    for expectation in 0..campaign.template.scenario.expectations.len() {
+        for origin in 0..ErrorOrigin::ALL.len() {
+            let error = |errors: &&Vec<RowErrors>| *errors.get(expectation)?.get(origin)?;
+            write_optional_column::<DoubleType>(group, errors.iter().map(error))?;
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use parquet::file::reader::{FileReader, SerializedFileReader};
+    use platebench_model::record::Verdict;
+
+    #[test]
+    fn a_value_that_was_never_reached_is_null() {
+        let folder = tempfile::tempdir().unwrap();
+        let vary = "\"profile.finger_force_n\" = { steps = [0.0, 1.0, 2] }";
+        let campaign = Campaign::example(folder.path(), vary, "[plan]\nmethod = \"grid\"\ntrials = 1\n");
+        let mut writer = ResultsWriter::new(folder.path(), &campaign).unwrap();
+        let reached = TrialRow { draws: vec![0.0], values: vec![1.5], ..TrialRow::example(0, Verdict::Pass, 0.25) };
+        let never = TrialRow {
+            draws: vec![1.0],
+            values: vec![f64::NAN],
+            ..TrialRow::example(1, Verdict::Fail, f64::NEG_INFINITY)
+        };
+        writer.push(reached, vec![[Some(0.5), Some(0.25), None, Some(0.0)]]).unwrap();
+        writer.push(never, vec![[None; 4]]).unwrap();
+        writer.commit().unwrap();
+        let csv = std::fs::read_to_string(folder.path().join(CSV_FILE)).unwrap();
+        let expected = "trial,seed,profile.finger_force_n,settling_time_ms,settling_time_ms_margin,verdict,cause,\
+            settling_time_ms_error_numerical,settling_time_ms_error_quantisation,settling_time_ms_error_sensor,\
+            settling_time_ms_error_statistics\n0,1,0,1.5,0.25,pass,,0.5,0.25,,0.0\n1,2,1,,,fail,,,,,\n";
+        assert_eq!(csv, expected);
+        let file = File::open(folder.path().join(PARQUET_FILE)).unwrap();
+        let reader = SerializedFileReader::new(file).unwrap();
+        let rows: Vec<_> = reader.get_row_iter(None).unwrap().map(|row| row.unwrap().to_string()).collect();
+        assert_eq!(rows[1].matches("null").count(), 7, "{}", rows[1]);
+        assert_eq!(rows[0].matches("null").count(), 2, "{}", rows[0]);
+    }
 
     #[test]
     fn the_unit_of_a_key_is_in_its_last_name_with_one() {

@@ -11,6 +11,7 @@ use platebench_model::record::{Cause, Verdict};
 use platebench_model::scenario::Expectation;
 use platebench_verdict::statistics::clopper_pearson;
 use platebench_verdict::statistics::{Look, plan_looks};
+use platebench_verdict::uncertainty::TypeA;
 use platebench_verdict::{Judgement, TrialMeasures, judge};
 
 const VERDICTS: [Verdict; 3] = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
@@ -135,13 +136,38 @@ pub struct Tally {
     pub inconclusive: u64,
     pub smallest_margin: f64,
     pub worst_trial: u64,
-    /// Sum and number of values, per expectation.
-    pub values: Vec<(f64, u64)>,
+    /// Per expectation.
+    pub values: Vec<ValueTally>,
+}
+
+/// Counts the values of an expectation.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ValueTally {
+    sum: f64,
+    count: u64,
+    /// Mean and sum of the squared distances from it (Welford, Technometrics 4, 1962).
+    mean: f64,
+    squares: f64,
+}
+
+impl ValueTally {
+    fn add(&mut self, value: f64) {
+        (self.sum, self.count) = (self.sum + value, self.count + 1);
+        let distance = value - self.mean;
+        self.mean += distance / self.count as f64;
+        self.squares += distance * (value - self.mean);
+    }
+
+    /// Scatter of a single value; `None` for fewer than two.
+    pub(crate) fn scatter(&self) -> Option<TypeA> {
+        let degrees_of_freedom = self.count.checked_sub(1).filter(|freedom| *freedom > 0)? as f64;
+        Some(TypeA { standard: (self.squares / degrees_of_freedom).sqrt(), degrees_of_freedom })
+    }
 }
 
 impl Tally {
     pub(crate) fn new(expectations: usize) -> Self {
-        let values = vec![(0.0, 0); expectations];
+        let values = vec![ValueTally::default(); expectations];
         Self { trials: 0, failures: 0, inconclusive: 0, smallest_margin: f64::INFINITY, worst_trial: 0, values }
     }
 
@@ -152,13 +178,13 @@ impl Tally {
         if row.margin() < self.smallest_margin || self.trials == 1 {
             (self.smallest_margin, self.worst_trial) = (row.margin(), row.trial);
         }
-        for ((sum, count), value) in self.values.iter_mut().zip(&row.values).filter(|(_, value)| !value.is_nan()) {
-            (*sum, *count) = (*sum + value, *count + 1);
+        for (tally, value) in self.values.iter_mut().zip(&row.values).filter(|(_, value)| !value.is_nan()) {
+            tally.add(*value);
         }
     }
 
     pub fn mean(&self, expectation: usize) -> Option<f64> {
-        self.values.get(expectation).filter(|(_, count)| *count > 0).map(|(sum, count)| sum / *count as f64)
+        self.values.get(expectation).filter(|tally| tally.count > 0).map(|tally| tally.sum / tally.count as f64)
     }
 
     /// Whether no larger share of the cell's trials than `at_most` (default 0) fails or is

@@ -1,0 +1,379 @@
+//! States the bench's own uncertainty of a metric in a simulated trial, as an uncertainty budget.
+//!
+//! Errors of the amplitude, in µm, become errors of the metric by a sensitivity. Sources are
+//! `docs/mathematics.md` (propagation, noise), `docs/verdicts.md` (peaks between rows) and
+//! `docs/wire-protocol.md` (resolution of the messages). The error of the model itself, such as that
+//! of the envelope, is no part of the budget.
+
+use super::{Component, ComponentKind, Distribution, QuantityBudget, TypeA};
+use jiff::civil::Date;
+use platebench_model::scenario::{Expectation, Metric, Scenario};
+use platebench_plate::{Model, Time};
+use std::f64::consts::PI;
+
+/// Bound of the propagation error, relative to the setpoint. Tests of the plate assert 8.4e-7.
+const PROPAGATION: f64 = 1e-6;
+/// Resolution of the search for the crossing of a band, ms.
+const CROSSING_MS: f64 = 1e-6;
+/// Largest measured part of the ripple between two rows: overshoot in percent of the step, other
+/// peaks in percent of the setpoint.
+const OVERSHOOT_RIPPLE_PERCENT: f64 = 0.20;
+const PEAK_RIPPLE_PERCENT: f64 = 0.12;
+/// Largest relative rounding error of an `f32`.
+const F32_ROUNDING: f64 = 1.0 / 16_777_216.0;
+/// Half of the resolution of a frequency in a command.
+const FREQUENCY_ROUNDING_HZ: f64 = 5e-4;
+/// True amplitude over the noise of a component of the sample, in closed loop.
+const NOISE_TO_AMPLITUDE: f64 = 0.75;
+
+/// Origin of an error. Each is a column of the results of a campaign.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ErrorOrigin {
+    /// Arithmetic, propagation and rows of the trace.
+    Numerical,
+    /// Converters, messages, and samples that are known at control instants only.
+    Quantisation,
+    Sensor,
+    /// Scatter of repeated trials.
+    Statistics,
+}
+
+impl ErrorOrigin {
+    pub const ALL: [Self; 4] = [Self::Numerical, Self::Quantisation, Self::Sensor, Self::Statistics];
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Numerical => "numerical",
+            Self::Quantisation => "quantisation",
+            Self::Sensor => "sensor",
+            Self::Statistics => "statistics",
+        }
+    }
+}
+
+impl ComponentKind {
+    pub const fn origin(self) -> ErrorOrigin {
+        match self {
+            Self::Bench => ErrorOrigin::Numerical,
+            Self::Converter | Self::Timing => ErrorOrigin::Quantisation,
+            Self::SensorGain | Self::SensorOffset | Self::Demodulator | Self::Temperature => ErrorOrigin::Sensor,
+            Self::Repeatability => ErrorOrigin::Statistics,
+        }
+    }
+}
+
+/// Change of a metric per µm of the amplitude: in its unit, and in percent of its value.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Sensitivity {
+    per_um: f64,
+    percent_per_um: f64,
+}
+
+impl QuantityBudget {
+    /// The budget of one trial. `combine` needs the scatter of the trials.
+    pub fn of_bench(scenario: &Scenario, expectation: &Expectation) -> Self {
+        let mut budget = Self { quantity: expectation.metric.name().to_owned(), components: Vec::new() };
+        let setpoint = smallest_setpoint(scenario, expectation);
+        if let (Some(setpoint), Some(step)) = (setpoint, smallest_step(scenario, expectation))
+            && let Some(sensitivity) = sensitivity(scenario, expectation, setpoint, step)
+        {
+            budget.add_amplitude_errors(scenario, expectation, setpoint, sensitivity);
+        }
+        budget.add_own_errors(scenario, expectation, setpoint.unwrap_or_default());
+        budget.add(ComponentKind::Repeatability, Distribution::Normal, None, false, "scatter of the trials");
+        budget
+    }
+
+    /// Standard uncertainty of all components with this origin; `None` if the budget has none or
+    /// if `value` is not finite.
+    pub fn standard_of(&self, origin: ErrorOrigin, value: f64, observed: Option<TypeA>) -> Option<f64> {
+        let of_origin = self.components.iter().filter(|component| component.kind.origin() == origin);
+        let squares = of_origin.filter_map(|component| Some(component.evaluate(value, observed)?.0.powi(2)));
+        squares.reduce(|sum, square| sum + square).map(f64::sqrt).filter(|_| value.is_finite())
+    }
+
+    fn add_amplitude_errors(
+        &mut self,
+        scenario: &Scenario,
+        expectation: &Expectation,
+        setpoint: f64,
+        sensitivity: Sensitivity,
+    ) {
+        use Distribution::{Normal, Rectangular};
+        let plate = &scenario.plate;
+        let mut add = |kind, distribution, um: f64, source| {
+            for (factor, is_percent) in [(sensitivity.per_um, false), (sensitivity.percent_per_um, true)] {
+                if factor > 0.0 {
+                    self.add(kind, distribution, Some(um * factor), is_percent, source);
+                }
+            }
+        };
+        add(ComponentKind::Bench, Rectangular, PROPAGATION * setpoint, "docs/mathematics.md, propagation");
+        add(ComponentKind::Converter, Rectangular, F32_ROUNDING * setpoint, "docs/wire-protocol.md, f32 of a sample");
+        if let Some(resolution) = plate.resolution.or_else(|| plate.lockin.and_then(|lockin| lockin.resolution)) {
+            add(ComponentKind::Converter, Rectangular, resolution.step_um() / 2.0, "converter of the sensor");
+        }
+        if let Some(converter) = &plate.effects.amplifier.converter {
+            let um = plate.gain * converter.step_vpp() / 2.0;
+            add(ComponentKind::Converter, Rectangular, um, "converter of the drive");
+        }
+        if plate.noise_um_rms > 0.0 {
+            let um = match expectation.metric {
+                // Integral action makes the mean of the samples, with their noise, the setpoint.
+                Metric::StaticError | Metric::Repeatability => {
+                    plate.noise_um_rms / samples(scenario, expectation).sqrt()
+                }
+                _ if expectation.signal.starts_with("sensed_") => plate.noise_um_rms,
+                _ => plate.noise_um_rms * NOISE_TO_AMPLITUDE,
+            };
+            add(ComponentKind::Demodulator, Normal, um, "noise of the sensor, docs/mathematics.md");
+        }
+        if let Some(lockin) = &plate.lockin {
+            let (periods, hz) = (f64::from(lockin.periods), plate.omega0 / (2.0 * PI));
+            let samples = periods * lockin.converter_hz / hz;
+            let um = PI * periods / (2.0 * samples.powi(2)) * setpoint;
+            add(ComponentKind::Demodulator, Rectangular, um, "samples of the lock-in, docs/mathematics.md");
+        }
+        let drift = plate.effects.sensor.gain_drift_per_s.abs();
+        if drift > 0.0 {
+            let um = drift * scenario.duration.seconds() * setpoint;
+            add(ComponentKind::SensorGain, Rectangular, um, "drift of the sensor's gain over the trial");
+        }
+    }
+
+    /// Errors that are not errors of the amplitude.
+    fn add_own_errors(&mut self, scenario: &Scenario, expectation: &Expectation, setpoint: f64) {
+        let mut add = |kind, half_width: f64, is_percent, source| {
+            self.add(kind, Distribution::Rectangular, Some(half_width), is_percent, source);
+        };
+        // Only the models with both poles have the ripple of the fast one.
+        let has_ripple = matches!(scenario.model, Model::Modal | Model::Carrier);
+        let ripple = |percent: f64| if has_ripple { percent } else { 0.0 };
+        let curvature = peak_between_rows_um(scenario);
+        match expectation.metric {
+            Metric::SettlingTime | Metric::RecoveryTime => {
+                add(ComponentKind::Bench, CROSSING_MS, false, "docs/mathematics.md, crossing a band");
+                if expectation.signal.starts_with("sensed_") {
+                    // The value is the end of a period that contains the entry.
+                    add(ComponentKind::Timing, scenario.controller.period.ms(), false, "samples at control instants");
+                }
+            }
+            Metric::Overshoot => {
+                let step = smallest_step(scenario, expectation).unwrap_or(setpoint);
+                let percent = ripple(OVERSHOOT_RIPPLE_PERCENT) + curvature / step * 100.0;
+                add(ComponentKind::Bench, percent, false, "docs/verdicts.md, peaks between rows");
+            }
+            Metric::PeakDeviation if setpoint > 0.0 => {
+                let percent = ripple(PEAK_RIPPLE_PERCENT) + curvature / setpoint * 100.0;
+                add(ComponentKind::Bench, percent, false, "docs/verdicts.md, peaks between rows");
+            }
+            // Both extremes may lie between rows.
+            Metric::RipplePercent if setpoint > 0.0 => {
+                let percent = 2.0 * (ripple(PEAK_RIPPLE_PERCENT) + curvature / setpoint * 100.0);
+                add(ComponentKind::Bench, percent, false, "docs/verdicts.md, peaks between rows");
+            }
+            Metric::Ripple => {
+                let um = 2.0 * (ripple(PEAK_RIPPLE_PERCENT) / 100.0 * setpoint + curvature);
+                add(ComponentKind::Bench, um, false, "docs/verdicts.md, peaks between rows");
+            }
+            Metric::FrequencyError => {
+                add(ComponentKind::Converter, FREQUENCY_ROUNDING_HZ, false, "docs/wire-protocol.md, mHz of a command");
+            }
+            Metric::DrivePeak | Metric::RestDrive => {
+                add(ComponentKind::Converter, F32_ROUNDING * 100.0, true, "docs/wire-protocol.md, f32 of a command");
+            }
+            _ => {}
+        }
+    }
+
+    /// `magnitude` is the half width of a rectangular and the standard deviation of a normal
+    /// distribution, in the unit of the metric or in percent of its value.
+    fn add(
+        &mut self,
+        kind: ComponentKind,
+        distribution: Distribution,
+        magnitude: Option<f64>,
+        is_percent_of_value: bool,
+        source: &str,
+    ) {
+        let factor = distribution.standard_of_half_width().unwrap_or(1.0);
+        self.components.push(Component {
+            kind,
+            distribution,
+            standard: magnitude.map(|magnitude| magnitude * factor),
+            is_percent_of_value,
+            degrees_of_freedom: f64::INFINITY,
+            source: source.to_owned(),
+            date: Date::constant(2026, 11, 27),
+            instrument: None,
+        });
+    }
+}
+
+/// `None` if an error of the amplitude does not become an error of the metric.
+fn sensitivity(scenario: &Scenario, expectation: &Expectation, setpoint: f64, step: f64) -> Option<Sensitivity> {
+    let absolute = |per_um: f64| Some(Sensitivity { per_um, percent_per_um: 0.0 });
+    let of_value = |percent_per_um: f64| Some(Sensitivity { per_um: 0.0, percent_per_um });
+    let band = expectation.band_percent / 100.0;
+    match expectation.metric {
+        Metric::StaticError | Metric::Repeatability | Metric::PeakDeviation => absolute(100.0 / setpoint),
+        Metric::Overshoot => absolute(100.0 / step),
+        // A difference of two values.
+        Metric::RipplePercent => absolute(100.0 / setpoint * 2.0_f64.sqrt()),
+        Metric::Ripple => absolute(2.0_f64.sqrt()),
+        Metric::FinalAmplitude => absolute(1.0),
+        // An exponential approach e^(−t/T) to the band b at t = T ln(1/b) has the slope b·s/T.
+        Metric::SettlingTime if band < 1.0 => of_value(100.0 / (band * setpoint * (1.0 / band).ln())),
+        // The first deviation is not known; the slope is that of t = T.
+        Metric::RecoveryTime => of_value(100.0 / (band * setpoint)),
+        // √(1 + r²) for r = |Wq/Wd|.
+        Metric::QuadratureRatio => Some(Sensitivity { per_um: 1.0 / setpoint, percent_per_um: 100.0 / setpoint }),
+        // Wq/Wd = −τ Δω (equation 19).
+        Metric::FrequencyError => absolute(scenario.plate.sigma0 / (2.0 * PI * setpoint)),
+        // A command follows the samples: with the setpoint as error, the first one is the peak.
+        Metric::DrivePeak => of_value(100.0 / setpoint),
+        _ => None,
+    }
+}
+
+/// The smallest setpoint above 0 at the end of a window, µm.
+fn smallest_setpoint(scenario: &Scenario, expectation: &Expectation) -> Option<f64> {
+    let at_end = expectation.windows.iter().map(|window| scenario.setpoint.at(just_before(window.to)).abs());
+    at_end.filter(|setpoint| *setpoint > 0.0).reduce(f64::min)
+}
+
+/// The smallest change of the setpoint before the end of a window, µm. The setpoint is 0 before the
+/// trial.
+fn smallest_step(scenario: &Scenario, expectation: &Expectation) -> Option<f64> {
+    let profile = &scenario.setpoint;
+    let end = expectation.windows.iter().map(|window| window.to).max()?;
+    let (mut level, mut smallest) = (profile.at(Time::ZERO), None::<f64>);
+    let mut add = |step: f64| {
+        if step > 0.0 {
+            smallest = Some(smallest.map_or(step, |smallest| smallest.min(step)));
+        }
+    };
+    add(level.abs());
+    let mut time = Time::ZERO;
+    while let Some(next) = profile.next_point_after(time).filter(|next| *next < end) {
+        let value = profile.at(next);
+        add((value - level).abs());
+        (level, time) = (value, next);
+    }
+    smallest
+}
+
+const fn just_before(time: Time) -> Time {
+    Time::from_nanos(time.as_nanos().saturating_sub(1))
+}
+
+/// Number of control instants in the shortest window, at least 1.
+fn samples(scenario: &Scenario, expectation: &Expectation) -> f64 {
+    let lengths = expectation.windows.iter().map(|window| window.to.seconds() - window.from.seconds());
+    (lengths.fold(f64::INFINITY, f64::min) / scenario.controller.period.seconds()).max(1.0)
+}
+
+/// Largest part of a peak between two rows that are h apart: h²/8 · |W''|. Within a period
+/// W' = σ (K1 V − W), so |W''| is at most σ² K1 V for the largest drive V.
+fn peak_between_rows_um(scenario: &Scenario) -> f64 {
+    let plate = &scenario.plate;
+    let (low, high) = scenario.conditions.finger_force_n.range();
+    let bends = plate.damping_ratio.iter().map(|point| point[0]).filter(|force| (low..=high).contains(force));
+    let damping = bends.chain([low, high]).map(|force| plate.damping_ratio_at(force)).fold(1.0, f64::max);
+    let step = scenario.trace_step.min(scenario.controller.period).seconds();
+    // A finger changes σ and not the force of the drive, so K1 σ is that of the untouched plate.
+    (step * plate.sigma0).powi(2) / 8.0 * damping * plate.gain * plate.drive_limit_vpp
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_test_kit::{PLATE, parse_scenario};
+    use rstest::rstest;
+
+    /// A step to 2 µm, or what `setpoint` says. `sensor` are keys of the plate file.
+    fn budget(setpoint: &str, sensor: &str, expect: &str) -> QuantityBudget {
+        let silent = "noise_um_rms = 0.0";
+        assert!(PLATE.contains(silent));
+        let text = format!(
+            "title = \"a\"\nplate = \"plate.toml\"\nduration_ms = 60.0\nexpect = [{{ {expect} }}]\n\
+             [profile]\nsetpoint_um = {setpoint}\n"
+        );
+        let scenario = parse_scenario(&text, &PLATE.replace(silent, sensor));
+        QuantityBudget::of_bench(&scenario, &scenario.expectations[0])
+    }
+
+    const SILENT: &str = "noise_um_rms = 0.0";
+    const NOISE: &str = "noise_um_rms = 0.01";
+    const CONVERTER: &str = "noise_um_rms = 0.0\nconverter_bits = 11\nconverter_range_um = 4.096";
+    const STATIC: &str = "metric = \"static_error_percent\", at_most = 1.0";
+    const SETTLING: &str = "metric = \"settling_time_ms\", at_most = 5.0";
+    const FREQUENCY: &str = "metric = \"frequency_error_hz\", at_most = 5.0";
+    const OVERSHOOT: &str = "metric = \"overshoot_percent\", at_most = 5.0";
+    const RATIO: &str = "metric = \"quadrature_ratio\", at_most = 5.0";
+    const SENSED: &str = "metric = \"settling_time_ms\", at_most = 5.0, signal = \"sensed_wd_um\"";
+    const OVERRUNS: &str = "metric = \"overruns\", at_most = 5.0";
+
+    // A rectangular half width a is a/√3: 0.577350. The window of the static error has 20 samples.
+    // A settling time of 2 ms changes by 2/(0.05 · 2 µm · ln 20) = 6.67617 ms per µm.
+    #[rstest]
+    #[case::propagation(STATIC, SILENT, ErrorOrigin::Numerical, Some(1e-4 * 0.577_350))]
+    #[case::f32(STATIC, SILENT, ErrorOrigin::Quantisation, Some(5.960_464e-6 * 0.577_350))]
+    #[case::half_a_step(STATIC, CONVERTER, ErrorOrigin::Quantisation, Some(0.002 * 50.0 * 0.577_350))]
+    #[case::no_noise(STATIC, SILENT, ErrorOrigin::Sensor, None)]
+    #[case::noise_of_a_mean(STATIC, NOISE, ErrorOrigin::Sensor, Some(0.01 / 20.0_f64.sqrt() * 50.0))]
+    #[case::slope(SETTLING, NOISE, ErrorOrigin::Sensor, Some(0.0075 * 6.676_17))]
+    #[case::crossing(SETTLING, SILENT, ErrorOrigin::Numerical, Some(0.577_350 * (13.352_34e-6_f64.powi(2) + 1e-12).sqrt()))]
+    #[case::period(SENSED, SILENT, ErrorOrigin::Quantisation, Some(0.577_350))]
+    #[case::millihertz(FREQUENCY, SILENT, ErrorOrigin::Quantisation, Some(0.000_5 * 0.577_350))]
+    // 0.2 % of the step, and (0.05/1.88)²/8 of 6.282 µm, relative to 2 µm.
+    #[case::rows(OVERSHOOT, SILENT, ErrorOrigin::Numerical, Some((0.2 + 0.027_77) * 0.577_350))]
+    // √(1 + 2²) of the relative error.
+    #[case::ratio(RATIO, SILENT, ErrorOrigin::Numerical, Some(1e-6 * 5.0_f64.sqrt() * 0.577_350))]
+    #[case::count(OVERRUNS, NOISE, ErrorOrigin::Numerical, None)]
+    #[case::count(OVERRUNS, NOISE, ErrorOrigin::Sensor, None)]
+    fn a_value_of_2_has_the_error_of_its_origin(
+        #[case] expect: &str,
+        #[case] sensor: &str,
+        #[case] origin: ErrorOrigin,
+        #[case] expected: Option<f64>,
+    ) {
+        let budget = budget("{ hold = [[0.0, 0.0], [1.0, 2.0]] }", sensor, expect);
+        let error = budget.standard_of(origin, 2.0, None);
+        let is_equal = match (error, expected) {
+            (Some(error), Some(expected)) => (error / expected - 1.0).abs() < 2e-3,
+            (error, expected) => error == expected,
+        };
+        assert!(is_equal, "{error:?}, expected {expected:?}");
+        assert_eq!(budget.standard_of(origin, f64::NAN, None), None);
+        assert_eq!(budget.standard_of(origin, f64::INFINITY, None), None);
+    }
+
+    #[test]
+    fn statistics_are_the_scatter_of_the_trials() {
+        let budget = budget("2.0", NOISE, STATIC);
+        let observed = TypeA { standard: 0.25, degrees_of_freedom: 3.0 };
+        assert_eq!(budget.standard_of(ErrorOrigin::Statistics, 1.0, None), None);
+        assert_eq!(budget.standard_of(ErrorOrigin::Statistics, 1.0, Some(observed)), Some(0.25));
+        let combined = budget.combine(1.0, Some(observed), 0.95).unwrap();
+        let parts = ErrorOrigin::ALL.map(|origin| budget.standard_of(origin, 1.0, Some(observed)).unwrap());
+        let squares: f64 = parts.iter().map(|part| part.powi(2)).sum();
+        assert!((combined.standard - squares.sqrt()).abs() < 1e-12, "{combined:?} {parts:?}");
+    }
+
+    // Half a step of the converter, 0.002 µm, relative to 1.5 µm; the rows of a step of 0.5 µm.
+    #[rstest]
+    #[case(STATIC, ", after = \"setpoint\"", CONVERTER, ErrorOrigin::Quantisation, 0.133_333 * 0.577_350)]
+    #[case(OVERSHOOT, ", from_ms = 20.0", SILENT, ErrorOrigin::Numerical, (0.2 + 0.027_77 * 4.0) * 0.577_350)]
+    fn the_smallest_setpoint_and_step_count(
+        #[case] expect: &str,
+        #[case] window: &str,
+        #[case] sensor: &str,
+        #[case] origin: ErrorOrigin,
+        #[case] expected: f64,
+    ) {
+        let steps = "{ hold = [[0.0, 0.0], [1.0, 1.5], [30.0, 2.0]] }";
+        let error = budget(steps, sensor, &format!("{expect}{window}")).standard_of(origin, 2.0, None).unwrap();
+        assert!((error / expected - 1.0).abs() < 2e-3, "{error} {expected}");
+    }
+}
