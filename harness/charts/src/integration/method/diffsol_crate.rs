@@ -51,7 +51,7 @@ fn build<const N: usize, P: Problem<N>>(
     >,
     MethodFailure,
 > {
-    OdeBuilder::<NalgebraMat<f64>>::new()
+    let equations = OdeBuilder::<NalgebraMat<f64>>::new()
         .rtol(tolerance)
         .atol([tolerance])
         .h0(seconds)
@@ -64,8 +64,8 @@ fn build<const N: usize, P: Problem<N>>(
             },
         )
         .init(move |_, _, start| start.copy_from_slice(&x), N)
-        .build()
-        .map_err(|error| crate_failure(&error))
+        .build()?;
+    Ok(equations)
 }
 
 /// Returns NaN if the number of components is wrong. The caller then reports a divergence.
@@ -78,24 +78,25 @@ where
     E: OdeEquations<T = f64, V = NalgebraVec<f64>> + 'a,
     S: OdeSolverMethod<'a, E>,
 {
-    let failed = |error| crate_failure(&error);
-    let mut solver = solver.map_err(failed)?;
-    solver.set_stop_time(seconds).map_err(failed)?;
+    let mut solver = solver?;
+    solver.set_stop_time(seconds)?;
     for _ in 0..MAX_STEPS {
-        if solver.step().map_err(failed)? == OdeSolverStopReason::TstopReached {
+        if solver.step()? == OdeSolverStopReason::TstopReached {
             return Ok(state(&solver.state().y.clone_as_vec()));
         }
     }
     Err(MethodFailure::CrateError("too many steps"))
 }
 
-fn crate_failure(error: &DiffsolError) -> MethodFailure {
-    MethodFailure::CrateError(match error {
-        DiffsolError::OdeSolverError(OdeSolverError::StepSizeTooSmall { .. }) => "step too small",
-        DiffsolError::OdeSolverError(OdeSolverError::TooManyErrorTestFailures { .. }) => "too many rejected steps",
-        DiffsolError::OdeSolverError(OdeSolverError::TooManyNonlinearSolverFailures { .. }) => {
-            "Newton did not converge"
-        }
-        _ => "internal error of the crate",
-    })
+impl From<DiffsolError> for MethodFailure {
+    fn from(error: DiffsolError) -> Self {
+        Self::CrateError(match error {
+            DiffsolError::OdeSolverError(OdeSolverError::StepSizeTooSmall { .. }) => "step too small",
+            DiffsolError::OdeSolverError(OdeSolverError::TooManyErrorTestFailures { .. }) => "too many rejected steps",
+            DiffsolError::OdeSolverError(OdeSolverError::TooManyNonlinearSolverFailures { .. }) => {
+                "Newton did not converge"
+            }
+            _ => "internal error of the crate",
+        })
+    }
 }
