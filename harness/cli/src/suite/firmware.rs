@@ -21,6 +21,22 @@ use platebench_rig::{CancelToken, RigSpec};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
+/// What both commands play.
+#[derive(Debug, Args)]
+struct FirmwareSuiteArgs {
+    /// Scenario files, or folders with everything below them
+    #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
+    scenarios: Vec<PathBuf>,
+    #[command(flatten)]
+    tags: ScenarioFilter,
+    /// Firmware image on the emulator: emulated | emulated:ELF
+    #[arg(long, default_value = "emulated")]
+    rig: RigSpec,
+    /// Scenarios or mutants that run at once; default: one per core
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+}
+
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -30,14 +46,8 @@ Examples:
 
 Exit codes: 0 measured, 1 fewer lines than --at-least were executed, 2 invalid input or a scenario fails")]
 pub(super) struct CoverageArgs {
-    /// Scenario files, or folders with everything below them
-    #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
-    scenarios: Vec<PathBuf>,
     #[command(flatten)]
-    tags: ScenarioFilter,
-    /// Firmware image on the emulator: emulated | emulated:ELF
-    #[arg(long, default_value = "emulated")]
-    rig: RigSpec,
+    suite: FirmwareSuiteArgs,
     /// Only source files whose path contains this text; may be given again
     #[arg(long, value_name = "PATH")]
     only: Vec<String>,
@@ -47,17 +57,15 @@ pub(super) struct CoverageArgs {
     /// Fail if fewer lines were executed, %
     #[arg(long, value_name = "PERCENT", value_parser = parse_percent)]
     at_least: Option<f64>,
-    /// Scenarios that run at once; default: one per core
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    jobs: Option<u16>,
     /// Write coverage.txt and lcov.info to this folder
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
 }
 
 pub(super) fn coverage(arguments: &CoverageArgs, detail: Detail) -> CommandResult {
-    let scenarios = find_scenarios(&arguments.scenarios, &arguments.tags, |_| true, detail)?;
-    let (rig, only, jobs) = (arguments.rig.clone(), arguments.only.clone(), job_count(arguments.jobs));
+    let FirmwareSuiteArgs { scenarios, tags, rig, jobs } = &arguments.suite;
+    let scenarios = find_scenarios(scenarios, tags, |_| true, detail)?;
+    let (rig, only, jobs) = (rig.clone(), arguments.only.clone(), job_count(*jobs));
     let work = move |cancel: &CancelToken, _: &mut EventSender<()>| {
         let suite = Suite::new(&rig, scenarios)?;
         let config = CoverageConfig { suite, jobs, only, cancel: cancel.clone() };
@@ -112,17 +120,11 @@ Examples:
 
 Exit codes: 0 measured, 1 the mutation score is below --at-least, 2 invalid input or a scenario fails without mutants")]
 pub(super) struct MutateArgs {
-    /// Scenario files, or folders with everything below them
-    #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
-    scenarios: Vec<PathBuf>,
     #[command(flatten)]
-    tags: ScenarioFilter,
+    suite: FirmwareSuiteArgs,
     /// Only scenarios with this control law
     #[arg(long, value_name = "NAME", value_parser = law_names())]
     law: Option<String>,
-    /// Firmware image on the emulator: emulated | emulated:ELF
-    #[arg(long, default_value = "emulated")]
-    rig: RigSpec,
     /// Functions whose name contains this text, also inlined ones; default: those that the control
     /// step executes
     #[arg(long, value_name = "NAME")]
@@ -142,9 +144,6 @@ pub(super) struct MutateArgs {
     /// Fail if the mutation score is lower, %
     #[arg(long, value_name = "PERCENT", value_parser = parse_percent)]
     at_least: Option<f64>,
-    /// Mutants that are tested at once; default: one per core
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    jobs: Option<u16>,
     /// Write mutation.json and mutation.txt to this folder
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
@@ -153,8 +152,9 @@ pub(super) struct MutateArgs {
 pub(super) fn mutate(arguments: &MutateArgs, detail: Detail) -> CommandResult {
     let quiet = detail == Detail::Failures;
     let has_law = |scenario: &Scenario| arguments.law.as_ref().is_none_or(|law| scenario.controller.law == *law);
-    let scenarios = find_scenarios(&arguments.scenarios, &arguments.tags, has_law, detail)?;
-    let (rig, jobs) = (arguments.rig.clone(), job_count(arguments.jobs));
+    let FirmwareSuiteArgs { scenarios, tags, rig, jobs } = &arguments.suite;
+    let scenarios = find_scenarios(scenarios, tags, has_law, detail)?;
+    let (rig, jobs) = (rig.clone(), job_count(*jobs));
     let filter = MutantFilter { functions: arguments.function.clone(), files: arguments.file.clone() };
     let (sample, until_width, seed) =
         (arguments.sample.map(|count| count as usize), arguments.until_width, arguments.seed);
