@@ -345,11 +345,17 @@ impl SessionObserver for SessionProgress {
     }
 
     fn live_tap(&mut self, plan: &RunPlan) -> LiveTap {
-        let live_tap = if self.is_self_test { None } else { self.live_view.open(plan) };
-        if live_tap.is_some() {
-            self.progress = None;
+        if self.is_self_test || !self.live_view.is_wanted() {
+            return LiveTap::default();
         }
-        live_tap.unwrap_or_default()
+        // The view takes the screen: the last line of a progress would remain on the terminal.
+        if let Some(mut progress) = self.progress.take() {
+            progress.finish();
+        }
+        self.live_view.open(plan).unwrap_or_else(|| {
+            self.progress = Some(Progress::new(self.kind));
+            LiveTap::default()
+        })
     }
 
     fn run_event(&mut self, event: &Event) {

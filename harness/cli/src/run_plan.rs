@@ -109,6 +109,10 @@ impl SessionView {
         Self(wanted.then(Arc::default))
     }
 
+    pub(crate) const fn is_wanted(&self) -> bool {
+        self.0.is_some()
+    }
+
     fn lock_view(&self) -> Option<MutexGuard<'_, Option<LiveView>>> {
         self.0.as_deref().map(|slot| slot.lock().unwrap_or_else(PoisonError::into_inner))
     }
