@@ -4,18 +4,25 @@
 
 use crate::config::RawConfig;
 use crate::exit::{CommandResult, Exit, OrInvalid};
+use crate::identify::IdentifyOutput;
 use crate::stdio;
+use crate::tune::TuneOutput;
 use clap::{Args, Command, Subcommand, ValueEnum};
 use clap_complete::Shell;
 #[cfg(feature = "export")]
-use platebench_experiments::campaign::RawCampaign;
-use platebench_experiments::explore::RawEnvelope;
+use platebench_experiments::campaign::{RawCampaign, summary::CampaignResult};
+use platebench_experiments::explore::{ExploreReport, RawEnvelope};
+use platebench_experiments::trust::TrustReport;
+use platebench_lab::acceptance::SessionRecord;
 use platebench_lab::acceptance::plan::plan_schema;
-use platebench_lab::boards::RawInventory;
+use platebench_lab::boards::{BoardStatus, RawInventory, SoakRecord};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::schema;
 use platebench_model::trace::write_atomically;
+use platebench_report::comparison::ScenarioComparison;
 use platebench_report::events::EventLine;
+use platebench_report::scenario_list::ScenarioList;
+use platebench_verdict::replay::ReplayResult;
 use platebench_wire::LawId;
 use std::fs;
 use std::path::PathBuf;
@@ -89,6 +96,29 @@ pub(crate) enum SchemaKind {
     Run,
     /// Lines of run --format json
     Events,
+    /// run --list --format json
+    List,
+    /// compare --format json
+    Comparison,
+    /// replay --format json
+    Replay,
+    /// identify --format json
+    Identification,
+    /// tune --format json
+    Tuning,
+    /// summary.json of a campaign
+    #[cfg(feature = "export")]
+    Summary,
+    /// explore.json
+    Exploration,
+    /// suite trust --format json
+    Trust,
+    /// session.json of an acceptance session
+    Session,
+    /// soak.json
+    Soak,
+    /// board list --format json
+    BoardList,
 }
 
 impl SchemaKind {
@@ -129,6 +159,20 @@ impl SchemaKind {
             Self::Config => schema::schema_of::<RawConfig>("platebench.toml"),
             Self::Run => schema::schema_of_json::<RunRecord>("Record of a run: run.json"),
             Self::Events => schema::schema_of_json::<EventLine<'_>>("Event of a run: a line of run --format json"),
+            Self::List => schema::schema_of_json::<ScenarioList<'_>>("Scenarios: run --list --format json"),
+            Self::Comparison => schema::schema_of_json::<Vec<ScenarioComparison>>("Comparison: compare --format json"),
+            Self::Replay => schema::schema_of_json::<ReplayResult>("Replay of a recording: replay --format json"),
+            Self::Identification => {
+                schema::schema_of_json::<IdentifyOutput<'_>>("Identified plate: identify --format json")
+            }
+            Self::Tuning => schema::schema_of_json::<TuneOutput<'_>>("Tuned gains: tune --format json"),
+            #[cfg(feature = "export")]
+            Self::Summary => schema::schema_of_json::<CampaignResult<'_>>("Result of a campaign: summary.json"),
+            Self::Exploration => schema::schema_of_json::<ExploreReport>("Result of an exploration: explore.json"),
+            Self::Trust => schema::schema_of_json::<TrustReport>("Kill rate of a suite: suite trust --format json"),
+            Self::Session => schema::schema_of_json::<SessionRecord>("Acceptance session: session.json"),
+            Self::Soak => schema::schema_of_json::<SoakRecord>("Soak of a board: soak.json"),
+            Self::BoardList => schema::schema_of_json::<Vec<BoardStatus>>("Boards: board list --format json"),
         }
     }
 

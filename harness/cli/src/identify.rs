@@ -17,6 +17,7 @@ use platebench_report::chart::FitChart;
 use platebench_report::document::{Block, Figure};
 use platebench_report::format::count;
 use platebench_verdict::uncertainty::{Budget, known_quantities};
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -100,8 +101,8 @@ fn parse_temperature(text: &str) -> Result<f64, String> {
     parse_number(text, |value| value.is_finite() && value > -273.15, "a temperature above -273.15")
 }
 
-#[derive(Serialize)]
-struct IdentifyOutput<'a> {
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct IdentifyOutput<'a> {
     #[serde(flatten)]
     found: &'a Identification,
     #[serde(skip_serializing_if = "<[_]>::is_empty")]

@@ -19,7 +19,8 @@ use platebench_model::scenario::{Diagnostic, load, read_text};
 use platebench_plate::{Model, Plate, Time, Uncertainty};
 use platebench_rig::RigSpec;
 use platebench_wire::{Gains, LawId};
-use serde_json::json;
+use schemars::JsonSchema;
+use serde::Serialize;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -274,10 +275,12 @@ pub(crate) fn tune(arguments: &TuneArgs) -> CommandResult {
                 stdio::document(&done.document(&chosen.plate));
             }
         }
-        OutputFormat::Json => {
-            let verdict = (exit, reason.as_str());
-            show_json(&target, &spread, arguments.law(), &tuning, verification.as_ref(), verdict);
-        }
+        OutputFormat::Json => stdio::show_json(&TuneOutput {
+            verdict: exit.word(),
+            reason: &reason,
+            measured: verification.as_ref(),
+            ..TuneOutput::new(&target, &spread, arguments.law(), &tuning)
+        }),
     }
     exit.show_verdict(&reason, arguments.format);
     Ok(exit)
@@ -298,42 +301,79 @@ fn refuse_implausible(path: &Path, plate: &Plate, force: bool) -> Result<(), Fai
     if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
 }
 
-fn show_json(
-    target: &TuningTarget<'_>,
-    spread: &PlateSpread,
-    law: LawId,
-    tuning: &TuningResult,
-    verification: Option<&RigVerification>,
-    (exit, reason): (Exit, &str),
-) {
-    let gains = |evaluation: &DesignEvaluation| {
-        let Gains { amplitude_kp, amplitude_ki, frequency_kp, frequency_ki } =
-            evaluation.design.firmware_gains(target.period());
-        json!({
-            "amplitude_kp": shortest_decimal(amplitude_kp), "amplitude_ki": shortest_decimal(amplitude_ki),
-            "frequency_kp": shortest_decimal(frequency_kp), "frequency_ki": shortest_decimal(frequency_ki),
-        })
-    };
-    stdio::show_json(&json!({
-        "verdict": exit.word(),
-        "reason": reason,
-        "plate": target.plate.name,
-        "law": law.name(),
-        "model": Model::Modal.name(),
-        "demand": {
-            "response_ms": target.response * 1e3, "period_ms": target.period() * 1e3, "delay_ms": target.delay * 1e3,
-            "setpoint_um": target.setpoint, "force_n": target.force_n, "phase_margin_deg": target.phase_margin_deg,
-            "drive_limit_vpp": target.plate.drive_limit_vpp,
-        },
-        "spread": {
-            "gain_percent": spread.gain_percent, "time_constant_percent": spread.time_constant_percent,
-            "samples": spread.samples, "seed": spread.seed,
-        },
-        "gains": tuning.chosen.as_ref().map(gains),
-        "possible_gains": tuning.possible.as_ref().map(gains),
-        "tuning": tuning,
-        "measured": verification,
-    }));
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct TuneOutput<'a> {
+    /// Meaning of the exit code in one word.
+    verdict: &'static str,
+    reason: &'a str,
+    /// Name in the plate file.
+    plate: &'a str,
+    law: &'static str,
+    model: &'static str,
+    demand: DemandOutput,
+    spread: &'a PlateSpread,
+    /// Gains for the firmware. `null` if the target cannot be met.
+    gains: Option<GainsOutput>,
+    /// Gains of the fastest design, if the target cannot be met.
+    possible_gains: Option<GainsOutput>,
+    tuning: &'a TuningResult,
+    /// Step on the rig. `null` without `--send`.
+    measured: Option<&'a RigVerification>,
+}
+
+#[derive(Serialize, JsonSchema)]
+struct DemandOutput {
+    response_ms: f64,
+    period_ms: f64,
+    delay_ms: f64,
+    setpoint_um: f64,
+    force_n: f64,
+    phase_margin_deg: f64,
+    drive_limit_vpp: f64,
+}
+
+/// Shortest decimal numbers that the firmware rounds to its gains.
+#[derive(Serialize, JsonSchema)]
+struct GainsOutput {
+    amplitude_kp: f64,
+    amplitude_ki: f64,
+    frequency_kp: f64,
+    frequency_ki: f64,
+}
+
+impl<'a> TuneOutput<'a> {
+    fn new(target: &'a TuningTarget<'_>, spread: &'a PlateSpread, law: LawId, tuning: &'a TuningResult) -> Self {
+        let gains = |evaluation: &DesignEvaluation| {
+            let gains = evaluation.design.firmware_gains(target.period());
+            GainsOutput {
+                amplitude_kp: shortest_decimal(gains.amplitude_kp),
+                amplitude_ki: shortest_decimal(gains.amplitude_ki),
+                frequency_kp: shortest_decimal(gains.frequency_kp),
+                frequency_ki: shortest_decimal(gains.frequency_ki),
+            }
+        };
+        Self {
+            verdict: "",
+            reason: "",
+            plate: &target.plate.name,
+            law: law.name(),
+            model: Model::Modal.name(),
+            demand: DemandOutput {
+                response_ms: target.response * 1e3,
+                period_ms: target.period() * 1e3,
+                delay_ms: target.delay * 1e3,
+                setpoint_um: target.setpoint,
+                force_n: target.force_n,
+                phase_margin_deg: target.phase_margin_deg,
+                drive_limit_vpp: target.plate.drive_limit_vpp,
+            },
+            spread,
+            gains: tuning.chosen.as_ref().map(gains),
+            possible_gains: tuning.possible.as_ref().map(gains),
+            tuning,
+            measured: None,
+        }
+    }
 }
 
 /// Returns a message for the user. Leaves the file unchanged and fails if plate, period or kind of

@@ -5,6 +5,7 @@ use crate::identify::inconsistency::is_explained_by_chance;
 use crate::identify::{Estimate, FrequencyStep, Identification, IdentifiedHeating, RecordingFit, VoltageStep};
 use platebench_report::document::{Block, Document, Table};
 use platebench_verdict::uncertainty::{Budget, CombinedUncertainty, EvaluationError, TypeA};
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::fmt::Write as _;
 
@@ -382,7 +383,7 @@ fn reach_percent(Estimate { value, low, high, .. }: Estimate) -> f64 {
     ((high - value).max(value - low) / value * 1e4).ceil() / 100.0
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct ParameterUncertainty {
     pub quantity: String,
     pub value: f64,

@@ -13,6 +13,7 @@ use inconsistency::{
 use nalgebra::{DMatrix, DVector};
 use platebench_model::recording::{Recording, RecordingError};
 use platebench_plate::Conditions;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::f64::consts::TAU;
 use steps::{frequency_steps, frequency_time_constant, voltage_steps};
@@ -24,7 +25,7 @@ pub use fit::{DirectFit, fit_direct};
 pub use inconsistency::Inconsistency;
 pub use steps::{FrequencyStep, VoltageStep};
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct RecordingFit {
     pub recording: String,
     pub samples: usize,
@@ -40,7 +41,7 @@ pub struct RecordingFit {
 }
 
 /// The identified plate. Parameters that the recordings do not determine are `None` or empty.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Identification {
     pub voltage_steps: Vec<VoltageStep>,
     pub frequency_steps: Vec<FrequencyStep>,

@@ -20,6 +20,7 @@ use platebench_controller::design;
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::{Complex64, Drive, Flow, Mode, Model, State};
 use platebench_verdict::statistics::{bisect, try_bisect};
+use schemars::JsonSchema;
 use std::collections::VecDeque;
 use std::f64::consts::PI;
 
@@ -106,7 +107,7 @@ pub fn steady_state(model: Model, mode: &Mode, drive: &Drive) -> Complex64 {
 /// `u = proportional · e + x`, then `x += integral_per_period · e`. The firmware's type in f64.
 pub type PiGains = design::PiGains<f64>;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Discretisation {
     /// Equation 24 as printed, with a forward-Euler integral: `u = Kp e + x`, then `x += Ki Ts e`.
@@ -332,20 +333,26 @@ const BISECTIONS: u32 = 40;
 /// Step of the scan over delays, as a share of a period.
 const SCAN_STEP: f64 = 0.05;
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct StabilityMargins {
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, JsonSchema)]
+pub struct Margins {
     /// Factor by which the gain may rise. Below 1 the gain must fall. `None` if it has no limit.
+    #[serde(rename = "gain_margin")]
     pub gain: Option<f64>,
     /// Phase margin at |L| = 1. `None` if |L| is never 1.
+    #[serde(rename = "phase_margin_deg")]
     pub phase_deg: Option<f64>,
+    /// Additional delay until the loop is unstable; 0 or less if it is unstable already. `None` if
+    /// it is stable in the whole search range.
+    #[serde(rename = "delay_margin_ms")]
+    pub delay_ms: Option<f64>,
 }
 
 impl ClosedLoop {
     /// The smaller margin of both loops, each with the other loop closed. These loops are stable at
     /// small gain. A rising gain first meets the outermost crossing of the negative real axis, or L
-    /// at half the sampling frequency.
-    pub fn margins(&self) -> StabilityMargins {
-        let mut margins = StabilityMargins { gain: None, phase_deg: None };
+    /// at half the sampling frequency. `delay_ms` is the result of a search over delays.
+    pub fn margins(&self, delay_ms: Option<f64>) -> Margins {
+        let mut margins = Margins { delay_ms, ..Margins::default() };
         let smaller = |known: Option<f64>, new: f64| Some(known.map_or(new, |known| known.min(new)));
         for kind in 0..2 {
             let Some(open) = self.open_loop_transfer(kind) else { continue };

@@ -4,7 +4,7 @@
 use crate::law_loops::{
     LoopCase, OperatingCondition, PlainLoops, loop_at_rest, measure_delay_boundary, measure_delay_boundary_from_rest,
 };
-use crate::loops::{AnalysisError, ClosedLoop, Discretisation, LoopTiming, delay_boundary};
+use crate::loops::{AnalysisError, ClosedLoop, Discretisation, LoopTiming, Margins, delay_boundary};
 use crate::step_limits::{NOTE, limits_csv, limits_table, step_limits};
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_engine::workers::collect_in_parallel;
@@ -146,10 +146,8 @@ pub struct StudyRow {
     pub measured: Option<DelayBoundary>,
     /// Longest delay with which the firmware reaches its setpoint from rest.
     pub from_rest: DelayBoundary,
-    pub gain_margin: Option<f64>,
-    pub phase_margin_deg: Option<f64>,
-    /// Predicted delay boundary minus [`StudyConfig::delay`], s.
-    pub delay_margin: Option<f64>,
+    /// The delay margin is the predicted delay boundary minus [`StudyConfig::delay`].
+    pub margins: Margins,
 }
 
 impl StudyRow {
@@ -215,7 +213,7 @@ fn study_row(
     let Some((plant, controller)) = case.linearise(Model::Modal) else { return Ok(None) };
     let predicted = delay_boundary(&plant, &controller, case.period(), MAX_DELAY_S)?;
     let closed = ClosedLoop::new(plant, controller, LoopTiming { period: case.period(), delay: config.delay })?;
-    let margins = closed.margins();
+    let delay_ms = predicted.seconds().map(|boundary| (boundary - config.delay) * 1e3);
     Ok(Some(StudyRow {
         law,
         condition,
@@ -225,9 +223,7 @@ fn study_row(
         predicted,
         measured: measure_delay_boundary(&case, MAX_DELAY_S),
         from_rest: measure_delay_boundary_from_rest(&case, MAX_DELAY_S),
-        gain_margin: margins.gain,
-        phase_margin_deg: margins.phase_deg,
-        delay_margin: predicted.seconds().map(|boundary| boundary - config.delay),
+        margins: closed.margins(delay_ms),
     }))
 }
 
@@ -290,9 +286,9 @@ pub fn boundary_table(study: &Study) -> Table {
             format_optional(row.difference_percent(), |percent| format!("{percent:+.2}")),
             format_microseconds(row.from_rest, "never"),
             format!("{:.3}", row.spectral_radius),
-            format_optional(row.gain_margin, |gain| format!("{gain:.2}")),
-            format_optional(row.phase_margin_deg, |degrees| format!("{degrees:.1}")),
-            format_optional(row.delay_margin, |seconds| format!("{:.0}", seconds * 1e6)),
+            format_optional(row.margins.gain, |gain| format!("{gain:.2}")),
+            format_optional(row.margins.phase_deg, |degrees| format!("{degrees:.1}")),
+            format_optional(row.margins.delay_ms, |ms| format!("{:.0}", ms * 1e3)),
         ]
     }));
     for (law, condition) in &study.out_of_reach {
@@ -349,9 +345,9 @@ pub fn boundaries_csv(study: &Study) -> String {
             row.difference_percent(),
             Some(boundary_us(row.from_rest)),
             Some(row.spectral_radius),
-            row.gain_margin,
-            row.phase_margin_deg,
-            row.delay_margin.map(|seconds| seconds * 1e6),
+            row.margins.gain,
+            row.margins.phase_deg,
+            row.margins.delay_ms.map(|ms| ms * 1e3),
         ];
         let cells = cells.map(|cell| cell.map_or_else(String::new, |value| value.to_string())).join(",");
         let _ = writeln!(text, "{},{},{period_us},{},{cells}", law.name(), condition.name(), response * 1e3);

@@ -9,7 +9,7 @@
 pub mod design;
 pub mod verification;
 
-use crate::loops::{AnalysisError, Discretisation};
+use crate::loops::{AnalysisError, Discretisation, Margins};
 use design::{BAND, GainDesign, LoopEvaluation, StepEvaluation, TuningTarget, delay_margin_ms, design_delay_boundary};
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::{Model, Plate};
@@ -18,11 +18,12 @@ use platebench_verdict::statistics::try_bisect;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Uniform};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 pub use design::{DesignEvaluation, evaluate_design};
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum InfeasibilityCause {
     /// The drive limit cannot hold the setpoint.
@@ -45,7 +46,7 @@ pub enum InfeasibilityCause {
     Discretisation,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct TuningResult {
     pub met: bool,
     pub obstacles: Vec<InfeasibilityCause>,
@@ -112,7 +113,7 @@ fn infeasibility_causes(
     }
     if let Some(stable) = search.meeting_target(0.0)? {
         let closed = stable.design.closed_loop(target, target.plate, Model::Modal, [true; 2])?;
-        causes.push(InfeasibilityCause::PhaseMargin { found_deg: closed.margins().phase_deg.unwrap_or(180.0) });
+        causes.push(InfeasibilityCause::PhaseMargin { found_deg: closed.margins(None).phase_deg.unwrap_or(180.0) });
     }
     if causes.is_empty() {
         causes.push(InfeasibilityCause::Discretisation);
@@ -172,7 +173,7 @@ impl<'a> DesignSearch<'a> {
 
     fn has_margin(&self, candidate: &DesignCandidate, phase_deg: f64) -> Result<bool, AnalysisError> {
         let closed = candidate.design.closed_loop(&self.target, self.target.plate, Model::Modal, [true; 2])?;
-        Ok(closed.spectral_radius()? < 1.0 && closed.margins().phase_deg.is_none_or(|found| found >= phase_deg))
+        Ok(closed.spectral_radius()? < 1.0 && closed.margins(None).phase_deg.is_none_or(|found| found >= phase_deg))
     }
 
     pub fn fastest(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
@@ -232,7 +233,7 @@ impl<'a> DesignSearch<'a> {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct PlateSpread {
     /// Largest deviation of the plate's gain K1.
     pub gain_percent: f64,
@@ -242,7 +243,7 @@ pub struct PlateSpread {
     pub seed: u64,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct PlateVariant {
     /// Deviation of the gain K1 from the plate file.
     pub gain_percent: f64,
@@ -250,25 +251,23 @@ pub struct PlateVariant {
     pub force_n: f64,
     /// Step response with the drive limit.
     pub plate: StepEvaluation,
-    /// The smaller gain margin of both loops, each with the other loop closed.
-    pub gain_margin: Option<f64>,
-    pub phase_margin_deg: Option<f64>,
-    pub delay_margin_ms: Option<f64>,
+    /// The smaller margins of both loops, each with the other loop closed.
+    #[serde(flatten)]
+    pub margins: Margins,
 }
 
 /// `settling_ms` is `None` if a plate does not settle. A margin is `None` if no plate limits it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct WorstCase {
     pub plates: usize,
     pub meeting: usize,
     pub settling_ms: Option<f64>,
     pub overshoot_percent: f64,
-    pub gain_margin: Option<f64>,
-    pub phase_margin_deg: Option<f64>,
-    pub delay_margin_ms: Option<f64>,
+    #[serde(flatten)]
+    pub margins: Margins,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Sensitivity {
     pub corners: Vec<PlateVariant>,
     pub worst_corner: WorstCase,
@@ -317,15 +316,13 @@ fn evaluate_variant(
     let nominal = target.plate;
     let factor = |percent: f64| 1.0 + percent / 100.0;
     let plate = Plate { gain: nominal.gain * factor(gain), sigma0: nominal.sigma0 / factor(tau), ..nominal.clone() };
-    let margins = design.closed_loop(target, &plate, Model::Modal, [true; 2])?.margins();
+    let delay_ms = delay_margin_ms(target, design_delay_boundary(target, &plate, design)?);
     Ok(PlateVariant {
         gain_percent: gain,
         time_constant_percent: tau,
         force_n: target.force_n,
         plate: design.simulate_step(target, &plate).into(),
-        gain_margin: margins.gain,
-        phase_margin_deg: margins.phase_deg,
-        delay_margin_ms: delay_margin_ms(target, design_delay_boundary(target, &plate, design)?),
+        margins: design.closed_loop(target, &plate, Model::Modal, [true; 2])?.margins(delay_ms),
     })
 }
 
@@ -337,9 +334,11 @@ fn worst_case(target: &TuningTarget<'_>, others: &[PlateVariant]) -> WorstCase {
         meeting: settling().flatten().filter(|ms| *ms <= target.response * 1e3).count(),
         settling_ms: settling().try_fold(0.0, |longest: f64, ms| Some(longest.max(ms?))),
         overshoot_percent: others.iter().map(|other| other.plate.overshoot_percent).fold(0.0, f64::max),
-        gain_margin: smallest(|other| other.gain_margin),
-        phase_margin_deg: smallest(|other| other.phase_margin_deg),
-        delay_margin_ms: smallest(|other| other.delay_margin_ms),
+        margins: Margins {
+            gain: smallest(|other| other.margins.gain),
+            phase_deg: smallest(|other| other.margins.phase_deg),
+            delay_ms: smallest(|other| other.margins.delay_ms),
+        },
     }
 }
 
@@ -422,8 +421,8 @@ fn readings_table(readings: &[DesignEvaluation]) -> Table {
         };
         let margins = [
             format!("{:.3}", row.spectral_radius),
-            format_optional(row.amplitude.phase_margin_deg, 1),
-            format_optional(row.amplitude.delay_margin_ms, 3),
+            format_optional(row.amplitude.margins.phase_deg, 1),
+            format_optional(row.amplitude.margins.delay_ms, 3),
         ];
         let steps = step(&row.linear).into_iter().chain(step(&row.plate));
         table.push([row.discretisation.name().to_owned()].into_iter().chain(steps).chain(margins));
@@ -452,7 +451,7 @@ fn design_blocks(title: &str, design: &DesignEvaluation) -> [Block; 3] {
     ]);
     for (name, unit, figures) in [("amplitude", "Vpp/µm", &design.amplitude), ("frequency", "rad/s", &design.frequency)]
     {
-        let LoopEvaluation { kp, ki_per_s, poles, gain_margin, phase_margin_deg, delay_margin_ms, .. } = figures;
+        let LoopEvaluation { kp, ki_per_s, poles, margins, .. } = figures;
         let poles: Vec<_> = poles.iter().map(|[re, im]| format_pole(*re, *im)).collect();
         table.push([
             name.to_owned(),
@@ -460,9 +459,9 @@ fn design_blocks(title: &str, design: &DesignEvaluation) -> [Block; 3] {
             unit.to_owned(),
             format!("{ki_per_s:.6}"),
             poles.join(", "),
-            format_optional(*gain_margin, 2),
-            format_optional(*phase_margin_deg, 1),
-            format_optional(*delay_margin_ms, 3),
+            format_optional(margins.gain, 2),
+            format_optional(margins.phase_deg, 1),
+            format_optional(margins.delay_ms, 3),
         ]);
     }
     let (name, response) = (design.discretisation.name(), design.designed_for_ms);
@@ -485,24 +484,20 @@ fn sensitivity_blocks(spread: &PlateSpread, found: &Sensitivity) -> Vec<Block> {
         Column::number("delay margin", "ms"),
         Column::number("in time", ""),
     ]);
-    let mut row = |name: String, [settling, overshoot, gain, phase, delay]: [Option<f64>; 5], in_time: String| {
-        let numbers = [(settling, 3), (overshoot, 1), (gain, 2), (phase, 1), (delay, 3)];
+    let mut row = |name: String, settling_ms: Option<f64>, overshoot: f64, margins: Margins, in_time: String| {
+        let Margins { gain, phase_deg, delay_ms } = margins;
+        let numbers = [(settling_ms, 3), (Some(overshoot), 1), (gain, 2), (phase_deg, 1), (delay_ms, 3)];
         let numbers = numbers.map(|(value, decimals)| format_optional(value, decimals));
         table.push([name].into_iter().chain(numbers).chain([in_time]));
     };
     let cases = [("worst corner", Some(&found.worst_corner)), ("worst random plate", found.worst_sample.as_ref())];
     for (name, worst) in cases.into_iter().filter_map(|(name, worst)| Some((name, worst?))) {
-        let &WorstCase { plates, meeting, settling_ms, gain_margin, phase_margin_deg, delay_margin_ms, .. } = worst;
-        let overshoot = Some(worst.overshoot_percent);
-        let numbers = [settling_ms, overshoot, gain_margin, phase_margin_deg, delay_margin_ms];
-        row(name.to_owned(), numbers, format!("{meeting}/{plates}"));
+        let &WorstCase { plates, meeting, settling_ms, overshoot_percent, margins } = worst;
+        row(name.to_owned(), settling_ms, overshoot_percent, margins, format!("{meeting}/{plates}"));
     }
-    if let Some(PlateVariant { force_n, plate, gain_margin, phase_margin_deg, delay_margin_ms, .. }) =
-        found.other_finger
-    {
-        let StepEvaluation { settling_ms, overshoot_percent, .. } = plate;
-        let numbers = [settling_ms, Some(overshoot_percent), gain_margin, phase_margin_deg, delay_margin_ms];
-        row(format!("finger of {force_n} N instead"), numbers, String::new());
+    if let Some(PlateVariant { force_n, plate, margins, .. }) = found.other_finger {
+        let name = format!("finger of {force_n} N instead");
+        row(name, plate.settling_ms, plate.overshoot_percent, margins, String::new());
     }
     let heading = format!("These gains on other plates, K1 ±{gain_percent} %, τ ±{time_constant_percent} %");
     let mut blocks = vec![Block::Heading(heading), Block::Table(table)];

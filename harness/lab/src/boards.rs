@@ -17,6 +17,7 @@ use crate::boards::state::{BoardFiles, BoardLock, StoredState};
 use platebench_model::record::{to_hex, utc_timestamp};
 use platebench_report::document::{Block, Document, Table};
 use platebench_rig::{CancelToken, ConnectOptions, Session};
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -128,7 +129,7 @@ fn check_chip(board: &Board) -> Result<(), BoardError> {
     Err(BoardError::WrongChip { name: board.name.clone(), found, expected: expected.clone() })
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(tag = "state", rename_all = "lowercase")]
 pub enum BoardState {
     Free,
@@ -141,7 +142,7 @@ pub enum BoardState {
     Quarantined(Quarantine),
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct BoardStatus {
     #[serde(flatten)]
     pub board: Board,

@@ -3,6 +3,7 @@
 
 use crate::tube::{Exceedance, Tube, TubePoint, TubeSignal};
 use platebench_model::record::{Telemetry, Verdict, Violation};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,7 +25,7 @@ pub struct ReplayStep {
 }
 
 /// Why the commands after an instant cannot be compared.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, thiserror::Error)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, thiserror::Error, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum RecordingEnd {
     #[error("the recorded controller did not answer from {:.1} ms on: the rest was not replayed", at_s * 1e3)]
@@ -45,18 +46,19 @@ pub struct Recording {
 }
 
 /// Largest difference of one signal over all compared samples.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct CommandDifference {
     pub signal: &'static str,
     pub unit: &'static str,
     /// `null` if the controller commanded NaN or an infinite value.
+    #[schemars(with = "Option<f64>")]
     pub largest: f64,
     pub at_ms: f64,
     /// The worst difference outside the tube.
     pub exceedance: Option<Exceedance>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct ReplayResult {
     pub verdict: Verdict,
     /// Always true, because the recorded samples do not react to the commands.

@@ -5,6 +5,7 @@
 //! at some time within the tolerance in time. Curves are linear between points.
 
 use platebench_model::trace::{Column, Row};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 #[derive(Debug)]
@@ -16,7 +17,7 @@ pub struct TubeSignal {
     pub decimals: usize,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Tolerance {
     /// Tolerance in the signal's unit.
@@ -64,12 +65,15 @@ pub struct Tube {
     pub points: Vec<TubePoint>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Exceedance {
     pub signal: String,
     pub t_ms: f64,
+    /// `null` if not finite, as is the distance.
+    #[schemars(with = "Option<f64>")]
     pub value: f64,
     pub golden: f64,
+    #[schemars(with = "Option<f64>")]
     pub distance: f64,
     /// Half the height of the tube at this instant.
     pub allowed: f64,

@@ -49,7 +49,7 @@ impl TypeA {
     }
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Contribution {
     pub kind: ComponentKind,
     pub distribution: Distribution,
@@ -62,7 +62,7 @@ pub struct Contribution {
     pub instrument: Option<String>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CombinedUncertainty {
     pub standard: f64,
     /// Effective degrees of freedom; `null` in the file if unlimited.
@@ -197,7 +197,7 @@ impl DecisionRule {
 pub const GUARD_PROBABILITY: f64 = 0.022_75;
 
 /// Result of a decision rule for a value that meets its limits.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Conformity {
     Accepted,

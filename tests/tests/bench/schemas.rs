@@ -2,6 +2,7 @@
 
 use crate::test_folder::{TestFolder, run_bench, step_text, workspace_root};
 use platebench_test_kit::skip_without;
+use rstest::rstest;
 use serde_json::Value;
 use std::fs;
 use std::process::Command;
@@ -42,6 +43,22 @@ fn a_record_and_its_events_conform() {
         broken["event"] = "other".into();
         assert!(!validator.is_valid(&broken));
     }
+}
+
+#[rstest]
+#[case("list", &["run", "--list"])]
+#[case("comparison", &["compare", "run", "run"])]
+#[case("replay", &["replay", "run/traces/s/000.csv", "--rig", "hosted"])]
+#[case("tuning", &["tune", "--plate", "scenarios/plates/aluminium-198x138.toml", "--samples", "2"])]
+#[case("board-list", &["board", "list"])]
+fn a_result_conforms(#[case] kind: &str, #[case] arguments: &[&str]) {
+    let folder = TestFolder::with_step(MIXED);
+    fs::write(folder.join("boards.toml"), "[[board]]\nname = \"a\"\nrig = \"hosted\"\n").unwrap();
+    folder.run_hosted("run");
+    let result = folder.bench(arguments.iter().chain(&["--format", "json"])).assert_exit(0).json();
+    let validator = jsonschema::validator_for(&schema(kind)).unwrap();
+    assert!(validator.is_valid(&result), "{result:#}: {:?}", validator.iter_errors(&result).collect::<Vec<_>>());
+    assert!(!validator.is_valid(&Value::Null), "{kind}");
 }
 
 #[test]

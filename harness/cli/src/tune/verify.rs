@@ -15,6 +15,7 @@ use platebench_report::console;
 use platebench_report::document::{Block, Column, Document, Table};
 use platebench_rig::{ConnectOptions, RigSpec, SafeEnd, Session, check_baud};
 use platebench_wire::{Gains, LawId};
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -26,7 +27,7 @@ pub(super) struct VerificationConfig<'a> {
     pub(super) out: Option<&'a Path>,
 }
 
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, JsonSchema)]
 pub(super) struct RigVerification {
     pub(super) rig: String,
     pub(super) firmware: String,

@@ -9,6 +9,7 @@
 //! − a v[k]` of white noise v.
 
 use nalgebra::{DMatrix, DVector};
+use schemars::JsonSchema;
 use serde::Serialize;
 use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
 
@@ -16,7 +17,7 @@ pub const CONFIDENCE: f64 = 0.95;
 pub(crate) const FREEDOM_OF_KNOWN_ERRORS: f64 = 1e4;
 
 /// A value with its two-sided interval of 95 %.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct Estimate {
     pub value: f64,
     /// Standard error.
@@ -95,7 +96,7 @@ fn quantile(freedom: f64) -> f64 {
 }
 
 /// Ljung-Box test for white residuals.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct WhitenessTest {
     /// Statistic `Q = n(n+2) Σ ρ²/(n−k)` over all lags k and both components.
     pub statistic: f64,
@@ -156,14 +157,14 @@ impl EffectFit {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct IdentifiedSecondMode {
     pub resonance_hz: Estimate,
     pub time_constant_s: Estimate,
     pub gain_um_per_vpp: Estimate,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct IdentifiedHeating {
     pub shift_hz_per_um2: Estimate,
     pub time_constant_s: Estimate,

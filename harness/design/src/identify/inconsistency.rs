@@ -8,6 +8,7 @@ use platebench_plate::plausible::{
     GAIN, MAX_DETUNING_HZ, NOISE, PlausibleRange, QUALITY_FACTOR, RESONANCE, TIME_CONSTANT,
 };
 use platebench_plate::{Complex64, Conditions, ImplausibleValue};
+use schemars::JsonSchema;
 use serde::Serialize;
 use statrs::distribution::{Binomial, DiscreteCDF};
 use std::f64::consts::{PI, TAU};
@@ -24,7 +25,7 @@ const MIN_CLIPPED: usize = 5;
 const LINEAR_PERCENT: f64 = 2.0;
 
 /// Reason why the identified parameters are doubtful.
-#[derive(Debug, Clone, PartialEq, Serialize, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Serialize, thiserror::Error, JsonSchema)]
 #[serde(rename_all = "kebab-case", tag = "kind")]
 pub enum Inconsistency {
     /// The residuals are not white, because the model does not describe a change of the plate.

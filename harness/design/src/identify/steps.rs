@@ -4,6 +4,7 @@ use crate::identify::estimate::Estimate;
 use crate::identify::estimate::{ArxMethod, ArxModel, arx};
 use crate::identify::fit::{DirectFit, fit_direct};
 use platebench_model::recording::{RecordedInput, Recording};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 const MIN_SAMPLES: usize = 6;
@@ -22,7 +23,7 @@ const NOISE_BAND: f64 = 4.0;
 const SAME_DETUNING: f64 = 1.0;
 
 /// Step of the drive without control: a row of Table I.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct VoltageStep {
     pub recording: String,
     pub t: f64,
@@ -37,7 +38,7 @@ pub struct VoltageStep {
 }
 
 /// Step of the detuning at constant Wd: a row of Table II.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct FrequencyStep {
     pub recording: String,
     pub t: f64,

@@ -7,8 +7,8 @@
 
 use crate::law_loops::{LoopCase, OperatingCondition};
 use crate::loops::{
-    AnalysisError, ClosedLoop, Discretisation, LinearController, LinearPlant, LoopChannel, LoopTiming, PiGains,
-    StepResponse, delay_boundary,
+    AnalysisError, ClosedLoop, Discretisation, LinearController, LinearPlant, LoopChannel, LoopTiming, Margins,
+    PiGains, StepResponse, delay_boundary,
 };
 use platebench_controller::{Law, Measurement};
 use platebench_engine::delay_boundary::DelayBoundary;
@@ -16,6 +16,7 @@ use platebench_plate::{
     BandMonitor, BandSignal, ConditionProfiles, Conditions, Drive, Mode, Model, Plant, Plate, Profile, Time,
 };
 use platebench_wire::{Configure, Gains, LawId, flags};
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -209,7 +210,7 @@ const MAX_DELAY_FACTOR: f64 = 8.0;
 const PENDING_POLE_RADIUS: f64 = 1e-6;
 
 /// One loop of a design at the target's delay, while the other loop is open.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct LoopEvaluation {
     /// Proportional gain, Vpp per µm or rad/s per unit of Wq/Wd.
     pub kp: f64,
@@ -218,14 +219,11 @@ pub struct LoopEvaluation {
     /// Poles in the z plane, [re, im], without the poles of pending commands.
     pub poles: Vec<[f64; 2]>,
     pub spectral_radius: f64,
-    pub gain_margin: Option<f64>,
-    pub phase_margin_deg: Option<f64>,
-    /// Additional delay until the loop is unstable; 0 or less if it is unstable already. `None` if
-    /// it is stable in the whole search range.
-    pub delay_margin_ms: Option<f64>,
+    #[serde(flatten)]
+    pub margins: Margins,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct StepEvaluation {
     /// 5 % settling time. `None` if the response does not settle.
     pub settling_ms: Option<f64>,
@@ -243,7 +241,7 @@ impl From<StepResponse> for StepEvaluation {
     }
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct DesignEvaluation {
     pub discretisation: Discretisation,
     pub designed_for_ms: f64,
@@ -320,7 +318,6 @@ fn evaluate_loop(
     }
     poles.retain(|pole| pole.norm() > PENDING_POLE_RADIUS);
     poles.sort_by(|a, b| b.norm().total_cmp(&a.norm()).then(b.im.total_cmp(&a.im)));
-    let margins = closed.margins();
     let (plant, controller) = design.linear_parts(target, Model::Envelope, which);
     let bears = delay_boundary(&plant, &controller, target.period(), longest_delay(target))?;
     Ok(LoopEvaluation {
@@ -328,8 +325,6 @@ fn evaluate_loop(
         ki_per_s: pi.integral_per_period / target.period(),
         spectral_radius: poles.iter().fold(0.0, |largest, pole| pole.norm().max(largest)),
         poles: poles.iter().map(|pole| [pole.re, pole.im]).collect(),
-        gain_margin: margins.gain,
-        phase_margin_deg: margins.phase_deg,
-        delay_margin_ms: delay_margin_ms(target, bears),
+        margins: closed.margins(delay_margin_ms(target, bears)),
     })
 }

@@ -128,7 +128,7 @@ fn a_delay_of_whole_periods_shifts_the_response() {
 #[test]
 fn margins_end_at_the_stability_boundary() {
     for pi in [forward, backward, matched] {
-        let margins = closed_amplitude_loop(pi, 0.3 * PERIOD).margins();
+        let margins = closed_amplitude_loop(pi, 0.3 * PERIOD).margins(None);
         let gain = margins.gain.unwrap();
         for (factor, stable) in [(0.999, true), (1.001, false)] {
             let (plant, controller) = amplitude_loop(|k, tau| scaled(pi(k, tau), gain * factor));
@@ -138,10 +138,10 @@ fn margins_end_at_the_stability_boundary() {
         }
     }
     // L = 0.777/(z − 1) is −0.388 at z = −1. |L| = 1 at 2 sin(θ/2) = 0.777, so 90° − θ/2 remain.
-    let margins = closed_amplitude_loop(matched, 0.0).margins();
+    let margins = closed_amplitude_loop(matched, 0.0).margins(None);
     assert_close(margins.gain.unwrap(), 2.0 / 0.7769, 1e-3);
     assert_close(margins.phase_deg.unwrap(), 90.0 - (0.7769_f64 / 2.0).asin().to_degrees(), 1e-2);
-    let late = closed_amplitude_loop(forward, PERIOD).margins();
+    let late = closed_amplitude_loop(forward, PERIOD).margins(None);
     assert!(late.gain.unwrap() < 1.0 && late.phase_deg.unwrap() < 0.0, "{late:?}");
 }
 

@@ -66,7 +66,7 @@ fn equation_24_at_1_khz_in_three_readings(
     // Forward, without delay: z² − 0.424z + 0.043 = 0. The other component's pole is excluded.
     assert_close(found.amplitude.spectral_radius, radius, 1e-3);
     for loop_figures in [&found.amplitude, &found.frequency] {
-        assert_close(loop_figures.delay_margin_ms.unwrap(), left, 1e-3);
+        assert_close(loop_figures.margins.delay_ms.unwrap(), left, 1e-3);
     }
     assert_close(found.amplitude.spectral_radius, found.frequency.spectral_radius, 1e-9);
 }
@@ -170,7 +170,7 @@ fn a_phase_margin_is_met_or_is_a_cause(#[case] phase_margin_deg: f64, #[case] me
     let found = tune_matched(&TuningTarget { phase_margin_deg, ..demand(&plate) });
     assert_eq!(found.met, met, "{:?}", found.obstacles);
     let design = found.chosen.or(found.possible).unwrap();
-    assert!(design.amplitude.phase_margin_deg.unwrap() >= phase_margin_deg - 0.1);
+    assert!(design.amplitude.margins.phase_deg.unwrap() >= phase_margin_deg - 0.1);
     if !met {
         let [InfeasibilityCause::PhaseMargin { found_deg }] = found.obstacles[..] else {
             panic!("{:?}", found.obstacles)
@@ -189,8 +189,8 @@ fn margins_end_at_the_last_settling_response(
     let plate = plate_with_limit(1e9);
     let demand = TuningTarget { delay: delay_ms * 1e-3, response: 4e-3, ..demand(&plate) };
     let found = evaluate_printed(&demand, discretisation);
-    let gain = found.amplitude.gain_margin.unwrap();
-    let delay = found.amplitude.delay_margin_ms.unwrap() * 1e-3;
+    let gain = found.amplitude.margins.gain.unwrap();
+    let delay = found.amplitude.margins.delay_ms.unwrap() * 1e-3;
     // Near the boundary the motion decays or grows slowly, so this target has a long horizon.
     let long = TuningTarget { response: 400e-3, ..demand };
     for (share, settles) in [(0.97, true), (1.03, false)] {

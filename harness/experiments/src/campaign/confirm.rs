@@ -14,6 +14,7 @@ use crate::campaign::row::{Tally, TrialRow, keep_worst, margin_text};
 use platebench_model::record::Verdict;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -108,7 +109,7 @@ fn key(seed: u64, trial: u64) -> u64 {
     random.next_u64()
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct GroupAgreement {
     /// Number of trials that belong to the group.
     pub candidates: u64,
@@ -121,18 +122,19 @@ pub struct GroupAgreement {
     pub interval: Option<[f64; 2]>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct RowDifference {
     pub trial: u64,
     pub screened: Verdict,
     pub emulated: Verdict,
     /// Smallest margins on the hosted rig and on the emulated firmware; `null` in the file without
     /// a value.
+    #[schemars(with = "[Option<f64>; 2]")]
     pub margins: [f64; 2],
 }
 
 /// Comparison of the hosted rig with the emulated firmware.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Agreement {
     pub rig: String,
     /// SHA-256 of the emulated firmware.

@@ -13,6 +13,7 @@ use crate::campaign::distribution::normal_cdf;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution as _, StandardNormal, StandardUniform};
+use schemars::JsonSchema;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 use std::cell::Cell;
@@ -201,7 +202,7 @@ const MIN_CHAINS_FOR_SPREAD: usize = 8;
 /// Plays a trial and returns its score. `None` after the last trial or a cancellation.
 type Score<'a> = dyn FnMut(&[f64]) -> Option<f64> + 'a;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum RareMethod {
     ImportanceSampling,

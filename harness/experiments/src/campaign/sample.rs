@@ -13,6 +13,7 @@ use crate::campaign::row::TrialRow;
 use platebench_verdict::statistics::quantile_bounds;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use schemars::JsonSchema;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal};
 
@@ -31,16 +32,19 @@ pub struct Sample {
 }
 
 /// Quantile of an expectation's values. With few trials, an end of its interval is infinite.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Quantile {
     pub expectation: String,
     pub share: f64,
+    /// `null` if infinite, as are the ends of the interval.
+    #[schemars(with = "Option<f64>")]
     pub value: f64,
+    #[schemars(with = "[Option<f64>; 2]")]
     pub interval: [f64; 2],
 }
 
 /// Spearman's rank correlation of a varied value and the smallest margin.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Sensitivity {
     pub key: String,
     #[serde(rename = "rank_correlation")]
@@ -51,13 +55,13 @@ pub struct Sensitivity {
 }
 
 /// First-order Sobol index of the margin's rank.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct FirstOrderIndex {
     pub index: f64,
     pub interval: [f64; 2],
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct SampleResult {
     pub trials: usize,
     pub quantiles: Vec<Quantile>,

@@ -10,6 +10,7 @@ use crate::campaign::row::{CAUSES, SequentialDecision, ShardEnd, Tally, TrialRow
 use crate::campaign::sample::{Sample, SampleResult};
 use crate::campaign::truncation::Truncation;
 use platebench_model::record::{Cause, Verdict};
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
@@ -19,7 +20,7 @@ pub const SUMMARY_FILE: &str = "summary.json";
 pub(crate) const COUNTEREXAMPLES: &str = "counterexamples";
 
 /// Content of `summary.json`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct CampaignResult<'a> {
     pub format: u32,
     pub title: &'a str,
@@ -60,7 +61,7 @@ pub struct CampaignResult<'a> {
     pub sequential: Option<Option<SequentialResult>>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct TallyResult {
     /// Listed values of a cell.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -74,21 +75,21 @@ pub struct TallyResult {
     pub worst: Option<WorstTrial>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct WorstTrial {
     /// `None` if a trial has no finite margin.
     pub smallest_margin: Option<f64>,
     pub worst_trial: u64,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct SearchResult {
     pub counterexample: Option<String>,
     pub margin: Option<f64>,
     pub trials: u64,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct RareResult<'a> {
     pub probability: Option<f64>,
     pub interval: Option<[f64; 2]>,
@@ -101,14 +102,14 @@ pub struct RareResult<'a> {
 }
 
 /// A method, the number of its chains, and why the first of them used it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct MethodUse<'a> {
     pub method: RareMethod,
     pub chains: u64,
     pub reason: &'a str,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct SequentialResult {
     pub trials: u32,
     pub verdict: Verdict,

@@ -5,13 +5,14 @@
 //! the corners of the range.
 
 use crate::campaign::distribution::Variable;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Largest number of corners that are checked.
 const MAX_CORNERS: u128 = 256;
 
 /// A normal distribution that the scenario truncates.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Truncation {
     pub key: String,

@@ -3,6 +3,7 @@
 use crate::explore::envelope::Envelope;
 use crate::explore::properties::{PropertyWindow, windows};
 use crate::explore::scene::{Scene, SceneTrial};
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -55,7 +56,7 @@ impl ChangeKind {
 }
 
 /// How often the values of a quantity were in each tenth of its range.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct RangeCoverage {
     pub quantity: &'static str,
     pub range: [f64; 2],

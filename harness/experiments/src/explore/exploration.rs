@@ -15,6 +15,7 @@ use platebench_engine::workers::{Emit, run_workers};
 use platebench_model::scenario::{Scenario, ScenarioMessage};
 use platebench_rig::CancelToken;
 use platebench_wire::LawId;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -99,20 +100,20 @@ pub struct FailedSequence {
     pub text: String,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct UndecidedScene {
     pub scene: u64,
     /// Text with the cause (`rig` or `bench`) and the reason.
     pub cause: String,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct FailedRegression {
     pub file: String,
     pub properties: Vec<Property>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct PropertyTally {
     pub windows: u64,
     pub violations: u64,

@@ -7,6 +7,7 @@ use crate::explore::scene::Tuning;
 use crate::explore::scene::{Course, Scene, SceneTrial};
 use platebench_model::scenario::Metric;
 use platebench_plate::Plate;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::f64::consts::TAU;
 
@@ -20,6 +21,7 @@ use std::f64::consts::TAU;
     Ord,
     Hash,
     Serialize,
+    JsonSchema,
     strum::VariantArray,
     strum::Display,
     strum::IntoStaticStr,

@@ -11,6 +11,7 @@ use platebench_engine::SafeEnds;
 use platebench_model::record::Verdict;
 use platebench_report::document::{Block, Document, Figure, Table};
 use platebench_verdict::statistics::clopper_pearson;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -18,7 +19,7 @@ use std::fmt::Write as _;
 const CONFIDENCE: f64 = 0.95;
 pub const FILE: &str = "explore.json";
 
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct ExploreReport {
     pub format: u32,
     /// `fail` after a violation. Otherwise `inconclusive` if a scene is undecided, a signal ended
@@ -52,14 +53,14 @@ pub struct ExploreReport {
     pub coverage: CoverageReport,
 }
 
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct PropertyReport {
     pub property: Property,
     #[serde(flatten)]
     pub tally: PropertyTally,
 }
 
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct ViolationReport {
     pub property: Property,
     /// Number of the scene or the sequence of messages.
@@ -82,14 +83,14 @@ pub struct ViolationReport {
     pub replays: u32,
 }
 
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct CoverageReport {
     pub ranges: Vec<RangeCoverage>,
     pub pairs: Vec<PairCoverage>,
     pub histories: BTreeMap<usize, u64>,
 }
 
-#[derive(Debug, Clone, Copy, Serialize)]
+#[derive(Debug, Clone, Copy, Serialize, JsonSchema)]
 pub struct PairCoverage {
     pub first: &'static str,
     pub second: &'static str,

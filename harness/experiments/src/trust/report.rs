@@ -3,6 +3,7 @@
 use platebench_model::record::Verdict;
 use platebench_report::document::{Block, Column, Document, Table};
 use platebench_verdict::statistics::clopper_pearson;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Write};
@@ -10,7 +11,7 @@ use std::fmt::{self, Write};
 /// Confidence of each one-sided bound.
 pub const CONFIDENCE: f64 = 0.95;
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct TrustReport {
     pub format: u32,
     /// `pass` if every mutant is caught for a right reason and there is no false alarm, else
@@ -23,7 +24,7 @@ pub struct TrustReport {
     pub clean: FalseAlarmResult,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct Rate {
     pub seen: u32,
     pub count: u32,
@@ -38,13 +39,13 @@ impl Rate {
     }
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct ScenarioRate {
     pub file: String,
     pub kill_rate: Rate,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct MutantResult {
     pub name: String,
     pub mistake: String,
@@ -62,7 +63,7 @@ impl MutantResult {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MutantOutcome {
     Caught,
@@ -71,7 +72,7 @@ pub enum MutantOutcome {
     Survived,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
 pub struct FailedExpectation {
     pub scenario: String,
     /// Number of the expectation, from 1. It is 0 for a violation of the protocol.
@@ -79,7 +80,7 @@ pub struct FailedExpectation {
     pub metric: String,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct FalseAlarmResult {
     /// Share of clean runs that fail. Each plays one scenario with another plate and noise.
     pub false_alarm_rate: Rate,
@@ -90,7 +91,7 @@ pub struct FalseAlarmResult {
     pub alarms: Vec<FalseAlarm>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct FalseAlarm {
     /// `reference` or the name of a clean variant.
     pub controller: String,

@@ -7,6 +7,7 @@ use platebench_model::scenario::Diagnostic;
 use platebench_model::trace::{AtPath, FileError, read_regular_file, write_atomically};
 use platebench_rig::{Capability, RigSpec};
 use platebench_verdict::uncertainty::{CombinedUncertainty, Conformity, DecisionRule};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -19,7 +20,7 @@ pub(crate) const BUDGET: &str = "budget.toml";
 pub(crate) const STEPS: &str = "steps";
 pub const FORMAT: u32 = 1;
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SessionRecord {
     pub format: u32,
     /// Combined verdict of requirements, scenarios, self-test and confirmations; `inconclusive`
@@ -51,14 +52,14 @@ pub struct SessionRecord {
     pub signature: Option<SignatureRecord>,
 }
 
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct SessionDetails {
     pub operator: Option<String>,
     pub place: Option<String>,
     pub notes: Option<String>,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct BenchRecord {
     pub tool: Tool,
     /// SHA-256 of the program, hexadecimal.
@@ -66,7 +67,7 @@ pub struct BenchRecord {
     pub host: Host,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ClockRecord {
     /// `lockstep` or `real-time`.
     pub name: String,
@@ -76,7 +77,7 @@ pub struct ClockRecord {
     pub pacing: String,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct FirmwareRecord {
     #[serde(flatten)]
     pub firmware: Firmware,
@@ -86,7 +87,7 @@ pub struct FirmwareRecord {
     pub image_sha256: Option<String>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum StepKind {
     Identity,
@@ -96,7 +97,7 @@ pub enum StepKind {
     Scenario,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StepRecord {
     /// Number and name, such as `03-self-test`; also the name of the step's folder below `steps`.
     pub id: String,
@@ -117,7 +118,7 @@ pub struct StepRecord {
     pub trust: Option<TrustRecord>,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Attempt {
     pub started: String,
     /// `null` if the bench stopped during the attempt.
@@ -126,7 +127,7 @@ pub struct Attempt {
     pub broken_off: Option<String>,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct AnswerRecord {
     /// `yes`, `no` or the text; `null` without an answer.
     pub text: Option<String>,
@@ -134,7 +135,7 @@ pub struct AnswerRecord {
     pub from: String,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SelfTestRecord {
     pub scenario: String,
     /// True if two lockstep runs of the hosted controller gave equal traces.
@@ -146,7 +147,7 @@ pub struct SelfTestRecord {
     pub scheduling: String,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TrustRecord {
     pub faults: u32,
     /// Number of faults that were caught for a right reason.
@@ -157,7 +158,7 @@ pub struct TrustRecord {
     pub false_alarms: u32,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct DecisionRecord {
     pub rule: DecisionRule,
     pub title: String,
@@ -166,7 +167,7 @@ pub struct DecisionRecord {
     pub budget: InputRecord,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct InstrumentRecord {
     pub name: String,
     pub serial: String,
@@ -177,7 +178,7 @@ pub struct InstrumentRecord {
     pub waived: bool,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EvidenceUncertainty {
     pub value: f64,
     /// Value ± expanded uncertainty.
@@ -188,7 +189,7 @@ pub struct EvidenceUncertainty {
     pub combined: CombinedUncertainty,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RequirementRecord {
     pub id: String,
     pub text: String,
@@ -197,7 +198,7 @@ pub struct RequirementRecord {
     pub evidence: Vec<EvidenceRecord>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EvidenceRecord {
     pub step: String,
     pub scenario: String,
@@ -211,7 +212,7 @@ pub struct EvidenceRecord {
     pub uncertainty: Option<EvidenceUncertainty>,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct SignatureRecord {
     pub algorithm: String,
     /// In PEM, as `openssl pkey -pubout` writes it.

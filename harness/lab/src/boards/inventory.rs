@@ -64,10 +64,11 @@ struct RawBoardSensor {
     uncertainty_percent: Option<f64>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Board {
     pub name: String,
     #[serde(serialize_with = "serialize_rig")]
+    #[schemars(with = "String")]
     pub rig: RigSpec,
     pub host: Option<String>,
     /// Hexadecimal digits in lower case.
@@ -100,7 +101,7 @@ impl BoardSensor {
     }
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct BoardSensor {
     pub name: String,
     pub calibrated: Option<String>,

@@ -8,6 +8,7 @@ use platebench_model::record::{FileLock, FolderError, RunFolder, RunRecord, Verd
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{AtPath as _, read_text_file, write_atomically};
 use platebench_report::document::{Block, Document, Table};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -123,7 +124,7 @@ pub const SOAK_FILE: &str = "soak.json";
 const FORMAT: u32 = 1;
 const MAX_BYTES: u64 = 1 << 26;
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SoakRecord {
     format: u32,
     pub board: String,
@@ -142,7 +143,7 @@ pub struct SoakRecord {
     pub kept: Vec<String>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum SoakEnd {
     Time,
@@ -151,7 +152,7 @@ pub enum SoakEnd {
     Lost,
 }
 
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct SoakScenario {
     pub runs: u64,
     pub trials: u64,
@@ -161,7 +162,7 @@ pub struct SoakScenario {
 }
 
 /// Mean and variance by Welford's method (*Technometrics* 4, 1962, pp. 419-420).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunningStatistics {
     pub count: u64,
     pub mean: f64,

@@ -6,6 +6,7 @@ use platebench_engine::RunError;
 use platebench_model::record::{RECORD_FILE, RunRecord, Verdict, utc_timestamp};
 use platebench_model::trace::{AtPath, FileError, read_text_file, write_atomically};
 use platebench_rig::{LockHolder, lock_file};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File};
 use std::io;
@@ -14,7 +15,7 @@ use std::path::{Path, PathBuf};
 const FORMAT: u32 = 1;
 const MAX_STATE_BYTES: u64 = 1 << 20;
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub(crate) struct StoredState {
     format: u32,
     /// Mark that is present from before the first voltage until the controller has confirmed 0 V.
@@ -24,7 +25,7 @@ pub(crate) struct StoredState {
     pub(crate) cleared: Option<Clearance>,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub(crate) struct InUse {
     pub(crate) since: String,
     pub(crate) process: u32,
@@ -33,20 +34,20 @@ pub(crate) struct InUse {
     pub(crate) command: String,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Quarantine {
     pub since: String,
     pub reason: String,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct LastRun {
     pub started: String,
     pub folder: PathBuf,
     pub verdict: Option<Verdict>,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub(crate) struct Clearance {
     at: String,
     user: Option<String>,

@@ -3,10 +3,11 @@
 use crate::document::{Block, Document};
 use crate::format;
 use platebench_verdict::golden::TubeComparison;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::path::PathBuf;
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct ScenarioComparison {
     pub scenario: String,
     #[serde(flatten)]

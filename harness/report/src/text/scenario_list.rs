@@ -5,17 +5,18 @@ use crate::escape::printable;
 use crate::format;
 use platebench_model::record::Metric;
 use platebench_model::scenario::{Aggregation, Expectation, Limit, Scenario};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 const FORMAT: u32 = 1;
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct ScenarioList<'a> {
     format: u32,
     scenarios: Vec<ListedScenario<'a>>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 struct ListedScenario<'a> {
     file: &'a str,
     title: &'a str,
@@ -27,7 +28,7 @@ struct ListedScenario<'a> {
     expectations: Vec<ListedExpectation<'a>>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 struct ListedExpectation<'a> {
     name: &'a str,
     metric: Metric,

@@ -4,6 +4,7 @@ use crate::statistics::probability_at_least;
 use crate::tube::{Exceedance, TUBE_SIGNALS, Tube, TubePoint, TubeSignal, signal_response};
 use platebench_model::record::Verdict;
 use platebench_model::trace::Row;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 const SIGNIFICANCE_LEVEL: f64 = 0.05;
@@ -21,7 +22,7 @@ pub struct GoldenTubes {
     pub false_alarm_rate: Option<f64>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum TubeMatch {
     Inside,
@@ -33,7 +34,7 @@ pub enum TubeMatch {
     },
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct TubeComparison {
     pub verdict: Verdict,
     pub trials: usize,
