@@ -12,7 +12,7 @@ use clap::{Args, Subcommand};
 use platebench_experiments::explore::Envelope;
 use platebench_experiments::explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
 use platebench_experiments::trust::report::{document, matrix};
-use platebench_experiments::trust::{TrustConfig, TrustReport, catalogue, clean_variants, measure};
+use platebench_experiments::trust::{TrustConfig, TrustReport, catalogue, clean_variants, measure, protocol_faults};
 use platebench_model::record::Verdict;
 use platebench_model::trace::write_atomically;
 use platebench_report::Detail;
@@ -68,7 +68,7 @@ Examples:
   platebench suite trust --scenes 2000            the kill rate of platebench suite explore as well
 
 Exit codes: 0 the scenarios killed every mutant for the right reason without a false alarm, and no generated
-scene blamed a correct controller; 1 otherwise")]
+scene blamed a correct controller; 1 otherwise. Protocol faults do not change it.")]
 struct TrustArgs {
     /// Scenario files, or folders with everything below them
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
@@ -102,6 +102,7 @@ fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
     let config = TrustConfig {
         scenarios: find_scenarios(&arguments.scenarios, &arguments.tags, |_| true, detail)?,
         mutants: catalogue(),
+        protocol_faults: protocol_faults(),
         variants: clean_variants(),
         clean_runs: arguments.clean,
         seed: arguments.seed,
@@ -112,6 +113,7 @@ fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
     let exploration = arguments.scenes.zip(envelope).map(|(scenes, envelope)| KillRateConfig {
         envelope,
         mutants: catalogue(),
+        protocol_faults: protocol_faults(),
         variants: clean_variants(),
         scenes,
         seed: arguments.seed,
@@ -128,8 +130,10 @@ fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
     let exit = Exit::of_verdict(if blames > 0 { Verdict::Fail } else { report.verdict });
     let caught =
         format!("{} of {} mutants were caught for the right reason", report.kill_rate.seen, report.kill_rate.count);
+    let protocol = report.protocol_faults.kill_rate;
     let alarms = format!("{}, {} in generated scenes", count(report.clean.alarms.len(), "false alarm"), blames);
-    exit.show_verdict(&format!("{caught}; {alarms}"), arguments.format);
+    let protocol = format!("{} of {} protocol faults", protocol.seen, protocol.count);
+    exit.show_verdict(&format!("{caught}, {protocol}; {alarms}"), arguments.format);
     Ok(exit)
 }
 

@@ -16,9 +16,10 @@ use platebench_engine::workers::collect_in_parallel;
 use platebench_model::record::{Verdict, ViolationKind};
 use platebench_model::scenario::{Metric, Scenario, Spread};
 use platebench_rig::BoxedLink;
-use play::play_as;
+use play::{play_as, play_or_refuse};
 use report::{
-    CONFIDENCE, FailedExpectation, FalseAlarm, FalseAlarmResult, MutantOutcome, MutantResult, Rate, ScenarioRate,
+    CONFIDENCE, FailedExpectation, FalseAlarm, FalseAlarmResult, MutantOutcome, MutantResult, ProtocolFaultResult,
+    Rate, ScenarioRate,
 };
 
 pub use catalogue::{CleanVariant, MutantSpec, ReferenceController, catalogue, clean_variants};
@@ -40,6 +41,8 @@ const MAX_CLEAN_DURATION_S: f64 = 2.0;
 pub struct TrustConfig {
     pub scenarios: Vec<Scenario>,
     pub mutants: Vec<MutantSpec>,
+    /// Faults with a kill rate of their own, which does not change the verdict.
+    pub protocol_faults: Vec<MutantSpec>,
     pub variants: Vec<CleanVariant>,
     pub clean_runs: u32,
     pub seed: u64,
@@ -52,10 +55,13 @@ pub fn measure(config: &TrustConfig) -> Result<TrustReport, TrustError> {
         run_suite(config.jobs, suite, &ReferenceController::ALL, |_| "reference", |reference| reference.link())?;
     let of_reference =
         |reference: ReferenceController| references.get(reference as usize).map_or(&[][..], Vec::as_slice);
-    let played = run_suite(config.jobs, suite, faults, |entry| entry.name, MutantSpec::link)?;
-    let results = faults.iter().zip(&played);
-    let outcomes: Vec<MutantResult> =
-        results.map(|(entry, judged)| mutant_result(entry, suite, judged, of_reference(entry.reference))).collect();
+    let judge = |faults: &[MutantSpec]| -> Result<Vec<MutantResult>, TrustError> {
+        let played = run_suite(config.jobs, suite, faults, |entry| entry.name, MutantSpec::link)?;
+        let results = faults.iter().zip(&played);
+        Ok(results.map(|(entry, judged)| mutant_result(entry, suite, judged, of_reference(entry.reference))).collect())
+    };
+    let outcomes = judge(faults)?;
+    let protocol_outcomes = judge(&config.protocol_faults)?;
     let mut alarms = suite_alarms("reference", suite, of_reference(ReferenceController::Firmware));
     let by_firmware: Vec<FailedExpectation> = alarms.iter().map(|alarm| alarm.cell.clone()).collect();
     let variants = run_suite(config.jobs, suite, &config.variants, |variant| variant.name, CleanVariant::link)?;
@@ -64,17 +70,22 @@ pub fn measure(config: &TrustConfig) -> Result<TrustReport, TrustError> {
         alarms.extend(own.filter(|alarm| !by_firmware.contains(&alarm.cell)));
     }
     let clean = measure_false_alarms(config, alarms)?;
-    let caught = outcomes.iter().filter(|fault| fault.outcome == MutantOutcome::Caught).count();
-    let passes = caught == faults.len() && !faults.is_empty() && clean.alarms.is_empty();
+    let kill_rate = kill_rate_of(&outcomes);
+    let passes = kill_rate.seen == kill_rate.count && !faults.is_empty() && clean.alarms.is_empty();
     Ok(TrustReport {
         format: 1,
         verdict: if passes { Verdict::Pass } else { Verdict::Fail },
         confidence: CONFIDENCE,
-        kill_rate: Rate::new(caught, faults.len()),
+        kill_rate,
         scenarios: suite.iter().map(|scenario| scenario_rate(scenario, &outcomes)).collect(),
         faults: outcomes,
+        protocol_faults: ProtocolFaultResult { kill_rate: kill_rate_of(&protocol_outcomes), faults: protocol_outcomes },
         clean,
     })
+}
+
+fn kill_rate_of(outcomes: &[MutantResult]) -> Rate {
+    Rate::new(outcomes.iter().filter(|fault| fault.outcome == MutantOutcome::Caught).count(), outcomes.len())
 }
 
 fn suite_alarms(controller: &str, suite: &[Scenario], results: &[PlayResult]) -> Vec<FalseAlarm> {
@@ -208,7 +219,7 @@ fn run_suite<T: Sync>(
     let pairs: Vec<(&T, &Scenario)> =
         controllers.iter().flat_map(|controller| suite.iter().map(move |scenario| (controller, scenario))).collect();
     let judged = collect_in_parallel(jobs, &pairs, |(controller, scenario)| {
-        play(scenario, name(controller), &|| link(controller))
+        play_or_refuse(scenario, name(controller), &|| link(controller))
     })?;
     Ok(judged.chunks(suite.len()).map(<[PlayResult]>::to_vec).collect())
 }

@@ -19,6 +19,8 @@ use serde::Serialize;
 pub struct KillRateConfig {
     pub envelope: Envelope,
     pub mutants: Vec<MutantSpec>,
+    /// Faults that are explored without the reference and with it.
+    pub protocol_faults: Vec<MutantSpec>,
     pub variants: Vec<CleanVariant>,
     pub scenes: u64,
     pub seed: u64,
@@ -32,6 +34,7 @@ pub struct KillRateReport {
     pub seed: u64,
     pub kill_rate: Rate,
     pub mutants: Vec<MutantSearch>,
+    pub protocol_faults: ProtocolFaultSearch,
     pub false_alarm_rate: Rate,
     pub alarms: Vec<SceneAlarm>,
 }
@@ -41,6 +44,14 @@ pub struct MutantSearch {
     pub name: &'static str,
     /// The first scene that fails. `None` if the mutant survived.
     pub found: Option<FoundScene>,
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct ProtocolFaultSearch {
+    pub kill_rate: Rate,
+    pub faults: Vec<MutantSearch>,
+    pub kill_rate_with_reference: Rate,
+    pub faults_with_reference: Vec<MutantSearch>,
 }
 
 #[derive(Debug, Clone, Copy, Serialize)]
@@ -62,11 +73,17 @@ pub struct SceneAlarm {
 
 /// Explores mutants and clean variants with `dq-pi`, and the firmware with every explored law.
 pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRateReport, ExploreError> {
-    let mut mutants = Vec::with_capacity(config.mutants.len());
-    for mutant in &config.mutants {
-        let result = config.explore(LawId::DqPi, 1, &|| mutant.link(), cancel)?;
-        mutants.push(MutantSearch { name: mutant.name, found: first_failure(&result) });
-    }
+    let search = |mutants: &[MutantSpec], compares_reference| -> Result<(Rate, Vec<MutantSearch>), ExploreError> {
+        let results = mutants.iter().map(|mutant| {
+            let result = config.explore(LawId::DqPi, 1, &|| mutant.link(), compares_reference, cancel)?;
+            Ok(MutantSearch { name: mutant.name, found: first_failure(&result) })
+        });
+        let results = results.collect::<Result<Vec<_>, ExploreError>>()?;
+        Ok((Rate::new(results.iter().filter(|mutant| mutant.found.is_some()).count(), results.len()), results))
+    };
+    let (kill_rate, mutants) = search(&config.mutants, false)?;
+    let (own_kill_rate, faults) = search(&config.protocol_faults, false)?;
+    let (kill_rate_with_reference, faults_with_reference) = search(&config.protocol_faults, true)?;
     let (mut scenes, mut failed, mut alarms) = (0, 0, Vec::new());
     for law in LawProperties::explored_laws() {
         let firmware = (!config.variants.is_empty()).then_some(("reference", None));
@@ -74,7 +91,7 @@ pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRa
         let variants = variants.filter(|_| law == LawId::DqPi);
         for (controller, variant) in firmware.into_iter().chain(variants) {
             let link = || variant.map_or_else(|| -> BoxedLink { Box::new(HostedLink::new()) }, CleanVariant::link);
-            let result = config.explore(law, u64::MAX, &link, cancel)?;
+            let result = config.explore(law, u64::MAX, &link, false, cancel)?;
             scenes += result.scenes as usize;
             failed += result.failed.len();
             alarms.extend(result.failed.iter().flat_map(|scene| {
@@ -89,13 +106,18 @@ pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRa
             }));
         }
     }
-    let found = mutants.iter().filter(|mutant| mutant.found.is_some()).count();
     Ok(KillRateReport {
         format: 1,
         scenes: config.scenes,
         seed: config.seed,
-        kill_rate: Rate::new(found, mutants.len()),
+        kill_rate,
         mutants,
+        protocol_faults: ProtocolFaultSearch {
+            kill_rate: own_kill_rate,
+            faults,
+            kill_rate_with_reference,
+            faults_with_reference,
+        },
         false_alarm_rate: Rate::new(failed, scenes),
         alarms,
     })
@@ -119,6 +141,10 @@ impl KillRateReport {
             format!("mutants that scenarios or exploration find: {}", format_rate(Rate::new(both, self.mutants.len()))),
             format!("scenes with a false alarm: {}", format_rate(self.false_alarm_rate)),
         ];
+        lines.extend([
+            format!("protocol faults that exploration finds: {}", format_rate(self.protocol_faults.kill_rate)),
+            format!("the same with the reference: {}", format_rate(self.protocol_faults.kill_rate_with_reference)),
+        ]);
         if !survivors.is_empty() {
             lines.insert(1, format!("mutants that survive exploration: {}", survivors.join(", ")));
         }
@@ -137,6 +163,8 @@ impl KillRateConfig {
         law: LawId,
         max_failed: u64,
         link: &(dyn Fn() -> BoxedLink + Send + Sync),
+        // Clean variants may have other gains, so their commands may differ from the reference.
+        compares_reference: bool,
         cancel: &CancelToken,
     ) -> Result<Exploration, ExploreError> {
         let config = ExploreConfig {
@@ -148,8 +176,7 @@ impl KillRateConfig {
             max_failed,
             jobs: self.jobs,
             own_clock: false,
-            // Clean variants may have other gains, so their commands may differ from the reference.
-            compares_reference: false,
+            compares_reference,
             regressions: Vec::new(),
             sequences: None,
         };

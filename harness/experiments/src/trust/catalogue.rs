@@ -20,7 +20,7 @@ const DYNAMICS: &[Metric] =
     &[Metric::SettlingTime, Metric::Overshoot, Metric::RecoveryTime, Metric::PeakDeviation, Metric::DrivePeak];
 const DISTURBANCE: &[Metric] = &[Metric::PeakDeviation, Metric::RecoveryTime];
 const RESONANCE: &[Metric] = &[Metric::FrequencyError, Metric::QuadratureRatio];
-const REFERENCE: &[Metric] = &[Metric::ReferenceDifference, Metric::ProtocolDifferences];
+pub(crate) const REFERENCE: &[Metric] = &[Metric::ReferenceDifference, Metric::ProtocolDifferences];
 const SHUTDOWN: &[Metric] = &[Metric::ShutdownTime];
 const RESPONSE: &[Metric] = &[Metric::Overshoot, Metric::SettlingTime, Metric::StaticError, Metric::MissedReplies];
 
@@ -87,7 +87,8 @@ pub struct MutantSpec {
     /// Metrics that should detect the mutant, besides `REFERENCE`. Others are a wrong reason.
     pub detecting_metrics: &'static [Metric],
     pub detecting_violations: &'static [ViolationKind],
-    /// Scenario in which one of these metrics or violations must detect the mutant.
+    /// Scenario in which one of these metrics or violations must detect the mutant. Empty if no
+    /// scenario detects it.
     pub witness_scenario: &'static str,
     pub reference: ReferenceController,
     pub build: fn() -> Box<dyn Mutant>,
@@ -111,11 +112,15 @@ impl MutantSpec {
         link(self.build)
     }
 
-    const fn caught_by(self, detecting_metrics: &'static [Metric], witness_scenario: &'static str) -> Self {
+    pub(crate) const fn caught_by(self, detecting_metrics: &'static [Metric], witness_scenario: &'static str) -> Self {
         Self { detecting_metrics, witness_scenario, ..self }
     }
 
-    const fn violating(self, detecting_violations: &'static [ViolationKind], witness_scenario: &'static str) -> Self {
+    pub(crate) const fn violating(
+        self,
+        detecting_violations: &'static [ViolationKind],
+        witness_scenario: &'static str,
+    ) -> Self {
         Self { detecting_violations, witness_scenario, ..self }
     }
 

@@ -1,9 +1,9 @@
 //! Plays a scenario with a controller and judges it in memory.
 
 use platebench_engine::{Executor, ExecutorSettings, RunError, SafeEnds, ScenarioEnd};
-use platebench_model::record::ViolationKind;
+use platebench_model::record::{Verdict, ViolationKind};
 use platebench_model::scenario::Scenario;
-use platebench_rig::{BoxedLink, CancelToken};
+use platebench_rig::{BoxedLink, CancelToken, RigError};
 use platebench_verdict::Judgement;
 use platebench_wire::LawId;
 use std::collections::BTreeSet;
@@ -19,11 +19,35 @@ pub enum TrustError {
     Internal,
 }
 
+impl TrustError {
+    const fn is_refused_configuration(&self) -> bool {
+        match self {
+            Self::Run { source, .. } => matches!(**source, RunError::Rig(RigError::ConfigurationRejected(_))),
+            Self::UnknownLaw { .. } | Self::Internal => false,
+        }
+    }
+}
+
 #[derive(Debug, Clone)]
 pub struct PlayResult {
     pub judgement: Judgement,
     /// Violations of the protocol; each kind occurs at most once.
     pub violations: Vec<ViolationKind>,
+}
+
+/// Plays like [`play`]. A refused configuration, which ends a run with exit code 2, is a violation.
+pub(crate) fn play_or_refuse(
+    scenario: &Scenario,
+    controller: &str,
+    connect: &Connect<'_>,
+) -> Result<PlayResult, TrustError> {
+    match play(scenario, controller, connect) {
+        Err(error) if error.is_refused_configuration() => Ok(PlayResult {
+            judgement: Judgement { verdict: Verdict::Fail, expectations: Vec::new() },
+            violations: vec![ViolationKind::WrongConfiguration],
+        }),
+        result => result,
+    }
 }
 
 /// Connects to a new controller.

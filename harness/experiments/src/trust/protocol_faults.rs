@@ -1,7 +1,7 @@
 //! Lists faults of the protocol, which were written from `docs/wire-protocol.md` after the suite.
 //! The table of `docs/trust.md` names the rule that each one breaks.
 
-use crate::trust::catalogue::{MutantSpec, mutant};
+use crate::trust::catalogue::{MutantSpec, REFERENCE, mutant};
 use crate::trust::mutants::{on_any_command, on_command, on_configure, on_message, on_sample};
 use crate::trust::protocol_mutants::{
     AnswerKept, ConfigurationMark, EchoCounted, FrequencyKept, InvalidBodyNotCounted, KeptAnswer,
@@ -12,6 +12,10 @@ use crate::trust::protocol_mutants::{
 use crate::trust::watchdog_mutants::{OwnWatchdog, ValuesBeforeWatchdog, WatchdogFault};
 use platebench_model::record::ViolationKind;
 use platebench_model::scenario::Metric;
+
+/// Scenarios that catch the faults which they name; no scenario catches the others.
+const PROTOCOL: &str = "reference/protocol.toml";
+const FULL_DELAY: &str = "laws/specified-delay-one-period-dq-pi.toml";
 
 /// Every failure is a right reason: each fault breaks a rule that a correct controller keeps.
 const VIOLATIONS: &[ViolationKind] = &[
@@ -76,11 +80,13 @@ fn counter_faults() -> Vec<MutantSpec> {
 fn kept_state_faults() -> Vec<MutantSpec> {
     vec![
         mutant("law-state-kept", "a configuration equal to the one before keeps the state of the law")
+            .caught_by(REFERENCE, PROTOCOL)
             .with(OwnLaw::kept),
         mutant(
             "rejected-count-kept",
             "counter of rejected frames kept across a configuration, instead of 0 at the first sample",
         )
+        .caught_by(REFERENCE, PROTOCOL)
         .with(|| Box::<RejectedCountKept>::default()),
         mutant(
             "answer-kept-after-refusal",
@@ -91,11 +97,13 @@ fn kept_state_faults() -> Vec<MutantSpec> {
             "frequency-kept",
             "commands between a configuration and its first sample contain the last frequency, not the start frequency",
         )
+        .caught_by(REFERENCE, PROTOCOL)
         .with(|| Box::<FrequencyKept>::default()),
         mutant(
             "timeout-kept",
             "watchdog timeout 0 keeps the timeout of the configuration before, instead of five periods",
         )
+        .caught_by(REFERENCE, PROTOCOL)
         .with(|| {
             let mut last = 0;
             on_configure(move |configure| {
@@ -109,6 +117,7 @@ fn kept_state_faults() -> Vec<MutantSpec> {
             "gains-kept",
             "configuration without gains keeps the gains of the one before, instead of the law's design",
         )
+        .caught_by(REFERENCE, PROTOCOL)
         .with(|| {
             let mut last = None;
             on_configure(move |configure| {
@@ -120,8 +129,10 @@ fn kept_state_faults() -> Vec<MutantSpec> {
             "second-stop-not-reported",
             "mark that a stop was reported outlives the configuration: only the first stop is reported",
         )
+        .caught_by(REFERENCE, PROTOCOL)
         .with(|| Box::<SecondStopNotReported>::default()),
         mutant("answer-kept-after-safe", "sample repeated after `safe` is answered with the drive from before")
+            .caught_by(REFERENCE, PROTOCOL)
             .with(|| AnswerKept::of(KeptAnswer::AfterSafe)),
     ]
 }
@@ -166,10 +177,12 @@ fn watchdog_faults() -> Vec<MutantSpec> {
             },
         ),
         mutant("watchdog-from-second-sample", "watchdog starts with the second sample instead of the first")
+            .caught_by(REFERENCE, PROTOCOL)
             .with(|| OwnWatchdog::with(WatchdogFault::FromSecondSample)),
         mutant("watchdog-fed-by-rejected-frames", "any frame restarts the watchdog, rejected ones too")
             .with(|| OwnWatchdog::with(WatchdogFault::FedByRejectedFrames)),
         mutant("watchdog-fed-by-repeats", "repeated sample restarts the watchdog")
+            .caught_by(REFERENCE, PROTOCOL)
             .with(|| OwnWatchdog::with(WatchdogFault::FedByRepeats)),
         mutant(
             "watchdog-after-limit",
@@ -179,6 +192,7 @@ fn watchdog_faults() -> Vec<MutantSpec> {
         mutant("values-before-watchdog", "late sample that is not finite stops with cause 3 instead of 1")
             .with(|| Box::<ValuesBeforeWatchdog>::default()),
         mutant("watchdog-of-10-ms-ticks", "watchdog starts with the next tick of a timer of 10 ms: up to 10 ms late")
+            .caught_by(REFERENCE, PROTOCOL)
             .with(|| OwnWatchdog::with(WatchdogFault::Ticks)),
     ]
 }
@@ -194,13 +208,15 @@ fn step_faults() -> Vec<MutantSpec> {
                 }
             })
         }),
-        mutant("full-period-delay-refused", "loop delay equal to the period is answered with 1").with(|| {
-            on_configure(|configure| {
-                if configure.loop_delay_us == configure.period_us {
-                    refuse(configure);
-                }
-            })
-        }),
+        mutant("full-period-delay-refused", "loop delay equal to the period is answered with 1")
+            .violating(&[ViolationKind::WrongConfiguration], FULL_DELAY)
+            .with(|| {
+                on_configure(|configure| {
+                    if configure.loop_delay_us == configure.period_us {
+                        refuse(configure);
+                    }
+                })
+            }),
         mutant("one-flag-only", "flags sent as one number: at the limits of drive and frequency flag 1 is missing")
             .with(|| on_command(send_one_flag)),
         mutant("flags-kept-in-stop", "command of a stop repeats the flags of the last step, instead of 0").with(|| {
@@ -217,30 +233,34 @@ fn step_faults() -> Vec<MutantSpec> {
             "list of 4,096 setpoint changes: later ones are ignored until the next configuration",
         )
         .with(|| on_message(setpoint_list_full(4_096))),
-        mutant("infinite-wq-accepted", "infinite Wq clipped to a large number instead of a stop with cause 3").with(
-            || {
+        mutant("infinite-wq-accepted", "infinite Wq clipped to a large number instead of a stop with cause 3")
+            .caught_by(REFERENCE, PROTOCOL)
+            .with(|| {
                 on_sample(|sample| {
                     if sample.wq_um.is_infinite() {
                         sample.wq_um = LARGE_WQ_UM.copysign(sample.wq_um);
                     }
                 })
-            },
-        ),
+            }),
     ]
 }
 
 fn frame_faults() -> Vec<MutantSpec> {
     vec![
         mutant("no-checksum-after-rejected", "CRC of the frame after a rejected one not checked")
+            .caught_by(REFERENCE, PROTOCOL)
             .with(|| Box::<NoChecksumAfterRejected>::default()),
         mutant("echo-counted", "messages that only a controller sends counted as rejected frames")
+            .caught_by(REFERENCE, PROTOCOL)
             .with(|| Box::new(EchoCounted)),
         mutant("invalid-body-not-counted", "frame with a valid CRC and an invalid body not counted as rejected")
+            .caught_by(REFERENCE, PROTOCOL)
             .with(|| Box::new(InvalidBodyNotCounted)),
         mutant(
             "number-0-as-forgotten",
             "forgotten number of the last sample stored as 0: a first sample with number 0 is taken as repeated",
         )
+        .caught_by(REFERENCE, PROTOCOL)
         .with(Number0AsForgotten::at_power_on),
     ]
 }
@@ -248,38 +268,43 @@ fn frame_faults() -> Vec<MutantSpec> {
 /// Values of a configuration at the ends of their ranges.
 fn value_faults() -> Vec<MutantSpec> {
     vec![
-        mutant("zero-slew-accepted", "slew of 0 accepted as a fixed frequency, instead of answered with 1").with(
-            || {
+        mutant("zero-slew-accepted", "slew of 0 accepted as a fixed frequency, instead of answered with 1")
+            .caught_by(REFERENCE, PROTOCOL)
+            .with(|| {
                 on_configure(|configure| {
                     if configure.frequency_slew_hz == 0.0 {
                         configure.frequency_slew_hz = f32::MIN_POSITIVE;
                     }
                 })
-            },
-        ),
+            }),
         mutant(
             "zero-delay-accepted",
             "loop delay of 0 with bit 2 accepted as no delay, instead of rejected as a message",
         )
+        .caught_by(REFERENCE, PROTOCOL)
         .with(|| Box::new(ZeroDelayAccepted)),
         mutant(
             "unknown-law-answered",
             "law number that the page does not list answered with 2, instead of rejected as a message",
         )
+        .caught_by(REFERENCE, PROTOCOL)
         .with(|| Box::<UnknownLawAnswered>::default()),
         mutant(
             "start-frequency-in-f32",
             "start frequency stored as f32 in mHz: a multiple of 2 above 16,777 Hz, of 4 above 33,554 Hz",
         )
         .with(|| on_configure(|configure| configure.start_frequency_mhz = configure.start_frequency_mhz as f32 as u32)),
-        mutant("negative-gain-refused", "configured gain below 0 answered with 1").with(|| {
-            on_configure(|configure| {
-                if configure.gains.as_ref().is_some_and(has_negative_gain) {
-                    refuse(configure);
-                }
-            })
-        }),
+        mutant("negative-gain-refused", "configured gain below 0 answered with 1").caught_by(REFERENCE, PROTOCOL).with(
+            || {
+                on_configure(|configure| {
+                    if configure.gains.as_ref().is_some_and(has_negative_gain) {
+                        refuse(configure);
+                    }
+                })
+            },
+        ),
         mutant("unused-gains-checked", "gains that are not finite answered with 1 although bit 0 is not set")
+            .caught_by(REFERENCE, PROTOCOL)
             .with(|| Box::new(UnusedGainsChecked)),
     ]
 }

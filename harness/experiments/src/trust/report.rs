@@ -21,7 +21,15 @@ pub struct TrustReport {
     pub kill_rate: Rate,
     pub scenarios: Vec<ScenarioRate>,
     pub faults: Vec<MutantResult>,
+    pub protocol_faults: ProtocolFaultResult,
     pub clean: FalseAlarmResult,
+}
+
+/// Faults that were written independently of the suite. They do not change the verdict.
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+pub struct ProtocolFaultResult {
+    pub kill_rate: Rate,
+    pub faults: Vec<MutantResult>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
@@ -58,7 +66,7 @@ pub struct MutantResult {
 }
 
 impl MutantResult {
-    pub(crate) fn is_caught_by(&self, scenario: &str) -> bool {
+    pub fn is_caught_by(&self, scenario: &str) -> bool {
         self.right.iter().any(|cell| cell.scenario == scenario)
     }
 }
@@ -111,7 +119,7 @@ pub fn document(report: &TrustReport) -> Document {
         }),
     );
     let mut failures = Vec::new();
-    for fault in &report.faults {
+    for fault in report.faults.iter().chain(&report.protocol_faults.faults) {
         let word = match fault.outcome {
             MutantOutcome::Caught => continue,
             MutantOutcome::WrongReason => "caught for a wrong reason only",
@@ -128,6 +136,7 @@ pub fn document(report: &TrustReport) -> Document {
     let FalseAlarmResult { false_alarm_rate, inconclusive, scenarios: played, seed, .. } = &report.clean;
     let rates = [
         format!("kill rate: {}", format_rate(report.kill_rate)),
+        format!("protocol faults: {}", format_rate(report.protocol_faults.kill_rate)),
         format!(
             "false alarms: {}; {inconclusive} inconclusive clean runs; {played} scenarios, first seed {seed}",
             format_rate(*false_alarm_rate)
@@ -173,6 +182,12 @@ fn write_matrix(text: &mut String, report: &TrustReport) -> fmt::Result {
             if counts.is_empty() { "-".to_owned() } else { counts.join(", ") }
         };
         writeln!(text, "| {name} | {mistake} | {} | {} |", metrics(right), metrics(wrong))?;
+    }
+    writeln!(text, "\n| protocol fault | mistake | failed scenarios |\n|---|---|---|")?;
+    for MutantResult { name, mistake, right, .. } in &report.protocol_faults.faults {
+        let scenarios: BTreeSet<&str> = right.iter().map(|cell| cell.scenario.as_str()).collect();
+        let scenarios = scenarios.into_iter().collect::<Vec<_>>().join(", ");
+        writeln!(text, "| {name} | {mistake} | {} |", if scenarios.is_empty() { "-" } else { &scenarios })?;
     }
     writeln!(text, "\n| scenario | mutants caught | which |\n|---|---|---|")?;
     for scenario in &report.scenarios {

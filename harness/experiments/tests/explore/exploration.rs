@@ -142,6 +142,7 @@ fn the_kill_rate_names_a_survivor_and_a_found_mutant() {
     let config = KillRateConfig {
         envelope: configuration(LawId::DqPi, 1).envelope,
         mutants: vec![gain, MutantSpec { name: "unmutated", build: || Box::new(Unmutated), ..gain }],
+        protocol_faults: vec![gain],
         variants: clean_variants(),
         scenes: 12,
         seed: 1,
@@ -154,4 +155,6 @@ fn the_kill_rate_names_a_survivor_and_a_found_mutant() {
     let clean = 12 * (3 + config.variants.len() as u32);
     assert_eq!((report.false_alarm_rate.seen, report.false_alarm_rate.count), (0, clean), "{:?}", report.alarms);
     assert_eq!((report.kill_rate.seen, report.kill_rate.count), (1, 2));
+    let protocol = report.protocol_faults;
+    assert_eq!((protocol.kill_rate.seen, protocol.kill_rate_with_reference.seen), (1, 1));
 }

@@ -1,17 +1,23 @@
 //! Checks that the witness scenario catches each mutant and does not fail a correct controller.
 
 use platebench_experiments::trust::report::MutantOutcome;
-use platebench_experiments::trust::{Mutant, MutantSpec, TrustConfig, TrustReport, catalogue, measure};
+use platebench_experiments::trust::{
+    Mutant, MutantSpec, TrustConfig, TrustReport, catalogue, measure, protocol_faults,
+};
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Metric;
 use platebench_test_kit::{load_scenario, workspace_root};
 use std::collections::BTreeSet;
 use std::fs;
 
+fn empty_config() -> TrustConfig {
+    let (mutants, protocol_faults, variants) = (Vec::new(), Vec::new(), Vec::new());
+    TrustConfig { scenarios: Vec::new(), mutants, protocol_faults, variants, clean_runs: 0, seed: 1, jobs: 2 }
+}
+
 fn measure_suite(scenarios: &[&str], faults: Vec<MutantSpec>, clean: u32) -> TrustReport {
     let scenarios = scenarios.iter().map(|name| load_scenario(name)).collect();
-    measure(&TrustConfig { scenarios, mutants: faults, variants: Vec::new(), clean_runs: clean, seed: 1, jobs: 2 })
-        .unwrap()
+    measure(&TrustConfig { scenarios, mutants: faults, clean_runs: clean, ..empty_config() }).unwrap()
 }
 
 #[test]
@@ -31,6 +37,22 @@ fn every_mutant_is_caught_by_its_witness_scenario() {
         .map(|entry| entry.name)
         .collect();
     assert!(missed.is_empty(), "{missed:?}");
+}
+
+#[test]
+fn the_suite_catches_at_least_21_of_40_protocol_faults() {
+    let faults = protocol_faults();
+    let scenarios: BTreeSet<_> =
+        faults.iter().map(|fault| fault.witness_scenario).filter(|name| !name.is_empty()).collect();
+    let scenarios = scenarios.into_iter().map(load_scenario).collect();
+    let config = TrustConfig { scenarios, protocol_faults: faults.clone(), ..empty_config() };
+    let result = measure(&config).unwrap().protocol_faults;
+    let missed: Vec<_> = (faults.iter().zip(&result.faults))
+        .filter(|(fault, result)| !fault.witness_scenario.is_empty() && !result.is_caught_by(fault.witness_scenario))
+        .map(|(fault, _)| fault.name)
+        .collect();
+    assert!(missed.is_empty(), "{missed:?}");
+    assert!(result.kill_rate.seen >= 21 && result.kill_rate.count == 40, "{:?}", result.kill_rate);
 }
 
 struct Unmutated;
@@ -73,6 +95,7 @@ fn a_failed_clean_run_is_a_false_alarm() {
     let order = |scenario| TrustConfig {
         scenarios: vec![scenario],
         mutants: faults.clone(),
+        protocol_faults: Vec::new(),
         variants: Vec::new(),
         clean_runs: 20,
         seed: 1,
@@ -111,6 +134,7 @@ fn inconclusive_catches_no_mutant_and_is_no_false_alarm() {
     let report = measure(&TrustConfig {
         scenarios: vec![doubtful],
         mutants: faults,
+        protocol_faults: Vec::new(),
         variants: Vec::new(),
         clean_runs: 3,
         seed: 1,

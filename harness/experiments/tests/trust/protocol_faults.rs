@@ -388,7 +388,11 @@ fn every_fault_has_a_unique_name_and_a_row_with_a_rule_of_the_protocol_page() {
     assert_eq!((names.len(), protocol_faults().len()), (40, 40));
     for fault in protocol_faults() {
         let row = format!("| {} | {} | ", fault.name, fault.description);
-        let rule = page.split_once(&row).and_then(|(_, rest)| rest.split(" |").next());
-        assert!(rule.is_some_and(|rule| headings.contains(rule)), "{}: {rule:?}", fault.name);
+        let (_, rest) = page.split_once(&row).unwrap_or_else(|| panic!("not in docs/trust.md: {row}"));
+        let mut cells = rest.split(" | ");
+        let (rule, scenarios) = (cells.next().unwrap(), cells.next().unwrap());
+        assert!(headings.contains(rule), "{}: {rule:?}", fault.name);
+        let witness = fault.witness_scenario.trim_end_matches(".toml");
+        assert!(if witness.is_empty() { scenarios == "–" } else { scenarios.contains(witness) }, "{}", fault.name);
     }
 }

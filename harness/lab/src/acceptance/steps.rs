@@ -244,6 +244,7 @@ pub(crate) fn measure_trust(
     let config = platebench_experiments::trust::TrustConfig {
         scenarios: plan.scenarios.iter().map(|planned| planned.scenario.clone()).collect(),
         mutants: platebench_experiments::trust::catalogue(),
+        protocol_faults: Vec::new(),
         variants: platebench_experiments::trust::clean_variants(),
         clean_runs: plan.bench.clean_runs,
         seed: SEED,
