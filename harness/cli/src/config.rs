@@ -227,7 +227,6 @@ mod tests {
     use crate::run::RunArgs;
     use clap::{CommandFactory, FromArgMatches};
     use platebench_model::scenario::Diagnostic;
-    use rstest::rstest;
     use std::fs;
     use std::path::{Path, PathBuf};
     use tempfile::{TempDir, tempdir};
@@ -314,61 +313,5 @@ mod tests {
             ("exec:a {port}", Some(4), Some(1), 1.0)
         );
         assert_eq!((given.runs, given.scenarios), (PathBuf::from("r"), vec![PathBuf::from("c")]));
-    }
-
-    #[test]
-    fn the_nearest_file_upwards_applies() {
-        let folder = write_config("jobs = 3\n");
-        let deep = folder.path().join("a/b");
-        fs::create_dir_all(&deep).unwrap();
-        assert_eq!(Config::find_above(&deep, &Arguments::command()).unwrap().value("jobs").unwrap(), ["3"]);
-        fs::write(folder.path().join("a").join(FILE), "jobs = 4\n").unwrap();
-        assert_eq!(Config::find_above(&deep, &Arguments::command()).unwrap().value("jobs").unwrap(), ["4"]);
-    }
-
-    #[rstest]
-    #[case("rigs = \"hosted\"", "1:1: unknown key `rigs`")]
-    #[case("[run]\nlaws = \"dq-pi\"", "2:1: unknown key `laws`")]
-    #[case("jobs = \"many\"", "1:8: invalid type")]
-    #[case("jobs = 0", "1:8: `jobs`: 0, expected 1 to 1024")]
-    #[case("jobs = 1025", "1:8: `jobs`: 1025, expected 1 to 1024")]
-    #[case("jobs = 1024", "")]
-    #[case("rig = \"can:0\"", "1:7: invalid value 'can:0' for '--rig <RIG>'")]
-    #[case("format = \"xml\"", "1:10: invalid value 'xml' for '--format <FORMAT>'")]
-    #[case("[run]\nlaw = \"dq-pid\"", "2:7: invalid value 'dq-pid' for '--law <NAME>'")]
-    #[case("[run]\ntime_scale = 0.0009", "2:14: `time_scale`: 0.0009, expected 0.001 to 10")]
-    #[case("[run]\ntime_scale = 0.001", "")]
-    #[case("[run]\ntrials = 100001", "2:10: `trials`: 100001, expected 1 to 100000")]
-    #[case("[run]\nseed = -1", "2:8: `seed`: -1, expected 0 or more")]
-    #[case("runs = \"\"", "1:8: `runs` is empty, expected a path")]
-    #[case("jobs = ", "1:")]
-    fn reports_the_position_of_a_fault(#[case] text: &str, #[case] expected: &str) {
-        let folder = write_config(text);
-        let path = folder.path().join(FILE);
-        match read_config(&path) {
-            Ok(_) => assert_eq!(expected, "", "{text} was accepted"),
-            Err(faults) => {
-                let fault = faults[0].to_string();
-                assert!(
-                    !expected.is_empty() && fault.starts_with(&format!("{}:{expected}", path.display())),
-                    "{fault}"
-                );
-            }
-        }
-    }
-
-    #[rstest]
-    #[case::dangling_link(&["ln", "-s", "gone"], "cannot be read: No such file or directory (os error 2)")]
-    #[case::pipe(&["mkfifo"], "cannot be read: it is a pipe or a device, expected a file")]
-    #[case::device(&["ln", "-s", "/dev/zero"], "cannot be read: it is a pipe or a device, expected a file")]
-    #[case::folder(&["mkdir"], "cannot be read: it is a folder, expected a file")]
-    fn rejects_a_settings_file_that_is_no_file(#[case] make: &[&str], #[case] expected: &str) {
-        let folder = tempdir().unwrap();
-        let path = folder.path().join(FILE);
-        assert!(std::process::Command::new(make[0]).args(&make[1..]).arg(&path).status().unwrap().success());
-        let below = folder.path().join("below");
-        fs::create_dir(&below).unwrap();
-        let faults = Config::find_above(&below, &Arguments::command()).unwrap_err();
-        assert_eq!(faults[0].to_string(), format!("{}: {expected}", path.display()));
     }
 }

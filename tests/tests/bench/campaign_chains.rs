@@ -37,17 +37,6 @@ fn a_search_writes_a_counterexample_that_fails() {
     folder.bench(["run", &file, "--rig", "hosted", "--out", "again"]).assert_exit(1);
 }
 
-#[rstest]
-#[case::with_demand("[judge]\nat_most = 0.01\n", 3)]
-#[case::without_demand("", 0)]
-fn a_search_without_a_failure_proves_no_share(#[case] judge: &str, #[case] exit: i32) {
-    let vary = "\"plate.mode.gain_um_per_vpp\" = { uniform = [0.00697, 0.00699] }\n";
-    let folder = folder_with(vary, &format!("{SEARCH}{judge}"));
-    let run = folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]);
-    run.assert_exit(exit).assert_stdout(&["no failing trial found"]);
-    assert!(summary(&folder, "c")["search"]["counterexample"].is_null());
-}
-
 const RARE_VARY: &str = "\"plate.mode.gain_um_per_vpp\" = { normal = { mean = 0.00698, sd_percent = 1.0 } }\n\
     \"plate.mode.time_constant_ms\" = { lognormal = { mean = 1.88, sd_percent = 1.0 } }\n";
 

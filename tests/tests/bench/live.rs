@@ -134,16 +134,6 @@ fn the_live_view_does_not_change_traces() {
 }
 
 #[rstest]
-#[case::run(&["run", "--rig", "hosted"])]
-#[case::emulate(&["plate", "serve", "--port", "pty", "--scenario", "scenarios/s.toml", "--seconds", "0.1"])]
-fn without_a_terminal_the_run_has_no_view(#[case] arguments: &[&str]) {
-    let folder = run_folder("60.0");
-    let output = folder.bench(arguments.iter().chain(&["--live"])).assert_exit(0);
-    let output = output.assert_stderr(&["no live view: standard output is not a terminal"]);
-    assert!(!output.stdout.is_empty() && !output.stdout.contains('\u{1b}'));
-}
-
-#[rstest]
 #[case::auto(&[], &[], true)]
 #[case::variable(&[], &[("NO_COLOR", "1")], false)]
 #[case::never(&["--color", "never"], &[], false)]
@@ -171,17 +161,6 @@ fn progress_is_one_line_that_disappears() {
     assert_eq!(terminal.text().matches("trials").count(), 1, "{}", terminal.text());
     terminal.wait_for_exit(&[0, 3]);
     assert!(!terminal.text().contains("/2 trials"), "{}", terminal.text());
-}
-
-#[rstest]
-#[case::verdict(&["run", "--rig", "hosted"], 0)]
-#[case::diagnostic(&["check", "broken.toml"], 2)]
-#[case::usage(&["run", "--wrong"], 2)]
-fn colours_are_forced_in_a_pipe(#[case] arguments: &[&str], #[case] exit: i32) {
-    let folder = run_folder("60.0");
-    folder.write("broken.toml", "title = 3\n[profile]\n");
-    folder.bench(arguments).assert_exit(exit).assert_output_without("\u{1b}");
-    folder.bench(arguments.iter().chain(&["--color", "always"])).assert_text(exit, &["\u{1b}["]);
 }
 
 #[test]

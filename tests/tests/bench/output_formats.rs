@@ -1,11 +1,9 @@
 //! Tests outputs for other programs and exports of a run.
 
-use crate::test_folder::{ProgramOutput, SETTLING, TestFolder, step_text};
-use rstest::rstest;
+use crate::test_folder::{ProgramOutput, SETTLING, TestFolder};
 use serde_json::Value;
 use std::fs;
 
-const BAD: &str = "metric = \"settling_time_ms\"\nat_most = 0.5\nrequirement = \"ACC-1\"";
 const TRACE: &str = "run/traces/s/000.csv";
 
 fn json_lines(output: &ProgramOutput) -> Vec<Value> {
@@ -34,24 +32,6 @@ fn json_lines_end_with_the_verdict() {
     assert_eq!(lines[3]["trial"], scenario["trials"][1]);
     assert_eq!(lines[4]["expectations"], scenario["expectations"]);
     assert_eq!((&lines[5]["verdict"], &lines[5]["exit_code"]), (&record["verdict"], &Value::from(0)));
-}
-
-#[rstest]
-#[case::failed(Some(step_text(BAD)), "hosted", 1)]
-#[case::invalid(Some("title = 3".to_owned()), "hosted", 2)]
-#[case::absent_rig(Some(step_text(SETTLING)), "exec:true {port}", 5)]
-#[case::no_scenario(None, "hosted", 4)]
-fn the_last_line_is_written_on_every_exit(#[case] text: Option<String>, #[case] rig: &str, #[case] expected: i32) {
-    let folder = TestFolder::new();
-    if let Some(text) = text {
-        folder.write_scenario("s.toml", &text);
-    }
-    let output = folder.bench(["run", "--rig", rig, "--format", "json", "--out", "run"]).assert_exit(expected);
-    let lines = json_lines(&output);
-    let last = lines.last().unwrap();
-    assert_eq!((&last["event"], &last["exit_code"]), (&Value::from("run-finished"), &Value::from(expected)));
-    assert_eq!(last["error"].is_null(), expected == 1, "{last}");
-    assert_ne!(last["verdict"], "pass");
 }
 
 #[test]

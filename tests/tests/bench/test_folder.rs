@@ -114,12 +114,6 @@ impl ProgramOutput {
     }
 
     #[track_caller]
-    pub(crate) fn assert_output_without(self, part: &str) -> Self {
-        assert!(!self.text().contains(part), "{part:?} is in: {}", self.text());
-        self
-    }
-
-    #[track_caller]
     pub(crate) fn json(&self) -> Value {
         serde_json::from_str(&self.stdout).unwrap_or_else(|error| panic!("{error}: {}", self.text()))
     }
