@@ -180,13 +180,3 @@ fn the_trace_has_the_samples_of_the_controller() {
     assert_eq!(sensed[..4], [0.0; 4]);
     assert!(sensed[4] > 1.0);
 }
-
-#[test]
-fn stored_traces_are_not_judged_with_other_faults() {
-    let fault = "[[fault]]\nkind = \"drop\"\nfrom_ms = 30.0\nuntil_ms = 31.0\n";
-    let folder = TestFolder::with_scenario(&(step_text(MISSED) + fault));
-    folder.run_hosted("run").assert_exit(0);
-    folder.write_scenario("other.toml", &step_text(MISSED));
-    let judge = folder.bench(["report", "run", "--rejudge", "--scenario", "scenarios/other.toml"]);
-    judge.assert_message(2, &["[[fault]]"]);
-}

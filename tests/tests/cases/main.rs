@@ -1,7 +1,7 @@
 //! Runs the commands of `tests/cases/*.trycmd` and compares exit code and output.
 //!
 //! A case file has a folder of its own, which starts with the content of `NAME.in`. The commands
-//! run in order. `TRYCMD=overwrite` writes the actual output, `-- trycmd=NAME` selects files.
+//! run in order. `TRYCMD=overwrite` writes the actual output, `-- cases trycmd=NAME` selects files.
 
 #![allow(
     clippy::unwrap_used,
@@ -54,7 +54,9 @@ fn case_files() -> Vec<PathBuf> {
 /// `trycmd` ignores a command whose program is unknown, and shares the folder of a file without
 /// `NAME.out`.
 fn check_case_files(programs: &BTreeMap<String, PathBuf>) {
-    for file in case_files() {
+    let files = case_files();
+    assert!(!files.is_empty(), "no case files in {CASES}");
+    for file in files {
         assert!(file.with_extension("out").is_dir(), "{}: expected the folder NAME.out", file.display());
         let text = fs::read_to_string(&file).unwrap();
         for (number, line) in text.lines().enumerate() {
@@ -78,8 +80,9 @@ fn cases() {
     cases.register_bins(programs.into_iter().map(|(name, path)| (name, trycmd::schema::Bin::Path(path))));
     cases.env("PATH", path.into_string().unwrap());
     cases.env("REPOSITORY", platebench_test_kit::workspace_root().display().to_string());
-    // Without these variables' values the output is the same everywhere. An empty filter of the log has an effect.
+    // The output is the same everywhere. An empty filter of the log would have an effect.
     assert!(env::var_os("PLATEBENCH_LOG").is_none(), "PLATEBENCH_LOG is set");
+    cases.env("LC_ALL", "C");
     for variable in ["NO_COLOR", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY", "GITHUB_WORKSPACE"] {
         cases.env(variable, "");
     }
