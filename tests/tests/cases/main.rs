@@ -34,6 +34,7 @@ fn program_folder() -> BTreeMap<String, PathBuf> {
     let programs = [
         ("platebench", env!("CARGO_BIN_EXE_platebench-under-test").to_owned()),
         ("controller", env!("CARGO_BIN_EXE_controller-under-test").to_owned()),
+        ("suite", env!("CARGO_BIN_EXE_suite-under-test").to_owned()),
         ("step", format!("{CASES}/step")),
         ("edit", format!("{CASES}/edit")),
     ];
