@@ -83,16 +83,4 @@ mod tests {
         assert_eq!(parse(&["--log", "l", "p", "--baud", "9600", "--unique", &unique]), Ok(Some(whole)));
         assert_eq!(parse(&["p", "--help"]), Ok(None));
     }
-
-    #[test]
-    fn invalid_arguments_are_named() {
-        assert_eq!(parse(&[]), Err(UsageError::NoPort));
-        assert_eq!(parse(&["a", "b"]), Err(UsageError::SecondPort("b".to_owned())));
-        assert_eq!(parse(&["a", "-x"]), Err(UsageError::Unknown("-x".to_owned())));
-        assert_eq!(parse(&["a", "--log"]), Err(UsageError::NoValue("--log".to_owned())));
-        assert_eq!(parse(&["a", "--unique", "ab"]), Err(UsageError::Unique("ab".to_owned())));
-        for baud in ["0", "-1", "fast"] {
-            assert_eq!(parse(&["a", "--baud", baud]), Err(UsageError::Baud(baud.to_owned())));
-        }
-    }
 }

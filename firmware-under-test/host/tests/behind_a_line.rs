@@ -160,18 +160,3 @@ fn a_killed_program_is_a_lost_rig() {
     assert!(session.receive(Instant::now() + TIMEOUT).is_err());
     assert!(!session.request_safe_state());
 }
-
-#[test]
-fn an_unusable_port_or_log_is_an_error() {
-    let output = process::Command::new(PROGRAM).arg("/dev/there-is-no-port").output().unwrap();
-    assert_eq!(output.status.code(), Some(1));
-    let message = String::from_utf8(output.stderr).unwrap();
-    assert!(message.contains("cannot open /dev/there-is-no-port"), "{message}");
-
-    let output = process::Command::new(PROGRAM).arg("/dev/null").output().unwrap();
-    assert_eq!(output.status.code(), Some(1));
-    assert!(String::from_utf8(output.stderr).unwrap().contains("/dev/null cannot be set to 1000000 baud"));
-
-    let output = process::Command::new(PROGRAM).output().unwrap();
-    assert_eq!(output.status.code(), Some(2));
-}
