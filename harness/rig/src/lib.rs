@@ -45,7 +45,7 @@ pub use link::{
     TargetError, UnsupportedAccess,
 };
 pub use port::{DEFAULT_REPLY_TIMEOUT, PtyLink};
-pub use protocol_check::{CheckOptions, ProtocolCheck, check_protocol};
+pub use protocol_check::{CheckOptions, ProtocolCheck, ProtocolCoverage, check_protocol};
 pub use rigs::exec::{ExecError, ExecLink};
 pub use rigs::hosted::HostedLink;
 pub use rigs::serial::{BaudTooLow, check_baud, minimum_baud};

@@ -3,11 +3,14 @@
 //! the *reference*.
 
 mod comparison;
+mod coverage;
 mod script;
 mod scripts;
 
 use crate::link::{Link, LinkError, LinkKind};
 use crate::rigs::hosted::HostedLink;
+pub use coverage::ProtocolCoverage;
+
 use comparison::{BenchCause, CommandDifference, CommandHistory, Comparison, ReceivedPackets};
 use platebench_model::scenario::ScenarioMessage;
 use platebench_wire::{Configure, Identity, LawId};

@@ -9,11 +9,11 @@ use crate::explore::properties::{Demand, Property, demands, reference_demands};
 use crate::explore::scenario_file::{ScenarioBuilder, SceneScenario};
 use crate::explore::scene::Scene;
 use crate::explore::sequence::{self, SequenceLimits};
-use platebench_engine::SafeEnds;
 use platebench_engine::plan::LinkFactory;
 use platebench_engine::workers::{Emit, run_workers};
+use platebench_engine::{SafeEnds, configure};
 use platebench_model::scenario::{Scenario, ScenarioMessage};
-use platebench_rig::CancelToken;
+use platebench_rig::{CancelToken, ProtocolCoverage, RigError};
 use platebench_wire::LawId;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -149,6 +149,7 @@ pub struct Exploration {
     pub failed: Vec<FailedScene>,
     pub sequences: SequenceTally,
     pub failed_sequences: Vec<FailedSequence>,
+    pub rules: ProtocolCoverage,
     pub regressions: usize,
     pub failed_regressions: Vec<FailedRegression>,
     pub coverage: Coverage,
@@ -157,11 +158,13 @@ pub struct Exploration {
 }
 
 impl Exploration {
-    fn add_sequence(&mut self, sequence: &PlayedSequence) {
+    fn add_sequence(&mut self, sequence: &PlayedSequence, law: LawId) -> Result<(), ExploreError> {
         let Some(result) = &sequence.result else {
             self.sequences.skipped += 1;
-            return;
+            return Ok(());
         };
+        let Scenario { messages, .. } = &sequence.scenario;
+        self.rules.add(messages, &configure(&sequence.scenario, law)).map_err(RigError::Link)?;
         self.sequences.played += 1;
         self.sequences.messages += sequence.messages;
         self.sequences.undecided += u64::from(result.undecided.is_some());
@@ -176,6 +179,7 @@ impl Exploration {
             let properties = violated(&result.failures);
             self.failed_sequences.push(FailedSequence { index: sequence.index, properties, text });
         }
+        Ok(())
     }
 
     fn add(&mut self, scene: &Scene, index: u64, result: &SceneResult, envelope: &Envelope) {
@@ -255,7 +259,7 @@ pub fn explore(
                     exploration.failed.push(FailedScene { index, failures: result.failures, history });
                 }
             }
-            PlayedItem::Sequence(sequence) => exploration.add_sequence(&sequence),
+            PlayedItem::Sequence(sequence) => exploration.add_sequence(&sequence, config.law)?,
         }
         on_scene(exploration.scenes, (exploration.failed.len() + exploration.failed_sequences.len()) as u64);
         Ok::<_, ExploreError>(ControlFlow::Continue(()))
@@ -311,6 +315,7 @@ impl PlayedItem {
 
 struct PlayedSequence {
     index: u64,
+    scenario: Scenario,
     messages: u64,
     /// `None` if the sequence is too long for the rig.
     result: Option<SceneResult>,
@@ -340,13 +345,13 @@ impl<'a> SceneWorker<'a> {
         let Some(limits) = &self.config.sequences else { return Ok(None) };
         let sequence = limits.sequence(self.config.seed, index);
         let messages = ScenarioMessage::count(&sequence);
-        if messages > limits.longest {
-            return Ok(Some(PlayedSequence { index, messages, result: None }));
-        }
         let title = format!("Sequence {index} of seed {}", self.config.seed);
         let scenario = self.config.sequence_scenario(&sequence, &title, "").check()?;
+        if messages > limits.longest {
+            return Ok(Some(PlayedSequence { index, scenario, messages, result: None }));
+        }
         let result = self.player.play(&scenario)?;
-        Ok(result.map(|result| PlayedSequence { index, messages, result: Some(result) }))
+        Ok(result.map(|result| PlayedSequence { index, scenario, messages, result: Some(result) }))
     }
 
     /// `None` if the scene was cancelled.

@@ -88,6 +88,14 @@ pub struct CoverageReport {
     pub ranges: Vec<RangeCoverage>,
     pub pairs: Vec<PairCoverage>,
     pub histories: BTreeMap<usize, u64>,
+    /// Rules and thresholds of the protocol, and how often the sequences of messages met them.
+    pub rules: Vec<RuleCoverage>,
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct RuleCoverage {
+    pub rule: String,
+    pub count: u64,
 }
 
 #[derive(Debug, Clone, Copy, Serialize, JsonSchema)]
@@ -151,6 +159,12 @@ impl ExploreReport {
                     })
                     .collect(),
                 histories: coverage.histories.clone(),
+                rules: exploration
+                    .rules
+                    .counts()
+                    .into_iter()
+                    .map(|(rule, count)| RuleCoverage { rule, count })
+                    .collect(),
             },
         }
     }
@@ -275,10 +289,13 @@ pub fn document(report: &ExploreReport) -> Document {
         ),
         Block::Figures(figures(&report.coverage)),
         Block::Table(ranges(&report.coverage)),
+        Block::heading("Rules of the protocol"),
+        Block::Table(rules(&report.coverage)),
     ]);
     let mut blocks = vec![
         Block::paragraph(format!("{scenes} scenes of {envelope} for {law}, seed {seed}, {elapsed_s:.1} s")),
         Block::paragraph(sequences(&report.sequences)),
+        Block::paragraph(unmet_rules(&report.coverage)),
         Block::Table(properties(report)),
     ];
     blocks.extend((!failures.is_empty()).then(|| Block::lines(failures)));
@@ -328,6 +345,19 @@ fn violation_blocks(violation: &ViolationReport) -> [Block; 6] {
         Block::Preformatted(violation.original.clone()),
         Block::Paragraph(format!("The search for the minimal scene took {} replays.", violation.replays)),
     ]
+}
+
+fn rules(coverage: &CoverageReport) -> Table {
+    let mut table = Table::new(["rule or threshold", "messages"]);
+    table.extend(coverage.rules.iter().map(|RuleCoverage { rule, count }| vec![rule.clone(), count.to_string()]));
+    table
+}
+
+fn unmet_rules(coverage: &CoverageReport) -> String {
+    let unmet: Vec<_> = coverage.rules.iter().filter(|rule| rule.count == 0).map(|rule| &*rule.rule).collect();
+    let met = coverage.rules.len() - unmet.len();
+    let never = if unmet.is_empty() { String::new() } else { format!("; never exercised: {}", unmet.join(", ")) };
+    format!("{met} of {} rules and thresholds of the protocol exercised{never}", coverage.rules.len())
 }
 
 fn ranges(coverage: &CoverageReport) -> Table {

@@ -23,10 +23,12 @@ use std::time::Instant;
 /// Number of blocks of a sequence.
 const BLOCKS: std::ops::RangeInclusive<u32> = 5..=11;
 /// A sequence of this many has a long run.
-const LONG_RUN_EVERY: u64 = 48;
+const LONG_RUN_EVERY: u64 = 24;
 /// Numbers of repetitions around which counters of a controller overflow.
 const LONG_RUNS: [u32; 4] = [1 << 16, 100_000, 1 << 17, 40_000];
 const MANY_CONFIGURATIONS: u32 = 1_000;
+/// More rejected frames than eight bits count.
+const MANY_REJECTED: u32 = 300;
 /// Watchdog timeout of trials that do not test it, ms; shorter ones only in simulated time.
 const LONG_TIMEOUTS_MS: [u16; 7] = [1_000, 1_023, 1_024, 32_767, 32_768, 40_000, 65_535];
 const SHORT_TIMEOUTS_MS: [u16; 6] = [50, 100, 254, 255, 256, 257];
@@ -158,13 +160,25 @@ impl Draw<'_> {
     }
 
     fn long_run(&mut self, number: u64) {
-        if number % 3 == 2 {
-            self.messages.truncate(3);
-            self.messages.push(ScenarioMessage::Again { messages: 3, times: MANY_CONFIGURATIONS });
-        } else {
-            let times = LONG_RUNS.get((number % 4) as usize).copied().unwrap_or(MANY_CONFIGURATIONS);
-            self.messages.push(ScenarioMessage::Again { messages: 1, times });
-            self.samples(4);
+        let again = |messages, times| ScenarioMessage::Again { messages, times };
+        match number % 3 {
+            0 => {
+                let times = LONG_RUNS.get((number / 3 % 4) as usize).copied().unwrap_or(MANY_CONFIGURATIONS);
+                self.messages.push(again(1, times));
+                self.samples(4);
+            }
+            1 => {
+                let rejected = self.rejected();
+                self.messages.push(rejected);
+                self.samples(2);
+                self.messages.push(again(3, MANY_REJECTED));
+                self.messages.extend(vec![ScenarioMessage::Damaged { byte: 5 }; 5]);
+                self.samples(2);
+            }
+            _ => {
+                self.messages.truncate(3);
+                self.messages.push(again(3, MANY_CONFIGURATIONS));
+            }
         }
         self.messages.extend(self.trial.iter().cloned());
     }

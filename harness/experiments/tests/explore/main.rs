@@ -6,4 +6,5 @@ mod envelope;
 mod exploration;
 mod fixtures;
 mod generation;
+mod sequences;
 mod ways_of_playing;
