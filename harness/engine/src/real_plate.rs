@@ -220,9 +220,11 @@ impl Prompts {
 }
 
 fn profile_prompts(profile: &Profile, duration: Time, word: impl Fn(f64) -> String) -> Vec<Prompt> {
-    if let Profile::Sine { mean, amplitude, omega, .. } = profile {
-        let hertz = omega / std::f64::consts::TAU;
-        let what = format!("{}, then vary this value by ±{amplitude} at {hertz} Hz", word(*mean));
+    if let Profile::Sine { mean, amplitude, omega, sweep, .. } = profile {
+        let hertz = |omega: f64| omega / std::f64::consts::TAU;
+        let swept = || format!(", changing to {:.3} Hz", hertz(omega + sweep * duration.seconds()));
+        let swept = if *sweep == 0.0 { String::new() } else { swept() };
+        let what = format!("{}, then vary this value by ±{amplitude} at {} Hz{swept}", word(*mean), hertz(*omega));
         return if *amplitude == 0.0 { Vec::new() } else { vec![Prompt { at: Time::ZERO, what }] };
     }
     let mut prompts: Vec<Prompt> = Vec::new();

@@ -32,5 +32,5 @@ pub use phase::{Phase, PhaseRate};
 pub use plant::Plant;
 pub use plate::Plate;
 pub use plausible::ImplausibleValue;
-pub use profile::{Profile, ProfileError, RawProfile, RawShape, RawSine};
+pub use profile::{Profile, ProfileError, RawChirp, RawProfile, RawRepeat, RawShape, RawSine, RawSquare};
 pub use time::Time;

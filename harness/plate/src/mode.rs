@@ -36,8 +36,8 @@ impl ConditionProfiles {
         points.into_iter().flatten().min()
     }
 
-    pub(crate) fn angular_frequency(&self) -> f64 {
-        self.temperature_offset_k.angular_frequency().max(self.finger_force_n.angular_frequency())
+    pub(crate) fn bandwidth(&self) -> f64 {
+        self.temperature_offset_k.bandwidth().max(self.finger_force_n.bandwidth())
     }
 }
 

@@ -237,7 +237,7 @@ impl Plant {
     /// Longest substep in s, and true if the mode is frozen in it, because it changes too fast for
     /// `varying.rs`. `varying` computes the length without this; its argument is ν in rad/s.
     fn longest_substep(&self, rate: f64, varying: impl FnOnce(f64) -> f64) -> (f64, bool) {
-        let frequency = self.scene.angular_frequency();
+        let frequency = self.scene.bandwidth();
         if rate <= self.max_pole_rate && frequency <= self.plate.omega0 / 10.0 {
             return (varying(frequency), false);
         }

@@ -13,7 +13,9 @@ use std::path::{Path, PathBuf};
 #[serde(
     untagged,
     expecting = "expected a number or one of { hold = [[t_ms, value], …] }, { linear = [[t_ms, value], …] }, \
-                 { sine = { mean, amplitude, frequency_hz } }, { csv = \"FILE\" }"
+                 { repeat = { period_ms, hold | linear } }, { square = { low, high, period_ms } }, \
+                 { sine = { mean, amplitude, frequency_hz } }, { chirp = { mean, amplitude, from_hz, to_hz } }, \
+                 { csv = \"FILE\" }"
 )]
 pub enum RawProfile {
     /// A constant value.
@@ -30,8 +32,14 @@ pub enum RawShape {
     Hold(#[schemars(length(min = 1))] Vec<[f64; 2]>),
     /// Points [`t_ms`, value]; linear in between, constant before the first and after the last.
     Linear(#[schemars(length(min = 1))] Vec<[f64; 2]>),
+    /// Points that repeat with a period.
+    Repeat(RawRepeat),
+    /// A square wave.
+    Square(RawSquare),
     /// A sine wave.
     Sine(RawSine),
+    /// A sine wave whose frequency changes linearly from the start to the end of the trial.
+    Chirp(RawChirp),
     /// Points from a file with the columns `t_ms` and `value`, read as `linear`.
     Csv(PathBuf),
 }
@@ -52,6 +60,77 @@ pub struct RawSine {
     pub phase_deg: f64,
 }
 
+/// `mean + amplitude · sin(2π (from_hz t + (to_hz − from_hz) t²/2T) + phase_deg)`, with T the length
+/// of the trial.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawChirp {
+    /// Mean, in the unit of the profile.
+    pub mean: f64,
+    /// Amplitude, in the unit of the profile.
+    pub amplitude: f64,
+    /// Frequency at the start, Hz.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub from_hz: f64,
+    /// Frequency at the end of the trial, Hz.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub to_hz: f64,
+    /// Phase at the start, degrees.
+    #[serde(default)]
+    pub phase_deg: f64,
+}
+
+/// `high` during the first part of each period from `from_ms` on, otherwise `low`.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawSquare {
+    /// Value before `from_ms` and in the second part of each period.
+    pub low: f64,
+    /// Value in the first part of each period.
+    pub high: f64,
+    /// Period, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub period_ms: f64,
+    /// Share of `high` in a period, percent.
+    #[serde(default = "half")]
+    #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 100))]
+    pub duty_percent: f64,
+    /// Start of the first period, ms.
+    #[serde(default)]
+    #[schemars(range(min = 0.0))]
+    pub from_ms: f64,
+}
+
+fn half() -> f64 {
+    50.0
+}
+
+/// The points of one period, `hold` or `linear`, at times from the start of the period.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawRepeat {
+    /// Period, ms.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub period_ms: f64,
+    /// Start of the first period, ms.
+    #[serde(default)]
+    #[schemars(range(min = 0.0))]
+    pub from_ms: f64,
+    /// Number of periods. Default: until the end of the trial.
+    #[schemars(range(min = 1))]
+    pub count: Option<i64>,
+    /// Points [`t_ms`, value]; each value holds until the next point. The last value holds before
+    /// `from_ms`.
+    #[schemars(length(min = 1))]
+    pub hold: Option<Vec<[f64; 2]>>,
+    /// Points [`t_ms`, value]; linear in between, also to the first point of the next period.
+    #[schemars(length(min = 1))]
+    pub linear: Option<Vec<[f64; 2]>>,
+}
+
+/// Largest number of points of a repeated profile, as many as rows of a trace.
+const MAX_REPEATED_POINTS: u64 = 2_000_000;
+
 #[derive(Debug, thiserror::Error)]
 pub enum ProfileError {
     #[error("the profile has no points, expected at least one [t_ms, value]")]
@@ -64,6 +143,16 @@ pub enum ProfileError {
     Unordered { index: usize, t_ms: f64 },
     #[error("a sine requires finite numbers and a frequency_hz above 0")]
     Sine,
+    #[error("a chirp requires finite numbers, and from_hz and to_hz above 0")]
+    Chirp,
+    #[error("a repeated profile requires one of `hold` and `linear`")]
+    Pattern,
+    #[error("a period of {period_ms} ms, expected one longer than {last_ms} ms, the last point of the profile")]
+    Period { period_ms: f64, last_ms: f64 },
+    #[error("a square wave requires finite numbers, and both parts of a period of at least 1 ns")]
+    Square,
+    #[error("a period of {period_ms} ms gives {points} points in the trial, expected at most {MAX_REPEATED_POINTS}")]
+    Repeated { period_ms: f64, points: u64 },
     #[error("{}: {source}", path.display())]
     Csv { path: PathBuf, source: csv::Error },
 }
@@ -88,8 +177,9 @@ impl RawProfile {
         }
     }
 
-    /// A CSV path is relative to `folder`. Fails at the first invalid point.
-    pub fn check(&self, folder: &Path) -> Result<Profile, ProfileError> {
+    /// A CSV path is relative to `folder`. Repeated points and a chirp end with the trial, after
+    /// `duration`. Fails at the first invalid point.
+    pub fn check(&self, folder: &Path, duration: Time) -> Result<Profile, ProfileError> {
         match self {
             Self::Number(value) => points(&[[0.0, *value]]).map(Profile::Hold),
             Self::Shape(RawShape::Hold(raw)) => points(raw).map(Profile::Hold),
@@ -100,15 +190,100 @@ impl RawProfile {
                 if !numbers.iter().all(|number| number.is_finite()) || raw.frequency_hz <= 0.0 {
                     return Err(ProfileError::Sine);
                 }
+                Ok(Profile::sine(raw.mean, raw.amplitude, TAU * raw.frequency_hz, raw.phase_deg.to_radians()))
+            }
+            Self::Shape(RawShape::Chirp(raw)) => {
+                let numbers = [raw.mean, raw.amplitude, raw.from_hz, raw.to_hz, raw.phase_deg];
+                let rises = raw.from_hz > 0.0 && raw.to_hz > 0.0;
+                if !numbers.iter().all(|number| number.is_finite()) || !rises {
+                    return Err(ProfileError::Chirp);
+                }
+                let sweep = TAU * (raw.to_hz - raw.from_hz) / duration.max(Time::from_nanos(1)).seconds();
+                let fastest = TAU * raw.from_hz.max(raw.to_hz);
                 Ok(Profile::Sine {
                     mean: raw.mean,
                     amplitude: raw.amplitude,
-                    omega: TAU * raw.frequency_hz,
+                    omega: TAU * raw.from_hz,
+                    sweep,
                     phase: raw.phase_deg.to_radians(),
+                    // With ν the frequency and α the sweep, the derivatives are at most ν, ν² + α,
+                    // ν³ + 3αν and ν⁴ + 6αν² + 3α² times the amplitude.
+                    bandwidth: (fastest * fastest + 3.0 * sweep.abs()).sqrt(),
                 })
             }
+            Self::Shape(RawShape::Square(raw)) => raw.check(duration),
+            Self::Shape(RawShape::Repeat(raw)) => raw.check(duration),
         }
     }
+}
+
+impl RawSquare {
+    fn check(&self, duration: Time) -> Result<Profile, ProfileError> {
+        let Self { low, high, period_ms, duty_percent, from_ms } = *self;
+        let time = |ms| Time::from_ms(ms).ok_or(ProfileError::Square);
+        let (from, period) = (time(from_ms)?, time(period_ms)?);
+        let fall = time(period_ms * duty_percent / 100.0)?;
+        if !low.is_finite() || !high.is_finite() || fall == Time::ZERO || fall >= period {
+            return Err(ProfileError::Square);
+        }
+        let pattern = [(Time::ZERO, high), (fall, low)];
+        Ok(Profile::Hold(repeated(&pattern, Some(low), from, period, (period_ms, None), duration)?))
+    }
+}
+
+impl RawRepeat {
+    /// Points of one period.
+    pub fn points(&self) -> &[[f64; 2]] {
+        self.hold.as_ref().or(self.linear.as_ref()).map_or(&[], Vec::as_slice)
+    }
+
+    fn check(&self, duration: Time) -> Result<Profile, ProfileError> {
+        let Self { period_ms, from_ms, count, .. } = *self;
+        let time = |index, t_ms| Time::from_ms(t_ms).ok_or(ProfileError::Time { index, t_ms });
+        let (pattern, is_held) = match (&self.hold, &self.linear) {
+            (Some(hold), None) => (points(hold)?, true),
+            (None, Some(linear)) => (points(linear)?, false),
+            _ => return Err(ProfileError::Pattern),
+        };
+        let (from, period) = (time(1, from_ms)?, time(1, period_ms)?);
+        let (last, value) = pattern.last().copied().ok_or(ProfileError::Empty)?;
+        if period <= last {
+            return Err(ProfileError::Period { period_ms, last_ms: last.ms() });
+        }
+        let before = is_held.then_some(value);
+        let count = count.and_then(|count| u64::try_from(count).ok());
+        let all = repeated(&pattern, before, from, period, (period_ms, count), duration)?;
+        Ok(if is_held { Profile::Hold(all) } else { Profile::Linear(all) })
+    }
+}
+
+/// Points of `pattern` in each period before `duration`, and one more point, so that a line to the
+/// next point is complete. `before` is the value until the first point.
+fn repeated(
+    pattern: &[(Time, f64)],
+    before: Option<f64>,
+    from: Time,
+    period: Time,
+    (period_ms, count): (f64, Option<u64>),
+    duration: Time,
+) -> Result<Vec<(Time, f64)>, ProfileError> {
+    let in_trial = duration.since(from).as_nanos() / period.as_nanos().max(1) + 1;
+    let periods = count.map_or(in_trial, |count| count.min(in_trial));
+    let points = periods.saturating_mul(pattern.len() as u64);
+    if points > MAX_REPEATED_POINTS {
+        return Err(ProfileError::Repeated { period_ms, points });
+    }
+    let mut all = Vec::with_capacity(points as usize + 2);
+    let is_first = |(offset, _): &(Time, f64)| from + *offset > Time::ZERO;
+    all.extend(before.filter(|_| pattern.first().is_some_and(is_first)).map(|value| (Time::ZERO, value)));
+    for number in 0..periods {
+        let start = from + period.times(number);
+        all.extend(pattern.iter().map(|(offset, value)| (start + *offset, *value)));
+    }
+    if let Some((offset, value)) = pattern.first().filter(|_| count.is_none_or(|count| periods < count)) {
+        all.push((from + period.times(periods) + *offset, *value));
+    }
+    Ok(all)
 }
 
 fn points(raw: &[[f64; 2]]) -> Result<Vec<(Time, f64)>, ProfileError> {
@@ -144,19 +319,29 @@ pub enum Profile {
     Hold(Vec<(Time, f64)>),
     /// Linear between the points, constant before the first and after the last.
     Linear(Vec<(Time, f64)>),
-    /// `mean + amplitude sin(omega t + phase)`
+    /// `mean + amplitude sin(omega t + sweep t²/2 + phase)`
     Sine {
         mean: f64,
         amplitude: f64,
-        /// rad/s; `phase` is in rad.
+        /// Angular frequency at the start, rad/s.
         omega: f64,
+        /// Change of the angular frequency, rad/s²; 0 except for a chirp.
+        sweep: f64,
+        /// rad
         phase: f64,
+        /// B in rad/s: the n-th derivative is at most `amplitude · Bⁿ`, up to the fourth.
+        bandwidth: f64,
     },
 }
 
 impl Profile {
     pub fn constant(value: f64) -> Self {
         Self::Hold(vec![(Time::ZERO, value)])
+    }
+
+    /// `mean + amplitude sin(omega t + phase)`; `omega` in rad/s, `phase` in rad.
+    pub const fn sine(mean: f64, amplitude: f64, omega: f64, phase: f64) -> Self {
+        Self::Sine { mean, amplitude, omega, sweep: 0.0, phase, bandwidth: omega }
     }
 
     /// A [`Self::Hold`] has the new value at the time of its point.
@@ -184,9 +369,10 @@ impl Profile {
                     (None, None) => [0.0; N],
                 }
             }
-            Self::Sine { mean, amplitude, omega, phase } => {
-                times.map(|time| mean + amplitude * (omega * time.seconds() + phase).sin())
-            }
+            Self::Sine { mean, amplitude, omega, sweep, phase, .. } => times.map(|time| {
+                let seconds = time.seconds();
+                mean + amplitude * ((omega + sweep * seconds / 2.0) * seconds + phase).sin()
+            }),
         }
     }
 
@@ -204,14 +390,14 @@ impl Profile {
             Self::Linear(_) => self
                 .next_point_after(from)
                 .map_or(0.0, |next| ((self.at(next) - self.at(from)) / (next - from).seconds()).abs()),
-            Self::Sine { amplitude, omega, .. } => (amplitude * omega).abs(),
+            Self::Sine { amplitude, bandwidth, .. } => (amplitude * bandwidth).abs(),
         }
     }
 
-    /// Angular frequency of a sine in rad/s; 0 for other profiles.
-    pub fn angular_frequency(&self) -> f64 {
+    /// Bandwidth of a sine in rad/s; 0 for other profiles.
+    pub fn bandwidth(&self) -> f64 {
         match self {
-            Self::Sine { amplitude, omega, .. } if *amplitude != 0.0 => *omega,
+            Self::Sine { amplitude, bandwidth, .. } if *amplitude != 0.0 => *bandwidth,
             _ => 0.0,
         }
     }
@@ -230,13 +416,19 @@ impl Profile {
                 let time = from + Time::from_nanos(nanos as u64);
                 (share > 0.0 && share < 1.0 && time > after).then_some(time)
             }
-            Self::Sine { mean, amplitude, omega, phase } => {
+            Self::Sine { mean, amplitude, omega, sweep, phase, .. } => {
+                let seconds = after.seconds();
+                let reached = (omega + sweep * seconds / 2.0) * seconds + phase;
                 let angle = ((value - mean) / amplitude).asin();
                 // Angles of the rising and the falling passage; NaN if the sine does not reach
                 // `value`.
                 let passages = [angle, PI - angle].map(|angle| {
-                    let turns = ((omega * after.seconds() + phase - angle) / TAU).floor();
-                    let instants = [turns, turns + 1.0, turns + 2.0].map(|turns| (angle + turns * TAU - phase) / omega);
+                    let turns = ((reached - angle) / TAU).floor();
+                    let instants = [turns, turns + 1.0, turns + 2.0].map(|turns| {
+                        let way = angle + turns * TAU - phase;
+                        // Root of `sweep t²/2 + omega t = way`. NaN if a falling chirp ends before.
+                        2.0 * way / (omega + (omega * omega + 2.0 * sweep * way).sqrt())
+                    });
                     let nanos = instants.map(|seconds| (seconds * 1e9).ceil());
                     nanos.into_iter().find(|nanos| *nanos > after.as_nanos() as f64)
                 });
@@ -274,7 +466,7 @@ mod tests {
     }
 
     fn read(text: &str) -> Result<Profile, ProfileError> {
-        toml::from_str::<Document>(&format!("p = {text}")).unwrap().p.check(Path::new("."))
+        toml::from_str::<Document>(&format!("p = {text}")).unwrap().p.check(Path::new("."), ms(100.0))
     }
 
     fn ms(value: f64) -> Time {
@@ -311,10 +503,64 @@ mod tests {
         assert_eq!(profile.range(), (0.5, 1.5));
         let slope = 0.5 * TAU * 2.0;
         assert!((profile.max_slope_after(Time::ZERO) - slope).abs() < 1e-12);
-        assert_eq!(profile.angular_frequency(), TAU * 2.0);
+        assert_eq!(profile.bandwidth(), TAU * 2.0);
+    }
+
+    #[test]
+    fn a_square_wave_is_a_hold_profile() {
+        let profile =
+            read("{ square = { low = 0.5, high = 2.0, period_ms = 40.0, duty_percent = 25.0, from_ms = 5.0 } }");
+        let expected =
+            [(0.0, 0.5), (5.0, 2.0), (15.0, 0.5), (45.0, 2.0), (55.0, 0.5), (85.0, 2.0), (95.0, 0.5), (125.0, 2.0)];
+        assert_eq!(profile.unwrap(), Profile::Hold(expected.map(|(t, value)| (ms(t), value)).to_vec()));
+        let profile = read("{ square = { low = 0.0, high = 1.0, period_ms = 60.0 } }").unwrap();
+        let expected = [(0.0, 1.0), (30.0, 0.0), (60.0, 1.0), (90.0, 0.0), (120.0, 1.0)];
+        assert_eq!(profile, Profile::Hold(expected.map(|(t, value)| (ms(t), value)).to_vec()));
+    }
+
+    #[test]
+    fn a_pattern_repeats_without_rounding() {
+        let profile =
+            read("{ repeat = { period_ms = 0.3, from_ms = 20.0, hold = [[0.1, 1.0], [0.2, 3.0]] } }").unwrap();
+        let Profile::Hold(points) = profile else { panic!() };
+        assert_eq!(points[0], (Time::ZERO, 3.0));
+        assert_eq!(points[1..3], [(ms(20.1), 1.0), (ms(20.2), 3.0)]);
+        // The 200th period starts at 20 ms + 200 × 300 µs.
+        assert_eq!(points[401], (Time::from_nanos(80_100_000), 1.0));
+        let profile =
+            read("{ repeat = { period_ms = 14.0, from_ms = 20.0, count = 2, hold = [[0.0, 1.0], [7.0, 0.0]] } }");
+        let expected = [(0.0, 0.0), (20.0, 1.0), (27.0, 0.0), (34.0, 1.0), (41.0, 0.0)];
+        assert_eq!(profile.unwrap(), Profile::Hold(expected.map(|(t, value)| (ms(t), value)).to_vec()));
+    }
+
+    #[test]
+    fn a_repeated_line_continues_to_the_next_period() {
+        let profile = read("{ repeat = { period_ms = 60.0, linear = [[0.0, 1.0], [20.0, 3.0]] } }").unwrap();
+        for (t, value) in [(0.0, 1.0), (10.0, 2.0), (40.0, 2.0), (60.0, 1.0), (80.0, 3.0), (100.0, 2.0)] {
+            assert_eq!(profile.at(ms(t)), value, "at {t} ms");
+        }
+        let profile = read("{ repeat = { period_ms = 60.0, count = 1, linear = [[0.0, 1.0], [20.0, 3.0]] } }").unwrap();
+        assert_eq!(profile.at(ms(60.0)), 3.0);
     }
 
     #[rstest]
+    #[case::rising(20.0, 80.0)]
+    #[case::falling(80.0, 20.0)]
+    fn a_chirp_changes_its_frequency_over_the_trial(#[case] from: f64, #[case] to: f64) {
+        let profile = read(&format!("{{ chirp = {{ mean = 1.0, amplitude = 0.5, from_hz = {from}, to_hz = {to} }} }}"));
+        let profile = profile.unwrap();
+        // The mean frequency is 50 Hz, so a trial of 100 ms has five turns.
+        assert!((profile.at(ms(100.0)) - 1.0).abs() < 1e-12);
+        let slope = |t: f64| (profile.at(ms(t + 1e-3)) - profile.at(ms(t))) / 1e-6;
+        assert!((slope(0.0) / (0.5 * TAU * from) - 1.0).abs() < 1e-3);
+        assert!((slope(99.999) / (0.5 * TAU * to) - 1.0).abs() < 1e-3);
+        let sweep = TAU * 60.0 / 0.1;
+        assert!((profile.bandwidth().powi(2) / ((TAU * 80.0).powi(2) + 3.0 * sweep) - 1.0).abs() < 1e-12);
+    }
+
+    #[rstest]
+    #[case::rising("{ chirp = { mean = 1.0, amplitude = 0.5, from_hz = 40.0, to_hz = 900.0, phase_deg = 40.0 } }")]
+    #[case::falling("{ chirp = { mean = 1.0, amplitude = 0.5, from_hz = 400.0, to_hz = 9.0, phase_deg = 90.0 } }")]
     #[case::sine("{ sine = { mean = 1.0, amplitude = 0.5, frequency_hz = 123.0, phase_deg = 40.0 } }")]
     #[case::sine_upside_down("{ sine = { mean = 1.0, amplitude = -0.5, frequency_hz = 123.0, phase_deg = -400.0 } }")]
     #[case::line("{ linear = [[0.0, 0.6], [5.0, 1.4], [9.0, 0.7], [20.0, 1.3], [30.0, 1.3]] }")]
@@ -376,6 +622,14 @@ mod tests {
     #[case("{ linear = [[5.0, 1.0], [4.0, 2.0]] }", "point 2: time 4 ms is not after the previous point")]
     #[case("{ hold = [[inf, 1.0]] }", "point 1: time inf ms")]
     #[case("{ sine = { mean = 1.0, amplitude = 0.5, frequency_hz = 0.0 } }", "frequency_hz above 0")]
+    #[case("{ chirp = { mean = 1.0, amplitude = 0.5, from_hz = 1.0, to_hz = 0.0 } }", "to_hz above 0")]
+    #[case("{ square = { low = 1.0, high = inf, period_ms = 1.0 } }", "a square wave requires finite numbers")]
+    #[case("{ square = { low = 0.0, high = 1.0, period_ms = 1e-6 } }", "of at least 1 ns")]
+    #[case("{ square = { low = 0.0, high = 1.0, period_ms = 9e-5 } }", "gives 2222224 points in the trial")]
+    #[case("{ repeat = { period_ms = 1.0 } }", "requires one of `hold` and `linear`")]
+    #[case("{ repeat = { period_ms = 1.0, hold = [[0.0, 1.0]], linear = [[0.0, 1.0]] } }", "requires one of")]
+    #[case("{ repeat = { period_ms = 1.0, hold = [[0.0, 1.0], [1.0, 2.0]] } }", "expected one longer than 1 ms")]
+    #[case("{ repeat = { period_ms = 1.0, hold = [[0.0, 1.0], [0.0, 2.0]] } }", "point 2: time 0 ms is not after")]
     #[case("{ csv = \"no-such-file.csv\" }", "no-such-file.csv")]
     fn refuses_invalid_points(#[case] text: &str, #[case] message: &str) {
         let error = read(text).unwrap_err().to_string();
@@ -404,7 +658,7 @@ mod tests {
                     [at, *value]
                 })
                 .collect();
-            let profile = RawProfile::Shape(RawShape::Linear(points)).check(Path::new(".")).unwrap();
+            let profile = RawProfile::Shape(RawShape::Linear(points)).check(Path::new("."), ms(1.0)).unwrap();
             let (low, high) = profile.range();
             let value = profile.at(Time::from_nanos(t));
             prop_assert!(low - 1e-12 <= value && value <= high + 1e-12);
@@ -416,7 +670,7 @@ mod tests {
         ) {
             let mut at = 0.0;
             let points: Vec<_> = steps.iter().map(|(step, value)| { at += f64::from(*step); [at, *value] }).collect();
-            let profile = RawProfile::Shape(RawShape::Hold(points)).check(Path::new(".")).unwrap();
+            let profile = RawProfile::Shape(RawShape::Hold(points)).check(Path::new("."), ms(1.0)).unwrap();
             let from = Time::from_nanos(t * 1_000_000);
             if let Some(next) = profile.next_point_after(from) {
                 prop_assert_eq!(profile.at(from), profile.at(Time::from_nanos(next.as_nanos() - 1)));

@@ -231,9 +231,14 @@ fn shift_profile(profile: &Profile, by: f64) -> Profile {
     match profile {
         Profile::Hold(points) => Profile::Hold(moved(points)),
         Profile::Linear(points) => Profile::Linear(moved(points)),
-        Profile::Sine { mean, amplitude, omega, phase } => {
-            Profile::Sine { mean: mean + by, amplitude: *amplitude, omega: *omega, phase: *phase }
-        }
+        Profile::Sine { mean, amplitude, omega, sweep, phase, bandwidth } => Profile::Sine {
+            mean: mean + by,
+            amplitude: *amplitude,
+            omega: *omega,
+            sweep: *sweep,
+            phase: *phase,
+            bandwidth: *bandwidth,
+        },
     }
 }
 

@@ -4,9 +4,13 @@ use crate::reference::{
     HOLDING_DRIVE_VPP, ModeOverTime, Random, ReferencePlate, SETPOINT, distance, driven_plant, finger_profile, line,
     paper_plate, state_at, temperature_profile,
 };
-use platebench_plate::{BandMonitor, BandSignal, ConditionProfiles, Drive, Model, Plant, Plate, Profile, Time};
+use platebench_plate::{
+    BandMonitor, BandSignal, ConditionProfiles, Drive, Model, Plant, Plate, Profile, RawChirp, RawProfile, RawShape,
+    Time,
+};
 use rstest::rstest;
 use std::f64::consts::TAU;
+use std::path::Path;
 
 /// Slope of the resonance, rad/s per K.
 const SLOPE: f64 = -9.638 * TAU;
@@ -16,7 +20,7 @@ fn ramp(t: f64, from_ms: f64, from: f64, to_ms: f64, to: f64) -> f64 {
 }
 
 fn oscillating_force(amplitude: f64, hertz: f64) -> Profile {
-    Profile::Sine { mean: 1.0, amplitude, omega: TAU * hertz, phase: 0.0 }
+    Profile::sine(1.0, amplitude, TAU * hertz, 0.0)
 }
 
 fn force_at(t: f64, amplitude: f64, hertz: f64) -> f64 {
@@ -153,11 +157,27 @@ fn a_force_across_bends_of_the_damping_curve(
     check(&format!("across {bends:?}"), end, &plate, &scene, &mode);
 }
 
+/// The frequency changes by a factor of 20 within the 60 ms.
+#[rstest]
+#[case::rising(20.0, 400.0)]
+#[case::falling(400.0, 20.0)]
+fn a_chirp_of_the_force(#[case] from_hz: f64, #[case] to_hz: f64) {
+    let plate = paper_plate();
+    let chirp = RawChirp { mean: 1.0, amplitude: 0.5, from_hz, to_hz, phase_deg: 0.0 };
+    let duration = Time::from_nanos(60_000_000);
+    let scene = finger_profile(RawProfile::Shape(RawShape::Chirp(chirp)).check(Path::new("."), duration).unwrap());
+    let mode = |t: f64| {
+        let turns = from_hz * t + (to_hz - from_hz) * t * t / (2.0 * 0.06);
+        (plate.sigma0 * (1.0 + (1.0 + 0.5 * (TAU * turns).sin()) / 1.5), plate.omega0)
+    };
+    check(&format!("{from_hz} to {to_hz} Hz"), 60, &plate, &scene, &mode);
+}
+
 #[test]
 fn a_force_that_shifts_the_resonance() {
     let plate = Plate { omega0_per_n: -400.0, ..paper_plate() };
     let scene = ConditionProfiles {
-        finger_force_n: Profile::Sine { mean: 1.0, amplitude: 0.5, omega: TAU * 200.0, phase: 1.0 },
+        finger_force_n: Profile::sine(1.0, 0.5, TAU * 200.0, 1.0),
         temperature_offset_k: line(0.0, 0.0, 50.0, 9.0),
     };
     let mode = |t: f64| {

@@ -5,7 +5,9 @@ use super::checker::MAX_QUALITY;
 use crate::scenario::definition::{InputFile, Spread};
 use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::raw::RawProfiles;
-use platebench_plate::{ConditionProfiles, Conditions, Plate, Profile, ProfileError, RawProfile, RawShape, input};
+use platebench_plate::{
+    ConditionProfiles, Conditions, Plate, Profile, ProfileError, RawProfile, RawShape, Time, input,
+};
 use std::f64::consts::TAU;
 use std::ops::Range;
 use std::path::Path;
@@ -17,10 +19,12 @@ const MAX_RESONANCE_HZ: f64 = 2.5e6;
 const EXPECTED: &str = "expected one of at most 2.5e6 Hz with a quality factor from 0.5 to 1e9";
 const SPREAD_SIGMAS: f64 = 5.0;
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 enum PointField {
     Time,
     Value,
+    /// Period of a repeated profile.
+    Period,
 }
 
 impl Checker<'_> {
@@ -29,9 +33,10 @@ impl Checker<'_> {
         folder: &Path,
         key: &str,
         raw: &RawProfile,
+        duration: Time,
         inputs: &mut Vec<InputFile>,
     ) -> Result<Profile, Diagnostic> {
-        let profile = raw.check(folder).map_err(|error| self.profile_error(folder, key, raw, &error))?;
+        let profile = raw.check(folder, duration).map_err(|error| self.profile_error(folder, key, raw, &error))?;
         if let Some(path) = raw.file(folder) {
             let bytes =
                 input::read(&path).map_err(|error| Diagnostic::for_file(&path, format!("cannot be read: {error}")))?;
@@ -44,7 +49,12 @@ impl Checker<'_> {
         let (index, part) = match error {
             ProfileError::NotFinite { index, .. } => (*index, PointField::Value),
             ProfileError::Time { index, .. } | ProfileError::Unordered { index, .. } => (*index, PointField::Time),
-            ProfileError::Empty | ProfileError::Sine => (1, PointField::Value),
+            ProfileError::Empty | ProfileError::Sine | ProfileError::Chirp | ProfileError::Square => {
+                (1, PointField::Value)
+            }
+            ProfileError::Pattern | ProfileError::Period { .. } | ProfileError::Repeated { .. } => {
+                (1, PointField::Period)
+            }
             ProfileError::Csv { path, source } => return self.csv_error(key, path, source),
         };
         self.point_error(folder, key, raw, index, part, error.to_string())
@@ -94,7 +104,15 @@ impl Checker<'_> {
             RawProfile::Number(_) => key.to_owned(),
             RawProfile::Shape(RawShape::Hold(_)) => place("hold"),
             RawProfile::Shape(RawShape::Linear(_)) => place("linear"),
+            RawProfile::Shape(RawShape::Repeat(raw)) => {
+                if index > raw.points().len() || part == PointField::Period {
+                    return self.diagnostic(&format!("{key}.repeat.period_ms"), message);
+                }
+                place(if raw.hold.is_some() { "repeat.hold" } else { "repeat.linear" })
+            }
+            RawProfile::Shape(RawShape::Square(_)) => format!("{key}.square"),
             RawProfile::Shape(RawShape::Sine(_)) => format!("{key}.sine"),
+            RawProfile::Shape(RawShape::Chirp(_)) => format!("{key}.chirp"),
             RawProfile::Shape(RawShape::Csv(file)) => {
                 let path = folder.join(file);
                 let Ok(Ok(text)) = input::read(&path).map(String::from_utf8) else {
@@ -115,9 +133,10 @@ impl Checker<'_> {
         good: impl Fn(f64) -> bool,
         message: impl Fn(f64) -> String,
     ) -> Result<(), Diagnostic> {
-        let values = match profile {
-            Profile::Hold(points) | Profile::Linear(points) => points.iter().map(|(_, value)| *value).collect(),
-            Profile::Sine { .. } => vec![profile.range().0, profile.range().1],
+        let values = match (raw, profile) {
+            (RawProfile::Shape(RawShape::Repeat(raw)), _) => raw.points().iter().map(|point| point[1]).collect(),
+            (_, Profile::Hold(points) | Profile::Linear(points)) => points.iter().map(|(_, value)| *value).collect(),
+            (_, Profile::Sine { .. }) => vec![profile.range().0, profile.range().1],
         };
         match (1..).zip(values).find(|(_, value)| !good(*value)) {
             Some((index, value)) => Err(self.point_error(folder, key, raw, index, PointField::Value, message(value))),
@@ -236,7 +255,7 @@ fn csv_point_span(text: &str, index: usize, part: PointField) -> Range<usize> {
     let header = text.get(record_span(text, 0)).unwrap_or_default();
     let name = match part {
         PointField::Time => "t_ms",
-        PointField::Value => "value",
+        PointField::Value | PointField::Period => "value",
     };
     let column = header.split(',').position(|field| field.trim() == name).unwrap_or(0);
     field_span(text, record_span(text, index as u64), column)

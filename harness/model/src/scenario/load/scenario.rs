@@ -221,7 +221,9 @@ impl Checker<'_> {
                 )
             }));
         }
-        let mut profile = |key: &str, raw: &RawProfile| faults.record_error(self.profile(folder, key, raw, inputs));
+        let length = duration.unwrap_or(Time::ZERO);
+        let mut profile =
+            |key: &str, raw: &RawProfile| faults.record_error(self.profile(folder, key, raw, length, inputs));
         let setpoint = profile("profile.setpoint_um", &profiles.setpoint_um);
         let temperature_offset_k = profile("profile.temperature_offset_k", &profiles.temperature_offset_k);
         let finger_force_n = profile("profile.finger_force_n", &profiles.finger_force_n);

@@ -41,7 +41,7 @@ fn a_linear_ramp_is_one_change_at_its_first_point(#[case] linear: &[(f64, f64)],
 
 #[test]
 fn a_sine_is_one_change_at_the_start() {
-    let sine = |amplitude| Profile::Sine { mean: 1.0, amplitude, omega: 9.0, phase: 0.0 };
+    let sine = |amplitude| Profile::sine(1.0, amplitude, 9.0, 0.0);
     assert_eq!((starts_ms(&sine(0.5), false), starts_ms(&sine(0.0), false)), (vec![0.0], vec![]));
     assert_eq!((starts_ms(&sine(0.5), true), starts_ms(&sine(0.0), true)), (vec![0.0], vec![0.0]));
 }
