@@ -47,7 +47,18 @@ class ScenarioFile(pytest.File):
             content = tomllib.loads(self.path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             content = {}
-        yield ScenarioItem.from_parent(self, name="scenario", content=content)
+        if "matrix" not in content:
+            yield ScenarioItem.from_parent(self, name="scenario", content=content, case=self.path)
+            return
+        listed = start(["run", str(self.path), "--list", "--format", "json"])
+        if listed.returncode:
+            # The program reports the error again as the result of this test.
+            yield ScenarioItem.from_parent(self, name="scenario", content={}, case=self.path)
+            return
+        for scenario in json.loads(listed.stdout)["scenarios"]:
+            case = self.path.with_name(Path(scenario["file"]).name)
+            name = case.stem.removeprefix(f"{self.path.stem}-")
+            yield ScenarioItem.from_parent(self, name=name, content=scenario, case=case)
 
 
 class ScenarioFailure(Exception):
@@ -58,10 +69,11 @@ class ScenarioItem(pytest.Item):
     # Other plugins, such as labgrid's, read it of every test.
     fixturenames: tuple[str, ...] = ()
 
-    def __init__(self, *, content: dict[str, Any], **arguments: Any) -> None:
+    def __init__(self, *, content: dict[str, Any], case: Path, **arguments: Any) -> None:
         super().__init__(**arguments)
+        self.case = case
         self.title = str(content.get("title", "faulty scenario"))
-        code, tags = content.get("expected_exit", 0), content.get("tags", [])
+        code, tags = content.get("expected_exit") or 0, content.get("tags", [])
         # The program reports values of a wrong type.
         self.expected_exit = code if isinstance(code, int) else 0
         # `pytest -k paper` selects by tag.
@@ -72,7 +84,7 @@ class ScenarioItem(pytest.Item):
         rig = option("--platebench-rig") or self.config.getini("platebench_rig")
         further = option("--platebench-args") or self.config.getini("platebench_args")
         folder = Path(tempfile.mkdtemp(prefix="platebench-"))
-        arguments = ["run", str(self.path), "--format", "json", "--out", str(folder / "run")]
+        arguments = ["run", str(self.case), "--format", "json", "--out", str(folder / "run")]
         arguments += ["--rig", rig] if rig else []
         done = start([*arguments, *shlex.split(further)])
         if done.returncode == self.expected_exit:

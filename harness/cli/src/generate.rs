@@ -24,6 +24,7 @@ use platebench_report::events::EventLine;
 use platebench_report::scenario_list::ScenarioList;
 use platebench_verdict::replay::ReplayResult;
 use platebench_wire::LawId;
+use serde_json::json;
 use std::fs;
 use std::path::PathBuf;
 
@@ -146,7 +147,8 @@ impl SchemaKind {
                 let mut schema = schema::scenario_schema();
                 let laws: Vec<_> = LawId::ALL.map(LawId::name).to_vec();
                 if let Some(law) = schema.pointer_mut("/$defs/RawController/properties/law") {
-                    law["enum"] = laws.into();
+                    let laws = json!({ "type": "string", "enum": laws });
+                    law["anyOf"] = json!([laws, { "$ref": "#/$defs/Placeholder" }]);
                 }
                 schema
             }

@@ -5,7 +5,7 @@ use crate::options::OutputFormat;
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_model::record::{RunRecord, ScenarioRecord};
-use platebench_model::scenario::{Diagnostic, Scenario};
+use platebench_model::scenario::Scenario;
 use platebench_plate::input::STANDARD_STREAM;
 use platebench_report::annotations::{self, SourceLocation};
 use platebench_report::tap::{self, TapVersion};
@@ -121,25 +121,19 @@ impl Outputs {
     }
 }
 
-pub(crate) struct ScenarioLocations(Vec<(String, PathBuf, String)>);
+/// The scenarios of a run, to find the lines of their expectations.
+pub(crate) struct ScenarioLocations(Vec<Scenario>);
 
 impl ScenarioLocations {
     pub(crate) fn new(scenarios: &[Scenario]) -> Self {
-        let read = scenarios.iter().filter_map(|scenario| {
-            let input = scenario.inputs.first()?;
-            let source = String::from_utf8_lossy(&input.bytes).into_owned();
-            Some((scenario.file.clone(), input.path.clone(), source))
-        });
-        Self(read.collect())
+        Self(scenarios.to_vec())
     }
 
     /// Returns the line of expectation `index` in the scenario, or line 1 without `index`.
     fn location_of(&self, scenario: &ScenarioRecord, index: Option<usize>) -> Option<SourceLocation> {
-        let (_, path, source) = self.0.iter().find(|(file, ..)| *file == scenario.file)?;
-        let line = index.map_or(1, |index| {
-            Diagnostic::at_key(path, source, &format!("expect.{index}.metric"), String::new()).position().0
-        });
-        Some(SourceLocation { file: repository_path(path), line })
+        let played = self.0.iter().find(|played| played.file == scenario.file)?;
+        let line = index.map_or(1, |index| played.diagnostic(&format!("expect.{index}.metric"), "").position().0);
+        Some(SourceLocation { file: repository_path(&played.inputs.first()?.path), line })
     }
 }
 

@@ -44,6 +44,7 @@ pub mod scenario {
     pub mod fault;
     pub mod find;
     pub mod load;
+    mod matrix;
     mod message;
     mod parse;
     pub mod raw;

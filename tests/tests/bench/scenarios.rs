@@ -2,13 +2,14 @@
 
 use crate::test_folder::{run_bench, workspace_root};
 use platebench_model::record::{RunRecord, Verdict};
+use platebench_model::scenario::{Scenario, find};
 use rstest::rstest;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-fn expected_exit(path: &PathBuf) -> i32 {
-    let document: toml::Table = fs::read_to_string(path).unwrap().parse().unwrap();
-    document.get("expected_exit").map_or(0, |code| i32::try_from(code.as_integer().unwrap()).unwrap())
+/// The scenarios of a file: one, or the cases of its matrix.
+fn scenarios_of(path: &Path) -> Vec<Scenario> {
+    find(&[path.to_owned()]).unwrap().scenarios
 }
 
 #[rstest]
@@ -23,7 +24,18 @@ fn each_scenario_has_its_expected_exit_code(
     path: PathBuf,
 ) {
     let folder = tempfile::tempdir().unwrap();
-    run_bench(folder.path(), ["run", path.to_str().unwrap(), "--out", "run"]).assert_exit(expected_exit(&path));
+    let scenarios = scenarios_of(&path);
+    let codes: Vec<_> = scenarios.iter().map(|scenario| scenario.expected_exit.unwrap_or(0)).collect();
+    let worst = [5, 1, 3, 0].into_iter().find(|code| codes.contains(code)).unwrap();
+    run_bench(folder.path(), ["run", path.to_str().unwrap(), "--out", "run"]).assert_exit(worst.into());
+    if codes.len() > 1 {
+        let record = RunRecord::read(&folder.path().join("run")).unwrap();
+        assert_eq!(record.scenarios.len(), codes.len());
+        for (scenario, result) in scenarios.iter().zip(&record.scenarios) {
+            let expected = if scenario.expected_exit.is_some() { Verdict::Fail } else { Verdict::Pass };
+            assert_eq!((&result.file, result.verdict), (&scenario.file, expected));
+        }
+    }
     for file in ["run.json", "junit.xml", "report.html", "traceability.csv"] {
         assert!(folder.path().join("run").join(file).exists(), "{file}");
     }
@@ -60,17 +72,19 @@ fn the_default_run_passes_and_excludes_limits() {
 
 #[rstest]
 fn each_law_behaves_as_documented(
-    #[files("../scenarios/laws/drive-*.toml")]
-    #[files("../scenarios/laws/noise-*.toml")]
+    #[files("../scenarios/laws/drive.toml")]
+    #[files("../scenarios/laws/noise.toml")]
     path: PathBuf,
 ) {
     let folder = tempfile::tempdir().unwrap();
     run_bench(folder.path(), ["run", path.to_str().unwrap(), "--rig", "hosted", "--out", "run", "--quiet"]);
     let record = RunRecord::read(&folder.path().join("run")).unwrap();
-    let scenario = platebench_model::scenario::load(&path, "s.toml").unwrap();
-    let results = &record.scenarios[0].expectations;
-    assert_eq!(results.len(), scenario.expectations.len());
-    for (expected, result) in scenario.expectations.iter().zip(results) {
-        assert!(expected.requirement.is_some() || result.verdict == Verdict::Pass, "{result:?}");
+    let scenarios = scenarios_of(&path);
+    assert_eq!(scenarios.len(), 27);
+    for (scenario, result) in scenarios.iter().zip(&record.scenarios) {
+        assert_eq!((&result.file, result.expectations.len()), (&scenario.file, scenario.expectations.len()));
+        for (expected, result) in scenario.expectations.iter().zip(&result.expectations) {
+            assert!(expected.requirement.is_some() || result.verdict == Verdict::Pass, "{result:?}");
+        }
     }
 }

@@ -54,7 +54,8 @@ fn check_toml(text: &str) -> Result<TomlKind, String> {
     fs::write(&path, text).unwrap();
     let loaded = match kind {
         TomlKind::Scenario => {
-            platebench_model::scenario::load(&path, "block.toml").map(drop).map_err(|fault| fault.to_string())
+            let faults = platebench_model::scenario::find(std::slice::from_ref(&path)).map(drop);
+            faults.map_err(|faults| faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))
         }
         TomlKind::Plate => check_plate(&path, &folder),
         TomlKind::Plan => platebench_lab::acceptance::AcceptancePlan::load(&path)

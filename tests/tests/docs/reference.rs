@@ -113,6 +113,7 @@ fn append_keys(root: &Value, table: &Value, path: &str, page: &mut String) {
             Value::Null | Value::Array(_) | Value::Object(_) => String::new(),
             default => default.to_string().trim_matches('"').to_owned(),
         };
+        let schema = without_placeholder(schema);
         let range = range_of(schema);
         writeln!(page, "| `{key}` | {} | {range} | {default} | {help} |", type_of(root, schema)).unwrap();
         let is_list = schema["type"] == "array";
@@ -124,6 +125,14 @@ fn append_keys(root: &Value, table: &Value, path: &str, page: &mut String) {
     }
     for (table, path) in below {
         append_keys(root, table, &path, page);
+    }
+}
+
+/// A value of a scenario may be a placeholder of `[matrix]`, which each line need not repeat.
+fn without_placeholder(schema: &Value) -> &Value {
+    match schema["anyOf"].as_array().map(Vec::as_slice) {
+        Some([own, placeholder]) if placeholder["$ref"] == "#/$defs/Placeholder" => own,
+        _ => schema,
     }
 }
 

@@ -84,6 +84,7 @@ impl ScenarioBuilder<'_> {
             between: scene.earlier.iter().map(|earlier| self.between(earlier, &mut plates)).collect(),
             message: Vec::new(),
             expect: expectations(scene, demands),
+            matrix: None,
         };
         SceneScenario { scenario, plates }
     }

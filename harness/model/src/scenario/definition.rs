@@ -6,6 +6,7 @@ use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::expect::Expectation;
 use crate::scenario::fault::ChipFault;
 use crate::scenario::fault::Fault;
+use crate::scenario::matrix::Source;
 use crate::scenario::message::ScenarioMessage;
 use platebench_plate::{ConditionProfiles, Model, Plant, Plate, Profile, Sensor, Time};
 use rand_chacha::ChaCha8Rng;
@@ -31,6 +32,8 @@ pub struct InputFile {
 pub struct Scenario {
     /// Path below the scenario folder with `/`, for example `paper/fig13-closed-loop.toml`.
     pub file: String,
+    /// Name of the case if the file has a `[matrix]`.
+    pub case: Option<String>,
     /// All input files. The first is the scenario file.
     pub inputs: Vec<InputFile>,
     pub title: String,
@@ -167,7 +170,11 @@ impl Scenario {
 
     pub fn diagnostic(&self, key: &str, message: impl Into<String>) -> Diagnostic {
         match self.inputs.first() {
-            Some(input) => Diagnostic::at_key(&input.path, &String::from_utf8_lossy(&input.bytes), key, message),
+            Some(input) => {
+                let text = String::from_utf8_lossy(&input.bytes);
+                let source = Source { path: &input.path, text: &text, case: self.case.as_deref() };
+                source.diagnostic(key, message)
+            }
             None => Diagnostic::for_file(self.file.as_ref(), message),
         }
     }

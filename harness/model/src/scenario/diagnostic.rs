@@ -42,11 +42,27 @@ impl Diagnostic {
     /// diagnostic points at its nearest parent. The message starts with the name of the key, unless
     /// it contains that name.
     pub fn at_key(path: &Path, source: &str, key: &str, message: impl Into<String>) -> Self {
+        let span = DeTable::parse(source).map_or(0..0, |document| span_of_key(document.get_ref(), key));
+        Self::with_key(path, source, span, key, message)
+    }
+
+    /// Like [`Self::at_key`], with the key in `document`, whose spans are those of `source`.
+    pub(crate) fn in_document(
+        path: &Path,
+        source: &str,
+        document: &DeTable<'_>,
+        key: &str,
+        message: impl Into<String>,
+    ) -> Self {
+        Self::with_key(path, source, span_of_key(document, key), key, message)
+    }
+
+    fn with_key(path: &Path, source: &str, span: Range<usize>, key: &str, message: impl Into<String>) -> Self {
         let message = message.into();
         let name = name_of_key(key);
         let mut words = message.split(|letter: char| !letter.is_alphanumeric() && letter != '_');
         let message = if words.any(|word| word == name) { message } else { format!("`{name}`: {message}") };
-        Self::at_span(path, source, span_of_key(source, key), message)
+        Self::at_span(path, source, span, message)
     }
 
     pub fn from_toml(path: &Path, source: &str, error: &toml::de::Error) -> Self {
@@ -164,10 +180,9 @@ fn unit_symbol(unit: &str) -> &str {
     }
 }
 
-fn span_of_key(source: &str, key: &str) -> Range<usize> {
-    let Ok(document) = DeTable::parse(source) else { return 0..0 };
+fn span_of_key(document: &DeTable<'_>, key: &str) -> Range<usize> {
     let mut names = key.split('.');
-    let first = names.next().and_then(|name| document.get_ref().get(name));
+    let first = names.next().and_then(|name| document.get(name));
     let values = std::iter::successors(first, |value| {
         let name = names.next()?;
         match value.get_ref() {

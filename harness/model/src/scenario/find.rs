@@ -4,6 +4,7 @@ use crate::scenario::definition::Scenario;
 use crate::scenario::diagnostic::{CLOSE, Diagnostic, closeness};
 use crate::scenario::load::REQUIREMENTS_FILE;
 use crate::scenario::load::load_with_all_errors;
+use crate::scenario::matrix::{case_files, find_case, name_of_case};
 use crate::scenario::parse::parse_syntax;
 use crate::scenario::parse::read_text;
 use platebench_plate::input;
@@ -55,7 +56,8 @@ impl ScenariosRoot {
         let mut with_extension = below.as_os_str().to_owned();
         with_extension.push(".toml");
         let candidates = [below, Path::new(&with_extension)];
-        let found = candidates.into_iter().find(|below| self.path.join(below).exists())?;
+        let exists = |path: &Path| path.exists() || find_case(path).is_some();
+        let found = candidates.into_iter().find(|below| exists(&self.path.join(below)))?;
         Some(self.parent.join(SCENARIOS_FOLDER).join(found).components().collect())
     }
 
@@ -63,7 +65,8 @@ impl ScenariosRoot {
     fn suggestion(&self, name: &Path) -> String {
         let name = name.strip_prefix(SCENARIOS_FOLDER).unwrap_or(name).to_string_lossy();
         let known = Search::default().files_below(&self.path);
-        let known = known.iter().filter_map(|path| path.strip_prefix(&self.path).ok()).map(Path::to_string_lossy);
+        let name_of = |path: &PathBuf| Some(path.strip_prefix(&self.path).ok()?.to_string_lossy().into_owned());
+        let known = known.iter().filter_map(|path| Some(case_files(path, name_of(path)?))).flatten();
         let rated = known.map(|known| (name_closeness(&name, &known), known));
         match rated.filter(|(closeness, _)| *closeness >= CLOSE).max_by(|a, b| a.0.total_cmp(&b.0)) {
             Some((_, known)) => format!("; did you mean `{known}`?"),
@@ -86,7 +89,7 @@ fn name_closeness(name: &str, known: &str) -> f64 {
 fn resolve_argument(argument: &Path, folder: &Path) -> Result<PathBuf, Diagnostic> {
     let is_stream = argument == Path::new(input::STANDARD_STREAM);
     let Err(error) = folder.join(argument).symlink_metadata() else { return Ok(argument.to_owned()) };
-    if is_stream {
+    if is_stream || find_case(&folder.join(argument)).is_some() {
         return Ok(argument.to_owned());
     }
     let root = if argument.is_absolute() { None } else { ScenariosRoot::find_above(folder) };
@@ -108,6 +111,7 @@ struct Search {
 
 struct FoundFile {
     path: PathBuf,
+    /// Name in records. It distinguishes the cases of a file.
     name: String,
     /// True if the file, or the folder that contains it, is an argument.
     is_named: bool,
@@ -127,7 +131,12 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
         match load_with_all_errors(&path, &name) {
             Ok(scenario) if scenario.only_if_named.is_some() && !is_named => found.skipped.push(scenario),
             Ok(scenario) => found.scenarios.push(scenario),
-            Err(found) => faults.extend(found),
+            // Cases of one file may have the same error.
+            Err(found) => found.into_iter().for_each(|fault| {
+                if !faults.contains(&fault) {
+                    faults.push(fault);
+                }
+            }),
         }
     }
     found.scenarios.sort_by(|a, b| a.file.cmp(&b.file));
@@ -149,7 +158,8 @@ pub fn repeated_names<'a>(files: impl IntoIterator<Item = &'a (PathBuf, String)>
     files.into_iter().filter_map(fault).collect()
 }
 
-/// Returns each named file, and each TOML file below a named folder, with its name in records. Also
+/// Returns each named file, and each TOML file below a named folder, with its name in records. A
+/// file with a `[matrix]` occurs once per case. Also
 /// returns the errors of unreadable folders. Skips the inputs of run folders.
 pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
     let mut search = Search::default();
@@ -168,7 +178,7 @@ impl Search {
         arguments: &[PathBuf],
         is_wanted: impl Fn(&Path) -> Result<bool, Vec<Diagnostic>>,
     ) -> Vec<FoundFile> {
-        let mut files: BTreeMap<PathBuf, FoundFile> = BTreeMap::new();
+        let mut files: BTreeMap<(PathBuf, String), FoundFile> = BTreeMap::new();
         let folder = env::current_dir().unwrap_or_default();
         for argument in arguments {
             let argument = match resolve_argument(argument, &folder) {
@@ -196,9 +206,18 @@ impl Search {
             }
             for path in below {
                 let is_named = path == argument || path.parent() == Some(argument.as_path());
+                let case = find_case(&path);
+                let path = case.as_ref().map_or(path, |(file, _)| file.clone());
                 let canonical = canonical(&path);
                 let name = record_name(&canonical, &argument);
-                files.entry(canonical).or_insert(FoundFile { path, name, is_named: false }).is_named |= is_named;
+                let names = match case {
+                    Some((_, case)) => vec![name_of_case(&name, &case)],
+                    None => case_files(&path, name),
+                };
+                for name in names {
+                    let found = FoundFile { path: path.clone(), name: name.clone(), is_named: false };
+                    files.entry((canonical.clone(), name)).or_insert(found).is_named |= is_named;
+                }
             }
         }
         files.into_values().collect()

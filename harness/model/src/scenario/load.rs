@@ -9,7 +9,8 @@ mod scenario;
 
 use crate::scenario::definition::{InputFile, Scenario};
 use crate::scenario::diagnostic::Diagnostic;
-use crate::scenario::parse::{parse, parse_file, range_errors, read_text, with_truncation_note};
+use crate::scenario::matrix::{Source, SourceFile};
+use crate::scenario::parse::{parse_file, parse_source, range_errors, read_text, with_truncation_note};
 use crate::scenario::raw::RawScenario;
 use crate::scenario::schema::{PLATE_SCHEMA, SCENARIO_SCHEMA};
 pub(crate) use checker::Checker;
@@ -21,6 +22,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use toml::de::Deserializer;
 use toml::{Table, Value};
 
 /// `file` is the name of the scenario in records. Returns only the first error.
@@ -62,14 +64,14 @@ pub fn check_raw(raw: RawScenario, file: &str, plates: &BTreeMap<PathBuf, RawPla
             Ok(KnownPlate { path: path.clone(), plate, text: String::new() })
         };
         let plates = plates.iter().map(known).collect::<Result<Vec<_>, Vec<Diagnostic>>>()?;
-        Checker { path, text: "", prefix: String::new(), plates: &plates }.check(raw, file)
+        Checker { source: Source::file(path, ""), prefix: String::new(), plates: &plates }.check(raw, file)
     };
     checked().map_err(|faults| first_diagnostic(path, faults))
 }
 
 fn check_ranges(schema: &Schema, raw: &impl Serialize, path: &Path) -> Result<(), Vec<Diagnostic>> {
     let table = Table::try_from(raw).map_err(|error| vec![Diagnostic::for_file(path, error.to_string())])?;
-    let faults = range_errors(schema, &table, path, "");
+    let faults = range_errors(schema, &table, &Source::file(path, ""));
     if faults.is_empty() { Ok(()) } else { Err(faults) }
 }
 
@@ -78,14 +80,14 @@ fn first_diagnostic(path: &Path, faults: Vec<Diagnostic>) -> Diagnostic {
 }
 
 fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Vec<Diagnostic>> {
-    let text = crate::scenario::parse::read_text(path).map_err(|fault| vec![fault])?;
-    let mut raw: RawScenario = parse(path, &text)?;
+    let opened = SourceFile::read(path, file)?;
+    let mut raw: RawScenario = parse_source(&opened.source())?;
     for (named, copy) in raw.files().zip(copies) {
         // A relative path would be resolved from the scenario's folder.
         *named = std::path::absolute(copy).unwrap_or_else(|_| copy.clone());
     }
-    let checker = Checker { path, text: &text, prefix: String::new(), plates: &[] };
-    let mut scenario = checker.check(raw, file).map_err(|faults| with_truncation_note(path, faults))?;
+    let checker = Checker { source: opened.source(), prefix: String::new(), plates: &[] };
+    let mut scenario = checker.check(raw, file).map_err(|faults| with_truncation_note(&opened.path, faults))?;
     // The run record contains the texts. There is no `requirements.toml` above the copies.
     if copies.is_empty() {
         let used = scenario.expectations.iter().filter_map(|expectation| expectation.requirement.as_deref());
@@ -100,8 +102,7 @@ const CHANGED_PLATE: &str = "changed-plate.toml";
 
 #[derive(Debug, Clone)]
 pub struct ScenarioTemplate {
-    path: PathBuf,
-    text: String,
+    opened: SourceFile,
     file: String,
     table: Table,
     plate_name: String,
@@ -124,8 +125,10 @@ impl ScenarioTemplate {
         let parse = |path: &Path, text: &str| {
             text.parse::<Table>().map_err(|error| vec![Diagnostic::from_toml(path, text, &error)])
         };
-        let text = read(path)?;
-        let mut table = parse(path, &text)?;
+        let opened = SourceFile::read(path, &scenario.file)?;
+        let document = opened.source().document()?;
+        let mut table = Table::deserialize(Deserializer::from(document))
+            .map_err(|error| vec![Diagnostic::from_toml(&opened.path, &opened.text, &error)])?;
         edit(&mut table);
         let plate_name = table.get("plate").and_then(Value::as_str).unwrap_or_default().to_owned();
         let plate_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&plate_name);
@@ -133,8 +136,8 @@ impl ScenarioTemplate {
         let plate_table = parse(&plate_path, &plate_text)?;
         let plate = load_plate(&plate_path)?;
         let plate = KnownPlate { path: plate_path, plate, text: plate_text };
-        let (path, file) = (path.to_owned(), scenario.file.clone());
-        Ok(Self { path, text, file, table, plate_name, plate, plate_table, scenario })
+        let file = scenario.file.clone();
+        Ok(Self { opened, file, table, plate_name, plate, plate_table, scenario })
     }
 
     /// Replaces the values at dotted keys. Fails if a key leads through a number, a text or a
@@ -160,18 +163,19 @@ impl ScenarioTemplate {
 
     /// Checks the tables like [`super::load()`]. Diagnostics point into the unchanged files.
     pub fn check(&self, tables: &ScenarioTables) -> Result<Scenario, Vec<Diagnostic>> {
-        let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
+        let folder = self.opened.path.parent().unwrap_or_else(|| Path::new("."));
         let mut known = vec![self.plate.clone()];
         if let Some(table) = &tables.plate {
             known.push(KnownPlate { path: folder.join(CHANGED_PLATE), ..self.changed_plate(table)? });
         }
-        let raw: RawScenario = from_table(&tables.scenario, &SCENARIO_SCHEMA, &self.path, &self.text)?;
-        Checker { path: &self.path, text: &self.text, prefix: String::new(), plates: &known }.check(raw, &self.file)
+        let source = self.opened.source();
+        let raw: RawScenario = from_table(&tables.scenario, &SCENARIO_SCHEMA, &source)?;
+        Checker { source, prefix: String::new(), plates: &known }.check(raw, &self.file)
     }
 
     fn changed_plate(&self, table: &Table) -> Result<KnownPlate, Vec<Diagnostic>> {
         let KnownPlate { path, text, .. } = &self.plate;
-        let raw: RawPlate = from_table(table, &PLATE_SCHEMA, path, text)?;
+        let raw: RawPlate = from_table(table, &PLATE_SCHEMA, &Source::file(path, text))?;
         let plate = check_plate(path, text, raw)?;
         Ok(KnownPlate { path: path.clone(), plate, text: String::new() })
     }
@@ -181,15 +185,11 @@ impl ScenarioTemplate {
     }
 }
 
-/// Checks keys, types and bounds. The errors point into `text`.
-fn from_table<T: DeserializeOwned>(
-    table: &Table,
-    schema: &Schema,
-    path: &Path,
-    text: &str,
-) -> Result<T, Vec<Diagnostic>> {
-    let raw = T::deserialize(table.clone()).map_err(|error| vec![Diagnostic::from_toml(path, text, &error)])?;
-    let faults = range_errors(schema, table, path, text);
+/// Checks keys, types and bounds. The errors point into `source`.
+fn from_table<T: DeserializeOwned>(table: &Table, schema: &Schema, source: &Source<'_>) -> Result<T, Vec<Diagnostic>> {
+    let raw =
+        T::deserialize(table.clone()).map_err(|error| vec![Diagnostic::from_toml(source.path, source.text, &error)])?;
+    let faults = range_errors(schema, table, source);
     if faults.is_empty() { Ok(raw) } else { Err(faults) }
 }
 

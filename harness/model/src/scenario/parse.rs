@@ -5,6 +5,7 @@
 //! relations between keys have their own checks, with messages that name the reason.
 
 use crate::scenario::diagnostic::{Diagnostic, MAX_DIAGNOSTICS, unit_of_key};
+use crate::scenario::matrix::Source;
 use crate::scenario::schema::schema_of;
 use platebench_plate::input;
 use schemars::{JsonSchema, Schema};
@@ -36,15 +37,21 @@ pub fn parse_bytes<T: DeserializeOwned + JsonSchema>(
 /// their order, then with all missing keys. If there are none, fails with all numbers outside the
 /// bounds in the schema of `T`.
 pub fn parse<T: DeserializeOwned + JsonSchema>(path: &Path, text: &str) -> Result<T, Vec<Diagnostic>> {
+    parse_source(&Source::file(path, text))
+}
+
+/// Like [`parse`], for a file or a case of its matrix.
+pub(crate) fn parse_source<T: DeserializeOwned + JsonSchema>(source: &Source<'_>) -> Result<T, Vec<Diagnostic>> {
+    let Source { path, text, .. } = *source;
     // serde stops at the first error, so the wrong element is removed and the rest is read again.
-    let mut rest = parse_syntax(path, text)?;
+    let mut rest = source.document().map_err(|faults| with_truncation_note(path, faults))?;
     let mut faults = Vec::new();
     let mut holes: Vec<Range<usize>> = Vec::new();
     loop {
         let error = match T::deserialize(Deserializer::from(rest.clone())) {
             Ok(raw) if faults.is_empty() => {
                 let table = Table::deserialize(Deserializer::from(rest)).unwrap_or_default();
-                let faults = range_errors(&schema_of::<T>(""), &table, path, text);
+                let faults = range_errors(&schema_of::<T>(""), &table, source);
                 return if faults.is_empty() { Ok(raw) } else { Err(with_truncation_note(path, faults)) };
             }
             Ok(_) => break,
@@ -145,13 +152,13 @@ pub(crate) fn decode_text(path: &Path, bytes: Vec<u8>) -> Result<String, Diagnos
 }
 
 /// Returns an error for each number outside its bounds, and for each NaN or infinity, in the order
-/// of the file. `text` is the file, or the file that `table` is derived from.
-pub(crate) fn range_errors(schema: &Schema, table: &Table, path: &Path, text: &str) -> Vec<Diagnostic> {
+/// of the file. `source` is the file, or the file that `table` is derived from.
+pub(crate) fn range_errors(schema: &Schema, table: &Table, source: &Source<'_>) -> Vec<Diagnostic> {
     let root = schema.as_value();
     let mut search = Search { root, errors: Vec::new() };
     search.table(root, table, "");
     let errors = search.errors.into_iter().take(MAX_DIAGNOSTICS);
-    let mut errors: Vec<_> = errors.map(|(key, message)| Diagnostic::at_key(path, text, &key, message)).collect();
+    let mut errors: Vec<_> = errors.map(|(key, message)| source.diagnostic(&key, message)).collect();
     errors.sort_by_key(Diagnostic::position);
     errors
 }
@@ -336,7 +343,8 @@ mod value_range_tests {
     #[case("shape = { width_um = 0 }", "1:22: `width_um`: 0 µm, expected a finite number above 0")]
     #[case("count = 3\n[[list]]\nwidth_um = -1", "3:12: `width_um`: -1 µm, expected a finite number above 0")]
     fn reports_a_number_outside_its_bounds(#[case] text: &str, #[case] expected: &str) {
-        let errors = range_errors(&schema_of::<Raw>("raw"), &text.parse().unwrap(), Path::new("a"), text);
+        let errors =
+            range_errors(&schema_of::<Raw>("raw"), &text.parse().unwrap(), &Source::file(Path::new("a"), text));
         let errors: Vec<_> = errors.iter().map(|error| error.to_string().replacen("a:", "", 1)).collect();
         assert_eq!(errors, [expected]);
     }
@@ -344,6 +352,9 @@ mod value_range_tests {
     #[test]
     fn accepts_the_bounds_themselves() {
         let text = "period_ms = 10\nconfidence = 0.5\ncount = 3\nforce_n = [0.0, 2.0]\nshape = [-1.0, 1.0]";
-        assert_eq!(range_errors(&schema_of::<Raw>("raw"), &text.parse().unwrap(), Path::new("a"), text), []);
+        assert_eq!(
+            range_errors(&schema_of::<Raw>("raw"), &text.parse().unwrap(), &Source::file(Path::new("a"), text)),
+            []
+        );
     }
 }

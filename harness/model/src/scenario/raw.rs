@@ -80,6 +80,10 @@ pub struct RawScenario {
     #[serde(default)]
     #[schemars(length(min = 1))]
     pub expect: Vec<RawExpectation>,
+    /// Cases of the file. `{name}` in a text stands for a value of the case.
+    #[serde(default, skip_serializing)]
+    #[schemars(schema_with = "crate::scenario::schema::matrix")]
+    pub matrix: Option<toml::Table>,
 }
 
 impl RawScenario {

@@ -50,7 +50,82 @@ pub fn scenario_schema() -> Schema {
     if let Some(required) = schema.get_mut("required").and_then(|required| required.as_array_mut()) {
         required.push("expect".into());
     }
+    allow_placeholders(&mut schema);
     schema
+}
+
+/// Table `[matrix]`: rows, default values, and any number of axes.
+pub(crate) fn matrix(_: &mut SchemaGenerator) -> Schema {
+    let row = json!({ "type": "object" });
+    json_schema!({
+        "type": "object",
+        "properties": {
+            "case": {
+                "description": "Values of each case by its name, the values of its axes joined by `-`. Without axes \
+                                the rows are the cases.",
+                "type": "object",
+                "additionalProperties": row,
+            },
+            "default": {
+                "description": "Values of the cases without an own value. `-` leaves out the key.",
+                "type": "object",
+            },
+        },
+        // An axis: a list of values, or names with values for further placeholders.
+        "additionalProperties": {
+            "anyOf": [{ "type": "array" }, { "type": "object", "additionalProperties": row }],
+        },
+    })
+}
+
+/// Name of the schema of a placeholder below `$defs`.
+const PLACEHOLDER: &str = "Placeholder";
+
+/// Accepts a placeholder of a matrix instead of each number, list of numbers, flag and fixed name.
+fn allow_placeholders(schema: &mut Schema) {
+    let root = schema.as_value().clone();
+    let is_table = |value: &Value| {
+        let resolve = |value: &Value| {
+            let place = value["$ref"].as_str().and_then(|place| root.pointer(place.strip_prefix('#')?).cloned());
+            place.unwrap_or_else(|| value.clone())
+        };
+        let value = resolve(value);
+        value["properties"].is_object() || resolve(&value["items"])["properties"].is_object()
+    };
+    let widen = |value: &mut Value| {
+        let is_text = value["type"] == "string" && value.get("enum").is_none();
+        if is_text || value["items"]["type"] == "string" || is_table(value) {
+            return;
+        }
+        let Some(object) = value.as_object_mut() else { return };
+        let mut outer = serde_json::Map::new();
+        for key in ["description", "default"] {
+            outer.extend(object.remove(key).map(|text| (key.to_owned(), text)));
+        }
+        let own = std::mem::take(object);
+        outer.insert("anyOf".to_owned(), json!([own, { "$ref": format!("#/$defs/{PLACEHOLDER}") }]));
+        *object = outer;
+    };
+    let properties = |table: &mut Value| {
+        let properties = table.get_mut("properties").and_then(Value::as_object_mut);
+        properties.into_iter().flatten().for_each(|(_, value)| widen(value));
+    };
+    for table in schema.get_mut("$defs").and_then(Value::as_object_mut).into_iter().flatten() {
+        properties(table.1);
+    }
+    let mut root_properties = json!({ "properties": schema.get("properties") });
+    properties(&mut root_properties);
+    if let Some(all) = root_properties.get_mut("properties") {
+        schema.insert("properties".to_owned(), all.take());
+    }
+    let placeholder = json!({
+        "description": "Value of a case of `[matrix]`.",
+        "type": "string",
+        "pattern": "^\\{[A-Za-z0-9_-]+\\}$",
+    });
+    if let Some(definitions) = schema.get_mut("$defs").and_then(Value::as_object_mut) {
+        definitions.insert(PLACEHOLDER.to_owned(), placeholder);
+    }
 }
 
 pub fn plate_schema() -> Schema {

@@ -25,6 +25,7 @@ struct ListedScenario<'a> {
     law: &'a str,
     duration_ms: f64,
     trials: u32,
+    expected_exit: Option<u8>,
     expectations: Vec<ListedExpectation<'a>>,
 }
 
@@ -77,6 +78,7 @@ impl<'a> ListedScenario<'a> {
             law: &scenario.controller.law,
             duration_ms: scenario.duration.ms(),
             trials: scenario.trials.count,
+            expected_exit: scenario.expected_exit,
             expectations: scenario.expectations.iter().map(ListedExpectation::new).collect(),
         }
     }

@@ -3,6 +3,7 @@
 use crate::scenario::definition::InputFile;
 use crate::scenario::diagnostic::{Diagnostic, MAX_DIAGNOSTICS, suggestion};
 use crate::scenario::fault::Fault;
+use crate::scenario::matrix::Source;
 use crate::scenario::parse::{decode_text, parse, read_text};
 use crate::scenario::window::ProfileChanges;
 use platebench_plate::{Plate, Profile, RawPlate, Time, input};
@@ -22,8 +23,7 @@ pub(super) struct KnownPlate {
 }
 
 pub(crate) struct Checker<'a> {
-    pub(super) path: &'a Path,
-    pub(super) text: &'a str,
+    pub(super) source: Source<'a>,
     /// Path of the checked table, for example `between.0.`; empty for the whole file.
     pub(super) prefix: String,
     pub(super) plates: &'a [KnownPlate],
@@ -63,7 +63,7 @@ impl<'a> Checker<'a> {
     }
 
     pub(super) fn diagnostic(&self, key: &str, message: impl Into<String>) -> Diagnostic {
-        Diagnostic::at_key(self.path, self.text, &format!("{}{key}", self.prefix), message)
+        self.source.diagnostic(&format!("{}{key}", self.prefix), message)
     }
 
     pub(super) fn error<T>(&self, key: &str, message: impl Into<String>) -> Result<T, Diagnostic> {

@@ -10,6 +10,7 @@ use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::load::checker::{Checker, Diagnostics, TrialContext};
 use crate::scenario::load::expectation::expectation_names;
 use crate::scenario::load::fault::CheckedFault;
+use crate::scenario::matrix::Source;
 use crate::scenario::raw::{
     DEFAULT_FREQUENCY_RANGE_HZ, DEFAULT_FREQUENCY_SLEW_HZ, DEFAULT_LAW, DEFAULT_PERIOD_MS, MAX_BETWEEN, RawBetween,
     RawController, RawProfiles, RawScenario, RawTrials,
@@ -35,12 +36,13 @@ impl Checker<'_> {
     }
 
     fn scenario(&self, raw: RawScenario, file: &str, faults: &mut Diagnostics) -> Option<Scenario> {
-        let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
+        let Source { path, text, case } = self.source;
+        let folder = path.parent().unwrap_or_else(|| Path::new("."));
         faults.record_error(self.one_line("title", &raw.title));
         if let Some(reason) = &raw.only_if_named {
             faults.record_error(self.one_line("only_if_named", reason));
         }
-        let mut inputs = vec![InputFile { path: self.path.to_owned(), bytes: self.text.as_bytes().to_vec() }];
+        let mut inputs = vec![InputFile { path: path.to_owned(), bytes: text.as_bytes().to_vec() }];
         let trials = faults.record_error(self.trials(&raw.trials));
         let spread = raw.trials.spread;
         let plate = self.plate("plate", &folder.join(&raw.plate), &mut inputs, faults);
@@ -93,6 +95,7 @@ impl Checker<'_> {
         }
         let mut scenario = Scenario {
             file: file.to_owned(),
+            case: case.map(str::to_owned),
             title: raw.title,
             source: raw.source,
             tags: raw.tags,
