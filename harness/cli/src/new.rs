@@ -64,7 +64,7 @@ fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, Fai
     let text = TEMPLATE
         .replace("{plate}", &format!("{root}{PLATE_FILE}"))
         .replace("{law}", law)
-        .replace("{laws}", &LawId::ALL.map(LawId::name).join(", "))
+        .replace("{laws}", &platebench_engine::law_names().collect::<Vec<_>>().join(", "))
         .replace("{expect}", expectations_of_law(law))
         // The title is inserted last, because its text may look like a placeholder.
         .replace("{title}", &toml::Value::from(title).to_string());
@@ -136,13 +136,12 @@ fn expectations_of_law(law: &str) -> &'static str {
 mod tests {
     use super::*;
     use platebench_model::scenario::load_with_all_errors;
-    use platebench_wire::LawId;
     use std::fs;
     use tempfile::tempdir;
 
     #[test]
     fn a_new_scenario_is_valid_for_every_law() {
-        for law in LawId::ALL.map(LawId::name) {
+        for law in platebench_engine::law_names() {
             let folder = tempdir().unwrap();
             let files = write_files(folder.path(), "mine", law).unwrap();
             let written =

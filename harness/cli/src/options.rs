@@ -60,8 +60,14 @@ pub(crate) fn rig_help() -> String {
     RIGS.iter().fold("Rig of the controller:".to_owned(), |text, rig| format!("{text}\n{rig}: {}", rig.help))
 }
 
-pub(crate) fn law_names() -> PossibleValuesParser {
+/// Laws of the bench.
+pub(crate) fn bench_law_names() -> PossibleValuesParser {
     PossibleValuesParser::new(LawId::ALL.map(LawId::name))
+}
+
+/// Laws of the bench, and `own`.
+pub(crate) fn law_names() -> PossibleValuesParser {
+    PossibleValuesParser::new(platebench_engine::law_names())
 }
 
 pub(crate) fn parse_keep_traces(text: &str) -> Result<KeepTraces, String> {

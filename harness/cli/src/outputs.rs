@@ -5,7 +5,7 @@ use crate::options::OutputFormat;
 use crate::stdio;
 use clap::{Args, ValueEnum};
 use platebench_model::record::{RunRecord, ScenarioRecord};
-use platebench_model::scenario::Scenario;
+use platebench_model::scenario::{Scenario, number_in_file};
 use platebench_plate::input::STANDARD_STREAM;
 use platebench_report::annotations::{self, SourceLocation};
 use platebench_report::tap::{self, TapVersion};
@@ -132,7 +132,10 @@ impl ScenarioLocations {
     /// Returns the line of expectation `index` in the scenario, or line 1 without `index`.
     fn location_of(&self, scenario: &ScenarioRecord, index: Option<usize>) -> Option<SourceLocation> {
         let played = self.0.iter().find(|played| played.file == scenario.file)?;
-        let line = index.map_or(1, |index| played.diagnostic(&format!("expect.{index}.metric"), "").position().0);
+        let line = index.map_or(1, |index| {
+            let index = number_in_file(&scenario.not_applicable, index);
+            played.diagnostic(&format!("expect.{index}.metric"), "").position().0
+        });
         Some(SourceLocation { file: repository_path(&played.inputs.first()?.path), line })
     }
 }

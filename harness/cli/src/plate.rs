@@ -2,7 +2,7 @@
 
 use crate::board::{BoardArgs, release};
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
-use crate::options::{PacingArg, law_names, parse_seconds};
+use crate::options::{PacingArg, bench_law_names, parse_seconds};
 use crate::selection::{warn_of_plate, warn_of_scenarios};
 use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
 use crate::{run_plan, stdio};
@@ -106,7 +106,7 @@ struct ServeArgs {
     #[arg(long, value_name = "FILE", default_value = "scenarios/paper/fig13-closed-loop.toml")]
     scenario: PathBuf,
     /// Control law to configure
-    #[arg(long, value_name = "NAME", value_parser = law_names())]
+    #[arg(long, value_name = "NAME", value_parser = bench_law_names())]
     law: Option<String>,
     /// Timer of the control instants
     #[arg(long, value_enum, default_value_t = PacingArg::Bench)]

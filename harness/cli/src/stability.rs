@@ -1,7 +1,7 @@
 //! `platebench stability`: predicts and measures where methods and loops become unstable.
 
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
-use crate::options::{job_count, law_names, parse_number};
+use crate::options::{bench_law_names, job_count, parse_number};
 use crate::selection::warn_of_plate;
 use crate::stdio;
 use clap::Args;
@@ -29,7 +29,7 @@ pub(crate) struct StabilityArgs {
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
     /// Control laws of the firmware under test; default: all
-    #[arg(long = "law", value_name = "NAME", value_parser = law_names())]
+    #[arg(long = "law", value_name = "NAME", value_parser = bench_law_names())]
     laws: Vec<String>,
     /// The plate file
     #[arg(long, value_name = "FILE", default_value = "scenarios/plates/aluminium-198x138.toml")]

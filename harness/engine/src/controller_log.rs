@@ -226,6 +226,7 @@ pub(crate) struct CommandChecks {
     last_hz: Option<f64>,
     /// False if the scenario has faults, because a fault may turn back the time of the commands.
     checks_clock: bool,
+    has_own_law: bool,
     last_us: Option<u32>,
     violations: [Option<Violation>; ViolationKind::COUNT],
 }
@@ -240,6 +241,7 @@ impl CommandChecks {
             slew_hz: scenario.controller.frequency_slew_hz,
             last_hz: Some(start_hz),
             checks_clock: scenario.faults.is_empty() && scenario.chip_faults.is_empty(),
+            has_own_law: scenario.has_own_law(),
             last_us: None,
             violations: [None; ViolationKind::COUNT],
         }
@@ -278,10 +280,10 @@ impl CommandChecks {
         }
     }
 
-    /// A law may report 0 for a gain that it does not use. The `dq-pi` laws use all gains.
+    /// A law may report 0 for a gain that it does not use. The bench's `dq-pi` laws use all gains.
     pub(crate) fn check_gains(&mut self, configure: &Configure, gains: &Gains, now: Time) {
         let values = |gains: &Gains| [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki];
-        let uses_all = matches!(configure.law, LawId::DqPi | LawId::DqPiFixed | LawId::DqPiEuler);
+        let uses_all = !self.has_own_law && matches!(configure.law, LawId::DqPi | LawId::DqPiFixed | LawId::DqPiEuler);
         let matches = |asked: f32, answered: f32| {
             (answered == 0.0 && !uses_all)
                 || (answered - asked).abs() <= GAIN_TOLERANCE * asked.abs().max(answered.abs())
@@ -447,5 +449,18 @@ mod tests {
         let mut checks = CommandChecks::new(&scenario());
         checks.check_gains(&configure, &gains(answered), Time::ZERO);
         assert_eq!(!checks.violations().is_empty(), wrong);
+    }
+
+    #[test]
+    fn an_own_law_may_ignore_gains() {
+        let mut own = scenario();
+        own.set_law(platebench_model::scenario::OWN_LAW);
+        let gains = Gains { amplitude_kp: 1.0, amplitude_ki: 2.0, frequency_kp: 3.0, frequency_ki: 4.0 };
+        let configure = Configure { gains: Some(gains), ..configure(&own, LawId::DqPi) };
+        let mut checks = CommandChecks::new(&own);
+        checks.check_gains(&configure, &Gains { amplitude_kp: 0.0, ..gains }, Time::ZERO);
+        assert_eq!(checks.violations(), []);
+        checks.check_gains(&configure, &Gains { amplitude_kp: 5.0, ..gains }, Time::ZERO);
+        assert_eq!(checks.violations().len(), 1);
     }
 }

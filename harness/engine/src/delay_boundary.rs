@@ -144,8 +144,12 @@ impl DelayedLoop {
     }
 }
 
-/// Uses the highest setpoint of the scenario. `None` if the law does not settle without delay.
+/// Uses the highest setpoint of the scenario. `None` if the law does not settle without delay, or is
+/// the controller's own.
 pub(crate) fn scenario_delay_boundary(scenario: &Scenario, law: LawId) -> Option<Time> {
+    if scenario.has_own_law() {
+        return None;
+    }
     let (_, setpoint) = scenario.setpoint.range();
     let conditions = scenario.conditions.at(Time::ZERO);
     let start = DelayedLoop::new(&configure(scenario, law), &scenario.plate, conditions, scenario.model, setpoint)?;
@@ -185,7 +189,8 @@ pub(crate) fn measure_trial(
     let Some((typical, longest)) = rig_delay(telemetry) else { return measures };
     excuse_loop_delay(scenario, &mut measures);
     let missed: Vec<usize> = missed_expectations(scenario, &measures).collect();
-    if missed.is_empty() {
+    // The bench cannot simulate an own law.
+    if missed.is_empty() || scenario.has_own_law() {
         return measures;
     }
     let simulate = |delay| simulate_trial(scenario, law, index, delay);

@@ -223,12 +223,13 @@ impl<'a, L: Link> Executor<'a, L> {
         let ExecutorSettings { clock, own_clock, operator, .. } = self.settings;
         let wire_time = clock == Clock::Lockstep { wire_time: true };
         let cancel = self.settings.cancel.clone();
-        let trial = Trial { wire_time, own_clock, continues, cancel, tap, ..Trial::new(scenario, law, index) };
         // The start of an emulated board or a program takes up to seconds.
-        if trial.cancel.is_cancelled() {
+        if cancel.is_cancelled() {
             return Ok(None);
         }
         let session = self.session()?;
+        let law = trial::law_number(scenario, law, session.identity());
+        let trial = Trial { wire_time, own_clock, continues, cancel, tap, ..Trial::new(scenario, law, index) };
         let played = match clock {
             Clock::RealPlate => real_plate::play(session, &trial, operator)?,
             Clock::Lockstep { .. } => lockstep::play(session, trial),

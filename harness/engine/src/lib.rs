@@ -29,4 +29,4 @@ pub use rejudge::{RejudgeError, rejudge};
 pub use run::run;
 pub use timing::{Pacing, TimeBase};
 pub use trend::inputs_digest;
-pub use trial::{Trial, TrialResult, configure, law, missing_capability, wire_fault_kind};
+pub use trial::{Trial, TrialResult, configure, law, law_names, missing_capability, wire_fault_kind};

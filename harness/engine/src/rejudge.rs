@@ -85,10 +85,7 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
 
 pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
     if let Some(law) = &overrides.law {
-        // A scene between trials keeps its own law if this law differs from the scenario's law.
-        let own = std::mem::replace(&mut scenario.controller.law, law.clone());
-        let mut between = scenario.between.iter_mut().map(|scene| &mut scene.controller.law);
-        between.by_ref().filter(|other| **other == own).for_each(|other| other.clone_from(law));
+        scenario.set_law(law);
     }
     if let Some(trials) = overrides.trials.filter(|trials| (1..=MAX_TRIALS).contains(trials)) {
         scenario.trials.count = trials;

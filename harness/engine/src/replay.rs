@@ -9,7 +9,7 @@ use crate::executor::RigSession;
 use crate::lockstep::OWN_CLOCK_WATCHDOG_TIMEOUT_MS;
 use crate::plan::{LinkFactory, RunError};
 use crate::rejudge::{RejudgeError, apply_overrides, load_stored_scenario, read_trial_rows};
-use crate::trial::{TrialAbort, configure, law, missing_capability};
+use crate::trial::{TrialAbort, configure, law, law_number, missing_capability};
 use platebench_model::external_csv::{ColumnMapping, ExternalCsvError, read_rows};
 use platebench_model::record::{ClockKind, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord};
 use platebench_model::scenario::{Diagnostic, Scenario, load};
@@ -38,6 +38,7 @@ pub fn replay(
     if let Some(reason) = missing_capability(&input.scenario, law, session.identity()) {
         return Err(ReplayError::NotApplicable(reason));
     }
+    let law = law_number(&input.scenario, law, session.identity());
     let firmware = session.firmware_name();
     let mut player = Player {
         session,
@@ -170,7 +171,7 @@ impl ReplayInput {
     #[must_use]
     pub fn with_law(mut self, law: Option<&str>) -> Self {
         if let Some(name) = law {
-            name.clone_into(&mut self.scenario.controller.law);
+            self.scenario.set_law(name);
         }
         self
     }

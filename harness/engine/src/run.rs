@@ -9,14 +9,15 @@ use crate::trial::{self, chip_fault_plan, missing_capability};
 use crate::workers::ResultSink;
 use platebench_model::record::{
     Event, FinishedScenario, Firmware, FolderError, Host, InputRecord, KeepTraces, NotApplicable, RigRecord, RunFolder,
-    RunRecord, ScenarioRecord, Tool, TrialRecord, Verdict, to_hex,
+    RunRecord, ScenarioRecord, Tool, TrialRecord, Verdict, sha256_of_file, to_hex,
 };
-use platebench_model::scenario::{Metric, Scenario};
+use platebench_model::scenario::{Metric, OWN_LAW, Scenario};
 use platebench_model::trace::AtPath as _;
 use platebench_rig::{ChipFaultError, FaultInjector, Link, RigSpec};
 use platebench_verdict::Judgement;
 use platebench_wire::{Identity, LawId, capabilities};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
@@ -35,6 +36,7 @@ pub fn run(
     plan.scenarios.iter().flat_map(|scenario| &scenario.between).try_for_each(|scene| law(scene).map(|_| ()))?;
     let mut first = RigSession::open(FaultInjector::new(connect()?))?;
     check_controller(plan, &first)?;
+    let plan = &with_own_law_if_unnumbered(plan, first.identity());
     let (plan, laws, not_applicable) = select_applicable(plan, laws, &mut first)?;
     let plan = &plan;
     let inputs = folder.store_inputs(&plan.scenarios)?;
@@ -146,6 +148,22 @@ fn protocol_law(scenario: &Scenario, law: LawId, identity: &Identity) -> LawId {
     if is_played { law } else { first.unwrap_or(LawId::OpenLoop) }
 }
 
+/// A controller that announces no law has one of its own, unless `--law` requests another one.
+fn with_own_law_if_unnumbered(plan: &RunPlan, identity: &Identity) -> RunPlan {
+    let mut plan = plan.clone();
+    if identity.laws == 0 && plan.overrides.law.is_none() {
+        plan.overrides.law = Some(OWN_LAW.to_owned());
+        plan.scenarios.iter_mut().for_each(|scenario| scenario.set_law(OWN_LAW));
+    }
+    plan
+}
+
+/// Returns why no expectation of the scenario applies to the controller's own law.
+fn only_describes_bench_law(scenario: &Scenario) -> Option<String> {
+    let first = scenario.not_applicable.first().filter(|_| scenario.expectations.is_empty())?;
+    Some(first.reason.clone())
+}
+
 fn select_applicable(
     plan: &RunPlan,
     laws: Vec<LawId>,
@@ -163,18 +181,23 @@ fn select_applicable(
             .then(|| "the metrics that compare the controller with the reference need the clock lockstep".to_owned())
             .or(missing_chip_faults(plan, scenario, session)?)
             .or_else(|| missing_step_time(plan, scenario, session))
+            .or_else(|| only_describes_bench_law(scenario))
             .or_else(|| missing_capability(scenario, law, &identity))
             .or_else(|| between.find_map(|(scene, law)| missing_capability(scene, law, &identity)));
         match missing {
             None => {
                 let mut scenario = scenario.clone();
-                law.name().clone_into(&mut scenario.controller.law);
+                if !scenario.has_own_law() {
+                    law.name().clone_into(&mut scenario.controller.law);
+                }
                 selected.scenarios.push(scenario);
                 selected_laws.push(law);
             }
             Some(reason) => {
                 let (file, title) = (scenario.file.clone(), scenario.title.clone());
-                not_applicable.push(NotApplicable { file, title, reason });
+                let is_of_bench_law = only_describes_bench_law(scenario).as_ref() == Some(&reason);
+                let expectations = if is_of_bench_law { scenario.not_applicable.len() } else { 0 };
+                not_applicable.push(NotApplicable { file, title, reason, expectations });
             }
         }
     }
@@ -248,6 +271,7 @@ pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> Sce
         period_ms: Some(scenario.controller.period.seconds() * 1e3),
         inputs,
         expectations: Vec::new(),
+        not_applicable: scenario.not_applicable.clone(),
         requirement_texts: scenario.requirement_texts.clone(),
         trials: Vec::new(),
     }
@@ -259,15 +283,26 @@ const IMAGE_MANIFEST: &str = include_str!("../../../firmware-under-test/images/m
 #[derive(Deserialize)]
 struct ImageManifest {
     source_hash: String,
+    images: BTreeMap<String, ImageEntry>,
 }
 
-/// A changed copy of the bench's firmware has another build and is not the bench's own.
+#[derive(Deserialize)]
+struct ImageEntry {
+    sha256: String,
+}
+
+/// A copy of an image with other bytes is not the bench's own, although its identity is the same.
+/// For a controller without a readable image, the build in its identity decides.
 fn is_bench_firmware(rig: &str, identity: &Identity) -> bool {
-    let without_image = [RigSpec::hosted(), RigSpec::emulated(None)].iter().any(|own| own.to_string() == rig);
-    let manifest = toml::from_str(IMAGE_MANIFEST).ok();
-    let has_own_build =
-        manifest.is_some_and(|images: ImageManifest| images.source_hash.starts_with(&to_hex(&identity.build)));
-    without_image || (has_own_build && identity.name.starts_with(b"platebench-"))
+    let Ok(manifest) = toml::from_str::<ImageManifest>(IMAGE_MANIFEST) else { return false };
+    if [RigSpec::hosted(), RigSpec::emulated(None)].iter().any(|own| own.to_string() == rig) {
+        return true;
+    }
+    let spec = rig.parse::<RigSpec>();
+    if let Some(digest) = spec.ok().and_then(|rig| sha256_of_file(rig.image()?).ok()) {
+        return manifest.images.values().any(|image| image.sha256 == digest);
+    }
+    manifest.source_hash.starts_with(&to_hex(&identity.build)) && identity.name.starts_with(b"platebench-")
 }
 
 fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inputs: &[Vec<InputRecord>]) -> RunRecord {
@@ -359,6 +394,23 @@ mod tests {
         let build = u64::from_str_radix(digits, 16).unwrap().to_be_bytes();
         let identity = Identity { version: [0; 3], capabilities: 0, laws: 0, build, chip: 0, unique: [0; 12], name };
         assert_eq!(is_bench_firmware(rig, &identity), is_own);
+    }
+
+    #[test]
+    fn a_patched_image_is_not_the_bench_firmware() {
+        let images: ImageManifest = toml::from_str(IMAGE_MANIFEST).unwrap();
+        let build = u64::from_str_radix(&images.source_hash[..16], 16).unwrap().to_be_bytes();
+        let name = *b"platebench-f4\0\0\0";
+        let identity = Identity { version: [0; 3], capabilities: 0, laws: 0, build, chip: 0, unique: [0; 12], name };
+        let folder = tempfile::tempdir().unwrap();
+        let elf = folder.path().join("a.elf");
+        let rig = RigSpec::emulated(Some(elf.clone())).to_string();
+        let mut bytes = platebench_rig::BUILT_IN_IMAGE.to_vec();
+        std::fs::write(&elf, &bytes).unwrap();
+        assert!(is_bench_firmware(&rig, &identity));
+        *bytes.last_mut().unwrap() ^= 1;
+        std::fs::write(&elf, &bytes).unwrap();
+        assert!(!is_bench_firmware(&rig, &identity));
     }
 
     #[test]

@@ -207,6 +207,7 @@ mod tests {
             period_ms: Some(1.0),
             inputs: vec![InputRecord { file: "inputs/s.toml".to_owned(), sha256: input.to_owned() }],
             expectations: Vec::new(),
+            not_applicable: Vec::new(),
             requirement_texts: std::collections::BTreeMap::new(),
             trials: worst.iter().enumerate().map(trial).collect(),
         }

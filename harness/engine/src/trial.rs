@@ -4,7 +4,8 @@
 use crate::live_tap::TapWriter;
 use platebench_model::record::Telemetry;
 use platebench_model::scenario::{
-    BitFlipTarget, ChipFault, ChipFaultKind, Diagnostic, Direction, Fault, FaultKind, Scenario, Variation, suggestion,
+    BitFlipTarget, ChipFault, ChipFaultKind, Diagnostic, Direction, Fault, FaultKind, OWN_LAW, Scenario, Variation,
+    suggestion,
 };
 use platebench_model::trace::Row;
 use platebench_plate::Time;
@@ -69,13 +70,29 @@ impl From<RigError> for TrialAbort {
     }
 }
 
+/// Names of the laws that a scenario or `--law` can have.
+pub fn law_names() -> impl Iterator<Item = &'static str> {
+    LawId::ALL.into_iter().map(LawId::name).chain([OWN_LAW])
+}
+
+/// Returns the number of the law. For an own law it is that of `dq-pi`, which the controller may
+/// lack; [`law_number`] then has another one.
 pub fn law(scenario: &Scenario) -> Result<LawId, Diagnostic> {
-    let name = &scenario.controller.law;
+    let name = if scenario.has_own_law() { LawId::DqPi.name() } else { &scenario.controller.law };
     LawId::from_name(name).ok_or_else(|| {
-        let known = LawId::ALL.map(|law| format!("`{}`", law.name())).join(", ");
-        let hint = suggestion(name, LawId::ALL.map(LawId::name));
+        let known = law_names().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
+        let hint = suggestion(name, law_names());
         scenario.diagnostic("controller.law", format!("unknown law `{name}`, expected one of {known}{hint}"))
     })
+}
+
+/// Number in the configuration. An own law may have any number, so it is one that the controller
+/// announces: `law` if possible, otherwise the lowest. It is 0 for a controller without numbers.
+pub(crate) fn law_number(scenario: &Scenario, law: LawId, identity: &Identity) -> LawId {
+    if !scenario.has_own_law() || identity.has_law(law) {
+        return law;
+    }
+    LawId::ALL.into_iter().find(|&announced| identity.has_law(announced)).unwrap_or(LawId::OpenLoop)
 }
 
 /// Uses the nominal plate, because a controller does not know how a trial varies its plate.
@@ -106,7 +123,7 @@ pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
 }
 
 pub fn missing_capability(scenario: &Scenario, law: LawId, identity: &Identity) -> Option<String> {
-    if !identity.has_law(law) {
+    if !scenario.has_own_law() && !identity.has_law(law) {
         return Some(missing_law(law, identity));
     }
     let needs_delay = scenario.controller.design_delay != Time::ZERO;
@@ -122,10 +139,11 @@ fn missing_law(law: LawId, identity: &Identity) -> String {
         .map(|law| format!("--law {}", law.name()))
         .collect();
     let (missing, options) = (law.name(), announced.join(" or "));
+    let own = format!("--law {OWN_LAW} judges the requirements only, for any algorithm");
     let remedy = if announced.is_empty() {
-        "it announces none; set the bit of one law in its identity".to_owned()
+        format!("it announces none; {own}")
     } else {
-        format!("{options} plays every scenario with a law that it announces")
+        format!("{options} plays every scenario with a law that it announces; {own}")
     };
     format!("the controller does not announce the law {missing}; {remedy}")
 }
@@ -226,33 +244,33 @@ pub(crate) fn needs_reconfiguration(scenario: &Scenario, stopped: Time, now: Tim
 mod tests {
     use super::*;
     use platebench_model::scenario::load;
+    use rstest::rstest;
     use std::path::Path;
+
+    fn shipped_scenario() -> Scenario {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
+        load(&path, "fig13.toml").unwrap_or_else(|fault| panic!("{fault}"))
+    }
+
+    fn identity(capabilities: u8, laws: u32) -> Identity {
+        Identity { version: [0; 3], capabilities, laws, build: [0; 8], chip: 0, unique: [0; 12], name: [0; 16] }
+    }
 
     #[test]
     fn names_the_law_or_capability_that_is_missing() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
-        let mut scenario = load(&path, "fig13.toml").unwrap_or_else(|fault| panic!("{fault}"));
-        let identity = |capabilities, laws| Identity {
-            version: [0; 3],
-            capabilities,
-            laws,
-            build: [0; 8],
-            chip: 0,
-            unique: [0; 12],
-            name: [0; 16],
-        };
+        let mut scenario = shipped_scenario();
         let missing = |scenario: &Scenario, identity| missing_capability(scenario, LawId::DqPi, &identity);
         assert_eq!(missing(&scenario, identity(0, u32::MAX)), None);
         let reason = missing(&scenario, identity(0, 1 << LawId::OpenLoop as u8)).unwrap();
         assert_eq!(
             reason,
             "the controller does not announce the law dq-pi; --law open-loop plays every scenario with a law that it \
-             announces"
+             announces; --law own judges the requirements only, for any algorithm"
         );
         let reason = missing(&scenario, identity(0, 1 << LawId::Pll as u8 | 1 << LawId::OpenLoop as u8)).unwrap();
         assert!(reason.contains("; --law open-loop or --law pll plays every scenario"), "{reason}");
         let reason = missing(&scenario, identity(0, 0)).unwrap();
-        assert!(reason.ends_with("; it announces none; set the bit of one law in its identity"), "{reason}");
+        assert!(reason.contains("; it announces none; --law own judges the requirements"), "{reason}");
         // `loop_delay` is the simulated delay. The controller gets only `design_delay`.
         scenario.controller.loop_delay = Time::from_nanos(700_000);
         assert_eq!(configure(&scenario, LawId::DqPi).loop_delay_us, 0);
@@ -262,5 +280,20 @@ mod tests {
         assert_eq!(missing(&scenario, identity(capabilities::LOOP_DELAY, u32::MAX)), None);
         let reason = missing(&scenario, identity(!capabilities::LOOP_DELAY, u32::MAX)).unwrap();
         assert!(reason.contains("design_delay_ms"), "{reason}");
+        scenario.controller.design_delay = Time::ZERO;
+        scenario.set_law(OWN_LAW);
+        assert_eq!(missing(&scenario, identity(0, 0)), None);
+    }
+
+    #[rstest]
+    #[case::named("deadbeat", 0b10, LawId::Deadbeat)]
+    #[case::announces_dq_pi(OWN_LAW, 0b11, LawId::DqPi)]
+    #[case::announces_others(OWN_LAW, 1 << 8 | 1 << 6, LawId::Pll)]
+    #[case::announces_none(OWN_LAW, 0, LawId::OpenLoop)]
+    #[case::announces_an_unknown_one(OWN_LAW, 1 << 31, LawId::OpenLoop)]
+    fn configures_an_announced_number_for_an_own_law(#[case] name: &str, #[case] laws: u32, #[case] expected: LawId) {
+        let mut scenario = shipped_scenario();
+        scenario.set_law(name);
+        assert_eq!(law_number(&scenario, law(&scenario).unwrap(), &identity(0, laws)), expected);
     }
 }

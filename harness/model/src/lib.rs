@@ -46,6 +46,7 @@ pub mod scenario {
     pub mod load;
     mod matrix;
     mod message;
+    mod own_law;
     mod parse;
     pub mod raw;
     pub mod schema;
@@ -62,6 +63,7 @@ pub mod scenario {
     pub use find::{FileKind, FoundScenarios, SETTINGS_FILE, find, find_file_above, list_files, repeated_names};
     pub use load::{REQUIREMENTS_FILE, Requirement, load, load_copies, load_with_all_errors, read_requirements};
     pub use message::{ConfigurationChange, NonFinite, ScenarioMessage, WireNumber};
+    pub use own_law::{NotApplicableExpectation, OWN_LAW, number_in_file};
     pub use parse::{parse, parse_bytes, parse_file, read_text};
     pub use platebench_plate::input;
     pub use warnings::{plate_warnings, unjudged_changes};

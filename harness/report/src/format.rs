@@ -1,6 +1,6 @@
 //! Formats numbers, limits, verdicts and counts, without layout or markup.
 
-use crate::record_queries::CauseGroup;
+use crate::record_queries::{CauseGroup, NotApplicableGroup};
 use platebench_model::metrics::Unit;
 use platebench_model::record::{
     ExpectationRecord, Limit, Metric, Reason, RunRecord, ScenarioRecord, Statistic, TrialFinding, Verdict,
@@ -124,6 +124,15 @@ pub(crate) fn overrides(record: &RunRecord) -> Option<String> {
     let changed: Vec<_> =
         changed.into_iter().filter_map(|(name, value)| Some(format!("{name} = {}", value?))).collect();
     (!changed.is_empty()).then(|| changed.join(", "))
+}
+
+/// `12 expectations, 3 scenarios not played: REASON`.
+pub(crate) fn not_applicable_group(group: &NotApplicableGroup<'_>) -> String {
+    let unplayed = match group.unplayed {
+        0 => String::new(),
+        number => format!(", {} not played", count(number, "scenario")),
+    };
+    format!("{}{unplayed}: {}", count(group.expectations, "expectation"), group.reason)
 }
 
 pub fn count(number: usize, one: &str) -> String {

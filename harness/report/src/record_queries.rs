@@ -230,6 +230,35 @@ pub(crate) fn open_loop_counterpart(record: &RunRecord, scenario: &ScenarioRecor
     record.scenarios.iter().position(|other| bare(&other.file) == wanted)
 }
 
+/// Expectations that do not apply to the controller's own law, for one reason.
+pub(crate) struct NotApplicableGroup<'a> {
+    pub(crate) reason: &'a str,
+    pub(crate) expectations: usize,
+    /// Number of scenarios that were not played, because this reason applies to all of their
+    /// expectations.
+    pub(crate) unplayed: usize,
+}
+
+/// The largest group comes first.
+pub(crate) fn not_applicable_groups(record: &RunRecord) -> Vec<NotApplicableGroup<'_>> {
+    let played = record.scenarios.iter().flat_map(|scenario| &scenario.not_applicable);
+    let played = played.map(|expectation| (expectation.reason.as_str(), 1, 0));
+    let unplayed = record.not_applicable.iter().filter(|scenario| scenario.expectations > 0);
+    let unplayed = unplayed.map(|scenario| (scenario.reason.as_str(), scenario.expectations, 1));
+    let mut groups: Vec<NotApplicableGroup<'_>> = Vec::new();
+    for (reason, expectations, unplayed) in played.chain(unplayed) {
+        match groups.iter_mut().find(|group| group.reason == reason) {
+            Some(group) => {
+                group.expectations += expectations;
+                group.unplayed += unplayed;
+            }
+            None => groups.push(NotApplicableGroup { reason, expectations, unplayed }),
+        }
+    }
+    groups.sort_by_key(|group| std::cmp::Reverse(group.expectations));
+    groups
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -283,6 +312,7 @@ mod tests {
             period_ms: None,
             inputs: Vec::new(),
             expectations: vec![expectation],
+            not_applicable: Vec::new(),
             requirement_texts: std::collections::BTreeMap::new(),
             trials: vec![trial_of(0, 1.0), trial_of(1, 3.0), trial_of(2, 3.0), trial_of(3, 2.0)],
         };

@@ -33,6 +33,7 @@ mod line_faults;
 mod live;
 mod merge;
 mod output_formats;
+mod own_law;
 mod python_package;
 mod real_plate;
 mod real_time;

@@ -52,7 +52,7 @@ pub(crate) struct RunArgs {
     pub(crate) scenarios: Vec<PathBuf>,
     #[arg(long, help = rig_help(), default_value = "emulated", conflicts_with = "board")]
     pub(crate) rig: RigSpec,
-    /// Control law of the firmware under test
+    /// Control law of the firmware; own: any algorithm, judged by the requirements
     #[arg(long, value_name = "NAME", value_parser = law_names())]
     pub(crate) law: Option<String>,
     /// Trials of each scenario

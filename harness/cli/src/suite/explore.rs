@@ -2,7 +2,7 @@
 //! the controller.
 
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
-use crate::options::{OutputFormat, job_count, law_names, rig_help};
+use crate::options::{OutputFormat, bench_law_names, job_count, rig_help};
 use crate::selection::note_skipped;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
 use crate::stdio;
@@ -36,7 +36,7 @@ pub(super) struct ExploreArgs {
     #[arg(long, help = rig_help(), default_value = "emulated")]
     rig: RigSpec,
     /// Control law of the firmware under test; default: dq-pi
-    #[arg(long, value_name = "NAME", value_parser = law_names())]
+    #[arg(long, value_name = "NAME", value_parser = bench_law_names())]
     law: Option<String>,
     /// Duration: 30s, 10m, 8h; default: 60s
     #[arg(long = "for", value_name = "DURATION", conflicts_with = "scenes", value_parser = parse_duration)]

@@ -2,7 +2,7 @@
 //! execute, and which mutants of its machine code they notice.
 
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
-use crate::options::{OutputFormat, SCENARIOS, job_count, law_names, parse_percent};
+use crate::options::{OutputFormat, SCENARIOS, bench_law_names, job_count, parse_percent};
 use crate::selection::{ScenarioFilter, find_scenarios};
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
@@ -123,7 +123,7 @@ pub(super) struct MutateArgs {
     #[command(flatten)]
     suite: FirmwareSuiteArgs,
     /// Only scenarios with this control law
-    #[arg(long, value_name = "NAME", value_parser = law_names())]
+    #[arg(long, value_name = "NAME", value_parser = bench_law_names())]
     law: Option<String>,
     /// Functions whose name contains this text, also inlined ones; default: those that the control
     /// step executes

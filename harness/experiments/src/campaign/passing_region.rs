@@ -9,6 +9,7 @@ use crate::campaign::distribution::Variable;
 use crate::campaign::results::axis_label;
 use crate::campaign::summary::Summary;
 use platebench_report::document::{Block, Column, Table};
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -18,7 +19,7 @@ const DELAY_KEYS: [&str; 2] = ["controller.loop_delay_ms", "controller.design_de
 const MAX_CONSOLE_ROWS: usize = 20;
 
 /// `passing_region` in `summary.json`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct PassingRegion {
     /// Key of the number.
     pub axis: String,
@@ -33,7 +34,7 @@ pub struct PassingRegion {
     header: Vec<Column>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct PassingRange {
     pub values: Value,
     /// `None` if the smallest value does not pass.
@@ -46,7 +47,7 @@ pub struct PassingRange {
     texts: Vec<String>,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct PassingPlane {
     pub values: Value,
     /// Number of connected parts of the passing cells.

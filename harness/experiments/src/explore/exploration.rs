@@ -128,7 +128,7 @@ impl Default for PropertyTally {
     }
 }
 
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct SequenceTally {
     pub played: u64,
     /// Messages of these sequences, repetitions included.

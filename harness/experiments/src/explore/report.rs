@@ -92,7 +92,7 @@ pub struct CoverageReport {
     pub rules: Vec<RuleCoverage>,
 }
 
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct RuleCoverage {
     pub rule: String,
     pub count: u64,

@@ -528,6 +528,7 @@ pub fn scenario(
         between: Vec::new(),
         message: messages.to_vec(),
         expect: expectations,
+        matrix: None,
     };
     SceneScenario { scenario, plates: BTreeMap::from([(plate, raw_plate)]) }
 }

@@ -61,9 +61,9 @@ fn drive_above_limit(message: &mut Message) {
 }
 
 #[rstest]
-#[case::infinite_wq(|| Box::new(accepts_infinite_wq))]
-#[case::timer(|| Box::new(timer_of_eight_bits))]
-#[case::drive(|| Box::new(drive_above_limit))]
+#[case::infinite_wq(|| Box::new(accepts_infinite_wq) as Box<dyn Mutant>)]
+#[case::timer(|| Box::new(timer_of_eight_bits) as Box<dyn Mutant>)]
+#[case::drive(|| Box::new(drive_above_limit) as Box<dyn Mutant>)]
 fn sequences_find_faults_of_every_law(
     #[case] mutant: fn() -> Box<dyn Mutant>,
     #[values(LawId::DqPi, LawId::Deadbeat)] law: LawId,

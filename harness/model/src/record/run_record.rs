@@ -6,6 +6,7 @@ use crate::record::trial_record::CostTrend;
 use crate::record::trial_record::TrialRecord;
 use crate::record::verdict::Exclusion;
 use crate::record::verdict::{Cause, Verdict};
+use crate::scenario::NotApplicableExpectation;
 use crate::trace::Row;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -42,8 +43,8 @@ pub struct RunRecord {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wall_ms: Option<f64>,
     pub scenarios: Vec<ScenarioRecord>,
-    /// Scenarios that need a law or a capability that the controller does not announce. They change
-    /// no verdict.
+    /// Scenarios that need a law or a capability that the controller does not announce, or do not
+    /// apply to its own law. They change no verdict.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_applicable: Vec<NotApplicable>,
     /// Instructions per control step by law, if the rig counts them.
@@ -79,6 +80,14 @@ pub struct NotApplicable {
     pub file: String,
     pub title: String,
     pub reason: String,
+    /// Number of its expectations, if the reason is that none of them applies to an own law.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub expectations: usize,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
+const fn is_zero(number: &usize) -> bool {
+    *number == 0
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -98,6 +107,9 @@ pub struct ScenarioRecord {
     /// Every input file; the first is the scenario, the second its plate.
     pub inputs: Vec<InputRecord>,
     pub expectations: Vec<ExpectationRecord>,
+    /// Expectations that do not apply to the controller's own law. They change no verdict.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub not_applicable: Vec<NotApplicableExpectation>,
     /// Texts by identifier, from `requirements.toml`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub requirement_texts: BTreeMap<String, String>,

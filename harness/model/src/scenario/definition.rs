@@ -8,6 +8,7 @@ use crate::scenario::fault::ChipFault;
 use crate::scenario::fault::Fault;
 use crate::scenario::matrix::Source;
 use crate::scenario::message::ScenarioMessage;
+use crate::scenario::own_law::NotApplicableExpectation;
 use platebench_plate::{ConditionProfiles, Model, Plant, Plate, Profile, Sensor, Time};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -57,6 +58,8 @@ pub struct Scenario {
     /// Messages before every trial, instead of the scripts of the protocol check.
     pub messages: Vec<ScenarioMessage>,
     pub expectations: Vec<Expectation>,
+    /// Expectations of the file that are not judged, because the law is the controller's own.
+    pub not_applicable: Vec<NotApplicableExpectation>,
     /// Texts from `requirements.toml` by the identifier of the requirement.
     pub requirement_texts: BTreeMap<String, String>,
 }

@@ -263,6 +263,7 @@ pub(super) fn closest(record: &RunRecord) -> Markup {
 }
 
 pub(super) fn not_applicable(record: &RunRecord) -> Markup {
+    let groups = record_queries::not_applicable_groups(record);
     html! {
         @if record.scenarios.is_empty() { p.notice { "The run has no scenarios." } }
         @if !record.not_applicable.is_empty() { div.notice {
@@ -272,6 +273,10 @@ pub(super) fn not_applicable(record: &RunRecord) -> Markup {
                     li { (scenario.title) " (" (scenario.file) "): " (scenario.reason) }
                 }
             }
+        } }
+        @if !groups.is_empty() { div.notice {
+            p { "Not applicable to the controller's own law:" }
+            ul { @for group in &groups { li { (format::not_applicable_group(group)) } } }
         } }
     }
 }

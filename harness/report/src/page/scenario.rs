@@ -140,6 +140,10 @@ fn expectations_table(scenario: &ScenarioRecord, trends: &[Vec<TrendPoint>]) -> 
         h3 { "Expectations" }
         @if scenario.expectations.is_empty() { p.notice { "No expectation was judged." } }
         @else { (scroll_table("Expectations", "expectations stacked", &columns, &rows)) }
+        @if !scenario.not_applicable.is_empty() { div.notice {
+            p { "Not applicable:" }
+            ul { @for skipped in &scenario.not_applicable { li { code { (skipped.name) } ": " (skipped.reason) } } }
+        } }
     }
 }
 

@@ -7,6 +7,7 @@ use crate::text::timing;
 use crate::{format, record_queries};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use platebench_model::record::{Cause, CostTrend, Event, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
+use platebench_model::scenario::NotApplicableExpectation;
 use std::fmt::Write as _;
 use std::io::IsTerminal as _;
 use std::io::{self, Write};
@@ -111,6 +112,9 @@ fn write_expectations(text: &mut String, scenario: &ScenarioRecord, style: Style
             write_wrapped(text, "  ↳ ", "    ", &format!("{}: {reason}", expectation.name));
         }
     }
+    for NotApplicableExpectation { name, reason, .. } in &scenario.not_applicable {
+        write_wrapped(text, "  not applicable: ", "    ", &format!("{name}: {reason}"));
+    }
 }
 
 /// Longest list without `-v`.
@@ -176,18 +180,23 @@ fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
 }
 
 fn write_not_applicable(text: &mut String, record: &RunRecord, in_full: bool) {
-    if !in_full && record.not_applicable.len() > MAX_LISTED {
-        write_reasons_not_applicable(text, record);
-        return;
+    // The groups below contain the scenarios that do not apply to an own law.
+    let listed = || record.not_applicable.iter().filter(|scenario| in_full || scenario.expectations == 0);
+    if in_full || listed().count() <= MAX_LISTED {
+        for scenario in listed() {
+            write_wrapped(text, "not applicable: ", "  ", &format!("{}: {}", scenario.file, scenario.reason));
+        }
+    } else {
+        write_reasons_not_applicable(text, &listed().map(|scenario| scenario.reason.as_str()).collect::<Vec<_>>());
     }
-    for scenario in &record.not_applicable {
-        write_wrapped(text, "not applicable: ", "  ", &format!("{}: {}", scenario.file, scenario.reason));
+    for group in record_queries::not_applicable_groups(record) {
+        write_wrapped(text, "not applicable: ", "  ", &format::not_applicable_group(&group));
     }
 }
 
 /// Counts the scenarios of each reason, the most frequent reason first.
-fn write_reasons_not_applicable(text: &mut String, record: &RunRecord) {
-    let all = || record.not_applicable.iter().map(|scenario| scenario.reason.as_str());
+fn write_reasons_not_applicable(text: &mut String, reasons: &[&str]) {
+    let all = || reasons.iter().copied();
     let mut counts: Vec<_> =
         format::distinct(all()).into_iter().map(|reason| (reason, all().filter(|it| *it == reason).count())).collect();
     counts.sort_by_key(|(_, scenarios)| std::cmp::Reverse(*scenarios));

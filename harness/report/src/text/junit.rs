@@ -20,8 +20,10 @@ pub const FILE: &str = "junit.xml";
 pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
     let text =
         junit_report(record).to_string().map_err(|source| ReportError::Junit { path: path.to_owned(), source })?;
+    let expectations: usize = record.scenarios.iter().map(|scenario| scenario.not_applicable.len()).sum();
+    let skipped = record.not_applicable.len() + expectations;
     // The schema allows no attribute `skipped` of the element `testsuites`.
-    write_file(path, &text.replacen(&format!(" skipped=\"{}\"", record.not_applicable.len()), "", 1))
+    write_file(path, &text.replacen(&format!(" skipped=\"{skipped}\""), "", 1))
 }
 
 fn junit_report(record: &RunRecord) -> Report {
@@ -70,6 +72,8 @@ fn test_suite(scenario: &ScenarioRecord, record: &RunRecord) -> TestSuite {
     // All expectations judge the same trials, so each gets an equal share of the scenario's time.
     let share = time.zip(u32::try_from(count).ok()).and_then(|(time, count)| time.checked_div(count));
     suite.add_test_cases((0..count).filter_map(|index| test_case(scenario, index, share)));
+    let skipped = scenario.not_applicable.iter();
+    suite.add_test_cases(skipped.map(|skipped| skipped_case(&skipped.name, &scenario.file, &skipped.reason)));
     if let Some(reason) = record_queries::scenario_inconclusive_reason(scenario) {
         suite.add_test_case(inconclusive_case("the whole scenario", &class_name(&scenario.file), reason));
     }
@@ -77,14 +81,18 @@ fn test_suite(scenario: &ScenarioRecord, record: &RunRecord) -> TestSuite {
 }
 
 fn not_applicable_suite(scenario: &NotApplicable, record: &RunRecord) -> TestSuite {
-    let mut status = TestCaseStatus::skipped();
-    status.set_message(printable(&scenario.reason).as_ref());
-    let mut case = TestCase::new("not applicable", status);
-    case.set_classname(class_name(&scenario.file));
     let mut suite = suite_of_file(&scenario.file, record);
     suite.add_property(("title", printable(&scenario.title).as_ref()));
-    suite.add_test_case(case);
+    suite.add_test_case(skipped_case("not applicable", &scenario.file, &scenario.reason));
     suite
+}
+
+fn skipped_case(name: &str, file: &str, reason: &str) -> TestCase {
+    let mut status = TestCaseStatus::skipped();
+    status.set_message(printable(reason).as_ref());
+    let mut case = TestCase::new(printable(name).as_ref(), status);
+    case.set_classname(class_name(file));
+    case
 }
 
 /// Jenkins splits a class name at its last dot, so dots become `_`.

@@ -7,6 +7,7 @@ use crate::error::{ReportError, write_file};
 use crate::escape::markdown_cell;
 use crate::{format, record_queries};
 use platebench_model::record::RunRecord;
+use platebench_model::scenario::NotApplicableExpectation;
 use platebench_model::trace::AtPath;
 use std::fmt::Write as _;
 use std::fs;
@@ -47,8 +48,11 @@ pub fn render_page(record: &RunRecord) -> String {
         write_table(&mut text, &not_passed_table(record), not_passed);
     }
     write_table(&mut text, &scenarios_table(record), record.scenarios.len());
-    if !record.not_applicable.is_empty() {
-        write_table(&mut text, &not_applicable_table(record), record.not_applicable.len());
+    let rows = not_applicable_rows(record);
+    if !rows.is_empty() {
+        let mut table = Table::new(["Not applicable", "Because"]);
+        table.extend(rows.iter().take(MAX_ROWS).cloned());
+        write_table(&mut text, &table, rows.len());
     }
     text
 }
@@ -90,11 +94,15 @@ fn scenarios_table(record: &RunRecord) -> Table {
     table
 }
 
-fn not_applicable_table(record: &RunRecord) -> Table {
-    let mut table = Table::new(["Not applicable", "Because"]);
-    let listed = record.not_applicable.iter().take(MAX_ROWS);
-    table.extend(listed.map(|scenario| vec![scenario.file.clone(), scenario.reason.clone()]));
-    table
+fn not_applicable_rows(record: &RunRecord) -> Vec<Vec<String>> {
+    let unplayed = record.not_applicable.iter().map(|scenario| vec![scenario.file.clone(), scenario.reason.clone()]);
+    let played = record.scenarios.iter().flat_map(|scenario| {
+        let row = |skipped: &NotApplicableExpectation| {
+            vec![format!("{}: {}", scenario.file, skipped.name), skipped.reason.clone()]
+        };
+        scenario.not_applicable.iter().map(row)
+    });
+    unplayed.chain(played).collect()
 }
 
 /// Adds how many of `all` rows the table does not contain.

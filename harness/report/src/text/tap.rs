@@ -1,6 +1,6 @@
 //! Writes TAP: a subtest per scenario, a test point per expectation. Readers of version 13 ignore
 //! subtests. Inconclusive is `not ok`, because readers count `SKIP` and `TODO` as passed. `SKIP`
-//! marks not applicable scenarios.
+//! marks scenarios and expectations that are not applicable.
 
 use crate::error::{ReportError, write_file};
 use crate::escape::tap_description;
@@ -33,8 +33,7 @@ pub fn text(record: &RunRecord, version: TapVersion) -> String {
         write_test_point(&mut text, "", scenario.verdict, number, &scenario.file);
     }
     for (number, scenario) in (record.scenarios.len() + 1..).zip(&record.not_applicable) {
-        let (file, reason) = (tap_description(&scenario.file), tap_description(&scenario.reason));
-        let _ = writeln!(text, "ok {number} - {file} # SKIP not applicable: {reason}");
+        write_skipped(&mut text, "", number, &scenario.file, &scenario.reason);
     }
     if let Some(reason) = reason {
         write_inconclusive(&mut text, "", listed + 1, "the whole run", reason);
@@ -48,7 +47,8 @@ pub fn text(record: &RunRecord, version: TapVersion) -> String {
 fn write_subtest(text: &mut String, scenario: &ScenarioRecord) {
     const INDENT: &str = "    ";
     let reason = record_queries::scenario_inconclusive_reason(scenario);
-    let points = scenario.expectations.len() + usize::from(reason.is_some());
+    let listed = scenario.expectations.len() + scenario.not_applicable.len();
+    let points = listed + usize::from(reason.is_some());
     let _ = writeln!(text, "# Subtest: {}\n{INDENT}1..{points}", tap_description(&scenario.file));
     for (index, expectation) in scenario.expectations.iter().enumerate() {
         let name = format!("{} {}", expectation.name, format::limit(expectation));
@@ -56,6 +56,9 @@ fn write_subtest(text: &mut String, scenario: &ScenarioRecord) {
         if expectation.verdict != Verdict::Pass {
             write_yaml_block(text, INDENT, &diagnostics(scenario, index, expectation));
         }
+    }
+    for (number, skipped) in (scenario.expectations.len() + 1..).zip(&scenario.not_applicable) {
+        write_skipped(text, INDENT, number, &skipped.name, &skipped.reason);
     }
     if let Some(reason) = reason {
         write_inconclusive(text, INDENT, points, "the whole scenario", reason);
@@ -78,6 +81,11 @@ fn write_inconclusive(text: &mut String, indent: &str, number: usize, name: &str
     let verdict = Verdict::Inconclusive;
     write_test_point(text, indent, verdict, number, name);
     write_yaml_block(text, indent, &[("verdict", json!(verdict.name())), ("message", json!(reason))]);
+}
+
+fn write_skipped(text: &mut String, indent: &str, number: usize, name: &str, reason: &str) {
+    let (name, reason) = (tap_description(name), tap_description(reason));
+    let _ = writeln!(text, "{indent}ok {number} - {name} # SKIP not applicable: {reason}");
 }
 
 fn write_test_point(text: &mut String, indent: &str, verdict: Verdict, number: usize, name: &str) {

@@ -80,6 +80,7 @@ fn scenario_record(name: &str, title: &str, trials: Vec<TrialRecord>) -> Scenari
         period_ms: Some(1.0),
         inputs: vec![InputRecord { file: format!("inputs/{name}.toml"), sha256: "a".repeat(64) }],
         expectations: Vec::new(),
+        not_applicable: Vec::new(),
         requirement_texts: std::collections::BTreeMap::new(),
         trials,
     }

@@ -38,6 +38,7 @@ fn passed_run(scenarios: u32) -> RunRecord {
         file: format!("faults/{index}.toml"),
         title: String::new(),
         reason: "the controller does not announce ticks".to_owned(),
+        expectations: 0,
     };
     record.not_applicable = (0..20).map(not_applicable).collect();
     record.cost = fixtures::cost_trends();

@@ -63,6 +63,7 @@ pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<Exp
             input("inputs/plates/aluminium-198x138.toml".to_owned(), "a"),
         ],
         expectations: with_default_names(expectations),
+        not_applicable: Vec::new(),
         requirement_texts: std::collections::BTreeMap::new(),
         trials: Vec::new(),
     }
@@ -271,6 +272,7 @@ pub(crate) fn mixed_run() -> RunRecord {
         file: "laws/foreign.toml".to_owned(),
         title: "Gains from the file".to_owned(),
         reason: "the controller does not announce the law `deadbeat`".to_owned(),
+        expectations: 0,
     };
     RunRecord { not_applicable: vec![not_applicable], ..run(vec![passing, failing, doubted]) }
 }

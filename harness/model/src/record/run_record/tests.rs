@@ -121,6 +121,7 @@ fn record() -> RunRecord {
             period_ms: Some(1.0),
             inputs: vec![InputRecord { file: "inputs/0.toml".to_owned(), sha256: "00ff".to_owned() }],
             expectations: vec![passed, lost],
+            not_applicable: Vec::new(),
             requirement_texts: std::collections::BTreeMap::new(),
             trials: vec![trial],
         }],

@@ -2,15 +2,16 @@
 
 use super::checker::MAX_DELAY_PERIODS;
 use crate::metrics::{Metric, TrialRule};
-
 use crate::scenario::definition::{
     AUTO_MODEL, Controller, InputFile, MAX_TRIALS, Scenario, ScenarioGains, Spread, Trials,
 };
 use crate::scenario::diagnostic::Diagnostic;
+use crate::scenario::expect::Expectation;
 use crate::scenario::load::checker::{Checker, Diagnostics, TrialContext};
 use crate::scenario::load::expectation::expectation_names;
 use crate::scenario::load::fault::CheckedFault;
 use crate::scenario::matrix::Source;
+use crate::scenario::own_law::{OWN_LAW, compares_with_bench_law};
 use crate::scenario::raw::{
     DEFAULT_FREQUENCY_RANGE_HZ, DEFAULT_FREQUENCY_SLEW_HZ, DEFAULT_LAW, DEFAULT_PERIOD_MS, MAX_BETWEEN, RawBetween,
     RawController, RawProfiles, RawScenario, RawTrials,
@@ -103,6 +104,7 @@ impl Checker<'_> {
             only_if_named: raw.only_if_named,
             expected_exit: expected_exit?,
             expectations: expected,
+            not_applicable: Vec::new(),
             requirement_texts: BTreeMap::new(),
             faults: line_faults,
             chip_faults,
@@ -120,6 +122,7 @@ impl Checker<'_> {
         faults.record_error(self.check_trial_differences(&scenario));
         let is_compared = scenario.expects(Metric::ProtocolDifferences);
         faults.record_error(self.check_messages(&scenario.messages, is_compared));
+        faults.record_error(self.check_own_law(&scenario));
         scenario.between = self.scenes_between(folder, &raw.between, &scenario, &mut inputs, faults);
         Some(Scenario { inputs, ..scenario })
     }
@@ -170,6 +173,17 @@ impl Checker<'_> {
             format!("{max_count} trials, expected count ({}) to {MAX_TRIALS}", raw.count)
         })?;
         Ok(Trials { count: raw.count as u32, max_count: max_count as u32, seed: raw.seed as u64, spread: raw.spread })
+    }
+
+    fn check_own_law(&self, scenario: &Scenario) -> Result<(), Diagnostic> {
+        let compares = |expectation: &Expectation| compares_with_bench_law(expectation.metric);
+        let Some(index) = scenario.expectations.iter().position(compares).filter(|_| scenario.has_own_law()) else {
+            return Ok(());
+        };
+        self.error(
+            &format!("expect.{index}.metric"),
+            format!("it compares with a law of the bench, expected another metric, or another law than `{OWN_LAW}`"),
+        )
     }
 
     fn check_trial_differences(&self, scenario: &Scenario) -> Result<(), Diagnostic> {

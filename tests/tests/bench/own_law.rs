@@ -1,0 +1,117 @@
+//! Judges controllers with a law of their own: variants of `docs/examples/controller.py` with two PI
+//! loops of constant gains, behind a pseudo-terminal.
+
+use crate::test_folder::{ProgramOutput, run_bench, workspace_root};
+use platebench_model::record::{RunRecord, Verdict};
+use platebench_test_kit::python_with_pyserial;
+use rstest::rstest;
+use std::fs;
+use std::path::PathBuf;
+use tempfile::TempDir;
+
+const LAWS: &str = "laws = 1 << DQ_PI | 1 << DQ_PI_FIXED";
+const ANNOUNCES_NONE: (&str, &str) = (LAWS, "laws = 0");
+const ANNOUNCES_DQ_PI_FIXED: (&str, &str) = (LAWS, "laws = 1 << DQ_PI_FIXED");
+/// Its step with the samples of the bench.
+const STEP: &str = "self.law.step(setpoint, wd, wq)";
+
+struct OwnController {
+    folder: TempDir,
+    rig: String,
+}
+
+impl OwnController {
+    /// Applies `changes`, pairs of old and new text. `None` if Python lacks pyserial.
+    fn new(changes: &[(&str, &str)]) -> Option<Self> {
+        let python = python_with_pyserial()?;
+        let mut text = fs::read_to_string(workspace_root().join("docs/examples/controller.py")).unwrap();
+        // The controller has one law, and ignores the number in the configuration.
+        let number = ("        self.law, self.number, self.noise = None, None, 0\n", "        law = DQ_PI_FIXED\n");
+        for (old, new) in [(number.0, &*[number.0, number.1].concat())].iter().chain(changes) {
+            assert!(text.contains(old), "{old}");
+            text = text.replace(old, new);
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let program = folder.path().join("own.py");
+        fs::write(&program, text).unwrap();
+        let rig = format!("exec:{python} '{}' {{port}}", program.display());
+        Some(Self { folder, rig })
+    }
+
+    fn run(&self, arguments: &[&str]) -> ProgramOutput {
+        let out = self.run_folder();
+        let common = ["run", "--rig", &self.rig, "--out", &out.to_string_lossy()];
+        run_bench(&workspace_root(), common.iter().chain(arguments))
+    }
+
+    fn run_folder(&self) -> PathBuf {
+        self.folder.path().join("run")
+    }
+
+    fn record(&self) -> RunRecord {
+        RunRecord::read(&self.run_folder()).unwrap()
+    }
+
+    fn file(&self, name: &str) -> String {
+        fs::read_to_string(self.run_folder().join(name)).unwrap()
+    }
+}
+
+/// The console wraps its text.
+fn unwrapped(output: &ProgramOutput) -> String {
+    output.text().split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// Of these, the first applies in full, the second in part, the others not at all.
+const SCENARIOS: [&str; 4] =
+    ["paper/fig13-closed-loop.toml", "faults/lost-command.toml", "paper/fig13-open-loop.toml", "guards/hot-plate.toml"];
+
+#[rstest]
+#[case::announces_no_law(ANNOUNCES_NONE, &[])]
+#[case::announces_another_law(ANNOUNCES_DQ_PI_FIXED, &["--law", "own"])]
+fn an_own_law_is_judged_by_the_requirements(#[case] identity: (&str, &str), #[case] options: &[&str]) {
+    let Some(controller) = OwnController::new(&[identity]) else { return };
+    let output = controller.run(&[&SCENARIOS[..], options].concat()).assert_exit(0);
+    let text = unwrapped(&output);
+    for part in [
+        "not applicable: 5 expectations, 1 scenario not played: a description of the bench's law dq-pi, not a \
+         requirement; --law NAME judges it if the controller announces that law",
+        "not applicable: 3 expectations, 1 scenario not played: a description of the bench's law open-loop; --law NAME",
+        "6 expectations: 6 passed, 0 failed",
+    ] {
+        assert!(text.contains(part), "{part}\n{text}");
+    }
+    let record = controller.record();
+    let skipped: Vec<_> = record.scenarios.iter().map(|scenario| scenario.not_applicable.len()).collect();
+    assert_eq!((record.verdict, record.scenarios[0].law.as_str(), &*skipped), (Verdict::Pass, "own", &[3, 0][..]));
+    // Three expectations of a played scenario, and one case for each scenario that was not played.
+    assert_eq!(controller.file("junit.xml").matches("<skipped").count(), 5);
+    assert!(controller.file("report.html").contains("Not applicable to the controller's own law:"));
+    let folder = controller.run_folder();
+    run_bench(&workspace_root(), ["report", &folder.to_string_lossy(), "--rejudge"]).assert_exit(0);
+    assert_eq!(controller.record().scenarios[0].not_applicable.len(), 3);
+}
+
+#[rstest]
+#[case::wrong_sign_of_the_frequency_loop("self.law.step(setpoint, wd, -wq)")]
+#[case::a_tenth_of_the_gain(
+    "(lambda drive, offset, flags: (drive / 10, offset, flags))(*self.law.step(setpoint, wd, wq))"
+)]
+fn a_bad_own_law_fails(#[case] step: &str) {
+    let Some(controller) = OwnController::new(&[ANNOUNCES_NONE, (STEP, step)]) else { return };
+    controller.run(&["paper/fig14-closed-loop.toml"]).assert_exit(1);
+}
+
+#[test]
+fn a_missing_law_names_the_option() {
+    let Some(controller) = OwnController::new(&[ANNOUNCES_DQ_PI_FIXED]) else { return };
+    let output = controller.run(&["paper/fig13-closed-loop.toml"]).assert_exit(4);
+    assert!(unwrapped(&output).contains("--law own judges the requirements only"), "{}", output.text());
+}
+
+#[test]
+fn descriptions_of_the_bench_laws_alone_judge_nothing() {
+    let Some(controller) = OwnController::new(&[ANNOUNCES_NONE]) else { return };
+    let output = controller.run(&["paper/fig13-open-loop.toml"]).assert_exit(4);
+    assert!(unwrapped(&output).contains("law open-loop; --law NAME judges it"), "{}", output.text());
+}
