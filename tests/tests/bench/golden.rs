@@ -1,4 +1,4 @@
-//! Tests baselines: review, acceptance and comparison.
+//! Compares runs with the baselines of the paper's scenarios, and with tubes learned from trials.
 
 use crate::test_folder::{ProgramOutput, SETTLING, TestFolder, run_bench, step_scenario, step_text, workspace_root};
 use platebench_model::record::RunRecord;

@@ -37,7 +37,6 @@ mod own_law;
 mod python_package;
 mod real_plate;
 mod real_time;
-mod remote_line;
 mod replay;
 mod report_content;
 mod rigs;
