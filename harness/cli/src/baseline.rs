@@ -10,9 +10,9 @@ use platebench_engine::comparison::{
 };
 use platebench_engine::rejudge;
 use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
+use platebench_report::comparison::{comparison_blocks, tube_plot_document};
 use platebench_report::document::Document;
 use platebench_report::format::count;
-use platebench_report::{comparison, tube_plot};
 use platebench_verdict::golden::{Baseline, BaselineBuild, ResponseFeatures};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -160,7 +160,7 @@ fn print_difference(
     let compared = compare_with_tubes(&old.golden, trials)?;
     let new = build_baseline(record, scenario, trials, Some(old), rate);
     let changes = new.map(|new| describe_changes(old, &new)).unwrap_or_default();
-    let blocks = comparison::blocks(&scenario.file, &compared, changes);
+    let blocks = comparison_blocks(&scenario.file, &compared, changes);
     stdio::document(&Document::new("Differences from the baseline", blocks));
     Ok(compared.verdict)
 }
@@ -173,7 +173,7 @@ fn print_drawings(trials: &ScenarioTrials, old: Option<&Baseline>) -> Result<(),
         let outside = old.golden.exceedances(&rows);
         for worst in &outside {
             let Some(tube) = old.golden.tubes.iter().find(|tube| tube.signal == worst.signal) else { continue };
-            stdio::document(&tube_plot::document(tube, &rows, trial.index, worst));
+            stdio::document(&tube_plot_document(tube, &rows, trial.index, worst));
         }
         if !outside.is_empty() {
             break;

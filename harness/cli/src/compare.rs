@@ -9,7 +9,7 @@ use platebench_engine::comparison::{
 };
 use platebench_model::record::{RunRecord, Verdict};
 use platebench_model::trace::{AtPath, write_atomically};
-use platebench_report::comparison::{ScenarioComparison, document};
+use platebench_report::comparison::{ScenarioComparison, comparison_document};
 use platebench_verdict::golden::TubeComparison;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -46,7 +46,7 @@ const DRAWINGS_FOLDER: &str = "comparison";
 
 pub(crate) fn compare(arguments: &CompareArgs) -> CommandResult {
     let comparisons = compare_all(arguments).or_invalid()?;
-    stdio::show_result(arguments.format, &comparisons, &document(&comparisons));
+    stdio::show_result(arguments.format, &comparisons, &comparison_document(&comparisons));
     if comparisons.is_empty() {
         return Err(Failure::new(Exit::NothingToRun, &"the run contains no scenario, so there is nothing to compare"));
     }

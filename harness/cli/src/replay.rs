@@ -8,7 +8,7 @@ use clap::Args;
 use platebench_engine::replay::{ReplayError, ReplayInput, read_recorded_trace, read_telemetry_table, replay as play};
 use platebench_model::external_csv::ColumnMapping;
 use platebench_model::record::Verdict;
-use platebench_report::text::replay::document;
+use platebench_report::comparison::replay_document;
 use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
 use platebench_verdict::replay::ReplayResult;
 use std::path::PathBuf;
@@ -55,7 +55,7 @@ pub(crate) fn replay(arguments: &ReplayArgs) -> CommandResult {
         play(&input, &rig.to_string(), rig.has_own_clock(), &|| rig.connect_with(&options), cancel)
     };
     let result = unless_signalled(run_until_signal(None, work, |()| {}))?;
-    stdio::show_result(arguments.format, &result, &document(&result));
+    stdio::show_result(arguments.format, &result, &replay_document(&result));
     Ok(exit_of(&result))
 }
 

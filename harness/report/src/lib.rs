@@ -12,9 +12,7 @@ mod record_queries;
 pub use document::Style;
 pub use error::ReportError;
 pub use text::console::{Detail, Progress, ProgressKind, counts_so_far, slow_scenarios};
-pub use text::{
-    annotations, comparison, console, events, junit, markdown, scenario_list, tap, traceability, tube_plot,
-};
+pub use text::{annotations, comparison, console, events, junit, markdown, scenario_list, tap, traceability};
 
 /// Draws charts as SVG with classes instead of colours, for light, dark and paper.
 pub mod chart {
@@ -60,12 +58,10 @@ pub mod text {
     pub(crate) mod history;
     pub mod junit;
     pub mod markdown;
-    pub mod replay;
     pub mod scenario_list;
     pub mod tap;
     pub(crate) mod timing;
     pub mod traceability;
-    pub mod tube_plot;
 
     pub use crate::escape::{printable, printable_lines};
 }
