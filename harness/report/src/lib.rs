@@ -34,7 +34,6 @@ pub mod page {
     mod curves;
     mod elements;
     mod figure;
-    mod limit_marks;
     mod markers;
     mod overview;
     mod report_page;

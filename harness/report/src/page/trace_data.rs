@@ -1,8 +1,7 @@
 //! Reads each trace of a scenario once and samples it. Lists unreadable traces instead of failing.
 
 use super::curves::{self, TimeGrid};
-use super::limit_marks::LimitMark;
-use super::markers::{self, Settling, TimeMarker};
+use super::markers::{self, LimitMark, Settling, TimeMarker};
 use crate::chart::marks::Point;
 use crate::chart::time::TimeWindow;
 use crate::record_queries;
