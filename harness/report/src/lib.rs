@@ -49,14 +49,13 @@ pub mod page {
 
 /// Writes a run as text, for people and for machines.
 pub mod text {
-    pub mod annotations;
     pub mod board_matrix;
     pub mod comparison;
     pub mod console;
     pub mod events;
+    pub mod github;
     pub(crate) mod history;
     pub mod junit;
-    pub mod markdown;
     pub mod scenario_list;
     pub mod tap;
     pub(crate) mod timing;

@@ -13,7 +13,6 @@
 #[cfg(feature = "screen")]
 mod draw;
 pub mod events;
-mod keys;
 #[cfg(feature = "screen")]
 mod screen;
 #[cfg(feature = "screen")]
@@ -24,6 +23,5 @@ pub mod view;
 #[cfg(feature = "screen")]
 mod view_state;
 
-pub use events::{LiveViewError, RunDescription, ScenarioDescription, ViewEvent};
-pub use keys::{INTERRUPT, watch_keys};
+pub use events::{INTERRUPT, LiveViewError, RunDescription, ScenarioDescription, ViewEvent, watch_keys};
 pub use view::{LiveView, ViewSender};

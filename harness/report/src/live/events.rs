@@ -1,10 +1,12 @@
-//! Defines the description and the events of a run that the view receives, and the errors of a view
-//! that cannot open.
+//! Defines what reaches the view: the description of a run, events, and keys of the terminal.
 
+use crossterm::event::{Event as TerminalEvent, KeyCode, KeyEventKind, KeyModifiers, poll, read};
 use platebench_engine::Event;
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
 use std::io;
+use std::io::{IsTerminal, stdin};
+use std::time::Duration;
 
 /// Half width of the band in % if no expectation has one, as in the paper for the response time.
 const BAND_PERCENT: f64 = 5.0;
@@ -102,4 +104,30 @@ pub enum LiveViewError {
     Background,
     #[error(transparent)]
     Io(#[from] io::Error),
+}
+
+const KEY_POLL_INTERVAL: Duration = Duration::from_millis(100);
+
+/// Character for Ctrl-C if the terminal is raw. During a live view, Ctrl-C sends a signal instead.
+pub const INTERRUPT: char = '\u{3}';
+
+/// Calls `typed` for each key. Returns at once if standard input is not a terminal.
+pub fn watch_keys(is_over: impl Fn() -> bool, mut typed: impl FnMut(char)) {
+    if !stdin().is_terminal() {
+        return;
+    }
+    while !is_over() {
+        match poll(KEY_POLL_INTERVAL) {
+            Ok(true) => {}
+            Ok(false) => continue,
+            Err(_) => return,
+        }
+        if let Ok(TerminalEvent::Key(key)) = read()
+            && key.kind != KeyEventKind::Release
+            && let KeyCode::Char(letter) = key.code
+        {
+            let is_interrupt = letter == 'c' && key.modifiers.contains(KeyModifiers::CONTROL);
+            typed(if is_interrupt { INTERRUPT } else { letter });
+        }
+    }
 }

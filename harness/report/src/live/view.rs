@@ -1,10 +1,7 @@
 //! Runs the thread that reads rows and draws frames.
 
 use crate::live::draw::draw;
-use crate::live::events::RunDescription;
-use crate::live::events::ViewEvent;
-use crate::live::events::{LiveViewError, MAX_CELLS};
-use crate::live::keys::watch_keys;
+use crate::live::events::{LiveViewError, MAX_CELLS, RunDescription, ViewEvent, watch_keys};
 use crate::live::screen::Screen;
 use crate::live::screen::{CapturedLines, StderrCapture};
 use crate::live::view_state::ViewState;
