@@ -7,8 +7,7 @@
 pub mod columns;
 mod mcap;
 mod mf4;
-mod parquet;
-pub mod parquet_column;
+pub mod parquet;
 mod run_export;
 mod source;
 mod table;

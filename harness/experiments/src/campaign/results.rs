@@ -15,7 +15,7 @@ use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::Type;
 use platebench_model::scenario::Metric;
 use platebench_model::trace::{AtPath, AtomicFile};
-use platebench_report::export::parquet_column::{write_column, write_optional_column};
+use platebench_report::export::parquet::{write_column, write_optional_column};
 use platebench_report::format;
 use platebench_verdict::uncertainty::ErrorOrigin;
 use std::fs::File;
