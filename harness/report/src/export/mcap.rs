@@ -4,8 +4,7 @@
 //! that viewers overlay trials. The log time is rounded to whole nanoseconds. `t_s` is the exact
 //! time.
 
-use crate::export::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
-use crate::export::source::{ExportError, ExportScenario};
+use crate::export::source::{ExportError, ExportScenario, FLAG_COLUMNS, NUMBER_COLUMNS};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions};
 use platebench_model::trace::AtPath;

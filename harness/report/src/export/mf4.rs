@@ -7,8 +7,7 @@
 //! Numbers are little-endian. A block has kind, length, links and data, and starts at a multiple of 8 bytes. A link is
 //! the position of another block, or 0. Links to later blocks are written after these blocks.
 
-use crate::export::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
-use crate::export::source::{ExportError, ExportScenario, ExportTrial};
+use crate::export::source::{ExportError, ExportScenario, ExportTrial, FLAG_COLUMNS, NUMBER_COLUMNS};
 use platebench_model::trace::AtPath;
 use std::fmt::Write as _;
 use std::fs::File;

@@ -8,8 +8,7 @@
 //! order of the fields in these files. It is stored under the key `ARROW:schema`, because Parquet has no other metadata
 //! of columns.
 
-use crate::export::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
-use crate::export::source::{ExportError, ExportScenario};
+use crate::export::source::{ExportError, ExportScenario, FLAG_COLUMNS, NUMBER_COLUMNS};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use flatbuffers::{FlatBufferBuilder, TableFinishedWIPOffset, VOffsetT, WIPOffset};

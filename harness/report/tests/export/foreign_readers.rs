@@ -2,8 +2,8 @@
 
 use crate::fixtures::{self, StoredRun};
 use platebench_model::trace::Row;
-use platebench_report::export::columns::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use platebench_report::export::{ExportFormat, export};
+use platebench_report::export::{FLAG_COLUMNS, NUMBER_COLUMNS};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -59,10 +59,7 @@ fn column_bits(rows: &[Row], name: &str) -> Value {
 }
 
 fn column_names() -> impl Iterator<Item = &'static str> {
-    NUMBER_COLUMNS
-        .iter()
-        .map(platebench_report::export::columns::Number::name)
-        .chain(FLAG_COLUMNS.iter().map(|flag| flag.name))
+    NUMBER_COLUMNS.iter().map(platebench_report::export::Number::name).chain(FLAG_COLUMNS.iter().map(|flag| flag.name))
 }
 
 const STEP: &str = "paper/step";
