@@ -17,7 +17,6 @@ pub use text::{annotations, comparison, console, events, junit, markdown, scenar
 /// Draws charts as SVG with classes instead of colours, for light, dark and paper.
 pub mod chart {
     mod cells;
-    pub(crate) mod colours;
     pub(crate) mod marks;
     mod points;
     mod strips;

@@ -1,13 +1,13 @@
 //! Writes the HTML around the content of every page.
 
-use crate::chart::colours;
+use crate::chart::marks;
 use crate::escape::printable_lines;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 const STYLE: &str = include_str!("../page/style.css");
 
 pub(crate) fn report_page_frame(title: &str, head: &Markup, body: &Markup) -> String {
-    let style = format!("{}\n{}\n{STYLE}", colours::variables(), colours::RULES);
+    let style = format!("{}\n{}\n{STYLE}", marks::variables(), marks::RULES);
     page_frame(title, &style, head, body)
 }
 
