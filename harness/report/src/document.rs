@@ -2,20 +2,18 @@
 //!
 //! A result derives `Serialize` for its JSON and builds one [`Document`] for everything that a person reads.
 
-mod frame;
 mod style;
 mod table;
 
-pub use frame::page_frame;
-pub(crate) use frame::report_page_frame;
 pub use style::Style;
 pub(crate) use style::write_wrapped;
 pub use table::{Alignment, Cell, Column, Table, verdict_badge};
 
+use crate::chart::marks;
 use crate::error::{ReportError, write_file};
 use crate::escape::{markdown_text, printable, printable_lines};
 use crate::format;
-use maud::{Markup, PreEscaped, html};
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 use platebench_model::record::Verdict;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -319,6 +317,32 @@ impl AreaLink {
 
 fn percent_encode(svg: &str) -> String {
     svg.replace('%', "%25").replace('#', "%23").replace('\n', "%0A")
+}
+
+/// Style of every page.
+const PAGE_STYLE: &str = include_str!("page/style.css");
+
+pub(crate) fn report_page_frame(title: &str, head: &Markup, body: &Markup) -> String {
+    let style = format!("{}\n{}\n{PAGE_STYLE}", marks::variables(), marks::RULES);
+    page_frame(title, &style, head, body)
+}
+
+pub fn page_frame(title: &str, style: &str, head: &Markup, body: &Markup) -> String {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                title { (title) }
+                style { (PreEscaped(style)) }
+                (head)
+            }
+            body { (body) }
+        }
+    };
+    printable_lines(&page.into_string()).into_owned()
 }
 
 #[cfg(test)]
