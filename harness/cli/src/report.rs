@@ -15,7 +15,6 @@ use platebench_model::record::{RunFolder, RunRecord};
 #[cfg(feature = "export")]
 use platebench_report::export::{ExportError, ExportFormat, select_scenarios};
 use platebench_report::page::ReportPage;
-use platebench_report::text::board_matrix;
 use platebench_report::{Detail, junit, page, traceability};
 use std::path::{Path, PathBuf};
 
@@ -249,7 +248,7 @@ fn merge(arguments: &ReportArgs, detail: Detail) -> CommandResult {
         }
     })?;
     stdio::record(&record, arguments.format, detail);
-    if let (OutputFormat::Human, Some(boards)) = (arguments.format, board_matrix::document(&record)) {
+    if let (OutputFormat::Human, Some(boards)) = (arguments.format, traceability::board_document(&record)) {
         stdio::show("\n");
         stdio::document(&boards);
     }

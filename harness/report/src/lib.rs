@@ -48,7 +48,6 @@ pub mod page {
 
 /// Writes a run as text, for people and for machines.
 pub mod text {
-    pub mod board_matrix;
     pub mod comparison;
     pub mod console;
     pub mod events;

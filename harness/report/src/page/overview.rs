@@ -7,8 +7,8 @@ use crate::chart::marks::{Axes, Axis, Drawing, Mark, Point, Role, view_box};
 use crate::document::verdict_badge;
 use crate::record_queries::CauseGroup;
 use crate::text::history::RunHistory;
+use crate::text::timing;
 use crate::text::traceability::{self, RequirementLink};
-use crate::text::{board_matrix, timing};
 use crate::{format, record_queries};
 use maud::{Markup, html};
 use platebench_model::record::{
@@ -414,7 +414,7 @@ pub(super) fn environment_section(record: &RunRecord) -> Markup {
 }
 
 pub(super) fn boards_section(record: &RunRecord) -> Markup {
-    html! { @if let Some(boards) = board_matrix::document(record) { section id="boards" { (boards.body()) } } }
+    html! { @if let Some(boards) = traceability::board_document(record) { section id="boards" { (boards.body()) } } }
 }
 
 /// Width and height of small drawings, CSS pixels.

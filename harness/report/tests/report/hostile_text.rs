@@ -64,7 +64,7 @@ fn file(write: impl FnOnce(&std::path::Path)) -> String {
 #[case::tap(|record: &RunRecord| tap::text(record, TapVersion::V13))]
 #[case::markdown(|record: &RunRecord| markdown::render_page(record))]
 #[case::annotations(|record: &RunRecord| annotations::workflow_commands(record, &|_, _| None))]
-#[case::traceability(|record: &RunRecord| traceability::document(record).to_csv())]
+#[case::traceability(|record: &RunRecord| traceability::requirement_document(record).to_csv())]
 #[case::junit(|record: &RunRecord| file(|path| junit::write(record, path).unwrap()))]
 #[case::page(|record: &RunRecord| file(|path| {
     page::ReportPage::new(record, path.parent().unwrap()).write(path).unwrap();

@@ -25,7 +25,7 @@ fn without_requirements_there_is_only_a_header() {
         expectation.requirement = None;
     }
     assert_eq!(
-        traceability::document(&record).to_csv(),
+        traceability::requirement_document(&record).to_csv(),
         "requirement,expectation,limit,scenario,verdict,value,unit,interval_low,interval_high,trace\n"
     );
     assert!(!write_page(&record, folder.path()).contains("id=\"requirements\""));
