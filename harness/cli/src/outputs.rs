@@ -7,9 +7,9 @@ use clap::{Args, ValueEnum};
 use platebench_model::record::{RunRecord, ScenarioRecord};
 use platebench_model::scenario::{Scenario, number_in_file};
 use platebench_plate::input::STANDARD_STREAM;
-use platebench_report::annotations::{self, SourceLocation};
+use platebench_report::ReportError;
+use platebench_report::github::{self, SourceLocation};
 use platebench_report::tap::{self, TapVersion};
-use platebench_report::{ReportError, markdown};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::{env, fs};
@@ -88,8 +88,8 @@ impl Outputs {
 
     pub(crate) fn write(&self, record: &RunRecord, locations: &ScenarioLocations) -> Result<(), ReportError> {
         match &self.summary {
-            Some(file) if is_stdout(file) => stdio::show(&markdown::render_page(record)),
-            Some(file) => markdown::write(record, file)?,
+            Some(file) if is_stdout(file) => stdio::show(&github::render_page(record)),
+            Some(file) => github::write_markdown(record, file)?,
             None => {}
         }
         if let Some(file) = &self.tap {
@@ -109,12 +109,11 @@ impl Outputs {
             GithubMode::Off => false,
         };
         if github {
-            let commands =
-                annotations::workflow_commands(record, &|scenario, index| locations.location_of(scenario, index));
+            let commands = github::workflow_commands(record, &|scenario, index| locations.location_of(scenario, index));
             // GitHub reads commands from both streams. Standard output may contain JSON.
             let _ = std::io::stderr().lock().write_all(commands.as_bytes());
             if let Some(file) = env::var_os("GITHUB_STEP_SUMMARY").filter(|file| !file.is_empty()) {
-                markdown::append(record, Path::new(&file))?;
+                github::append_markdown(record, Path::new(&file))?;
             }
         }
         Ok(())

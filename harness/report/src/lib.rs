@@ -12,7 +12,7 @@ mod record_queries;
 pub use document::Style;
 pub use error::ReportError;
 pub use text::console::{Detail, Progress, ProgressKind, counts_so_far, slow_scenarios};
-pub use text::{annotations, comparison, console, events, junit, markdown, scenario_list, tap, traceability};
+pub use text::{comparison, console, events, github, junit, scenario_list, tap, traceability};
 
 /// Draws charts as SVG with classes instead of colours, for light, dark and paper.
 pub mod chart {

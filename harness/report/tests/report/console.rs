@@ -230,7 +230,7 @@ fn more_than_three_laws_are_counted_and_a_build_of_zeros_is_unknown() {
 #[rstest]
 #[case::page(report_page)]
 #[case::junit(junit_file)]
-#[case::markdown(platebench_report::markdown::render_page)]
+#[case::markdown(platebench_report::github::render_page)]
 fn every_output_names_what_was_tested(#[case] render: fn(&RunRecord) -> String) {
     let mut record = fixtures::mixed_run();
     let text = render(&record);

@@ -2,9 +2,8 @@
 
 use crate::fixtures;
 use platebench_model::record::{Event, MissingValue, Reason, RunRecord, ScenarioRecord, TrialFinding, Verdict};
-use platebench_report::annotations::{self, SourceLocation};
 use platebench_report::events::EventWriter;
-use platebench_report::markdown;
+use platebench_report::github::{self, SourceLocation};
 use platebench_report::tap::{self, TapVersion};
 use serde_json::Value;
 use std::io::{self, Write};
@@ -57,8 +56,8 @@ fn every_tap_plan_has_its_number_of_points() {
 
 #[test]
 fn writes_a_summary() {
-    insta::assert_snapshot!("summary", markdown::render_page(&fixtures::mixed_run()));
-    insta::assert_snapshot!("summary-cut-short", markdown::render_page(&cancelled_run()));
+    insta::assert_snapshot!("summary", github::render_page(&fixtures::mixed_run()));
+    insta::assert_snapshot!("summary-cut-short", github::render_page(&cancelled_run()));
 }
 
 #[test]
@@ -66,9 +65,9 @@ fn a_summary_names_the_fault_of_the_end() {
     let mut record = cancelled_run();
     record.safe_confirmed = Some(false);
     let missing = "the controller did not confirm 0 V: check the amplifier";
-    assert!(markdown::render_page(&record).contains(missing));
+    assert!(github::render_page(&record).contains(missing));
     record.drive_after_safe = true;
-    let page = markdown::render_page(&record);
+    let page = github::render_page(&record);
     assert!(!page.contains(missing) && page.contains("commanded a drive after it had confirmed 0 V"), "{page}");
 }
 
@@ -85,7 +84,7 @@ fn a_summary_is_smaller_than_one_mebibyte() {
             ended: Some("µ|".repeat(10_000)),
         });
     }
-    let page = markdown::render_page(&record);
+    let page = github::render_page(&record);
     assert!(page.len() < 1 << 20, "{}", page.len());
     assert!(page.contains("… and 1800 more."));
 }
@@ -94,11 +93,11 @@ fn a_summary_is_smaller_than_one_mebibyte() {
 fn a_summary_is_appended_or_replaces() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("summary.md");
-    let page = markdown::render_page(&fixtures::mixed_run());
-    markdown::append(&fixtures::mixed_run(), &path).unwrap();
-    markdown::append(&fixtures::mixed_run(), &path).unwrap();
+    let page = github::render_page(&fixtures::mixed_run());
+    github::append_markdown(&fixtures::mixed_run(), &path).unwrap();
+    github::append_markdown(&fixtures::mixed_run(), &path).unwrap();
     assert_eq!(std::fs::read_to_string(&path).unwrap(), format!("{page}\n{page}\n"));
-    markdown::write(&fixtures::mixed_run(), &path).unwrap();
+    github::write_markdown(&fixtures::mixed_run(), &path).unwrap();
     assert_eq!(std::fs::read_to_string(&path).unwrap(), page);
 }
 
@@ -107,12 +106,12 @@ fn annotations_point_at_expectations() {
     let place = |scenario: &ScenarioRecord, index: Option<usize>| {
         Some(SourceLocation { file: format!("scenarios/{}", scenario.file), line: index.map_or(1, |index| 10 + index) })
     };
-    insta::assert_snapshot!("annotations", annotations::workflow_commands(&fixtures::mixed_run(), &place));
-    insta::assert_snapshot!("annotations-cut-short", annotations::workflow_commands(&cancelled_run(), &|_, _| None));
+    insta::assert_snapshot!("annotations", github::workflow_commands(&fixtures::mixed_run(), &place));
+    insta::assert_snapshot!("annotations-cut-short", github::workflow_commands(&cancelled_run(), &|_, _| None));
     let mut passed = fixtures::mixed_run();
     passed.scenarios.truncate(1);
     passed.verdict = Verdict::Pass;
-    assert_eq!(annotations::workflow_commands(&passed, &place), "");
+    assert_eq!(github::workflow_commands(&passed, &place), "");
 }
 
 /// The written bytes, and their number at each flush.

@@ -4,7 +4,7 @@ use crate::fixtures;
 use platebench_model::record::{Event, MissingValue, Reason, RunRecord, TrialFinding};
 use platebench_report::events::EventWriter;
 use platebench_report::tap::TapVersion;
-use platebench_report::{Progress, Style, annotations, console, junit, markdown, page, tap, traceability};
+use platebench_report::{Progress, Style, console, github, junit, page, tap, traceability};
 use rstest::rstest;
 use std::fs;
 use std::io::{self, Write};
@@ -62,8 +62,8 @@ fn file(write: impl FnOnce(&std::path::Path)) -> String {
 #[rstest]
 #[case::console(|record: &RunRecord| console::run_table(record, Style::default()))]
 #[case::tap(|record: &RunRecord| tap::text(record, TapVersion::V13))]
-#[case::markdown(|record: &RunRecord| markdown::render_page(record))]
-#[case::annotations(|record: &RunRecord| annotations::workflow_commands(record, &|_, _| None))]
+#[case::markdown(|record: &RunRecord| github::render_page(record))]
+#[case::annotations(|record: &RunRecord| github::workflow_commands(record, &|_, _| None))]
 #[case::traceability(|record: &RunRecord| traceability::requirement_document(record).to_csv())]
 #[case::junit(|record: &RunRecord| file(|path| junit::write(record, path).unwrap()))]
 #[case::page(|record: &RunRecord| file(|path| {
