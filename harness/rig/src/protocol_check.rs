@@ -21,11 +21,13 @@ use std::time::{Duration, Instant};
 /// Variations of each script, played on further references. If a variation changes the commands,
 /// rounding or a design error of 5 % decides them. The check then compares no command until the
 /// next configuration.
-const VARIATIONS: [Variation; 4] = [
-    Variation { components: ROUNDING, gain: 1.0 },
-    Variation { components: -ROUNDING, gain: 1.0 },
-    Variation { components: 0.0, gain: 1.05 },
-    Variation { components: 0.0, gain: 0.95 },
+const VARIATIONS: [Variation; 6] = [
+    Variation { components: ROUNDING, ..Variation::NONE },
+    Variation { components: -ROUNDING, ..Variation::NONE },
+    Variation { gain: 1.05, ..Variation::NONE },
+    Variation { gain: 0.95, ..Variation::NONE },
+    Variation { design: 1.05, ..Variation::NONE },
+    Variation { design: 0.95, ..Variation::NONE },
 ];
 /// Relative change of the components Wd and Wq, about 17 times the resolution of single precision.
 const ROUNDING: f32 = 2e-6;
@@ -293,15 +295,14 @@ mod tests {
         check(LinkKind::Simulated, change).differences
     }
 
-    /// Controller that designs its gains for a plate gain K1 multiplied by the second field.
-    struct OtherGain(HostedLink, f32);
+    /// Controller that designs its gains for another configuration.
+    struct OtherDesign(HostedLink, fn(&Configure) -> Configure);
 
-    impl Link for OtherGain {
+    impl Link for OtherDesign {
         fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
             match packets(bytes).as_slice() {
                 [Packet { sequence, message: Message::Configure(configure) }] => {
-                    let gain_um_per_vpp = configure.gain_um_per_vpp * self.1;
-                    let message = Message::Configure(Configure { gain_um_per_vpp, ..*configure });
+                    let message = Message::Configure((self.1)(configure));
                     self.0.exchange(now, Packet { sequence: *sequence, message }.encode().as_bytes(), answer)
                 }
                 _ => self.0.exchange(now, bytes, answer),
@@ -313,15 +314,28 @@ mod tests {
         }
     }
 
+    fn with_gain(configure: &Configure, factor: f32) -> Configure {
+        Configure { gain_um_per_vpp: configure.gain_um_per_vpp * factor, ..*configure }
+    }
+
+    fn with_design(configure: &Configure, factor: f32) -> Configure {
+        match configure.gains {
+            Some(_) => *configure,
+            None => Configure { response_time_s: script::scaled_response_time(configure, factor), ..*configure },
+        }
+    }
+
     #[rstest]
-    #[case::lower(1.05, &[])]
-    #[case::higher(1.0 / 1.05, &[])]
-    #[case::another_plate(1.0 / 1.2,
+    #[case::lower(|configure| with_gain(configure, 1.05), &[])]
+    #[case::higher(|configure| with_gain(configure, 1.0 / 1.05), &[])]
+    #[case::both_loops_lower(|configure| with_design(configure, 0.95), &[])]
+    #[case::both_loops_higher(|configure| with_design(configure, 1.05), &[])]
+    #[case::another_plate(|configure| with_gain(configure, 1.0 / 1.2),
         &["random samples with the law's own design",
         "gains of the law's own design", "gains that are not used"])]
-    fn a_design_may_be_five_percent_off(#[case] gain: f32, #[case] expected: &[&str]) {
+    fn a_design_may_be_five_percent_off(#[case] design: fn(&Configure) -> Configure, #[case] expected: &[&str]) {
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
-        let mut link = OtherGain(HostedLink::new(), gain);
+        let mut link = OtherDesign(HostedLink::new(), design);
         let mut found = check_protocol(&mut link, &identity, &CONFIGURE, SCRIPTS).unwrap().differences;
         found.sort_unstable();
         assert_eq!(names(&found).iter().filter(|name| !expected.contains(name)).count(), 0, "{found:?}");

@@ -25,6 +25,9 @@ use std::time::{Duration, Instant};
 /// Largest number of earlier scenes of the same controller that are stored with a failed scene.
 const MAX_HISTORY: usize = 8;
 const MAX_UNDECIDED: usize = 10;
+/// Number of sequences of messages after each scene. A sequence takes less time than a scene.
+const SEQUENCES_PER_SCENE: u64 = 3;
+const ITEMS: u64 = 1 + SEQUENCES_PER_SCENE;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ExplorationBudget {
@@ -226,14 +229,16 @@ pub fn explore(
     let source = || {
         let number = next.fetch_add(1, Ordering::Relaxed);
         let item = match config.sequences {
-            Some(_) if number % 2 == 1 => Item::Sequence(number / 2),
-            Some(_) => Item::Scene(number / 2),
+            Some(_) => match (number / ITEMS, number % ITEMS) {
+                (scene, 0) => Item::Scene(scene),
+                (scene, sequence) => Item::Sequence(scene * SEQUENCES_PER_SCENE + sequence - 1),
+            },
             None => Item::Scene(number),
         };
-        let (Item::Scene(index) | Item::Sequence(index)) = item;
+        let items = if config.sequences.is_some() { ITEMS } else { 1 };
         let is_used = match config.budget {
             ExplorationBudget::Time(time) => started.elapsed() >= time,
-            ExplorationBudget::Scenes(count) => index >= count,
+            ExplorationBudget::Scenes(count) => number / items >= count,
         };
         let is_over = is_used || cancel.is_cancelled() || failed.load(Ordering::Relaxed) >= config.max_failed;
         (!is_over).then_some(item)

@@ -22,8 +22,10 @@ use std::time::Instant;
 
 /// Number of blocks of a sequence.
 const BLOCKS: std::ops::RangeInclusive<u32> = 5..=11;
+/// Number of blocks with silences of a sequence in wall time.
+const WATCHDOG_BLOCKS: u32 = 3;
 /// A sequence of this many has a long run.
-const LONG_RUN_EVERY: u64 = 24;
+const LONG_RUN_EVERY: u64 = 12;
 /// Numbers of repetitions around which counters of a controller overflow.
 const LONG_RUNS: [u32; 4] = [1 << 16, 100_000, 1 << 17, 40_000];
 const MANY_CONFIGURATIONS: u32 = 1_000;
@@ -140,7 +142,12 @@ impl Draw<'_> {
             self.long_run(index / LONG_RUN_EVERY);
             return;
         }
-        let preferred = self.pick_block(index as usize % ALL_BLOCKS.len());
+        let preferred = ALL_BLOCKS.get(index as usize % ALL_BLOCKS.len()).copied().unwrap_or(Block::Stop);
+        if self.limits.own_clock && matches!(preferred, Block::Watchdog) {
+            (0..WATCHDOG_BLOCKS).for_each(|_| self.add(preferred));
+            self.messages.extend(self.trial.iter().cloned());
+            return;
+        }
         for _ in 0..self.range(BLOCKS) {
             let any = self.below(ALL_BLOCKS.len());
             let block = if self.one_in(2) { preferred } else { self.pick_block(any) };
@@ -152,22 +159,22 @@ impl Draw<'_> {
         self.messages.extend(self.trial.iter().cloned());
     }
 
-    /// Silences cost wall time, so sequences in wall time have few.
+    /// Silences cost wall time, so only the sequences that prefer them have them in wall time.
     fn pick_block(&mut self, index: usize) -> Block {
         let block = ALL_BLOCKS.get(index).copied().unwrap_or(Block::Stop);
-        let is_rare = self.limits.own_clock && matches!(block, Block::Watchdog);
-        if is_rare && !self.one_in(4) { Block::Rejected } else { block }
+        let is_slow = self.limits.own_clock && matches!(block, Block::Watchdog);
+        if is_slow { Block::Rejected } else { block }
     }
 
     fn long_run(&mut self, number: u64) {
         let again = |messages, times| ScenarioMessage::Again { messages, times };
         match number % 3 {
-            0 => {
+            2 => {
                 let times = LONG_RUNS.get((number / 3 % 4) as usize).copied().unwrap_or(MANY_CONFIGURATIONS);
                 self.messages.push(again(1, times));
                 self.samples(4);
             }
-            1 => {
+            0 => {
                 let rejected = self.rejected();
                 self.messages.push(rejected);
                 self.samples(2);
@@ -332,7 +339,7 @@ impl Draw<'_> {
             let ms = f64::from(timeout) * 1.5;
             self.messages.push(ScenarioMessage::Wait { ms });
         }
-        let samples = self.range(1..=3);
+        let samples = self.pick(&[1, 1, 2, 3], 1);
         self.samples(samples);
         let timeout = f64::from(timeout);
         let shares: &[f64] = match self.below(4) {

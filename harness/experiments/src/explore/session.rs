@@ -28,7 +28,7 @@ const SHRINK_TIME: Duration = Duration::from_mins(1);
 /// Longest wall time for shrinking sequences of messages.
 const SEQUENCE_SHRINK_TIME: Duration = Duration::from_secs(30);
 /// Longest wall time of a sequence of messages.
-const LONGEST_SEQUENCE: Duration = Duration::from_secs(8);
+const LONGEST_SEQUENCE: Duration = Duration::from_secs(5);
 /// The reference and the comparison take at least this time.
 const FASTEST_EXCHANGE: Duration = Duration::from_micros(20);
 /// Number of exchanges that measure the speed of the rig.

@@ -32,9 +32,9 @@ fn a_correct_controller_fails_no_sequence(
     #[values(LawId::DqPi, LawId::Deadbeat)] law: LawId,
     #[values(false, true)] compares_reference: bool,
 ) {
-    let config = ExploreConfig { sequences: Some(limits()), compares_reference, ..configuration(law, 100) };
+    let config = ExploreConfig { sequences: Some(limits()), compares_reference, ..configuration(law, 36) };
     let result = play(&config, &|| Box::new(HostedLink::new()));
-    assert_eq!((result.sequences.played, result.sequences.skipped), (100, 0));
+    assert_eq!((result.sequences.played, result.sequences.skipped), (108, 0));
     assert_eq!(result.failed_sequences, []);
 }
 
@@ -60,23 +60,27 @@ fn drive_above_limit(message: &mut Message) {
     }
 }
 
+fn boxed(change: fn(&mut Message)) -> Box<dyn Mutant> {
+    Box::new(change)
+}
+
 #[rstest]
-#[case::infinite_wq(|| Box::new(accepts_infinite_wq) as Box<dyn Mutant>)]
-#[case::timer(|| Box::new(timer_of_eight_bits) as Box<dyn Mutant>)]
-#[case::drive(|| Box::new(drive_above_limit) as Box<dyn Mutant>)]
+#[case::infinite_wq(|| boxed(accepts_infinite_wq))]
+#[case::timer(|| boxed(timer_of_eight_bits))]
+#[case::drive(|| boxed(drive_above_limit))]
 fn sequences_find_faults_of_every_law(
     #[case] mutant: fn() -> Box<dyn Mutant>,
     #[values(LawId::DqPi, LawId::Deadbeat)] law: LawId,
 ) {
-    let config = ExploreConfig { sequences: Some(limits()), max_failed: 1, jobs: 1, ..configuration(law, 60) };
+    let config = ExploreConfig { sequences: Some(limits()), max_failed: 1, jobs: 1, ..configuration(law, 24) };
     let result = play(&config, &|| Box::new(MutantController::new(HostedLink::new(), mutant)));
     assert!(!result.failed_sequences.is_empty(), "{:?}", result.sequences);
 }
 
 #[test]
 fn a_slow_rig_skips_long_runs() {
-    let slow = SequenceLimits { longest: 5_000, ..limits() };
-    let config = ExploreConfig { sequences: Some(slow), ..configuration(LawId::DqPi, 24) };
+    let slow = SequenceLimits { longest: 2_000, ..limits() };
+    let config = ExploreConfig { sequences: Some(slow), ..configuration(LawId::DqPi, 8) };
     let result = play(&config, &|| Box::new(HostedLink::new()));
     assert_eq!((result.sequences.played, result.sequences.skipped), (23, 1));
 }

@@ -1,6 +1,7 @@
 //! Defines the steps of a script and turns them into exchanges. An exchange consists of frames that
 //! the controller does not answer and one frame that it answers.
 
+use platebench_controller::design::default_response_time_s;
 use platebench_model::scenario::{ConfigurationChange, ScenarioMessage, WireNumber};
 use platebench_wire::{Configure, EncodedFrame, Gains, LawId, Message, Packet, Sample};
 use std::borrow::Cow;
@@ -119,6 +120,23 @@ fn configuration(change: &ConfigurationChange, base: &Configure) -> Configure {
     }
 }
 
+/// Returns the response time for which a `dq-pi` law designs gains that are larger by `factor`, from
+/// Kp ∝ 1 − e^(−3 Ts/tr), and from Kp ∝ 1/tr for `dq-pi-euler`.
+pub(super) fn scaled_response_time(configure: &Configure, factor: f32) -> f32 {
+    let Configure { law, period_us, response_time_s, .. } = *configure;
+    if factor == 1.0 || !response_time_s.is_finite() || response_time_s < 0.0 || period_us == 0 {
+        return response_time_s;
+    }
+    let usual = if response_time_s > 0.0 { response_time_s } else { default_response_time_s(law) as f32 };
+    if law == LawId::DqPiEuler {
+        return usual / factor;
+    }
+    let periods = 3.0 * period_us as f32 * 1e-6;
+    let rest = 1.0 - factor * (1.0 - (-periods / usual).exp());
+    // The shortest response time has the largest gains.
+    -periods / rest.clamp(1e-6, 0.999_999).ln()
+}
+
 #[derive(Debug, Clone)]
 pub(super) struct Script {
     pub(super) name: Cow<'static, str>,
@@ -146,10 +164,12 @@ pub(super) struct Variation {
     pub(super) components: f32,
     /// Factor on the plate gain K1 in configurations without controller gains.
     pub(super) gain: f32,
+    /// Factor on all gains of the law's own design.
+    pub(super) design: f32,
 }
 
 impl Variation {
-    pub(super) const NONE: Self = Self { components: 0.0, gain: 1.0 };
+    pub(super) const NONE: Self = Self { components: 0.0, gain: 1.0, design: 1.0 };
 }
 
 impl Script {
@@ -294,9 +314,14 @@ impl Encoder<'_> {
 
     fn configure(&mut self, configure: Configure) {
         (self.period_us, self.time_us) = (configure.period_us, 0);
-        let gain = if configure.gains.is_none() { self.variation.gain } else { 1.0 };
-        let gain_um_per_vpp = configure.gain_um_per_vpp * gain;
-        self.add(Step::Ask(Message::Configure(Configure { gain_um_per_vpp, ..configure })));
+        let Variation { gain, design, .. } = self.variation;
+        let varied = if configure.gains.is_none() {
+            let gain_um_per_vpp = configure.gain_um_per_vpp * gain;
+            Configure { gain_um_per_vpp, response_time_s: scaled_response_time(&configure, design), ..configure }
+        } else {
+            configure
+        };
+        self.add(Step::Ask(Message::Configure(varied)));
     }
 
     fn sample(&mut self, sequence: u8, [setpoint_um, wd_um, wq_um]: [f32; 3]) {
