@@ -274,9 +274,10 @@ fn resume(config: &SessionConfig, new: &SessionRecord) -> Result<SessionRecord, 
     check_unchanged(&record, new)?;
     check_run_hashes(folder, &record)?;
     let (known, SessionDetails { operator, place, notes }) = (&mut record.details, config.details.clone());
-    known.operator = known.operator.take().or(operator);
-    known.place = known.place.take().or(place);
-    known.notes = known.notes.take().or(notes);
+    // An option corrects what an earlier part of the session stored.
+    known.operator = operator.or(known.operator.take());
+    known.place = place.or(known.place.take());
+    known.notes = notes.or(known.notes.take());
     record.resumed.push(utc_timestamp());
     info!(folder = %folder.display(), "session resumed");
     Ok(record)

@@ -113,7 +113,9 @@ pub fn read_rows(name: &str, table: impl Read, columns: &ColumnMapping) -> Resul
         let titles = || header.iter().collect::<Vec<_>>().join(", ");
         places.push((
             *role,
-            place.ok_or_else(|| error_at(1, format!("no column `{wanted}` in: {}", titles())))?,
+            place.ok_or_else(|| {
+                error_at(1, format!("no column `{wanted}` in: {}; --columns names the columns", titles()))
+            })?,
             *factor,
         ));
     }

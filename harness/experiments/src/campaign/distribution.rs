@@ -60,7 +60,7 @@ pub enum RawDistribution {
     /// Listed values.
     Each(#[schemars(length(min = 1))] Vec<Choice>),
     /// Equally spaced values: first value, last value, number of values.
-    Steps(f64, f64, u32),
+    Steps(f64, f64, #[schemars(with = "u32")] f64),
     /// Uniform distribution: smallest and largest value.
     Uniform([f64; 2]),
     /// Normal distribution.
@@ -116,12 +116,15 @@ impl RawDistribution {
                 Ok(Distribution::Choices(values))
             }
             Self::Steps(from, to, count) => {
-                let is_single = count == 1 && from == to;
-                if !(from.is_finite() && to.is_finite() && (is_single || (2..=MAX_STEPS).contains(&count))) {
+                let is_single = count == 1.0 && from == to;
+                let is_valid = is_single || (2.0..=f64::from(MAX_STEPS)).contains(&count);
+                if !(from.is_finite() && to.is_finite() && is_valid && count.fract() == 0.0) {
                     return Err(format!(
-                        "steps = [{from}, {to}, {count}], expected [from, to, how many] with 2 to {MAX_STEPS} values"
+                        "steps = [{from}, {to}, {count}], expected [from, to, number of values], with a whole number \
+                         from 2 to {MAX_STEPS}, not a width"
                     ));
                 }
+                let count = count as u32;
                 // The formula may round, so the first and the last value are copied.
                 let value = |index: u32| match index {
                     0 => from,
@@ -516,6 +519,8 @@ mod tests {
             "{ each = [1.0, \"a\"] }",
             "{ steps = [0.0, 1.0, 1] }",
             "{ steps = [0.0, 1.0] }",
+            "{ steps = [0.0, 2.0, 0.1] }",
+            "{ steps = [0.0, 2.0, 2.5] }",
             "{ uniform = [1.0, 1.0] }",
             "{ uniform = [2.0, 1.0] }",
             "{ normal = { mean = 1.0 } }",

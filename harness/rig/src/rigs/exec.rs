@@ -62,7 +62,7 @@ pub enum ExecError {
     Empty(String),
     #[error("`{0}` has no {{port}}, the placeholder for the path of the controller's serial port")]
     NoPortPlaceholder(String),
-    #[error("cannot start `{program}`: {error}")]
+    #[error("cannot start `{program}`: {error}{}", folder_hint(program))]
     Start { program: String, error: std::io::Error },
     #[error("cannot open a pseudo-terminal: {0}")]
     Terminal(std::io::Error),
@@ -74,6 +74,12 @@ pub enum ExecError {
     Cancelled(String),
     #[error(transparent)]
     Link(#[from] LinkError),
+}
+
+/// A program without a folder is searched in PATH only.
+fn folder_hint(program: &str) -> String {
+    let is_here = !program.contains('/') && std::path::Path::new(program).is_file();
+    if is_here { format!("; a program in the working directory is `./{program}`") } else { String::new() }
 }
 
 impl From<ExecError> for ConnectError {
