@@ -14,7 +14,7 @@ use platebench_lab::acceptance::AcceptancePlan;
 use platebench_lab::boards::Inventory;
 use platebench_model::scenario::{
     Diagnostic, FileKind, list_files, load, load_with_all_errors, plate_warnings, read_requirements, repeated_names,
-    unjudged_changes,
+    unjudged_changes, unreachable_setpoint,
 };
 use platebench_model::trace::FileError;
 use platebench_report::format::count;
@@ -134,6 +134,7 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
             if let Ok(scenario) = load(path, name) {
                 warnings.extend(plate_warnings(&scenario));
                 warnings.extend(unjudged_changes(&scenario));
+                warnings.extend(unreachable_setpoint(&scenario));
             }
         }
         for (path, _) in of_kind(FileKind::Plate) {

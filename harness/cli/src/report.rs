@@ -170,7 +170,7 @@ fn note_changed_verdicts(stored: &RunRecord, again: &RunRecord) {
 
 fn judge(run: &Path, arguments: &ReportArgs, detail: Detail) -> CommandResult {
     let record = rejudge(run, arguments.scenario.as_deref())?;
-    stdio::record(&record, arguments.format, detail);
+    stdio::record(&record, run, arguments.format, detail);
     if arguments.scenario.is_none() {
         match RunRecord::read(run) {
             Ok(stored) if !stored.complete => {
@@ -247,7 +247,7 @@ fn merge(arguments: &ReportArgs, detail: Detail) -> CommandResult {
             error => Failure::invalid(&error),
         }
     })?;
-    stdio::record(&record, arguments.format, detail);
+    stdio::record(&record, folder.path(), arguments.format, detail);
     if let (OutputFormat::Human, Some(boards)) = (arguments.format, traceability::board_document(&record)) {
         stdio::show("\n");
         stdio::document(&boards);

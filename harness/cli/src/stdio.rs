@@ -17,6 +17,7 @@ use std::ffi::OsStr;
 use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write, stderr, stdout};
 use std::os::fd::{AsFd, BorrowedFd};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use tracing::field::{Field, Visit};
@@ -126,20 +127,23 @@ pub(crate) fn document(document: &Document) {
     show(&console_text(document));
 }
 
-pub(crate) fn record(record: &RunRecord, format: OutputFormat, detail: Detail) {
+/// `folder` is the run folder. The text has the paths of the traces from the working directory.
+pub(crate) fn record(record: &RunRecord, folder: &Path, format: OutputFormat, detail: Detail) {
     let style = Style { colour: colors_apply_to(&stdout()) };
-    show_as(format, record, || console::run_text(record, style, detail));
+    show_as(format, record, || console::run_text(&record.with_traces_below(folder), style, detail));
 }
 
 pub(crate) fn warn_if_not_safe(record: &RunRecord) {
     if let Some(fault) = record.unsafe_end() {
-        error(&format!("{fault}: check the amplifier before you touch the plate"));
+        let remedy = if record.may_have_amplifier() { ": check the amplifier before you touch the plate" } else { "" };
+        error(&format!("{fault}{remedy}"));
     }
 }
 
-pub(crate) fn record_to_stderr(record: &RunRecord, detail: Detail) {
+pub(crate) fn record_to_stderr(record: &RunRecord, folder: &Path, detail: Detail) {
     let style = Style { colour: colors_apply_to(&stderr()) };
-    let _ = stderr().lock().write_all(console::run_text(record, style, detail).as_bytes());
+    let text = console::run_text(&record.with_traces_below(folder), style, detail);
+    let _ = stderr().lock().write_all(text.as_bytes());
 }
 
 pub(crate) fn is_output_drained() -> bool {

@@ -193,6 +193,7 @@ mod tests {
             },
             cause: None,
             reason: None,
+            sign_symptom: None,
             diverged_at_s: None,
             wall_ms: None,
         };

@@ -17,7 +17,7 @@ pub mod record {
     pub use crate::scenario::Limit;
     pub use reason::{
         Bounds, DivergedTrials, Divergence, Evidence, EvidenceMethod, ExpectationRecord, MetricDefinition, Reason,
-        Statistic, TrialFinding, TrialReason, WideBoundsCause, WorstInstant, percent,
+        SignSymptom, Statistic, TrialFinding, TrialReason, WideBoundsCause, WorstInstant, percent,
     };
     pub use run_folder::{
         FileLock, FolderError, RECORD_FILE, RecordError, RunFolder, RunSummary, ScenarioSummary, newest_run, sha256,
@@ -66,7 +66,7 @@ pub mod scenario {
     pub use own_law::{NotApplicableExpectation, OWN_LAW, number_in_file};
     pub use parse::{parse, parse_bytes, parse_file, read_text};
     pub use platebench_plate::input;
-    pub use warnings::{plate_warnings, unjudged_changes};
+    pub use warnings::{plate_warnings, unjudged_changes, unreachable_setpoint};
     pub use window::{ChangingProfile, Window};
 }
 

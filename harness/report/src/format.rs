@@ -3,7 +3,7 @@
 use crate::record_queries::{CauseGroup, NotApplicableGroup};
 use platebench_model::metrics::Unit;
 use platebench_model::record::{
-    ExpectationRecord, Limit, Metric, Reason, RunRecord, ScenarioRecord, Statistic, TrialFinding, Verdict,
+    ExpectationRecord, Limit, Metric, Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, Verdict,
 };
 use platebench_verdict::tube::{Exceedance, TubeSignal};
 use schemars::JsonSchema;
@@ -124,6 +124,18 @@ pub(crate) fn overrides(record: &RunRecord) -> Option<String> {
     let changed: Vec<_> =
         changed.into_iter().filter_map(|(name, value)| Some(format!("{name} = {}", value?))).collect();
     (!changed.is_empty()).then(|| changed.join(", "))
+}
+
+/// A plate at rest keeps every limit on overshoot and drive, so the number of passes is stated too.
+pub(crate) fn sign_symptom(scenario: &ScenarioRecord, trial: u32, symptom: SignSymptom) -> String {
+    let passed = scenario.expectations.iter().filter(|found| found.verdict == Verdict::Pass).count();
+    let doubt = match symptom {
+        SignSymptom::NoDrive if passed > 0 => {
+            format!(" The plate was at rest, so {} show nothing.", count(passed, "passed expectation"))
+        }
+        SignSymptom::NoDrive | SignSymptom::FrequencyAtLimit => String::new(),
+    };
+    format!("trial {trial}: {symptom}{doubt}")
 }
 
 /// `12 expectations, 3 scenarios not played: REASON`.

@@ -1,8 +1,8 @@
 //! Finds keys, trials and missed expectations in a record.
 
 use platebench_model::record::{
-    Cause, Exclusion, ExpectationRecord, Limit, Metric, MissingValue, Reason, RunRecord, ScenarioRecord, Statistic,
-    TrialFinding, TrialRecord, Verdict, ViolationKind,
+    Cause, Exclusion, ExpectationRecord, Limit, Metric, MissingValue, Reason, RunRecord, ScenarioRecord, SignSymptom,
+    Statistic, TrialFinding, TrialRecord, Verdict, ViolationKind,
 };
 use std::mem::{Discriminant, discriminant};
 
@@ -193,6 +193,14 @@ pub(crate) fn tight_steps(record: &RunRecord) -> Vec<(&ScenarioRecord, f64)> {
     tight
 }
 
+/// The first trial of each scenario whose trace shows a loop with a wrong sign.
+pub(crate) fn sign_symptoms(record: &RunRecord) -> impl Iterator<Item = (&ScenarioRecord, u32, SignSymptom)> {
+    record.scenarios.iter().filter_map(|scenario| {
+        let (trial, symptom) = scenario.trials.iter().find_map(|trial| Some((trial.index, trial.sign_symptom?)))?;
+        Some((scenario, trial, symptom))
+    })
+}
+
 /// Files of the scenarios that `--fail-fast` did not play.
 pub(crate) fn unplayed_scenarios(record: &RunRecord) -> Vec<&str> {
     let is_unplayed =
@@ -297,6 +305,7 @@ mod tests {
                 reason: None,
                 sha256: None,
                 telemetry: Telemetry::default(),
+                sign_symptom: None,
                 diverged_at_s: None,
                 wall_ms: None,
             }

@@ -1,11 +1,12 @@
 //! Measures one trial and decides whether it counts.
 
-use crate::divergence::detect_divergence;
+use crate::divergence::{detect_divergence, detect_wrong_sign};
 use crate::exclusion::{find_exclusion, find_real_plate_exclusion, saturation_excuse};
 use crate::feasibility::infeasibility_excuse;
 use crate::metrics::{Measure, measure_with_instants};
 use platebench_model::record::{
-    Cause, Divergence, Exclusion, Excuse, MetricValues, Telemetry, TrialReason, TrialRecord, Violation, WorstInstant,
+    Cause, Divergence, Exclusion, Excuse, MetricValues, SignSymptom, Telemetry, TrialReason, TrialRecord, Violation,
+    WorstInstant,
 };
 use platebench_model::scenario::{Expectation, Metric, Scenario, Variation};
 use platebench_model::trace::{Flags, Row};
@@ -26,6 +27,7 @@ pub struct TrialMeasures {
     pub violations: Vec<Violation>,
     /// Explains a failure and never causes one.
     pub divergence: Option<Divergence>,
+    pub sign_symptom: Option<SignSymptom>,
     pub exclusion: Option<Exclusion>,
     /// True for a real plate, whose motion only the controller's own sensor measures.
     pub is_real_plate: bool,
@@ -54,6 +56,7 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
         ended: telemetry.ended.clone(),
         violations: violations(scenario, telemetry),
         divergence: detect_divergence(scenario, rows, telemetry),
+        sign_symptom: detect_wrong_sign(scenario, rows),
         exclusion: if is_real_plate {
             find_real_plate_exclusion(scenario, rows, telemetry.real_plate.as_deref())
         } else {
@@ -131,6 +134,7 @@ pub fn trial_record(
         cause: trial.exclusion.as_ref().filter(|_| violation.is_none()).map(Exclusion::cause),
         reason: violation.or(excluded).or_else(ended).or_else(diverged),
         diverged_at_s: trial.divergence.map(|divergence| divergence.at_s),
+        sign_symptom: trial.sign_symptom,
         wall_ms,
     }
 }

@@ -364,9 +364,9 @@ fn write_reports(
     let written = files.unwrap_or(Ok(())).and_then(|()| arguments.outputs.write(record, locations));
     if arguments.format == OutputFormat::Human {
         if arguments.outputs.replaces_table() {
-            stdio::record_to_stderr(record, detail);
+            stdio::record_to_stderr(record, folder.path(), detail);
         } else {
-            stdio::record(record, arguments.format, detail);
+            stdio::record(record, folder.path(), arguments.format, detail);
         }
     }
     if detail != Detail::Failures || record.verdict != Verdict::Pass {

@@ -27,6 +27,16 @@ impl fmt::Display for Divergence {
     }
 }
 
+/// Trace of a loop that acts in the wrong direction. It decides no verdict.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Error)]
+#[serde(rename_all = "snake_case")]
+pub enum SignSymptom {
+    #[error("the drive stayed at 0 V although the setpoint was above 0: sign of the amplitude loop?")]
+    NoDrive,
+    #[error("the frequency ended at its limit, away from the resonance: sign of the frequency loop?")]
+    FrequencyAtLimit,
+}
+
 /// Why a trial does not count or did not end well.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]

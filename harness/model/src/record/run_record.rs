@@ -180,6 +180,21 @@ impl RunRecord {
         misses_traces
     }
 
+    /// A copy whose traces have paths that are valid in the working directory of `folder`.
+    #[must_use]
+    pub fn with_traces_below(&self, folder: &Path) -> Self {
+        let mut record = self.clone();
+        for trial in record.scenarios.iter_mut().flat_map(|scenario| &mut scenario.trials) {
+            trial.trace = folder.join(&trial.trace).display().to_string();
+        }
+        record
+    }
+
+    /// True if the controller may have an amplifier: not if it is a program or simulated.
+    pub fn may_have_amplifier(&self) -> bool {
+        self.clock == ClockKind::RealPlate || !matches!(self.rig.kind(), "hosted" | "emulated" | "exec")
+    }
+
     /// Fault of the end at 0 V. `None` if 0 V was confirmed and kept, or if this is unknown.
     pub fn unsafe_end(&self) -> Option<&'static str> {
         if self.drive_after_safe {

@@ -3,7 +3,7 @@
 use crate::metrics::Metric;
 use crate::metrics::RigReports;
 use crate::record::reason;
-use crate::record::reason::TrialReason;
+use crate::record::reason::{SignSymptom, TrialReason};
 use crate::record::verdict::Cause;
 use crate::record::verdict::{Violation, ViolationKind};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
@@ -36,6 +36,9 @@ pub struct TrialRecord {
     pub reason: Option<TrialReason>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diverged_at_s: Option<f64>,
+    /// Absent unless the trace shows a loop with a wrong sign.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sign_symptom: Option<SignSymptom>,
     /// Wall-clock time of the trial, ms; `null` if the trial was judged again.
     pub wall_ms: Option<f64>,
 }

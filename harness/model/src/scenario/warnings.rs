@@ -1,6 +1,6 @@
 //! Warns of implausible plates, and of disturbances that no expectation judges.
 
-use crate::metrics::Subject;
+use crate::metrics::{Metric, Subject};
 use crate::scenario::definition::Scenario;
 use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::window::{ChangingProfile, ProfileChanges, Window};
@@ -20,6 +20,21 @@ pub fn plate_warnings(scenario: &Scenario) -> Vec<Diagnostic> {
         warnings.push(scenario.diagnostic("profile.finger_force_n", message));
     }
     warnings
+}
+
+/// Warns of a setpoint that needs more than the amplifier's limit at resonance, without a finger:
+/// W/K1. A scenario that expects a saturated drive is meant so.
+pub fn unreachable_setpoint(scenario: &Scenario) -> Option<Diagnostic> {
+    let (_, highest_um) = scenario.setpoint.range();
+    let (needed_vpp, limit_vpp) = (highest_um / scenario.plate.gain, scenario.plate.drive_limit_vpp);
+    (needed_vpp > limit_vpp && !scenario.expects(Metric::Saturated)).then(|| {
+        let message = format!(
+            "{highest_um} µm needs {needed_vpp:.0} Vpp at resonance without a finger, the limit of the plate file is \
+             {limit_vpp:.0} Vpp; lower the setpoint, or expect it with {}",
+            Metric::Saturated
+        );
+        scenario.diagnostic("profile.setpoint_um", message)
+    })
 }
 
 /// A message lists this many changes and counts the others.

@@ -328,7 +328,9 @@ impl Drawing {
                     let place = axes.place(*at);
                     self.shape(*role, *shape, place, *radius);
                     if let Some(text) = text {
-                        self.text_beside(axes, *role, place, 0.015, text);
+                        // The point may lie on the line of its limit, which would cross the text.
+                        let rise = if *role == Role::Worst { WORST_TEXT_RISE } else { 0.0 };
+                        self.text_beside(axes, *role, (place.0, place.1 - rise), 0.015, text);
                     }
                 }
                 Mark::Cell(role, corners) => self.rectangle(*role, corners.map(|corner| axes.place(corner))),
@@ -379,6 +381,8 @@ impl Drawing {
     }
 }
 
+/// Distance of a worst value's text above its point, px: more than half of the text's height.
+const WORST_TEXT_RISE: f64 = 12.0;
 /// Height of the text of the first limit and distance to the text of the next one, as shares of the
 /// plot.
 const LOWEST_TEXT: f64 = 0.12;

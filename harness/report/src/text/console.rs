@@ -144,6 +144,7 @@ fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: b
     }
     write_cost(text, &record.cost, in_full);
     write_tight_steps(text, record, in_full);
+    write_sign_symptoms(text, record, in_full);
     if let Some(overrides) = format::overrides(record) {
         write_wrapped(text, "", "  ", &format!("overridden: {overrides}"));
     }
@@ -241,6 +242,19 @@ fn write_tight_steps(text: &mut String, record: &RunRecord, in_full: bool) {
     if tight.len() > listed {
         let further = format::count(tight.len() - listed, "more scenario");
         let _ = writeln!(text, "warning: {further} with a long control step, listed with -v");
+    }
+}
+
+fn write_sign_symptoms(text: &mut String, record: &RunRecord, in_full: bool) {
+    let all: Vec<_> = record_queries::sign_symptoms(record).collect();
+    let listed = if in_full { all.len() } else { MAX_LISTED };
+    for (scenario, trial, symptom) in all.iter().take(listed) {
+        let warning = format!("{}: {}", scenario.file, format::sign_symptom(scenario, *trial, *symptom));
+        write_wrapped(text, "warning: ", "  ", &warning);
+    }
+    if all.len() > listed {
+        let further = format::count(all.len() - listed, "more scenario");
+        let _ = writeln!(text, "warning: {further} with a wrong sign of a loop, listed with -v");
     }
 }
 

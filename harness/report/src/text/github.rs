@@ -89,7 +89,8 @@ pub fn render_page(record: &RunRecord) -> String {
         let _ = writeln!(text, "**{reason}**\n");
     }
     if let Some(fault) = record.unsafe_end() {
-        let _ = writeln!(text, "**At the end {fault}: check the amplifier before you touch the plate.**\n");
+        let remedy = if record.may_have_amplifier() { ": check the amplifier before you touch the plate" } else { "" };
+        let _ = writeln!(text, "**At the end {fault}{remedy}.**\n");
     }
     let not_passed = record_queries::expectations_not_passed(record).len();
     if not_passed > 0 {

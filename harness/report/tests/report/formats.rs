@@ -64,6 +64,8 @@ fn writes_a_summary() {
 fn a_summary_names_the_fault_of_the_end() {
     let mut record = cancelled_run();
     record.safe_confirmed = Some(false);
+    assert!(github::render_page(&record).contains("the controller did not confirm 0 V.**"));
+    record.rig.name = "serial:/dev/ttyUSB0@1000000".to_owned();
     let missing = "the controller did not confirm 0 V: check the amplifier";
     assert!(github::render_page(&record).contains(missing));
     record.drive_after_safe = true;

@@ -162,3 +162,44 @@ fn names_a_non_finite_command_before_a_swing() {
     let plain = detect_divergence(&scenario, &swinging, &Telemetry::default()).unwrap();
     assert_eq!(plain.to_string(), "diverged at t = 0.2 ms");
 }
+
+/// Control instants of 1 ms. The last row has the offset of the frequency from the start.
+fn controlled_rows(drive_vpp: f64, offset_hz: f64, resonance_offset_hz: f64) -> Vec<Row> {
+    let start_hz = scenario(0.0, "").controller.start_frequency_hz;
+    let row = |number: u32| Row {
+        t_s: f64::from(number) / 1e3,
+        setpoint_um: 2.0,
+        drive_vpp,
+        frequency_hz: start_hz + offset_hz,
+        resonance_hz: start_hz + resonance_offset_hz,
+        flags: Flags::CONTROL,
+        ..Row::default()
+    };
+    (0..=60).map(row).collect()
+}
+
+#[rstest]
+#[case::no_drive(0.0, 0.0, 0.0, Some(SignSymptom::NoDrive))]
+#[case::least_drive(1e-3, 0.0, 0.0, None)]
+#[case::away_from_the_resonance(300.0, -250.0, 87.0, Some(SignSymptom::FrequencyAtLimit))]
+#[case::away_from_a_resonance_at_the_start(300.0, 250.0, 0.0, Some(SignSymptom::FrequencyAtLimit))]
+#[case::inside_the_range(300.0, -249.9, 87.0, None)]
+#[case::resonance_outside_the_range(300.0, -250.0, -400.0, None)]
+#[case::unknown_resonance(300.0, -250.0, f64::NAN, None)]
+fn names_a_loop_with_a_wrong_sign(
+    #[case] drive_vpp: f64,
+    #[case] offset_hz: f64,
+    #[case] resonance_offset_hz: f64,
+    #[case] expected: Option<SignSymptom>,
+) {
+    let rows = controlled_rows(drive_vpp, offset_hz, resonance_offset_hz);
+    assert_eq!(detect_wrong_sign(&scenario(0.0, ""), &rows), expected);
+}
+
+#[test]
+fn a_stopped_controller_has_no_wrong_sign() {
+    let mut rows = controlled_rows(0.0, 0.0, 0.0);
+    rows.iter_mut().for_each(|row| row.flags |= Flags::SAFE);
+    assert_eq!(detect_wrong_sign(&scenario(0.0, ""), &rows), None);
+    assert_eq!(detect_wrong_sign(&scenario(0.0, ""), &[]), None);
+}

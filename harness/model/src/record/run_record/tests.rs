@@ -85,6 +85,7 @@ fn record() -> RunRecord {
         reason: Some(TrialReason::Excluded(Exclusion::LateBench { count: 1, first_ms: 3.0 })),
         sha256: None,
         telemetry: Telemetry::default(),
+        sign_symptom: None,
         diverged_at_s: None,
         wall_ms: Some(12.5),
     };
