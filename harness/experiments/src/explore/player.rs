@@ -35,7 +35,7 @@ pub struct SceneResult {
     pub windows: Vec<WindowResult>,
     /// Cause (`rig` or `bench`) and reason, if the rig or the bench prevented a verdict.
     pub undecided: Option<String>,
-    /// Answers to messages that differ from those of the reference.
+    /// Answers to messages that differ from those of the reference, or why the messages ended.
     pub differences: Vec<String>,
 }
 
@@ -101,7 +101,8 @@ impl<'a> Player<'a> {
                 self.scenes = 0;
             }
         }
-        Ok(Some(SceneResult { differences, ..scene_result(scenario, &trials) }))
+        let result = scene_result(scenario, &trials);
+        Ok(Some(if differences.is_empty() { result } else { SceneResult { differences, ..result } }))
     }
 }
 
@@ -125,6 +126,9 @@ fn scene_result(scenario: &Scenario, trials: &[TrialMeasures]) -> SceneResult {
         result.windows.push(WindowResult { property, margin });
         if record.verdict == Verdict::Fail && !matches!(record.reason, Some(Reason::Violation { .. })) {
             let (name, value) = (record.name.clone(), record.value);
+            if property == Property::Answers && value.is_none() {
+                result.differences.extend(record.reason.as_ref().map(ToString::to_string));
+            }
             result.failures.push(SceneFailure { property, name, value, limit: Some(limit) });
         }
         if record.verdict == Verdict::Inconclusive

@@ -34,7 +34,8 @@ pub(super) enum Step {
     Silence(u64),
 
     // Before the next exchange.
-    /// Sends nothing for this time, ms. Earlier steps without an exchange act before it.
+    /// Sends nothing for this time, ms. Earlier steps without an exchange are sent before it, with a
+    /// hello.
     Wait(u64),
     WaitUs(u64),
     Send(Message),
@@ -291,8 +292,8 @@ impl Encoder<'_> {
             Step::Wait(ms) => self.add(Step::WaitUs(ms * 1_000)),
             Step::WaitUs(us) => {
                 if !self.unanswered.is_empty() {
-                    self.close(&[]);
-                    self.ready.back_mut().into_iter().for_each(|exchange| exchange.is_complete = false);
+                    // Its answer ends the exchange, and it changes nothing.
+                    self.add(Step::Ask(Message::Hello));
                 }
                 self.wait += Duration::from_micros(us);
             }
