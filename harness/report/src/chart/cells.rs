@@ -4,6 +4,8 @@
 use super::marks::{Axes, Axis, AxisValue, Drawing, Mark, Point, Role, Shape, TextEnd, Ticks, extent};
 
 const CLASSES: usize = 10;
+/// Number of orange colours, which are the last. The other colours are blue.
+const BAD_CLASSES: usize = 4;
 const LEGEND_LINE_HEIGHT: f64 = 22.0;
 
 /// Width and height, CSS pixels. A page is two panels wide, a telephone one.
@@ -37,8 +39,7 @@ pub struct HeatPanel {
 pub enum HeatScale {
     /// Classes of equal width from the smallest to the largest value.
     Range,
-    /// Half of the classes from the smallest value to 0 and half from 0 to the largest value. A
-    /// negative value is a bad one.
+    /// Orange classes from the smallest value to 0, blue ones from 0 to the largest value.
     Diverging,
 }
 
@@ -66,7 +67,7 @@ impl HeatFigure {
                 (0..=CLASSES).map(|edge| low + (high - low) * share(edge, CLASSES)).collect()
             }
             HeatScale::Diverging => {
-                const HALF: usize = CLASSES / 2;
+                const GOOD_CLASSES: usize = CLASSES - BAD_CLASSES;
                 let (low, high) = range.map_or((0.0, 0.0), |(low, high)| (low.min(0.0), high.max(0.0)));
                 // A side without values is as wide as the other one.
                 let (low, high) = match (low < 0.0, high > 0.0) {
@@ -75,8 +76,8 @@ impl HeatFigure {
                     (false, true) => (-high, high),
                     (false, false) => (-0.5, 0.5),
                 };
-                let below = (0..HALF).map(|edge| low * share(HALF - edge, HALF));
-                below.chain((0..=HALF).map(|edge| high * share(edge, HALF))).collect()
+                let below = (0..BAD_CLASSES).map(|edge| low * share(BAD_CLASSES - edge, BAD_CLASSES));
+                below.chain((0..=GOOD_CLASSES).map(|edge| high * share(edge, GOOD_CLASSES))).collect()
             }
         }
     }
@@ -450,7 +451,7 @@ mod tests {
         let svg = figure(vec![vec![Some(0.0), None], vec![Some(1.0), Some(f64::NEG_INFINITY)]]).svg();
         // Each class of a cell occurs once more in the legend.
         assert_eq!(
-            [9, 4, 0, 5].map(|colour| svg.matches(&format!("class=\"f-radius-{colour}\"")).count()),
+            [9, 5, 0, 4].map(|colour| svg.matches(&format!("class=\"f-radius-{colour}\"")).count()),
             [2, 2, 2, 1]
         );
         assert!(svg.contains("finger_force_n, N") && svg.contains("dq-pi"));
@@ -470,21 +471,27 @@ mod tests {
         assert!(svg.contains("x=\"2260\" y=\"144\" width=\"564\" height=\"400\""), "{svg}");
     }
 
-    // Five classes of 4 below 0 and five of 0.2 above. The class of 0 is the first that passes.
+    // Four classes of 5 below 0 and six of 1/6 above. The class of 0 is the first that passes.
     #[rstest]
     #[case(f64::NEG_INFINITY, 0)]
     #[case(-20.0, 0)]
-    #[case(-4.1, 3)]
-    #[case(-1e-12, 4)]
-    #[case(0.0, 5)]
-    #[case(0.19, 5)]
-    #[case(0.21, 6)]
+    #[case(-5.1, 2)]
+    #[case(-4.9, 3)]
+    #[case(-1e-12, 3)]
+    #[case(0.0, 4)]
+    #[case(0.16, 4)]
+    #[case(0.17, 5)]
     #[case(1.0, 9)]
     fn a_diverging_scale_changes_its_colour_at_zero(#[case] value: f64, #[case] class: usize) {
         let figure = figure(vec![vec![Some(-20.0), Some(1.0), Some(f64::NEG_INFINITY)]]);
         assert_eq!(class_of(value, &figure.edges()), class);
-        let Role::Radius(colour) = figure.role(class) else { panic!() };
-        assert_eq!(colour < CLASSES / 2, value >= 0.0, "the colours 0 to 4 are those of passing cells");
+        // The rules have the light colours first and then the dark ones.
+        let rule = format!(".f-{} {{ fill: #", figure.role(class).name());
+        let svg = figure.svg();
+        let colours: Vec<_> = svg.match_indices(&rule).map(|(at, _)| &svg[at + rule.len()..][..6]).collect();
+        assert_eq!(colours.len(), 2, "{svg}");
+        let is_blue = |colour: &&str| colour[..2] < colour[4..];
+        assert!(colours.iter().all(|colour| is_blue(colour) == (value >= 0.0)), "{value}: {colours:?}");
     }
 
     #[test]
