@@ -33,9 +33,10 @@ Examples:
   platebench campaign status C
   platebench campaign merge C
 
-Exit codes: 0 passed, or a complete map (play: the shard is complete), 1 failed, 2 invalid input, or a damaged or foreign
-part or plan, 3 inconclusive, or a shard is missing, 5 the rig could not be reached or was lost. A grid without [judge]
-and without a requirement is a map: its failing trials are counted, and do not fail it")]
+Exit codes: 0 passed, or a complete map (play: the shard is complete), 1 failed, 2 invalid input,
+or a damaged or foreign part or plan, 3 inconclusive, or a shard is missing, 5 the rig could not be
+reached or was lost. A grid without [judge] and without a requirement is a map: its failing trials
+are counted and do not fail it")]
 pub(crate) struct CampaignArgs {
     #[command(subcommand)]
     command: CampaignCommand,
