@@ -66,3 +66,51 @@ impl<'a> BenchErrors<'a> {
 fn budgets(scenario: &Scenario) -> Vec<QuantityBudget> {
     scenario.expectations.iter().map(|expectation| QuantityBudget::of_bench(scenario, expectation)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_model::record::Verdict;
+
+    const GRID: &str = "[plan]\nmethod = \"grid\"\ntrials = 3\n";
+    const SENSOR: usize = 2;
+    const STATISTICS: usize = 3;
+
+    fn row(draws: &[f64], value: f64) -> TrialRow {
+        TrialRow { draws: draws.to_vec(), values: vec![value], ..TrialRow::example(0, Verdict::Pass, 0.5) }
+    }
+
+    #[test]
+    fn a_varied_noise_changes_the_error_and_a_varied_delay_does_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let vary = "\"controller.loop_delay_ms\" = { each = [0.0, 0.1] }\n\
+            \"plate.sensor.noise_um_rms\" = { each = [0.0, 0.01, 0.02] }\n";
+        let campaign = Campaign::example(folder.path(), vary, GRID);
+        let mut errors = BenchErrors::new(&campaign);
+        let mut errors_of = |draws: [f64; 2], value| errors.of(&row(&draws, value), None).unwrap()[0];
+        assert_eq!(errors_of([0.0, 0.0], 1.5)[SENSOR], None);
+        let once = errors_of([0.0, 1.0], 1.5)[SENSOR].unwrap();
+        let twice = errors_of([0.0, 2.0], 1.5);
+        assert!((twice[SENSOR].unwrap() / once - 2.0).abs() < 1e-9, "{once} {twice:?}");
+        assert_eq!(errors_of([1.0, 2.0], 1.5), twice);
+        assert!((errors_of([1.0, 2.0], 3.0)[SENSOR].unwrap() / once - 4.0).abs() < 1e-9);
+        assert_eq!(errors_of([1.0, 2.0], f64::NAN), [None; 4]);
+    }
+
+    #[test]
+    fn statistics_are_the_scatter_of_the_values_in_the_cell() {
+        let folder = tempfile::tempdir().unwrap();
+        let campaign = Campaign::example(folder.path(), "\"controller.law\" = { each = [\"dq-pi\"] }\n", GRID);
+        let mut errors = BenchErrors::new(&campaign);
+        let mut cell = Tally::new(1);
+        let mut statistics = |value| {
+            cell.add(&row(&[0.0], value));
+            errors.of(&row(&[0.0], 1.0), Some(&cell)).unwrap()[0][STATISTICS]
+        };
+        assert_eq!(statistics(1.0), None);
+        assert_eq!(statistics(f64::NAN), None);
+        assert!((statistics(2.0).unwrap() - 0.5_f64.sqrt()).abs() < 1e-12);
+        // Standard deviation of 1, 2 and 4.
+        assert!((statistics(4.0).unwrap() - (7.0_f64 / 3.0).sqrt()).abs() < 1e-12);
+    }
+}
