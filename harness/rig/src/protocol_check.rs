@@ -326,11 +326,11 @@ mod tests {
     }
 
     #[rstest]
-    #[case::lower(|configure| with_gain(configure, 1.05), &[])]
-    #[case::higher(|configure| with_gain(configure, 1.0 / 1.05), &[])]
-    #[case::both_loops_lower(|configure| with_design(configure, 0.95), &[])]
-    #[case::both_loops_higher(|configure| with_design(configure, 1.05), &[])]
-    #[case::another_plate(|configure| with_gain(configure, 1.0 / 1.2),
+    #[case::lower(|configure: &Configure| with_gain(configure, 1.05), &[])]
+    #[case::higher(|configure: &Configure| with_gain(configure, 1.0 / 1.05), &[])]
+    #[case::both_loops_lower(|configure: &Configure| with_design(configure, 0.95), &[])]
+    #[case::both_loops_higher(|configure: &Configure| with_design(configure, 1.05), &[])]
+    #[case::another_plate(|configure: &Configure| with_gain(configure, 1.0 / 1.2),
         &["random samples with the law's own design",
         "gains of the law's own design", "gains that are not used"])]
     fn a_design_may_be_five_percent_off(#[case] design: fn(&Configure) -> Configure, #[case] expected: &[&str]) {
