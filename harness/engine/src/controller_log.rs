@@ -132,7 +132,8 @@ impl<'a> ControllerLog<'a> {
         let link = session.link_mut().inner_mut();
         let compares_numbers = self.scenario.expects(Metric::ReferenceDifference);
         let messages = &self.scenario.messages;
-        let options = CheckOptions { own_clock, seed, messages, compares_numbers };
+        let own_law = self.scenario.has_own_law();
+        let options = CheckOptions { own_clock, seed, messages, compares_numbers, own_law };
         let check = check_protocol(link, &identity, base, options)?;
         for skipped in &check.skipped {
             warn!(scenario = self.scenario.file, "protocol: {skipped} skipped, because the controller is too slow");

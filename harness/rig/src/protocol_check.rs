@@ -65,6 +65,8 @@ pub struct CheckOptions<'a> {
     /// True if drive and frequency of every law are compared with the reference. Otherwise the
     /// scripts compare those of the laws that `docs/wire-protocol.md` defines, and `messages` none.
     pub compares_numbers: bool,
+    /// True for a law that is none of the page's: only the rules for every law are compared.
+    pub own_law: bool,
 }
 
 /// Plays every script on `link`. Fails if the link is lost. Afterwards the controller may have
@@ -76,20 +78,21 @@ pub fn check_protocol(
     base: &Configure,
     options: CheckOptions<'_>,
 ) -> Result<ProtocolCheck, LinkError> {
-    let CheckOptions { own_clock, seed, messages, compares_numbers } = options;
+    let CheckOptions { own_clock, seed, messages, compares_numbers, own_law } = options;
     if !link.restart()? {
         link.continue_trial();
     }
     let base = script_base(base);
     let period = Duration::from_micros(base.period_us.into());
     let is_defined = matches!(base.law, LawId::OpenLoop | LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed);
-    let compares_numbers = compares_numbers || (messages.is_empty() && is_defined);
+    let compares_numbers = !own_law && (compares_numbers || (messages.is_empty() && is_defined));
     let mut player = Player {
         link,
         identity,
         period,
         own_clock,
         compares_numbers,
+        own_law,
         now: Duration::ZERO,
         history: CommandHistory::default(),
         speed: Speed::default(),
@@ -169,6 +172,7 @@ struct Player<'a> {
     period: Duration,
     own_clock: bool,
     compares_numbers: bool,
+    own_law: bool,
     now: Duration,
     history: CommandHistory,
     speed: Speed,
@@ -179,7 +183,7 @@ impl Player<'_> {
         let varied = if self.compares_numbers && script.is_varied { &VARIATIONS[..] } else { &[] };
         let mut encoders: Vec<_> = varied.iter().map(|variation| script.exchanges(*variation)).collect();
         let mut references = vec![HostedLink::new(); 1 + varied.len()];
-        let mut comparison = Comparison::new(self.identity, self.compares_numbers);
+        let mut comparison = Comparison::new(self.identity, self.compares_numbers, self.own_law);
         let (mut since_start, mut is_stalled) = (Duration::ZERO, false);
         let mut last_request = Instant::now();
         let mut received = Vec::new();
@@ -245,7 +249,7 @@ mod tests {
     use rstest::rstest;
 
     const SCRIPTS: CheckOptions<'_> =
-        CheckOptions { own_clock: false, seed: 1, messages: &[], compares_numbers: false };
+        CheckOptions { own_clock: false, seed: 1, messages: &[], compares_numbers: false, own_law: false };
 
     struct ChangedAnswers<F> {
         device: HostedLink,

@@ -26,7 +26,10 @@ impl OwnController {
         let python = python_with_pyserial()?;
         let mut text = fs::read_to_string(workspace_root().join("docs/examples/controller.py")).unwrap();
         // The controller has one law, and ignores the number in the configuration.
-        let number = ("        self.law, self.number, self.noise = None, None, 0\n", "        law = DQ_PI_FIXED\n");
+        let number = (
+            "        self.law, self.number, self.noise = None, None, 0\n",
+            "        law = DQ_PI_FIXED if law <= 8 else law\n",
+        );
         for (old, new) in [(number.0, &*[number.0, number.1].concat())].iter().chain(changes) {
             assert!(text.contains(old), "{old}");
             text = text.replace(old, new);
@@ -90,6 +93,14 @@ fn an_own_law_is_judged_by_the_requirements(#[case] identity: (&str, &str), #[ca
     let folder = controller.run_folder();
     run_bench(&workspace_root(), ["report", &folder.to_string_lossy(), "--rejudge"]).assert_exit(0);
     assert_eq!(controller.record().scenarios[0].not_applicable.len(), 3);
+}
+
+#[rstest]
+#[case::correct(STEP, 0)]
+#[case::drives_above_the_limit("(1.01 * self.law.limit, 0.0, 0)", 1)]
+fn the_rules_of_the_protocol_hold_for_an_own_law(#[case] step: &str, #[case] exit: i32) {
+    let Some(controller) = OwnController::new(&[ANNOUNCES_NONE, (STEP, step)]) else { return };
+    controller.run(&["reference/protocol.toml"]).assert_exit(exit);
 }
 
 #[rstest]

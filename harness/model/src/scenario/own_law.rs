@@ -56,9 +56,12 @@ pub fn number_in_file(not_applicable: &[NotApplicableExpectation], index: usize)
     not_applicable.iter().fold(index, |number, skipped| number + usize::from(skipped.number <= number))
 }
 
-/// A requirement applies to every law. So does a number of the controller, such as its missed
-/// replies, because the protocol and not the law decides it.
+/// A requirement applies to every law. So do the rules of the protocol and a number of the
+/// controller, such as its missed replies, because the protocol and not the law decides them.
 fn reason_not_applicable(expectation: &Expectation, described: &str) -> Option<String> {
+    if expectation.metric == Metric::ProtocolDifferences {
+        return None;
+    }
     if compares_with_bench_law(expectation.metric) {
         return Some(format!("a comparison with the bench's law; {REMEDY}"));
     }
@@ -72,7 +75,7 @@ fn reason_not_applicable(expectation: &Expectation, described: &str) -> Option<S
 }
 
 pub(crate) fn compares_with_bench_law(metric: Metric) -> bool {
-    matches!(metric, Metric::ReferenceDifference | Metric::ProtocolDifferences)
+    metric == Metric::ReferenceDifference
 }
 
 #[cfg(test)]
@@ -120,6 +123,12 @@ mod tests {
     fn numbers_of_the_controller_apply() {
         let scenario = with_own_law("faults/five-periods-of-silence.toml");
         assert_eq!((scenario.expectations.len(), scenario.not_applicable.len()), (2, 0));
+    }
+
+    #[test]
+    fn the_rules_of_the_protocol_apply() {
+        let scenario = with_own_law("reference/protocol.toml");
+        assert_eq!((scenario.expectations.len(), scenario.not_applicable.len()), (1, 0));
     }
 
     #[test]

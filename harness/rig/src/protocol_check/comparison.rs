@@ -125,6 +125,8 @@ pub(super) struct Comparison<'a> {
     identity: &'a Identity,
     /// False if only the rules of the protocol are compared, because the law's figures are its own.
     compares_numbers: bool,
+    /// True for a law of the controller's own, whose number means nothing.
+    own_law: bool,
     requests: PacketReader,
     inputs: LawInputs,
     last_command: Option<Command>,
@@ -140,10 +142,11 @@ pub(super) struct Comparison<'a> {
 }
 
 impl<'a> Comparison<'a> {
-    pub(super) fn new(identity: &'a Identity, compares_numbers: bool) -> Self {
+    pub(super) fn new(identity: &'a Identity, compares_numbers: bool, own_law: bool) -> Self {
         Self {
             identity,
             compares_numbers,
+            own_law,
             requests: PacketReader::new(),
             inputs: LawInputs::default(),
             last_command: None,
@@ -309,7 +312,7 @@ impl<'a> Comparison<'a> {
 
     fn are_gains_equal(&self, answer: Gains, expected: Gains) -> bool {
         let Some(configuration) = self.configuration else { return true };
-        let uses_four = matches!(configuration.law, LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed);
+        let uses_four = !self.own_law && matches!(configuration.law, LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed);
         let is_finite = numbers(answer).into_iter().all(f32::is_finite);
         is_finite
             && match configuration.gains {
