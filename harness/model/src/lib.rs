@@ -62,6 +62,7 @@ pub mod scenario {
     pub use fault::{BitFlipTarget, ChipFault, ChipFaultKind, Direction, Fault, FaultKind};
     pub use find::{FileKind, FoundScenarios, SETTINGS_FILE, find, find_file_above, list_files, repeated_names};
     pub use load::{REQUIREMENTS_FILE, Requirement, load, load_copies, load_with_all_errors, read_requirements};
+    pub use matrix::is_scenario_path;
     pub use message::{ConfigurationChange, NonFinite, ScenarioMessage, WireNumber};
     pub use own_law::{NotApplicableExpectation, OWN_LAW, number_in_file};
     pub use parse::{parse, parse_bytes, parse_file, read_text};

@@ -5,7 +5,7 @@ use crate::campaign::distribution::Variable;
 use crate::campaign::distribution::{Correlation, RawCorrelation, SEARCH_DEVIATIONS};
 use crate::campaign::truncation::{Truncation, corners, truncate_to_accepted};
 use platebench_model::scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
-use platebench_model::scenario::{Diagnostic, Metric, Scenario, parse_file};
+use platebench_model::scenario::{Diagnostic, Metric, Scenario, is_scenario_path, parse_file};
 use platebench_rig::{Capability, RigSpec};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -150,7 +150,7 @@ impl Campaign {
         let mut faults = checker.plain_faults(&raw);
         let scenario_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&raw.scenario);
         let name = scenario_path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let template = if scenario_path.is_file() {
+        let template = if is_scenario_path(&scenario_path) {
             load_template(&scenario_path, &name, prepare).map_err(|found| faults.extend(found)).ok()
         } else {
             let message = format!("{}: no such file, expected a scenario file", scenario_path.display());

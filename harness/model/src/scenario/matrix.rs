@@ -97,6 +97,10 @@ impl SourceFile {
         let Some(cases) = case_names(path, &text)? else {
             return Ok(Self { path: path.to_owned(), text, case: None });
         };
+        if path == Path::new(input::STANDARD_STREAM) {
+            let message = "a `[matrix]` on standard input, expected one scenario; name a file to play its cases";
+            return Err(vec![Diagnostic::for_file(path, message)]);
+        }
         let wanted = stem(Path::new(name)).strip_prefix(&format!("{}-", stem(path))).unwrap_or_default().to_owned();
         if !cases.contains(&wanted) {
             let message = format!("is a matrix, expected the name of a case: {}", cases.join(", "));
@@ -150,6 +154,11 @@ pub(crate) fn find_case(path: &Path) -> Option<(PathBuf, String)> {
             cases.is_some_and(|cases| cases.map_or(true, |cases| cases.is_some_and(|cases| cases.contains(case))))
         },
     )
+}
+
+/// True if `path` is a file or the path of a case.
+pub fn is_scenario_path(path: &Path) -> bool {
+    path.is_file() || find_case(path).is_some()
 }
 
 fn stem(path: &Path) -> Cow<'_, str> {

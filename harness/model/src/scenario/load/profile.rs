@@ -52,9 +52,9 @@ impl Checker<'_> {
             ProfileError::Empty | ProfileError::Sine | ProfileError::Chirp | ProfileError::Square => {
                 (1, PointField::Value)
             }
-            ProfileError::Pattern | ProfileError::Period { .. } | ProfileError::Repeated { .. } => {
-                (1, PointField::Period)
-            }
+            // No point is wrong.
+            ProfileError::Pattern => (usize::MAX, PointField::Value),
+            ProfileError::Period { .. } | ProfileError::Repeated { .. } => (1, PointField::Period),
             ProfileError::Csv { path, source } => return self.csv_error(key, path, source),
         };
         self.point_error(folder, key, raw, index, part, error.to_string())
@@ -105,10 +105,12 @@ impl Checker<'_> {
             RawProfile::Shape(RawShape::Hold(_)) => place("hold"),
             RawProfile::Shape(RawShape::Linear(_)) => place("linear"),
             RawProfile::Shape(RawShape::Repeat(raw)) => {
-                if index > raw.points().len() || part == PointField::Period {
-                    return self.diagnostic(&format!("{key}.repeat.period_ms"), message);
+                let shape = if raw.hold.is_some() { "repeat.hold" } else { "repeat.linear" };
+                match part {
+                    PointField::Period => format!("{key}.repeat.period_ms"),
+                    _ if index > raw.points().len() => format!("{key}.repeat"),
+                    _ => place(shape),
                 }
-                place(if raw.hold.is_some() { "repeat.hold" } else { "repeat.linear" })
             }
             RawProfile::Shape(RawShape::Square(_)) => format!("{key}.square"),
             RawProfile::Shape(RawShape::Sine(_)) => format!("{key}.sine"),

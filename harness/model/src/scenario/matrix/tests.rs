@@ -129,9 +129,13 @@ fn values_of_a_case_can_be_replaced() {
 }
 
 #[rstest]
-#[case::wrong_value("[30.0, 40.0]", "[40.0, 30.0]", "m.toml:23:29: `within`: 40 to 30")]
+#[case::wrong_value(
+    "[30.0, 40.0]",
+    "[40.0, 30.0]",
+    "m.toml:23:29: `within`: expected [low, high] with low not above high"
+)]
 #[case::wrong_type("settling = 2.0", "settling = \"soon\"", "m.toml:20:22: invalid type: string \"soon\"")]
-#[case::out_of_range("um = [1, 2.5]", "um = [1, inf]", "m.toml:18:10: ")]
+#[case::out_of_range("um = [1, 2.5]", "um = [1, 2.5, -1]", "m.toml:18:15: `setpoint_um`: a setpoint of -1 µm")]
 #[case::missing_value("settling = 2.0", "", "m.toml:11:11: `{settling}` has no value in the case `1-dq-pi`")]
 #[case::unknown_case(
     "2.5-open-loop",
@@ -153,10 +157,10 @@ fn rejects_a_wrong_matrix_with_its_position(#[case] good: &str, #[case] bad: &st
 fn an_error_of_the_common_part_is_reported_once() {
     let text = format!("{HEAD}{MATRIX}").replacen("duration_ms = 60.0", "duration_ms = -1.0", 1);
     assert_eq!(faults(&text), ["./m.toml:3:15: `duration_ms`: -1 ms, expected a finite number above 0"]);
-    let text = format!("{HEAD}{MATRIX}").replacen("law = \"{law}\"", "law = \"{lav}\"", 1);
+    let text = format!("{HEAD}{MATRIX}").replacen("law = \"{law}\"", "law = \"{laws}\"", 1);
     assert_eq!(
         faults(&text),
-        ["./m.toml:6:7: unknown placeholder `{lav}`, expected a name in `[matrix]`; did you mean `law`?"]
+        ["./m.toml:6:7: unknown placeholder `{laws}`, expected a name in `[matrix]`; did you mean `law`?"]
     );
 }
 
