@@ -22,6 +22,12 @@ use std::time::Instant;
 
 /// Number of blocks of a sequence.
 const BLOCKS: std::ops::RangeInclusive<u32> = 5..=11;
+/// Number of states that a message may meet, of kinds of messages, and of these pairs per sequence.
+const STATES: u64 = 7;
+const EVENTS: u64 = 9;
+const RULES: u64 = 3;
+/// Number of the state after a timeout of the watchdog.
+const TIMED_OUT: u64 = 3;
 /// Number of blocks with silences of a sequence in wall time.
 const WATCHDOG_BLOCKS: u32 = 3;
 /// A sequence of this many has a long run.
@@ -145,6 +151,7 @@ impl Draw<'_> {
         let preferred = ALL_BLOCKS.get(index as usize % ALL_BLOCKS.len()).copied().unwrap_or(Block::Stop);
         if self.limits.own_clock && matches!(preferred, Block::Watchdog) {
             (0..WATCHDOG_BLOCKS).for_each(|_| self.add(preferred));
+            self.rule(TIMED_OUT, index / ALL_BLOCKS.len() as u64);
             self.messages.extend(self.trial.iter().cloned());
             return;
         }
@@ -156,7 +163,59 @@ impl Draw<'_> {
                 self.messages.extend(self.trial.iter().cloned());
             }
         }
+        for number in (index * RULES..).take(RULES as usize) {
+            let state = number % STATES;
+            if state != TIMED_OUT || !self.limits.own_clock {
+                self.rule(state, number / STATES);
+            }
+        }
         self.messages.extend(self.trial.iter().cloned());
+    }
+
+    /// Sends one kind of message in one state, so that every rule of the protocol has its turn.
+    fn rule(&mut self, state: u64, event: u64) {
+        match state {
+            0 => {
+                let configure = self.unusable();
+                self.messages.push(configure);
+            }
+            1 => self.messages.push(configure(NONE)),
+            _ => self.messages.extend(self.trial.iter().cloned()),
+        }
+        match state {
+            TIMED_OUT => {
+                let timeout = if self.limits.own_clock { WALL_TIMEOUTS_MS[0] } else { SHORT_TIMEOUTS_MS[0] };
+                self.messages.push(configure(ConfigurationChange { watchdog_timeout_ms: Some(timeout), ..NONE }));
+                self.samples(1);
+                self.messages.push(ScenarioMessage::Wait { ms: 1.7 * f64::from(timeout) });
+            }
+            4 => {
+                self.messages.extend(vec![ScenarioMessage::Damaged { byte: 5 }; 5]);
+                self.messages.push(ScenarioMessage::Hello {});
+            }
+            5 => {
+                let sample = self.not_finite();
+                self.messages.push(sample);
+            }
+            6 => self.messages.push(ScenarioMessage::Safe {}),
+            _ => {}
+        }
+        let message = match event % EVENTS {
+            0 => ScenarioMessage::Hello {},
+            1 => ScenarioMessage::Safe {},
+            2 => configure(self.usable()),
+            3 => self.unusable(),
+            4 => self.sample(),
+            5 => {
+                self.samples(1);
+                ScenarioMessage::Repeat {}
+            }
+            6 => self.not_finite(),
+            7 => self.rejected(),
+            _ => self.ignored(),
+        };
+        self.messages.push(message);
+        self.samples(1);
     }
 
     /// Silences cost wall time, so only the sequences that prefer them have them in wall time.
