@@ -246,8 +246,10 @@ pub fn explore(
     let workers = (0..config.jobs.max(1)).map(|_| SceneWorker::new(config, connect, cancel, ends));
     let work = |worker: &mut SceneWorker<'_>, item, emit: &mut Emit<'_, PlayedItem>| {
         let played = match item {
-            Item::Scene(index) => worker.play(index)?.map(PlayedItem::Scene),
-            Item::Sequence(index) => worker.play_sequence(index)?.map(PlayedItem::Sequence),
+            Item::Scene(index) => worker.play(index)?.map(|scene| PlayedItem::Scene(Box::new(scene))),
+            Item::Sequence(index) => {
+                worker.play_sequence(index)?.map(|sequence| PlayedItem::Sequence(Box::new(sequence)))
+            }
         };
         let Some(played) = played else { return Ok(()) };
         if !played.result().is_none_or(|result| result.failures.is_empty()) {
@@ -258,7 +260,8 @@ pub fn explore(
     };
     run_workers(workers, source, work, &mut |played: PlayedItem| {
         match played {
-            PlayedItem::Scene(PlayedScene { index, scene, result, history }) => {
+            PlayedItem::Scene(played) => {
+                let PlayedScene { index, scene, result, history } = *played;
                 exploration.add(&scene, index, &result, &config.envelope);
                 if !result.failures.is_empty() {
                     exploration.failed.push(FailedScene { index, failures: result.failures, history });
@@ -305,8 +308,8 @@ enum Item {
 }
 
 enum PlayedItem {
-    Scene(PlayedScene),
-    Sequence(PlayedSequence),
+    Scene(Box<PlayedScene>),
+    Sequence(Box<PlayedSequence>),
 }
 
 impl PlayedItem {

@@ -6,7 +6,6 @@
 //! the hosted reference, and equal trials with each other.
 
 use crate::explore::envelope::Envelope;
-use crate::explore::player::ExploreError;
 use crate::explore::properties::{Property, REFERENCE_DIFFERENCE_PERCENT};
 use crate::explore::scenario_file::{SceneScenario, raw_plate};
 use platebench_model::scenario::raw::{RawController, RawExpectation, RawProfiles, RawScenario, RawTrials};
@@ -18,7 +17,6 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::time::Instant;
 
 /// Number of blocks of a sequence.
 const BLOCKS: std::ops::RangeInclusive<u32> = 5..=11;
@@ -114,7 +112,7 @@ struct Draw<'a> {
 
 impl Draw<'_> {
     fn below(&mut self, count: usize) -> usize {
-        (u64::from(self.random.next_u32()) * count as u64 >> 32) as usize
+        ((u64::from(self.random.next_u32()) * count as u64) >> 32) as usize
     }
 
     fn one_in(&mut self, count: usize) -> bool {
@@ -531,7 +529,7 @@ fn number(value: f32) -> WireNumber {
 }
 
 /// No change of the configuration.
-const NONE: ConfigurationChange = ConfigurationChange {
+pub(crate) const NONE: ConfigurationChange = ConfigurationChange {
     law: None,
     watchdog_timeout_ms: None,
     period_us: None,
@@ -597,71 +595,4 @@ pub fn scenario(
         matrix: None,
     };
     SceneScenario { scenario, plates: BTreeMap::from([(plate, raw_plate)]) }
-}
-
-/// Makes a failing sequence minimal. `fails` plays a candidate with a new controller. Returns the
-/// sequence, and the difference of its last play if the first candidate fails.
-pub(crate) fn shrink(
-    messages: Vec<ScenarioMessage>,
-    deadline: Instant,
-    fails: &mut dyn FnMut(&[ScenarioMessage]) -> Result<Option<String>, ExploreError>,
-) -> Result<(Vec<ScenarioMessage>, Option<String>), ExploreError> {
-    let Some(mut text) = fails(&messages)? else { return Ok((messages, None)) };
-    let mut best = messages;
-    let mut has_changed = true;
-    while has_changed && Instant::now() < deadline {
-        has_changed = false;
-        let mut chunk = best.len().div_ceil(2);
-        while chunk > 0 {
-            let mut at = 1;
-            while at < best.len() && Instant::now() < deadline {
-                let mut candidate = best.clone();
-                candidate.drain(at..(at + chunk).min(best.len()));
-                match fails(&candidate)? {
-                    Some(new) => (best, text, has_changed) = (candidate, new, true),
-                    None => at += chunk,
-                }
-            }
-            chunk /= 2;
-        }
-        for index in 0..best.len() {
-            for simpler in simpler_messages(best.get(index)) {
-                if Instant::now() >= deadline {
-                    break;
-                }
-                let mut candidate = best.clone();
-                candidate.get_mut(index).into_iter().for_each(|message| *message = simpler.clone());
-                if let Some(new) = fails(&candidate)? {
-                    (best, text, has_changed) = (candidate, new, true);
-                    break;
-                }
-            }
-        }
-    }
-    Ok((best, Some(text)))
-}
-
-/// Simpler messages in place of `message`, the simplest first.
-fn simpler_messages(message: Option<&ScenarioMessage>) -> Vec<ScenarioMessage> {
-    let usual = ScenarioMessage::sample(2.0, 1.2, -0.2);
-    match message {
-        Some(ScenarioMessage::Configure(change)) if *change != NONE => {
-            let with = |simpler: ConfigurationChange| (simpler != *change).then(|| configure(simpler));
-            [NONE, ConfigurationChange { gains: None, ..*change }, ConfigurationChange { law: None, ..*change }]
-                .into_iter()
-                .filter_map(with)
-                .collect()
-        }
-        Some(ScenarioMessage::Sample { .. }) if message != Some(&usual) => vec![usual],
-        Some(ScenarioMessage::Again { messages, times }) if *times > 1 => {
-            let shorter = [times / 2, times - times / 4, times - times / 16, times - times / 256, times - 1];
-            let again = |times| ScenarioMessage::Again { messages: *messages, times };
-            shorter.into_iter().filter(|shorter| shorter < times).map(again).collect()
-        }
-        Some(ScenarioMessage::Damaged { byte }) if *byte != 5 => vec![ScenarioMessage::Damaged { byte: 5 }],
-        Some(ScenarioMessage::Body { .. } | ScenarioMessage::Bytes { .. }) => {
-            vec![ScenarioMessage::Damaged { byte: 5 }]
-        }
-        _ => Vec::new(),
-    }
 }

@@ -10,8 +10,8 @@ use crate::explore::properties::Property;
 use crate::explore::report;
 use crate::explore::report::{ExploreReport, ViolationReport, violated_properties};
 use crate::explore::scenario_file::ScenarioBuilder;
-use crate::explore::sequence::{self, SequenceLimits};
-use crate::explore::shrink::{MinimalScene, Shrinker};
+use crate::explore::sequence::SequenceLimits;
+use crate::explore::shrink::{MinimalScene, Shrinker, shrink_messages};
 use platebench_engine::SafeEnds;
 use platebench_engine::plan::LinkFactory;
 use platebench_model::scenario::{Scenario, load};
@@ -169,7 +169,7 @@ impl ExploreSession {
         let original = limits.map(|limits| limits.sequence(seed, *index)).unwrap_or_default();
         let mut player = Player::new(connect, config.own_clock, cancel, ends);
         let mut replays = 0;
-        let (minimal, difference) = sequence::shrink(original.clone(), deadline, &mut |messages| {
+        let (minimal, difference) = shrink_messages(original.clone(), deadline, &mut |messages| {
             // A candidate may be invalid, for example if the messages before an `again` are gone.
             let Ok(scenario) = config.sequence_scenario(messages, "Replay", "").check() else { return Ok(None) };
             replays += 1;

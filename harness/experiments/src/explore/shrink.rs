@@ -1,4 +1,5 @@
-//! Makes a failing scene minimal: fewer trials, events and digits, and a shorter trial.
+//! Makes a failing scene minimal: fewer trials, events and digits, and a shorter trial. Makes a
+//! failing sequence of messages minimal.
 
 use crate::explore::exploration::{ExploreConfig, FailedScene};
 use crate::explore::player::ExploreError;
@@ -6,6 +7,8 @@ use crate::explore::player::{Player, SceneFailure};
 use crate::explore::properties::{Demand, Property};
 use crate::explore::scene::Tuning;
 use crate::explore::scene::{Course, Scene, SceneTrial};
+use crate::explore::sequence::NONE;
+use platebench_model::scenario::{ConfigurationChange, ScenarioMessage};
 use std::time::{Duration, Instant};
 
 const MAX_REPLAYS: u32 = 2_000;
@@ -267,4 +270,75 @@ fn cut(trial: &SceneTrial, end_us: u32) -> SceneTrial {
         }
     }
     cut
+}
+
+/// Plays a sequence with a new controller. Returns the difference if it fails.
+type FailsAgain<'a> = dyn FnMut(&[ScenarioMessage]) -> Result<Option<String>, ExploreError> + 'a;
+
+/// Makes a failing sequence minimal. `fails` plays a candidate with a new controller. Returns the
+/// sequence, and the difference of its last play if the first candidate fails.
+pub(crate) fn shrink_messages(
+    messages: Vec<ScenarioMessage>,
+    deadline: Instant,
+    fails: &mut FailsAgain<'_>,
+) -> Result<(Vec<ScenarioMessage>, Option<String>), ExploreError> {
+    let Some(mut text) = fails(&messages)? else { return Ok((messages, None)) };
+    let mut best = messages;
+    let mut has_changed = true;
+    while has_changed && Instant::now() < deadline {
+        has_changed = false;
+        let mut chunk = best.len().div_ceil(2);
+        while chunk > 0 {
+            let mut at = 1;
+            while at < best.len() && Instant::now() < deadline {
+                let mut candidate = best.clone();
+                candidate.drain(at..(at + chunk).min(best.len()));
+                match fails(&candidate)? {
+                    Some(new) => (best, text, has_changed) = (candidate, new, true),
+                    None => at += chunk,
+                }
+            }
+            chunk /= 2;
+        }
+        for index in 0..best.len() {
+            for simpler in simpler_messages(best.get(index)) {
+                if Instant::now() >= deadline {
+                    break;
+                }
+                let mut candidate = best.clone();
+                candidate.get_mut(index).into_iter().for_each(|message| *message = simpler.clone());
+                if let Some(new) = fails(&candidate)? {
+                    (best, text, has_changed) = (candidate, new, true);
+                    break;
+                }
+            }
+        }
+    }
+    Ok((best, Some(text)))
+}
+
+/// Simpler messages in place of `message`, the simplest first.
+fn simpler_messages(message: Option<&ScenarioMessage>) -> Vec<ScenarioMessage> {
+    let usual = ScenarioMessage::sample(2.0, 1.2, -0.2);
+    match message {
+        Some(ScenarioMessage::Configure(change)) if *change != NONE => {
+            let with =
+                |simpler: ConfigurationChange| (simpler != *change).then_some(ScenarioMessage::Configure(simpler));
+            [NONE, ConfigurationChange { gains: None, ..*change }, ConfigurationChange { law: None, ..*change }]
+                .into_iter()
+                .filter_map(with)
+                .collect()
+        }
+        Some(ScenarioMessage::Sample { .. }) if message != Some(&usual) => vec![usual],
+        Some(ScenarioMessage::Again { messages, times }) if *times > 1 => {
+            let shorter = [times / 2, times - times / 4, times - times / 16, times - times / 256, times - 1];
+            let again = |times| ScenarioMessage::Again { messages: *messages, times };
+            shorter.into_iter().filter(|shorter| shorter < times).map(again).collect()
+        }
+        Some(ScenarioMessage::Damaged { byte }) if *byte != 5 => vec![ScenarioMessage::Damaged { byte: 5 }],
+        Some(ScenarioMessage::Body { .. } | ScenarioMessage::Bytes { .. }) => {
+            vec![ScenarioMessage::Damaged { byte: 5 }]
+        }
+        _ => Vec::new(),
+    }
 }

@@ -307,6 +307,13 @@ fn watchdog(configure: Configure) -> Vec<Step> {
         Wait(400),
         Sample(2.0, f32::NAN, -0.2),
         Repeat,
+        // The watchdog starts with the first sample. Rejected frames do not restart it.
+        Setup(Configure { watchdog_timeout_ms: 200, ..configure }),
+        Sample(2.0, 0.0, 0.0),
+        Wait(110),
+        Damaged(5),
+        Wait(220),
+        Sample(2.0, 1.2, -0.2),
         // This timeout needs more than 15 bits.
         Setup(Configure { watchdog_timeout_ms: 40_000, ..configure }),
         Sample(2.0, 0.0, 0.0),
