@@ -167,6 +167,8 @@ fn type_of(root: &Value, schema: &Value) -> String {
         (Some("string"), _) => "text".to_owned(),
         (Some("boolean"), _) => "true or false".to_owned(),
         (Some("object"), _) => "table".to_owned(),
+        // Tables of several kinds, which `docs/scenarios.md` lists.
+        (None, _) if schema["oneOf"].is_array() => "table".to_owned(),
         (Some("number"), _) => "number".to_owned(),
         (kind, _) => panic!("a key has the unknown type {kind:?}: {schema}"),
     }
