@@ -251,6 +251,20 @@ pub(crate) fn in_window(expectation: &ExpectationRecord) -> Option<String> {
     Some(if expectation.windows_ms.len() < COUNTED_WINDOWS { format!("window {list}") } else { list })
 }
 
+/// Metric with value, unit, limit and window, for a message without a table around it.
+pub(crate) fn summary(expectation: &ExpectationRecord) -> String {
+    let metric = expectation.metric.name();
+    let name = match &expectation.name {
+        name if name.starts_with(metric) => name.clone(),
+        name => format!("{name} ({metric})"),
+    };
+    let unit = unit(expectation.metric);
+    let with_unit = |text: String| if unit.is_empty() { text } else { format!("{text} {unit}") };
+    let value = value(expectation).map_or_else(|| "no value".to_owned(), with_unit);
+    let window = in_window(expectation).map_or_else(String::new, |window| format!(", {window}"));
+    format!("{name}: {value}, limit {}{window}", with_unit(limit(expectation)))
+}
+
 pub(crate) fn window_list(windows_ms: &[[f64; 2]]) -> Option<String> {
     let range = |from: f64, until: f64| format!("{} … {}", number(from), number(until));
     match (windows_ms, windows_ms.len()) {

@@ -33,8 +33,7 @@ pub fn workflow_commands(
     for (scenario, index) in record_queries::expectations_not_passed(record) {
         let Some(expectation) = scenario.expectations.get(index) else { continue };
         let title = format!("{}: {}", scenario.file, format::verdict(expectation));
-        let value = format::value(expectation).unwrap_or_else(|| "no value".to_owned());
-        let mut message = format!("{} {}, measured {value}", expectation.name, format::limit(expectation));
+        let mut message = format::summary(expectation);
         if let Some(requirement) = &expectation.requirement {
             let _ = write!(message, ", requirement {requirement}");
         }

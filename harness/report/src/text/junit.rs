@@ -5,30 +5,39 @@
 //! schema of Jenkins' xunit plugin (`tests/report/junit-10.xsd`) allows properties of suites only,
 //! so requirements are properties `requirement.<name>` of the suite, the controller and its setting
 //! are its property `tested`, and other facts are lines in `system-out`. Times come from the
-//! record: equal records give equal files.
+//! record: equal records in equal folders give equal files.
 
 use crate::error::{ReportError, write_file};
 use crate::escape::printable;
 use crate::{format, record_queries};
-use platebench_model::record::{ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict};
+use platebench_model::record::{ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
-use std::path::Path;
+use std::env;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub const FILE: &str = "junit.xml";
 
 pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
-    let text =
-        junit_report(record).to_string().map_err(|source| ReportError::Junit { path: path.to_owned(), source })?;
+    let text = junit_report(record, &from_workspace(path.parent().unwrap_or(Path::new(""))))
+        .to_string()
+        .map_err(|source| ReportError::Junit { path: path.to_owned(), source })?;
     let expectations: usize = record.scenarios.iter().map(|scenario| scenario.not_applicable.len()).sum();
     let skipped = record.not_applicable.len() + expectations;
     // The schema allows no attribute `skipped` of the element `testsuites`.
     write_file(path, &text.replacen(&format!(" skipped=\"{skipped}\""), "", 1))
 }
 
-fn junit_report(record: &RunRecord) -> Report {
+/// Path of a folder relative to the working directory, which is the workspace of a CI job. Jenkins
+/// reads the paths of attachments from there.
+fn from_workspace(folder: &Path) -> PathBuf {
+    let current = env::current_dir().unwrap_or_default();
+    folder.strip_prefix(current).unwrap_or(folder).to_owned()
+}
+
+fn junit_report(record: &RunRecord, folder: &Path) -> Report {
     let mut report = Report::new(record.tool.name.as_str());
-    report.add_test_suites(record.scenarios.iter().map(|scenario| test_suite(scenario, record)));
+    report.add_test_suites(record.scenarios.iter().map(|scenario| test_suite(scenario, record, folder)));
     report.add_test_suites(record.not_applicable.iter().map(|scenario| not_applicable_suite(scenario, record)));
     let Some(reason) = record_queries::run_inconclusive_reason(record) else { return report };
     let mut suite = TestSuite::new("run");
@@ -46,7 +55,7 @@ fn suite_of_file(file: &str, record: &RunRecord) -> TestSuite {
     suite
 }
 
-fn test_suite(scenario: &ScenarioRecord, record: &RunRecord) -> TestSuite {
+fn test_suite(scenario: &ScenarioRecord, record: &RunRecord, folder: &Path) -> TestSuite {
     let mut suite = suite_of_file(&scenario.file, record);
     suite.add_properties([
         ("title", printable(&scenario.title).as_ref()),
@@ -71,9 +80,9 @@ fn test_suite(scenario: &ScenarioRecord, record: &RunRecord) -> TestSuite {
     let count = scenario.expectations.len();
     // All expectations judge the same trials, so each gets an equal share of the scenario's time.
     let share = time.zip(u32::try_from(count).ok()).and_then(|(time, count)| time.checked_div(count));
-    suite.add_test_cases((0..count).filter_map(|index| test_case(scenario, index, share)));
-    let skipped = scenario.not_applicable.iter();
-    suite.add_test_cases(skipped.map(|skipped| skipped_case(&skipped.name, &scenario.file, &skipped.reason)));
+    suite.add_test_cases((0..count).filter_map(|index| test_case(scenario, index, share, folder)));
+    let expectations: usize = record.scenarios.iter().map(|scenario| scenario.not_applicable.len()).sum();
+    let skipped = record.not_applicable.len() + expectations;
     if let Some(reason) = record_queries::scenario_inconclusive_reason(scenario) {
         suite.add_test_case(inconclusive_case("the whole scenario", &class_name(&scenario.file), reason));
     }
@@ -108,7 +117,7 @@ fn inconclusive_case(name: &str, class: &str, reason: &str) -> TestCase {
     case
 }
 
-fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>) -> Option<TestCase> {
+fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>, folder: &Path) -> Option<TestCase> {
     let expectation = scenario.expectations.get(index)?;
     let kind = match expectation.verdict {
         Verdict::Pass => None,
@@ -118,11 +127,9 @@ fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>) ->
     let status = kind.map_or_else(TestCaseStatus::success, |kind| {
         let mut status = TestCaseStatus::non_success(kind);
         status.set_type(format::verdict(expectation));
-        if let Some(reason) = &expectation.reason {
-            status.set_message(printable(&reason.to_string()).as_ref());
-        }
         // GitLab displays the description.
-        status.set_description(failure_text(expectation));
+        let text = failure_text(expectation);
+        status.set_message(text.replace('\n', "; ")).set_description(text);
         status
     });
     let mut case = TestCase::new(printable(&expectation.name).as_ref(), status);
@@ -146,18 +153,14 @@ fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>) ->
     ];
     let lines = properties.into_iter().filter_map(|(name, value)| Some(format!("{name}: {}\n", printable(&value?))));
     // Jenkins links the attached file to the test case.
-    let attachment = trial.map(|trial| format!("[[ATTACHMENT|{}]]\n", printable(&trial.trace)));
+    let file = |trial: &TrialRecord| folder.join(&trial.trace).display().to_string();
+    let attachment = trial.map(|trial| format!("[[ATTACHMENT|{}]]\n", printable(&file(trial))));
     case.set_system_out(lines.chain(attachment).collect::<String>());
     Some(case)
 }
 
 fn failure_text(expectation: &ExpectationRecord) -> String {
-    let value = format::value(expectation).unwrap_or_else(|| "no value".to_owned());
-    let facts = [
-        Some(format!("{}: {value}, limit {}", expectation.name, format::limit(expectation))),
-        format::windows(expectation).map(|windows| format!("window: {windows}")),
-        expectation.reason.as_ref().map(ToString::to_string),
-    ];
+    let facts = [Some(format::summary(expectation)), expectation.reason.as_ref().map(ToString::to_string)];
     let lines: Vec<_> = facts.into_iter().flatten().map(|fact| printable(&fact).into_owned()).collect();
     lines.join("\n")
 }
