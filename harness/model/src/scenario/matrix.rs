@@ -251,7 +251,7 @@ impl<'a> Matrix<'_, 'a> {
     fn axis_values(&mut self, axis: &str, value: &Cell<'a>) -> Vec<(String, Cells<'a>)> {
         let mut values = Vec::new();
         if let DeValue::Array(elements) = value.get_ref() {
-            for element in elements.iter() {
+            for element in elements {
                 let name = self.text_of(element).unwrap_or_default();
                 self.check_case_name(&name, element);
                 values.push((name, Cells::from([(axis.to_owned(), element.clone())])));
