@@ -47,19 +47,15 @@ impl<'a> BenchErrors<'a> {
 
     fn budgets(&mut self, row: &TrialRow) -> Result<&[QuantityBudget], CampaignError> {
         let values: Vec<f64> = self.relevant.iter().filter_map(|index| row.draws.get(*index)).copied().collect();
-        let known = self.last.take().filter(|(known, _)| *known == values);
-        let (_, budgets) = match known {
-            Some(known) => self.last.insert(known),
-            None => {
-                let budgets = if values.is_empty() {
-                    budgets(&self.campaign.template.scenario)
-                } else {
-                    budgets(&row.trial_in(self.campaign)?.scenario)
-                };
-                self.last.insert((values, budgets))
-            }
+        if let Some(known) = self.last.take().filter(|(known, _)| *known == values) {
+            return Ok(&self.last.insert(known).1);
+        }
+        let budgets = if values.is_empty() {
+            budgets(&self.campaign.template.scenario)
+        } else {
+            budgets(&row.trial_in(self.campaign)?.scenario)
         };
-        Ok(budgets)
+        Ok(&self.last.insert((values, budgets)).1)
     }
 }
 

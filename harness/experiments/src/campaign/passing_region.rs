@@ -5,7 +5,7 @@
 //! number that varies fastest. An island is a passing part that a failing cell separates from the
 //! others: along the number, or in the plane of the number and a second one (4-neighbours).
 
-use crate::campaign::distribution::Variable;
+use crate::campaign::distribution::{Choice, Variable};
 use crate::campaign::results::axis_label;
 use crate::campaign::summary::Summary;
 use platebench_report::document::{Block, Column, Table};
@@ -57,7 +57,10 @@ pub struct PassingPlane {
 }
 
 /// A listed value of a cell.
-type Choice<'a> = (&'a Variable, usize);
+type CellChoice<'a> = (&'a Variable, usize);
+
+/// Listed values and cells by the indices of the values, in the order of the campaign's cells.
+type Combinations<'a, C> = BTreeMap<Vec<usize>, (Vec<CellChoice<'a>>, Vec<C>)>;
 
 impl PassingRegion {
     /// `None` without a listed number that has two values.
@@ -66,22 +69,22 @@ impl PassingRegion {
         let delay = DELAY_KEYS.iter().find_map(|key| numbers.iter().find(|variable| variable.key == *key));
         let axis: &Variable = delay.or(numbers.last())?;
         let second = numbers.iter().rev().find(|variable| variable.key != axis.key).copied();
-        // Combinations in the order of the cells. A cell is true if it passes.
-        let mut ranges: BTreeMap<Vec<usize>, (Vec<Choice<'_>>, Vec<(f64, bool)>)> = BTreeMap::new();
-        let mut planes: BTreeMap<Vec<usize>, (Vec<Choice<'_>>, Vec<[usize; 2]>)> = BTreeMap::new();
+        // True for a cell that passes; positions of passing cells.
+        let mut ranges: Combinations<'_, (f64, bool)> = BTreeMap::new();
+        let mut planes: Combinations<'_, [usize; 2]> = BTreeMap::new();
         if summary.cells.is_empty() {
             return None;
         }
         for (number, cell) in summary.cells.iter().enumerate() {
             let choices = summary.cell_choices(number);
             let passes = cell.passes(summary.campaign.at_most) == Some(true);
-            let other = |axes: &[&str]| -> Vec<Choice<'_>> {
+            let other = |axes: &[&str]| -> Vec<CellChoice<'_>> {
                 choices.iter().filter(|(variable, _)| !axes.contains(&&*variable.key)).copied().collect()
             };
             let place = |axis: &Variable| {
                 choices.iter().find(|(variable, _)| variable.key == axis.key).map_or(0, |(_, choice)| *choice)
             };
-            let indices = |choices: &[Choice<'_>]| choices.iter().map(|(_, choice)| *choice).collect::<Vec<_>>();
+            let indices = |choices: &[CellChoice<'_>]| choices.iter().map(|(_, choice)| *choice).collect::<Vec<_>>();
             let own = other(&[&axis.key]);
             let value = axis.distribution.number(place(axis) as f64).unwrap_or(f64::NAN);
             ranges.entry(indices(&own)).or_insert_with(|| (own, Vec::new())).1.push((value, passes));
@@ -153,7 +156,7 @@ impl PassingRegion {
 }
 
 impl PassingRange {
-    fn new(choices: &[Choice<'_>], mut cells: Vec<(f64, bool)>) -> Self {
+    fn new(choices: &[CellChoice<'_>], mut cells: Vec<(f64, bool)>) -> Self {
         cells.sort_by(|(a, _), (b, _)| a.total_cmp(b));
         let first_miss = cells.iter().position(|(_, passes)| !passes).unwrap_or(cells.len());
         let (below, above) = cells.split_at(first_miss);
@@ -179,7 +182,7 @@ impl PassingRange {
 
 impl PassingPlane {
     /// `cells` are the positions of the passing cells.
-    fn new(choices: &[Choice<'_>], cells: Vec<[usize; 2]>) -> Self {
+    fn new(choices: &[CellChoice<'_>], cells: Vec<[usize; 2]>) -> Self {
         let texts = choices
             .iter()
             .map(|(variable, choice)| format!("{} {}", variable.short_name(), variable.text(*choice as f64)));
@@ -191,7 +194,7 @@ fn is_axis(variable: &Variable) -> bool {
     variable.is_number() && variable.distribution.choices().is_some_and(|list| list.len() > 1)
 }
 
-fn values(choices: &[Choice<'_>]) -> Value {
+fn values(choices: &[CellChoice<'_>]) -> Value {
     let pairs = choices
         .iter()
         .map(|(variable, choice)| (variable.key.clone(), json!(variable.distribution.value(*choice as f64))));
@@ -201,7 +204,7 @@ fn values(choices: &[Choice<'_>]) -> Value {
 /// Number of listed values below that of `choice`, because a list need not be sorted.
 fn rank(variable: &Variable, choice: usize) -> usize {
     let list = variable.distribution.choices().unwrap_or_default();
-    let value = |index: usize| list.get(index).and_then(|choice| choice.number()).unwrap_or(f64::NAN);
+    let value = |index: usize| list.get(index).and_then(Choice::number).unwrap_or(f64::NAN);
     (0..list.len()).filter(|other| value(*other) < value(choice)).count()
 }
 
