@@ -81,8 +81,8 @@ fn test_suite(scenario: &ScenarioRecord, record: &RunRecord, folder: &Path) -> T
     // All expectations judge the same trials, so each gets an equal share of the scenario's time.
     let share = time.zip(u32::try_from(count).ok()).and_then(|(time, count)| time.checked_div(count));
     suite.add_test_cases((0..count).filter_map(|index| test_case(scenario, index, share, folder)));
-    let expectations: usize = record.scenarios.iter().map(|scenario| scenario.not_applicable.len()).sum();
-    let skipped = record.not_applicable.len() + expectations;
+    let skipped = scenario.not_applicable.iter();
+    suite.add_test_cases(skipped.map(|skipped| skipped_case(&skipped.name, &scenario.file, &skipped.reason)));
     if let Some(reason) = record_queries::scenario_inconclusive_reason(scenario) {
         suite.add_test_case(inconclusive_case("the whole scenario", &class_name(&scenario.file), reason));
     }
