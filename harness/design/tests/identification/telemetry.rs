@@ -42,7 +42,7 @@ fn units_are_converted() {
 #[case(5, "4,-1,32.3,1,0,0", ":6: column 2 (`V`) is `-1`, expected 0 or more")]
 #[case(5, "4,300,0,1,0,0", ":6: column 3 (`f`) is `0`, expected a frequency above 0")]
 #[case(5, "3,300,32.3,1,0,0", ":6: column 1 (`t`) is `3`, expected a time after that of the row above")]
-#[case(0, "t,V,f,Wd,W_q,T", ":1: no column `Wq` in: t, V, f, Wd, W_q, T")]
+#[case(0, "t,V,f,Wd,W_q,T", ":1: no column `Wq` in: t, V, f, Wd, W_q, T; --columns names the columns")]
 fn rejects_a_bad_cell_with_its_line(#[case] line: usize, #[case] text: &str, #[case] message: &str) {
     let mut lines = step_table();
     text.clone_into(&mut lines[line]);
