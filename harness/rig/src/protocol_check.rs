@@ -105,7 +105,7 @@ pub fn check_protocol(
         Some(BenchCause::LateTicks | BenchCause::Stall) => kind != LinkKind::Simulated,
     };
     let scripts = if messages.is_empty() {
-        scripts::scripts(&base, identity, seed)
+        scripts::scripts(&base, identity, seed, own_law)
     } else {
         vec![message_script(messages, &base)]
     };

@@ -178,7 +178,7 @@ fn eight_boards_share_a_regression() {
         start_shard(&folder, KILLED, shard).finish().assert_exit(0);
     }
     let boards: Vec<_> = HEALTHY.into_iter().chain([KILLED]).collect();
-    merge(runs(&boards), "all").assert_exit(0).assert_stdout(&["scenario  b1    b2    b3    b4    b5    b6"]);
+    merge(runs(&boards), "all").assert_exit(0).assert_stdout(&["scenario  b1      b2      b3      b4      b5      b6"]);
     let record = folder.record("all");
     assert_eq!((record.scenarios.len(), record.verdict), (12, Verdict::Pass));
     assert!(record.scenarios.iter().all(|scenario| scenario.trials.len() == 1));

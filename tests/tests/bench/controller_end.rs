@@ -123,12 +123,12 @@ fn a_played_shard_without_confirmed_0_v_ends_with_5() {
 }
 
 #[test]
-fn an_exploration_without_confirmed_0_v_ends_with_5() {
+fn an_exploration_without_confirmed_0_v_fails_by_its_sequences() {
     let folder = TestFolder::with_step(ANSWERED);
     let Some(rig) = controller(&folder, Change::Message { kind: "SAFE", action: "return None" }) else { return };
     let envelope = workspace_root().join("scenarios/envelope.toml").display().to_string();
     let played = folder.bench(["suite", "explore", &envelope, "--rig", &rig, "--scenes", "1", "--out", "out"]);
-    played.assert_exit(5).assert_stdout(&["did not confirm 0 V"]);
+    played.assert_exit(1).assert_stdout(&["did not confirm 0 V"]);
 }
 
 #[rstest]

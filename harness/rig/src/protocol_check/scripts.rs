@@ -23,7 +23,7 @@ const RANDOM_SAMPLES: usize = 40;
 /// A script with periods of 300 µs tolerates a delay of an exchange below one period.
 const SHORT_STALL: Duration = Duration::from_micros(250);
 
-pub(super) fn scripts(base: &Configure, identity: &Identity, seed: u64) -> Vec<Script> {
+pub(super) fn scripts(base: &Configure, identity: &Identity, seed: u64, own_law: bool) -> Vec<Script> {
     let fixed = Configure { gains: Some(CONFIGURED_GAINS), start_frequency_mhz: 32_307_654, ..*base };
     let own_design = Configure { gains: None, ..fixed };
     let with = |name, configure, steps: Vec<Step>| Script::new(name, [Setup(configure)].into_iter().chain(steps));
@@ -69,7 +69,7 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, seed: u64) -> Vec<S
     for component in 0..3 {
         all.push(start("values that are not finite", not_finite(component, fixed)));
     }
-    for configure in unusable(&fixed, identity) {
+    for configure in unusable(&fixed, identity, own_law) {
         all.push(start(
             "a configuration that is not accepted",
             vec![
@@ -432,7 +432,7 @@ fn not_finite(component: usize, configure: Configure) -> Vec<Step> {
     steps
 }
 
-fn unusable(base: &Configure, identity: &Identity) -> Vec<Configure> {
+fn unusable(base: &Configure, identity: &Identity, own_law: bool) -> Vec<Configure> {
     let gains =
         base.gains.unwrap_or(Gains { amplitude_kp: 1.0, amplitude_ki: 1.0, frequency_kp: 1.0, frequency_ki: 1.0 });
     let mut all = vec![
@@ -440,9 +440,14 @@ fn unusable(base: &Configure, identity: &Identity) -> Vec<Configure> {
         Configure { start_frequency_mhz: 0, ..*base },
         Configure { response_time_s: -0.001, ..*base },
         Configure { response_time_s: f32::INFINITY, ..*base },
-        Configure { gains: Some(Gains { amplitude_kp: f32::NAN, ..gains }), ..*base },
-        Configure { gains: Some(Gains { frequency_ki: f32::INFINITY, ..gains }), ..*base },
     ];
+    // An own law may use configured gains or ignore them.
+    if !own_law {
+        all.extend([
+            Configure { gains: Some(Gains { amplitude_kp: f32::NAN, ..gains }), ..*base },
+            Configure { gains: Some(Gains { frequency_ki: f32::INFINITY, ..gains }), ..*base },
+        ]);
+    }
     if !identity.has_capability(capabilities::OWN_PLATE) {
         all.push(Configure { drives_own_plate: true, ..*base });
     }
