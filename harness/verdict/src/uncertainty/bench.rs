@@ -364,7 +364,7 @@ mod tests {
     // Half a step of the converter, 0.002 µm, relative to 1.5 µm; the rows of a step of 0.5 µm.
     #[rstest]
     #[case(STATIC, ", after = \"setpoint\"", CONVERTER, ErrorOrigin::Quantisation, 0.133_333 * 0.577_350)]
-    #[case(OVERSHOOT, ", from_ms = 20.0", SILENT, ErrorOrigin::Numerical, (0.2 + 0.027_77 * 4.0) * 0.577_350)]
+    #[case(OVERSHOOT, ", from_ms = 30.0", SILENT, ErrorOrigin::Numerical, (0.2 + 0.027_77 * 4.0) * 0.577_350)]
     fn the_smallest_setpoint_and_step_count(
         #[case] expect: &str,
         #[case] window: &str,

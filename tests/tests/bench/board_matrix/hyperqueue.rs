@@ -63,7 +63,7 @@ fn the_recipe_of_the_page_plays_all_shards_on_hyperqueue() {
     assert_eq!((first.len() + failed.len(), failed.is_empty()), (8, false), "{}", errors(&folder, &failed));
     let part = folder.bench(["report", "--out", "part", "--merge"].into_iter().chain(first.iter().map(String::as_str)));
     let missing: Vec<_> = failed.iter().map(|task| format!("shard {task}/8 of ")).collect();
-    part.assert_message(3, &missing.iter().map(String::as_str).collect::<Vec<_>>());
+    part.assert_text(3, &missing.iter().map(String::as_str).collect::<Vec<_>>());
     for (number, board) in all.iter().enumerate() {
         let state = state_of(&folder, number)["state"].clone();
         assert!(state == "free" || [KILLED, WRONG_CHIP].contains(board), "{board}: {state}");
