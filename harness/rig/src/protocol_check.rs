@@ -11,7 +11,7 @@ use crate::link::{Link, LinkError, LinkKind};
 use crate::rigs::hosted::HostedLink;
 pub use coverage::ProtocolCoverage;
 
-use comparison::{BenchCause, CommandDifference, CommandHistory, Comparison, ReceivedPackets};
+use comparison::{BenchCause, CommandDifference, CommandHistory, Comparison, ComparisonScope, ReceivedPackets};
 use platebench_model::scenario::ScenarioMessage;
 use platebench_wire::{Configure, Identity, LawId};
 use script::{Script, Step, Variation};
@@ -85,14 +85,17 @@ pub fn check_protocol(
     let base = script_base(base);
     let period = Duration::from_micros(base.period_us.into());
     let is_defined = matches!(base.law, LawId::OpenLoop | LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed);
-    let compares_numbers = !own_law && (compares_numbers || (messages.is_empty() && is_defined));
+    let scope = match own_law {
+        true => ComparisonScope::OwnLaw,
+        false if compares_numbers || (messages.is_empty() && is_defined) => ComparisonScope::Numbers,
+        false => ComparisonScope::Rules,
+    };
     let mut player = Player {
         link,
         identity,
         period,
         own_clock,
-        compares_numbers,
-        own_law,
+        scope,
         now: Duration::ZERO,
         history: CommandHistory::default(),
         speed: Speed::default(),
@@ -172,8 +175,7 @@ struct Player<'a> {
     /// Shortest simulated time from one exchange to the next.
     period: Duration,
     own_clock: bool,
-    compares_numbers: bool,
-    own_law: bool,
+    scope: ComparisonScope,
     now: Duration,
     history: CommandHistory,
     speed: Speed,
@@ -181,10 +183,11 @@ struct Player<'a> {
 
 impl Player<'_> {
     fn play(&mut self, script: &Script) -> Result<Option<CommandDifference>, LinkError> {
-        let varied = if self.compares_numbers && script.is_varied { &VARIATIONS[..] } else { &[] };
+        let is_varied = self.scope == ComparisonScope::Numbers && script.is_varied;
+        let varied = if is_varied { &VARIATIONS[..] } else { &[] };
         let mut encoders: Vec<_> = varied.iter().map(|variation| script.exchanges(*variation)).collect();
         let mut references = vec![HostedLink::new(); 1 + varied.len()];
-        let mut comparison = Comparison::new(self.identity, self.compares_numbers, self.own_law);
+        let mut comparison = Comparison::new(self.identity, self.scope);
         let (mut since_start, mut is_stalled) = (Duration::ZERO, false);
         let mut last_request = Instant::now();
         let mut received = Vec::new();

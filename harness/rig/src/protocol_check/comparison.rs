@@ -121,12 +121,19 @@ fn hash_of(value: &impl Hash) -> u64 {
     hasher.finish()
 }
 
+/// What is compared with the reference.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum ComparisonScope {
+    /// The rules of the protocol, and drive and frequency of a *running* command.
+    Numbers,
+    Rules,
+    /// The rules, for a law of the controller's own, whose number means nothing.
+    OwnLaw,
+}
+
 pub(super) struct Comparison<'a> {
     identity: &'a Identity,
-    /// False if only the rules of the protocol are compared, because the law's figures are its own.
-    compares_numbers: bool,
-    /// True for a law of the controller's own, whose number means nothing.
-    own_law: bool,
+    scope: ComparisonScope,
     requests: PacketReader,
     inputs: LawInputs,
     last_command: Option<Command>,
@@ -142,11 +149,10 @@ pub(super) struct Comparison<'a> {
 }
 
 impl<'a> Comparison<'a> {
-    pub(super) fn new(identity: &'a Identity, compares_numbers: bool, own_law: bool) -> Self {
+    pub(super) fn new(identity: &'a Identity, scope: ComparisonScope) -> Self {
         Self {
             identity,
-            compares_numbers,
-            own_law,
+            scope,
             requests: PacketReader::new(),
             inputs: LawInputs::default(),
             last_command: None,
@@ -312,7 +318,8 @@ impl<'a> Comparison<'a> {
 
     fn are_gains_equal(&self, answer: Gains, expected: Gains) -> bool {
         let Some(configuration) = self.configuration else { return true };
-        let uses_four = !self.own_law && matches!(configuration.law, LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed);
+        let uses_four = self.scope != ComparisonScope::OwnLaw
+            && matches!(configuration.law, LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed);
         let is_finite = numbers(answer).into_iter().all(f32::is_finite);
         is_finite
             && match configuration.gains {
@@ -324,7 +331,9 @@ impl<'a> Comparison<'a> {
                         !uses_four && pairs.all(|(own, configured)| own == 0.0 || is_close((own, configured)))
                     }
                 }
-                None => !uses_four || !self.compares_numbers || are_close(answer, expected, DESIGN_TOLERANCE),
+                None => {
+                    !uses_four || self.scope == ComparisonScope::Rules || are_close(answer, expected, DESIGN_TOLERANCE)
+                }
             }
     }
 
@@ -333,7 +342,9 @@ impl<'a> Comparison<'a> {
             return self.is_ambiguous && expected.state == ControllerState::Running;
         }
         if expected.state == ControllerState::Running {
-            return !self.compares_numbers || self.is_ambiguous || self.distance(answer, expected) <= self.tolerance();
+            return self.scope != ComparisonScope::Numbers
+                || self.is_ambiguous
+                || self.distance(answer, expected) <= self.tolerance();
         }
         let has_frequency = match &self.running {
             // A stopped controller keeps its own last frequency, not that of the reference.

@@ -199,7 +199,9 @@ fn names_a_loop_with_a_wrong_sign(
 #[test]
 fn a_stopped_controller_has_no_wrong_sign() {
     let mut rows = controlled_rows(0.0, 0.0, 0.0);
-    rows.iter_mut().for_each(|row| row.flags |= Flags::SAFE);
+    for row in &mut rows {
+        row.flags |= Flags::SAFE;
+    }
     assert_eq!(detect_wrong_sign(&scenario(0.0, ""), &rows), None);
     assert_eq!(detect_wrong_sign(&scenario(0.0, ""), &[]), None);
 }
