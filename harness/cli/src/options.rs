@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use clap::builder::PossibleValuesParser;
 use platebench_engine::{Clock, Pacing, TimeBase};
 use platebench_model::record::{ClockKind, KeepTraces};
-use platebench_model::scenario::Scenario;
+use platebench_model::scenario::{MAX_TIMEOUT_S, Scenario};
 use platebench_rig::{Capability, RIGS, RigSpec, check_baud, rig_syntaxes};
 use platebench_wire::LawId;
 use std::num::NonZero;
@@ -87,6 +87,11 @@ pub(crate) fn parse_number(text: &str, is_valid: impl Fn(f64) -> bool, expected:
 
 pub(crate) fn parse_time_scale(text: &str) -> Result<f64, String> {
     parse_number(text, |scale| (0.001..=10.0).contains(&scale), "a number from 0.001 to 10")
+}
+
+pub(crate) fn parse_timeout(text: &str) -> Result<f64, String> {
+    let expected = format!("a number of seconds above 0, up to {MAX_TIMEOUT_S}");
+    parse_number(text, |seconds| seconds > 0.0 && seconds <= MAX_TIMEOUT_S, &expected)
 }
 
 pub(crate) fn parse_percent(text: &str) -> Result<f64, String> {

@@ -10,7 +10,7 @@ use platebench_model::record::{
 use platebench_model::scenario::{Diagnostic, Expectation, MAX_TRIALS, Scenario, Variation, load, load_copies};
 use platebench_model::trace::{AtPath, Row, TraceError, read_trace};
 use platebench_plate::Model;
-use platebench_verdict::{SequentialDecision, TrialMeasures, judge, judge_sequentially, trial_record};
+use platebench_verdict::{SequentialDecision, TrialMeasures, judge_at_time_limit, judge_sequentially, trial_record};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -94,6 +94,9 @@ pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
     if let Some(seed) = overrides.seed {
         scenario.trials.seed = seed;
         scenario.between.iter_mut().for_each(|scene| scene.trials.seed = seed);
+    }
+    if let Some(seconds) = overrides.timeout_s {
+        scenario.timeout_s = Some(seconds);
     }
     if let Some(model) = &overrides.model {
         scenario.model = Scenario::model_for(model, &scenario.plate).unwrap_or(scenario.model);
@@ -203,6 +206,7 @@ fn rejudge_scenario(
     complete: bool,
 ) -> Result<ScenarioRecord, RejudgeError> {
     check_distinct_traces(folder, scenario, stored)?;
+    let is_judged = complete || stored.time_limit_s.is_some();
     let mut measures: Vec<TrialMeasures> = Vec::new();
     let mut records = Vec::new();
     while let SequentialDecision::Continue { trials } = judge_sequentially(scenario, &measures) {
@@ -214,8 +218,8 @@ fn rejudge_scenario(
                     measures.push(trial);
                     records.push(record);
                 }
-                // A complete run lacks this trial only if `--fail-fast` ended it early.
-                None if complete && stored.trials.iter().all(|trial| trial.index != index) => ends_early = true,
+                // A judged scenario lacks this trial only if `--fail-fast` or its time limit ended it.
+                None if is_judged && stored.trials.iter().all(|trial| trial.index != index) => ends_early = true,
                 None => measures.push(incomplete_trial(scenario, index)),
             }
         }
@@ -223,13 +227,14 @@ fn rejudge_scenario(
             break;
         }
         // No trace was found for this look, so the complete run ended before it.
-        if complete && records.len() == played {
+        if is_judged && records.len() == played {
             measures.truncate(played);
             break;
         }
     }
     let mut record = empty_record(scenario, stored.inputs.clone());
-    let judgement = judge(scenario, &measures);
+    let judgement = judge_at_time_limit(scenario, &measures, stored.time_limit_s);
+    record.time_limit_s = stored.time_limit_s;
     record.verdict = judgement.verdict;
     record.expectations = judgement.expectations;
     record.trials = records;

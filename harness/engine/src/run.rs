@@ -2,7 +2,7 @@
 
 use crate::executor::{Executor, ExecutorSettings, RigSession, SafeEnds};
 use crate::plan::{Clock, LinkFactory, RunError, RunHooks, RunPlan};
-use crate::run_player::{RunPlayer, RunProgress};
+use crate::run_player::{RunPlayer, RunProgress, ScenarioResult};
 use crate::timing::{Pacing, TimeBase};
 use crate::trend;
 use crate::trial::{self, chip_fault_plan, missing_capability};
@@ -60,8 +60,8 @@ pub fn run(
     let player = RunPlayer::new(plan, laws, folder, &cancel, &live_tap, trials_with_rows);
     let played = player.play(&mut executors, &mut recorder);
     if played.is_ok() {
-        for (number, judgement, trials) in player.judge_unfinished() {
-            recorder.finish_scenario(number, judgement, trials);
+        for (number, result) in player.judge_unfinished() {
+            recorder.finish_scenario(number, result);
         }
     }
     // Also after an error, because the record must state whether 0 V was confirmed.
@@ -213,12 +213,13 @@ struct RunRecorder<'a> {
 }
 
 impl RunRecorder<'_> {
-    fn finish_scenario(&mut self, number: usize, judgement: Judgement, trials: Vec<TrialRecord>) {
+    fn finish_scenario(&mut self, number: usize, result: ScenarioResult) {
         let Some(record) = self.record.scenarios.get_mut(number) else { return };
-        complete_record(record, judgement, trials);
+        record.time_limit_s = result.time_limit_s;
+        complete_record(record, result.judgement, result.trials);
         self.file.mark_changed();
         // `--fail-fast` may leave a scenario without a trial, which has neither started nor ended.
-        if !record.trials.is_empty() {
+        if !record.trials.is_empty() || record.time_limit_s.is_some() {
             (self.on_event)(Event::ScenarioFinished(Box::new(FinishedScenario::from(&*record))));
         }
     }
@@ -238,7 +239,7 @@ impl ResultSink<RunProgress, RunError> for RunRecorder<'_> {
                     (self.on_event)(Event::TrialFinished { file: scenario.file.clone(), trial, rows });
                 }
             }
-            RunProgress::Judged(number, judgement, trials) => self.finish_scenario(number, judgement, trials),
+            RunProgress::Judged(number, result) => self.finish_scenario(number, result),
         }
         Ok(ControlFlow::Continue(()))
     }
@@ -273,6 +274,7 @@ pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> Sce
         expectations: Vec::new(),
         not_applicable: scenario.not_applicable.clone(),
         requirement_texts: scenario.requirement_texts.clone(),
+        time_limit_s: None,
         trials: Vec::new(),
     }
 }

@@ -10,7 +10,9 @@ use platebench_model::scenario::Scenario;
 use platebench_model::trace::{AtPath as _, Row, TraceError, TraceWriter};
 use platebench_plate::Time;
 use platebench_rig::CancelToken;
-use platebench_verdict::{Judgement, SequentialDecision, TrialMeasures, judge, judge_sequentially, trial_record};
+use platebench_verdict::{
+    Judgement, SequentialDecision, TrialMeasures, judge, judge_at_time_limit, judge_sequentially, trial_record,
+};
 use platebench_wire::LawId;
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
@@ -20,7 +22,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tracing::{debug, info, info_span};
 
 pub(crate) struct RunPlayer<'a> {
@@ -40,7 +42,14 @@ pub(crate) enum RunProgress {
     Started(usize),
     /// The rows are empty unless the report draws the trial.
     Played(usize, Box<TrialRecord>, Vec<Row>),
-    Judged(usize, Judgement, Vec<TrialRecord>),
+    Judged(usize, ScenarioResult),
+}
+
+pub(crate) struct ScenarioResult {
+    pub(crate) judgement: Judgement,
+    pub(crate) trials: Vec<TrialRecord>,
+    /// Time limit that ended the trials, s.
+    pub(crate) time_limit_s: Option<f64>,
 }
 
 struct ScenarioPlay<'a> {
@@ -57,6 +66,14 @@ struct PlayedTrials {
     records: Vec<TrialRecord>,
     trials_until_look: u32,
     is_judged: bool,
+    /// Wall time that the time limit of the scenario leaves for further looks.
+    time_left: Option<Duration>,
+    /// End of `time_left`. Set from the first trial of a look on, so that the scenarios that are
+    /// played between two looks take no time from this one.
+    deadline: Option<Instant>,
+    running: usize,
+    /// True if the time limit ended a trial.
+    is_timed_out: bool,
 }
 
 struct TrialTask {
@@ -104,12 +121,15 @@ impl<'a> RunPlayer<'a> {
     }
 
     /// Judges the scenarios that `--fail-fast` stopped early, by the trials that were played.
-    pub(crate) fn judge_unfinished(self) -> impl Iterator<Item = (usize, Judgement, Vec<TrialRecord>)> {
+    pub(crate) fn judge_unfinished(self) -> impl Iterator<Item = (usize, ScenarioResult)> {
         let is_stopped = self.stop.into_inner();
         self.scenarios.into_iter().enumerate().filter_map(move |(number, play)| {
             let played = play.played.into_inner().unwrap_or_else(PoisonError::into_inner);
             let is_open = is_stopped && !played.is_judged;
-            is_open.then(|| (number, judge(play.scenario, &played.measures), played.records))
+            is_open.then(|| {
+                let judgement = judge(play.scenario, &played.measures);
+                (number, ScenarioResult { judgement, trials: played.records, time_limit_s: None })
+            })
         })
     }
 
@@ -146,7 +166,8 @@ impl<'a> RunPlayer<'a> {
         Ok(())
     }
 
-    /// Plays, measures, stores and judges. Returns false if the trial was cancelled.
+    /// Plays, measures, stores and judges. Returns false if the trial was cancelled, or if the time
+    /// limit of the scenario ended it.
     fn play_trial(
         &self,
         executor: &mut Executor<'_>,
@@ -158,10 +179,20 @@ impl<'a> RunPlayer<'a> {
         let ScenarioPlay { scenario, law, .. } = *play;
         let span = info_span!("trial", scenario = %scenario.file, index).entered();
         let started = Instant::now();
+        let Some(deadline) = play.lock_trials().start_trial() else { return Ok(false) };
+        executor.set_cancel(&self.cancel.with_deadline(deadline));
         let mut tap = self.live_tap.acquire(number, index);
         let played = executor.play(scenario, law, index, tap.tap())?;
         drop(tap);
-        let Some(mut played) = played else { return Ok(false) };
+        let Some(mut played) = played else {
+            let mut trials = play.lock_trials();
+            trials.end_trial();
+            if !self.cancel.is_cancelled() {
+                trials.is_timed_out = true;
+                self.judge_at_time_limit(number, scenario, &mut trials, emit)?;
+            }
+            return Ok(false);
+        };
         if let Some(timing) = &mut played.telemetry.timing {
             let boundary = *play.delay_boundary.get_or_init(|| scenario_delay_boundary(scenario, law));
             timing.loop_delay_budget_us = boundary.map(|boundary| boundary.seconds() * 1e6);
@@ -185,9 +216,14 @@ impl<'a> RunPlayer<'a> {
         // Locked until the results are sent, so that the judgement follows its trials. The worker
         // judges, so that it knows before its next trial whether `--fail-fast` stops the run.
         let mut trials = play.lock_trials();
+        trials.end_trial();
         trials.measures.push(measures);
         trials.records.push(record.clone());
         emit(RunProgress::Played(number, Box::new(record), rows));
+        if trials.is_timed_out {
+            self.judge_at_time_limit(number, scenario, &mut trials, emit)?;
+            return Ok(false);
+        }
         if trials.records.len() < trials.trials_until_look as usize {
             return Ok(true);
         }
@@ -197,19 +233,66 @@ impl<'a> RunPlayer<'a> {
                 trials.trials_until_look = next;
             }
             SequentialDecision::Stop(judgement) => {
-                trials.is_judged = true;
-                let mut records = std::mem::take(&mut trials.records);
-                if let KeepTraces::Worst(count) = self.plan.overrides.keep_traces {
-                    keep_worst(self.folder, scenario, &trials.measures, count, &mut records)?;
-                }
-                if self.plan.overrides.fail_fast && judgement.verdict == Verdict::Fail {
-                    self.stop.store(true, Ordering::Relaxed);
-                }
-                info!(scenario = %scenario.file, verdict = %judgement.verdict, "scenario judged");
-                emit(RunProgress::Judged(number, judgement, records));
+                self.finish_scenario(number, scenario, &mut trials, judgement, None, emit)?;
             }
         }
         Ok(true)
+    }
+
+    /// Judges the trials that were played. Does nothing while other trials of the scenario run.
+    fn judge_at_time_limit(
+        &self,
+        number: usize,
+        scenario: &Scenario,
+        trials: &mut PlayedTrials,
+        emit: &mut Emit<'_, RunProgress>,
+    ) -> Result<(), RunError> {
+        if trials.running > 0 {
+            return Ok(());
+        }
+        let judgement = judge_at_time_limit(scenario, &trials.measures, scenario.timeout_s);
+        self.finish_scenario(number, scenario, trials, judgement, scenario.timeout_s, emit)
+    }
+
+    fn finish_scenario(
+        &self,
+        number: usize,
+        scenario: &Scenario,
+        trials: &mut PlayedTrials,
+        judgement: Judgement,
+        time_limit_s: Option<f64>,
+        emit: &mut Emit<'_, RunProgress>,
+    ) -> Result<(), RunError> {
+        trials.is_judged = true;
+        let mut records = std::mem::take(&mut trials.records);
+        if let KeepTraces::Worst(count) = self.plan.overrides.keep_traces {
+            keep_worst(self.folder, scenario, &trials.measures, count, &mut records)?;
+        }
+        if self.plan.overrides.fail_fast && judgement.verdict == Verdict::Fail {
+            self.stop.store(true, Ordering::Relaxed);
+        }
+        info!(scenario = %scenario.file, verdict = %judgement.verdict, "scenario judged");
+        emit(RunProgress::Judged(number, ScenarioResult { judgement, trials: records, time_limit_s }));
+        Ok(())
+    }
+}
+
+impl PlayedTrials {
+    /// Returns the deadline of the trial. `None` if the scenario plays no further trial.
+    fn start_trial(&mut self) -> Option<Option<Instant>> {
+        if self.is_judged || self.is_timed_out {
+            return None;
+        }
+        self.running += 1;
+        if self.deadline.is_none() {
+            self.deadline = self.time_left.map(|left| Instant::now() + left);
+        }
+        Some(self.deadline)
+    }
+
+    fn end_trial(&mut self) {
+        self.running -= 1;
+        self.time_left = self.deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()));
     }
 }
 
@@ -219,7 +302,16 @@ impl<'a> ScenarioPlay<'a> {
             SequentialDecision::Continue { trials } => trials,
             SequentialDecision::Stop(_) => 0,
         };
-        let played = PlayedTrials { measures: Vec::new(), records: Vec::new(), trials_until_look, is_judged: false };
+        let played = PlayedTrials {
+            measures: Vec::new(),
+            records: Vec::new(),
+            trials_until_look,
+            is_judged: false,
+            time_left: scenario.timeout_s.map(Duration::from_secs_f64),
+            deadline: None,
+            running: 0,
+            is_timed_out: false,
+        };
         Self { scenario, law, delay_boundary: OnceLock::new(), played: Mutex::new(played) }
     }
 
@@ -230,10 +322,11 @@ impl<'a> ScenarioPlay<'a> {
     /// Returns the trials until the next look: one task per trial, or one for all if the
     /// controller's history is part of the experiment.
     fn tasks(&self, scenario: usize) -> Vec<TrialTask> {
-        let played = self.lock_trials();
+        let mut played = self.lock_trials();
         if played.is_judged {
             return Vec::new();
         }
+        played.deadline = None;
         let trials = played.records.len() as u32..played.trials_until_look;
         if self.scenario.keeps_controller() && !trials.is_empty() {
             return vec![TrialTask { scenario, trials }];

@@ -210,6 +210,7 @@ mod tests {
             expectations: Vec::new(),
             not_applicable: Vec::new(),
             requirement_texts: std::collections::BTreeMap::new(),
+            time_limit_s: None,
             trials: worst.iter().enumerate().map(trial).collect(),
         }
     }

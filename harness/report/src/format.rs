@@ -120,6 +120,7 @@ pub(crate) fn overrides(record: &RunRecord) -> Option<String> {
         ("model", overrides.model.clone()),
         ("trials", overrides.trials.map(|trials| trials.to_string())),
         ("seed", overrides.seed.map(|seed| seed.to_string())),
+        ("timeout", overrides.timeout_s.map(|seconds| format!("{seconds} s"))),
     ];
     let changed: Vec<_> =
         changed.into_iter().filter_map(|(name, value)| Some(format!("{name} = {}", value?))).collect();

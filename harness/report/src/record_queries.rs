@@ -62,6 +62,7 @@ enum SharedCause<'a> {
     Violation(ViolationKind),
     Excluded(Discriminant<Exclusion>),
     NotPlayed,
+    TimeLimit,
     TooFewTrials,
 }
 
@@ -129,6 +130,7 @@ fn shared_cause(scenario: &ScenarioRecord, index: usize) -> Option<SharedCause<'
         Reason::Violation { violation, .. } => Some(SharedCause::Violation(violation.kind)),
         Reason::Excluded { exclusion, .. } => Some(SharedCause::Excluded(discriminant(exclusion))),
         Reason::NotPlayed { .. } => Some(SharedCause::NotPlayed),
+        Reason::TimeLimit { .. } => Some(SharedCause::TimeLimit),
         Reason::TooFewTrials { .. } => Some(SharedCause::TooFewTrials),
         _ => None,
     }
@@ -204,8 +206,9 @@ pub(crate) fn sign_symptoms(record: &RunRecord) -> impl Iterator<Item = (&Scenar
 /// Files of the scenarios that `--fail-fast` did not play.
 pub(crate) fn unplayed_scenarios(record: &RunRecord) -> Vec<&str> {
     let is_unplayed =
-        |scenario: &&ScenarioRecord| record.overrides.fail_fast && record.complete && scenario.trials.is_empty();
-    record.scenarios.iter().filter(is_unplayed).map(|scenario| scenario.file.as_str()).collect()
+        |scenario: &&ScenarioRecord| scenario.trials.is_empty() && scenario.time_limit_s.is_none();
+    let is_complete = record.overrides.fail_fast && record.complete;
+    record.scenarios.iter().filter(|_| is_complete).filter(is_unplayed).map(|scenario| scenario.file.as_str()).collect()
 }
 
 pub(crate) fn run_inconclusive_reason(record: &RunRecord) -> Option<&'static str> {
@@ -323,6 +326,7 @@ mod tests {
             expectations: vec![expectation],
             not_applicable: Vec::new(),
             requirement_texts: std::collections::BTreeMap::new(),
+            time_limit_s: None,
             trials: vec![trial_of(0, 1.0), trial_of(1, 3.0), trial_of(2, 3.0), trial_of(3, 2.0)],
         };
         assert_eq!(trial_to_inspect(&scenario, 0).unwrap().index, 1);

@@ -2,22 +2,48 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 /// All clones share one state.
 #[derive(Debug, Clone, Default)]
-pub struct CancelToken(Arc<AtomicBool>);
+pub struct CancelToken {
+    is_cancelled: Arc<AtomicBool>,
+    deadline: Option<Instant>,
+}
 
 impl CancelToken {
     pub fn never() -> Self {
         Self::default()
     }
 
+    /// A token that shares the state of this one and is also cancelled from `deadline` on.
+    #[must_use]
+    pub fn with_deadline(&self, deadline: Option<Instant>) -> Self {
+        Self { deadline, ..self.clone() }
+    }
+
     /// After this call, the bench takes trials in progress to 0 V and discards them.
     pub fn cancel(&self) {
-        self.0.store(true, Ordering::Relaxed);
+        self.is_cancelled.store(true, Ordering::Relaxed);
     }
 
     pub fn is_cancelled(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
+        self.is_cancelled.load(Ordering::Relaxed) || self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn a_deadline_cancels_its_token_only() {
+        let token = CancelToken::never();
+        let later = token.with_deadline(Some(Instant::now() + Duration::from_hours(1)));
+        assert!(token.with_deadline(Some(Instant::now())).is_cancelled());
+        assert!(!token.is_cancelled() && !later.is_cancelled());
+        token.cancel();
+        assert!(later.is_cancelled());
     }
 }

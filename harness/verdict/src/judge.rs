@@ -45,19 +45,25 @@ pub fn judge_sequentially(scenario: &Scenario, trials: &[TrialMeasures]) -> Sequ
 }
 
 pub fn judge(scenario: &Scenario, trials: &[TrialMeasures]) -> Judgement {
+    judge_at_time_limit(scenario, trials, None)
+}
+
+/// `time_limit_s` is the time limit that ended the trials before the next look, if one did.
+pub fn judge_at_time_limit(scenario: &Scenario, trials: &[TrialMeasures], time_limit_s: Option<f64>) -> Judgement {
     let trials = sorted_by_index(trials);
-    judge_at_deciding_look(scenario, &trials).unwrap_or_else(|next| judge_at_look(scenario, &trials, next))
+    let judged = judge_at_deciding_look(scenario, &trials);
+    judged.unwrap_or_else(|next| judge_at_look(scenario, &trials, next, time_limit_s))
 }
 
 fn judge_at_deciding_look(scenario: &Scenario, trials: &[TrialMeasures]) -> Result<Judgement, Look> {
     let mut planned = plan_looks(scenario.trials.count, scenario.trials.max_count).into_iter().peekable();
     loop {
-        let Some(look) = planned.next() else { return Ok(judge_at_look(scenario, trials, Look::SINGLE)) };
+        let Some(look) = planned.next() else { return Ok(judge_at_look(scenario, trials, Look::SINGLE, None)) };
         let played = trials.partition_point(|trial| trial.index < look.trials);
         if played < look.trials as usize {
             return Err(look);
         }
-        let judgement = judge_at_look(scenario, trials.get(..played).unwrap_or(trials), look);
+        let judgement = judge_at_look(scenario, trials.get(..played).unwrap_or(trials), look, None);
         if planned.peek().is_none() || is_final(&judgement) {
             return Ok(judgement);
         }
@@ -73,9 +79,14 @@ fn is_final(judgement: &Judgement) -> bool {
     judgement.verdict == Verdict::Pass || judgement.expectations.iter().any(is_decided)
 }
 
-fn judge_at_look(scenario: &Scenario, trials: &[TrialMeasures], look: Look) -> Judgement {
+fn judge_at_look(
+    scenario: &Scenario,
+    trials: &[TrialMeasures],
+    look: Look,
+    time_limit_s: Option<f64>,
+) -> Judgement {
     let judge = |(expectation_index, expectation)| {
-        ExpectationJudge { scenario, expectation, expectation_index, trials, look }.judge()
+        ExpectationJudge { scenario, expectation, expectation_index, trials, look, time_limit_s }.judge()
     };
     let expectations: Vec<_> = scenario.expectations.iter().enumerate().map(judge).collect();
     Judgement { verdict: Verdict::combine(expectations.iter().map(|expectation| expectation.verdict)), expectations }
@@ -99,6 +110,7 @@ struct ExpectationJudge<'a> {
     expectation_index: usize,
     trials: &'a [TrialMeasures],
     look: Look,
+    time_limit_s: Option<f64>,
 }
 
 impl ExpectationJudge<'_> {
@@ -181,10 +193,16 @@ impl ExpectationJudge<'_> {
     /// A trial that is missing or does not count turns a pass into inconclusive.
     fn check_excluded_trials(&self, outcome: Outcome) -> Outcome {
         let (played, planned) = (self.trials.len(), self.look.trials as usize);
-        let outcome = if played < planned && (outcome.verdict == Verdict::Pass || played == 0) {
-            outcome.inconclusive(Cause::Evidence, Reason::NotPlayed { played, planned })
-        } else {
-            outcome
+        let lacks_trials = outcome.verdict == Verdict::Pass || played == 0;
+        let needs_trials = lacks_trials || outcome.cause == Some(Cause::Evidence);
+        let outcome = match self.time_limit_s {
+            Some(limit_s) if needs_trials => {
+                outcome.inconclusive(Cause::Evidence, Reason::TimeLimit { limit_s, played, planned })
+            }
+            None if played < planned && lacks_trials => {
+                outcome.inconclusive(Cause::Evidence, Reason::NotPlayed { played, planned })
+            }
+            _ => outcome,
         };
         let excluded = self.trials.iter().find_map(|trial| Some((trial.index, trial.exclusion.clone()?)));
         match excluded {

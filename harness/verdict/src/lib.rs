@@ -16,6 +16,6 @@ pub mod tube;
 pub mod uncertainty;
 
 pub use divergence::divergence_time_s;
-pub use judge::{Judgement, SequentialDecision, judge, judge_sequentially};
+pub use judge::{Judgement, SequentialDecision, judge, judge_at_time_limit, judge_sequentially};
 pub use metrics::Measure;
 pub use trial::{TrialMeasures, measure, trial_record};

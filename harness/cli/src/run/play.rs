@@ -5,7 +5,7 @@ use crate::board::{BoardArgs, release};
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{
     BASELINES, ClockArg, ClockRequest, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, check_line_speed, job_count,
-    law_names, parse_keep_traces, parse_time_scale, rig_help,
+    law_names, parse_keep_traces, parse_time_scale, parse_timeout, rig_help,
 };
 use crate::outputs::{Outputs, RESULTS, ScenarioLocations};
 use crate::prompt::TerminalOperator;
@@ -95,6 +95,9 @@ pub(crate) struct RunArgs {
     /// Start no further trial once a scenario failed; scenarios without all trials are inconclusive
     #[arg(long, help_heading = EXTENT)]
     pub(crate) fail_fast: bool,
+    /// Wall time after which the trials of a scenario end, s; replaces its key `timeout_s`
+    #[arg(long, help_heading = EXTENT, value_name = "SECONDS", value_parser = parse_timeout)]
+    pub(crate) timeout: Option<f64>,
     #[command(flatten)]
     pub(crate) board: BoardArgs,
     /// Model of the plate, instead of the scenario's
@@ -159,6 +162,7 @@ impl RunArgs {
             model: self.model.clone(),
             require_all: self.require_all,
             fail_fast: self.fail_fast,
+            timeout_s: self.timeout,
             keep_traces: self.keep_traces,
             board: self.board.selection.board.clone(),
             shard: self.shard.map(|shard| [shard.number, shard.count]),

@@ -22,8 +22,8 @@ const MAX_CELLS: u64 = 1_000_000;
 const DEFAULT_CONFIDENCE: f64 = 0.95;
 /// Largest number of listed values per key that are checked before the campaign starts.
 const MAX_CHECKED_VALUES: usize = 100;
-const FIXED_KEYS: [&str; 8] =
-    ["title", "source", "tags", "trials", "between", "only_if_named", "expected_exit", "plate"];
+const FIXED_KEYS: [&str; 9] =
+    ["title", "source", "tags", "trials", "between", "only_if_named", "expected_exit", "timeout_s", "plate"];
 
 /// A campaign file.
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
@@ -235,6 +235,7 @@ fn prepare(scenario: &mut Table) {
     scenario.remove("trials");
     scenario.remove("expected_exit");
     scenario.remove("only_if_named");
+    scenario.remove("timeout_s");
     for expectation in scenario.get_mut("expect").and_then(Value::as_array_mut).into_iter().flatten() {
         let metric = expectation.get("metric").and_then(Value::as_str).and_then(Metric::from_name);
         if let (Some(metric), Value::Table(expectation)) = (metric, expectation)

@@ -77,6 +77,7 @@ impl ScenarioBuilder<'_> {
             model: None,
             only_if_named: None,
             expected_exit: None,
+            timeout_s: None,
             controller: self.controller(trial, &mut plates),
             profile: profiles(trial),
             trials: RawTrials { count: scene.count.into(), seed: seed.unwrap_or(default.seed), ..default },

@@ -581,6 +581,7 @@ pub fn scenario(
         model: None,
         only_if_named: None,
         expected_exit: None,
+        timeout_s: None,
         controller: RawController { law: Some(law.name().to_owned()), ..RawController::default() },
         profile: RawProfiles {
             setpoint_um: RawProfile::Number(2.0),

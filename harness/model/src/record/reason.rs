@@ -126,6 +126,12 @@ pub enum Reason {
         played: usize,
         planned: usize,
     },
+    /// The time limit of the scenario ended its trials.
+    TimeLimit {
+        limit_s: f64,
+        played: usize,
+        planned: usize,
+    },
     TooFewTrials {
         counted: usize,
         needed: usize,
@@ -178,6 +184,9 @@ impl fmt::Display for Reason {
             Self::Excluded { trial, exclusion } => write!(formatter, "trial {trial}: {exclusion}"),
             Self::Excused(excuse) => write!(formatter, "{excuse}"),
             Self::NotPlayed { played, planned } => write!(formatter, "{played} of {planned} trials were played"),
+            Self::TimeLimit { limit_s, played, planned } => {
+                write!(formatter, "time limit of {limit_s} s reached: {played} of {planned} trials were played")
+            }
             Self::TooFewTrials { counted: 0, .. } => formatter.write_str("no trial counts"),
             Self::TooFewTrials { counted, needed } => {
                 write!(formatter, "{counted} of the trials count, expected at least {needed}")

@@ -113,6 +113,9 @@ pub struct ScenarioRecord {
     /// Texts by identifier, from `requirements.toml`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub requirement_texts: BTreeMap<String, String>,
+    /// Time limit that ended the scenario before all trials were played, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_limit_s: Option<f64>,
     pub trials: Vec<TrialRecord>,
 }
 
@@ -239,7 +242,7 @@ pub struct Firmware {
     pub chip: String,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Overrides {
     pub law: Option<String>,
     pub trials: Option<u32>,
@@ -253,6 +256,9 @@ pub struct Overrides {
     /// `--fail-fast`: no trial starts after a scenario failed.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub fail_fast: bool,
+    /// `--timeout`: wall time after which the trials of a scenario end, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub timeout_s: Option<f64>,
     #[serde(default, skip_serializing_if = "KeepTraces::keeps_all")]
     pub keep_traces: KeepTraces,
     /// `--board`: name of the board in boards.toml.

@@ -21,6 +21,8 @@ use std::path::PathBuf;
 pub const AUTO_MODEL: &str = "auto";
 /// Largest number of trials of a scenario, in its file and on the command line.
 pub const MAX_TRIALS: u32 = 100_000;
+/// Longest time limit of a scenario, in its file and on the command line: one week.
+pub const MAX_TIMEOUT_S: f64 = 604_800.0;
 const MAX_SPREAD_PERCENT: f64 = 20.0;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -47,6 +49,8 @@ pub struct Scenario {
     /// Reason why the scenario is played only if it or its own folder is named.
     pub only_if_named: Option<String>,
     pub expected_exit: Option<u8>,
+    /// Wall time after which a run ends the trials of the scenario, s.
+    pub timeout_s: Option<f64>,
     pub controller: Controller,
     /// Setpoint of the amplitude, µm.
     pub setpoint: Profile,

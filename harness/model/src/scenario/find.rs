@@ -310,7 +310,7 @@ pub enum FileKind {
 }
 
 /// No other file has these keys, also not `platebench.toml`.
-const SCENARIO_KEYS: [&str; 9] = [
+const SCENARIO_KEYS: [&str; 10] = [
     "profile",
     "expect",
     "controller",
@@ -320,6 +320,7 @@ const SCENARIO_KEYS: [&str; 9] = [
     "trace_step_ms",
     "expected_exit",
     "only_if_named",
+    "timeout_s",
 ];
 
 /// The first entry with a top-level key of the file determines the kind of the file.

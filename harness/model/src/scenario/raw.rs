@@ -1,7 +1,7 @@
 //! Defines the scenario file as serde reads it, before any check.
 
 use crate::metrics::Metric;
-use crate::scenario::definition::{AUTO_MODEL, MAX_TRIALS, ScenarioGains, Spread};
+use crate::scenario::definition::{AUTO_MODEL, MAX_TIMEOUT_S, MAX_TRIALS, ScenarioGains, Spread};
 use crate::scenario::message::{MAX_MESSAGES, ScenarioMessage};
 use crate::scenario::window::ChangingProfile;
 use platebench_plate::RawProfile;
@@ -56,6 +56,9 @@ pub struct RawScenario {
     /// Exit code that a scenario of a known limit must end with.
     #[schemars(extend("enum" = [1, 3, 5]))]
     pub expected_exit: Option<i64>,
+    /// Wall time after which `run` ends the trials of this scenario, s. Default: no limit.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = MAX_TIMEOUT_S))]
+    pub timeout_s: Option<f64>,
     /// The controller and its timing.
     #[serde(default, skip_serializing_if = "is_default")]
     pub controller: RawController,

@@ -148,8 +148,23 @@ fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: b
     if let Some(overrides) = format::overrides(record) {
         write_wrapped(text, "", "  ", &format!("overridden: {overrides}"));
     }
+    write_time_limits(text, record, in_full);
     write_verdict(text, record, style);
     write_list_of_not_passed(text, record, style, in_full);
+}
+
+fn write_time_limits(text: &mut String, record: &RunRecord, in_full: bool) {
+    let ended = record.scenarios.iter().filter(|scenario| scenario.time_limit_s.is_some());
+    let ended: Vec<_> = ended.map(|scenario| scenario.file.as_str()).collect();
+    if ended.is_empty() {
+        return;
+    }
+    let listed = if in_full { ended.len() } else { ended.len().min(MAX_LISTED) };
+    let further = ended.len() - listed;
+    let further = if further > 0 { format!(", and {further} more: -v lists them") } else { String::new() };
+    let files = ended.iter().take(listed).copied().collect::<Vec<_>>().join(", ");
+    let scenarios = format::count(ended.len(), "scenario");
+    write_wrapped(text, "time limit reached: ", "  ", &format!("{scenarios}: {files}{further}"));
 }
 
 /// Reason of the verdict in one line. The verdict may be that of an interrupted run.
@@ -176,6 +191,7 @@ fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
     if record.overrides.require_all || record.scenarios.is_empty() {
         write_not_applicable(text, record, true);
     }
+    write_time_limits(text, record, false);
     write_verdict(text, record, style);
     write_list_of_not_passed(text, record, style, false);
 }

@@ -124,6 +124,7 @@ fn record() -> RunRecord {
             expectations: vec![passed, lost],
             not_applicable: Vec::new(),
             requirement_texts: std::collections::BTreeMap::new(),
+            time_limit_s: None,
             trials: vec![trial],
         }],
         not_applicable: Vec::new(),

@@ -103,6 +103,7 @@ impl Checker<'_> {
             model: model?,
             only_if_named: raw.only_if_named,
             expected_exit: expected_exit?,
+            timeout_s: raw.timeout_s,
             expectations: expected,
             not_applicable: Vec::new(),
             requirement_texts: BTreeMap::new(),
