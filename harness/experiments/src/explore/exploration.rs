@@ -355,7 +355,7 @@ impl<'a> SceneWorker<'a> {
         let messages = ScenarioMessage::count(&sequence);
         let title = format!("Sequence {index} of seed {}", self.config.seed);
         let scenario = self.config.sequence_scenario(&sequence, &title, "").check()?;
-        if messages > limits.longest {
+        if SequenceLimits::cost(&sequence) > limits.longest {
             return Ok(Some(PlayedSequence { index, scenario, messages, result: None }));
         }
         let result = self.player.play(&scenario)?;

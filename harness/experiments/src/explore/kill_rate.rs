@@ -1,4 +1,5 @@
 //! Measures the exploration itself: which mutants it finds, and how many false alarms it raises.
+//! Scenes and sequences of messages are played as in an exploration.
 
 use crate::explore::envelope::Envelope;
 use crate::explore::exploration::{Exploration, ExplorationBudget, ExploreConfig, explore};
@@ -6,11 +7,12 @@ use crate::explore::limits::LawProperties;
 use crate::explore::player::ExploreError;
 use crate::explore::properties::Property;
 use crate::explore::report::format_value;
+use crate::explore::sequence::SequenceLimits;
 use crate::trust::report::{MutantOutcome, Rate, TrustReport, format_rate};
 use crate::trust::{CleanVariant, MutantSpec};
 use platebench_engine::SafeEnds;
 use platebench_report::document::Block;
-use platebench_rig::{BoxedLink, CancelToken, HostedLink};
+use platebench_rig::{BoxedLink, CancelToken, HostedLink, Session};
 use platebench_wire::LawId;
 use serde::Serialize;
 
@@ -42,8 +44,8 @@ pub struct KillRateReport {
 #[derive(Debug, Clone, Serialize)]
 pub struct MutantSearch {
     pub name: &'static str,
-    /// The first scene that fails. `None` if the mutant survived.
-    pub found: Option<FoundScene>,
+    /// The first scene or sequence that fails. `None` if the mutant survived.
+    pub found: Option<FoundBy>,
 }
 
 #[derive(Debug, Clone, Serialize)]
@@ -55,8 +57,12 @@ pub struct ProtocolFaultSearch {
 }
 
 #[derive(Debug, Clone, Copy, Serialize)]
-pub struct FoundScene {
-    pub scene: u64,
+pub struct FoundBy {
+    /// Either the scene or the sequence is present.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sequence: Option<u64>,
     pub property: Property,
 }
 
@@ -65,10 +71,20 @@ pub struct SceneAlarm {
     /// `reference` or the name of a clean variant.
     pub controller: &'static str,
     pub law: &'static str,
-    pub scene: u64,
+    #[serde(flatten)]
+    pub place: AlarmPlace,
     pub property: Property,
     pub value: Option<f64>,
     pub limit: Option<f64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, strum::Display)]
+#[serde(rename_all = "snake_case")]
+pub enum AlarmPlace {
+    #[strum(to_string = "scene {0}")]
+    Scene(u64),
+    #[strum(to_string = "sequence {0}")]
+    Sequence(u64),
 }
 
 /// Explores mutants and clean variants with `dq-pi`, and the firmware with every explored law.
@@ -92,16 +108,26 @@ pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRa
         for (controller, variant) in firmware.into_iter().chain(variants) {
             let link = || variant.map_or_else(|| -> BoxedLink { Box::new(HostedLink::new()) }, CleanVariant::link);
             let result = config.explore(law, u64::MAX, &link, false, cancel)?;
-            scenes += result.scenes as usize;
-            failed += result.failed.len();
+            scenes += (result.scenes + result.sequences.played) as usize;
+            failed += result.failed.len() + result.failed_sequences.len();
             alarms.extend(result.failed.iter().flat_map(|scene| {
                 scene.failures.iter().map(move |failure| SceneAlarm {
                     controller,
                     law: law.name(),
-                    scene: scene.index,
+                    place: AlarmPlace::Scene(scene.index),
                     property: failure.property,
                     value: failure.value,
                     limit: failure.limit,
+                })
+            }));
+            alarms.extend(result.failed_sequences.iter().flat_map(|sequence| {
+                sequence.properties.iter().map(move |property| SceneAlarm {
+                    controller,
+                    law: law.name(),
+                    place: AlarmPlace::Sequence(sequence.index),
+                    property: *property,
+                    value: None,
+                    limit: None,
                 })
             }));
         }
@@ -123,9 +149,15 @@ pub fn kill_rate(config: &KillRateConfig, cancel: &CancelToken) -> Result<KillRa
     })
 }
 
-fn first_failure(result: &Exploration) -> Option<FoundScene> {
-    let failed = result.failed.first()?;
-    Some(FoundScene { scene: failed.index, property: failed.failures.first()?.property })
+fn first_failure(result: &Exploration) -> Option<FoundBy> {
+    let scene = result.failed.first().and_then(|failed| {
+        let property = failed.failures.first()?.property;
+        Some(FoundBy { scene: Some(failed.index), sequence: None, property })
+    });
+    scene.or_else(|| {
+        let failed = result.failed_sequences.first()?;
+        Some(FoundBy { scene: None, sequence: Some(failed.index), property: *failed.properties.first()? })
+    })
 }
 
 impl KillRateReport {
@@ -137,9 +169,13 @@ impl KillRateReport {
         let survivors: Vec<_> =
             self.mutants.iter().filter(|mutant| mutant.found.is_none()).map(|mutant| mutant.name).collect();
         let mut lines = vec![
-            format!("mutants that exploration finds in {} scenes: {}", self.scenes, format_rate(self.kill_rate)),
+            format!(
+                "mutants that exploration finds in {} scenes and their sequences: {}",
+                self.scenes,
+                format_rate(self.kill_rate)
+            ),
             format!("mutants that scenarios or exploration find: {}", format_rate(Rate::new(both, self.mutants.len()))),
-            format!("scenes with a false alarm: {}", format_rate(self.false_alarm_rate)),
+            format!("scenes and sequences with a false alarm: {}", format_rate(self.false_alarm_rate)),
         ];
         lines.extend([
             format!("protocol faults that exploration finds: {}", format_rate(self.protocol_faults.kill_rate)),
@@ -149,9 +185,9 @@ impl KillRateReport {
             lines.insert(1, format!("mutants that survive exploration: {}", survivors.join(", ")));
         }
         lines.extend(self.alarms.iter().map(|alarm| {
-            let SceneAlarm { controller, law, scene, property, value, limit } = alarm;
+            let SceneAlarm { controller, law, place, property, value, limit } = alarm;
             let [value, limit] = [value, limit].map(|value| format_value(*value, 4));
-            format!("false alarm: {controller}, {law}, scene {scene}: {property} {value}, limit {limit}")
+            format!("false alarm: {controller}, {law}, {place}: {property} {value}, limit {limit}")
         }));
         Block::lines(lines)
     }
@@ -167,6 +203,8 @@ impl KillRateConfig {
         compares_reference: bool,
         cancel: &CancelToken,
     ) -> Result<Exploration, ExploreError> {
+        // Mutants announce what the hosted controller announces.
+        let identity = *Session::open(HostedLink::new())?.identity();
         let config = ExploreConfig {
             envelope: self.envelope.clone(),
             seed: self.seed,
@@ -178,7 +216,7 @@ impl KillRateConfig {
             own_clock: false,
             compares_reference,
             regressions: Vec::new(),
-            sequences: None,
+            sequences: Some(SequenceLimits::new(&identity, false, true, u64::MAX)),
         };
         let exploration = explore(&config, &|| Ok(link()), cancel, &SafeEnds::default(), &mut |_, _| {})?;
         if exploration.is_interrupted { Err(ExploreError::Cancelled) } else { Ok(exploration) }

@@ -93,7 +93,18 @@ impl<'a> Player<'a> {
         let mut trials = Vec::with_capacity(scenario.trials.count as usize);
         let mut differences = Vec::new();
         for index in 0..scenario.trials.count {
-            let Some(played) = self.executor.play(scenario, law, index, None)? else { return Ok(None) };
+            let played = match self.executor.play(scenario, law, index, None) {
+                Err(RunError::Rig(RigError::ConfigurationRejected(rejection))) if !scenario.messages.is_empty() => {
+                    // Every trial after messages has the same configuration, which is usable.
+                    self.renew();
+                    let name =
+                        format!("the configuration after the messages was rejected ({rejection:?}), expected ok");
+                    let failure = SceneFailure { property: Property::Answers, name, value: None, limit: Some(0.0) };
+                    return Ok(Some(SceneResult { failures: vec![failure], ..SceneResult::default() }));
+                }
+                played => played?,
+            };
+            let Some(played) = played else { return Ok(None) };
             trials.push(measure(scenario, index, &played.trace_rows, &played.telemetry));
             differences.extend(played.telemetry.protocol_differences.into_iter().flatten());
             if played.link_error.is_some() {

@@ -29,7 +29,7 @@ pub struct SceneScenario {
 }
 
 impl SceneScenario {
-    pub(crate) fn check(self) -> Result<Scenario, ExploreError> {
+    pub fn check(self) -> Result<Scenario, ExploreError> {
         check_raw(self.scenario, "scene.toml", &self.plates).map_err(|fault| ExploreError::Generated(Box::new(fault)))
     }
 

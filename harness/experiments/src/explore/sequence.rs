@@ -29,18 +29,44 @@ const TIMED_OUT: u64 = 3;
 /// Number of blocks with silences of a sequence in wall time.
 const WATCHDOG_BLOCKS: u32 = 3;
 /// A sequence of this many has a long run.
-const LONG_RUN_EVERY: u64 = 12;
+const LONG_RUN_EVERY: u64 = 7;
+const LONG_RUN_KINDS: u64 = 5;
 /// Numbers of repetitions around which counters of a controller overflow.
-const LONG_RUNS: [u32; 4] = [1 << 16, 100_000, 1 << 17, 40_000];
-const MANY_CONFIGURATIONS: u32 = 1_000;
+const LONG_RUNS: [u32; 4] = [1 << 17, 40_000, 100_000, 1 << 16];
+/// More configurations than 9 or 16 bits count.
+const MANY_CONFIGURATIONS: [u32; 2] = [1_000, 66_000];
+/// More rounds of four setpoints than 12 or 16 bits count.
+const MANY_SETPOINTS: [u32; 2] = [1_100, 17_000];
 /// More rejected frames than eight bits count.
 const MANY_REJECTED: u32 = 300;
 /// Watchdog timeout of trials that do not test it, ms; shorter ones only in simulated time.
 const LONG_TIMEOUTS_MS: [u16; 7] = [1_000, 1_023, 1_024, 32_767, 32_768, 40_000, 65_535];
 const SHORT_TIMEOUTS_MS: [u16; 6] = [50, 100, 254, 255, 256, 257];
+/// Timeouts whose microseconds, or cycles of a clock of some 100 MHz, need 32 bits, ms.
+const WATCHED_TIMEOUTS_MS: [u16; 6] = [1_000, 16_384, 25_570, 32_767, 32_768, 65_535];
+/// Periods of which five need more than 32 bits, µs. One is the longest.
+const LONG_PERIODS_US: [u32; 3] = [860_000_000, 1_000_000_000, u32::MAX];
+/// Distances of the end of a silence from the timeout, ms; near ones only on a rig with exact time.
+const NEAR_MS: [f64; 2] = [-6.0, 6.0];
+const NEAREST_MS: [f64; 7] = [0.0, -6.0, -0.1, 0.0, 0.1, 1.0, 6.0];
+/// Instants at which a clock in ms, in cycles of 168 MHz, or in µs wraps, ms.
+const CLOCK_WRAPS_MS: [u32; 5] = [4_294_967, 65_536, 2_147_483, 134_217, 25_565];
+/// The clock runs are this time before the wrap, ms.
+const BEFORE_WRAP_MS: u32 = 20_000;
+/// Longest wait of one message, ms.
+const LONGEST_WAIT_MS: u32 = 65_000;
+/// Step of a slow ramp of the setpoint, µm. The setpoint moves by less than the sensor resolves.
+const RAMP_STEPS_UM: [f32; 4] = [9e-5, 3e-5, 5e-4, 5e-5];
+/// A silence of this time, ms, costs as much as one message where time is simulated.
+const SILENCE_PER_MESSAGE_MS: f64 = 100.0;
 /// Timeouts of the watchdog's own blocks in wall time, ms. They are long, because a busy host is
 /// late, and need more than eight bits in part.
 const WALL_TIMEOUTS_MS: [u16; 4] = [180, 220, 260, 300];
+/// Ends of the range, and numbers that `f32` cannot hold.
+const START_FREQUENCIES_MHZ: [u32; 6] = [1, u32::MAX, 1 << 24, (1 << 25) + 2, (1 << 26) + 4, 0xaaaa_aaab];
+/// A usable configuration except for a loop delay of 0 with bit 2.
+const ZERO_DELAY: &str = "135a0104 0000e803 000090f9 ec017cb8 e43b556a f63a0000 00000000 61440000 7a430000 \
+                          c8420000 00000000 00000000 00000000 00000000 0000";
 /// Lengths of garbage, around the longest frame of 70 bytes.
 const GARBAGE_BYTES: [usize; 6] = [1, 24, 69, 70, 71, 200];
 
@@ -50,20 +76,41 @@ pub struct SequenceLimits {
     /// Largest number of messages of a sequence, from the speed of the rig.
     pub longest: u64,
     pub own_clock: bool,
+    /// True if a message arrives exactly at its simulated time.
+    pub exact_time: bool,
     pub has_loop_delay: bool,
     pub has_own_plate: bool,
     pub laws: Vec<LawId>,
 }
 
 impl SequenceLimits {
-    pub fn new(identity: &Identity, own_clock: bool, longest: u64) -> Self {
+    /// `exact_time` as in the field.
+    pub fn new(identity: &Identity, own_clock: bool, exact_time: bool, longest: u64) -> Self {
         Self {
             longest,
             own_clock,
+            exact_time,
             has_loop_delay: identity.has_capability(capabilities::LOOP_DELAY),
             has_own_plate: identity.has_capability(capabilities::OWN_PLATE),
             laws: LawId::ALL.into_iter().filter(|law| identity.has_law(*law)).collect(),
         }
+    }
+
+    /// Cost of a sequence in messages, repetitions and silences included.
+    pub fn cost(messages: &[ScenarioMessage]) -> u64 {
+        let single = |message: &ScenarioMessage| match message {
+            ScenarioMessage::Wait { ms } => 1 + (ms / SILENCE_PER_MESSAGE_MS) as u64,
+            ScenarioMessage::Again { .. } => 0,
+            _ => 1,
+        };
+        let cost = |(at, message): (usize, &ScenarioMessage)| match message {
+            ScenarioMessage::Again { messages: count, times } => {
+                let repeated = messages.get(at.saturating_sub(*count as usize)..at).unwrap_or_default();
+                repeated.iter().map(single).sum::<u64>() * u64::from(*times)
+            }
+            message => single(message),
+        };
+        messages.iter().enumerate().map(cost).sum()
     }
 
     /// Sequence `index` of an exploration with this seed.
@@ -88,10 +135,11 @@ enum Block {
     Watchdog,
     NotFinite,
     Numbers,
+    Ramp,
     Stop,
 }
 
-const ALL_BLOCKS: [Block; 8] = [
+const ALL_BLOCKS: [Block; 9] = [
     Block::Boundary,
     Block::Unusable,
     Block::Rejected,
@@ -99,6 +147,7 @@ const ALL_BLOCKS: [Block; 8] = [
     Block::Watchdog,
     Block::NotFinite,
     Block::Numbers,
+    Block::Ramp,
     Block::Stop,
 ];
 
@@ -205,7 +254,10 @@ impl Draw<'_> {
             3 => self.unusable(),
             4 => self.sample(),
             5 => {
-                self.samples(1);
+                // A configuration forgets the number of the last sample, a stop does not.
+                if self.one_in(2) {
+                    self.samples(1);
+                }
                 ScenarioMessage::Repeat {}
             }
             6 => self.not_finite(),
@@ -225,12 +277,8 @@ impl Draw<'_> {
 
     fn long_run(&mut self, number: u64) {
         let again = |messages, times| ScenarioMessage::Again { messages, times };
-        match number % 3 {
-            2 => {
-                let times = LONG_RUNS.get((number / 3 % 4) as usize).copied().unwrap_or(MANY_CONFIGURATIONS);
-                self.messages.push(again(1, times));
-                self.samples(4);
-            }
+        let round = number / LONG_RUN_KINDS;
+        match number % LONG_RUN_KINDS {
             0 => {
                 let rejected = self.rejected();
                 self.messages.push(rejected);
@@ -239,12 +287,70 @@ impl Draw<'_> {
                 self.messages.extend(vec![ScenarioMessage::Damaged { byte: 5 }; 5]);
                 self.samples(2);
             }
-            _ => {
+            1 => {
                 self.messages.truncate(3);
-                self.messages.push(again(3, MANY_CONFIGURATIONS));
+                self.messages.push(again(3, in_turn(&MANY_CONFIGURATIONS, round)));
+                self.samples(2);
+            }
+            2 => {
+                self.messages.push(again(1, in_turn(&LONG_RUNS, round)));
+                self.samples(4);
+            }
+            3 if !self.limits.own_clock => self.clock_wrap(in_turn(&CLOCK_WRAPS_MS, round)),
+            _ => {
+                self.steady_gains();
+                // The mean error is 0, so that the drive stays between its limits.
+                let setpoints = [1.0, 1.5, 0.75, 1.75];
+                let samples = setpoints.map(|setpoint| ScenarioMessage::sample(setpoint, 1.25, 0.0));
+                self.messages.extend(samples);
+                self.messages.push(again(4, in_turn(&MANY_SETPOINTS, round)));
+                self.samples(2);
             }
         }
         self.messages.extend(self.trial.iter().cloned());
+    }
+
+    /// A configuration with gains, and a law that does not adapt them if there is one.
+    fn steady_gains(&mut self) {
+        let is_fixed = self.limits.laws.contains(&LawId::DqPiFixed);
+        let law = is_fixed.then_some(LawId::DqPiFixed as u8);
+        let gains = Some([275.0, 110_000.0, 900.0, 400_000.0].map(number));
+        self.messages.push(configure(ConfigurationChange { law, gains, ..NONE }));
+    }
+
+    /// A setpoint that moves by less than a resolution per sample. Wd stays, so that the drive follows
+    /// the sum of the moves.
+    fn ramp(&mut self) {
+        self.steady_gains();
+        let (start, step) = (self.pick(&[2.0, 0.5, 1.0], 2.0), self.pick(&RAMP_STEPS_UM, 5e-5));
+        for number in 0..self.range(40..=70) {
+            let moved = (f64::from(step) * f64::from(number) * 1e6).round() * 1e-6;
+            self.messages.push(ScenarioMessage::sample((f64::from(start) + moved) as f32, start, 0.0));
+        }
+    }
+
+    /// Waits without a sample.
+    fn wait(&mut self, ms: u32) {
+        let whole = ms / LONGEST_WAIT_MS;
+        if whole > 0 {
+            self.messages.push(ScenarioMessage::Wait { ms: LONGEST_WAIT_MS.into() });
+        }
+        if whole > 1 {
+            self.messages.push(ScenarioMessage::Again { messages: 1, times: whole - 1 });
+        }
+        self.messages.push(ScenarioMessage::Wait { ms: (ms % LONGEST_WAIT_MS).into() });
+    }
+
+    /// Samples before and after the instant at which a clock wraps, with silences shorter than the
+    /// timeout.
+    fn clock_wrap(&mut self, at_ms: u32) {
+        self.messages.push(configure(ConfigurationChange { watchdog_timeout_ms: Some(u16::MAX), ..NONE }));
+        self.wait(at_ms - BEFORE_WRAP_MS);
+        self.samples(2);
+        for ms in [5_000.0, 10_000.0, 10_000.0] {
+            self.messages.push(ScenarioMessage::Wait { ms });
+            self.samples(2);
+        }
     }
 
     fn add(&mut self, block: Block) {
@@ -293,6 +399,7 @@ impl Draw<'_> {
                 self.samples(2);
             }
             Block::Numbers => self.numbers(),
+            Block::Ramp => self.ramp(),
             Block::Stop => self.stop(),
         }
     }
@@ -364,6 +471,10 @@ impl Draw<'_> {
             }
             _ => self.messages.extend([ScenarioMessage::Safe {}, ScenarioMessage::Safe {}]),
         }
+        // The sample from before the stop.
+        if self.one_in(2) {
+            self.messages.push(ScenarioMessage::Repeat {});
+        }
         for _ in 0..self.range(0..=2) {
             let sample = self.sample();
             self.messages.push(sample);
@@ -379,9 +490,17 @@ impl Draw<'_> {
     /// Silences shorter and longer than the timeout, with messages that do not restart it.
     fn watchdog(&mut self) {
         let own_clock = self.limits.own_clock;
-        let timeouts = if own_clock { &WALL_TIMEOUTS_MS[..] } else { &SHORT_TIMEOUTS_MS };
+        let timeouts = match own_clock {
+            true => &WALL_TIMEOUTS_MS[..],
+            false if self.one_in(2) => &WATCHED_TIMEOUTS_MS,
+            false => &SHORT_TIMEOUTS_MS,
+        };
         let timeout = self.pick(timeouts, 200);
         let is_default = self.one_in(4);
+        if is_default && !own_clock && self.one_in(2) {
+            self.long_period();
+            return;
+        }
         let (watchdog_timeout_ms, period_us) =
             if is_default { (0, u32::from(timeout) * 200) } else { (timeout, 1_000) };
         self.messages.push(configure(ConfigurationChange {
@@ -393,25 +512,28 @@ impl Draw<'_> {
         let before = self.range(0..=2);
         if before == 0 {
             // The watchdog starts with the first sample.
-            let ms = f64::from(timeout) * 1.5;
-            self.messages.push(ScenarioMessage::Wait { ms });
+            self.wait(u32::from(timeout) * 3 / 2);
         }
         let samples = self.pick(&[1, 1, 2, 3], 1);
         self.samples(samples);
         let timeout = f64::from(timeout);
-        let shares: &[f64] = match self.below(4) {
-            0 => &[0.4],
-            1 => &[0.55, 0.6],
-            2 => &[0.4, 1.7],
+        let shares: &[f64] = match self.below(6) {
+            0 | 1 => &[0.4],
+            2 | 3 => &[0.55, 0.6],
+            4 => &[0.4, 1.7],
             _ => &[1.7],
         };
         let between = self.below(5);
         for (number, share) in shares.iter().enumerate() {
             // In simulated time a silence may end next to the timeout.
-            let near = if *share < 1.0 { timeout - 6.0 } else { timeout + 6.0 };
+            let near = timeout + self.pick(if self.limits.exact_time { &NEAREST_MS[..] } else { &NEAR_MS }, 6.0);
             let is_near = !own_clock && shares.len() == 1 && self.one_in(2);
             let ms = if is_near { near } else { share * timeout };
-            self.messages.push(ScenarioMessage::Wait { ms: (ms * 10.0).round() / 10.0 });
+            let whole = (ms - ms.rem_euclid(1e3)) as u32;
+            if whole > 0 {
+                self.wait(whole);
+            }
+            self.messages.push(ScenarioMessage::Wait { ms: ((ms - f64::from(whole)) * 10.0).round() / 10.0 });
             if number + 1 < shares.len() {
                 let message = match between {
                     0 => ScenarioMessage::Damaged { byte: 5 },
@@ -423,6 +545,27 @@ impl Draw<'_> {
                 self.messages.push(message);
             }
         }
+        // The timeout decides the cause, not the values.
+        if self.one_in(2) {
+            let sample = self.not_finite();
+            self.messages.push(sample);
+        }
+        self.samples(2);
+    }
+
+    /// Silences much shorter than the default timeout of a period of many minutes.
+    fn long_period(&mut self) {
+        let period_us = self.pick(&LONG_PERIODS_US, u32::MAX);
+        let gains = Some([275.0, 110_000.0, 900.0, 400_000.0].map(number));
+        self.messages.push(configure(ConfigurationChange {
+            watchdog_timeout_ms: Some(0),
+            period_us: Some(period_us),
+            gains,
+            ..NONE
+        }));
+        self.samples(2);
+        let ms = self.pick(&[1_000, 100_000, 600_000], 1_000);
+        self.wait(ms);
         self.samples(2);
     }
 
@@ -435,7 +578,7 @@ impl Draw<'_> {
             0 => change.watchdog_timeout_ms = Some(timeout),
             1 => change.period_us = Some(self.pick(&[255, 256, 300, 4_000, 16_383, 20_000], 300)),
             2 => {
-                change.start_frequency_mhz = Some(self.pick(&[1, u32::MAX, 1 << 24, (1 << 24) + 1], 1));
+                change.start_frequency_mhz = Some(self.pick(&START_FREQUENCIES_MHZ, 1));
                 has_samples = false;
             }
             3 => change.drive_limit_vpp = Some(number(self.pick(&[0.125, 1.0, 6_553.5, 65_536.25, 1e6], 1.0))),
@@ -498,7 +641,7 @@ impl Draw<'_> {
     /// A frame that the controller rejects.
     fn rejected(&mut self) -> ScenarioMessage {
         let zeros = |first: &str, count: usize| ScenarioMessage::Body { hex: format!("{first}{}", "00".repeat(count)) };
-        match self.below(9) {
+        match self.below(10) {
             0 => ScenarioMessage::Bytes { hex: format!("{}00", "07".repeat(self.pick(&GARBAGE_BYTES, 24))) },
             1 => zeros(self.pick(&["055a", "255a", "f55a"], "255a"), 16),
             2 => zeros(self.pick(&["105a", "1c5a", "1f5a"], "1c5a"), self.below(18)),
@@ -507,6 +650,7 @@ impl Draw<'_> {
             5 => zeros("115a", self.pick(&[1, 16], 1)),
             // A law that the page does not list, and an unknown bit.
             6 => zeros(self.pick(&["135a09", "135a0010", "135a0080"], "135a09"), 51 - self.below(2)),
+            7 => ScenarioMessage::Body { hex: ZERO_DELAY.to_owned() },
             _ => ScenarioMessage::Damaged { byte: self.range(0..=22) as u8 },
         }
     }
@@ -522,6 +666,10 @@ impl Draw<'_> {
         let hex = self.pick(all.get(..count).unwrap_or_default(), command).to_owned();
         ScenarioMessage::Body { hex }
     }
+}
+
+fn in_turn(all: &[u32], number: u64) -> u32 {
+    all.get((number % all.len().max(1) as u64) as usize).copied().unwrap_or(1)
 }
 
 fn number(value: f32) -> WireNumber {

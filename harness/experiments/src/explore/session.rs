@@ -148,6 +148,7 @@ impl ExploreSession {
             sequences: Some(SequenceLimits::new(
                 identity,
                 self.rig.has_own_clock(),
+                self.rig.name() == RigSpec::hosted().name(),
                 LONGEST_SEQUENCE.div_duration_f64(exchange_time.max(FASTEST_EXCHANGE)) as u64,
             )),
             regressions: self.regressions.iter().filter(|scenario| announced(scenario)).cloned().collect(),

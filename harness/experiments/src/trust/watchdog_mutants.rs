@@ -23,6 +23,7 @@ pub(crate) enum WatchdogFault {
 /// Replaces the watchdog of the controller, whose own timeout becomes the longest one.
 pub(crate) struct OwnWatchdog {
     fault: WatchdogFault,
+    is_replaced: bool,
     timeout_us: u64,
     clock_us: u64,
     /// When the watchdog was last fed; `None` if it does not run.
@@ -39,11 +40,11 @@ impl OwnWatchdog {
 
     pub(crate) fn with(fault: WatchdogFault) -> Box<dyn Mutant> {
         let (timeout_us, clock_us, fed_us, last_sample, samples, stop_us) = (0, 0, None, None, 0, None);
-        Box::new(Self { fault, timeout_us, clock_us, fed_us, last_sample, samples, stop_us })
+        Box::new(Self { fault, is_replaced: false, timeout_us, clock_us, fed_us, last_sample, samples, stop_us })
     }
 
     fn is_expired(&self) -> bool {
-        let Some(fed_us) = self.fed_us else { return false };
+        let Some(fed_us) = self.fed_us.filter(|_| self.is_replaced) else { return false };
         match self.fault {
             WatchdogFault::DeadlineWithoutWrap => self.clock_us as u32 >= (fed_us + self.timeout_us) as u32,
             WatchdogFault::FromSecondSample => self.samples > 1 && self.clock_us >= fed_us + self.timeout_us,
@@ -95,7 +96,11 @@ impl Mutant for OwnWatchdog {
                 0 => u64::from(configure.period_us.saturating_mul(5)),
                 timeout_ms => u64::from(timeout_ms) * 1_000,
             };
-            configure.watchdog_timeout_ms = Self::LONGEST_MS;
+            // A longer default timeout stays that of the controller.
+            self.is_replaced = self.timeout_us <= u64::from(Self::LONGEST_MS) * 1_000;
+            if self.is_replaced {
+                configure.watchdog_timeout_ms = Self::LONGEST_MS;
+            }
             (self.fed_us, self.last_sample, self.samples, self.stop_us) = (None, None, 0, None);
         }
     }

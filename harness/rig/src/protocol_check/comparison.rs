@@ -4,6 +4,7 @@
 use crate::compared_link::command_difference;
 use platebench_wire::{
     Command, Configure, ControllerState, Gains, Identity, LawId, Message, Packet, PacketReader, Sample, StateCause,
+    flags,
 };
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -222,6 +223,9 @@ impl<'a> Comparison<'a> {
             if matches!(answer.message, Message::Configured(configured) if configured.outcome.is_ok()) {
                 (self.running, self.last_command) = (None, None);
             }
+            if let Message::Command(command) = &answer.message {
+                self.check_flags(command)?;
+            }
             if let (Message::Command(answer), Message::Command(expected)) = (&answer.message, &expected.message)
                 && expected.state == ControllerState::Running
             {
@@ -245,6 +249,30 @@ impl<'a> Comparison<'a> {
         {
             self.has_other_design = !are_close(answer, expected, SAME_DESIGN);
         }
+    }
+
+    /// Checks the rules for the flags that hold for every law.
+    fn check_flags(&self, answer: &Command) -> Result<(), CommandDifference> {
+        let Command { drive_vpp, flags: set, state, .. } = *answer;
+        if state != ControllerState::Running {
+            let text = format!("flags {set} in the state {state:?}, expected 0 without a control step");
+            return if set == 0 { Ok(()) } else { differs(text) };
+        }
+        let limit_vpp = self.configuration.map_or(f32::INFINITY, |configuration| configuration.drive_limit_vpp);
+        let is_saturated = set & flags::SATURATED != 0;
+        if drive_vpp == limit_vpp && !is_saturated {
+            return differs(format!("flags {set} at the drive limit of {limit_vpp} Vpp, expected flag 1"));
+        }
+        if is_saturated && drive_vpp < limit_vpp * (1.0 - SAME_GAINS_TOLERANCE as f32) {
+            return differs(format!(
+                "flag 1 at {drive_vpp} Vpp, expected it at the drive limit of {limit_vpp} Vpp only"
+            ));
+        }
+        let both = flags::FREQUENCY_LIMITED | flags::FREQUENCY_HELD;
+        if set & both == both {
+            return differs(format!("flags {set}, expected 2 or 4 but not both"));
+        }
+        Ok(())
     }
 
     /// Checks the rules for a *running* command that hold for every law.

@@ -2,7 +2,7 @@
 //! answers of the hosted reference.
 
 use super::script::Variation;
-use super::{STEP, message_script, script_base};
+use super::{message_script, script_base, silence_step};
 use crate::link::{Link, LinkError};
 use crate::rigs::hosted::HostedLink;
 use platebench_model::scenario::ScenarioMessage;
@@ -173,8 +173,9 @@ impl<'a> Observer<'a> {
 
     fn advance(&mut self, mut rest: Duration) -> Result<(), LinkError> {
         let mut received = Vec::new();
+        let longest_step = silence_step(rest);
         while !rest.is_zero() {
-            let step = rest.min(STEP);
+            let step = rest.min(longest_step);
             rest -= step;
             self.now += step;
             self.reference.advance_to(self.now, &mut received)?;

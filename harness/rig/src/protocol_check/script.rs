@@ -146,6 +146,9 @@ pub(super) struct Script {
     /// False if rounding and the design of the gains decide nothing, so that the variations are not
     /// played.
     pub(super) is_varied: bool,
+    /// True if the message after a silence arrives before the controller has noticed the end of the
+    /// silence.
+    pub(super) ends_silences: bool,
     pub(super) steps: Vec<Step>,
 }
 
@@ -175,7 +178,8 @@ impl Variation {
 
 impl Script {
     pub(super) fn new(name: impl Into<Cow<'static, str>>, steps: impl IntoIterator<Item = Step>) -> Self {
-        Self { name: name.into(), stall: STALL, is_varied: true, steps: steps.into_iter().collect() }
+        let steps = steps.into_iter().collect();
+        Self { name: name.into(), stall: STALL, is_varied: true, ends_silences: false, steps }
     }
 
     /// Number of steps, repetitions included.
