@@ -20,8 +20,8 @@ pub mod record {
         SignSymptom, Statistic, TrialFinding, TrialReason, WideBoundsCause, WorstInstant, percent,
     };
     pub use run_folder::{
-        FileLock, FolderError, RECORD_FILE, RecordError, RunFolder, RunSummary, ScenarioSummary, newest_run, sha256,
-        sha256_of_file, to_hex, trace_path, utc_timestamp,
+        CAMPAIGN_PLAN_FILE, FileLock, FolderError, RECORD_FILE, RecordError, RunFolder, RunSummary, ScenarioSummary,
+        newest_run, sha256, sha256_of_file, to_hex, trace_path, utc_timestamp,
     };
     pub use run_record::{
         BoardDifference, ClockKind, Event, FORMAT, FinishedScenario, Firmware, Host, InputRecord, KeepTraces,
@@ -55,7 +55,8 @@ pub mod scenario {
 
     pub use crate::metrics::Metric;
     pub use definition::{
-        AUTO_MODEL, Controller, InputFile, MAX_TIMEOUT_S, MAX_TRIALS, Scenario, ScenarioGains, Spread, Trials, Variation,
+        AUTO_MODEL, Controller, InputFile, MAX_TIMEOUT_S, MAX_TRIALS, Scenario, ScenarioGains, Spread, Trials,
+        Variation,
     };
     pub use diagnostic::{Diagnostic, suggestion};
     pub use expect::{Aggregation, Expectation, Limit};

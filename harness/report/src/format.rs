@@ -132,7 +132,7 @@ pub(crate) fn sign_symptom(scenario: &ScenarioRecord, trial: u32, symptom: SignS
     let passed = scenario.expectations.iter().filter(|found| found.verdict == Verdict::Pass).count();
     let doubt = match symptom {
         SignSymptom::NoDrive if passed > 0 => {
-            format!(" The plate was at rest, so {} show nothing.", count(passed, "passed expectation"))
+            format!(" The plate was at rest, so this proves nothing: {}.", count(passed, "passed expectation"))
         }
         SignSymptom::NoDrive | SignSymptom::FrequencyAtLimit => String::new(),
     };

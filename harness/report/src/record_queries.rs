@@ -205,8 +205,7 @@ pub(crate) fn sign_symptoms(record: &RunRecord) -> impl Iterator<Item = (&Scenar
 
 /// Files of the scenarios that `--fail-fast` did not play.
 pub(crate) fn unplayed_scenarios(record: &RunRecord) -> Vec<&str> {
-    let is_unplayed =
-        |scenario: &&ScenarioRecord| scenario.trials.is_empty() && scenario.time_limit_s.is_none();
+    let is_unplayed = |scenario: &&ScenarioRecord| scenario.trials.is_empty() && scenario.time_limit_s.is_none();
     let is_complete = record.overrides.fail_fast && record.complete;
     record.scenarios.iter().filter(|_| is_complete).filter(is_unplayed).map(|scenario| scenario.file.as_str()).collect()
 }

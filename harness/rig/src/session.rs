@@ -28,7 +28,7 @@ pub enum RigError {
     WrongSequence,
     #[error("the controller refused its configuration: {}", match .0 {
         Rejection::Value => "a value is outside the range that the controller accepts",
-        Rejection::Law => "it does not have this law",
+        Rejection::Law => "it does not have this law; one with a law of its own must accept the numbers 0 to 8",
     })]
     ConfigurationRejected(Rejection),
     #[error(

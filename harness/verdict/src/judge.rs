@@ -79,12 +79,7 @@ fn is_final(judgement: &Judgement) -> bool {
     judgement.verdict == Verdict::Pass || judgement.expectations.iter().any(is_decided)
 }
 
-fn judge_at_look(
-    scenario: &Scenario,
-    trials: &[TrialMeasures],
-    look: Look,
-    time_limit_s: Option<f64>,
-) -> Judgement {
+fn judge_at_look(scenario: &Scenario, trials: &[TrialMeasures], look: Look, time_limit_s: Option<f64>) -> Judgement {
     let judge = |(expectation_index, expectation)| {
         ExpectationJudge { scenario, expectation, expectation_index, trials, look, time_limit_s }.judge()
     };

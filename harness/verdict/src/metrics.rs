@@ -36,7 +36,7 @@ fn measure_worst_window(
 ) -> (Measurement, Option<Window>) {
     let (mut measurement, window) = measure_trace(expectation, rows, telemetry);
     let has_number = !matches!(measurement.measure, Measure::Missing(_) | Measure::Undefined(_));
-    if telemetry.not_finite.is_some() && has_number && expectation.metric.spec().valid_if <= ValidIf::FiniteDrive {
+    if telemetry.not_finite.is_some() && has_number {
         measurement.measure = Measure::Missing(MissingValue::NonFiniteDrive);
     }
     (measurement, window)

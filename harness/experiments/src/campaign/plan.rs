@@ -3,7 +3,9 @@
 use crate::campaign::definition::{Campaign, Method};
 use crate::campaign::error::CampaignError;
 use crate::campaign::truncation::Truncation;
-use platebench_model::record::{sha256, sha256_of_file, to_hex};
+use platebench_model::record::{
+    CAMPAIGN_PLAN_FILE as PLAN_FILE, FolderError, RECORD_FILE, sha256, sha256_of_file, to_hex,
+};
 use platebench_model::trace::{AtPath, MAX_IMAGE_BYTES, read_regular_file, read_text_file, write_atomically};
 use platebench_rig::{BUILT_IN_IMAGE, FaultInjector, FirmwareImage, RigSpec, Session, printable_name};
 use serde::{Deserialize, Serialize};
@@ -11,7 +13,6 @@ use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
 use std::{fs, io};
 
-pub const PLAN_FILE: &str = "plan.json";
 const PARTS: &str = "parts";
 const FORMAT: u32 = 1;
 const MAX_PLAN_BYTES: u64 = 1 << 20;
@@ -93,7 +94,8 @@ impl CampaignPlan {
         sha256(Self { sha256: String::new(), ..self.clone() }.text().as_bytes())
     }
 
-    /// Does nothing if the folder contains this plan. Fails if the folder contains another plan.
+    /// Does nothing if the folder contains this plan. Fails if the folder contains another plan or
+    /// a run.
     pub fn write(&self, folder: &Path) -> Result<(), CampaignError> {
         let path = folder.join(PLAN_FILE);
         match Self::read(folder) {
@@ -101,6 +103,9 @@ impl CampaignPlan {
             Ok(_) => return Err(CampaignError::OtherPlan(path)),
             Err(CampaignError::NoPlan(_)) => {}
             Err(error) => return Err(error),
+        }
+        if folder.join(RECORD_FILE).exists() {
+            return Err(FolderError::AlreadyUsed(folder.to_owned()).into());
         }
         let parts = folder.join(PARTS);
         fs::create_dir_all(&parts).at(&parts)?;
@@ -236,6 +241,15 @@ mod tests {
             truncated: Vec::new(),
             sha256: String::new(),
         }
+    }
+
+    #[test]
+    fn a_folder_with_a_run_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join(RECORD_FILE), "{}").unwrap();
+        let written = plan(Method::Grid, 1, 1).write(folder.path());
+        assert!(matches!(written, Err(CampaignError::Folder(FolderError::AlreadyUsed(_)))), "{written:?}");
+        assert!(!CampaignPlan::exists(folder.path()));
     }
 
     #[test]

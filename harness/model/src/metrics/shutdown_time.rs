@@ -12,7 +12,7 @@ pub(super) const SHUTDOWN_TIME: MetricSpec = MetricSpec {
                  until the end of the trial or of the next fault that reconfigures",
     window: WindowRule::FromDisturbance,
     subject: Subject::Controller,
-    valid_if: ValidIf::FiniteDrive,
+    valid_if: ValidIf::Present,
     elapsed: Some(ElapsedLabels { reached: "stopped after", not_reached: "does not stop", is_on_drive: true }),
     measure: |input| Ok(shutdown_time(input).into()),
     ..MetricSpec::DEFAULT

@@ -140,12 +140,9 @@ pub enum Subject {
 /// State of the controller in which a trial has a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ValidIf {
-    /// The controller runs at the end, and each drive command is finite. A plate at rest could not
-    /// overshoot.
+    /// The controller runs at the end. A plate at rest could not overshoot.
     Running,
-    /// Each drive command is finite. The controller may have stopped.
-    FiniteDrive,
-    /// The controller was not lost.
+    /// The controller may have stopped, but was not lost.
     Present,
 }
 

@@ -26,6 +26,8 @@ const TRACES: &str = "traces";
 pub enum FolderError {
     #[error("{} already contains a run, expected a new folder", .0.display())]
     AlreadyUsed(PathBuf),
+    #[error("{} already contains a campaign, expected a new folder", .0.display())]
+    ContainsCampaign(PathBuf),
     #[error("{} is in use by another run, expected a new folder", .0.display())]
     InUse(PathBuf),
     #[error(transparent)]
@@ -49,6 +51,10 @@ impl RunFolder {
         let Some(lock) = FileLock::exclusive(&path)? else { return Err(FolderError::InUse(path)) };
         if fs::symlink_metadata(path.join(crate::record::run_folder::RECORD_FILE)).is_ok() {
             return Err(FolderError::AlreadyUsed(path));
+        }
+        // A campaign has a report of the same name.
+        if fs::symlink_metadata(path.join(CAMPAIGN_PLAN_FILE)).is_ok() {
+            return Err(FolderError::ContainsCampaign(path));
         }
         Ok(Self { path, started, _lock: Arc::new(lock) })
     }
@@ -171,6 +177,8 @@ fn with_slashes(path: &Path) -> String {
 }
 
 pub const RECORD_FILE: &str = "run.json";
+/// The plan in a campaign folder.
+pub const CAMPAIGN_PLAN_FILE: &str = "plan.json";
 /// A record of 10⁶ trials has about 600 MB.
 const MAX_RECORD_BYTES: u64 = 1 << 30;
 const WRITE_BUFFER_BYTES: usize = 64 << 10;
@@ -374,6 +382,8 @@ mod tests {
         RunFolder::create(Some(&path)).unwrap();
         fs::write(path.join("run.json"), "{}").unwrap();
         assert!(matches!(RunFolder::create(Some(&path)), Err(FolderError::AlreadyUsed(_))));
+        fs::rename(path.join("run.json"), path.join("plan.json")).unwrap();
+        assert!(matches!(RunFolder::create(Some(&path)), Err(FolderError::ContainsCampaign(_))));
     }
 
     #[test]

@@ -151,6 +151,7 @@ fn differences(now: &ExpectationRecord, then: &ExpectationRecord) -> Vec<String>
 fn describe_build_change(now: &RigRecord, then: &RigRecord) -> String {
     let build = |rig: &RigRecord| rig.firmware.as_ref().map(|firmware| firmware.build.clone());
     match (build(now), build(then)) {
+        (Some(now), Some(then)) if now == then && now.bytes().all(|digit| digit == b'0') => String::new(),
         (Some(now), Some(then)) if now == then => ", with the same build of the firmware".to_owned(),
         (Some(_), Some(then)) => format!(", with build {}", short_build_id(&then)),
         _ => String::new(),

@@ -83,7 +83,7 @@ fn scenario_record(name: &str, title: &str, trials: Vec<TrialRecord>) -> Scenari
         expectations: Vec::new(),
         not_applicable: Vec::new(),
         requirement_texts: std::collections::BTreeMap::new(),
-            time_limit_s: None,
+        time_limit_s: None,
         trials,
     }
 }

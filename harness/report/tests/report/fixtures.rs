@@ -65,7 +65,7 @@ pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<Exp
         expectations: with_default_names(expectations),
         not_applicable: Vec::new(),
         requirement_texts: std::collections::BTreeMap::new(),
-            time_limit_s: None,
+        time_limit_s: None,
         trials: Vec::new(),
     }
 }
