@@ -207,9 +207,14 @@ struct CompletionsArgs {
     shell: Shell,
 }
 
+const BASH_NAMES: &str = include_str!("names.bash");
+
 fn show_completions(arguments: &CompletionsArgs, mut definition: Command) -> Exit {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut definition, "platebench", &mut script);
+    if arguments.shell == Shell::Bash {
+        script.extend_from_slice(BASH_NAMES.as_bytes());
+    }
     stdio::show(&String::from_utf8_lossy(&script));
     Exit::Passed
 }

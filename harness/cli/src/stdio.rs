@@ -10,6 +10,7 @@ use platebench_report::text::{printable, printable_lines};
 use platebench_report::{Detail, Style, console};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
+use rustix::termios::tcgetwinsize;
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::env::VarError;
@@ -114,9 +115,17 @@ pub(crate) fn show_as(format: OutputFormat, value: &impl Serialize, text: impl F
     }
 }
 
+/// Colours and width of an output.
+fn style_of(output: &(impl IsTerminal + AsFd)) -> Style {
+    // Some terminals report 0 columns.
+    let width = tcgetwinsize(output).ok().map(|size| usize::from(size.ws_col)).filter(|columns| *columns > 0);
+    Style { colour: colors_apply_to(output), width }
+}
+
 /// Text for standard output, with colours if they apply there.
 pub(crate) fn console_text(document: &Document) -> String {
-    document.to_console(None, Style { colour: colors_apply_to(&stdout()) })
+    let style = style_of(&stdout());
+    document.to_console(style.width, style)
 }
 
 pub(crate) fn show_result(format: OutputFormat, value: &impl Serialize, document: &Document) {
@@ -129,7 +138,7 @@ pub(crate) fn document(document: &Document) {
 
 /// `folder` is the run folder. The text has the paths of the traces from the working directory.
 pub(crate) fn record(record: &RunRecord, folder: &Path, format: OutputFormat, detail: Detail) {
-    let style = Style { colour: colors_apply_to(&stdout()) };
+    let style = style_of(&stdout());
     show_as(format, record, || console::run_text(&record.with_traces_below(folder), style, detail));
 }
 
@@ -141,7 +150,7 @@ pub(crate) fn warn_if_not_safe(record: &RunRecord) {
 }
 
 pub(crate) fn record_to_stderr(record: &RunRecord, folder: &Path, detail: Detail) {
-    let style = Style { colour: colors_apply_to(&stderr()) };
+    let style = style_of(&stderr());
     let text = console::run_text(&record.with_traces_below(folder), style, detail);
     let _ = stderr().lock().write_all(text.as_bytes());
 }

@@ -6,7 +6,6 @@ mod style;
 mod table;
 
 pub use style::Style;
-pub(crate) use style::write_wrapped;
 pub use table::{Alignment, Cell, Column, Table, verdict_badge};
 
 use crate::chart::marks;
@@ -396,7 +395,7 @@ mod tests {
 
     #[test]
     fn colours_verdicts_and_headings_only() {
-        let text = document().to_console(None, Style { colour: true });
+        let text = document().to_console(None, Style { colour: true, ..Style::default() });
         assert!(text.contains("\u{1b}[1ma < b\u{1b}[0m\n"), "{text:?}");
         assert!(text.contains("12.5  \u{1b}[1;31m✗ late, =1+1\u{1b}[0m\n"), "{text:?}");
         assert!(!text.contains("\u{202e}"), "{text:?}");

@@ -1,8 +1,8 @@
 //! Finds keys, trials and missed expectations in a record.
 
 use platebench_model::record::{
-    Cause, Exclusion, ExpectationRecord, Limit, Metric, MissingValue, Reason, RunRecord, ScenarioRecord, SignSymptom,
-    Statistic, TrialFinding, TrialRecord, Verdict, ViolationKind,
+    Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingValue, Reason, RunRecord,
+    ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord, Verdict, ViolationKind,
 };
 use std::mem::{Discriminant, discriminant};
 
@@ -134,6 +134,21 @@ fn shared_cause(scenario: &ScenarioRecord, index: usize) -> Option<SharedCause<'
         Reason::TooFewTrials { .. } => Some(SharedCause::TooFewTrials),
         _ => None,
     }
+}
+
+/// True if a slower `--time-scale` may decide an expectation. [`Excuse::LoopDelay`] says so itself.
+pub(crate) fn is_late_in_real_time(record: &RunRecord) -> bool {
+    let is_late = |expectation: &ExpectationRecord| {
+        matches!(
+            expectation.reason,
+            Some(
+                Reason::Excluded { exclusion: Exclusion::LateBench { .. }, .. }
+                    | Reason::Excused(Excuse::RealTimeDelay)
+            )
+        )
+    };
+    let expectations = || record.scenarios.iter().flat_map(|scenario| &scenario.expectations);
+    record.clock == ClockKind::RealTime && expectations().any(is_late)
 }
 
 pub(crate) fn smallest_margin(record: &RunRecord) -> Option<(&ScenarioRecord, &ExpectationRecord, f64)> {

@@ -22,7 +22,7 @@ const END_AFTER_SAFE: &str = "                        if body and body[0] & 15 =
 
 /// A change of `docs/examples/controller.py`.
 #[derive(Debug, Clone, Copy)]
-enum Change {
+pub(crate) enum Change {
     /// Replaces the handling of a message.
     Message { kind: &'static str, action: &'static str },
     /// Adds lines after an answer is written.
@@ -30,7 +30,7 @@ enum Change {
 }
 
 /// Writes the changed controller and returns its rig. `None` if Python lacks pyserial.
-fn controller(folder: &TestFolder, change: Change) -> Option<String> {
+pub(crate) fn controller(folder: &TestFolder, change: Change) -> Option<String> {
     let python = python_with_pyserial()?;
     let example = fs::read_to_string(workspace_root().join("docs/examples/controller.py")).unwrap();
     let example = example.replace("import math\n", "import math\nimport os\n");

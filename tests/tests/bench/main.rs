@@ -49,6 +49,7 @@ mod starter_c;
 mod stored_runs;
 mod terminal;
 mod test_folder;
+mod time_limit;
 mod trend;
 mod tune;
 mod watch;

@@ -38,6 +38,8 @@ pub enum FolderError {
 pub struct RunFolder {
     path: PathBuf,
     started: Timestamp,
+    /// Parent folder that was created for this run.
+    created_parent: Option<PathBuf>,
     /// Lock of the folder until the run ends, so that no other process uses it.
     _lock: Arc<FileLock>,
 }
@@ -47,6 +49,7 @@ impl RunFolder {
     pub fn create(path: Option<&Path>) -> Result<Self, FolderError> {
         let started = Timestamp::now();
         let path = path.map_or_else(|| Path::new("runs").join(generate_name(started)), Path::to_owned);
+        let created_parent = path.parent().filter(|parent| !parent.exists()).map(Path::to_owned);
         fs::create_dir_all(&path).at(&path)?;
         let Some(lock) = FileLock::exclusive(&path)? else { return Err(FolderError::InUse(path)) };
         if fs::symlink_metadata(path.join(crate::record::run_folder::RECORD_FILE)).is_ok() {
@@ -56,10 +59,10 @@ impl RunFolder {
         if fs::symlink_metadata(path.join(CAMPAIGN_PLAN_FILE)).is_ok() {
             return Err(FolderError::ContainsCampaign(path));
         }
-        Ok(Self { path, started, _lock: Arc::new(lock) })
+        Ok(Self { path, started, created_parent, _lock: Arc::new(lock) })
     }
 
-    /// Creates a folder below `runs`, with the time and a unique short id as name.
+    /// Creates a folder below `runs` with the time as name.
     pub fn create_below(runs: &Path) -> Result<Self, FolderError> {
         Self::create(Some(&runs.join(generate_name(Timestamp::now()))))
     }
@@ -68,8 +71,13 @@ impl RunFolder {
         &self.path
     }
 
+    /// Removes the folder, and its parent if it was created for this run. Keeps folders with content.
     pub fn remove_if_empty(&self) -> bool {
-        fs::remove_dir(&self.path).is_ok()
+        let is_removed = fs::remove_dir(&self.path).is_ok();
+        if let Some(parent) = self.created_parent.as_ref().filter(|_| is_removed) {
+            let _ = fs::remove_dir(parent);
+        }
+        is_removed
     }
 
     /// Time of creation, as [`utc_timestamp`].
@@ -113,7 +121,8 @@ pub fn trace_path(scenario: &str, index: u32) -> String {
     format!("{TRACES}/{scenario}/{index:03}.csv")
 }
 
-/// Returns the folder of the run below `runs` that started last. Skips records that cannot be read.
+/// Returns the folder of the run below `runs` that started last; of the same second, the one with
+/// the last name. Skips records that cannot be read.
 pub fn newest_run(runs: &Path) -> Option<PathBuf> {
     let folders = fs::read_dir(runs).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
     let started = folders.filter_map(|path| Some((read_started(&path).ok()?, path)));
@@ -155,10 +164,11 @@ fn rfc3339(time: Timestamp) -> String {
     time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
 }
 
+/// The suffix is the part of the second, so that the order of the names is that of the runs. Its
+/// step is 2⁶ ns.
 fn generate_name(now: Timestamp) -> String {
     let time = now.to_zoned(TimeZone::UTC).strftime("%Y%m%dT%H%M%SZ");
-    let unique = sha256(format!("{} {}", now.as_nanosecond(), std::process::id()).as_bytes());
-    format!("{time}-{}", unique.get(..6).unwrap_or_default())
+    format!("{time}-{:06x}", now.subsec_nanosecond() >> 6)
 }
 
 fn common_folder(files: &BTreeSet<PathBuf>) -> PathBuf {
@@ -384,6 +394,37 @@ mod tests {
         assert!(matches!(RunFolder::create(Some(&path)), Err(FolderError::AlreadyUsed(_))));
         fs::rename(path.join("run.json"), path.join("plan.json")).unwrap();
         assert!(matches!(RunFolder::create(Some(&path)), Err(FolderError::ContainsCampaign(_))));
+    }
+
+    #[test]
+    fn removes_an_empty_run_and_the_parent_that_it_created() {
+        let folder = tempfile::tempdir().unwrap();
+        let runs = folder.path().join("runs");
+        let run = RunFolder::create_below(&runs).unwrap();
+        let second = RunFolder::create_below(&runs).unwrap();
+        assert!(run.remove_if_empty() && runs.exists());
+        assert!(second.remove_if_empty() && runs.exists());
+        fs::remove_dir(&runs).unwrap();
+        assert!(RunFolder::create_below(&runs).unwrap().remove_if_empty() && !runs.exists());
+    }
+
+    #[test]
+    fn names_have_the_order_of_the_runs() {
+        let at = |nanos| generate_name(Timestamp::new(1_000_000_000, nanos).unwrap());
+        assert_eq!(at(0), "20010909T014640Z-000000");
+        assert_eq!(at(999_999_999), "20010909T014640Z-ee6b27");
+        assert!(at(64) > at(0) && at(16_000_000) > at(15_000_000));
+    }
+
+    #[test]
+    fn the_newest_run_of_a_second_has_the_last_name() {
+        let runs = tempfile::tempdir().unwrap();
+        for name in ["b", "c", "a"] {
+            fs::create_dir(runs.path().join(name)).unwrap();
+            let record = format!("{{\"format\": {FORMAT}, \"started\": \"2026-01-01T00:00:00Z\"}}");
+            fs::write(runs.path().join(name).join(RECORD_FILE), record).unwrap();
+        }
+        assert_eq!(newest_run(runs.path()), Some(runs.path().join("c")));
     }
 
     #[test]

@@ -4,12 +4,14 @@ use crate::escape::printable;
 use platebench_model::record::Verdict;
 use std::fmt::Write as _;
 
-pub(crate) const WIDTH: usize = 100;
+const WIDTH: usize = 100;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Style {
     /// ANSI colours. Verdicts have a sign in any case.
     pub colour: bool,
+    /// Columns of the terminal. `None` if the output is no terminal.
+    pub width: Option<usize>,
 }
 
 impl Style {
@@ -25,11 +27,12 @@ impl Style {
         };
         self.paint(code, text)
     }
-}
 
-/// Lines of at most [`WIDTH`] columns, longer only for a longer word.
-pub(crate) fn write_wrapped(text: &mut String, first: &str, further: &str, sentence: &str) {
-    write_wrapped_at(WIDTH, text, first, further, sentence);
+    /// Lines as wide as the terminal, or of at most [`WIDTH`] columns. Only a longer word gives a
+    /// longer line.
+    pub(crate) fn write_wrapped(self, text: &mut String, first: &str, further: &str, sentence: &str) {
+        write_wrapped_at(self.width.unwrap_or(WIDTH), text, first, further, sentence);
+    }
 }
 
 pub(crate) fn write_wrapped_at(width: usize, text: &mut String, first: &str, further: &str, sentence: &str) {

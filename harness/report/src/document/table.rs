@@ -153,7 +153,7 @@ impl Table {
     }
 
     /// Lines of at most `width` columns if possible: a wider table has a line per cell, as on a narrow page.
-    pub(super) fn console_lines(&self, width: Option<usize>, style: Style) -> Vec<String> {
+    pub(crate) fn console_lines(&self, width: Option<usize>, style: Style) -> Vec<String> {
         let is_too_wide = |width: usize| self.lines().iter().any(|line| line.chars().count() > width);
         if width.is_some_and(is_too_wide) { self.stacked_lines(style) } else { self.styled_lines(style) }
     }

@@ -1,6 +1,6 @@
-//! Writes a run for a terminal: tables, summary and progress. The text does not depend on the terminal's width.
+//! Writes a run for a terminal: tables, summary and progress.
 
-use crate::document::{Cell, Style, Table, write_wrapped};
+use crate::document::{Cell, Style, Table};
 use crate::escape::printable;
 use crate::record_queries::CauseGroup;
 use crate::text::timing;
@@ -29,15 +29,15 @@ pub fn run_text(record: &RunRecord, style: Style, detail: Detail) -> String {
     match detail {
         Detail::Failures if record.verdict == Verdict::Pass => {}
         Detail::Failures => {
-            write_tested(&mut text, record);
+            write_tested(&mut text, record, style);
             write_not_passed(&mut text, record, style);
         }
         Detail::Summary => {
-            write_tested(&mut text, record);
+            write_tested(&mut text, record, style);
             write_summary(&mut text, record, style, false);
         }
         Detail::Tables => {
-            write_tested(&mut text, record);
+            write_tested(&mut text, record, style);
             text.push('\n');
             for scenario in &record.scenarios {
                 write_heading(&mut text, scenario, style);
@@ -62,23 +62,32 @@ pub fn print(text: &str, out: &mut dyn Write) -> io::Result<()> {
     }
 }
 
-/// Not wrapped, so that programs find the whole line.
-fn write_tested(text: &mut String, record: &RunRecord) {
-    let _ = writeln!(text, "tested: {}", printable(&format::tested(record)));
+/// Wrapped on a terminal only, so that programs find the whole line.
+fn write_tested(text: &mut String, record: &RunRecord, style: Style) {
+    let tested = format::tested(record);
+    match style.width {
+        Some(_) => style.write_wrapped(text, "tested: ", "  ", &tested),
+        None => {
+            let _ = writeln!(text, "tested: {}", printable(&tested));
+        }
+    }
 }
 
 fn write_heading(text: &mut String, scenario: &ScenarioRecord, style: Style) {
     let verdict = format!("{} {}", format::sign(scenario.verdict), scenario.verdict);
     let trials = format::count(scenario.trials.len(), "trial");
-    let file = style.paint("1", &printable(&scenario.file));
-    let verdict = style.paint_verdict(scenario.verdict, &verdict);
+    let file = printable(&scenario.file);
     // The other models are exact and are not mentioned.
     let is_simplified = matches!(scenario.model.as_str(), "linear" | "envelope");
     let model = if is_simplified { format!("model {}, ", scenario.model) } else { String::new() };
-    let _ = writeln!(text, "{verdict}  {file}  (law {}, {model}{trials})", printable(&scenario.law));
-    write_wrapped(text, "  ", "  ", &scenario.title);
+    let details = format!("(law {}, {model}{trials})", printable(&scenario.law));
+    let columns = [&verdict, &*file, &details].map(|part| part.chars().count() + 2).iter().sum::<usize>() - 2;
+    let gap = if style.width.is_some_and(|width| columns > width) { "\n  " } else { "  " };
+    let (verdict, file) = (style.paint_verdict(scenario.verdict, &verdict), style.paint("1", &file));
+    let _ = writeln!(text, "{verdict}  {file}{gap}{details}");
+    style.write_wrapped(text, "  ", "  ", &scenario.title);
     if let Some(sentence) = timing::summary(scenario) {
-        write_wrapped(text, "  ", "  ", &sentence);
+        style.write_wrapped(text, "  ", "  ", &sentence);
     }
 }
 
@@ -104,16 +113,16 @@ fn write_expectations(text: &mut String, scenario: &ScenarioRecord, style: Style
         table.rows.push(row);
     }
     text.push('\n');
-    for line in table.styled_lines(style) {
+    for line in table.console_lines(style.width.map(|width| width.saturating_sub(2)), style) {
         let _ = writeln!(text, "  {line}");
     }
     for expectation in &scenario.expectations {
         if let Some(reason) = &expectation.reason {
-            write_wrapped(text, "  ↳ ", "    ", &format!("{}: {reason}", expectation.name));
+            style.write_wrapped(text, "  ↳ ", "    ", &format!("{}: {reason}", expectation.name));
         }
     }
     for NotApplicableExpectation { name, reason, .. } in &scenario.not_applicable {
-        write_wrapped(text, "  not applicable: ", "    ", &format!("{name}: {reason}"));
+        style.write_wrapped(text, "  not applicable: ", "    ", &format!("{name}: {reason}"));
     }
 }
 
@@ -122,7 +131,7 @@ const MAX_LISTED: usize = 3;
 
 /// `in_full` lists every scenario that is not applicable and the cost of every law.
 fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
-    write_not_applicable(text, record, in_full || record.overrides.require_all);
+    write_not_applicable(text, record, style, in_full || record.overrides.require_all);
     for (name, counts) in [
         ("scenario", format::VerdictCounts::of_scenarios(record)),
         ("expectation", format::VerdictCounts::of_expectations(record)),
@@ -135,25 +144,25 @@ fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: b
     if let Some((scenario, wall_ms)) = record_queries::slowest_scenario(record) {
         let trials = format::count(scenario.trials.len(), "trial");
         let slowest = format!("{}, {} in {trials}", scenario.file, format::duration(wall_ms));
-        write_wrapped(text, "slowest scenario: ", "  ", &slowest);
+        style.write_wrapped(text, "slowest scenario: ", "  ", &slowest);
     }
     if let Some((scenario, expectation, margin)) = record_queries::smallest_margin(record) {
         let result = format!("{}: {}", scenario.file, result(expectation));
         let margin = format!("smallest margin: {} %, ", format::number(margin * 100.0));
-        write_wrapped(text, &margin, "  ", &result);
+        style.write_wrapped(text, &margin, "  ", &result);
     }
-    write_cost(text, &record.cost, in_full);
-    write_tight_steps(text, record, in_full);
-    write_sign_symptoms(text, record, in_full);
+    write_cost(text, &record.cost, style, in_full);
+    write_tight_steps(text, record, style, in_full);
+    write_sign_symptoms(text, record, style, in_full);
     if let Some(overrides) = format::overrides(record) {
-        write_wrapped(text, "", "  ", &format!("overridden: {overrides}"));
+        style.write_wrapped(text, "", "  ", &format!("overridden: {overrides}"));
     }
-    write_time_limits(text, record, in_full);
+    write_time_limits(text, record, style, in_full);
     write_verdict(text, record, style);
     write_list_of_not_passed(text, record, style, in_full);
 }
 
-fn write_time_limits(text: &mut String, record: &RunRecord, in_full: bool) {
+fn write_time_limits(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
     let ended = record.scenarios.iter().filter(|scenario| scenario.time_limit_s.is_some());
     let ended: Vec<_> = ended.map(|scenario| scenario.file.as_str()).collect();
     if ended.is_empty() {
@@ -164,7 +173,7 @@ fn write_time_limits(text: &mut String, record: &RunRecord, in_full: bool) {
     let further = if further > 0 { format!(", and {further} more: -v lists them") } else { String::new() };
     let files = ended.iter().take(listed).copied().collect::<Vec<_>>().join(", ");
     let scenarios = format::count(ended.len(), "scenario");
-    write_wrapped(text, "time limit reached: ", "  ", &format!("{scenarios}: {files}{further}"));
+    style.write_wrapped(text, "time limit reached: ", "  ", &format!("{scenarios}: {files}{further}"));
 }
 
 /// Reason of the verdict in one line. The verdict may be that of an interrupted run.
@@ -189,30 +198,34 @@ pub fn verdict_reason(record: &RunRecord) -> String {
 
 fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
     if record.overrides.require_all || record.scenarios.is_empty() {
-        write_not_applicable(text, record, true);
+        write_not_applicable(text, record, style, true);
     }
-    write_time_limits(text, record, false);
+    write_time_limits(text, record, style, false);
     write_verdict(text, record, style);
     write_list_of_not_passed(text, record, style, false);
 }
 
-fn write_not_applicable(text: &mut String, record: &RunRecord, in_full: bool) {
+fn write_not_applicable(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
     // The groups below contain the scenarios that do not apply to an own law.
     let listed = || record.not_applicable.iter().filter(|scenario| in_full || scenario.expectations == 0);
     if in_full || listed().count() <= MAX_LISTED {
         for scenario in listed() {
-            write_wrapped(text, "not applicable: ", "  ", &format!("{}: {}", scenario.file, scenario.reason));
+            style.write_wrapped(text, "not applicable: ", "  ", &format!("{}: {}", scenario.file, scenario.reason));
         }
     } else {
-        write_reasons_not_applicable(text, &listed().map(|scenario| scenario.reason.as_str()).collect::<Vec<_>>());
+        write_reasons_not_applicable(
+            text,
+            &listed().map(|scenario| scenario.reason.as_str()).collect::<Vec<_>>(),
+            style,
+        );
     }
     for group in record_queries::not_applicable_groups(record) {
-        write_wrapped(text, "not applicable: ", "  ", &format::not_applicable_group(&group));
+        style.write_wrapped(text, "not applicable: ", "  ", &format::not_applicable_group(&group));
     }
 }
 
 /// Counts the scenarios of each reason, the most frequent reason first.
-fn write_reasons_not_applicable(text: &mut String, reasons: &[&str]) {
+fn write_reasons_not_applicable(text: &mut String, reasons: &[&str], style: Style) {
     let all = || reasons.iter().copied();
     let mut counts: Vec<_> =
         format::distinct(all()).into_iter().map(|reason| (reason, all().filter(|it| *it == reason).count())).collect();
@@ -220,7 +233,7 @@ fn write_reasons_not_applicable(text: &mut String, reasons: &[&str]) {
     let (listed, others) = counts.split_at(counts.len().min(MAX_LISTED));
     for (reason, scenarios) in listed {
         let scenarios = format::count(*scenarios, "scenario");
-        write_wrapped(text, "not applicable: ", "  ", &format!("{scenarios}, listed with -v: {reason}"));
+        style.write_wrapped(text, "not applicable: ", "  ", &format!("{scenarios}, listed with -v: {reason}"));
     }
     if !others.is_empty() {
         let scenarios = format::count(others.iter().map(|(_, scenarios)| scenarios).sum(), "more scenario");
@@ -229,7 +242,7 @@ fn write_reasons_not_applicable(text: &mut String, reasons: &[&str]) {
 }
 
 /// Unless `in_full`, lists the laws whose cost changed, or else the law with the highest cost.
-fn write_cost(text: &mut String, trends: &[CostTrend], in_full: bool) {
+fn write_cost(text: &mut String, trends: &[CostTrend], style: Style, in_full: bool) {
     let changed = |trend: &&CostTrend| in_full || timing::describe_change(trend).is_some();
     let mut listed: Vec<_> = trends.iter().filter(changed).collect();
     if listed.is_empty() {
@@ -240,7 +253,7 @@ fn write_cost(text: &mut String, trends: &[CostTrend], in_full: bool) {
     for trend in listed {
         let _ = writeln!(text, "instructions per step: {}", timing::format_worst(trend));
         if let Some(change) = timing::describe_change(trend) {
-            write_wrapped(text, "  ↳ ", "    ", &change);
+            style.write_wrapped(text, "  ↳ ", "    ", &change);
         }
     }
     if further > 0 {
@@ -249,11 +262,11 @@ fn write_cost(text: &mut String, trends: &[CostTrend], in_full: bool) {
     }
 }
 
-fn write_tight_steps(text: &mut String, record: &RunRecord, in_full: bool) {
+fn write_tight_steps(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
     let tight = record_queries::tight_steps(record);
     let listed = if in_full { tight.len() } else { MAX_LISTED };
     for (scenario, percent) in tight.iter().take(listed) {
-        write_wrapped(text, "warning: ", "  ", &timing::describe_tight_step(scenario, *percent));
+        style.write_wrapped(text, "warning: ", "  ", &timing::describe_tight_step(scenario, *percent));
     }
     if tight.len() > listed {
         let further = format::count(tight.len() - listed, "more scenario");
@@ -261,12 +274,12 @@ fn write_tight_steps(text: &mut String, record: &RunRecord, in_full: bool) {
     }
 }
 
-fn write_sign_symptoms(text: &mut String, record: &RunRecord, in_full: bool) {
+fn write_sign_symptoms(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
     let all: Vec<_> = record_queries::sign_symptoms(record).collect();
     let listed = if in_full { all.len() } else { MAX_LISTED };
     for (scenario, trial, symptom) in all.iter().take(listed) {
         let warning = format!("{}: {}", scenario.file, format::sign_symptom(scenario, *trial, *symptom));
-        write_wrapped(text, "warning: ", "  ", &warning);
+        style.write_wrapped(text, "warning: ", "  ", &warning);
     }
     if all.len() > listed {
         let further = format::count(all.len() - listed, "more scenario");
@@ -280,7 +293,14 @@ fn write_verdict(text: &mut String, record: &RunRecord, style: Style) {
     }
     let verdict = format!("{} {}", format::sign(record.verdict), record.verdict);
     let note = format::bench_firmware_note(record);
-    let _ = writeln!(text, "verdict: {}{}", style.paint_verdict(record.verdict, &verdict), printable(&note));
+    let mut line = String::new();
+    match style.width {
+        Some(_) => style.write_wrapped(&mut line, "verdict: ", "  ", &format!("{verdict}{note}")),
+        None => {
+            let _ = writeln!(line, "verdict: {verdict}{}", printable(&note));
+        }
+    }
+    text.push_str(&line.replacen(&verdict, &style.paint_verdict(record.verdict, &verdict), 1));
 }
 
 /// Writes one entry per cause. `in_full` lists everything that has the cause.
@@ -300,6 +320,10 @@ fn write_list_of_not_passed(text: &mut String, record: &RunRecord, style: Style,
     for group in &groups {
         write_group(text, group, style, in_full);
     }
+    if record_queries::is_late_in_real_time(record) {
+        let hint = "with a slower --time-scale, for example 0.1, bench and line have more time per period";
+        style.write_wrapped(text, "hint: ", "  ", hint);
+    }
 }
 
 fn write_group(text: &mut String, group: &CauseGroup<'_>, style: Style, in_full: bool) {
@@ -312,8 +336,8 @@ fn write_group(text: &mut String, group: &CauseGroup<'_>, style: Style, in_full:
     let sign = style.paint_verdict(group.verdict, format::sign(group.verdict));
     let _ = writeln!(text, "  {sign} {}:", format::group_size(group));
     let first = format!("{}: {}", scenario.file, result(expectation));
-    write_wrapped(text, "    first: ", "      ", &first);
-    write_reason_and_trace(text, scenario, index, expectation);
+    style.write_wrapped(text, "    first: ", "      ", &first);
+    write_reason_and_trace(text, scenario, index, expectation, style);
     let names = |scenario: &ScenarioRecord, indices: &[usize]| {
         let names = indices.iter().filter_map(|index| Some(scenario.expectations.get(*index)?.name.as_str()));
         names.collect::<Vec<_>>().join(", ")
@@ -328,13 +352,13 @@ fn write_group(text: &mut String, group: &CauseGroup<'_>, style: Style, in_full:
     };
     if in_full {
         for line in &others {
-            write_wrapped(text, "    also ", "      ", line);
+            style.write_wrapped(text, "    also ", "      ", line);
         }
         return;
     }
     let further = scenarios.len().saturating_sub(1 + MAX_LISTED);
     let further = if further > 0 { format!(", and {further} more: -v lists them") } else { String::new() };
-    write_wrapped(text, "    also ", "      ", &format!("{}{further}", others.join(", ")));
+    style.write_wrapped(text, "    also ", "      ", &format!("{}{further}", others.join(", ")));
 }
 
 fn write_result(
@@ -346,19 +370,25 @@ fn write_result(
 ) {
     let mut lines = String::new();
     let (file, sign) = (&scenario.file, format::sign(expectation.verdict));
-    write_wrapped(&mut lines, &format!("  {sign} "), "    ", &format!("{file}: {}", result(expectation)));
+    style.write_wrapped(&mut lines, &format!("  {sign} "), "    ", &format!("{file}: {}", result(expectation)));
     text.push_str(&lines.replacen(sign, &style.paint_verdict(expectation.verdict, sign), 1));
-    write_reason_and_trace(text, scenario, index, expectation);
+    write_reason_and_trace(text, scenario, index, expectation, style);
 }
 
-fn write_reason_and_trace(text: &mut String, scenario: &ScenarioRecord, index: usize, expectation: &ExpectationRecord) {
+fn write_reason_and_trace(
+    text: &mut String,
+    scenario: &ScenarioRecord,
+    index: usize,
+    expectation: &ExpectationRecord,
+    style: Style,
+) {
     let verdict = (expectation.verdict == Verdict::Inconclusive).then(|| format::verdict(expectation));
     let reason: Vec<_> = verdict.into_iter().chain(format::remaining_reason(expectation)).collect();
     if !reason.is_empty() {
-        write_wrapped(text, "    ↳ ", "      ", &reason.join(": "));
+        style.write_wrapped(text, "    ↳ ", "      ", &reason.join(": "));
     }
     let trace = record_queries::trial_to_inspect(scenario, index).map_or("none", |trial| trial.trace.as_str());
-    write_wrapped(text, "    trace: ", "      ", trace);
+    style.write_wrapped(text, "    trace: ", "      ", trace);
 }
 
 fn result(expectation: &ExpectationRecord) -> String {

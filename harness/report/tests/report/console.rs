@@ -2,10 +2,46 @@
 
 use crate::fixtures;
 use crate::hostile_text::written;
-use platebench_model::record::{Event, NotApplicable, Overrides, RunRecord};
+use platebench_model::record::{ClockKind, Event, NotApplicable, Overrides, RunRecord};
 use platebench_report::{Detail, Progress, Style, console, junit, page};
 use rstest::rstest;
 use serde_json::json;
+
+#[test]
+fn hints_at_the_time_scale_only_if_a_run_in_real_time_is_late() {
+    let mut record = fixtures::mixed_run();
+    for (clock, expected) in [(ClockKind::RealTime, true), (ClockKind::Lockstep, false)] {
+        record.clock = clock;
+        let text = console::run_text(&record, Style::default(), Detail::Summary);
+        assert_eq!(text.contains("slower --time-scale"), expected, "{text}");
+    }
+}
+
+#[test]
+fn names_the_scenarios_that_reached_their_time_limit() {
+    let mut record = passed_run(5);
+    for scenario in record.scenarios.iter_mut().skip(1) {
+        scenario.time_limit_s = Some(2.0);
+    }
+    let names: Vec<_> = record.scenarios.iter().map(|scenario| scenario.file.clone()).collect();
+    let listed = names[1..4].join(", ");
+    let text = console::run_text(&record, Style::default(), Detail::Summary);
+    let expected = format!("time limit reached: 4 scenarios: {listed}, and 1 more: -v lists them\n");
+    assert!(text.contains(&expected), "{expected}{text}");
+}
+
+#[test]
+fn no_line_is_longer_than_the_terminal_if_its_words_are_short() {
+    let record = fixtures::mixed_run();
+    for detail in [Detail::Failures, Detail::Summary, Detail::Tables] {
+        let style = Style { width: Some(60), ..Style::default() };
+        let text = console::run_text(&record, style, detail);
+        let is_long = |line: &&str| line.chars().count() > 60 && line.trim().contains(' ');
+        assert_eq!(text.lines().filter(is_long).collect::<Vec<_>>(), Vec::<&str>::new());
+        let wide = console::run_text(&record, Style { width: Some(400), ..Style::default() }, detail);
+        assert!(wide.lines().any(|line| line.chars().count() > 100), "{wide}");
+    }
+}
 
 #[test]
 fn shows_every_outcome() {
@@ -123,7 +159,7 @@ fn a_trap_at_another_place_is_another_cause() {
 #[test]
 fn colours_change_no_text() {
     let record = fixtures::mixed_run();
-    let coloured = console::run_table(&record, Style { colour: true });
+    let coloured = console::run_table(&record, Style { colour: true, ..Style::default() });
     assert!(
         coloured.contains("\u{1b}[1;31m✗ fail\u{1b}[0m") && coloured.contains("\u{1b}[33m? inconclusive: rig\u{1b}[0m")
     );
