@@ -225,6 +225,21 @@ pub(crate) fn unplayed_scenarios(record: &RunRecord) -> Vec<&str> {
     record.scenarios.iter().filter(|_| is_complete).filter(is_unplayed).map(|scenario| scenario.file.as_str()).collect()
 }
 
+/// The first differences that the check of the protocol found, if they are why an expectation is not
+/// met. Sentences of the controller's answers.
+pub(crate) fn protocol_differences(scenario: &ScenarioRecord, index: usize) -> &[String] {
+    let is_of_check = |expectation: &ExpectationRecord| {
+        expectation.definition.metric == Metric::ProtocolDifferences && expectation.verdict == Verdict::Fail
+    };
+    let differences = scenario
+        .expectations
+        .get(index)
+        .filter(|expectation| is_of_check(expectation))
+        .and_then(|_| trial_to_inspect(scenario, index)?.telemetry.protocol_differences.as_deref())
+        .unwrap_or_default();
+    differences.get(..MAX_PROTOCOL_DIFFERENCES).unwrap_or(differences)
+}
+
 pub(crate) fn run_inconclusive_reason(record: &RunRecord) -> Option<&'static str> {
     if !record.complete {
         Some("the run was not finished")

@@ -11,9 +11,11 @@ use crate::link::{Link, LinkError, LinkKind};
 use crate::rigs::hosted::HostedLink;
 pub use coverage::ProtocolCoverage;
 
-use comparison::{BenchCause, CommandDifference, CommandHistory, Comparison, ComparisonScope, ReceivedPackets};
+use comparison::{
+    BenchCause, CommandDifference, CommandHistory, Comparison, ComparisonScope, ReceivedPackets, is_defined,
+};
 use platebench_model::scenario::ScenarioMessage;
-use platebench_wire::{Configure, Identity, LawId};
+use platebench_wire::{Configure, Identity};
 use script::{Script, Step, Variation};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -87,10 +89,9 @@ pub fn check_protocol(
     }
     let base = script_base(base);
     let period = Duration::from_micros(base.period_us.into());
-    let is_defined = matches!(base.law, LawId::OpenLoop | LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed);
     let scope = match own_law {
         true => ComparisonScope::OwnLaw,
-        false if compares_numbers || (messages.is_empty() && is_defined) => ComparisonScope::Numbers,
+        false if compares_numbers || (messages.is_empty() && is_defined(base.law)) => ComparisonScope::Numbers,
         false => ComparisonScope::Rules,
     };
     let mut player = Player {

@@ -20,6 +20,8 @@ use std::path::PathBuf;
 
 /// Number of blocks of a sequence.
 const BLOCKS: std::ops::RangeInclusive<u32> = 5..=11;
+/// A sequence with more messages has no further block; a scenario has at most 1000.
+const ENOUGH_MESSAGES: usize = 500;
 /// Number of states that a message may meet, of kinds of messages, and of these pairs per sequence.
 const STATES: u64 = 7;
 const EVENTS: u64 = 9;
@@ -57,6 +59,9 @@ const BEFORE_WRAP_MS: u32 = 20_000;
 const LONGEST_WAIT_MS: u32 = 65_000;
 /// Step of a slow ramp of the setpoint, µm. The setpoint moves by less than the sensor resolves.
 const RAMP_STEPS_UM: [f32; 4] = [9e-5, 3e-5, 5e-4, 5e-5];
+/// Factors of two, which change no digit of a float, and the drive limit for the factor 1, Vpp.
+const SCALES: [f32; 3] = [1.0, 2.0, 0.5];
+const SCALED_LIMIT_VPP: f32 = 450.0;
 /// A silence of this time, ms, costs as much as one message where time is simulated.
 const SILENCE_PER_MESSAGE_MS: f64 = 100.0;
 /// Timeouts of the watchdog's own blocks in wall time, ms. They are long, because a busy host is
@@ -135,7 +140,7 @@ enum Block {
     Watchdog,
     NotFinite,
     Numbers,
-    Ramp,
+    Scaled,
     Stop,
 }
 
@@ -147,7 +152,7 @@ const ALL_BLOCKS: [Block; 9] = [
     Block::Watchdog,
     Block::NotFinite,
     Block::Numbers,
-    Block::Ramp,
+    Block::Scaled,
     Block::Stop,
 ];
 
@@ -203,6 +208,9 @@ impl Draw<'_> {
             return;
         }
         for _ in 0..self.range(BLOCKS) {
+            if self.messages.len() > ENOUGH_MESSAGES {
+                break;
+            }
             let any = self.below(ALL_BLOCKS.len());
             let block = if self.one_in(2) { preferred } else { self.pick_block(any) };
             self.add(block);
@@ -298,7 +306,7 @@ impl Draw<'_> {
             }
             3 if !self.limits.own_clock => self.clock_wrap(in_turn(&CLOCK_WRAPS_MS, round)),
             _ => {
-                self.steady_gains();
+                self.steady_gains(None);
                 // The mean error is 0, so that the drive stays between its limits.
                 let setpoints = [1.0, 1.5, 0.75, 1.75];
                 let samples = setpoints.map(|setpoint| ScenarioMessage::sample(setpoint, 1.25, 0.0));
@@ -311,21 +319,32 @@ impl Draw<'_> {
     }
 
     /// A configuration with gains, and a law that does not adapt them if there is one.
-    fn steady_gains(&mut self) {
+    fn steady_gains(&mut self, drive_limit_vpp: Option<f32>) {
         let is_fixed = self.limits.laws.contains(&LawId::DqPiFixed);
         let law = is_fixed.then_some(LawId::DqPiFixed as u8);
         let gains = Some([275.0, 110_000.0, 900.0, 400_000.0].map(number));
-        self.messages.push(configure(ConfigurationChange { law, gains, ..NONE }));
+        let drive_limit_vpp = drive_limit_vpp.map(number);
+        self.messages.push(configure(ConfigurationChange { law, gains, drive_limit_vpp, ..NONE }));
     }
 
-    /// A setpoint that moves by less than a resolution per sample. Wd stays, so that the drive follows
-    /// the sum of the moves.
-    fn ramp(&mut self) {
-        self.steady_gains();
-        let (start, step) = (self.pick(&[2.0, 0.5, 1.0], 2.0), self.pick(&RAMP_STEPS_UM, 5e-5));
-        for number in 0..self.range(40..=70) {
-            let moved = (f64::from(step) * f64::from(number) * 1e6).round() * 1e-6;
-            self.messages.push(ScenarioMessage::sample((f64::from(start) + moved) as f32, start, 0.0));
+    /// Samples at several scales, with the drive limit in proportion: drawn ones, or a setpoint that
+    /// moves by less than the sensor resolves. Its Wd stays, so that the drive follows the sum of the
+    /// moves.
+    fn scaled(&mut self) {
+        let mut samples = Vec::new();
+        if self.one_in(3) {
+            for _ in 0..self.range(4..=10) {
+                let setpoint = self.pick(&[2.0, 0.5, 1.5, 0.75, 0.0], 1.5);
+                samples.push([setpoint, self.uniform(0.0, 1.1) * setpoint, self.uniform(-0.4, 0.4) * setpoint]);
+            }
+        } else {
+            let (start, step) = (self.pick(&[2.0, 0.5, 1.5], 2.0), self.pick(&RAMP_STEPS_UM, 5e-5));
+            samples.extend((0..self.range(30..=40)).map(|number| [start + step * number as f32, start, 0.0]));
+        }
+        for scale in SCALES {
+            self.steady_gains(Some(SCALED_LIMIT_VPP * scale));
+            let scaled = samples.iter().map(|sample| sample.map(|value| value * scale));
+            self.messages.extend(scaled.map(|[setpoint, wd, wq]| ScenarioMessage::sample(setpoint, wd, wq)));
         }
     }
 
@@ -399,7 +418,7 @@ impl Draw<'_> {
                 self.samples(2);
             }
             Block::Numbers => self.numbers(),
-            Block::Ramp => self.ramp(),
+            Block::Scaled => self.scaled(),
             Block::Stop => self.stop(),
         }
     }

@@ -91,18 +91,27 @@ pub(super) fn packets(bytes: &[u8]) -> Vec<Packet> {
 #[derive(Debug, Default)]
 pub(super) struct CommandHistory(HashMap<u64, (f32, u32)>);
 
-/// The configuration and the samples of the law since then.
-#[derive(Debug, Default)]
+/// The configuration and the samples of the law since then, relative to `scale`.
+#[derive(Debug)]
 struct LawInputs {
     hash: u64,
+    /// Power of two at most the drive limit, if the law is linear below its limit: with the limit, the
+    /// setpoint and the components multiplied by a power of two its drive is too. Otherwise 1.
+    scale: f32,
     first_us: Option<u32>,
     last_number: Option<u8>,
 }
 
 impl LawInputs {
-    fn configure(configure: &Configure) -> Self {
+    const NONE: Self = Self { hash: 0, scale: 1.0, first_us: None, last_number: None };
+
+    fn configure(configure: &Configure, is_linear: bool) -> Self {
+        let limit_vpp = configure.drive_limit_vpp;
+        let scale =
+            if is_linear && limit_vpp.is_normal() && limit_vpp > 0.0 { limit_vpp.log2().floor().exp2() } else { 1.0 };
+        let scaled = Configure { drive_limit_vpp: limit_vpp / scale, ..*configure };
         // `Debug` writes every digit of a float.
-        Self { hash: hash_of(&format!("{configure:?}")), ..Self::default() }
+        Self { hash: hash_of(&format!("{scaled:?}")), scale, ..Self::NONE }
     }
 
     /// A repeated sample does not reach the law.
@@ -111,9 +120,14 @@ impl LawInputs {
             return;
         }
         let since_us = sample.time_us.wrapping_sub(*self.first_us.get_or_insert(sample.time_us));
-        let values = [sample.setpoint_um, sample.wd_um, sample.wq_um].map(f32::to_bits);
+        let values = [sample.setpoint_um, sample.wd_um, sample.wq_um].map(|value| (value / self.scale).to_bits());
         self.hash = hash_of(&(self.hash, since_us, values));
     }
+}
+
+/// True for a law that `docs/wire-protocol.md` defines.
+pub(super) const fn is_defined(law: LawId) -> bool {
+    matches!(law, LawId::OpenLoop | LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed)
 }
 
 fn hash_of(value: &impl Hash) -> u64 {
@@ -155,7 +169,7 @@ impl<'a> Comparison<'a> {
             identity,
             scope,
             requests: PacketReader::new(),
-            inputs: LawInputs::default(),
+            inputs: LawInputs::NONE,
             last_command: None,
             configuration: None,
             has_other_design: false,
@@ -175,7 +189,8 @@ impl<'a> Comparison<'a> {
                     self.configuration = Some(configure);
                     (self.has_other_design, self.is_ambiguous) = (false, false);
                     self.previous = None;
-                    self.inputs = LawInputs::configure(&configure);
+                    let is_linear = !self.own_law && is_defined(configure.law);
+                    self.inputs = LawInputs::configure(&configure, is_linear);
                     self.ticks = TickComparison::new(&configure);
                 }
                 Message::Sample(sample) => self.inputs.add(packet.sequence, &sample),
@@ -298,16 +313,18 @@ impl<'a> Comparison<'a> {
         let CommandHistory(commands) = history;
         let Some((drive, frequency)) = commands.get(&self.inputs.hash).copied() else {
             if commands.len() < MAX_HISTORY {
-                commands.insert(self.inputs.hash, (drive_vpp, frequency_mhz));
+                commands.insert(self.inputs.hash, (drive_vpp / self.inputs.scale, frequency_mhz));
             }
             return Ok(());
         };
-        let earlier = Command { drive_vpp: drive, frequency_mhz: frequency, ..*answer };
+        let earlier = Command { drive_vpp: drive * self.inputs.scale, frequency_mhz: frequency, ..*answer };
         if self.distance(answer, &earlier) <= SAME_GAINS_TOLERANCE {
             return Ok(());
         }
         let [answer, earlier] = [*answer, earlier].map(|command| show_command(0, &command));
-        differs(format!("{answer}, but after an earlier configuration with the same samples {earlier}"))
+        differs(format!(
+            "{answer}, but after an earlier configuration with the same samples, or all in proportion to the limit, {earlier}"
+        ))
     }
 
     fn tolerance(&self) -> f64 {
