@@ -6,6 +6,8 @@ use platebench_model::record::{
 };
 use std::mem::{Discriminant, discriminant};
 
+const MAX_PROTOCOL_DIFFERENCES: usize = 3;
+
 pub(crate) fn trial_to_inspect(scenario: &ScenarioRecord, index: usize) -> Option<&TrialRecord> {
     scenario.expectations.get(index).filter(|found| found.verdict != Verdict::Pass)?;
     deciding_trial(scenario, index)
@@ -229,7 +231,7 @@ pub(crate) fn unplayed_scenarios(record: &RunRecord) -> Vec<&str> {
 /// met. Sentences of the controller's answers.
 pub(crate) fn protocol_differences(scenario: &ScenarioRecord, index: usize) -> &[String] {
     let is_of_check = |expectation: &ExpectationRecord| {
-        expectation.definition.metric == Metric::ProtocolDifferences && expectation.verdict == Verdict::Fail
+        expectation.metric == Metric::ProtocolDifferences && expectation.verdict == Verdict::Fail
     };
     let differences = scenario
         .expectations

@@ -8,6 +8,7 @@ use super::trace_data::TraceData;
 use crate::chart::marks::{Axes, Axis, AxisValue, Drawing, Mark, Point, Role, Shape, extent, view_box};
 use crate::document::verdict_badge;
 use crate::format;
+use crate::record_queries;
 use crate::text::history::TrendPoint;
 use crate::text::timing;
 use maud::{Markup, html};
@@ -128,6 +129,9 @@ fn expectations_table(scenario: &ScenarioRecord, trends: &[Vec<TrendPoint>]) -> 
             }
             @if let Some(reason) = format::remaining_reason(expectation) {
                 tr.reason { td colspan=(columns.len()) { span { (reason) } } }
+            }
+            @for difference in record_queries::protocol_differences(scenario, index) {
+                tr.reason { td colspan=(columns.len()) { span { (difference) } } }
             }
             @if let Some(evidence) = format::evidence(expectation) {
                 tr.evidence { td colspan=(columns.len()) { span { (evidence) } } }

@@ -387,6 +387,9 @@ fn write_reason_and_trace(
     if !reason.is_empty() {
         style.write_wrapped(text, "    ↳ ", "      ", &reason.join(": "));
     }
+    for difference in record_queries::protocol_differences(scenario, index) {
+        style.write_wrapped(text, "    ↳ ", "      ", difference);
+    }
     let trace = record_queries::trial_to_inspect(scenario, index).map_or("none", |trial| trial.trace.as_str());
     style.write_wrapped(text, "    trace: ", "      ", trace);
 }

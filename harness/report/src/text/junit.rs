@@ -128,7 +128,7 @@ fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>, fo
         let mut status = TestCaseStatus::non_success(kind);
         status.set_type(format::verdict(expectation));
         // GitLab displays the description.
-        let text = failure_text(expectation);
+        let text = failure_text(expectation, record_queries::protocol_differences(scenario, index));
         status.set_message(text.replace('\n', "; ")).set_description(text);
         status
     });
@@ -159,8 +159,9 @@ fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>, fo
     Some(case)
 }
 
-fn failure_text(expectation: &ExpectationRecord) -> String {
+fn failure_text(expectation: &ExpectationRecord, differences: &[String]) -> String {
     let facts = [Some(format::summary(expectation)), expectation.reason.as_ref().map(ToString::to_string)];
-    let lines: Vec<_> = facts.into_iter().flatten().map(|fact| printable(&fact).into_owned()).collect();
+    let facts = facts.into_iter().flatten().chain(differences.iter().cloned());
+    let lines: Vec<_> = facts.map(|fact| printable(&fact).into_owned()).collect();
     lines.join("\n")
 }

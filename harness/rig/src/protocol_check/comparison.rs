@@ -189,7 +189,7 @@ impl<'a> Comparison<'a> {
                     self.configuration = Some(configure);
                     (self.has_other_design, self.is_ambiguous) = (false, false);
                     self.previous = None;
-                    let is_linear = !self.own_law && is_defined(configure.law);
+                    let is_linear = self.scope != ComparisonScope::OwnLaw && is_defined(configure.law);
                     self.inputs = LawInputs::configure(&configure, is_linear);
                     self.ticks = TickComparison::new(&configure);
                 }
