@@ -179,8 +179,8 @@ impl<'a> RunPlayer<'a> {
         let ScenarioPlay { scenario, law, .. } = *play;
         let span = info_span!("trial", scenario = %scenario.file, index).entered();
         let started = Instant::now();
-        let Some(deadline) = play.lock_trials().start_trial() else { return Ok(false) };
-        executor.set_cancel(&self.cancel.with_deadline(deadline));
+        let Some(cancel) = play.lock_trials().start_trial(self.cancel) else { return Ok(false) };
+        executor.set_cancel(&cancel);
         let mut tap = self.live_tap.acquire(number, index);
         let played = executor.play(scenario, law, index, tap.tap())?;
         drop(tap);
@@ -278,8 +278,8 @@ impl<'a> RunPlayer<'a> {
 }
 
 impl PlayedTrials {
-    /// Returns the deadline of the trial. `None` if the scenario plays no further trial.
-    fn start_trial(&mut self) -> Option<Option<Instant>> {
+    /// Adds the time limit to `cancel`. `None` if the scenario plays no further trial.
+    fn start_trial(&mut self, cancel: &CancelToken) -> Option<CancelToken> {
         if self.is_judged || self.is_timed_out {
             return None;
         }
@@ -287,7 +287,7 @@ impl PlayedTrials {
         if self.deadline.is_none() {
             self.deadline = self.time_left.map(|left| Instant::now() + left);
         }
-        Some(self.deadline)
+        Some(cancel.with_deadline(self.deadline))
     }
 
     fn end_trial(&mut self) {
