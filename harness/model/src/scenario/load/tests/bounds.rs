@@ -16,6 +16,7 @@ use rstest::rstest;
 #[case("frequency_range_hz = 250.0", "frequency_range_hz = 32220.8")]
 #[case("expected_exit = 1", "expected_exit = 3")]
 #[case("expected_exit = 1", "expected_exit = 5")]
+#[case("expected_exit = 1", "timeout_s = 604800")]
 #[case("from_ms = 10.0\nuntil_ms = 20.0", "from_ms = 0.0\nuntil_ms = 60.0")]
 #[case("from_ms = 10.0\nuntil_ms = 11.0", "from_ms = 59.0\nuntil_ms = 59.000001")]
 #[case("every = 10", "every = 1")]
