@@ -430,6 +430,37 @@ mod tests {
         [&trial[..], &[ScenarioMessage::Safe {}], &trial].concat()
     }
 
+    #[rstest]
+    #[case::in_a_stop(ControllerState::Safe, 1, "flags 1 in the state Safe, expected 0")]
+    #[case::below_the_limit(ControllerState::Running, 1, "flag 1 at ")]
+    #[case::both(ControllerState::Running, 6, "flags 6, expected 2 or 4 but not both")]
+    fn flags_follow_from_state_and_drive(#[case] state: ControllerState, #[case] flags: u8, #[case] text: &str) {
+        let found = play_messages(&resumed(), |_, packets| {
+            for command in commands(packets).filter(|command| command.state == state) {
+                command.flags = flags;
+            }
+        });
+        assert!(found.len() == 1 && found[0].contains(text), "{found:?}");
+    }
+
+    /// The same samples at three scales. A law with a fixed offset of the drive is not in proportion.
+    #[rstest]
+    #[case::in_proportion(0.0, 0)]
+    #[case::with_an_offset(5.0, 1)]
+    fn samples_in_proportion_have_drives_in_proportion(#[case] offset_vpp: f32, #[case] differences: usize) {
+        let trial = |scale: f32| {
+            let limit = ConfigurationChange { drive_limit_vpp: Some((900.0 * scale).into()), ..Default::default() };
+            let sample = |wd: f32| ScenarioMessage::sample(2.0 * scale, wd * scale, -0.2 * scale);
+            [ScenarioMessage::Configure(limit), sample(1.7), sample(1.8)]
+        };
+        let found = play_messages(&[trial(1.0), trial(0.5), trial(2.0)].concat(), |_, packets| {
+            for command in commands(packets).filter(|command| command.state == ControllerState::Running) {
+                command.drive_vpp += offset_vpp;
+            }
+        });
+        assert_eq!(found.len(), differences, "{found:?}");
+    }
+
     #[test]
     fn a_law_of_its_own_has_its_own_figures() {
         let found = play_messages(&resumed(), |_, packets| {

@@ -144,15 +144,16 @@ fn the_kill_rate_names_a_survivor_and_a_found_mutant() {
         mutants: vec![gain, MutantSpec { name: "unmutated", build: || Box::new(Unmutated), ..gain }],
         protocol_faults: vec![gain],
         variants: clean_variants(),
-        scenes: 12,
+        scenes: 6,
         seed: 1,
         jobs: 1,
     };
     let report = kill_rate(&config, &CancelToken::never()).unwrap();
     let found: Vec<_> = report.mutants.iter().map(|mutant| (mutant.name, mutant.found.is_some())).collect();
     assert_eq!(found, [("drive-gain-doubled", true), ("unmutated", false)]);
-    // The firmware plays 12 scenes with each of three laws, and every variant with one law.
-    let clean = 12 * (3 + config.variants.len() as u32);
+    // The firmware plays 6 scenes with each of three laws, and every variant with one law. Three
+    // sequences follow each scene.
+    let clean = 6 * 4 * (3 + config.variants.len() as u32);
     assert_eq!((report.false_alarm_rate.seen, report.false_alarm_rate.count), (0, clean), "{:?}", report.alarms);
     assert_eq!((report.kill_rate.seen, report.kill_rate.count), (1, 2));
     let protocol = report.protocol_faults;
