@@ -77,6 +77,7 @@ const GARBAGE_BYTES: [usize; 6] = [1, 24, 69, 70, 71, 200];
 
 /// Features of the controller and the rig that decide which messages are sent.
 #[derive(Debug, Clone)]
+#[expect(clippy::struct_excessive_bools, reason = "each is a feature of its own")]
 pub struct SequenceLimits {
     /// Largest number of messages of a sequence, from the speed of the rig.
     pub longest: u64,

@@ -218,11 +218,14 @@ fn step_faults() -> Vec<MutantSpec> {
                 })
             }),
         mutant("one-flag-only", "flags sent as one number: at the limits of drive and frequency flag 1 is missing")
+            .caught_by(REFERENCE, PROTOCOL)
             .with(|| on_command(send_one_flag)),
-        mutant("flags-kept-in-stop", "command of a stop repeats the flags of the last step, instead of 0").with(|| {
-            let mut keep = flags_kept_in_stop();
-            on_any_command(move |_, command| keep(command))
-        }),
+        mutant("flags-kept-in-stop", "command of a stop repeats the flags of the last step, instead of 0")
+            .caught_by(REFERENCE, PROTOCOL)
+            .with(|| {
+                let mut keep = flags_kept_in_stop();
+                on_any_command(move |_, command| keep(command))
+            }),
         mutant(
             "slow-ramp-lost",
             "setpoint that differs by at most 0.1 nm from the sample before is taken as unchanged: slow ramps are lost",
