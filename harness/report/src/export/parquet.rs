@@ -2,7 +2,7 @@
 //!
 //! The key-value metadata contain `unit.<column>`, `meaning.<column>`, the scenario and the Arrow
 //! schema. The Arrow schema repeats unit and meaning per column. Memory holds one row group of at
-//! most [`ROW_GROUP_ROWS`] rows.
+//! most `ROW_GROUP_ROWS` rows.
 //!
 //! Source of the Arrow schema: Arrow columnar format, `Schema.fbs` and `Message.fbs`. The slots are numbered in the
 //! order of the fields in these files. It is stored under the key `ARROW:schema`, because Parquet has no other metadata
