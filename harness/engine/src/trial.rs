@@ -76,7 +76,7 @@ pub fn law_names() -> impl Iterator<Item = &'static str> {
 }
 
 /// Returns the number of the law. For an own law it is that of `dq-pi`, which the controller may
-/// lack; [`law_number`] then has another one.
+/// lack; `law_number` then has another one.
 pub fn law(scenario: &Scenario) -> Result<LawId, Diagnostic> {
     let name = if scenario.has_own_law() { LawId::DqPi.name() } else { &scenario.controller.law };
     LawId::from_name(name).ok_or_else(|| {
