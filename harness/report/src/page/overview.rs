@@ -2,6 +2,7 @@
 //! boards, environment, and the list of scenarios next to the page.
 
 use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, with_unit};
+use super::scenario::sign_remark;
 use super::trace_data::{TRACE_CHANGED, TraceData};
 use crate::chart::marks::{Axes, Axis, Drawing, Mark, Point, Role, view_box};
 use crate::document::verdict_badge;
@@ -36,6 +37,11 @@ pub(super) fn head(record: &RunRecord) -> Markup {
         p.lead { "Tested: " (format::tested(record)) "." }
         @if !record.complete {
             p.notice { "The run was not finished. The page shows the part that was played." }
+        }
+        @if record.verdict == Verdict::Pass {
+            @for (scenario, ..) in record_queries::sign_symptoms(record).take(MAX_NAMED) {
+                p.notice { (scenario.file) ": " @if let Some(remark) = sign_remark(scenario) { (remark) } }
+            }
         }
         ul.tiles.compact[record.verdict != Verdict::Pass] {
             @for (word, verdict, of_scenarios, of_expectations) in tiles {
@@ -109,6 +115,7 @@ fn cause_card(
                 a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
                 " " span.file { (scenario.file) }
             }
+            (sign_notice(scenario))
             (not_passed_item(record, scenario, index, data.get(place), history, changed))
             @if let Some(plot) = plots.get(place) { (plot) }
             details {
@@ -128,6 +135,10 @@ fn cause_card(
             }
         }
     }
+}
+
+fn sign_notice(scenario: &ScenarioRecord) -> Markup {
+    html! { @if let Some(remark) = sign_remark(scenario) { p.notice { (remark) } } }
 }
 
 fn changed_traces(index: usize, scenario: &ScenarioRecord, changed: &BTreeSet<String>) -> Markup {
@@ -171,6 +182,7 @@ fn not_passed_card(
                 " " a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
                 " " span.file { (scenario.file) }
             }
+            (sign_notice(scenario))
             @for (number, index) in indices.iter().enumerate() {
                 (not_passed_item(record, scenario, *index, data, history, changed))
                 @if let Some(plot) = plot.filter(|_| number == 0) { (plot) }

@@ -177,7 +177,7 @@ fn overshoot_remark(scenario: &ScenarioRecord, data: &TraceData) -> Markup {
     }
 }
 
-fn sign_remark(scenario: &ScenarioRecord) -> Option<String> {
+pub(super) fn sign_remark(scenario: &ScenarioRecord) -> Option<String> {
     let (trial, symptom) = scenario.trials.iter().find_map(|trial| Some((trial.index, trial.sign_symptom?)))?;
     Some(format::sign_symptom(scenario, trial, symptom))
 }

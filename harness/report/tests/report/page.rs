@@ -3,7 +3,8 @@
 use crate::fixtures::{self, Response, closed_loop, open_loop};
 use crate::page_text::{assert_balanced, page_text, section, strip_elements};
 use platebench_model::record::{
-    ExpectationRecord, Reason, RunRecord, ScenarioRecord, Statistic, TrialFinding, TrialRecord, UndefinedValue, Verdict,
+    ExpectationRecord, Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord,
+    UndefinedValue, Verdict,
 };
 use platebench_model::trace::{Flags, TraceWriter};
 use platebench_report::page::{self, IsTraceChanged, ReportPage};
@@ -29,6 +30,26 @@ pub(crate) fn plot_data(page: &str) -> Vec<Value> {
 pub(crate) fn legend_texts(curves: &Value, figure: usize) -> Vec<String> {
     let groups = curves["panels"][figure]["groups"].as_array().unwrap().iter();
     groups.map(|group| group["text"].as_str().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn the_first_screen_names_a_wrong_sign() {
+    let folder = tempfile::tempdir().unwrap();
+    let with_symptom = |mut record: RunRecord| {
+        let verdict = record.verdict;
+        let scenario = record.scenarios.iter_mut().find(|scenario| scenario.verdict == verdict).unwrap();
+        scenario.trials[0].sign_symptom = Some(SignSymptom::NoDrive);
+        write_page(&record, folder.path())
+    };
+    let failed = with_symptom(fixtures::run_with_traces(folder.path()));
+    let card = failed.split_once("<ol class=\"open\">").unwrap().1;
+    assert!(card.contains("<p class=\"notice\">trial 0: ") && card.contains("sign of the amplitude loop?"));
+    let mut closed = closed_loop();
+    fixtures::write_trials(&mut closed, folder.path(), 1, Response::default(), 0.0);
+    let passed = fixtures::run(vec![closed]);
+    assert_eq!(passed.verdict, Verdict::Pass);
+    let passed = with_symptom(passed);
+    assert!(passed.contains("sign of the amplitude loop?") && !passed.contains("What did not pass"));
 }
 
 #[test]
