@@ -6,7 +6,7 @@ use crate::test_folder::{
     ChildGuard, TestFolder, assert_same_traces, bench_command, controller_rig, run_bench, start_bench, step_scenario,
     wait_until, workspace_root,
 };
-use platebench_model::record::{Cause, ClockKind, RunRecord, TimingRecord, TrialRecord, Verdict};
+use platebench_model::record::{ClockKind, RunRecord, TimingRecord, TrialRecord, Verdict};
 use platebench_model::trace::Flags;
 use rstest::rstest;
 use std::fs;
@@ -119,14 +119,14 @@ fn a_terminated_program_fails_its_trial() {
     assert!(Command::new("kill").args(["-KILL", &bench.child_id()]).status().unwrap().success());
     bench.finish().assert_exit_in(&[1, 5]);
     let record = folder.record("run");
-    // On a busy machine, the bench may be too late for a verdict.
+    let ended = trial(&record).telemetry.ended.as_ref().unwrap();
+    assert!(ended.contains("signal 9"), "{ended}");
+    // On a busy machine, the bench or the answers may be too late for a verdict.
     if record.verdict == Verdict::Inconclusive {
-        assert_eq!(trial(&record).cause, Some(Cause::Bench));
+        assert!(trial(&record).cause.is_some());
         return;
     }
     assert_eq!((record.verdict, record.safe_confirmed), (Verdict::Fail, Some(false)));
-    let ended = trial(&record).telemetry.ended.as_ref().unwrap();
-    assert!(ended.contains("signal 9"), "{ended}");
     assert!(!timing(&record).safe_confirmed);
 }
 
