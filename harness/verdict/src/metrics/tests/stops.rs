@@ -153,7 +153,12 @@ fn a_non_finite_drive_has_no_values() {
         matches!(measure(&shutdown_expectation(60.0), &shut, &not_a_number), Measure::Missing(_)),
         "the bench applied its 0 V"
     );
-    assert_eq!(measure(&expectation_for(Metric::MissedReplies), &settled, &not_a_number), Measure::Value(0.0));
+    let missed = measure(&expectation_for(Metric::MissedReplies), &settled, &not_a_number);
+    assert_eq!(
+        missed,
+        Measure::Missing(MissingValue::NonFiniteDrive),
+        "a controller without finite drive may not pass"
+    );
     let never = trace_at([0.0, 1.0, 60.0], |_| 2.0, |_| 0.0);
     assert_eq!(
         measure(&expectation_for(Metric::SettlingTime), &never, &not_a_number),
