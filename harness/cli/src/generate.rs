@@ -22,6 +22,7 @@ use platebench_model::trace::write_atomically;
 use platebench_report::comparison::ScenarioComparison;
 use platebench_report::events::EventLine;
 use platebench_report::scenario_list::ScenarioList;
+use platebench_rig::RIGS;
 use platebench_verdict::replay::ReplayResult;
 use serde_json::json;
 use std::fs;
@@ -209,11 +210,16 @@ struct CompletionsArgs {
 
 const BASH_NAMES: &str = include_str!("names.bash");
 
+fn bash_names() -> String {
+    let rigs: Vec<_> = RIGS.iter().map(|rig| rig.name).collect();
+    BASH_NAMES.replace("@RIGS@", &rigs.join("\\n"))
+}
+
 fn show_completions(arguments: &CompletionsArgs, mut definition: Command) -> Exit {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut definition, "platebench", &mut script);
     if arguments.shell == Shell::Bash {
-        script.extend_from_slice(BASH_NAMES.as_bytes());
+        script.extend_from_slice(bash_names().as_bytes());
     }
     stdio::show(&String::from_utf8_lossy(&script));
     Exit::Passed
@@ -262,6 +268,12 @@ mod tests {
                 kind.file_name()
             );
         }
+    }
+
+    #[test]
+    fn bash_completes_every_rig() {
+        assert!(bash_names().contains("--rig) names=$'hosted\\nemulated\\n"), "{}", bash_names());
+        assert!(RIGS.iter().all(|rig| bash_names().contains(rig.name)));
     }
 
     #[test]

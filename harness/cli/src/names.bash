@@ -1,5 +1,5 @@
 
-# Adds the names of scenarios, tags and boards, which come from the files of the project.
+# Adds the names of scenarios, tags and boards, which come from the files of the project, and of rigs.
 _platebench_names() {
     _platebench "$@"
     local word=${COMP_WORDS[COMP_CWORD]} names name
@@ -11,6 +11,7 @@ _platebench_names() {
         --board)
             names=$("$1" board list --format json 2>/dev/null | sed -n 's/^ *"name": "\([^"]*\)",$/\1/p')
             ;;
+        --rig) names=$'@RIGS@' ;;
         -*) return ;;
         *)
             [[ ${COMP_WORDS[1]} == run && $word != -* ]] || return
