@@ -1,5 +1,5 @@
-//! Detects a loop that does not converge, or acts in the wrong direction (`docs/verdicts.md`). A divergence explains a failure and
-//! never causes one.
+//! Detects a loop that does not converge, or acts in the wrong direction (`docs/verdicts.md`). A
+//! divergence explains a failure and never causes one.
 //!
 //! Drive and frequency slew are limited, so an unstable loop keeps oscillating but does not grow
 //! without bound. A loop diverges if, after the last event of the trial, the amplitude keeps

@@ -10,22 +10,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::time::Duration;
 
-const CONFIGURE: Configure = Configure {
-    law: LawId::DqPi,
-    paced_by_target: false,
-    drives_own_plate: false,
-    watchdog_timeout_ms: 0,
-    period_us: 1_000,
-    loop_delay_us: 0,
-    start_frequency_mhz: 32_307_600,
-    gain_um_per_vpp: 0.00698,
-    time_constant_s: 1.88e-3,
-    response_time_s: 0.0,
-    drive_limit_vpp: 900.0,
-    frequency_range_hz: 200.0,
-    frequency_slew_hz: 100.0,
-    gains: None,
-};
+const CONFIGURE: Configure = Configure { frequency_range_hz: 200.0, ..platebench_test_kit::CONFIGURE };
 
 /// A dialogue with a controller; time advances between the messages.
 struct Conversation {
@@ -317,7 +302,10 @@ const GAINS: Gains = Gains { amplitude_kp: 100.0, amplitude_ki: 5e4, frequency_k
     talk.configure(CONFIGURE);
     talk.samples(1);
 })]
-#[case::slew("zero-slew-accepted", |talk: &mut Conversation| talk.configure(Configure { frequency_slew_hz: 0.0, ..CONFIGURE }))]
+#[case::slew(
+    "zero-slew-accepted",
+    |talk: &mut Conversation| talk.configure(Configure { frequency_slew_hz: 0.0, ..CONFIGURE })
+)]
 #[case::zero_delay("zero-delay-accepted", |talk: &mut Conversation| talk.changed_configure(|body| body[54..].fill(0)))]
 #[case::unknown_law("unknown-law-answered", |talk: &mut Conversation| talk.changed_configure(|body| body[2] = 9))]
 #[case::start("start-frequency-in-f32", |talk: &mut Conversation| {

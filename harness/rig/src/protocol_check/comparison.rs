@@ -323,7 +323,8 @@ impl<'a> Comparison<'a> {
         }
         let [answer, earlier] = [*answer, earlier].map(|command| show_command(0, &command));
         differs(format!(
-            "{answer}, but after an earlier configuration with the same samples, or all in proportion to the limit, {earlier}"
+            "{answer}, but after an earlier configuration with the same samples, or all in proportion to the limit, \
+             {earlier}"
         ))
     }
 

@@ -323,7 +323,12 @@ mod tests {
     #[case::no_noise(STATIC, SILENT, ErrorOrigin::Sensor, None)]
     #[case::noise_of_a_mean(STATIC, NOISE, ErrorOrigin::Sensor, Some(0.01 / 20.0_f64.sqrt() * 50.0))]
     #[case::slope(SETTLING, NOISE, ErrorOrigin::Sensor, Some(0.0075 * 6.676_17))]
-    #[case::crossing(SETTLING, SILENT, ErrorOrigin::Numerical, Some(0.577_350 * (13.352_34e-6_f64.powi(2) + 1e-12).sqrt()))]
+    #[case::crossing(
+        SETTLING,
+        SILENT,
+        ErrorOrigin::Numerical,
+        Some(0.577_350 * (13.352_34e-6_f64.powi(2) + 1e-12).sqrt())
+    )]
     #[case::period(SENSED, SILENT, ErrorOrigin::Quantisation, Some(0.577_350))]
     #[case::millihertz(FREQUENCY, SILENT, ErrorOrigin::Quantisation, Some(0.000_5 * 0.577_350))]
     // 0.2 % of the step, and (0.05/1.88)²/8 of 6.282 µm, relative to 2 µm.
