@@ -6,7 +6,8 @@ use platebench_model::record::{Telemetry, Violation, ViolationKind};
 use platebench_model::scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_plate::Time;
 use platebench_rig::{
-    CheckOptions, DrivesAfterSafe, FaultInjector, Link, LinkError, ProtocolCheck, RigError, Session, check_protocol,
+    CheckOptions, DrivesAfterSafe, FaultInjector, Link, LinkError, LinkKind, ProtocolCheck, RigError, Session,
+    check_protocol,
 };
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
 use tracing::warn;
@@ -111,6 +112,10 @@ impl<'a> ControllerLog<'a> {
         let rejected = session.rejected_frames();
         if rejected > 0 && self.scenario.faults.is_empty() {
             warn!(scenario = self.scenario.file, frames = rejected, "frames from the controller rejected");
+            // Noise on a line may damage a frame, and a reset of the chip may cut one.
+            if session.link().kind() != LinkKind::Lossy && self.scenario.chip_faults.is_empty() {
+                self.checks.set_count(ViolationKind::RejectedFrame, rejected, now);
+            }
         }
     }
 

@@ -1,17 +1,20 @@
-//! Checks that doubled answers and an invented confirmation of 0 V have reasons of their own.
+//! Checks that doubled answers, an invented confirmation of 0 V and damaged frames have reasons of
+//! their own.
 
 use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
 use platebench_engine::{RunHooks, run};
 use platebench_model::record::{RunFolder, RunRecord, Verdict, ViolationKind};
-use platebench_rig::{HostedLink, Link, LinkError};
+use platebench_rig::{HostedLink, Link, LinkError, LinkKind};
 use platebench_test_kit::load_scenario;
 use platebench_wire::{Command, ControllerState, Message, Packet};
+use rstest::rstest;
 use std::time::Duration;
 
-/// `more` returns what the controller sends besides its answer.
+/// `more` returns the frame that the controller sends besides its answer.
 struct TalkingLink {
     inner: HostedLink,
-    more: fn(&Packet) -> Option<Packet>,
+    kind: LinkKind,
+    more: fn(&Packet) -> Option<Vec<u8>>,
 }
 
 impl Link for TalkingLink {
@@ -19,9 +22,7 @@ impl Link for TalkingLink {
         let from = answer.len();
         let delay = self.inner.exchange(now, bytes, answer)?;
         for packet in packets(&answer[from..]) {
-            if let Some(packet) = (self.more)(&packet) {
-                answer.extend_from_slice(packet.encode().as_bytes());
-            }
+            answer.extend((self.more)(&packet).into_iter().flatten());
         }
         Ok(delay)
     }
@@ -30,15 +31,27 @@ impl Link for TalkingLink {
         self.inner.advance_to(now, received)
     }
 
+    fn kind(&self) -> LinkKind {
+        self.kind
+    }
+
     fn restart(&mut self) -> Result<bool, LinkError> {
         self.inner.restart()
     }
 }
 
-fn run_with(more: fn(&Packet) -> Option<Packet>) -> RunRecord {
+fn frame(packet: &Packet) -> Vec<u8> {
+    packet.encode().as_bytes().to_vec()
+}
+
+fn run_with(more: fn(&Packet) -> Option<Vec<u8>>) -> RunRecord {
+    run_on(LinkKind::Simulated, more)
+}
+
+fn run_on(kind: LinkKind, more: fn(&Packet) -> Option<Vec<u8>>) -> RunRecord {
     let folder = tempfile::tempdir().unwrap();
     let run_folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
-    let connect = || Ok(Box::new(TalkingLink { inner: HostedLink::new(), more }) as Box<dyn Link>);
+    let connect = || Ok(Box::new(TalkingLink { inner: HostedLink::new(), kind, more }) as Box<dyn Link>);
     run(&plan(vec![load_scenario(FIG13)], LOCKSTEP), &run_folder, &connect, RunHooks::default()).unwrap()
 }
 
@@ -50,7 +63,7 @@ fn violations(record: &RunRecord) -> Vec<ViolationKind> {
 
 #[test]
 fn doubled_answers_fail_as_second_replies() {
-    let record = run_with(|packet| matches!(packet.message, Message::Command(_)).then_some(*packet));
+    let record = run_with(|packet| matches!(packet.message, Message::Command(_)).then(|| frame(packet)));
     assert_eq!((record.verdict, violations(&record)), (Verdict::Fail, vec![ViolationKind::SecondReply]));
 }
 
@@ -58,7 +71,7 @@ fn doubled_answers_fail_as_second_replies() {
 fn a_doubled_confirmation_of_0_v_fails_as_a_second_reply() {
     let record = run_with(|packet| {
         let is_safe = matches!(packet.message, Message::Command(Command { state: ControllerState::Safe, .. }));
-        is_safe.then_some(*packet)
+        is_safe.then(|| frame(packet))
     });
     assert_eq!((record.verdict, violations(&record)), (Verdict::Fail, vec![ViolationKind::SecondReply]));
 }
@@ -68,9 +81,27 @@ fn an_invented_confirmation_of_0_v_fails_with_its_own_reason() {
     let record = run_with(|packet| match packet.message {
         Message::Command(command) if command.state == ControllerState::Running => {
             let message = Message::Command(Command { state: ControllerState::Safe, drive_vpp: 0.0, ..command });
-            Some(Packet { message, ..*packet })
+            Some(frame(&Packet { message, ..*packet }))
         }
         _ => None,
     });
     assert_eq!((record.verdict, violations(&record)), (Verdict::Fail, vec![ViolationKind::UnrequestedSafe]));
+}
+
+/// Sends a second answer with a wrong last byte of the CRC.
+fn damaged(packet: &Packet) -> Option<Vec<u8>> {
+    let mut bytes = frame(packet);
+    let last = bytes.iter_mut().nth_back(1)?;
+    *last = if *last == 1 { 2 } else { 1 };
+    matches!(packet.message, Message::Command(_)).then_some(bytes)
+}
+
+#[rstest]
+#[case::simulated(LinkKind::Simulated, true)]
+#[case::program(LinkKind::Lossless, true)]
+#[case::serial_line(LinkKind::Lossy, false)]
+fn a_damaged_frame_fails_unless_the_line_may_damage_it(#[case] kind: LinkKind, #[case] fails: bool) {
+    let record = run_on(kind, damaged);
+    let expected = if fails { vec![ViolationKind::RejectedFrame] } else { Vec::new() };
+    assert_eq!((record.verdict == Verdict::Fail, violations(&record)), (fails, expected));
 }

@@ -30,6 +30,7 @@ const VIOLATIONS: &[ViolationKind] = &[
     ViolationKind::IgnoredSafe,
     ViolationKind::ClockBackwards,
     ViolationKind::UnrequestedSafe,
+    ViolationKind::RejectedFrame,
     ViolationKind::StepTime,
 ];
 

@@ -244,17 +244,23 @@ pub enum ViolationKind {
     ClockBackwards,
     /// A command in the state *safe* that no request for 0 V caused.
     UnrequestedSafe,
+    /// A frame of the controller with a wrong CRC, wrong COBS or no message of the protocol, on a
+    /// line that loses no byte.
+    RejectedFrame,
     /// A control step that takes longer than the control period on the emulated chip, percent of
     /// the period. A scenario with an expectation of `step_time_percent` has its own limit.
     StepTime,
 }
 
 impl ViolationKind {
-    pub const COUNT: usize = 12;
+    pub const COUNT: usize = 13;
 
     /// True if only the number of violations is known, not the instant of the first one.
     const fn is_counted(self) -> bool {
-        matches!(self, Self::WrongSequence | Self::SecondReply | Self::IgnoredSafe | Self::UnrequestedSafe)
+        matches!(
+            self,
+            Self::WrongSequence | Self::SecondReply | Self::IgnoredSafe | Self::UnrequestedSafe | Self::RejectedFrame
+        )
     }
 }
 
@@ -287,6 +293,9 @@ impl fmt::Display for Violation {
             ViolationKind::ClockBackwards => write!(formatter, "time stamp of a command before that of the last one"),
             ViolationKind::UnrequestedSafe => {
                 write!(formatter, "0 V confirmed without a request, or under the number of an answered sample")
+            }
+            ViolationKind::RejectedFrame => {
+                write!(formatter, "frame of the controller rejected: its CRC, COBS or message is wrong")
             }
             ViolationKind::StepTime => write!(
                 formatter,
