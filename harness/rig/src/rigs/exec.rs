@@ -11,7 +11,7 @@ use crate::cancel::CancelToken;
 use crate::factory::{Argument, Capability, ConnectError, ConnectOptions, Rig, RigFactory, RigProperties};
 use crate::link::{BoxedLink, Link, LinkError, LinkKind, RealTimeLine};
 use crate::port::{Port, open_pseudo_terminal};
-use platebench_wire::{Message, Packet, PacketReader};
+use platebench_wire::{FrameError, Message, Packet, PacketError, PacketReader};
 use program::Program;
 use rustix::fd::OwnedFd;
 use std::time::{Duration, Instant};
@@ -68,12 +68,33 @@ pub enum ExecError {
     Terminal(std::io::Error),
     #[error("`{program}` {how} before the handshake")]
     Exited { program: String, how: String },
-    #[error("`{program}` runs, but did not answer the handshake on {port} within {} s", HANDSHAKE_TIMEOUT.as_secs())]
-    NoAnswer { program: String, port: String },
+    #[error(
+        "`{program}` runs, but did not answer the handshake on {port} within {} s{}",
+        HANDSHAKE_TIMEOUT.as_secs(),
+        rejected_hint(rejected)
+    )]
+    NoAnswer {
+        program: String,
+        port: String,
+        /// Number of rejected frames that the program sent, and the error of the last one.
+        rejected: Option<(u32, PacketError)>,
+    },
     #[error("cancelled while waiting for the handshake of `{0}`")]
     Cancelled(String),
     #[error(transparent)]
     Link(#[from] LinkError),
+}
+
+fn rejected_hint(rejected: &Option<(u32, PacketError)>) -> String {
+    let Some((count, last)) = rejected else { return String::new() };
+    let problem = match last {
+        PacketError::Frame(FrameError::Checksum) => "a wrong CRC",
+        PacketError::Frame(FrameError::InvalidCobs) => "invalid COBS",
+        PacketError::Frame(FrameError::Overlong) => "no end within the length of a frame",
+        PacketError::Frame(FrameError::Truncated) => "no room for a CRC",
+        PacketError::Message(_) => "a message that the protocol does not have",
+    };
+    format!("; {count} of its frames were rejected, the last one has {problem}")
 }
 
 /// A program without a folder is searched in PATH only.
@@ -150,14 +171,20 @@ impl ExecLink {
         let hello = Packet { sequence: 0, message: Message::Hello }.encode();
         let deadline = Instant::now() + HANDSHAKE_TIMEOUT;
         let mut answer = Vec::new();
+        let mut rejected = None;
         while Instant::now() < deadline {
             let asked = Instant::now();
             answer.clear();
             let delay = self.port.exchange(Duration::ZERO, hello.as_bytes(), &mut answer)?;
-            let is_identity = |packet: Packet| matches!(packet.message, Message::Identity(_));
-            if PacketReader::new().packets(&answer).flatten().any(is_identity) {
-                debug!(?delay, pid = self.program.process_id(), "program started");
-                return Ok(());
+            for packet in PacketReader::new().packets(&answer) {
+                match packet {
+                    Ok(Packet { message: Message::Identity(_), .. }) => {
+                        debug!(?delay, pid = self.program.process_id(), "program started");
+                        return Ok(());
+                    }
+                    Ok(_) => {}
+                    Err(error) => rejected = Some((rejected.map_or(1, |(count, _)| count + 1), error)),
+                }
             }
             if cancel.is_cancelled() {
                 return Err(ExecError::Cancelled(self.program.name().to_owned()));
@@ -168,7 +195,7 @@ impl ExecLink {
             // An echo of the hello ends the exchange before the interval is over.
             std::thread::sleep(HANDSHAKE_INTERVAL.saturating_sub(asked.elapsed()));
         }
-        Err(ExecError::NoAnswer { program: self.program.name().to_owned(), port: name.to_owned() })
+        Err(ExecError::NoAnswer { program: self.program.name().to_owned(), port: name.to_owned(), rejected })
     }
 
     /// If the line is lost, the error says how the program ended.
