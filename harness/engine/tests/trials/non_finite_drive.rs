@@ -93,6 +93,7 @@ fn a_non_finite_drive_is_the_reason_of_the_failure() {
         let settling =
             "trial 0: diverged at t = 10.0 ms: the drive command was NaN or infinite: never stays inside the band";
         assert!(reasons.iter().any(|reason| reason == settling), "{reasons:#?}");
+        assert!(reasons.iter().all(|reason| reason.matches("NaN or infinite").count() == 1), "{reasons:#?}");
     }
 }
 

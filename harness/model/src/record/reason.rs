@@ -174,10 +174,15 @@ impl fmt::Display for Reason {
         match self {
             Self::Trial { trial, divergence, finding, ended } => {
                 write!(formatter, "trial {trial}: ")?;
-                if let Some(divergence) = divergence {
-                    write!(formatter, "{divergence}: ")?;
+                match (divergence, finding) {
+                    (Some(divergence), TrialFinding::Missing(MissingValue::NonFiniteDrive))
+                        if divergence.is_non_finite =>
+                    {
+                        write!(formatter, "{divergence}")?;
+                    }
+                    (Some(divergence), finding) => write!(formatter, "{divergence}: {finding}")?,
+                    (None, finding) => write!(formatter, "{finding}")?,
                 }
-                write!(formatter, "{finding}")?;
                 ended.iter().try_for_each(|ended| write!(formatter, ": {ended}"))
             }
             Self::Violation { trial, violation } => write!(formatter, "trial {trial}: {violation}"),
