@@ -41,7 +41,13 @@ impl Rig for EmulatedRig {
             Some(port) => EmulatedLink::open_with_debugger(elf, port, &options.cancel),
             None => elf.map_or_else(EmulatedLink::built_in, EmulatedLink::open),
         };
-        Ok(Box::new(link?))
+        match (link, elf) {
+            (Ok(link), _) => Ok(Box::new(link)),
+            (Err(error @ EmulatedError::Image(_)), Some(elf)) => {
+                Err(ConnectError::Invalid(format!("{}: {error}", elf.display()).into()))
+            }
+            (Err(error), _) => Err(error.into()),
+        }
     }
 
     #[cfg(not(feature = "emulated"))]
