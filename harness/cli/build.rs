@@ -1,6 +1,8 @@
-//! Passes commit, profile and Cargo features of the build to the program.
+//! Passes commit, profile and Cargo features of the build and the shared library for FMUs to the
+//! program.
 
 use std::env;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -17,7 +19,24 @@ fn profile() -> Option<String> {
     Some(out.ancestors().nth(3)?.file_name()?.to_string_lossy().into_owned())
 }
 
-fn main() {
+/// Copies the shared library of `PLATEBENCH_FMI_LIBRARY` to `OUT_DIR`; an empty file without the
+/// variable.
+fn copy_fmi_library() -> Result<(), String> {
+    println!("cargo::rerun-if-env-changed=PLATEBENCH_FMI_LIBRARY");
+    let folder = env::var_os("OUT_DIR").ok_or("no OUT_DIR")?;
+    let content = match env::var_os("PLATEBENCH_FMI_LIBRARY") {
+        Some(file) => {
+            println!("cargo::rerun-if-changed={}", Path::new(&file).display());
+            fs::read(&file)
+                .map_err(|error| format!("PLATEBENCH_FMI_LIBRARY {}: {error}", Path::new(&file).display()))?
+        }
+        None => Vec::new(),
+    };
+    fs::write(Path::new(&folder).join("libplatebench_fmi.so"), content).map_err(|error| error.to_string())
+}
+
+fn main() -> Result<(), String> {
+    copy_fmi_library()?;
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-env-changed=PLATEBENCH_COMMIT");
     // A source package has no Git repository, so its builder states the commit in this variable.
@@ -34,4 +53,5 @@ fn main() {
     println!("cargo::rustc-env=PLATEBENCH_BUILD_COMMIT={}", commit.unwrap_or_default());
     println!("cargo::rustc-env=PLATEBENCH_BUILD_PROFILE={}", profile().unwrap_or_default());
     println!("cargo::rustc-env=PLATEBENCH_BUILD_FEATURES={}", features.join(" "));
+    Ok(())
 }

@@ -71,20 +71,24 @@ struct FmuArgs {
     /// The FMU (FMI 3.0, co-simulation), see docs/fmi.md. No file is overwritten
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Shared library of the plate; default: next to this program, or in ../lib/platebench
+    /// Shared library of the plate; default: the one that a released
+    /// program contains, else next to this program, or in ../lib/platebench
     #[arg(long, value_name = "FILE")]
     library: Option<PathBuf>,
 }
+
+/// Shared library that `ci/release` builds first and names in `PLATEBENCH_FMI_LIBRARY`; empty in
+/// other builds, whose library Cargo makes next to the program.
+#[cfg(feature = "export")]
+const EMBEDDED_LIBRARY: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/libplatebench_fmi.so"));
 
 #[cfg(feature = "export")]
 fn export_fmu(arguments: &FmuArgs) -> CommandResult {
     let plate = load_plate(&arguments.plate)?;
     warn_of_plate(&arguments.plate, &plate);
     let text = read_text(&arguments.plate)?;
-    let library = match &arguments.library {
-        Some(library) => library.clone(),
-        None => find_library(&std::env::current_exe().unwrap_or_default()).or_invalid()?,
-    };
+    let program = std::env::current_exe().unwrap_or_default();
+    let library = find_library(arguments.library.as_deref(), EMBEDDED_LIBRARY, &program).or_invalid()?;
     let title = arguments.plate.file_stem().unwrap_or_default().to_string_lossy();
     platebench_fmi::write(&plate, &text, &title, &library, &arguments.out).or_invalid()?;
     stdio::show(&format!("{}\n", arguments.out.display()));

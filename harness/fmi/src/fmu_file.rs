@@ -5,6 +5,7 @@ use crate::instance::PLATE_FILE;
 use crate::instance::{INPUTS, OUTPUTS, TIME_REFERENCE, input_reference, output_reference};
 use platebench_model::trace::{AtPath as _, AtomicFile, FileError, MAX_IMAGE_BYTES, read_regular_file};
 use platebench_plate::Plate;
+use std::borrow::Cow;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::io::Write;
@@ -35,12 +36,19 @@ pub enum FmuError {
     Archive { path: PathBuf, source: zip::result::ZipError },
 }
 
-/// Searches the folder of `program`, its `deps` (Cargo) and `../lib/platebench` (installed).
-pub fn find_library(program: &Path) -> Result<PathBuf, FmuError> {
+/// Returns the shared library: the file `named`, else `embedded` if the build contains it, else
+/// that of the folder of `program`, of its `deps` (Cargo) or of `../lib/platebench` (installed).
+pub fn find_library<'a>(named: Option<&Path>, embedded: &'a [u8], program: &Path) -> Result<Cow<'a, [u8]>, FmuError> {
+    if named.is_none() && !embedded.is_empty() {
+        return Ok(Cow::Borrowed(embedded));
+    }
     let folder = program.parent().unwrap_or(Path::new("."));
     let folders = [folder.to_owned(), folder.join("deps"), folder.join("../lib/platebench")];
     let mut files = folders.into_iter().map(|folder| folder.join(LIBRARY_FILE));
-    files.find(|file| file.is_file()).ok_or_else(|| FmuError::NoLibrary { program: program.to_owned() })
+    let file = named.map(Path::to_owned).or_else(|| files.find(|file| file.is_file()));
+    let file = file.ok_or_else(|| FmuError::NoLibrary { program: program.to_owned() })?;
+    let content = read_regular_file(&file, MAX_IMAGE_BYTES).at(&file)?;
+    if content.starts_with(b"\x7fELF") { Ok(Cow::Owned(content)) } else { Err(FmuError::NotALibrary(file)) }
 }
 
 const fn platform() -> Option<&'static str> {
@@ -54,12 +62,8 @@ const fn platform() -> Option<&'static str> {
 }
 
 /// `plate_text` is the content of the plate file. Fails if `out` exists.
-pub fn write(plate: &Plate, plate_text: &str, title: &str, library: &Path, out: &Path) -> Result<(), FmuError> {
+pub fn write(plate: &Plate, plate_text: &str, title: &str, library: &[u8], out: &Path) -> Result<(), FmuError> {
     let platform = platform().ok_or(FmuError::Architecture(std::env::consts::ARCH))?;
-    let content = read_regular_file(library, MAX_IMAGE_BYTES).at(library)?;
-    if !content.starts_with(b"\x7fELF") {
-        return Err(FmuError::NotALibrary(library.to_owned()));
-    }
     if out.exists() {
         return Err(FmuError::FileExists(out.to_owned()));
     }
@@ -73,7 +77,7 @@ pub fn write(plate: &Plate, plate_text: &str, title: &str, library: &Path, out: 
     for (name, bytes) in [
         ("modelDescription.xml", description.as_bytes()),
         (resource.as_str(), plate_text.as_bytes()),
-        (binary.as_str(), content.as_slice()),
+        (binary.as_str(), library),
     ] {
         zip.start_file(name, options).map_err(archive)?;
         zip.write_all(bytes).at(out)?;
