@@ -131,7 +131,8 @@ fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
         }
         if let Some(feature) = missing_feature(&error) {
             crate::stdio::note(&format!(
-                "this bench was built without the Cargo feature `{feature}`, which this command needs"
+                "this bench was built without the Cargo feature `{feature}`, which this command needs; \
+                 `cargo platebench-full` builds it with all features"
             ));
         }
         error.exit()
@@ -160,7 +161,7 @@ fn missing_feature(error: &clap::Error) -> Option<&'static str> {
     let name = [ContextKind::InvalidSubcommand, ContextKind::InvalidArg].into_iter().find_map(|kind| error.get(kind));
     let Some(ContextValue::String(name)) = name else { return None };
     let (feature, is_built) = match &**name {
-        "coverage" | "mutate" => ("emulated", cfg!(feature = "emulated")),
+        "coverage" | "mutate" => ("analysis", cfg!(feature = "analysis")),
         "campaign" | "fmu" | "--export" => ("export", cfg!(feature = "export")),
         _ => return None,
     };

@@ -1,7 +1,10 @@
 //! Defines the command line: arguments, wiring and exit codes. Other crates decide and measure.
 //! This is a library so that the tests of the whole bench can build the same program.
 
-#![cfg_attr(not(all(feature = "emulated", feature = "export", feature = "live")), allow(dead_code, unused_imports))]
+#![cfg_attr(
+    not(all(feature = "analysis", feature = "emulated", feature = "export", feature = "live")),
+    allow(dead_code, unused_imports)
+)]
 
 mod acceptance;
 mod baseline;

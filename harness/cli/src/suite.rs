@@ -1,7 +1,7 @@
 //! `platebench suite`: measures how well the scenarios find faults, and searches for new ones.
 
 mod explore;
-#[cfg(feature = "emulated")]
+#[cfg(feature = "analysis")]
 mod firmware;
 
 use crate::exit::{CommandResult, Exit, OrInvalid};
@@ -38,10 +38,10 @@ enum SuiteAction {
     /// Measure how well the scenarios catch faulty controllers: kill rate, false-alarm rate
     Trust(TrustArgs),
     /// Show which lines of the firmware the scenarios execute (emulated rig)
-    #[cfg(feature = "emulated")]
+    #[cfg(feature = "analysis")]
     Coverage(firmware::CoverageArgs),
     /// Change the firmware's machine code and check whether the scenarios notice (emulated rig)
-    #[cfg(feature = "emulated")]
+    #[cfg(feature = "analysis")]
     Mutate(firmware::MutateArgs),
     /// Generate scenes from an operating envelope, check properties and reduce what fails to a
     /// minimal scenario
@@ -51,9 +51,9 @@ enum SuiteAction {
 pub(crate) fn suite(arguments: &SuiteArgs, detail: Detail) -> CommandResult {
     match &arguments.action {
         SuiteAction::Trust(arguments) => trust(arguments, detail),
-        #[cfg(feature = "emulated")]
+        #[cfg(feature = "analysis")]
         SuiteAction::Coverage(arguments) => firmware::coverage(arguments, detail),
-        #[cfg(feature = "emulated")]
+        #[cfg(feature = "analysis")]
         SuiteAction::Mutate(arguments) => firmware::mutate(arguments, detail),
         SuiteAction::Explore(arguments) => explore::explore(arguments, detail),
     }
