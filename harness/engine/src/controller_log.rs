@@ -187,6 +187,7 @@ impl<'a> ControllerLog<'a> {
             reference_difference_percent: session.link().reference_difference_percent(),
             protocol_differences: self.protocol_check.as_ref().map(|check| check.differences.clone()),
             protocol_repeats: self.protocol_check.as_ref().map_or(0, |check| check.repeats),
+            transport: session.link_mut().chip().map(|chip| chip.transport()),
             firmware_output: session.link_mut().chip().and_then(|chip| chip.firmware_output()),
             ..Telemetry::default()
         }

@@ -30,7 +30,7 @@ pub mod record {
     };
     pub use trial_record::{
         CostChange, CostTrend, EarlierCost, MetricValues, NonFiniteDrive, OperatorRequest, Quantiles, RealPlateRecord,
-        StepCost, StepTime, Telemetry, TightestStep, TimingRecord, TrialRecord,
+        StepCost, StepTime, Telemetry, TightestStep, TimingRecord, Transport, TrialRecord,
     };
     pub use verdict::{BestResponse, Cause, Exclusion, Excuse, Verdict, Violation, ViolationKind};
 }

@@ -25,12 +25,23 @@ fn main() -> Result<(), Box<dyn Error>> {
     drop(emulated);
 
     for law in LawId::ALL {
+        if std::env::var("LAW").is_ok_and(|name| name != law.name()) {
+            continue;
+        }
         let mut session = Session::open(open()?)?;
         let configure = Configure { law, ..CONFIGURE };
         session.start_trial(&configure)?;
         let before = processor_ms();
         session.start_trial(&configure)?;
         let restart_ms = processor_ms() - before;
+        if let Some(n) = std::env::var("RESTARTS").ok().and_then(|n| n.parse::<u32>().ok()) {
+            let before = processor_ms();
+            for _ in 0..n {
+                session.start_trial(&configure)?;
+            }
+            println!("restart {} ms", (processor_ms() - before) / f64::from(n));
+            continue;
+        }
         let before = processor_ms();
         let (mut sum, mut worst, mut delay, mut amplitude) = (0, 0, Duration::ZERO, 0.0);
         for index in 0..EXCHANGES {

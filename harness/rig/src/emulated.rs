@@ -14,6 +14,8 @@ mod image;
 mod machine;
 mod memory;
 mod post_mortem;
+mod serial_port;
+mod transport_check;
 
 #[cfg(feature = "probe")]
 pub(crate) use image::read_elf;
@@ -30,11 +32,13 @@ use debugger::Debugger;
 use gdbstub::common::Signal;
 use image::{Image, catch_emulator_panic};
 use machine::{DebugStop, Machine};
+use platebench_model::record::Transport;
 use platebench_wire::{MAX_ENCODED, Message, Packet};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use transport_check::{Call, CallLog, CallResult};
 
 const NS_PER_MS: u64 = 1_000_000;
 const BITS_PER_BYTE: u64 = 10;
@@ -63,6 +67,9 @@ pub struct EmulatedLink {
     computing_ns: Option<u64>,
     target_error: Option<TargetError>,
     chip_faults: ChipFaults,
+    transport: Transport,
+    /// Calls since the restart of a trial whose transport is checked.
+    calls: CallLog,
     /// True after the handshake. Faults of the chip act only then.
     has_started: bool,
 }
@@ -107,6 +114,8 @@ impl EmulatedLink {
             computing_ns: None,
             target_error: None,
             chip_faults: ChipFaults::default(),
+            transport: Transport::default(),
+            calls: CallLog::default(),
             has_started: false,
         };
         if let Some((port, cancel)) = debugger
@@ -151,6 +160,8 @@ impl EmulatedLink {
         self.instructions = None;
         self.computing_ns = None;
         self.byte_ns = 0;
+        self.target.uses_blocks = self.may_use_blocks();
+        self.calls.start(self.transport == Transport::BlocksAndWords && self.target.uses_blocks);
         self.target.power_on()?;
         let deadline = Instant::now() + HANDSHAKE_WALL_TIMEOUT;
         let hello = Packet { sequence: 0, message: Message::Hello }.encode();
@@ -181,6 +192,11 @@ impl EmulatedLink {
         self.chip_faults.start_trial();
         self.has_started = true;
         Ok(())
+    }
+
+    /// A debugger and faults of the chip need each word at its instant.
+    fn may_use_blocks(&self) -> bool {
+        self.transport != Transport::Words && self.debugger.is_none() && !self.chip_faults.is_active()
     }
 
     fn measure_byte_time(&mut self) {
@@ -321,6 +337,37 @@ impl EmulatedLink {
         result.map_err(|error| self.fail(error))
     }
 
+    /// Results of the last call. `received` contains the bytes since its start.
+    fn call_result(&self, delay: Duration, received: &[u8]) -> CallResult {
+        let Self { instructions, computing_ns, .. } = *self;
+        CallResult { received: received.to_vec(), delay, instructions, computing_ns }
+    }
+
+    fn play_again_as_words(&mut self, calls: Vec<(Call, CallResult)>) -> Result<(), LinkError> {
+        let transport = std::mem::replace(&mut self.transport, Transport::Words);
+        let restarted = self.restart();
+        self.transport = transport;
+        restarted?;
+        for (call, expected) in calls {
+            let mut received = Vec::new();
+            let delay = match &call.sent {
+                Some(bytes) => self.exchange(call.now, bytes, &mut received)?,
+                None => self.advance_to(call.now, &mut received).map(|()| Duration::ZERO)?,
+            };
+            let result = self.call_result(delay, &received);
+            if result != expected {
+                let problem = format!(
+                    "the message {} µs after the start of the trial has another answer, delay or instruction count if \
+                     its words pass as a block; the processor is at {}",
+                    call.now.as_micros(),
+                    self.target.code_location()
+                );
+                return Err(self.fail(TargetError::Emulator(problem)));
+            }
+        }
+        Ok(())
+    }
+
     fn fail(&mut self, error: TargetError) -> LinkError {
         self.target_error = Some(error.clone());
         LinkError::Target(Box::new(error))
@@ -335,11 +382,25 @@ fn computing_ns(executed_ns: u64, exchange_ns: u64, line_ns: u64) -> u64 {
 
 impl Link for EmulatedLink {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        self.run_unless_failed(answer, |emulated| emulated.send_and_wait(now, bytes))
+        let start = answer.len();
+        let result = self.run_unless_failed(answer, |emulated| emulated.send_and_wait(now, bytes));
+        if self.calls.is_recording
+            && let Ok(delay) = result
+        {
+            let result = self.call_result(delay, answer.get(start..).unwrap_or_default());
+            self.calls.push(Call { now, sent: Some(bytes.to_vec()) }, result);
+        }
+        result
     }
 
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.run_unless_failed(received, |emulated| emulated.run_to(emulated.virtual_ns(now)))
+        let start = received.len();
+        let result = self.run_unless_failed(received, |emulated| emulated.run_to(emulated.virtual_ns(now)));
+        if self.calls.is_recording && result.is_ok() {
+            let result = self.call_result(Duration::ZERO, received.get(start..).unwrap_or_default());
+            self.calls.push(Call { now, sent: None }, result);
+        }
+        result
     }
 
     fn restart(&mut self) -> Result<bool, LinkError> {
@@ -354,6 +415,8 @@ impl Link for EmulatedLink {
     fn continue_trial(&mut self) {
         self.trial_start_ns = self.target.now_ns();
         self.target.clear_output();
+        // The history of the controller before the trial cannot be played again.
+        self.calls.start(false);
     }
 
     fn chip(&mut self) -> Option<&mut dyn Chip> {
@@ -378,6 +441,27 @@ impl Chip for EmulatedLink {
 
     fn firmware_output(&self) -> Option<String> {
         self.target.firmware_output()
+    }
+
+    fn set_transport(&mut self, transport: Transport) {
+        self.transport = transport;
+    }
+
+    fn transport(&self) -> Transport {
+        match (self.target.has_used_blocks(), self.calls.is_checked) {
+            (_, true) => Transport::BlocksAndWords,
+            (true, false) => Transport::Blocks,
+            (false, false) => Transport::Words,
+        }
+    }
+
+    fn check_transport(&mut self) -> Result<(), LinkError> {
+        let Some(calls) = self.calls.take() else { return Ok(()) };
+        if self.target.has_used_blocks() && self.target_error.is_none() {
+            self.play_again_as_words(calls)?;
+            self.calls.is_checked = true;
+        }
+        Ok(())
     }
 
     fn set_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError> {

@@ -3,6 +3,7 @@
 
 use crate::crash_report::CrashReport;
 use crate::symbols::CodeLocation;
+use platebench_model::record::Transport;
 use std::fmt;
 use std::ops::DerefMut;
 use std::time::{Duration, Instant};
@@ -64,6 +65,16 @@ pub trait Chip {
     /// True if the pin PB0, which enables the amplifier, is high. `None` if it was not high yet in
     /// this trial.
     fn amplifier_enabled(&mut self) -> Option<bool>;
+
+    /// Sets how messages pass from the next restart on. Call it before the trial's configuration.
+    fn set_transport(&mut self, transport: Transport);
+
+    /// How the messages of this trial passed.
+    fn transport(&self) -> Transport;
+
+    /// With [`Transport::BlocksAndWords`], plays all exchanges since the restart again as words and
+    /// continues from there. Fails if an answer, a delay or an instruction count differs.
+    fn check_transport(&mut self) -> Result<(), LinkError>;
 
     /// Sets the faults that act from the next restart on. Call it before the trial's configuration.
     fn set_faults(&mut self, plan: &ChipFaultPlan) -> Result<(), ChipFaultError>;

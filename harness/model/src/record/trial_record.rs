@@ -73,6 +73,9 @@ pub struct Telemetry {
     /// `ended` without instants and callers: equal for the same fault at the same place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub end_cause: Option<String>,
+    /// Absent on rigs without an emulated chip.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub transport: Option<Transport>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timing: Option<Box<TimingRecord>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -93,6 +96,20 @@ pub struct Telemetry {
     pub watchdog_timeout_ms: Option<u16>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub violations: Vec<Violation>,
+}
+
+/// How messages pass between the bench and the USART of an emulated chip. All give the same results.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Transport {
+    /// Each word of the line is an event of its own.
+    Words,
+    /// Words that the firmware cannot tell apart pass as one block.
+    #[default]
+    Blocks,
+    /// As blocks. The bench then played the exchanges of the trial again as words, with the same
+    /// answers, delays and instruction counts.
+    BlocksAndWords,
 }
 
 impl Telemetry {

@@ -1,8 +1,9 @@
 //! Describes the emulated board: an STM32F427 with crystal, supply and the bench's wire on USART2.
 
+use super::serial_port::{DMA1, SerialPort, Slots, USART2};
 use rigless::chip::{Timeline, uart};
 use rigless::cpu::armv7m::windows;
-use rigless::device::{ErasedDevice, ResetCause};
+use rigless::device::{Device, ErasedDevice, ResetCause};
 use rigless::machine::{Board, Crystal, Target, armv7m};
 use rigless::mcu::{Mcu, Operate};
 use rigless::snapshot::Store;
@@ -19,7 +20,6 @@ pub(super) const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(168_000_0
 const INTERRUPT_PRIORITY_BITS: u8 = 4;
 const SYSTICK_DIVIDER: NonZeroU32 = NonZeroU32::new(8).unwrap();
 const SUPPLY_MV: u32 = 3_300;
-const USART2: usize = 1;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ReceivedByte {
@@ -35,21 +35,33 @@ pub(super) struct UartPeer {
     /// Frames that ended since `Machine` last read this count.
     pub(super) frames: u32,
     within_frame: bool,
+    /// Start of the last word that the model of the USART took from `to_target`.
+    pub(super) last_word_start: Option<u64>,
+    /// Bytes in place of the next words of the model.
+    pub(super) substitutes: VecDeque<u8>,
+}
+
+impl UartPeer {
+    pub(super) fn push_received(&mut self, byte: u8, at_ns: u64) {
+        self.received.push(ReceivedByte { byte, at_ns });
+        let ended = byte == 0 && self.within_frame;
+        self.within_frame = byte != 0;
+        self.frames += u32::from(ended);
+    }
 }
 
 impl Store for UartPeer {}
 
 impl uart::Peer for UartPeer {
     fn receive(&mut self, word: u16, context: &mut Timeline<'_, '_>) {
-        let byte = word as u8;
-        self.received.push(ReceivedByte { byte, at_ns: context.now().0 });
-        let ended = byte == 0 && self.within_frame;
-        self.within_frame = byte != 0;
-        self.frames += u32::from(ended);
+        let byte = self.substitutes.pop_front().unwrap_or(word as u8);
+        self.push_received(byte, context.now().0);
     }
 
-    fn transmit(&mut self, _now: VirtualNanos) -> Option<u16> {
-        self.to_target.pop_front().map(u16::from)
+    fn transmit(&mut self, now: VirtualNanos) -> Option<u16> {
+        let word = self.to_target.pop_front().map(u16::from)?;
+        self.last_word_start = Some(now.0);
+        Some(word)
     }
 }
 
@@ -58,15 +70,45 @@ impl uart::Peer for UartPeer {
 #[derive(Debug)]
 pub(super) struct Microcontroller {
     mcu: Stm32f427,
-    usart2: usize,
+    pub(super) port: SerialPort,
+    slots: Slots,
     clocks: usize,
     used: Box<[bool]>,
     pub(super) booted: bool,
     /// True if the USART has not yet received all bytes of the bench.
-    pub(super) has_pending_bytes: bool,
+    has_pending_bytes: bool,
 }
 
 impl Microcontroller {
+    /// Puts `bytes` on the line at `now`. Call it when the port has no deferred words.
+    pub(super) fn send(&mut self, bytes: &[u8], now: u64) {
+        if let Some(at) = self.port.start_receiving(bytes, now, self.mcu.bus(), self.slots) {
+            self.mcu.bus_mut().drive(VirtualNanos(now), self.slots.usart).1.schedule(at);
+        } else if let Some(wire) = self.port.wire() {
+            wire.to_target.extend(bytes);
+            self.has_pending_bytes = true;
+        }
+    }
+
+    /// True if an access to `address` may show or change what deferred words do.
+    pub(super) fn shows_words(&self, address: u64) -> bool {
+        let slot = self.mcu.bus().slot_at(address);
+        slot.is_some_and(|slot| [self.slots.usart, self.slots.dma, self.clocks].contains(&slot))
+    }
+
+    pub(super) fn catch_up(&mut self, now: u64) -> bool {
+        self.port.catch_up(now, self.mcu.bus_mut(), self.slots)
+    }
+
+    pub(super) fn continue_word_by_word(&mut self, now: u64) {
+        self.port.continue_word_by_word(now, self.mcu.bus_mut(), self.slots);
+    }
+
+    /// Call it after a write to the control register of the transmit DMA stream.
+    pub(super) fn start_sending<'a>(&mut self, now: u64, read: impl FnOnce(u64, usize) -> Option<&'a [u8]>) {
+        let _ = self.port.start_sending(now, self.mcu.bus(), self.slots, read);
+    }
+
     pub(super) fn mark_used(&mut self, address: u64) -> bool {
         let Some(slot) = self.mcu.bus().slot_at(address) else { return false };
         if let Some(used) = self.used.get_mut(slot) {
@@ -103,24 +145,30 @@ impl Mcu for Microcontroller {
     }
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
-        self.mcu.reset(at, cause);
+        let Self { mcu, port, .. } = self;
+        port.reset_chip(at.0, |usart| {
+            let [_, inherited, ..] = &mut mcu.usart;
+            std::mem::swap(usart, inherited);
+            mcu.reset(at, cause);
+            let [_, fresh, ..] = &mut mcu.usart;
+            std::mem::swap(usart, fresh);
+        });
     }
 
     fn poll(&mut self, now: VirtualNanos) {
         if std::mem::take(&mut self.has_pending_bytes) {
-            let (bus, model) = self.mcu.split(self.usart2);
-            let (registers, mut context) = bus.drive(now, self.usart2);
-            if let Some(model) = model {
-                model.poll(registers, &mut context);
-            }
+            let (registers, mut context) = self.mcu.bus_mut().drive(now, self.slots.usart);
+            Device::poll(&mut self.port, registers, &mut context);
         }
     }
 
     fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
-        if !self.booted || self.used.get(slot).copied().unwrap_or(false) {
-            self.mcu.split(slot)
-        } else {
+        if self.booted && !self.used.get(slot).copied().unwrap_or(false) {
             (self.mcu.bus_mut(), None)
+        } else if slot == self.slots.usart {
+            (self.mcu.bus_mut(), Some(&mut self.port))
+        } else {
+            self.mcu.split(slot)
         }
     }
 }
@@ -135,13 +183,11 @@ impl EmulatedBoard {
         let mut mcu = Stm32f427::new()?;
         mcu.rcc.attach_crystals(crystal_hz, Crystal::NONE.0);
         mcu.set_supply(SUPPLY_MV);
-        if let Some(usart) = mcu.usart.get_mut(USART2) {
-            usart.attach(UartPeer::default());
-        }
-        let usart2 = mcu.bus().slot("USART2")?;
+        let slots = Slots { usart: mcu.bus().slot(USART2)?, dma: mcu.bus().slot(DMA1)? };
         let clocks = mcu.bus().slot("RCC")?;
         let used = vec![false; mcu.bus().slots().len()].into_boxed_slice();
-        Ok(Self { part: Microcontroller { mcu, usart2, clocks, used, booted: false, has_pending_bytes: false } })
+        let port = SerialPort::new();
+        Ok(Self { part: Microcontroller { mcu, port, slots, clocks, used, booted: false, has_pending_bytes: false } })
     }
 
     /// True if PB0 is an output and high. If PB0 is no output, the board's pull-down holds it low.
@@ -150,9 +196,9 @@ impl EmulatedBoard {
         registers.is_some_and(|gpio| gpio.get(Gpiob::Moder) & 0b11 == 0b01 && gpio.get(Gpiob::Odr) & 1 != 0)
     }
 
-    /// Always `Some`, because `new` attaches the peer.
+    /// Always `Some`.
     pub(super) fn wire(&mut self) -> Option<&mut UartPeer> {
-        self.part.mcu.usart.get_mut(USART2).and_then(|usart| usart.chip_mut())
+        self.part.port.wire()
     }
 }
 

@@ -12,6 +12,8 @@ use rigless::time::{NO_DEADLINE, VirtualNanos};
 use std::num::NonZeroU64;
 
 const MAX_RUN_INSTRUCTIONS: u64 = 1 << 20;
+/// Control register of stream 6 of DMA1, which sends through USART2 (RM0090, table 42).
+const TRANSMIT_STREAM: u64 = 0x4002_60A0;
 
 #[derive(Debug)]
 pub(super) struct SystemBus {
@@ -120,6 +122,27 @@ pub(super) struct BusGuard<'a> {
     pub(super) session: &'a mut Session<EmulatedBoard>,
 }
 
+impl BusGuard<'_> {
+    /// Transports the words that are due before an access that shows them. After a write, words may
+    /// no longer pass as a block.
+    fn transport_due_words(&mut self, access: &Access) {
+        let now = access.virtual_time;
+        let part = &mut self.session.board_mut().part;
+        if !part.shows_words(access.address) {
+            return;
+        }
+        if part.catch_up(now.0) {
+            let until = self.session.until();
+            self.bus.deadline = self.session.resume(until, now, access.instruction_count, self.bus);
+        }
+        let part = &mut self.session.board_mut().part;
+        part.port.report_sent(now.0);
+        if access.kind == AccessKind::Write {
+            part.continue_word_by_word(now.0);
+        }
+    }
+}
+
 impl CoreBus for BusGuard<'_> {
     fn access(&mut self, access: Access, _from_code: bool) -> Option<u64> {
         let memory = &mut self.bus.memory;
@@ -148,8 +171,16 @@ impl CoreBus for BusGuard<'_> {
             let byte = access.address & 3;
             return Some(if access.kind == AccessKind::Read { u64::from(value) >> (8 * byte) } else { access.value });
         }
+        if self.session.board().part.port.has_deferred_words() {
+            self.transport_due_words(&access);
+        }
         let (value, next) = self.session.access(access, self.bus);
         self.bus.deadline = next;
+        if access.address == TRANSMIT_STREAM && access.kind == AccessKind::Write {
+            let memory = &self.bus.memory;
+            let read = |address, length| memory.slice(address, length);
+            self.session.board_mut().part.start_sending(access.virtual_time.0, read);
+        }
         (!self.session.take_failure()).then_some(value)
     }
 

@@ -40,6 +40,8 @@ pub(super) struct Machine {
     reported_resets: usize,
     /// True after a planned fault of the chip. The firmware must then handle traps and resets.
     pub(super) is_faulted: bool,
+    /// True if words may pass as blocks from the next power-on on.
+    pub(super) uses_blocks: bool,
     pub(super) debug: DebugControl,
 }
 
@@ -96,6 +98,7 @@ impl Machine {
             power_on_state,
             reported_resets: 0,
             is_faulted: false,
+            uses_blocks: false,
             debug: DebugControl::default(),
         };
         machine.power_on()?;
@@ -130,6 +133,9 @@ impl Machine {
     fn check_for_errors(&mut self) -> Result<(), TargetError> {
         if let Some(error) = self.session.take_error() {
             return Err(emulator_error(&error));
+        }
+        if let Some(failure) = self.session.board().part.port.failure {
+            return Err(emulator_error(&failure));
         }
         let access = post_mortem::first_unsupported_access(&self.session, &self.image);
         if let Some(access) = access.filter(|_| !self.is_faulted) {
@@ -209,6 +215,7 @@ impl Machine {
     /// Switches the supply off and on: virtual time is 0, RAM undefined, the line idle.
     pub(super) fn power_on(&mut self) -> Result<(), TargetError> {
         self.session = session(self.options)?;
+        self.session.board_mut().part.port.uses_blocks = self.uses_blocks;
         let _ = self.core.take_reset_request();
         self.core.load(&self.power_on_state).map_err(|error| emulator_error(&error))?;
         self.bus.reset();
@@ -240,15 +247,26 @@ impl Machine {
     }
 
     pub(super) fn send(&mut self, bytes: &[u8]) {
+        self.transport_due_words();
         let now = VirtualNanos(self.now_ns());
-        let board = self.session.board_mut();
-        if let Some(wire) = board.wire() {
-            wire.to_target.extend(bytes);
-            board.part.has_pending_bytes = true;
-        }
+        let part = &mut self.session.board_mut().part;
+        part.continue_word_by_word(now.0);
+        part.send(bytes, now.0);
         let instructions = self.core.retired();
         self.bus.deadline = self.session.resume(NO_DEADLINE, now, instructions, &mut self.bus);
         self.bus.notify_core(&mut *self.core);
+    }
+
+    /// Transports the words whose last bit is past, so that the bench can read them.
+    fn transport_due_words(&mut self) {
+        let now = VirtualNanos(self.now_ns());
+        let part = &mut self.session.board_mut().part;
+        if part.catch_up(now.0) {
+            let (until, instructions) = (self.session.until(), self.core.retired());
+            self.bus.deadline = self.session.resume(until, now, instructions, &mut self.bus);
+            self.bus.notify_core(&mut *self.core);
+        }
+        self.session.board_mut().part.port.report_sent(now.0);
     }
 
     /// Returns true at the end of a frame from the firmware, false at `until_ns`. Fails if time
@@ -285,6 +303,7 @@ impl Machine {
                     return Ok(true);
                 }
                 if now >= until && !self.bus.reset_requested {
+                    self.transport_due_words();
                     self.check_for_errors()?;
                     return Ok(false);
                 }
@@ -338,6 +357,11 @@ impl Machine {
 
     pub(super) fn used_instances(&self) -> Vec<&'static str> {
         self.session.board().part.instances_the_firmware_used()
+    }
+
+    /// True if words have passed as a block since power-on.
+    pub(super) fn has_used_blocks(&self) -> bool {
+        self.session.board().part.port.has_used_blocks
     }
 
     pub(super) fn stack_used(&self) -> Option<u32> {

@@ -10,6 +10,7 @@ mod stops;
 mod windows;
 
 const EMPTY_TELEMETRY: Telemetry = Telemetry {
+    transport: None,
     timing: None,
     real_plate: None,
     loop_delay_us: None,
