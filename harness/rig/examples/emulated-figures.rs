@@ -2,7 +2,8 @@
 //! `ci/firmware` runs it.
 //! `cargo run --release --ignore-rust-version -p platebench-rig --example emulated-figures [ELF]`
 
-use platebench_rig::{EmulatedLink, Session};
+use platebench_model::record::Transport;
+use platebench_rig::{Chip as _, EmulatedLink, Session};
 use platebench_test_kit::CONFIGURE;
 use platebench_wire::{Configure, LawId, Sample};
 use rustix::time::{ClockId, clock_gettime};
@@ -11,6 +12,7 @@ use std::path::Path;
 use std::time::Duration;
 
 const EXCHANGES: u32 = 20_000;
+const TRANSPORTS: [(&str, Transport); 2] = [("words", Transport::Words), ("blocks", Transport::Blocks)];
 const PERIOD: Duration = Duration::from_millis(1);
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -24,24 +26,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("load, power-on and handshake: {:.1} ms, {} baud", processor_ms() - before, emulated.baud());
     drop(emulated);
 
-    for law in LawId::ALL {
-        if std::env::var("LAW").is_ok_and(|name| name != law.name()) {
-            continue;
-        }
+    for (law, transport) in LawId::ALL.into_iter().flat_map(|law| TRANSPORTS.map(|transport| (law, transport))) {
         let mut session = Session::open(open()?)?;
+        session.link_mut().set_transport(transport.1);
         let configure = Configure { law, ..CONFIGURE };
         session.start_trial(&configure)?;
         let before = processor_ms();
         session.start_trial(&configure)?;
         let restart_ms = processor_ms() - before;
-        if let Some(n) = std::env::var("RESTARTS").ok().and_then(|n| n.parse::<u32>().ok()) {
-            let before = processor_ms();
-            for _ in 0..n {
-                session.start_trial(&configure)?;
-            }
-            println!("restart {} ms", (processor_ms() - before) / f64::from(n));
-            continue;
-        }
         let before = processor_ms();
         let (mut sum, mut worst, mut delay, mut amplitude) = (0, 0, Duration::ZERO, 0.0);
         for index in 0..EXCHANGES {
@@ -55,10 +47,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         let seconds = (processor_ms() - before) / 1e3;
         println!(
-            "{:<12} {:>6.0} exchanges/s ({:.1} us each, {:.1} times real time at 1 kHz); \
+            "{:<14} {}: {:>6.0} exchanges/s ({:.1} us each, {:.1} times real time at 1 kHz); \
              {:.0} instructions per step, worst {worst}; loop delay at most {:.3} us; \
              restart {restart_ms:.2} ms",
             law.name(),
+            transport.0,
             f64::from(EXCHANGES) / seconds,
             seconds * 1e6 / f64::from(EXCHANGES),
             f64::from(EXCHANGES) / 1e3 / seconds,
@@ -66,7 +59,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             delay.as_secs_f64() * 1e6,
         );
         if let Some(bytes) = session.link().stack_used() {
-            println!("{:<12} stack: at most {bytes} bytes", "");
+            println!("{:<14} stack: at most {bytes} bytes", "");
         }
     }
     if let Ok(status) = std::fs::read_to_string("/proc/self/status") {

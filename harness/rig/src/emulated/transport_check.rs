@@ -39,3 +39,46 @@ impl CallLog {
         std::mem::take(&mut self.is_recording).then(|| std::mem::take(&mut self.calls))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::EmulatedLink;
+    use crate::link::{Chip as _, Link as _, LinkError, TargetError};
+    use platebench_model::record::Transport;
+    use platebench_wire::{Message, Packet};
+    use std::time::Duration;
+
+    fn checked_link() -> EmulatedLink {
+        let mut link = EmulatedLink::built_in().unwrap();
+        link.set_transport(Transport::BlocksAndWords);
+        link.restart().unwrap();
+        for sequence in 0..3 {
+            let hello = Packet { sequence, message: Message::Hello }.encode();
+            link.exchange(Duration::from_millis(sequence.into()), hello.as_bytes(), &mut Vec::new()).unwrap();
+        }
+        link
+    }
+
+    #[test]
+    fn reports_a_difference_of_the_transports() {
+        let mut link = checked_link();
+        link.calls.calls[1].1.delay += Duration::from_nanos(1);
+        let Err(LinkError::Target(error)) = link.check_transport() else { panic!("no error") };
+        assert!(
+            matches!(&*error, TargetError::Emulator(problem) if problem.contains("the message 1000 µs")),
+            "{error}"
+        );
+        assert!(link.restart().is_err(), "the emulator cannot be trusted");
+    }
+
+    #[test]
+    fn states_the_transport_of_a_checked_trial() {
+        let mut link = checked_link();
+        assert_eq!(link.transport(), Transport::Blocks, "not checked yet");
+        link.check_transport().unwrap();
+        assert_eq!(link.transport(), Transport::BlocksAndWords);
+        link.set_transport(Transport::Words);
+        link.restart().unwrap();
+        assert_eq!(link.transport(), Transport::Words);
+    }
+}

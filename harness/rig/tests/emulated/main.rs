@@ -7,6 +7,7 @@ mod equivalence;
 mod faults;
 mod images;
 mod provenance;
+mod transports;
 
 use platebench_rig::{Chip, Link, LinkError, Session};
 use platebench_test_kit::CONFIGURE;
