@@ -7,6 +7,7 @@
 //! real processor also waits for its flash and its pipeline.
 
 mod board;
+mod boot_cache;
 mod bus;
 mod chip_faults;
 mod debugger;
@@ -33,7 +34,7 @@ use gdbstub::common::Signal;
 use image::{Image, catch_emulator_panic};
 use machine::{DebugStop, Machine};
 use platebench_model::record::Transport;
-use platebench_wire::{MAX_ENCODED, Message, Packet};
+use platebench_wire::{EncodedFrame, MAX_ENCODED, Message, Packet};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
@@ -152,7 +153,8 @@ impl EmulatedLink {
         self.target.patch(address, bytes)
     }
 
-    /// Powers on and performs the handshake. The trial starts at the next whole millisecond.
+    /// Powers on and performs the handshake, or continues at the state after an earlier handshake of
+    /// the same image in this process, which is the same. The trial starts at the next whole millisecond.
     fn start(&mut self) -> Result<(), TargetError> {
         self.target_error = None;
         self.target.set_control_step(false);
@@ -162,9 +164,34 @@ impl EmulatedLink {
         self.byte_ns = 0;
         self.target.uses_blocks = self.may_use_blocks();
         self.calls.start(self.transport == Transport::BlocksAndWords && self.target.uses_blocks);
-        self.target.power_on()?;
+        let may_skip = self.debugger.is_none() && self.target.may_skip_start();
+        let elf = self.target.image.elf.clone();
+        if may_skip && let Some(state) = boot_cache::find(&elf, self.target.options) {
+            self.target.restore(&state)?;
+            self.received.clone_from(&state.answer);
+            self.pending_requests = PendingRequests::default();
+            self.pending_requests.send(hello().as_bytes());
+            let _ = self.received.iter().any(|received| self.pending_requests.ends_wait(received.byte));
+            self.measure_byte_time();
+        } else {
+            self.target.power_on()?;
+            self.shake_hands()?;
+            self.measure_byte_time();
+            self.target.mark_booted();
+            if may_skip {
+                boot_cache::keep(&mut self.target, self.received.clone())?;
+            }
+        }
+        self.received.clear();
+        self.trial_start_ns = (self.target.now_ns() + START_DELAY_NS).next_multiple_of(NS_PER_MS);
+        self.chip_faults.start_trial();
+        self.has_started = true;
+        Ok(())
+    }
+
+    fn shake_hands(&mut self) -> Result<(), TargetError> {
         let deadline = Instant::now() + HANDSHAKE_WALL_TIMEOUT;
-        let hello = Packet { sequence: 0, message: Message::Hello }.encode();
+        let hello = hello();
         let mut attempt_ends = 0;
         loop {
             self.pending_requests = PendingRequests::default();
@@ -175,7 +202,7 @@ impl EmulatedLink {
             self.pending_requests.send(hello.as_bytes());
             self.target.send(hello.as_bytes());
             if self.run_until_answer(attempt_ends)?.is_some() {
-                break;
+                return Ok(());
             }
             if attempt_ends >= HANDSHAKE_TIMEOUT_NS || (Instant::now() > deadline && self.debugger.is_none()) {
                 return Err(TargetError::NoHandshake {
@@ -185,13 +212,6 @@ impl EmulatedLink {
                 });
             }
         }
-        self.measure_byte_time();
-        self.received.clear();
-        self.target.mark_booted();
-        self.trial_start_ns = (self.target.now_ns() + START_DELAY_NS).next_multiple_of(NS_PER_MS);
-        self.chip_faults.start_trial();
-        self.has_started = true;
-        Ok(())
     }
 
     /// A debugger and faults of the chip need each word at its instant.
@@ -372,6 +392,10 @@ impl EmulatedLink {
         self.target_error = Some(error.clone());
         LinkError::Target(Box::new(error))
     }
+}
+
+fn hello() -> EncodedFrame {
+    Packet { sequence: 0, message: Message::Hello }.encode()
 }
 
 /// Time of the instructions of an exchange, without those of firmware that polls the line during

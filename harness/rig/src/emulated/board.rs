@@ -6,7 +6,7 @@ use rigless::cpu::armv7m::windows;
 use rigless::device::{Device, ErasedDevice, ResetCause};
 use rigless::machine::{Board, Crystal, Target, armv7m};
 use rigless::mcu::{Mcu, Operate};
-use rigless::snapshot::Store;
+use rigless::snapshot::{self, Reader, Store, Writer};
 use rigless::soc::stm32f427::Stm32f427;
 use rigless::soc::stm32f427::generated::gpiob::Register as Gpiob;
 use rigless::soc::{Bus, Error};
@@ -50,7 +50,17 @@ impl UartPeer {
     }
 }
 
-impl Store for UartPeer {}
+/// Stores an idle line.
+impl Store for UartPeer {
+    fn store(&self, to: &mut Writer) -> Result<(), snapshot::Error> {
+        to.put(&self.last_word_start)
+    }
+
+    fn load(&mut self, from: &mut Reader) -> Result<(), snapshot::Error> {
+        *self = Self { last_word_start: from.take()?, ..Self::default() };
+        Ok(())
+    }
+}
 
 impl uart::Peer for UartPeer {
     fn receive(&mut self, word: u16, context: &mut Timeline<'_, '_>) {
@@ -202,7 +212,25 @@ impl EmulatedBoard {
     }
 }
 
-impl Store for EmulatedBoard {}
+impl Store for EmulatedBoard {
+    fn store(&self, to: &mut Writer) -> Result<(), snapshot::Error> {
+        let Microcontroller { mcu, port, slots: _, clocks: _, used, booted, has_pending_bytes } = &self.part;
+        to.put(used)?;
+        to.put(booted)?;
+        to.put(has_pending_bytes)?;
+        mcu.store(to)?;
+        port.store(to)
+    }
+
+    fn load(&mut self, from: &mut Reader) -> Result<(), snapshot::Error> {
+        let Microcontroller { mcu, port, slots: _, clocks: _, used, booted, has_pending_bytes } = &mut self.part;
+        *used = from.take()?;
+        *booted = from.take()?;
+        *has_pending_bytes = from.take()?;
+        mcu.load(from)?;
+        port.load(from)
+    }
+}
 
 impl Board for EmulatedBoard {
     fn name(&self) -> &'static str {

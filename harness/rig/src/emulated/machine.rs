@@ -31,13 +31,15 @@ pub(super) struct Machine {
     pub(super) bus: SystemBus,
     pub(super) session: Session<EmulatedBoard>,
     pub(super) image: Image,
-    options: EmulatedOptions,
+    pub(super) options: EmulatedOptions,
     handlers: FaultHandlers,
     recorder: ExecutionRecorder,
-    output: FirmwareOutput,
+    pub(super) output: FirmwareOutput,
     /// Processor state after power-on. Unlike a reset, loading it keeps the translated code.
     power_on_state: Vec<u8>,
-    reported_resets: usize,
+    pub(super) reported_resets: usize,
+    /// True if flash contains the unchanged image.
+    has_own_image: bool,
     /// True after a planned fault of the chip. The firmware must then handle traps and resets.
     pub(super) is_faulted: bool,
     /// True if words may pass as blocks from the next power-on on.
@@ -97,6 +99,7 @@ impl Machine {
             output,
             power_on_state,
             reported_resets: 0,
+            has_own_image: true,
             is_faulted: false,
             uses_blocks: false,
             debug: DebugControl::default(),
@@ -215,7 +218,7 @@ impl Machine {
     /// Switches the supply off and on: virtual time is 0, RAM undefined, the line idle.
     pub(super) fn power_on(&mut self) -> Result<(), TargetError> {
         self.session = session(self.options)?;
-        self.session.board_mut().part.port.uses_blocks = self.uses_blocks;
+        self.session.board_mut().part.port.start(self.uses_blocks);
         let _ = self.core.take_reset_request();
         self.core.load(&self.power_on_state).map_err(|error| emulator_error(&error))?;
         self.bus.reset();
@@ -341,6 +344,12 @@ impl Machine {
         self.recorder.watch(addresses, &mut *self.core);
     }
 
+    /// True if a restart need not execute the start of the firmware: no changed instruction acts
+    /// there, and none is recorded.
+    pub(super) fn may_skip_start(&self) -> bool {
+        self.has_own_image && !self.recorder.is_recording()
+    }
+
     pub(super) fn set_control_step(&mut self, in_control_step: bool) {
         self.recorder.set_control_step(in_control_step, &mut *self.core);
     }
@@ -351,6 +360,7 @@ impl Machine {
 
     pub(super) fn patch(&mut self, address: u32, bytes: &[u8]) -> bool {
         let stored = self.bus.memory.store(u64::from(address), bytes);
+        self.has_own_image = false;
         self.bus.notify_core(&mut *self.core);
         stored
     }
@@ -427,6 +437,10 @@ impl ExecutionRecorder {
         self.pending.retain(|&address| core.add_breakpoint(address));
     }
 
+    fn is_recording(&self) -> bool {
+        !self.pending.is_empty() || !self.executed.is_empty()
+    }
+
     /// Before the first control step, watches instructions again that ran during the start, because
     /// they may also run in a control step.
     pub(super) fn set_control_step(&mut self, in_control_step: bool, core: &mut dyn Processor) {
@@ -465,7 +479,7 @@ const MAX_BYTES: usize = 16 * 1024;
 /// control block is the variable `_SEGGER_RTT`: an identifier of 16 bytes, the number of channels to
 /// the bench (4 bytes), the number from the bench (4 bytes), and per channel 24 bytes: name, buffer,
 /// size, write offset, read offset, flags.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct FirmwareOutput {
     control_block: Option<u64>,
     bytes: Vec<u8>,

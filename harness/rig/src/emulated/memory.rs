@@ -128,6 +128,20 @@ impl Memory {
         }
     }
 
+    /// Content of the writable regions.
+    pub(super) fn ram(&self) -> Vec<Vec<u8>> {
+        self.regions.iter().filter(|region| region.writable).map(|region| region.bytes().to_vec()).collect()
+    }
+
+    /// Restores what [`Self::ram`] returned.
+    pub(super) fn restore_ram(&mut self, ram: &[Vec<u8>]) {
+        for (region, content) in self.regions.iter_mut().filter(|region| region.writable).zip(ram) {
+            region.bytes_mut().copy_from_slice(content);
+            let size = region.size as u64;
+            self.dirty_ranges.extend(region.starts.iter().map(|&start| start..start + size));
+        }
+    }
+
     pub(super) fn take_dirty_ranges(&mut self) -> std::vec::Drain<'_, Range<u64>> {
         self.dirty_ranges.drain(..)
     }

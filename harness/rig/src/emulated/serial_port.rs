@@ -14,6 +14,7 @@
 
 use super::board::UartPeer;
 use rigless::device::{Device, DeviceContext, Level, RegisterFile};
+use rigless::snapshot::{self, Reader, Store, Writer};
 use rigless::soc::stm32f427::generated::dma2::Register as Dma;
 use rigless::soc::stm32f427::generated::usart6::{Register, brr, cr1, cr2};
 use rigless::soc::stm32f427::peripherals::rcc::HSI_HZ;
@@ -116,7 +117,7 @@ pub(super) struct SerialPort {
     pub(super) usart: Usart,
     clock_hz: u64,
     /// If false, all words pass one by one.
-    pub(super) uses_blocks: bool,
+    uses_blocks: bool,
     transfer: Transfer,
     block: Block,
     /// Writes to the data register at the last instant at which there was one.
@@ -144,6 +145,16 @@ impl SerialPort {
     /// Always `Some`, because `new` attaches the peer.
     pub(super) fn wire(&mut self) -> Option<&mut UartPeer> {
         self.usart.chip_mut()
+    }
+
+    /// Starts a trial on an idle line.
+    pub(super) fn start(&mut self, uses_blocks: bool) {
+        self.uses_blocks = uses_blocks;
+        self.has_used_blocks = false;
+        self.transfer = Transfer::None;
+        self.block = Block::None;
+        self.written = (0, Vec::new());
+        self.failure = None;
     }
 
     pub(super) fn has_deferred_words(&self) -> bool {
@@ -392,6 +403,19 @@ impl SerialPort {
             None => self.failure = Some("the DMA stream ended before the frame"),
         }
         self.usart.on_event(first, registers, context);
+    }
+}
+
+/// Stores a port without deferred words.
+impl Store for SerialPort {
+    fn store(&self, to: &mut Writer) -> Result<(), snapshot::Error> {
+        to.put(&self.clock_hz)?;
+        self.usart.store(to)
+    }
+
+    fn load(&mut self, from: &mut Reader) -> Result<(), snapshot::Error> {
+        self.clock_hz = from.take()?;
+        self.usart.load(from)
     }
 }
 
