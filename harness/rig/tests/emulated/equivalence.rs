@@ -8,8 +8,11 @@ use platebench_test_kit::{random_configure, uniform};
 use platebench_wire::{Configure, ControllerState, LawId, Message, Packet, PacketReader, Sample, StateCause, Tick};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
+/// Last instruction of flash.
+const NEVER_EXECUTED: u32 = 0x081F_FFFE;
 /// Time of two frames of 24 bytes and one byte of idle line; 10 µs per byte at 1 Mbaud.
 const SAMPLE_AND_COMMAND: Duration = Duration::from_micros((24 + 1 + 24) * 10);
 
@@ -179,6 +182,12 @@ fn repeats_a_trial_bit_for_bit_after_others() {
     trial(&mut used, LawId::DqPi);
     let again = log.lock().unwrap().clone();
     assert_eq!(again, expected);
+
+    // The record of an instruction prevents that a restart skips the start of the firmware.
+    used.link_mut().link.record_execution(&BTreeSet::from([NEVER_EXECUTED]));
+    trial(&mut used, LawId::DqPi);
+    let after_power_on = log.lock().unwrap().clone();
+    assert_eq!(after_power_on, expected);
 }
 
 #[test]
