@@ -53,6 +53,8 @@ pub(crate) struct PlantSimulation<'a, R> {
     crossings: Vec<Crossing>,
     bands: Vec<BandMonitor>,
     bands_setpoint_um: Option<f64>,
+    /// The bands are those of the intervals that end by this time.
+    bands_end: Time,
     manual_setpoint_um: Option<f64>,
     clock_start_us: u32,
     frequency_hz: f64,
@@ -77,6 +79,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
             crossings: Vec::with_capacity(64),
             bands: Vec::with_capacity(scenario.expectations.len()),
             bands_setpoint_um: None,
+            bands_end: Time::ZERO,
             manual_setpoint_um: None,
             clock_start_us: clock_start_us(scenario, index),
             frequency_hz,
@@ -156,10 +159,11 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         points.into_iter().flatten().fold(step, Time::min)
     }
 
-    /// Simulates until `end`. Adds a row before and after each crossing of an expectation's band.
+    /// Simulates until `end`. Adds a row before and after each crossing of an expectation's band, or
+    /// of the limit of an overshoot or a peak deviation.
     /// No scheduled row may lie before `end`.
     pub(crate) fn advance(&mut self, end: Time) {
-        self.update_bands();
+        self.update_bands(end);
         self.plant.advance(end, &self.bands, &mut self.crossings);
         let mut crossings = std::mem::take(&mut self.crossings);
         for crossing in crossings.drain(..) {
@@ -251,12 +255,14 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         }
     }
 
-    fn update_bands(&mut self) {
-        let setpoint = self.setpoint_at(self.time());
-        if self.bands_setpoint_um.replace(setpoint) == Some(setpoint) {
+    /// Selects the bands of the interval from now to `end`.
+    fn update_bands(&mut self, end: Time) {
+        let (now, setpoint) = (self.time(), self.setpoint_at(self.time()));
+        if self.bands_setpoint_um.replace(setpoint) == Some(setpoint) && end <= self.bands_end {
             return;
         }
         self.bands.clear();
+        self.bands_end = Time::from_nanos(u64::MAX);
         for expectation in &self.scenario.expectations {
             let signal = match expectation.signal {
                 "wd_um" => BandSignal::InPhase,
@@ -264,13 +270,25 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
                 "amplitude_um" => BandSignal::Amplitude,
                 _ => continue,
             };
-            if !expectation.metric.has_band() {
-                continue;
+            let mut add = |(low, high)| {
+                let band = BandMonitor { signal, low, high };
+                if !self.bands.contains(&band) {
+                    self.bands.push(band);
+                }
+            };
+            if expectation.metric.has_band() && setpoint > 0.0 {
+                add(expectation.band(setpoint));
             }
-            let (low, high) = expectation.band(setpoint);
-            let band = BandMonitor { signal, low, high };
-            if setpoint > 0.0 && !self.bands.contains(&band) {
-                self.bands.push(band);
+            for window in &expectation.windows {
+                let Some(limits) = expectation.limit_band(&self.scenario.setpoint, window, setpoint) else { continue };
+                // A row outside the window decides nothing.
+                if window.from < end && now < window.to {
+                    add(limits);
+                }
+                let change = if window.from < end { window.to } else { window.from };
+                if now < change {
+                    self.bands_end = self.bands_end.min(change);
+                }
             }
         }
     }

@@ -8,6 +8,7 @@ mod live_tap;
 mod lock_in;
 mod model;
 mod non_finite_drive;
+mod peaks;
 mod replaced_board;
 mod safe_end;
 mod second_answers;

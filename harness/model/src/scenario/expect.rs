@@ -2,7 +2,7 @@
 
 use crate::metrics::{Metric, TrialRule, band_around};
 use crate::scenario::window::{ChangingProfile, Window};
-use platebench_plate::Time;
+use platebench_plate::{Profile, Time};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -141,6 +141,28 @@ impl Expectation {
     /// Lower and upper edge of the band. Both belong to the band.
     pub fn band(&self, setpoint: f64) -> (f64, f64) {
         band_around(setpoint, self.band_percent)
+    }
+
+    /// The values of the signal, µm, that keep the upper limit of an overshoot or a peak deviation
+    /// in `window`. `now` is the setpoint, `profile` gives the setpoint at the ends of the window.
+    /// `None` for other metrics and without an upper limit.
+    pub fn limit_band(&self, profile: &Profile, window: &Window, now: f64) -> Option<(f64, f64)> {
+        let (_, highest) = self.range();
+        if !highest.is_finite() {
+            return None;
+        }
+        match self.metric {
+            Metric::PeakDeviation if now > 0.0 => Some(band_around(now, highest)),
+            Metric::Overshoot => {
+                let before =
+                    |time: Time| time.as_nanos().checked_sub(1).map_or(0.0, |at| profile.at(Time::from_nanos(at)));
+                let setpoint = before(window.to);
+                let step = setpoint - before(window.from);
+                let limit = setpoint + step * highest / 100.0;
+                Some(if step < 0.0 { (limit, f64::INFINITY) } else { (f64::NEG_INFINITY, limit) })
+            }
+            _ => None,
+        }
     }
 }
 
