@@ -422,11 +422,18 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
     }
 
     fn next_event(&self, now: Time) -> Time {
-        let actuation = self.commands.next_due();
-        let control = Some(self.next_control).filter(|control| *control > now);
+        let mut next = self.plant.next_scheduled_row();
+        if self.next_control > now {
+            next = next.min(self.next_control);
+        }
+        if let Some(actuation) = self.commands.next_due() {
+            next = next.min(actuation);
+        }
         let due = self.session.link().next_due().map(|due| Time::from_nanos(due.as_nanos() as u64));
-        let delivery = due.filter(|due| *due > now && !self.has_ended());
-        actuation.into_iter().chain(control).chain(delivery).fold(self.plant.next_scheduled_row(), Time::min)
+        match due {
+            Some(delivery) if delivery > now && !self.has_ended() => next.min(delivery),
+            _ => next,
+        }
     }
 
     fn configuration(&self) -> Configure {

@@ -56,6 +56,10 @@ pub(crate) struct PlantSimulation<'a, R> {
     /// The bands are those of the intervals that end by this time.
     bands_end: Time,
     manual_setpoint_um: Option<f64>,
+    /// Setpoint in µm from the first to before the second time.
+    constant_setpoint: Option<(Time, Time, f64)>,
+    /// First point of a profile after the present time.
+    next_point: Time,
     clock_start_us: u32,
     frequency_hz: f64,
     sensed: [f64; 2],
@@ -69,7 +73,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         let mut plant = variation.plant(scenario);
         let frequency_hz = f64::from(start_frequency_mhz(scenario)) / 1e3;
         plant.set_drive(Drive { vpp: 0.0, omega: TAU * frequency_hz });
-        Self {
+        let mut simulation = Self {
             scenario,
             plant,
             sensor: variation.sensor(scenario),
@@ -81,12 +85,25 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
             bands_setpoint_um: None,
             bands_end: Time::ZERO,
             manual_setpoint_um: None,
+            constant_setpoint: None,
+            next_point: Time::ZERO,
             clock_start_us: clock_start_us(scenario, index),
             frequency_hz,
             sensed: [0.0; 2],
             safe: false,
             not_finite: None,
-        }
+        };
+        simulation.find_next_point();
+        simulation
+    }
+
+    /// Finds the next point of a profile, and the setpoint until then if it is constant.
+    fn find_next_point(&mut self) {
+        let (now, profile) = (self.time(), &self.scenario.setpoint);
+        let points = [self.plant.next_point_after(now), profile.next_point_after(now)];
+        let next = points.into_iter().flatten().fold(Time::from_nanos(u64::MAX), Time::min);
+        self.next_point = next;
+        self.constant_setpoint = (profile.max_slope_after(now) == 0.0).then(|| (now, next, profile.at(now)));
     }
 
     pub(crate) fn time(&self) -> Time {
@@ -109,10 +126,13 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         let ManualInputs { setpoint_um, temperature_offset_k, finger_force_n } = *held;
         self.manual_setpoint_um = Some(setpoint_um);
         self.plant.hold_conditions(Conditions { temperature_offset_k, finger_force_n });
+        self.find_next_point();
     }
 
     fn setpoint_at(&self, time: Time) -> f64 {
-        self.manual_setpoint_um.unwrap_or_else(|| self.scenario.setpoint.at(time))
+        let constant = self.constant_setpoint.filter(|(from, to, _)| *from <= time && time < *to);
+        let planned = || constant.map_or_else(|| self.scenario.setpoint.at(time), |(.., setpoint)| setpoint);
+        self.manual_setpoint_um.unwrap_or_else(planned)
     }
 
     pub(crate) fn sense(&mut self) -> Sample {
@@ -153,10 +173,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     }
 
     pub(crate) fn next_scheduled_row(&self) -> Time {
-        let now = self.time();
-        let points = [self.plant.next_point_after(now), self.scenario.setpoint.next_point_after(now)];
-        let step = self.scenario.trace_step.next_multiple_after(now).min(self.scenario.duration);
-        points.into_iter().flatten().fold(step, Time::min)
+        self.scenario.trace_step.next_multiple_after(self.time()).min(self.scenario.duration).min(self.next_point)
     }
 
     /// Simulates until `end`. Adds a row before and after each crossing of an expectation's band, or
@@ -165,6 +182,17 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     pub(crate) fn advance(&mut self, end: Time) {
         self.update_bands(end);
         self.plant.advance(end, &self.bands, &mut self.crossings);
+        if self.time() >= self.next_point {
+            self.find_next_point();
+        }
+        if !self.crossings.is_empty() {
+            self.push_crossings(end);
+        }
+    }
+
+    /// Adds the rows of the crossings before `end`.
+    #[cold]
+    fn push_crossings(&mut self, end: Time) {
         let mut crossings = std::mem::take(&mut self.crossings);
         for crossing in crossings.drain(..) {
             let last = Time::from_nanos(crossing.time.as_nanos().saturating_sub(1));

@@ -106,6 +106,11 @@ impl ExcursionBound {
         }
     }
 
+    /// Largest change of W in `seconds`, µm.
+    pub(crate) fn reach(&self, seconds: f64) -> f64 {
+        self.speed * seconds + self.ripple.min(self.ripple_speed * seconds)
+    }
+
     /// Time in s during which W changes by less than `distance` µm. It may be negative, infinite or
     /// NaN.
     pub(crate) fn seconds_within(&self, distance: f64) -> f64 {
@@ -153,9 +158,30 @@ struct ExponentialTerm {
     pole: Complex64,
 }
 
-impl ExponentialTerm {
-    fn after(&self, seconds: f64) -> Complex64 {
-        self.amplitude * (self.pole * seconds).exp()
+/// `e^{pole t}` of the last step for the slow and the fast pole. Most steps of a trial have the same
+/// poles and the same length.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct LastExponentials([LastExponential; 2]);
+
+#[derive(Debug, Clone, Copy)]
+struct LastExponential {
+    pole: Complex64,
+    seconds: f64,
+    value: Complex64,
+}
+
+impl Default for LastExponential {
+    fn default() -> Self {
+        Self { pole: Complex64::ZERO, seconds: 0.0, value: Complex64::ONE }
+    }
+}
+
+impl LastExponential {
+    fn of(&mut self, pole: Complex64, seconds: f64) -> Complex64 {
+        if self.pole != pole || self.seconds != seconds {
+            *self = Self { pole, seconds, value: (pole * seconds).exp() };
+        }
+        self.value
     }
 }
 
@@ -211,11 +237,19 @@ impl Flow {
     }
 
     pub fn after(&self, seconds: f64) -> State {
+        self.after_with(&mut LastExponentials::default(), seconds)
+    }
+
+    /// Like [`Self::after`], bit for bit.
+    #[inline]
+    pub(crate) fn after_with(&self, last: &mut LastExponentials, seconds: f64) -> State {
+        let [last_slow, last_fast] = &mut last.0;
+        let mut slow = || self.slow_pole.amplitude * last_slow.of(self.slow_pole.pole, seconds);
         let state = match &self.second_term {
-            SecondTerm::Envelope => State { w: self.steady_state + self.slow_pole.after(seconds), u: Complex64::ZERO },
+            SecondTerm::Envelope => State { w: self.steady_state + slow(), u: Complex64::ZERO },
             SecondTerm::FastPole(term, omega) => {
-                let slow = self.slow_pole.after(seconds);
-                let fast = term.after(seconds);
+                let slow = slow();
+                let fast = term.amplitude * last_fast.of(term.pole, seconds);
                 let frame = J * *omega;
                 // U is in the fixed frame, so its poles are those of the rotating frame plus jω.
                 let u = frame * self.steady_state + (self.slow_pole.pole + frame) * slow + (term.pole + frame) * fast;

@@ -9,7 +9,7 @@ use crate::crossing::{BandMonitor, BandSearch, Crossing};
 use crate::demodulator::Demodulator;
 use crate::effect::Step;
 use crate::effects::ActiveEffects;
-use crate::flow::{ExponentialSum, Flow, Forcing, Model, State};
+use crate::flow::{ExponentialSum, Flow, Forcing, LastExponentials, Model, State};
 use crate::mode::{ConditionProfiles, Conditions, Drive, Mode};
 use crate::motion::{FrozenMotion, ModeMotion, Motion, PerMode};
 use crate::phase::{Phase, PhaseRate};
@@ -43,11 +43,14 @@ const WARMING_SUBSTEP: f64 = 0.25;
 /// Interval without a jump or a bend of a profile or of the damping curve.
 #[derive(Debug, Clone, Copy)]
 struct SmoothInterval {
+    start: Time,
     end: Time,
     /// Upper bound on |λ'|, rad/s².
     rate: f64,
     /// Mode at the start of the interval; without effects it is constant if `rate` is 0.
     mode: Mode,
+    /// Conditions of the whole interval; `None` if they change in it.
+    conditions: Option<Conditions>,
 }
 
 #[derive(Debug, Clone)]
@@ -64,6 +67,7 @@ pub struct Plant {
     demodulator: Option<Demodulator>,
     max_pole_rate: f64,
     interval: Option<SmoothInterval>,
+    exponentials: LastExponentials,
     /// `None` in the models `linear` and `envelope`, and for a plate without optional effects.
     effects: Option<Box<ActiveEffects>>,
 }
@@ -77,6 +81,7 @@ impl Plant {
             demodulator: lockin.map(|lockin| Demodulator::new(lockin, plate.omega0)),
             max_pole_rate: max_slow_pole_rate(&plate, &scene),
             interval: None,
+            exponentials: LastExponentials::default(),
             effects: (model.has_both_poles() && plate.first_effect().is_some())
                 .then(|| Box::new(ActiveEffects::start(&plate.effects))),
             plate,
@@ -127,12 +132,21 @@ impl Plant {
     }
 
     pub fn conditions_at(&self, time: Time) -> Conditions {
-        self.scene.at(time)
+        let known = self.interval_at(time).and_then(|interval| interval.conditions);
+        known.unwrap_or_else(|| self.scene.at(time))
+    }
+
+    /// The last smooth interval, if it contains `time`.
+    fn interval_at(&self, time: Time) -> Option<&SmoothInterval> {
+        self.interval.as_ref().filter(|interval| interval.start <= time && time < interval.end)
     }
 
     /// First mode at the conditions of `time` and the present self-heating.
     pub fn mode_at(&self, time: Time) -> Mode {
-        let mut conditions = self.scene.at(time);
+        let mut conditions = match self.interval_at(time) {
+            Some(interval) if interval.rate == 0.0 && self.effects.is_none() => return interval.mode,
+            _ => self.scene.at(time),
+        };
         if let Some(effects) = &self.effects {
             conditions.temperature_offset_k += effects.temperature_rise_k()[0];
         }
@@ -181,14 +195,15 @@ impl Plant {
     pub fn advance(&mut self, end: Time, monitors: &[BandMonitor], crossings: &mut Vec<Crossing>) {
         let mut bands = BandSearch { monitors, found: crossings };
         while self.time < end {
-            let interval = self.smooth_interval();
-            let interval_end = interval.end.min(end);
+            let known = self.interval_at(self.time).map(|interval| (interval.end, interval.rate, interval.mode));
+            let (interval_end, rate, mode) = known.unwrap_or_else(|| self.find_smooth_interval());
+            let interval_end = interval_end.min(end);
             if self.effects.is_some() {
-                self.advance_with_effects(interval.rate, interval_end, &mut bands);
-            } else if interval.rate == 0.0 {
-                self.advance_frozen(&interval.mode, interval_end, &mut bands);
+                self.advance_with_effects(rate, interval_end, &mut bands);
+            } else if rate == 0.0 {
+                self.advance_frozen(&mode, interval_end, &mut bands);
             } else {
-                self.advance_changing(interval.rate, interval_end, &mut bands);
+                self.advance_changing(rate, interval_end, &mut bands);
             }
         }
     }
@@ -208,21 +223,17 @@ impl Plant {
         }
     }
 
-    fn smooth_interval(&mut self) -> SmoothInterval {
-        if let Some(interval) = self.interval.filter(|interval| self.time < interval.end) {
-            return interval;
-        }
-        self.find_smooth_interval()
-    }
-
+    /// Finds the interval of the present time. Returns its end, its rate and its mode.
     #[cold]
-    fn find_smooth_interval(&mut self) -> SmoothInterval {
+    fn find_smooth_interval(&mut self) -> (Time, f64, Mode) {
         let mode = self.mode_at(self.time);
         let rate = self.pole_rate_bound();
         let bend = if rate == 0.0 { None } else { self.next_bend() };
         let ends = [self.scene.next_point_after(self.time), bend];
         let end = ends.into_iter().flatten().min().unwrap_or(Time::from_nanos(u64::MAX));
-        *self.interval.insert(SmoothInterval { end, rate, mode })
+        let conditions = (self.max_slopes() == [0.0; 2]).then(|| self.scene.at(self.time));
+        self.interval = Some(SmoothInterval { start: self.time, end, rate, mode, conditions });
+        (end, rate, mode)
     }
 
     /// |λ|, 1/s. 0 if no profile is a sine, because only the error bound of a sine uses |λ|.
@@ -257,11 +268,16 @@ impl Plant {
         (240.0 * VARYING_ERROR / (rate * sum)).sqrt().sqrt()
     }
 
+    /// Upper bounds on the slopes of temperature and force until the next point of their profile.
+    fn max_slopes(&self) -> [f64; 2] {
+        let ConditionProfiles { temperature_offset_k, finger_force_n } = &self.scene;
+        [temperature_offset_k, finger_force_n].map(|profile| profile.max_slope_after(self.time))
+    }
+
     /// Upper bound on |λ'| until the next point of a profile, rad/s².
     fn pole_rate_bound(&self) -> f64 {
         let plate = &self.plate;
-        let [warming, pressing] = [&self.scene.temperature_offset_k, &self.scene.finger_force_n]
-            .map(|profile| profile.max_slope_after(self.time));
+        let [warming, pressing] = self.max_slopes();
         if warming == 0.0 && pressing == 0.0 {
             return 0.0;
         }
@@ -278,7 +294,8 @@ impl Plant {
     fn advance_frozen(&mut self, mode: &Mode, end: Time, bands: &mut BandSearch<'_>) {
         let flow = Flow::new(self.model, mode, &self.drive, &self.state);
         self.observe_frozen(&flow, end, bands);
-        self.finish_step(end, flow.after((end - self.time).seconds()));
+        let state = flow.after_with(&mut self.exponentials, (end - self.time).seconds());
+        self.finish_step(end, state);
     }
 
     /// Advances with varying modes; the demodulator advances in pieces of at most `longest` s.
@@ -292,10 +309,8 @@ impl Plant {
         let varying = VaryingFlow::new(self.model, modes, [middle, last], &self.drive, &self.state);
         let seconds = (end - start).seconds();
         if !bands.monitors.is_empty() {
-            // The bound is valid only from the start of the interval.
             let reach = varying.max_excursion(seconds);
-            let seconds_within = |from, distance| if from == 0.0 && reach < distance { seconds } else { 0.0 };
-            bands.find(|seconds| varying.after(seconds), seconds_within, &self.state, (start, end));
+            bands.find(|seconds| varying.after(seconds), reach, |_| 0.0, &self.state, (start, end));
         }
         self.demodulate_pieces(end, longest, |plant, from, to| {
             let (mode, state) = (plant.mode_at(from.midpoint(to)), varying.after((from - start).seconds()));
@@ -345,7 +360,8 @@ impl Plant {
         }
         let motion = if rate > 0.0 && !is_fast && (end - start).as_nanos() >= 3 {
             let motion = self.varying_motion(&mut effects, &forcing, end, is_warming.then_some(&frozen));
-            bands.find(|seconds| motion.after(seconds).sum(), |_, _| 0.0, &self.state, (start, end));
+            let reach = f64::INFINITY;
+            bands.find(|seconds| motion.after(seconds).sum(), reach, |_| 0.0, &self.state, (start, end));
             let [_, rise_k, _] = effects.temperature_rise_k();
             self.demodulate_pieces(end, max_frozen_substep(rate), |plant, from, to| {
                 let since = (from - start).seconds();
@@ -405,9 +421,10 @@ impl Plant {
         bands: &mut BandSearch<'_>,
     ) {
         if !bands.monitors.is_empty() {
-            let bound = motion.excursion_bound();
-            let seconds_within = |_, distance| bound.seconds_within(distance);
-            bands.find(|seconds| motion.after(seconds), seconds_within, &self.state, (self.time, end));
+            let (bound, interval) = (motion.excursion_bound(), (self.time, end));
+            let reach = bound.reach((end - self.time).seconds());
+            let seconds_within = |distance| bound.seconds_within(distance);
+            bands.find(|seconds| motion.after(seconds), reach, seconds_within, &self.state, interval);
         }
         if let Some(demodulator) = &mut self.demodulator {
             let (rest, terms) = motion.terms();

@@ -36,8 +36,9 @@ fn overshoot(input: &MeasureInput<'_>) -> Result<Measurement, UndefinedValue> {
         return Err(UndefinedValue::NoNetStep);
     }
     let beyond = |row: &Row| (input.value_in(row) - setpoint) / step;
-    let value = rows.iter().map(beyond).fold(0.0, f64::max) * 100.0;
-    Ok(Measurement::value_at(value, largest_row(rows, beyond).map(|row| input.point(row))))
+    let worst = largest_row(rows, beyond);
+    let value = worst.map_or(0.0, beyond).max(0.0) * 100.0;
+    Ok(Measurement::value_at(value, worst.map(|row| input.point(row))))
 }
 
 fn peak_deviation(input: &MeasureInput<'_>) -> Result<Measurement, UndefinedValue> {

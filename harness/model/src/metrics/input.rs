@@ -122,7 +122,8 @@ fn end_index(to_s: f64, rows: &[Row]) -> usize {
 
 /// The last row with the largest value.
 pub(crate) fn largest_row(rows: &[Row], value: impl Fn(&Row) -> f64) -> Option<&Row> {
-    rows.iter().max_by(|a, b| value(a).total_cmp(&value(b)))
+    let values = rows.iter().map(|row| (value(row), row));
+    values.max_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, row)| row)
 }
 
 /// Indices of the rows at which steps start. A constant setpoint above 0 steps at the start. A ramp
@@ -131,36 +132,41 @@ pub(crate) fn largest_row(rows: &[Row], value: impl Fn(&Row) -> f64) -> Option<&
 pub fn setpoint_steps(rows: &[Row]) -> Vec<usize> {
     let mut steps = Vec::new();
     let mut before = 0.0;
-    let mut start = 0;
-    let (mut moved, mut rested) = (0_u32, 0_u32);
-    for instant in rows.chunk_by(|a, b| a.t_s == b.t_s) {
-        let first_moved = instant.iter().position(|row| row.setpoint_um != before);
-        before = instant.last().map_or(before, |row| row.setpoint_um);
-        match first_moved {
-            Some(offset) => {
-                let continues = moved > 0 && (rested == 0 || (moved > 1 && rested == 1));
-                if continues {
-                    moved += 1;
-                } else {
-                    steps.push(start + offset);
-                    // The initial setpoint is no change that a ramp could continue.
-                    moved = u32::from(start > 0);
-                }
-                if moved == 2 && continues {
-                    // Two changes in a row are a ramp, which starts at the row before the first
-                    // change.
-                    let began = steps.pop().map_or(0, |step| step.saturating_sub(1));
-                    if steps.last() != Some(&began) {
-                        steps.push(began);
-                    }
-                }
-                rested = 0;
-            }
-            None => rested += 1,
+    let (mut next, mut moved) = (0, 0_u32);
+    while let Some((rest, changed)) = first_change(rows.get(next..).unwrap_or_default(), before) {
+        // The rows of the instant with the change, and the instants before it without one.
+        let is_same = |row: &&Row| row.t_s == changed.t_s;
+        let earlier = rest.iter().rev().take_while(is_same).count();
+        let quiet = rest.get(..rest.len() - earlier).unwrap_or_default();
+        let rested =
+            quiet.first().zip(quiet.last()).map_or(0, |(first, last)| if first.t_s == last.t_s { 1 } else { 2 });
+        let (start, index) = (next + quiet.len(), next + rest.len());
+        let continues = moved > 0 && (rested == 0 || (moved > 1 && rested == 1));
+        if continues {
+            moved += 1;
+        } else {
+            steps.push(index);
+            // The initial setpoint is no change that a ramp could continue.
+            moved = u32::from(start > 0);
         }
-        start += instant.len();
+        if moved == 2 && continues {
+            // Two changes in a row are a ramp, which starts at the row before the first change.
+            let began = steps.pop().map_or(0, |step| step.saturating_sub(1));
+            if steps.last() != Some(&began) {
+                steps.push(began);
+            }
+        }
+        let later = rows.get(index + 1..).unwrap_or_default().iter().take_while(is_same).count();
+        next = index + 1 + later;
+        before = rows.get(next - 1).map_or(before, |row| row.setpoint_um);
     }
     steps
+}
+
+/// The rows before the first one with another setpoint than `before`, and this row.
+fn first_change(rows: &[Row], before: f64) -> Option<(&[Row], &Row)> {
+    let index = rows.iter().position(|row| row.setpoint_um != before)?;
+    rows.get(..index).zip(rows.get(index))
 }
 
 /// Time stamps have a resolution of 1 µs, so picoseconds are rounding and must not decide.

@@ -71,7 +71,7 @@ pub fn check_raw(raw: RawScenario, file: &str, plates: &BTreeMap<PathBuf, RawPla
 
 fn check_ranges(schema: &Schema, raw: &impl Serialize, path: &Path) -> Result<(), Vec<Diagnostic>> {
     let table = Table::try_from(raw).map_err(|error| vec![Diagnostic::for_file(path, error.to_string())])?;
-    let faults = range_errors(schema, &table, &Source::file(path, ""));
+    let faults = range_errors(schema, &table, None, &Source::file(path, ""));
     if faults.is_empty() { Ok(()) } else { Err(faults) }
 }
 
@@ -130,6 +130,11 @@ impl ScenarioTemplate {
         let mut table = Table::deserialize(Deserializer::from(document))
             .map_err(|error| vec![Diagnostic::from_toml(&opened.path, &opened.text, &error)])?;
         edit(&mut table);
+        // Later checks skip the values of this table.
+        let faults = range_errors(&SCENARIO_SCHEMA, &table, None, &opened.source());
+        if !faults.is_empty() {
+            return Err(faults);
+        }
         let plate_name = table.get("plate").and_then(Value::as_str).unwrap_or_default().to_owned();
         let plate_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&plate_name);
         let plate_text = read(&plate_path)?;
@@ -169,13 +174,13 @@ impl ScenarioTemplate {
             known.push(KnownPlate { path: folder.join(CHANGED_PLATE), ..self.changed_plate(table)? });
         }
         let source = self.opened.source();
-        let raw: RawScenario = from_table(&tables.scenario, &SCENARIO_SCHEMA, &source)?;
+        let raw: RawScenario = from_table(&tables.scenario, &self.table, &SCENARIO_SCHEMA, &source)?;
         Checker { source, prefix: String::new(), plates: &known }.check(raw, &self.file)
     }
 
     fn changed_plate(&self, table: &Table) -> Result<KnownPlate, Vec<Diagnostic>> {
         let KnownPlate { path, text, .. } = &self.plate;
-        let raw: RawPlate = from_table(table, &PLATE_SCHEMA, &Source::file(path, text))?;
+        let raw: RawPlate = from_table(table, &self.plate_table, &PLATE_SCHEMA, &Source::file(path, text))?;
         let plate = check_plate(path, text, raw)?;
         Ok(KnownPlate { path: path.clone(), plate, text: String::new() })
     }
@@ -185,11 +190,16 @@ impl ScenarioTemplate {
     }
 }
 
-/// Checks keys, types and bounds. The errors point into `source`.
-fn from_table<T: DeserializeOwned>(table: &Table, schema: &Schema, source: &Source<'_>) -> Result<T, Vec<Diagnostic>> {
+/// Checks keys, types and bounds. The bounds of `checked` are checked. The errors point into `source`.
+fn from_table<T: DeserializeOwned>(
+    table: &Table,
+    checked: &Table,
+    schema: &Schema,
+    source: &Source<'_>,
+) -> Result<T, Vec<Diagnostic>> {
     let raw =
         T::deserialize(table.clone()).map_err(|error| vec![Diagnostic::from_toml(source.path, source.text, &error)])?;
-    let faults = range_errors(schema, table, source);
+    let faults = range_errors(schema, table, Some(checked), source);
     if faults.is_empty() { Ok(raw) } else { Err(faults) }
 }
 

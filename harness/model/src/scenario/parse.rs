@@ -51,7 +51,7 @@ pub(crate) fn parse_source<T: DeserializeOwned + JsonSchema>(source: &Source<'_>
         let error = match T::deserialize(Deserializer::from(rest.clone())) {
             Ok(raw) if faults.is_empty() => {
                 let table = Table::deserialize(Deserializer::from(rest)).unwrap_or_default();
-                let faults = range_errors(&schema_of::<T>(""), &table, source);
+                let faults = range_errors(&schema_of::<T>(""), &table, None, source);
                 return if faults.is_empty() { Ok(raw) } else { Err(with_truncation_note(path, faults)) };
             }
             Ok(_) => break,
@@ -152,11 +152,17 @@ pub(crate) fn decode_text(path: &Path, bytes: Vec<u8>) -> Result<String, Diagnos
 }
 
 /// Returns an error for each number outside its bounds, and for each NaN or infinity, in the order
-/// of the file. `source` is the file, or the file that `table` is derived from.
-pub(crate) fn range_errors(schema: &Schema, table: &Table, source: &Source<'_>) -> Vec<Diagnostic> {
+/// of the file. `source` is the file, or the file that `table` is derived from. Values that are equal
+/// in `checked` have no error.
+pub(crate) fn range_errors(
+    schema: &Schema,
+    table: &Table,
+    checked: Option<&Table>,
+    source: &Source<'_>,
+) -> Vec<Diagnostic> {
     let root = schema.as_value();
     let mut search = Search { root, errors: Vec::new() };
-    search.table(root, table, "");
+    search.table(root, table, checked, "");
     let errors = search.errors.into_iter().take(MAX_DIAGNOSTICS);
     let mut errors: Vec<_> = errors.map(|(key, message)| source.diagnostic(&key, message)).collect();
     errors.sort_by_key(Diagnostic::position);
@@ -170,31 +176,37 @@ struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    fn table(&mut self, schema: &'a Json, table: &Table, prefix: &str) {
+    fn table(&mut self, schema: &'a Json, table: &Table, checked: Option<&Table>, prefix: &str) {
         for (name, value) in table {
+            let checked = checked.and_then(|checked| checked.get(name));
+            if checked == Some(value) {
+                continue;
+            }
             if let Some(schema) = schema["properties"].get(name).or_else(|| schema.get("additionalProperties")) {
-                self.value(schema, value, &format!("{prefix}{name}"));
+                self.value(schema, value, checked, &format!("{prefix}{name}"));
             }
         }
     }
 
-    fn value(&mut self, schema: &'a Json, value: &Value, key: &str) {
+    fn value(&mut self, schema: &'a Json, value: &Value, checked: Option<&Value>, key: &str) {
         // A reference may have bounds beside it.
         if let Some(definition) = self.definition(schema) {
-            self.value(definition, value, key);
+            self.value(definition, value, checked, key);
         }
         for alternative in ["anyOf", "oneOf"].iter().filter_map(|word| schema[word].as_array()).flatten() {
             if self.fits(alternative, value) {
-                self.value(alternative, value, key);
+                self.value(alternative, value, checked, key);
             }
         }
         match value {
-            Value::Table(table) => self.table(schema, table, &format!("{key}.")),
+            Value::Table(table) => {
+                self.table(schema, table, checked.and_then(Value::as_table), &format!("{key}."));
+            }
             Value::Array(elements) => {
                 let tuple = schema["prefixItems"].as_array();
                 for (index, element) in elements.iter().enumerate() {
                     if let Some(schema) = tuple.and_then(|items| items.get(index)).or_else(|| schema.get("items")) {
-                        self.value(schema, element, &format!("{key}.{index}"));
+                        self.value(schema, element, None, &format!("{key}.{index}"));
                     }
                 }
             }
@@ -344,7 +356,7 @@ mod value_range_tests {
     #[case("count = 3\n[[list]]\nwidth_um = -1", "3:12: `width_um`: -1 µm, expected a finite number above 0")]
     fn reports_a_number_outside_its_bounds(#[case] text: &str, #[case] expected: &str) {
         let errors =
-            range_errors(&schema_of::<Raw>("raw"), &text.parse().unwrap(), &Source::file(Path::new("a"), text));
+            range_errors(&schema_of::<Raw>("raw"), &text.parse().unwrap(), None, &Source::file(Path::new("a"), text));
         let errors: Vec<_> = errors.iter().map(|error| error.to_string().replacen("a:", "", 1)).collect();
         assert_eq!(errors, [expected]);
     }
@@ -353,7 +365,7 @@ mod value_range_tests {
     fn accepts_the_bounds_themselves() {
         let text = "period_ms = 10\nconfidence = 0.5\ncount = 3\nforce_n = [0.0, 2.0]\nshape = [-1.0, 1.0]";
         assert_eq!(
-            range_errors(&schema_of::<Raw>("raw"), &text.parse().unwrap(), &Source::file(Path::new("a"), text)),
+            range_errors(&schema_of::<Raw>("raw"), &text.parse().unwrap(), None, &Source::file(Path::new("a"), text)),
             []
         );
     }
