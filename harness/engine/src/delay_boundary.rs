@@ -185,6 +185,7 @@ pub(crate) fn measure_trial(
     rows: &[Row],
     telemetry: &Telemetry,
 ) -> TrialMeasures {
+    let scenario = scenario.of_trial(index);
     let mut measures = measure(scenario, index, rows, telemetry);
     let Some((typical, longest)) = rig_delay(telemetry) else { return measures };
     excuse_loop_delay(scenario, &mut measures);

@@ -149,7 +149,12 @@ impl<'a, L: Link> Executor<'a, L> {
             scenes.include_scene(played.telemetry);
         }
         let continues = keeps_controller || self.settings.shares_controller;
-        let Some(mut played) = self.play_on_clock(scenario, law, index, continues, tap)? else { return Ok(None) };
+        let scene = scenario.of_trial(index);
+        let law = match &scenario.other_trials {
+            Some(_) if index > 0 => trial::law(scene).map_err(|unknown| RunError::Scenario(Box::new(unknown)))?,
+            _ => law,
+        };
+        let Some(mut played) = self.play_on_clock(scene, law, index, continues, tap)? else { return Ok(None) };
         played.telemetry.include_scene(scenes);
         match &played.link_error {
             None => self.losses = 0,

@@ -7,7 +7,7 @@ use platebench_model::record::{
     Exclusion, FolderError, KeepTraces, Overrides, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord,
     sha256, sha256_of_file, trace_path,
 };
-use platebench_model::scenario::{Diagnostic, Expectation, MAX_TRIALS, Scenario, Variation, load, load_copies};
+use platebench_model::scenario::{Diagnostic, MAX_TRIALS, Scenario, Variation, load, load_copies};
 use platebench_model::trace::{AtPath, Row, TraceError, read_trace};
 use platebench_plate::Model;
 use platebench_verdict::{SequentialDecision, TrialMeasures, judge_at_time_limit, judge_sequentially, trial_record};
@@ -54,15 +54,15 @@ impl From<Diagnostic> for RejudgeError {
     }
 }
 
-/// The file `replacement` replaces the expectations of the scenario with the same file name. A
+/// The file `expectations` replaces the expectations of the scenario with the same file name. A
 /// trial without a trace was interrupted and makes its scenario inconclusive.
-pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, RejudgeError> {
+pub fn rejudge(folder: &Path, expectations: Option<&Path>) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
     if record.overrides.keep_traces != KeepTraces::All {
         return Err(RejudgeError::NotKept(folder.to_owned()));
     }
     let replaced =
-        replacement.map(|path| Ok::<_, RejudgeError>((path, matching_scenario(&record, path)?))).transpose()?;
+        expectations.map(|path| Ok::<_, RejudgeError>((path, matching_scenario(&record, path)?))).transpose()?;
     let mut scenarios = Vec::with_capacity(record.scenarios.len());
     for (number, stored) in record.scenarios.iter().enumerate() {
         // Each part of a joined run may have its own overrides.
@@ -72,7 +72,11 @@ pub fn rejudge(folder: &Path, replacement: Option<&Path>) -> Result<RunRecord, R
         // Uses the model of the run, because this version of the bench might select another one.
         let model = Model::from_name(&stored.model).unwrap_or(scenario.model);
         if let Some((path, _)) = replaced.filter(|(_, chosen)| *chosen == number) {
-            scenario.expectations = replacement_expectations(path, &scenario, model, overrides)?;
+            let other = replacement(path, &scenario, model, overrides)?;
+            scenario.expectations = other.expectations;
+            for (scene, other) in scenario.other_trials.iter_mut().zip(other.other_trials) {
+                scene.expectations = other.expectations;
+            }
         }
         apply_overrides(overrides, &mut scenario);
         scenario.model = model;
@@ -93,20 +97,25 @@ pub fn apply_overrides(overrides: &Overrides, scenario: &mut Scenario) {
     }
     if let Some(seed) = overrides.seed {
         scenario.trials.seed = seed;
-        scenario.between.iter_mut().for_each(|scene| scene.trials.seed = seed);
+        let others = scenario.between.iter_mut().chain(scenario.other_trials.as_deref_mut());
+        others.for_each(|scene| scene.trials.seed = seed);
     }
     if let Some(seconds) = overrides.timeout_s {
         scenario.timeout_s = Some(seconds);
     }
     if let Some(model) = &overrides.model {
-        scenario.model = Scenario::model_for(model, &scenario.plate).unwrap_or(scenario.model);
+        let select = |scene: &mut Scenario| {
+            scene.model = Scenario::model_for(model, &scene.plate).unwrap_or(scene.model);
+        };
+        select(scenario);
+        scenario.other_trials.as_deref_mut().map(select);
     }
 }
 
 /// Fails if the overrides select a model that omits an effect of a scenario's plate.
 pub fn check_overrides(overrides: &Overrides, scenarios: &[Scenario]) -> Result<(), Box<Diagnostic>> {
     let Some(model) = &overrides.model else { return Ok(()) };
-    for scenario in scenarios {
+    for scenario in scenarios.iter().flat_map(|scenario| [Some(scenario), scenario.other_trials.as_deref()]).flatten() {
         let model = Scenario::model_for(model, &scenario.plate);
         if let Some(message) = model.and_then(|model| Scenario::omitted_effect(model, &scenario.plate)) {
             return Err(Box::new(scenario.diagnostic("plate", message)));
@@ -128,13 +137,8 @@ fn matching_scenario(record: &RunRecord, path: &Path) -> Result<usize, RejudgeEr
     }
 }
 
-/// Except for its expectations, the scenario at `path` must equal the played scenario.
-fn replacement_expectations(
-    path: &Path,
-    played: &Scenario,
-    model: Model,
-    overrides: &Overrides,
-) -> Result<Vec<Expectation>, RejudgeError> {
+/// Loads the scenario at `path`. Except for its expectations, it must equal the played scenario.
+fn replacement(path: &Path, played: &Scenario, model: Model, overrides: &Overrides) -> Result<Scenario, RejudgeError> {
     let other = load(path, &played.file)?;
     let scene = |scene: &Scenario| {
         let Scenario { duration, plate, controller, setpoint, conditions, .. } = scene.clone();
@@ -151,10 +155,11 @@ fn replacement_expectations(
         (other.trials == played.trials, "[trials]"),
         (other.faults == played.faults && other.chip_faults == played.chip_faults, "[[fault]]"),
         (other.between.iter().map(scene).eq(played.between.iter().map(scene)), "[[between]]"),
+        (other.other_trials.as_deref().map(scene) == played.other_trials.as_deref().map(scene), "[other_trials]"),
     ];
     match alike.iter().find(|(holds, _)| !holds) {
         Some((_, what)) => Err(RejudgeError::DifferentExperiment { path: path.to_owned(), what }),
-        None => Ok(other.expectations),
+        None => Ok(other),
     }
 }
 

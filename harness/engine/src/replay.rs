@@ -202,7 +202,7 @@ pub fn read_recorded_trace(trace: &Path, scenario: Option<&Path>) -> Result<Repl
     } else {
         let mut played = load_stored_scenario(&folder, &scenario)?;
         apply_overrides(&run.overrides, &mut played);
-        played
+        played.of_trial(trial.index).clone()
     };
     from_rows(trace, &rows, scenario, run.clock)
 }

@@ -33,7 +33,9 @@ pub fn run(
     let started = Instant::now();
     let law = |scenario| trial::law(scenario).map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)));
     let laws = plan.scenarios.iter().map(law).collect::<Result<Vec<_>, _>>()?;
-    plan.scenarios.iter().flat_map(|scenario| &scenario.between).try_for_each(|scene| law(scene).map(|_| ()))?;
+    let others =
+        plan.scenarios.iter().flat_map(|scenario| scenario.between.iter().chain(scenario.other_trials.as_deref()));
+    others.into_iter().try_for_each(|scene| law(scene).map(|_| ()))?;
     let mut first = RigSession::open(FaultInjector::new(connect()?))?;
     check_controller(plan, &first)?;
     let plan = &with_own_law_if_unnumbered(plan, first.identity());
@@ -105,6 +107,11 @@ fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError
                         --plate-mode emulated";
             return Err(RunError::Scenario(Box::new(scenario.diagnostic("between", what))));
         }
+        if let Some(scenario) = plan.scenarios.iter().find(|scenario| scenario.other_trials.is_some()) {
+            let what = "a real plate is the same in all trials, expected no [other_trials]; remove it, or use \
+                        --plate-mode emulated";
+            return Err(RunError::Scenario(Box::new(scenario.diagnostic("other_trials", what))));
+        }
     }
     Ok(())
 }
@@ -174,7 +181,8 @@ fn select_applicable(
     let (mut selected_laws, mut not_applicable) = (Vec::new(), Vec::new());
     for (scenario, law) in plan.scenarios.iter().zip(laws) {
         let law = protocol_law(scenario, law, &identity);
-        let mut between = scenario.between.iter().filter_map(|scene| Some((scene, trial::law(scene).ok()?)));
+        let others = scenario.between.iter().chain(scenario.other_trials.as_deref());
+        let mut others = others.filter_map(|scene| Some((scene, trial::law(scene).ok()?)));
         let is_compared =
             scenario.expects(Metric::ReferenceDifference) || scenario.expects(Metric::ProtocolDifferences);
         let missing = (is_compared && !matches!(plan.clock, Clock::Lockstep { .. }))
@@ -183,7 +191,7 @@ fn select_applicable(
             .or_else(|| missing_step_time(plan, scenario, session))
             .or_else(|| only_describes_bench_law(scenario))
             .or_else(|| missing_capability(scenario, law, &identity))
-            .or_else(|| between.find_map(|(scene, law)| missing_capability(scene, law, &identity)));
+            .or_else(|| others.find_map(|(scene, law)| missing_capability(scene, law, &identity)));
         match missing {
             None => {
                 let mut scenario = scenario.clone();

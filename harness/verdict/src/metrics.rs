@@ -62,6 +62,7 @@ fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry)
             to_s: window.to.seconds(),
             signal,
             band_percent: expectation.band_percent,
+            comparison: expectation.comparison,
             reports: telemetry.reports(),
         };
         let measurement = (spec.measure)(&input).unwrap_or_else(|unknown| Measure::Undefined(unknown).into());

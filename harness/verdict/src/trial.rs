@@ -34,6 +34,7 @@ pub struct TrialMeasures {
 }
 
 pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Telemetry) -> TrialMeasures {
+    let scenario = scenario.of_trial(index);
     let variation = Variation::of_trial(scenario, index);
     let plant = variation.plant(scenario);
     let expectations = &scenario.expectations;

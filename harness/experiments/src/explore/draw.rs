@@ -3,8 +3,8 @@
 //! cover event kinds, periods, limits and histories.
 
 use crate::explore::envelope::Envelope;
-use crate::explore::scene::LineFaultDraw;
 use crate::explore::scene::Tuning;
+use crate::explore::scene::{LineFaultDraw, Relation};
 use proptest::collection::vec;
 use proptest::prelude::{BoxedStrategy, Just, Strategy, any};
 use proptest::{bool as flags, prop_oneof};
@@ -307,6 +307,7 @@ pub(crate) struct Stratum {
     pub(crate) sine: Option<SineOf>,
     /// True if time stamps of later plays pass 2^16 ms, 2^31 µs and 2^32 µs (counter overflows).
     pub(crate) shifts_time: bool,
+    pub(crate) relation: Option<Relation>,
     /// Number of the scene, if scripts of messages precede the trial. This is rare, because the
     /// scripts take as long as a hundred scenes.
     pub(crate) scripts: Option<u64>,
@@ -324,6 +325,13 @@ const PAIR_STRIDE: u64 = 37;
 const LONG_EVERY: u64 = 41;
 const SINE_EVERY: u64 = 17;
 const SCRIPTS_EVERY: u64 = 512;
+/// Scenes with a history or other time stamps have other remainders.
+const RELATION_EVERY: u64 = 3;
+
+fn in_turn(number: u64) -> Relation {
+    let relations = Relation::ALL;
+    relations.get(number as usize % relations.len()).copied().unwrap_or(Relation::Proportional)
+}
 
 impl Stratum {
     pub(crate) fn of(index: u64) -> Self {
@@ -347,6 +355,7 @@ impl Stratum {
                 _ => None,
             },
             shifts_time: index % 6 == 2,
+            relation: index.is_multiple_of(RELATION_EVERY).then(|| in_turn(index / RELATION_EVERY)),
             scripts: index.is_multiple_of(SCRIPTS_EVERY).then_some(index),
         }
     }

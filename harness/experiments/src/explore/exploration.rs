@@ -5,7 +5,7 @@ use crate::explore::envelope::Envelope;
 use crate::explore::generator::Generator;
 use crate::explore::player::ExploreError;
 use crate::explore::player::{Player, SceneFailure, SceneResult, violated};
-use crate::explore::properties::{Demand, Property, demands, reference_demands};
+use crate::explore::properties::{Demand, Property, demands, reference_demands, relation_demand};
 use crate::explore::scenario_file::{ScenarioBuilder, SceneScenario};
 use crate::explore::scene::Scene;
 use crate::explore::sequence::{self, SequenceLimits};
@@ -63,6 +63,7 @@ impl ExploreConfig {
 
     pub fn demands(&self, scene: &Scene) -> Vec<Demand> {
         let mut demands = demands(scene, &self.envelope.plate);
+        demands.extend(relation_demand(scene));
         if self.compares_reference {
             demands.extend(reference_demands(scene));
         }

@@ -11,7 +11,7 @@ use crate::explore::draw::{SineOf, Stratum};
 use crate::explore::envelope::Envelope;
 use crate::explore::limits::LawProperties;
 use crate::explore::scene::Tuning;
-use crate::explore::scene::{Course, PlateChoice, Scene, SceneTrial};
+use crate::explore::scene::{Course, PlateChoice, Relation, Scene, SceneTrial};
 use platebench_wire::LawId;
 use proptest::strategy::{BoxedStrategy, Strategy, ValueTree};
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
@@ -77,6 +77,10 @@ impl<'a> Generator<'a> {
     fn build(&self, stratum: &Stratum, draw: &SceneDraw) -> Scene {
         let judged_configuration = self.configuration(&draw.configuration, self.law);
         let mut judged = SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum, 10) };
+        let relation = stratum.relation.filter(|relation| self.can_relate(*relation, &judged));
+        if relation == Some(Relation::Delayed) {
+            self.simplify_for_delay(&mut judged);
+        }
         for fault in draw.faults.iter().filter_map(|fault| fault.place(judged.duration_us, judged.period_us)) {
             if judged.faults.iter().all(|other| other.combines_with(&fault, judged.period_us)) {
                 judged.faults.push(fault);
@@ -94,14 +98,31 @@ impl<'a> Generator<'a> {
             })
             .collect();
         let shifts_time = stratum.shifts_time && !stratum.is_long && judged.plate.noise_pm == 0;
-        let count = match (earlier.is_empty(), shifts_time) {
+        let count = match (earlier.is_empty() && relation.is_none(), shifts_time) {
             (false, _) => 2,
             (true, true) => 4,
             (true, false) => 1,
         };
         // A seed in a scenario file is less than 2^63.
         let script_seed = stratum.scripts.map(|index| index.wrapping_add(self.seed) & (u64::MAX >> 1));
-        Scene { earlier, judged, count, script_seed }
+        Scene { earlier, judged, count, script_seed, relation }
+    }
+
+    fn can_relate(&self, relation: Relation, trial: &SceneTrial) -> bool {
+        let is_equal = trial.plate.noise_pm == 0 && trial.faults.is_empty();
+        let has_delay = self.envelope.range.loop_delay_periods[1] > 0.0;
+        // A law that steers chooses its phase by the measured W, not by the predicted one.
+        let compensates =
+            LawProperties::of(trial.law).is_some_and(|properties| properties.compensates_delay && !properties.steers);
+        is_equal && (relation != Relation::Delayed || has_delay && compensates)
+    }
+
+    /// The law predicts exactly on the plate that it is configured for, at its resonance.
+    fn simplify_for_delay(&self, trial: &mut SceneTrial) {
+        let longest_us = f64::from(trial.period_us) * self.envelope.range.loop_delay_periods[1];
+        trial.delay_us = if trial.delay_us == 0 { longest_us as u32 } else { trial.delay_us };
+        trial.plate = trial.plate.design();
+        (trial.force, trial.temperature) = (CourseBuilder::new().finish(), CourseBuilder::new().finish());
     }
 
     fn configuration(&self, draw: &ConfigurationDraw, law: LawId) -> Configuration {

@@ -4,7 +4,7 @@ use crate::explore::generator::MAX_STEADY_DRIVE;
 use crate::explore::limits::LawProperties;
 use crate::explore::limits::{BAND, Knowledge, Limits};
 use crate::explore::scene::Tuning;
-use crate::explore::scene::{Course, Scene, SceneTrial};
+use crate::explore::scene::{Course, Relation, Scene, SceneTrial};
 use platebench_model::scenario::Metric;
 use platebench_plate::Plate;
 use schemars::JsonSchema;
@@ -42,6 +42,12 @@ pub enum Property {
     Recovery,
     /// Trials that differ only in history and time stamps have the same response.
     SameResponse,
+    /// Half the setpoint and half the drive limit give half the response.
+    ProportionalResponse,
+    /// A resonance on the other side of the start frequency gives the same amplitude.
+    MirroredResponse,
+    /// A compensated delay in the loop delays the response and changes nothing else.
+    DelayedResponse,
     /// The rules of the protocol, checked in every trial.
     Protocol,
     /// The commands equal those of the hosted reference.
@@ -69,6 +75,7 @@ impl Property {
             Self::Recovery => Metric::RecoveryTime,
             Self::Reference => Metric::ReferenceDifference,
             Self::Answers => Metric::ProtocolDifferences,
+            Self::ProportionalResponse | Self::MirroredResponse | Self::DelayedResponse => Metric::TrialDifference,
             Self::SameResponse | Self::Protocol => return None,
         })
     }
@@ -138,6 +145,22 @@ pub fn reference_demands(scene: &Scene) -> Vec<Demand> {
     [demand(Property::Reference, REFERENCE_DIFFERENCE_PERCENT)].into_iter().chain(answers).collect()
 }
 
+/// Largest difference from a response that a relation predicts, share of the largest setpoint.
+const RELATION_DIFFERENCE: f64 = 1e-3;
+
+/// Demands that the second play of `scene` has the response that its relation predicts.
+pub fn relation_demand(scene: &Scene) -> Option<Demand> {
+    let trial = &scene.judged;
+    let highest_nm = trial.setpoint.iter().map(|(_, level)| *level).max().unwrap_or(0);
+    Some(Demand {
+        property: scene.relation?.property(),
+        from_us: 0,
+        until_us: trial.played_us(scene.relation),
+        at_most: f64::from(highest_nm.max(1)) * 1e-3 * RELATION_DIFFERENCE,
+        band_percent: None,
+    })
+}
+
 /// Demands on the judged trial of `scene` that follow from the physics of the plate.
 pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     let trial = &scene.judged;
@@ -149,6 +172,10 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     }
     let has_sine = [&trial.force, &trial.temperature].iter().any(|course| matches!(course, Course::Sine { .. }));
     if has_sine {
+        return Vec::new();
+    }
+    // The limits of a trial with a delay do not apply to its play without one.
+    if scene.relation == Some(Relation::Delayed) {
         return Vec::new();
     }
     let highest = trial.largest_setpoint_nm(base, MAX_STEADY_DRIVE);

@@ -2,9 +2,11 @@
 
 use crate::explore::player::ExploreError;
 use crate::explore::properties::{Demand, Property};
-use crate::explore::scene::{Course, LineFault, PlateChoice, Scene, SceneTrial, rounded};
+use crate::explore::scene::{Course, LineFault, PlateChoice, Relation, Scene, SceneTrial, rounded};
 use platebench_model::scenario::load::check_raw;
-use platebench_model::scenario::raw::{RawBetween, RawController, RawExpectation, RawProfiles, RawScenario, RawTrials};
+use platebench_model::scenario::raw::{
+    RawBetween, RawController, RawExpectation, RawOtherTrials, RawProfiles, RawScenario, RawTrials,
+};
 use platebench_model::scenario::{Metric, Scenario};
 use platebench_plate::{
     Plate, RawDrive, RawFinger, RawMode, RawPlate, RawProfile, RawSensor, RawShape, RawSine, Uncertainty,
@@ -63,26 +65,32 @@ pub struct ScenarioBuilder<'a> {
 
 impl ScenarioBuilder<'_> {
     pub fn build(&self, scene: &Scene, demands: &[Demand]) -> SceneScenario {
-        let trial = &scene.judged;
         let mut plates = BTreeMap::new();
+        let others = scene.relation.map(|relation| self.other_trials(&scene.judged, relation, &mut plates));
+        let (first, resonance) = match scene.relation {
+            Some(Relation::Delayed) => (&SceneTrial { delay_us: 0, ..scene.judged.clone() }, Resonance::AtStart),
+            _ => (&scene.judged, Resonance::OfPlate),
+        };
+        let trial = &scene.judged;
         let seed = scene.script_seed.map(|seed| i64::try_from(seed).unwrap_or(i64::MAX));
         let default = RawTrials::default();
         let scenario = RawScenario {
             title: self.title.to_owned(),
             source: Some(self.source.to_owned()),
-            plate: self.plate_file(trial.plate, &mut plates),
-            duration_ms: ms(trial.duration_us),
+            plate: self.plate_file(first, resonance, &mut plates),
+            duration_ms: ms(trial.played_us(scene.relation)),
             tags: vec!["explored".to_owned()],
             trace_step_ms: Some(TRACE_STEP_MS),
-            model: None,
+            model: scene.relation.filter(|relation| relation.needs_envelope()).map(|_| "envelope".to_owned()),
             only_if_named: None,
             expected_exit: None,
             timeout_s: None,
-            controller: self.controller(trial, &mut plates),
-            profile: profiles(trial),
+            controller: self.controller(first, resonance, &mut plates),
+            profile: profiles(trial, 1.0),
             trials: RawTrials { count: scene.count.into(), seed: seed.unwrap_or(default.seed), ..default },
             fault: trial.faults.iter().map(LineFault::raw).collect(),
             between: scene.earlier.iter().map(|earlier| self.between(earlier, &mut plates)).collect(),
+            other_trials: others,
             message: Vec::new(),
             expect: expectations(scene, demands),
             matrix: None,
@@ -92,28 +100,65 @@ impl ScenarioBuilder<'_> {
 
     fn between(&self, trial: &SceneTrial, plates: &mut BTreeMap<PathBuf, RawPlate>) -> RawBetween {
         RawBetween {
-            plate: Some(self.plate_file(trial.plate, plates)),
+            plate: Some(self.plate_file(trial, Resonance::OfPlate, plates)),
             duration_ms: ms(trial.duration_us),
-            controller: self.controller(trial, plates),
-            profile: profiles(trial),
+            controller: self.controller(trial, Resonance::OfPlate, plates),
+            profile: profiles(trial, 1.0),
         }
     }
 
-    fn controller(&self, trial: &SceneTrial, plates: &mut BTreeMap<PathBuf, RawPlate>) -> RawController {
+    fn other_trials(
+        &self,
+        trial: &SceneTrial,
+        relation: Relation,
+        plates: &mut BTreeMap<PathBuf, RawPlate>,
+    ) -> RawOtherTrials {
+        let (mut trial, mut resonance) = (trial.clone(), Resonance::OfPlate);
+        let (mut factor, mut later_us) = (1.0, 0);
+        match relation {
+            Relation::Proportional => {
+                factor = Relation::FACTOR;
+                trial.plate.limit_vpp = (f64::from(trial.plate.limit_vpp) * factor) as u32;
+            }
+            Relation::Mirrored => resonance = Resonance::Mirrored,
+            Relation::Delayed => (resonance, later_us) = (Resonance::AtStart, trial.delay_us),
+        }
+        RawOtherTrials {
+            plate: Some(self.plate_file(&trial, resonance, plates)),
+            amplitude_factor: factor,
+            later_ms: ms(later_us),
+            controller: self.controller(&trial, resonance, plates),
+            profile: profiles(&trial, factor),
+        }
+    }
+
+    fn controller(
+        &self,
+        trial: &SceneTrial,
+        resonance: Resonance,
+        plates: &mut BTreeMap<PathBuf, RawPlate>,
+    ) -> RawController {
         let design = trial.plate.design();
+        let designed = SceneTrial { plate: design, ..trial.clone() };
         let controller = RawController {
             law: Some(trial.law.name().to_owned()),
             period_ms: Some(ms(trial.period_us)),
             start_frequency_hz: Some(f64::from(trial.start_frequency_tenths) / 10.0),
             loop_delay_ms: ms(trial.delay_us),
             design_delay_ms: ms(trial.delay_us),
-            design_plate: (trial.plate != design).then(|| self.plate_file(design, plates)),
+            design_plate: (trial.plate != design).then(|| self.plate_file(&designed, resonance, plates)),
             ..RawController::default()
         };
         trial.tuning.apply(controller, trial.law, &design.apply(self.base), trial.period_us)
     }
 
-    fn plate_file(&self, choice: PlateChoice, plates: &mut BTreeMap<PathBuf, RawPlate>) -> PathBuf {
+    fn plate_file(
+        &self,
+        trial: &SceneTrial,
+        resonance: Resonance,
+        plates: &mut BTreeMap<PathBuf, RawPlate>,
+    ) -> PathBuf {
+        let choice = trial.plate;
         let PlateChoice { limit_vpp, noise_pm, gain_permille, time_constant_permille, .. } = choice;
         let mut name = format!("plates/{}{limit_vpp}vpp", self.plate_prefix);
         for (value, unit) in [
@@ -127,9 +172,42 @@ impl ScenarioBuilder<'_> {
                 let _ = write!(name, "-{value}{unit}");
             }
         }
-        let path = PathBuf::from(name + ".toml");
-        plates.entry(path.clone()).or_insert_with(|| raw_plate(&choice.apply(self.base)));
+        let path = PathBuf::from(name + resonance.suffix() + ".toml");
+        let start_hz = f64::from(trial.start_frequency_tenths) / 10.0;
+        plates.entry(path.clone()).or_insert_with(|| resonance.apply(raw_plate(&choice.apply(self.base)), start_hz));
         path
+    }
+}
+
+/// Resonance of a plate relative to the start frequency.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Resonance {
+    OfPlate,
+    AtStart,
+    /// On the other side of the start frequency, also after every change of its own.
+    Mirrored,
+}
+
+impl Resonance {
+    const fn suffix(self) -> &'static str {
+        match self {
+            Self::OfPlate => "",
+            Self::AtStart => "-at-start",
+            Self::Mirrored => "-mirrored",
+        }
+    }
+
+    fn apply(self, mut plate: RawPlate, start_hz: f64) -> RawPlate {
+        match self {
+            Self::OfPlate => {}
+            Self::AtStart => plate.mode.resonance_hz = start_hz,
+            Self::Mirrored => {
+                plate.mode.resonance_hz = rounded(2.0 * start_hz - plate.mode.resonance_hz, 9);
+                plate.mode.resonance_slope_hz_per_k *= -1.0;
+                plate.finger.resonance_shift_hz_per_n *= -1.0;
+            }
+        }
+        plate
     }
 }
 
@@ -162,7 +240,7 @@ impl Scene {
     pub fn compares_trials(&self) -> bool {
         let SceneTrial { faults, period_us, plate, .. } = &self.judged;
         let stops_alike = !faults.iter().any(|fault| fault.may_stop_differently(*period_us));
-        self.count > 1 && plate.noise_pm == 0 && stops_alike
+        self.count > 1 && self.relation.is_none() && plate.noise_pm == 0 && stops_alike
     }
 }
 
@@ -174,9 +252,9 @@ fn points<T: Copy>(points: &[(u32, T)], value: impl Fn(T) -> f64) -> Vec<[f64; 2
     points.iter().map(|(at, level)| [ms(*at), value(*level)]).collect()
 }
 
-fn profiles(trial: &SceneTrial) -> RawProfiles {
+fn profiles(trial: &SceneTrial, factor: f64) -> RawProfiles {
     RawProfiles {
-        setpoint_um: RawProfile::Shape(RawShape::Hold(points(&trial.setpoint, |nm| f64::from(nm) / 1e3))),
+        setpoint_um: RawProfile::Shape(RawShape::Hold(points(&trial.setpoint, |nm| f64::from(nm) / 1e3 * factor))),
         temperature_offset_k: profile(&trial.temperature),
         finger_force_n: profile(&trial.force),
     }

@@ -4,6 +4,7 @@
 //! Times and values are multiples of a small unit, so scenario files contain short numbers.
 
 use crate::explore::envelope::Ranges;
+use crate::explore::properties::Property;
 use platebench_controller::design::{PiGains, default_response_time_s};
 use platebench_engine::wire_fault_kind;
 use platebench_model::scenario::raw::{RawController, RawFault};
@@ -23,6 +24,37 @@ pub struct Scene {
     pub count: u32,
     /// Seed of the scripts of messages before the judged trial. `None`: no scripts.
     pub script_seed: Option<u64>,
+    /// If present, the second play differs from the first one.
+    pub relation: Option<Relation>,
+}
+
+/// How the second play of a trial differs from the first one, and with it its expected response.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::VariantArray)]
+pub enum Relation {
+    /// Setpoint and drive limit are half as large, and so is the response.
+    Proportional,
+    /// The resonance is on the other side of the start frequency. The amplitude is equal.
+    Mirrored,
+    /// The loop has a delay, which the law compensates. The response is later by this delay.
+    Delayed,
+}
+
+impl Relation {
+    pub(crate) const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
+    pub(crate) const FACTOR: f64 = 0.5;
+
+    pub(crate) const fn property(self) -> Property {
+        match self {
+            Self::Proportional => Property::ProportionalResponse,
+            Self::Mirrored => Property::MirroredResponse,
+            Self::Delayed => Property::DelayedResponse,
+        }
+    }
+
+    /// True for relations of the envelope, which the fast pole of the plate violates slightly.
+    pub(crate) const fn needs_envelope(self) -> bool {
+        !matches!(self, Self::Proportional)
+    }
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -158,6 +190,14 @@ impl SceneTrial {
             finger_force_n: self.force.at(time_us),
         };
         self.plate.apply(base).mode(&conditions)
+    }
+
+    /// Length of a play, µs. With a delay, the response to the last control instant belongs to it.
+    pub(crate) fn played_us(&self, relation: Option<Relation>) -> u32 {
+        match relation {
+            Some(Relation::Delayed) => self.duration_us.div_ceil(self.period_us) * self.period_us,
+            _ => self.duration_us,
+        }
     }
 
     /// Largest setpoint, nm, that needs at most `share` of the drive limit under the largest force.

@@ -759,6 +759,7 @@ pub fn scenario(
         trials: RawTrials::default(),
         fault: Vec::new(),
         between: Vec::new(),
+        other_trials: None,
         message: messages.to_vec(),
         expect: expectations,
         matrix: None,

@@ -5,8 +5,7 @@ use crate::explore::exploration::{ExploreConfig, FailedScene};
 use crate::explore::player::ExploreError;
 use crate::explore::player::{Player, SceneFailure};
 use crate::explore::properties::{Demand, Property};
-use crate::explore::scene::Tuning;
-use crate::explore::scene::{Course, Scene, SceneTrial};
+use crate::explore::scene::{Course, Relation, Scene, SceneTrial, Tuning};
 use crate::explore::sequence::NONE;
 use platebench_model::scenario::{ConfigurationChange, ScenarioMessage};
 use std::time::{Duration, Instant};
@@ -74,10 +73,14 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         self.simplify_directly(&mut best, property)?;
         let (scene, failure) = best;
         let demands = self.config.demands(&scene);
-        let of_property: Vec<_> = demands.into_iter().filter(|demand| demand.property == property).collect();
+        let relation = scene.relation.map(Relation::property).filter(|relation| *relation != property);
+        let (of_property, others): (Vec<_>, Vec<_>) =
+            demands.into_iter().partition(|demand| demand.property == property);
+        let of_relation = others.into_iter().filter(|demand| Some(demand.property) == relation);
         let number = failure.name.rsplit(' ').next().and_then(|number| number.parse::<usize>().ok());
         let only = number.and_then(|number| of_property.get(number - 1)).copied();
         let demands = only.map_or(of_property, |only| vec![only]);
+        let demands = demands.into_iter().chain(of_relation).collect();
         Ok(MinimalScene { scene, demands, failure, is_reproduced: true, replays: self.replays })
     }
 
@@ -177,18 +180,26 @@ fn simpler_scenes(scene: &Scene, end_us: Option<u32>) -> Vec<Scene> {
     if scene.script_seed.is_some() {
         scenes.push(Scene { script_seed: None, ..scene.clone() });
     }
-    if scene.count > 1 && scene.earlier.is_empty() {
+    if scene.relation.is_some() {
+        let count = if scene.earlier.is_empty() { 1 } else { scene.count };
+        scenes.push(Scene { relation: None, count, ..scene.clone() });
+    }
+    if scene.count > 1 && scene.earlier.is_empty() && scene.relation.is_none() {
         scenes.push(Scene { count: scene.count - 1, ..scene.clone() });
     }
     if scene.count > 1 && !scene.earlier.is_empty() {
-        scenes.push(Scene { count: 1, earlier: Vec::new(), ..scene.clone() });
+        let count = if scene.relation.is_some() { 2 } else { 1 };
+        scenes.push(Scene { count, earlier: Vec::new(), ..scene.clone() });
     }
     scenes.extend((0..scene.earlier.len()).map(|index| {
         let mut scene = scene.clone();
         scene.earlier.remove(index);
         scene
     }));
-    scenes.retain(|candidate| candidate.count == 1 || scene.earlier.is_empty() || !candidate.earlier.is_empty());
+    scenes.retain(|candidate| {
+        let has_second = candidate.relation.is_some() || !candidate.earlier.is_empty();
+        candidate.count == 1 || scene.earlier.is_empty() || has_second
+    });
     let variants = simpler_trials(&scene.judged, end_us);
     scenes.extend(variants.into_iter().map(|judged| Scene { judged, ..scene.clone() }));
     for (index, earlier) in scene.earlier.iter().enumerate() {

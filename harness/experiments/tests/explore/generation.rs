@@ -114,7 +114,8 @@ fn the_noise_of_the_frequency_limit_grows_with_the_damping() {
             tuning: Tuning::default(),
             faults: Vec::new(),
         };
-        let demands = config.demands(&Scene { earlier: Vec::new(), judged, count: 1, script_seed: None });
+        let demands =
+            config.demands(&Scene { earlier: Vec::new(), judged, count: 1, script_seed: None, relation: None });
         demands.iter().find(|demand| demand.property == Property::Frequency).unwrap().at_most
     };
     // Six standard deviations of 2.5 nm are 3 % of 0.5 µm. A finger of 1.5 N doubles the damping.

@@ -6,5 +6,6 @@ mod envelope;
 mod exploration;
 mod fixtures;
 mod generation;
+mod relations;
 mod sequences;
 mod ways_of_playing;

@@ -3,7 +3,9 @@
 use super::input::MeasureInput;
 use super::measurement::{Measure, Measurement, UndefinedValue};
 use super::spec::{MetricSpec, Subject, TrialRule, Unit, ValidIf};
+use crate::scenario::expect::Comparison;
 use crate::trace::{Flags, Row};
+use platebench_plate::Time;
 
 pub(super) const OVERRUNS: MetricSpec = MetricSpec {
     name: "overruns",
@@ -28,14 +30,22 @@ pub(super) const TRIAL_DIFFERENCE: MetricSpec = MetricSpec {
     name: "trial_difference_um",
     unit: Unit::Micrometres,
     definition: "over trials: largest distance of x from x of the first trial at the same control instant; each \
-                 further trial is judged. Infinite if a trial has another number of control instants. A scene without \
+                 further trial is judged. In `[other_trials]` x is divided by `amplitude_factor` and taken `later_ms` \
+                 later. Infinite if a trial has another number of control instants. A scene without \
                  noise and spread should give 0 up to the resolution of the wire. All trials are played by one \
                  controller in their order",
     trials: TrialRule::FromFirst,
     takes_signal: true,
     measure: |input| {
+        let Comparison { amplitude_factor, later } = input.comparison;
+        // A command acts at a row of its own, at an instant that differs by rounding only.
+        let later_row = |row: &Row| {
+            let at_s = row.t_s + later.seconds() - 1e-10;
+            input.rows.iter().find(|row| row.t_s >= at_s)
+        };
         let control = control_rows(input, Flags::CONTROL);
-        Ok(Measure::Samples(control.map(|row| input.value_in(row)).collect()).into())
+        let control = control.filter_map(|row| if later == Time::ZERO { Some(row) } else { later_row(row) });
+        Ok(Measure::Samples(control.map(|row| input.value_in(row) / amplitude_factor).collect()).into())
     },
     ..MetricSpec::DEFAULT
 };

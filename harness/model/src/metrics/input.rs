@@ -6,6 +6,7 @@
 //! time measured from them is an interval.
 
 use super::measurement::{SignalPoint, UndefinedValue};
+use crate::scenario::expect::Comparison;
 use crate::trace::{Column, Flags, Row};
 
 /// What a metric is computed from. Instants are in s since the start of the trial.
@@ -19,6 +20,7 @@ pub struct MeasureInput<'a> {
     pub to_s: f64,
     pub signal: MetricSignal,
     pub band_percent: f64,
+    pub comparison: Comparison,
     pub reports: RigReports,
 }
 

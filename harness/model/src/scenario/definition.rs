@@ -59,6 +59,9 @@ pub struct Scenario {
     pub faults: Vec<Fault>,
     pub chip_faults: Vec<ChipFault>,
     pub between: Vec<Self>,
+    /// Scene of every trial but the first. Its trials and its number of expectations are those of the
+    /// scenario.
+    pub other_trials: Option<Box<Self>>,
     /// Messages before every trial, instead of the scripts of the protocol check.
     pub messages: Vec<ScenarioMessage>,
     pub expectations: Vec<Expectation>,
@@ -137,6 +140,11 @@ impl Scenario {
         !self.between.is_empty() || self.expectations.iter().any(compares_trials)
     }
 
+    /// The scene of trial `index`.
+    pub fn of_trial(&self, index: u32) -> &Self {
+        self.other_trials.as_deref().filter(|_| index > 0).unwrap_or(self)
+    }
+
     pub fn expects(&self, metric: Metric) -> bool {
         self.expectations.iter().any(|expectation| expectation.metric == metric)
     }
@@ -167,6 +175,7 @@ impl Scenario {
     pub fn is_deterministic(&self) -> bool {
         self.trials.spread == Spread::default()
             && self.plate.noise_um_rms == 0.0
+            && self.other_trials.as_ref().is_none_or(|others| others.plate.noise_um_rms == 0.0)
             && !self.chip_faults.iter().any(ChipFault::is_random)
     }
 

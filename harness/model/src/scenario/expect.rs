@@ -97,6 +97,18 @@ pub struct Expectation {
     pub after: Option<ChangingProfile>,
     pub from: Option<Time>,
     pub signal: &'static str,
+    pub comparison: Comparison,
+}
+
+/// How the response of a trial is expected to differ from that of the first trial.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Comparison {
+    pub amplitude_factor: f64,
+    pub later: Time,
+}
+
+impl Comparison {
+    pub const EQUAL: Self = Self { amplitude_factor: 1.0, later: Time::ZERO };
 }
 
 /// Columns of the trace that an expectation can judge.
@@ -119,6 +131,7 @@ impl Expectation {
             band_percent: 5.0,
             from: None,
             signal: SIGNALS[0],
+            comparison: Comparison::EQUAL,
         }
     }
 

@@ -310,13 +310,14 @@ pub enum FileKind {
 }
 
 /// No other file has these keys, also not `platebench.toml`.
-const SCENARIO_KEYS: [&str; 10] = [
+const SCENARIO_KEYS: [&str; 11] = [
     "profile",
     "expect",
     "controller",
     "duration_ms",
     "fault",
     "between",
+    "other_trials",
     "trace_step_ms",
     "expected_exit",
     "only_if_named",

@@ -25,13 +25,19 @@ impl Scenario {
         self.controller.law == OWN_LAW
     }
 
-    /// Replaces the law. A scene between trials keeps its law if that differs from the scenario's.
+    /// Replaces the law. Another scene of the file keeps its law if that differs from the scenario's.
     pub fn set_law(&mut self, law: &str) {
         let previous = std::mem::replace(&mut self.controller.law, law.to_owned());
-        let mut between = self.between.iter_mut().map(|scene| &mut scene.controller.law);
-        between.by_ref().filter(|other| **other == previous).for_each(|other| law.clone_into(other));
+        let others = self.between.iter_mut().chain(self.other_trials.as_deref_mut());
+        let mut laws = others.map(|scene| &mut scene.controller.law);
+        laws.by_ref().filter(|other| **other == previous).for_each(|other| law.clone_into(other));
         if law == OWN_LAW {
             self.select_expectations_of_own_law(&previous);
+            let expectations = &self.expectations;
+            let is_selected = |name: &str| expectations.iter().any(|expectation| expectation.name == name);
+            if let Some(others) = &mut self.other_trials {
+                others.expectations.retain(|expectation| is_selected(&expectation.name));
+            }
         }
     }
 

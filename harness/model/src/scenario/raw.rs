@@ -74,6 +74,10 @@ pub struct RawScenario {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(length(max = MAX_BETWEEN))]
     pub between: Vec<RawBetween>,
+    /// Scene of every trial but the first. `trial_difference_um` compares its response with that of
+    /// the first trial.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub other_trials: Option<RawOtherTrials>,
     /// Messages that the bench plays before every trial. `protocol_differences` compares the answers
     /// with those of the reference.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -94,9 +98,11 @@ impl RawScenario {
     pub(crate) fn files(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let own = scene_files(Some(&mut self.plate), &mut self.controller, &mut self.profile);
         let between = self.between.iter_mut();
+        let others = self.other_trials.iter_mut();
         own.chain(
             between.flat_map(|scene| scene_files(scene.plate.as_mut(), &mut scene.controller, &mut scene.profile)),
         )
+        .chain(others.flat_map(|scene| scene_files(scene.plate.as_mut(), &mut scene.controller, &mut scene.profile)))
     }
 }
 
@@ -124,6 +130,30 @@ pub struct RawBetween {
     pub controller: RawController,
     /// Setpoint and conditions.
     pub profile: RawProfiles,
+}
+
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RawOtherTrials {
+    /// Plate file, relative to this file. Default: the plate of the scenario.
+    pub plate: Option<PathBuf>,
+    /// The amplitude is expected to be this factor times that of the first trial.
+    #[serde(default = "one")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub amplitude_factor: f64,
+    /// The response is expected to be later than that of the first trial by this time, ms.
+    #[serde(default)]
+    #[schemars(range(min = 0.0))]
+    pub later_ms: f64,
+    /// The controller and its timing, independent of the scenario's.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub controller: RawController,
+    /// Setpoint and conditions.
+    pub profile: RawProfiles,
+}
+
+const fn one() -> f64 {
+    1.0
 }
 
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]

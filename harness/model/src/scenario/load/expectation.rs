@@ -4,7 +4,7 @@
 use crate::metrics::Metric;
 use crate::metrics::WindowRule;
 use crate::scenario::diagnostic::Diagnostic;
-use crate::scenario::expect::{Aggregation, Expectation, Limit, SIGNALS};
+use crate::scenario::expect::{Aggregation, Comparison, Expectation, Limit, SIGNALS};
 use crate::scenario::fault::Fault;
 use crate::scenario::load::checker::{Checker, TrialContext};
 use crate::scenario::raw::{
@@ -82,6 +82,7 @@ impl Checker<'_> {
             band_percent: raw.band_percent.unwrap_or(DEFAULT_BAND_PERCENT),
             from: raw.from_ms.and_then(Time::from_ms),
             signal,
+            comparison: Comparison::EQUAL,
         })
     }
 

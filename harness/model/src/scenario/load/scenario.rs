@@ -6,7 +6,7 @@ use crate::scenario::definition::{
     AUTO_MODEL, Controller, InputFile, MAX_TRIALS, Scenario, ScenarioGains, Spread, Trials,
 };
 use crate::scenario::diagnostic::Diagnostic;
-use crate::scenario::expect::Expectation;
+use crate::scenario::expect::{Comparison, Expectation};
 use crate::scenario::load::checker::{Checker, Diagnostics, TrialContext};
 use crate::scenario::load::expectation::expectation_names;
 use crate::scenario::load::fault::CheckedFault;
@@ -14,7 +14,7 @@ use crate::scenario::matrix::Source;
 use crate::scenario::own_law::{OWN_LAW, compares_with_bench_law};
 use crate::scenario::raw::{
     DEFAULT_FREQUENCY_RANGE_HZ, DEFAULT_FREQUENCY_SLEW_HZ, DEFAULT_LAW, DEFAULT_PERIOD_MS, MAX_BETWEEN, RawBetween,
-    RawController, RawProfiles, RawScenario, RawTrials,
+    RawController, RawOtherTrials, RawProfiles, RawScenario, RawTrials,
 };
 use crate::scenario::window::ProfileChanges;
 use platebench_plate::{ConditionProfiles, Model, Plate, Profile, RawProfile, Time};
@@ -110,6 +110,7 @@ impl Checker<'_> {
             faults: line_faults,
             chip_faults,
             between: Vec::new(),
+            other_trials: None,
             messages: raw.message,
             conditions,
             inputs: Vec::new(),
@@ -125,6 +126,11 @@ impl Checker<'_> {
         faults.record_error(self.check_messages(&scenario.messages, is_compared));
         faults.record_error(self.check_own_law(&scenario));
         scenario.between = self.scenes_between(folder, &raw.between, &scenario, &mut inputs, faults);
+        let model = raw.model.as_deref().unwrap_or(AUTO_MODEL);
+        let others = raw.other_trials.as_ref();
+        scenario.other_trials = others
+            .and_then(|raw| self.other_trials(folder, (raw, model), &scenario, &mut inputs, faults))
+            .map(Box::new);
         Some(Scenario { inputs, ..scenario })
     }
 
@@ -255,6 +261,50 @@ impl Checker<'_> {
             faults.record_error(self.check_conditions(folder, profiles, plate, conditions, &spread));
         }
         BetweenScene { controller, duration, setpoint, conditions }
+    }
+
+    /// The scene takes everything but plate, controller and profiles from `scenario`.
+    fn other_trials(
+        &self,
+        folder: &Path,
+        (raw, model): (&RawOtherTrials, &str),
+        scenario: &Scenario,
+        inputs: &mut Vec<InputFile>,
+        faults: &mut Diagnostics,
+    ) -> Option<Scenario> {
+        const TABLE: &str = "other_trials";
+        let compares = scenario.expects(Metric::TrialDifference);
+        faults.record_error(self.require(compares, TABLE, || {
+            let metric = Metric::TrialDifference;
+            format!("no expectation of {metric}, expected at least one: nothing compares these trials with the first")
+        }));
+        let checker = self.table(TABLE);
+        let plate = match &raw.plate {
+            Some(file) => checker.plate("plate", &folder.join(file), inputs, faults)?,
+            None => scenario.plate.clone(),
+        };
+        let duration_ms = scenario.duration.ms();
+        let source = SceneSource { duration_ms, controller: &raw.controller, profile: &raw.profile };
+        let scene = checker.scene(folder, &source, Some(&plate), scenario.trials.spread, inputs, faults);
+        let model = faults.record_error(self.model(model, &plate))?;
+        let controller = scene.controller?;
+        let later = faults.record_error(checker.time_from_ms("later_ms", raw.later_ms))?;
+        let [period, duration] = [controller.period, scenario.duration].map(Time::as_nanos);
+        let rest = Time::from_nanos(duration - (duration - 1) / period * period);
+        faults.record_error(checker.require(later <= rest, "later_ms", || {
+            format!("{later}, expected at most {rest}, the time from the last control instant to the end of the trial")
+        }));
+        let comparison = Comparison { amplitude_factor: raw.amplitude_factor, later };
+        let expectations = scenario.expectations.iter();
+        Some(Scenario {
+            expectations: expectations.map(|expectation| Expectation { comparison, ..expectation.clone() }).collect(),
+            controller,
+            setpoint: scene.setpoint?,
+            conditions: scene.conditions?,
+            model,
+            plate,
+            ..scenario.clone()
+        })
     }
 
     /// The scenes take the trials and the spacing of trace rows from `scenario`.

@@ -35,3 +35,26 @@ fn measures_the_signal_at_control_instants_of_the_window() {
     let measures = measure(&scenario, 0, &rows, &Telemetry::default()).measures;
     assert_eq!(measures, [Measure::Samples(vec![2.0, 4.0])]);
 }
+
+#[test]
+fn another_trial_is_measured_later_and_in_proportion() {
+    let expect = &["metric = \"trial_difference_um\", at_most = 0.25"];
+    let mut scenario = ScenarioBuilder { expect, trials: 2, ..BASE }.scenario();
+    let mut others = scenario.clone();
+    let comparison = &mut others.expectations[0].comparison;
+    (comparison.amplitude_factor, comparison.later) = (0.5, Time::from_nanos(300_000));
+    scenario.other_trials = Some(Box::new(others));
+    let row = |t_ms: f64, amplitude_um, flags| Row { t_s: t_ms / 1e3, amplitude_um, flags, ..Row::default() };
+    let (control, none) = (Flags::CONTROL, Flags::empty());
+    let rows = [
+        row(0.0, 1.0, control),
+        row(0.3, 2.0, none),
+        row(1.0, 3.0, control),
+        row(1.2, 4.0, none),
+        row(1.3, 5.0, none),
+        row(1.4, 6.0, none),
+    ];
+    let samples = |index| measure(&scenario, index, &rows, &Telemetry::default()).measures;
+    assert_eq!(samples(0), [Measure::Samples(vec![1.0, 3.0])]);
+    assert_eq!(samples(1), [Measure::Samples(vec![4.0, 10.0])]);
+}

@@ -1,7 +1,9 @@
 use super::{create_folder, load_with_change, render};
+use crate::scenario::Scenario;
 use crate::scenario::load::{load, load_copies};
 use insta::assert_snapshot;
 use platebench_plate::Time;
+use rstest::rstest;
 use std::fmt::Write;
 
 const END: &str = "[trials]\ncount = 30";
@@ -57,4 +59,48 @@ fn a_difference_between_trials_needs_two() {
     let fault = with_trials("count = 1").err().unwrap();
     assert_eq!(fault.message, "`count`: 1 trial, expected at least 2 for trial_difference_um");
     assert!(super::load_with_changes(&[(expect, &format!("{difference}over = \"mean\"\n"))]).is_err());
+}
+
+const OTHERS: &str = "[other_trials]\nplate = \"heavy.toml\"\namplitude_factor = 0.5\nlater_ms = 0.25\n\
+    controller = { law = \"deadbeat\", loop_delay_ms = 0.25 }\nprofile = { setpoint_um = 1.0 }\n";
+const SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 2.0\nband_percent = 5.0\nfrom_ms = 1.0\n";
+const DIFFERENCE: &str = "metric = \"trial_difference_um\"\nat_most = 0.001\nfrom_ms = 1.0\n";
+
+#[test]
+fn other_trials_have_their_own_scene_and_comparison() {
+    let folder = create_folder(&[(END, &format!("{OTHERS}{END}")), (SETTLING, DIFFERENCE)]);
+    std::fs::write(folder.path().join("heavy.toml"), super::PLATE.replace("limit_vpp = 900.0", "limit_vpp = 450.0"))
+        .unwrap();
+    let mut scenario = load(&folder.path().join("s.toml"), "s.toml").unwrap();
+    let of_trial = |scenario: &Scenario, index| {
+        let scene = scenario.of_trial(index);
+        let comparison = scene.expectations[0].comparison;
+        (scene.controller.law.clone(), scene.plate.drive_limit_vpp, comparison.amplitude_factor, comparison.later)
+    };
+    let first = of_trial(&scenario, 0);
+    assert_eq!((first.1, first.2, first.3), (900.0, 1.0, Time::ZERO));
+    let second = ("deadbeat".to_owned(), 450.0, 0.5, Time::from_nanos(250_000));
+    assert_eq!([of_trial(&scenario, 1), of_trial(&scenario, 29)], [second.clone(), second]);
+    let others = scenario.of_trial(1);
+    assert_eq!((others.setpoint.at(Time::ZERO), others.expectations.len()), (1.0, scenario.expectations.len()));
+    assert_eq!(scenario.inputs.iter().filter(|input| input.path.ends_with("heavy.toml")).count(), 1);
+    scenario.set_law("pll");
+    assert_eq!([of_trial(&scenario, 0).0, of_trial(&scenario, 1).0], ["pll", "deadbeat"]);
+}
+
+#[rstest]
+#[case::nothing_compares(
+    "",
+    "no expectation of trial_difference_um, expected at least one: nothing compares these trials with the first"
+)]
+#[case::later_than_the_trial(
+    "later_ms = 1.5\n",
+    "1.5 ms, expected at most 1 ms, the time from the last control instant to the end of the trial"
+)]
+#[case::factor("amplitude_factor = 0.0\n", "`amplitude_factor`: 0, expected above 0")]
+fn rejects_other_trials_that_cannot_be_compared(#[case] keys: &str, #[case] message: &str) {
+    let others = format!("[other_trials]\n{keys}profile = {{ setpoint_um = 1.0 }}\n{END}");
+    let expect = if keys.is_empty() { SETTLING } else { DIFFERENCE };
+    let fault = super::load_with_changes(&[(END, &others), (SETTLING, expect)]).err().unwrap();
+    assert!(fault.message.contains(message), "{}", fault.message);
 }
