@@ -4,7 +4,8 @@
 //! A [`scene`] is a judged trial with the trials before it. [`generator`] makes scene i from the
 //! envelope, the seed and i. [`properties`] contains the demands on every scene;
 //! `docs/exploration.md` derives their limits. [`exploration`] plays scenes on several workers,
-//! and [`mod@shrink`] makes a failing scene minimal. [`mod@session`] does all of this and writes the
+//! [`guidance`] derives
+//! later scenes from those that reached something new, and [`mod@shrink`] makes a failing scene minimal. [`mod@session`] does all of this and writes the
 //! minimal scenes as scenarios. [`mod@kill_rate`] measures which mutants an exploration finds.
 
 pub mod coverage;
@@ -12,6 +13,7 @@ mod draw;
 pub mod envelope;
 pub mod exploration;
 pub mod generator;
+pub mod guidance;
 pub mod kill_rate;
 mod limits;
 pub mod player;

@@ -44,7 +44,7 @@ pub(super) struct ExploreArgs {
     /// Number of scenes
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
     scenes: Option<u64>,
-    /// Seed; scene i depends on the envelope, the seed and i only
+    /// Seed; the scenes depend on it, on the envelope and on what earlier rounds of 64 reached
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
     /// Scenes that are played at once; default: one per core
@@ -136,10 +136,7 @@ impl From<ExploreError> for Failure {
             ExploreError::Connect(error) => error.into(),
             ExploreError::Rig(error) => error.into(),
             ExploreError::Run(error) => error.into(),
-            ExploreError::LawNotAnnounced(_)
-            | ExploreError::LawWithoutProperties(_)
-            | ExploreError::File(_)
-            | ExploreError::Report(_) => Self::invalid(&error),
+            ExploreError::LawNotAnnounced(_) | ExploreError::File(_) | ExploreError::Report(_) => Self::invalid(&error),
             ExploreError::Generated(_) | ExploreError::Strategy(_) | ExploreError::Cancelled => {
                 Self::new(Exit::Inconclusive, &error)
             }

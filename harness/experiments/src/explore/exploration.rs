@@ -1,8 +1,10 @@
 //! Plays generated scenes on several workers until the budget is used or enough scenes fail.
 
 use crate::explore::coverage::Coverage;
+use crate::explore::draw::{SceneDraw, Stratum};
 use crate::explore::envelope::Envelope;
 use crate::explore::generator::Generator;
+use crate::explore::guidance::{Corpus, Feature, GuidanceTally, Parent, ROUND, RecordingLink, derive_scene};
 use crate::explore::player::ExploreError;
 use crate::explore::player::{Player, SceneFailure, SceneResult, violated};
 use crate::explore::properties::{Demand, Property, demands, reference_demands, relation_demand};
@@ -17,7 +19,7 @@ use platebench_rig::{CancelToken, ProtocolCoverage, RigError};
 use platebench_wire::LawId;
 use schemars::JsonSchema;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -54,6 +56,11 @@ pub struct ExploreConfig {
     pub regressions: Vec<Scenario>,
     /// If present, a sequence of messages follows each scene.
     pub sequences: Option<SequenceLimits>,
+    /// True if later scenes and sequences are derived from those that reached something new.
+    pub is_guided: bool,
+    /// First instructions of the blocks to which the branches of the controller's image lead. Empty
+    /// if the rig records no execution.
+    pub branch_outcomes: BTreeSet<u32>,
 }
 
 impl ExploreConfig {
@@ -63,7 +70,7 @@ impl ExploreConfig {
 
     pub fn demands(&self, scene: &Scene) -> Vec<Demand> {
         let mut demands = demands(scene, &self.envelope.plate);
-        demands.extend(relation_demand(scene));
+        demands.extend(relation_demand(scene, &self.envelope.plate));
         if self.compares_reference {
             demands.extend(reference_demands(scene));
         }
@@ -85,9 +92,10 @@ impl ExploreConfig {
 #[derive(Debug, Clone, PartialEq)]
 pub struct FailedScene {
     pub index: u64,
+    pub scene: Scene,
     pub failures: Vec<SceneFailure>,
     /// Scenes that the same controller played before, oldest first.
-    pub history: Vec<u64>,
+    pub history: Vec<Scene>,
 }
 
 impl FailedScene {
@@ -96,9 +104,10 @@ impl FailedScene {
     }
 }
 
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct FailedSequence {
     pub index: u64,
+    pub messages: Vec<ScenarioMessage>,
     pub properties: Vec<Property>,
     /// The difference or the violated rule, in words.
     pub text: String,
@@ -157,18 +166,29 @@ pub struct Exploration {
     pub regressions: usize,
     pub failed_regressions: Vec<FailedRegression>,
     pub coverage: Coverage,
+    pub guidance: GuidanceTally,
     pub elapsed: Duration,
     pub is_interrupted: bool,
 }
 
 impl Exploration {
-    fn add_sequence(&mut self, sequence: &PlayedSequence, law: LawId) -> Result<(), ExploreError> {
+    /// Returns what the sequence reached; `None` if it was not played.
+    fn add_sequence(
+        &mut self,
+        sequence: &PlayedSequence,
+        law: LawId,
+    ) -> Result<Option<BTreeSet<Feature>>, ExploreError> {
+        self.guidance.derived_sequences += u64::from(sequence.is_derived);
         let Some(result) = &sequence.result else {
             self.sequences.skipped += 1;
-            return Ok(());
+            return Ok(None);
         };
         let Scenario { messages, .. } = &sequence.scenario;
+        let counts = self.rules.counts();
         self.rules.add(messages, &configure(&sequence.scenario, law)).map_err(RigError::Link)?;
+        let exercised = self.rules.counts().into_iter().zip(counts).filter(|((_, now), (_, before))| now > before);
+        let rules = exercised.map(|((rule, _), _)| Feature::Rule(rule));
+        let features = result.features.iter().cloned().chain(rules).collect();
         self.sequences.played += 1;
         self.sequences.messages += sequence.messages;
         self.sequences.undecided += u64::from(result.undecided.is_some());
@@ -181,9 +201,10 @@ impl Exploration {
             self.sequences.failed += 1;
             let text = result.differences.first().unwrap_or(&failure.name).clone();
             let properties = violated(&result.failures);
-            self.failed_sequences.push(FailedSequence { index: sequence.index, properties, text });
+            let (index, messages) = (sequence.index, messages.clone());
+            self.failed_sequences.push(FailedSequence { index, messages, properties, text });
         }
-        Ok(())
+        Ok(Some(features))
     }
 
     fn add(&mut self, scene: &Scene, index: u64, result: &SceneResult, envelope: &Envelope) {
@@ -223,56 +244,91 @@ pub fn explore(
     ends: &SafeEnds,
     on_scene: &mut dyn FnMut(u64, u64),
 ) -> Result<Exploration, ExploreError> {
+    explore_and_record(config, connect, cancel, ends, on_scene)
+}
+
+/// As [`explore`], on links that may record which instructions run.
+pub fn explore_and_record<L: RecordingLink>(
+    config: &ExploreConfig,
+    connect: &LinkFactory<'_, L>,
+    cancel: &CancelToken,
+    ends: &SafeEnds,
+    on_scene: &mut dyn FnMut(u64, u64),
+) -> Result<Exploration, ExploreError> {
     let started = Instant::now();
     let mut exploration = Exploration::default();
     play_regressions(config, connect, cancel, ends, &mut exploration)?;
     let (next, failed) = (AtomicU64::new(0), AtomicU64::new(0));
-    let source = || {
-        let number = next.fetch_add(1, Ordering::Relaxed);
-        let item = match config.sequences {
-            Some(_) => match (number / ITEMS, number % ITEMS) {
-                (scene, 0) => Item::Scene(scene),
-                (scene, sequence) => Item::Sequence(scene * SEQUENCES_PER_SCENE + sequence - 1),
-            },
-            None => Item::Scene(number),
-        };
-        let items = if config.sequences.is_some() { ITEMS } else { 1 };
+    let items = if config.sequences.is_some() { ITEMS } else { 1 };
+    let mut workers: Vec<_> =
+        (0..config.jobs.max(1)).map(|_| SceneWorker::new(config, connect, cancel, ends)).collect();
+    let mut corpus = Corpus::new(&config.branch_outcomes);
+    let is_over = |number: u64| {
         let is_used = match config.budget {
             ExplorationBudget::Time(time) => started.elapsed() >= time,
             ExplorationBudget::Scenes(count) => number / items >= count,
         };
-        let is_over = is_used || cancel.is_cancelled() || failed.load(Ordering::Relaxed) >= config.max_failed;
-        (!is_over).then_some(item)
+        is_used || cancel.is_cancelled() || failed.load(Ordering::Relaxed) >= config.max_failed
     };
-    let workers = (0..config.jobs.max(1)).map(|_| SceneWorker::new(config, connect, cancel, ends));
-    let work = |worker: &mut SceneWorker<'_>, item, emit: &mut Emit<'_, PlayedItem>| {
-        let played = match item {
-            Item::Scene(index) => worker.play(index)?.map(|scene| PlayedItem::Scene(Box::new(scene))),
-            Item::Sequence(index) => {
-                worker.play_sequence(index)?.map(|sequence| PlayedItem::Sequence(Box::new(sequence)))
-            }
+    for round_end in (1..).map(|round| round * ROUND * items) {
+        let source = || {
+            let number = next.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |next| {
+                (next < round_end && !is_over(next)).then_some(next + 1)
+            });
+            let number = number.ok()?;
+            Some(match number % items {
+                0 => Item::Scene(number / items),
+                sequence => Item::Sequence(number / items * SEQUENCES_PER_SCENE + sequence - 1),
+            })
         };
-        let Some(played) = played else { return Ok(()) };
-        if !played.result().is_none_or(|result| result.failures.is_empty()) {
-            failed.fetch_add(1, Ordering::Relaxed);
-        }
-        emit(played);
-        Ok(())
-    };
-    run_workers(workers, source, work, &mut |played: PlayedItem| {
-        match played {
-            PlayedItem::Scene(played) => {
-                let PlayedScene { index, scene, result, history } = *played;
-                exploration.add(&scene, index, &result, &config.envelope);
-                if !result.failures.is_empty() {
-                    exploration.failed.push(FailedScene { index, failures: result.failures, history });
+        let work = |worker: &mut &mut SceneWorker<'_, L>, item, emit: &mut Emit<'_, PlayedItem>| {
+            let played = match item {
+                Item::Scene(index) => worker.play(index, &corpus)?.map(|scene| PlayedItem::Scene(Box::new(scene))),
+                Item::Sequence(index) => {
+                    worker.play_sequence(index, &corpus)?.map(|sequence| PlayedItem::Sequence(Box::new(sequence)))
+                }
+            };
+            let Some(played) = played else { return Ok(()) };
+            if !played.result().is_none_or(|result| result.failures.is_empty()) {
+                failed.fetch_add(1, Ordering::Relaxed);
+            }
+            emit(played);
+            Ok(())
+        };
+        let mut round = BTreeMap::new();
+        run_workers(workers.iter_mut(), source, work, &mut |played: PlayedItem| {
+            match played {
+                PlayedItem::Scene(played) => {
+                    let PlayedScene { index, scene, drawn, is_derived, mut result, history } = *played;
+                    exploration.guidance.derived_scenes += u64::from(is_derived);
+                    exploration.add(&scene, index, &result, &config.envelope);
+                    let features = std::mem::take(&mut result.features);
+                    round.insert(index * ITEMS, (features, Parent::Scene(Box::new(drawn))));
+                    if !result.failures.is_empty() {
+                        exploration.failed.push(FailedScene { index, scene, failures: result.failures, history });
+                    }
+                }
+                PlayedItem::Sequence(sequence) => {
+                    if let Some(features) = exploration.add_sequence(&sequence, config.law)? {
+                        let index = sequence.index;
+                        let number = index / SEQUENCES_PER_SCENE * ITEMS + 1 + index % SEQUENCES_PER_SCENE;
+                        round.insert(number, (features, Parent::Sequence(sequence.scenario.messages)));
+                    }
                 }
             }
-            PlayedItem::Sequence(sequence) => exploration.add_sequence(&sequence, config.law)?,
+            on_scene(exploration.scenes, (exploration.failed.len() + exploration.failed_sequences.len()) as u64);
+            Ok::<_, ExploreError>(ControlFlow::Continue(()))
+        })?;
+        corpus.add_round(round);
+        if is_over(next.load(Ordering::Relaxed)) {
+            break;
         }
-        on_scene(exploration.scenes, (exploration.failed.len() + exploration.failed_sequences.len()) as u64);
-        Ok::<_, ExploreError>(ControlFlow::Continue(()))
-    })?;
+    }
+    exploration.guidance = GuidanceTally {
+        derived_scenes: exploration.guidance.derived_scenes,
+        derived_sequences: exploration.guidance.derived_sequences,
+        ..corpus.tally(config.branch_outcomes.len())
+    };
     exploration.failed_sequences.sort_by_key(|sequence| sequence.index);
     exploration.is_interrupted = cancel.is_cancelled();
     exploration.failed.sort_by_key(|scene| scene.index);
@@ -280,9 +336,9 @@ pub fn explore(
     Ok(exploration)
 }
 
-fn play_regressions(
+fn play_regressions<L: RecordingLink>(
     config: &ExploreConfig,
-    connect: &LinkFactory<'_>,
+    connect: &LinkFactory<'_, L>,
     cancel: &CancelToken,
     ends: &SafeEnds,
     exploration: &mut Exploration,
@@ -324,6 +380,7 @@ impl PlayedItem {
 
 struct PlayedSequence {
     index: u64,
+    is_derived: bool,
     scenario: Scenario,
     messages: u64,
     /// `None` if the sequence is too long for the rig.
@@ -333,50 +390,73 @@ struct PlayedSequence {
 struct PlayedScene {
     index: u64,
     scene: Scene,
+    drawn: (Stratum, SceneDraw),
+    is_derived: bool,
     result: SceneResult,
-    history: Vec<u64>,
+    history: Vec<Scene>,
 }
 
-struct SceneWorker<'a> {
+struct SceneWorker<'a, L: RecordingLink> {
     config: &'a ExploreConfig,
-    player: Player<'a>,
-    history: Vec<u64>,
+    player: Player<'a, L>,
+    history: Vec<Scene>,
 }
 
-impl<'a> SceneWorker<'a> {
-    fn new(config: &'a ExploreConfig, connect: &'a LinkFactory<'a>, cancel: &CancelToken, ends: &'a SafeEnds) -> Self {
+impl<'a, L: RecordingLink> SceneWorker<'a, L> {
+    fn new(
+        config: &'a ExploreConfig,
+        connect: &'a LinkFactory<'a, L>,
+        cancel: &CancelToken,
+        ends: &'a SafeEnds,
+    ) -> Self {
         let player = Player::new(connect, config.own_clock, cancel, ends);
         Self { config, player, history: Vec::new() }
     }
 
     /// `None` if the sequence was cancelled.
-    fn play_sequence(&mut self, index: u64) -> Result<Option<PlayedSequence>, ExploreError> {
+    fn play_sequence(&mut self, index: u64, corpus: &Corpus) -> Result<Option<PlayedSequence>, ExploreError> {
         let Some(limits) = &self.config.sequences else { return Ok(None) };
-        let sequence = limits.sequence(self.config.seed, index);
+        let drawn = limits.sequence(self.config.seed, index);
+        let parent = corpus.sequence_parent(self.config.seed, index).filter(|_| self.config.is_guided);
+        let is_derived = parent.is_some();
+        let sequence = match parent {
+            Some(parent) => limits.derive(self.config.seed, index, parent, &drawn),
+            None => drawn,
+        };
         let messages = ScenarioMessage::count(&sequence);
         let title = format!("Sequence {index} of seed {}", self.config.seed);
         let scenario = self.config.sequence_scenario(&sequence, &title, "").check()?;
         if SequenceLimits::cost(&sequence) > limits.longest {
-            return Ok(Some(PlayedSequence { index, scenario, messages, result: None }));
+            return Ok(Some(PlayedSequence { index, is_derived, scenario, messages, result: None }));
         }
-        let result = self.player.play(&scenario)?;
-        Ok(result.map(|result| PlayedSequence { index, scenario, messages, result: Some(result) }))
+        let result = self.player.play_and_record(&scenario, &corpus.missing)?;
+        Ok(result.map(|result| PlayedSequence { index, is_derived, scenario, messages, result: Some(result) }))
     }
 
     /// `None` if the scene was cancelled.
-    fn play(&mut self, index: u64) -> Result<Option<PlayedScene>, ExploreError> {
-        let scene = self.config.generator().tree(index).map_err(ExploreError::Strategy)?.current();
+    fn play(&mut self, index: u64, corpus: &Corpus) -> Result<Option<PlayedScene>, ExploreError> {
+        let generator = self.config.generator();
+        let drawn = generator.draw(index).map_err(ExploreError::Strategy)?;
+        let may_derive = self.config.is_guided && drawn.0.scripts.is_none();
+        let parents = corpus.scene_parents(self.config.seed, index).filter(|_| may_derive);
+        let is_derived = parents.is_some();
+        let most_events = self.config.envelope.count.events[1] as usize;
+        let drawn = match parents {
+            Some((random, parents)) => derive_scene(random, parents, drawn, most_events),
+            None => drawn,
+        };
+        let scene = generator.build(&drawn.0, &drawn.1);
         let title = format!("Scene {index} of seed {}", self.config.seed);
         let scenario = self.config.scenario(&scene, &title).check()?;
-        let Some(result) = self.player.play(&scenario)? else { return Ok(None) };
+        let Some(result) = self.player.play_and_record(&scenario, &corpus.missing)? else { return Ok(None) };
         if self.player.is_young() {
             self.history.clear();
         }
         let history = self.history.clone();
-        self.history.push(index);
+        self.history.push(scene.clone());
         if self.history.len() > MAX_HISTORY {
             self.history.remove(0);
         }
-        Ok(Some(PlayedScene { index, scene, result, history }))
+        Ok(Some(PlayedScene { index, scene, drawn, is_derived, result, history }))
     }
 }

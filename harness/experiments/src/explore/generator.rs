@@ -62,6 +62,12 @@ impl SceneTree<'_> {
 }
 
 impl<'a> Generator<'a> {
+    /// The drawn scene of this number, before anything is derived.
+    pub(crate) fn draw(&self, index: u64) -> Result<(Stratum, SceneDraw), String> {
+        let SceneTree { stratum, tree, .. } = self.tree(index)?;
+        Ok((stratum, tree.current()))
+    }
+
     pub fn tree(&self, index: u64) -> Result<SceneTree<'a>, String> {
         let mut hash = Sha256::new_with_prefix(self.envelope.digest);
         hash.update(self.seed.to_le_bytes());
@@ -74,7 +80,7 @@ impl<'a> Generator<'a> {
         Ok(SceneTree { generator: self.clone(), stratum, tree })
     }
 
-    fn build(&self, stratum: &Stratum, draw: &SceneDraw) -> Scene {
+    pub(crate) fn build(&self, stratum: &Stratum, draw: &SceneDraw) -> Scene {
         let judged_configuration = self.configuration(&draw.configuration, self.law);
         let mut judged = SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum, 10) };
         let relation = stratum.relation.filter(|relation| self.can_relate(*relation, &judged));
@@ -114,7 +120,13 @@ impl<'a> Generator<'a> {
         // A law that steers chooses its phase by the measured W, not by the predicted one.
         let compensates =
             LawProperties::of(trial.law).is_some_and(|properties| properties.compensates_delay && !properties.steers);
-        is_equal && (relation != Relation::Delayed || has_delay && compensates)
+        is_equal
+            && match relation {
+                Relation::Proportional => true,
+                // These stay above the resonance, or step up at Wq = 0.
+                Relation::Mirrored => !matches!(trial.law, LawId::FrequencyOnly | LawId::BangBang),
+                Relation::Delayed => has_delay && compensates,
+            }
     }
 
     /// The law predicts exactly on the plate that it is configured for, at its resonance.

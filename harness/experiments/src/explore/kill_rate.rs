@@ -15,6 +15,7 @@ use platebench_report::document::Block;
 use platebench_rig::{BoxedLink, CancelToken, HostedLink, Session};
 use platebench_wire::LawId;
 use serde::Serialize;
+use std::collections::BTreeSet;
 
 /// A mutant plays scenes until one fails. A correct controller plays all scenes.
 #[derive(Debug, Clone)]
@@ -217,6 +218,8 @@ impl KillRateConfig {
             compares_reference,
             regressions: Vec::new(),
             sequences: Some(SequenceLimits::new(&identity, false, true, u64::MAX)),
+            is_guided: true,
+            branch_outcomes: BTreeSet::new(),
         };
         let exploration = explore(&config, &|| Ok(link()), cancel, &SafeEnds::default(), &mut |_, _| {})?;
         if exploration.is_interrupted { Err(ExploreError::Cancelled) } else { Ok(exploration) }

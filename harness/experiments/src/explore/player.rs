@@ -1,12 +1,13 @@
 //! Plays scenarios on one controller and judges them, as `run` does.
 
+use crate::explore::guidance::{Feature, RecordingLink};
 use crate::explore::properties::Property;
 use platebench_engine::plan::LinkFactory;
 use platebench_engine::{Executor, ExecutorSettings, MAX_LOSSES, RunError, SafeEnds, law};
 use platebench_model::record::{Cause, Reason, Verdict, Violation};
 use platebench_model::scenario::{Diagnostic, Limit, Scenario};
 use platebench_model::trace::FileError;
-use platebench_rig::{CancelToken, ConnectError, RigError};
+use platebench_rig::{BoxedLink, CancelToken, ConnectError, RigError};
 use platebench_verdict::{TrialMeasures, judge, measure};
 use std::collections::BTreeSet;
 
@@ -37,6 +38,8 @@ pub struct SceneResult {
     pub undecided: Option<String>,
     /// Answers to messages that differ from those of the reference, or why the messages ended.
     pub differences: Vec<String>,
+    /// What the trials reached.
+    pub features: BTreeSet<Feature>,
 }
 
 impl SceneResult {
@@ -53,15 +56,15 @@ pub(crate) fn violated(failures: &[SceneFailure]) -> Vec<Property> {
 /// Controllers play 20 and 200 scenes in turn, so scenes meet both new and old controllers.
 const SCENES_PER_CONTROLLER: [u32; 2] = [20, 200];
 
-pub struct Player<'a> {
-    executor: Executor<'a>,
+pub struct Player<'a, L: RecordingLink = BoxedLink> {
+    executor: Executor<'a, L>,
     /// Scenes that this controller has played.
     scenes: u32,
     controllers: usize,
 }
 
-impl<'a> Player<'a> {
-    pub fn new(connect: &'a LinkFactory<'a>, own_clock: bool, cancel: &CancelToken, ends: &'a SafeEnds) -> Self {
+impl<'a, L: RecordingLink> Player<'a, L> {
+    pub fn new(connect: &'a LinkFactory<'a, L>, own_clock: bool, cancel: &CancelToken, ends: &'a SafeEnds) -> Self {
         let settings = ExecutorSettings {
             own_clock,
             max_losses: Some(MAX_LOSSES),
@@ -84,6 +87,15 @@ impl<'a> Player<'a> {
     /// `None` after a cancellation. Fails if the controller cannot be reached, rejects a
     /// configuration or is lost in several trials in sequence.
     pub fn play(&mut self, scenario: &Scenario) -> Result<Option<SceneResult>, ExploreError> {
+        self.play_and_record(scenario, &BTreeSet::new())
+    }
+
+    /// As [`Self::play`]. The features of the result contain which of `branches` were reached.
+    pub(crate) fn play_and_record(
+        &mut self,
+        scenario: &Scenario,
+        branches: &BTreeSet<u32>,
+    ) -> Result<Option<SceneResult>, ExploreError> {
         if self.scenes >= SCENES_PER_CONTROLLER[self.controllers % 2] {
             self.renew();
             self.controllers += 1;
@@ -91,7 +103,10 @@ impl<'a> Player<'a> {
         self.scenes += 1;
         let law = law(scenario).map_err(|unknown| ExploreError::Generated(Box::new(unknown)))?;
         let mut trials = Vec::with_capacity(scenario.trials.count as usize);
-        let mut differences = Vec::new();
+        let (mut differences, mut features) = (Vec::new(), BTreeSet::new());
+        if !branches.is_empty() {
+            self.executor.session()?.link_mut().inner_mut().record(branches);
+        }
         for index in 0..scenario.trials.count {
             let played = match self.executor.play(scenario, law, index, None) {
                 Err(RunError::Rig(RigError::ConfigurationRejected(rejection))) if !scenario.messages.is_empty() => {
@@ -106,13 +121,21 @@ impl<'a> Player<'a> {
             };
             let Some(played) = played else { return Ok(None) };
             trials.push(measure(scenario, index, &played.trace_rows, &played.telemetry));
+            features.extend(played.trace_rows.iter().map(|row| Feature::of_flags(row.flags)));
+            features.extend(played.telemetry.stopped.as_deref().map(Feature::of_stop));
             differences.extend(played.telemetry.protocol_differences.into_iter().flatten());
             if played.link_error.is_some() {
                 // The executor has replaced the controller.
                 self.scenes = 0;
             }
         }
+        if !branches.is_empty() {
+            let reached = self.executor.session()?.link_mut().inner_mut().recorded();
+            features.extend(reached.into_iter().map(Feature::Branch));
+        }
         let result = scene_result(scenario, &trials);
+        features.extend(Feature::of_margins(&result));
+        let result = SceneResult { features, ..result };
         Ok(Some(if differences.is_empty() { result } else { SceneResult { differences, ..result } }))
     }
 }
@@ -177,11 +200,6 @@ pub enum ExploreError {
     Run(#[from] RunError),
     #[error("the controller does not announce the law {0}, expected --law with one of its laws")]
     LawNotAnnounced(&'static str),
-    #[error(
-        "the law {0} cannot be explored, because it has no limits to check; expected --law dq-pi, dq-pi-fixed or \
-         deadbeat"
-    )]
-    LawWithoutProperties(&'static str),
     #[error("internal error: the bench generated an invalid scenario ({0}); report this message and the seed")]
     Generated(Box<Diagnostic>),
     #[error("internal error: the bench generated no scene ({0}); report this message and the seed")]

@@ -80,6 +80,27 @@ impl Property {
         })
     }
 
+    /// True if the limit follows from the design of the law.
+    pub(crate) const fn needs_limits(self) -> bool {
+        match self {
+            Self::Settling
+            | Self::Overshoot
+            | Self::StaticError
+            | Self::Ripple
+            | Self::Frequency
+            | Self::RestDrive
+            | Self::Deviation
+            | Self::Recovery => true,
+            Self::SameResponse
+            | Self::ProportionalResponse
+            | Self::MirroredResponse
+            | Self::DelayedResponse
+            | Self::Protocol
+            | Self::Reference
+            | Self::Answers => false,
+        }
+    }
+
     /// `name` is the name of an expectation: a property, possibly followed by a number.
     pub fn of_name(name: &str) -> Option<Self> {
         let name = name.split_once(' ').map_or(name, |(name, _)| name);
@@ -148,15 +169,28 @@ pub fn reference_demands(scene: &Scene) -> Vec<Demand> {
 /// Largest difference from a response that a relation predicts, share of the largest setpoint.
 const RELATION_DIFFERENCE: f64 = 1e-3;
 
+/// Allowed error of a law's prediction over the delay, share of the amplitude's change in this time.
+const PREDICTION_ERROR: f64 = 0.1;
+/// Largest drive of a step relative to the drive that holds the setpoint.
+const PEAK_DRIVE: f64 = 2.0;
+
 /// Demands that the second play of `scene` has the response that its relation predicts.
-pub fn relation_demand(scene: &Scene) -> Option<Demand> {
+pub fn relation_demand(scene: &Scene, base: &Plate) -> Option<Demand> {
     let trial = &scene.judged;
+    let relation = scene.relation?;
+    let predicted = match relation {
+        // b V d with V = PEAK_DRIVE W / K1, relative to W.
+        Relation::Delayed => {
+            PREDICTION_ERROR * PEAK_DRIVE * trial.plate.apply(base).sigma0 * f64::from(trial.delay_us) * 1e-6
+        }
+        Relation::Proportional | Relation::Mirrored => 0.0,
+    };
     let highest_nm = trial.setpoint.iter().map(|(_, level)| *level).max().unwrap_or(0);
     Some(Demand {
-        property: scene.relation?.property(),
+        property: relation.property(),
         from_us: 0,
         until_us: trial.played_us(scene.relation),
-        at_most: f64::from(highest_nm.max(1)) * 1e-3 * RELATION_DIFFERENCE,
+        at_most: f64::from(highest_nm.max(1)) * 1e-3 * (RELATION_DIFFERENCE + predicted),
         band_percent: None,
     })
 }

@@ -5,12 +5,15 @@ use crate::explore::coverage::{ChangeKind, RangeCoverage};
 use crate::explore::exploration::{
     Exploration, ExploreConfig, FailedRegression, FailedScene, PropertyTally, SequenceTally, UndecidedScene,
 };
+use crate::explore::guidance::GuidanceTally;
+use crate::explore::limits::LawProperties;
 use crate::explore::player::violated;
 use crate::explore::properties::Property;
 use platebench_engine::SafeEnds;
 use platebench_model::record::Verdict;
 use platebench_report::document::{Block, Document, Figure, Table};
 use platebench_verdict::statistics::clopper_pearson;
+use platebench_wire::LawId;
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -40,6 +43,8 @@ pub struct ExploreReport {
     pub undecided: u64,
     /// Sequences of messages between the scenes.
     pub sequences: SequenceTally,
+    /// What was reached, and what was derived from it.
+    pub guidance: GuidanceTally,
     pub undecided_scenes: Vec<UndecidedScene>,
     /// Duration of the exploration without shrinking, s.
     pub elapsed_s: f64,
@@ -134,6 +139,7 @@ impl ExploreReport {
             failed,
             undecided: exploration.undecided,
             sequences,
+            guidance: exploration.guidance,
             undecided_scenes: exploration.undecided_scenes.clone(),
             elapsed_s: exploration.elapsed.as_secs_f64(),
             failing_share: clopper_pearson(
@@ -294,7 +300,9 @@ pub fn document(report: &ExploreReport) -> Document {
     ]);
     let mut blocks = vec![
         Block::paragraph(format!("{scenes} scenes of {envelope} for {law}, seed {seed}, {elapsed_s:.1} s")),
+        Block::paragraph(limits(law)),
         Block::paragraph(sequences(&report.sequences)),
+        Block::paragraph(guidance(&report.guidance)),
         Block::paragraph(unmet_rules(&report.coverage)),
         Block::Table(properties(report)),
     ];
@@ -304,21 +312,44 @@ pub fn document(report: &ExploreReport) -> Document {
     Document { lead, ..Document::new(format!("{verdict}: exploration of {law}"), blocks) }
 }
 
+fn limits(law: &str) -> String {
+    if LawId::from_name(law).and_then(LawProperties::of).is_some() {
+        return "all properties apply".to_owned();
+    }
+    let without = Property::ALL.iter().filter(|property| property.needs_limits()).map(|property| property.name());
+    format!("{law} has no limits, so these properties do not apply: {}", without.collect::<Vec<_>>().join(", "))
+}
+
 fn sequences(tally: &SequenceTally) -> String {
     let SequenceTally { played, messages, skipped, failed, .. } = tally;
     let skipped = if *skipped > 0 { format!("; {skipped} too long for this rig") } else { String::new() };
     format!("{played} sequences with {messages} messages, {failed} failed{skipped}")
 }
 
+fn guidance(tally: &GuidanceTally) -> String {
+    let GuidanceTally { branch_outcomes, reached_branch_outcomes, .. } = *tally;
+    let GuidanceTally { other_features, derived_scenes, derived_sequences, parents, .. } = *tally;
+    let branches = match branch_outcomes {
+        0 => String::new(),
+        count => format!("{reached_branch_outcomes} of {count} branch outcomes of the image and "),
+    };
+    format!(
+        "reached {branches}{other_features} states, causes, margins and thresholds; {derived_scenes} scenes and \
+         {derived_sequences} sequences derived from {parents} that reached something new"
+    )
+}
+
 fn properties(report: &ExploreReport) -> Table {
     let mut table = Table::new(["property", "windows", "violations", "smallest margin", "in scene"]);
     table.extend(report.properties.iter().map(|PropertyReport { property, tally }| {
         let margin = tally.smallest_margin;
+        // A count with the limit 0 has no distance from it.
+        let has_margin = margin.is_finite() && !matches!(property, Property::Protocol | Property::Answers);
         vec![
             property.to_string(),
             tally.windows.to_string(),
             tally.violations.to_string(),
-            if margin.is_finite() { format!("{:.1} %", margin * 100.0) } else { "–".to_owned() },
+            if has_margin { format!("{:.1} %", margin * 100.0) } else { "–".to_owned() },
             tally.tightest_scene.to_string(),
         ]
     }));

@@ -6,6 +6,7 @@
 //! the hosted reference, and equal trials with each other.
 
 use crate::explore::envelope::Envelope;
+use crate::explore::guidance::{below, random_numbers};
 use crate::explore::properties::{Property, REFERENCE_DIFFERENCE_PERCENT};
 use crate::explore::scenario_file::{SceneScenario, raw_plate};
 use platebench_model::scenario::raw::{RawController, RawExpectation, RawProfiles, RawScenario, RawTrials};
@@ -13,8 +14,7 @@ use platebench_model::scenario::{ConfigurationChange, Metric, NonFinite, Scenari
 use platebench_plate::RawProfile;
 use platebench_wire::{Identity, LawId, capabilities};
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
-use sha2::{Digest, Sha256};
+use rand_chacha::rand_core::Rng;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -119,16 +119,58 @@ impl SequenceLimits {
         messages.iter().enumerate().map(cost).sum()
     }
 
+    /// Parts of `parent` and of the drawn sequence `drawn` in another order, between two reference
+    /// trials of `parent`. A part begins with a configuration, which makes it independent of the
+    /// parts before it.
+    pub fn derive(
+        &self,
+        seed: u64,
+        index: u64,
+        parent: &[ScenarioMessage],
+        drawn: &[ScenarioMessage],
+    ) -> Vec<ScenarioMessage> {
+        let mut random = random_numbers("derived messages", seed, index);
+        let is_usable = |part: &&[ScenarioMessage]| {
+            part.iter().all(|message| match message {
+                // Long runs are played in their turn, and silences cost wall time.
+                ScenarioMessage::Again { .. } => false,
+                ScenarioMessage::Wait { .. } => !self.own_clock,
+                _ => true,
+            })
+        };
+        let parts: Vec<_> = parts_of(parent).chain(parts_of(drawn)).filter(is_usable).collect();
+        let is_trial =
+            |(at, message): &(usize, &ScenarioMessage)| *at == 0 || matches!(message, ScenarioMessage::Sample { .. });
+        let trial: Vec<_> =
+            parent.iter().enumerate().take_while(is_trial).map(|(_, message)| message.clone()).collect();
+        let mut messages = trial.clone();
+        for _ in 0..DERIVED_PARTS {
+            let part = parts.get(below(&mut random, parts.len())).copied().unwrap_or_default();
+            if messages.len() + part.len() > ENOUGH_MESSAGES {
+                break;
+            }
+            messages.extend_from_slice(part);
+        }
+        messages.extend(trial);
+        messages
+    }
+
     /// Sequence `index` of an exploration with this seed.
     pub fn sequence(&self, seed: u64, index: u64) -> Vec<ScenarioMessage> {
-        let mut hash = Sha256::new_with_prefix("messages");
-        hash.update(seed.to_le_bytes());
-        hash.update(index.to_le_bytes());
-        let random = ChaCha8Rng::from_seed(hash.finalize().into());
+        let random = random_numbers("messages", seed, index);
         let mut draw = Draw { limits: self, random, messages: Vec::new(), trial: Vec::new() };
         draw.play(index);
         draw.messages
     }
+}
+
+/// Number of parts of a derived sequence.
+const DERIVED_PARTS: u32 = 12;
+
+/// Splits before each configuration.
+fn parts_of(messages: &[ScenarioMessage]) -> impl Iterator<Item = &[ScenarioMessage]> {
+    let is_configuration = |message: &ScenarioMessage| matches!(message, ScenarioMessage::Configure(_));
+    messages.chunk_by(move |_, next| !is_configuration(next))
 }
 
 /// Kinds of blocks. A sequence prefers one of them.

@@ -2,7 +2,9 @@
 //! scenarios that the next run and the next exploration play, and writes the result.
 
 use crate::explore::envelope::Envelope;
-use crate::explore::exploration::{ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, explore};
+use crate::explore::exploration::{
+    ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, explore, explore_and_record,
+};
 use crate::explore::limits::LawProperties;
 use crate::explore::player::ExploreError;
 use crate::explore::player::Player;
@@ -12,13 +14,18 @@ use crate::explore::report::{ExploreReport, ViolationReport, violated_properties
 use crate::explore::scenario_file::ScenarioBuilder;
 use crate::explore::sequence::SequenceLimits;
 use crate::explore::shrink::{MinimalScene, Shrinker, shrink_messages};
+use crate::firmware_analysis::suite::read_code;
 use platebench_engine::SafeEnds;
 use platebench_engine::plan::LinkFactory;
 use platebench_model::scenario::{Scenario, load};
 use platebench_model::trace::{AtPath, write_atomically};
 use platebench_plate::Time;
-use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, RigError, RigSpec, Session};
+use platebench_rig::{
+    CancelToken, Capability, ConnectError, ConnectOptions, EmulatedLink, FaultInjector, Link, RigError, RigSpec,
+    Session,
+};
 use platebench_wire::{Identity, LawId, Message, Packet, capabilities};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use std::{fmt, fs};
@@ -78,9 +85,15 @@ impl ExploreSession {
         let (identity, exchange_time) = identify(&connect, &ends)?;
         let config = self.config(&identity, exchange_time)?;
         let started = Instant::now();
-        let exploration = explore(&config, &connect, cancel, &ends, &mut |scenes, failed| {
+        let mut on_scene = |scenes, failed| {
             on_progress(ProgressEvent { elapsed: started.elapsed(), scenes, failed });
-        })?;
+        };
+        let exploration = if self.rig.has(Capability::EmulatedChip) {
+            let connect = || Ok(self.rig.image().map_or_else(EmulatedLink::built_in, EmulatedLink::open)?);
+            explore_and_record(&config, &connect, cancel, &ends, &mut on_scene)?
+        } else {
+            explore(&config, &connect, cancel, &ends, &mut on_scene)?
+        };
         let rig = self.rig.to_string();
         let mut report = ExploreReport::new(&config, &exploration, &rig, &platebench_rig::printable_name(&identity));
         let mut violated = violated_properties(&exploration);
@@ -123,9 +136,6 @@ impl ExploreSession {
     }
 
     fn config(&self, identity: &Identity, exchange_time: Duration) -> Result<ExploreConfig, ExploreError> {
-        if LawProperties::of(self.law).is_none() {
-            return Err(ExploreError::LawWithoutProperties(self.law.name()));
-        }
         if !identity.has_law(self.law) {
             return Err(ExploreError::LawNotAnnounced(self.law.name()));
         }
@@ -152,6 +162,12 @@ impl ExploreSession {
                 LONGEST_SEQUENCE.div_duration_f64(exchange_time.max(FASTEST_EXCHANGE)) as u64,
             )),
             regressions: self.regressions.iter().filter(|scenario| announced(scenario)).cloned().collect(),
+            is_guided: true,
+            branch_outcomes: if self.rig.has(Capability::EmulatedChip) {
+                read_code(self.rig.image()).map_err(ConnectError::from)?.1.branch_outcomes()
+            } else {
+                BTreeSet::new()
+            },
         })
     }
 
@@ -163,11 +179,9 @@ impl ExploreSession {
         failed: &FailedSequence,
         deadline: Instant,
     ) -> Result<ViolationReport, ExploreError> {
-        let FailedSequence { index, properties, text } = failed;
+        let FailedSequence { index, messages: original, properties, text } = failed;
         let property = properties.first().copied().unwrap_or(Property::Answers);
         let (law, seed) = (config.law.name(), config.seed);
-        let limits = config.sequences.as_ref();
-        let original = limits.map(|limits| limits.sequence(seed, *index)).unwrap_or_default();
         let mut player = Player::new(connect, config.own_clock, cancel, ends);
         let mut replays = 0;
         let (minimal, difference) = shrink_messages(original.clone(), deadline, &mut |messages| {
@@ -205,7 +219,7 @@ impl ExploreSession {
             value: None,
             limit: None,
             rule: Some(difference.unwrap_or_else(|| text.clone())),
-            original: config.sequence_scenario(&original, &title, "").text(&[]).at(&path)?,
+            original: config.sequence_scenario(original, &title, "").text(&[]).at(&path)?,
             minimal: fs::read_to_string(&path).at(&path)?,
             minimal_value: None,
             minimal_limit: None,
@@ -234,7 +248,6 @@ impl ExploreSession {
         player.renew();
         let again = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
         let original = failed.failure_of(property);
-        let tree = config.generator().tree(failed.index).map_err(ExploreError::Strategy)?;
         let title = format!("Scene {} of seed {}", failed.index, config.seed);
         Ok(ViolationReport {
             property,
@@ -243,7 +256,7 @@ impl ExploreSession {
             value: original.and_then(|failure| failure.value),
             limit: original.and_then(|failure| failure.limit),
             rule: (property == Property::Protocol).then(|| minimal.failure.name.clone()),
-            original: config.scenario(&tree.current(), &title).text(&[]).at(&path)?,
+            original: config.scenario(&failed.scene, &title).text(&[]).at(&path)?,
             minimal: fs::read_to_string(&path).at(&path)?,
             minimal_value: minimal.failure.value,
             minimal_limit: minimal.failure.limit,

@@ -42,9 +42,7 @@ impl<'a, 'p> Shrinker<'a, 'p> {
     /// Searches the smallest scene that violates the property.
     pub fn shrink(&mut self, failed: &FailedScene, property: Property) -> Result<MinimalScene, ExploreError> {
         self.replays = 0;
-        let generator = self.config.generator();
-        let mut tree = generator.tree(failed.index).map_err(ExploreError::Strategy)?;
-        let original = tree.current();
+        let original = failed.scene.clone();
         let Some((earlier, mut best)) = self.reproduce(&original, failed, property)? else {
             let none = SceneFailure { property, name: String::new(), value: None, limit: None };
             let failure = failed.failure_of(property).cloned().unwrap_or(none);
@@ -55,7 +53,9 @@ impl<'a, 'p> Shrinker<'a, 'p> {
             Some(earlier) => Scene { earlier: earlier.clone(), count: 2, ..scene },
             None => scene,
         };
-        if tree.simplify() {
+        // A derived scene has no drawn numbers of its own.
+        let mut tree = self.config.generator().tree(failed.index).map_err(ExploreError::Strategy)?;
+        if tree.current() == original && tree.simplify() {
             loop {
                 let scene = with_history(tree.current());
                 let failure = self.replay(&scene, property)?;
@@ -96,11 +96,9 @@ impl<'a, 'p> Shrinker<'a, 'p> {
         if let Some(failure) = self.replay(original, property)? {
             return Ok(Some((None, (original.clone(), failure))));
         }
-        let generator = self.config.generator();
         let mut trials = Vec::new();
-        for index in failed.history.iter().rev() {
-            let scene = generator.tree(*index).map_err(ExploreError::Strategy)?.current();
-            trials.splice(0..0, scene.earlier.into_iter().chain([scene.judged]));
+        for scene in failed.history.iter().rev() {
+            trials.splice(0..0, scene.earlier.iter().chain([&scene.judged]).cloned());
             trials.drain(..trials.len().saturating_sub(MAX_EARLIER));
             let scene = Scene { earlier: trials.clone(), count: 2, ..original.clone() };
             if let Some(failure) = self.replay(&scene, property)? {

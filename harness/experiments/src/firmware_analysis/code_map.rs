@@ -87,6 +87,16 @@ impl CodeMap {
         self.leaders.range(..=address).next_back().copied().unwrap_or(address)
     }
 
+    /// First instructions of the blocks to which conditional branches and tables of targets lead.
+    pub fn branch_outcomes(&self) -> BTreeSet<u32> {
+        let outcomes = self.instructions.values().flat_map(|instruction| match instruction.flow() {
+            Flow::Conditional(target) => vec![target, instruction.end()],
+            Flow::Table(entry) => self.table_targets(instruction, entry),
+            Flow::Next | Flow::Jump(_) | Flow::Call(_) | Flow::Indirect => Vec::new(),
+        });
+        outcomes.filter(|outcome| self.leaders.contains(outcome)).collect()
+    }
+
     fn find_leaders(&self) -> BTreeSet<u32> {
         let mut leaders: BTreeSet<u32> = self.functions.iter().map(|function| function.range.start).collect();
         let mut previous_end = None;

@@ -75,22 +75,26 @@ impl Suite {
         if suite.scenarios.is_empty() { Err(AnalysisError::NothingApplicable(suite.not_applicable)) } else { Ok(suite) }
     }
 
-    fn elf(&self) -> Result<Vec<u8>, AnalysisError> {
-        let Some(path) = &self.elf else { return Ok(BUILT_IN_IMAGE.to_vec()) };
-        read_regular_file(path, MAX_IMAGE_BYTES)
-            .map_err(|error| EmulatedError::Read { path: path.clone(), error }.into())
-    }
-
     pub(crate) fn code(&self) -> Result<(Symbols, CodeMap), AnalysisError> {
-        let elf = self.elf()?;
-        let symbols = Symbols::read(&elf);
-        let map = CodeMap::read(&elf, &symbols);
+        let (symbols, map) = read_code(self.elf.as_deref())?;
         if map.functions.is_empty() { Err(AnalysisError::NoFunctions) } else { Ok((symbols, map)) }
     }
 
     pub(crate) fn connect(&self) -> Result<EmulatedLink, ConnectError> {
         Ok(self.elf.as_deref().map_or_else(EmulatedLink::built_in, EmulatedLink::open)?)
     }
+}
+
+/// Reads the code of an image; `None` is the built-in one. The map is empty without symbols.
+pub fn read_code(elf: Option<&Path>) -> Result<(Symbols, CodeMap), EmulatedError> {
+    let elf = match elf {
+        Some(path) => read_regular_file(path, MAX_IMAGE_BYTES)
+            .map_err(|error| EmulatedError::Read { path: path.to_owned(), error })?,
+        None => BUILT_IN_IMAGE.to_vec(),
+    };
+    let symbols = Symbols::read(&elf);
+    let map = CodeMap::read(&elf, &symbols);
+    Ok((symbols, map))
 }
 
 /// The executor keeps its link, because the analysis changes or observes the firmware behind it.

@@ -2,6 +2,7 @@
 
 use platebench_experiments::explore::{Envelope, ExplorationBudget, ExploreConfig};
 use platebench_wire::LawId;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 pub(crate) fn envelope_path() -> PathBuf {
@@ -21,5 +22,7 @@ pub(crate) fn configuration(law: LawId, scenes: u64) -> ExploreConfig {
         compares_reference: false,
         regressions: Vec::new(),
         sequences: None,
+        is_guided: false,
+        branch_outcomes: BTreeSet::new(),
     }
 }

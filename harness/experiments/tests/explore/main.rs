@@ -4,8 +4,10 @@
 
 mod envelope;
 mod exploration;
+mod false_alarms;
 mod fixtures;
 mod generation;
+mod guidance;
 mod relations;
 mod sequences;
 mod ways_of_playing;

@@ -84,6 +84,9 @@ fn a_relation_finds_a_fault(#[case] fault: Fault, #[case] property: Property) {
 #[case::adapting(LawId::DqPi, 3)]
 #[case::steering(LawId::Deadbeat, 2)]
 #[case::without_compensation(LawId::DqPiFixed, 2)]
+#[case::without_limits(LawId::Pll, 2)]
+#[case::above_the_resonance(LawId::FrequencyOnly, 1)]
+#[case::with_steps(LawId::BangBang, 1)]
 fn a_law_has_its_relations(#[case] law: LawId, #[case] relations: usize) {
     let config = configuration(law, 108);
     let result = play(&config, || boxed(changes_nothing));

@@ -6,12 +6,11 @@ use platebench_engine::SafeEnds;
 use platebench_experiments::explore::exploration::Exploration;
 use platebench_experiments::explore::sequence::SequenceLimits;
 use platebench_experiments::explore::{ExploreConfig, Player, explore};
-use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, clean_variants, protocol_faults};
+use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, protocol_faults};
 use platebench_model::scenario::{ScenarioMessage, load};
-use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, Link, LinkError, Session};
-use platebench_wire::{Configure, LawId, Message, Packet};
+use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink};
+use platebench_wire::{Configure, LawId, Message};
 use rstest::rstest;
-use std::time::Duration;
 
 fn limits() -> SequenceLimits {
     SequenceLimits {
@@ -160,118 +159,4 @@ fn the_reference_shows_faults_in_figures() {
     let faults = protocol_faults().into_iter().filter(|fault| ONLY_BY_THE_REFERENCE.contains(&fault.name));
     let faults: Vec<_> = faults.collect();
     assert_eq!((faults.len(), survivors(&faults, &limits(), &config, 60)), (2, Vec::new()));
-}
-
-/// A controller that answers late, in a time that its rig measures.
-struct Late(HostedLink);
-
-impl Link for Late {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        self.0.exchange(now, bytes, answer)?;
-        Ok(Duration::from_micros(300))
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.0.advance_to(now, received)
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        self.0.restart()
-    }
-
-    fn continue_trial(&mut self) {
-        self.0.continue_trial();
-    }
-}
-
-struct TwoMillihertz;
-
-impl Mutant for TwoMillihertz {
-    fn on_send(&mut self, packet: &mut Packet) {
-        if let Message::Command(command) = &mut packet.message {
-            command.frequency_mhz &= !1;
-        }
-    }
-}
-
-fn gains_minus_5(message: &mut Message) {
-    if let Message::Configure(configure) = message
-        && configure.gains.is_none()
-    {
-        configure.gain_um_per_vpp *= 1.05;
-    }
-}
-
-fn only_deadbeat(message: &mut Message) {
-    if let Message::Identity(identity) = message {
-        identity.laws = 1 << LawId::Deadbeat as u8;
-    }
-}
-
-fn only_fixed(message: &mut Message) {
-    if let Message::Identity(identity) = message {
-        identity.laws = 1 << LawId::DqPiFixed as u8;
-    }
-}
-
-type Variant = (&'static str, LawId, bool, Box<dyn Fn() -> BoxedLink + Send + Sync>);
-
-/// Correct controllers, with their law, and whether their commands may be compared with the
-/// reference.
-fn correct_controllers() -> Vec<Variant> {
-    let clean = clean_variants().into_iter().map(|variant| -> Variant {
-        let has_reference = !variant.name.starts_with("gains");
-        (variant.name, LawId::DqPi, has_reference, Box::new(move || variant.link()))
-    });
-    let changed = |name, law, has_reference, mutant: fn() -> Box<dyn Mutant>| -> Variant {
-        (name, law, has_reference, Box::new(move || Box::new(MutantController::new(HostedLink::new(), mutant))))
-    };
-    let others = [
-        changed("gains-minus-5", LawId::DqPi, false, || boxed(gains_minus_5)),
-        changed("two-millihertz", LawId::DqPi, true, || Box::new(TwoMillihertz)),
-        changed("only-deadbeat", LawId::Deadbeat, true, || boxed(only_deadbeat)),
-        changed("only-dq-pi-fixed", LawId::DqPiFixed, true, || boxed(only_fixed)),
-        ("late", LawId::DqPi, true, Box::new(|| Box::new(Late(HostedLink::new())) as BoxedLink)),
-        ("firmware", LawId::DqPi, true, Box::new(|| Box::new(HostedLink::new()) as BoxedLink)),
-    ];
-    clean.chain(others).collect()
-}
-
-/// Sequences with a false alarm, and the number of played ones.
-fn false_alarms(seeds: std::ops::Range<u64>, count: u64) -> (Vec<String>, u64) {
-    let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
-    let (mut alarms, mut played) = (Vec::new(), 0);
-    for (name, law, has_reference, link) in correct_controllers() {
-        let identity = *Session::open(link()).unwrap().identity();
-        let limits = SequenceLimits::new(&identity, false, true, u64::MAX);
-        let connect = || Ok::<_, ConnectError>(link());
-        let mut player = Player::new(&connect, false, &cancel, &ends);
-        for seed in seeds.clone() {
-            let compares_reference = has_reference && seed % 2 == 0;
-            let config = ExploreConfig { compares_reference, ..configuration(law, 1) };
-            for index in 0..count {
-                let messages = limits.sequence(seed, index);
-                let scenario = config.sequence_scenario(&messages, "A sequence", "").check().unwrap();
-                let result = player.play(&scenario).unwrap().unwrap();
-                played += 1;
-                if !result.failures.is_empty() || result.undecided.is_some() {
-                    alarms.push(format!("{name}, seed {seed}, sequence {index}: {:?}", result.differences));
-                }
-            }
-        }
-    }
-    (alarms, played)
-}
-
-#[test]
-fn correct_controllers_fail_no_sequence() {
-    let (alarms, played) = false_alarms(1..3, 12);
-    assert_eq!((alarms, played), (Vec::new(), 240));
-}
-
-#[test]
-#[ignore = "minutes; docs/trust.md contains the result"]
-fn correct_controllers_fail_no_sequence_of_20_seeds() {
-    let (alarms, played) = false_alarms(1..21, 28);
-    assert_eq!((alarms, played), (Vec::new(), 5_600));
 }
