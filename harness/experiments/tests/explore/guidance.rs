@@ -11,6 +11,7 @@ use platebench_experiments::trust::{Mutant, MutantController};
 use platebench_model::scenario::{ScenarioMessage, load};
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, EmulatedLink, HostedLink, Session};
 use platebench_wire::{LawId, Message};
+use rstest::rstest;
 use std::collections::BTreeSet;
 
 fn guided(scenes: u64) -> ExploreConfig {
@@ -19,8 +20,8 @@ fn guided(scenes: u64) -> ExploreConfig {
     ExploreConfig { is_guided: true, sequences, max_failed: u64::MAX, ..configuration(LawId::DqPi, scenes) }
 }
 
-/// Stops after a long trial, so that some derived scenes fail too.
-fn weak_below_half_a_micrometre(message: &mut Message) {
+/// Wrong for some setpoints only, so that some scenes fail.
+fn wrong_table_entry(message: &mut Message) {
     if let Message::Sample(sample) = message
         && (0.3..0.5).contains(&sample.setpoint_um)
     {
@@ -28,13 +29,13 @@ fn weak_below_half_a_micrometre(message: &mut Message) {
     }
 }
 
-fn weak() -> Box<dyn Mutant> {
-    Box::new(weak_below_half_a_micrometre as fn(&mut Message))
+fn wrong() -> Box<dyn Mutant> {
+    Box::new(wrong_table_entry as fn(&mut Message))
 }
 
 #[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
 fn mutant() -> Result<BoxedLink, ConnectError> {
-    Ok(Box::new(MutantController::new(HostedLink::new(), weak)))
+    Ok(Box::new(MutantController::new(HostedLink::new(), wrong)))
 }
 
 fn play(config: &ExploreConfig) -> Exploration {
@@ -52,8 +53,8 @@ fn derived_scenes_do_not_depend_on_the_number_of_workers() {
     };
     assert_eq!(scenes(&one), scenes(&two));
     let config = guided(130);
-    let is_derived = |index: u64| config.generator().tree(index).unwrap().current();
-    assert!(one.failed.iter().any(|failed| failed.scene != is_derived(failed.index)), "no derived scene failed");
+    let drawn = |index: u64| config.generator().tree(index).unwrap().current();
+    assert!(one.failed.iter().any(|failed| failed.scene != drawn(failed.index)), "no derived scene failed");
 }
 
 #[test]
@@ -94,19 +95,19 @@ fn the_emulated_board_records_branch_outcomes() {
 }
 
 /// Prints what guidance reaches, and what the same number of scenes reaches without it.
-#[test]
+#[rstest]
 #[ignore = "minutes; docs/exploration.md contains the result"]
-fn guidance_against_none() {
+fn guidance_against_none(#[values(false, true)] is_guided: bool) {
     let branch_outcomes = read_code(None).unwrap().1.branch_outcomes();
-    for seed in [1, 2] {
-        for is_guided in [false, true] {
-            let config = ExploreConfig { seed, is_guided, branch_outcomes: branch_outcomes.clone(), ..guided(320) };
-            let connect = || Ok::<_, ConnectError>(EmulatedLink::built_in()?);
-            let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
-            let result = explore_and_record(&config, &connect, &cancel, &ends, &mut |_, _| {}).unwrap();
-            let exercised = result.rules.counts().iter().filter(|(_, count)| *count > 0).count();
-            println!("seed {seed}, guided {is_guided}: {:?}, {exercised} rules and thresholds", result.guidance);
-            assert!(result.failed.is_empty() && result.failed_sequences.is_empty(), "{:?}", result.failed);
-        }
-    }
+    let config = guided(160);
+    // As `platebench suite explore`, without the longest sequences on the emulated board.
+    let sequences =
+        config.sequences.clone().map(|limits| SequenceLimits { longest: 2_000, exact_time: false, ..limits });
+    let config = ExploreConfig { is_guided, branch_outcomes, sequences, jobs: 4, ..config };
+    let connect = || Ok::<_, ConnectError>(EmulatedLink::built_in()?);
+    let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
+    let result = explore_and_record(&config, &connect, &cancel, &ends, &mut |_, _| {}).unwrap();
+    let exercised = result.rules.counts().iter().filter(|(_, count)| *count > 0).count();
+    println!("guided {is_guided}: {:?}, {exercised} rules and thresholds", result.guidance);
+    assert!(result.failed.is_empty() && result.failed_sequences.is_empty(), "{:?}", result.failed);
 }
