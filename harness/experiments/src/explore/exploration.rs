@@ -281,6 +281,7 @@ pub fn explore_and_record<L: RecordingLink>(
                 sequence => Item::Sequence(number / items * SEQUENCES_PER_SCENE + sequence - 1),
             })
         };
+        #[expect(clippy::mut_mut, reason = "workers keep their controllers from round to round")]
         let work = |worker: &mut &mut SceneWorker<'_, L>, item, emit: &mut Emit<'_, PlayedItem>| {
             let played = match item {
                 Item::Scene(index) => worker.play(index, &corpus)?.map(|scene| PlayedItem::Scene(Box::new(scene))),

@@ -102,7 +102,7 @@ pub struct GuidanceTally {
 #[derive(Debug, Default)]
 pub(crate) struct Corpus {
     reached: BTreeSet<Feature>,
-    scenes: Vec<Box<(Stratum, SceneDraw)>>,
+    scenes: Vec<(Stratum, SceneDraw)>,
     sequences: Vec<Vec<ScenarioMessage>>,
     /// Branch outcomes that were not reached yet.
     pub(crate) missing: BTreeSet<u32>,
@@ -122,7 +122,7 @@ impl Corpus {
                 continue;
             }
             match parent {
-                Parent::Scene(scene) => self.scenes.push(scene),
+                Parent::Scene(scene) => self.scenes.push(*scene),
                 Parent::Sequence(messages) => self.sequences.push(messages),
             }
         }
@@ -169,7 +169,7 @@ pub(crate) fn derive_scene(
         0 => return (drawn.0, SceneDraw { configuration: one.1.configuration.clone(), ..drawn.1 }),
         1 => scene.configuration = drawn.1.configuration,
         2 => {
-            events.splice(place.min(events.len())..(place + 1).min(events.len()), drawn.1.judged.events).for_each(drop)
+            events.splice(place.min(events.len())..(place + 1).min(events.len()), drawn.1.judged.events).for_each(drop);
         }
         3 => events.splice(place.min(events.len()).., other.1.judged.events.iter().cloned()).for_each(drop),
         _ => {
