@@ -44,6 +44,7 @@ fn boxed(change: fn(&mut Message)) -> Box<dyn Mutant> {
 
 type Fault = fn() -> Box<dyn Mutant>;
 
+#[allow(clippy::unnecessary_wraps, reason = "the type of a connection")]
 fn controller(fault: Fault) -> Result<BoxedLink, ConnectError> {
     Ok(Box::new(MutantController::new(HostedLink::new(), fault)))
 }
