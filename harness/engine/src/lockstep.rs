@@ -196,11 +196,11 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
         let Trial { scenario, index, own_clock, continues, .. } = trial;
         let faults = wire_faults(scenario, index);
         session.link_mut().set_faults(&faults);
-        if let Some(chip) = session.link_mut().chip() {
-            let shows_line = trial.wire_time || !faults.is_empty();
-            chip.set_transport(if shows_line { Transport::Words } else { transport(scenario, index) });
-        }
         let chip_faults = chip_fault_plan(scenario, index);
+        if let Some(chip) = session.link_mut().chip() {
+            let needs_words = trial.wire_time || !faults.is_empty() || !chip_faults.faults.is_empty();
+            chip.set_transport(if needs_words { Transport::Words } else { transport(scenario, index) });
+        }
         let planned = session.link_mut().set_chip_faults(&chip_faults);
         session.link_mut().compare_with_reference(scenario.expects(Metric::ReferenceDifference));
         let mut lockstep = Self::new(session, trial, chip_faults);
