@@ -36,6 +36,10 @@ firmware *ARGS:
 counts *ARGS:
     ci/counts {{ARGS}}
 
+# Measure the speed of the bench; programs as arguments are measured in turn.
+speed *ARGS:
+    ci/speed {{ARGS}}
+
 # Regenerate docs/reference-*.md.
 reference:
     ci/reference --update
