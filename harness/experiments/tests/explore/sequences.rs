@@ -89,10 +89,11 @@ fn sequences_find_faults_of_every_law(
 
 #[test]
 fn scaled_samples_find_a_law_that_depends_on_the_level() {
-    let config = ExploreConfig { sequences: Some(limits()), max_failed: 1, jobs: 1, ..configuration(LawId::DqPi, 24) };
+    // Scenes find it too, so one failure may end the exploration before a sequence.
+    let config = ExploreConfig { sequences: Some(limits()), max_failed: 24, jobs: 1, ..configuration(LawId::DqPi, 24) };
     let result = play(&config, &|| Box::new(MutantController::new(HostedLink::new(), || boxed(wrong_table_entry))));
-    let text = &result.failed_sequences[0].text;
-    assert!(text.contains("in proportion to the limit"), "{text}");
+    let texts: Vec<_> = result.failed_sequences.iter().map(|failed| &failed.text).collect();
+    assert!(texts.iter().any(|text| text.contains("in proportion to the limit")), "{texts:?}");
 }
 
 #[test]

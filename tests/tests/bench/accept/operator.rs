@@ -17,7 +17,7 @@ fn start(folder: &TestFolder, arguments: &[&str]) -> TestTerminal {
 fn long_session_folder() -> TestFolder {
     let folder = session_folder();
     let expect = "metric = \"settling_time_ms\"\nat_most = 100.0\nrequirement = \"R-1\"";
-    folder.write_scenario("slow.toml", &step_text(expect).replace("duration_ms = 60.0", "duration_ms = 900.0"));
+    folder.write_scenario("slow.toml", &step_text(expect).replace("duration_ms = 60.0", "duration_ms = 6000.0"));
     folder.write("plan.toml", &plan_text(&["s.toml", "slow.toml"], 5));
     folder
 }

@@ -97,7 +97,7 @@ fn other_trials_have_their_own_scene_and_comparison() {
     "later_ms = 1.5\n",
     "1.5 ms, expected at most 1 ms, the time from the last control instant to the end of the trial"
 )]
-#[case::factor("amplitude_factor = 0.0\n", "`amplitude_factor`: 0, expected above 0")]
+#[case::factor("amplitude_factor = 0.0\n", "`amplitude_factor`: 0, expected a finite number above 0")]
 fn rejects_other_trials_that_cannot_be_compared(#[case] keys: &str, #[case] message: &str) {
     let others = format!("[other_trials]\n{keys}profile = {{ setpoint_um = 1.0 }}\n{END}");
     let expect = if keys.is_empty() { SETTLING } else { DIFFERENCE };
