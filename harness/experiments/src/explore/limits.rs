@@ -110,7 +110,7 @@ impl<'a> Limits<'a> {
         let designed = self.decay(&mode, Self::share(from, to, BAND)).max(REQUIRED_S);
         let learning = match knowledge {
             Knowledge::Settled => 1.0,
-            Knowledge::Unknown => 6.0,
+            Knowledge::Unknown => 7.0,
         };
         let controlled = designed.max(FLOOR_FACTOR * floor) + learning * self.period_s;
         self.wait(time_us) + self.delay_s + controlled

@@ -136,16 +136,11 @@ fn correct_controllers_fail_nothing() {
     assert_eq!((alarms, played), (Vec::new(), 420));
 }
 
-/// The gain of the law is 5 % off and that of the plate up to 3 %, which is all that the envelope
-/// permits: the response settles in 8.7 ms instead of 8 ms.
-const KNOWN_ALARM: &str = "gains-plus-5, seed 15, scene 237: [SceneFailure { property: Settling,";
-
 #[rstest]
-#[case::scenes(Counts { scenes: 15, sequences: 0 }, 3_000, 1)]
-#[case::sequences(Counts { scenes: 0, sequences: 28 }, 5_600, 0)]
+#[case::scenes(Counts { scenes: 15, sequences: 0 }, 3_000)]
+#[case::sequences(Counts { scenes: 0, sequences: 28 }, 5_600)]
 #[ignore = "minutes; docs/trust.md contains the result"]
-fn correct_controllers_fail_nothing_with_20_seeds(#[case] counts: Counts, #[case] count: u64, #[case] known: usize) {
+fn correct_controllers_fail_nothing_with_20_seeds(#[case] counts: Counts, #[case] count: u64) {
     let (alarms, played) = false_alarms(1..21, counts);
-    let (expected, others): (Vec<_>, Vec<_>) = alarms.into_iter().partition(|alarm| alarm.starts_with(KNOWN_ALARM));
-    assert_eq!((others, expected.len(), played), (Vec::new(), known, count));
+    assert_eq!((alarms, played), (Vec::new(), count));
 }
