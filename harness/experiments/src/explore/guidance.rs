@@ -8,7 +8,9 @@ use crate::explore::player::SceneResult;
 use crate::explore::properties::Property;
 use platebench_model::scenario::ScenarioMessage;
 use platebench_model::trace::Flags;
-use platebench_rig::{BoxedLink, EmulatedLink, Link};
+#[cfg(feature = "firmware-analysis")]
+use platebench_rig::EmulatedLink;
+use platebench_rig::{BoxedLink, Link};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use schemars::JsonSchema;
@@ -67,6 +69,7 @@ pub trait RecordingLink: Link {
 
 impl RecordingLink for BoxedLink {}
 
+#[cfg(feature = "firmware-analysis")]
 impl RecordingLink for EmulatedLink {
     fn record(&mut self, addresses: &BTreeSet<u32>) {
         self.record_execution(addresses);

@@ -2,8 +2,10 @@
 //! scenarios that the next run and the next exploration play, and writes the result.
 
 use crate::explore::envelope::Envelope;
+#[cfg(feature = "firmware-analysis")]
+use crate::explore::exploration::explore_and_record;
 use crate::explore::exploration::{
-    ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, explore, explore_and_record,
+    Exploration, ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, explore,
 };
 use crate::explore::limits::LawProperties;
 use crate::explore::player::ExploreError;
@@ -14,16 +16,16 @@ use crate::explore::report::{ExploreReport, ViolationReport, violated_properties
 use crate::explore::scenario_file::ScenarioBuilder;
 use crate::explore::sequence::SequenceLimits;
 use crate::explore::shrink::{MinimalScene, Shrinker, shrink_messages};
+#[cfg(feature = "firmware-analysis")]
 use crate::firmware_analysis::suite::read_code;
 use platebench_engine::SafeEnds;
 use platebench_engine::plan::LinkFactory;
 use platebench_model::scenario::{Scenario, load};
 use platebench_model::trace::{AtPath, write_atomically};
 use platebench_plate::Time;
-use platebench_rig::{
-    CancelToken, Capability, ConnectError, ConnectOptions, EmulatedLink, FaultInjector, Link, RigError, RigSpec,
-    Session,
-};
+use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, RigError, RigSpec, Session};
+#[cfg(feature = "firmware-analysis")]
+use platebench_rig::{Capability, ConnectError, EmulatedLink};
 use platebench_wire::{Identity, LawId, Message, Packet, capabilities};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -71,6 +73,39 @@ impl fmt::Display for ProgressEvent {
     }
 }
 
+#[cfg(feature = "firmware-analysis")]
+fn branch_outcomes(rig: &RigSpec) -> Result<BTreeSet<u32>, ExploreError> {
+    if !rig.has(Capability::EmulatedChip) {
+        return Ok(BTreeSet::new());
+    }
+    Ok(read_code(rig.image()).map_err(ConnectError::from)?.1.branch_outcomes())
+}
+
+/// A build that cannot analyse firmware knows no branches.
+#[cfg(not(feature = "firmware-analysis"))]
+#[expect(clippy::unnecessary_wraps, reason = "the analysis may fail")]
+fn branch_outcomes(_: &RigSpec) -> Result<BTreeSet<u32>, ExploreError> {
+    Ok(BTreeSet::new())
+}
+
+/// Records the executed branches on the emulated chip, if this build knows its branches.
+#[cfg_attr(not(feature = "firmware-analysis"), expect(unused_variables, reason = "no rig records branches"))]
+fn explore_on(
+    rig: &RigSpec,
+    config: &ExploreConfig,
+    connect: &LinkFactory<'_>,
+    cancel: &CancelToken,
+    ends: &SafeEnds,
+    on_scene: &mut dyn FnMut(u64, u64),
+) -> Result<Exploration, ExploreError> {
+    #[cfg(feature = "firmware-analysis")]
+    if rig.has(Capability::EmulatedChip) {
+        let connect = || Ok(rig.image().map_or_else(EmulatedLink::built_in, EmulatedLink::open)?);
+        return explore_and_record(config, &connect, cancel, ends, on_scene);
+    }
+    explore(config, connect, cancel, ends, on_scene)
+}
+
 impl ExploreSession {
     /// Writes `explore.json` and `report.html` to `folder`. A violated property is no error.
     pub fn run(
@@ -88,12 +123,7 @@ impl ExploreSession {
         let mut on_scene = |scenes, failed| {
             on_progress(ProgressEvent { elapsed: started.elapsed(), scenes, failed });
         };
-        let exploration = if self.rig.has(Capability::EmulatedChip) {
-            let connect = || Ok(self.rig.image().map_or_else(EmulatedLink::built_in, EmulatedLink::open)?);
-            explore_and_record(&config, &connect, cancel, &ends, &mut on_scene)?
-        } else {
-            explore(&config, &connect, cancel, &ends, &mut on_scene)?
-        };
+        let exploration = explore_on(&self.rig, &config, &connect, cancel, &ends, &mut on_scene)?;
         let rig = self.rig.to_string();
         let mut report = ExploreReport::new(&config, &exploration, &rig, &platebench_rig::printable_name(&identity));
         let mut violated = violated_properties(&exploration);
@@ -163,11 +193,7 @@ impl ExploreSession {
             )),
             regressions: self.regressions.iter().filter(|scenario| announced(scenario)).cloned().collect(),
             is_guided: true,
-            branch_outcomes: if self.rig.has(Capability::EmulatedChip) {
-                read_code(self.rig.image()).map_err(ConnectError::from)?.1.branch_outcomes()
-            } else {
-                BTreeSet::new()
-            },
+            branch_outcomes: branch_outcomes(&self.rig)?,
         })
     }
 

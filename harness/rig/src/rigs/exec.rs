@@ -71,7 +71,7 @@ pub enum ExecError {
     #[error(
         "`{program}` runs, but did not answer the handshake on {port} within {} s{}",
         HANDSHAKE_TIMEOUT.as_secs(),
-        rejected_hint(rejected)
+        rejected_hint(*rejected)
     )]
     NoAnswer {
         program: String,
@@ -85,7 +85,7 @@ pub enum ExecError {
     Link(#[from] LinkError),
 }
 
-fn rejected_hint(rejected: &Option<(u32, PacketError)>) -> String {
+fn rejected_hint(rejected: Option<(u32, PacketError)>) -> String {
     let Some((count, last)) = rejected else { return String::new() };
     let problem = match last {
         PacketError::Frame(FrameError::Checksum) => "a wrong CRC",
