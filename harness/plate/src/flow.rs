@@ -237,19 +237,31 @@ impl Flow {
     }
 
     pub fn after(&self, seconds: f64) -> State {
-        self.after_with(&mut LastExponentials::default(), seconds)
+        let exponential = |pole: Complex64| (pole * seconds).exp();
+        self.state_after(seconds, exponential, exponential)
     }
 
     /// Like [`Self::after`], bit for bit.
     #[inline]
     pub(crate) fn after_with(&self, last: &mut LastExponentials, seconds: f64) -> State {
-        let [last_slow, last_fast] = &mut last.0;
-        let mut slow = || self.slow_pole.amplitude * last_slow.of(self.slow_pole.pole, seconds);
+        let [slow, fast] = &mut last.0;
+        self.state_after(seconds, |pole| slow.of(pole, seconds), |pole| fast.of(pole, seconds))
+    }
+
+    /// `slow` and `fast` return `e^{pole t}` at `seconds` for a slow and a fast pole.
+    #[inline]
+    fn state_after(
+        &self,
+        seconds: f64,
+        slow: impl FnOnce(Complex64) -> Complex64,
+        fast: impl FnOnce(Complex64) -> Complex64,
+    ) -> State {
+        let slow = || self.slow_pole.amplitude * slow(self.slow_pole.pole);
         let state = match &self.second_term {
             SecondTerm::Envelope => State { w: self.steady_state + slow(), u: Complex64::ZERO },
             SecondTerm::FastPole(term, omega) => {
                 let slow = slow();
-                let fast = term.amplitude * last_fast.of(term.pole, seconds);
+                let fast = term.amplitude * fast(term.pole);
                 let frame = J * *omega;
                 // U is in the fixed frame, so its poles are those of the rotating frame plus jω.
                 let u = frame * self.steady_state + (self.slow_pole.pole + frame) * slow + (term.pole + frame) * fast;
