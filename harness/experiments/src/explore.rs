@@ -4,9 +4,9 @@
 //! A [`scene`] is a judged trial with the trials before it. [`generator`] makes scene i from the
 //! envelope, the seed and i. [`properties`] contains the demands on every scene;
 //! `docs/exploration.md` derives their limits. [`exploration`] plays scenes on several workers,
-//! [`guidance`] derives
-//! later scenes from those that reached something new, and [`mod@shrink`] makes a failing scene minimal. [`mod@session`] does all of this and writes the
-//! minimal scenes as scenarios. [`mod@kill_rate`] measures which mutants an exploration finds.
+//! [`guidance`] derives later scenes from those that reached something new, and [`mod@shrink`] makes
+//! a failing scene minimal. [`mod@session`] does all of this and writes the minimal scenes as
+//! scenarios. [`mod@kill_rate`] measures which mutants an exploration finds.
 
 pub mod coverage;
 mod draw;

@@ -4,9 +4,7 @@
 use crate::explore::envelope::Envelope;
 #[cfg(feature = "firmware-analysis")]
 use crate::explore::exploration::explore_and_record;
-use crate::explore::exploration::{
-    Exploration, ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, explore,
-};
+use crate::explore::exploration::{ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, explore};
 use crate::explore::limits::LawProperties;
 use crate::explore::player::ExploreError;
 use crate::explore::player::Player;
@@ -88,24 +86,6 @@ fn branch_outcomes(_: &RigSpec) -> Result<BTreeSet<u32>, ExploreError> {
     Ok(BTreeSet::new())
 }
 
-/// Records the executed branches on the emulated chip, if this build knows its branches.
-#[cfg_attr(not(feature = "firmware-analysis"), expect(unused_variables, reason = "no rig records branches"))]
-fn explore_on(
-    rig: &RigSpec,
-    config: &ExploreConfig,
-    connect: &LinkFactory<'_>,
-    cancel: &CancelToken,
-    ends: &SafeEnds,
-    on_scene: &mut dyn FnMut(u64, u64),
-) -> Result<Exploration, ExploreError> {
-    #[cfg(feature = "firmware-analysis")]
-    if rig.has(Capability::EmulatedChip) {
-        let connect = || Ok(rig.image().map_or_else(EmulatedLink::built_in, EmulatedLink::open)?);
-        return explore_and_record(config, &connect, cancel, ends, on_scene);
-    }
-    explore(config, connect, cancel, ends, on_scene)
-}
-
 impl ExploreSession {
     /// Writes `explore.json` and `report.html` to `folder`. A violated property is no error.
     pub fn run(
@@ -123,7 +103,15 @@ impl ExploreSession {
         let mut on_scene = |scenes, failed| {
             on_progress(ProgressEvent { elapsed: started.elapsed(), scenes, failed });
         };
-        let exploration = explore_on(&self.rig, &config, &connect, cancel, &ends, &mut on_scene)?;
+        #[cfg(feature = "firmware-analysis")]
+        let exploration = if self.rig.has(Capability::EmulatedChip) {
+            let connect = || Ok(self.rig.image().map_or_else(EmulatedLink::built_in, EmulatedLink::open)?);
+            explore_and_record(&config, &connect, cancel, &ends, &mut on_scene)?
+        } else {
+            explore(&config, &connect, cancel, &ends, &mut on_scene)?
+        };
+        #[cfg(not(feature = "firmware-analysis"))]
+        let exploration = explore(&config, &connect, cancel, &ends, &mut on_scene)?;
         let rig = self.rig.to_string();
         let mut report = ExploreReport::new(&config, &exploration, &rig, &platebench_rig::printable_name(&identity));
         let mut violated = violated_properties(&exploration);
