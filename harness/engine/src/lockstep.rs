@@ -239,7 +239,7 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
     fn step(&mut self) -> bool {
         let now = self.plant.time();
         let mut flags = Flags::empty();
-        if !self.has_ended() && (self.unanswered.is_some() || self.controller.missed_replies() > 0) {
+        if self.may_receive_late_commands() {
             self.receive_late_commands(now);
         }
         if now == self.next_control || self.plant.is_finished() {
@@ -259,15 +259,24 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
         while let Some(command) = self.commands.take_due(now) {
             self.plant.actuate(&command);
         }
-        if self.link_error.as_ref().is_some_and(|error| !is_controller_failure(error)) {
-            flags |= Flags::LINK_LOST;
-        }
-        self.plant.push_row(0.0, flags);
+        let is_lost = self.link_error.as_ref().is_some_and(|error| !is_controller_failure(error));
+        let lost = if is_lost { Flags::LINK_LOST } else { Flags::empty() };
+        self.plant.push_row(0.0, flags | lost);
         if self.plant.is_finished() {
             return true;
         }
-        self.plant.advance(self.next_event(now));
+        let next = self.next_event(now);
+        if self.may_receive_late_commands() {
+            self.plant.advance(next.min(self.plant.next_scheduled_row()));
+        } else {
+            self.plant.advance_through(next, lost);
+        }
         false
+    }
+
+    /// True if the loop asks for a command at every row.
+    fn may_receive_late_commands(&self) -> bool {
+        !self.has_ended() && (self.unanswered.is_some() || self.controller.missed_replies() > 0)
     }
 
     fn exchange_sample(&mut self, now: Time) -> Flags {
@@ -422,7 +431,7 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
     }
 
     fn next_event(&self, now: Time) -> Time {
-        let mut next = self.plant.next_scheduled_row();
+        let mut next = self.trial.scenario.duration;
         if self.next_control > now {
             next = next.min(self.next_control);
         }

@@ -118,7 +118,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
 
     pub(crate) fn into_rows(mut self) -> R {
         if let Some(last) = self.pending_row.take() {
-            self.emit_row(last);
+            emit_row(&mut self.tap, &mut self.sink, last);
         }
         self.sink
     }
@@ -208,16 +208,35 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         self.crossings = crossings;
     }
 
-    /// Simulates until `end` and adds every scheduled row before it.
-    pub(crate) fn advance_through(&mut self, end: Time) {
+    /// Simulates until `end` and adds every scheduled row before it, with `flags`.
+    pub(crate) fn advance_through(&mut self, end: Time, flags: Flags) {
         let end = end.min(self.scenario.duration);
         while self.time() < end {
+            self.advance_on_grid(end, flags);
             let next = self.next_scheduled_row().min(end);
             self.advance(next);
             if next < end {
-                self.push_row(0.0, Flags::empty());
+                self.push_row(0.0, flags);
             }
         }
+    }
+
+    /// Simulates until the last multiple of the trace step before `end`, and adds its rows, if nothing
+    /// but the state of the plate changes until then. Otherwise it stops earlier.
+    fn advance_on_grid(&mut self, end: Time, flags: Flags) {
+        if self.manual_setpoint_um.is_none() && self.constant_setpoint.is_none() {
+            return;
+        }
+        let (step, now) = (self.scenario.trace_step, self.time());
+        self.update_bands(step.next_multiple_after(now));
+        let end = end.min(self.next_point).min(self.bands_end);
+        let Some(row) = self.row(now, &self.plant.state(), 0.0, flags) else { return };
+        self.plant.advance_in_steps(step, end, &self.bands, |time, state| {
+            let row = Row { t_s: time.seconds(), ..with_state(row, state) };
+            if let Some(last) = self.pending_row.replace(row) {
+                emit_row(&mut self.tap, &mut self.sink, last);
+            }
+        });
     }
 
     /// Records the sample that the controller got. A fault of the line may have changed it.
@@ -232,21 +251,32 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     }
 
     fn push(&mut self, time: Time, state: &State, lateness_us: f64, flags: Flags) {
+        // If the simulation has overflowed, the trace ends, so the judge excludes the trial.
+        let Some(row) = self.row(time, state, lateness_us, flags) else { return };
+        match &mut self.pending_row {
+            // A row has the state after the last event of its instant and all flags of the instant.
+            Some(last) if last.t_s == row.t_s => {
+                let happened = last.flags & (Flags::CONTROL | Flags::OVERRUN | Flags::LINK_LOST);
+                *last = Row { lateness_us: row.lateness_us.max(last.lateness_us), flags: row.flags | happened, ..row };
+            }
+            held => {
+                if let Some(last) = held.replace(row) {
+                    emit_row(&mut self.tap, &mut self.sink, last);
+                }
+            }
+        }
+    }
+
+    /// `None` if the state or the resonance is not finite.
+    fn row(&self, time: Time, state: &State, lateness_us: f64, flags: Flags) -> Option<Row> {
         let drive = self.plant.drive();
         let conditions = self.plant.conditions_at(time);
         let resonance_hz = self.plant.mode_at(time).omega0 / TAU;
-        if !state.is_finite() || !resonance_hz.is_finite() {
-            // The simulation has overflowed. The trace ends here, so the judge excludes the trial.
-            return;
-        }
         let saturated = drive.vpp >= self.scenario.plate.drive_limit_vpp * SATURATION_THRESHOLD;
         let also = [(saturated, Flags::SATURATED), (self.safe, Flags::SAFE)];
         let row = Row {
             t_s: time.seconds(),
             setpoint_um: self.setpoint_at(time),
-            wd_um: state.w.re,
-            wq_um: state.w.im,
-            amplitude_um: state.amplitude(),
             drive_vpp: drive.vpp,
             frequency_hz: self.frequency_hz,
             resonance_hz,
@@ -256,26 +286,9 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
             sensed_wq_um: self.sensed[1],
             lateness_us,
             flags: also.into_iter().filter(|(holds, _)| *holds).fold(flags, |flags, (_, flag)| flags | flag),
+            ..Row::default()
         };
-        match &mut self.pending_row {
-            // A row has the state after the last event of its instant and all flags of the instant.
-            Some(last) if last.t_s == row.t_s => {
-                let happened = last.flags & (Flags::CONTROL | Flags::OVERRUN | Flags::LINK_LOST);
-                *last = Row { lateness_us: row.lateness_us.max(last.lateness_us), flags: row.flags | happened, ..row };
-            }
-            held => {
-                if let Some(last) = held.replace(row) {
-                    self.emit_row(last);
-                }
-            }
-        }
-    }
-
-    fn emit_row(&mut self, row: Row) {
-        if let Some(tap) = &mut self.tap {
-            tap.push(&row);
-        }
-        self.sink.push(row);
+        (state.is_finite() && resonance_hz.is_finite()).then(|| with_state(row, state))
     }
 
     pub(crate) fn report_counts(&mut self, missed: u64, refused: u64) {
@@ -331,6 +344,17 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
             }
         }
     }
+}
+
+fn with_state(row: Row, state: &State) -> Row {
+    Row { wd_um: state.w.re, wq_um: state.w.im, amplitude_um: state.amplitude(), ..row }
+}
+
+fn emit_row(tap: &mut Option<&mut TapWriter>, sink: &mut impl RowSink, row: Row) {
+    if let Some(tap) = tap {
+        tap.push(&row);
+    }
+    sink.push(row);
 }
 
 /// Returns the start of the sample clock: 0, or just before 2^16 ms, 2^31 µs or 2^32 µs. Counters
@@ -458,7 +482,7 @@ mod tests {
         let stamps = [0, 1, 2, 3, 4].map(|index| {
             let mut plant = PlantSimulation::new(&scenario, index, Vec::new(), None);
             let first = plant.sense().time_us;
-            plant.advance_through(Time::from_nanos(30_000_000));
+            plant.advance_through(Time::from_nanos(30_000_000), Flags::empty());
             (first, plant.sense().time_us)
         });
         let expected = [

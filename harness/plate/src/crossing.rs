@@ -49,6 +49,18 @@ impl BandMonitor {
     }
 }
 
+/// Time from `state` on during which no signal reaches an edge of its band. In `seconds_within(d)`
+/// seconds, W changes by less than d µm.
+pub(crate) fn time_without_crossing(
+    monitors: &[BandMonitor],
+    state: &State,
+    seconds_within: impl Fn(f64) -> f64,
+) -> Time {
+    // Rounds down; 0 for a negative number or NaN.
+    let nanos = |monitor: &BandMonitor| (seconds_within(monitor.distance(state) - ROUNDING_UM) * 1e9) as u64;
+    Time::from_nanos(monitors.iter().map(nanos).min().unwrap_or(u64::MAX))
+}
+
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Crossing {
     /// The first nanosecond on the other side of the edge.

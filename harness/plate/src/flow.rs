@@ -142,8 +142,14 @@ pub struct Flow {
 #[derive(Debug, Clone, Copy)]
 enum SecondTerm {
     Envelope,
-    /// Fast pole, and the excitation frequency ω. Modal and carrier model.
-    FastPole(ExponentialTerm, f64),
+    /// Modal and carrier model.
+    FastPole {
+        term: ExponentialTerm,
+        /// Excitation frequency ω.
+        omega: f64,
+        /// Imaginary part √(ω0² − σ²) of the slow pole in the fixed frame.
+        damped: f64,
+    },
     /// Ratio Wq/Wd of the linear model. `slow_pole` is then the pole of Wd.
     Ratio {
         rest: f64,
@@ -158,119 +164,147 @@ struct ExponentialTerm {
     pole: Complex64,
 }
 
-/// `e^{pole t}` of the last step for the slow and the fast pole. Most steps of a trial have the same
-/// poles and the same length.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct LastExponentials([LastExponential; 2]);
-
-#[derive(Debug, Clone, Copy)]
-struct LastExponential {
-    pole: Complex64,
-    seconds: f64,
-    value: Complex64,
-}
-
-impl Default for LastExponential {
-    fn default() -> Self {
-        Self { pole: Complex64::ZERO, seconds: 0.0, value: Complex64::ONE }
+impl ExponentialTerm {
+    fn at_rest(pole: Complex64) -> Self {
+        Self { amplitude: Complex64::ZERO, pole }
     }
 }
 
-impl LastExponential {
-    fn of(&mut self, pole: Complex64, seconds: f64) -> Complex64 {
-        if self.pole != pole || self.seconds != seconds {
-            *self = Self { pole, seconds, value: (pole * seconds).exp() };
+/// `e^{pole t}` of the slow pole and of the second term.
+type Decays = [Complex64; 2];
+
+/// Decays of the last step. Most steps of a trial have the same poles and the same length.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct LastDecays {
+    poles: [Complex64; 2],
+    seconds: f64,
+    decays: Option<Decays>,
+}
+
+impl LastDecays {
+    /// Equals [`Flow::decays`], bit for bit.
+    #[inline]
+    fn of(&mut self, flow: &Flow, seconds: f64) -> Decays {
+        let poles = flow.poles();
+        match self.decays {
+            Some(decays) if self.poles == poles && self.seconds == seconds => decays,
+            _ => {
+                let decays = flow.decays(seconds);
+                *self = Self { poles, seconds, decays: Some(decays) };
+                decays
+            }
         }
-        self.value
     }
 }
 
 impl Flow {
     /// `mode` must be resonant (σ < ω0), which a checked plate and scenario guarantee.
     pub fn new(model: Model, mode: &Mode, drive: &Drive, state: &State) -> Self {
-        match model {
-            Model::Linear => Self::linear(mode, drive, state),
-            Model::Modal | Model::Carrier => Self::modal(mode, drive, state),
-            Model::Envelope => Self::envelope(mode, drive, state),
-        }
+        let mut flow = match model {
+            Model::Linear => Self::linear(mode, drive),
+            Model::Modal | Model::Carrier => Self::modal(mode, drive),
+            Model::Envelope => Self::envelope(mode, drive),
+        };
+        flow.start_from(state);
+        flow
     }
 
-    fn envelope(mode: &Mode, drive: &Drive, state: &State) -> Self {
+    fn envelope(mode: &Mode, drive: &Drive) -> Self {
         let pole = Complex64::new(-mode.sigma, mode.omega0 - drive.omega);
-        let rest = -mode.envelope_constant * drive.vpp / pole;
         Self {
-            steady_state: rest,
-            slow_pole: ExponentialTerm { amplitude: state.w - rest, pole },
+            steady_state: -mode.envelope_constant * drive.vpp / pole,
+            slow_pole: ExponentialTerm::at_rest(pole),
             second_term: SecondTerm::Envelope,
         }
     }
 
-    fn linear(mode: &Mode, drive: &Drive, state: &State) -> Self {
+    fn linear(mode: &Mode, drive: &Drive) -> Self {
         let rest = mode.envelope_constant * drive.vpp / mode.sigma;
         let ratio = (mode.omega0 - drive.omega) / mode.sigma;
         Self {
             steady_state: Complex64::new(rest, rest * ratio),
-            slow_pole: ExponentialTerm { amplitude: (state.w.re - rest).into(), pole: (-mode.sigma).into() },
-            second_term: SecondTerm::Ratio { rest: ratio, amplitude: state.u.re - ratio },
+            slow_pole: ExponentialTerm::at_rest((-mode.sigma).into()),
+            second_term: SecondTerm::Ratio { rest: ratio, amplitude: 0.0 },
         }
     }
 
-    fn modal(mode: &Mode, drive: &Drive, state: &State) -> Self {
+    fn modal(mode: &Mode, drive: &Drive) -> Self {
         let Mode { sigma, omega0, .. } = *mode;
         let omega = drive.omega;
         let damped = ((omega0 - sigma) * (omega0 + sigma)).sqrt();
         let stiffness = Complex64::new((omega0 - omega) * (omega0 + omega), 2.0 * sigma * omega);
-        let rest = J * (mode.force_constant * drive.vpp) / stiffness;
-        // Deviation from the steady state as the sum over both poles: w = A + B, u = s₊A + s₋B.
-        let w = state.w - rest;
-        let u = state.u - J * omega * rest;
-        let (plus, minus) = (Complex64::new(-sigma, damped), Complex64::new(-sigma, -damped));
-        let slow = (u - minus * w) / (plus - minus);
+        let term = ExponentialTerm::at_rest(Complex64::new(-sigma, -damped - omega));
         Self {
-            steady_state: rest,
-            slow_pole: ExponentialTerm { amplitude: slow, pole: Complex64::new(-sigma, damped - omega) },
-            second_term: SecondTerm::FastPole(
-                ExponentialTerm { amplitude: w - slow, pole: Complex64::new(-sigma, -damped - omega) },
-                omega,
-            ),
+            steady_state: J * (mode.force_constant * drive.vpp) / stiffness,
+            slow_pole: ExponentialTerm::at_rest(Complex64::new(-sigma, damped - omega)),
+            second_term: SecondTerm::FastPole { term, omega, damped },
+        }
+    }
+
+    /// Sets the amplitudes of the terms so that the flow starts from `state`.
+    #[inline]
+    pub(crate) fn start_from(&mut self, state: &State) {
+        let rest = self.steady_state;
+        match &mut self.second_term {
+            SecondTerm::Envelope => self.slow_pole.amplitude = state.w - rest,
+            SecondTerm::FastPole { term, omega, damped } => {
+                // Deviation from the steady state as the sum over both poles: w = A + B, u = s₊A + s₋B.
+                let w = state.w - rest;
+                let u = state.u - J * *omega * rest;
+                let sigma = -term.pole.re;
+                let (plus, minus) = (Complex64::new(-sigma, *damped), Complex64::new(-sigma, -*damped));
+                let slow = (u - minus * w) / (plus - minus);
+                self.slow_pole.amplitude = slow;
+                term.amplitude = w - slow;
+            }
+            SecondTerm::Ratio { rest: ratio, amplitude } => {
+                self.slow_pole.amplitude = (state.w.re - rest.re).into();
+                *amplitude = state.u.re - *ratio;
+            }
+        }
+    }
+
+    fn poles(&self) -> [Complex64; 2] {
+        let second =
+            if let SecondTerm::FastPole { term, .. } = &self.second_term { term.pole } else { Complex64::ZERO };
+        [self.slow_pole.pole, second]
+    }
+
+    fn decays(&self, seconds: f64) -> Decays {
+        let slow = self.slow_pole.pole;
+        match &self.second_term {
+            SecondTerm::Envelope => [(slow * seconds).exp(), Complex64::ZERO],
+            SecondTerm::FastPole { term, .. } => [(slow * seconds).exp(), (term.pole * seconds).exp()],
+            SecondTerm::Ratio { .. } => [(slow.re * seconds).exp().into(), Complex64::ZERO],
         }
     }
 
     pub fn after(&self, seconds: f64) -> State {
-        let exponential = |pole: Complex64| (pole * seconds).exp();
-        self.state_after(seconds, exponential, exponential)
+        self.state_with(self.decays(seconds))
     }
 
     /// Like [`Self::after`], bit for bit.
     #[inline]
-    pub(crate) fn after_with(&self, last: &mut LastExponentials, seconds: f64) -> State {
-        let [slow, fast] = &mut last.0;
-        self.state_after(seconds, |pole| slow.of(pole, seconds), |pole| fast.of(pole, seconds))
+    pub(crate) fn after_with(&self, last: &mut LastDecays, seconds: f64) -> State {
+        self.state_with(last.of(self, seconds))
     }
 
-    /// `slow` and `fast` return `e^{pole t}` at `seconds` for a slow and a fast pole.
     #[inline]
-    fn state_after(
-        &self,
-        seconds: f64,
-        slow: impl FnOnce(Complex64) -> Complex64,
-        fast: impl FnOnce(Complex64) -> Complex64,
-    ) -> State {
-        let slow = || self.slow_pole.amplitude * slow(self.slow_pole.pole);
+    fn state_with(&self, [slow, second]: Decays) -> State {
         let state = match &self.second_term {
-            SecondTerm::Envelope => State { w: self.steady_state + slow(), u: Complex64::ZERO },
-            SecondTerm::FastPole(term, omega) => {
-                let slow = slow();
-                let fast = term.amplitude * fast(term.pole);
+            SecondTerm::Envelope => {
+                State { w: self.steady_state + self.slow_pole.amplitude * slow, u: Complex64::ZERO }
+            }
+            SecondTerm::FastPole { term, omega, .. } => {
+                let (slow, fast) = (self.slow_pole.amplitude * slow, term.amplitude * second);
                 let frame = J * *omega;
                 // U is in the fixed frame, so its poles are those of the rotating frame plus jω.
                 let u = frame * self.steady_state + (self.slow_pole.pole + frame) * slow + (term.pole + frame) * fast;
                 State { w: self.steady_state + slow + fast, u }
             }
             SecondTerm::Ratio { rest, amplitude } => {
-                let left = (self.slow_pole.pole.re * seconds).exp();
                 let (in_phase, ratio) =
-                    (self.steady_state.re + self.slow_pole.amplitude.re * left, rest + amplitude * left);
+                    (self.steady_state.re + self.slow_pole.amplitude.re * slow.re, rest + amplitude * slow.re);
                 State { w: Complex64::new(in_phase, in_phase * ratio), u: ratio.into() }
             }
         };
@@ -293,7 +327,7 @@ impl ExponentialSum<2> for Flow {
         let slow = speed(&self.slow_pole);
         match &self.second_term {
             SecondTerm::Envelope => ExcursionBound { speed: slow, ripple: 0.0, ripple_speed: 0.0 },
-            SecondTerm::FastPole(term, _) => ExcursionBound {
+            SecondTerm::FastPole { term, .. } => ExcursionBound {
                 speed: slow,
                 ripple: 2.0 * term.amplitude.norm_sqr().sqrt(),
                 ripple_speed: speed(term),
@@ -312,7 +346,7 @@ impl ExponentialSum<2> for Flow {
         let slow = (self.slow_pole.amplitude, self.slow_pole.pole);
         let other = match &self.second_term {
             SecondTerm::Envelope => (Complex64::ZERO, Complex64::ZERO),
-            SecondTerm::FastPole(term, _) => (term.amplitude, term.pole),
+            SecondTerm::FastPole { term, .. } => (term.amplitude, term.pole),
             // W = (Wd∞ + a e)(1 + j (r∞ + c e)) with e = e^{−σt}.
             SecondTerm::Ratio { rest, amplitude } => {
                 let first = slow.0 * (1.0 + J * rest) + J * *amplitude * self.steady_state.re;

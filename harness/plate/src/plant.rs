@@ -5,11 +5,11 @@
 //! modes, σ and ω0 follow parabolas as in `varying.rs`. A temperature rise that depends on |W| is
 //! first computed with the modes of the middle of the step, and then corrected.
 
-use crate::crossing::{BandMonitor, BandSearch, Crossing};
+use crate::crossing::{BandMonitor, BandSearch, Crossing, time_without_crossing};
 use crate::demodulator::Demodulator;
 use crate::effect::Step;
 use crate::effects::ActiveEffects;
-use crate::flow::{ExponentialSum, Flow, Forcing, LastExponentials, Model, State};
+use crate::flow::{ExponentialSum, Flow, Forcing, LastDecays, Model, State};
 use crate::mode::{ConditionProfiles, Conditions, Drive, Mode};
 use crate::motion::{FrozenMotion, ModeMotion, Motion, PerMode};
 use crate::phase::{Phase, PhaseRate};
@@ -67,7 +67,7 @@ pub struct Plant {
     demodulator: Option<Demodulator>,
     max_pole_rate: f64,
     interval: Option<SmoothInterval>,
-    exponentials: LastExponentials,
+    decays: LastDecays,
     /// `None` in the models `linear` and `envelope`, and for a plate without optional effects.
     effects: Option<Box<ActiveEffects>>,
 }
@@ -81,7 +81,7 @@ impl Plant {
             demodulator: lockin.map(|lockin| Demodulator::new(lockin, plate.omega0)),
             max_pole_rate: max_slow_pole_rate(&plate, &scene),
             interval: None,
-            exponentials: LastExponentials::default(),
+            decays: LastDecays::default(),
             effects: (model.has_both_poles() && plate.first_effect().is_some())
                 .then(|| Box::new(ActiveEffects::start(&plate.effects))),
             plate,
@@ -208,6 +208,43 @@ impl Plant {
         }
     }
 
+    /// Moves the plate to each multiple of `step` before `end` and calls `each` there. Stops earlier if
+    /// the mode or the conditions change, if the plate has effects or a demodulator, or if a monitored
+    /// signal could reach an edge. Time and states are those of [`Self::advance`] to each multiple, bit
+    /// for bit.
+    pub fn advance_in_steps(
+        &mut self,
+        step: Time,
+        end: Time,
+        monitors: &[BandMonitor],
+        mut each: impl FnMut(Time, &State),
+    ) {
+        let known =
+            self.interval_at(self.time).filter(|interval| interval.rate == 0.0 && interval.conditions.is_some());
+        let (Some(SmoothInterval { end: interval_end, mode, .. }), None, None) =
+            (known, &self.effects, &self.demodulator)
+        else {
+            return;
+        };
+        let mut flow = Flow::new(self.model, mode, &self.drive, &self.state);
+        let mut end = end.min(*interval_end);
+        if !monitors.is_empty() {
+            let bound = flow.excursion_bound();
+            let span = time_without_crossing(monitors, &self.state, |distance| bound.seconds_within(distance));
+            end = end.min(self.time + span);
+        }
+        let start = self.time;
+        let mut next = step.next_multiple_after(start);
+        while next < end {
+            self.state = flow.after_with(&mut self.decays, (next - self.time).seconds());
+            self.time = next;
+            each(next, &self.state);
+            flow.start_from(&self.state);
+            next = next + step;
+        }
+        self.phase = self.phase.after(self.time - start, self.rate);
+    }
+
     /// Advances by substeps while the conditions change the mode.
     fn advance_changing(&mut self, rate: f64, end: Time, bands: &mut BandSearch<'_>) {
         let (longest, is_fast) = self
@@ -294,7 +331,7 @@ impl Plant {
     fn advance_frozen(&mut self, mode: &Mode, end: Time, bands: &mut BandSearch<'_>) {
         let flow = Flow::new(self.model, mode, &self.drive, &self.state);
         self.observe_frozen(&flow, end, bands);
-        let state = flow.after_with(&mut self.exponentials, (end - self.time).seconds());
+        let state = flow.after_with(&mut self.decays, (end - self.time).seconds());
         self.finish_step(end, state);
     }
 

@@ -118,7 +118,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         let due = self.next_control;
         self.next_control = due + self.period;
         let lateness = now.saturating_duration_since(self.wall_instant(due));
-        self.plant.advance_through(due);
+        self.plant.advance_through(due, Flags::empty());
         if now >= self.wall_instant(self.next_control) {
             // Skips this sample, because it would delay the next one, which is already due.
             self.timing.counts.periods += 1;
@@ -164,7 +164,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             if instant >= self.duration {
                 break;
             }
-            self.plant.advance_through(instant);
+            self.plant.advance_through(instant, Flags::empty());
             last_tick = instant;
             let (lateness, missing) = ticks.record(received.received_at, tick.target_time_us, self.period);
             self.send_sample(lateness, missing)?;
@@ -255,7 +255,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         }
         // The plate may already be at a later control instant. The command then acts there.
         let instant = self.plate_time(received.received_at).max(self.plant.time()).min(self.duration);
-        self.plant.advance_through(instant);
+        self.plant.advance_through(instant, Flags::empty());
         if let Some(sampled) = sampled {
             self.timing.loop_delay.record(instant.since(sampled).into());
             let wall_delay = received.received_at.saturating_duration_since(self.wall_instant(sampled));
@@ -292,7 +292,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             let Some(received) = self.session.receive(Instant::now())? else { break };
             self.handle_message(&received)?;
         }
-        self.plant.advance_through(self.duration);
+        self.plant.advance_through(self.duration, Flags::empty());
         let missed = u64::from(self.is_last_reply_missing());
         self.timing.counts.missed_replies += missed;
         self.plant.report_counts(missed, self.session.rejected_frames());
@@ -327,7 +327,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             let flags = if is_controller_failure(error) { Flags::empty() } else { Flags::LINK_LOST };
             self.plant.stop_drive();
             self.plant.push_row(0.0, flags);
-            self.plant.advance_through(self.duration);
+            self.plant.advance_through(self.duration, Flags::empty());
             self.plant.push_row(0.0, flags);
         }
         let lost = lost.or_else(|| self.session.end_before_safe());

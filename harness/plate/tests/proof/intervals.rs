@@ -1,9 +1,13 @@
 //! Checks that results do not depend on the length of intervals while the mode varies.
 
 use crate::reference::{
-    HOLDING_DRIVE_VPP, ReferencePlate, SETPOINT, distance, driven_plant, finger_profile, line, paper_plate, state_at,
+    HOLDING_DRIVE_VPP, ReferencePlate, SETPOINT, constant_conditions, distance, driven_plant, finger_profile, line,
+    paper_plate, state_at,
 };
-use platebench_plate::{ConditionProfiles, Conditions, Drive, Flow, Lockin, Model, Plant, Plate, Profile, State, Time};
+use platebench_plate::{
+    BandMonitor, BandSignal, ConditionProfiles, Conditions, Drive, Flow, Lockin, Model, Plant, Plate, Profile, State,
+    Time,
+};
 use rstest::rstest;
 use std::f64::consts::TAU;
 
@@ -108,4 +112,47 @@ fn a_jump_within_an_interval_acts_at_its_time() {
         println!("three jumps, intervals of {} ms: {error:.1e}", interval as f64 / 1e6);
         assert!(error <= 1e-10, "{error:e}");
     }
+}
+
+/// Drives, finger and bands that end every kind of pause: a command, a point of the profile, a
+/// crossing. All steps together give the states, crossings and phase of single ones, bit for bit.
+#[rstest]
+fn steps_on_a_grid_equal_single_steps(#[values(Model::Linear, Model::Envelope, Model::Modal)] model: Model) {
+    let plate = paper_plate();
+    let force = Profile::Hold(vec![(ms(0.0), 0.0), (ms(12.34), 1.0)]);
+    let scene = ConditionProfiles { finger_force_n: force, ..constant_conditions() };
+    let monitors = [(BandSignal::Amplitude, 1.9, 2.1), (BandSignal::Quadrature, -0.2, 0.3)];
+    let monitors = monitors.map(|(signal, low, high)| BandMonitor { signal, low, high });
+    let step = Time::from_nanos(50_000);
+    let [mut single, mut grid] = [(); 2].map(|()| Plant::new(plate.clone(), scene.clone(), model));
+    let [mut expected, mut found] = [(); 2].map(|()| Vec::new());
+    let mut on_grid = 0;
+    for period in 0..30_u64 {
+        let start = Time::from_nanos(period * 1_000_000);
+        let vpp = if period % 10 < 5 { HOLDING_DRIVE_VPP } else { 1.3 * HOLDING_DRIVE_VPP };
+        let drive = Drive { vpp, omega: plate.omega0 + 300.0 * (period % 3) as f64 };
+        single.set_drive(drive);
+        grid.set_drive(drive);
+        let end = start + ms(1.0);
+        while single.time() < end {
+            let next = step.next_multiple_after(single.time()).min(end);
+            single.advance(next, &monitors, &mut expected);
+            if grid.time() < next {
+                grid.advance_in_steps(step, end, &monitors, |time, _| {
+                    assert!(time < end, "{time}");
+                    on_grid += 1;
+                });
+            }
+            if grid.time() < next {
+                grid.advance(next, &monitors, &mut found);
+            }
+            if grid.time() == next {
+                assert_eq!((grid.state(), grid.phase()), (single.state(), single.phase()), "{next}");
+            }
+        }
+        assert_eq!((grid.time(), grid.state(), grid.phase()), (end, single.state(), single.phase()));
+    }
+    assert_eq!(found, expected);
+    println!("{}: {on_grid} of 600 steps, {} crossings", model.name(), found.len());
+    assert!(found.len() >= 4 && (200..590).contains(&on_grid), "{} crossings, {on_grid} steps", found.len());
 }
