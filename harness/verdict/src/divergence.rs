@@ -41,8 +41,8 @@ pub(crate) fn detect_wrong_sign(scenario: &Scenario, rows: &[Row]) -> Option<Sig
     let controller = &scenario.controller;
     let runs = |row: &&Row| !row.flags.intersects(Flags::SAFE | Flags::LINK_LOST);
     let driven = || rows.iter().filter(runs).filter(|row| row.setpoint_um > 0.0);
-    let control_instants = driven().filter(|row| row.flags.contains(Flags::CONTROL)).count();
-    if control_instants as f64 >= MIN_PERIODS && driven().all(|row| row.drive_vpp == 0.0) {
+    let control_instants = || driven().filter(|row| row.flags.contains(Flags::CONTROL)).count();
+    if driven().all(|row| row.drive_vpp == 0.0) && control_instants() as f64 >= MIN_PERIODS {
         return Some(SignSymptom::NoDrive);
     }
     let last = rows.last().filter(runs)?;
@@ -57,19 +57,9 @@ pub(crate) fn detect_wrong_sign(scenario: &Scenario, rows: &[Row]) -> Option<Sig
 
 /// Instant at which the loop left the band for good. `None` if it converges or the trace is short.
 pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
-    let period = scenario.controller.period.seconds();
-    let held = rows.get(row_after_last_event(scenario, rows)..)?;
-    let (first, last) = (held.first()?, held.last()?);
-    let setpoint = first.setpoint_um;
-    let third = (last.t_s - first.t_s) / 3.0;
-    // Instants are rounded to nanoseconds, so 1 ns is tolerated.
-    if setpoint <= 0.0 || third + 1e-9 < MIN_PERIODS * period {
-        return None;
-    }
+    let last = rows.last()?;
+    let setpoint = last.setpoint_um;
     let reach = (BAND_HALF_WIDTH * setpoint).max(NOISE_DEVIATIONS * scenario.plate.noise_um_rms);
-    let cut = |time: f64| held.partition_point(|row| row.t_s < time);
-    let (second, last_third) = (cut(first.t_s + third), cut(last.t_s - third));
-    let thirds = [held.get(second..last_third)?, held.get(last_third..)?];
     let deviation = |row: &Row| row.amplitude_um - setpoint;
     // A constant offset is outside the band too, so the swing itself must be wider.
     let leaves = |rows: &&[Row]| {
@@ -77,6 +67,22 @@ pub fn divergence_time_s(scenario: &Scenario, rows: &[Row]) -> Option<f64> {
         let (low, high) = rows.iter().fold((f64::INFINITY, f64::NEG_INFINITY), span);
         high - low > 2.0 * reach
     };
+    // Most trials end here: the last third after the last event is part of the trial's last third.
+    let of_trial = rows.partition_point(|row| row.t_s < last.t_s - last.t_s / 3.0);
+    if setpoint <= 0.0 || !leaves(&rows.get(of_trial..)?) {
+        return None;
+    }
+    let period = scenario.controller.period.seconds();
+    let held = rows.get(row_after_last_event(scenario, rows)..)?;
+    let first = held.first()?;
+    let third = (last.t_s - first.t_s) / 3.0;
+    // Instants are rounded to nanoseconds, so 1 ns is tolerated.
+    if third + 1e-9 < MIN_PERIODS * period {
+        return None;
+    }
+    let cut = |time: f64| held.partition_point(|row| row.t_s < time);
+    let (second, last_third) = (cut(first.t_s + third), cut(last.t_s - third));
+    let thirds = [held.get(second..last_third)?, held.get(last_third..)?];
     if !thirds.iter().all(leaves) {
         return None;
     }

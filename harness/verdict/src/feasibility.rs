@@ -11,7 +11,7 @@ use platebench_model::scenario::{Expectation, Scenario};
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::{Plant, Time};
 
-/// Only a trial whose drive was at a limit is excused.
+/// Only a trial that [`may_be_limited`] is excused.
 pub(crate) fn infeasibility_excuse(
     scenario: &Scenario,
     expectation: &Expectation,
@@ -30,9 +30,6 @@ pub(crate) fn infeasibility_excuse(
     if effects.second_mode.is_some() || effects.amplifier.offset_vpp != 0.0 {
         return None;
     }
-    if !may_be_limited(rows) {
-        return None;
-    }
     let limit_vpp = scenario.plate.drive_limit_vpp;
     let ideal = IdealResponse::simulate(expectation, plant, rows, limit_vpp)?;
     if !ideal.falls_with_drive_off && !rows.iter().any(|row| row.flags.contains(Flags::SATURATED)) {
@@ -49,8 +46,8 @@ pub(crate) fn infeasibility_excuse(
 }
 
 /// False if the drive was neither at its limit nor at 0 V with a setpoint below an earlier level.
-/// The ideal response is then not simulated.
-fn may_be_limited(rows: &[Row]) -> bool {
+/// An ideal response then need not be simulated.
+pub(crate) fn may_be_limited(rows: &[Row]) -> bool {
     let mut highest = rows.first().map_or(0.0, |row| row.amplitude_um);
     rows.iter().any(|row| {
         let may_fall = row.drive_vpp == 0.0 && row.setpoint_um < highest;

@@ -2,7 +2,7 @@
 
 use crate::divergence::{detect_divergence, detect_wrong_sign};
 use crate::exclusion::{find_exclusion, find_real_plate_exclusion, saturation_excuse};
-use crate::feasibility::infeasibility_excuse;
+use crate::feasibility::{infeasibility_excuse, may_be_limited};
 use crate::metrics::{Measure, measure_with_instants};
 use platebench_model::record::{
     Cause, Divergence, Exclusion, Excuse, MetricValues, SignSymptom, Telemetry, TrialReason, TrialRecord, Violation,
@@ -39,11 +39,12 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
     let plant = variation.plant(scenario);
     let expectations = &scenario.expectations;
     let is_real_plate = rows.iter().any(|row| row.flags.contains(Flags::SENSED));
+    let is_limited = !is_real_plate && may_be_limited(rows);
     let excuses = expectations.iter().map(|expectation| {
         if is_real_plate {
             saturation_excuse(expectation, rows)
         } else {
-            infeasibility_excuse(scenario, expectation, &plant, rows)
+            is_limited.then(|| infeasibility_excuse(scenario, expectation, &plant, rows)).flatten()
         }
     });
     let (measures, worst) =

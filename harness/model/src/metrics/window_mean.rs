@@ -58,7 +58,10 @@ impl WindowMean {
 fn window_mean(input: &MeasureInput<'_>) -> Result<WindowMean, UndefinedValue> {
     let mut setpoint = None;
     let (mut area, mut length) = (0.0, 0.0);
-    for [left, right] in input.rows.array_windows() {
+    // The row before the window is in force at its start.
+    let first = input.rows.partition_point(|row| row.t_s <= input.from_s).saturating_sub(1);
+    let rows = input.rows.get(first..).unwrap_or_default();
+    for [left, right] in rows.array_windows().take_while(|[left, _]| left.t_s < input.to_s) {
         let (start, end) = (left.t_s.max(input.from_s), right.t_s.min(input.to_s));
         if start >= end {
             continue;
