@@ -27,7 +27,7 @@ pub mod summary;
 pub mod truncation;
 pub mod worst_run;
 
-use bench_error::BenchErrors;
+use bench_error::errors_in_cell;
 use confirm::Agreement;
 use part::PartReader;
 use platebench_model::record::FileLock;
@@ -71,10 +71,9 @@ pub fn merge<'a>(
     }
     // The scatter in a cell is known only after all of its trials.
     let mut results = ResultsWriter::new(folder, campaign)?;
-    let mut errors = BenchErrors::new(campaign);
     for shard in (1..=plan.shards).filter(|shard| !summary.missing.contains(shard)) {
         PartReader::open(folder, plan, campaign, shard)?.rows(&mut |row| {
-            let errors = errors.of(&row, summary.cells.get(campaign.cell(&row.draws)))?;
+            let errors = errors_in_cell(&row, summary.cells.get(campaign.cell(&row.draws)));
             results.push(row, errors)
         })?;
     }

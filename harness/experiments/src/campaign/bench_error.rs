@@ -1,11 +1,14 @@
-//! Computes the bench's own error of each value of a trial from its value, its scenario and its
-//! cell, when the parts are merged.
+//! Computes the bench's own error of each value of a trial. The error of a trial alone is computed
+//! when it is played, the scatter of its cell when the parts are merged.
 
 use crate::campaign::definition::Campaign;
-use crate::campaign::error::CampaignError;
 use crate::campaign::row::{Tally, TrialRow, ValueTally};
 use platebench_model::scenario::Scenario;
 use platebench_verdict::uncertainty::{ErrorOrigin, QuantityBudget};
+
+/// Origins of the errors that a trial has alone, in the order of [`TrialRow::errors`].
+pub(crate) const OWN_ORIGINS: [ErrorOrigin; 3] =
+    [ErrorOrigin::Numerical, ErrorOrigin::Quantisation, ErrorOrigin::Sensor];
 
 /// Standard uncertainties in the order of [`ErrorOrigin::ALL`]; `None` if one does not apply.
 pub(crate) type RowErrors = [Option<f64>; 4];
@@ -20,43 +23,39 @@ const CONSTANT_KEYS: [&str; 6] = [
     "profile.temperature_offset_k",
 ];
 
-pub(crate) struct BenchErrors<'a> {
-    campaign: &'a Campaign,
-    /// Indices of the varied values on which the budgets depend.
-    relevant: Vec<usize>,
-    /// Those values of the last trial, and the budget of each expectation.
-    last: Option<(Vec<f64>, Vec<QuantityBudget>)>,
+pub(crate) struct BenchErrors {
+    /// Budgets of the expectations; `None` if they depend on varied values.
+    constant: Option<Vec<QuantityBudget>>,
 }
 
-impl<'a> BenchErrors<'a> {
-    pub(crate) fn new(campaign: &'a Campaign) -> Self {
-        let keys = campaign.variables.iter().map(|variable| &*variable.key);
-        let relevant = keys.enumerate().filter(|(_, key)| !CONSTANT_KEYS.contains(key)).map(|(index, _)| index);
-        Self { campaign, relevant: relevant.collect(), last: None }
+impl BenchErrors {
+    pub(crate) fn new(campaign: &Campaign) -> Self {
+        let varies = campaign.variables.iter().any(|variable| !CONSTANT_KEYS.contains(&&*variable.key));
+        Self { constant: (!varies).then(|| budgets(&campaign.template.scenario)) }
     }
 
-    /// One element per expectation. `cell` contains all trials with the same listed values.
-    pub(crate) fn of(&mut self, row: &TrialRow, cell: Option<&Tally>) -> Result<Vec<RowErrors>, CampaignError> {
-        let budgets = self.budgets(row)?;
-        let error = |(index, (budget, value)): (usize, (&QuantityBudget, &f64))| {
-            let observed = cell.and_then(|cell| cell.values.get(index)).and_then(ValueTally::scatter);
-            ErrorOrigin::ALL.map(|origin| budget.standard_of(origin, *value, observed))
+    /// Standard uncertainties of the values of a trial with `scenario`, as in [`TrialRow::errors`].
+    pub(crate) fn of(&self, scenario: &Scenario, values: &[f64]) -> Vec<f64> {
+        let errors = |budgets: &[QuantityBudget]| {
+            let of_value = |(budget, value): (&QuantityBudget, &f64)| {
+                OWN_ORIGINS.map(|origin| budget.standard_of(origin, *value, None).unwrap_or(f64::NAN))
+            };
+            budgets.iter().zip(values).flat_map(of_value).collect()
         };
-        Ok(budgets.iter().zip(&row.values).enumerate().map(error).collect())
+        self.constant.as_deref().map_or_else(|| errors(&budgets(scenario)), errors)
     }
+}
 
-    fn budgets(&mut self, row: &TrialRow) -> Result<&[QuantityBudget], CampaignError> {
-        let values: Vec<f64> = self.relevant.iter().filter_map(|index| row.draws.get(*index)).copied().collect();
-        if let Some(known) = self.last.take().filter(|(known, _)| *known == values) {
-            return Ok(&self.last.insert(known).1);
-        }
-        let budgets = if values.is_empty() {
-            budgets(&self.campaign.template.scenario)
-        } else {
-            budgets(&row.trial_in(self.campaign)?.scenario)
-        };
-        Ok(&self.last.insert((values, budgets)).1)
-    }
+/// One element per expectation. `cell` contains all trials with the same listed values.
+pub(crate) fn errors_in_cell(row: &TrialRow, cell: Option<&Tally>) -> Vec<RowErrors> {
+    let (own, _) = row.errors.as_chunks();
+    let errors = |(index, (value, own)): (usize, (&f64, &[f64; 3]))| {
+        let scatter = cell.and_then(|cell| cell.values.get(index)).and_then(ValueTally::scatter);
+        let statistics = scatter.filter(|_| value.is_finite()).map(|scatter| scatter.standard);
+        let [numerical, quantisation, sensor] = own.map(|error| Some(error).filter(|error| !error.is_nan()));
+        [numerical, quantisation, sensor, statistics]
+    };
+    row.values.iter().zip(own).enumerate().map(errors).collect()
 }
 
 fn budgets(scenario: &Scenario) -> Vec<QuantityBudget> {
@@ -70,43 +69,62 @@ mod tests {
 
     const GRID: &str = "[plan]\nmethod = \"grid\"\ntrials = 3\n";
     const SENSOR: usize = 2;
-    const STATISTICS: usize = 3;
 
-    fn row(draws: &[f64], value: f64) -> TrialRow {
-        TrialRow { draws: draws.to_vec(), values: vec![value], ..TrialRow::example(0, Verdict::Pass, 0.5) }
+    fn campaign(vary: &str) -> (tempfile::TempDir, Campaign) {
+        let folder = tempfile::tempdir().unwrap();
+        let campaign = Campaign::example(folder.path(), vary, GRID);
+        (folder, campaign)
     }
 
     #[test]
     fn a_varied_noise_changes_the_error_and_a_varied_delay_does_not() {
-        let folder = tempfile::tempdir().unwrap();
-        let vary = "\"controller.loop_delay_ms\" = { each = [0.0, 0.1] }\n\
-            \"plate.sensor.noise_um_rms\" = { each = [0.0, 0.01, 0.02] }\n";
-        let campaign = Campaign::example(folder.path(), vary, GRID);
-        let mut errors = BenchErrors::new(&campaign);
-        let mut errors_of = |draws: [f64; 2], value| errors.of(&row(&draws, value), None).unwrap()[0];
-        assert_eq!(errors_of([0.0, 0.0], 1.5)[SENSOR], None);
-        let once = errors_of([0.0, 1.0], 1.5)[SENSOR].unwrap();
-        let twice = errors_of([0.0, 2.0], 1.5);
-        assert!((twice[SENSOR].unwrap() / once - 2.0).abs() < 1e-9, "{once} {twice:?}");
+        let (_folder, campaign) = campaign(
+            "\"controller.loop_delay_ms\" = { each = [0.0, 0.1] }\n\
+             \"plate.sensor.noise_um_rms\" = { each = [0.0, 0.01, 0.02] }\n",
+        );
+        let errors_of = |draws: [f64; 2], value: f64| {
+            let trial = campaign.trial_with(0, draws.to_vec(), 0).unwrap();
+            BenchErrors::new(&campaign).of(&trial.scenario, &[value])
+        };
+        assert!(errors_of([0.0, 0.0], 1.5)[SENSOR].is_nan());
+        let (once, twice) = (errors_of([0.0, 1.0], 1.5)[SENSOR], errors_of([0.0, 2.0], 1.5));
+        assert!((twice[SENSOR] / once - 2.0).abs() < 1e-9, "{once} {twice:?}");
         assert_eq!(errors_of([1.0, 2.0], 1.5), twice);
-        assert!((errors_of([1.0, 2.0], 3.0)[SENSOR].unwrap() / once - 4.0).abs() < 1e-9);
-        assert_eq!(errors_of([1.0, 2.0], f64::NAN), [None; 4]);
+        assert!((errors_of([1.0, 2.0], 3.0)[SENSOR] / once - 4.0).abs() < 1e-9);
+        assert!(errors_of([1.0, 2.0], f64::NAN).iter().all(|error| error.is_nan()));
+    }
+
+    #[test]
+    fn constant_budgets_are_those_of_the_scenario() {
+        let (_folder, campaign) = campaign("\"controller.loop_delay_ms\" = { each = [0.0, 0.1] }\n");
+        let errors = BenchErrors::new(&campaign);
+        assert!(errors.constant.is_some());
+        let trial = campaign.trial_with(1, vec![1.0], 0).unwrap();
+        let expected = BenchErrors { constant: None }.of(&trial.scenario, &[1.5]);
+        assert_eq!(format!("{:?}", errors.of(&trial.scenario, &[1.5])), format!("{expected:?}"));
+        assert!(expected[0] > 0.0, "{expected:?}");
     }
 
     #[test]
     fn statistics_are_the_scatter_of_the_values_in_the_cell() {
-        let folder = tempfile::tempdir().unwrap();
-        let campaign = Campaign::example(folder.path(), "\"controller.law\" = { each = [\"dq-pi\"] }\n", GRID);
-        let mut errors = BenchErrors::new(&campaign);
+        let row = |value: f64| TrialRow {
+            values: vec![value],
+            errors: vec![0.25, f64::NAN, 0.5],
+            ..TrialRow::example(0, Verdict::Pass, 0.5)
+        };
         let mut cell = Tally::new(1);
         let mut statistics = |value| {
-            cell.add(&row(&[0.0], value));
-            errors.of(&row(&[0.0], 1.0), Some(&cell)).unwrap()[0][STATISTICS]
+            cell.add(&row(value));
+            let [numerical, quantisation, sensor, statistics] = errors_in_cell(&row(1.0), Some(&cell))[0];
+            assert_eq!([numerical, quantisation, sensor], [Some(0.25), None, Some(0.5)]);
+            statistics
         };
         assert_eq!(statistics(1.0), None);
         assert_eq!(statistics(f64::NAN), None);
         assert!((statistics(2.0).unwrap() - 0.5_f64.sqrt()).abs() < 1e-12);
         // Standard deviation of 1, 2 and 4.
         assert!((statistics(4.0).unwrap() - (7.0_f64 / 3.0).sqrt()).abs() < 1e-12);
+        assert_eq!(errors_in_cell(&row(f64::NAN), Some(&cell))[0][3], None);
+        assert_eq!(errors_in_cell(&row(1.0), None)[0][3], None);
     }
 }

@@ -243,6 +243,7 @@ mod tests {
             draws: vec![3.0],
             values: vec![value],
             margins: vec![margin],
+            errors: vec![0.0; 3],
             ..TrialRow::example(0, verdict, margin)
         };
         let mut part = PartWriter::new(plan.part_path(folder.path(), 1), &plan, &campaign, 1).unwrap();

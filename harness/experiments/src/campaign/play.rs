@@ -1,5 +1,6 @@
 //! Plays the trials of a shard on several workers. Traces stay in memory.
 
+use crate::campaign::bench_error::BenchErrors;
 use crate::campaign::definition::Campaign;
 use crate::campaign::draw::DrawnTrial;
 use crate::campaign::error::CampaignError;
@@ -128,7 +129,7 @@ pub fn play_trials(
         ..ExecutorSettings::lockstep(&config.cancel)
     };
     let (ends, mut failed) = (SafeEnds::default(), false);
-    let player = TrialPlayer { campaign, source, lost: AtomicBool::new(false) };
+    let player = TrialPlayer { campaign, source, errors: BenchErrors::new(campaign), lost: AtomicBool::new(false) };
     let trials = source.places();
     let count = player.trials_per_task();
     let next = AtomicU64::new(trials.start);
@@ -167,6 +168,7 @@ pub fn play_trials(
 struct TrialPlayer<'a> {
     campaign: &'a Campaign,
     source: &'a TrialSource<'a>,
+    errors: BenchErrors,
     /// Becomes true if a controller was lost and the rig caused it.
     lost: AtomicBool,
 }
@@ -230,7 +232,7 @@ impl TrialPlayer<'_> {
         let Some(played) = executor.play(&trial.scenario, law, 0, None)? else { return Ok(None) };
         let measures = measure(&trial.scenario, 0, &played.trace_rows, &played.telemetry);
         self.lost.fetch_or(measures.has_lost_controller(), Ordering::Relaxed);
-        Ok(Some(TrialRow::new(trial, measures, final_distance(&played.trace_rows))))
+        Ok(Some(TrialRow::new(trial, measures, final_distance(&played.trace_rows), &self.errors)))
     }
 }
 

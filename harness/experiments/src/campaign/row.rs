@@ -4,6 +4,7 @@
 //! trials that end first are a biased sample, because a trial that settles late may take longer.
 //! Each look at the results spends a part of the error probability (alpha spending).
 
+use crate::campaign::bench_error::{BenchErrors, OWN_ORIGINS};
 use crate::campaign::definition::Campaign;
 use crate::campaign::draw::DrawnTrial;
 use crate::campaign::error::CampaignError;
@@ -18,6 +19,8 @@ const VERDICTS: [Verdict; 3] = [Verdict::Pass, Verdict::Fail, Verdict::Inconclus
 pub(crate) const CAUSES: [Cause; 4] = [Cause::Rig, Cause::Bench, Cause::Infeasible, Cause::Evidence];
 /// The columns verdict, cause, redraws and score.
 const FIXED_COLUMNS: usize = 4;
+/// Value, margin and errors of an expectation.
+const EXPECTATION_COLUMNS: usize = 2 + OWN_ORIGINS.len();
 /// Score of a trial without a finite margin, before its distance from the setpoint is subtracted.
 /// Only the order of scores matters.
 const NO_VALUE_SCORE: f64 = -1e3;
@@ -36,6 +39,9 @@ pub struct TrialRow {
     pub values: Vec<f64>,
     /// One margin per expectation; negative infinity if the trial has no value.
     pub margins: Vec<f64>,
+    /// Standard uncertainty of each value by the bench, one per expectation and origin (numerical,
+    /// quantisation, sensor); NaN if one does not apply.
+    pub errors: Vec<f64>,
     pub verdict: Verdict,
     pub cause: Option<Cause>,
     pub redraws: u32,
@@ -45,7 +51,7 @@ pub struct TrialRow {
 
 impl TrialRow {
     /// `distance` is the relative distance from the setpoint at the end of the trial.
-    pub(crate) fn new(trial: &DrawnTrial, measures: TrialMeasures, distance: f64) -> Self {
+    pub(crate) fn new(trial: &DrawnTrial, measures: TrialMeasures, distance: f64, errors: &BenchErrors) -> Self {
         let Judgement { verdict, expectations } = judge(&trial.scenario, &[measures]);
         let undecided = expectations.iter().filter(|expectation| expectation.verdict == Verdict::Inconclusive);
         let margins = expectations.iter().map(|expectation| expectation.margin);
@@ -55,10 +61,12 @@ impl TrialRow {
         });
         let score = score.fold(MAX_DISTANCE, f64::min);
         let is_failure = verdict == Verdict::Fail;
+        let values: Vec<f64> = expectations.iter().map(|expectation| expectation.value.unwrap_or(f64::NAN)).collect();
         Self {
             trial: trial.number,
             draws: trial.values.clone(),
-            values: expectations.iter().map(|expectation| expectation.value.unwrap_or(f64::NAN)).collect(),
+            errors: errors.of(&trial.scenario, &values),
+            values,
             margins: expectations.iter().map(|expectation| expectation.margin.unwrap_or(f64::NEG_INFINITY)).collect(),
             verdict,
             cause: undecided.filter(|_| verdict == Verdict::Inconclusive).find_map(|expectation| expectation.cause),
@@ -92,27 +100,29 @@ impl TrialRow {
     }
 
     pub(crate) const fn column_count(variables: usize, expectations: usize) -> usize {
-        variables + 2 * expectations + FIXED_COLUMNS
+        variables + EXPECTATION_COLUMNS * expectations + FIXED_COLUMNS
     }
 
     pub(crate) fn encode(&self) -> impl Iterator<Item = f64> {
         let verdict = VERDICTS.iter().position(|verdict| *verdict == self.verdict).unwrap_or_default();
         let cause = CAUSES.iter().position(|cause| Some(*cause) == self.cause).map_or(0, |position| position + 1);
         let fixed = [verdict as f64, cause as f64, f64::from(self.redraws), self.score];
-        self.draws.iter().chain(&self.values).chain(&self.margins).copied().chain(fixed)
+        self.draws.iter().chain(&self.values).chain(&self.margins).chain(&self.errors).copied().chain(fixed)
     }
 
     pub(crate) fn decode(trial: u64, columns: &[f64], variables: usize) -> Option<Self> {
-        let expectations = columns.len().checked_sub(variables + FIXED_COLUMNS)? / 2;
+        let expectations = columns.len().checked_sub(variables + FIXED_COLUMNS)? / EXPECTATION_COLUMNS;
         let (draws, rest) = columns.split_at_checked(variables)?;
         let (values, rest) = rest.split_at_checked(expectations)?;
         let (margins, rest) = rest.split_at_checked(expectations)?;
+        let (errors, rest) = rest.split_at_checked(OWN_ORIGINS.len() * expectations)?;
         let [verdict, cause, redraws, score] = *rest else { return None };
         Some(Self {
             trial,
             draws: draws.to_vec(),
             values: values.to_vec(),
             margins: margins.to_vec(),
+            errors: errors.to_vec(),
             verdict: *VERDICTS.get(verdict as usize)?,
             cause: (cause as usize).checked_sub(1).and_then(|position| CAUSES.get(position)).copied(),
             redraws: redraws as u32,
@@ -315,8 +325,8 @@ mod tests {
 
     impl TrialRow {
         pub(crate) fn example(trial: u64, verdict: Verdict, margin: f64) -> Self {
-            let (draws, values, margins) = (vec![trial as f64], Vec::new(), vec![margin]);
-            Self { trial, draws, values, margins, verdict, cause: None, redraws: 0, score: margin }
+            let (draws, values, margins, errors) = (vec![trial as f64], Vec::new(), vec![margin], Vec::new());
+            Self { trial, draws, values, margins, errors, verdict, cause: None, redraws: 0, score: margin }
         }
     }
 
@@ -327,6 +337,7 @@ mod tests {
             draws: vec![1.0, 0.25],
             values: vec![1.5],
             margins: vec![f64::NEG_INFINITY],
+            errors: vec![0.5, 0.25, 0.125],
             verdict: Verdict::Inconclusive,
             cause: Some(Cause::Infeasible),
             redraws: 2,
