@@ -224,11 +224,13 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     /// Simulates until the last multiple of the trace step before `end`, and adds its rows, if nothing
     /// but the state of the plate changes until then. Otherwise it stops earlier.
     fn advance_on_grid(&mut self, end: Time, flags: Flags) {
-        if self.manual_setpoint_um.is_none() && self.constant_setpoint.is_none() {
+        let (step, now) = (self.scenario.trace_step, self.time());
+        let first = step.next_multiple_after(now);
+        let has_setpoint = self.manual_setpoint_um.is_some() || self.constant_setpoint.is_some();
+        if first >= end || !has_setpoint {
             return;
         }
-        let (step, now) = (self.scenario.trace_step, self.time());
-        self.update_bands(step.next_multiple_after(now));
+        self.update_bands(first);
         let end = end.min(self.next_point).min(self.bands_end);
         let Some(row) = self.row(now, &self.plant.state(), 0.0, flags) else { return };
         self.plant.advance_in_steps(step, end, &self.bands, |time, state| {
