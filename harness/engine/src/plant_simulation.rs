@@ -6,9 +6,7 @@ use crate::trial::start_frequency_mhz;
 use platebench_model::record::NonFiniteDrive;
 use platebench_model::scenario::{Scenario, Variation};
 use platebench_model::trace::{Flags, Row};
-use platebench_plate::{
-    BandMonitor, BandSignal, ConditionProfiles, Conditions, Crossing, Drive, Plant, Profile, Sensor, State, Time,
-};
+use platebench_plate::{BandMonitor, BandSignal, Conditions, Crossing, Drive, Plant, Sensor, State, Time};
 use platebench_wire::{Command, ControllerState as Mode, Sample};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::f64::consts::TAU;
@@ -300,14 +298,6 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         }
     }
 
-    /// True if the plate's mode is constant until the next point of a profile. A search along a
-    /// moving mode evaluates it every microsecond.
-    fn has_constant_mode(&self) -> bool {
-        let ConditionProfiles { temperature_offset_k, finger_force_n } = &self.scenario.conditions;
-        let moves = |profile: &Profile| profile.max_slope_after(self.time()) > 0.0;
-        !moves(temperature_offset_k) && !moves(finger_force_n) && self.scenario.plate.effects.heating.is_none()
-    }
-
     /// Selects the bands of the interval from now to `end`.
     fn update_bands(&mut self, end: Time) {
         let (now, setpoint) = (self.time(), self.setpoint_at(self.time()));
@@ -316,7 +306,8 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         }
         self.bands.clear();
         self.bands_end = self.next_point;
-        let has_constant_mode = self.has_constant_mode();
+        // A search along a moving mode evaluates it every microsecond.
+        let has_constant_mode = self.plant.has_constant_modes();
         for expectation in &self.scenario.expectations {
             let signal = match expectation.signal {
                 "wd_um" => BandSignal::InPhase,

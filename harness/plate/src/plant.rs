@@ -157,6 +157,11 @@ impl Plant {
         self.scene.next_point_after(time)
     }
 
+    /// True if the modes are constant until the next point of a profile.
+    pub fn has_constant_modes(&self) -> bool {
+        self.max_slopes() == [0.0; 2] && self.plate.effects.heating.is_none()
+    }
+
     pub fn hold_conditions(&mut self, conditions: Conditions) {
         self.scene = ConditionProfiles {
             temperature_offset_k: Profile::constant(conditions.temperature_offset_k),
