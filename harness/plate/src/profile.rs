@@ -4,19 +4,21 @@
 use crate::input;
 use crate::time::Time;
 use schemars::JsonSchema;
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{Deserializer, Error as _, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
+use std::fmt;
 use std::path::{Path, PathBuf};
 
+const SHAPES: &str = "one of { hold = [[t_ms, value], …] }, { linear = [[t_ms, value], …] }, \
+                      { repeat = { period_ms, hold | linear } }, { square = { low, high, period_ms } }, \
+                      { sine = { mean, amplitude, frequency_hz } }, { chirp = { mean, amplitude, from_hz, to_hz } }, \
+                      { csv = \"FILE\" }";
+
 /// A profile in a scenario file, unchecked.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
-#[serde(
-    untagged,
-    expecting = "expected a number or one of { hold = [[t_ms, value], …] }, { linear = [[t_ms, value], …] }, \
-                 { repeat = { period_ms, hold | linear } }, { square = { low, high, period_ms } }, \
-                 { sine = { mean, amplitude, frequency_hz } }, { chirp = { mean, amplitude, from_hz, to_hz } }, \
-                 { csv = \"FILE\" }"
-)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
+#[serde(untagged)]
 pub enum RawProfile {
     /// A constant value.
     Number(f64),
@@ -24,8 +26,69 @@ pub enum RawProfile {
     Shape(RawShape),
 }
 
+/// Unlike a derived reader of an untagged enum, an error has the position of the wrong key or value.
+impl<'de> Deserialize<'de> for RawProfile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(ProfileVisitor)
+    }
+}
+
+struct ProfileVisitor;
+
+impl<'de> Visitor<'de> for ProfileVisitor {
+    type Value = RawProfile;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "a number or {SHAPES}")
+    }
+
+    fn visit_f64<E>(self, value: f64) -> Result<RawProfile, E> {
+        Ok(RawProfile::Number(value))
+    }
+
+    fn visit_i64<E>(self, value: i64) -> Result<RawProfile, E> {
+        Ok(RawProfile::Number(value as f64))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<RawProfile, A::Error> {
+        let shapes = ShapeKeys::deserialize(MapAccessDeserializer::new(map))?.shapes();
+        match <[RawShape; 1]>::try_from(shapes) {
+            Ok([shape]) => Ok(RawProfile::Shape(shape)),
+            Err(shapes) if shapes.is_empty() => Err(A::Error::custom(format!("missing field: expected {SHAPES}"))),
+            Err(_) => Err(A::Error::custom(format!("several shapes, expected {SHAPES}"))),
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ShapeKeys {
+    hold: Option<Vec<[f64; 2]>>,
+    linear: Option<Vec<[f64; 2]>>,
+    repeat: Option<RawRepeat>,
+    square: Option<RawSquare>,
+    sine: Option<RawSine>,
+    chirp: Option<RawChirp>,
+    csv: Option<PathBuf>,
+}
+
+impl ShapeKeys {
+    fn shapes(self) -> Vec<RawShape> {
+        let shapes = [
+            self.hold.map(RawShape::Hold),
+            self.linear.map(RawShape::Linear),
+            self.repeat.map(RawShape::Repeat),
+            self.square.map(RawShape::Square),
+            self.sine.map(RawShape::Sine),
+            self.chirp.map(RawShape::Chirp),
+            self.csv.map(RawShape::Csv),
+        ];
+        shapes.into_iter().flatten().collect()
+    }
+}
+
 /// Shape of a profile.
-#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum RawShape {
     /// Points [`t_ms`, value]; each value holds until the next point.

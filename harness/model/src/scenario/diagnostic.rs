@@ -7,8 +7,10 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-const SERDE_WORDS: [(&str, &str); 6] = [
+const SERDE_WORDS: [(&str, &str); 8] = [
     ("unknown field", "unknown key"),
+    ("an array of length 2", "2 numbers"),
+    ("path string", "a path"),
     ("missing field", "missing key"),
     ("expected f64", "expected a number"),
     ("expected i64", "expected a whole number"),
@@ -70,6 +72,10 @@ impl Diagnostic {
         let mut message = error.message().trim().to_owned();
         for (serde, ours) in SERDE_WORDS {
             message = message.replace(serde, ours);
+        }
+        // serde names the type of the reader.
+        if let Some((found, _)) = message.split_once("expected struct ") {
+            message = format!("{found}expected a table");
         }
         // serde quotes the unknown key and all known ones in backticks.
         let mut quoted = message.split('`').skip(1).step_by(2);

@@ -30,6 +30,19 @@ fn parses_a_valid_file() {
     &[("metric = \"overruns\"\nat_most = 0.0", "at_most = 0.0"), ("at_most = 1.0", "atmost = 1.0")],
     &["10:1", "6:1"]
 )]
+#[case::values_of_a_profile(
+    &[("= 2.0", "= { linear = [[0.0, \"x\"]] }\nfinger_force_n = { sine = { mean = 0.0, amplitude = true } }")],
+    &["5:33", "6:53"]
+)]
+#[case::keys_of_a_profile(
+    &[("= 2.0", "= { sqare = { low = 0.0 } }\nfinger_force_n = { square = { low = 0.0, hgih = 1.0, period_ms = 2.0 } }")],
+    &["5:17", "6:42"]
+)]
+#[case::shapes_of_a_profile(
+    &[("= 2.0", "= {}\nfinger_force_n = { hold = [[0.0, 1.0]], linear = [[0.0, 1.0]] }")],
+    &["6:18", "5:15"]
+)]
+#[case::missing_in_a_profile(&[("2.0", "{ sine = { mean = 0.0, amplitude = 1.0 } }")], &["5:24"])]
 #[case::missing_in_a_table(&[("setpoint_um = 2.0\n", ""), ("title", "titel")], &["1:1", "4:1"])]
 fn reports_every_error(#[case] changes: &[(&str, &str)], #[case] places: &[&str]) {
     let text = changes.iter().fold(BASE.to_owned(), |text, (good, bad)| {
@@ -66,6 +79,14 @@ fn limits_the_number_of_errors() {
             expected > MAX_DIAGNOSTICS
         );
     }
+}
+
+#[test]
+fn suggests_the_name_of_a_shape() {
+    let errors = parse_errors(&BASE.replacen("2.0", "{ sqare = 1 }", 1));
+    let expected = "s.toml:5:17: unknown key `sqare`, expected one of `hold`, `linear`, `repeat`, `square`, `sine`, \
+                    `chirp`, `csv`; did you mean `square`?";
+    assert_eq!(errors, [expected]);
 }
 
 #[rstest]
