@@ -60,7 +60,7 @@ pub enum RawDistribution {
     /// Listed values.
     Each(#[schemars(length(min = 1))] Vec<Choice>),
     /// Equally spaced values: first value, last value, number of values.
-    Steps(f64, f64, #[schemars(with = "u32")] f64),
+    Steps(RawSteps),
     /// Uniform distribution: smallest and largest value.
     Uniform([f64; 2]),
     /// Normal distribution.
@@ -69,6 +69,11 @@ pub enum RawDistribution {
     /// logarithm.
     Lognormal(RawNormal),
 }
+
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
+#[serde(expecting = "a list [from, to, number of values]")]
+#[schemars(inline)]
+pub struct RawSteps(f64, f64, #[schemars(with = "u32")] f64);
 
 #[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -115,7 +120,7 @@ impl RawDistribution {
                 }
                 Ok(Distribution::Choices(values))
             }
-            Self::Steps(from, to, count) => {
+            Self::Steps(RawSteps(from, to, count)) => {
                 let is_single = count == 1.0 && from == to;
                 let is_valid = is_single || (2.0..=f64::from(MAX_STEPS)).contains(&count);
                 if !(from.is_finite() && to.is_finite() && is_valid && count.fract() == 0.0) {

@@ -7,8 +7,12 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-const SERDE_WORDS: [(&str, &str); 8] = [
+const SERDE_WORDS: [(&str, &str); 12] = [
     ("unknown field", "unknown key"),
+    ("unknown variant", "unknown name"),
+    ("wanted exactly 1 element, found 0 elements", "no key, expected one"),
+    ("wanted exactly 1 element, more than 1 element", "several keys, expected one"),
+    ("wanted string or table", "expected a table"),
     ("an array of length 2", "2 numbers"),
     ("path string", "a path"),
     ("missing field", "missing key"),
@@ -80,7 +84,7 @@ impl Diagnostic {
         // serde quotes the unknown key and all known ones in backticks.
         let mut quoted = message.split('`').skip(1).step_by(2);
         let hint = match quoted.next() {
-            Some(name) if message.starts_with("unknown key") => suggestion(name, quoted),
+            Some(name) if message.starts_with("unknown ") => suggestion(name, quoted),
             _ => String::new(),
         };
         Self::at_span(path, source, span, format!("{message}{hint}"))

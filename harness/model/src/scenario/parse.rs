@@ -33,6 +33,9 @@ pub fn parse_bytes<T: DeserializeOwned + JsonSchema>(
     Ok((text, raw))
 }
 
+/// Start of toml's message for an enum in a table without a key.
+const NO_VARIANT: &str = "wanted exactly 1 element, found 0";
+
 /// Fails with all syntax errors. If there are none, fails with all unknown keys and wrong types in
 /// their order, then with all missing keys. If there are none, fails with all numbers outside the
 /// bounds in the schema of `T`.
@@ -59,7 +62,8 @@ pub(crate) fn parse_source<T: DeserializeOwned + JsonSchema>(source: &Source<'_>
         };
         let span = error.span().unwrap_or(0..0);
         // This loop removed the key, so the key is not missing in the file.
-        let is_hole = error.message().starts_with("missing field") && holes.contains(&span);
+        let is_missing = ["missing field", NO_VARIANT].iter().any(|start| error.message().starts_with(start));
+        let is_hole = is_missing && holes.contains(&span);
         if !is_hole {
             faults.push(Diagnostic::from_toml(path, text, &error));
         }
