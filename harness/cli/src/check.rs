@@ -13,8 +13,8 @@ use platebench_experiments::explore::Envelope;
 use platebench_lab::acceptance::AcceptancePlan;
 use platebench_lab::boards::Inventory;
 use platebench_model::scenario::{
-    Diagnostic, FileKind, list_files, load, load_with_all_errors, plate_warnings, read_requirements, repeated_names,
-    unjudged_changes, unreachable_setpoint,
+    Diagnostic, FileKind, changes_after_the_end, list_files, load, load_with_all_errors, plate_warnings,
+    read_requirements, repeated_names, unjudged_changes, unreachable_setpoint,
 };
 use platebench_model::trace::FileError;
 use platebench_report::format::count;
@@ -133,6 +133,7 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
         for (path, name) in of_kind(FileKind::Scenario) {
             if let Ok(scenario) = load(path, name) {
                 warnings.extend(plate_warnings(&scenario));
+                warnings.extend(changes_after_the_end(&scenario));
                 warnings.extend(unjudged_changes(&scenario));
                 warnings.extend(unreachable_setpoint(&scenario));
             }

@@ -1,10 +1,11 @@
-//! Warns of implausible plates, and of disturbances that no expectation judges.
+//! Warns of implausible plates, of profiles that change only after the end, and of disturbances that
+//! no expectation judges.
 
 use crate::metrics::{Metric, Subject};
 use crate::scenario::definition::Scenario;
 use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::window::{ChangingProfile, ProfileChanges, Window};
-use platebench_plate::Time;
+use platebench_plate::{Profile, Time};
 
 /// Warns of implausible values of the plate, and of a force that changes nothing.
 pub fn plate_warnings(scenario: &Scenario) -> Vec<Diagnostic> {
@@ -35,6 +36,28 @@ pub fn unreachable_setpoint(scenario: &Scenario) -> Option<Diagnostic> {
         );
         scenario.diagnostic("profile.setpoint_um", message)
     })
+}
+
+/// Warns of a profile whose changes are all at or after the end of the trial.
+pub fn changes_after_the_end(scenario: &Scenario) -> Vec<Diagnostic> {
+    let conditions = &scenario.conditions;
+    let profiles = [
+        ("profile.setpoint_um", &scenario.setpoint),
+        ("profile.finger_force_n", &conditions.finger_force_n),
+        ("profile.temperature_offset_k", &conditions.temperature_offset_k),
+    ];
+    let end = scenario.duration;
+    let warning = |(key, profile): (&str, &Profile)| {
+        let first = match profile {
+            Profile::Hold(points) => points.get(1),
+            Profile::Linear(points) if points.len() > 1 => points.first(),
+            Profile::Linear(_) | Profile::Sine { .. } => None,
+        };
+        let (time, _) = first.filter(|(time, _)| *time >= end)?;
+        let message = format!("the profile changes at {time} for the first time, the trial ends at {end}");
+        Some(scenario.diagnostic(key, message))
+    };
+    profiles.into_iter().filter_map(warning).collect()
 }
 
 /// A message lists this many changes and counts the others.
@@ -123,11 +146,39 @@ mod tests {
 }
 
 #[cfg(test)]
-mod unjudged_tests {
+mod profile_tests {
     use super::*;
     use rstest::rstest;
 
     const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
+
+    fn scenario_with(force: &str, expectation: &str) -> Scenario {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("plate.toml"), PLATE).unwrap();
+        let path = folder.path().join("s.toml");
+        let text = format!(
+            "title = \"s\"\nplate = \"plate.toml\"\nduration_ms = 60.0\n[profile]\nsetpoint_um = 2.0\n\
+             finger_force_n = {force}\n[[expect]]\nmetric = {expectation}\nat_most = 2.0\n"
+        );
+        std::fs::write(&path, text).unwrap();
+        crate::scenario::load(&path, "s.toml").unwrap()
+    }
+
+    #[rstest]
+    #[case::square("{ square = { low = 1.0, high = 2.0, period_ms = 9.0, from_ms = 100.0 } }", "100 ms")]
+    #[case::repeat("{ repeat = { period_ms = 9.0, from_ms = 70.0, hold = [[0.0, 1.0], [1.0, 2.0]] } }", "70 ms")]
+    #[case::hold("{ hold = [[0.0, 1.0], [60.0, 2.0]] }", "60 ms")]
+    #[case::linear("{ linear = [[60.0, 1.0], [61.0, 2.0]] }", "60 ms")]
+    #[case::one_point("{ linear = [[60.0, 1.0]] }", "")]
+    #[case::slope("{ linear = [[0.0, 1.0], [61.0, 2.0]] }", "")]
+    #[case::in_time("{ square = { low = 1.0, high = 2.0, period_ms = 90.0, from_ms = 10.0 } }", "")]
+    fn warns_of_a_profile_that_changes_after_the_end(#[case] force: &str, #[case] time: &str) {
+        let warnings = changes_after_the_end(&scenario_with(force, "\"overruns\""));
+        let messages: Vec<_> = warnings.iter().map(|warning| warning.message.as_str()).collect();
+        let message = "`finger_force_n`: the profile changes at TIME for the first time, the trial ends at 60 ms";
+        let expected = [message.replace("TIME", time)];
+        assert_eq!(messages, if time.is_empty() { &[][..] } else { &expected[..] });
+    }
 
     #[rstest]
     #[case::covered("\"peak_deviation_percent\"\nfrom_ms = 10.0", "")]
@@ -148,16 +199,8 @@ mod unjudged_tests {
         "`finger_force_n`: no expectation judges the change of the force at 10 ms, 20 ms;"
     )]
     fn warns_of_a_disturbance_outside_all_windows(#[case] expectation: &str, #[case] message: &str) {
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join("plate.toml"), PLATE).unwrap();
-        let path = folder.path().join("s.toml");
-        let text = format!(
-            "title = \"s\"\nplate = \"plate.toml\"\nduration_ms = 60.0\n[profile]\nsetpoint_um = 2.0\n\
-             finger_force_n = {{ hold = [[0.0, 0.0], [10.0, 1.0], [20.0, 0.0]] }}\n\
-             [[expect]]\nmetric = {expectation}\nat_most = 2.0\n"
-        );
-        std::fs::write(&path, text).unwrap();
-        let warnings = unjudged_changes(&crate::scenario::load(&path, "s.toml").unwrap());
+        let force = "{ hold = [[0.0, 0.0], [10.0, 1.0], [20.0, 0.0]] }";
+        let warnings = unjudged_changes(&scenario_with(force, expectation));
         let messages: Vec<_> = warnings.iter().map(|warning| warning.message.as_str()).collect();
         match message {
             "" => assert!(messages.is_empty(), "{messages:?}"),
