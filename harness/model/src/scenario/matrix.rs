@@ -223,10 +223,12 @@ impl<'a> Matrix<'_, 'a> {
             let missing: Vec<_> = defaults.iter().filter(|(name, _)| !cells.contains_key(*name)).collect();
             cells.extend(missing.into_iter().map(|(name, cell)| (name.clone(), cell.clone())));
         }
-        let distinct: BTreeSet<_> = cases.iter().map(|(name, _)| name).collect();
-        if cases.is_empty() || distinct.len() < cases.len() || cases.len() > MAX_CASES {
-            let message =
-                format!("`{MATRIX}` has {} cases, expected 1 to {MAX_CASES} with different names", cases.len());
+        let mut known = BTreeSet::new();
+        if cases.is_empty() || cases.len() > MAX_CASES {
+            let message = format!("`{MATRIX}` has {} cases, expected 1 to {MAX_CASES}", cases.len());
+            self.faults.push(self.source.at(key, message));
+        } else if let Some((name, _)) = cases.iter().find(|(name, _)| !known.insert(name)) {
+            let message = format!("`{MATRIX}` has several cases `{name}`, expected cases with different names");
             self.faults.push(self.source.at(key, message));
         }
         cases

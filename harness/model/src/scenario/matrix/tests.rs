@@ -145,7 +145,7 @@ fn values_of_a_case_can_be_replaced() {
 #[case::unused("settling = 2.0", "settling = 2.0, setling = 1.0", "m.toml:20:27: unused value `setling`")]
 #[case::no_table("{ settling = 2.0 }", "2.0", "m.toml:20:9: expected values by the name of their placeholder")]
 #[case::name("dq-pi = {", "\"dq/pi\" = {", "m.toml:20:1: `dq/pi` is part of the name of a case")]
-#[case::same_name("um = [1, 2.5]", "um = [1, 1]", "`matrix` has 4 cases, expected 1 to 1000 with different names")]
+#[case::same_name("um = [1, 2.5]", "um = [1, 2.5, 2.5]", "`matrix` has several cases `2.5-dq-pi`, expected cases with")]
 #[case::no_values("um = [1, 2.5]", "um = []", "`matrix` has 0 cases")]
 #[case::list_in_a_text("um = [1, 2.5]", "um = [[1, 2]]", "is part of the name of a case")]
 fn rejects_a_wrong_matrix_with_its_position(#[case] good: &str, #[case] bad: &str, #[case] expected: &str) {
