@@ -202,9 +202,12 @@ impl From<RunError> for Failure {
             RunError::Rig(error) => error.into(),
             RunError::DifferentController { .. } | RunError::Lost(_) => Self::new(Exit::Unreachable, &error),
             RunError::Internal(_) | RunError::Cancelled => Self::new(Exit::Inconclusive, &error),
-            RunError::Folder(_) | RunError::Trace(_) | RunError::NoTargetPacing(_) | RunError::NoRealPlate(_) => {
-                Self::invalid(&error)
-            }
+            // The firmware rejects a scenario or plate that it cannot control: an invalid input.
+            RunError::Refused { .. }
+            | RunError::Folder(_)
+            | RunError::Trace(_)
+            | RunError::NoTargetPacing(_)
+            | RunError::NoRealPlate(_) => Self::invalid(&error),
         }
     }
 }

@@ -144,7 +144,7 @@ impl<'a, L: Link> Executor<'a, L> {
             let law = trial::law(scene).map_err(|unknown| RunError::Scenario(Box::new(unknown)))?;
             let Some(played) = self.play_on_clock(scene, law, index, true, None)? else { return Ok(None) };
             if let Some(refused @ RigError::ConfigurationRejected(_)) = played.link_error {
-                return Err(refused.into());
+                return Err(RunError::Refused { file: scenario.file.clone(), error: refused });
             }
             scenes.include_scene(played.telemetry);
         }
@@ -159,7 +159,8 @@ impl<'a, L: Link> Executor<'a, L> {
         match &played.link_error {
             None => self.losses = 0,
             Some(RigError::ConfigurationRejected(rejection)) => {
-                return Err(RigError::ConfigurationRejected(*rejection).into());
+                let error = RigError::ConfigurationRejected(*rejection);
+                return Err(RunError::Refused { file: scenario.file.clone(), error });
             }
             Some(lost) => self.replace_lost_controller(lost)?,
         }

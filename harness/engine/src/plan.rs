@@ -73,6 +73,8 @@ pub enum RunError {
     Connect(#[from] ConnectError),
     #[error(transparent)]
     Rig(#[from] RigError),
+    #[error("{file}: {error}")]
+    Refused { file: String, error: RigError },
     #[error("the controller is now {found}, but was {expected} when the run began; keep the same controller connected")]
     DifferentController { found: String, expected: String },
     #[error("{0} does not announce that it can pace itself, which --pacing target needs; use --pacing bench")]

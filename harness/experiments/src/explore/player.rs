@@ -109,7 +109,9 @@ impl<'a, L: RecordingLink> Player<'a, L> {
         }
         for index in 0..scenario.trials.count {
             let played = match self.executor.play(scenario, law, index, None) {
-                Err(RunError::Rig(RigError::ConfigurationRejected(rejection))) if !scenario.messages.is_empty() => {
+                Err(RunError::Refused { error: RigError::ConfigurationRejected(rejection), .. })
+                    if !scenario.messages.is_empty() =>
+                {
                     // Every trial after messages has the same configuration, which is usable.
                     self.renew();
                     let name =

@@ -3,7 +3,7 @@
 use platebench_engine::{Executor, ExecutorSettings, RunError, SafeEnds, ScenarioEnd};
 use platebench_model::record::{Verdict, ViolationKind};
 use platebench_model::scenario::Scenario;
-use platebench_rig::{BoxedLink, CancelToken, RigError};
+use platebench_rig::{BoxedLink, CancelToken};
 use platebench_verdict::Judgement;
 use platebench_wire::LawId;
 use std::collections::BTreeSet;
@@ -22,7 +22,7 @@ pub enum TrustError {
 impl TrustError {
     const fn is_refused_configuration(&self) -> bool {
         match self {
-            Self::Run { source, .. } => matches!(**source, RunError::Rig(RigError::ConfigurationRejected(_))),
+            Self::Run { source, .. } => matches!(**source, RunError::Refused { .. }),
             Self::UnknownLaw { .. } | Self::Internal => false,
         }
     }
