@@ -203,7 +203,10 @@ fn parse_hours(text: &str) -> Result<Duration, String> {
 }
 
 fn run_soak(arguments: &SoakArgs, detail: Detail) -> CommandResult {
-    let board = arguments.board.selection.find()?.ok_or("--board NAME is missing").or_invalid()?;
+    let Some(board) = arguments.board.selection.find()? else {
+        let known = Inventory::open(arguments.board.selection.boards.as_deref())?.names();
+        return Err(Failure::invalid(&format!("--board is missing, expected --board NAME with one of {known}")));
+    };
     board.rig.check().or_invalid()?;
     let clock = ClockRequest::new(&board.rig, arguments.clock).resolve().or_invalid()?;
     let mut scenarios = find_scenarios(&arguments.scenarios, &ScenarioFilter::default(), |_| true, detail)?;

@@ -12,7 +12,7 @@ use tracing::{debug, info};
 
 #[derive(Debug, thiserror::Error)]
 pub enum SerialError {
-    #[error("cannot open {}: {error}", port.display())]
+    #[error("cannot open {}: {error}{}", port.display(), known_ports(error))]
     Open { port: PathBuf, error: std::io::Error },
     #[error("{} is in use by {holder}", port.display())]
     InUse { port: PathBuf, holder: LockHolder },
@@ -20,6 +20,19 @@ pub enum SerialError {
     NotATerminal { port: PathBuf },
     #[error("{} cannot be set to {baud} baud: {error}", port.display())]
     Settings { port: PathBuf, baud: u32, error: std::io::Error },
+}
+
+/// Hint for a port that does not exist.
+fn known_ports(error: &std::io::Error) -> String {
+    if error.kind() != std::io::ErrorKind::NotFound {
+        return String::new();
+    }
+    let ports = serialport::available_ports().unwrap_or_default();
+    let names: Vec<_> = ports.into_iter().map(|port| port.port_name).collect();
+    if names.is_empty() {
+        return "; this computer has no serial port: connect the board".to_owned();
+    }
+    format!("; expected a port of this computer: {}", names.join(", "))
 }
 
 /// Serial port with 8 data bits, no parity, 1 stop bit and no flow control. It is locked against

@@ -148,8 +148,13 @@ impl Inventory {
         self.boards.iter().find(|board| board.name == name).ok_or_else(|| BoardError::Unknown {
             path: self.path.clone(),
             name: name.to_owned(),
-            known: self.boards.iter().map(|board| board.name.as_str()).collect::<Vec<_>>().join(", "),
+            known: self.names(),
         })
+    }
+
+    /// The names of the boards: "left, right".
+    pub fn names(&self) -> String {
+        self.boards.iter().map(|board| board.name.as_str()).collect::<Vec<_>>().join(", ")
     }
 
     /// Folder of locks and states, for example `boards.state` next to `boards.toml`.
