@@ -365,7 +365,8 @@ fn write_reports(
     };
     let files = shutdown::run_unless_signalled(write_files).or_invalid()?;
     let is_cancelled = files.is_none();
-    let written = files.unwrap_or(Ok(())).and_then(|()| arguments.outputs.write(record, locations));
+    let outputs = || arguments.outputs.write(&record.with_traces_below(folder.path()), locations);
+    let written = files.unwrap_or(Ok(())).and_then(|()| outputs());
     if arguments.format == OutputFormat::Human {
         if arguments.outputs.replaces_table() {
             stdio::record_to_stderr(record, folder.path(), detail);

@@ -10,7 +10,7 @@
 use crate::error::{ReportError, write_file};
 use crate::escape::printable;
 use crate::{format, record_queries};
-use platebench_model::record::{ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, TrialRecord, Verdict};
+use platebench_model::record::{ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict};
 use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
 use std::env;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,8 @@ use std::time::Duration;
 pub const FILE: &str = "junit.xml";
 
 pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
-    let text = junit_report(record, &from_workspace(path.parent().unwrap_or(Path::new(""))))
+    let folder = from_workspace(path.parent().unwrap_or(Path::new("")));
+    let text = junit_report(&record.with_traces_below(&folder))
         .to_string()
         .map_err(|source| ReportError::Junit { path: path.to_owned(), source })?;
     let expectations: usize = record.scenarios.iter().map(|scenario| scenario.not_applicable.len()).sum();
@@ -35,9 +36,9 @@ fn from_workspace(folder: &Path) -> PathBuf {
     folder.strip_prefix(current).unwrap_or(folder).to_owned()
 }
 
-fn junit_report(record: &RunRecord, folder: &Path) -> Report {
+fn junit_report(record: &RunRecord) -> Report {
     let mut report = Report::new(record.tool.name.as_str());
-    report.add_test_suites(record.scenarios.iter().map(|scenario| test_suite(scenario, record, folder)));
+    report.add_test_suites(record.scenarios.iter().map(|scenario| test_suite(scenario, record)));
     report.add_test_suites(record.not_applicable.iter().map(|scenario| not_applicable_suite(scenario, record)));
     let Some(reason) = record_queries::run_inconclusive_reason(record) else { return report };
     let mut suite = TestSuite::new("run");
@@ -55,7 +56,7 @@ fn suite_of_file(file: &str, record: &RunRecord) -> TestSuite {
     suite
 }
 
-fn test_suite(scenario: &ScenarioRecord, record: &RunRecord, folder: &Path) -> TestSuite {
+fn test_suite(scenario: &ScenarioRecord, record: &RunRecord) -> TestSuite {
     let mut suite = suite_of_file(&scenario.file, record);
     suite.add_properties([
         ("title", printable(&scenario.title).as_ref()),
@@ -80,7 +81,7 @@ fn test_suite(scenario: &ScenarioRecord, record: &RunRecord, folder: &Path) -> T
     let count = scenario.expectations.len();
     // All expectations judge the same trials, so each gets an equal share of the scenario's time.
     let share = time.zip(u32::try_from(count).ok()).and_then(|(time, count)| time.checked_div(count));
-    suite.add_test_cases((0..count).filter_map(|index| test_case(scenario, index, share, folder)));
+    suite.add_test_cases((0..count).filter_map(|index| test_case(scenario, index, share)));
     let skipped = scenario.not_applicable.iter();
     suite.add_test_cases(skipped.map(|skipped| skipped_case(&skipped.name, &scenario.file, &skipped.reason)));
     if let Some(reason) = record_queries::scenario_inconclusive_reason(scenario) {
@@ -117,7 +118,7 @@ fn inconclusive_case(name: &str, class: &str, reason: &str) -> TestCase {
     case
 }
 
-fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>, folder: &Path) -> Option<TestCase> {
+fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>) -> Option<TestCase> {
     let expectation = scenario.expectations.get(index)?;
     let kind = match expectation.verdict {
         Verdict::Pass => None,
@@ -153,8 +154,7 @@ fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>, fo
     ];
     let lines = properties.into_iter().filter_map(|(name, value)| Some(format!("{name}: {}\n", printable(&value?))));
     // Jenkins links the attached file to the test case.
-    let file = |trial: &TrialRecord| folder.join(&trial.trace).display().to_string();
-    let attachment = trial.map(|trial| format!("[[ATTACHMENT|{}]]\n", printable(&file(trial))));
+    let attachment = trial.map(|trial| format!("[[ATTACHMENT|{}]]\n", printable(&trial.trace)));
     case.set_system_out(lines.chain(attachment).collect::<String>());
     Some(case)
 }
