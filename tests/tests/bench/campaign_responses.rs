@@ -30,6 +30,13 @@ fn a_cell_opens_the_response_of_its_worst_trial() {
         assert_eq!(maps.matches(&link).count(), 4, "{link}");
         assert!(responses.contains(&format!("id=\"scenario-{index}\"")), "{trial}");
     }
+    let headings: Vec<_> = maps.split("<h2>").skip(1).filter_map(|text| text.split_once('<')).collect();
+    let headings: Vec<_> = headings.into_iter().map(|(heading, _)| heading).collect();
+    assert_eq!(
+        headings[..2],
+        ["Maps", "Largest profile.finger_force_n that passes with all smaller ones"],
+        "{headings:?}"
+    );
 }
 
 #[test]

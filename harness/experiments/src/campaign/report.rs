@@ -25,7 +25,7 @@ pub fn write(folder: &Path, summary: &Summary<'_>, links: &ResponseLinks) -> Res
 }
 
 fn document(summary: &Summary<'_>, links: &ResponseLinks) -> Document {
-    let mut blocks = vec![Block::lines(summary.lines())];
+    let mut blocks = vec![Block::lines(summary.lines()), Block::Details(maps(summary, links))];
     let (region, further_ranges) = PassingRegion::new(summary).map(|region| region.blocks()).unwrap_or_default();
     blocks.extend(region);
     let sample = summary.sample.result(summary.campaign);
@@ -38,7 +38,6 @@ fn document(summary: &Summary<'_>, links: &ResponseLinks) -> Document {
     if let Some(ranges) = further_ranges {
         details.extend([Block::heading("Further combinations"), ranges]);
     }
-    details.extend(maps(summary, links));
     let quantiles = quantiles(&sample);
     if !quantiles.rows.is_empty() {
         details.extend([Block::heading("Quantiles"), Block::Table(quantiles)]);
