@@ -700,12 +700,13 @@ mod tests {
     }
 
     #[rstest]
-    #[case("{ ramp = [[0.0, 1.0]] }")]
-    #[case("\"2.0\"")]
-    #[case("{ hold = [[0.0]] }")]
-    fn lists_the_shapes_if_the_shape_is_unknown(#[case] text: &str) {
+    #[case("{ ramp = [[0.0, 1.0]] }", "unknown field `ramp`, expected one of `hold`, `linear`")]
+    #[case("\"2.0\"", "expected a number or one of { hold = [[t_ms, value], …] }")]
+    #[case("{}", "missing field: expected one of { hold = [[t_ms, value], …] }")]
+    #[case("{ hold = [[0.0, 1.0]], csv = \"a.csv\" }", "several shapes, expected one of { hold")]
+    fn lists_the_shapes_if_the_shape_is_unknown(#[case] text: &str, #[case] message: &str) {
         let error = toml::from_str::<Document>(&format!("p = {text}")).err().unwrap().to_string();
-        assert!(error.contains("expected a number or one of"), "{error}");
+        assert!(error.contains(message), "{error}");
     }
 
     proptest! {
