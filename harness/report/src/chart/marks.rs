@@ -233,15 +233,21 @@ pub(crate) enum TextEnd {
 
 /// The elements of an SVG drawing, in drawing order.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Drawing(String);
+pub(crate) struct Drawing {
+    elements: String,
+    /// Lines and edges of areas. The text of a worst value avoids them.
+    segments: Vec<[Point; 2]>,
+    /// Upper left and lower right corners of the texts beside marks.
+    texts: Vec<[Point; 2]>,
+}
 
 impl Drawing {
     fn push(&mut self, element: &Markup) {
-        self.0.push_str(&element.0);
+        self.elements.push_str(&element.0);
     }
 
     pub(crate) fn into_markup(self) -> Markup {
-        PreEscaped(self.0)
+        PreEscaped(self.elements)
     }
 
     /// Text of 12 px, centred vertically.
@@ -318,9 +324,15 @@ impl Drawing {
             match mark {
                 Mark::Line(role, points) => {
                     let known = points.iter().filter(|(x, y)| !x.is_nan() && !y.is_nan());
-                    self.line(*role, known.map(|point| axes.place(*point)));
+                    let places: Vec<Point> = known.map(|point| axes.place(*point)).collect();
+                    self.segments.extend(places.array_windows());
+                    self.line(*role, places);
                 }
                 Mark::Band(role, [upper, lower]) => {
+                    for edge in [upper, lower] {
+                        let places: Vec<Point> = edge.iter().map(|point| axes.place(*point)).collect();
+                        self.segments.extend(places.array_windows());
+                    }
                     let outline = upper.iter().chain(lower.iter().rev());
                     self.path('f', *role, outline.map(|point| axes.place(*point)));
                 }
@@ -328,9 +340,8 @@ impl Drawing {
                     let place = axes.place(*at);
                     self.shape(*role, *shape, place, *radius);
                     if let Some(text) = text {
-                        // The point may lie on the line of its limit, which would cross the text.
-                        let rise = if *role == Role::Worst { WORST_TEXT_RISE } else { 0.0 };
-                        self.text_beside(axes, *role, (place.0, place.1 - rise), 0.015, text);
+                        let rise = if *role == Role::Worst { self.free_rise(axes, place, text) } else { 0.0 };
+                        self.text_beside(axes, *role, (place.0, place.1 - rise), POINT_TEXT_DISTANCE, text);
                     }
                 }
                 Mark::Cell(role, corners) => self.rectangle(*role, corners.map(|corner| axes.place(corner))),
@@ -353,16 +364,27 @@ impl Drawing {
         }
     }
 
-    /// Right of an early mark and left of a late one, a settled response leaves room for text.
     /// `distance` is a share of the plot's width.
-    fn text_beside(&mut self, axes: &Axes, role: Role, (x, y): Point, distance: f64, text: &str) {
-        let Range { start: left, end: right } = axes.x.pixels;
-        let distance = distance * (right - left);
-        if x - left < 0.55 * (right - left) {
-            self.text(role, TextEnd::Left, (x + distance, y), text);
-        } else {
-            self.text(role, TextEnd::Right, (x - distance, y), text);
-        }
+    fn text_beside(&mut self, axes: &Axes, role: Role, place: Point, distance: f64, text: &str) {
+        let (end, x, corners) = text_place(axes, place, distance, text);
+        self.texts.push(corners);
+        self.text(role, end, (x, place.1), text);
+    }
+
+    /// Distance of the text of a worst value above its point, px: the first one at which the text is
+    /// inside the plot, covers no other text and crosses the fewest lines.
+    fn free_rise(&self, axes: &Axes, (x, y): Point, text: &str) -> f64 {
+        let Range { start: bottom, end: top } = axes.y.pixels;
+        let cost = |rise: &f64| {
+            let (.., corners) = text_place(axes, (x, y - rise), POINT_TEXT_DISTANCE, text);
+            let [(left, upper), (right, lower)] = corners;
+            let covers = |other: &[Point; 2]| {
+                other[0].0 < right && left < other[1].0 && other[0].1 < lower && upper < other[1].1
+            };
+            let is_taken = upper < top || bottom < lower || self.texts.iter().any(covers);
+            (is_taken, self.segments.iter().filter(|segment| crosses(**segment, corners)).count())
+        };
+        WORST_TEXT_RISES.into_iter().min_by_key(cost).unwrap_or_default()
     }
 
     /// An SVG file with a background and the styles for light and dark. `size` is in CSS pixels.
@@ -381,8 +403,40 @@ impl Drawing {
     }
 }
 
-/// Distance of a worst value's text above its point, px: more than half of the text's height.
-const WORST_TEXT_RISE: f64 = 12.0;
+/// Distances of a worst value's text above its point, px. Each is more than half of the text's
+/// height, because the point may lie on the line of its limit.
+const WORST_TEXT_RISES: [f64; 8] = [12.0, -12.0, 26.0, -26.0, 40.0, -40.0, 54.0, -54.0];
+/// Share of the plot's width between a point and its text.
+const POINT_TEXT_DISTANCE: f64 = 0.015;
+/// Mean width of a character and height of a text of 12 px.
+const CHARACTER_PIXELS: (f64, f64) = (6.7, 14.0);
+
+/// End of the text at the mark, its x, and the corners of the text. Right of an early mark and left
+/// of a late one, a settled response leaves room for text.
+fn text_place(axes: &Axes, (x, y): Point, distance: f64, text: &str) -> (TextEnd, f64, [Point; 2]) {
+    let Range { start: left, end: right } = axes.x.pixels;
+    let distance = distance * (right - left);
+    let (width, half) = (CHARACTER_PIXELS.0 * text.chars().count() as f64, CHARACTER_PIXELS.1 / 2.0);
+    let (end, at, from) = if x - left < 0.55 * (right - left) {
+        (TextEnd::Left, x + distance, x + distance)
+    } else {
+        (TextEnd::Right, x - distance, x - distance - width)
+    };
+    (end, at, [(from, y - half), (from + width, y + half)])
+}
+
+/// True if a part of the segment is between the corners. Clips the segment at each side
+/// (Liang and Barsky).
+fn crosses([start, end]: [Point; 2], [upper_left, lower_right]: [Point; 2]) -> bool {
+    let axes = [(start.0, end.0, upper_left.0, lower_right.0), (start.1, end.1, upper_left.1, lower_right.1)];
+    let (from, to) = axes.into_iter().fold((0.0_f64, 1.0_f64), |(from, to), (start, end, low, high)| {
+        // A quotient by 0 is infinite, or NaN on the side itself, which `max` and `min` ignore.
+        let [one, other] = [low, high].map(|side| (side - start) / (end - start));
+        (from.max(one.min(other)), to.min(one.max(other)))
+    });
+    from <= to
+}
+
 /// Height of the text of the first limit and distance to the text of the next one, as shares of the
 /// plot.
 const LOWEST_TEXT: f64 = 0.12;
@@ -595,6 +649,25 @@ mod tests {
             let styled = [format!(".s-{name} "), format!(".f-{name} ")].iter().any(|rule| RULES.contains(rule));
             assert!(styled || role == Role::Trial, "{name}");
         }
+    }
+
+    #[rstest]
+    #[case::free(&[], &[], 12.0)]
+    #[case::a_line_above(&[[(0.0, 88.0), (200.0, 88.0)]], &[], -12.0)]
+    #[case::lines_on_both_sides(&[[(0.0, 88.0), (200.0, 88.0)], [(70.0, 0.0), (70.0, 200.0)]], &[], -12.0)]
+    #[case::a_line_elsewhere(&[[(0.0, 88.0), (50.0, 88.0)], [(0.0, 0.0), (200.0, 20.0)]], &[], 12.0)]
+    #[case::a_text_above(&[], &[[(60.0, 80.0), (90.0, 94.0)]], -12.0)]
+    #[case::text_and_line(&[[(0.0, 110.0), (200.0, 110.0)]], &[[(60.0, 80.0), (90.0, 94.0)]], -26.0)]
+    fn the_text_of_a_worst_value_is_at_a_free_place(
+        #[case] segments: &[[Point; 2]],
+        #[case] texts: &[[Point; 2]],
+        #[case] expected: f64,
+    ) {
+        let axes = Axes { x: Axis::linear(0.0..1.0, 0.0..200.0), y: Axis::linear(0.0..1.0, 200.0..0.0) };
+        let drawing = Drawing { segments: segments.to_vec(), texts: texts.to_vec(), ..Drawing::default() };
+        assert_eq!(drawing.free_rise(&axes, (50.0, 100.0), "0.4 µm"), expected);
+        let low = Drawing::default().free_rise(&axes, (50.0, 5.0), "0.4 µm");
+        assert_eq!(low, -12.0, "the text is inside the plot");
     }
 
     #[test]

@@ -278,10 +278,21 @@
         plot.ctx.font = `600 ${12 * ratio}px system-ui, sans-serif`;
         plot.ctx.textAlign = right ? "left" : "right";
         plot.ctx.textBaseline = "middle";
-        const place = [x + (right ? 9 : -9) * ratio, Math.max(top + 8 * ratio, Math.min(top + height - 8 * ratio, y))];
-        // Moves a label below another label that is near.
-        while (labels.some(([left, above]) => Math.abs(left - place[0]) < 220 * ratio && Math.abs(above - place[1]) < 15 * ratio)) place[1] += 15 * ratio;
-        labels.push([...place]);
+        const start = x + (right ? 9 : -9) * ratio, wide = plot.ctx.measureText(text).width;
+        const [from, to] = right ? [start, start + wide] : [start - wide, start];
+        const [first, last] = [from, to].map((pixel) => plot.valToIdx(plot.posToVal(pixel, "x", true)));
+        const values = plot.series.flatMap((series, number) => number && series.show ? [...plot.data[number].slice(first, last + 1)] : []);
+        // A place inside the plot, over no other label, over few values, near its point.
+        const cost = (rise) => {
+          const middle = y - rise * ratio, is_near = (other) => Math.abs(other - middle) < 8 * ratio;
+          if (middle < top + 8 * ratio || middle > top + height - 8 * ratio) return Infinity;
+          const covered = labels.filter((other) => other.from < to && from < other.to && Math.abs(other.middle - middle) < 14 * ratio);
+          const crossed = values.filter((known) => known != null && is_near(plot.valToPos(known, "y", true)));
+          return 1e6 * covered.length + crossed.length + Math.abs(rise) / 8;
+        };
+        const rise = [12, -12, 26, -26, 40, -40].reduce((best, rise) => cost(rise) < cost(best) ? rise : best);
+        const place = [start, y - rise * ratio];
+        labels.push({ from, to, middle: place[1] });
         plot.ctx.lineWidth = 4 * ratio;
         plot.ctx.lineJoin = "round";
         plot.ctx.strokeStyle = colour(this.section, "--card", 0.85);
