@@ -18,6 +18,8 @@ pub const DEFAULT_REPLY_TIMEOUT: Duration = Duration::from_millis(500);
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
 /// Longest wait after a message that needs no answer.
 const OPTIONAL_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
+/// Number of parts of a wait for an answer.
+const WAIT_PARTS: u32 = 10;
 const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 const READ_CHUNK_BYTES: usize = 512;
 
@@ -97,9 +99,18 @@ impl<T: Tty> Link for Port<T> {
         let request = self.pending_requests.send(bytes);
         let start = Instant::now();
         self.write(bytes, start + WRITE_TIMEOUT)?;
-        let deadline = Instant::now() + self.answer_timeout(request);
+        let (mut left, mut last) = (self.answer_timeout(request), Instant::now());
+        let part = left / WAIT_PARTS;
         let mut read = answer.len();
-        while let Some(at) = self.read(deadline, answer)? {
+        while !left.is_zero() {
+            let planned = part.min(left);
+            let arrived = self.read(last + planned, answer)?;
+            let now = Instant::now();
+            // A longer part does not count in full, because the computer may have stood still, with
+            // the controller on it.
+            left = left.saturating_sub(now.saturating_duration_since(last).min(planned));
+            last = now;
+            let Some(at) = arrived else { continue };
             let mut is_answered = false;
             for &byte in answer.get(read..).unwrap_or_default() {
                 is_answered |= self.pending_requests.ends_wait(byte);
@@ -107,9 +118,6 @@ impl<T: Tty> Link for Port<T> {
             if is_answered {
                 self.is_silent = false;
                 return Ok(at.saturating_duration_since(start));
-            }
-            if at >= deadline {
-                break;
             }
             read = answer.len();
         }
@@ -265,10 +273,59 @@ mod tests {
 
     const SAMPLE: Message = Message::Sample(Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 });
 
+    const COMMAND: Command = Command {
+        target_time_us: 0,
+        drive_vpp: 1.0,
+        frequency_mhz: 32_307_600,
+        state: ControllerState::Running,
+        cause: StateCause::None,
+        flags: 0,
+        compute_us: 0,
+    };
+
     fn is_answered(request: Packet, answer: Packet) -> bool {
         let mut pending = PendingRequests::default();
         assert_ne!(pending.send(request.encode().as_bytes()), Request::None);
         answer.encode().as_bytes().iter().any(|&byte| pending.ends_wait(byte))
+    }
+
+    /// Answers the second read. Before that, the computer stands still until after the time-out.
+    struct StalledTerminal {
+        stall: Duration,
+        answer: Vec<u8>,
+        reads: u32,
+    }
+
+    impl Tty for StalledTerminal {
+        fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError> {
+            self.reads += 1;
+            if self.reads == 1 {
+                std::thread::sleep(until.saturating_duration_since(Instant::now()) + self.stall);
+                return Ok(None);
+            }
+            let answer = std::mem::take(&mut self.answer);
+            buffer[..answer.len()].copy_from_slice(&answer);
+            Ok((!answer.is_empty()).then_some(answer.len()))
+        }
+
+        fn write(&mut self, bytes: &[u8], _until: Instant) -> Result<Option<usize>, LinkError> {
+            Ok(Some(bytes.len()))
+        }
+    }
+
+    #[rstest]
+    #[case::late_answer(Some(Message::Command(COMMAND)))]
+    #[case::silence(None)]
+    fn a_stall_of_the_computer_does_not_count(#[case] answer: Option<Message>) {
+        let timeout = Duration::from_millis(20);
+        let answer = answer.map(|message| Packet { sequence: 7, message }.encode().as_bytes().to_vec());
+        let answer = answer.unwrap_or_default();
+        let terminal = StalledTerminal { stall: 2 * timeout, answer: answer.clone(), reads: 0 };
+        let mut port = Port::new(terminal).with_reply_timeout(timeout);
+        let sample = Packet { sequence: 7, message: SAMPLE }.encode();
+        let mut received = Vec::new();
+        port.exchange(Duration::ZERO, sample.as_bytes(), &mut received).unwrap();
+        assert_eq!((&received, port.is_silent), (&answer, answer.is_empty()));
     }
 
     #[rstest]
@@ -278,21 +335,12 @@ mod tests {
     #[case::first_one_behind(7 + 128, false)]
     #[case::previous(6, false)]
     fn a_number_ahead_ends_the_wait_for_a_command(#[case] sequence: u8, #[case] expected: bool) {
-        let command = Command {
-            target_time_us: 0,
-            drive_vpp: 1.0,
-            frequency_mhz: 32_307_600,
-            state: ControllerState::Running,
-            cause: StateCause::None,
-            flags: 0,
-            compute_us: 0,
-        };
-        let answer = Packet { sequence, message: Message::Command(command) };
+        let answer = Packet { sequence, message: Message::Command(COMMAND) };
         assert_eq!(is_answered(Packet { sequence: 7, message: SAMPLE }, answer), expected);
         // The confirmation of 0 V has the number of its request.
         assert_eq!(is_answered(Packet { sequence: 7, message: Message::Safe }, answer), sequence == 7);
         // A stopped controller may use any number, and only the expected one ends the wait.
-        let stopped = Command { state: ControllerState::Safe, ..command };
+        let stopped = Command { state: ControllerState::Safe, ..COMMAND };
         let answer = Packet { sequence, message: Message::Command(stopped) };
         assert_eq!(is_answered(Packet { sequence: 7, message: SAMPLE }, answer), sequence == 7);
     }

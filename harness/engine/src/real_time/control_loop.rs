@@ -124,6 +124,8 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             self.timing.counts.periods += 1;
             self.timing.counts.overruns += 1;
             self.timing.counts.skipped += 1;
+            // The bench stood still. This time is no silence of the controller.
+            self.last_received += self.time_base.wall_duration(self.period);
             self.timing.lateness.record(lateness);
             self.plant.push_row(to_micros(lateness), Flags::OVERRUN);
             return Ok(());
@@ -632,5 +634,56 @@ mod tests {
         let is_marked = last.flags.contains(Flags::LINK_LOST) || timing.skipped > 0;
         assert!(is_marked && result.link_error.is_none(), "{last:?} {timing:?}");
         assert!(timing.missed_replies > 0 || timing.skipped > 0, "{timing:?}");
+    }
+    /// Stalls the bench for 400 ms at one sample. From then on, the controller is silent for 25
+    /// samples.
+    struct StalledLink {
+        inner: HostedLink,
+        samples: u32,
+    }
+
+    impl StalledLink {
+        fn is_silent(&self) -> bool {
+            (10..35).contains(&self.samples)
+        }
+    }
+
+    impl Link for StalledLink {
+        fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+            let mut packets = PacketReader::new();
+            if packets.packets(bytes).flatten().any(|packet| matches!(packet.message, Message::Sample(_))) {
+                self.samples += 1;
+                thread::sleep(Duration::from_millis(if self.samples == 10 { 400 } else { 0 }));
+            }
+            let before = answer.len();
+            let took = self.inner.exchange(now, bytes, answer);
+            answer.truncate(if self.is_silent() { before } else { answer.len() });
+            took
+        }
+
+        fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+            let before = received.len();
+            let advanced = self.inner.advance_to(now, received);
+            received.truncate(if self.is_silent() { before } else { received.len() });
+            advanced
+        }
+
+        fn restart(&mut self) -> Result<bool, LinkError> {
+            self.inner.restart()
+        }
+    }
+
+    #[test]
+    fn a_stall_of_the_bench_is_no_silence_of_the_controller() {
+        let mut scenario = scenario("paper/fig13-closed-loop.toml");
+        scenario.duration = Time::from_nanos(700_000_000);
+        let link = StalledLink { inner: HostedLink::new(), samples: 0 };
+        let mut session = Session::open(FaultInjector::new(WallClockLink::new(link))).unwrap();
+        let trial = Trial { own_clock: true, ..Trial::new(&scenario, LawId::DqPi, 0) };
+        let time_base = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
+        let result = crate::real_time::play(&mut session, trial, time_base).unwrap();
+        assert!(result.link_error.is_none(), "{:?}", result.link_error);
+        let timing = result.telemetry.timing.unwrap();
+        assert!(timing.skipped >= 300 && timing.missed_replies >= 20, "{timing:?}");
     }
 }
