@@ -13,7 +13,8 @@ use platebench_plate::{Profile, Time};
 
 /// Twice the error of an on-chip oscillator, 1 %. A wrongly configured timer is off by a factor.
 const CLOCK_TOLERANCE_PPM: f64 = 20_000.0;
-/// Longest stall of the computer that may falsify the measured clock.
+/// Longest stall of the computer that may falsify the measured clock. A silence that begins this
+/// soon after a late bench is a consequence of the same stall.
 const STALL_S: f64 = 0.05;
 /// Instants are rounded to whole nanoseconds.
 const INSTANT_ROUNDING_S: f64 = 0.5e-9;
@@ -27,17 +28,29 @@ pub(crate) fn find_exclusion(scenario: &Scenario, rows: &[Row], telemetry: &Tele
     let timing = telemetry.timing.as_ref();
     let clock = timing.filter(|timing| timing.pacing == "target");
     let clock = clock.and_then(|timing| timing.target_clock_ppm.zip(timing.target_clock_error_ppm));
-    unplanned_silence(scenario, rows)
+    let silences = || rows.iter().enumerate().filter(|(_, row)| is_unplanned_silence(scenario, row));
+    let no_answer = |(_, row): (usize, &Row)| Exclusion::NoAnswer { at_ms: rounded_ms(row.t_s) };
+    silences()
+        .find(|(index, _)| !follows_late_bench(rows, *index))
+        .map(no_answer)
         .or_else(|| late_bench(scenario, rows))
+        .or_else(|| silences().next().map(no_answer))
         .or_else(|| clock.and_then(|(ppm, error)| wrong_clock(scenario, ppm, error)))
         .or_else(|| lost_rows(timing.map_or(0, |timing| timing.lost_rows)))
         .or_else(|| incomplete_trace(scenario, rows))
 }
 
-fn unplanned_silence(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {
-    let is_planned = |row: &&Row| Time::from_seconds(row.t_s).is_some_and(|time| scenario.explains_silence(time));
-    let mut flagged = rows.iter().filter(|row| row.flags.contains(Flags::LINK_LOST));
-    flagged.find(|row| !is_planned(row)).map(|row| Exclusion::NoAnswer { at_ms: rounded_ms(row.t_s) })
+fn is_unplanned_silence(scenario: &Scenario, row: &Row) -> bool {
+    let is_planned = || Time::from_seconds(row.t_s).is_some_and(|time| scenario.explains_silence(time));
+    row.flags.contains(Flags::LINK_LOST) && !is_planned()
+}
+
+/// True if the bench was late shortly before the row. The stall may also have delayed a controller
+/// on the same computer.
+fn follows_late_bench(rows: &[Row], index: usize) -> bool {
+    let Some((row, earlier)) = rows.get(..=index).and_then(<[Row]>::split_last) else { return false };
+    let is_near = |before: &&Row| row.t_s - before.t_s <= STALL_S;
+    earlier.iter().rev().take_while(is_near).any(|before| before.flags.contains(Flags::OVERRUN))
 }
 
 fn late_bench(scenario: &Scenario, rows: &[Row]) -> Option<Exclusion> {

@@ -90,6 +90,14 @@ fn finds_disturbances_in_the_trace() {
     assert_eq!(flagged(Flags::LINK_LOST), inconclusive(Cause::Rig));
     assert_eq!(flagged(Flags::OVERRUN), inconclusive(Cause::Bench));
     assert_eq!(flagged(Flags::LINK_LOST | Flags::OVERRUN), inconclusive(Cause::Rig));
+    let flagged_at = |late: usize, silent: usize| {
+        let mut rows = good.clone();
+        rows[late].flags |= Flags::OVERRUN;
+        rows[silent].flags |= Flags::LINK_LOST;
+        judge_rows(&scenario, &rows)
+    };
+    assert_eq!(flagged_at(680, 700), inconclusive(Cause::Bench), "a silence just after a late bench");
+    assert_eq!(flagged_at(720, 700), inconclusive(Cause::Rig), "a silence before a late bench");
     assert_eq!(flagged(Flags::SATURATED), PASS);
     assert_eq!(judge_rows(&scenario, &good[..1_200]), inconclusive(Cause::Bench), "the last row is missing");
     assert_eq!(judge_rows(&scenario, &good[1..]), inconclusive(Cause::Bench), "the first row is missing");
