@@ -14,7 +14,7 @@ use platebench_lab::acceptance::{
     AcceptError, AcceptancePlan, PublicKey, SecretKey, SessionConfig, SessionDetails, SessionHooks, SessionObserver,
     SessionRecord, Signer, page, play_session, verify,
 };
-use platebench_lab::boards::BoardOutcome;
+use platebench_lab::boards::{BoardOutcome, Inventory};
 use platebench_model::record::Verdict;
 use platebench_report::format::count;
 use platebench_report::{Progress, ProgressKind};
@@ -180,7 +180,11 @@ fn is_resumable(error: &AcceptError) -> bool {
 
 fn session_config(arguments: &SessionArgs) -> Result<SessionConfig, Failure> {
     let rig = arguments.board.find_rig()?.or_else(|| arguments.rig.clone());
-    let rig = rig.ok_or("--rig is missing, expected --rig RIG or --board NAME").or_invalid()?;
+    let Some(rig) = rig else {
+        let known = Inventory::open(arguments.board.selection.boards.as_deref());
+        let known = known.map_or_else(|_| String::new(), |inventory| format!(" with one of {}", inventory.names()));
+        return Err(Failure::invalid(&format!("--rig is missing, expected --rig RIG or --board NAME{known}")));
+    };
     rig.check().or_invalid()?;
     let (time_scale, pacing) = (arguments.time_scale, arguments.pacing);
     let request = ClockRequest { time_scale, pacing, ..ClockRequest::new(&rig, arguments.clock) };
