@@ -49,15 +49,26 @@ impl<'a, 'p> Shrinker<'a, 'p> {
             let demands = self.config.demands(&original);
             return Ok(MinimalScene { scene: original, demands, failure, is_reproduced: false, replays: self.replays });
         };
-        let with_history = |scene: Scene| match &earlier {
-            Some(earlier) => Scene { earlier: earlier.clone(), count: 2, ..scene },
-            None => scene,
+        // First removes the check of the protocol, because it takes most of the time of a replay.
+        let mut script_seed = original.script_seed;
+        if script_seed.is_some() {
+            let scene = Scene { script_seed: None, ..best.0.clone() };
+            if let Some(failure) = self.replay(&scene, property)? {
+                (best, script_seed) = ((scene, failure), None);
+            }
+        }
+        let candidate = |scene: Scene| {
+            let scene = Scene { script_seed: scene.script_seed.and(script_seed), ..scene };
+            match &earlier {
+                Some(earlier) => Scene { earlier: earlier.clone(), count: 2, ..scene },
+                None => scene,
+            }
         };
         // A derived scene has no drawn numbers of its own.
         let mut tree = self.config.generator().tree(failed.index).map_err(ExploreError::Strategy)?;
         if tree.current() == original && tree.simplify() {
             loop {
-                let scene = with_history(tree.current());
+                let scene = candidate(tree.current());
                 let failure = self.replay(&scene, property)?;
                 let goes_on = if let Some(failure) = failure {
                     best = (scene, failure);
