@@ -1,5 +1,5 @@
-//! Plays a campaign in 8 shards on an engine, kills shards, and compares the results with those of
-//! one thread.
+//! Plays a campaign in shards on an engine, kills shards, and compares the results with those of one
+//! thread.
 
 use crate::board_matrix::start_line;
 use crate::campaign::{self, results};
@@ -13,6 +13,7 @@ use std::thread;
 use std::time::Duration;
 
 const KILLS: usize = 3;
+const SHARDS: u32 = 4;
 
 fn kill_a_shard(folder: &Path, random: usize) -> bool {
     let is_shard = |process: &String| {
@@ -31,7 +32,7 @@ fn kill_a_shard(folder: &Path, random: usize) -> bool {
 pub(crate) fn assert_same_bytes(engine: &str, begin: &str, start: &dyn Fn(&Path, &str) -> ChildGuard, exit: i32) {
     let folder = campaign::folder("[plan]\nmethod = \"random\"\ntrials = 4000\n");
     let alone = folder.bench(["campaign", "run", "campaign.toml", "--jobs", "1", "--out", "alone"]).exit;
-    campaign::plan(&folder, "c", 8);
+    campaign::plan(&folder, "c", SHARDS);
     let printed = folder.bench(["campaign", "submit", "c", "--on", engine]).assert_exit(0).stdout;
     let line = printed.lines().find(|line| line.starts_with(begin)).unwrap();
     let mut submission = start(folder.path(), line);
@@ -72,6 +73,8 @@ impl Slurm {
         let [control, node] = sockets.each_ref().map(|socket| socket.local_addr().unwrap().port());
         drop(sockets);
         let path = folder.path().display();
+        // By default Slurm starts a task every 3 s. `sbatch --wait` asks after 2, 10 and 42 s, so the
+        // tasks must end within 10 s.
         let config = format!(
             "ClusterName=test\nSlurmctldHost={host}(127.0.0.1)\nAuthType=auth/none\nCredType=cred/none\n\
              SlurmUser={user}\nSlurmdUser={user}\nSlurmctldPort={control}\nSlurmdPort={node}\n\
@@ -79,7 +82,8 @@ impl Slurm {
              SlurmctldPidFile={path}/slurmctld.pid\nSlurmdPidFile={path}/slurmd.pid\n\
              ProctrackType=proctrack/linuxproc\nTaskPlugin=task/none\nSelectType=select/cons_tres\n\
              ReturnToService=2\nMpiDefault=none\nSlurmdParameters=config_overrides\n\
-             NodeName={host} NodeAddr=127.0.0.1 CPUs=2 State=UNKNOWN\n\
+             SchedulerParameters=batch_sched_delay=0,sched_min_interval=0,sched_interval=1\n\
+             NodeName={host} NodeAddr=127.0.0.1 CPUs={SHARDS} State=UNKNOWN\n\
              PartitionName=all Nodes=ALL Default=YES State=UP\n"
         );
         fs::write(folder.path().join("slurm.conf"), config).unwrap();
