@@ -9,7 +9,9 @@ mod hyperqueue;
 mod labgrid;
 
 use crate::boards::{inventory, state_of};
-use crate::test_folder::{ChildGuard, SETTLING, TestFolder, bench_command, start_bench, step_text, wait_until};
+use crate::test_folder::{
+    ChildGuard, SETTLING, TestFolder, bench_command, lock_heavy_load, start_bench, step_text, wait_until,
+};
 use platebench_model::record::Verdict;
 use platebench_test_kit::workspace_root;
 use std::fs;
@@ -139,6 +141,7 @@ fn two_controllers_on_one_board_would_be_noticed() {
 
 #[test]
 fn eight_boards_share_a_regression() {
+    let _guard = lock_heavy_load();
     let folder = lab(2);
     let minute = TestFolder::with_minute();
     folder.write("minute.toml", &minute.read("scenarios/s.toml").replace("\"plates/", "\"scenarios/plates/"));
@@ -186,6 +189,7 @@ fn eight_boards_share_a_regression() {
 
 #[test]
 fn eight_boards_share_an_acceptance() {
+    let _guard = lock_heavy_load();
     let folder = lab(1);
     write_plan(&folder);
     let mut worker = start_session(&folder, KILLED);

@@ -12,6 +12,7 @@ use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
@@ -22,6 +23,14 @@ pub(crate) const PLATE: &str = "scenarios/plates/aluminium-198x138.toml";
 pub(crate) const SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
 /// With `dq-pi` the paper's plate settles in 1.96 ms, so this limit is not met.
 pub(crate) const FAILED_SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 1.9";
+
+static HEAVY_LOAD: Mutex<()> = Mutex::new(());
+
+/// Waits until no other test holds the guard. For tests that start many programs at once, and for
+/// tests that need replies within milliseconds.
+pub(crate) fn lock_heavy_load() -> MutexGuard<'static, ()> {
+    HEAVY_LOAD.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// Removes environment variables of the tests that would change the output of the program.
 pub(crate) fn bench_command(folder: &Path) -> Command {

@@ -3,7 +3,7 @@
 use super::{DEAD, HEALTHY, KILLED, WRONG_CHIP, boards, clear_killed, kill_first_bench, lab, start_line};
 use crate::boards::state_of;
 use crate::campaign_engines;
-use crate::test_folder::{ChildGuard, TestFolder};
+use crate::test_folder::{ChildGuard, TestFolder, lock_heavy_load};
 use platebench_model::record::{RunRecord, Verdict};
 use platebench_test_kit::{skip_without, workspace_root};
 use std::fs;
@@ -51,6 +51,7 @@ fn the_recipe_of_the_page_plays_all_shards_on_hyperqueue() {
     if !has_hyperqueue() {
         return;
     }
+    let _guard = lock_heavy_load();
     let page = fs::read_to_string(workspace_root().join("docs/several-boards.md")).unwrap();
     let recipe = page.lines().find(|line| line.starts_with("hq submit")).unwrap();
     let folder = lab(8);

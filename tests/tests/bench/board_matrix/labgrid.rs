@@ -1,15 +1,16 @@
 //! Tests the labgrid commands of the documentation with a coordinator and one place per board.
 
-use super::{
-    DEAD, HEALTHY, KILLED, WRONG_CHIP, assert_states, boards, clear_killed, kill_first_bench, lab, start_line,
-    write_plan,
-};
-use crate::test_folder::{ChildGuard, SETTLING, TestFolder, wait_until};
+use super::{DEAD, KILLED, WRONG_CHIP, assert_states, clear_killed, kill_first_bench, lab, start_line, write_plan};
+use crate::test_folder::{ChildGuard, SETTLING, TestFolder, lock_heavy_load, wait_until};
 use platebench_model::record::{ClockKind, RunRecord, Verdict};
 use platebench_test_kit::{serve_board, skip_without, workspace_root};
 use std::fs;
 use std::net::{Ipv4Addr, TcpListener};
 use std::process::{Command, Stdio};
+
+const HEALTHY: [&str; 2] = [super::HEALTHY[0], super::HEALTHY[1]];
+/// Boards with a place. Each labgrid command takes a second of computing time, so these are not all.
+const PLACES: [&str; 5] = [HEALTHY[0], HEALTHY[1], KILLED, DEAD, WRONG_CHIP];
 
 struct Labgrid {
     folder: TestFolder,
@@ -39,7 +40,7 @@ impl Labgrid {
         let page = fs::read_to_string(workspace_root().join("docs/several-boards.md")).unwrap();
         let create: Vec<_> = page.lines().filter(|line| line.starts_with("labgrid-client -p left")).collect();
         assert_eq!(create.len(), 2);
-        for board in boards() {
+        for board in PLACES {
             for line in &create {
                 self.line(&line.replace("left", board)).finish().assert_exit(0);
             }
@@ -51,7 +52,7 @@ impl Labgrid {
     }
 
     fn assert_free(&self) {
-        for board in boards() {
+        for board in PLACES {
             self.line(&format!("labgrid-client -p {board} release")).finish().assert_message(1, &["not acquired"]);
         }
     }
@@ -66,6 +67,7 @@ fn recipe(word: &str, board: &str) -> String {
 
 #[test]
 fn the_recipe_of_the_page_uses_each_place_once_at_a_time() {
+    let _guard = lock_heavy_load();
     let folder = lab(1);
     folder.write("platebench.toml", "[run]\nclock = \"lockstep\"\n");
     write_plan(&folder);
@@ -75,7 +77,7 @@ fn the_recipe_of_the_page_uses_each_place_once_at_a_time() {
     let start = |board: &'static str, name: &str| {
         (board, labgrid.line(&recipe("platebench run", board).replace("runs/", &format!("runs/{name}"))))
     };
-    let mut tasks: Vec<_> = boards().map(|board| start(board, "")).collect();
+    let mut tasks: Vec<_> = PLACES.map(|board| start(board, "")).into();
     tasks.push(start(HEALTHY[0], "again-"));
     for (board, task) in tasks {
         let expected = match board {
