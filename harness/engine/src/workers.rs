@@ -170,6 +170,7 @@ mod tests {
     use super::*;
     use rstest::rstest;
     use std::sync::atomic::AtomicU32;
+    use std::time::Instant;
 
     #[rstest]
     fn results_have_the_order_of_the_tasks(#[values(0, 1, 4, 200)] jobs: usize) {
@@ -206,6 +207,10 @@ mod tests {
             Ok::<_, u32>(())
         };
         let outcome = run_workers([(), ()], source, work, &mut |task: u32| {
+            while started.load(Ordering::Relaxed) < 2 {
+                thread::yield_now();
+            }
+            // The queue becomes full.
             thread::sleep(Duration::from_millis(20));
             Err(task)
         });
@@ -215,9 +220,9 @@ mod tests {
 
     #[test]
     fn wakes_the_sink_while_no_result_arrives() {
-        struct WakingSink(u32);
+        struct WakingSink<'a>(&'a AtomicBool);
 
-        impl ResultSink<u32, ()> for WakingSink {
+        impl ResultSink<u32, ()> for WakingSink<'_> {
             fn receive(&mut self, _: u32) -> Result<ControlFlow<()>, ()> {
                 Ok(ControlFlow::Break(()))
             }
@@ -227,18 +232,21 @@ mod tests {
             }
 
             fn wake(&mut self) -> Result<(), ()> {
-                self.0 += 1;
+                self.0.store(true, Ordering::Relaxed);
                 Ok(())
             }
         }
 
-        let mut sink = WakingSink(0);
+        let is_awake = AtomicBool::new(false);
         let work = |(): &mut (), (), emit: &mut Emit<'_, u32>| {
-            thread::sleep(Duration::from_millis(50));
+            let start = Instant::now();
+            while !is_awake.load(Ordering::Relaxed) && start.elapsed() < Duration::from_mins(1) {
+                thread::yield_now();
+            }
             emit(1);
             Ok(())
         };
-        assert_eq!(run_workers([()], || Some(()), work, &mut sink), Ok(()));
-        assert!(sink.0 > 0);
+        assert_eq!(run_workers([()], || Some(()), work, &mut WakingSink(&is_awake)), Ok(()));
+        assert!(is_awake.into_inner());
     }
 }
