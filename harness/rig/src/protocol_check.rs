@@ -34,8 +34,15 @@ const VARIATIONS: [Variation; 6] = [
 /// Relative change of the components Wd and Wq, about 17 times the resolution of single precision.
 const ROUNDING: f32 = 2e-6;
 /// Largest number of attempts at a script. A lost answer repeats the script only if the line may
-/// have lost it, a stall of the host only if the target runs in wall time.
+/// have lost it, a late answer or a stall of the host only if the target runs in wall time.
 const ATTEMPTS: usize = 3;
+/// Longest wait for an answer after the time-out of the link. The host may have delayed a
+/// controller that is a program on it.
+const LATE_ANSWER: Duration = Duration::from_secs(1);
+/// Time without a byte after which nothing more is expected.
+const QUIET: Duration = Duration::from_millis(20);
+/// After this many answers that never came, the check waits for no further late one.
+const MAX_LOST_ANSWERS: u32 = 3;
 /// Shortest watchdog timeout of scripts that do not test the watchdog, because an exchange over an
 /// emulated line takes milliseconds.
 const MIN_WATCHDOG_MS: u16 = 1_000;
@@ -103,13 +110,14 @@ pub fn check_protocol(
         now: Duration::ZERO,
         history: CommandHistory::default(),
         speed: Speed::default(),
+        lost_answers: 0,
     };
     let mut check = ProtocolCheck::default();
     let kind = player.link.kind();
     let may_repeat = |difference: &CommandDifference| match difference.other_cause {
         None => false,
         Some(BenchCause::NoAnswer) => kind == LinkKind::Lossy,
-        Some(BenchCause::LateTicks | BenchCause::Stall) => kind != LinkKind::Simulated,
+        Some(BenchCause::LateAnswer | BenchCause::LateTicks | BenchCause::Stall) => kind != LinkKind::Simulated,
     };
     let scripts = if messages.is_empty() {
         scripts::scripts(&base, identity, seed, own_law)
@@ -189,9 +197,28 @@ struct Player<'a> {
     now: Duration,
     history: CommandHistory,
     speed: Speed,
+    lost_answers: u32,
 }
 
 impl Player<'_> {
+    /// Reads the line after the link's time-out. True if a message arrives, so that it was late.
+    fn await_late_answer(&mut self) -> Result<bool, LinkError> {
+        if !self.own_clock || self.lost_answers == MAX_LOST_ANSWERS {
+            return Ok(false);
+        }
+        let (start, mut late) = (Instant::now(), Vec::new());
+        while start.elapsed() < LATE_ANSWER {
+            let known = late.len();
+            thread::sleep(QUIET);
+            self.link.advance_to(self.now, &mut late)?;
+            if late.len() == known && !comparison::packets(&late).is_empty() {
+                return Ok(true);
+            }
+        }
+        self.lost_answers += 1;
+        Ok(false)
+    }
+
     fn play(&mut self, script: &Script) -> Result<Option<CommandDifference>, LinkError> {
         let is_varied = self.scope == ComparisonScope::Numbers && script.is_varied;
         let varied = if is_varied { &VARIATIONS[..] } else { &[] };
@@ -247,9 +274,15 @@ impl Player<'_> {
             let silence = exchange.wait.max(self.period)..=longest;
             let compared = comparison.compare(&received, &answers, silence, &mut self.history);
             if let Err(CommandDifference { text, other_cause }) = compared {
-                // A stall of the host may change an answer, but does not suppress it.
-                let is_stall = is_stalled && other_cause != Some(BenchCause::NoAnswer);
-                let other_cause = if is_stall { Some(BenchCause::Stall) } else { other_cause };
+                let is_late = other_cause == Some(BenchCause::NoAnswer) && self.await_late_answer()?;
+                let other_cause = match other_cause {
+                    Some(BenchCause::NoAnswer) if is_late => Some(BenchCause::LateAnswer),
+                    // A stall of the host may change an answer, but does not suppress it.
+                    Some(BenchCause::NoAnswer) => other_cause,
+                    _ if is_stalled => Some(BenchCause::Stall),
+                    _ => other_cause,
+                };
+                let text = if is_late { format!("{text}; a message arrived after the time-out") } else { text };
                 return Ok(Some(CommandDifference { text: format!("exchange {}: {text}", number + 1), other_cause }));
             }
         }
@@ -600,6 +633,61 @@ mod tests {
     fn only_a_lossy_line_may_lose_an_answer(#[case] kind: LinkKind, #[case] differences: usize, #[case] repeats: u32) {
         let found = check(kind, |number, packets| packets.retain(|_| number != 7));
         assert_eq!((found.differences.len(), found.repeats), (differences, repeats), "{found:?}");
+    }
+
+    /// Delays the answers to samples past the time-out: the first `delayed` ones, from the second on.
+    struct LateLink {
+        device: HostedLink,
+        delayed: usize,
+        late: Vec<u8>,
+        is_lost: bool,
+    }
+
+    impl Link for LateLink {
+        fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+            let mut own = Vec::new();
+            let took = self.device.exchange(now, bytes, &mut own)?;
+            let is_sample = matches!(packets(bytes).as_slice(), [Packet { message: Message::Sample(_), .. }]);
+            if is_sample && self.delayed > 0 {
+                self.delayed -= 1;
+                self.late.extend(own);
+            } else {
+                answer.extend(own);
+            }
+            Ok(took)
+        }
+
+        fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+            if !self.is_lost {
+                received.append(&mut self.late);
+            }
+            self.device.advance_to(now, received)
+        }
+
+        fn kind(&self) -> LinkKind {
+            LinkKind::Lossless
+        }
+    }
+
+    #[rstest]
+    #[case::late_once(1, false, 1, "")]
+    #[case::late_twice(2, false, 2, "")]
+    #[case::always_late(3, false, 2, "exchange 2: no answer, expected command")]
+    #[case::lost(1, true, 0, "exchange 2: no answer, expected command")]
+    fn a_late_answer_of_a_program_repeats_the_script(
+        #[case] delayed: usize,
+        #[case] is_lost: bool,
+        #[case] repeats: u32,
+        #[case] text: &str,
+    ) {
+        let configure = toml::from_str::<ScenarioMessage>("kind = 'configure'").unwrap();
+        let messages = [configure, ScenarioMessage::sample(2.0, 1.2, -0.2)];
+        let identity = *Session::open(HostedLink::new()).unwrap().identity();
+        let mut link = LateLink { device: HostedLink::new(), delayed, late: Vec::new(), is_lost };
+        let options = CheckOptions { own_clock: true, messages: &messages, ..SCRIPTS };
+        let found = check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap();
+        assert_eq!((found.repeats, found.differences.len()), (repeats, usize::from(!text.is_empty())), "{found:?}");
+        assert!(found.differences.iter().all(|difference| difference.contains(text)), "{found:?}");
     }
 
     #[test]

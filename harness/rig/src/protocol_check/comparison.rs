@@ -49,8 +49,10 @@ pub(super) struct CommandDifference {
 /// A cause other than the controller that may explain a difference.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum BenchCause {
-    /// The line may have lost an answer or delivered it late.
+    /// The line may have lost an answer.
     NoAnswer,
+    /// The host may have delayed a controller that is a program on it.
+    LateAnswer,
     /// The host may have sent the ticks late.
     LateTicks,
     /// The host may have been late with an exchange.
