@@ -33,6 +33,8 @@ struct Exchange {
     /// A controller in the state *fault* answers a sample, or reports a stop under the number of
     /// the last sample, which has an answer already.
     fault: Option<Content>,
+    /// True if a *configured* message has answered a configuration.
+    is_configured: bool,
 }
 
 #[derive(Debug)]
@@ -115,9 +117,13 @@ impl CommandAudit {
             }
             Message::Telemetry(telemetry) => self.check_drive(telemetry.drive_vpp),
             Message::Configured(Configured { outcome }) => {
-                let exchange = self.exchanges.get(usize::from(packet.sequence));
-                let is_answer = exchange.is_some_and(|exchange| exchange.request == Request::Configuration);
-                self.is_safe &= !is_answer || outcome.is_err();
+                let exchange = self.exchanges.get_mut(usize::from(packet.sequence));
+                let Some(exchange) = exchange.filter(|exchange| exchange.request == Request::Configuration) else {
+                    return;
+                };
+                self.second_replies += u64::from(exchange.is_configured);
+                exchange.is_configured = true;
+                self.is_safe &= outcome.is_err();
             }
             _ => {}
         }

@@ -421,8 +421,8 @@ fn doubled_answers_are_no_invented_confirmation() {
     let mut session = chatty_session(Chatter::Doubled);
     assert!(session.request_safe_state());
     session.send_sample(Duration::from_millis(1), &AT_REST).unwrap().unwrap();
-    // The sample, the request for 0 V, and the sample in the state *safe*.
-    assert_eq!((session.second_replies(), session.contradictions()), (3, 0));
+    // The configuration, the sample, the request for 0 V, and the sample in the state *safe*.
+    assert_eq!((session.second_replies(), session.contradictions()), (4, 0));
     assert_eq!((session.unrequested_confirmations(), session.observe_safe_state()), (0, None));
 }
 
