@@ -185,8 +185,8 @@ impl PendingRequests {
         for packet in self.requests.packets(bytes).flatten() {
             let request = match packet.message {
                 Message::Sample(_) => Request::Sample,
-                Message::Hello | Message::Configure(_) => Request::Setup,
-                Message::Setpoint(_) | Message::Safe => Request::Other,
+                Message::Hello | Message::Configure(_) | Message::Safe => Request::Setup,
+                Message::Setpoint(_) => Request::Other,
                 _ => continue,
             };
             (self.expected, self.request) = (Some(packet.sequence), request);
