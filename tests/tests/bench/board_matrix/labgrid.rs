@@ -9,7 +9,7 @@ use std::net::{Ipv4Addr, TcpListener};
 use std::process::{Command, Stdio};
 
 const HEALTHY: [&str; 2] = [super::HEALTHY[0], super::HEALTHY[1]];
-/// Boards with a place. Each labgrid command takes a second of computing time, so these are not all.
+/// Boards with a place. These are not all, because a board takes a dozen commands of Python.
 const PLACES: [&str; 5] = [HEALTHY[0], HEALTHY[1], KILLED, DEAD, WRONG_CHIP];
 
 struct Labgrid {
