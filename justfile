@@ -10,7 +10,7 @@ run *ARGS:
 
 # Compile everything and check lints.
 check:
-    cargo clippy --workspace --all-targets --locked --ignore-rust-version -- -D warnings
+    cargo clippy --workspace --all-targets --features platebench-rig/probe --locked --ignore-rust-version -- -D warnings
 
 # Format the code.
 format:
