@@ -33,7 +33,9 @@ fn the_example_controller_answers_as_the_protocol_says() {
     let rig = format!("exec:{python} '{}' {{port}}", controller.display());
     let scenario = workspace_root().join("scenarios/reference/protocol.toml");
     let scenario = scenario.to_string_lossy();
-    folder.bench(["run", &*scenario, "--out", "run", "--rig", &rig]).assert_exit(0);
+    // On a busy machine, a reply may take longer than the default 500 ms.
+    let patient = ["--reply-timeout", "5000"];
+    folder.bench(["run", &*scenario, "--out", "run", "--rig", &rig].into_iter().chain(patient)).assert_exit(0);
 }
 
 #[test]
