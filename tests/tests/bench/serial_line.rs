@@ -136,9 +136,8 @@ fn a_busy_port_error_names_the_other_bench() {
     let folder = TestFolder::with_minute();
     let board = SimulatedBoard::new();
     let rig = format!("serial:{}", board.path);
-    // The first bench must not lose its controller on a busy machine: a reply may take 1 s.
-    let first = ["run", "--rig", &rig, "--time-scale", "0.02", "--out", "first"];
-    let mut first = start_bench(folder.path(), first);
+    // The first bench must not lose its controller on a busy machine.
+    let mut first = start_bench(folder.path(), ["run", "--rig", &rig, "--reply-timeout", "5000", "--out", "first"]);
     wait_until("the first bench never ran", || board.samples.load(Ordering::Relaxed) > 20);
 
     let holder = format!("in use by process {} ", first.0.id());
