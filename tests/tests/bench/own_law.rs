@@ -66,8 +66,12 @@ fn unwrapped(output: &ProgramOutput) -> String {
 }
 
 /// Of these, the first applies in full, the second in part, the others not at all.
-const SCENARIOS: [&str; 4] =
-    ["paper/fig13-closed-loop.toml", "faults/lost-command.toml", "paper/fig13-open-loop.toml", "guards/hot-plate.toml"];
+const SCENARIOS: [&str; 4] = [
+    "paper/fig13-closed-loop.toml",
+    "faults/lost-command.toml",
+    "paper/fig13-open-loop.toml",
+    "guards/low-setpoints.toml",
+];
 
 #[rstest]
 #[case::announces_no_law(ANNOUNCES_NONE, &[])]
@@ -104,13 +108,18 @@ fn the_rules_of_the_protocol_hold_for_an_own_law(#[case] step: &str, #[case] exi
 }
 
 #[rstest]
-#[case::wrong_sign_of_the_frequency_loop("self.law.step(setpoint, wd, -wq)")]
+#[case::wrong_sign_of_the_frequency_loop("self.law.step(setpoint, wd, -wq)", "paper/fig14-closed-loop.toml")]
 #[case::a_tenth_of_the_gain(
-    "(lambda drive, offset, flags: (drive / 10, offset, flags))(*self.law.step(setpoint, wd, wq))"
+    "(lambda drive, offset, flags: (drive / 10, offset, flags))(*self.law.step(setpoint, wd, wq))",
+    "paper/fig14-closed-loop.toml"
 )]
-fn a_bad_own_law_fails(#[case] step: &str) {
-    let Some(controller) = OwnController::new(&[ANNOUNCES_NONE, (STEP, step)]) else { return };
-    controller.run(&["paper/fig14-closed-loop.toml"]).assert_exit(1);
+#[case::wrong_sign_on_a_warmer_plate("self.law.step(setpoint, wd, abs(wq))", "guards/hot-plate.toml")]
+#[case::drives_at_setpoint_0("self.law.step(setpoint or 1.0, wd, wq)", "guards/rest-drive.toml")]
+fn a_bad_own_law_fails(#[case] step: &str, #[case] scenario: &str) {
+    for (step, exit) in [(STEP, 0), (step, 1)] {
+        let Some(controller) = OwnController::new(&[ANNOUNCES_NONE, (STEP, step)]) else { return };
+        controller.run(&[scenario]).assert_exit(exit);
+    }
 }
 
 #[test]
