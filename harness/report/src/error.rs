@@ -11,9 +11,6 @@ pub enum ReportError {
     Junit { path: PathBuf, source: quick_junit::SerializeError },
 }
 
-/// Replaces a file atomically. Writes directly into anything else, such as a pipe.
 pub(crate) fn write_file(path: &Path, text: &str) -> Result<(), ReportError> {
-    let is_special = std::fs::metadata(path).is_ok_and(|metadata| !metadata.is_file());
-    let written = if is_special { std::fs::write(path, text) } else { write_atomically(path, text.as_bytes()) };
-    Ok(written.at(path)?)
+    Ok(write_atomically(path, text.as_bytes()).at(path)?)
 }

@@ -27,11 +27,13 @@ impl<T> AtPath<T> for io::Result<T> {
 
 const TEMPORARY_SUFFIX: &str = ".part";
 
-/// File with a temporary name until the commit. A drop before the commit removes it.
+/// File with a temporary name until the commit. A drop before the commit removes it. An existing
+/// pipe or device is written directly.
 #[derive(Debug)]
 pub struct AtomicFile {
     file: File,
-    temporary: TemporaryPath,
+    /// `None` for a pipe or a device.
+    temporary: Option<TemporaryPath>,
     path: PathBuf,
 }
 
@@ -45,12 +47,17 @@ impl Drop for TemporaryPath {
 }
 
 impl AtomicFile {
-    /// The folder of `path` must exist.
+    /// The folder of `path` must exist. A symbolic link stays, and its target is replaced.
     pub fn create(path: &Path) -> io::Result<Self> {
-        let mut temporary = path.to_owned().into_os_string();
+        if fs::metadata(path).is_ok_and(|metadata| !metadata.is_file()) {
+            let file = File::options().write(true).open(path)?;
+            return Ok(Self { file, temporary: None, path: path.to_owned() });
+        }
+        let path = target_of_link(path);
+        let mut temporary = path.clone().into_os_string();
         temporary.push(TEMPORARY_SUFFIX);
         let temporary = TemporaryPath(temporary.into());
-        Ok(Self { file: File::create(&temporary.0)?, temporary, path: path.to_owned() })
+        Ok(Self { file: File::create(&temporary.0)?, temporary: Some(temporary), path })
     }
 
     pub fn file(&self) -> &File {
@@ -59,16 +66,23 @@ impl AtomicFile {
 
     /// Renames the file to its final name and waits until content and name are on the disk.
     pub fn commit(self) -> io::Result<()> {
+        let Some(temporary) = &self.temporary else { return Ok(()) };
         self.file.sync_all()?;
-        fs::rename(&self.temporary.0, &self.path)?;
+        fs::rename(&temporary.0, &self.path)?;
         self.path.parent().map_or(Ok(()), sync)
     }
 
     /// Renames the file without waiting for the disk. It is complete after a kill, but may be
     /// incomplete after a power cut.
     pub fn commit_without_sync(self) -> io::Result<()> {
-        fs::rename(&self.temporary.0, &self.path)
+        self.temporary.as_ref().map_or(Ok(()), |temporary| fs::rename(&temporary.0, &self.path))
     }
+}
+
+fn target_of_link(path: &Path) -> PathBuf {
+    let Ok(target) = fs::read_link(path) else { return path.to_owned() };
+    // The target may not exist yet.
+    fs::canonicalize(path).unwrap_or_else(|_| path.parent().unwrap_or(Path::new("")).join(target))
 }
 
 impl Write for AtomicFile {
@@ -81,7 +95,7 @@ impl Write for AtomicFile {
     }
 }
 
-/// Replaces the content of `path`. After an error, the earlier file still exists.
+/// Replaces the content of `path` like [`AtomicFile`]. After an error, the earlier file still exists.
 pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
     let mut file = AtomicFile::create(path)?;
     file.write_all(content)?;
@@ -161,6 +175,20 @@ mod tests {
     }
 
     #[test]
+    fn keeps_a_link_and_replaces_its_target() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir(at("kept")).unwrap();
+        std::os::unix::fs::symlink("kept/a.json", at("link")).unwrap();
+        for content in ["new", "replaced"] {
+            write_atomically(&at("link"), content.as_bytes()).unwrap();
+            assert!(at("link").is_symlink(), "{content}");
+            assert_eq!(fs::read_to_string(at("kept/a.json")).unwrap(), content);
+        }
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
+
+    #[test]
     fn writes_only_a_new_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.toml");
@@ -194,6 +222,21 @@ mod regular_file_tests {
         fs::write(&path, "12345").unwrap();
         assert_eq!(read_text_file(&path, 5).unwrap(), "12345");
         assert_eq!(read_regular_file(&path, 4).unwrap_err().to_string(), "5 bytes, expected at most 4");
+    }
+
+    #[test]
+    fn writes_into_a_pipe() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("fifo");
+        mknodat(CWD, &path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+        // Linux opens a FIFO for reading and writing without waiting for the other end.
+        let mut reader = File::options().read(true).write(true).open(&path).unwrap();
+        write_atomically(&path, b"content").unwrap();
+        assert!(std::os::unix::fs::FileTypeExt::is_fifo(&fs::symlink_metadata(&path).unwrap().file_type()));
+        let mut content = [0; 7];
+        std::io::Read::read_exact(&mut reader, &mut content).unwrap();
+        assert_eq!(&content, b"content");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[test]
