@@ -15,9 +15,8 @@ use platebench_experiments::campaign::{
 use platebench_experiments::campaign::{Engine, command_line, submission};
 use platebench_lab::boards::BoardOutcome;
 use platebench_model::record::FileLock;
-use platebench_model::trace::AtPath;
+use platebench_model::trace::{AtPath, create_folder};
 use platebench_rig::{CancelToken, RigSpec};
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -174,7 +173,7 @@ fn plan(
         return Err(CampaignError::ConfirmedRig(rig.to_string()));
     }
     let plan = CampaignPlan::new(campaign, folder, rig, shards)?;
-    fs::create_dir_all(folder).at(folder)?;
+    create_folder(folder).at(folder)?;
     let lock = lock_folder(folder)?;
     plan.write(folder)?;
     Ok((plan, lock))

@@ -18,14 +18,13 @@ use platebench_lab::acceptance::plan::plan_schema;
 use platebench_lab::boards::{BoardStatus, RawInventory, SoakRecord};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::schema;
-use platebench_model::trace::write_atomically;
+use platebench_model::trace::{create_folder, write_atomically};
 use platebench_report::comparison::ScenarioComparison;
 use platebench_report::events::EventLine;
 use platebench_report::scenario_list::ScenarioList;
 use platebench_rig::RIGS;
 use platebench_verdict::replay::ReplayResult;
 use serde_json::json;
-use std::fs;
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -188,7 +187,7 @@ fn write_schemas(arguments: &SchemaArgs) -> CommandResult {
         stdio::show(&arguments.kind.to_text().or_invalid()?);
         return Ok(Exit::Passed);
     };
-    fs::create_dir_all(folder).or_invalid_at(folder)?;
+    create_folder(folder).or_invalid_at(folder)?;
     for kind in SchemaKind::value_variants() {
         let path = folder.join(kind.file_name());
         write_atomically(&path, kind.to_text().or_invalid()?.as_bytes()).or_invalid_at(&path)?;
@@ -240,7 +239,7 @@ struct ManArgs {
 
 fn write_manual(arguments: &ManArgs, definition: Command) -> CommandResult {
     if let Some(folder) = &arguments.out {
-        fs::create_dir_all(folder).or_invalid_at(folder)?;
+        create_folder(folder).or_invalid_at(folder)?;
         clap_mangen::generate_to(definition, folder).or_invalid_at(folder)?;
     } else {
         let mut page = Vec::new();
@@ -253,6 +252,7 @@ fn write_manual(arguments: &ManArgs, definition: Command) -> CommandResult {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
     use std::path::Path;
 
     const FOLDER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenarios");

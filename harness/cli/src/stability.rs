@@ -8,11 +8,11 @@ use clap::Args;
 use platebench_design::stability::{StudyConfig, build_chart, rig_delay};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::load::{load_plate, require_no_effects};
+use platebench_model::trace::create_folder;
 use platebench_report::Style;
 use platebench_report::chart::RigDelay;
 use platebench_report::page::write_chart_page;
 use platebench_wire::LawId;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 const HIGHEST_DELAY_US: f64 = 12e3;
@@ -74,7 +74,7 @@ fn analyse(arguments: &StabilityArgs) -> Result<String, Failure> {
     };
     let section = build_chart(&config, rig).or_invalid()?;
     if let Some(folder) = &arguments.out {
-        fs::create_dir_all(folder).or_invalid_at(folder)?;
+        create_folder(folder).or_invalid_at(folder)?;
         write_chart_page(
             folder,
             "stability.html",
@@ -103,6 +103,7 @@ fn delay_of_run(run: &Path) -> Result<RigDelay, Failure> {
 mod tests {
     use super::*;
     use platebench_design::step_limits::{StepLimit, step_limits};
+    use std::fs;
 
     fn arguments(out: Option<&Path>) -> StabilityArgs {
         StabilityArgs {

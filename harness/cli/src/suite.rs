@@ -14,12 +14,12 @@ use platebench_experiments::explore::kill_rate::{KillRateConfig, KillRateReport,
 use platebench_experiments::trust::report::{document, matrix};
 use platebench_experiments::trust::{TrustConfig, TrustReport, catalogue, clean_variants, measure, protocol_faults};
 use platebench_model::record::Verdict;
-use platebench_model::trace::write_atomically;
+use platebench_model::trace::{create_folder, write_atomically};
 use platebench_report::Detail;
 use platebench_report::format::count;
 use platebench_rig::CancelToken;
+use std::io;
 use std::path::{Path, PathBuf};
-use std::{fs, io};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -138,7 +138,7 @@ fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
 }
 
 fn write_report(report: &TrustReport, exploration: Option<&KillRateReport>, folder: &Path) -> io::Result<()> {
-    fs::create_dir_all(folder)?;
+    create_folder(folder)?;
     if let Some(exploration) = exploration {
         let text = serde_json::to_string_pretty(exploration)?;
         write_atomically(&folder.join("exploration.json"), text.as_bytes())?;

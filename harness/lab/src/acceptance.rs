@@ -39,7 +39,7 @@ use platebench_engine::{Clock, Pacing, Question, QuestionKind, RunError};
 use platebench_model::record::{
     self, Firmware, Host, InputRecord, RunRecord, Tool, Verdict, sha256, sha256_of_file, to_hex, utc_timestamp,
 };
-use platebench_model::trace::{AtPath, read_regular_file, remove_temporary_files, sync_tree};
+use platebench_model::trace::{AtPath, create_folder, read_regular_file, remove_temporary_files, sync_tree};
 use platebench_report::format::count;
 use platebench_report::traceability;
 use platebench_rig::{BUILT_IN_IMAGE, FirmwareImage, RigSpec};
@@ -87,7 +87,7 @@ impl<'a> SessionRunner<'a> {
             return Err(AcceptError::NoSession(folder.clone()));
         }
         let new = new_session_record(config)?;
-        fs::create_dir_all(folder).at(folder)?;
+        create_folder(folder).at(folder)?;
         let lock = File::open(folder).at(folder)?;
         match lock.try_lock() {
             Err(TryLockError::WouldBlock) => return Err(AcceptError::InUse(folder.clone())),

@@ -83,8 +83,8 @@ pub mod trace {
     mod trace_file;
 
     pub use files::{
-        AtPath, AtomicFile, FileError, MAX_IMAGE_BYTES, MAX_TABLE_BYTES, open_regular_file, read_regular_file,
-        read_text_file, remove_temporary_files, sync_tree, write_atomically, write_new,
+        AtPath, AtomicFile, FileError, MAX_IMAGE_BYTES, MAX_TABLE_BYTES, create_folder, open_regular_file,
+        read_regular_file, read_text_file, remove_temporary_files, sync_tree, write_atomically, write_new,
     };
     pub use trace_file::{
         COLUMNS, Column, Flags, OPTIONAL_COLUMNS, Row, TraceError, TraceReader, TraceWriter, read_trace,

@@ -4,7 +4,7 @@ use crate::record::reason::ExpectationRecord;
 use crate::record::run_record::RigRecord;
 use crate::record::run_record::{FORMAT, InputRecord, RunRecord};
 use crate::scenario::{InputFile, Scenario};
-use crate::trace::{AtPath, AtomicFile, FileError, open_regular_file, read_text_file};
+use crate::trace::{AtPath, AtomicFile, FileError, create_folder, open_regular_file, read_text_file};
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use platebench_plate::input::{STANDARD_INPUT_NAME, STANDARD_STREAM};
@@ -50,7 +50,7 @@ impl RunFolder {
         let started = Timestamp::now();
         let path = path.map_or_else(|| Path::new("runs").join(generate_name(started)), Path::to_owned);
         let created_parent = path.parent().filter(|parent| !parent.exists()).map(Path::to_owned);
-        fs::create_dir_all(&path).at(&path)?;
+        create_folder(&path).at(&path)?;
         let Some(lock) = FileLock::exclusive(&path)? else { return Err(FolderError::InUse(path)) };
         if fs::symlink_metadata(path.join(crate::record::run_folder::RECORD_FILE)).is_ok() {
             return Err(FolderError::AlreadyUsed(path));

@@ -110,6 +110,16 @@ pub fn write_new(path: &Path, content: &[u8]) -> io::Result<()> {
     })
 }
 
+/// Creates `folder` and its parents, unless it exists.
+pub fn create_folder(folder: &Path) -> io::Result<()> {
+    fs::create_dir_all(folder).map_err(|error| match error.kind() {
+        io::ErrorKind::AlreadyExists => {
+            io::Error::new(error.kind(), "exists and is no folder, expected a new or an empty folder")
+        }
+        _ => error,
+    })
+}
+
 /// Waits until everything below `folder`, and the entry of `folder` itself, is on the disk.
 pub fn sync_tree(folder: &Path) -> Result<(), FileError> {
     for entry in fs::read_dir(folder).at(folder)? {
@@ -186,6 +196,17 @@ mod tests {
             assert_eq!(fs::read_to_string(at("kept/a.json")).unwrap(), content);
         }
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn names_a_file_instead_of_a_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        create_folder(&path.join("b")).unwrap();
+        create_folder(&path).unwrap();
+        fs::write(folder.path().join("c"), "").unwrap();
+        let error = create_folder(&folder.path().join("c")).unwrap_err();
+        assert_eq!(error.to_string(), "exists and is no folder, expected a new or an empty folder");
     }
 
     #[test]
