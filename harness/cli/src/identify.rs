@@ -12,7 +12,7 @@ use platebench_design::identify::{DirectFit, Identification};
 use platebench_lab::boards::Board;
 use platebench_model::external_csv::{self, ColumnMapping};
 use platebench_model::recording::{Recording, RecordingError};
-use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_atomically, write_new};
+use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_new};
 use platebench_report::chart::FitChart;
 use platebench_report::document::{Block, Figure};
 use platebench_report::format::count;
@@ -47,10 +47,11 @@ pub(crate) struct IdentifyArgs {
     /// emulated plate
     #[arg(long, value_enum, default_value_t = SignalSource::Sensed, conflicts_with = "columns")]
     signal: SignalSource,
-    /// Write the plate file; an existing file is never overwritten
+    /// Write the plate file; an existing file is never overwritten; `-` is standard output
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Write a page: Markdown if the name ends in .md, else HTML with the fitted curves
+    /// Write a page: Markdown if the name ends in .md, else HTML with the fitted curves; `-` is
+    /// standard output
     #[arg(long, value_name = "FILE")]
     page: Option<PathBuf>,
     /// Write the plate file although the recordings are doubtful or a parameter is impossible; the
@@ -110,6 +111,11 @@ pub(crate) struct IdentifyOutput<'a> {
 }
 
 pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
+    let to_stdout =
+        [&arguments.out, &arguments.page].into_iter().flatten().filter(|file| stdio::is_stdout(file)).count();
+    if to_stdout + usize::from(arguments.format == OutputFormat::Json) > 1 {
+        return Err(Failure::invalid(&"only one of --out -, --page - and --format json can use standard output"));
+    }
     let board = arguments.board.find()?;
     let mut files = Vec::new();
     for path in &arguments.recordings {
@@ -121,7 +127,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
             &"no recording was found; name a run folder, a trace or a CSV file",
         ));
     }
-    if let Some(path) = arguments.out.as_ref().filter(|path| path.exists()) {
+    if let Some(path) = arguments.out.as_ref().filter(|path| path.exists() && !stdio::is_stdout(path)) {
         return Err(Failure::invalid(&format!("{} exists already, expected another name", path.display())));
     }
     let recordings = files.iter().map(|file| read_recording(file, arguments)).collect::<Result<Vec<_>, _>>()?;
@@ -135,7 +141,10 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
     let uncertainties = uncertainties.or_invalid()?.unwrap_or_default();
     let mut document = document(&format!("Identification: {}", arguments.name), &found, &uncertainties);
     let output = IdentifyOutput { found: &found, uncertainties: &uncertainties };
-    stdio::show_result(arguments.format, &output, &document);
+    match arguments.format {
+        OutputFormat::Human => stdio::show_beside(to_stdout > 0, &stdio::console_text(&document)),
+        OutputFormat::Json => stdio::show_json(&output),
+    }
     if let Some(path) = &arguments.page {
         let page = if path.extension().is_some_and(|extension| extension == "md") {
             document.to_markdown()
@@ -144,7 +153,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
             document.blocks.push(Block::Figures(figures(&recordings, &found, &fits)));
             document.to_html()
         };
-        write_atomically(path, page.as_bytes()).or_invalid_at(path)?;
+        stdio::write_output(path, &page).or_invalid_at(path)?;
     }
     let exit = if found.inconsistencies.is_empty() { Exit::Passed } else { Exit::Inconclusive };
     for inconsistency in &found.inconsistencies {
@@ -168,8 +177,12 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
                        plate at a known temperature";
         return Err(Failure::new(Exit::Inconclusive, &message));
     };
-    write_new(path, text.as_bytes()).or_invalid_at(path)?;
-    stdio::note(&format!("plate file: {}", path.display()));
+    if stdio::is_stdout(path) {
+        stdio::show(&text);
+    } else {
+        write_new(path, text.as_bytes()).or_invalid_at(path)?;
+        stdio::note(&format!("plate file: {}", path.display()));
+    }
     if details.limit_vpp.is_none() {
         stdio::note(
             "the plate file has the highest recorded drive as drive limit; --drive-limit-vpp VPP sets the amplifier's \

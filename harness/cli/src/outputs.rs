@@ -2,11 +2,10 @@
 
 use crate::exit::Exit;
 use crate::options::OutputFormat;
-use crate::stdio;
+use crate::stdio::{self, is_stdout};
 use clap::{Args, ValueEnum};
 use platebench_model::record::{RunRecord, ScenarioRecord};
 use platebench_model::scenario::{Scenario, number_in_file};
-use platebench_plate::input::STANDARD_STREAM;
 use platebench_report::ReportError;
 use platebench_report::github::{self, SourceLocation};
 use platebench_report::tap::{self, TapVersion};
@@ -55,10 +54,6 @@ enum GithubMode {
     On,
     /// Never
     Off,
-}
-
-fn is_stdout(file: &Path) -> bool {
-    file == Path::new(STANDARD_STREAM)
 }
 
 impl Outputs {

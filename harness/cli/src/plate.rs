@@ -69,7 +69,7 @@ struct FmuArgs {
     /// The plate file
     plate: PathBuf,
     /// The FMU (FMI 3.0, co-simulation), see docs/fmi.md. No file is overwritten
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = stdio::parse_named_file)]
     out: PathBuf,
     /// Shared library of the plate; default: the one that a released
     /// program contains, else next to this program, or in ../lib/platebench

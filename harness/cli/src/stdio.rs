@@ -5,6 +5,8 @@ use crate::options::OutputFormat;
 use clap::{Args, ColorChoice, ValueEnum};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::Diagnostic;
+use platebench_model::trace::write_atomically;
+use platebench_plate::input::STANDARD_STREAM;
 use platebench_report::document::Document;
 use platebench_report::text::{printable, printable_lines};
 use platebench_report::{Detail, Style, console};
@@ -18,7 +20,7 @@ use std::ffi::OsStr;
 use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write, stderr, stdout};
 use std::os::fd::{AsFd, BorrowedFd};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use tracing::field::{Field, Visit};
@@ -71,6 +73,28 @@ pub(crate) fn show(text: &str) {
 pub(crate) fn error(message: &str) {
     let _ = writeln!(stderr().lock(), "error: {}", escape_commands(message));
 }
+/// True if `file` is `-`, which means standard output where a file is written.
+pub(crate) fn is_stdout(file: &Path) -> bool {
+    file == Path::new(STANDARD_STREAM)
+}
+
+/// Replaces `path`, or writes to standard output if it is `-`.
+pub(crate) fn write_output(path: &Path, text: &str) -> io::Result<()> {
+    if is_stdout(path) {
+        show(text);
+        return Ok(());
+    }
+    write_atomically(path, text.as_bytes())
+}
+
+/// Parses the path of a file that is written and cannot be standard output.
+pub(crate) fn parse_named_file(text: &str) -> Result<PathBuf, String> {
+    if is_stdout(Path::new(text)) {
+        return Err("expected the name of a file, not standard output; `./-` is a file named `-`".to_owned());
+    }
+    Ok(text.into())
+}
+
 
 /// Error of an earlier write to standard output.
 pub(crate) fn write_error() -> Option<&'static str> {
@@ -131,6 +155,15 @@ pub(crate) fn console_text(document: &Document) -> String {
 pub(crate) fn show_result(format: OutputFormat, value: &impl Serialize, document: &Document) {
     show_as(format, value, || console_text(document));
 }
+/// Shows text for people, on standard error if another output uses standard output.
+pub(crate) fn show_beside(uses_stdout: bool, text: &str) {
+    if uses_stdout {
+        let _ = stderr().lock().write_all(text.as_bytes());
+    } else {
+        show(text);
+    }
+}
+
 
 pub(crate) fn document(document: &Document) {
     show(&console_text(document));

@@ -93,7 +93,7 @@ pub(crate) struct TuneArgs {
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
     /// Write the gains into [controller.gains] of this scenario, if the target is met
-    #[arg(long, value_name = "SCENARIO")]
+    #[arg(long, value_name = "SCENARIO", value_parser = stdio::parse_named_file)]
     write: Option<PathBuf>,
     /// If the target is met, configure this rig with the gains, play one step, and compare the
     /// predicted with the measured response

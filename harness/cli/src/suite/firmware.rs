@@ -15,11 +15,11 @@ use platebench_experiments::mutation::{
     MutationConfig, MutationReport, document as mutation_document, measure_mutation, mutation_json,
 };
 use platebench_model::scenario::Scenario;
-use platebench_model::trace::write_atomically;
+use platebench_model::trace::{create_folder, write_atomically};
 use platebench_report::{Detail, Style};
 use platebench_rig::{CancelToken, RigSpec};
+use std::io;
 use std::path::{Path, PathBuf};
-use std::{fs, io};
 
 /// What both commands play.
 #[derive(Debug, Args)]
@@ -51,7 +51,7 @@ pub(super) struct CoverageArgs {
     /// Only source files whose path contains this text; may be given again
     #[arg(long, value_name = "PATH")]
     only: Vec<String>,
-    /// Write the coverage as LCOV tracefile, for genhtml
+    /// Write the coverage as LCOV tracefile, for genhtml; `-` is standard output
     #[arg(long, value_name = "FILE")]
     lcov: Option<PathBuf>,
     /// Fail if fewer lines were executed, %
@@ -77,22 +77,24 @@ pub(super) fn coverage(arguments: &CoverageArgs, detail: Detail) -> CommandResul
     }
     let text = coverage_document(&coverage).to_console(None, Style::default());
     write_coverage(arguments, &coverage, &text)?;
-    stdio::show(&text);
+    let uses_stdout = arguments.lcov.as_deref().is_some_and(stdio::is_stdout);
+    stdio::show_beside(uses_stdout, &text);
     let Some(limit) = arguments.at_least else { return Ok(Exit::Passed) };
     let percent = coverage.line_ratio().percent();
     let exit = if percent >= limit { Exit::Passed } else { Exit::Failed };
-    exit.show_verdict(&format!("lines executed {percent:.2} %, expected at least {limit} %"), OutputFormat::Human);
+    let format = if uses_stdout { OutputFormat::Json } else { OutputFormat::Human };
+    exit.show_verdict(&format!("lines executed {percent:.2} %, expected at least {limit} %"), format);
     Ok(exit)
 }
 
 fn write_coverage(arguments: &CoverageArgs, coverage: &Coverage, text: &str) -> Result<(), Failure> {
     let tracefile = lcov_tracefile(coverage);
-    let write = |path: &Path, text: &str| write_atomically(path, text.as_bytes()).or_invalid_at(path);
     if let Some(path) = &arguments.lcov {
-        write(path, &tracefile)?;
+        stdio::write_output(path, &tracefile).or_invalid_at(path)?;
     }
     if let Some(folder) = &arguments.out {
-        fs::create_dir_all(folder).or_invalid_at(folder)?;
+        create_folder(folder).or_invalid_at(folder)?;
+        let write = |path: &Path, text: &str| write_atomically(path, text.as_bytes()).or_invalid_at(path);
         write(&folder.join("lcov.info"), &tracefile)?;
         write(&folder.join("coverage.txt"), text)?;
     }
@@ -184,7 +186,7 @@ pub(super) fn mutate(arguments: &MutateArgs, detail: Detail) -> CommandResult {
 }
 
 fn write_mutation(report: &MutationReport, text: &str, folder: &Path) -> io::Result<()> {
-    fs::create_dir_all(folder)?;
+    create_folder(folder)?;
     let json = serde_json::to_string_pretty(&mutation_json(report))?;
     write_atomically(&folder.join("mutation.json"), json.as_bytes())?;
     write_atomically(&folder.join("mutation.txt"), text.as_bytes())
