@@ -3,7 +3,8 @@
 use crate::record_queries::{CauseGroup, NotApplicableGroup};
 use platebench_model::metrics::Unit;
 use platebench_model::record::{
-    ExpectationRecord, Limit, Metric, Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, Verdict,
+    ExpectationRecord, Limit, Metric, NotApplicable, Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic,
+    TrialFinding, Verdict,
 };
 use platebench_verdict::tube::{Exceedance, TubeSignal};
 use schemars::JsonSchema;
@@ -149,6 +150,11 @@ pub(crate) fn not_applicable_group(group: &NotApplicableGroup<'_>) -> String {
 }
 
 pub fn count(number: usize, one: &str) -> String {
+/// Follows the name of a scenario that is not applicable.
+pub(crate) fn not_applicable(scenario: &NotApplicable) -> String {
+    format!("not applicable: {}", scenario.reason)
+}
+
     if number == 1 { format!("1 {one}") } else { format!("{number} {one}s") }
 }
 

@@ -1,8 +1,8 @@
 //! Finds keys, trials and missed expectations in a record.
 
 use platebench_model::record::{
-    Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingValue, Reason, RunRecord,
-    ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord, Verdict, ViolationKind,
+    Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingValue, NotApplicable, Reason,
+    RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord, Verdict, ViolationKind,
 };
 use std::mem::{Discriminant, discriminant};
 
@@ -242,9 +242,16 @@ pub(crate) fn protocol_differences(scenario: &ScenarioRecord, index: usize) -> &
     differences.get(..MAX_PROTOCOL_DIFFERENCES).unwrap_or(differences)
 }
 
+/// Scenarios that fail the run, because they are not applicable although `--require-all` needs them.
+pub(crate) fn required_not_applicable(record: &RunRecord) -> &[NotApplicable] {
+    if record.overrides.require_all { &record.not_applicable } else { &[] }
+}
+
 pub(crate) fn run_inconclusive_reason(record: &RunRecord) -> Option<&'static str> {
     if !record.complete {
         Some("the run was not finished")
+    } else if !required_not_applicable(record).is_empty() {
+        None
     } else if record.scenarios.is_empty() {
         Some("the run has no scenarios")
     } else if record.verdict != Verdict::Pass && record.scenarios.iter().all(|found| found.verdict == Verdict::Pass) {

@@ -78,7 +78,8 @@ pub(super) fn not_passed_section(
         .map(|(place, _)| (place, indices(place)))
         .filter(|(_, indices)| !indices.is_empty())
         .collect();
-    let is_empty = shared.is_empty() && alone.is_empty();
+    let missed = record_queries::required_not_applicable(record);
+    let is_empty = shared.is_empty() && alone.is_empty() && missed.is_empty();
     html! {
         @if !is_empty || !changed.is_empty() {
             section aria-labelledby="open" {
@@ -86,6 +87,15 @@ pub(super) fn not_passed_section(
                 ol.open {
                     @for (index, scenario) in record.scenarios.iter().enumerate() {
                         (changed_traces(index, scenario, changed))
+                    }
+                    @for scenario in missed {
+                        li class=(Verdict::Fail) {
+                            p.what {
+                                (verdict_badge(Verdict::Fail, Verdict::Fail.name())) " " (scenario.title) " "
+                                span.file { (scenario.file) }
+                            }
+                            p.why { (format::not_applicable(scenario)) }
+                        }
                     }
                     @for group in failed { (cause_card(record, group, data, plots, history, changed)) }
                     @for (place, indices) in open {
@@ -278,7 +288,7 @@ pub(super) fn not_applicable(record: &RunRecord) -> Markup {
     let groups = record_queries::not_applicable_groups(record);
     html! {
         @if record.scenarios.is_empty() { p.notice { "The run has no scenarios." } }
-        @if !record.not_applicable.is_empty() { div.notice {
+        @if !record.not_applicable.is_empty() && !record.overrides.require_all { div.notice {
             p { (format::count(record.not_applicable.len(), "scenario")) " not applicable to this controller:" }
             ul {
                 @for scenario in &record.not_applicable {

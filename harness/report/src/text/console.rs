@@ -6,7 +6,9 @@ use crate::record_queries::CauseGroup;
 use crate::text::timing;
 use crate::{format, record_queries};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use platebench_model::record::{Cause, CostTrend, Event, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
+use platebench_model::record::{
+    Cause, CostTrend, Event, ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict,
+};
 use platebench_model::scenario::NotApplicableExpectation;
 use std::fmt::Write as _;
 use std::io::IsTerminal as _;
@@ -131,7 +133,7 @@ const MAX_LISTED: usize = 3;
 
 /// `in_full` lists every scenario that is not applicable and the cost of every law.
 fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
-    write_not_applicable(text, record, style, in_full || record.overrides.require_all);
+    write_not_applicable(text, record, style, in_full);
     for (name, counts) in [
         ("scenario", format::VerdictCounts::of_scenarios(record)),
         ("expectation", format::VerdictCounts::of_expectations(record)),
@@ -197,7 +199,7 @@ pub fn verdict_reason(record: &RunRecord) -> String {
 }
 
 fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
-    if record.overrides.require_all || record.scenarios.is_empty() {
+    if record.scenarios.is_empty() {
         write_not_applicable(text, record, style, true);
     }
     write_time_limits(text, record, style, false);
@@ -206,8 +208,10 @@ fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
 }
 
 fn write_not_applicable(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
-    // The groups below contain the scenarios that do not apply to an own law.
-    let listed = || record.not_applicable.iter().filter(|scenario| in_full || scenario.expectations == 0);
+    // The groups below contain the scenarios that do not apply to an own law, and the list of what
+    // did not pass contains the scenarios that `--require-all` needs.
+    let is_listed = |scenario: &&NotApplicable| in_full || scenario.expectations == 0;
+    let listed = || record.not_applicable.iter().filter(|_| !record.overrides.require_all).filter(is_listed);
     if in_full || listed().count() <= MAX_LISTED {
         for scenario in listed() {
             style.write_wrapped(text, "not applicable: ", "  ", &format!("{}: {}", scenario.file, scenario.reason));
@@ -314,8 +318,17 @@ fn write_list_of_not_passed(text: &mut String, record: &RunRecord, style: Style,
         group.members.retain(|(_, scenario, _)| !unplayed.contains(&scenario.file.as_str()));
     }
     groups.retain(|group| !group.members.is_empty());
-    if !groups.is_empty() {
+    let missed = record_queries::required_not_applicable(record);
+    if !groups.is_empty() || !missed.is_empty() {
         text.push_str("\nnot passed:\n");
+    }
+    for scenario in missed {
+        write_line_with_verdict(
+            text,
+            Verdict::Fail,
+            &format!("{}: {}", scenario.file, format::not_applicable(scenario)),
+            style,
+        );
     }
     for group in &groups {
         write_group(text, group, style, in_full);
@@ -368,11 +381,14 @@ fn write_result(
     expectation: &ExpectationRecord,
     style: Style,
 ) {
-    let mut lines = String::new();
-    let (file, sign) = (&scenario.file, format::sign(expectation.verdict));
-    style.write_wrapped(&mut lines, &format!("  {sign} "), "    ", &format!("{file}: {}", result(expectation)));
-    text.push_str(&lines.replacen(sign, &style.paint_verdict(expectation.verdict, sign), 1));
+    write_line_with_verdict(text, expectation.verdict, &format!("{}: {}", scenario.file, result(expectation)), style);
     write_reason_and_trace(text, scenario, index, expectation, style);
+}
+
+fn write_line_with_verdict(text: &mut String, verdict: Verdict, line: &str, style: Style) {
+    let (mut lines, sign) = (String::new(), format::sign(verdict));
+    style.write_wrapped(&mut lines, &format!("  {sign} "), "    ", line);
+    text.push_str(&lines.replacen(sign, &style.paint_verdict(verdict, sign), 1));
 }
 
 fn write_reason_and_trace(

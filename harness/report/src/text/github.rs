@@ -42,6 +42,9 @@ pub fn workflow_commands(
         }
         text += &workflow_command(expectation.verdict, location(scenario, Some(index)), &title, &message);
     }
+    for scenario in record_queries::required_not_applicable(record) {
+        text += &workflow_command(Verdict::Fail, None, &scenario.file, &format::not_applicable(scenario));
+    }
     for scenario in &record.scenarios {
         if let Some(reason) = record_queries::scenario_inconclusive_reason(scenario) {
             text += &workflow_command(scenario.verdict, location(scenario, None), &scenario.file, reason);
@@ -91,7 +94,8 @@ pub fn render_page(record: &RunRecord) -> String {
         let remedy = if record.may_have_amplifier() { ": check the amplifier before you touch the plate" } else { "" };
         let _ = writeln!(text, "**At the end {fault}{remedy}.**\n");
     }
-    let not_passed = record_queries::expectations_not_passed(record).len();
+    let missed = record_queries::required_not_applicable(record).len();
+    let not_passed = record_queries::expectations_not_passed(record).len() + missed;
     if not_passed > 0 {
         write_table(&mut text, &not_passed_table(record), not_passed);
     }
@@ -107,7 +111,13 @@ pub fn render_page(record: &RunRecord) -> String {
 
 fn not_passed_table(record: &RunRecord) -> Table {
     let mut table = Table::new(["", "Scenario", "Expected", "Measured", "Requirement", "Reason", "Trace"]);
-    for (scenario, index) in record_queries::expectations_not_passed(record).into_iter().take(MAX_ROWS) {
+    for scenario in record_queries::required_not_applicable(record).iter().take(MAX_ROWS) {
+        let reason = format!("{}: {}", Verdict::Fail, format::not_applicable(scenario));
+        let row = [format::sign(Verdict::Fail), &scenario.file, "", "", "", &reason, ""];
+        table.push(row.map(str::to_owned).to_vec());
+    }
+    let further = MAX_ROWS.saturating_sub(table.rows.len());
+    for (scenario, index) in record_queries::expectations_not_passed(record).into_iter().take(further) {
         let Some(expectation) = scenario.expectations.get(index) else { continue };
         let verdict = format::verdict(expectation);
         let reason = expectation.reason.as_ref().map(|reason| format!("{verdict}: {reason}"));
@@ -143,7 +153,8 @@ fn scenarios_table(record: &RunRecord) -> Table {
 }
 
 fn not_applicable_rows(record: &RunRecord) -> Vec<Vec<String>> {
-    let unplayed = record.not_applicable.iter().map(|scenario| vec![scenario.file.clone(), scenario.reason.clone()]);
+    let unplayed = record.not_applicable.iter().filter(|_| !record.overrides.require_all);
+    let unplayed = unplayed.map(|scenario| vec![scenario.file.clone(), scenario.reason.clone()]);
     let played = record.scenarios.iter().flat_map(|scenario| {
         let row = |skipped: &NotApplicableExpectation| {
             vec![format!("{}: {}", scenario.file, skipped.name), skipped.reason.clone()]

@@ -24,7 +24,8 @@ pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
         .to_string()
         .map_err(|source| ReportError::Junit { path: path.to_owned(), source })?;
     let expectations: usize = record.scenarios.iter().map(|scenario| scenario.not_applicable.len()).sum();
-    let skipped = record.not_applicable.len() + expectations;
+    let scenarios = if record.overrides.require_all { 0 } else { record.not_applicable.len() };
+    let skipped = scenarios + expectations;
     // The schema allows no attribute `skipped` of the element `testsuites`.
     write_file(path, &text.replacen(&format!(" skipped=\"{skipped}\""), "", 1))
 }
@@ -93,7 +94,13 @@ fn test_suite(scenario: &ScenarioRecord, record: &RunRecord) -> TestSuite {
 fn not_applicable_suite(scenario: &NotApplicable, record: &RunRecord) -> TestSuite {
     let mut suite = suite_of_file(&scenario.file, record);
     suite.add_property(("title", printable(&scenario.title).as_ref()));
-    suite.add_test_case(skipped_case("not applicable", &scenario.file, &scenario.reason));
+    let mut case = skipped_case("not applicable", &scenario.file, &scenario.reason);
+    if record.overrides.require_all {
+        let text = printable(&format::not_applicable(scenario)).into_owned();
+        case.status = TestCaseStatus::non_success(NonSuccessKind::Failure);
+        case.status.set_type(Verdict::Fail.name()).set_message(text.as_str()).set_description(text);
+    }
+    suite.add_test_case(case);
     suite
 }
 

@@ -33,10 +33,14 @@ pub fn text(record: &RunRecord, version: TapVersion) -> String {
         write_test_point(&mut text, "", scenario.verdict, number, &scenario.file);
     }
     for (number, scenario) in (record.scenarios.len() + 1..).zip(&record.not_applicable) {
-        write_skipped(&mut text, "", number, &scenario.file, &scenario.reason);
+        if record.overrides.require_all {
+            write_not_passed(&mut text, "", Verdict::Fail, number, &scenario.file, &format::not_applicable(scenario));
+        } else {
+            write_skipped(&mut text, "", number, &scenario.file, &scenario.reason);
+        }
     }
     if let Some(reason) = reason {
-        write_inconclusive(&mut text, "", listed + 1, "the whole run", reason);
+        write_not_passed(&mut text, "", Verdict::Inconclusive, listed + 1, "the whole run", reason);
     }
     if !record.complete {
         text += "Bail out! the run was not finished\n";
@@ -61,7 +65,7 @@ fn write_subtest(text: &mut String, scenario: &ScenarioRecord) {
         write_skipped(text, INDENT, number, &skipped.name, &skipped.reason);
     }
     if let Some(reason) = reason {
-        write_inconclusive(text, INDENT, points, "the whole scenario", reason);
+        write_not_passed(text, INDENT, Verdict::Inconclusive, points, "the whole scenario", reason);
     }
 }
 
@@ -77,8 +81,7 @@ fn diagnostics(scenario: &ScenarioRecord, index: usize, expectation: &Expectatio
     ]
 }
 
-fn write_inconclusive(text: &mut String, indent: &str, number: usize, name: &str, reason: &str) {
-    let verdict = Verdict::Inconclusive;
+fn write_not_passed(text: &mut String, indent: &str, verdict: Verdict, number: usize, name: &str, reason: &str) {
     write_test_point(text, indent, verdict, number, name);
     write_yaml_block(text, indent, &[("verdict", json!(verdict.name())), ("message", json!(reason))]);
 }

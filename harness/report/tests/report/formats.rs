@@ -5,6 +5,7 @@ use platebench_model::record::{Event, MissingValue, Reason, RunRecord, ScenarioR
 use platebench_report::events::EventWriter;
 use platebench_report::github::{self, SourceLocation};
 use platebench_report::tap::{self, TapVersion};
+use platebench_report::{Detail, Style, console, junit, page};
 use serde_json::Value;
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
@@ -23,6 +24,42 @@ fn cancelled_run() -> RunRecord {
 fn writes_tap() {
     insta::assert_snapshot!("tap", tap::text(&fixtures::mixed_run(), TapVersion::V14));
     insta::assert_snapshot!("tap-cut-short", tap::text(&cancelled_run(), TapVersion::V13));
+}
+
+#[test]
+fn a_required_scenario_that_is_not_applicable_fails_in_every_format() {
+    let mut record = fixtures::run(fixtures::mixed_run().scenarios.drain(..1).collect());
+    record.not_applicable = fixtures::mixed_run().not_applicable;
+    record.overrides.require_all = true;
+    record.update_verdict();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(junit::FILE);
+    junit::write(&record, &path).unwrap();
+    let junit = std::fs::read_to_string(&path).unwrap();
+    page::write(&record, folder.path()).unwrap();
+    let html = std::fs::read_to_string(folder.path().join(page::FILE)).unwrap();
+    let reason = "not applicable: the controller does not announce the law `deadbeat`";
+    let row = format!("| ✗ | laws/foreign.toml |  |  |  | fail: {reason} |  |");
+    for (text, expected, unexpected) in [
+        (junit.clone(), r#" failures="1" errors="0">"#, "<skipped"),
+        (junit, r#"type="fail""#, "inconclusive"),
+        (tap::text(&record, TapVersion::V14), "not ok 2 - laws/foreign.toml\n  ---\n  verdict: \"fail\"\n", "SKIP"),
+        (github::render_page(&record), &row, "| Not applicable |"),
+        (
+            github::workflow_commands(&record, &|_, _| None),
+            "::error title=laws/foreign.toml::not applicable",
+            "warning",
+        ),
+        (
+            console::run_text(&record, Style::default(), Detail::Summary),
+            "\nnot passed:\n  ✗ laws/foreign.toml: not applicable",
+            "\nnot applicable: ",
+        ),
+        (html, "<p class=\"why\">not applicable: ", "1 scenario not applicable"),
+    ] {
+        assert!(text.contains(expected) && !text.contains(unexpected), "{expected}: {text}");
+        assert!(text.contains("laws/foreign.toml") && text.contains("does not announce the law"), "{text}");
+    }
 }
 
 #[test]
