@@ -61,7 +61,7 @@ Exit codes: 0 unchanged, 1 changed, 2 no record, 3 the session is not finished")
 Examples:
   platebench acceptance run --rig serial:/dev/ttyUSB0@1000000 --time-scale 0.1 --operator 'A. Tester' --place 'Lab 2'
   platebench acceptance run --rig emulated --yes --out record --sign key.pem
-  platebench acceptance run --rig emulated --resume record       continues an interrupted session")]
+  platebench acceptance run --rig emulated --yes --resume record --sign key.pem     continues this session")]
 struct SessionArgs {
     /// Rig of the controller, as for `platebench run`
     #[arg(long, conflicts_with = "board")]
@@ -173,6 +173,7 @@ fn is_resumable(error: &AcceptError) -> bool {
         AcceptError::Finished(_)
             | AcceptError::FolderNotEmpty(_)
             | AcceptError::InUse(_)
+            | AcceptError::NotSigned
             | AcceptError::InvalidRecord { .. }
             | AcceptError::Changed { .. }
     )

@@ -272,6 +272,10 @@ fn resume(config: &SessionConfig, new: &SessionRecord) -> Result<SessionRecord, 
         return Err(AcceptError::Finished(folder.clone()));
     }
     check_unchanged(&record, new)?;
+    if record.must_be_signed && !new.must_be_signed {
+        return Err(AcceptError::NotSigned);
+    }
+    record.must_be_signed = new.must_be_signed;
     check_run_hashes(folder, &record)?;
     let (known, SessionDetails { operator, place, notes }) = (&mut record.details, config.details.clone());
     // An option corrects what an earlier part of the session stored.
@@ -350,6 +354,7 @@ pub(crate) fn new_session_record(config: &SessionConfig) -> Result<SessionRecord
         inputs: inputs.collect(),
         steps: step_records(plan),
         requirements: Vec::new(),
+        must_be_signed: config.signing_key.is_some(),
         signature: None,
     })
 }

@@ -111,6 +111,20 @@ fn a_session_is_sealed_signed_and_verified() {
 }
 
 #[test]
+fn a_session_with_a_key_resumes_only_with_a_key() {
+    let folder = session_folder();
+    let session =
+        ["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--yes", "--rig", "exec:false {port}"];
+    let signed = [&session[..], &["--sign", "key.pem"]].concat();
+    folder.bench(&signed).assert_exit(5);
+    assert!(read_session_record(&folder).must_be_signed);
+    let refused = folder.bench(session).assert_text(2, &["started with --sign", "resume it with --sign KEYFILE"]);
+    assert!(!refused.text().contains("--resume record"), "{}", refused.text());
+    folder.bench(&signed).assert_exit(5);
+    assert_eq!(read_session_record(&folder).resumed.len(), 1);
+}
+
+#[test]
 fn missing_confirmation_or_evidence_does_not_pass() {
     let unconfirmed = session_folder();
     run_session(&unconfirmed, &[]).assert_text(3, &["inconclusive"]);

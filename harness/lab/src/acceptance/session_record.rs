@@ -49,6 +49,9 @@ pub struct SessionRecord {
     pub steps: Vec<StepRecord>,
     /// Empty until the session is judged.
     pub requirements: Vec<RequirementRecord>,
+    /// True if the session was started or resumed with a key, so that its record must be signed.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub must_be_signed: bool,
     pub signature: Option<SignatureRecord>,
 }
 
@@ -296,6 +299,8 @@ pub enum AcceptError {
          --out FOLDER"
     )]
     Changed { what: String, then: String, now: String },
+    #[error("the session was started with --sign, so its record must be signed; resume it with --sign KEYFILE")]
+    NotSigned,
     #[error("{} contains a finished session, which cannot be changed; name a new folder", .0.display())]
     Finished(PathBuf),
     #[error("{} contains files that belong to no acceptance session; name a new folder", .0.display())]
