@@ -46,7 +46,7 @@ enum AcceptanceAction {
 Examples:
   platebench acceptance verify record --key public.pem
 
-Exit codes: 0 unchanged, 1 changed, 2 no record, 3 the session is not finished")]
+Exit codes: 0 unchanged, 1 changed or not signed, 2 no record, 3 the session is not finished")]
     Verify {
         /// Folder of the record
         record: PathBuf,
@@ -284,7 +284,11 @@ fn verify_record(record: &Path, key: Option<&Path>) -> CommandResult {
         stdio::error(&finding.to_string());
     }
     if !verified.findings.is_empty() {
-        let reason = "rejected: the record was changed after it was sealed";
+        let reason = if verified.lacks_only_a_signature() {
+            "rejected: the record is not signed"
+        } else {
+            "rejected: the record was changed after it was sealed"
+        };
         Exit::Failed.show_verdict(reason, OutputFormat::Human);
         return Ok(Exit::Failed);
     }

@@ -132,7 +132,9 @@ fn missing_confirmation_or_evidence_does_not_pass() {
     assert_eq!(record.requirements[0].verdict, Verdict::Pass);
     assert_eq!(record.steps[1].answer.as_ref().unwrap().from, "not-asked");
     verify(&unconfirmed, "record", &[]).assert_text(0, &["verdict: inconclusive", "not signed"]);
-    verify(&unconfirmed, "record", &["--key", "public.pem"]).assert_text(1, &["manifest.sha256.sig: missing"]);
+    let unsigned = verify(&unconfirmed, "record", &["--key", "public.pem"]);
+    let unsigned = unsigned.assert_text(1, &["manifest.sha256.sig: missing", "rejected: the record is not signed"]);
+    assert!(!unsigned.text().contains("changed"), "{}", unsigned.text());
 
     let without_evidence = session_folder();
     let plan = plan_text(&["s.toml"], 2) + "[[requirement]]\nid = \"R-2\"\ntext = \"No scenario shows it.\"\n";

@@ -57,6 +57,13 @@ impl Verification {
     pub fn is_unfinished(&self) -> bool {
         self.manifest_sha256.is_none() && self.session.as_ref().is_some_and(|session| !session.complete)
     }
+
+    /// True if only a signature is missing, and the session was conducted without a key.
+    pub fn lacks_only_a_signature(&self) -> bool {
+        let is_signed =
+            self.session.as_ref().is_none_or(|session| session.must_be_signed || session.signature.is_some());
+        !is_signed && matches!(self.findings.as_slice(), [Finding::NoSignature(_)])
+    }
 }
 
 /// Verifies manifest, traces and signature. Fails if `folder` contains no record.
