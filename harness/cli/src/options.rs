@@ -140,6 +140,9 @@ impl<'a> ClockRequest<'a> {
             ClockArg::Lockstep if time_scale != 1.0 || pacing == Pacing::Target => {
                 refuse("--time-scale and --pacing are for --clock real-time")
             }
+            ClockArg::Lockstep if wire_time && *self.rig == RigSpec::hosted() => {
+                refuse("--wire-time is for a rig with a line and a processor, such as emulated; hosted has no delay")
+            }
             ClockArg::Lockstep => Ok(Clock::Lockstep { wire_time }),
             ClockArg::RealTime if let Some(reason) = self.rig.properties().no_real_time => refuse(reason),
             ClockArg::RealTime if wire_time => refuse(

@@ -122,6 +122,7 @@ pub(crate) fn overrides(record: &RunRecord) -> Option<String> {
         ("trials", overrides.trials.map(|trials| trials.to_string())),
         ("seed", overrides.seed.map(|seed| seed.to_string())),
         ("timeout", overrides.timeout_s.map(|seconds| format!("{seconds} s"))),
+        ("wire-time", overrides.wire_time.then(|| "on".to_owned())),
     ];
     let changed: Vec<_> =
         changed.into_iter().filter_map(|(name, value)| Some(format!("{name} = {}", value?))).collect();
@@ -149,12 +150,12 @@ pub(crate) fn not_applicable_group(group: &NotApplicableGroup<'_>) -> String {
     format!("{}{unplayed}: {}", count(group.expectations, "expectation"), group.reason)
 }
 
-pub fn count(number: usize, one: &str) -> String {
 /// Follows the name of a scenario that is not applicable.
 pub(crate) fn not_applicable(scenario: &NotApplicable) -> String {
     format!("not applicable: {}", scenario.reason)
 }
 
+pub fn count(number: usize, one: &str) -> String {
     if number == 1 { format!("1 {one}") } else { format!("{number} {one}s") }
 }
 

@@ -38,6 +38,7 @@ fn wire_and_computing_time_are_optional() {
     let folder = TestFolder::with_scenario(&step_scenario("aluminium-198x138", "law = \"dq-pi-fixed\"", "", SETTLING));
     let transparent = run_and_read(&folder, &["--rig", "emulated"], 0);
     let wired = run_and_read(&folder, &["--rig", "emulated", "--wire-time"], 1);
+    assert_eq!([&transparent, &wired].map(|record| record.overrides.wire_time), [false, true]);
     let telemetry = |record: &RunRecord| record.scenarios[0].trials[0].telemetry.clone();
     assert_eq!(telemetry(&transparent).loop_delay_us, Some(0.0));
     // 24 bytes each way at 1 Mbaud take 480 µs, plus idle time of the line and the control step.

@@ -163,6 +163,7 @@ impl RunArgs {
             require_all: self.require_all,
             fail_fast: self.fail_fast,
             timeout_s: self.timeout,
+            wire_time: self.wire_time,
             keep_traces: self.keep_traces,
             board: self.board.selection.board.clone(),
             shard: self.shard.map(|shard| [shard.number, shard.count]),

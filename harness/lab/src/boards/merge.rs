@@ -134,12 +134,13 @@ fn read_runs(folders: &[PathBuf]) -> Result<Vec<StoredRun>, MergeError> {
 
 /// Options that all shards of a run have in common.
 fn shared_options(overrides: &Overrides) -> String {
-    let Overrides { law, trials, seed, model, .. } = overrides;
+    let Overrides { law, trials, seed, model, wire_time, .. } = overrides;
     let options = [
         law.as_ref().map(|law| format!("--law {law}")),
         trials.map(|trials| format!("--trials {trials}")),
         seed.map(|seed| format!("--seed {seed}")),
         model.as_ref().map(|model| format!("--model {model}")),
+        wire_time.then(|| "--wire-time".to_owned()),
     ];
     let options: Vec<_> = options.into_iter().flatten().collect();
     if options.is_empty() { "none".to_owned() } else { options.join(" ") }

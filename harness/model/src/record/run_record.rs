@@ -259,6 +259,9 @@ pub struct Overrides {
     /// `--timeout`: wall time after which the trials of a scenario end, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timeout_s: Option<f64>,
+    /// `--wire-time`: emulated line and computing time act as loop delay.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub wire_time: bool,
     #[serde(default, skip_serializing_if = "KeepTraces::keeps_all")]
     pub keep_traces: KeepTraces,
     /// `--board`: name of the board in boards.toml.
