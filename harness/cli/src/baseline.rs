@@ -130,20 +130,19 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
     }
     let exit = if invalid { Exit::Invalid } else { Exit::of_verdict(Verdict::combine(verdicts.iter().copied())) };
     if exit != Exit::Passed {
-        exit.show_verdict(&reason(&verdicts), OutputFormat::Human);
+        let words = ["agree with their golden traces", "differ or did not pass", "have no golden trace or no decision"];
+        exit.show_verdict(&count_verdicts(&verdicts, words), OutputFormat::Human);
     }
     Ok(exit)
 }
 
-fn reason(verdicts: &[Verdict]) -> String {
-    let number = |wanted: Verdict| verdicts.iter().filter(|verdict| **verdict == wanted).count();
-    format!(
-        "of {}, {} agree with their golden traces, {} differ or did not pass, {} have no golden trace or no decision",
-        count(verdicts.len(), "scenario"),
-        number(Verdict::Pass),
-        number(Verdict::Fail),
-        number(Verdict::Inconclusive)
-    )
+/// `words` follow the numbers of passed, failed and inconclusive scenarios.
+pub(crate) fn count_verdicts(verdicts: &[Verdict], words: [&str; 3]) -> String {
+    let parts = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive].into_iter().zip(words).map(|(wanted, words)| {
+        let number = verdicts.iter().filter(|verdict| **verdict == wanted).count();
+        format!("{number} {words}")
+    });
+    format!("of {}, {}", count(verdicts.len(), "scenario"), parts.collect::<Vec<_>>().join(", "))
 }
 
 fn print_difference(

@@ -1,5 +1,6 @@
 //! `platebench compare`: compares responses with other responses or with baselines.
 
+use crate::baseline::count_verdicts;
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat};
 use crate::stdio;
@@ -54,7 +55,13 @@ pub(crate) fn compare(arguments: &CompareArgs) -> CommandResult {
         let reason = comparisons.iter().find_map(|one| one.comparison.reason.as_deref());
         return Err(nothing_compared(arguments, reason.unwrap_or_default()));
     }
-    Ok(Exit::of_verdict(Verdict::combine(comparisons.iter().map(|one| one.comparison.verdict))))
+    let verdicts: Vec<_> = comparisons.iter().map(|one| one.comparison.verdict).collect();
+    let exit = Exit::of_verdict(Verdict::combine(verdicts.iter().copied()));
+    exit.show_verdict(
+        &count_verdicts(&verdicts, ["agree", "differ", "have no reference or no decision"]),
+        arguments.format,
+    );
+    Ok(exit)
 }
 
 fn nothing_compared(arguments: &CompareArgs, reason: &str) -> Failure {
