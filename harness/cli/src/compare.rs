@@ -46,6 +46,12 @@ pub(crate) struct CompareArgs {
 const DRAWINGS_FOLDER: &str = "comparison";
 
 pub(crate) fn compare(arguments: &CompareArgs) -> CommandResult {
+    let reference = Some(Path::new(&arguments.reference)).filter(|path| *path != Path::new(BASELINE_KEYWORD));
+    for path in std::iter::once(arguments.subject.as_path()).chain(reference) {
+        if !path.exists() {
+            return Err(Failure::invalid(&format!("{}: no such file or folder", path.display())));
+        }
+    }
     let comparisons = compare_all(arguments).or_invalid()?;
     stdio::show_result(arguments.format, &comparisons, &comparison_document(&comparisons));
     if comparisons.is_empty() {

@@ -11,7 +11,7 @@ use clap::ValueEnum;
 use platebench_engine::rejudge::check_trace;
 use platebench_engine::{RejudgeError, rejudge};
 use platebench_lab::boards::{MergeError, SOAK_FILE, SoakRecord, merge_runs};
-use platebench_model::record::{RunFolder, RunRecord};
+use platebench_model::record::{RECORD_FILE, RunFolder, RunRecord};
 #[cfg(feature = "export")]
 use platebench_report::export::{ExportError, ExportFormat, select_scenarios};
 use platebench_report::page::ReportPage;
@@ -39,7 +39,7 @@ pub(crate) struct ReportArgs {
     run: Option<PathBuf>,
     /// Scenarios of the run to export, by file; default: all
     #[cfg(feature = "export")]
-    #[arg(value_name = "SCENARIO", requires = "export")]
+    #[arg(value_name = "SCENARIO")]
     scenarios: Vec<String>,
     /// Show another run side by side, in comparison.html
     #[arg(long, value_name = "RUN", conflicts_with = "action")]
@@ -83,7 +83,20 @@ enum ExportFormatArg {
 }
 
 pub(crate) fn report(arguments: &ReportArgs, detail: Detail) -> CommandResult {
+    let runs = arguments.run.iter().chain(&arguments.against).chain(&arguments.merge);
+    for run in runs.filter(|run| !run.join(RECORD_FILE).exists() && !run.join(SOAK_FILE).exists()) {
+        let found = if run.exists() { "contains no run" } else { "no such folder" };
+        return Err(Failure::invalid(&format!("{}: {found}, expected a run folder", run.display())));
+    }
     let Some(run) = &arguments.run else { return merge(arguments, detail) };
+    #[cfg(feature = "export")]
+    if let (Some(other), None) = (arguments.scenarios.first(), arguments.export) {
+        let message = format!(
+            "`{other}`: expected one run; --against RUN compares two runs, --merge RUN... --out FOLDER joins several, \
+             and names of scenarios need --export FORMAT"
+        );
+        return Err(Failure::invalid(&message));
+    }
     if arguments.rejudge {
         return judge(run, arguments, detail);
     }
