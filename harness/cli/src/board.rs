@@ -251,7 +251,11 @@ fn run_soak(arguments: &SoakArgs, detail: Detail) -> CommandResult {
 }
 
 fn exit_of(record: &SoakRecord) -> Exit {
-    if record.end == Some(SoakEnd::Lost) { Exit::Unreachable } else { Exit::of_verdict(record.verdict) }
+    if matches!(record.end, Some(SoakEnd::Lost | SoakEnd::Unsafe)) {
+        Exit::Unreachable
+    } else {
+        Exit::of_verdict(record.verdict)
+    }
 }
 
 fn soak_reason(record: &SoakRecord) -> String {
@@ -259,7 +263,8 @@ fn soak_reason(record: &SoakRecord) -> String {
     let end = record.describe_end();
     let [failed, inconclusive, trials] =
         [count(|one| one.failed), count(|one| one.inconclusive), count(|one| one.trials)];
-    let safe = if record.safe_confirmed { "" } else { "; 0 V was not confirmed after each run" };
+    let is_stated = record.safe_confirmed || record.end == Some(SoakEnd::Unsafe);
+    let safe = if is_stated { "" } else { "; 0 V was not confirmed after each run" };
     format!("{failed} failed and {inconclusive} inconclusive of {trials} trials in {} runs; {end}{safe}", record.runs)
 }
 

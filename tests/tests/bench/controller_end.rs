@@ -1,5 +1,6 @@
 //! Checks how the bench judges a controller that ends, never confirms 0 V, or drives afterwards.
 
+use crate::boards::inventory;
 use crate::test_folder::{FAILED_SETTLING, SETTLING, TestFolder, step_scenario, workspace_root};
 use platebench_model::record::{Verdict, ViolationKind};
 use platebench_test_kit::python_with_pyserial;
@@ -120,6 +121,17 @@ fn a_played_shard_without_confirmed_0_v_ends_with_5() {
     write_campaign(&folder);
     folder.bench(["campaign", "plan", "campaign.toml", "--out", "c", "--rig", &rig, "--shards", "1"]).assert_exit(0);
     folder.bench(["campaign", "play", "c", "--shard", "1"]).assert_message(5, &["did not confirm 0 V"]);
+}
+
+#[test]
+fn a_soak_ends_without_confirmed_0_v() {
+    let folder = TestFolder::with_step(ANSWERED);
+    let Some(rig) = controller(&folder, Change::Message { kind: "SAFE", action: "return None" }) else { return };
+    folder.write("boards.toml", &inventory(&[("left", format!("rig = \"{rig}\""))]));
+    let soak =
+        folder.bench(["board", "soak", "--board", "left", "--hours", "1", "--clock", "lockstep", "--out", "soak"]);
+    soak.assert_text(5, &["1 runs; ended because the controller did not confirm 0 V"]);
+    assert!(folder.read("soak/soak.json").contains("\"end\": \"unsafe\""));
 }
 
 #[test]

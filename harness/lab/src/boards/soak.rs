@@ -6,7 +6,7 @@ use platebench_engine::plan::LinkFactory;
 use platebench_engine::{CancelToken, RunError, RunHooks, RunPlan, rejudge, run};
 use platebench_model::record::{FileLock, FolderError, RunFolder, RunRecord, Verdict, utc_timestamp};
 use platebench_model::scenario::Scenario;
-use platebench_model::trace::{AtPath as _, read_text_file, write_atomically};
+use platebench_model::trace::{AtPath as _, create_folder, read_text_file, write_atomically};
 use platebench_report::document::{Block, Document, Table};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -39,7 +39,8 @@ pub fn soak(
     connect: &LinkFactory<'_>,
     cancel: &CancelToken,
 ) -> Result<SoakResult, RunError> {
-    fs::create_dir_all(out).at(out).map_err(FolderError::from)?;
+    let created: Vec<&Path> = out.ancestors().take_while(|folder| !folder.exists()).collect();
+    create_folder(out).at(out).map_err(FolderError::from)?;
     let lock = FileLock::exclusive(out).map_err(FolderError::from)?;
     let _lock = lock.ok_or_else(|| FolderError::InUse(out.to_owned()))?;
     if out.join(SOAK_FILE).exists() {
@@ -62,6 +63,14 @@ pub fn soak(
         board = BoardOutcome::of_run(played.as_ref(), folder.path());
         let run = match played {
             Ok(run) => run,
+            // The board was not reached, so the same soak can start again.
+            Err(error) if record.runs == 0 && !cancel.is_cancelled() && folder.remove_if_empty() => {
+                let _ = fs::remove_file(out.join(SOAK_FILE));
+                for folder in created {
+                    let _ = fs::remove_dir(folder);
+                }
+                return Err(error);
+            }
             Err(error) => {
                 record.end = Some(if cancel.is_cancelled() { SoakEnd::Cancelled } else { SoakEnd::Lost });
                 write(&record, out)?;
@@ -95,7 +104,7 @@ fn end_after(
     cancel: &CancelToken,
 ) -> Option<SoakEnd> {
     if board.quarantine.is_some() {
-        Some(SoakEnd::Lost)
+        Some(if run.has_lost_controller() { SoakEnd::Lost } else { SoakEnd::Unsafe })
     } else if config.fail_fast && run.verdict == Verdict::Fail {
         Some(SoakEnd::Failed)
     } else if cancel.is_cancelled() {
@@ -150,6 +159,8 @@ pub enum SoakEnd {
     Cancelled,
     Failed,
     Lost,
+    /// The controller did not confirm 0 V or did not keep it.
+    Unsafe,
 }
 
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
@@ -261,6 +272,7 @@ impl SoakRecord {
             SoakEnd::Cancelled => "cancelled",
             SoakEnd::Failed => "ended at the first failure",
             SoakEnd::Lost => "ended because the board was lost",
+            SoakEnd::Unsafe => "ended because the controller did not confirm 0 V or did not keep it",
         })
     }
 
