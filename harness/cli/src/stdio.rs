@@ -25,7 +25,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use tracing::field::{Field, Visit};
 use tracing::{Event, Metadata};
+use tracing_subscriber::field::RecordFields;
 use tracing_subscriber::filter::{LevelFilter, ParseError, Targets};
+use tracing_subscriber::fmt::FormatFields;
+use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::layer::{Context, Filter, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{Layer, fmt, registry};
@@ -70,9 +73,6 @@ pub(crate) fn show(text: &str) {
     let _ = CheckedStdout.write_all(text.as_bytes()).and_then(|()| CheckedStdout.flush());
 }
 
-pub(crate) fn error(message: &str) {
-    let _ = writeln!(stderr().lock(), "error: {}", escape_commands(message));
-}
 /// True if `file` is `-`, which means standard output where a file is written.
 pub(crate) fn is_stdout(file: &Path) -> bool {
     file == Path::new(STANDARD_STREAM)
@@ -95,6 +95,9 @@ pub(crate) fn parse_named_file(text: &str) -> Result<PathBuf, String> {
     Ok(text.into())
 }
 
+pub(crate) fn error(message: &str) {
+    let _ = writeln!(stderr().lock(), "error: {}", escape_commands(message));
+}
 
 /// Error of an earlier write to standard output.
 pub(crate) fn write_error() -> Option<&'static str> {
@@ -152,9 +155,6 @@ pub(crate) fn console_text(document: &Document) -> String {
     document.to_console(style.width, style)
 }
 
-pub(crate) fn show_result(format: OutputFormat, value: &impl Serialize, document: &Document) {
-    show_as(format, value, || console_text(document));
-}
 /// Shows text for people, on standard error if another output uses standard output.
 pub(crate) fn show_beside(uses_stdout: bool, text: &str) {
     if uses_stdout {
@@ -164,6 +164,9 @@ pub(crate) fn show_beside(uses_stdout: bool, text: &str) {
     }
 }
 
+pub(crate) fn show_result(format: OutputFormat, value: &impl Serialize, document: &Document) {
+    show_as(format, value, || console_text(document));
+}
 
 pub(crate) fn document(document: &Document) {
     show(&console_text(document));
@@ -325,16 +328,52 @@ pub(crate) fn start_log(arguments: &LoggingArgs) -> Result<(), String> {
     // Does not block, because a slow reader must not delay the controller's thread, which logs too.
     // Internal errors are not reported: if the terminal is closed, the report would panic.
     let lines = fmt::layer().with_writer(|| NonBlockingStderr).log_internal_errors(false);
-    let lines = match arguments.log_format {
-        LogFormat::Human => lines.with_ansi(colors_apply_to(&stderr())).boxed(),
-        LogFormat::Json => lines.json().boxed(),
-    };
     // -v and PLATEBENCH_LOG ask for a log of all steps.
     let is_short = arguments.verbose == 0 && std::env::var_os(LOG_VARIABLE).is_none();
+    let colours = colors_apply_to(&stderr());
+    let lines = match arguments.log_format {
+        LogFormat::Human if is_short => {
+            lines.without_time().with_target(false).fmt_fields(SentenceFields).with_ansi(colours).boxed()
+        }
+        LogFormat::Human => lines.with_ansi(colours).boxed(),
+        LogFormat::Json => lines.json().boxed(),
+    };
     let lines = lines.with_filter(is_short.then(FirstOfCause::default));
     // If a logger exists already, for example in a test, it stays.
     let _ = registry().with(filter).with(lines).try_init();
     Ok(())
+}
+
+/// Formats an event as `MESSAGE: ERROR, NAME VALUE`.
+struct SentenceFields;
+
+impl<'writer> FormatFields<'writer> for SentenceFields {
+    fn format_fields<R: RecordFields>(&self, writer: Writer<'writer>, fields: R) -> std::fmt::Result {
+        let mut sentence = Sentence { writer, result: Ok(()) };
+        fields.record(&mut sentence);
+        sentence.result
+    }
+}
+
+struct Sentence<'writer> {
+    writer: Writer<'writer>,
+    result: std::fmt::Result,
+}
+
+impl Visit for Sentence<'_> {
+    fn record_str(&mut self, field: &Field, value: &str) {
+        self.record_debug(field, &format_args!("{value}"));
+    }
+
+    fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
+        let value = escape_commands(&format!("{value:?}"));
+        let written = match field.name() {
+            "message" => write!(self.writer, "{value}"),
+            "error" => write!(self.writer, ": {value}"),
+            name => write!(self.writer, ", {name} {value}"),
+        };
+        self.result = self.result.and(written);
+    }
 }
 
 /// Logs the first event of each message and error, because a fault of the controller repeats in
@@ -449,6 +488,20 @@ mod tests {
         for (line, expected) in found.iter().zip(expected) {
             assert!(expected.split(' ').all(|word| line.contains(word)), "{expected}: {text}");
         }
+    }
+
+    #[test]
+    fn a_log_line_is_a_sentence() {
+        let lines = Lines::default();
+        let writer = lines.clone();
+        let layer = fmt::layer().without_time().with_ansi(false).with_target(false).fmt_fields(SentenceFields);
+        tracing::subscriber::with_default(registry().with(layer.with_writer(move || writer.clone())), || {
+            tracing::error!(error = "the \"port\" \u{1b}[2J closed", "controller lost");
+            tracing::warn!(scenario = "a.toml", frames = 2, "frames rejected");
+        });
+        let expected =
+            "ERROR controller lost: the \"port\" \\u{1b}[2J closed\n WARN frames rejected, scenario a.toml, frames 2\n";
+        assert_eq!(String::from_utf8(lines.0.lock().unwrap().clone()).unwrap(), expected);
     }
 
     #[rstest]
