@@ -38,13 +38,15 @@ fn a_required_scenario_that_is_not_applicable_fails_in_every_format() {
     let junit = std::fs::read_to_string(&path).unwrap();
     page::write(&record, folder.path()).unwrap();
     let html = std::fs::read_to_string(folder.path().join(page::FILE)).unwrap();
-    let reason = "not applicable: the controller does not announce the law `deadbeat`";
-    let row = format!("| ✗ | laws/foreign.toml |  |  |  | fail: {reason} |  |");
     for (text, expected, unexpected) in [
         (junit.clone(), r#" failures="1" errors="0">"#, "<skipped"),
         (junit, r#"type="fail""#, "inconclusive"),
         (tap::text(&record, TapVersion::V14), "not ok 2 - laws/foreign.toml\n  ---\n  verdict: \"fail\"\n", "SKIP"),
-        (github::render_page(&record), &row, "| Not applicable |"),
+        (
+            github::render_page(&record),
+            "| ✗ | laws/foreign.toml |  |  |  | fail: not applicable: ",
+            "| Not applicable |",
+        ),
         (
             github::workflow_commands(&record, &|_, _| None),
             "::error title=laws/foreign.toml::not applicable",
