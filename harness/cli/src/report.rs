@@ -83,8 +83,8 @@ enum ExportFormatArg {
 }
 
 pub(crate) fn report(arguments: &ReportArgs, detail: Detail) -> CommandResult {
-    let runs = arguments.run.iter().chain(&arguments.against).chain(&arguments.merge);
-    for run in runs.filter(|run| !run.join(RECORD_FILE).exists() && !run.join(SOAK_FILE).exists()) {
+    let mut runs = arguments.run.iter().chain(&arguments.against).chain(&arguments.merge);
+    if let Some(run) = runs.find(|run| !run.join(RECORD_FILE).exists() && !run.join(SOAK_FILE).exists()) {
         let found = if run.exists() { "contains no run" } else { "no such folder" };
         return Err(Failure::invalid(&format!("{}: {found}, expected a run folder", run.display())));
     }
