@@ -61,7 +61,7 @@ Exit codes: 0 unchanged, 1 changed or not signed, 2 no record, 3 the session is 
 Examples:
   platebench acceptance run --rig serial:/dev/ttyUSB0@1000000 --time-scale 0.1 --operator 'A. Tester' --place 'Lab 2'
   platebench acceptance run --rig emulated --yes --out record --sign key.pem
-  platebench acceptance run --rig emulated --yes --resume record --sign key.pem     continues this session")]
+  platebench acceptance run --rig emulated --yes --resume record --sign key.pem   continues it")]
 struct SessionArgs {
     /// Rig of the controller, as for `platebench run`
     #[arg(long, conflicts_with = "board")]
