@@ -164,98 +164,102 @@ struct ExponentialTerm {
     pole: Complex64,
 }
 
-impl ExponentialTerm {
-    fn at_rest(pole: Complex64) -> Self {
-        Self { amplitude: Complex64::ZERO, pole }
-    }
-}
-
 /// `e^{pole t}` of the slow pole and of the second term.
-type Decays = [Complex64; 2];
+pub(crate) type Decays = [Complex64; 2];
 
-/// Decays of the last step. Most steps of a trial have the same poles and the same length.
+/// `e^{pole t}` of the last step for the slow and the fast pole. Most steps of a trial have the same
+/// poles and the same length.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct LastDecays {
-    poles: [Complex64; 2],
+pub(crate) struct LastExponentials([LastExponential; 2]);
+
+#[derive(Debug, Clone, Copy)]
+struct LastExponential {
+    pole: Complex64,
     seconds: f64,
-    decays: Option<Decays>,
+    value: Complex64,
 }
 
-impl LastDecays {
-    /// Equals [`Flow::decays`], bit for bit.
-    #[inline]
-    fn of(&mut self, flow: &Flow, seconds: f64) -> Decays {
-        let poles = flow.poles();
-        match self.decays {
-            Some(decays) if self.poles == poles && self.seconds == seconds => decays,
-            _ => {
-                let decays = flow.decays(seconds);
-                *self = Self { poles, seconds, decays: Some(decays) };
-                decays
-            }
-        }
+impl Default for LastExponential {
+    fn default() -> Self {
+        Self { pole: Complex64::ZERO, seconds: 0.0, value: Complex64::ONE }
     }
+}
+
+impl LastExponential {
+    #[inline]
+    fn of(&mut self, pole: Complex64, seconds: f64) -> Complex64 {
+        if self.pole != pole || self.seconds != seconds {
+            *self = Self { pole, seconds, value: (pole * seconds).exp() };
+        }
+        self.value
+    }
+}
+
+/// Amplitudes of slow and fast pole of a modal flow from `state`. The deviation from the steady
+/// state `rest` is the sum over both poles: w = A + B, u = s₊A + s₋B.
+#[inline]
+fn modal_amplitudes(state: &State, rest: Complex64, omega: f64, sigma: f64, damped: f64) -> [Complex64; 2] {
+    let w = state.w - rest;
+    let u = state.u - J * omega * rest;
+    let (plus, minus) = (Complex64::new(-sigma, damped), Complex64::new(-sigma, -damped));
+    let slow = (u - minus * w) / (plus - minus);
+    [slow, w - slow]
 }
 
 impl Flow {
     /// `mode` must be resonant (σ < ω0), which a checked plate and scenario guarantee.
     pub fn new(model: Model, mode: &Mode, drive: &Drive, state: &State) -> Self {
-        let mut flow = match model {
-            Model::Linear => Self::linear(mode, drive),
-            Model::Modal | Model::Carrier => Self::modal(mode, drive),
-            Model::Envelope => Self::envelope(mode, drive),
-        };
-        flow.start_from(state);
-        flow
+        match model {
+            Model::Linear => Self::linear(mode, drive, state),
+            Model::Modal | Model::Carrier => Self::modal(mode, drive, state),
+            Model::Envelope => Self::envelope(mode, drive, state),
+        }
     }
 
-    fn envelope(mode: &Mode, drive: &Drive) -> Self {
+    fn envelope(mode: &Mode, drive: &Drive, state: &State) -> Self {
         let pole = Complex64::new(-mode.sigma, mode.omega0 - drive.omega);
+        let rest = -mode.envelope_constant * drive.vpp / pole;
         Self {
-            steady_state: -mode.envelope_constant * drive.vpp / pole,
-            slow_pole: ExponentialTerm::at_rest(pole),
+            steady_state: rest,
+            slow_pole: ExponentialTerm { amplitude: state.w - rest, pole },
             second_term: SecondTerm::Envelope,
         }
     }
 
-    fn linear(mode: &Mode, drive: &Drive) -> Self {
+    fn linear(mode: &Mode, drive: &Drive, state: &State) -> Self {
         let rest = mode.envelope_constant * drive.vpp / mode.sigma;
         let ratio = (mode.omega0 - drive.omega) / mode.sigma;
         Self {
             steady_state: Complex64::new(rest, rest * ratio),
-            slow_pole: ExponentialTerm::at_rest((-mode.sigma).into()),
-            second_term: SecondTerm::Ratio { rest: ratio, amplitude: 0.0 },
+            slow_pole: ExponentialTerm { amplitude: (state.w.re - rest).into(), pole: (-mode.sigma).into() },
+            second_term: SecondTerm::Ratio { rest: ratio, amplitude: state.u.re - ratio },
         }
     }
 
-    fn modal(mode: &Mode, drive: &Drive) -> Self {
+    fn modal(mode: &Mode, drive: &Drive, state: &State) -> Self {
         let Mode { sigma, omega0, .. } = *mode;
         let omega = drive.omega;
         let damped = ((omega0 - sigma) * (omega0 + sigma)).sqrt();
         let stiffness = Complex64::new((omega0 - omega) * (omega0 + omega), 2.0 * sigma * omega);
-        let term = ExponentialTerm::at_rest(Complex64::new(-sigma, -damped - omega));
+        let rest = J * (mode.force_constant * drive.vpp) / stiffness;
+        let [slow, fast] = modal_amplitudes(state, rest, omega, sigma, damped);
+        let term = ExponentialTerm { amplitude: fast, pole: Complex64::new(-sigma, -damped - omega) };
         Self {
-            steady_state: J * (mode.force_constant * drive.vpp) / stiffness,
-            slow_pole: ExponentialTerm::at_rest(Complex64::new(-sigma, damped - omega)),
+            steady_state: rest,
+            slow_pole: ExponentialTerm { amplitude: slow, pole: Complex64::new(-sigma, damped - omega) },
             second_term: SecondTerm::FastPole { term, omega, damped },
         }
     }
 
-    /// Sets the amplitudes of the terms so that the flow starts from `state`.
+    /// The same flow from another state, as [`Self::new`] gives it, bit for bit.
     #[inline]
     pub(crate) fn start_from(&mut self, state: &State) {
         let rest = self.steady_state;
         match &mut self.second_term {
             SecondTerm::Envelope => self.slow_pole.amplitude = state.w - rest,
             SecondTerm::FastPole { term, omega, damped } => {
-                // Deviation from the steady state as the sum over both poles: w = A + B, u = s₊A + s₋B.
-                let w = state.w - rest;
-                let u = state.u - J * *omega * rest;
-                let sigma = -term.pole.re;
-                let (plus, minus) = (Complex64::new(-sigma, *damped), Complex64::new(-sigma, -*damped));
-                let slow = (u - minus * w) / (plus - minus);
-                self.slow_pole.amplitude = slow;
-                term.amplitude = w - slow;
+                [self.slow_pole.amplitude, term.amplitude] =
+                    modal_amplitudes(state, rest, *omega, -term.pole.re, *damped);
             }
             SecondTerm::Ratio { rest: ratio, amplitude } => {
                 self.slow_pole.amplitude = (state.w.re - rest.re).into();
@@ -264,33 +268,36 @@ impl Flow {
         }
     }
 
-    fn poles(&self) -> [Complex64; 2] {
-        let second =
-            if let SecondTerm::FastPole { term, .. } = &self.second_term { term.pole } else { Complex64::ZERO };
-        [self.slow_pole.pole, second]
+    pub fn after(&self, seconds: f64) -> State {
+        let exponential = |pole: Complex64| (pole * seconds).exp();
+        self.state_with(self.decays(seconds, exponential, exponential))
     }
 
-    fn decays(&self, seconds: f64) -> Decays {
-        let slow = self.slow_pole.pole;
+    /// Decays of [`Self::after`], bit for bit.
+    #[inline]
+    pub(crate) fn decays_with(&self, last: &mut LastExponentials, seconds: f64) -> Decays {
+        let [slow, fast] = &mut last.0;
+        self.decays(seconds, |pole| slow.of(pole, seconds), |pole| fast.of(pole, seconds))
+    }
+
+    /// `slow` and `fast` return `e^{pole t}` at `seconds` for a slow and a fast pole.
+    #[inline]
+    fn decays(
+        &self,
+        seconds: f64,
+        slow: impl FnOnce(Complex64) -> Complex64,
+        fast: impl FnOnce(Complex64) -> Complex64,
+    ) -> Decays {
+        let pole = self.slow_pole.pole;
         match &self.second_term {
-            SecondTerm::Envelope => [(slow * seconds).exp(), Complex64::ZERO],
-            SecondTerm::FastPole { term, .. } => [(slow * seconds).exp(), (term.pole * seconds).exp()],
-            SecondTerm::Ratio { .. } => [(slow.re * seconds).exp().into(), Complex64::ZERO],
+            SecondTerm::Envelope => [slow(pole), Complex64::ZERO],
+            SecondTerm::FastPole { term, .. } => [slow(pole), fast(term.pole)],
+            SecondTerm::Ratio { .. } => [(pole.re * seconds).exp().into(), Complex64::ZERO],
         }
     }
 
-    pub fn after(&self, seconds: f64) -> State {
-        self.state_with(self.decays(seconds))
-    }
-
-    /// Like [`Self::after`], bit for bit.
     #[inline]
-    pub(crate) fn after_with(&self, last: &mut LastDecays, seconds: f64) -> State {
-        self.state_with(last.of(self, seconds))
-    }
-
-    #[inline]
-    fn state_with(&self, [slow, second]: Decays) -> State {
+    pub(crate) fn state_with(&self, [slow, second]: Decays) -> State {
         let state = match &self.second_term {
             SecondTerm::Envelope => {
                 State { w: self.steady_state + self.slow_pole.amplitude * slow, u: Complex64::ZERO }

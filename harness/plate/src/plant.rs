@@ -9,7 +9,7 @@ use crate::crossing::{BandMonitor, BandSearch, Crossing, time_without_crossing};
 use crate::demodulator::Demodulator;
 use crate::effect::Step;
 use crate::effects::ActiveEffects;
-use crate::flow::{ExponentialSum, Flow, Forcing, LastDecays, Model, State};
+use crate::flow::{ExponentialSum, Flow, Forcing, LastExponentials, Model, State};
 use crate::mode::{ConditionProfiles, Conditions, Drive, Mode};
 use crate::motion::{FrozenMotion, ModeMotion, Motion, PerMode};
 use crate::phase::{Phase, PhaseRate};
@@ -67,7 +67,7 @@ pub struct Plant {
     demodulator: Option<Demodulator>,
     max_pole_rate: f64,
     interval: Option<SmoothInterval>,
-    decays: LastDecays,
+    exponentials: LastExponentials,
     /// `None` in the models `linear` and `envelope`, and for a plate without optional effects.
     effects: Option<Box<ActiveEffects>>,
 }
@@ -81,7 +81,7 @@ impl Plant {
             demodulator: lockin.map(|lockin| Demodulator::new(lockin, plate.omega0)),
             max_pole_rate: max_slow_pole_rate(&plate, &scene),
             interval: None,
-            decays: LastDecays::default(),
+            exponentials: LastExponentials::default(),
             effects: (model.has_both_poles() && plate.first_effect().is_some())
                 .then(|| Box::new(ActiveEffects::start(&plate.effects))),
             plate,
@@ -240,8 +240,13 @@ impl Plant {
         }
         let start = self.time;
         let mut next = step.next_multiple_after(start);
+        let mut decays = flow.decays_with(&mut self.exponentials, (next - start).seconds());
         while next < end {
-            self.state = flow.after_with(&mut self.decays, (next - self.time).seconds());
+            self.state = flow.state_with(decays);
+            if self.time == start {
+                // Only the first step may be shorter.
+                decays = flow.decays_with(&mut self.exponentials, step.seconds());
+            }
             self.time = next;
             each(next, &self.state);
             flow.start_from(&self.state);
@@ -336,7 +341,8 @@ impl Plant {
     fn advance_frozen(&mut self, mode: &Mode, end: Time, bands: &mut BandSearch<'_>) {
         let flow = Flow::new(self.model, mode, &self.drive, &self.state);
         self.observe_frozen(&flow, end, bands);
-        let state = flow.after_with(&mut self.decays, (end - self.time).seconds());
+        let decays = flow.decays_with(&mut self.exponentials, (end - self.time).seconds());
+        let state = flow.state_with(decays);
         self.finish_step(end, state);
     }
 
