@@ -105,7 +105,7 @@ fn a_grid_without_judge_and_requirement_is_a_map() {
     folder.bench(["campaign", "merge", "c"]).assert_exit(3).assert_stdout(&["inconclusive (evidence)"]);
     play(&folder, "c", 2, 1);
     let merged = folder.bench(["campaign", "merge", "c"]);
-    merged.assert_exit(0).assert_stdout(&["map, not judged", "of 24 trials"]);
+    merged.assert_exit(0).assert_stdout(&["map, not judged", "of 24 trials", " inconclusive\n"]);
     let result = summary(&folder, "c");
     assert!(result["overall"]["failures"].as_u64().unwrap() > 0, "{result}");
     assert_eq!((&result["verdict"], &result["judged"]), (&Value::Null, &Value::Bool(false)));

@@ -347,7 +347,8 @@ impl<'a> Summary<'a> {
         }];
         let mut counts =
             format!("{trials} of {} trials: {failures} fail, {inconclusive} inconclusive", self.campaign.trials);
-        let is_sample = self.campaign.chain_trials() == 1;
+        // The cells of a map are chosen, not drawn.
+        let is_sample = self.campaign.chain_trials() == 1 && !self.campaign.is_map;
         let confidence = self.campaign.confidence;
         if let Some([low, high]) = self.interval().filter(|_| is_sample) {
             let [low, high, confidence] = [low, high, confidence].map(|share| share * 100.0);
