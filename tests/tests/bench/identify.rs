@@ -69,9 +69,9 @@ fn identified_tables_match_the_paper() {
     assert_budget(folder.path(), &identified);
     let plate = fs::read_to_string(folder.path().join("plate.toml")).unwrap();
     assert!(plate.starts_with("name = \"found\"\n"), "{plate}");
-    let shown = run_bench(folder.path(), ["identify", "run", "--out", "-", "--name", "found"]).assert_exit(0);
-    assert_eq!(shown.stdout, plate);
-    assert!(shown.stderr.contains("The plate, with intervals of 95 %"), "{}", shown.stderr);
+    let output = run_bench(folder.path(), ["identify", "run", "--out", "-", "--name", "found"]).assert_exit(0);
+    assert_eq!(output.stdout, plate);
+    assert!(output.stderr.contains("The plate, with intervals of 95 %"), "{}", output.stderr);
     let page = fs::read_to_string(folder.path().join("page.html")).unwrap();
     assert!(page.contains("Table II") && page.contains("s-first") && page.contains("6844.5"));
     let scenario = "title = \"again\"\nplate = \"plate.toml\"\nduration_ms = 60.0\n[controller]\nlaw = \"dq-pi\"\n\

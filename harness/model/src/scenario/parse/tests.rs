@@ -35,7 +35,10 @@ fn parses_a_valid_file() {
     &["5:33", "6:53"]
 )]
 #[case::keys_of_a_profile(
-    &[("= 2.0", "= { sqare = { low = 0.0 } }\nfinger_force_n = { square = { low = 0.0, hgih = 1.0, period_ms = 2.0 } }")],
+    &[(
+        "= 2.0",
+        "= { sqare = { low = 0.0 } }\nfinger_force_n = { square = { low = 0.0, hgih = 1.0, period_ms = 2.0 } }"
+    )],
     &["5:17", "6:42"]
 )]
 #[case::shapes_of_a_profile(
