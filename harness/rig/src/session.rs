@@ -1,6 +1,8 @@
 //! Runs the protocol with one controller: handshake, configuration, samples and 0 V over any link.
 
+use crate::cancel::CancelToken;
 use crate::command_audit::{CommandAudit, DrivesAfterSafe};
+use crate::handshake::{HANDSHAKE_TIMEOUT, HELLO_NUMBER, RejectedBytes, handshake};
 use crate::link::{Link, LinkError, LinkKind};
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Packet, PacketReader,
@@ -20,6 +22,14 @@ pub enum RigError {
         platebench_wire::VERSION
     )]
     NoAnswer { expected: &'static str },
+    #[error(
+        "no identity from the controller within {} s{rejected}; is it running, is the baud rate right, and does it speak \
+         version {} of the protocol?",
+        waited.as_secs(), platebench_wire::VERSION
+    )]
+    NoIdentity { waited: Duration, rejected: RejectedBytes },
+    #[error("cancelled while the bench waited for the identity of the controller")]
+    Cancelled,
     #[error("this rig cannot be used in real time; use --clock lockstep")]
     NoRealTime,
     #[error("the controller was restarted in the middle of a trial")]
@@ -113,6 +123,12 @@ pub struct Session<L: Link> {
 
 impl<L: Link> Session<L> {
     pub fn open(link: L) -> Result<Self, RigError> {
+        Self::open_cancellable(link, &CancelToken::never())
+    }
+
+    /// Repeats the hello until the controller sends its identity, for at most 5 s. A failure
+    /// requests 0 V, because a controller that does not answer may still receive.
+    pub fn open_cancellable(link: L, cancel: &CancelToken) -> Result<Self, RigError> {
         let mut session = Self {
             link,
             reader: PacketReader::new(),
@@ -125,8 +141,8 @@ impl<L: Link> Session<L> {
                 unique: [0; 12],
                 name: [0; 16],
             },
-            sequence: 0,
-            last_command_sequence: 0,
+            sequence: HELLO_NUMBER,
+            last_command_sequence: HELLO_NUMBER,
             pending_command: None,
             now: Duration::ZERO,
             period: Duration::ZERO,
@@ -140,13 +156,8 @@ impl<L: Link> Session<L> {
             rejected_frames: 0,
             audit: CommandAudit::new(),
         };
-        match session.request(Message::Hello)? {
-            Some((Message::Identity(identity), _)) => {
-                session.identity = identity;
-                session.has_identity = true;
-            }
-            _ => return Err(RigError::NoAnswer { expected: "identity" }),
-        }
+        session.identity = handshake(&mut session.link, HANDSHAKE_TIMEOUT, cancel, || None)?;
+        session.has_identity = true;
         debug!(name = %session.firmware_name(), laws = session.identity.laws, "controller found");
         Ok(session)
     }
