@@ -200,6 +200,8 @@ mod tests {
     #[case(-1.8, 0, 0.2)]
     #[case(0.0, 1_000, 0.4)]
     #[case(0.9, 1_000, 0.4)]
+    #[case(0.0, 5, 0.0)]
+    #[case(0.0, 6, 0.0024)]
     #[case(f32::NAN, 0, 0.0)]
     fn is_the_larger_of_drive_and_frequency(#[case] drive_vpp: f32, #[case] frequency_mhz: u32, #[case] percent: f64) {
         assert_eq!((CONFIGURE.drive_limit_vpp, CONFIGURE.frequency_range_hz), (900.0, 250.0));

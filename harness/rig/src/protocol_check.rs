@@ -87,6 +87,13 @@ pub struct CheckOptions<'a> {
     pub cancel: &'a CancelToken,
 }
 
+impl CheckOptions<'_> {
+    /// True for a long script that was not requested. In simulated time every script is played.
+    fn omits(&self, script: &Script) -> bool {
+        self.own_clock && !self.long_scripts && self.messages.is_empty() && script.length() > LONG_SCRIPT
+    }
+}
+
 /// Plays every script on `link`. Fails if the link is lost. Afterwards the controller may have
 /// stopped or have another configuration. `base` supplies the law, the watchdog timeout and the
 /// plate.
@@ -96,7 +103,7 @@ pub fn check_protocol(
     base: &Configure,
     options: CheckOptions<'_>,
 ) -> Result<ProtocolCheck, LinkError> {
-    let CheckOptions { own_clock, seed, messages, compares_numbers, own_law, long_scripts, cancel } = options;
+    let CheckOptions { own_clock, seed, messages, compares_numbers, own_law, cancel, .. } = options;
     if !link.restart()? {
         link.continue_trial();
     }
@@ -134,7 +141,7 @@ pub fn check_protocol(
         if cancel.is_cancelled() {
             break;
         }
-        if own_clock && !long_scripts && messages.is_empty() && script.length() > LONG_SCRIPT {
+        if options.omits(&script) {
             check.not_played.push(script.name.into_owned());
             continue;
         }
@@ -297,8 +304,9 @@ mod tests {
     use crate::session::Session;
     use platebench_model::scenario::ConfigurationChange;
     use platebench_test_kit::CONFIGURE;
-    use platebench_wire::{Command, ControllerState, Gains, Message, Packet, StateCause};
+    use platebench_wire::{Command, ControllerState, Gains, LawId, Message, Packet, StateCause};
     use rstest::rstest;
+    use std::f64::consts::TAU;
     use std::sync::LazyLock;
 
     fn scripts() -> CheckOptions<'static> {
@@ -440,14 +448,88 @@ mod tests {
         assert_eq!(names(&found), ["a drive limit with a fraction"]);
     }
 
-    #[test]
-    fn two_millihertz_differ_if_the_range_is_small() {
+    #[rstest]
+    #[case::largest_rounding(5, false)]
+    #[case::more(6, true)]
+    fn a_reported_frequency_may_differ_by_five_millihertz(#[case] offset_mhz: u32, #[case] differs: bool) {
         let found = differences(|_, packets| {
             for command in commands(packets).filter(|command| command.state == ControllerState::Running) {
-                command.frequency_mhz += 2;
+                command.frequency_mhz += offset_mhz;
             }
         });
-        assert!(names(&found).contains(&"frequency limits of a few mHz"), "{found:?}");
+        assert_eq!(names(&found).contains(&"frequency limits of a few mHz"), differs, "{found:?}");
+    }
+
+    /// f32 resolves 2π · 32 kHz to 2^-6 rad/s.
+    #[test]
+    fn an_angular_frequency_in_single_precision_is_correct() {
+        let found = differences(|_, packets| {
+            for command in commands(packets).filter(|command| command.state == ControllerState::Running) {
+                let omega = (f64::from(command.frequency_mhz) * 1e-3 * TAU) as f32;
+                command.frequency_mhz = (f64::from(omega) / TAU * 1e3).round() as u32;
+            }
+        });
+        assert_eq!(found, [""; 0]);
+    }
+
+    /// Half the drive under every law but `dq-pi`, with the reference.
+    #[rstest]
+    #[case::deadbeat(LawId::Deadbeat, 0)]
+    #[case::pll(LawId::Pll, 0)]
+    #[case::dq_pi_fixed(LawId::DqPiFixed, 1)]
+    fn the_law_of_a_configuration_decides_what_is_compared(#[case] law: LawId, #[case] differences: usize) {
+        let configure =
+            |law: LawId| ScenarioMessage::Configure(ConfigurationChange { law: Some(law as u8), ..Default::default() });
+        let messages = [
+            configure(LawId::DqPi),
+            ScenarioMessage::sample(2.0, 1.2, -0.2),
+            configure(law),
+            ScenarioMessage::sample(2.0, 1.2, -0.2),
+        ];
+        let mut configurations = 0;
+        let change = |_, packets: &mut Vec<Packet>| {
+            configurations += packets.iter().filter(|packet| matches!(packet.message, Message::Configured(_))).count();
+            for command in commands(packets).filter(|_| configurations > 1) {
+                command.drive_vpp *= 0.5;
+                command.flags = 0;
+            }
+        };
+        let identity = *Session::open(HostedLink::new()).unwrap().identity();
+        let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Simulated, change };
+        let options = CheckOptions { messages: &messages, compares_numbers: true, ..scripts() };
+        let found = check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap().differences;
+        assert_eq!(found.len(), differences, "{found:?}");
+    }
+
+    /// The result must not depend on a measured speed.
+    #[rstest]
+    #[case::simulated(false, false, false)]
+    #[case::wall_time(true, false, true)]
+    #[case::requested(true, true, false)]
+    fn only_an_option_decides_which_scripts_are_played(
+        #[case] own_clock: bool,
+        #[case] long_scripts: bool,
+        #[case] is_omitted: bool,
+    ) {
+        let identity = *Session::open(HostedLink::new()).unwrap().identity();
+        let options = CheckOptions { own_clock, long_scripts, ..scripts() };
+        let all = scripts::scripts(&CONFIGURE, &identity, 1, false);
+        let omitted: Vec<_> = all.iter().filter(|script| options.omits(script)).map(|script| &*script.name).collect();
+        assert_eq!(omitted, &["more samples than sixteen bits count"][..usize::from(is_omitted)]);
+    }
+
+    #[test]
+    fn a_cancellation_ends_the_check() {
+        let cancel = CancelToken::never();
+        cancel.cancel();
+        let identity = *Session::open(HostedLink::new()).unwrap().identity();
+        let mut exchanges = 0;
+        let change = |number, _: &mut Vec<Packet>| exchanges = number;
+        let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Lossless, change };
+        let options = CheckOptions { own_clock: true, cancel: &cancel, ..scripts() };
+        check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap();
+        drop(link);
+        assert_eq!(exchanges, 0);
     }
 
     #[test]
