@@ -198,7 +198,8 @@ impl<'a, L: Link> Executor<'a, L> {
 
     fn open(&self) -> Result<RigSession<L>, RunError> {
         let link = FaultInjector::new((self.connect)()?);
-        Ok(RigSession::open_cancellable(link, &self.settings.cancel)?)
+        // The time limit of a scenario does not end the run.
+        Ok(RigSession::open_cancellable(link, &self.settings.cancel.with_deadline(None))?)
     }
 
     /// Waits for a port or a server that was there before, such as a USB board that resets.
@@ -209,7 +210,7 @@ impl<'a, L: Link> Executor<'a, L> {
                 Err(error) if may_come_back(&error) => error,
                 opened => return opened,
             };
-            if self.settings.cancel.is_cancelled() {
+            if self.settings.cancel.with_deadline(None).is_cancelled() {
                 return Err(RunError::Cancelled);
             }
             let Some(until) = budget.next_part(Instant::now()) else { return Err(error) };

@@ -8,7 +8,7 @@ use crate::link::{Link, LinkError, LinkKind};
 use crate::session::RigError;
 use crate::wait_budget::WaitBudget;
 use platebench_model::printable::quoted;
-use platebench_wire::{FrameError, Identity, Message, Packet, PacketError, PacketReader};
+use platebench_wire::{FaultReport, FrameError, Identity, Message, Packet, PacketError, PacketReader};
 use std::fmt;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -49,7 +49,7 @@ pub(crate) fn handshake<L: Link + ?Sized>(
         let asked = Instant::now();
         let mut bytes = Vec::new();
         let exchanged = link.exchange(Duration::ZERO, hello.as_bytes(), &mut bytes);
-        answers.read(&bytes)?;
+        answers.read(&bytes);
         if let Some(identity) = answers.identity {
             debug!(attempt, rejected = answers.rejected.bytes, "identity received");
             answers.drain(link, attempt)?;
@@ -63,7 +63,10 @@ pub(crate) fn handshake<L: Link + ?Sized>(
             thread::sleep(HELLO_INTERVAL.saturating_sub(asked.elapsed()));
         }
     }
-    Err(RigError::NoIdentity { waited: timeout, rejected: answers.rejected() })
+    Err(match answers.fault {
+        Some(report) => RigError::Trapped(report),
+        None => RigError::NoIdentity { waited: timeout, rejected: answers.rejected() },
+    })
 }
 
 #[derive(Debug, Default)]
@@ -71,13 +74,15 @@ struct HandshakeAnswers {
     reader: PacketReader,
     identity: Option<Identity>,
     identities: u128,
+    /// A report may be of an earlier session, so that an identity after it counts.
+    fault: Option<FaultReport>,
     rejected: RejectedBytes,
     /// Number of bytes since the last frame.
     unfinished: u64,
 }
 
 impl HandshakeAnswers {
-    fn read(&mut self, bytes: &[u8]) -> Result<(), RigError> {
+    fn read(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             self.unfinished += 1;
             self.rejected.keep_start(byte);
@@ -89,7 +94,7 @@ impl HandshakeAnswers {
                             self.identities += 1;
                             self.identity.get_or_insert(identity);
                         }
-                        Message::Fault(report) => return Err(RigError::Trapped(report)),
+                        Message::Fault(report) => self.fault = Some(report),
                         _ => {}
                     }
                 }
@@ -103,7 +108,6 @@ impl HandshakeAnswers {
                 None => {}
             }
         }
-        Ok(())
     }
 
     fn rejected(self) -> RejectedBytes {
@@ -127,7 +131,7 @@ impl HandshakeAnswers {
         while self.identities < hellos && quiet_since.elapsed() < QUIET && budget.next_part(Instant::now()).is_some() {
             let mut bytes = Vec::new();
             link.advance_to(Duration::ZERO, &mut bytes)?;
-            self.read(&bytes)?;
+            self.read(&bytes);
             if link.kind() == LinkKind::Simulated {
                 break;
             }
@@ -281,6 +285,15 @@ mod tests {
         assert!(text.contains("; 7 bytes were rejected; they begin with \"login:\""), "{text}");
         let long = message(&[&[&[7; 100][..], &[0, 0]].concat(), b""]);
         assert!(long.contains("; 101 bytes were rejected in 1 frame, the last one has no end"), "{long}");
+    }
+
+    #[test]
+    fn a_report_of_an_earlier_trap_does_not_end_it() {
+        let report = FaultReport { code: 3, pc: 0, lr: 0, cfsr: 0, address: 0 };
+        let fault = Packet { sequence: 0, message: Message::Fault(report) }.encode().as_bytes().to_vec();
+        open(&mut ListedLink::new([fault.clone(), identity()])).unwrap();
+        let trapped = open(&mut ListedLink::new([fault, Vec::new()]));
+        assert!(matches!(trapped, Err(RigError::Trapped(found)) if found == report), "{trapped:?}");
     }
 
     #[test]

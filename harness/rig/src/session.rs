@@ -111,6 +111,8 @@ pub struct Session<L: Link> {
     consumed: usize,
     /// Arrival of the last byte of `bytes`; used only in real time.
     received_at: Instant,
+    /// Shortens the observation after 0 V.
+    cancel: CancelToken,
     has_identity: bool,
     is_closed: bool,
     /// True if the controller is a program that has ended.
@@ -149,6 +151,7 @@ impl<L: Link> Session<L> {
             bytes: Vec::with_capacity(RECEIVE_CAPACITY),
             consumed: 0,
             received_at: Instant::now(),
+            cancel: cancel.with_deadline(None),
             has_identity: false,
             is_closed: false,
             has_ended: false,
@@ -308,14 +311,14 @@ impl<L: Link> Session<L> {
     }
 
     /// Reads the line after the controller confirmed 0 V, for at least 20 ms and 10 control periods
-    /// of the target's time. Requests 0 V again if the controller commanded a drive. Returns the
+    /// of the target's time, or for 20 ms after a cancellation. Requests 0 V again if the controller commanded a drive. Returns the
     /// commands with a drive since the last call.
     pub fn observe_safe_state(&mut self) -> Option<DrivesAfterSafe> {
         let duration = MIN_OBSERVATION.max(self.period * OBSERVED_PERIODS);
         let is_simulated = self.link.kind() == LinkKind::Simulated;
         let (start, started) = (self.now, Instant::now());
         let mut elapsed = Duration::ZERO;
-        while elapsed < duration {
+        while elapsed < if self.cancel.is_cancelled() { MIN_OBSERVATION } else { duration } {
             if is_simulated {
                 elapsed += duration / OBSERVATION_STEPS + Duration::from_nanos(1);
             } else {
