@@ -49,6 +49,10 @@ pub(crate) fn handshake<L: Link + ?Sized>(
         let asked = Instant::now();
         let mut bytes = Vec::new();
         let exchanged = link.exchange(Duration::ZERO, hello.as_bytes(), &mut bytes);
+        if exchanged.is_err() {
+            // A server that is in use sends its reason and hangs up, which the write notices first.
+            let _ = link.advance_to(Duration::ZERO, &mut bytes);
+        }
         answers.read(&bytes);
         if let Some(identity) = answers.identity {
             debug!(attempt, rejected = answers.rejected.bytes, "identity received");
@@ -224,13 +228,14 @@ mod tests {
         fn exchange(&mut self, _: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
             let sent: Vec<_> = PacketReader::new().packets(bytes).flatten().collect();
             assert_eq!(sent, [Packet { sequence: 0, message: Message::Hello }]);
-            answer.extend(&self.answers[self.hellos.min(self.answers.len() - 1)]);
+            let listed = &self.answers[self.hellos.min(self.answers.len() - 1)];
             self.hellos += 1;
             if self.is_closed {
-                Err(crate::tty::disconnected("the other side has hung up"))
-            } else {
-                Ok(Duration::ZERO)
+                self.late.clone_from(listed);
+                return Err(crate::tty::disconnected("the other side has hung up"));
             }
+            answer.extend(listed);
+            Ok(Duration::ZERO)
         }
 
         fn advance_to(&mut self, _: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
