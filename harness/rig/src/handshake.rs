@@ -56,7 +56,9 @@ pub(crate) fn handshake<L: Link + ?Sized>(
         answers.read(&bytes);
         if let Some(identity) = answers.identity {
             debug!(attempt, rejected = answers.rejected.bytes, "identity received");
-            answers.drain(link, attempt)?;
+            if attempt > 1 {
+                drain(link)?;
+            }
             return Ok(identity);
         }
         exchanged.map_err(|error| answers.explain(error))?;
@@ -77,7 +79,6 @@ pub(crate) fn handshake<L: Link + ?Sized>(
 struct HandshakeAnswers {
     reader: PacketReader,
     identity: Option<Identity>,
-    identities: u128,
     /// A report may be of an earlier session, so that an identity after it counts.
     fault: Option<FaultReport>,
     rejected: RejectedBytes,
@@ -94,10 +95,7 @@ impl HandshakeAnswers {
                 Some(Ok(packet)) => {
                     self.unfinished = 0;
                     match packet.message {
-                        Message::Identity(identity) => {
-                            self.identities += 1;
-                            self.identity.get_or_insert(identity);
-                        }
+                        Message::Identity(identity) => self.identity = Some(identity),
                         Message::Fault(report) => self.fault = Some(report),
                         _ => {}
                     }
@@ -127,25 +125,24 @@ impl HandshakeAnswers {
             (error, _) => error,
         }
     }
+}
 
-    /// Reads the answers to earlier hellos, so that no later request gets them.
-    fn drain<L: Link + ?Sized>(&mut self, link: &mut L, hellos: u128) -> Result<(), RigError> {
-        let mut budget = WaitBudget::new(MAX_DRAIN);
-        let mut quiet_since = Instant::now();
-        while self.identities < hellos && quiet_since.elapsed() < QUIET && budget.next_part(Instant::now()).is_some() {
-            let mut bytes = Vec::new();
-            link.advance_to(Duration::ZERO, &mut bytes)?;
-            self.read(&bytes);
-            if link.kind() == LinkKind::Simulated {
-                break;
-            }
-            if !bytes.is_empty() {
-                quiet_since = Instant::now();
-            }
-            thread::sleep(DRAIN_POLL_INTERVAL);
+/// Reads the answers to earlier hellos, so that no later request gets them.
+fn drain<L: Link + ?Sized>(link: &mut L) -> Result<(), RigError> {
+    let mut budget = WaitBudget::new(MAX_DRAIN);
+    let mut quiet_since = Instant::now();
+    while quiet_since.elapsed() < QUIET && budget.next_part(Instant::now()).is_some() {
+        let mut bytes = Vec::new();
+        link.advance_to(Duration::ZERO, &mut bytes)?;
+        if link.kind() == LinkKind::Simulated {
+            break;
         }
-        Ok(())
+        if !bytes.is_empty() {
+            quiet_since = Instant::now();
+        }
+        thread::sleep(DRAIN_POLL_INTERVAL);
     }
+    Ok(())
 }
 
 /// Bytes before the identity that are no valid frame. Prints them as the second part of a sentence.

@@ -2,6 +2,7 @@
 //! send times of its ticks.
 
 use crate::compared_link::{FREQUENCY_TOLERANCE_MHZ, command_difference};
+use crate::handshake::HELLO_NUMBER;
 use platebench_wire::{
     Command, Configure, ControllerState, Gains, Identity, LawId, Message, Packet, PacketReader, Sample, StateCause,
     flags,
@@ -69,6 +70,10 @@ impl ReceivedPackets {
             matches!(packet.message, Message::Command(command) if command.cause == StateCause::SampleTimeout)
                 && packet.sequence != request
         };
+        // An answer to a hello of the handshake.
+        let is_late_identity = |packet: &Packet| {
+            matches!(packet.message, Message::Identity(_)) && packet.sequence == HELLO_NUMBER && request != HELLO_NUMBER
+        };
         let is_tick = |packet: &Packet| matches!(packet.message, Message::Tick(_));
         let mut packets = packets(bytes);
         if let Some(at) = packets.iter().position(|packet| matches!(packet.message, Message::Configured(_))) {
@@ -76,7 +81,8 @@ impl ReceivedPackets {
             packets.splice(0..0, earlier);
         }
         let (ticks, answers): (Vec<_>, Vec<_>) = packets.into_iter().partition(is_tick);
-        Self { answers: answers.into_iter().filter(|packet| !is_report(packet)).collect(), ticks }
+        let answers = answers.into_iter().filter(|packet| !is_report(packet) && !is_late_identity(packet));
+        Self { answers: answers.collect(), ticks }
     }
 }
 
