@@ -448,23 +448,34 @@ mod tests {
         assert_eq!(names(&found), ["a drive limit with a fraction"]);
     }
 
+    /// 0.1 % of the range are 2 mHz.
     #[rstest]
-    #[case::largest_rounding(5, false)]
-    #[case::more(6, true)]
-    fn a_reported_frequency_may_differ_by_five_millihertz(#[case] offset_mhz: u32, #[case] differs: bool) {
-        let found = differences(|_, packets| {
+    #[case::largest_rounding(5, 0)]
+    #[case::more(6, 1)]
+    fn a_reported_frequency_may_differ_by_five_millihertz(#[case] offset_mhz: u32, #[case] differences: usize) {
+        let narrow = ConfigurationChange {
+            frequency_range_hz: Some(2.0.into()),
+            frequency_slew_hz: Some(2.0.into()),
+            ..Default::default()
+        };
+        let messages = [ScenarioMessage::Configure(narrow), ScenarioMessage::sample(2.0, 1.0, 0.001)];
+        let change = |_, packets: &mut Vec<Packet>| {
             for command in commands(packets).filter(|command| command.state == ControllerState::Running) {
                 command.frequency_mhz += offset_mhz;
             }
-        });
-        assert_eq!(names(&found).contains(&"frequency limits of a few mHz"), differs, "{found:?}");
+        };
+        let identity = *Session::open(HostedLink::new()).unwrap().identity();
+        let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Simulated, change };
+        let options = CheckOptions { messages: &messages, compares_numbers: true, ..scripts() };
+        let found = check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap().differences;
+        assert_eq!(found.len(), differences, "{found:?}");
     }
 
     /// f32 resolves 2π · 32 kHz to 2^-6 rad/s.
     #[test]
     fn an_angular_frequency_in_single_precision_is_correct() {
         let found = differences(|_, packets| {
-            for command in commands(packets).filter(|command| command.state == ControllerState::Running) {
+            for command in commands(packets) {
                 let omega = (f64::from(command.frequency_mhz) * 1e-3 * TAU) as f32;
                 command.frequency_mhz = (f64::from(omega) / TAU * 1e3).round() as u32;
             }

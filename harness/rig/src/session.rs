@@ -2,7 +2,7 @@
 
 use crate::cancel::CancelToken;
 use crate::command_audit::{CommandAudit, DrivesAfterSafe};
-use crate::handshake::{HANDSHAKE_TIMEOUT, HELLO_NUMBER, RejectedBytes, handshake};
+use crate::handshake::{HANDSHAKE_TIMEOUT, RejectedBytes, handshake};
 use crate::link::{Link, LinkError, LinkKind};
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Packet, PacketReader,
@@ -74,6 +74,8 @@ pub struct ReceivedMessage {
     pub message: Message,
 }
 
+/// The first request of a session has the next number. Every hello before has the number 0.
+const NUMBER_BEFORE_FIRST: u8 = 1;
 /// Larger than a pseudo-terminal's buffer, so that receiving never allocates.
 const RECEIVE_CAPACITY: usize = 8 * 1024;
 /// Largest number of requests for 0 V, because a frame may be lost.
@@ -143,8 +145,8 @@ impl<L: Link> Session<L> {
                 unique: [0; 12],
                 name: [0; 16],
             },
-            sequence: HELLO_NUMBER,
-            last_command_sequence: HELLO_NUMBER,
+            sequence: NUMBER_BEFORE_FIRST,
+            last_command_sequence: NUMBER_BEFORE_FIRST,
             pending_command: None,
             now: Duration::ZERO,
             period: Duration::ZERO,
