@@ -454,8 +454,8 @@ mod tests {
     #[case::more(6, 1)]
     fn a_reported_frequency_may_differ_by_five_millihertz(#[case] offset_mhz: u32, #[case] differences: usize) {
         let narrow = ConfigurationChange {
-            frequency_range_hz: Some(2.0.into()),
-            frequency_slew_hz: Some(2.0.into()),
+            frequency_range_hz: Some(2.0_f32.into()),
+            frequency_slew_hz: Some(2.0_f32.into()),
             ..Default::default()
         };
         let messages = [ScenarioMessage::Configure(narrow), ScenarioMessage::sample(2.0, 1.0, 0.001)];
