@@ -111,8 +111,9 @@ impl<'a, L: Link> Executor<'a, L> {
         Self { connect, settings, ends, session: None, losses: 0, has_connected: false }
     }
 
-    pub(crate) fn with_session(self, session: RigSession<L>) -> Self {
-        Self { session: Some(session), has_connected: true, ..self }
+    pub(crate) fn with_session(mut self, session: RigSession<L>) -> Self {
+        (self.session, self.has_connected) = (Some(session), true);
+        self
     }
 
     pub fn set_cancel(&mut self, cancel: &CancelToken) {
