@@ -270,7 +270,7 @@ impl PlateServer {
         print_on_stderr("waiting for a controller");
         while !cancel.is_cancelled() {
             let started = Instant::now();
-            let Ok(mut session) = Session::open(FaultInjector::new(&mut link)) else {
+            let Ok(mut session) = Session::open_cancellable(FaultInjector::new(&mut link), cancel) else {
                 // If a USB port was unplugged, only a new connection reaches it again.
                 if let ControllerPort::Serial(rig) = port {
                     link = rig.connect_real_time().unwrap_or(link);

@@ -1,13 +1,13 @@
 //! Records commands, stops and violations of a controller during a trial, for all trial loops.
 //! Checks every command against the configured limits, before the bench clips its drive.
 
-use crate::trial::{configure, needs_reconfiguration, start_frequency_mhz};
+use crate::trial::{Trial, configure, needs_reconfiguration, start_frequency_mhz};
 use platebench_model::record::{Telemetry, Violation, ViolationKind};
 use platebench_model::scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_plate::Time;
 use platebench_rig::{
-    CheckOptions, DrivesAfterSafe, FaultInjector, Link, LinkError, LinkKind, ProtocolCheck, RigError, Session,
-    check_protocol,
+    CheckOptions, DrivesAfterSafe, FREQUENCY_TOLERANCE_MHZ, FaultInjector, Link, LinkError, LinkKind, ProtocolCheck,
+    RigError, Session, check_protocol,
 };
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
 use tracing::warn;
@@ -126,23 +126,20 @@ impl<'a> ControllerLog<'a> {
         &mut self,
         session: &mut Session<FaultInjector<L>>,
         base: &Configure,
-        own_clock: bool,
-        index: u32,
+        trial: &Trial<'_>,
     ) -> Result<(), RigError> {
         if !self.scenario.expects(Metric::ProtocolDifferences) {
             return Ok(());
         }
         let identity = *session.identity();
+        let Trial { own_clock, long_scripts, index, ref cancel, .. } = *trial;
         let seed = Variation::of_trial(self.scenario, index).seed;
         let link = session.link_mut().inner_mut();
         let compares_numbers = self.scenario.expects(Metric::ReferenceDifference);
         let messages = &self.scenario.messages;
         let own_law = self.scenario.has_own_law();
-        let options = CheckOptions { own_clock, seed, messages, compares_numbers, own_law };
+        let options = CheckOptions { own_clock, seed, messages, compares_numbers, own_law, long_scripts, cancel };
         let check = check_protocol(link, &identity, base, options)?;
-        for skipped in &check.skipped {
-            warn!(scenario = self.scenario.file, "protocol: {skipped} skipped, because the controller is too slow");
-        }
         for difference in &check.differences {
             warn!(scenario = self.scenario.file, "protocol: {difference}");
         }
@@ -183,10 +180,11 @@ impl<'a> ControllerLog<'a> {
             end_cause: lost.map(RigError::cause),
             stopped: self.stop_cause.map(|cause| stop_reason(cause).to_owned()),
             faults: session.link().fault_counts().map(|(kind, count)| (kind.to_owned(), count)).collect(),
-            violations: self.checks.violations(),
+            violations: refused_configuration(lost).into_iter().chain(self.checks.violations()).collect(),
             reference_difference_percent: session.link().reference_difference_percent(),
             protocol_differences: self.protocol_check.as_ref().map(|check| check.differences.clone()),
             protocol_repeats: self.protocol_check.as_ref().map_or(0, |check| check.repeats),
+            scripts_not_played: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.not_played.clone()),
             transport: session.link_mut().chip().map(|chip| chip.transport()),
             firmware_output: session.link_mut().chip().and_then(|chip| chip.firmware_output()),
             ..Telemetry::default()
@@ -194,16 +192,30 @@ impl<'a> ControllerLog<'a> {
     }
 }
 
+/// The executor reports a configuration that the hosted reference refuses too as an invalid input.
+pub(crate) fn refused_configuration(lost: Option<&RigError>) -> Option<Violation> {
+    let kind = ViolationKind::RefusedConfiguration;
+    matches!(lost, Some(RigError::ConfigurationRejected(_))).then_some(Violation {
+        kind,
+        at_s: 0.0,
+        count: 1,
+        worst: None,
+        limit: None,
+    })
+}
+
 /// True if the controller caused the error, so the trial fails. Any other error, such as a dead
 /// line, makes the trial inconclusive.
 pub(crate) fn is_controller_failure(error: &RigError) -> bool {
     match error {
-        RigError::Trapped(_) | RigError::WrongSequence | RigError::Link(LinkError::Target(_) | LinkError::Ended(_)) => {
-            true
-        }
+        RigError::Trapped(_)
+        | RigError::WrongSequence
+        | RigError::ConfigurationRejected(_)
+        | RigError::Link(LinkError::Target(_) | LinkError::Ended(_)) => true,
         RigError::Link(LinkError::Disconnected(_))
         | RigError::NoAnswer { .. }
-        | RigError::ConfigurationRejected(_)
+        | RigError::NoIdentity { .. }
+        | RigError::Cancelled
         | RigError::Restarted
         | RigError::NoRealTime => false,
     }
@@ -218,8 +230,7 @@ pub(crate) const fn stop_reason(cause: StateCause) -> &'static str {
     }
 }
 
-/// Covers the rounding of two frequencies: f32 resolves 32 kHz to 2 mHz, the wire rounds to 1 mHz.
-const FREQUENCY_TOLERANCE_HZ: f64 = 5e-3;
+const FREQUENCY_TOLERANCE_HZ: f64 = FREQUENCY_TOLERANCE_MHZ as f64 * 1e-3;
 /// Relative tolerance for the rounding of gains to f32 on the wire.
 const GAIN_TOLERANCE: f32 = 1e-5;
 

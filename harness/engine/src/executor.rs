@@ -9,16 +9,21 @@ use crate::trial::{self, Trial, TrialResult};
 use crate::{lockstep, real_plate, real_time};
 use platebench_model::record::Telemetry;
 use platebench_model::scenario::Scenario;
-use platebench_rig::{BoxedLink, CancelToken, FaultInjector, Link, RigError, SafeEnd, Session};
+use platebench_rig::{BoxedLink, CancelToken, FaultInjector, Link, LinkError, RigError, SafeEnd, Session, WaitBudget};
 use platebench_verdict::{Judgement, SequentialDecision, judge_sequentially, measure};
 use platebench_wire::{Identity, LawId};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
-use tracing::error;
+use std::thread;
+use std::time::{Duration, Instant};
+use tracing::{debug, error};
 
 /// Number of consecutive trials with a lost controller after which a search or a sweep ends.
 pub const MAX_LOSSES: u32 = 5;
+
+/// Longest wait for a port or a server that has vanished.
+const RETURN_TIMEOUT: Duration = Duration::from_secs(5);
 
 pub type RigSession<L = BoxedLink> = Session<FaultInjector<L>>;
 
@@ -50,6 +55,8 @@ impl SafeEnds {
 pub struct ExecutorSettings<'a> {
     pub clock: Clock,
     pub own_clock: bool,
+    /// True if the protocol check plays its long scripts also with an own clock.
+    pub long_scripts: bool,
     pub cancel: CancelToken,
     pub operator: &'a dyn Operator,
     /// The executor fails if it connects to another controller. `None` accepts every controller.
@@ -68,6 +75,7 @@ impl ExecutorSettings<'_> {
         Self {
             clock: Clock::Lockstep { wire_time: false },
             own_clock: false,
+            long_scripts: false,
             cancel: cancel.clone(),
             operator: &NoOperator,
             identity: None,
@@ -93,16 +101,18 @@ pub struct Executor<'a, L: Link = BoxedLink> {
     ends: &'a SafeEnds,
     session: Option<RigSession<L>>,
     losses: u32,
+    /// True after the first connection.
+    has_connected: bool,
 }
 
 impl<'a, L: Link> Executor<'a, L> {
     /// Connects at the first trial.
     pub fn new(connect: &'a LinkFactory<'a, L>, settings: ExecutorSettings<'a>, ends: &'a SafeEnds) -> Self {
-        Self { connect, settings, ends, session: None, losses: 0 }
+        Self { connect, settings, ends, session: None, losses: 0, has_connected: false }
     }
 
     pub(crate) fn with_session(mut self, session: RigSession<L>) -> Self {
-        self.session = Some(session);
+        (self.session, self.has_connected) = (Some(session), true);
         self
     }
 
@@ -128,8 +138,8 @@ impl<'a, L: Link> Executor<'a, L> {
     }
 
     /// Plays trial `index` and, before it, the scenes between trials. `None` if it was cancelled.
-    /// Fails if the controller cannot be reached or refuses a configuration. A lost controller is
-    /// no error of the trial, unless it is lost too often.
+    /// Fails if the controller cannot be reached, or if the configuration is unusable for every
+    /// controller. A lost controller is no error of the trial, unless it is lost too often.
     pub fn play(
         &mut self,
         scenario: &Scenario,
@@ -143,9 +153,6 @@ impl<'a, L: Link> Executor<'a, L> {
         for scene in scenario.between.iter().filter(|_| index > 0) {
             let law = trial::law(scene).map_err(|unknown| RunError::Scenario(Box::new(unknown)))?;
             let Some(played) = self.play_on_clock(scene, law, index, true, None)? else { return Ok(None) };
-            if let Some(refused @ RigError::ConfigurationRejected(_)) = played.link_error {
-                return Err(RunError::Refused { file: scenario.file.clone(), error: refused });
-            }
             scenes.include_scene(played.telemetry);
         }
         let continues = keeps_controller || self.settings.shares_controller;
@@ -158,10 +165,8 @@ impl<'a, L: Link> Executor<'a, L> {
         played.telemetry.include_scene(scenes);
         match &played.link_error {
             None => self.losses = 0,
-            Some(RigError::ConfigurationRejected(rejection)) => {
-                let error = RigError::ConfigurationRejected(*rejection);
-                return Err(RunError::Refused { file: scenario.file.clone(), error });
-            }
+            // The controller answers, so the next trial needs no other one.
+            Some(RigError::ConfigurationRejected(_)) => self.losses = 0,
             Some(lost) => self.replace_lost_controller(lost)?,
         }
         Ok(Some(played))
@@ -192,8 +197,32 @@ impl<'a, L: Link> Executor<'a, L> {
         }
     }
 
-    fn connect(&self) -> Result<RigSession<L>, RunError> {
-        let session = RigSession::open(FaultInjector::new((self.connect)()?))?;
+    fn open(&self) -> Result<RigSession<L>, RunError> {
+        let link = FaultInjector::new((self.connect)()?);
+        // The time limit of a scenario does not end the run.
+        Ok(RigSession::open_cancellable(link, &self.settings.cancel.with_deadline(None))?)
+    }
+
+    /// Waits for a port or a server that was there before, such as a USB board that resets.
+    fn open_again(&self) -> Result<RigSession<L>, RunError> {
+        let mut budget = WaitBudget::new(RETURN_TIMEOUT);
+        loop {
+            let error = match self.open() {
+                Err(error) if may_come_back(&error) => error,
+                opened => return opened,
+            };
+            if self.settings.cancel.with_deadline(None).is_cancelled() {
+                return Err(RunError::Cancelled);
+            }
+            let Some(until) = budget.next_part(Instant::now()) else { return Err(error) };
+            debug!(%error, "the rig is not there, which is tried again");
+            thread::sleep(until.saturating_duration_since(Instant::now()));
+        }
+    }
+
+    fn connect(&mut self) -> Result<RigSession<L>, RunError> {
+        let session = if self.has_connected { self.open_again()? } else { self.open()? };
+        self.has_connected = true;
         let found = *session.identity();
         match self.settings.identity {
             Some(expected) if found != expected => {
@@ -226,7 +255,7 @@ impl<'a, L: Link> Executor<'a, L> {
         continues: bool,
         tap: Option<&mut TapWriter>,
     ) -> Result<Option<TrialResult>, RunError> {
-        let ExecutorSettings { clock, own_clock, operator, .. } = self.settings;
+        let ExecutorSettings { clock, own_clock, long_scripts, operator, .. } = self.settings;
         let wire_time = clock == Clock::Lockstep { wire_time: true };
         let cancel = self.settings.cancel.clone();
         // The start of an emulated board or a program takes up to seconds.
@@ -235,12 +264,16 @@ impl<'a, L: Link> Executor<'a, L> {
         }
         let session = self.session()?;
         let law = trial::law_number(scenario, law, session.identity());
-        let trial = Trial { wire_time, own_clock, continues, cancel, tap, ..Trial::new(scenario, law, index) };
+        let trial =
+            Trial { wire_time, own_clock, long_scripts, continues, cancel, tap, ..Trial::new(scenario, law, index) };
         let played = match clock {
             Clock::RealPlate => real_plate::play(session, &trial, operator)?,
             Clock::Lockstep { .. } => lockstep::play(session, trial),
             Clock::RealTime(time_base) => real_time::play(session, trial, time_base),
         };
+        if let Some(TrialResult { link_error: Some(RigError::ConfigurationRejected(_)), .. }) = &played {
+            trial::check_configuration(scenario, law)?;
+        }
         // Requests 0 V now, because other workers may need longer until they end.
         if played.is_none() {
             self.close();
@@ -265,6 +298,14 @@ impl<'a, L: Link> Executor<'a, L> {
 impl<L: Link> Drop for Executor<'_, L> {
     fn drop(&mut self) {
         self.close();
+    }
+}
+
+fn may_come_back(error: &RunError) -> bool {
+    match error {
+        RunError::Connect(error) => platebench_rig::may_come_back(error),
+        RunError::Rig(RigError::Link(LinkError::Disconnected(_))) => true,
+        _ => false,
     }
 }
 

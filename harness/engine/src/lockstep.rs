@@ -24,6 +24,7 @@ pub(crate) const OWN_CLOCK_WATCHDOG_TIMEOUT_MS: u16 = 10_000;
 /// bench waits for it in wall time.
 const SILENCE_WATCHDOG_TIMEOUT_MS: u16 = 1_000;
 const WATCHDOG_MARGIN: Duration = Duration::from_millis(100);
+const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// One of this many trials is played over both transports of the emulated chip.
 const CHECKED_TRIALS: u32 = 10;
 /// Random stream of the jitter. Streams 0 and 1 of a seed belong to sensor noise and plate spread.
@@ -193,7 +194,7 @@ impl ReplyStats {
 
 impl<'a, L: Link> LockstepLoop<'a, L> {
     fn start(session: &'a mut Session<FaultInjector<L>>, trial: Trial<'a>) -> Self {
-        let Trial { scenario, index, own_clock, continues, .. } = trial;
+        let Trial { scenario, index, continues, .. } = trial;
         let faults = wire_faults(scenario, index);
         session.link_mut().set_faults(&faults);
         let chip_faults = chip_fault_plan(scenario, index);
@@ -210,7 +211,7 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
             return lockstep;
         }
         let configure = lockstep.configuration();
-        let checked = lockstep.controller.check_protocol(lockstep.session, &configure, own_clock, index);
+        let checked = lockstep.controller.check_protocol(lockstep.session, &configure, &lockstep.trial);
         match checked.and_then(|()| lockstep.session.begin_trial(&configure, continues)) {
             Ok(gains) => lockstep.controller.record_configuration(&configure, Some(&gains), Time::ZERO),
             Err(error) => lockstep.end_on_link_error(error),
@@ -374,7 +375,10 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
     fn wait_for_planned_stop(&mut self, now: Time) {
         if self.watchdog.planned_stops.pop_if(|stop| *stop <= now).is_some() && !self.controller.is_stopped() {
             let timeout = Duration::from_millis(self.watchdog.timeout_ms.into()) + WATCHDOG_MARGIN;
-            thread::sleep(timeout.saturating_sub(self.watchdog.last_sample_sent.elapsed()));
+            let left = || timeout.saturating_sub(self.watchdog.last_sample_sent.elapsed());
+            while !left().is_zero() && !self.trial.cancel.is_cancelled() {
+                thread::sleep(left().min(CANCEL_POLL_INTERVAL));
+            }
             self.receive_late_commands(now);
             // This wait must not count as a stall of the host.
             self.watchdog.last_sample_sent = Instant::now();

@@ -72,7 +72,7 @@ pub enum RunError {
     #[error(transparent)]
     Connect(#[from] ConnectError),
     #[error(transparent)]
-    Rig(#[from] RigError),
+    Rig(RigError),
     #[error("{file}: {error}")]
     Refused { file: String, error: RigError },
     #[error("the controller is now {found}, but was {expected} when the run began; keep the same controller connected")]
@@ -93,6 +93,12 @@ pub enum RunError {
     Cancelled,
     #[error("the bench has a defect, please report it: {0}")]
     Internal(String),
+}
+
+impl From<RigError> for RunError {
+    fn from(error: RigError) -> Self {
+        if matches!(error, RigError::Cancelled) { Self::Cancelled } else { Self::Rig(error) }
+    }
 }
 
 pub struct RunHooks<'a> {

@@ -5,6 +5,7 @@ mod telemetry_loop;
 
 use telemetry_loop::{TelemetryLoop, TelemetryLoopResult};
 
+use crate::controller_log::refused_configuration;
 use crate::plan::{Answer, Operator, Question, QuestionKind};
 use crate::plant_simulation::{RowQueue, watch_rows};
 use crate::trial::{Trial, TrialAbort, TrialResult};
@@ -56,8 +57,9 @@ pub(crate) fn play<L: Link>(
     };
     let real_plate = RealPlateRecord { asked: preparation.requests, undone: preparation.not_done, ..real_plate };
     let safe_confirmed = real_plate.safe_confirmed;
+    let refused = refused_configuration(link_error.as_ref());
     let telemetry = Telemetry {
-        violations: violation.into_iter().collect(),
+        violations: refused.into_iter().chain(violation).collect(),
         ended: link_error.as_ref().map(ToString::to_string),
         stopped: stop_reason.map(str::to_owned),
         real_plate: Some(Box::new(real_plate)),

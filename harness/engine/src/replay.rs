@@ -9,7 +9,7 @@ use crate::executor::RigSession;
 use crate::lockstep::OWN_CLOCK_WATCHDOG_TIMEOUT_MS;
 use crate::plan::{LinkFactory, RunError};
 use crate::rejudge::{RejudgeError, apply_overrides, load_stored_scenario, read_trial_rows};
-use crate::trial::{TrialAbort, configure, law, law_number, missing_capability};
+use crate::trial::{TrialAbort, check_configuration, configure, law, law_number, missing_capability};
 use platebench_model::external_csv::{ColumnMapping, ExternalCsvError, read_rows};
 use platebench_model::record::{ClockKind, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord};
 use platebench_model::scenario::{Diagnostic, Scenario, load};
@@ -34,7 +34,7 @@ pub fn replay(
 ) -> Result<ReplayResult, ReplayError> {
     let law = law(&input.scenario).map_err(|unknown| ReplayError::Scenario(Box::new(unknown)))?;
     let link = connect().map_err(RunError::from)?;
-    let session = RigSession::open(FaultInjector::new(link)).map_err(RunError::from)?;
+    let session = RigSession::open_cancellable(FaultInjector::new(link), cancel).map_err(RunError::from)?;
     if let Some(reason) = missing_capability(&input.scenario, law, session.identity()) {
         return Err(ReplayError::NotApplicable(reason));
     }
@@ -50,10 +50,12 @@ pub fn replay(
     let lost = match player.play(&input.recording.steps, law, own_clock, cancel) {
         Ok(()) => None,
         Err(TrialAbort::Cancelled) => return Err(RunError::Cancelled.into()),
-        Err(TrialAbort::Lost(refused @ RigError::ConfigurationRejected(_))) => {
-            return Err(RunError::Rig(refused).into());
+        Err(TrialAbort::Lost(error)) => {
+            if matches!(error, RigError::ConfigurationRejected(_)) {
+                check_configuration(&input.scenario, law)?;
+            }
+            Some(error)
         }
-        Err(TrialAbort::Lost(error)) => Some(error),
     };
     let replay = player.finish(rig, firmware, law, lost.as_ref());
     Ok(ReplayResult::new(&input.recording, replay))

@@ -13,7 +13,7 @@ use platebench_model::record::{
 };
 use platebench_model::scenario::{Metric, OWN_LAW, Scenario};
 use platebench_model::trace::AtPath as _;
-use platebench_rig::{ChipFaultError, FaultInjector, Link, RigSpec};
+use platebench_rig::{ChipFaultError, FaultInjector, Link, RigSpec, is_defined_law};
 use platebench_verdict::Judgement;
 use platebench_wire::{Identity, LawId, capabilities};
 use serde::Deserialize;
@@ -36,11 +36,14 @@ pub fn run(
     let others =
         plan.scenarios.iter().flat_map(|scenario| scenario.between.iter().chain(scenario.other_trials.as_deref()));
     others.into_iter().try_for_each(|scene| law(scene).map(|_| ()))?;
-    let mut first = RigSession::open(FaultInjector::new(connect()?))?;
+    let mut first = RigSession::open_cancellable(FaultInjector::new(connect()?), &cancel)?;
     check_controller(plan, &first)?;
     let plan = &with_own_law_if_unnumbered(plan, first.identity());
     let (plan, laws, not_applicable) = select_applicable(plan, laws, &mut first)?;
     let plan = &plan;
+    for (scenario, law) in plan.scenarios.iter().zip(&laws) {
+        trial::check_configuration(scenario, trial::law_number(scenario, *law, first.identity()))?;
+    }
     let inputs = folder.store_inputs(&plan.scenarios)?;
     if plan.overrides.keep_traces != KeepTraces::None {
         plan.scenarios.iter().try_for_each(|scenario| folder.create_trace_folder(scenario))?;
@@ -53,6 +56,7 @@ pub fn run(
     let settings = ExecutorSettings {
         clock: plan.clock,
         own_clock: plan.own_clock,
+        long_scripts: plan.overrides.long_scripts,
         operator,
         identity: Some(identity),
         ..ExecutorSettings::lockstep(&cancel)
@@ -171,6 +175,13 @@ fn only_describes_bench_law(scenario: &Scenario) -> Option<String> {
     Some(first.reason.clone())
 }
 
+/// Returns why the commands of the law cannot be compared, if the scenario compares them.
+fn undefined_commands(scenario: &Scenario, law: LawId) -> Option<String> {
+    let is_compared = scenario.expects(Metric::ReferenceDifference) && !scenario.has_own_law();
+    (is_compared && !is_defined_law(law))
+        .then(|| format!("the page of the wire protocol does not define the commands of {}", law.name()))
+}
+
 fn select_applicable(
     plan: &RunPlan,
     laws: Vec<LawId>,
@@ -190,6 +201,7 @@ fn select_applicable(
             .or(missing_chip_faults(plan, scenario, session)?)
             .or_else(|| missing_step_time(plan, scenario, session))
             .or_else(|| only_describes_bench_law(scenario))
+            .or_else(|| undefined_commands(scenario, law))
             .or_else(|| missing_capability(scenario, law, &identity))
             .or_else(|| others.find_map(|(scene, law)| missing_capability(scene, law, &identity)));
         match missing {

@@ -2,6 +2,7 @@
 //! the faults of the rig.
 
 use crate::live_tap::TapWriter;
+use crate::plan::RunError;
 use platebench_model::record::Telemetry;
 use platebench_model::scenario::{
     BitFlipTarget, ChipFault, ChipFaultKind, Diagnostic, Direction, Fault, FaultKind, OWN_LAW, Scenario, Variation,
@@ -9,7 +10,7 @@ use platebench_model::scenario::{
 };
 use platebench_model::trace::Row;
 use platebench_plate::Time;
-use platebench_rig::{CancelToken, Direction as Way, RigError, WireFault, WireFaultKind};
+use platebench_rig::{CancelToken, Direction as Way, HostedLink, RigError, Session, WireFault, WireFaultKind};
 use platebench_rig::{ChipFault as RigChipFault, ChipFaultKind as RigChipFaultKind, ChipFaultPlan};
 use platebench_wire::{Configure, Gains, Identity, LawId, capabilities};
 use rand_chacha::ChaCha8Rng;
@@ -34,6 +35,8 @@ pub struct Trial<'a> {
     pub wire_time: bool,
     /// True if the controller's clock runs while the plate waits.
     pub own_clock: bool,
+    /// True if the protocol check plays its long scripts also with an own clock.
+    pub long_scripts: bool,
     /// True if the target continues after the trial before it without a restart.
     pub continues: bool,
     pub cancel: CancelToken,
@@ -44,7 +47,17 @@ pub struct Trial<'a> {
 impl<'a> Trial<'a> {
     pub fn new(scenario: &'a Scenario, law: LawId, index: u32) -> Self {
         let cancel = CancelToken::never();
-        Self { scenario, law, index, wire_time: false, own_clock: false, continues: false, cancel, tap: None }
+        Self {
+            scenario,
+            law,
+            index,
+            wire_time: false,
+            own_clock: false,
+            long_scripts: false,
+            continues: false,
+            cancel,
+            tap: None,
+        }
     }
 }
 
@@ -120,6 +133,14 @@ pub fn configure(scenario: &Scenario, law: LawId) -> Configure {
             frequency_ki: gains.frequency_ki as f32,
         }),
     }
+}
+
+/// Fails if the hosted reference refuses the configuration of the scenario. The scenario is then an
+/// invalid input. If the reference accepts it, a refusal is the controller's failure.
+pub(crate) fn check_configuration(scenario: &Scenario, law: LawId) -> Result<(), RunError> {
+    let accepted =
+        Session::open(HostedLink::new()).and_then(|mut reference| reference.start_trial(&configure(scenario, law)));
+    accepted.map(drop).map_err(|error| RunError::Refused { file: scenario.file.clone(), error })
 }
 
 pub fn missing_capability(scenario: &Scenario, law: LawId, identity: &Identity) -> Option<String> {

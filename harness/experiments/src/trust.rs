@@ -16,7 +16,7 @@ use platebench_engine::workers::collect_in_parallel;
 use platebench_model::record::{Verdict, ViolationKind};
 use platebench_model::scenario::{Metric, Scenario, Spread};
 use platebench_rig::BoxedLink;
-use play::{play_as, play_or_refuse};
+use play::play_as;
 use report::{
     CONFIDENCE, FailedExpectation, FalseAlarm, FalseAlarmResult, MutantOutcome, MutantResult, ProtocolFaultResult,
     Rate, ScenarioRate,
@@ -219,7 +219,7 @@ fn run_suite<T: Sync>(
     let pairs: Vec<(&T, &Scenario)> =
         controllers.iter().flat_map(|controller| suite.iter().map(move |scenario| (controller, scenario))).collect();
     let judged = collect_in_parallel(jobs, &pairs, |(controller, scenario)| {
-        play_or_refuse(scenario, name(controller), &|| link(controller))
+        play(scenario, name(controller), &|| link(controller))
     })?;
     Ok(judged.chunks(suite.len()).map(<[PlayResult]>::to_vec).collect())
 }

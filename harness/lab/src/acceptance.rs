@@ -42,7 +42,7 @@ use platebench_model::record::{
 use platebench_model::trace::{AtPath, create_folder, read_regular_file, remove_temporary_files, sync_tree};
 use platebench_report::format::count;
 use platebench_report::traceability;
-use platebench_rig::{BUILT_IN_IMAGE, FirmwareImage, RigSpec};
+use platebench_rig::{BUILT_IN_IMAGE, CancelToken, ConnectOptions, FirmwareImage, RigSpec, Session};
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::Path;
@@ -58,7 +58,7 @@ pub fn play_session(config: &SessionConfig, hooks: &mut SessionHooks<'_>) -> Res
     }
     let is_open = session.record.steps.iter().any(|step| !step.done);
     if is_open && session.record.firmware.is_some() {
-        check_same_firmware(session.record.firmware.as_ref(), &session.read_firmware_identity()?)?;
+        check_same_firmware(session.record.firmware.as_ref(), &session.read_firmware_identity(hooks.cancel)?)?;
     }
     for (index, action) in actions.iter().enumerate() {
         if session.record.steps.get(index).is_some_and(|step| step.done) {
@@ -155,7 +155,7 @@ impl<'a> SessionRunner<'a> {
     ) -> Result<(), AcceptError> {
         let plan = &self.config.plan;
         match action {
-            StepAction::Identity => self.record_identity(step),
+            StepAction::Identity => self.record_identity(step, hooks.cancel),
             StepAction::Ask(ask) => ask_operator(ask, &self.config.rig, step, hooks.operator, hooks.cancel),
             StepAction::SelfTest => {
                 let real_time = matches!(self.config.clock, Clock::RealTime(_));
@@ -166,8 +166,8 @@ impl<'a> SessionRunner<'a> {
         }
     }
 
-    fn record_identity(&mut self, step: &mut StepRecord) -> Result<(), AcceptError> {
-        let identity = self.read_firmware_identity()?;
+    fn record_identity(&mut self, step: &mut StepRecord, cancel: &CancelToken) -> Result<(), AcceptError> {
+        let identity = self.read_firmware_identity(cancel)?;
         let Firmware { name, version, build, chip } = &identity.firmware;
         let board = if self.config.rig.is_simulated() {
             "no board".to_owned()
@@ -209,13 +209,13 @@ impl<'a> SessionRunner<'a> {
         Ok(())
     }
 
-    fn read_firmware_identity(&self) -> Result<FirmwareRecord, AcceptError> {
+    fn read_firmware_identity(&self, cancel: &CancelToken) -> Result<FirmwareRecord, AcceptError> {
         let link = self
             .config
             .clock
-            .connect(&self.config.rig, &platebench_rig::ConnectOptions::default())
+            .connect(&self.config.rig, &ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() })
             .map_err(RunError::from)?;
-        let session = platebench_rig::Session::open(link).map_err(RunError::from)?;
+        let session = Session::open_cancellable(link, cancel).map_err(RunError::from)?;
         let identity = *session.identity();
         let name = session.firmware_name();
         session.close();

@@ -19,10 +19,12 @@ use platebench_report::document::{Block, Document, Table};
 use platebench_rig::{CancelToken, ConnectOptions, Session};
 use schemars::JsonSchema;
 use serde::Serialize;
-use std::thread::sleep;
+use std::panic::resume_unwind;
+use std::thread::{self, sleep};
 use std::time::{Duration, Instant};
 
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
+const CHIP_POLL_INTERVAL: Duration = Duration::from_millis(5);
 /// Shortest wait for the lock. Another command may hold it for a moment to read the board's state.
 const MIN_WAIT: Duration = Duration::from_millis(500);
 
@@ -53,7 +55,7 @@ impl Reservation {
         if let Some(Quarantine { since, reason }) = state.quarantine_without_holder() {
             return Err(BoardError::Quarantined { name: board.name, since, reason });
         }
-        if let Err(error) = check_chip(&board) {
+        if let Err(error) = check_chip(&board, is_cancelled) {
             if let BoardError::WrongChip { .. } = error {
                 state.quarantine = Some(Quarantine { since: utc_timestamp(), reason: error.to_string() });
                 state.write(&files.state)?;
@@ -117,16 +119,30 @@ fn wait_for_lock(
     }
 }
 
-/// Reads only the identity of the controller. The drop of the session requests 0 V.
-fn check_chip(board: &Board) -> Result<(), BoardError> {
+fn check_chip(board: &Board, is_cancelled: &dyn Fn() -> bool) -> Result<(), BoardError> {
     let Some(expected) = &board.chip_id else { return Ok(()) };
-    let options = ConnectOptions { cancel: CancelToken::never(), ..ConnectOptions::default() };
-    let session = Session::open(board.rig.connect_with(&options)?)?;
-    let found = to_hex(&session.identity().unique);
+    let cancel = CancelToken::never();
+    let found = thread::scope(|scope| {
+        let reading = scope.spawn(|| read_chip_number(board, &cancel));
+        while !reading.is_finished() {
+            if is_cancelled() {
+                cancel.cancel();
+            }
+            sleep(CHIP_POLL_INTERVAL);
+        }
+        reading.join().unwrap_or_else(|panic| resume_unwind(panic))
+    })?;
     if found == *expected {
         return Ok(());
     }
     Err(BoardError::WrongChip { name: board.name.clone(), found, expected: expected.clone() })
+}
+
+/// Reads only the identity of the controller. The drop of the session requests 0 V.
+fn read_chip_number(board: &Board, cancel: &CancelToken) -> Result<String, BoardError> {
+    let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
+    let session = Session::open_cancellable(board.rig.connect_with(&options)?, cancel)?;
+    Ok(to_hex(&session.identity().unique))
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]

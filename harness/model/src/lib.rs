@@ -2,6 +2,7 @@
 
 pub mod external_csv;
 pub mod metrics;
+pub mod printable;
 pub mod recording;
 
 pub mod record {

@@ -220,6 +220,12 @@ pub(crate) fn sign_symptoms(record: &RunRecord) -> impl Iterator<Item = (&Scenar
     })
 }
 
+/// Names of the scripts of the protocol check that some trial did not play, each once.
+pub(crate) fn scripts_not_played(record: &RunRecord) -> Vec<&str> {
+    let trials = record.scenarios.iter().flat_map(|scenario| &scenario.trials);
+    crate::format::distinct(trials.flat_map(|trial| &trial.telemetry.scripts_not_played).map(String::as_str))
+}
+
 /// Files of the scenarios that `--fail-fast` did not play.
 pub(crate) fn unplayed_scenarios(record: &RunRecord) -> Vec<&str> {
     let is_unplayed = |scenario: &&ScenarioRecord| scenario.trials.is_empty() && scenario.time_limit_s.is_none();

@@ -127,10 +127,15 @@ fn difference_percent(command: &Command, expected: &Command, configuration: &Con
     100.0 * if drive.is_finite() { drive.max(frequency) } else { frequency }
 }
 
+/// Largest difference of two reported frequencies, and of a frequency from its range and slew, that
+/// counts as rounding, mHz. f32 resolves an angular frequency of 2π · 32 kHz to 2.5 mHz.
+pub const FREQUENCY_TOLERANCE_MHZ: u32 = 5;
+
 /// Returns the differences of drive and frequency, relative to drive limit and frequency range.
 pub(crate) fn command_difference(one: &Command, other: &Command, configuration: &Configure) -> [f64; 2] {
     let drive = (f64::from(one.drive_vpp) - f64::from(other.drive_vpp)).abs();
-    let frequency_hz = f64::from(one.frequency_mhz.abs_diff(other.frequency_mhz)) * 1e-3;
+    let frequency_mhz = one.frequency_mhz.abs_diff(other.frequency_mhz);
+    let frequency_hz = if frequency_mhz <= FREQUENCY_TOLERANCE_MHZ { 0.0 } else { f64::from(frequency_mhz) * 1e-3 };
     [drive / f64::from(configuration.drive_limit_vpp), frequency_hz / f64::from(configuration.frequency_range_hz)]
 }
 
@@ -195,6 +200,8 @@ mod tests {
     #[case(-1.8, 0, 0.2)]
     #[case(0.0, 1_000, 0.4)]
     #[case(0.9, 1_000, 0.4)]
+    #[case(0.0, 5, 0.0)]
+    #[case(0.0, 6, 0.0024)]
     #[case(f32::NAN, 0, 0.0)]
     fn is_the_larger_of_drive_and_frequency(#[case] drive_vpp: f32, #[case] frequency_mhz: u32, #[case] percent: f64) {
         assert_eq!((CONFIGURE.drive_limit_vpp, CONFIGURE.frequency_range_hz), (900.0, 250.0));

@@ -18,6 +18,7 @@ mod debug_port;
 pub mod emulated;
 pub mod factory;
 pub mod fault_injector;
+mod handshake;
 pub mod link;
 mod port;
 #[cfg(feature = "probe")]
@@ -28,10 +29,12 @@ mod serial_port;
 pub mod session;
 pub mod symbols;
 mod tty;
+mod wait_budget;
 pub mod wall_clock;
 
 pub use cancel::CancelToken;
 pub use command_audit::DrivesAfterSafe;
+pub use compared_link::FREQUENCY_TOLERANCE_MHZ;
 pub use crash_report::CrashReport;
 pub use debug_port::{DebugPort, DebuggerError};
 #[cfg(feature = "emulated")]
@@ -40,17 +43,19 @@ pub use factory::{
     Argument, BUILT_IN_IMAGE, Capability, ConnectError, ConnectOptions, FirmwareImage, Rig, RigFactory, RigProperties,
 };
 pub use fault_injector::{Direction, FaultInjector, WireFault, WireFaultKind};
+pub use handshake::RejectedBytes;
 pub use link::{
     BoxedLink, Chip, ChipFault, ChipFaultError, ChipFaultKind, ChipFaultPlan, Link, LinkError, LinkKind, RealTimeLine,
     TargetError, UnsupportedAccess,
 };
 pub use port::{DEFAULT_REPLY_TIMEOUT, PtyLink};
-pub use protocol_check::{CheckOptions, ProtocolCheck, ProtocolCoverage, check_protocol};
+pub use protocol_check::{CheckOptions, ProtocolCheck, ProtocolCoverage, check_protocol, is_defined_law};
 pub use rigs::exec::{ExecError, ExecLink};
 pub use rigs::hosted::HostedLink;
 pub use rigs::serial::{BaudTooLow, check_baud, minimum_baud};
-pub use rigs::{NetworkError, RIGS, RigSpec, SpecError, rig_syntaxes};
+pub use rigs::{NetworkError, RIGS, RigSpec, SpecError, may_come_back, rig_syntaxes};
 pub use serial_port::{LockHolder, SerialError, SerialLink, lock_file};
 pub use session::{ReceivedMessage, Reply, RigError, SafeEnd, Session, printable_name};
 pub use symbols::{CodeLocation, Symbols};
+pub use wait_budget::WaitBudget;
 pub use wall_clock::WallClockLink;

@@ -1,8 +1,11 @@
 //! Exchanges messages over an open terminal and waits for answers. Opens pseudo-terminals, for a
 //! program or for a controller that is started by hand.
 
+use crate::cancel::CancelToken;
+use crate::factory::ConnectOptions;
 use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use crate::tty::{LineReader, Tty, disconnected};
+use crate::wait_budget::WaitBudget;
 use platebench_wire::{ControllerState, Message, PacketReader};
 use rustix::fd::OwnedFd;
 use rustix::fs::{Mode, OFlags};
@@ -16,6 +19,8 @@ use std::time::{Duration, Instant};
 pub const DEFAULT_REPLY_TIMEOUT: Duration = Duration::from_millis(500);
 /// Longest wait for the answer to another request, and for any answer while the line is silent.
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
+/// Longest wait for the confirmation of 0 V after a cancellation. Other waits then end at once.
+const CANCELLED_SAFE_TIMEOUT: Duration = Duration::from_secs(1);
 /// Longest wait after a message that needs no answer.
 const OPTIONAL_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
 /// Number of parts of a wait for an answer.
@@ -30,6 +35,7 @@ pub struct Port<T> {
     terminal: T,
     pending_requests: PendingRequests,
     reply_timeout: Duration,
+    cancel: CancelToken,
     /// True from a missing answer to the next answer.
     is_silent: bool,
 }
@@ -48,14 +54,20 @@ impl<T: Tty> Port<T> {
             terminal,
             pending_requests: PendingRequests::default(),
             reply_timeout: DEFAULT_REPLY_TIMEOUT,
+            cancel: CancelToken::never(),
             is_silent: false,
         }
     }
 
+    /// A cancellation shortens the waits for answers.
     #[must_use]
-    pub fn with_reply_timeout(mut self, timeout: Duration) -> Self {
-        self.reply_timeout = timeout;
-        self
+    pub fn with_options(self, options: &ConnectOptions) -> Self {
+        Self { reply_timeout: options.reply_timeout, cancel: options.cancel.clone(), ..self }
+    }
+
+    /// True if the last request had no answer.
+    pub(crate) fn is_silent(&self) -> bool {
+        self.is_silent
     }
 
     /// Uses `ANSWER_TIMEOUT` until the first answer, because the controller is still starting.
@@ -67,8 +79,11 @@ impl<T: Tty> Port<T> {
     fn answer_timeout(&self, request: Request) -> Duration {
         match request {
             Request::None => OPTIONAL_ANSWER_TIMEOUT,
-            Request::Sample | Request::Setup if !self.is_silent => self.reply_timeout,
-            Request::Sample | Request::Setup | Request::Other => self.reply_timeout.min(ANSWER_TIMEOUT),
+            Request::Other => self.reply_timeout.min(ANSWER_TIMEOUT),
+            Request::Sample | Request::Setup | Request::Safe if self.is_silent => {
+                self.reply_timeout.min(ANSWER_TIMEOUT)
+            }
+            Request::Sample | Request::Setup | Request::Safe => self.reply_timeout,
         }
     }
 
@@ -99,17 +114,17 @@ impl<T: Tty> Link for Port<T> {
         let request = self.pending_requests.send(bytes);
         let start = Instant::now();
         self.write(bytes, start + WRITE_TIMEOUT)?;
-        let (mut left, mut last) = (self.answer_timeout(request), Instant::now());
-        let part = left / WAIT_PARTS;
+        let timeout = self.answer_timeout(request);
+        let mut budget = WaitBudget::with_parts(timeout, timeout / WAIT_PARTS);
         let mut read = answer.len();
-        while !left.is_zero() {
-            let planned = part.min(left);
-            let arrived = self.read(last + planned, answer)?;
-            let now = Instant::now();
-            // A longer part does not count in full, because the computer may have stood still, with
-            // the controller on it.
-            left = left.saturating_sub(now.saturating_duration_since(last).min(planned));
-            last = now;
+        while let Some(until) = budget.next_part(Instant::now()) {
+            if self.cancel.is_cancelled() {
+                if request != Request::Safe {
+                    return Ok(Duration::ZERO);
+                }
+                budget.shorten(CANCELLED_SAFE_TIMEOUT);
+            }
+            let arrived = self.read(until, answer)?;
             let Some(at) = arrived else { continue };
             let mut is_answered = false;
             for &byte in answer.get(read..).unwrap_or_default() {
@@ -175,6 +190,7 @@ pub(crate) enum Request {
     None,
     Sample,
     Setup,
+    Safe,
     Other,
 }
 
@@ -185,7 +201,8 @@ impl PendingRequests {
         for packet in self.requests.packets(bytes).flatten() {
             let request = match packet.message {
                 Message::Sample(_) => Request::Sample,
-                Message::Hello | Message::Configure(_) | Message::Safe => Request::Setup,
+                Message::Hello | Message::Configure(_) => Request::Setup,
+                Message::Safe => Request::Safe,
                 Message::Setpoint(_) => Request::Other,
                 _ => continue,
             };
@@ -321,11 +338,44 @@ mod tests {
         let answer = answer.map(|message| Packet { sequence: 7, message }.encode().as_bytes().to_vec());
         let answer = answer.unwrap_or_default();
         let terminal = StalledTerminal { stall: 2 * timeout, answer: answer.clone(), reads: 0 };
-        let mut port = Port::new(terminal).with_reply_timeout(timeout);
+        let options = ConnectOptions { reply_timeout: timeout, ..ConnectOptions::default() };
+        let mut port = Port::new(terminal).with_options(&options);
         let sample = Packet { sequence: 7, message: SAMPLE }.encode();
         let mut received = Vec::new();
         port.exchange(Duration::ZERO, sample.as_bytes(), &mut received).unwrap();
         assert_eq!((&received, port.is_silent), (&answer, answer.is_empty()));
+    }
+
+    /// Terminal of a controller that never answers.
+    struct SilentTerminal;
+
+    impl Tty for SilentTerminal {
+        fn read(&mut self, _: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError> {
+            std::thread::sleep(until.saturating_duration_since(Instant::now()));
+            Ok(None)
+        }
+
+        fn write(&mut self, bytes: &[u8], _: Instant) -> Result<Option<usize>, LinkError> {
+            Ok(Some(bytes.len()))
+        }
+    }
+
+    /// Without the cancellation, the wait for the answer takes an hour.
+    #[rstest]
+    #[case::sample(SAMPLE)]
+    #[case::hello(Message::Hello)]
+    #[case::safe(Message::Safe)]
+    fn a_cancellation_ends_the_wait_for_an_answer(#[case] message: Message) {
+        let options = ConnectOptions { reply_timeout: Duration::from_hours(1), ..ConnectOptions::default() };
+        let cancel = options.cancel.clone();
+        let (sender, ended) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            let mut port = Port::new(SilentTerminal).with_options(&options);
+            let frame = Packet { sequence: 1, message }.encode();
+            sender.send(port.exchange(Duration::ZERO, frame.as_bytes(), &mut Vec::new()).is_ok())
+        });
+        cancel.cancel();
+        assert_eq!(ended.recv_timeout(Duration::from_secs(60)), Ok(true), "the wait does not end");
     }
 
     #[rstest]

@@ -7,13 +7,13 @@ mod coverage;
 mod script;
 mod scripts;
 
+use crate::cancel::CancelToken;
 use crate::link::{Link, LinkError, LinkKind};
 use crate::rigs::hosted::HostedLink;
+pub use comparison::is_defined_law;
 pub use coverage::ProtocolCoverage;
 
-use comparison::{
-    BenchCause, CommandDifference, CommandHistory, Comparison, ComparisonScope, ReceivedPackets, is_defined,
-};
+use comparison::{BenchCause, CommandDifference, CommandHistory, Comparison, ComparisonScope, ReceivedPackets};
 use platebench_model::scenario::ScenarioMessage;
 use platebench_wire::{Configure, Identity};
 use script::{Script, Step, Variation};
@@ -52,8 +52,10 @@ const STEP: Duration = Duration::from_millis(3);
 /// Largest number of steps of a silence. Only silences of many seconds have longer steps than
 /// [`STEP`]; no script has ticks that long after its configuration.
 const MAX_STEPS: u32 = 4_096;
-/// A script that would take longer is skipped.
-const LONGEST_SCRIPT: Duration = Duration::from_secs(15);
+/// A longer script takes minutes on a slow line. It is played on request if time passes meanwhile.
+const LONG_SCRIPT: u64 = 10_000;
+/// Longest part of a silence. A cancellation ends the silence after it.
+const SILENCE_PART: Duration = Duration::from_millis(100);
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ProtocolCheck {
@@ -61,8 +63,8 @@ pub struct ProtocolCheck {
     pub differences: Vec<String>,
     /// Number of times that a script was repeated.
     pub repeats: u32,
-    /// Names of the scripts that would take too long on this rig.
-    pub skipped: Vec<String>,
+    /// Names of the long scripts that were not requested. Never depends on a measured speed.
+    pub not_played: Vec<String>,
 }
 
 /// What is played and compared.
@@ -74,11 +76,22 @@ pub struct CheckOptions<'a> {
     pub seed: u64,
     /// Messages of the scenario, which replace the scripts.
     pub messages: &'a [ScenarioMessage],
-    /// True if drive and frequency of every law are compared with the reference. Otherwise the
-    /// scripts compare those of the laws that `docs/wire-protocol.md` defines, and `messages` none.
+    /// True if drive and frequency of `messages` are compared with the reference, for the laws that
+    /// `docs/wire-protocol.md` defines. Those of the scripts always are.
     pub compares_numbers: bool,
     /// True for a law that is none of the page's: only the rules for every law are compared.
     pub own_law: bool,
+    /// True if long scripts are played although the controller's clock runs meanwhile.
+    pub long_scripts: bool,
+    /// After a cancellation, the result is incomplete.
+    pub cancel: &'a CancelToken,
+}
+
+impl CheckOptions<'_> {
+    /// True for a long script that was not requested. In simulated time every script is played.
+    fn omits(&self, script: &Script) -> bool {
+        self.own_clock && !self.long_scripts && self.messages.is_empty() && script.length() > LONG_SCRIPT
+    }
 }
 
 /// Plays every script on `link`. Fails if the link is lost. Afterwards the controller may have
@@ -90,7 +103,7 @@ pub fn check_protocol(
     base: &Configure,
     options: CheckOptions<'_>,
 ) -> Result<ProtocolCheck, LinkError> {
-    let CheckOptions { own_clock, seed, messages, compares_numbers, own_law } = options;
+    let CheckOptions { own_clock, seed, messages, compares_numbers, own_law, cancel, .. } = options;
     if !link.restart()? {
         link.continue_trial();
     }
@@ -98,7 +111,7 @@ pub fn check_protocol(
     let period = Duration::from_micros(base.period_us.into());
     let scope = match own_law {
         true => ComparisonScope::OwnLaw,
-        false if compares_numbers || (messages.is_empty() && is_defined(base.law)) => ComparisonScope::Numbers,
+        false if compares_numbers || messages.is_empty() => ComparisonScope::Numbers,
         false => ComparisonScope::Rules,
     };
     let mut player = Player {
@@ -109,7 +122,7 @@ pub fn check_protocol(
         scope,
         now: Duration::ZERO,
         history: CommandHistory::default(),
-        speed: Speed::default(),
+        cancel,
         lost_answers: 0,
     };
     let mut check = ProtocolCheck::default();
@@ -125,9 +138,11 @@ pub fn check_protocol(
         vec![message_script(messages, &base)]
     };
     for script in scripts {
-        // In simulated time the script stays reproducible on a busy host.
-        if own_clock && messages.is_empty() && player.speed.time_for(script.length()) > LONGEST_SCRIPT {
-            check.skipped.push(script.name.into_owned());
+        if cancel.is_cancelled() {
+            break;
+        }
+        if options.omits(&script) {
+            check.not_played.push(script.name.into_owned());
             continue;
         }
         let mut difference = player.play(&script)?;
@@ -168,25 +183,6 @@ fn message_script(messages: &[ScenarioMessage], base: &Configure) -> Script {
     Script { ends_silences: true, ..Script::new("messages of the scenario", steps) }
 }
 
-/// Mean time of an exchange with the controller.
-#[derive(Debug, Default)]
-struct Speed {
-    exchanges: u32,
-    time: Duration,
-}
-
-impl Speed {
-    fn add(&mut self, time: Duration) {
-        self.exchanges = self.exchanges.saturating_add(1);
-        self.time += time;
-    }
-
-    fn time_for(&self, exchanges: u64) -> Duration {
-        let mean = self.time.checked_div(self.exchanges).unwrap_or_default();
-        mean.saturating_mul(u32::try_from(exchanges).unwrap_or(u32::MAX))
-    }
-}
-
 struct Player<'a> {
     link: &'a mut dyn Link,
     identity: &'a Identity,
@@ -196,7 +192,7 @@ struct Player<'a> {
     scope: ComparisonScope,
     now: Duration,
     history: CommandHistory,
-    speed: Speed,
+    cancel: &'a CancelToken,
     lost_answers: u32,
 }
 
@@ -207,7 +203,7 @@ impl Player<'_> {
             return Ok(false);
         }
         let (start, mut late) = (Instant::now(), Vec::new());
-        while start.elapsed() < LATE_ANSWER {
+        while start.elapsed() < LATE_ANSWER && !self.cancel.is_cancelled() {
             let known = late.len();
             thread::sleep(QUIET);
             self.link.advance_to(self.now, &mut late)?;
@@ -217,6 +213,15 @@ impl Player<'_> {
         }
         self.lost_answers += 1;
         Ok(false)
+    }
+
+    fn sleep(&self, time: Duration) {
+        let end = Instant::now() + time;
+        while !self.cancel.is_cancelled()
+            && let Some(left) = end.checked_duration_since(Instant::now()).filter(|left| !left.is_zero())
+        {
+            thread::sleep(left.min(SILENCE_PART));
+        }
     }
 
     fn play(&mut self, script: &Script) -> Result<Option<CommandDifference>, LinkError> {
@@ -231,7 +236,10 @@ impl Player<'_> {
         let mut expected = vec![Vec::new(); references.len()];
         for (number, exchange) in script.exchanges(Variation::NONE).enumerate() {
             if self.own_clock {
-                thread::sleep(exchange.wait);
+                self.sleep(exchange.wait);
+            }
+            if self.cancel.is_cancelled() {
+                return Ok(None);
             }
             let mut rest = exchange.wait.max(self.period);
             let longest_step = silence_step(exchange.wait);
@@ -256,7 +264,6 @@ impl Player<'_> {
             let since_request = last_request;
             last_request = Instant::now();
             self.link.exchange(self.now, &exchange.bytes, &mut received)?;
-            self.speed.add(last_request.elapsed());
             let requests = encoders.iter_mut().filter_map(Iterator::next).map(|request| request.bytes);
             let requests = [exchange.bytes.clone()].into_iter().chain(requests);
             for ((reference, request), expected) in references.iter_mut().zip(requests).zip(&mut expected) {
@@ -297,11 +304,23 @@ mod tests {
     use crate::session::Session;
     use platebench_model::scenario::ConfigurationChange;
     use platebench_test_kit::CONFIGURE;
-    use platebench_wire::{Command, ControllerState, Gains, Message, Packet, StateCause};
+    use platebench_wire::{Command, ControllerState, Gains, LawId, Message, Packet, StateCause};
     use rstest::rstest;
+    use std::f64::consts::TAU;
+    use std::sync::LazyLock;
 
-    const SCRIPTS: CheckOptions<'_> =
-        CheckOptions { own_clock: false, seed: 1, messages: &[], compares_numbers: false, own_law: false };
+    fn scripts() -> CheckOptions<'static> {
+        static NEVER: LazyLock<CancelToken> = LazyLock::new(CancelToken::never);
+        CheckOptions {
+            own_clock: false,
+            seed: 1,
+            messages: &[],
+            compares_numbers: false,
+            own_law: false,
+            long_scripts: false,
+            cancel: &NEVER,
+        }
+    }
 
     struct ChangedAnswers<F> {
         device: HostedLink,
@@ -344,7 +363,7 @@ mod tests {
     fn check(kind: LinkKind, change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> ProtocolCheck {
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
         let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind, change };
-        check_protocol(&mut link, &identity, &CONFIGURE, SCRIPTS).unwrap()
+        check_protocol(&mut link, &identity, &CONFIGURE, scripts()).unwrap()
     }
 
     fn differences(change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> Vec<String> {
@@ -387,7 +406,7 @@ mod tests {
     fn a_design_may_be_five_percent_off(#[case] factors: [f32; 2], #[case] expected: &[&str]) {
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
         let mut link = OtherDesign(HostedLink::new(), factors);
-        let mut found = check_protocol(&mut link, &identity, &CONFIGURE, SCRIPTS).unwrap().differences;
+        let mut found = check_protocol(&mut link, &identity, &CONFIGURE, scripts()).unwrap().differences;
         found.sort_unstable();
         assert_eq!(names(&found).iter().filter(|name| !expected.contains(name)).count(), 0, "{found:?}");
         assert_eq!(found.is_empty(), expected.is_empty());
@@ -429,14 +448,99 @@ mod tests {
         assert_eq!(names(&found), ["a drive limit with a fraction"]);
     }
 
-    #[test]
-    fn two_millihertz_differ_if_the_range_is_small() {
-        let found = differences(|_, packets| {
+    /// 0.1 % of the range are 2 mHz.
+    #[rstest]
+    #[case::largest_rounding(5, 0)]
+    #[case::more(6, 1)]
+    fn a_reported_frequency_may_differ_by_five_millihertz(#[case] offset_mhz: u32, #[case] differences: usize) {
+        let narrow = ConfigurationChange {
+            frequency_range_hz: Some(2.0_f32.into()),
+            frequency_slew_hz: Some(2.0_f32.into()),
+            ..Default::default()
+        };
+        let messages = [ScenarioMessage::Configure(narrow), ScenarioMessage::sample(2.0, 1.0, 0.001)];
+        let change = |_, packets: &mut Vec<Packet>| {
             for command in commands(packets).filter(|command| command.state == ControllerState::Running) {
-                command.frequency_mhz += 2;
+                command.frequency_mhz += offset_mhz;
+            }
+        };
+        let identity = *Session::open(HostedLink::new()).unwrap().identity();
+        let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Simulated, change };
+        let options = CheckOptions { messages: &messages, compares_numbers: true, ..scripts() };
+        let found = check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap().differences;
+        assert_eq!(found.len(), differences, "{found:?}");
+    }
+
+    /// f32 resolves 2π · 32 kHz to 2^-6 rad/s.
+    #[test]
+    fn an_angular_frequency_in_single_precision_is_correct() {
+        let found = differences(|_, packets| {
+            for command in commands(packets) {
+                let omega = (f64::from(command.frequency_mhz) * 1e-3 * TAU) as f32;
+                command.frequency_mhz = (f64::from(omega) / TAU * 1e3).round() as u32;
             }
         });
-        assert!(names(&found).contains(&"frequency limits of a few mHz"), "{found:?}");
+        assert_eq!(found, [""; 0]);
+    }
+
+    /// Half the drive under every law but `dq-pi`, with the reference.
+    #[rstest]
+    #[case::deadbeat(LawId::Deadbeat, 0)]
+    #[case::pll(LawId::Pll, 0)]
+    #[case::dq_pi_fixed(LawId::DqPiFixed, 1)]
+    fn the_law_of_a_configuration_decides_what_is_compared(#[case] law: LawId, #[case] differences: usize) {
+        let configure =
+            |law: LawId| ScenarioMessage::Configure(ConfigurationChange { law: Some(law as u8), ..Default::default() });
+        let messages = [
+            configure(LawId::DqPi),
+            ScenarioMessage::sample(2.0, 1.2, -0.2),
+            configure(law),
+            ScenarioMessage::sample(2.0, 1.2, -0.2),
+        ];
+        let mut configurations = 0;
+        let change = |_, packets: &mut Vec<Packet>| {
+            configurations += packets.iter().filter(|packet| matches!(packet.message, Message::Configured(_))).count();
+            for command in commands(packets).filter(|_| configurations > 1) {
+                command.drive_vpp *= 0.5;
+                command.flags = 0;
+            }
+        };
+        let identity = *Session::open(HostedLink::new()).unwrap().identity();
+        let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Simulated, change };
+        let options = CheckOptions { messages: &messages, compares_numbers: true, ..scripts() };
+        let found = check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap().differences;
+        assert_eq!(found.len(), differences, "{found:?}");
+    }
+
+    /// The result must not depend on a measured speed.
+    #[rstest]
+    #[case::simulated(false, false, false)]
+    #[case::wall_time(true, false, true)]
+    #[case::requested(true, true, false)]
+    fn only_an_option_decides_which_scripts_are_played(
+        #[case] own_clock: bool,
+        #[case] long_scripts: bool,
+        #[case] is_omitted: bool,
+    ) {
+        let identity = *Session::open(HostedLink::new()).unwrap().identity();
+        let options = CheckOptions { own_clock, long_scripts, ..scripts() };
+        let all = scripts::scripts(&CONFIGURE, &identity, 1, false);
+        let omitted: Vec<_> = all.iter().filter(|script| options.omits(script)).map(|script| &*script.name).collect();
+        assert_eq!(omitted, &["more samples than sixteen bits count"][..usize::from(is_omitted)]);
+    }
+
+    #[test]
+    fn a_cancellation_ends_the_check() {
+        let cancel = CancelToken::never();
+        cancel.cancel();
+        let identity = *Session::open(HostedLink::new()).unwrap().identity();
+        let mut exchanges = 0;
+        let change = |number, _: &mut Vec<Packet>| exchanges = number;
+        let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Lossless, change };
+        let options = CheckOptions { own_clock: true, cancel: &cancel, ..scripts() };
+        check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap();
+        drop(link);
+        assert_eq!(exchanges, 0);
     }
 
     #[test]
@@ -452,7 +556,7 @@ mod tests {
     fn play_messages(messages: &[ScenarioMessage], change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> Vec<String> {
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
         let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Simulated, change };
-        let options = CheckOptions { messages, ..SCRIPTS };
+        let options = CheckOptions { messages, ..scripts() };
         check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap().differences
     }
 
@@ -684,7 +788,7 @@ mod tests {
         let messages = [configure, ScenarioMessage::sample(2.0, 1.2, -0.2)];
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
         let mut link = LateLink { device: HostedLink::new(), delayed, late: Vec::new(), is_lost };
-        let options = CheckOptions { own_clock: true, messages: &messages, ..SCRIPTS };
+        let options = CheckOptions { own_clock: true, messages: &messages, ..scripts() };
         let found = check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap();
         assert_eq!((found.repeats, found.differences.len()), (repeats, usize::from(!text.is_empty())), "{found:?}");
         assert!(found.differences.iter().all(|difference| difference.contains(text)), "{found:?}");

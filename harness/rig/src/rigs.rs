@@ -12,6 +12,7 @@ use crate::factory::{
     Argument, Capability, ConnectError, ConnectOptions, FirmwareImage, Rig, RigFactory, RigProperties,
 };
 use crate::link::BoxedLink;
+use crate::serial_port::SerialError;
 use crate::wall_clock::WallClockLink;
 use platebench_model::record::ClockKind;
 use std::fmt;
@@ -20,6 +21,15 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 pub use tcp::NetworkError;
+
+/// True if the device or the server may come back within seconds, such as a USB board that resets.
+/// At the first connection the same errors are final, because a name may be wrong.
+pub fn may_come_back(error: &ConnectError) -> bool {
+    let is_port =
+        |error| matches!(error, &SerialError::Open { .. } | &SerialError::Settings { .. } | &SerialError::InUse { .. });
+    let is_server = |error| matches!(error, &NetworkError::Connect { .. } | &NetworkError::Settings { .. });
+    error.downcast_ref().is_some_and(is_port) || error.downcast_ref().is_some_and(is_server)
+}
 
 /// In the order of help and messages.
 #[rustfmt::skip] // One line per kind.

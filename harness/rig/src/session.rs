@@ -1,6 +1,8 @@
 //! Runs the protocol with one controller: handshake, configuration, samples and 0 V over any link.
 
+use crate::cancel::CancelToken;
 use crate::command_audit::{CommandAudit, DrivesAfterSafe};
+use crate::handshake::{HANDSHAKE_TIMEOUT, RejectedBytes, handshake};
 use crate::link::{Link, LinkError, LinkKind};
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Packet, PacketReader,
@@ -20,6 +22,14 @@ pub enum RigError {
         platebench_wire::VERSION
     )]
     NoAnswer { expected: &'static str },
+    #[error(
+        "no identity from the controller within {} s{rejected}; is it running, is the baud rate right, and does it speak \
+         version {} of the protocol?",
+        waited.as_secs(), platebench_wire::VERSION
+    )]
+    NoIdentity { waited: Duration, rejected: RejectedBytes },
+    #[error("cancelled while the bench waited for the identity of the controller")]
+    Cancelled,
     #[error("this rig cannot be used in real time; use --clock lockstep")]
     NoRealTime,
     #[error("the controller was restarted in the middle of a trial")]
@@ -64,6 +74,8 @@ pub struct ReceivedMessage {
     pub message: Message,
 }
 
+/// The first request of a session has the next number. Every hello before has the number 0.
+const NUMBER_BEFORE_FIRST: u8 = 1;
 /// Larger than a pseudo-terminal's buffer, so that receiving never allocates.
 const RECEIVE_CAPACITY: usize = 8 * 1024;
 /// Largest number of requests for 0 V, because a frame may be lost.
@@ -101,6 +113,8 @@ pub struct Session<L: Link> {
     consumed: usize,
     /// Arrival of the last byte of `bytes`; used only in real time.
     received_at: Instant,
+    /// Shortens the observation after 0 V.
+    cancel: CancelToken,
     has_identity: bool,
     is_closed: bool,
     /// True if the controller is a program that has ended.
@@ -113,6 +127,12 @@ pub struct Session<L: Link> {
 
 impl<L: Link> Session<L> {
     pub fn open(link: L) -> Result<Self, RigError> {
+        Self::open_cancellable(link, &CancelToken::never())
+    }
+
+    /// Repeats the hello until the controller sends its identity, for at most 5 s. A failure
+    /// requests 0 V, because a controller that does not answer may still receive.
+    pub fn open_cancellable(link: L, cancel: &CancelToken) -> Result<Self, RigError> {
         let mut session = Self {
             link,
             reader: PacketReader::new(),
@@ -125,14 +145,15 @@ impl<L: Link> Session<L> {
                 unique: [0; 12],
                 name: [0; 16],
             },
-            sequence: 0,
-            last_command_sequence: 0,
+            sequence: NUMBER_BEFORE_FIRST,
+            last_command_sequence: NUMBER_BEFORE_FIRST,
             pending_command: None,
             now: Duration::ZERO,
             period: Duration::ZERO,
             bytes: Vec::with_capacity(RECEIVE_CAPACITY),
             consumed: 0,
             received_at: Instant::now(),
+            cancel: cancel.with_deadline(None),
             has_identity: false,
             is_closed: false,
             has_ended: false,
@@ -140,13 +161,8 @@ impl<L: Link> Session<L> {
             rejected_frames: 0,
             audit: CommandAudit::new(),
         };
-        match session.request(Message::Hello)? {
-            Some((Message::Identity(identity), _)) => {
-                session.identity = identity;
-                session.has_identity = true;
-            }
-            _ => return Err(RigError::NoAnswer { expected: "identity" }),
-        }
+        session.identity = handshake(&mut session.link, HANDSHAKE_TIMEOUT, cancel, || None)?;
+        session.has_identity = true;
         debug!(name = %session.firmware_name(), laws = session.identity.laws, "controller found");
         Ok(session)
     }
@@ -297,14 +313,14 @@ impl<L: Link> Session<L> {
     }
 
     /// Reads the line after the controller confirmed 0 V, for at least 20 ms and 10 control periods
-    /// of the target's time. Requests 0 V again if the controller commanded a drive. Returns the
+    /// of the target's time, or for 20 ms after a cancellation. Requests 0 V again if the controller commanded a drive. Returns the
     /// commands with a drive since the last call.
     pub fn observe_safe_state(&mut self) -> Option<DrivesAfterSafe> {
         let duration = MIN_OBSERVATION.max(self.period * OBSERVED_PERIODS);
         let is_simulated = self.link.kind() == LinkKind::Simulated;
         let (start, started) = (self.now, Instant::now());
         let mut elapsed = Duration::ZERO;
-        while elapsed < duration {
+        while elapsed < if self.cancel.is_cancelled() { MIN_OBSERVATION } else { duration } {
             if is_simulated {
                 elapsed += duration / OBSERVATION_STEPS + Duration::from_nanos(1);
             } else {

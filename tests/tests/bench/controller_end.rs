@@ -166,6 +166,41 @@ fn a_program_that_crashes_before_the_trial_fails(#[case] scenario: &str) {
     folder.bench(["run", scenario, "--rig", &rig, "--out", "run"]).assert_exit(1).assert_stdout(&["signal 11"]);
 }
 
+/// A child of the program keeps the line open, so that it does not hang up.
+#[rstest]
+fn a_crash_counts_although_another_process_holds_the_line(#[values("lockstep", "real-time")] clock: &str) {
+    let folder = TestFolder::with_step(ANSWERED);
+    let action = "os.kill(os.getpid(), 11) if os.fork() else time.sleep(60)";
+    let Some(rig) = controller(&folder, Change::Message { kind: "SAMPLE", action }) else { return };
+    let played = folder.bench(["run", "--clock", clock, "--rig", &rig, "--out", "run"]);
+    played.assert_exit(1).assert_stdout(&["signal 11"]);
+    assert_eq!(folder.record("run").scenarios[0].trials[0].cause, None, "a failure of the controller");
+}
+
+#[test]
+fn the_output_of_a_program_has_its_name_and_no_control_characters() {
+    let folder = TestFolder::with_step(ANSWERED);
+    let action = "print('to\\x1b[2Jld', flush=True)";
+    let Some(rig) = controller(&folder, Change::Message { kind: "CONFIGURE", action }) else { return };
+    let played = folder.bench(["run", "--rig", &rig, "--out", "run"]);
+    let name = rig.split([':', ' ', '/']).find(|word| word.starts_with("python")).unwrap();
+    let line = format!("{name}: to\\u{{1b}}[2Jld");
+    assert!(played.text().lines().any(|printed| printed == line), "{}", played.text());
+}
+
+#[test]
+fn a_refused_configuration_fails_its_scenario_only() {
+    let folder = TestFolder::with_step(ANSWERED);
+    folder.write_scenario("slow.toml", &step_scenario("aluminium-198x138", "period_ms = 2.0", "", ANSWERED));
+    let action = "if struct.unpack_from('<I', body, 6)[0] == 2000: return encode(bytes([VERSION << 4 | CONFIGURED, \
+                  number, 1]) + bytes(17))";
+    let Some(rig) = controller(&folder, Change::Message { kind: "CONFIGURE", action }) else { return };
+    folder.bench(["run", "scenarios", "--rig", &rig, "--out", "run"]).assert_exit(1);
+    let record = folder.record("run");
+    let verdict = |file: &str| record.scenarios.iter().find(|scenario| scenario.file.ends_with(file)).unwrap().verdict;
+    assert_eq!((record.complete, verdict("s.toml"), verdict("slow.toml")), (true, Verdict::Pass, Verdict::Fail));
+}
+
 #[test]
 fn a_program_that_crashes_at_the_request_for_0_v_fails() {
     let folder = TestFolder::with_step(ANSWERED);

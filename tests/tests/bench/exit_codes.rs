@@ -35,7 +35,13 @@ fn the_example_controller_answers_as_the_protocol_says() {
     let scenario = scenario.to_string_lossy();
     // On a busy machine, a reply may take longer than the default 500 ms.
     let patient = ["--reply-timeout", "5000"];
-    folder.bench(["run", &*scenario, "--out", "run", "--rig", &rig].into_iter().chain(patient)).assert_exit(0);
+    let played = folder.bench(["run", &*scenario, "--out", "run", "--rig", &rig].into_iter().chain(patient));
+    // What was not tested is no silent pass, and no measured speed decides it.
+    let named = "not played: 1 script of the protocol check (more samples than sixteen bits count)";
+    let text = played.assert_exit(0).stdout.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(text.contains(named) && text.contains("--long-scripts plays them"), "{text}");
+    let scripts = &folder.record("run").scenarios[0].trials[0].telemetry.scripts_not_played;
+    assert_eq!(scripts, &["more samples than sixteen bits count"]);
 }
 
 #[test]

@@ -95,6 +95,9 @@ pub(crate) struct RunArgs {
     /// Start no further trial once a scenario failed; scenarios without all trials are inconclusive
     #[arg(long, help_heading = EXTENT)]
     pub(crate) fail_fast: bool,
+    /// Play the long scripts of the protocol check also with a controller that runs in wall time
+    #[arg(long, help_heading = EXTENT)]
+    pub(crate) long_scripts: bool,
     /// Wall time after which the trials of a scenario end, s; replaces its key `timeout_s`
     #[arg(long, help_heading = EXTENT, value_name = "SECONDS", value_parser = parse_timeout)]
     pub(crate) timeout: Option<f64>,
@@ -162,6 +165,7 @@ impl RunArgs {
             model: self.model.clone(),
             require_all: self.require_all,
             fail_fast: self.fail_fast,
+            long_scripts: self.long_scripts,
             timeout_s: self.timeout,
             wire_time: self.wire_time,
             keep_traces: self.keep_traces,

@@ -89,7 +89,9 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
         let drives = if safe_confirmed { self.session.observe_safe_state() } else { None };
         let violation = drives.map(|drives| drive_violation(drives, self.telemetry.time().unwrap_or(Time::ZERO)));
         let controller_failed = matches!(&ended, Some(TrialAbort::Lost(error)) if is_controller_failure(error));
-        if (self.stop_reason.is_some() || controller_failed)
+        if let Some(TrialAbort::Lost(RigError::ConfigurationRejected(_))) = &ended {
+            self.queue.push(self.row_at_rest());
+        } else if (self.stop_reason.is_some() || controller_failed)
             && let Some(row) = self.telemetry.stop_row()
         {
             self.queue.push(row);
@@ -138,6 +140,26 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
                 let silent = RigError::NoAnswer { expected: "telemetry" };
                 return if self.stop_reason.is_some() { Ok(()) } else { Err(silent.into()) };
             }
+        }
+    }
+
+    /// Row of a controller that refused its configuration and so sends no telemetry.
+    fn row_at_rest(&self) -> Row {
+        Row {
+            t_s: 0.0,
+            setpoint_um: self.scenario.setpoint.at(Time::ZERO),
+            wd_um: 0.0,
+            wq_um: 0.0,
+            amplitude_um: 0.0,
+            drive_vpp: 0.0,
+            frequency_hz: self.scenario.controller.start_frequency_hz,
+            resonance_hz: f64::NAN,
+            temperature_offset_k: f64::NAN,
+            finger_force_n: f64::NAN,
+            sensed_wd_um: 0.0,
+            sensed_wq_um: 0.0,
+            lateness_us: 0.0,
+            flags: Flags::SENSED | Flags::SAFE,
         }
     }
 

@@ -9,7 +9,7 @@ use platebench_model::scenario::Scenario;
 use platebench_model::trace::Flags;
 use platebench_plate::Time;
 use platebench_rig::{CancelToken, FaultInjector, Link, ReceivedMessage, RigError, Session};
-use platebench_wire::{Configure, ControllerState, Gains, Message, StateCause};
+use platebench_wire::{Configure, Configured, ControllerState, Gains, Message, StateCause};
 use std::time::{Duration, Instant};
 
 const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -243,7 +243,13 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
     }
 
     fn handle_message(&mut self, received: &ReceivedMessage) -> Result<(), TrialAbort> {
-        let Message::Command(command) = received.message else { return Ok(()) };
+        let command = match received.message {
+            Message::Command(command) => command,
+            Message::Configured(Configured { outcome: Err(rejection) }) => {
+                return Err(RigError::ConfigurationRejected(rejection).into());
+            }
+            _ => return Ok(()),
+        };
         self.last_received = received.received_at;
         self.controller.reset_missed_replies();
         let sampled = self.unanswered.get_mut(usize::from(received.sequence)).and_then(Option::take);

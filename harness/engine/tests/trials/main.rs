@@ -9,6 +9,8 @@ mod lock_in;
 mod model;
 mod non_finite_drive;
 mod peaks;
+mod refused_configuration;
 mod replaced_board;
+mod returning_port;
 mod safe_end;
 mod second_answers;

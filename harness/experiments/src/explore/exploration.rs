@@ -15,7 +15,7 @@ use platebench_engine::plan::LinkFactory;
 use platebench_engine::workers::{Emit, run_workers};
 use platebench_engine::{SafeEnds, configure};
 use platebench_model::scenario::{Scenario, ScenarioMessage};
-use platebench_rig::{CancelToken, ProtocolCoverage, RigError};
+use platebench_rig::{CancelToken, ProtocolCoverage, RigError, is_defined_law};
 use platebench_wire::LawId;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -68,10 +68,15 @@ impl ExploreConfig {
         Generator { envelope: &self.envelope, seed: self.seed, law: self.law, laws: &self.laws }
     }
 
+    /// The page of the protocol defines the commands of some laws only.
+    fn compares_commands(&self) -> bool {
+        self.compares_reference && is_defined_law(self.law)
+    }
+
     pub fn demands(&self, scene: &Scene) -> Vec<Demand> {
         let mut demands = demands(scene, &self.envelope.plate);
         demands.extend(relation_demand(scene, &self.envelope.plate));
-        if self.compares_reference {
+        if self.compares_commands() {
             demands.extend(reference_demands(scene));
         }
         demands
@@ -85,7 +90,7 @@ impl ExploreConfig {
     }
 
     pub fn sequence_scenario(&self, messages: &[ScenarioMessage], title: &str, prefix: &str) -> SceneScenario {
-        sequence::scenario(&self.envelope, self.law, messages, title, prefix, self.compares_reference)
+        sequence::scenario(&self.envelope, self.law, messages, title, prefix, self.compares_commands())
     }
 }
 

@@ -108,27 +108,16 @@ impl<'a, L: RecordingLink> Player<'a, L> {
             self.executor.session()?.link_mut().inner_mut().record(branches);
         }
         for index in 0..scenario.trials.count {
-            let played = match self.executor.play(scenario, law, index, None) {
-                Err(RunError::Refused { error: RigError::ConfigurationRejected(rejection), .. })
-                    if !scenario.messages.is_empty() =>
-                {
-                    // Every trial after messages has the same configuration, which is usable.
-                    self.renew();
-                    let name =
-                        format!("the configuration after the messages was rejected ({rejection:?}), expected ok");
-                    let failure = SceneFailure { property: Property::Answers, name, value: None, limit: Some(0.0) };
-                    return Ok(Some(SceneResult { failures: vec![failure], ..SceneResult::default() }));
-                }
-                played => played?,
-            };
-            let Some(played) = played else { return Ok(None) };
+            let Some(played) = self.executor.play(scenario, law, index, None)? else { return Ok(None) };
             trials.push(measure(scenario, index, &played.trace_rows, &played.telemetry));
             features.extend(played.trace_rows.iter().map(|row| Feature::of_flags(row.flags)));
             features.extend(played.telemetry.stopped.as_deref().map(Feature::of_stop));
             differences.extend(played.telemetry.protocol_differences.into_iter().flatten());
-            if played.link_error.is_some() {
+            match played.link_error {
+                None => {}
+                Some(RigError::ConfigurationRejected(_)) => self.renew(),
                 // The executor has replaced the controller.
-                self.scenes = 0;
+                Some(_) => self.scenes = 0,
             }
         }
         if !branches.is_empty() {

@@ -97,7 +97,7 @@ impl ExploreSession {
         let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
         let connect = || self.rig.connect_with(&options);
         let ends = SafeEnds::default();
-        let (identity, exchange_time) = identify(&connect, &ends)?;
+        let (identity, exchange_time) = identify(&connect, &ends, cancel)?;
         let config = self.config(&identity, exchange_time)?;
         let started = Instant::now();
         let mut on_scene = |scenes, failed| {
@@ -291,8 +291,12 @@ fn envelope_for(envelope: &Envelope, identity: &Identity) -> Envelope {
 }
 
 /// Returns the identity and the mean time of an exchange.
-fn identify(connect: &LinkFactory<'_>, ends: &SafeEnds) -> Result<(Identity, Duration), ExploreError> {
-    let mut session = Session::open(FaultInjector::new(connect()?))?;
+fn identify(
+    connect: &LinkFactory<'_>,
+    ends: &SafeEnds,
+    cancel: &CancelToken,
+) -> Result<(Identity, Duration), ExploreError> {
+    let mut session = Session::open_cancellable(FaultInjector::new(connect()?), cancel)?;
     let identity = *session.identity();
     let hello = Packet { sequence: 0, message: Message::Hello }.encode();
     let started = Instant::now();
@@ -375,7 +379,8 @@ mod tests {
     fn a_controller_without_the_capability_gets_no_loop_delay() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml");
         let envelope = Envelope::load(&path).unwrap();
-        let (identity, _) = identify(&|| RigSpec::hosted().connect(), &SafeEnds::default()).unwrap();
+        let (identity, _) =
+            identify(&|| RigSpec::hosted().connect(), &SafeEnds::default(), &CancelToken::never()).unwrap();
         assert_eq!(envelope_for(&envelope, &identity).range.loop_delay_periods, envelope.range.loop_delay_periods);
         let without = Identity { capabilities: 0, ..identity };
         assert!(envelope.range.loop_delay_periods[1] > 0.0);

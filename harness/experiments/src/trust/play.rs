@@ -19,35 +19,11 @@ pub enum TrustError {
     Internal,
 }
 
-impl TrustError {
-    const fn is_refused_configuration(&self) -> bool {
-        match self {
-            Self::Run { source, .. } => matches!(**source, RunError::Refused { .. }),
-            Self::UnknownLaw { .. } | Self::Internal => false,
-        }
-    }
-}
-
 #[derive(Debug, Clone)]
 pub struct PlayResult {
     pub judgement: Judgement,
     /// Violations of the protocol; each kind occurs at most once.
     pub violations: Vec<ViolationKind>,
-}
-
-/// Plays like [`play`]. A refused configuration, which ends a run with exit code 2, is a violation.
-pub(crate) fn play_or_refuse(
-    scenario: &Scenario,
-    controller: &str,
-    connect: &Connect<'_>,
-) -> Result<PlayResult, TrustError> {
-    match play(scenario, controller, connect) {
-        Err(error) if error.is_refused_configuration() => Ok(PlayResult {
-            judgement: Judgement { verdict: Verdict::Fail, expectations: Vec::new() },
-            violations: vec![ViolationKind::WrongConfiguration],
-        }),
-        result => result,
-    }
 }
 
 /// Connects to a new controller.
@@ -59,7 +35,7 @@ pub fn play(scenario: &Scenario, controller: &str, connect: &Connect<'_>) -> Res
 }
 
 /// Plays trials of `variant` and judges them by `scenario`; the two differ only in the spread of
-/// the trials. Fails if the controller does not answer or rejects the scenario. A trial with a lost
+/// the trials. Fails if the controller does not answer or no controller could accept the scenario. A trial with a lost
 /// link is no error, and it is judged like the others.
 pub fn play_as(
     scenario: &Scenario,

@@ -32,6 +32,7 @@ const VIOLATIONS: &[ViolationKind] = &[
     ViolationKind::UnrequestedSafe,
     ViolationKind::RejectedFrame,
     ViolationKind::StepTime,
+    ViolationKind::RefusedConfiguration,
 ];
 
 pub fn protocol_faults() -> Vec<MutantSpec> {
@@ -210,7 +211,7 @@ fn step_faults() -> Vec<MutantSpec> {
             })
         }),
         mutant("full-period-delay-refused", "loop delay equal to the period is answered with 1")
-            .violating(&[ViolationKind::WrongConfiguration], FULL_DELAY)
+            .violating(&[ViolationKind::RefusedConfiguration], FULL_DELAY)
             .with(|| {
                 on_configure(|configure| {
                     if configure.loop_delay_us == configure.period_us {

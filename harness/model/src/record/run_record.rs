@@ -256,6 +256,9 @@ pub struct Overrides {
     /// `--fail-fast`: no trial starts after a scenario failed.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub fail_fast: bool,
+    /// `--long-scripts`: the protocol check plays its long scripts on every rig.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub long_scripts: bool,
     /// `--timeout`: wall time after which the trials of a scenario end, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timeout_s: Option<f64>,

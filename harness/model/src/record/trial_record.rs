@@ -67,6 +67,9 @@ pub struct Telemetry {
     /// host stalled.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub protocol_repeats: u32,
+    /// Message scripts that `--long-scripts` plays and that this trial did not play.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub scripts_not_played: Vec<String>,
     /// The rig's message about the loss of the controller.
     #[serde(default)]
     pub ended: Option<String>,

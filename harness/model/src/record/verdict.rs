@@ -250,10 +250,12 @@ pub enum ViolationKind {
     /// A control step that takes longer than the control period on the emulated chip, percent of
     /// the period. A scenario with an expectation of `step_time_percent` has its own limit.
     StepTime,
+    /// A configuration refused that the page of the protocol calls usable.
+    RefusedConfiguration,
 }
 
 impl ViolationKind {
-    pub const COUNT: usize = 13;
+    pub const COUNT: usize = 14;
 
     /// True if only the number of violations is known, not the instant of the first one.
     const fn is_counted(self) -> bool {
@@ -297,6 +299,7 @@ impl fmt::Display for Violation {
             ViolationKind::RejectedFrame => {
                 write!(formatter, "frame of the controller rejected: its CRC, COBS or message is wrong")
             }
+            ViolationKind::RefusedConfiguration => write!(formatter, "usable configuration refused"),
             ViolationKind::StepTime => write!(
                 formatter,
                 "the longest control step takes {:.1} % of the control period on the emulated chip, limit {limit} %",

@@ -160,6 +160,7 @@ fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: b
         style.write_wrapped(text, "", "  ", &format!("overridden: {overrides}"));
     }
     write_time_limits(text, record, style, in_full);
+    write_scripts_not_played(text, record, style);
     write_verdict(text, record, style);
     write_list_of_not_passed(text, record, style, in_full);
 }
@@ -176,6 +177,16 @@ fn write_time_limits(text: &mut String, record: &RunRecord, style: Style, in_ful
     let files = ended.iter().take(listed).copied().collect::<Vec<_>>().join(", ");
     let scenarios = format::count(ended.len(), "scenario");
     style.write_wrapped(text, "time limit reached: ", "  ", &format!("{scenarios}: {files}{further}"));
+}
+
+/// A script that was not played is no pass, even if the verdict is.
+fn write_scripts_not_played(text: &mut String, record: &RunRecord, style: Style) {
+    let scripts = record_queries::scripts_not_played(record);
+    if !scripts.is_empty() {
+        let count = format::count(scripts.len(), "script");
+        let sentence = format!("{count} of the protocol check ({}); --long-scripts plays them", scripts.join(", "));
+        style.write_wrapped(text, "not played: ", "  ", &sentence);
+    }
 }
 
 /// Reason of the verdict in one line. The verdict may be that of an interrupted run.
@@ -203,6 +214,7 @@ fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
         write_not_applicable(text, record, style, true);
     }
     write_time_limits(text, record, style, false);
+    write_scripts_not_played(text, record, style);
     write_verdict(text, record, style);
     write_list_of_not_passed(text, record, style, false);
 }

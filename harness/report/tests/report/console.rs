@@ -124,6 +124,17 @@ fn unplayed_scenarios_are_counted_instead_of_listed() {
 }
 
 #[rstest]
+#[case::played(&[], None)]
+#[case::not_played(&["a", "b", "a"], Some("not played: 2 scripts of the protocol check (a, b); --long-scripts plays them\n"))]
+fn scripts_that_were_not_played_are_named(#[case] scripts: &[&str], #[case] expected: Option<&str>) {
+    let mut record = fixtures::mixed_run();
+    let trial = record.scenarios.iter_mut().flat_map(|scenario| &mut scenario.trials).next().unwrap();
+    trial.telemetry.scripts_not_played = scripts.iter().map(|&script| script.to_owned()).collect();
+    let text = console::run_text(&record, Style::default(), Detail::Summary);
+    assert_eq!(text.lines().find(|line| line.starts_with("not played: ")), expected.map(str::trim_end), "{text}");
+}
+
+#[rstest]
 #[case(Detail::Summary, &["    also paper/1.toml, paper/2.toml, paper/3.toml, and 36 more: -v lists them"])]
 #[case(Detail::Tables, &[
     "    also paper/0.toml: settling_time_ms, overshoot_percent",

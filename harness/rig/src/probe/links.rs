@@ -5,13 +5,16 @@ use super::attached_board::AttachedBoard;
 use super::board::RttChannels;
 use super::error::ProbeError;
 use super::image::Image;
+use crate::cancel::CancelToken;
+use crate::handshake::handshake;
 use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use crate::serial_port::SerialLink;
+use crate::session::RigError;
 use platebench_wire::{ControllerState, Message, Packet, PacketReader};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tracing::{debug, info, warn};
+use tracing::{info, warn};
 
 /// Dropping the link resets the chip, which boots at 0 V, and releases port and probe.
 #[derive(Debug)]
@@ -33,21 +36,12 @@ impl PortLink {
         let mut link = Self { serial, board, image, answers: PacketReader::new() };
         link.serial.expect_silence();
         let timeout = link.board.timeouts().handshake;
-        let until = Instant::now() + timeout;
-        let mut sequence = 0;
-        loop {
-            sequence = u8::wrapping_add(sequence, 1);
-            let mut received = Vec::new();
-            let hello = Packet { sequence, message: Message::Hello }.encode();
-            let lost = |error: LinkError| ProbeError::Port { port: path.to_owned(), cause: error.to_string() };
-            link.serial.exchange(Duration::ZERO, hello.as_bytes(), &mut received).map_err(lost)?;
-            if link.contains_message(&received, |message| matches!(message, Message::Identity(_))) {
-                debug!(sequence, "the firmware on the serial port answered the handshake");
-                return Ok(link);
-            }
-            if Instant::now() >= until {
+        match handshake(&mut link.serial, timeout, &CancelToken::never(), || None) {
+            Ok(_) => Ok(link),
+            Err(RigError::Link(error)) => Err(ProbeError::Port { port: path.to_owned(), cause: error.to_string() }),
+            Err(_) => {
                 let silent = ProbeError::NoHandshake { port: path.to_owned(), waited: timeout };
-                return Err(link.board.trap_error(&link.image).unwrap_or(silent));
+                Err(link.board.trap_error(&link.image).unwrap_or(silent))
             }
         }
     }

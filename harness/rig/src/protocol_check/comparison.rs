@@ -1,7 +1,8 @@
 //! Compares the answers of a controller with those of the hosted reference, and the number and the
 //! send times of its ticks.
 
-use crate::compared_link::command_difference;
+use crate::compared_link::{FREQUENCY_TOLERANCE_MHZ, command_difference};
+use crate::handshake::HELLO_NUMBER;
 use platebench_wire::{
     Command, Configure, ControllerState, Gains, Identity, LawId, Message, Packet, PacketReader, Sample, StateCause,
     flags,
@@ -28,10 +29,6 @@ const OTHER_DESIGN_TOLERANCE: f64 = 0.15;
 /// command is not compared. The first share is for rounding, the second for another design.
 const ROUNDING_SHARE: f64 = 0.25;
 const OTHER_DESIGN_SHARE: f64 = 0.5;
-/// Largest difference of a frequency by its rounding, mHz: a controller may round to 1 or 2 mHz.
-const FREQUENCY_STEP_MHZ: u32 = 1;
-/// Tolerance of the frequency's range and slew, Hz, as in every trial.
-const FREQUENCY_TOLERANCE_HZ: f64 = 5e-3;
 /// Largest number of stored commands of [`CommandHistory`].
 const MAX_HISTORY: usize = 50_000;
 /// Number of variations by rounding. They precede the variations of the design.
@@ -73,6 +70,10 @@ impl ReceivedPackets {
             matches!(packet.message, Message::Command(command) if command.cause == StateCause::SampleTimeout)
                 && packet.sequence != request
         };
+        // An answer to a hello of the handshake.
+        let is_late_identity = |packet: &Packet| {
+            matches!(packet.message, Message::Identity(_)) && packet.sequence == HELLO_NUMBER && request != HELLO_NUMBER
+        };
         let is_tick = |packet: &Packet| matches!(packet.message, Message::Tick(_));
         let mut packets = packets(bytes);
         if let Some(at) = packets.iter().position(|packet| matches!(packet.message, Message::Configured(_))) {
@@ -80,7 +81,8 @@ impl ReceivedPackets {
             packets.splice(0..0, earlier);
         }
         let (ticks, answers): (Vec<_>, Vec<_>) = packets.into_iter().partition(is_tick);
-        Self { answers: answers.into_iter().filter(|packet| !is_report(packet)).collect(), ticks }
+        let answers = answers.into_iter().filter(|packet| !is_report(packet) && !is_late_identity(packet));
+        Self { answers: answers.collect(), ticks }
     }
 }
 
@@ -127,8 +129,8 @@ impl LawInputs {
     }
 }
 
-/// True for a law that `docs/wire-protocol.md` defines.
-pub(super) const fn is_defined(law: LawId) -> bool {
+/// True for a law that `docs/wire-protocol.md` defines, so that its commands can be compared.
+pub const fn is_defined_law(law: LawId) -> bool {
     matches!(law, LawId::OpenLoop | LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed)
 }
 
@@ -141,7 +143,8 @@ fn hash_of(value: &impl Hash) -> u64 {
 /// What is compared with the reference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum ComparisonScope {
-    /// The rules of the protocol, and drive and frequency of a *running* command.
+    /// The rules of the protocol, and drive and frequency of a *running* command of a law that
+    /// `docs/wire-protocol.md` defines.
     Numbers,
     Rules,
     /// The rules, for a law of the controller's own, whose number means nothing.
@@ -191,7 +194,7 @@ impl<'a> Comparison<'a> {
                     self.configuration = Some(configure);
                     (self.has_other_design, self.is_ambiguous) = (false, false);
                     self.previous = None;
-                    let is_linear = self.scope != ComparisonScope::OwnLaw && is_defined(configure.law);
+                    let is_linear = self.scope != ComparisonScope::OwnLaw && is_defined_law(configure.law);
                     self.inputs = LawInputs::configure(&configure, is_linear);
                     self.ticks = TickComparison::new(&configure);
                 }
@@ -228,6 +231,7 @@ impl<'a> Comparison<'a> {
                 return Err(CommandDifference { text, other_cause: Some(BenchCause::NoAnswer) });
             };
             self.observe_design(answer, expected);
+            let varied = if self.compares_numbers() { varied } else { &[] };
             for (number, other) in varied.iter().enumerate() {
                 self.is_ambiguous |=
                     other.answers.get(position).is_none_or(|other| self.is_far(expected, other, number));
@@ -302,14 +306,15 @@ impl<'a> Comparison<'a> {
             return differs(format!("a drive of {drive_vpp} Vpp, expected 0 to {} Vpp", configuration.drive_limit_vpp));
         }
         let distance_hz = |from: u32| (f64::from(frequency_mhz) - f64::from(from)).abs() * 1e-3;
+        let tolerance_hz = f64::from(FREQUENCY_TOLERANCE_MHZ) * 1e-3;
         let [range, slew] = [configuration.frequency_range_hz, configuration.frequency_slew_hz].map(f64::from);
         let offset = distance_hz(configuration.start_frequency_mhz);
-        if offset > range + FREQUENCY_TOLERANCE_HZ {
+        if offset > range + tolerance_hz {
             return differs(format!("a frequency {offset:.3} Hz from its start, expected at most {range} Hz"));
         }
         let previous = self.last_command.replace(*answer);
         let change = distance_hz(previous.map_or(configuration.start_frequency_mhz, |last| last.frequency_mhz));
-        if change > slew + FREQUENCY_TOLERANCE_HZ {
+        if change > slew + tolerance_hz {
             return differs(format!("a frequency step of {change:.3} Hz, expected at most {slew} Hz"));
         }
         let CommandHistory(commands) = history;
@@ -328,6 +333,12 @@ impl<'a> Comparison<'a> {
             "{answer}, but after an earlier configuration with the same samples, or all in proportion to the limit, \
              {earlier}"
         ))
+    }
+
+    /// The law of the last configuration decides, whatever the law of the scenario is.
+    fn compares_numbers(&self) -> bool {
+        self.scope == ComparisonScope::Numbers
+            && self.configuration.is_none_or(|configuration| is_defined_law(configuration.law))
     }
 
     fn tolerance(&self) -> f64 {
@@ -379,9 +390,7 @@ impl<'a> Comparison<'a> {
                         !uses_four && pairs.all(|(own, configured)| own == 0.0 || is_close((own, configured)))
                     }
                 }
-                None => {
-                    !uses_four || self.scope == ComparisonScope::Rules || are_close(answer, expected, DESIGN_TOLERANCE)
-                }
+                None => !uses_four || !self.compares_numbers() || are_close(answer, expected, DESIGN_TOLERANCE),
             }
     }
 
@@ -390,7 +399,7 @@ impl<'a> Comparison<'a> {
             return self.is_ambiguous && expected.state == ControllerState::Running;
         }
         if expected.state == ControllerState::Running {
-            return self.scope != ComparisonScope::Numbers
+            return !self.compares_numbers()
                 || self.is_ambiguous
                 || self.distance(answer, expected) <= self.tolerance();
         }
@@ -399,7 +408,7 @@ impl<'a> Comparison<'a> {
             Some([own, reference]) if expected.frequency_mhz == reference.frequency_mhz => {
                 answer.frequency_mhz == own.frequency_mhz
             }
-            _ => answer.frequency_mhz.abs_diff(expected.frequency_mhz) <= FREQUENCY_STEP_MHZ,
+            _ => answer.frequency_mhz.abs_diff(expected.frequency_mhz) <= FREQUENCY_TOLERANCE_MHZ,
         };
         answer.drive_vpp == 0.0 && has_frequency
     }
@@ -407,9 +416,7 @@ impl<'a> Comparison<'a> {
     /// Returns the larger difference of [`command_difference`]; infinite if a drive is not finite.
     fn distance(&self, one: &Command, other: &Command) -> f64 {
         let Some(configuration) = self.configuration else { return 0.0 };
-        let is_rounding = one.frequency_mhz.abs_diff(other.frequency_mhz) <= FREQUENCY_STEP_MHZ;
-        let frequency_mhz = if is_rounding { one.frequency_mhz } else { other.frequency_mhz };
-        let [drive, frequency] = command_difference(one, &Command { frequency_mhz, ..*other }, &configuration);
+        let [drive, frequency] = command_difference(one, other, &configuration);
         if drive.is_finite() { drive.max(frequency) } else { f64::INFINITY }
     }
 }

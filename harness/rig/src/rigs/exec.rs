@@ -1,17 +1,19 @@
 //! Starts a controller program and exchanges messages with it over a pseudo-terminal. In the
 //! command, `{port}` stands for the path of this terminal. The program runs in its own process
 //! group, so that Ctrl-C reaches only the bench, which then requests 0 V. The program's output goes
-//! to the bench's standard error, because the bench's standard output may be JSON. To end the
+//! escaped to the bench's standard error, because its standard output may be JSON. To end the
 //! program, the bench hangs up the line, then sends SIGTERM, then SIGKILL. If the bench is killed,
 //! the kernel hangs up the line and the program's own watchdog acts.
 
+mod output;
 mod program;
 
 use crate::cancel::CancelToken;
 use crate::factory::{Argument, Capability, ConnectError, ConnectOptions, Rig, RigFactory, RigProperties};
+use crate::handshake::{HANDSHAKE_TIMEOUT, RejectedBytes, handshake};
 use crate::link::{BoxedLink, Link, LinkError, LinkKind, RealTimeLine};
 use crate::port::{Port, open_pseudo_terminal};
-use platebench_wire::{FrameError, Message, Packet, PacketError, PacketReader};
+use crate::session::RigError;
 use program::Program;
 use rustix::fd::OwnedFd;
 use std::time::{Duration, Instant};
@@ -47,9 +49,9 @@ impl Rig for ExecRig {
 }
 
 const PORT_PLACEHOLDER: &str = "{port}";
-const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
-/// The hello is repeated, because a program that flushes its port at its start loses earlier ones.
-const HANDSHAKE_INTERVAL: Duration = Duration::from_millis(100);
+/// After this time without a byte, the bench asks whether the program has ended, because the line
+/// does not hang up while another process holds it.
+const SILENCE: Duration = Duration::from_millis(50);
 /// Longest wait for the program's exit status after its line hung up. A program may close its port
 /// and take some time to end, above all on a busy computer.
 const EXIT_DETECTION_TIMEOUT: Duration = Duration::from_secs(2);
@@ -69,32 +71,14 @@ pub enum ExecError {
     #[error("`{program}` {how} before the handshake")]
     Exited { program: String, how: String },
     #[error(
-        "`{program}` runs, but did not answer the handshake on {port} within {} s{}",
-        HANDSHAKE_TIMEOUT.as_secs(),
-        rejected_hint(*rejected)
+        "`{program}` runs, but did not answer the handshake on {port} within {} s{rejected}",
+        HANDSHAKE_TIMEOUT.as_secs()
     )]
-    NoAnswer {
-        program: String,
-        port: String,
-        /// Number of rejected frames that the program sent, and the error of the last one.
-        rejected: Option<(u32, PacketError)>,
-    },
+    NoAnswer { program: String, port: String, rejected: RejectedBytes },
     #[error("cancelled while waiting for the handshake of `{0}`")]
     Cancelled(String),
-    #[error(transparent)]
-    Link(#[from] LinkError),
-}
-
-fn rejected_hint(rejected: Option<(u32, PacketError)>) -> String {
-    let Some((count, last)) = rejected else { return String::new() };
-    let problem = match last {
-        PacketError::Frame(FrameError::Checksum) => "a wrong CRC",
-        PacketError::Frame(FrameError::InvalidCobs) => "invalid COBS",
-        PacketError::Frame(FrameError::Overlong) => "no end within the length of a frame",
-        PacketError::Frame(FrameError::Truncated) => "no room for a CRC",
-        PacketError::Message(_) => "a message that the protocol does not have",
-    };
-    format!("; {count} of its frames were rejected, the last one has {problem}")
+    #[error("`{program}`: {error}")]
+    Handshake { program: String, error: RigError },
 }
 
 /// A program without a folder is searched in PATH only.
@@ -143,6 +127,8 @@ pub struct ExecLink {
     // Declared, and so dropped, before `program`: the line must hang up before the program ends.
     port: Port<OwnedFd>,
     program: Program,
+    cancel: CancelToken,
+    last_byte: Instant,
 }
 
 impl ExecLink {
@@ -155,9 +141,10 @@ impl ExecLink {
         let (master, slave, name) = open_pseudo_terminal().map_err(|error| ExecError::Terminal(error.into()))?;
         let program = Program::start(words.program(), words.arguments(&name), &name)
             .map_err(|error| ExecError::Start { program: words.program().to_owned(), error })?;
-        let mut exec = Self { port: master.with_reply_timeout(options.reply_timeout), program };
+        let (port, cancel) = (master.with_options(options), options.cancel.clone());
+        let mut exec = Self { port, program, cancel, last_byte: Instant::now() };
         exec.port.expect_silence();
-        exec.wait_for_handshake(&name, &options.cancel)?;
+        exec.wait_for_handshake(&name)?;
         // Without this handle of the bench, the line hangs up when the program ends.
         drop(slave);
         Ok(exec)
@@ -167,52 +154,54 @@ impl ExecLink {
         self.program.process_id()
     }
 
-    fn wait_for_handshake(&mut self, name: &str, cancel: &CancelToken) -> Result<(), ExecError> {
-        let hello = Packet { sequence: 0, message: Message::Hello }.encode();
-        let deadline = Instant::now() + HANDSHAKE_TIMEOUT;
-        let mut answer = Vec::new();
-        let mut rejected = None;
-        while Instant::now() < deadline {
-            let asked = Instant::now();
-            answer.clear();
-            let delay = self.port.exchange(Duration::ZERO, hello.as_bytes(), &mut answer)?;
-            for packet in PacketReader::new().packets(&answer) {
-                match packet {
-                    Ok(Packet { message: Message::Identity(_), .. }) => {
-                        debug!(?delay, pid = self.program.process_id(), "program started");
-                        return Ok(());
-                    }
-                    Ok(_) => {}
-                    Err(error) => rejected = Some((rejected.map_or(1, |(count, _)| count + 1), error)),
-                }
+    fn wait_for_handshake(&mut self, name: &str) -> Result<(), ExecError> {
+        let Self { port, program, cancel, .. } = self;
+        let name_of = |program: &Program| program.name().to_owned();
+        match handshake(port, HANDSHAKE_TIMEOUT, cancel, || program.exit()) {
+            Ok(_) => {
+                debug!(pid = program.process_id(), "program started");
+                Ok(())
             }
-            if cancel.is_cancelled() {
-                return Err(ExecError::Cancelled(self.program.name().to_owned()));
+            Err(RigError::Cancelled) => Err(ExecError::Cancelled(name_of(program))),
+            Err(RigError::Link(LinkError::Ended(how))) => Err(ExecError::Exited { program: name_of(program), how }),
+            Err(RigError::NoIdentity { rejected, .. }) => {
+                Err(ExecError::NoAnswer { program: name_of(program), port: name.to_owned(), rejected })
             }
-            if let Some(how) = self.program.wait_for_exit(Duration::ZERO) {
-                return Err(ExecError::Exited { program: self.program.name().to_owned(), how });
-            }
-            // An echo of the hello ends the exchange before the interval is over.
-            std::thread::sleep(HANDSHAKE_INTERVAL.saturating_sub(asked.elapsed()));
+            Err(error) => Err(ExecError::Handshake { program: name_of(program), error }),
         }
-        Err(ExecError::NoAnswer { program: self.program.name().to_owned(), port: name.to_owned(), rejected })
     }
 
     /// If the line is lost, the error says how the program ended.
     fn with_port<T>(&mut self, call: impl FnOnce(&mut Port<OwnedFd>) -> Result<T, LinkError>) -> Result<T, LinkError> {
-        call(&mut self.port).map_err(|error| match (error, self.program.wait_for_exit(EXIT_DETECTION_TIMEOUT)) {
-            (LinkError::Disconnected(_), Some(how)) => LinkError::Ended(format!("`{}` {how}", self.program.name())),
-            (LinkError::Disconnected(_), None) => {
-                LinkError::Disconnected(format!("`{}` still runs, but has closed its serial port", self.program.name()))
-            }
-            (error, _) => error,
+        call(&mut self.port).map_err(|error| match error {
+            LinkError::Disconnected(_) => match self.program.wait_for_exit(EXIT_DETECTION_TIMEOUT, &self.cancel) {
+                Some(how) => ended(&self.program, &how),
+                None => LinkError::Disconnected(format!(
+                    "`{}` still runs, but has closed its serial port",
+                    self.program.name()
+                )),
+            },
+            error => error,
         })
     }
+
+    /// Fails if the program has ended. Call it if no answer came.
+    fn check_exit(&self) -> Result<(), LinkError> {
+        self.program.exit().map_or(Ok(()), |how| Err(ended(&self.program, &how)))
+    }
+}
+
+fn ended(program: &Program, how: &str) -> LinkError {
+    LinkError::Ended(format!("`{}` {how}", program.name()))
 }
 
 impl Link for ExecLink {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        self.with_port(|port| port.exchange(now, bytes, answer))
+        let delay = self.with_port(|port| port.exchange(now, bytes, answer))?;
+        if self.port.is_silent() {
+            self.check_exit()?;
+        }
+        Ok(delay)
     }
 
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
@@ -230,6 +219,7 @@ impl Link for ExecLink {
 
 impl RealTimeLine for ExecLink {
     fn start(&mut self) -> Result<(), LinkError> {
+        self.last_byte = Instant::now();
         self.with_port(RealTimeLine::start)
     }
 
@@ -238,7 +228,13 @@ impl RealTimeLine for ExecLink {
     }
 
     fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
-        self.with_port(|port| port.receive(until, bytes))
+        let received = self.with_port(|port| port.receive(until, bytes))?;
+        if received.is_some() {
+            self.last_byte = Instant::now();
+        } else if self.last_byte.elapsed() > SILENCE {
+            self.check_exit()?;
+        }
+        Ok(received)
     }
 }
 

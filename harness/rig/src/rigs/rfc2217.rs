@@ -3,10 +3,13 @@
 
 use super::serial::parse_port;
 use super::tcp::{CONNECT_TIMEOUT, NetworkError, connect, parse_address};
+use crate::cancel::CancelToken;
 use crate::factory::{Argument, Capability, ConnectError, ConnectOptions, Rig, RigFactory, RigProperties};
+use crate::handshake::quoted_text;
 use crate::link::{BoxedLink, LinkError};
 use crate::port::Port;
-use crate::tty::Tty;
+use crate::tty::{Tty, disconnected};
+use crate::wait_budget::WaitBudget;
 use platebench_model::record::ClockKind;
 use rustix::fd::OwnedFd;
 use std::collections::VecDeque;
@@ -36,10 +39,10 @@ impl Rig for Rfc2217Rig {
 
     /// Sets the server's port to 8 data bits, no parity, 1 stop bit and no flow control.
     fn open(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
-        let deadline = Instant::now() + CONNECT_TIMEOUT;
-        let line = connect(&self.address, deadline)?;
-        let port = Port::new(Rfc2217::start(line, &self.address, self.baud, deadline)?);
-        Ok(Box::new(port.with_reply_timeout(options.reply_timeout)))
+        let mut budget = WaitBudget::new(CONNECT_TIMEOUT);
+        let line = connect(&self.address, &mut budget, &options.cancel)?;
+        let port = Port::new(Rfc2217::start(line, &self.address, self.baud, budget, &options.cancel)?);
+        Ok(Box::new(port.with_options(options)))
     }
 }
 
@@ -66,6 +69,15 @@ const ANSWER_OFFSET: u8 = 100;
 
 /// Largest stored length of a subnegotiation, bytes. Further bytes are dropped.
 const MAX_SUBNEGOTIATION: usize = 64;
+/// Largest stored length of the text that a server sends before it sets the port, bytes.
+const MAX_TEXT: usize = 200;
+
+/// A setting that the server answered with another value: names of the expected and the set value.
+#[derive(Debug, Clone)]
+struct RefusedSetting {
+    expected: String,
+    found: String,
+}
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum TelnetState {
@@ -83,23 +95,30 @@ struct Rfc2217 {
     state: TelnetState,
     subnegotiation: Vec<u8>,
     unsent: VecDeque<u8>,
-    baud: Option<u32>,
-    is_refused: bool,
-    /// True after the server has set the baud rate. Until then, a read also ends if only Telnet
-    /// commands arrived.
+    baud: u32,
+    has_refused_option: bool,
+    refused_setting: Option<RefusedSetting>,
+    /// True after the server has set the baud rate, which is the last setting.
     is_set: bool,
 }
 
 impl Rfc2217 {
-    fn start(line: OwnedFd, address: &str, baud: u32, deadline: Instant) -> Result<Self, NetworkError> {
-        let settings = |source| NetworkError::Settings { address: address.to_owned(), source };
+    fn start(
+        line: OwnedFd,
+        address: &str,
+        baud: u32,
+        mut budget: WaitBudget,
+        cancel: &CancelToken,
+    ) -> Result<Self, NetworkError> {
+        let address = address.to_owned();
         let mut port = Self {
             line,
             state: TelnetState::Data,
             subnegotiation: Vec::with_capacity(MAX_SUBNEGOTIATION),
             unsent: VecDeque::new(),
-            baud: None,
-            is_refused: false,
+            baud,
+            has_refused_option: false,
+            refused_setting: None,
             is_set: false,
         };
         for (command, option) in
@@ -112,26 +131,36 @@ impl Rfc2217 {
         }
         port.queue_setting(PURGE_DATA, &[3]);
         port.queue_setting(SET_BAUDRATE, &baud.to_be_bytes());
-        let mut discarded = [0; 256];
-        loop {
-            port.flush(deadline).map_err(settings)?;
-            match port.baud {
-                Some(found) if found == baud => {
-                    port.is_set = true;
-                    return Ok(port);
-                }
-                Some(found) => {
-                    return Err(NetworkError::Baud { address: address.to_owned(), expected: baud, found });
-                }
-                None if port.is_refused => return Err(NetworkError::NoPortOption { address: address.to_owned() }),
-                None => {}
+        let (mut text, mut buffer) = (Vec::new(), [0; 256]);
+        // The budget also ends a server that sends without a pause.
+        while let Some(until) = budget.next_part(Instant::now()) {
+            if cancel.is_cancelled() {
+                return Err(NetworkError::Cancelled { address });
             }
-            let received = port.read(&mut discarded, deadline).map_err(settings)?;
-            if received.is_none() && Instant::now() >= deadline {
-                // A server that does not use Telnet does not answer.
-                return Err(NetworkError::NoPortOption { address: address.to_owned() });
+            // A server that is in use sends its reason and closes the line, which the write notices first.
+            let flushed = port.flush(until);
+            let received = port.read_data(&mut buffer, until);
+            if let Ok(Some(count)) = received {
+                let free = MAX_TEXT.saturating_sub(text.len());
+                text.extend(buffer.iter().take(count.min(free)));
             }
+            if let Some(RefusedSetting { expected, found }) = port.refused_setting {
+                return Err(NetworkError::Setting { address, expected, found });
+            }
+            if port.is_set {
+                return Ok(port);
+            }
+            if port.has_refused_option {
+                break;
+            }
+            let failed = if matches!(received, Ok(Some(_))) { Ok(()) } else { received.and(flushed.map(drop)) };
+            failed.map_err(|source| {
+                let address = address.clone();
+                NetworkError::Settings { address, source, text: quoted_text(&text) }
+            })?;
         }
+        // A server that does not use Telnet does not answer.
+        Err(NetworkError::NoPortOption { address, text: quoted_text(&text) })
     }
 
     fn queue_setting(&mut self, command: u8, value: &[u8]) {
@@ -197,7 +226,7 @@ impl Rfc2217 {
     /// Refuses every option that [`Self::start`] has not requested.
     fn answer(&mut self, command: u8, option: u8) {
         let is_requested = matches!(option, BINARY | SUPPRESS_GO_AHEAD | COM_PORT);
-        self.is_refused |= option == COM_PORT && matches!(command, DONT);
+        self.has_refused_option |= option == COM_PORT && matches!(command, DONT);
         match command {
             WILL if !is_requested => self.unsent.extend([IAC, DONT, option]),
             DO if !is_requested => self.unsent.extend([IAC, WONT, option]),
@@ -205,35 +234,77 @@ impl Rfc2217 {
         }
     }
 
+    /// An answer contains the value that the server has set.
     fn finish_subnegotiation(&mut self) {
-        const BAUD_IS_SET: u8 = SET_BAUDRATE + ANSWER_OFFSET;
-        if let [COM_PORT, BAUD_IS_SET, a, b, c, d] = self.subnegotiation[..] {
-            self.baud = Some(u32::from_be_bytes([a, b, c, d]));
+        let [COM_PORT, answer, value @ ..] = &self.subnegotiation[..] else { return };
+        let (expected, found) = match (answer.wrapping_sub(ANSWER_OFFSET), value) {
+            (SET_BAUDRATE, &[a, b, c, d]) => {
+                let found = u32::from_be_bytes([a, b, c, d]);
+                self.is_set = found == self.baud;
+                (format!("{} baud", self.baud), format!("{found} baud"))
+            }
+            (SET_DATASIZE, &[bits]) => ("8 data bits".to_owned(), format!("{bits} data bits")),
+            (SET_PARITY, &[parity]) => ("no parity".to_owned(), parity_name(parity)),
+            (SET_STOPSIZE, &[stop]) => ("1 stop bit".to_owned(), stop_name(stop)),
+            // Other values answer other requests of the command.
+            (SET_CONTROL, [2]) => ("no flow control".to_owned(), "flow control by XON and XOFF".to_owned()),
+            (SET_CONTROL, [3]) => ("no flow control".to_owned(), "flow control by RTS and CTS".to_owned()),
+            _ => return,
+        };
+        if found != expected {
+            self.refused_setting.get_or_insert(RefusedSetting { expected, found });
         }
+    }
+
+    fn read_data(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError> {
+        let Some(count) = Tty::read(&mut self.line, buffer, until)? else { return Ok(None) };
+        let mut decoded = 0;
+        for index in 0..count {
+            let data = buffer.get(index).and_then(|&byte| self.decode(byte));
+            // `decoded` never passes `index`, so that no unread byte is overwritten.
+            if let (Some(data), Some(place)) = (data, buffer.get_mut(decoded)) {
+                *place = data;
+                decoded += 1;
+            }
+        }
+        if !self.unsent.is_empty() {
+            // The next call reports an error. The bytes that arrived before it may name its reason.
+            let _ = self.flush(Instant::now());
+        }
+        Ok(Some(decoded))
+    }
+}
+
+fn parity_name(value: u8) -> String {
+    match value {
+        1 => "no parity".to_owned(),
+        2 => "odd parity".to_owned(),
+        3 => "even parity".to_owned(),
+        other => format!("parity {other}"),
+    }
+}
+
+fn stop_name(value: u8) -> String {
+    match value {
+        1 => "1 stop bit".to_owned(),
+        2 => "2 stop bits".to_owned(),
+        3 => "1.5 stop bits".to_owned(),
+        other => format!("stop size {other}"),
     }
 }
 
 impl Tty for Rfc2217 {
     fn read(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, LinkError> {
         loop {
-            let Some(count) = Tty::read(&mut self.line, buffer, until)? else { return Ok(None) };
-            let mut decoded = 0;
-            for index in 0..count {
-                let data = buffer.get(index).and_then(|&byte| self.decode(byte));
-                // `decoded` never passes `index`, so that no unread byte is overwritten.
-                if let (Some(data), Some(place)) = (data, buffer.get_mut(decoded)) {
-                    *place = data;
-                    decoded += 1;
-                }
+            let count = self.read_data(buffer, until)?;
+            // The answer to a setting may come after that to the baud rate.
+            if let Some(RefusedSetting { expected, found }) = &self.refused_setting {
+                return Err(disconnected(format!("the server set {found} instead of {expected}")));
             }
-            if !self.unsent.is_empty() {
-                self.flush(Instant::now())?;
-            }
-            if decoded > 0 {
-                return Ok(Some(decoded));
-            }
-            if !self.is_set || Instant::now() >= until {
-                return Ok(None);
+            match count {
+                Some(0) if Instant::now() < until => {}
+                Some(0) => return Ok(None),
+                count => return Ok(count),
             }
         }
     }
@@ -254,10 +325,14 @@ impl Tty for Rfc2217 {
 #[cfg(test)]
 mod tests {
     use super::{COM_PORT, DO, DONT, IAC, Rfc2217, SUBNEGOTIATION, SUBNEGOTIATION_END, WILL};
+    use crate::cancel::CancelToken;
     use crate::rigs::tcp::NetworkError;
     use crate::tty::Tty;
+    use crate::wait_budget::WaitBudget;
+    use rstest::rstest;
     use std::io::{Read, Write};
     use std::os::unix::net::UnixStream;
+    use std::sync::mpsc::channel;
     use std::thread::{self, JoinHandle};
     use std::time::{Duration, Instant};
 
@@ -271,7 +346,78 @@ mod tests {
         line.set_nonblocking(true).unwrap();
         let mut sender = server.try_clone().unwrap();
         let thread = thread::spawn(move || sender.write_all(answer).unwrap());
-        (Rfc2217::start(line.into(), "host:1", 921_600, deadline()), server, thread)
+        (connect(line, Duration::from_secs(10), &CancelToken::never()), server, thread)
+    }
+
+    fn connect(line: UnixStream, limit: Duration, cancel: &CancelToken) -> Result<Rfc2217, NetworkError> {
+        Rfc2217::start(line.into(), "host:1", 921_600, WaitBudget::new(limit), cancel)
+    }
+
+    /// Returns the error of a connection to a server that sends `x` without a pause.
+    fn error_of_a_busy_server(limit: Duration, cancel: &CancelToken) -> NetworkError {
+        let (line, mut server) = UnixStream::pair().unwrap();
+        line.set_nonblocking(true).unwrap();
+        thread::spawn(move || while server.write_all(&[b'x'; 4096]).is_ok() {});
+        let (sender, ended) = channel();
+        let cancel = cancel.clone();
+        thread::spawn(move || sender.send(connect(line, limit, &cancel).map(drop)));
+        ended.recv_timeout(Duration::from_secs(60)).expect("the wait does not end").unwrap_err()
+    }
+
+    #[test]
+    fn a_server_that_never_pauses_reaches_the_deadline() {
+        let error = error_of_a_busy_server(Duration::from_millis(200), &CancelToken::never());
+        assert!(matches!(error, NetworkError::NoPortOption { .. }), "{error}");
+        let text = error.to_string();
+        let (_, quoted) = text.split_once("; the server sent ").unwrap();
+        assert_eq!(quoted, format!("\"{}…\"", "x".repeat(80)));
+    }
+
+    #[test]
+    fn a_cancellation_ends_the_negotiation() {
+        let cancel = CancelToken::never();
+        cancel.cancel();
+        let error = error_of_a_busy_server(Duration::from_hours(1), &cancel);
+        assert!(matches!(error, NetworkError::Cancelled { .. }), "{error}");
+    }
+
+    const fn setting(command: u8, value: u8) -> [u8; 7] {
+        [IAC, SUBNEGOTIATION, COM_PORT, command, value, IAC, SUBNEGOTIATION_END]
+    }
+
+    #[rstest]
+    #[case::eight_data_bits(setting(102, 8), None)]
+    #[case::seven_data_bits(setting(102, 7), Some("host:1: the server set 7 data bits instead of 8 data bits"))]
+    #[case::no_parity(setting(103, 1), None)]
+    #[case::even_parity(setting(103, 3), Some("host:1: the server set even parity instead of no parity"))]
+    #[case::one_stop_bit(setting(104, 1), None)]
+    #[case::two_stop_bits(setting(104, 2), Some("host:1: the server set 2 stop bits instead of 1 stop bit"))]
+    #[case::no_flow_control(setting(105, 1), None)]
+    #[case::xon_xoff(setting(105, 2), Some("host:1: the server set flow control by XON and XOFF instead of"))]
+    fn another_frame_format_is_refused(#[case] answer: [u8; 7], #[case] expected: Option<&str>) {
+        let answers: &'static [u8] = [answer.as_slice(), ACCEPTED].concat().leak();
+        let (line, server, _) = start(answers);
+        let message = line.err().map(|error| error.to_string());
+        assert_eq!(message.is_some(), expected.is_some(), "{message:?}");
+        assert!(message.unwrap_or_default().starts_with(expected.unwrap_or_default()));
+        drop(server);
+        // The answer may also come after that to the baud rate.
+        let (line, mut server, thread) = start(ACCEPTED);
+        thread.join().unwrap();
+        server.write_all(&answer).unwrap();
+        drop(server);
+        let error = line.unwrap().read(&mut [0; 64], deadline()).unwrap_err().to_string();
+        assert_eq!(error.contains("the server set"), expected.is_some(), "{error}");
+    }
+
+    #[test]
+    fn the_text_of_the_server_is_part_of_the_message() {
+        let (line, server) = UnixStream::pair().unwrap();
+        line.set_nonblocking(true).unwrap();
+        (&server).write_all(b"Port already in use\r\n").unwrap();
+        drop(server);
+        let error = connect(line, Duration::from_secs(10), &CancelToken::never()).unwrap_err().to_string();
+        assert!(error.ends_with("; the server sent \"Port already in use\""), "{error}");
     }
 
     const ACCEPTED: &[u8] = &[
@@ -332,11 +478,11 @@ mod tests {
         let (line, _server, _) = start(&[IAC, DONT, COM_PORT]);
         assert!(matches!(line, Err(NetworkError::NoPortOption { .. })), "{line:?}");
         let (line, _server, _) = start(&[IAC, SUBNEGOTIATION, COM_PORT, 101, 0, 0, 37, 128, IAC, SUBNEGOTIATION_END]);
-        assert!(matches!(line, Err(NetworkError::Baud { found: 9_600, .. })), "{line:?}");
+        assert!(matches!(line, Err(NetworkError::Setting { .. })), "{line:?}");
         let (line, server) = UnixStream::pair().unwrap();
         line.set_nonblocking(true).unwrap();
         drop(server);
-        let line = Rfc2217::start(line.into(), "host:1", 9_600, deadline());
+        let line = connect(line, Duration::from_secs(10), &CancelToken::never());
         assert!(matches!(line, Err(NetworkError::Settings { .. })), "{line:?}");
     }
 }

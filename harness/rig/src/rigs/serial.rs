@@ -32,7 +32,7 @@ impl Rig for SerialRig {
 
     fn open(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
         let link = SerialLink::open(&self.port, self.baud)?;
-        Ok(Box::new(link.with_reply_timeout(options.reply_timeout)))
+        Ok(Box::new(link.with_options(options)))
     }
 }
 

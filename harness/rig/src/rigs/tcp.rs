@@ -1,14 +1,16 @@
 //! Connects to a serial port behind a network: a terminal server, ser2net or a labgrid exporter.
 //! Bytes travel unchanged, and the server sets baud rate and format of the port.
 
+use crate::cancel::CancelToken;
 use crate::factory::{Argument, Capability, ConnectError, ConnectOptions, Rig, RigFactory, RigProperties};
 use crate::link::{BoxedLink, LinkError};
 use crate::port::Port;
+use crate::wait_budget::WaitBudget;
 use platebench_model::record::ClockKind;
 use rustix::fd::OwnedFd;
 use std::io;
 use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
-use std::sync::mpsc;
+use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -31,8 +33,8 @@ impl Rig for TcpRig {
     }
 
     fn open(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
-        let line = connect(&self.address, Instant::now() + CONNECT_TIMEOUT)?;
-        Ok(Box::new(Port::new(line).with_reply_timeout(options.reply_timeout)))
+        let line = connect(&self.address, &mut WaitBudget::new(CONNECT_TIMEOUT), &options.cancel)?;
+        Ok(Box::new(Port::new(line).with_options(options)))
     }
 }
 
@@ -57,12 +59,22 @@ pub enum NetworkError {
     Connect { address: String, error: io::Error },
     #[error("{address}: no connection within {} s", CONNECT_TIMEOUT.as_secs())]
     TimedOut { address: String },
-    #[error("{address} does not set serial ports (RFC 2217); if the server sets the port itself, use tcp:{address}")]
-    NoPortOption { address: String },
-    #[error("{address}: the server set {found} baud instead of {expected}")]
-    Baud { address: String, expected: u32, found: u32 },
-    #[error("{address}: {source}")]
-    Settings { address: String, source: LinkError },
+    #[error(
+        "{address} does not set serial ports (RFC 2217); if the server sets the port itself, use tcp:{address}{}",
+        sent_text(text.as_ref())
+    )]
+    NoPortOption { address: String, text: Option<String> },
+    #[error("{address}: the server set {found} instead of {expected}")]
+    Setting { address: String, expected: String, found: String },
+    #[error("{address}: {source}{}", sent_text(text.as_ref()))]
+    Settings { address: String, source: LinkError, text: Option<String> },
+    #[error("cancelled while connecting to {address}")]
+    Cancelled { address: String },
+}
+
+/// The server's own text, which is already in quotes.
+fn sent_text(text: Option<&String>) -> String {
+    text.map_or_else(String::new, |text| format!("; the server sent {text}"))
 }
 
 impl From<NetworkError> for ConnectError {
@@ -71,38 +83,44 @@ impl From<NetworkError> for ConnectError {
     }
 }
 
-pub(super) fn connect(address: &str, deadline: Instant) -> Result<OwnedFd, NetworkError> {
-    let timed_out = || NetworkError::TimedOut { address: address.to_owned() };
-    let failed = |error| NetworkError::Connect { address: address.to_owned(), error };
-    let mut last = None;
-    for socket in resolve(address, deadline)? {
-        let left = deadline.saturating_duration_since(Instant::now());
-        if left.is_zero() {
-            return Err(timed_out());
+/// Resolves the name and connects on another thread, because neither can be cancelled.
+pub(super) fn connect(address: &str, budget: &mut WaitBudget, cancel: &CancelToken) -> Result<OwnedFd, NetworkError> {
+    let (sender, receiver) = mpsc::channel();
+    let name = address.to_owned();
+    thread::spawn(move || {
+        let _ = sender.send(connect_first(&name));
+    });
+    while let Some(until) = budget.next_part(Instant::now()) {
+        match receiver.recv_timeout(until.saturating_duration_since(Instant::now())) {
+            Ok(connected) => return connected.map(OwnedFd::from),
+            Err(RecvTimeoutError::Timeout) if cancel.is_cancelled() => {
+                return Err(NetworkError::Cancelled { address: address.to_owned() });
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => break,
         }
-        match TcpStream::connect_timeout(&socket, left) {
+    }
+    Err(NetworkError::TimedOut { address: address.to_owned() })
+}
+
+fn connect_first(address: &str) -> Result<TcpStream, NetworkError> {
+    let failed = |error| NetworkError::Connect { address: address.to_owned(), error };
+    let sockets: Vec<SocketAddr> = address
+        .to_socket_addrs()
+        .map_err(|error| NetworkError::Resolve { address: address.to_owned(), error })?
+        .collect();
+    let mut last = None;
+    for socket in sockets {
+        match TcpStream::connect_timeout(&socket, CONNECT_TIMEOUT) {
             Ok(stream) => {
                 stream.set_nodelay(true).and_then(|()| stream.set_nonblocking(true)).map_err(failed)?;
-                return Ok(stream.into());
+                return Ok(stream);
             }
             Err(error) => last = Some(error),
         }
     }
     Err(match last {
         Some(error) if error.kind() != io::ErrorKind::TimedOut => failed(error),
-        _ => timed_out(),
+        _ => NetworkError::TimedOut { address: address.to_owned() },
     })
-}
-
-/// Runs on another thread, because the resolver of the C library has no time-out.
-fn resolve(address: &str, deadline: Instant) -> Result<Vec<SocketAddr>, NetworkError> {
-    let (sender, receiver) = mpsc::channel();
-    let name = address.to_owned();
-    thread::spawn(move || {
-        let _ = sender.send(name.to_socket_addrs().map(Iterator::collect));
-    });
-    match receiver.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
-        Ok(found) => found.map_err(|error| NetworkError::Resolve { address: address.to_owned(), error }),
-        Err(_) => Err(NetworkError::TimedOut { address: address.to_owned() }),
-    }
 }

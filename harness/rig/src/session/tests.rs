@@ -159,7 +159,7 @@ fn reports_a_lost_link_and_a_silent_controller() {
     assert!(!fixture.session.request_safe_state());
 
     let link = faulty_link(&Arc::new(Mutex::new(LinkFault::Silent)), &Arc::default());
-    assert!(matches!(Session::open(link), Err(RigError::NoAnswer { expected: "identity" })));
+    assert!(matches!(Session::open(link), Err(RigError::NoIdentity { .. })));
 }
 
 #[test]

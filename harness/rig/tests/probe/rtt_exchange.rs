@@ -64,7 +64,7 @@ fn ends_an_exchange_without_an_answer() {
     link.exchange(Duration::ZERO, &[1, 2, 0], &mut answer).unwrap();
     assert!(answer.is_empty());
     assert!((Duration::from_millis(100)..BUSY_MACHINE_LIMIT).contains(&start.elapsed()), "{:?}", start.elapsed());
-    assert!(matches!(Session::open(link), Err(RigError::NoAnswer { .. })));
+    assert!(matches!(Session::open(link), Err(RigError::NoIdentity { .. })));
 }
 
 #[test]

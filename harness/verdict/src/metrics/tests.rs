@@ -21,6 +21,7 @@ const EMPTY_TELEMETRY: Telemetry = Telemetry {
     reference_difference_percent: None,
     protocol_differences: None,
     protocol_repeats: 0,
+    scripts_not_played: Vec::new(),
     ended: None,
     end_cause: None,
     stopped: None,

@@ -1,6 +1,7 @@
 //! Runs a controller program in a process group of its own and ends it in bounded time.
 
-use rustix::fd::AsFd;
+use super::output::OutputRelay;
+use crate::cancel::CancelToken;
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, WaitIdStatus, getpgid, kill_process_group, waitid};
 use std::fs;
 use std::io;
@@ -21,15 +22,22 @@ pub(crate) struct Program {
     name: String,
     child: Child,
     marker: String,
+    // Dropped after the program has ended, so that its last lines are printed.
+    _output: OutputRelay,
 }
 
 impl Program {
     pub(crate) fn start(name: &str, arguments: impl Iterator<Item = String>, port: &str) -> io::Result<Self> {
-        let output = io::stderr().as_fd().try_clone_to_owned()?;
+        let (output, writer) = io::pipe()?;
         let marker = format!("{} {port}", std::process::id());
         let mut command = Command::new(name);
-        command.args(arguments).env(MARKER, &marker).process_group(0).stdin(Stdio::null()).stdout(output);
-        Ok(Self { name: name.to_owned(), child: command.spawn()?, marker })
+        command.args(arguments).env(MARKER, &marker).process_group(0).stdin(Stdio::null());
+        command.stdout(writer.try_clone()?).stderr(writer);
+        let output = OutputRelay::start(name, output)?;
+        let child = command.spawn()?;
+        // The command keeps the bench's ends of the pipe, which must close at the program's end.
+        drop(command);
+        Ok(Self { name: name.to_owned(), child, marker, _output: output })
     }
 
     pub(crate) fn name(&self) -> &str {
@@ -44,15 +52,24 @@ impl Program {
         Pid::from_child(&self.child)
     }
 
-    /// Returns a description of the exit; `None` on time-out. The program remains a zombie, so that
-    /// its process number and group are not used again.
-    pub(crate) fn wait_for_exit(&self, timeout: Duration) -> Option<String> {
-        let deadline = Instant::now() + timeout;
+    /// Returns a description of the exit; `None` if the program runs. The program remains a zombie, so
+    /// that its process number and group are not used again.
+    pub(crate) fn exit(&self) -> Option<String> {
+        self.wait_for_exit(Duration::ZERO, &CancelToken::never())
+    }
+
+    /// Like [`Self::exit`]; `None` on time-out. A cancellation shortens the wait.
+    pub(crate) fn wait_for_exit(&self, timeout: Duration, cancel: &CancelToken) -> Option<String> {
+        let started = Instant::now();
+        let is_over = || {
+            let waited = started.elapsed();
+            waited >= timeout || (waited >= EXIT_GRACE && cancel.is_cancelled())
+        };
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
         loop {
             match waitid(WaitId::Pid(self.pid()), options) {
                 Ok(Some(status)) => return Some(exit_description(&status)),
-                Ok(None) if Instant::now() < deadline => std::thread::sleep(POLL_INTERVAL),
+                Ok(None) if !is_over() => std::thread::sleep(POLL_INTERVAL),
                 Ok(None) => return None,
                 Err(error) => return Some(format!("is gone ({error})")),
             }
@@ -92,11 +109,11 @@ fn exit_description(status: &WaitIdStatus) -> String {
 
 impl Drop for Program {
     fn drop(&mut self) {
-        let mut ended = self.wait_for_exit(EXIT_GRACE);
+        let mut ended = self.wait_for_exit(EXIT_GRACE, &CancelToken::never());
         if ended.is_none() {
             warn!(program = self.name, "the program still runs after its line hung up: sending SIGTERM");
             self.signal(Signal::TERM);
-            ended = self.wait_for_exit(EXIT_GRACE);
+            ended = self.wait_for_exit(EXIT_GRACE, &CancelToken::never());
         }
         if ended.is_none() {
             warn!(program = self.name, "the program still runs after SIGTERM: sending SIGKILL");
@@ -109,7 +126,7 @@ impl Drop for Program {
             warn!(program = name, pids = ?left,
                 "processes that the program started have left its process group; they still run, end them by hand");
         }
-        if let Some(how) = ended.or_else(|| self.wait_for_exit(EXIT_GRACE)) {
+        if let Some(how) = ended.or_else(|| self.wait_for_exit(EXIT_GRACE, &CancelToken::never())) {
             debug!(program = self.name, how, status = ?self.child.wait(), "program ended");
         } else {
             // The process is blocked in the kernel. A wait for its end could block the bench, too.
