@@ -265,7 +265,11 @@ fn soak_reason(record: &SoakRecord) -> String {
         [count(|one| one.failed), count(|one| one.inconclusive), count(|one| one.trials)];
     let is_stated = record.safe_confirmed || record.end == Some(SoakEnd::Unsafe);
     let safe = if is_stated { "" } else { "; 0 V was not confirmed after each run" };
-    format!("{failed} failed and {inconclusive} inconclusive of {trials} trials in {} runs; {end}{safe}", record.runs)
+    let first = record.reason.as_ref().map_or_else(String::new, |reason| format!("; {reason}"));
+    format!(
+        "{failed} failed and {inconclusive} inconclusive of {trials} trials in {} runs; {end}{safe}{first}",
+        record.runs
+    )
 }
 
 /// Writes the report. This is also possible while the soak still runs.

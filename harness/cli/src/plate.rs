@@ -13,6 +13,7 @@ use platebench_engine::{CancelToken, LiveTap, ManualControl, ManualInputs, TimeB
 #[cfg(feature = "export")]
 use platebench_fmi::find_library;
 use platebench_lab::boards::BoardOutcome;
+use platebench_model::quoted;
 use platebench_model::scenario::load::load_plate;
 use platebench_model::scenario::{Scenario, load, read_text};
 use platebench_model::trace::{Flags, Row};
@@ -278,7 +279,7 @@ impl PlateServer {
                 thread::sleep(RETRY_INTERVAL.saturating_sub(started.elapsed()));
                 continue;
             };
-            print_on_stderr(&format!("controller: {}", session.firmware_name()));
+            print_on_stderr(&format!("controller: {}", quoted(&session.firmware_name())));
             loop {
                 let mut tap = self.live_tap.acquire(0, 0);
                 let consume = if self.view_sender.is_some() { discard_rows } else { print_status };
