@@ -15,6 +15,7 @@ use platebench_lab::acceptance::{
     SessionRecord, Signer, page, play_session, verify,
 };
 use platebench_lab::boards::{BoardOutcome, Inventory};
+use platebench_model::quoted_path;
 use platebench_model::record::Verdict;
 use platebench_report::format::count;
 use platebench_report::text::printable;
@@ -151,7 +152,7 @@ fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, fo
     match result {
         Ok(record) => {
             print_session(&record);
-            stdio::note(&format!("record: {}", folder.join(page::FILE).display()));
+            stdio::note(&format!("record: {}", quoted_path(&folder.join(page::FILE))));
             let lost = record.lost_a_controller();
             let exit = if lost { Exit::Unreachable } else { Exit::of_verdict(record.verdict) };
             exit.show_verdict(&reason(&record), OutputFormat::Human);
@@ -161,7 +162,7 @@ fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, fo
             let is_resumable = is_resumable(&error);
             let exit = Failure::from(error).report();
             if folder.join(platebench_lab::acceptance::session_record::FILE).exists() && is_resumable {
-                stdio::note(&format!("continue with the same command and --resume {}", folder.display()));
+                stdio::note(&format!("continue with the same command and --resume {}", quoted_path(&folder)));
             }
             signal.map_or(exit, Exit::Signal)
         }

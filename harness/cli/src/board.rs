@@ -14,6 +14,7 @@ use platebench_lab::boards::{
     Board, BoardError, BoardOutcome, Inventory, Reservation, SoakConfig, SoakEnd, SoakRecord, SoakResult, SoakScenario,
     clear, document, list, soak,
 };
+use platebench_model::quoted_path;
 use platebench_model::record::Overrides;
 use platebench_report::{Detail, page};
 use platebench_rig::{ConnectOptions, RigSpec};
@@ -276,6 +277,6 @@ fn soak_reason(record: &SoakRecord) -> String {
 pub(crate) fn write_soak_page(record: &SoakRecord, folder: &Path) -> CommandResult {
     let path = folder.join(page::FILE);
     record.document().write(&path).or_invalid()?;
-    stdio::note(&format!("report: {}", path.display()));
+    stdio::note(&format!("report: {}", quoted_path(&path)));
     Ok(Exit::Passed)
 }

@@ -13,10 +13,10 @@ use platebench_engine::{CancelToken, LiveTap, ManualControl, ManualInputs, TimeB
 #[cfg(feature = "export")]
 use platebench_fmi::find_library;
 use platebench_lab::boards::BoardOutcome;
-use platebench_model::quoted;
 use platebench_model::scenario::load::load_plate;
 use platebench_model::scenario::{Scenario, load, read_text};
 use platebench_model::trace::{Flags, Row};
+use platebench_model::{quoted, quoted_path};
 use platebench_plate::Time;
 use platebench_report::live::{
     INTERRUPT, LiveView, RunDescription, ScenarioDescription, ViewEvent, ViewSender, watch_keys,
@@ -92,7 +92,7 @@ fn export_fmu(arguments: &FmuArgs) -> CommandResult {
     let library = find_library(arguments.library.as_deref(), EMBEDDED_LIBRARY, &program).or_invalid()?;
     let title = arguments.plate.file_stem().unwrap_or_default().to_string_lossy();
     platebench_fmi::write(&plate, &text, &title, &library, &arguments.out).or_invalid()?;
-    stdio::show(&format!("{}\n", arguments.out.display()));
+    stdio::show(&format!("{}\n", quoted_path(&arguments.out)));
     Ok(Exit::Passed)
 }
 

@@ -1,5 +1,5 @@
-//! Checks that settings that another user could have written start no program, and that a file
-//! whose name no record can contain is refused.
+//! Checks that settings that another user could have written start no program, that a file whose
+//! name no record can contain is refused, and that the name of a folder cannot forge a line.
 
 use crate::boards::inventory;
 use crate::test_folder::{SETTLING, TestFolder, bench_command, step_text};
@@ -84,4 +84,14 @@ fn a_scenario_with_a_name_that_is_not_utf8_is_refused(#[case] arguments: &[&str]
     let arguments = arguments.iter().map(OsStr::new).chain(is_named.then_some(path.as_os_str()));
     folder.bench(arguments).assert_message(2, &["the name is not UTF-8", "rename the file or its folder"]);
     assert!(!folder.exists("run"));
+}
+
+#[test]
+fn the_name_of_a_run_folder_cannot_forge_a_line() {
+    let folder = TestFolder::with_step(SETTLING);
+    let name = "run\n\u{1b}[2Jverdict: pass";
+    folder.run_hosted(name).assert_stderr(&["run folder: \"run\\n\\u{1b}[2Jverdict: pass\""]);
+    let output = folder.bench(["report", name]);
+    assert_eq!(output.stdout, "\"run\\n\\u{1b}[2Jverdict: pass/report.html\"\n");
+    folder.bench(["report", "none\nverdict: pass"]).assert_message(2, &["\"none\\nverdict: pass\": no such folder"]);
 }

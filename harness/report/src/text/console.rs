@@ -6,14 +6,15 @@ use crate::record_queries::{CauseGroup, OwnVerdict};
 use crate::text::timing;
 use crate::{format, record_queries};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use platebench_model::quoted;
 use platebench_model::record::{
     Cause, CostTrend, Event, ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict,
 };
 use platebench_model::scenario::NotApplicableExpectation;
+use platebench_model::{quoted, quoted_path};
 use std::fmt::Write as _;
 use std::io::IsTerminal as _;
 use std::io::{self, Write};
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -79,12 +80,12 @@ fn write_tested(text: &mut String, record: &RunRecord, style: Style) {
 fn write_heading(text: &mut String, scenario: &ScenarioRecord, style: Style) {
     let verdict = format!("{} {}", format::sign(scenario.verdict), scenario.verdict);
     let trials = format::count(scenario.trials.len(), "trial");
-    let file = quoted(&scenario.file);
+    let file = quoted_path(Path::new(&scenario.file));
     // The other models are exact and are not mentioned.
     let is_simplified = matches!(scenario.model.as_str(), "linear" | "envelope");
     let model = if is_simplified { format!("model {}, ", scenario.model) } else { String::new() };
     let details = format!("(law {}, {model}{trials})", quoted(&scenario.law));
-    let columns = [&verdict, &*file, &details].map(|part| part.chars().count() + 2).iter().sum::<usize>() - 2;
+    let columns = [&verdict, &file, &details].map(|part| part.chars().count() + 2).iter().sum::<usize>() - 2;
     let gap = if style.width.is_some_and(|width| columns > width) { "\n  " } else { "  " };
     let (verdict, file) = (style.paint_verdict(scenario.verdict, &verdict), style.paint("1", &file));
     let _ = writeln!(text, "{verdict}  {file}{gap}{details}");
