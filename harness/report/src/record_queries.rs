@@ -1,8 +1,9 @@
 //! Finds keys, trials and missed expectations in a record.
 
+use platebench_model::quoted;
 use platebench_model::record::{
-    Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingValue, NotApplicable, Reason,
-    RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord, Verdict, ViolationKind,
+    Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingShard, MissingValue, NotApplicable,
+    Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord, Verdict, ViolationKind,
 };
 use std::mem::{Discriminant, discriminant};
 
@@ -266,7 +267,8 @@ pub(crate) fn own_verdict_of_run(record: &RunRecord) -> Option<OwnVerdict> {
     let required = required_not_applicable(record);
     let is_empty = record.scenarios.is_empty() && required.is_empty();
     let shards = record.merge.iter().flat_map(|merge| &merge.missing_shards);
-    let shards = shards.map(|missing| format!("shard {} of {} is missing", missing.shard, missing.shards));
+    let shards = shards
+        .map(|MissingShard { board, shard, shards }| format!("shard {shard}/{shards} of {} is missing", quoted(board)));
     let unfinished = (!record.complete).then_some("the run was not finished");
     let empty = (record.complete && is_empty).then_some("the run has no scenarios");
     let reasons = record.unsafe_end().into_iter().chain(unfinished).chain(empty).map(str::to_owned);

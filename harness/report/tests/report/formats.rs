@@ -64,7 +64,7 @@ fn every_format(record: &RunRecord) -> [String; 6] {
         record.merge = Some(MergeRecord { missing_shards: vec![missing], ..MergeRecord::default() });
     },
     Verdict::Inconclusive,
-    "shard 2 of 3 is missing"
+    "shard 2/3 of hosted is missing"
 )]
 fn every_format_has_the_verdict_of_the_run_and_its_reason(
     #[case] change: fn(&mut RunRecord),
