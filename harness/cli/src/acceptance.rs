@@ -162,7 +162,7 @@ fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, fo
             let is_resumable = is_resumable(&error);
             let exit = Failure::from(error).report();
             if folder.join(platebench_lab::acceptance::session_record::FILE).exists() && is_resumable {
-                stdio::note(&format!("continue with the same command and --resume {}", quoted_path(&folder)));
+                stdio::note(&format!("continue with the same command and --resume {}", quoted_path(folder)));
             }
             signal.map_or(exit, Exit::Signal)
         }

@@ -182,7 +182,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         stdio::show(&text);
     } else {
         write_new(path, text.as_bytes()).or_invalid_at(path)?;
-        stdio::note(&format!("plate file: {}", quoted_path(&path)));
+        stdio::note(&format!("plate file: {}", quoted_path(path)));
     }
     if details.limit_vpp.is_none() {
         stdio::note(

@@ -42,7 +42,7 @@ pub(crate) struct NewArgs {
 pub(crate) fn new(arguments: &NewArgs) -> CommandResult {
     let files = write_files(Path::new(""), &arguments.name, &arguments.law)?;
     for file in &files {
-        stdio::show(&format!("{}\n", quoted_path(&file)));
+        stdio::show(&format!("{}\n", quoted_path(file)));
     }
     if let Some(scenario) = files.first() {
         let next = format!("next: platebench run {} --rig emulated:FIRMWARE.elf", scenario.display());

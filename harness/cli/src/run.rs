@@ -62,7 +62,7 @@ fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Selection, Fa
     }
     note_skipped(&found, detail);
     for copies in &found.copies {
-        stdio::note(&format!("{}: skipped, copies of scenarios in a run folder", quoted_path(&copies)));
+        stdio::note(&format!("{}: skipped, copies of scenarios in a run folder", quoted_path(copies)));
     }
     check_not_empty(&found)?;
     let selection = play::select_scenarios(found.scenarios, arguments)?;

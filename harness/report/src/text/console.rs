@@ -72,7 +72,7 @@ fn write_tested(text: &mut String, record: &RunRecord, style: Style) {
     match style.width {
         Some(_) => style.write_wrapped(text, "tested: ", "  ", &tested),
         None => {
-            let _ = writeln!(text, "tested: {}", tested);
+            let _ = writeln!(text, "tested: {tested}");
         }
     }
 }
