@@ -105,6 +105,9 @@ class ScenarioItem(pytest.Item):
                     lines.append(f"  {expectation['name']}: {expectation['verdict']}{cause}: {expectation['reason']}")
         if len(lines) == 1:
             lines.append(stderr.strip())
+        else:
+            # Reasons of the whole run, such as a drive after the confirmed 0 V.
+            lines += [f"  {line}" for line in stderr.splitlines() if line.startswith("error: ")]
         if record is not None:
             lines.append(f"report: {folder / 'report.html'}")
         return "\n".join(lines)

@@ -15,8 +15,10 @@ use platebench_lab::acceptance::{
     SessionRecord, Signer, page, play_session, verify,
 };
 use platebench_lab::boards::{BoardOutcome, Inventory};
+use platebench_model::quoted_path;
 use platebench_model::record::Verdict;
 use platebench_report::format::count;
+use platebench_report::text::printable;
 use platebench_report::{Progress, ProgressKind};
 use platebench_rig::RigSpec;
 use std::path::{Path, PathBuf};
@@ -150,7 +152,7 @@ fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, fo
     match result {
         Ok(record) => {
             print_session(&record);
-            stdio::note(&format!("record: {}", folder.join(page::FILE).display()));
+            stdio::note(&format!("record: {}", quoted_path(&folder.join(page::FILE))));
             let lost = record.lost_a_controller();
             let exit = if lost { Exit::Unreachable } else { Exit::of_verdict(record.verdict) };
             exit.show_verdict(&reason(&record), OutputFormat::Human);
@@ -160,7 +162,7 @@ fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, fo
             let is_resumable = is_resumable(&error);
             let exit = Failure::from(error).report();
             if folder.join(platebench_lab::acceptance::session_record::FILE).exists() && is_resumable {
-                stdio::note(&format!("continue with the same command and --resume {}", folder.display()));
+                stdio::note(&format!("continue with the same command and --resume {}", quoted_path(folder)));
             }
             signal.map_or(exit, Exit::Signal)
         }
@@ -235,25 +237,37 @@ fn reason(record: &SessionRecord) -> String {
         let evidence: Vec<_> = evidence
             .map(|evidence| {
                 let found = evidence.found.as_deref().unwrap_or("no value");
-                format!("{} is {found}, expected {}", evidence.metric, evidence.demanded)
+                let reason = evidence.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
+                format!("{} is {found}, expected {}{reason}", evidence.metric, evidence.demanded)
             })
             .collect();
         let evidence = if evidence.is_empty() { "no evidence".to_owned() } else { evidence.join(", ") };
         format!("{} ({evidence})", requirement.id)
     });
     let reasons: Vec<String> = lost.into_iter().chain(requirements).collect();
-    match (reasons.is_empty(), record.verdict) {
-        (true, Verdict::Pass) => "every requirement is met".to_owned(),
-        (true, _) => "a step without a requirement did not pass; the record names it".to_owned(),
-        (false, _) => reasons.join("; "),
+    if !reasons.is_empty() {
+        return reasons.join("; ");
+    }
+    let open = record.steps.iter().filter(|step| step.verdict.is_some_and(|verdict| verdict != Verdict::Pass));
+    let steps: Vec<_> =
+        open.map(|step| format!("step {}: {}", step.id, step.reason.as_deref().unwrap_or("it did not pass"))).collect();
+    match record.verdict {
+        Verdict::Pass => "every requirement is met".to_owned(),
+        _ if steps.is_empty() => "a step was not done; the record names it".to_owned(),
+        _ => steps.join("; "),
     }
 }
 
 fn print_session(record: &SessionRecord) {
     for requirement in &record.requirements {
-        stdio::show(&format!("{:<12}  {:<8} {}\n", requirement.verdict, requirement.id, requirement.text));
+        stdio::show(&format!(
+            "{:<12}  {:<8} {}\n",
+            requirement.verdict,
+            printable(&requirement.id),
+            printable(&requirement.text)
+        ));
     }
-    stdio::show(&format!("{}: {}\n", record.title, record.verdict));
+    stdio::show(&format!("{}: {}\n", printable(&record.title), record.verdict));
     if let Some(line) = record.no_board_notice() {
         stdio::show(&format!("{line}\n"));
     }

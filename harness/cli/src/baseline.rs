@@ -9,6 +9,7 @@ use platebench_engine::comparison::{
     read_scenario_trials,
 };
 use platebench_engine::rejudge;
+use platebench_model::quoted;
 use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
 use platebench_report::comparison::{comparison_blocks, tube_plot_document};
 use platebench_report::document::Document;
@@ -222,7 +223,9 @@ fn describe_changes(old: &Baseline, new: &Baseline) -> Vec<String> {
         lines.push(format!("  law: {} → {}", old.law, new.law));
     }
     if old.build != new.build {
-        let describe = |build: &BaselineBuild| format!("{} {} on {}", build.firmware, build.id, build.rig);
+        let describe = |build: &BaselineBuild| {
+            format!("{} {} on {}", quoted(&build.firmware), quoted(&build.id), quoted(&build.rig))
+        };
         lines.push(format!("  build: {} → {}", describe(&old.build), describe(&new.build)));
     }
     for ((name, before), (_, after)) in old.features.by_name().into_iter().zip(new.features.by_name()) {

@@ -14,6 +14,7 @@ use platebench_lab::boards::{
     Board, BoardError, BoardOutcome, Inventory, Reservation, SoakConfig, SoakEnd, SoakRecord, SoakResult, SoakScenario,
     clear, document, list, soak,
 };
+use platebench_model::quoted_path;
 use platebench_model::record::Overrides;
 use platebench_report::{Detail, page};
 use platebench_rig::{ConnectOptions, RigSpec};
@@ -265,13 +266,17 @@ fn soak_reason(record: &SoakRecord) -> String {
         [count(|one| one.failed), count(|one| one.inconclusive), count(|one| one.trials)];
     let is_stated = record.safe_confirmed || record.end == Some(SoakEnd::Unsafe);
     let safe = if is_stated { "" } else { "; 0 V was not confirmed after each run" };
-    format!("{failed} failed and {inconclusive} inconclusive of {trials} trials in {} runs; {end}{safe}", record.runs)
+    let first = record.reason.as_ref().map_or_else(String::new, |reason| format!("; {reason}"));
+    format!(
+        "{failed} failed and {inconclusive} inconclusive of {trials} trials in {} runs; {end}{safe}{first}",
+        record.runs
+    )
 }
 
 /// Writes the report. This is also possible while the soak still runs.
 pub(crate) fn write_soak_page(record: &SoakRecord, folder: &Path) -> CommandResult {
     let path = folder.join(page::FILE);
     record.document().write(&path).or_invalid()?;
-    stdio::note(&format!("report: {}", path.display()));
+    stdio::note(&format!("report: {}", quoted_path(&path)));
     Ok(Exit::Passed)
 }

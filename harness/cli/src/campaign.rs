@@ -14,6 +14,7 @@ use platebench_experiments::campaign::{
 };
 use platebench_experiments::campaign::{Engine, command_line, submission};
 use platebench_lab::boards::BoardOutcome;
+use platebench_model::quoted_path;
 use platebench_model::record::FileLock;
 use platebench_model::trace::{AtPath, create_folder};
 use platebench_rig::{CancelToken, RigSpec};
@@ -149,7 +150,7 @@ pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> CommandResult {
         CampaignCommand::Plan(arguments) => {
             let campaign = Campaign::load(&arguments.file)?;
             let (plan, _lock) = plan(&campaign, &arguments.out, &arguments.rig, arguments.shards)?;
-            stdio::note(&format!("{} trials in {} shards: {}", plan.trials, plan.shards, arguments.out.display()));
+            stdio::note(&format!("{} trials in {} shards: {}", plan.trials, plan.shards, quoted_path(&arguments.out)));
             campaign.truncated.iter().for_each(|truncation| stdio::note(&truncation.line()));
             Ok(Exit::Passed)
         }
@@ -279,7 +280,7 @@ fn merge_and_show(
     });
     let document = report::write(folder, &summary, &links)?;
     stdio::show_result(format, &summary.result(), &document);
-    stdio::note(&format!("report: {}", folder.join(report::REPORT_FILE).display()));
+    stdio::note(&format!("report: {}", quoted_path(&folder.join(report::REPORT_FILE))));
     Ok(match summary.verdict() {
         _ if summary.is_rig_lost() => Exit::Unreachable,
         // The result of a map is its table.

@@ -9,11 +9,11 @@ use crate::{
     acceptance, baseline, board, check, compare, config, generate, identify, new, plate, replay, report, run,
     stability, stdio, suite, tune,
 };
-use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::error::{ContextKind, ContextValue};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use platebench_model::record::Tool;
 use platebench_model::scenario::Diagnostic;
-use std::ffi::OsString;
+use std::path::Path;
 use std::process::ExitCode;
 
 const EXIT_CODES: &str = "\
@@ -116,16 +116,18 @@ fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     let words: Vec<_> = std::env::args_os().collect();
     let texts = words.iter().map(|word| word.to_string_lossy().into_owned());
     let definition = Arguments::command().version(version()).color(stdio::color_of_arguments(texts).for_clap());
-    let found = match std::env::current_dir() {
-        Ok(folder) => Config::find_above(&folder, &definition),
-        Err(_) => Ok(Config::default()),
+    let named = words.iter().map(|word| word.to_string_lossy().into_owned());
+    let found = match (stdio::values_of_option("--config", named).last(), std::env::current_dir()) {
+        (Some(file), _) => Config::read(Path::new(file), &definition),
+        (None, Ok(folder)) => Config::find_above(&folder, &definition),
+        (None, Err(_)) => Ok(Config::default()),
     };
     let (config, faults) = match found {
         Ok(config) => (config, Vec::new()),
         Err(faults) => (Config::default(), faults),
     };
     // Faults of `platebench.toml` follow later, so that they do not hide help or wrong usage.
-    let matches = parse_words(&mut config::with_settings(definition, &config), words).unwrap_or_else(|error| {
+    let matches = config::with_settings(definition, &config).try_get_matches_from(words).unwrap_or_else(|error| {
         if let Some(variable) = variable_of(&error) {
             crate::stdio::note(&format!("the value comes from the environment variable {variable}"));
         }
@@ -141,19 +143,6 @@ fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     stdio::set_color(arguments.logging.color);
     let needs_config = !matches!(arguments.command, Command::Generate(_));
     if needs_config && !faults.is_empty() { Err(faults) } else { Ok((arguments, config)) }
-}
-
-/// Parses the command line. The error for a renamed command contains the new name.
-fn parse_words(definition: &mut clap::Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
-    let texts: Vec<_> = words.iter().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
-    let names: Vec<_> = definition.get_subcommands().map(|command| command.get_name().to_owned()).collect();
-    definition.try_get_matches_from_mut(words).map_err(|error| {
-        let is_unknown = matches!(error.kind(), ErrorKind::InvalidSubcommand | ErrorKind::UnknownArgument);
-        match renamed_message(&texts, |word| names.iter().any(|name| name == word)) {
-            Some(message) if is_unknown => definition.error(ErrorKind::InvalidSubcommand, message),
-            _ => error,
-        }
-    })
 }
 
 /// Returns the Cargo feature of the unknown command or option, if this build lacks the feature.
@@ -232,46 +221,6 @@ fn dispatch(arguments: &Arguments) -> CommandResult {
     }
 }
 
-/// Old name and new command line. A second word distinguishes command lines that begin alike, so
-/// its row comes first. CHANGELOG.md contains the same table.
-const RENAMED: [(&str, &str); 19] = [
-    ("judge", "report RUN --rejudge"),
-    ("export", "report RUN --export FORMAT"),
-    ("merge", "report --merge RUN... --out RUN"),
-    ("compare --against", "compare A B"),
-    ("emulate", "plate serve"),
-    ("export-fmu", "plate fmu"),
-    ("boards clear", "board clear"),
-    ("boards", "board list"),
-    ("soak", "board soak"),
-    ("accept verify", "acceptance verify"),
-    ("accept", "acceptance run"),
-    ("trust", "suite trust"),
-    ("coverage", "suite coverage"),
-    ("mutate", "suite mutate"),
-    ("explore", "suite explore"),
-    ("schema", "generate schema"),
-    ("completions", "generate completions"),
-    ("man", "generate man"),
-    ("chart", "cargo charts"),
-];
-
-/// Returns the error message for a command line with an old name. `words` begins after the name of
-/// the program; `is_command` is true for a command of today.
-fn renamed_message(words: &[String], is_command: impl Fn(&str) -> bool) -> Option<String> {
-    let is_known = |word: &str| is_command(word) || RENAMED.iter().any(|(was, _)| first_word(was) == word);
-    let start = words.iter().position(|word| is_known(word))?;
-    let (command, rest) = words.get(start..)?.split_first()?;
-    // An option may contain its value: --against=RUN.
-    let has = |part: &str| rest.iter().any(|word| word.split('=').next() == Some(part));
-    let is_meant = |was: &str| first_word(was) == command && was.split(' ').skip(1).all(has);
-    RENAMED.iter().find(|(was, _)| is_meant(was)).map(|(was, now)| format!("'{was}' is now '{now}'"))
-}
-
-fn first_word(text: &str) -> &str {
-    text.split(' ').next().unwrap_or_default()
-}
-
 const COMMIT: &str = env!("PLATEBENCH_BUILD_COMMIT");
 const PROFILE: &str = env!("PLATEBENCH_BUILD_PROFILE");
 const FEATURES: &str = env!("PLATEBENCH_BUILD_FEATURES");
@@ -301,7 +250,6 @@ fn version() -> String {
 mod tests {
     use super::*;
     use clap::CommandFactory;
-    use std::fs;
 
     #[test]
     fn the_definition_is_consistent() {
@@ -342,52 +290,5 @@ mod tests {
                 assert!(line.starts_with(&format!("  {name} ")) && line.len() <= 80, "{line}");
             }
         }
-    }
-
-    fn error(words: &str) -> clap::Error {
-        parse_words(&mut Arguments::command(), words.split(' ').map(Into::into).collect()).unwrap_err()
-    }
-
-    #[test]
-    fn each_old_name_prints_the_new_one() {
-        for (was, now) in RENAMED {
-            for call in
-                [was.to_owned(), format!("-v --color never {was} a --rig hosted --out b"), format!("help {was}")]
-            {
-                let error = error(&format!("platebench {call}"));
-                let text = error.to_string();
-                let is_option = was.starts_with("compare") && call.starts_with("help");
-                assert!(is_option || text.starts_with(&format!("error: '{was}' is now '{now}'\n")), "{call}: {text}");
-                assert_eq!(error.exit_code(), 2, "{call}");
-            }
-        }
-        assert!(error("platebench compare a --against=b").to_string().contains("is now 'compare A B'"));
-    }
-
-    #[test]
-    fn each_new_name_is_a_command() {
-        for (_, now) in RENAMED.iter().filter(|(_, now)| !now.starts_with("cargo ")) {
-            let words: Vec<_> = now.split(' ').collect();
-            let command = Arguments::command();
-            let first = command.find_subcommand(words[0]).unwrap_or_else(|| panic!("{now}"));
-            assert!(!first.has_subcommands() || first.find_subcommand(words[1]).is_some(), "{now}");
-        }
-    }
-
-    #[test]
-    fn other_wrong_words_are_not_renamed() {
-        for call in ["frobnicate", "suite judge", "run --against a", "report a --merge b --draw c", "--color judge run"]
-        {
-            assert!(!error(&format!("platebench {call}")).to_string().contains(" is now "), "{call}");
-        }
-    }
-
-    #[test]
-    fn the_changelog_has_the_same_table() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../CHANGELOG.md");
-        let text = fs::read_to_string(path).unwrap();
-        let rows = text.lines().map(str::trim).skip_while(|line| *line != "| was | is now |").skip(2);
-        let rows: Vec<_> = rows.take_while(|line| line.starts_with('|')).collect();
-        assert_eq!(rows, RENAMED.map(|(was, now)| format!("| `{was}` | `{now}` |")));
     }
 }

@@ -7,7 +7,7 @@
 pub(crate) use platebench_model::scenario::SETTINGS_FILE as FILE;
 
 use clap::Command;
-use platebench_model::scenario::{Diagnostic, MAX_TRIALS, find_file_above, parse_file};
+use platebench_model::scenario::{Diagnostic, MAX_TRIALS, find_trusted_file_above, parse_file};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -121,7 +121,8 @@ pub(crate) struct Config {
 
 impl Config {
     pub(crate) fn find_above(folder: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
-        find_file_above(folder, FILE).map_or_else(|| Ok(Self::default()), |path| Self::read(&path, definition))
+        let found = find_trusted_file_above(folder, FILE, "--config").map_err(|fault| vec![fault])?;
+        found.map_or_else(|| Ok(Self::default()), |path| Self::read(&path, definition))
     }
 
     /// Reads the file. The command line `definition` checks the values. Fails with all faults.

@@ -3,6 +3,7 @@
 use crate::options::OutputFormat;
 use crate::stdio;
 use platebench_engine::{RejudgeError, RunError};
+use platebench_model::quoted_path;
 use platebench_model::record::{RunRecord, Verdict};
 use platebench_model::scenario::Diagnostic;
 use platebench_report::format::sign;
@@ -234,6 +235,6 @@ impl<T, E: Display> OrInvalid<T> for Result<T, E> {
     }
 
     fn or_invalid_at(self, path: &Path) -> Result<T, Failure> {
-        self.map_err(|error| Failure::invalid(&format!("{}: {error}", path.display())))
+        self.map_err(|error| Failure::invalid(&format!("{}: {error}", quoted_path(path))))
     }
 }

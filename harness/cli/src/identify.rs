@@ -11,6 +11,7 @@ use platebench_design::identified_plate::{
 use platebench_design::identify::{DirectFit, Identification};
 use platebench_lab::boards::Board;
 use platebench_model::external_csv::{self, ColumnMapping};
+use platebench_model::quoted_path;
 use platebench_model::recording::{Recording, RecordingError};
 use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_new};
 use platebench_report::chart::FitChart;
@@ -181,7 +182,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         stdio::show(&text);
     } else {
         write_new(path, text.as_bytes()).or_invalid_at(path)?;
-        stdio::note(&format!("plate file: {}", path.display()));
+        stdio::note(&format!("plate file: {}", quoted_path(path)));
     }
     if details.limit_vpp.is_none() {
         stdio::note(

@@ -5,6 +5,7 @@ use crate::generate::SchemaKind;
 use crate::options::law_names;
 use crate::stdio;
 use clap::Args;
+use platebench_model::quoted_path;
 use platebench_model::trace::write_new;
 use platebench_wire::LawId;
 use std::path::{Path, PathBuf};
@@ -41,7 +42,7 @@ pub(crate) struct NewArgs {
 pub(crate) fn new(arguments: &NewArgs) -> CommandResult {
     let files = write_files(Path::new(""), &arguments.name, &arguments.law)?;
     for file in &files {
-        stdio::show(&format!("{}\n", file.display()));
+        stdio::show(&format!("{}\n", quoted_path(file)));
     }
     if let Some(scenario) = files.first() {
         let next = format!("next: platebench run {} --rig emulated:FIRMWARE.elf", scenario.display());

@@ -1,4 +1,4 @@
-//! Writes the result of a run for other programs: Markdown summary, TAP, annotations on GitHub.
+//! Writes the result of a run for other programs: Markdown summary and annotations on GitHub.
 
 use crate::exit::Exit;
 use crate::options::OutputFormat;
@@ -8,7 +8,6 @@ use platebench_model::record::{RunRecord, ScenarioRecord};
 use platebench_model::scenario::{Scenario, number_in_file};
 use platebench_report::ReportError;
 use platebench_report::github::{self, SourceLocation};
-use platebench_report::tap::{self, TapVersion};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::{env, fs};
@@ -19,30 +18,13 @@ pub(crate) const RESULTS: &str = "Results";
 #[derive(Debug, Clone, Default, Args)]
 #[command(next_help_heading = RESULTS)]
 pub(crate) struct Outputs {
-    /// Write a summary in Markdown to FILE; `-` is standard output
-    #[arg(long, value_name = "FILE")]
-    summary: Option<PathBuf>,
-    /// Write the result as TAP to FILE; `-` is standard output, and the table goes to standard
+    /// Write a summary in Markdown to FILE; `-` is standard output, and the table goes to standard
     /// error
     #[arg(long, value_name = "FILE")]
-    tap: Option<PathBuf>,
-    /// Version of TAP
-    #[arg(long, value_enum, default_value_t, value_name = "VERSION")]
-    tap_version: TapOption,
+    summary: Option<PathBuf>,
     /// Annotations on GitHub Actions and its step summary; auto: if `GITHUB_ACTIONS` is true
     #[arg(long, value_enum, default_value_t, value_name = "WHEN")]
     github: GithubMode,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
-enum TapOption {
-    /// `prove` of Debian 12 reads it
-    #[default]
-    #[value(name = "13")]
-    V13,
-    /// With subtests
-    #[value(name = "14")]
-    V14,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
@@ -59,26 +41,23 @@ enum GithubMode {
 impl Outputs {
     /// Fails if two outputs use standard output, or if a file cannot be written.
     pub(crate) fn check(&self, format: OutputFormat) -> Result<(), String> {
-        let to_stdout = [&self.summary, &self.tap].into_iter().flatten().filter(|file| is_stdout(file)).count();
-        if to_stdout + usize::from(format == OutputFormat::Json) > 1 {
-            return Err("only one of --summary -, --tap - and --format json can use standard output".to_owned());
+        let Some(file) = &self.summary else { return Ok(()) };
+        if is_stdout(file) && format == OutputFormat::Json {
+            return Err("only one of --summary - and --format json can use standard output".to_owned());
         }
-        for (option, file) in [("--summary", &self.summary), ("--tap", &self.tap)] {
-            let Some(file) = file else { continue };
-            let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
-            if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-                return Err(format!("{option} {}: there is no folder {}", file.display(), folder.display()));
-            }
-            if file.is_dir() {
-                return Err(format!("{option} {}: this is a folder, expected a file to write", file.display()));
-            }
+        let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
+        if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+            return Err(format!("--summary {}: there is no folder {}", file.display(), folder.display()));
+        }
+        if file.is_dir() {
+            return Err(format!("--summary {}: this is a folder, expected a file to write", file.display()));
         }
         Ok(())
     }
 
     /// True if another output uses standard output. Text for people then goes to standard error.
     pub(crate) fn replaces_table(&self) -> bool {
-        [&self.summary, &self.tap].into_iter().flatten().any(|file| is_stdout(file))
+        self.summary.as_deref().is_some_and(is_stdout)
     }
 
     pub(crate) fn write(&self, record: &RunRecord, locations: &ScenarioLocations) -> Result<(), ReportError> {
@@ -86,17 +65,6 @@ impl Outputs {
             Some(file) if is_stdout(file) => stdio::show(&github::render_page(record)),
             Some(file) => github::write_markdown(record, file)?,
             None => {}
-        }
-        if let Some(file) = &self.tap {
-            let version = match self.tap_version {
-                TapOption::V13 => TapVersion::V13,
-                TapOption::V14 => TapVersion::V14,
-            };
-            if is_stdout(file) {
-                stdio::show(&tap::text(record, version));
-            } else {
-                tap::write(record, version, file)?;
-            }
         }
         let github = match self.github {
             GithubMode::Auto => env::var("GITHUB_ACTIONS").is_ok_and(|value| value == "true"),

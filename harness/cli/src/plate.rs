@@ -16,6 +16,7 @@ use platebench_lab::boards::BoardOutcome;
 use platebench_model::scenario::load::load_plate;
 use platebench_model::scenario::{Scenario, load, read_text};
 use platebench_model::trace::{Flags, Row};
+use platebench_model::{quoted, quoted_path};
 use platebench_plate::Time;
 use platebench_report::live::{
     INTERRUPT, LiveView, RunDescription, ScenarioDescription, ViewEvent, ViewSender, watch_keys,
@@ -91,7 +92,7 @@ fn export_fmu(arguments: &FmuArgs) -> CommandResult {
     let library = find_library(arguments.library.as_deref(), EMBEDDED_LIBRARY, &program).or_invalid()?;
     let title = arguments.plate.file_stem().unwrap_or_default().to_string_lossy();
     platebench_fmi::write(&plate, &text, &title, &library, &arguments.out).or_invalid()?;
-    stdio::show(&format!("{}\n", arguments.out.display()));
+    stdio::show(&format!("{}\n", quoted_path(&arguments.out)));
     Ok(Exit::Passed)
 }
 
@@ -278,7 +279,7 @@ impl PlateServer {
                 thread::sleep(RETRY_INTERVAL.saturating_sub(started.elapsed()));
                 continue;
             };
-            print_on_stderr(&format!("controller: {}", session.firmware_name()));
+            print_on_stderr(&format!("controller: {}", quoted(&session.firmware_name())));
             loop {
                 let mut tap = self.live_tap.acquire(0, 0);
                 let consume = if self.view_sender.is_some() { discard_rows } else { print_status };

@@ -11,6 +11,7 @@ use clap::ValueEnum;
 use platebench_engine::rejudge::check_trace;
 use platebench_engine::{RejudgeError, rejudge};
 use platebench_lab::boards::{MergeError, SOAK_FILE, SoakRecord, merge_runs};
+use platebench_model::quoted_path;
 use platebench_model::record::{RECORD_FILE, RunFolder, RunRecord};
 #[cfg(feature = "export")]
 use platebench_report::export::{ExportError, ExportFormat, select_scenarios};
@@ -86,7 +87,7 @@ pub(crate) fn report(arguments: &ReportArgs, detail: Detail) -> CommandResult {
     let mut runs = arguments.run.iter().chain(&arguments.against).chain(&arguments.merge);
     if let Some(run) = runs.find(|run| !run.join(RECORD_FILE).exists() && !run.join(SOAK_FILE).exists()) {
         let found = if run.exists() { "contains no run" } else { "no such folder" };
-        return Err(Failure::invalid(&format!("{}: {found}, expected a run folder", run.display())));
+        return Err(Failure::invalid(&format!("{}: {found}, expected a run folder", quoted_path(run))));
     }
     let Some(run) = &arguments.run else { return merge(arguments, detail) };
     #[cfg(feature = "export")]
@@ -125,7 +126,7 @@ fn render(run: &Path, arguments: &ReportArgs) -> CommandResult {
     };
     let path = run.join(name);
     page.write(&path).and_then(|()| traceability::write(&record, run)).or_invalid()?;
-    stdio::show(&format!("{}\n", path.display()));
+    stdio::show(&format!("{}\n", quoted_path(&path)));
     Ok(Exit::Passed)
 }
 
@@ -221,7 +222,7 @@ fn export(run: &Path, arguments: &ReportArgs, format: ExportFormatArg) -> Comman
     let out = arguments.out.clone().unwrap_or_else(|| run.join("export"));
     let exported = platebench_report::export::export(&record, run, &arguments.scenarios, format, &out)?;
     for file in exported.files {
-        stdio::show(&format!("{}\n", file.display()));
+        stdio::show(&format!("{}\n", quoted_path(&file)));
     }
     if !record.complete || exported.incomplete_trials > 0 {
         stdio::note("the run was interrupted; only its complete trials were exported");
@@ -269,7 +270,7 @@ fn merge(arguments: &ReportArgs, detail: Detail) -> CommandResult {
     let written = junit::write(&record, &folder.path().join(junit::FILE))
         .and_then(|()| ReportPage::new(&record, folder.path()).with_baselines(&arguments.baselines).write(&page))
         .and_then(|()| traceability::write(&record, folder.path()));
-    stdio::note(&format!("report: {}", page.display()));
+    stdio::note(&format!("report: {}", quoted_path(&page)));
     written.or_invalid()?;
     stdio::warn_if_not_safe(&record);
     Ok(Exit::of_record(&record))

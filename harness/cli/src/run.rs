@@ -10,6 +10,7 @@ use crate::options::SCENARIOS;
 use crate::selection::{check_not_empty, keep_last_failed, note_skipped, nothing_to_run, warn_of_scenarios};
 use crate::{shutdown, stdio};
 use platebench_engine::Clock;
+use platebench_model::quoted_path;
 use platebench_model::scenario::{Diagnostic, Scenario, find, input, list_files};
 use platebench_report::Detail;
 use platebench_report::format::count;
@@ -61,7 +62,7 @@ fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Selection, Fa
     }
     note_skipped(&found, detail);
     for copies in &found.copies {
-        stdio::note(&format!("{}: skipped, copies of scenarios in a run folder", copies.display()));
+        stdio::note(&format!("{}: skipped, copies of scenarios in a run folder", quoted_path(copies)));
     }
     check_not_empty(&found)?;
     let selection = play::select_scenarios(found.scenarios, arguments)?;

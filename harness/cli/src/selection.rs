@@ -4,6 +4,7 @@
 use crate::exit::{Exit, Failure, OrInvalid};
 use crate::stdio;
 use clap::Args;
+use platebench_model::quoted_path;
 use platebench_model::record::{RunRecord, Verdict, newest_run, sha256};
 use platebench_model::scenario::load::implausible_values;
 use platebench_model::scenario::{FoundScenarios, Scenario, find, plate_warnings, suggestion};
@@ -88,7 +89,7 @@ pub(crate) fn keep_last_failed(found: &mut FoundScenarios, runs: &Path) -> Resul
         names.remove(scenario.file.as_str());
     }
     for name in names {
-        stdio::note(&format!("{name} did not pass in {}, but is not among the scenarios now", folder.display()));
+        stdio::note(&format!("{name} did not pass in {}, but is not among the scenarios now", quoted_path(&folder)));
     }
     Ok(())
 }

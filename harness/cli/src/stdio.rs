@@ -244,12 +244,18 @@ fn colors_apply_to(output: &impl IsTerminal) -> bool {
     choice.applies(output.is_terminal(), std::env::var_os("NO_COLOR").as_deref())
 }
 
-/// Reads `--color` before clap parses the command line, because help and wrong usage need it too.
-pub(crate) fn color_of_arguments(words: impl Iterator<Item = String>) -> ColorArg {
+/// Reads the values of a global option before clap parses the command line.
+pub(crate) fn values_of_option(option: &str, words: impl Iterator<Item = String>) -> Vec<String> {
     let words: Vec<_> = words.take_while(|word| word != "--").collect();
-    let separate = words.array_windows().filter(|[word, _]| word == "--color").map(|[_, value]| value.as_str());
-    let joined = words.iter().filter_map(|word| word.strip_prefix("--color="));
-    separate.chain(joined).find_map(|value| ColorArg::from_str(value, false).ok()).unwrap_or_default()
+    let separate = words.array_windows().filter(|[word, _]| word == option).map(|[_, value]| value.clone());
+    let joined = words.iter().filter_map(|word| word.strip_prefix(option)?.strip_prefix('=').map(str::to_owned));
+    separate.chain(joined).collect()
+}
+
+/// Help and wrong usage need `--color` too.
+pub(crate) fn color_of_arguments(words: impl Iterator<Item = String>) -> ColorArg {
+    let values = values_of_option("--color", words);
+    values.iter().find_map(|value| ColorArg::from_str(value, false).ok()).unwrap_or_default()
 }
 
 impl ColorArg {
@@ -284,6 +290,9 @@ pub(crate) struct LoggingArgs {
     /// Print only errors and what did not pass
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     pub(crate) quiet: bool,
+    /// Settings file; default: the nearest platebench.toml, from the working directory upwards
+    #[arg(long, global = true, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
     /// Format of the log on standard error; `PLATEBENCH_LOG` selects its content
     #[arg(long, global = true, value_enum, default_value_t = LogFormat::Human, value_name = "FORMAT")]
     pub(crate) log_format: LogFormat,

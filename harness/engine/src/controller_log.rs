@@ -6,7 +6,7 @@ use platebench_model::record::{Telemetry, Violation, ViolationKind};
 use platebench_model::scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_plate::Time;
 use platebench_rig::{
-    CheckOptions, DrivesAfterSafe, FREQUENCY_TOLERANCE_MHZ, FaultInjector, Link, LinkError, LinkKind, ProtocolCheck,
+    CheckOptions, DrivesAfterSafe, FREQUENCY_TOLERANCE_MHZ, FaultInjector, Link, LinkError, LinkKind, ProtocolCheck, RejectedFrame,
     RigError, Session, check_protocol,
 };
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
@@ -115,6 +115,7 @@ impl<'a> ControllerLog<'a> {
             // Noise on a line may damage a frame, and a reset of the chip may cut one.
             if session.link().kind() != LinkKind::Lossy && self.scenario.chip_faults.is_empty() {
                 self.checks.set_count(ViolationKind::RejectedFrame, rejected, now);
+                self.checks.set_frame_lengths(session.first_rejected_frame());
             }
         }
     }
@@ -216,6 +217,7 @@ pub(crate) fn is_controller_failure(error: &RigError) -> bool {
         | RigError::NoAnswer { .. }
         | RigError::NoIdentity { .. }
         | RigError::Cancelled
+        | RigError::RejectedAnswer { .. }
         | RigError::Restarted
         | RigError::NoRealTime => false,
     }
@@ -322,6 +324,15 @@ impl CommandChecks {
             if let Some(slot) = self.violations.get_mut(kind as usize) {
                 slot.get_or_insert(first).count = count;
             }
+        }
+    }
+
+    fn set_frame_lengths(&mut self, first: Option<RejectedFrame>) {
+        if let (Some(Some(violation)), Some(frame)) =
+            (self.violations.get_mut(ViolationKind::RejectedFrame as usize), first)
+        {
+            violation.worst.get_or_insert(frame.bytes as f64);
+            violation.limit.get_or_insert(frame.expected as f64);
         }
     }
 

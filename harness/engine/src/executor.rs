@@ -7,6 +7,7 @@ use crate::live_tap::TapWriter;
 use crate::plan::{Clock, LinkFactory, NoOperator, Operator, RunError};
 use crate::trial::{self, Trial, TrialResult};
 use crate::{lockstep, real_plate, real_time};
+use platebench_model::quoted;
 use platebench_model::record::Telemetry;
 use platebench_model::scenario::Scenario;
 use platebench_rig::{BoxedLink, CancelToken, FaultInjector, Link, LinkError, RigError, SafeEnd, Session, WaitBudget};
@@ -312,5 +313,8 @@ fn may_come_back(error: &RunError) -> bool {
 fn controller_name(identity: &Identity) -> String {
     let [major, minor, patch] = identity.version;
     let [build, unique] = [&identity.build[..], &identity.unique[..]].map(platebench_model::record::to_hex);
-    format!("{} {major}.{minor}.{patch}, build {build}, number {unique}", platebench_rig::printable_name(identity))
+    format!(
+        "{} {major}.{minor}.{patch}, build {build}, number {unique}",
+        quoted(&platebench_rig::printable_name(identity))
+    )
 }

@@ -2,6 +2,7 @@
 
 use crate::live_tap::LiveTap;
 use crate::timing::{Pacing, TimeBase};
+use platebench_model::quoted;
 use platebench_model::record::{ClockKind, Event, FolderError, Overrides};
 use platebench_model::scenario::{Diagnostic, Scenario};
 use platebench_model::trace::TraceError;
@@ -77,10 +78,11 @@ pub enum RunError {
     Refused { file: String, error: RigError },
     #[error("the controller is now {found}, but was {expected} when the run began; keep the same controller connected")]
     DifferentController { found: String, expected: String },
-    #[error("{0} does not announce that it can pace itself, which --pacing target needs; use --pacing bench")]
+    #[error("{} does not announce that it can pace itself, which --pacing target needs; use --pacing bench", quoted(.0))]
     NoTargetPacing(String),
     #[error(
-        "{0} does not announce that it drives its own plate, which --plate-mode real needs; use --plate-mode emulated"
+        "{} does not announce that it drives its own plate, which --plate-mode real needs; use --plate-mode emulated",
+        quoted(.0)
     )]
     NoRealPlate(String),
     #[error(transparent)]

@@ -46,7 +46,7 @@ pub use play::{PlayConfig, TrialEvent, TrialSource, play_shard, play_trials};
 pub use row::ShardEnd;
 pub use summary::Summary;
 pub use truncation::Truncation;
-pub use worst_run::{ResponseLinks, play_worst, worst_trials};
+pub use worst_run::{Response, ResponseLinks, play_worst, worst_trials};
 
 /// If a part is damaged, returns an error and keeps the results of an earlier merge.
 pub fn merge<'a>(

@@ -36,12 +36,13 @@ use crate::acceptance::steps::{
     ScenarioRun, StepAction, ask_operator, measure_trust, run_self_test, step_actions, step_records,
 };
 use platebench_engine::{Clock, Pacing, Question, QuestionKind, RunError};
+use platebench_model::quoted;
 use platebench_model::record::{
     self, Firmware, Host, InputRecord, RunRecord, Tool, Verdict, sha256, sha256_of_file, to_hex, utc_timestamp,
 };
 use platebench_model::trace::{AtPath, create_folder, read_regular_file, remove_temporary_files, sync_tree};
 use platebench_report::format::count;
-use platebench_report::traceability;
+use platebench_report::{console, traceability};
 use platebench_rig::{BUILT_IN_IMAGE, CancelToken, ConnectOptions, FirmwareImage, RigSpec, Session};
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -174,7 +175,7 @@ impl<'a> SessionRunner<'a> {
         } else {
             format!("chip {chip}, number {}", identity.unique)
         };
-        step.reason = Some(format!("{name} {version}, build {build}, {board}"));
+        step.reason = Some(format!("{} {version}, build {build}, {board}", quoted(name)));
         step.verdict = Some(Verdict::Pass);
         self.record.firmware = Some(identity);
         Ok(())
@@ -205,7 +206,9 @@ impl<'a> SessionRunner<'a> {
         let passed = expectations.iter().filter(|expectation| expectation.verdict == Verdict::Pass).count();
         let trials: usize = record.scenarios.iter().map(|scenario| scenario.trials.len()).sum();
         let trials = count(trials, "trial");
-        step.reason = Some(format!("{passed} of {} expectations met in {trials}", expectations.len()));
+        let why = (record.verdict != Verdict::Pass).then(|| format!(": {}", console::verdict_reason(&record)));
+        let why = why.unwrap_or_default();
+        step.reason = Some(format!("{passed} of {} expectations met in {trials}{why}", expectations.len()));
         Ok(())
     }
 
@@ -398,7 +401,7 @@ pub(crate) fn changed_error(what: &str, then: &str, now: &str) -> AcceptError {
 
 pub(crate) fn format_firmware(firmware: &Firmware) -> String {
     let Firmware { name, version, build, chip } = firmware;
-    format!("{name} {version}, build {build}, chip {chip}")
+    format!("{} {version}, build {build}, chip {chip}", quoted(name))
 }
 
 pub(crate) fn check_unchanged(then: &SessionRecord, now: &SessionRecord) -> Result<(), AcceptError> {

@@ -3,7 +3,10 @@
 pub mod external_csv;
 pub mod metrics;
 pub mod printable;
+mod quote;
 pub mod recording;
+
+pub use quote::{quoted, quoted_path};
 
 pub mod record {
     //! Defines the record, the events and the folder of a run.
@@ -18,7 +21,7 @@ pub mod record {
     pub use crate::scenario::Limit;
     pub use reason::{
         Bounds, DivergedTrials, Divergence, Evidence, EvidenceMethod, ExpectationRecord, MetricDefinition, Reason,
-        SignSymptom, Statistic, TrialFinding, TrialReason, WideBoundsCause, WorstInstant, percent,
+        SignSymptom, Statistic, StoppedTrial, TrialFinding, TrialReason, WideBoundsCause, WorstInstant, percent,
     };
     pub use run_folder::{
         CAMPAIGN_PLAN_FILE, FileLock, FolderError, RECORD_FILE, RecordError, RunFolder, RunSummary, ScenarioSummary,
@@ -51,6 +54,7 @@ pub mod scenario {
     mod parse;
     pub mod raw;
     pub mod schema;
+    mod trusted_file;
     mod warnings;
     mod window;
 
@@ -62,13 +66,14 @@ pub mod scenario {
     pub use diagnostic::{Diagnostic, suggestion};
     pub use expect::{Aggregation, Expectation, Limit};
     pub use fault::{BitFlipTarget, ChipFault, ChipFaultKind, Direction, Fault, FaultKind};
-    pub use find::{FileKind, FoundScenarios, SETTINGS_FILE, find, find_file_above, list_files, repeated_names};
+    pub use find::{FileKind, FoundScenarios, SETTINGS_FILE, find, list_files, repeated_names};
     pub use load::{REQUIREMENTS_FILE, Requirement, load, load_copies, load_with_all_errors, read_requirements};
     pub use matrix::is_scenario_path;
     pub use message::{ConfigurationChange, NonFinite, ScenarioMessage, WireNumber};
     pub use own_law::{NotApplicableExpectation, OWN_LAW, number_in_file};
     pub use parse::{parse, parse_bytes, parse_file, read_text};
     pub use platebench_plate::input;
+    pub use trusted_file::{TRUSTED_FOLDERS_VARIABLE, find_trusted_file_above};
     pub use warnings::{changes_after_the_end, plate_warnings, unjudged_changes, unreachable_setpoint};
     pub use window::{ChangingProfile, Window};
 }

@@ -49,10 +49,6 @@ pub(crate) fn csv_field(text: &str) -> String {
     if text.contains([',', '"']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.into_owned() }
 }
 
-pub(crate) fn tap_description(text: &str) -> String {
-    printable(&text.replace('\\', "\\\\").replace('#', "\\#")).into_owned()
-}
-
 pub(crate) fn workflow_message(text: &str) -> String {
     printable_lines(text).replace('%', "%25").replace('\n', "%0A")
 }
@@ -92,7 +88,6 @@ mod tests {
     #[case(|text: &str| printable_lines(text).into_owned(), "=1\\u{1b}[2J\\u{202e}\n::error::#|")]
     #[case(markdown_cell, "=1\\u{1b}\\[2J\\u{202e} ::error::\\#\\|")]
     #[case(csv_field, "'=1\\u{1b}[2J\\u{202e}\\n::error::#|")]
-    #[case(tap_description, "=1\\u{1b}[2J\\u{202e}\\n::error::\\#|")]
     #[case(workflow_message, "=1\\u{1b}[2J\\u{202e}%0A::error::#|")]
     #[case(workflow_property, "=1\\u{1b}[2J\\u{202e}\\n%3A%3Aerror%3A%3A#|")]
     #[case(|text: &str| json_line(&serde_json::json!(text)), "\"=1\\u001b[2J\\u202e\\n::error::#|\"")]

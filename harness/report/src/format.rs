@@ -2,6 +2,7 @@
 
 use crate::record_queries::{CauseGroup, NotApplicableGroup};
 use platebench_model::metrics::Unit;
+use platebench_model::quoted;
 use platebench_model::record::{
     ExpectationRecord, Limit, Metric, NotApplicable, Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic,
     TrialFinding, Verdict,
@@ -57,7 +58,7 @@ impl fmt::Display for VerdictCounts {
 /// Longest list of names in [`tested`].
 const MAX_NAMES: usize = 3;
 
-/// One line: firmware, rig, clock, laws, plates and models of the run. It may contain control characters.
+/// One line: firmware, rig, clock, laws, plates and models of the run. Text from outside is quoted.
 pub(crate) fn tested(record: &RunRecord) -> String {
     let mut firmware = firmware_build(record);
     if record.rig.bench_firmware {
@@ -69,7 +70,7 @@ pub(crate) fn tested(record: &RunRecord) -> String {
         names("plate", scenarios().filter_map(ScenarioRecord::plate)),
         names("model", scenarios().map(|scenario| scenario.model.as_str())),
     ];
-    let setting = [format!("rig {}", record.rig.name), format!("clock {}", record.clock)];
+    let setting = [format!("rig {}", quoted(&record.rig.name)), format!("clock {}", record.clock)];
     let parts: Vec<_> = [firmware].into_iter().chain(setting).chain(lists.into_iter().flatten()).collect();
     parts.join("; ")
 }
@@ -79,8 +80,10 @@ fn names<'a>(noun: &str, all: impl Iterator<Item = &'a str>) -> Option<String> {
     let different = distinct(all);
     match different.len() {
         0 => None,
-        1 => Some(format!("{noun} {}", different.join(", "))),
-        2..=MAX_NAMES => Some(format!("{noun}s {}", different.join(", "))),
+        1..=MAX_NAMES => {
+            let names: Vec<_> = different.iter().map(|name| quoted(name)).collect();
+            Some(format!("{noun}{} {}", if names.len() == 1 { "" } else { "s" }, names.join(", ")))
+        }
         several => Some(count(several, noun)),
     }
 }
@@ -100,7 +103,7 @@ pub(crate) fn firmware_build(record: &RunRecord) -> String {
     let Some(firmware) = &record.rig.firmware else { return "firmware unknown".to_owned() };
     let is_known = firmware.build.contains(|digit| digit != '0');
     let build = if is_known { short_build_id(&firmware.build) } else { "unknown" };
-    format!("{} {}, build {build}", firmware.name, firmware.version)
+    format!("{} {}, build {}", quoted(&firmware.name), quoted(&firmware.version), quoted(build))
 }
 
 pub(crate) fn short_build_id(build: &str) -> &str {
@@ -109,7 +112,7 @@ pub(crate) fn short_build_id(build: &str) -> &str {
 
 /// Follows the verdict of a run that tests no firmware of the user.
 pub(crate) fn bench_firmware_note(record: &RunRecord) -> String {
-    let note = || format!(" (the bench's own firmware on the rig {}; name yours with --rig)", record.rig.name);
+    let note = || format!(" (the bench's own firmware on the rig {}; name yours with --rig)", quoted(&record.rig.name));
     if record.rig.bench_firmware { note() } else { String::new() }
 }
 
@@ -117,8 +120,8 @@ pub(crate) fn bench_firmware_note(record: &RunRecord) -> String {
 pub(crate) fn overrides(record: &RunRecord) -> Option<String> {
     let overrides = &record.overrides;
     let changed = [
-        ("law", overrides.law.clone()),
-        ("model", overrides.model.clone()),
+        ("law", overrides.law.as_deref().map(|law| quoted(law).into_owned())),
+        ("model", overrides.model.as_deref().map(|model| quoted(model).into_owned())),
         ("trials", overrides.trials.map(|trials| trials.to_string())),
         ("seed", overrides.seed.map(|seed| seed.to_string())),
         ("timeout", overrides.timeout_s.map(|seconds| format!("{seconds} s"))),
@@ -309,13 +312,22 @@ pub(crate) fn group_size(group: &CauseGroup<'_>) -> String {
 /// The reason without the value and the limit, which the report shows next to it.
 pub(crate) fn remaining_reason(expectation: &ExpectationRecord) -> Option<String> {
     match expectation.reason.as_ref()? {
-        Reason::Trial { divergence: None, finding: TrialFinding::Outside { .. }, ended: None, .. } => None,
-        Reason::Trial { trial, divergence: Some(divergence), finding: TrialFinding::Outside { .. }, ended: None } => {
-            Some(format!("trial {trial}: {divergence}"))
+        Reason::Trial { trial, divergence, finding: TrialFinding::Outside { .. }, ended: None, stopped } => {
+            let divergence = divergence.map(|divergence| divergence.to_string());
+            let stopped = stopped.as_ref().map(|why| format!("the controller stopped: {why}"));
+            let parts: Vec<_> = divergence.into_iter().chain(stopped).collect();
+            (!parts.is_empty()).then(|| format!("trial {trial}: {}", parts.join("; ")))
         }
-        Reason::Trial { trial, divergence, finding: TrialFinding::IntervalOutside { bounds, .. }, ended: None } => {
+        Reason::Trial {
+            trial,
+            divergence,
+            finding: TrialFinding::IntervalOutside { bounds, .. },
+            ended: None,
+            stopped,
+        } => {
             let divergence = divergence.map_or_else(String::new, |divergence| format!("{divergence}: "));
-            Some(format!("trial {trial}: {divergence}{bounds}"))
+            let stopped = stopped.as_ref().map_or_else(String::new, |why| format!("; the controller stopped: {why}"));
+            Some(format!("trial {trial}: {divergence}{bounds}{stopped}"))
         }
         other => Some(other.to_string()),
     }
@@ -460,7 +472,7 @@ mod tests {
         #[case] divergence: Option<Divergence>,
         #[case] expected: Option<&str>,
     ) {
-        let reason = Some(Reason::Trial { trial: 1, divergence, finding, ended: None });
+        let reason = Some(Reason::Trial { trial: 1, divergence, finding, ended: None, stopped: None });
         let expectation = ExpectationRecord { reason, ..failed_settling_time() };
         assert_eq!(remaining_reason(&expectation).as_deref(), expected);
     }

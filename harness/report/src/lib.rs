@@ -12,7 +12,7 @@ mod record_queries;
 pub use document::Style;
 pub use error::ReportError;
 pub use text::console::{Detail, Progress, ProgressKind, counts_so_far, slow_scenarios};
-pub use text::{comparison, console, events, github, junit, scenario_list, tap, traceability};
+pub use text::{comparison, console, events, github, junit, scenario_list, traceability};
 
 /// Draws charts as SVG with classes instead of colours, for light, dark and paper.
 pub mod chart {
@@ -55,7 +55,6 @@ pub mod text {
     pub(crate) mod history;
     pub mod junit;
     pub mod scenario_list;
-    pub mod tap;
     pub(crate) mod timing;
     pub mod traceability;
 

@@ -1,8 +1,9 @@
 //! Finds keys, trials and missed expectations in a record.
 
+use platebench_model::quoted;
 use platebench_model::record::{
-    Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingValue, NotApplicable, Reason,
-    RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord, Verdict, ViolationKind,
+    Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingShard, MissingValue, NotApplicable,
+    Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord, Verdict, ViolationKind,
 };
 use std::mem::{Discriminant, discriminant};
 
@@ -253,29 +254,48 @@ pub(crate) fn required_not_applicable(record: &RunRecord) -> &[NotApplicable] {
     if record.overrides.require_all { &record.not_applicable } else { &[] }
 }
 
-pub(crate) fn run_inconclusive_reason(record: &RunRecord) -> Option<&'static str> {
-    if !record.complete {
-        Some("the run was not finished")
-    } else if !required_not_applicable(record).is_empty() {
-        None
-    } else if record.scenarios.is_empty() {
-        Some("the run has no scenarios")
-    } else if record.verdict != Verdict::Pass && record.scenarios.iter().all(|found| found.verdict == Verdict::Pass) {
-        Some("the run did not pass")
-    } else {
-        None
-    }
+/// Scenarios that change no verdict, because they are not applicable.
+pub(crate) fn skipped_scenarios(record: &RunRecord) -> &[NotApplicable] {
+    if record.overrides.require_all { &[] } else { &record.not_applicable }
 }
 
-pub(crate) fn scenario_inconclusive_reason(scenario: &ScenarioRecord) -> Option<&'static str> {
-    let carried = scenario.expectations.iter().any(|expectation| expectation.verdict != Verdict::Pass);
-    if scenario.verdict == Verdict::Pass || carried {
-        None
-    } else if scenario.expectations.is_empty() {
-        Some("no expectation was judged")
-    } else {
-        Some("the scenario did not pass")
+/// Verdict of a run or a scenario that none of its parts has, with its reason.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct OwnVerdict {
+    pub(crate) verdict: Verdict,
+    pub(crate) reason: String,
+}
+
+/// The only place that derives a verdict of the run for a report. `None` if the verdicts of the
+/// scenarios explain that of the run.
+pub(crate) fn own_verdict_of_run(record: &RunRecord) -> Option<OwnVerdict> {
+    let of_scenarios = Verdict::combine(record.scenarios.iter().map(|scenario| scenario.verdict));
+    let required = required_not_applicable(record);
+    let is_empty = record.scenarios.is_empty() && required.is_empty();
+    let shards = record.merge.iter().flat_map(|merge| &merge.missing_shards);
+    let shards = shards
+        .map(|MissingShard { board, shard, shards }| format!("shard {shard}/{shards} of {} is missing", quoted(board)));
+    let unfinished = (!record.complete).then_some("the run was not finished");
+    let empty = (record.complete && is_empty).then_some("the run has no scenarios");
+    let reasons = record.unsafe_end().into_iter().chain(unfinished).chain(empty).map(str::to_owned);
+    let mut reasons: Vec<String> = reasons.chain(shards).collect();
+    if reasons.is_empty() {
+        let is_explained = record.verdict == Verdict::Pass || of_scenarios != Verdict::Pass || !required.is_empty();
+        reasons.extend((!is_explained).then(|| "the run did not pass".to_owned()));
     }
+    let is_own_failure = record.drive_after_safe || (of_scenarios != Verdict::Fail && required.is_empty());
+    let is_failure = record.verdict == Verdict::Fail && is_own_failure;
+    let verdict = if is_failure { Verdict::Fail } else { Verdict::Inconclusive };
+    (!reasons.is_empty()).then(|| OwnVerdict { verdict, reason: reasons.join("; ") })
+}
+
+/// As [`own_verdict_of_run`], for a scenario and its expectations.
+pub(crate) fn own_verdict_of_scenario(scenario: &ScenarioRecord) -> Option<OwnVerdict> {
+    let is_explained = scenario.expectations.iter().any(|expectation| expectation.verdict != Verdict::Pass);
+    let reason =
+        if scenario.expectations.is_empty() { "no expectation was judged" } else { "the scenario did not pass" };
+    let is_own = scenario.verdict != Verdict::Pass && !is_explained;
+    is_own.then(|| OwnVerdict { verdict: scenario.verdict, reason: reason.to_owned() })
 }
 
 /// Index of the scenario `X-open-loop` for a scenario `X-closed-loop`.

@@ -24,6 +24,7 @@ mod port;
 #[cfg(feature = "probe")]
 pub mod probe;
 pub mod protocol_check;
+mod rejected_frame;
 pub mod rigs;
 mod serial_port;
 pub mod session;
@@ -50,6 +51,7 @@ pub use link::{
 };
 pub use port::{DEFAULT_REPLY_TIMEOUT, PtyLink};
 pub use protocol_check::{CheckOptions, ProtocolCheck, ProtocolCoverage, check_protocol, is_defined_law};
+pub use rejected_frame::RejectedFrame;
 pub use rigs::exec::{ExecError, ExecLink};
 pub use rigs::hosted::HostedLink;
 pub use rigs::serial::{BaudTooLow, check_baud, minimum_baud};

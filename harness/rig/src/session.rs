@@ -4,6 +4,7 @@ use crate::cancel::CancelToken;
 use crate::command_audit::{CommandAudit, DrivesAfterSafe};
 use crate::handshake::{HANDSHAKE_TIMEOUT, RejectedBytes, handshake};
 use crate::link::{Link, LinkError, LinkKind};
+use crate::rejected_frame::{FrameMeter, RejectedFrame};
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Packet, PacketReader,
     Rejection, Sample,
@@ -30,6 +31,8 @@ pub enum RigError {
     NoIdentity { waited: Duration, rejected: RejectedBytes },
     #[error("cancelled while the bench waited for the identity of the controller")]
     Cancelled,
+    #[error("no {expected} from the controller: {frame}")]
+    RejectedAnswer { expected: &'static str, frame: RejectedFrame },
     #[error("this rig cannot be used in real time; use --clock lockstep")]
     NoRealTime,
     #[error("the controller was restarted in the middle of a trial")]
@@ -122,6 +125,7 @@ pub struct Session<L: Link> {
     /// How the program ended before it confirmed 0 V.
     ended_before_safe: Option<String>,
     rejected_frames: u64,
+    frames: FrameMeter,
     audit: CommandAudit,
 }
 
@@ -159,6 +163,7 @@ impl<L: Link> Session<L> {
             has_ended: false,
             ended_before_safe: None,
             rejected_frames: 0,
+            frames: FrameMeter::default(),
             audit: CommandAudit::new(),
         };
         session.identity = handshake(&mut session.link, HANDSHAKE_TIMEOUT, cancel, || None)?;
@@ -227,7 +232,9 @@ impl<L: Link> Session<L> {
     fn configure_trial(&mut self, configure: &Configure) -> Result<Gains, RigError> {
         // What arrives with the answer to the configuration belongs to the trial.
         self.audit.reset();
+        self.frames.reset();
         let gains = self.reconfigure(Duration::ZERO, configure)?;
+        self.frames.reset();
         self.rejected_frames = 0;
         Ok(gains)
     }
@@ -243,7 +250,7 @@ impl<L: Link> Session<L> {
                 debug!(law = configure.law.name(), gains = ?outcome, "controller configured");
                 outcome.map_err(RigError::ConfigurationRejected)
             }
-            _ => Err(RigError::NoAnswer { expected: "answer to its configuration" }),
+            _ => Err(self.no_answer("answer to its configuration")),
         }
     }
 
@@ -394,6 +401,17 @@ impl<L: Link> Session<L> {
         self.rejected_frames
     }
 
+    fn no_answer(&self, expected: &'static str) -> RigError {
+        match self.frames.first() {
+            Some(frame) => RigError::RejectedAnswer { expected, frame },
+            None => RigError::NoAnswer { expected },
+        }
+    }
+
+    pub fn first_rejected_frame(&self) -> Option<RejectedFrame> {
+        self.frames.first()
+    }
+
     /// Number of commands that differ from an earlier answer to the same message. Repeated frames
     /// do not count. Reports of a stop do not count either, although they have the number of the
     /// last command, and confirmations of 0 V without a request have their own count.
@@ -425,6 +443,7 @@ impl<L: Link> Session<L> {
     fn next_sequence(&mut self, message: &Message) -> u8 {
         self.sequence = self.sequence.wrapping_add(1);
         self.audit.record_sent(self.sequence, message);
+        self.frames.record_request(message);
         self.sequence
     }
 
@@ -498,7 +517,11 @@ impl<L: Link> Session<L> {
     fn next_packet(&mut self) -> Result<Option<Packet>, RigError> {
         while let Some(mut rest) = self.bytes.get(self.consumed..).filter(|rest| !rest.is_empty()) {
             let packet = self.reader.read(&mut rest);
-            self.consumed = self.bytes.len() - rest.len();
+            let start = std::mem::replace(&mut self.consumed, self.bytes.len() - rest.len());
+            self.frames.record_part(self.bytes.get(start..self.consumed).unwrap_or_default());
+            if let Some(read) = &packet {
+                self.frames.end_frame(read.is_err());
+            }
             match packet {
                 None => {}
                 Some(Err(_)) => self.rejected_frames += 1,

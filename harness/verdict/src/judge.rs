@@ -14,7 +14,7 @@ use over_trials::{Containment, Outcome, OverTrials, all_equal, containment, exce
 use platebench_model::metrics::TrialRule;
 use platebench_model::record::{
     Cause, DivergedTrials, Evidence, EvidenceMethod, ExpectationRecord, MetricDefinition, Reason, Statistic,
-    TrialFinding, Verdict, WorstInstant, percent,
+    StoppedTrial, TrialFinding, Verdict, WorstInstant, percent,
 };
 use platebench_model::scenario::{Aggregation, Expectation, Limit, Scenario};
 use std::borrow::Cow;
@@ -214,8 +214,14 @@ impl ExpectationJudge<'_> {
         let has_value = !matches!(measure, Measure::Missing(_) | Measure::Undefined(_));
         let value = self.value_interval(measure).filter(|_| has_value).map(|[_, high]| high);
         let outcome = Outcome { value, trial: Some(trial.index), ..Outcome::pass(statistic) };
-        let reason =
-            |divergence, finding| Reason::Trial { trial: trial.index, divergence, finding, ended: trial.ended.clone() };
+        let (ended, stopped) = (&trial.ended, &trial.stopped);
+        let reason = |divergence, finding| Reason::Trial {
+            trial: trial.index,
+            divergence,
+            finding,
+            ended: ended.clone(),
+            stopped: stopped.clone(),
+        };
         let fail = |outcome: Outcome, finding| outcome.fail(reason(trial.divergence, finding));
         let undecided = |outcome: Outcome, finding| outcome.inconclusive(Cause::Evidence, reason(None, finding));
         let is_interval = matches!(measure, Measure::Interval(_));
@@ -281,6 +287,7 @@ impl ExpectationJudge<'_> {
             simulation_error: self.simulation_error(),
             is_deterministic: self.can_be_deterministic(),
             diverged: self.diverged_trials(),
+            stopped: self.stopped_trial(),
         };
         let judge_if = |is_kept: &dyn Fn(&TrialMeasures) -> bool| {
             let kept = self.counted_trials().filter(|(trial, _)| is_kept(trial));
@@ -310,6 +317,11 @@ impl ExpectationJudge<'_> {
         let mut diverged = self.counted_trials().filter_map(|(trial, _)| Some((trial.index, trial.divergence?)));
         let (first, divergence) = diverged.next()?;
         Some(DivergedTrials { first, divergence, further: diverged.count() })
+    }
+
+    fn stopped_trial(&self) -> Option<StoppedTrial> {
+        self.counted_trials()
+            .find_map(|(trial, _)| Some(StoppedTrial { trial: trial.index, why: trial.stopped.clone()? }))
     }
 
     fn can_be_deterministic(&self) -> bool {

@@ -24,6 +24,8 @@ pub struct TrialMeasures {
     pub excuses: Vec<Option<Excuse>>,
     /// The rig's message about the loss of the controller.
     pub ended: Option<String>,
+    /// The controller's first reason for a stop. It explains a failure and never causes one.
+    pub stopped: Option<String>,
     pub violations: Vec<Violation>,
     /// Explains a failure and never causes one.
     pub divergence: Option<Divergence>,
@@ -56,6 +58,7 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
         worst,
         excuses: excuses.collect(),
         ended: telemetry.ended.clone(),
+        stopped: telemetry.stopped.clone(),
         violations: violations(scenario, telemetry),
         divergence: detect_divergence(scenario, rows, telemetry),
         sign_symptom: detect_wrong_sign(scenario, rows),

@@ -19,7 +19,7 @@ fn a_law_that_the_controller_lacks_is_not_applicable(#[case] options: &[&str], #
     // The text is wrapped.
     let text = output.text().split_whitespace().collect::<Vec<_>>().join(" ");
     for part in
-        ["tested: python-example 0.1.0, build unknown; rig exec:", "--law dq-pi or --law dq-pi-fixed plays every"]
+        ["tested: python-example 0.1.0, build unknown; rig \"exec:", "--law dq-pi or --law dq-pi-fixed plays every"]
     {
         assert!(text.contains(part), "{text}");
     }

@@ -16,6 +16,7 @@ use clap::Args;
 use clap::builder::PossibleValuesParser;
 use platebench_engine::{Clock, RunError, RunPlan, rejudge};
 use platebench_lab::boards::BoardOutcome;
+use platebench_model::quoted_path;
 use platebench_model::record::{KeepTraces, Overrides, RunFolder, RunRecord, Verdict};
 use platebench_model::scenario::{AUTO_MODEL, Diagnostic, MAX_TRIALS, Scenario};
 use platebench_plate::Model;
@@ -380,9 +381,9 @@ fn write_reports(
         }
     }
     if detail != Detail::Failures || record.verdict != Verdict::Pass {
-        stdio::note(&format!("run folder: {}", folder.path().display()));
+        stdio::note(&format!("run folder: {}", quoted_path(folder.path())));
         if !is_cancelled {
-            stdio::note(&format!("report: {}", page.display()));
+            stdio::note(&format!("report: {}", quoted_path(&page)));
         }
     }
     if is_cancelled {
@@ -403,10 +404,10 @@ fn report_run_error(error: RunError, folder: &RunFolder) -> Exit {
     if folder.remove_if_empty() {
         return exit;
     }
-    stdio::note(&format!("run folder: {}", folder.path().display()));
+    stdio::note(&format!("run folder: {}", quoted_path(folder.path())));
     if let Ok(record) = RunRecord::read(folder.path()) {
         stdio::note(&counts_so_far(&record));
-        stdio::note(&format!("`platebench report {}` shows the complete trials", folder.path().display()));
+        stdio::note(&format!("`platebench report {}` shows the complete trials", quoted_path(folder.path())));
         stdio::warn_if_not_safe(&record);
     }
     exit

@@ -9,6 +9,7 @@ use crate::stdio;
 use clap::Args;
 use platebench_experiments::explore::session::{ExploreSession, ProgressEvent};
 use platebench_experiments::explore::{Envelope, ExploreError, report};
+use platebench_model::quoted_path;
 use platebench_model::record::{RunFolder, Verdict};
 use platebench_model::scenario::find;
 use platebench_report::Detail;
@@ -87,8 +88,8 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
         }
     };
     stdio::show_result(arguments.format, &report, &report::document(&report));
-    stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
-    stdio::note(&format!("report: {}", folder.path().join(report::PAGE_FILE).display()));
+    stdio::note(&format!("result: {}", quoted_path(&folder.path().join(report::FILE))));
+    stdio::note(&format!("report: {}", quoted_path(&folder.path().join(report::PAGE_FILE))));
     let is_empty = report.scenes == 0 && report.regressions == 0;
     let exit = || match report.verdict {
         _ if is_empty => Exit::NothingToRun,

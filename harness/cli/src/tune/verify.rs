@@ -9,6 +9,7 @@ use platebench_design::tuning::design::StepEvaluation;
 use platebench_design::tuning::verification::{VerificationStep, gains_match, step_scenario};
 use platebench_engine::{Clock, LiveTap, RunError, RunPlan, configure};
 use platebench_lab::boards::BoardOutcome;
+use platebench_model::quoted;
 use platebench_model::record::{ClockKind, Overrides, RunFolder, TrialRecord};
 use platebench_model::scenario::Scenario;
 use platebench_report::console;
@@ -136,7 +137,7 @@ fn configure_rig(
     let mut session = Session::open(clock.connect(rig, &ConnectOptions::default())?)?;
     let accepted = session.start_trial(&configure(scenario, law));
     let [major, minor, patch] = session.identity().version;
-    let firmware = format!("{} {major}.{minor}.{patch}", session.firmware_name());
+    let firmware = format!("{} {major}.{minor}.{patch}", quoted(&session.firmware_name()));
     if session.close() != SafeEnd::Confirmed {
         *end = BoardOutcome::unconfirmed();
         stdio::note(

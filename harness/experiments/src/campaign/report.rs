@@ -87,9 +87,11 @@ fn worst_trials(summary: &Summary<'_>, links: &ResponseLinks) -> Table {
     let mut table = Table::new(header);
     let row = |row: &TrialRow| {
         let cause = row.cause.filter(|_| row.verdict != Verdict::Pass).map(|cause| format!(" ({cause})"));
+        let response = links.get(&row.trial);
         let mut cells = vec![
-            Cell::from(row.trial.to_string()).with_link(links.get(&row.trial).cloned()),
-            format!("{}{}", row.verdict, cause.unwrap_or_default()).into(),
+            Cell::from(row.trial.to_string()).with_link(response.map(|response| response.link.clone())),
+            Cell::from(format!("{}{}", row.verdict, cause.unwrap_or_default()))
+                .with_notes(response.and_then(|response| response.reason.clone())),
             margin_text(row.margin()).into(),
         ];
         let variables = campaign.variables.iter().zip(&row.draws);
@@ -228,7 +230,7 @@ impl Places {
 
     fn links(&self, summary: &Summary<'_>, figure: &HeatFigure, links: &ResponseLinks) -> Vec<AreaLink> {
         let link = |(number, (cell, (panel, column, row))): (usize, (&Tally, &(usize, usize, usize)))| {
-            let href = links.get(&cell.worst_trial).filter(|_| cell.trials > 0)?.clone();
+            let href = links.get(&cell.worst_trial).filter(|_| cell.trials > 0)?.link.clone();
             let title = format!("{}; trial {}", choice_texts(summary, number, |_| true).join(", "), cell.worst_trial);
             Some(AreaLink { area: figure.cell_area(*panel, *column, *row)?, href, title })
         };

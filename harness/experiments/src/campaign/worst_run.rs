@@ -11,6 +11,7 @@ use platebench_engine::{Clock, Event, RunError, RunHooks, RunPlan, run};
 use platebench_model::record::{KeepTraces, Overrides, RunFolder};
 use platebench_model::scenario::load;
 use platebench_model::trace::{AtPath, read_regular_file, write_atomically};
+use platebench_report::console;
 use platebench_report::page::{self, ReportPage, RowCache, scenario_anchor};
 use platebench_rig::ConnectOptions;
 use std::cmp::Ordering;
@@ -26,8 +27,16 @@ const MAX_TRIALS: usize = 500;
 /// If more trials than this are played, no trace is stored.
 const MAX_TRACES: usize = 2 * MAX_WORST;
 
-/// Maps a trial number to a link to its response, relative to the campaign folder.
-pub type ResponseLinks = BTreeMap<u64, String>;
+/// Maps a trial number to its response.
+pub type ResponseLinks = BTreeMap<u64, Response>;
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Response {
+    /// Relative to the campaign folder.
+    pub link: String,
+    /// Why the trial did not pass.
+    pub reason: Option<String>,
+}
 
 /// Trials with the smallest margins, failing trials, and the worst of each cell; worst first.
 pub fn worst_trials(summary: &Summary<'_>) -> Result<Vec<DrawnTrial>, CampaignError> {
@@ -90,8 +99,9 @@ pub fn play_worst(
     ReportPage::new(&record, run_folder.path()).with_rows(rows).write(&run_folder.path().join(page::FILE))?;
     let link = |trial: &DrawnTrial| {
         let file = file_name(trial.number);
-        let index = record.scenarios.iter().position(|scenario| scenario.file == file)?;
-        Some((trial.number, format!("{FOLDER}/{RUN}/{}#{}", page::FILE, scenario_anchor(index))))
+        let (index, scenario) = record.scenarios.iter().enumerate().find(|(_, scenario)| scenario.file == file)?;
+        let link = format!("{FOLDER}/{RUN}/{}#{}", page::FILE, scenario_anchor(index));
+        Some((trial.number, Response { link, reason: console::scenario_reason(scenario) }))
     };
     Ok(trials.iter().filter_map(link).collect())
 }

@@ -10,6 +10,7 @@ use crate::explore::limits::LawProperties;
 use crate::explore::player::violated;
 use crate::explore::properties::Property;
 use platebench_engine::SafeEnds;
+use platebench_model::quoted;
 use platebench_model::record::Verdict;
 use platebench_report::document::{Block, Document, Figure, Table};
 use platebench_verdict::statistics::clopper_pearson;
@@ -308,7 +309,7 @@ pub fn document(report: &ExploreReport) -> Document {
     ];
     blocks.extend((!failures.is_empty()).then(|| Block::lines(failures)));
     blocks.extend([Block::paragraph(report.conclusion()), Block::Details(details)]);
-    let lead = format!("{envelope}, seed {seed}, on {rig}, controller {firmware}.");
+    let lead = format!("{envelope}, seed {seed}, on {rig}, controller {}.", quoted(firmware));
     Document { lead, ..Document::new(format!("{verdict}: exploration of {law}"), blocks) }
 }
 

@@ -3,6 +3,7 @@
 use crate::acceptance::session_record::{
     DecisionRecord, EvidenceRecord, RequirementRecord, STEPS, SessionRecord, StepRecord,
 };
+use platebench_model::quoted;
 use platebench_model::record::Verdict;
 use platebench_report::document::{Block, Cell, Column, Document, Table};
 
@@ -58,7 +59,7 @@ fn people(session: &SessionRecord) -> Vec<(String, String)> {
     let stated = |text: &Option<String>| text.clone().unwrap_or_else(|| "not stated".to_owned());
     let firmware = session.firmware.as_ref().map_or_else(
         || "not identified".to_owned(),
-        |found| format!("{} {}, build {}", found.firmware.name, found.firmware.version, found.firmware.build),
+        |found| format!("{} {}, build {}", quoted(&found.firmware.name), found.firmware.version, found.firmware.build),
     );
     let board = session.firmware.as_ref().map_or_else(
         || "unknown".to_owned(),

@@ -1,7 +1,7 @@
 //! Reads and checks `boards.toml`. Defines the errors of boards.
 
 use jiff::civil::Date;
-use platebench_model::scenario::{Diagnostic, find_file_above, parse_file};
+use platebench_model::scenario::{Diagnostic, find_trusted_file_above, parse_file};
 use platebench_model::trace::FileError;
 use platebench_rig::{ConnectError, LockHolder, RigError, RigSpec};
 use schemars::JsonSchema;
@@ -117,8 +117,12 @@ pub struct Inventory {
 impl Inventory {
     /// Reads `file`, or the nearest `boards.toml` from the working directory upwards.
     pub fn open(file: Option<&Path>) -> Result<Self, BoardError> {
-        let nearest = || std::env::current_dir().ok().and_then(|folder| find_file_above(&folder, INVENTORY_FILE));
-        let path = file.map(Path::to_owned).or_else(nearest).ok_or(BoardError::NoInventory)?;
+        if let Some(file) = file {
+            return Self::read(file).map_err(BoardError::Inventory);
+        }
+        let folder = std::env::current_dir().map_err(|_| BoardError::NoInventory)?;
+        let nearest = find_trusted_file_above(&folder, INVENTORY_FILE, "--boards");
+        let path = nearest.map_err(|fault| BoardError::Inventory(vec![fault]))?.ok_or(BoardError::NoInventory)?;
         Self::read(&path).map_err(BoardError::Inventory)
     }
 

@@ -7,6 +7,7 @@ use platebench_engine::{CancelToken, RunError, RunHooks, RunPlan, rejudge, run};
 use platebench_model::record::{FileLock, FolderError, RunFolder, RunRecord, Verdict, utc_timestamp};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{AtPath as _, create_folder, read_text_file, write_atomically};
+use platebench_report::console;
 use platebench_report::document::{Block, Document, Table};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -150,6 +151,9 @@ pub struct SoakRecord {
     pub newest: Option<String>,
     /// Folders of the first runs that did not pass.
     pub kept: Vec<String>,
+    /// Folder and reason of the first run that did not pass.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -217,6 +221,7 @@ impl SoakRecord {
             scenarios: BTreeMap::new(),
             newest: None,
             kept: Vec::new(),
+            reason: None,
         }
     }
 
@@ -231,6 +236,9 @@ impl SoakRecord {
     pub(crate) fn add(&mut self, run: &RunRecord, folder: &str) {
         let before = (self.runs > 0).then_some(self.verdict);
         self.verdict = Verdict::combine(before.into_iter().chain([run.verdict]));
+        if run.verdict != Verdict::Pass && self.reason.is_none() {
+            self.reason = Some(format!("{folder}: {}", console::verdict_reason(run)));
+        }
         self.runs += 1;
         self.updated = utc_timestamp();
         self.safe_confirmed &= run.safe_confirmed == Some(true);
@@ -262,7 +270,9 @@ impl SoakRecord {
             if self.safe_confirmed { "was confirmed" } else { "was not confirmed" },
         );
         let kept = self.kept.iter().chain(&self.newest).map(|run| Block::File(format!("{run}/run.json")));
-        let blocks = std::iter::once(Block::Table(self.table())).chain(kept).collect();
+        let reason =
+            self.reason.iter().map(|reason| Block::paragraph(format!("First run that did not pass: {reason}.")));
+        let blocks = reason.chain([Block::Table(self.table())]).chain(kept).collect();
         Document { lead, ..Document::new(format!("Soak of {}", self.board), blocks) }
     }
 

@@ -93,6 +93,13 @@ impl fmt::Display for DivergedTrials {
     }
 }
 
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct StoppedTrial {
+    pub trial: u32,
+    /// The controller's first reason.
+    pub why: String,
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum WideBoundsCause {
@@ -112,6 +119,9 @@ pub enum Reason {
         finding: TrialFinding,
         /// The rig's message about the loss of the controller.
         ended: Option<String>,
+        /// The controller's first reason for a stop.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        stopped: Option<String>,
     },
     Violation {
         trial: u32,
@@ -142,6 +152,9 @@ pub enum Reason {
         bounds: Bounds,
         limit: Limit,
         diverged: Option<DivergedTrials>,
+        /// The first trial in which the controller stopped.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        stopped: Option<StoppedTrial>,
     },
     /// The interval of the statistic over trials contains the limit.
     Undecided {
@@ -172,7 +185,7 @@ impl fmt::Display for Reason {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let suffix = |diverged: &Option<DivergedTrials>| diverged.map_or_else(String::new, |all| format!(": {all}"));
         match self {
-            Self::Trial { trial, divergence, finding, ended } => {
+            Self::Trial { trial, divergence, finding, ended, stopped } => {
                 write!(formatter, "trial {trial}: ")?;
                 match (divergence, finding) {
                     (Some(divergence), TrialFinding::Missing(MissingValue::NonFiniteDrive))
@@ -183,6 +196,7 @@ impl fmt::Display for Reason {
                     (Some(divergence), finding) => write!(formatter, "{divergence}: {finding}")?,
                     (None, finding) => write!(formatter, "{finding}")?,
                 }
+                stopped.iter().try_for_each(|why| write!(formatter, "; the controller stopped: {why}"))?;
                 ended.iter().try_for_each(|ended| write!(formatter, ": {ended}"))
             }
             Self::Violation { trial, violation } => write!(formatter, "trial {trial}: {violation}"),
@@ -196,8 +210,11 @@ impl fmt::Display for Reason {
             Self::TooFewTrials { counted, needed } => {
                 write!(formatter, "{counted} of the trials count, expected at least {needed}")
             }
-            Self::Outside { value, bounds, limit, diverged } => {
-                write!(formatter, "{}, {bounds}, expected {limit}{}", format_value(*value), suffix(diverged))
+            Self::Outside { value, bounds, limit, diverged, stopped } => {
+                write!(formatter, "{}, {bounds}, expected {limit}{}", format_value(*value), suffix(diverged))?;
+                stopped.iter().try_for_each(|StoppedTrial { trial, why }| {
+                    write!(formatter, "; in trial {trial} the controller stopped: {why}")
+                })
             }
             Self::Undecided { cause: Some(cause @ WideBoundsCause::TooFewForQuantile { .. }), .. } => {
                 write!(formatter, "too few trials to decide: {cause}")

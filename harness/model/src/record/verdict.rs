@@ -218,11 +218,11 @@ pub struct Violation {
     pub kind: ViolationKind,
     pub at_s: f64,
     pub count: u64,
-    /// Worst value, Vpp, Hz or percent; absent if the kind has no value or the value was not
+    /// Worst value, Vpp, Hz or percent, or the bytes of the first rejected frame; absent if the kind has no value or the value was not
     /// finite.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub worst: Option<f64>,
-    /// Limit in the unit of `worst`.
+    /// Limit in the unit of `worst`, or the expected length of the frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit: Option<f64>,
 }
@@ -271,7 +271,7 @@ impl fmt::Display for Violation {
         let Self { kind, at_s, count, worst, limit } = *self;
         let worst =
             |unit| worst.map_or_else(|| "a value that is not finite".to_owned(), |value| format!("{value} {unit}"));
-        let (limit, worst_percent) = (limit.unwrap_or(f64::NAN), self.worst);
+        let (limit, worst_value) = (limit.unwrap_or(f64::NAN), self.worst);
         match kind {
             ViolationKind::DriveAboveLimit => {
                 write!(formatter, "commanded drive of {} above the limit of {limit} Vpp", worst("Vpp"))
@@ -297,13 +297,18 @@ impl fmt::Display for Violation {
                 write!(formatter, "0 V confirmed without a request, or under the number of an answered sample")
             }
             ViolationKind::RejectedFrame => {
-                write!(formatter, "frame of the controller rejected: its CRC, COBS or message is wrong")
+                let length = |bytes| format!("frame of the controller rejected, {bytes} bytes");
+                match worst_value {
+                    Some(bytes) if bytes != limit => write!(formatter, "{} instead of {limit}", length(bytes)),
+                    Some(bytes) => write!(formatter, "{}: its CRC, COBS or message is wrong", length(bytes)),
+                    None => write!(formatter, "frame of the controller rejected: its CRC, COBS or message is wrong"),
+                }
             }
             ViolationKind::RefusedConfiguration => write!(formatter, "usable configuration refused"),
             ViolationKind::StepTime => write!(
                 formatter,
                 "the longest control step takes {:.1} % of the control period on the emulated chip, limit {limit} %",
-                worst_percent.unwrap_or(f64::NAN)
+                worst_value.unwrap_or(f64::NAN)
             ),
         }?;
         let at_ms = at_s * 1e3;
@@ -318,6 +323,23 @@ impl fmt::Display for Violation {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_the_length_of_a_rejected_frame() {
+        let violation =
+            |worst, limit| Violation { kind: ViolationKind::RejectedFrame, at_s: 0.06, count: 2, worst, limit };
+        for (worst, limit, expected) in [
+            (Some(23.0), Some(24.0), "frame of the controller rejected, 23 bytes instead of 24, 2 up to 60.0 ms"),
+            (
+                Some(24.0),
+                Some(24.0),
+                "frame of the controller rejected, 24 bytes: its CRC, COBS or message is wrong, 2 up to 60.0 ms",
+            ),
+            (None, None, "frame of the controller rejected: its CRC, COBS or message is wrong, 2 up to 60.0 ms"),
+        ] {
+            assert_eq!(violation(worst, limit).to_string(), expected);
+        }
+    }
 
     #[test]
     fn describes_value_limit_and_count() {

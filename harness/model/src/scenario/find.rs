@@ -2,14 +2,13 @@
 
 use crate::scenario::definition::Scenario;
 use crate::scenario::diagnostic::{CLOSE, Diagnostic, closeness};
-use crate::scenario::load::REQUIREMENTS_FILE;
-use crate::scenario::load::load_with_all_errors;
+use crate::scenario::load::{NOT_UTF8, REQUIREMENTS_FILE, load_with_all_errors};
 use crate::scenario::matrix::{case_files, find_case, name_of_case};
 use crate::scenario::parse::parse_syntax;
 use crate::scenario::parse::read_text;
 use platebench_plate::input;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::{env, fs, iter};
 
 /// A folder with `run.json` and `traces` is a run folder. The scenarios in its `inputs` are copies.
@@ -26,14 +25,6 @@ pub struct FoundScenarios {
     pub empty_folders: Vec<PathBuf>,
     /// Folders `inputs` of run folders. They are not searched, because they contain copies.
     pub copies: Vec<PathBuf>,
-}
-
-/// Path of the nearest file `name` in `folder`, the working directory, or above it. The path is
-/// relative if `folder` itself contains the file.
-pub fn find_file_above(folder: &Path, name: &str) -> Option<PathBuf> {
-    let mut candidates = folder.ancestors().map(|ancestor| ancestor.join(name));
-    let path = candidates.find(|path| path.symlink_metadata().is_ok())?;
-    Some(if path.parent() == Some(folder) { PathBuf::from(name) } else { path })
 }
 
 /// Nearest folder `scenarios` in a folder or above it.
@@ -209,7 +200,10 @@ impl Search {
                 let case = find_case(&path);
                 let path = case.as_ref().map_or(path, |(file, _)| file.clone());
                 let canonical = canonical(&path);
-                let name = record_name(&canonical, &argument);
+                let Some(name) = record_name(&canonical, &argument) else {
+                    self.faults.push(Diagnostic::for_file(&path, NOT_UTF8));
+                    continue;
+                };
                 let names = match case {
                     Some((_, case)) => vec![name_of_case(&name, &case)],
                     None => case_files(&path, name),
@@ -268,24 +262,18 @@ fn is_run_folder(folder: &Path) -> bool {
 }
 
 /// Returns the path below the nearest folder `scenarios`. Without one, returns the path below a
-/// named folder, or the file name.
-fn record_name(path: &Path, argument: &Path) -> String {
+/// named folder, or the file name. `None` if this is not UTF-8.
+fn record_name(path: &Path, argument: &Path) -> Option<String> {
     if argument == Path::new(input::STANDARD_STREAM) {
-        return input::STANDARD_INPUT_NAME.to_owned();
+        return Some(input::STANDARD_INPUT_NAME.to_owned());
     }
-    let components: Vec<_> = path.components().map(|component| component.as_os_str().to_string_lossy()).collect();
+    let components: Vec<_> = path.components().map(Component::as_os_str).collect();
     let folders = components.len().saturating_sub(1);
-    if let Some(root) = components.iter().take(folders).rposition(|component| component == SCENARIOS_FOLDER) {
-        return components.get(root + 1..).unwrap_or_default().join("/");
-    }
-    let below = fs::canonicalize(argument).ok().filter(|folder| folder.is_dir());
-    let relative = below.and_then(|folder| path.strip_prefix(folder).ok().map(Path::to_path_buf));
-    match relative {
-        Some(relative) => {
-            relative.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
-        }
-        None => components.last().map(ToString::to_string).unwrap_or_default(),
-    }
+    let root = components.iter().take(folders).rposition(|component| *component == SCENARIOS_FOLDER);
+    let below = || fs::canonicalize(argument).ok().filter(|folder| folder.is_dir() && path.starts_with(folder));
+    let start = root.map(|root| root + 1).or_else(|| Some(below()?.components().count())).unwrap_or(folders);
+    let parts: Option<Vec<_>> = components.get(start..).unwrap_or_default().iter().map(|part| part.to_str()).collect();
+    Some(parts?.join("/"))
 }
 
 pub const SETTINGS_FILE: &str = "platebench.toml";

@@ -80,6 +80,9 @@ fn first_diagnostic(path: &Path, faults: Vec<Diagnostic>) -> Diagnostic {
 }
 
 fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Vec<Diagnostic>> {
+    if path.to_str().is_none() {
+        return Err(vec![Diagnostic::for_file(path, NOT_UTF8)]);
+    }
     let opened = SourceFile::read(path, file)?;
     let mut raw: RawScenario = parse_source(&opened.source())?;
     for (named, copy) in raw.files().zip(copies) {
@@ -95,6 +98,9 @@ fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Ve
     }
     Ok(scenario)
 }
+
+/// The record of a run is JSON, so it could not name the file.
+pub(crate) const NOT_UTF8: &str = "the name is not UTF-8, so a record cannot contain it; rename the file or its folder";
 
 pub const PLATE_PREFIX: &str = "plate.";
 /// Name of a changed plate in the scenario's folder. No file has this name.

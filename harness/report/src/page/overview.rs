@@ -12,6 +12,7 @@ use crate::text::timing;
 use crate::text::traceability::{self, RequirementLink};
 use crate::{format, record_queries};
 use maud::{Markup, html};
+use platebench_model::quoted;
 use platebench_model::record::{
     CostTrend, EarlierCost, ExpectationRecord, RunRecord, ScenarioRecord, Statistic, Verdict,
 };
@@ -35,9 +36,10 @@ pub(super) fn head(record: &RunRecord) -> Markup {
             (format::count(scenarios.total(), "scenario")) ", " (format::count(expectations.total(), "expectation")) "."
         }
         p.lead { "Tested: " (format::tested(record)) "." }
-        @if !record.complete {
-            p.notice { "The run was not finished. The page shows the part that was played." }
+        @if let Some(own) = record_queries::own_verdict_of_run(record) {
+            p.notice { (verdict_badge(own.verdict, own.verdict.name())) " " (own.reason) }
         }
+        @if !record.complete { p.notice { "The page shows the part that was played." } }
         @if record.verdict == Verdict::Pass {
             @for (scenario, ..) in record_queries::sign_symptoms(record).take(MAX_NAMED) {
                 p.notice { (scenario.file) ": " @if let Some(remark) = sign_remark(scenario) { (remark) } }
@@ -287,11 +289,11 @@ pub(super) fn closest(record: &RunRecord) -> Markup {
 pub(super) fn not_applicable(record: &RunRecord) -> Markup {
     let groups = record_queries::not_applicable_groups(record);
     html! {
-        @if record.scenarios.is_empty() { p.notice { "The run has no scenarios." } }
-        @if !record.not_applicable.is_empty() && !record.overrides.require_all { div.notice {
-            p { (format::count(record.not_applicable.len(), "scenario")) " not applicable to this controller:" }
+        @let skipped = record_queries::skipped_scenarios(record);
+        @if !skipped.is_empty() { div.notice {
+            p { (format::count(skipped.len(), "scenario")) " not applicable to this controller:" }
             ul {
-                @for scenario in &record.not_applicable {
+                @for scenario in skipped {
                     li { (scenario.title) " (" (scenario.file) "): " (scenario.reason) }
                 }
             }
@@ -406,9 +408,11 @@ fn format_change(then: f64, now: f64) -> String {
 }
 
 pub(super) fn environment_section(record: &RunRecord) -> Markup {
-    let firmware = record.rig.firmware.as_ref().map(|firmware| {
-        format!("{} {}, build {}, chip {}", firmware.name, firmware.version, firmware.build, firmware.chip)
-    });
+    let firmware = record
+        .rig
+        .firmware
+        .as_ref()
+        .map(|firmware| format!("{}, chip {}", format::firmware_build(record), quoted(&firmware.chip)));
     let facts = [
         ("Tool", format!("{} {}", record.tool.name, record.tool.version)),
         ("Started", record.started.clone()),
@@ -505,12 +509,12 @@ fn margin_bar(scenario: &ScenarioRecord) -> Markup {
     let Some((closest, margin)) = closest.and_then(|found| Some((found, found.margin?))) else {
         return Markup::default();
     };
-    let (verdict, end) = if margin < 0.0 { (Verdict::Fail, FULL_MARGIN) } else { (scenario.verdict, margin) };
+    let end = if margin < 0.0 { FULL_MARGIN } else { margin };
     let (width, height) = MARGIN_BAR;
     let axes = Axes { x: Axis::linear(0.0..FULL_MARGIN, 0.0..width), y: Axis::linear(0.0..1.0, height..0.0) };
     let bar = |role: Role, end: f64| Mark::Cell(role, [(0.0, 0.0), (end, 1.0)]);
     let mut drawing = Drawing::default();
-    drawing.marks(&axes, &[bar(Role::Grid, FULL_MARGIN), bar(verdict.into(), end)]);
+    drawing.marks(&axes, &[bar(Role::Grid, FULL_MARGIN), bar(closest.verdict.into(), end)]);
     let title = format!("smallest margin {}: {}", margin_text(margin), closest.name);
     html! {
         svg.margin viewBox=(view_box(MARGIN_BAR)) preserveAspectRatio="none" role="img" aria-label=(title) {

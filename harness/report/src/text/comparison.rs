@@ -4,6 +4,7 @@
 use crate::chart::marks::extent;
 use crate::document::{Block, Document};
 use crate::format;
+use platebench_model::quoted;
 use platebench_model::record::ViolationKind;
 use platebench_model::trace::Row;
 use platebench_verdict::golden::TubeComparison;
@@ -98,7 +99,7 @@ pub const OPEN_LOOP: &str =
 pub fn replay_document(result: &ReplayResult) -> Document {
     let ReplayResult { verdict, compared, samples, identical, .. } = result;
     let mut lines = vec![
-        format!("  rig {}, firmware {}, law {}", result.rig, result.firmware, result.law),
+        format!("  rig {}, firmware {}, law {}", quoted(&result.rig), quoted(&result.firmware), quoted(&result.law)),
         format!("  {OPEN_LOOP}"),
         format!(
             "  {} sent, {compared} commands compared, {identical} equal bit for bit",

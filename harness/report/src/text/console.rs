@@ -2,7 +2,7 @@
 
 use crate::document::{Cell, Style, Table};
 use crate::escape::printable;
-use crate::record_queries::CauseGroup;
+use crate::record_queries::{CauseGroup, OwnVerdict};
 use crate::text::timing;
 use crate::{format, record_queries};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -10,9 +10,11 @@ use platebench_model::record::{
     Cause, CostTrend, Event, ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict,
 };
 use platebench_model::scenario::NotApplicableExpectation;
+use platebench_model::{quoted, quoted_path};
 use std::fmt::Write as _;
 use std::io::IsTerminal as _;
 use std::io::{self, Write};
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -70,7 +72,7 @@ fn write_tested(text: &mut String, record: &RunRecord, style: Style) {
     match style.width {
         Some(_) => style.write_wrapped(text, "tested: ", "  ", &tested),
         None => {
-            let _ = writeln!(text, "tested: {}", printable(&tested));
+            let _ = writeln!(text, "tested: {tested}");
         }
     }
 }
@@ -78,12 +80,12 @@ fn write_tested(text: &mut String, record: &RunRecord, style: Style) {
 fn write_heading(text: &mut String, scenario: &ScenarioRecord, style: Style) {
     let verdict = format!("{} {}", format::sign(scenario.verdict), scenario.verdict);
     let trials = format::count(scenario.trials.len(), "trial");
-    let file = printable(&scenario.file);
+    let file = quoted_path(Path::new(&scenario.file));
     // The other models are exact and are not mentioned.
     let is_simplified = matches!(scenario.model.as_str(), "linear" | "envelope");
     let model = if is_simplified { format!("model {}, ", scenario.model) } else { String::new() };
-    let details = format!("(law {}, {model}{trials})", printable(&scenario.law));
-    let columns = [&verdict, &*file, &details].map(|part| part.chars().count() + 2).iter().sum::<usize>() - 2;
+    let details = format!("(law {}, {model}{trials})", quoted(&scenario.law));
+    let columns = [&verdict, &file, &details].map(|part| part.chars().count() + 2).iter().sum::<usize>() - 2;
     let gap = if style.width.is_some_and(|width| columns > width) { "\n  " } else { "  " };
     let (verdict, file) = (style.paint_verdict(scenario.verdict, &verdict), style.paint("1", &file));
     let _ = writeln!(text, "{verdict}  {file}{gap}{details}");
@@ -195,18 +197,27 @@ pub fn verdict_reason(record: &RunRecord) -> String {
         let ended = trial.telemetry.ended.as_ref().filter(|_| trial.cause == Some(Cause::Rig))?;
         Some(format!("the controller was lost: {ended}"))
     });
-    let reasons = record_queries::expectations_not_passed(record).into_iter().filter_map(|(scenario, index)| {
-        let expectation = scenario.expectations.get(index)?;
-        let reason = format::remaining_reason(expectation).map_or_else(String::new, |reason| format!(" ({reason})"));
-        Some(format!("{}{reason}", result(expectation)))
-    });
+    let reasons = record_queries::expectations_not_passed(record)
+        .into_iter()
+        .filter_map(|(scenario, index)| Some(result_and_reason(scenario.expectations.get(index)?)));
     let not_applicable = format::distinct(record.not_applicable.iter().map(|scenario| scenario.reason.as_str()));
     let not_applicable = not_applicable.into_iter().map(|reason| format!("not applicable: {reason}"));
-    let unsafe_end = record.unsafe_end().map(str::to_owned);
-    let unfinished = (!record.complete).then(|| "the run was not finished".to_owned());
-    let all: Vec<String> =
-        lost.into_iter().chain(unsafe_end).chain(reasons).chain(not_applicable).chain(unfinished).collect();
+    let own = record_queries::own_verdict_of_run(record).map(|own| own.reason);
+    let all: Vec<String> = lost.into_iter().chain(own).chain(reasons).chain(not_applicable).collect();
     if all.is_empty() { "every expectation is met".to_owned() } else { all.join("; ") }
+}
+
+/// Results and reasons of the expectations that did not pass, in one line.
+pub fn scenario_reason(scenario: &ScenarioRecord) -> Option<String> {
+    let expectations =
+        record_queries::indices_not_passed(scenario).filter_map(|index| scenario.expectations.get(index));
+    let reasons: Vec<_> = expectations.map(result_and_reason).collect();
+    (!reasons.is_empty()).then(|| reasons.join("; "))
+}
+
+fn result_and_reason(expectation: &ExpectationRecord) -> String {
+    let reason = format::remaining_reason(expectation).map_or_else(String::new, |reason| format!(" ({reason})"));
+    format!("{}{reason}", result(expectation))
 }
 
 fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
@@ -223,7 +234,7 @@ fn write_not_applicable(text: &mut String, record: &RunRecord, style: Style, in_
     // The groups below contain the scenarios that do not apply to an own law, and the list of what
     // did not pass contains the scenarios that `--require-all` needs.
     let is_listed = |scenario: &&NotApplicable| in_full || scenario.expectations == 0;
-    let listed = || record.not_applicable.iter().filter(|_| !record.overrides.require_all).filter(is_listed);
+    let listed = || record_queries::skipped_scenarios(record).iter().filter(is_listed);
     if in_full || listed().count() <= MAX_LISTED {
         for scenario in listed() {
             style.write_wrapped(text, "not applicable: ", "  ", &format!("{}: {}", scenario.file, scenario.reason));
@@ -304,16 +315,13 @@ fn write_sign_symptoms(text: &mut String, record: &RunRecord, style: Style, in_f
 }
 
 fn write_verdict(text: &mut String, record: &RunRecord, style: Style) {
-    if !record.complete {
-        text.push_str("the run was not finished\n");
-    }
     let verdict = format!("{} {}", format::sign(record.verdict), record.verdict);
     let note = format::bench_firmware_note(record);
     let mut line = String::new();
     match style.width {
         Some(_) => style.write_wrapped(&mut line, "verdict: ", "  ", &format!("{verdict}{note}")),
         None => {
-            let _ = writeln!(line, "verdict: {verdict}{}", printable(&note));
+            let _ = writeln!(line, "verdict: {verdict}{note}");
         }
     }
     text.push_str(&line.replacen(&verdict, &style.paint_verdict(record.verdict, &verdict), 1));
@@ -331,8 +339,12 @@ fn write_list_of_not_passed(text: &mut String, record: &RunRecord, style: Style,
     }
     groups.retain(|group| !group.members.is_empty());
     let missed = record_queries::required_not_applicable(record);
-    if !groups.is_empty() || !missed.is_empty() {
+    let own = record_queries::own_verdict_of_run(record);
+    if own.is_some() || !groups.is_empty() || !missed.is_empty() {
         text.push_str("\nnot passed:\n");
+    }
+    if let Some(OwnVerdict { verdict, reason }) = own {
+        write_line_with_verdict(text, verdict, &format!("the whole run: {reason}"), style);
     }
     for scenario in missed {
         write_line_with_verdict(

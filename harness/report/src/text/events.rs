@@ -2,6 +2,7 @@
 
 use crate::escape::json_line;
 use crate::format::VerdictCounts;
+use crate::record_queries::own_verdict_of_run;
 use platebench_model::record::{Event, ExpectationRecord, RunRecord, TrialRecord, Verdict};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -50,6 +51,9 @@ pub enum EventLine<'a> {
         exit_code: u8,
         /// Why there is no verdict.
         error: Option<&'a str>,
+        /// Reason of a verdict that no scenario has.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        reason: Option<String>,
         scenarios: VerdictCounts,
         expectations: VerdictCounts,
     },
@@ -98,6 +102,7 @@ impl EventWriter {
             complete: record.is_some_and(|record| record.complete),
             exit_code,
             error,
+            reason: record.and_then(own_verdict_of_run).map(|own| own.reason),
             scenarios: record.map(VerdictCounts::of_scenarios).unwrap_or_default(),
             expectations: record.map(VerdictCounts::of_expectations).unwrap_or_default(),
         });

@@ -7,6 +7,7 @@
 use crate::document::Table;
 use crate::error::{ReportError, write_file};
 use crate::escape::{markdown_cell, workflow_message, workflow_property};
+use crate::record_queries::OwnVerdict;
 use crate::{format, record_queries};
 use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
 use platebench_model::scenario::NotApplicableExpectation;
@@ -46,12 +47,12 @@ pub fn workflow_commands(
         text += &workflow_command(Verdict::Fail, None, &scenario.file, &format::not_applicable(scenario));
     }
     for scenario in &record.scenarios {
-        if let Some(reason) = record_queries::scenario_inconclusive_reason(scenario) {
-            text += &workflow_command(scenario.verdict, location(scenario, None), &scenario.file, reason);
+        if let Some(OwnVerdict { verdict, reason }) = record_queries::own_verdict_of_scenario(scenario) {
+            text += &workflow_command(verdict, location(scenario, None), &scenario.file, &reason);
         }
     }
-    if let Some(reason) = record_queries::run_inconclusive_reason(record) {
-        text += &workflow_command(record.verdict, None, "platebench", reason);
+    if let Some(OwnVerdict { verdict, reason }) = record_queries::own_verdict_of_run(record) {
+        text += &workflow_command(verdict, None, "platebench", &reason);
     }
     text
 }
@@ -87,12 +88,11 @@ pub fn render_page(record: &RunRecord) -> String {
     if let Some(overrides) = format::overrides(record) {
         let _ = writeln!(text, "Overridden: {}.\n", markdown_cell(&overrides));
     }
-    if let Some(reason) = record_queries::run_inconclusive_reason(record) {
-        let _ = writeln!(text, "**{reason}**\n");
+    if let Some(OwnVerdict { verdict, reason }) = record_queries::own_verdict_of_run(record) {
+        let _ = writeln!(text, "**{verdict}: {reason}**\n");
     }
-    if let Some(fault) = record.unsafe_end() {
-        let remedy = if record.may_have_amplifier() { ": check the amplifier before you touch the plate" } else { "" };
-        let _ = writeln!(text, "**At the end {fault}{remedy}.**\n");
+    if record.unsafe_end().is_some() && record.may_have_amplifier() {
+        text += "**Check the amplifier before you touch the plate.**\n\n";
     }
     let missed = record_queries::required_not_applicable(record).len();
     let not_passed = record_queries::expectations_not_passed(record).len() + missed;
@@ -139,7 +139,7 @@ fn scenarios_table(record: &RunRecord) -> Table {
     let mut table = Table::new(["", "Scenario", "Verdict", "Law", "Trials", "Expectations"]);
     for scenario in record.scenarios.iter().take(MAX_ROWS) {
         let counts: format::VerdictCounts = scenario.expectations.iter().map(|found| found.verdict).collect();
-        let reason = record_queries::scenario_inconclusive_reason(scenario).map(str::to_owned);
+        let reason = record_queries::own_verdict_of_scenario(scenario).map(|own| own.reason);
         table.push(vec![
             format::sign(scenario.verdict).to_owned(),
             scenario.file.clone(),
@@ -153,7 +153,7 @@ fn scenarios_table(record: &RunRecord) -> Table {
 }
 
 fn not_applicable_rows(record: &RunRecord) -> Vec<Vec<String>> {
-    let unplayed = record.not_applicable.iter().filter(|_| !record.overrides.require_all);
+    let unplayed = record_queries::skipped_scenarios(record).iter();
     let unplayed = unplayed.map(|scenario| vec![scenario.file.clone(), scenario.reason.clone()]);
     let played = record.scenarios.iter().flat_map(|scenario| {
         let row = |skipped: &NotApplicableExpectation| {

@@ -1,7 +1,7 @@
 //! Writes `junit.xml`: a test suite per scenario, a test case per expectation.
 //!
 //! An inconclusive expectation is an `error`, because readers count `skipped` as harmless. A run or
-//! scenario that did not pass although its expectations did has one more case with an error. The
+//! scenario that did not pass although its expectations did has one more case. The
 //! schema of Jenkins' xunit plugin (`tests/report/junit-10.xsd`) allows properties of suites only,
 //! so requirements are properties `requirement.<name>` of the suite, the controller and its setting
 //! are its property `tested`, and other facts are lines in `system-out`. Times come from the
@@ -9,12 +9,14 @@
 
 use crate::error::{ReportError, write_file};
 use crate::escape::printable;
+use crate::record_queries::OwnVerdict;
 use crate::{format, record_queries};
 use platebench_model::record::{ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict};
 use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
-use std::env;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+use std::{env, iter};
 
 pub const FILE: &str = "junit.xml";
 
@@ -24,8 +26,7 @@ pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
         .to_string()
         .map_err(|source| ReportError::Junit { path: path.to_owned(), source })?;
     let expectations: usize = record.scenarios.iter().map(|scenario| scenario.not_applicable.len()).sum();
-    let scenarios = if record.overrides.require_all { 0 } else { record.not_applicable.len() };
-    let skipped = scenarios + expectations;
+    let skipped = record_queries::skipped_scenarios(record).len() + expectations;
     // The schema allows no attribute `skipped` of the element `testsuites`.
     write_file(path, &text.replacen(&format!(" skipped=\"{skipped}\""), "", 1))
 }
@@ -39,11 +40,25 @@ fn from_workspace(folder: &Path) -> PathBuf {
 
 fn junit_report(record: &RunRecord) -> Report {
     let mut report = Report::new(record.tool.name.as_str());
-    report.add_test_suites(record.scenarios.iter().map(|scenario| test_suite(scenario, record)));
-    report.add_test_suites(record.not_applicable.iter().map(|scenario| not_applicable_suite(scenario, record)));
-    let Some(reason) = record_queries::run_inconclusive_reason(record) else { return report };
+    let classes = class_names(record);
+    let class_of = |file: &String| classes.get(file).map_or("", String::as_str);
+    report.add_test_suites(
+        record.scenarios.iter().map(|scenario| test_suite(scenario, class_of(&scenario.file), record)),
+    );
+    let skipped = record_queries::skipped_scenarios(record).iter();
+    report.add_test_suites(skipped.map(|scenario| {
+        let case = skipped_case("not applicable", class_of(&scenario.file), &scenario.reason);
+        not_applicable_suite(scenario, case, record)
+    }));
+    let required = record_queries::required_not_applicable(record).iter();
+    report.add_test_suites(required.map(|scenario| {
+        let case =
+            case_of("not applicable", class_of(&scenario.file), Verdict::Fail, &format::not_applicable(scenario));
+        not_applicable_suite(scenario, case, record)
+    }));
+    let Some(OwnVerdict { verdict, reason }) = record_queries::own_verdict_of_run(record) else { return report };
     let mut suite = TestSuite::new("run");
-    suite.add_test_case(inconclusive_case("the whole run", "run", reason));
+    suite.add_test_case(case_of("the whole run", "run", verdict, &reason));
     report.add_test_suite(suite);
     report
 }
@@ -53,11 +68,11 @@ fn suite_of_file(file: &str, record: &RunRecord) -> TestSuite {
     let mut suite = TestSuite::new(printable(file).as_ref());
     suite.extra.insert("file".into(), printable(file).as_ref().into());
     suite.extra.insert("timestamp".into(), printable(&record.started).as_ref().into());
-    suite.add_property(("tested", printable(&format::tested(record)).as_ref()));
+    suite.add_property(("tested", format::tested(record).as_str()));
     suite
 }
 
-fn test_suite(scenario: &ScenarioRecord, record: &RunRecord) -> TestSuite {
+fn test_suite(scenario: &ScenarioRecord, class: &str, record: &RunRecord) -> TestSuite {
     let mut suite = suite_of_file(&scenario.file, record);
     suite.add_properties([
         ("title", printable(&scenario.title).as_ref()),
@@ -82,66 +97,75 @@ fn test_suite(scenario: &ScenarioRecord, record: &RunRecord) -> TestSuite {
     let count = scenario.expectations.len();
     // All expectations judge the same trials, so each gets an equal share of the scenario's time.
     let share = time.zip(u32::try_from(count).ok()).and_then(|(time, count)| time.checked_div(count));
-    suite.add_test_cases((0..count).filter_map(|index| test_case(scenario, index, share)));
+    suite.add_test_cases((0..count).filter_map(|index| test_case(scenario, class, index, share)));
     let skipped = scenario.not_applicable.iter();
-    suite.add_test_cases(skipped.map(|skipped| skipped_case(&skipped.name, &scenario.file, &skipped.reason)));
-    if let Some(reason) = record_queries::scenario_inconclusive_reason(scenario) {
-        suite.add_test_case(inconclusive_case("the whole scenario", &class_name(&scenario.file), reason));
+    suite.add_test_cases(skipped.map(|skipped| skipped_case(&skipped.name, class, &skipped.reason)));
+    if let Some(OwnVerdict { verdict, reason }) = record_queries::own_verdict_of_scenario(scenario) {
+        suite.add_test_case(case_of("the whole scenario", class, verdict, &reason));
     }
     suite
 }
 
-fn not_applicable_suite(scenario: &NotApplicable, record: &RunRecord) -> TestSuite {
+fn not_applicable_suite(scenario: &NotApplicable, case: TestCase, record: &RunRecord) -> TestSuite {
     let mut suite = suite_of_file(&scenario.file, record);
     suite.add_property(("title", printable(&scenario.title).as_ref()));
-    let mut case = skipped_case("not applicable", &scenario.file, &scenario.reason);
-    if record.overrides.require_all {
-        let text = printable(&format::not_applicable(scenario)).into_owned();
-        case.status = TestCaseStatus::non_success(NonSuccessKind::Failure);
-        case.status.set_type(Verdict::Fail.name()).set_message(text.as_str()).set_description(text);
-    }
     suite.add_test_case(case);
     suite
 }
 
-fn skipped_case(name: &str, file: &str, reason: &str) -> TestCase {
+fn skipped_case(name: &str, class: &str, reason: &str) -> TestCase {
     let mut status = TestCaseStatus::skipped();
     status.set_message(printable(reason).as_ref());
     let mut case = TestCase::new(printable(name).as_ref(), status);
-    case.set_classname(class_name(file));
-    case
-}
-
-/// Jenkins splits a class name at its last dot, so dots become `_`.
-fn class_name(file: &str) -> String {
-    printable(file.strip_suffix(".toml").unwrap_or(file)).replace('.', "_")
-}
-
-fn inconclusive_case(name: &str, class: &str, reason: &str) -> TestCase {
-    let mut status = TestCaseStatus::non_success(NonSuccessKind::Error);
-    status.set_type(Verdict::Inconclusive.name()).set_message(reason);
-    let mut case = TestCase::new(name, status);
     case.set_classname(class);
     case
 }
 
-fn test_case(scenario: &ScenarioRecord, index: usize, time: Option<Duration>) -> Option<TestCase> {
-    let expectation = scenario.expectations.get(index)?;
-    let kind = match expectation.verdict {
-        Verdict::Pass => None,
-        Verdict::Fail => Some(NonSuccessKind::Failure),
-        Verdict::Inconclusive => Some(NonSuccessKind::Error),
+/// Class names by file.
+type ClassNames = BTreeMap<String, String>;
+
+/// Jenkins splits a class name at its last dot, so dots become `_`. A class name that another file
+/// has already gets a number, in the order of the files.
+fn class_names(record: &RunRecord) -> ClassNames {
+    let played = record.scenarios.iter().map(|scenario| &scenario.file);
+    let files: BTreeSet<&String> = played.chain(record.not_applicable.iter().map(|scenario| &scenario.file)).collect();
+    let mut used = BTreeSet::new();
+    let class_of = |file: &String| {
+        let class = printable(file.strip_suffix(".toml").unwrap_or(file)).replace('.', "_");
+        let numbered = (2..).map(|number| format!("{class} {number}"));
+        let free = iter::once(class.clone()).chain(numbered).find(|name| used.insert(name.clone()));
+        (file.clone(), free.unwrap_or_default())
     };
-    let status = kind.map_or_else(TestCaseStatus::success, |kind| {
-        let mut status = TestCaseStatus::non_success(kind);
-        status.set_type(format::verdict(expectation));
-        // GitLab displays the description.
-        let text = failure_text(expectation, record_queries::protocol_differences(scenario, index));
-        status.set_message(text.replace('\n', "; ")).set_description(text);
-        status
-    });
+    // Names without dots come first, because they keep their class.
+    let (dotted, plain): (Vec<_>, Vec<_>) =
+        files.into_iter().partition(|file| file.strip_suffix(".toml").unwrap_or(file).contains('.'));
+    plain.into_iter().chain(dotted).map(class_of).collect()
+}
+
+/// The only place that turns a verdict into a status.
+fn status_of(verdict: Verdict, kind: &str, text: &str) -> TestCaseStatus {
+    let mut status = match verdict {
+        Verdict::Pass => return TestCaseStatus::success(),
+        Verdict::Fail => TestCaseStatus::non_success(NonSuccessKind::Failure),
+        Verdict::Inconclusive => TestCaseStatus::non_success(NonSuccessKind::Error),
+    };
+    // GitLab displays the description.
+    status.set_type(kind).set_message(text.replace('\n', "; ")).set_description(text);
+    status
+}
+
+fn case_of(name: &str, class: &str, verdict: Verdict, reason: &str) -> TestCase {
+    let mut case = TestCase::new(name, status_of(verdict, verdict.name(), &printable(reason)));
+    case.set_classname(class);
+    case
+}
+
+fn test_case(scenario: &ScenarioRecord, class: &str, index: usize, time: Option<Duration>) -> Option<TestCase> {
+    let expectation = scenario.expectations.get(index)?;
+    let text = failure_text(expectation, record_queries::protocol_differences(scenario, index));
+    let status = status_of(expectation.verdict, &format::verdict(expectation), &text);
     let mut case = TestCase::new(printable(&expectation.name).as_ref(), status);
-    case.set_classname(class_name(&scenario.file));
+    case.set_classname(class);
     if let Some(time) = time {
         case.set_time(time);
     }

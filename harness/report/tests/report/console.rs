@@ -190,7 +190,7 @@ fn an_empty_run_does_not_pass() {
         text,
         "tested: dq-pi 0.1.0, build 5f3a9c01; rig hosted; clock lockstep\n\n\
          0 scenarios: 0 passed, 0 failed, 0 inconclusive\n0 expectations: 0 passed, 0 failed, 0 inconclusive\n\
-         duration: 2.5 s\noverridden: seed = 7\nthe run was not finished\nverdict: ? inconclusive\n"
+         duration: 2.5 s\noverridden: seed = 7\nverdict: ? inconclusive\n\nnot passed:\n  ? the whole run: the run was not finished\n"
     );
 }
 

@@ -129,12 +129,12 @@ pub(crate) fn failed_expectation(expectation: ExpectationRecord, reason: Reason)
 
 pub(crate) fn outside(trial: u32, value: f64, limit: f64) -> Reason {
     let finding = TrialFinding::Outside { value: Some(value), limit: Limit::AtMost(limit) };
-    Reason::Trial { trial, divergence: None, finding, ended: None }
+    Reason::Trial { trial, divergence: None, finding, ended: None, stopped: None }
 }
 
 pub(crate) fn never_settles(trial: u32) -> Reason {
     let finding = TrialFinding::Missing(MissingValue::NeverSettles);
-    Reason::Trial { trial, divergence: None, finding, ended: None }
+    Reason::Trial { trial, divergence: None, finding, ended: None, stopped: None }
 }
 
 fn out_of_reach(settling_ms: f64) -> Reason {
@@ -325,7 +325,7 @@ pub(crate) fn trapped_run(scenarios: u32) -> RunRecord {
         let cause = "the firmware trapped: HardFault, at 0x08000100 in step".to_owned();
         let ended = format!("{cause}, {} µs after power-on", 3_000 + place);
         let finding = TrialFinding::Missing(MissingValue::NotRunning);
-        let reason = Reason::Trial { trial: 0, divergence: None, finding, ended: Some(ended.clone()) };
+        let reason = Reason::Trial { trial: 0, divergence: None, finding, ended: Some(ended.clone()), stopped: None };
         let metrics = [("settling_time_ms", 2.0), ("overshoot_percent", 5.0)];
         let expectations = metrics.map(|(metric, limit)| {
             let expectation = passed_expectation(metric, ("at_most", json!(limit)), limit);

@@ -1,11 +1,13 @@
-//! Tests TAP, Markdown, annotations and JSON lines.
+//! Tests Markdown, annotations and JSON lines.
 
 use crate::fixtures;
-use platebench_model::record::{Event, MissingValue, Reason, RunRecord, ScenarioRecord, TrialFinding, Verdict};
+use platebench_model::record::{
+    Event, MergeRecord, MissingShard, MissingValue, Reason, RunRecord, ScenarioRecord, TrialFinding, Verdict,
+};
 use platebench_report::events::EventWriter;
 use platebench_report::github::{self, SourceLocation};
-use platebench_report::tap::{self, TapVersion};
 use platebench_report::{Detail, Style, console, junit, page};
+use rstest::rstest;
 use serde_json::Value;
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
@@ -20,10 +22,73 @@ fn cancelled_run() -> RunRecord {
     record
 }
 
-#[test]
-fn writes_tap() {
-    insta::assert_snapshot!("tap", tap::text(&fixtures::mixed_run(), TapVersion::V14));
-    insta::assert_snapshot!("tap-cut-short", tap::text(&cancelled_run(), TapVersion::V13));
+/// Renders the record as JUnit, console, Markdown, annotations, JSON lines and page.
+fn every_format(record: &RunRecord) -> [String; 6] {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(junit::FILE);
+    junit::write(record, &path).unwrap();
+    page::write(record, folder.path()).unwrap();
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    let log = FlushLog::default();
+    EventWriter::new(log.clone()).run_finished(Some(record), None, 1);
+    let events = String::from_utf8(log.0.lock().unwrap().0.clone()).unwrap();
+    [
+        read(junit::FILE),
+        console::run_text(record, Style::default(), Detail::Summary),
+        github::render_page(record),
+        github::workflow_commands(record, &|_, _| None),
+        events,
+        read(page::FILE),
+    ]
+}
+
+#[rstest]
+#[case::drive_after_safe(
+    |record: &mut RunRecord| record.drive_after_safe = true,
+    Verdict::Fail,
+    "the controller commanded a drive after it had confirmed 0 V"
+)]
+#[case::drive_and_cut_short(
+    |record: &mut RunRecord| (record.drive_after_safe, record.complete) = (true, false),
+    Verdict::Fail,
+    "the controller commanded a drive after it had confirmed 0 V; the run was not finished"
+)]
+#[case::not_confirmed(
+    |record: &mut RunRecord| record.safe_confirmed = Some(false),
+    Verdict::Inconclusive,
+    "the controller did not confirm 0 V"
+)]
+#[case::missing_shard(
+    |record: &mut RunRecord| {
+        let missing = MissingShard { board: "hosted".to_owned(), shard: 2, shards: 3 };
+        record.merge = Some(MergeRecord { missing_shards: vec![missing], ..MergeRecord::default() });
+    },
+    Verdict::Inconclusive,
+    "shard 2/3 of hosted is missing"
+)]
+fn every_format_has_the_verdict_of_the_run_and_its_reason(
+    #[case] change: fn(&mut RunRecord),
+    #[case] verdict: Verdict,
+    #[case] reason: &str,
+) {
+    let mut record = fixtures::run(fixtures::mixed_run().scenarios.drain(..1).collect());
+    change(&mut record);
+    record.update_verdict();
+    assert_eq!(record.verdict, verdict);
+    let (counts, level, sign) = match verdict {
+        Verdict::Fail => (r#"failures="1" errors="0">"#, "::error title=platebench::", "✗"),
+        _ => (r#"failures="0" errors="1">"#, "::warning title=platebench::", "?"),
+    };
+    for (text, expected) in every_format(&record).into_iter().zip([
+        counts.to_owned(),
+        format!("verdict: {sign} {verdict}\n\nnot passed:\n  {sign} the whole run: "),
+        format!("## {sign} platebench: {verdict}"),
+        level.to_owned(),
+        format!(r#""verdict":"{verdict}""#),
+        format!("badge {verdict}"),
+    ]) {
+        assert!(text.contains(&expected) && text.contains(reason), "{expected}, {reason}: {text}");
+    }
 }
 
 #[test]
@@ -41,7 +106,6 @@ fn a_required_scenario_that_is_not_applicable_fails_in_every_format() {
     for (text, expected, unexpected) in [
         (junit.clone(), r#" failures="1" errors="0">"#, "<skipped"),
         (junit, r#"type="fail""#, "inconclusive"),
-        (tap::text(&record, TapVersion::V14), "not ok 2 - laws/foreign.toml\n  ---\n  verdict: \"fail\"\n", "SKIP"),
         (
             github::render_page(&record),
             "| ✗ | laws/foreign.toml |  |  |  | fail: not applicable: ",
@@ -65,35 +129,6 @@ fn a_required_scenario_that_is_not_applicable_fails_in_every_format() {
 }
 
 #[test]
-fn every_tap_plan_has_its_number_of_points() {
-    for record in [fixtures::mixed_run(), cancelled_run(), fixtures::run(Vec::new())] {
-        let text = tap::text(&record, TapVersion::V13);
-        let mut plans = 0;
-        for indent in ["", "    "] {
-            let mut expected = 0;
-            let lines = text.lines().filter_map(|line| line.strip_prefix(indent)).filter(|line| !line.starts_with(' '));
-            for line in lines {
-                if let Some(points) = line.strip_prefix("1..") {
-                    assert_eq!(expected, 0, "{text}");
-                    expected = points.parse::<usize>().unwrap();
-                    plans += 1;
-                } else if line.starts_with("ok ") || line.starts_with("not ok ") {
-                    expected -= 1;
-                }
-            }
-            assert_eq!(expected, 0, "{text}");
-        }
-        assert_eq!(plans, 1 + record.scenarios.len());
-        assert_eq!(text.matches("# SKIP").count(), record.not_applicable.len());
-        assert!(!text.contains("# TODO"));
-        let passed = record.scenarios.iter().flat_map(|scenario| &scenario.expectations);
-        let passed = passed.filter(|expectation| expectation.verdict == Verdict::Pass).count();
-        assert_eq!(text.lines().filter(|line| line.starts_with("    ok ")).count(), passed);
-    }
-    assert!(tap::text(&cancelled_run(), TapVersion::V13).ends_with("Bail out! the run was not finished\n"));
-}
-
-#[test]
 fn writes_a_summary() {
     insta::assert_snapshot!("summary", github::render_page(&fixtures::mixed_run()));
     insta::assert_snapshot!("summary-cut-short", github::render_page(&cancelled_run()));
@@ -103,13 +138,15 @@ fn writes_a_summary() {
 fn a_summary_names_the_fault_of_the_end() {
     let mut record = cancelled_run();
     record.safe_confirmed = Some(false);
-    assert!(github::render_page(&record).contains("the controller did not confirm 0 V.**"));
+    assert!(github::render_page(&record).contains("the controller did not confirm 0 V**"));
     record.rig.name = "serial:/dev/ttyUSB0@1000000".to_owned();
-    let missing = "the controller did not confirm 0 V: check the amplifier";
-    assert!(github::render_page(&record).contains(missing));
+    assert!(github::render_page(&record).contains("**Check the amplifier before you touch the plate.**"));
     record.drive_after_safe = true;
     let page = github::render_page(&record);
-    assert!(!page.contains(missing) && page.contains("commanded a drive after it had confirmed 0 V"), "{page}");
+    assert!(
+        !page.contains("did not confirm") && page.contains("commanded a drive after it had confirmed 0 V"),
+        "{page}"
+    );
 }
 
 #[test]
@@ -123,6 +160,7 @@ fn a_summary_is_smaller_than_one_mebibyte() {
             divergence: None,
             finding: TrialFinding::Missing(MissingValue::NotRunning),
             ended: Some("µ|".repeat(10_000)),
+            stopped: None,
         });
     }
     let page = github::render_page(&record);

@@ -3,8 +3,7 @@
 use crate::fixtures;
 use platebench_model::record::{Event, MissingValue, Reason, RunRecord, TrialFinding};
 use platebench_report::events::EventWriter;
-use platebench_report::tap::TapVersion;
-use platebench_report::{Progress, Style, console, github, junit, page, tap, traceability};
+use platebench_report::{Progress, Style, console, github, junit, page, traceability};
 use rstest::rstest;
 use std::fs;
 use std::io::{self, Write};
@@ -26,6 +25,7 @@ fn hostile_run() -> RunRecord {
                 divergence: None,
                 finding: TrialFinding::Missing(MissingValue::NotRunning),
                 ended: Some(hostile()),
+                stopped: Some(hostile()),
             });
         }
         scenario.trials.iter_mut().for_each(|trial| trial.trace = hostile());
@@ -61,7 +61,6 @@ fn file(write: impl FnOnce(&std::path::Path)) -> String {
 
 #[rstest]
 #[case::console(|record: &RunRecord| console::run_table(record, Style::default()))]
-#[case::tap(|record: &RunRecord| tap::text(record, TapVersion::V13))]
 #[case::markdown(|record: &RunRecord| github::render_page(record))]
 #[case::annotations(|record: &RunRecord| github::workflow_commands(record, &|_, _| None))]
 #[case::traceability(|record: &RunRecord| traceability::requirement_document(record).to_csv())]
@@ -89,4 +88,17 @@ fn no_text_acts_on_a_terminal_a_ci_system_or_a_spreadsheet(#[case] render: fn(&R
     let is_command = |line: &str| line.trim_start().starts_with("::") && !line.contains("title=");
     assert!(text.starts_with("<!DOCTYPE html>") || !text.lines().any(is_command), "{text}");
     assert!(!text.lines().flat_map(|line| line.split(',')).any(|field| field.starts_with('=')), "{text}");
+}
+
+#[test]
+fn a_name_cannot_forge_the_line_of_what_was_tested() {
+    let mut record = fixtures::mixed_run();
+    record.rig.firmware.as_mut().unwrap().name = "ok; rig emulated".to_owned();
+    record.rig.name = "exec:x {port}; clock real-time".to_owned();
+    let expected = "\"ok; rig emulated\" 0.1.0, build 5f3a9c01; rig \"exec:x {port}; clock real-time\"; clock lockstep";
+    let text = console::run_table(&record, Style::default());
+    assert!(text.starts_with(&format!("tested: {expected}; ")), "{text}");
+    assert!(github::render_page(&record).contains("Tested: \"ok; rig emulated\" 0.1.0"));
+    let junit = file(|path| junit::write(&record, path).unwrap());
+    assert!(junit.contains("value=\"&quot;ok; rig emulated&quot; 0.1.0"), "{junit}");
 }

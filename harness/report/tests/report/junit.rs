@@ -63,6 +63,18 @@ fn a_changed_limit_changes_no_name() {
     assert!(before[0].trim().starts_with(first), "{}", before[0]);
 }
 
+#[test]
+fn files_have_different_class_names() {
+    let scenarios = ["a_b.toml", "a.b.toml", "b.c_d.toml", "b_c.d.toml", "e.f.toml"].map(|file| {
+        let mut scenario = fixtures::closed_loop();
+        file.clone_into(&mut scenario.file);
+        scenario
+    });
+    let text = write_junit(&fixtures::run(scenarios.to_vec()));
+    let classes: Vec<_> = text.split("classname=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+    assert_eq!(classes, ["a_b", "a_b 2", "b_c_d", "b_c_d 2", "e_f"]);
+}
+
 #[rstest]
 #[case::cut_short(|record: &mut RunRecord| record.complete = false)]
 #[case::nothing(|record: &mut RunRecord| record.scenarios.clear())]
@@ -89,6 +101,7 @@ fn markup_in_titles_and_reasons_is_text() {
         divergence: None,
         finding: TrialFinding::Missing(MissingValue::NotRunning),
         ended: Some("1 < 2 & \"3\" > \u{0}2".to_owned()),
+        stopped: None,
     });
     let text = write_junit(&record);
     assert_eq!(count_elements(&text)["testcase"], 11);

@@ -367,6 +367,7 @@ fn a_missing_value_for_another_reason_is_not_never() {
         divergence: None,
         finding: TrialFinding::Undefined(UndefinedValue::NoSetpointStep),
         ended: None,
+        stopped: None,
     });
     assert!(!write_page(&record, folder.path()).contains(">never"));
 }

@@ -204,9 +204,11 @@ fn counts_rejected_frames_per_trial() {
         fixture.sample(0);
     }
     assert_eq!(fixture.session.rejected_frames(), 3);
+    let rejected = fixture.session.first_rejected_frame().unwrap();
+    assert_eq!((rejected.bytes, rejected.expected), (24, 24));
     fixture.set_fault(LinkFault::None);
     fixture.session.start_trial(&CONFIGURE).unwrap();
-    assert_eq!(fixture.session.rejected_frames(), 0);
+    assert_eq!((fixture.session.rejected_frames(), fixture.session.first_rejected_frame()), (0, None));
 }
 
 #[test]

@@ -4,7 +4,7 @@ use crate::statistics::{
     SampleSummary, agreement_power, deviation_bounds, mean_bounds, min_values_for_bound, quantile_bounds, widen_bounds,
 };
 use platebench_model::record::{
-    Cause, DivergedTrials, Evidence, EvidenceMethod, Reason, Statistic, Verdict, WideBoundsCause, percent,
+    Cause, DivergedTrials, Evidence, EvidenceMethod, Reason, Statistic, StoppedTrial, Verdict, WideBoundsCause, percent,
 };
 use platebench_model::scenario::{Aggregation, Expectation, Limit};
 
@@ -89,6 +89,7 @@ pub(super) struct OverTrials<'a> {
     pub(super) simulation_error: f64,
     pub(super) is_deterministic: bool,
     pub(super) diverged: Option<DivergedTrials>,
+    pub(super) stopped: Option<StoppedTrial>,
 }
 
 struct Estimate {
@@ -203,7 +204,13 @@ impl OverTrials<'_> {
             Containment::Inside => outcome,
             Containment::Outside => {
                 let value = value.is_finite().then_some(value);
-                outcome.fail(Reason::Outside { value, bounds, limit, diverged: self.diverged })
+                outcome.fail(Reason::Outside {
+                    value,
+                    bounds,
+                    limit,
+                    diverged: self.diverged,
+                    stopped: self.stopped.clone(),
+                })
             }
             Containment::Straddles => {
                 let reason = Reason::Undecided { trials: self.counted, bounds, limit, cause: estimate.wide };

@@ -76,6 +76,7 @@ fn varied_scenario(expect: &str, trials: u32) -> Scenario {
 fn trial_measures(index: u32, measures: &[Measure]) -> TrialMeasures {
     TrialMeasures {
         ended: None,
+        stopped: None,
         violations: Vec::new(),
         index,
         seed: u64::from(index) + 1,

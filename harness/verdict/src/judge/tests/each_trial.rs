@@ -38,6 +38,26 @@ fn one_bad_trial_among_thirty_fails() {
     );
 }
 
+#[rstest]
+#[case("each", "trial 1: 5.0000, expected ≤ 2; the controller stopped: a value that is not finite")]
+#[case(
+    "mean",
+    "5.0000, between 5.0000 and 5.0000, expected ≤ 2; in trial 1 the controller stopped: a value that is not \
+                finite"
+)]
+fn a_stop_of_the_controller_is_part_of_the_reason(#[case] over: &str, #[case] expected: &str) {
+    let expect = format!("metric = \"final_amplitude_um\", at_most = 2.0, over = \"{over}\"");
+    let scenario = ScenarioBuilder { expect: &[&expect], trials: 2, ..BASE }.scenario();
+    let mut trials = trials_with_values(&[5.0, 5.0]);
+    trials[1].stopped = Some("a value that is not finite".to_owned());
+    trials[1].index = 1;
+    if over == "each" {
+        trials[0].measures = vec![Measure::Value(1.0)];
+    }
+    let record = judge_single_expectation(&scenario, &trials);
+    assert_eq!(record.reason.map(|reason| reason.to_string()).as_deref(), Some(expected));
+}
+
 #[test]
 fn a_divergence_is_the_reason_of_a_failure() {
     let diverged = |mut trials: Vec<TrialMeasures>, which: &[usize]| {
