@@ -219,9 +219,9 @@ impl TrialPlayer<'_> {
                 outcome = Err(error);
                 None
             })?;
-            let score = row.score;
+            let scores = row.scores();
             number += 1;
-            emit(row).then_some(score)
+            emit(row).then_some(scores)
         });
         outcome
     }

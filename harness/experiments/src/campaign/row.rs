@@ -75,6 +75,14 @@ impl TrialRow {
         }
     }
 
+    /// The score, followed by one per expectation if there are several. A merge repeats a chain from
+    /// them, so they depend only on what a part stores.
+    pub(crate) fn scores(&self) -> Vec<f64> {
+        let own = self.margins.iter().filter(|_| self.margins.len() > 1);
+        let own = own.map(|margin| if margin.is_finite() { *margin } else { self.score.min(NO_VALUE_SCORE) });
+        std::iter::once(self.score).chain(own).collect()
+    }
+
     /// Smallest margin of all expectations.
     pub fn margin(&self) -> f64 {
         self.margins.iter().copied().fold(f64::INFINITY, f64::min)

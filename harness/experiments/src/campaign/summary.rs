@@ -406,7 +406,7 @@ fn counterexample_name(trial: u64) -> String {
 /// The caller adds rows in the order of their trials.
 #[derive(Debug, Default)]
 pub struct ChainOutcome {
-    scores: Vec<f64>,
+    scores: Vec<Vec<f64>>,
     pub estimates: Vec<ChainEstimate>,
     pub without_estimate: u64,
     /// Number of trials of a search up to and including the first failing one.
@@ -422,7 +422,7 @@ impl ChainOutcome {
                 self.first_failure = Some(self.trials);
             }
             Method::Rare => {
-                self.scores.push(row.score);
+                self.scores.push(row.scores());
                 let chain = campaign.chain_trials();
                 if (row.trial + 1).is_multiple_of(chain) || row.trial + 1 == campaign.trials {
                     self.end_chain(campaign, row.trial / chain * chain..row.trial + 1);
@@ -525,7 +525,7 @@ impl ChainOutcome {
         let mut lines = vec![format!("probability of failure {:.3e}, {interval}; {precision}", combined.probability)];
         lines.extend(self.methods().into_iter().map(|MethodUse { method, chains, reason }| {
             let method = match method {
-                RareMethod::ImportanceSampling => "importance sampling around the design point",
+                RareMethod::ImportanceSampling => "importance sampling around the failing regions",
                 RareMethod::SubsetSimulation => "subset simulation",
             };
             format!("{method} in {chains} of {} chains: {reason}", self.estimates.len())
