@@ -79,7 +79,7 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
             stdio::note(&event.to_string());
         }
     });
-    let (report, signal) = match ended {
+    let ((report, stop), signal) = match ended {
         Ok(WorkResult::Finished(Ok(report), signal)) => (report, signal),
         ended => {
             folder.remove_if_empty();
@@ -89,6 +89,9 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
     stdio::show_result(arguments.format, &report, &report::document(&report));
     stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
     stdio::note(&format!("report: {}", folder.path().join(report::PAGE_FILE).display()));
+    if let Some(error) = stop.filter(|_| signal.is_none()) {
+        return Err(error.into());
+    }
     let is_empty = report.scenes == 0 && report.regressions == 0;
     let exit = || match report.verdict {
         _ if is_empty => Exit::NothingToRun,

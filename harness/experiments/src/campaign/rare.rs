@@ -11,11 +11,11 @@ mod trials;
 
 use design_point::find_design_points;
 use mixture::estimate_by_mixture;
+use platebench_verdict::statistics::student_quantile;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use schemars::JsonSchema;
 use serde::Serialize;
-use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 use subsets::{ScaledTrials, estimate_by_subsets};
 use trials::Trials;
 
@@ -186,9 +186,8 @@ impl CombinedEstimate {
         if self.effective_samples < self.min_effective_samples {
             return None;
         }
-        let student = self.spread_over.and_then(|chains| StudentsT::new(0.0, 1.0, chains as f64 - 1.0).ok());
-        let quantile = student
-            .map_or_else(|| Normal::standard().inverse_cdf(confidence), |student| student.inverse_cdf(confidence));
+        let freedom = self.spread_over.map_or(f64::INFINITY, |chains| chains as f64 - 1.0);
+        let quantile = student_quantile(freedom, confidence);
         // σ of the logarithm, for a log-normal distribution with this coefficient of variation.
         let deviation = ERROR_ALLOWANCE * self.coefficient_of_variation.powi(2).ln_1p().sqrt();
         let factor = (quantile * deviation).exp();

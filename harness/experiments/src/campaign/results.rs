@@ -17,6 +17,7 @@ use platebench_model::scenario::Metric;
 use platebench_model::trace::{AtPath, AtomicFile};
 use platebench_report::export::parquet::{write_column, write_optional_column};
 use platebench_report::format;
+use platebench_report::text::without_formula;
 use platebench_verdict::uncertainty::ErrorOrigin;
 use std::fs::File;
 use std::io::{self, BufWriter};
@@ -71,7 +72,9 @@ impl<'a> ResultsWriter<'a> {
     pub(crate) fn new(folder: &Path, campaign: &'a Campaign) -> Result<Self, CampaignError> {
         let [csv_path, parquet_path] = [CSV_FILE, PARQUET_FILE].map(|name| folder.join(name));
         let mut csv = csv::Writer::from_writer(BufWriter::new(create(&csv_path)?));
-        csv.write_record(columns(campaign)).map_err(io::Error::from).at(&csv_path)?;
+        csv.write_record(columns(campaign).iter().map(|name| &*without_formula(name)))
+            .map_err(io::Error::from)
+            .at(&csv_path)?;
         let parquet_file = create(&parquet_path)?;
         let file = parquet_file.file().try_clone().at(&parquet_path)?;
         let properties = WriterProperties::builder()
@@ -95,11 +98,12 @@ impl<'a> ResultsWriter<'a> {
     fn write_csv(&mut self, row: &TrialRow, errors: &[RowErrors]) -> Result<(), CampaignError> {
         let mut fields = vec![row.trial.to_string(), self.campaign.seed_of(row.trial).to_string()];
         let variables = self.campaign.variables.iter().zip(&row.draws);
-        fields.extend(variables.map(|(variable, draw)| variable.distribution.text(*draw)));
+        fields
+            .extend(variables.map(|(variable, draw)| without_formula(&variable.distribution.text(*draw)).into_owned()));
         for (value, margin) in row.values.iter().zip(&row.margins) {
             fields.extend([value, margin].map(|number| number_field(known(Some(number)))));
         }
-        fields.push(row.verdict.to_string());
+        fields.push(row.verdict_text().to_owned());
         fields.push(row.cause.map(|cause| cause.to_string()).unwrap_or_default());
         fields.extend(errors.iter().flatten().map(|error| number_field(*error)));
         Ok(self.csv.write_record(fields).map_err(io::Error::from).at(&self.csv_path)?)
@@ -215,7 +219,7 @@ fn write_columns(
         write_optional_column::<DoubleType>(group, rows.iter().map(|row| known(row.values.get(index))))?;
         write_optional_column::<DoubleType>(group, rows.iter().map(|row| known(row.margins.get(index))))?;
     }
-    let verdicts: Vec<_> = rows.iter().map(|row| ByteArray::from(row.verdict.name())).collect();
+    let verdicts: Vec<_> = rows.iter().map(|row| ByteArray::from(row.verdict_text())).collect();
     write_column::<ByteArrayType>(group, &verdicts)?;
     write_optional_column::<ByteArrayType>(
         group,

@@ -124,7 +124,7 @@ fn an_interrupted_exploration_writes_its_result() {
     };
     let folder = tempfile::tempdir().unwrap();
     let cancel = CancelToken::default();
-    let report = session.run(&cancel, folder.path(), &mut |_| cancel.cancel()).unwrap();
+    let (report, _) = session.run(&cancel, folder.path(), &mut |_| cancel.cancel()).unwrap();
     assert!(report.scenes + report.sequences.played >= 1 && report.is_interrupted, "{report:?}");
     assert_eq!(report.verdict, Verdict::Inconclusive);
     assert!(report.conclusion().ends_with("A signal ended the exploration."), "{}", report.conclusion());
