@@ -463,3 +463,37 @@ impl Campaign {
         Self::load(&folder.join("campaign.toml")).unwrap()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn faults_of(varied: usize) -> Vec<Diagnostic> {
+        let folder = tempfile::tempdir().unwrap();
+        let line = |number: usize| format!("\"profile.key_{number}\" = {{ uniform = [1.0, 0.0] }}\n");
+        let vary: String = (0..varied).map(line).collect();
+        let text =
+            format!("title = \"x\"\nscenario = \"none.toml\"\n[plan]\nmethod = \"random\"\ntrials = 1\n[vary]\n{vary}");
+        let path = folder.path().join("campaign.toml");
+        std::fs::write(&path, text).unwrap();
+        Campaign::load(&path).unwrap_err()
+    }
+
+    #[test]
+    fn each_of_many_wrong_keys_is_named_at_its_line() {
+        let faults = faults_of(MAX_VARIED);
+        // The first fault is the missing scenario.
+        assert_eq!(faults.len(), MAX_VARIED + 1);
+        let last = faults.last().unwrap().to_string();
+        let line = MAX_VARIED + 6;
+        assert!(last.contains(&format!("campaign.toml:{line}:")) && last.contains("profile.key_999"), "{last}");
+    }
+
+    #[test]
+    fn too_many_varied_values_are_refused() {
+        let faults = faults_of(MAX_VARIED + 1);
+        assert_eq!(faults.len(), 2);
+        let message = faults[1].to_string();
+        assert!(message.contains("1001 varied values, expected at most 1000"), "{message}");
+    }
+}

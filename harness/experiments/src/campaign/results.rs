@@ -72,7 +72,7 @@ impl<'a> ResultsWriter<'a> {
     pub(crate) fn new(folder: &Path, campaign: &'a Campaign) -> Result<Self, CampaignError> {
         let [csv_path, parquet_path] = [CSV_FILE, PARQUET_FILE].map(|name| folder.join(name));
         let mut csv = csv::Writer::from_writer(BufWriter::new(create(&csv_path)?));
-        csv.write_record(columns(campaign).iter().map(|name| &*without_formula(name)))
+        csv.write_record(columns(campaign).iter().map(|name| without_formula(name).into_owned()))
             .map_err(io::Error::from)
             .at(&csv_path)?;
         let parquet_file = create(&parquet_path)?;
@@ -237,6 +237,7 @@ fn write_columns(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::distribution::{Choice, Distribution};
     use parquet::file::reader::{FileReader, SerializedFileReader};
     use platebench_model::record::Verdict;
 
@@ -265,6 +266,34 @@ mod tests {
         let rows: Vec<_> = reader.get_row_iter(None).unwrap().map(|row| row.unwrap().to_string()).collect();
         assert_eq!(rows[1].matches("null").count(), 7, "{}", rows[1]);
         assert_eq!(rows[0].matches("null").count(), 2, "{}", rows[0]);
+    }
+
+    #[test]
+    fn texts_are_no_formulas() {
+        let folder = tempfile::tempdir().unwrap();
+        let vary = "\"controller.law\" = { each = [\"dq-pi\", \"deadbeat\"] }";
+        let plan = "[plan]\nmethod = \"grid\"\ntrials = 1\n";
+        let mut campaign = Campaign::example_with(folder.path(), "name = \"=1+1\"\n", vary, plan);
+        // A scenario with an unknown law is not played, but a list may contain any text.
+        let listed = ["@law", "+law", "-1", "\tlaw"].map(|text| Choice::Text(text.to_owned())).to_vec();
+        campaign.variables[0].distribution = Distribution::Choices(listed);
+        let mut writer = ResultsWriter::new(folder.path(), &campaign).unwrap();
+        for draw in 0..4_u32 {
+            let row = TrialRow { values: vec![-1.5], ..TrialRow::example(u64::from(draw), Verdict::Pass, -0.25) };
+            writer.push(row, vec![[None; 4]]).unwrap();
+        }
+        writer.commit().unwrap();
+        let csv = std::fs::read_to_string(folder.path().join(CSV_FILE)).unwrap();
+        let lines: Vec<_> = csv.lines().collect();
+        assert!(lines[0].starts_with("trial,seed,controller.law,'=1+1,'=1+1_margin,verdict,cause,"), "{csv}");
+        for (line, law) in lines[1..].iter().zip(["'@law", "'+law", "-1", "'\tlaw"]) {
+            assert_eq!(line.split(',').nth(2), Some(law), "{csv}");
+            assert!(line.contains(",-1.5,-0.25,pass,"), "{csv}");
+        }
+        // Parquet is no spreadsheet, so its names stay.
+        let file = File::open(folder.path().join(PARQUET_FILE)).unwrap();
+        let reader = SerializedFileReader::new(file).unwrap();
+        assert_eq!(reader.metadata().file_metadata().schema().get_fields()[3].name(), "=1+1");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 use super::*;
 use crate::campaign::distribution::normal_cdf;
+use rstest::rstest;
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
 /// A failing half of space: `β ≤ u · direction`, with two coordinates of the unit direction.
@@ -167,25 +168,141 @@ const SERIES: [(Limit, usize); 6] = [
 #[test]
 #[ignore = "prints a table"]
 fn coverage_over_30_seeds() {
-    let cases = ONE_REGION.into_iter().chain(DISJOINT_REGIONS).chain(SERIES);
-    let seeds: u64 = std::env::var("SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(30);
-    for (limit, dimensions) in cases {
-        for chains in [1, 2, 10] {
-            let exact = limit.probability();
-            let results: Vec<_> = (0..seeds).map(|seed| run_chains(limit, dimensions, seed, chains)).collect();
-            let intervals: Vec<_> = results.iter().filter_map(|(_, combined)| combined.interval(0.95)).collect();
-            let covered = intervals.iter().filter(|[low, high]| (*low..=*high).contains(&exact)).count();
-            let below = intervals.iter().filter(|[_, high]| *high < exact).count();
-            let mut sizes: Vec<_> = results.iter().map(|(_, combined)| combined.effective_samples).collect();
-            sizes.sort_by(f64::total_cmp);
-            let mean = results.iter().map(|(_, combined)| combined.probability).sum::<f64>() / seeds as f64 / exact;
-            println!(
-                "| {limit:?} | {dimensions} | {:?} | {} | {covered} of {} (low {below}) | {:.0} | {mean:.2} |",
-                results[0].0,
-                chains * 2_048,
-                intervals.len(),
-                sizes[sizes.len() / 2],
-            );
+    for (limit, dimensions) in ONE_REGION.into_iter().chain(DISJOINT_REGIONS).chain(SERIES) {
+        let exact = limit.probability();
+        let runs = [1, 2, 10].map(|chains| Coverage::new(limit, dimensions, chains));
+        let of = |text: &dyn Fn(&Coverage) -> String| runs.iter().map(text).collect::<Vec<_>>().join("; ");
+        println!(
+            "| {limit:?} | {dimensions} | {exact:.2e} | {} | {} | {} |",
+            of(&|run| format!("{}/{}", run.covered, run.intervals)),
+            of(&|run| format!("{:.0}", run.effective_samples)),
+            of(&|run| format!("{:.2}", run.mean)),
+        );
+    }
+}
+
+/// Campaigns with 30 seeds.
+struct Coverage {
+    method: RareMethod,
+    intervals: usize,
+    covered: usize,
+    /// Median.
+    effective_samples: f64,
+    /// Mean of the estimates, divided by the probability.
+    mean: f64,
+}
+
+impl Coverage {
+    fn new(limit: Limit, dimensions: usize, chains: u64) -> Self {
+        let exact = limit.probability();
+        let results: Vec<_> = (0..30).map(|seed| run_chains(limit, dimensions, seed, chains)).collect();
+        let intervals: Vec<_> = results.iter().filter_map(|(_, combined)| combined.interval(0.95)).collect();
+        let mut sizes: Vec<_> = results.iter().map(|(_, combined)| combined.effective_samples).collect();
+        sizes.sort_by(f64::total_cmp);
+        Self {
+            method: results[0].0,
+            intervals: intervals.len(),
+            covered: intervals.iter().filter(|[low, high]| (*low..=*high).contains(&exact)).count(),
+            effective_samples: f64::midpoint(sizes[14], sizes[15]),
+            mean: results.iter().map(|(_, combined)| combined.probability).sum::<f64>() / 30.0 / exact,
         }
+    }
+}
+
+#[rstest]
+#[case::one_region(&ONE_REGION)]
+#[case::disjoint_regions(&DISJOINT_REGIONS)]
+#[case::series_systems(&SERIES)]
+fn intervals_of_27_of_30_seeds_contain_the_probability(#[case] cases: &[(Limit, usize)], #[values(1, 2)] chains: u64) {
+    for (limit, dimensions) in cases {
+        let Coverage { method, intervals, covered, mean, .. } = Coverage::new(*limit, *dimensions, chains);
+        assert_eq!(method, RareMethod::ImportanceSampling, "{limit:?}");
+        assert!(intervals >= 28 && covered >= 27, "{limit:?} in {dimensions}: {covered} of {intervals}");
+        assert!((mean - 1.0).abs() < 0.1, "{limit:?} in {dimensions}: {mean}");
+    }
+}
+
+/// Plays no trial in the wide component that fails, so that only subset simulation remains.
+const FAR: (Limit, usize) = (Limit::Uniform(1e-7), 10);
+
+#[test]
+fn subset_simulation_is_used_if_the_search_finds_no_failure() {
+    let Coverage { method, intervals, covered, .. } = Coverage::new(FAR.0, FAR.1, 10);
+    assert_eq!(method, RareMethod::SubsetSimulation);
+    assert!(intervals > 20 && covered >= intervals * 9 / 10, "{covered} of {intervals}");
+}
+
+#[test]
+fn a_chain_without_a_failure_has_an_upper_end() {
+    let none = estimate(2, 1, 2_048, &mut |_| Some(vec![1.0])).unwrap();
+    let [low, high] = CombinedEstimate::new(&[none]).interval(0.95).unwrap();
+    assert!(low == 0.0 && high > 0.0);
+    // Every failure is in the first trials.
+    let mut trials = 0;
+    let early = estimate(2, 1, 2_048, &mut |_| {
+        trials += 1;
+        Some(vec![if trials < 300 { -1.0 } else { 1.0 }])
+    });
+    let [low, high] = CombinedEstimate::new(&[early.unwrap()]).interval(0.95).unwrap();
+    assert!(low == 0.0 && (1e-3..=1.0).contains(&high), "{high}");
+}
+
+#[test]
+fn few_effective_samples_give_no_interval() {
+    let combined = |trials| CombinedEstimate::new(&[run(Limit::Linear(4.753_424), 2, 1, trials)]);
+    let few = combined(80);
+    assert!(few.effective_samples < 10.0 && few.interval(0.95).is_none(), "{few:?}");
+    let many = combined(600);
+    assert!(many.effective_samples > 10.0 && many.interval(0.95).is_some(), "{many:?}");
+}
+
+#[test]
+fn equal_seeds_give_equal_points() {
+    let points = |seed| {
+        let mut points = Vec::new();
+        let limit = Limit::Series(SQUARE);
+        let found = estimate(3, seed, 600, &mut |point| {
+            points.push(point.to_vec());
+            Some(limit.scores(point))
+        });
+        (points, found)
+    };
+    assert_eq!(points(1), points(1));
+    assert_eq!(points(1).0.len(), 600);
+    assert_ne!(points(1), points(2));
+}
+
+/// Median (50 seeds) of the smallest number of trials with a coefficient of variation ≤ 0.1.
+fn trials_for_precision(limit: Limit, dimensions: usize) -> u64 {
+    let trials = |seed| {
+        let (mut low, mut high) = (100, 4_000);
+        while low < high {
+            let middle = u64::midpoint(low, high);
+            let estimate = estimate(dimensions, seed, middle, &mut |point| Some(limit.scores(point)));
+            let is_precise = estimate.is_some_and(|estimate| estimate.coefficient_of_variation <= 0.1);
+            if is_precise { high = middle } else { low = middle + 1 }
+        }
+        low
+    };
+    let mut trials: Vec<_> = (0..50).map(trials).collect();
+    trials.sort_unstable();
+    trials[25]
+}
+
+// The last column is the median that OpenTURNS needs (harness/experiments/openturns.py).
+#[test]
+fn needs_few_trials_for_a_coefficient_of_variation_of_10_percent() {
+    let cases = [
+        (Limit::Linear(4.753_424), 2, 563, 546.0),
+        (Limit::Linear(4.753_424), 5, 583, 556.0),
+        (Limit::Linear(3.0), 6, 395, 350.0),
+        (Limit::Curved(4.0, 0.1), 3, 573, 540.0),
+        (Limit::Curved(3.5, -0.05), 4, 477, 427.5),
+    ];
+    for (limit, dimensions, expected, openturns) in cases {
+        let trials = trials_for_precision(limit, dimensions);
+        println!("{limit:?} {dimensions} {trials}");
+        assert!(trials.abs_diff(expected) <= 5, "{limit:?} in {dimensions} dimensions: {trials}");
+        assert!(trials as f64 <= 1.5 * openturns, "{limit:?}: {trials}");
     }
 }
