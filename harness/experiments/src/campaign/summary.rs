@@ -566,7 +566,7 @@ mod tests {
     #[case::failures(
         1e-4,
         0.1,
-        "1.000e-4, 8.487e-5 to 1.178e-4, each end at 95 % confidence; coefficient of variation 0.100, \
+        "1.000e-4, 7.948e-5 to 1.258e-4, each end at 95 % confidence; coefficient of variation 0.100, \
          effective sample size 100"
     )]
     #[case::few_failures(
