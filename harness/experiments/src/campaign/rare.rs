@@ -37,7 +37,7 @@ fn estimate_from(dimensions: usize, seed: u64, total: u64, trials: &mut Trials<'
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let scales = trials.play(&vec![0.0; dimensions])?;
     let (points, is_complete) = find_design_points(&scales, total / SEARCH_PART, trials, dimensions)?;
-    if let Some(found) = estimate_by_mixture(dimensions, &points, total, &mut random, trials)? {
+    if let Ok(found) = estimate_by_mixture(dimensions, &points, total, &mut random, trials)? {
         let index = found.indices.first().copied();
         let regions = match (&*found.indices, index) {
             ([], _) | (_, None) => "no region was located".to_owned(),

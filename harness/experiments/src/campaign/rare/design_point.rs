@@ -47,7 +47,7 @@ pub(super) fn find_design_points(
             break;
         }
         let search = Search { limit, at_centre, max_trials };
-        let Some(found) = search.descend(centre.clone(), at_centre, Some(slope_of(&slopes, limit)), trials)? else {
+        let Ok(found) = search.descend(centre.clone(), at_centre, Some(slope_of(&slopes, limit)), trials)? else {
             continue;
         };
         let mirrored: Vec<f64> = found.iter().map(|value| -value).collect();
@@ -78,6 +78,8 @@ fn slope_of(slopes: &[Vec<f64>], limit: usize) -> Vec<f64> {
     slopes.iter().map(|scores| scores.get(limit).copied().unwrap_or_default()).collect()
 }
 
+struct NotConverged;
+
 struct Search {
     limit: usize,
     at_centre: f64,
@@ -85,18 +87,18 @@ struct Search {
 }
 
 impl Search {
-    /// The inner value is `None` if the search does not converge.
+    /// `None` if the trials end.
     fn descend(
         &self,
         mut point: Vec<f64>,
         mut value: f64,
         mut first_slope: Option<Vec<f64>>,
         trials: &mut Trials<'_>,
-    ) -> Option<Option<Vec<f64>>> {
+    ) -> Option<Result<Vec<f64>, NotConverged>> {
         let mut all = vec![0.0; self.limit + 1];
         for _ in 0..MAX_ITERATIONS {
             if trials.used() > self.max_trials {
-                return Some(None);
+                return Some(Err(NotConverged));
             }
             if let Some(own) = all.get_mut(self.limit) {
                 *own = value;
@@ -107,7 +109,7 @@ impl Search {
             };
             let square = dot(&gradient, &gradient);
             if square.sqrt() < self.at_centre * MIN_SLOPE {
-                return Some(None);
+                return Some(Err(NotConverged));
             }
             let scale = (dot(&gradient, &point) - value) / square;
             let target: Vec<f64> = gradient.iter().map(|slope| slope * scale).collect();
@@ -126,12 +128,12 @@ impl Search {
             let moved = distance(&next, &point);
             (point, value) = (next, at_next);
             if norm(&point) > MAX_INDEX {
-                return Some(None);
+                return Some(Err(NotConverged));
             }
             if value.abs() <= SCORE_TOLERANCE * self.at_centre && moved <= POINT_TOLERANCE {
-                return Some(Some(point));
+                return Some(Ok(point));
             }
         }
-        Some(None)
+        Some(Err(NotConverged))
     }
 }

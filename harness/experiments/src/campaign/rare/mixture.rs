@@ -193,19 +193,22 @@ pub(super) struct MixtureEstimate {
     pub(super) indices: Vec<f64>,
 }
 
-/// Uses all trials. The inner value is `None` if no failing point was found; then trials are left.
+/// No failing point was found. Trials are left.
+pub(super) struct NoFailure;
+
+/// Uses all trials. `None` if they end before the estimate.
 pub(super) fn estimate_by_mixture(
     dimensions: usize,
     design_points: &[Vec<f64>],
     total: u64,
     random: &mut ChaCha8Rng,
     trials: &mut Trials<'_>,
-) -> Option<Option<MixtureEstimate>> {
+) -> Option<Result<MixtureEstimate, NoFailure>> {
     let mut mixture = Mixture::new(dimensions, design_points);
     let mut rounds = Rounds::default();
     rounds.play(&mixture, total / FIRST_ROUND, random, trials)?;
     if trials.failing.is_empty() {
-        return Some(None);
+        return Some(Err(NoFailure));
     }
     loop {
         let weights = rounds.weights();
@@ -222,7 +225,7 @@ pub(super) fn estimate_by_mixture(
     let mut last = Rounds::default();
     let count = trials.left();
     last.play(&mixture, count, random, trials)?;
-    Some(Some(last.estimate(&mixture)))
+    Some(Ok(last.estimate(&mixture)))
 }
 
 /// Adds components at failing points where one trial would dominate the estimate. Returns true if
@@ -235,7 +238,8 @@ fn cover(mixture: &mut Mixture, probability: f64, trials: &mut Trials<'_>) -> Op
         let weights = trials.failing.iter().map(|point| mixture.ratio(point).recip());
         let worst = weights.zip(&trials.failing).max_by(|(one, _), (other, _)| one.total_cmp(other));
         let Some((_, point)) = worst.filter(|(weight, _)| *weight > most) else { break };
-        let edge = nearest_failing(point.clone(), trials)?;
+        let point = point.clone();
+        let edge = nearest_failing(&point, trials)?;
         if !mixture.add(edge) {
             break;
         }
@@ -245,15 +249,15 @@ fn cover(mixture: &mut Mixture, probability: f64, trials: &mut Trials<'_>) -> Op
 }
 
 /// The failing point between the centre and `point` that is nearest to the centre.
-fn nearest_failing(point: Vec<f64>, trials: &mut Trials<'_>) -> Option<Vec<f64>> {
+fn nearest_failing(point: &[f64], trials: &mut Trials<'_>) -> Option<Vec<f64>> {
     let centre = vec![0.0; point.len()];
     let (mut passing, mut failing) = (0.0, 1.0);
     for _ in 0..BISECTIONS {
         let middle = f64::midpoint(passing, failing);
-        let is_failing = is_failure(&trials.play(&toward(&centre, &point, middle))?);
+        let is_failing = is_failure(&trials.play(&toward(&centre, point, middle))?);
         *(if is_failing { &mut failing } else { &mut passing }) = middle;
     }
-    Some(toward(&centre, &point, failing))
+    Some(toward(&centre, point, failing))
 }
 
 impl Rounds {
