@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import shutil
 import tempfile
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,11 @@ from ._program import start
 FAILED, NOTHING_TO_RUN = 1, 4
 # Top-level keys that only scenarios have.
 SCENARIO_KEYS = {"controller", "duration_ms", "expect"}
+# Some patterns of pytest's own list of folders that it skips.
+DEFAULT_PATTERNS = {"*.egg", "_darcs", "CVS"}
+# Property of a test report that says whether the scenario was played.
+PROPERTY = "platebench"
+PLAYED, NOT_APPLICABLE = "played", "not applicable"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -28,17 +36,73 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addini("platebench_args", "further options of platebench run", default="")
 
 
-def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
-    if file_path.suffix != ".toml":
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(Tally(), "platebench-tally")
+
+
+class Tally:
+    """Ends a session in which no scenario applied with 4, as `platebench run` does."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        # With pytest-xdist, the main process receives the reports of all workers.
+        if report.when == "call":
+            self.counts.update(value for name, value in report.user_properties if name == PROPERTY)
+
+    def nothing_applied(self) -> bool:
+        return self.counts[NOT_APPLICABLE] > 0 and self.counts[PLAYED] == 0
+
+    def pytest_sessionfinish(self, session: pytest.Session, exitstatus: int) -> None:
+        if exitstatus == pytest.ExitCode.OK and self.nothing_applied() and not hasattr(session.config, "workerinput"):
+            session.exitstatus = NOTHING_TO_RUN
+
+    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
+        if self.nothing_applied():
+            count = self.counts[NOT_APPLICABLE]
+            terminalreporter.write_line(f"platebench: none of {count} scenarios applies to the controller")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Collects scenarios in folders that pytest skips by default, such as `build`, but nothing else in them."""
+    skipped = {pattern for pattern in config.getini("norecursedirs") if not pattern.startswith(".")}
+    if not skipped >= DEFAULT_PATTERNS:
+        # The user chose the folders.
         return None
+    root = config.rootpath
+    inside = collection_path.relative_to(root).parts if collection_path.is_relative_to(root) else ()
+    if not any(fnmatch(part, pattern) for part in inside for pattern in skipped):
+        return None
+    if any((folder / "pyvenv.cfg").is_file() for folder in (collection_path, *collection_path.parents)):
+        # An environment of Python contains the files of packages.
+        return None
+    if collection_path.is_dir():
+        return False if _has_scenario(collection_path) else None
+    return not _is_scenario(collection_path)
+
+
+def _has_scenario(folder: Path) -> bool:
+    for parent, folders, files in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        if any(_is_scenario(Path(parent, name)) for name in files):
+            return True
+    return False
+
+
+def _is_scenario(path: Path) -> bool:
+    if path.suffix != ".toml":
+        return False
     try:
-        content = tomllib.loads(file_path.read_text(encoding="utf-8"))
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         # It may be a scenario, so it must not be skipped. The program reports the error.
-        content = {"duration_ms": None}
-    if not SCENARIO_KEYS & content.keys():
-        return None
-    return ScenarioFile.from_parent(parent, path=file_path)
+        return True
+    return bool(SCENARIO_KEYS & content.keys())
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
+    return ScenarioFile.from_parent(parent, path=file_path) if _is_scenario(file_path) else None
 
 
 class ScenarioFile(pytest.File):
@@ -89,11 +153,14 @@ class ScenarioItem(pytest.Item):
         done = start([*arguments, *shlex.split(further)])
         if done.returncode == self.expected_exit:
             shutil.rmtree(folder, ignore_errors=True)
+            self.user_properties.append((PROPERTY, PLAYED))
             return
         record = _record(folder / "run")
         if done.returncode == NOTHING_TO_RUN and record is not None and record.get("not_applicable"):
             shutil.rmtree(folder, ignore_errors=True)
+            self.user_properties.append((PROPERTY, NOT_APPLICABLE))
             pytest.skip(f"not applicable: {record['not_applicable'][0]['reason']}")
+        self.user_properties.append((PROPERTY, PLAYED))
         raise ScenarioFailure(self._describe(done.returncode, done.stderr, record, folder / "run"))
 
     def _describe(self, exit_code: int, stderr: str, record: dict[str, Any] | None, folder: Path) -> str:

@@ -34,8 +34,8 @@ Examples:
   platebench campaign merge C
 
 Exit codes: 0 passed, or a complete map (play: the shard is complete), 1 failed, 2 invalid input,
-or a damaged or foreign part or plan, 3 inconclusive, or a shard is missing, 5 the rig could not be
-reached or was lost. A grid without [judge] and without a requirement is a map: its failing trials
+or a damaged or foreign part or plan, 3 inconclusive, or a shard is missing, 4 no trial applies to
+the controller, 5 the rig could not be reached or was lost. A grid without [judge] and without a requirement is a map: its failing trials
 are counted and do not fail it")]
 pub(crate) struct CampaignArgs {
     #[command(subcommand)]
@@ -283,6 +283,7 @@ fn merge_and_show(
     stdio::note(&format!("report: {}", quoted_path(&folder.join(report::REPORT_FILE))));
     Ok(match summary.verdict() {
         _ if summary.is_rig_lost() => Exit::Unreachable,
+        _ if summary.overall.is_not_applicable() => Exit::NothingToRun,
         // The result of a map is its table.
         None => Exit::Passed,
         Some(verdict) => Exit::of_verdict(verdict),

@@ -17,7 +17,8 @@ const MAX_WAIT: Duration = Duration::from_hours(1);
 
 /// Receives the results of all workers on the thread of the caller.
 pub trait ResultSink<R, E> {
-    /// After `Break` or an error, no task starts and no further result is received.
+    /// After `Break` or an error, no task starts and no further result is received. After an error
+    /// of a worker, no task starts, and the results of the others that already run are received.
     fn receive(&mut self, result: R) -> Result<ControlFlow<()>, E>;
 
     /// Time after which [`ResultSink::wake`] is called if no result arrives.
@@ -56,7 +57,9 @@ pub fn run_workers<S: Send, T, R: Send, E: Send>(
                 while !is_over.load(Ordering::Relaxed)
                     && let Some(task) = source()
                 {
-                    let outcome = work(&mut worker, task, &mut |result| sender.send(Ok(result)).is_ok());
+                    let outcome = work(&mut worker, task, &mut |result| {
+                        sender.send(Ok(result)).is_ok() && !is_over.load(Ordering::Relaxed)
+                    });
                     if let Err(error) = outcome {
                         is_over.store(true, Ordering::Relaxed);
                         // If the receiver is gone, the work has already ended.
@@ -66,9 +69,14 @@ pub fn run_workers<S: Send, T, R: Send, E: Send>(
             });
         }
         drop(sender);
+        let mut first_error = None;
         let outcome = loop {
             let received = match results.recv_timeout(sink.time_left()) {
-                Ok(result) => result.and_then(|result| sink.receive(result)),
+                Ok(Ok(result)) => sink.receive(result),
+                Ok(Err(error)) => {
+                    first_error = first_error.or(Some(error));
+                    Ok(ControlFlow::Continue(()))
+                }
                 Err(RecvTimeoutError::Timeout) => sink.wake().map(ControlFlow::Continue),
                 Err(RecvTimeoutError::Disconnected) => Ok(ControlFlow::Break(())),
             };
@@ -81,7 +89,7 @@ pub fn run_workers<S: Send, T, R: Send, E: Send>(
         is_over.store(true, Ordering::Relaxed);
         // A worker that waits for the queue then ends.
         drop(results);
-        outcome
+        first_error.map_or(outcome, Err)
     })
 }
 
@@ -135,7 +143,7 @@ pub fn in_parallel<S: Send, T: Sync, R: Send, E: Send>(
     };
     let mut ordered = InOrder::starting_at(0);
     let workers = workers.into_iter().take(tasks.len());
-    run_workers(workers, source, numbered, &mut |(number, result): (u64, R)| {
+    let outcome = run_workers(workers, source, numbered, &mut |(number, result): (u64, R)| {
         ordered.insert(number, result);
         while let Some(result) = ordered.take_next() {
             if !receive(result) {
@@ -143,7 +151,12 @@ pub fn in_parallel<S: Send, T: Sync, R: Send, E: Send>(
             }
         }
         Ok(ControlFlow::Continue(()))
-    })
+    });
+    if outcome.is_err() {
+        // Results after the task with the error.
+        ordered.waiting.into_values().all(receive);
+    }
+    outcome
 }
 
 pub fn collect_in_parallel<T: Sync, R: Send, E: Send>(
@@ -195,6 +208,30 @@ mod tests {
         };
         assert_eq!(in_parallel([(), ()], &tasks[..20], work, receive), Ok(()));
         assert_eq!(received, (0..=15).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn results_of_running_tasks_survive_an_error() {
+        let is_failed = AtomicBool::new(false);
+        let work = |(): &mut (), task: &u32| {
+            if *task == 0 {
+                is_failed.store(true, Ordering::Relaxed);
+                return Err(*task);
+            }
+            while !is_failed.load(Ordering::Relaxed) {
+                thread::yield_now();
+            }
+            // The sink receives the error first.
+            thread::sleep(Duration::from_millis(20));
+            Ok(*task)
+        };
+        let mut received = Vec::new();
+        let receive = |task| {
+            received.push(task);
+            true
+        };
+        assert_eq!(in_parallel([(), ()], &[0, 1], work, receive), Err(0));
+        assert_eq!(received, [1]);
     }
 
     /// Workers that wait for a full queue must end, and no task may start.

@@ -41,10 +41,11 @@ pub struct MutationConfig {
     pub cancel: CancelToken,
 }
 
+/// Also returns the error that ended the test early, with the results before it.
 pub fn measure_mutation(
     config: &MutationConfig,
     on_result: &mut dyn FnMut(&MutantResult),
-) -> Result<MutationReport, AnalysisError> {
+) -> Result<(MutationReport, Option<AnalysisError>), AnalysisError> {
     let suite = &config.suite;
     let (symbols, map) = suite.code()?;
     let baselines = play_baselines(suite, &map, config.jobs, &config.cancel)?;
@@ -66,14 +67,17 @@ pub fn measure_mutation(
     let runner = MutantRunner { config, map: &map, baselines: &baselines, order: &order };
     let mut results: Vec<MutantResult> = Vec::new();
     let work = |executor: &mut BoardExecutor<'_>, mutant: &Mutant| runner.run(executor, mutant);
-    in_parallel(executors, &mutants, work, |result| {
+    let outcome = in_parallel(executors, &mutants, work, |result| {
         on_result(&result);
         results.push(result);
         let score = Score::of(results.iter().map(|result| &result.status));
         !config.until_width.is_some_and(|width| score.is_narrower_than(width))
-    })?;
+    });
     let scenarios = suite.scenarios.iter().map(|(scenario, _)| scenario.file.clone()).collect();
-    Ok(MutationReport { results, population, scenarios })
+    match outcome.err() {
+        Some(error) if results.is_empty() => Err(error),
+        error => Ok((MutationReport { results, population, scenarios }, error)),
+    }
 }
 
 /// Algorithm of Fisher and Yates.

@@ -41,11 +41,16 @@ fn escape_markdown(characters: impl Iterator<Item = char>, length: usize) -> Str
     escaped
 }
 
-/// RFC 4180. A `'` before `=`, `+`, `-` and `@` prevents that a spreadsheet reads a formula.
+/// Returns a `'` and the text if a spreadsheet would read the text as a formula, otherwise the text.
+pub fn without_formula(text: &str) -> Cow<'_, str> {
+    let is_formula = text.starts_with(['=', '+', '-', '@', '\t', '\r']) && text.parse::<f64>().is_err();
+    if is_formula { Cow::Owned(format!("'{text}")) } else { Cow::Borrowed(text) }
+}
+
+/// RFC 4180, without formulas of spreadsheets.
 pub(crate) fn csv_field(text: &str) -> String {
-    let text = printable(text);
-    let is_formula = text.starts_with(['=', '+', '-', '@']) && text.parse::<f64>().is_err();
-    let text = if is_formula { Cow::Owned(format!("'{text}")) } else { text };
+    let text = without_formula(text);
+    let text = printable(&text);
     if text.contains([',', '"']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.into_owned() }
 }
 

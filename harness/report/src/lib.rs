@@ -58,5 +58,5 @@ pub mod text {
     pub(crate) mod timing;
     pub mod traceability;
 
-    pub use crate::escape::{printable, printable_lines};
+    pub use crate::escape::{printable, printable_lines, without_formula};
 }

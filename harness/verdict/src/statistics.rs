@@ -5,15 +5,18 @@
 //! confidence `2c − 1`. The tests simulate the coverage.
 
 mod bootstrap;
+mod incomplete_beta;
 mod sample;
+mod student;
 
+use incomplete_beta::incomplete_beta;
 use platebench_model::record::EvidenceMethod;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
-use statrs::function::beta::beta_reg;
 use std::convert::Infallible;
 
 pub use sample::SampleSummary;
 use sample::is_rejected;
+pub use student::student_quantile;
 
 /// One-sided bounds by t, or by bootstrap if normality is rejected. `None` below two values.
 pub fn mean_bounds(values: &[f64], confidence: f64) -> Option<([f64; 2], EvidenceMethod)> {
@@ -139,11 +142,7 @@ pub fn clopper_pearson(seen: u32, count: u32, confidence: f64) -> Option<[f64; 2
 
 /// `I_{1−p}(n − k, k + 1)`, the regularised incomplete beta function, with k events in n trials.
 pub fn probability_at_most(seen: u32, count: u32, p: f64) -> f64 {
-    if seen >= count {
-        1.0
-    } else {
-        beta_reg(f64::from(count - seen), f64::from(seen) + 1.0, (1.0 - p).clamp(0.0, 1.0))
-    }
+    if seen >= count { 1.0 } else { incomplete_beta(f64::from(count - seen), f64::from(seen) + 1.0, 1.0 - p, p) }
 }
 
 /// `I_p(k, n − k + 1)`, the regularised incomplete beta function, with k events in n trials.
@@ -151,7 +150,7 @@ pub fn probability_at_least(seen: u32, count: u32, p: f64) -> f64 {
     match seen {
         0 => 1.0,
         _ if seen > count => 0.0,
-        _ => beta_reg(f64::from(seen), f64::from(count - seen) + 1.0, p.clamp(0.0, 1.0)),
+        _ => incomplete_beta(f64::from(seen), f64::from(count - seen) + 1.0, p, 1.0 - p),
     }
 }
 

@@ -8,6 +8,7 @@
 mod bench;
 mod budget;
 
+use crate::statistics::student_quantile;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
@@ -161,8 +162,7 @@ fn student(degrees_of_freedom: Option<f64>) -> Option<StudentsT> {
 }
 
 fn quantile(degrees_of_freedom: Option<f64>, probability: f64) -> f64 {
-    student(degrees_of_freedom)
-        .map_or_else(|| Normal::standard().inverse_cdf(probability), |t| t.inverse_cdf(probability))
+    student_quantile(degrees_of_freedom.unwrap_or(f64::INFINITY), probability)
 }
 
 fn survival(degrees_of_freedom: Option<f64>, place: f64) -> f64 {

@@ -106,3 +106,27 @@ fn a_force_is_truncated_at_zero(
     assert!(forces.clone().all(|force| force >= 0.0));
     assert_eq!(forces.count(), trials);
 }
+
+/// A step at 1 ms with an open loop: `x(t) = 2 µm · gain/nominal · (1 − exp(−(t − 1 ms)/τ))`. The
+/// last row before 3 ms is at 2.95 ms.
+const TWO_LIMITS: &str = "title = \"Step\"\nplate = \"scenarios/plates/plate.toml\"\nduration_ms = 40.0\n\
+    [controller]\nlaw = \"open-loop\"\n[profile]\nsetpoint_um = { hold = [[0.0, 0.0], [1.0, 2.0]] }\n\
+    [[expect]]\nmetric = \"final_amplitude_um\"\nat_most = 2.07\n\
+    [[expect]]\nname = \"early\"\nmetric = \"final_amplitude_um\"\nuntil_ms = 3.0\nat_least = 1.095\n";
+/// Integral over both normal distributions.
+const TWO_LIMITS_PROBABILITY: f64 = 3.2624e-4;
+
+#[test]
+fn a_rare_campaign_sees_the_regions_of_two_expectations() {
+    let vary = "\"plate.mode.gain_um_per_vpp\" = { normal = { mean = 0.00698, sd_percent = 1.0 } }\n\
+                \"plate.mode.time_constant_ms\" = { normal = { mean = 1.88, sd_percent = 8.0 } }\n";
+    let folder = folder_with(vary, "[plan]\nmethod = \"rare\"\ntrials = 2048\n[judge]\nat_most = 2.4e-4\n");
+    let plate = folder.read("scenarios/plates/plate.toml").replace("noise_um_rms = 0.001", "noise_um_rms = 0.0");
+    folder.write("scenarios/plates/plate.toml", &plate);
+    folder.write("step.toml", TWO_LIMITS);
+    // The old search found one region and stated 2.2e-4 to 2.4e-4.
+    folder.bench(["campaign", "run", "campaign.toml", "--out", "c"]).assert_exit(1);
+    let rare = summary(&folder, "c")["rare"].clone();
+    let [low, high] = [0, 1].map(|end| rare["interval"][end].as_f64().unwrap());
+    assert!((low..=high).contains(&TWO_LIMITS_PROBABILITY) && high < 1.5 * low, "{rare}");
+}

@@ -53,6 +53,32 @@ fn a_controller_that_ends_once_fails_its_scene() {
     assert_eq!((&report["verdict"], &report["failed"]), (&"fail".into(), &1.into()));
 }
 
+/// Every controller after the first ends before the handshake, so no scene can be reduced.
+#[test]
+fn violations_before_a_lost_rig_are_stored() {
+    let Some(python) = python_with_pyserial() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let example = fs::read_to_string(workspace_root().join("docs/examples/controller.py")).unwrap();
+    let call = "self.law.step(setpoint, wd, wq)";
+    let mutant = example.replace(call, "self.law.step(setpoint * 1.03, wd, wq)");
+    // The exploration connects once to identify the controller, and once to play.
+    let starts = "import os, sys\nopen('starts', 'a').write('x')\nif os.path.getsize('starts') > 2:\n    sys.exit(1)\n";
+    let (head, body) = mutant.split_once("import ").unwrap();
+    fs::write(folder.path().join("once.py"), format!("{head}{starts}import {body}")).unwrap();
+    let rig = format!("exec:{python} once.py {{port}}");
+    let envelope = envelope();
+    let arguments = ["suite", "explore", &envelope, "--rig", &rig, "--scenes", "12", "--jobs", "1", "--out", "out"];
+    let arguments = arguments.iter().chain(&["--regressions", "found"]);
+    run_bench(folder.path(), arguments).assert_exit(5).assert_stdout(&["violated", "The exploration ended early"]);
+    let report = report(folder.path());
+    assert_eq!(report["verdict"], "fail");
+    assert!(report["stopped_by"].is_string() && report["failed"].as_u64() > Some(0), "{report}");
+    let violation = &report["violations"][0];
+    assert_eq!(violation["is_reproduced"], false);
+    let file = violation["file"].as_str().unwrap();
+    run_bench(folder.path(), ["run", file, "--rig", "hosted", "--out", "clean"]).assert_exit(0);
+}
+
 #[test]
 fn an_interrupt_ends_an_exploration() {
     let folder = tempfile::tempdir().unwrap();

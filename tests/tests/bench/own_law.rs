@@ -135,3 +135,51 @@ fn descriptions_of_the_bench_laws_alone_judge_nothing() {
     let output = controller.run(&["paper/fig13-open-loop.toml"]).assert_exit(4);
     assert!(unwrapped(&output).contains("law open-loop; --law NAME judges it"), "{}", output.text());
 }
+
+const CAMPAIGN: &str = "title = \"Laws\"\nscenario = \"step.toml\"\n[vary]\n\
+    \"controller.law\" = { each = [\"own\", \"dq-pi\", \"deadbeat\"] }\n\
+    [plan]\nmethod = \"grid\"\ntrials = 1\n[judge]\n";
+
+/// Plays a campaign over `laws`. Returns the output and `summary.json`.
+fn play_campaign(controller: &OwnController, campaign: &str) -> (ProgramOutput, serde_json::Value) {
+    let folder = controller.folder.path();
+    let plate = workspace_root().join("scenarios/plates/aluminium-198x138.toml");
+    let scenario = format!(
+        "title = \"Step\"\nplate = \"{}\"\nduration_ms = 20.0\n[profile]\n\
+         setpoint_um = {{ hold = [[0.0, 0.0], [1.0, 2.0]] }}\n\
+         [[expect]]\nmetric = \"settling_time_ms\"\nat_most = 15.0\nrequirement = \"R-1\"\n",
+        plate.display()
+    );
+    fs::write(folder.join("step.toml"), scenario).unwrap();
+    fs::write(folder.join("campaign.toml"), campaign).unwrap();
+    let arguments = ["campaign", "run", "campaign.toml", "--rig", &controller.rig, "--out", "c", "--jobs", "1"];
+    let output = run_bench(folder, arguments);
+    let summary = fs::read(folder.join("c/summary.json")).unwrap();
+    (output, serde_json::from_slice(&summary).unwrap())
+}
+
+#[rstest]
+#[case::announces_no_law(ANNOUNCES_NONE, ["pass", "not applicable", "not applicable"])]
+#[case::announces_dq_pi((LAWS, "laws = 1 << DQ_PI"), ["pass", "pass", "not applicable"])]
+fn a_campaign_plays_announced_laws_only(#[case] identity: (&str, &str), #[case] verdicts: [&str; 3]) {
+    let Some(controller) = OwnController::new(&[identity]) else { return };
+    let (output, summary) = play_campaign(&controller, CAMPAIGN);
+    output.assert_exit(0);
+    let skipped = verdicts.iter().filter(|verdict| **verdict != "pass").count();
+    assert_eq!(summary["overall"]["trials"], 3 - skipped);
+    assert_eq!(summary["overall"]["not_applicable"], skipped);
+    let results = fs::read_to_string(controller.folder.path().join("c/results.csv")).unwrap();
+    for ((line, cell), verdict) in results.lines().skip(1).zip(summary["cells"].as_array().unwrap()).zip(verdicts) {
+        assert!(line.contains(&format!(",{verdict},")), "{results}");
+        assert_eq!(cell["verdict"].is_null(), verdict != "pass", "{cell}");
+    }
+}
+
+#[test]
+fn a_campaign_without_an_applicable_law_ends_with_4() {
+    let Some(controller) = OwnController::new(&[ANNOUNCES_DQ_PI_FIXED]) else { return };
+    let (output, summary) =
+        play_campaign(&controller, &CAMPAIGN.replace("[\"own\", \"dq-pi\", \"deadbeat\"]", "[\"dq-pi\"]"));
+    output.assert_exit(4).assert_stdout(&["1 trials not applicable"]);
+    assert_eq!((&summary["verdict"], &summary["overall"]["trials"]), (&"inconclusive".into(), &0.into()));
+}

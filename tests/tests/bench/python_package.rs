@@ -85,4 +85,29 @@ fn the_wheel_plays_scenarios_and_pytest_collects_them() {
         assert!(text.contains(part), "{part} is not in {text}");
     }
     assert!(!text.contains("Traceback"), "{text}");
+
+    // Folders that pytest skips by default contain scenarios too.
+    for name in ["build", "dist/deep", "venv", "node_modules"] {
+        fs::create_dir_all(folder.join("more").join(name)).unwrap();
+        folder.write(&format!("more/{name}/good.toml"), &limit(2.0));
+        folder.write(&format!("more/{name}/test_no_scenario.py"), "def test(): assert False\n");
+    }
+    let pytest = |arguments: &[&str]| {
+        let options = ["-m", "pytest", "--platebench-rig", "hosted", "--rootdir", "."];
+        output(Command::new(&python).args(options).args(arguments).current_dir(folder.join("")).output().unwrap())
+    };
+    let (_, text) = pytest(&["more", "--collect-only", "-q"]);
+    assert_eq!(text.matches("good.toml::scenario").count(), 4, "{text}");
+    assert!(!text.contains("test_no_scenario"), "{text}");
+
+    // The hosted rig measures no time of a step, as `run` says with 4.
+    folder.write_scenario("timed.toml", &step_text("metric = \"step_time_percent\"\nat_most = 50.0"));
+    for (arguments, status) in [
+        (&["scenarios/timed.toml"][..], 4),
+        (&["-n", "2", "scenarios/timed.toml"], 4),
+        (&["scenarios/timed.toml", "scenarios/good.toml"], 0),
+    ] {
+        let (ended, text) = pytest(arguments);
+        assert_eq!(ended, status, "{text}");
+    }
 }

@@ -80,7 +80,7 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
             stdio::note(&event.to_string());
         }
     });
-    let (report, signal) = match ended {
+    let ((report, stop), signal) = match ended {
         Ok(WorkResult::Finished(Ok(report), signal)) => (report, signal),
         ended => {
             folder.remove_if_empty();
@@ -90,6 +90,9 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
     stdio::show_result(arguments.format, &report, &report::document(&report));
     stdio::note(&format!("result: {}", quoted_path(&folder.path().join(report::FILE))));
     stdio::note(&format!("report: {}", quoted_path(&folder.path().join(report::PAGE_FILE))));
+    if let Some(error) = stop.filter(|_| signal.is_none()) {
+        return Err(error.into());
+    }
     let is_empty = report.scenes == 0 && report.regressions == 0;
     let exit = || match report.verdict {
         _ if is_empty => Exit::NothingToRun,

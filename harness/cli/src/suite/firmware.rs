@@ -4,7 +4,7 @@
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{OutputFormat, SCENARIOS, bench_law_names, job_count, parse_percent};
 use crate::selection::{ScenarioFilter, find_scenarios};
-use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
+use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
 use platebench_experiments::firmware_analysis::{
@@ -172,12 +172,23 @@ pub(super) fn mutate(arguments: &MutateArgs, detail: Detail) -> CommandResult {
             stdio::note(&format!("{tested} mutants tested"));
         }
     });
-    let report = unless_signalled(ended)?;
+    let ((report, stop), signal) = match ended {
+        Ok(WorkResult::Finished(Ok(found), signal)) => (found, signal),
+        ended => (unless_signalled(ended)?, None),
+    };
     let text = mutation_document(&report).to_console(None, Style::default());
     if let Some(folder) = &arguments.out {
         write_mutation(&report, &text, folder).or_invalid_at(folder)?;
     }
     stdio::show(&text);
+    if signal.is_some() || stop.is_some() {
+        stdio::note(&format!("ended early, after {} mutants", report.results.len()));
+    }
+    match (signal, stop) {
+        (Some(signal), _) => return Ok(Exit::Signal(signal)),
+        (None, Some(error)) => return Err(error.into()),
+        (None, None) => {}
+    }
     let Some(limit) = arguments.at_least else { return Ok(Exit::Passed) };
     let percent = report.score().percent();
     let exit = if percent >= limit { Exit::Passed } else { Exit::Failed };

@@ -9,9 +9,10 @@
 //! − a v[k]` of white noise v.
 
 use nalgebra::{DMatrix, DVector};
+use platebench_verdict::statistics::student_quantile;
 use schemars::JsonSchema;
 use serde::Serialize;
-use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 pub const CONFIDENCE: f64 = 0.95;
 pub(crate) const FREEDOM_OF_KNOWN_ERRORS: f64 = 1e4;
@@ -92,7 +93,7 @@ impl Estimate {
 }
 
 fn quantile(freedom: f64) -> f64 {
-    StudentsT::new(0.0, 1.0, freedom.max(1.0)).map_or(f64::INFINITY, |t| t.inverse_cdf(f64::midpoint(1.0, CONFIDENCE)))
+    student_quantile(freedom.max(1.0), f64::midpoint(1.0, CONFIDENCE))
 }
 
 /// Ljung-Box test for white residuals.

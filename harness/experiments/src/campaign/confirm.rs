@@ -58,6 +58,9 @@ struct Selection {
 
 impl Selection {
     fn add(&mut self, seed: u64, row: &TrialRow) {
+        if !row.is_applicable {
+            return;
+        }
         let key = key(seed, row.trial);
         if row.verdict == Verdict::Fail {
             self.failing.add(key, row);

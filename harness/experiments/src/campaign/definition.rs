@@ -15,9 +15,12 @@ use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue};
 use toml::{Spanned, Table, Value};
 
-const MAX_TRIALS: u64 = 10_000_000_000;
+/// The intervals of shares count trials as `u32`.
+const MAX_TRIALS: u64 = 4_000_000_000;
 /// The largest seed of a trial is an `i64`.
 const MAX_SEED: i64 = i64::MAX / 2;
+/// Each varied value is checked alone, and each trial replaces all of them.
+const MAX_VARIED: usize = 1_000;
 const MAX_CELLS: u64 = 1_000_000;
 const DEFAULT_CONFIDENCE: f64 = 0.95;
 /// Largest number of listed values per key that are checked before the campaign starts.
@@ -140,13 +143,15 @@ pub struct Campaign {
 struct Checker<'a> {
     path: &'a Path,
     text: &'a str,
+    /// Places of the varied keys. [`Diagnostic::at_key`] cannot find them, because they contain dots.
+    spans: BTreeMap<String, Range<usize>>,
 }
 
 impl Campaign {
     /// Reports all wrong keys at once, or all numbers outside their bounds, or all other wrong values.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawCampaign>(path)?;
-        let checker = Checker { path, text: &text };
+        let checker = Checker { path, text: &text, spans: spans_of_variables(&text) };
         let mut faults = checker.plain_faults(&raw);
         let scenario_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&raw.scenario);
         let name = scenario_path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -223,6 +228,14 @@ impl Campaign {
     }
 }
 
+fn spans_of_variables(text: &str) -> BTreeMap<String, Range<usize>> {
+    let Ok(document) = DeTable::parse(text) else { return BTreeMap::new() };
+    let Some(DeValue::Table(vary)) = document.get_ref().get("vary").map(Spanned::get_ref) else {
+        return BTreeMap::new();
+    };
+    vary.iter().map(|(name, _)| (name.get_ref().to_string(), name.span())).collect()
+}
+
 /// Why a trial with these values cannot be played. `None` if it can.
 fn refusal<'a>(template: &ScenarioTemplate, changes: impl IntoIterator<Item = (&'a str, Value)>) -> Option<String> {
     let first = |faults: Vec<Diagnostic>| faults.into_iter().next().map_or_else(String::new, |fault| fault.message);
@@ -256,12 +269,8 @@ impl Checker<'_> {
         Diagnostic::at_span(self.path, self.text, self.span_of_variable(key), format!("`{key}`: {}", message.into()))
     }
 
-    /// [`Diagnostic::at_key`] cannot find a varied key, because the key contains dots.
     fn span_of_variable(&self, key: &str) -> Range<usize> {
-        let document = DeTable::parse(self.text).ok();
-        let vary = document.as_ref().and_then(|document| document.get_ref().get("vary"));
-        let Some(DeValue::Table(vary)) = vary.map(Spanned::get_ref) else { return 0..0 };
-        vary.iter().find(|(name, _)| name.get_ref() == key).map_or(0..0, |(name, _)| name.span())
+        self.spans.get(key).cloned().unwrap_or_default()
     }
 
     fn plain_faults(&self, raw: &RawCampaign) -> Vec<Diagnostic> {
@@ -275,6 +284,11 @@ impl Checker<'_> {
     fn variables(&self, raw: BTreeMap<String, RawDistribution>, faults: &mut Vec<Diagnostic>) -> Vec<Variable> {
         if raw.is_empty() {
             faults.push(self.fault("vary", "no varied value, expected at least one"));
+        }
+        if raw.len() > MAX_VARIED {
+            let message = format!("{} varied values, expected at most {MAX_VARIED}", raw.len());
+            faults.push(self.fault("vary", message));
+            return Vec::new();
         }
         let mut raw: Vec<_> = raw.into_iter().collect();
         raw.sort_by_key(|(key, _)| self.span_of_variable(key).start);
@@ -447,5 +461,39 @@ impl Campaign {
         write("step.toml", &format!("{scenario}{expect}"));
         write("campaign.toml", &format!("title = \"x\"\nscenario = \"step.toml\"\n[vary]\n{vary}\n{plan}"));
         Self::load(&folder.join("campaign.toml")).unwrap()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn faults_of(varied: usize) -> Vec<Diagnostic> {
+        let folder = tempfile::tempdir().unwrap();
+        let line = |number: usize| format!("\"profile.key_{number}\" = {{ uniform = [1.0, 0.0] }}\n");
+        let vary: String = (0..varied).map(line).collect();
+        let text =
+            format!("title = \"x\"\nscenario = \"none.toml\"\n[plan]\nmethod = \"random\"\ntrials = 1\n[vary]\n{vary}");
+        let path = folder.path().join("campaign.toml");
+        std::fs::write(&path, text).unwrap();
+        Campaign::load(&path).unwrap_err()
+    }
+
+    #[test]
+    fn each_of_many_wrong_keys_is_named_at_its_line() {
+        let faults = faults_of(MAX_VARIED);
+        // The first fault is the missing scenario.
+        assert_eq!(faults.len(), MAX_VARIED + 1);
+        let last = faults.last().unwrap().to_string();
+        let line = MAX_VARIED + 6;
+        assert!(last.contains(&format!("campaign.toml:{line}:")) && last.contains("profile.key_999"), "{last}");
+    }
+
+    #[test]
+    fn too_many_varied_values_are_refused() {
+        let faults = faults_of(MAX_VARIED + 1);
+        assert_eq!(faults.len(), 2);
+        let message = faults[1].to_string();
+        assert!(message.contains("1001 varied values, expected at most 1000"), "{message}");
     }
 }

@@ -139,19 +139,16 @@ impl Campaign {
 const MAX_STEPS: u32 = 12;
 
 impl Campaign {
-    /// Calls `score` with points until it returns `None`. Only `rare` returns an estimate.
-    pub(crate) fn run_chain(
-        &self,
-        trials: &Range<u64>,
-        score: &mut dyn FnMut(&[f64]) -> Option<f64>,
-    ) -> Option<ChainEstimate> {
+    /// Calls `play` with points until it returns `None`. Only `rare` returns an estimate. `play`
+    /// returns [`TrialRow::scores`](crate::campaign::row::TrialRow::scores).
+    pub(crate) fn run_chain(&self, trials: &Range<u64>, play: &mut rare::Play<'_>) -> Option<ChainEstimate> {
         let chain = trials.start / self.chain_trials();
         let seed = self.seed.wrapping_add((chain + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15));
         let dimensions = self.variables.len();
         if self.method == Method::Rare {
-            return rare::estimate(dimensions, seed, trials.end - trials.start, score);
+            return rare::estimate(dimensions, seed, trials.end - trials.start, play);
         }
-        search(dimensions, seed, score);
+        search(dimensions, seed, &mut |point| play(point)?.first().copied());
         None
     }
 

@@ -75,7 +75,7 @@ impl PassingRegion {
         if summary.cells.is_empty() {
             return None;
         }
-        for (number, cell) in summary.cells.iter().enumerate() {
+        for (number, cell) in summary.cells.iter().enumerate().filter(|(_, cell)| !cell.is_not_applicable()) {
             let choices = summary.cell_choices(number);
             let passes = cell.passes(summary.campaign.at_most) == Some(true);
             let other = |axes: &[&str]| -> Vec<CellChoice<'_>> {

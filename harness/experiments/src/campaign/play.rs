@@ -8,7 +8,7 @@ use crate::campaign::part::{PartReader, PartWriter};
 use crate::campaign::plan::CampaignPlan;
 use crate::campaign::row::{ShardEnd, TrialRow};
 use platebench_engine::workers::{Emit, InOrder, run_workers};
-use platebench_engine::{Executor, ExecutorSettings, LinkFactory, MAX_LOSSES, SafeEnds, law};
+use platebench_engine::{Executor, ExecutorSettings, LinkFactory, MAX_LOSSES, SafeEnds, law, missing_capability};
 use platebench_model::record::Verdict;
 use platebench_model::trace::{AtPath, Row as TraceRow};
 use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
@@ -219,9 +219,9 @@ impl TrialPlayer<'_> {
                 outcome = Err(error);
                 None
             })?;
-            let score = row.score;
+            let scores = row.scores();
             number += 1;
-            emit(row).then_some(score)
+            emit(row).then_some(scores)
         });
         outcome
     }
@@ -229,6 +229,10 @@ impl TrialPlayer<'_> {
     /// `None` if the trial was cancelled.
     fn play_trial(&self, executor: &mut Executor<'_>, trial: &DrawnTrial) -> Result<Option<TrialRow>, CampaignError> {
         let law = law(&trial.scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
+        let identity = *executor.session()?.identity();
+        if missing_capability(&trial.scenario, law, &identity).is_some() {
+            return Ok(Some(TrialRow::not_applicable(trial)));
+        }
         let Some(played) = executor.play(&trial.scenario, law, 0, None)? else { return Ok(None) };
         let measures = measure(&trial.scenario, 0, &played.trace_rows, &played.telemetry);
         self.lost.fetch_or(measures.has_lost_controller(), Ordering::Relaxed);

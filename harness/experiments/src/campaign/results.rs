@@ -17,6 +17,7 @@ use platebench_model::scenario::Metric;
 use platebench_model::trace::{AtPath, AtomicFile};
 use platebench_report::export::parquet::{write_column, write_optional_column};
 use platebench_report::format;
+use platebench_report::text::without_formula;
 use platebench_verdict::uncertainty::ErrorOrigin;
 use std::fs::File;
 use std::io::{self, BufWriter};
@@ -71,7 +72,9 @@ impl<'a> ResultsWriter<'a> {
     pub(crate) fn new(folder: &Path, campaign: &'a Campaign) -> Result<Self, CampaignError> {
         let [csv_path, parquet_path] = [CSV_FILE, PARQUET_FILE].map(|name| folder.join(name));
         let mut csv = csv::Writer::from_writer(BufWriter::new(create(&csv_path)?));
-        csv.write_record(columns(campaign)).map_err(io::Error::from).at(&csv_path)?;
+        csv.write_record(columns(campaign).iter().map(|name| without_formula(name).into_owned()))
+            .map_err(io::Error::from)
+            .at(&csv_path)?;
         let parquet_file = create(&parquet_path)?;
         let file = parquet_file.file().try_clone().at(&parquet_path)?;
         let properties = WriterProperties::builder()
@@ -95,11 +98,12 @@ impl<'a> ResultsWriter<'a> {
     fn write_csv(&mut self, row: &TrialRow, errors: &[RowErrors]) -> Result<(), CampaignError> {
         let mut fields = vec![row.trial.to_string(), self.campaign.seed_of(row.trial).to_string()];
         let variables = self.campaign.variables.iter().zip(&row.draws);
-        fields.extend(variables.map(|(variable, draw)| variable.distribution.text(*draw)));
+        fields
+            .extend(variables.map(|(variable, draw)| without_formula(&variable.distribution.text(*draw)).into_owned()));
         for (value, margin) in row.values.iter().zip(&row.margins) {
             fields.extend([value, margin].map(|number| number_field(known(Some(number)))));
         }
-        fields.push(row.verdict.to_string());
+        fields.push(row.verdict_text().to_owned());
         fields.push(row.cause.map(|cause| cause.to_string()).unwrap_or_default());
         fields.extend(errors.iter().flatten().map(|error| number_field(*error)));
         Ok(self.csv.write_record(fields).map_err(io::Error::from).at(&self.csv_path)?)
@@ -215,7 +219,7 @@ fn write_columns(
         write_optional_column::<DoubleType>(group, rows.iter().map(|row| known(row.values.get(index))))?;
         write_optional_column::<DoubleType>(group, rows.iter().map(|row| known(row.margins.get(index))))?;
     }
-    let verdicts: Vec<_> = rows.iter().map(|row| ByteArray::from(row.verdict.name())).collect();
+    let verdicts: Vec<_> = rows.iter().map(|row| ByteArray::from(row.verdict_text())).collect();
     write_column::<ByteArrayType>(group, &verdicts)?;
     write_optional_column::<ByteArrayType>(
         group,
@@ -233,6 +237,7 @@ fn write_columns(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::distribution::{Choice, Distribution};
     use parquet::file::reader::{FileReader, SerializedFileReader};
     use platebench_model::record::Verdict;
 
@@ -261,6 +266,34 @@ mod tests {
         let rows: Vec<_> = reader.get_row_iter(None).unwrap().map(|row| row.unwrap().to_string()).collect();
         assert_eq!(rows[1].matches("null").count(), 7, "{}", rows[1]);
         assert_eq!(rows[0].matches("null").count(), 2, "{}", rows[0]);
+    }
+
+    #[test]
+    fn texts_are_no_formulas() {
+        let folder = tempfile::tempdir().unwrap();
+        let vary = "\"controller.law\" = { each = [\"dq-pi\", \"deadbeat\"] }";
+        let plan = "[plan]\nmethod = \"grid\"\ntrials = 1\n";
+        let mut campaign = Campaign::example_with(folder.path(), "name = \"=1+1\"\n", vary, plan);
+        // A scenario with an unknown law is not played, but a list may contain any text.
+        let listed = ["@law", "+law", "-1", "\tlaw"].map(|text| Choice::Text(text.to_owned())).to_vec();
+        campaign.variables[0].distribution = Distribution::Choices(listed);
+        let mut writer = ResultsWriter::new(folder.path(), &campaign).unwrap();
+        for draw in 0..4_u32 {
+            let row = TrialRow { values: vec![-1.5], ..TrialRow::example(u64::from(draw), Verdict::Pass, -0.25) };
+            writer.push(row, vec![[None; 4]]).unwrap();
+        }
+        writer.commit().unwrap();
+        let csv = std::fs::read_to_string(folder.path().join(CSV_FILE)).unwrap();
+        let lines: Vec<_> = csv.lines().collect();
+        assert!(lines[0].starts_with("trial,seed,controller.law,'=1+1,'=1+1_margin,verdict,cause,"), "{csv}");
+        for (line, law) in lines[1..].iter().zip(["'@law", "'+law", "-1", "'\tlaw"]) {
+            assert_eq!(line.split(',').nth(2), Some(law), "{csv}");
+            assert!(line.contains(",-1.5,-0.25,pass,"), "{csv}");
+        }
+        // Parquet is no spreadsheet, so its names stay.
+        let file = File::open(folder.path().join(PARQUET_FILE)).unwrap();
+        let reader = SerializedFileReader::new(file).unwrap();
+        assert_eq!(reader.metadata().file_metadata().schema().get_fields()[3].name(), "=1+1");
     }
 
     #[test]

@@ -43,6 +43,8 @@ pub struct TrialRow {
     /// quantisation, sensor); NaN if one does not apply.
     pub errors: Vec<f64>,
     pub verdict: Verdict,
+    /// False if the controller does not announce what the trial needs. It was then not played.
+    pub is_applicable: bool,
     pub cause: Option<Cause>,
     pub redraws: u32,
     /// The smallest margin as a finite number. Negative if the trial fails, otherwise positive.
@@ -69,10 +71,41 @@ impl TrialRow {
             values,
             margins: expectations.iter().map(|expectation| expectation.margin.unwrap_or(f64::NEG_INFINITY)).collect(),
             verdict,
+            is_applicable: true,
             cause: undecided.filter(|_| verdict == Verdict::Inconclusive).find_map(|expectation| expectation.cause),
             redraws: trial.redraws,
             score: if is_failure { score.min(-SMALLEST_SCORE) } else { score.max(SMALLEST_SCORE) },
         }
+    }
+
+    pub(crate) fn not_applicable(trial: &DrawnTrial) -> Self {
+        let expectations = trial.scenario.expectations.len();
+        Self {
+            trial: trial.number,
+            draws: trial.values.clone(),
+            values: vec![f64::NAN; expectations],
+            margins: vec![f64::NEG_INFINITY; expectations],
+            errors: vec![f64::NAN; OWN_ORIGINS.len() * expectations],
+            verdict: Verdict::Inconclusive,
+            is_applicable: false,
+            cause: None,
+            redraws: trial.redraws,
+            // A search leaves such values.
+            score: MAX_DISTANCE,
+        }
+    }
+
+    /// The verdict for people and tables.
+    pub(crate) fn verdict_text(&self) -> &'static str {
+        if self.is_applicable { self.verdict.name() } else { "not applicable" }
+    }
+
+    /// The score, followed by one per expectation if there are several. A merge repeats a chain from
+    /// them, so they depend only on what a part stores.
+    pub(crate) fn scores(&self) -> Vec<f64> {
+        let own = self.margins.iter().filter(|_| self.margins.len() > 1);
+        let own = own.map(|margin| if margin.is_finite() { *margin } else { self.score.min(NO_VALUE_SCORE) });
+        std::iter::once(self.score).chain(own).collect()
     }
 
     /// Smallest margin of all expectations.
@@ -105,6 +138,7 @@ impl TrialRow {
 
     pub(crate) fn encode(&self) -> impl Iterator<Item = f64> {
         let verdict = VERDICTS.iter().position(|verdict| *verdict == self.verdict).unwrap_or_default();
+        let verdict = if self.is_applicable { verdict } else { VERDICTS.len() };
         let cause = CAUSES.iter().position(|cause| Some(*cause) == self.cause).map_or(0, |position| position + 1);
         let fixed = [verdict as f64, cause as f64, f64::from(self.redraws), self.score];
         self.draws.iter().chain(&self.values).chain(&self.margins).chain(&self.errors).copied().chain(fixed)
@@ -123,7 +157,11 @@ impl TrialRow {
             values: values.to_vec(),
             margins: margins.to_vec(),
             errors: errors.to_vec(),
-            verdict: *VERDICTS.get(verdict as usize)?,
+            verdict: match verdict as usize {
+                code if code == VERDICTS.len() => Verdict::Inconclusive,
+                code => *VERDICTS.get(code)?,
+            },
+            is_applicable: verdict as usize != VERDICTS.len(),
             cause: (cause as usize).checked_sub(1).and_then(|position| CAUSES.get(position)).copied(),
             redraws: redraws as u32,
             score,
@@ -144,6 +182,8 @@ pub struct Tally {
     pub trials: u64,
     pub failures: u64,
     pub inconclusive: u64,
+    /// Trials that were not played. They are not in `trials`.
+    pub not_applicable: u64,
     pub smallest_margin: f64,
     pub worst_trial: u64,
     /// Per expectation.
@@ -178,10 +218,22 @@ impl ValueTally {
 impl Tally {
     pub(crate) fn new(expectations: usize) -> Self {
         let values = vec![ValueTally::default(); expectations];
-        Self { trials: 0, failures: 0, inconclusive: 0, smallest_margin: f64::INFINITY, worst_trial: 0, values }
+        Self {
+            trials: 0,
+            failures: 0,
+            inconclusive: 0,
+            not_applicable: 0,
+            smallest_margin: f64::INFINITY,
+            worst_trial: 0,
+            values,
+        }
     }
 
     pub(crate) fn add(&mut self, row: &TrialRow) {
+        if !row.is_applicable {
+            self.not_applicable += 1;
+            return;
+        }
         self.trials += 1;
         self.failures += u64::from(row.verdict == Verdict::Fail);
         self.inconclusive += u64::from(row.verdict == Verdict::Inconclusive);
@@ -191,6 +243,11 @@ impl Tally {
         for (tally, value) in self.values.iter_mut().zip(&row.values).filter(|(_, value)| !value.is_nan()) {
             tally.add(*value);
         }
+    }
+
+    /// True if all trials need what the controller does not announce.
+    pub const fn is_not_applicable(&self) -> bool {
+        self.trials == 0 && self.not_applicable > 0
     }
 
     pub fn mean(&self, expectation: usize) -> Option<f64> {
@@ -326,7 +383,18 @@ mod tests {
     impl TrialRow {
         pub(crate) fn example(trial: u64, verdict: Verdict, margin: f64) -> Self {
             let (draws, values, margins, errors) = (vec![trial as f64], Vec::new(), vec![margin], Vec::new());
-            Self { trial, draws, values, margins, errors, verdict, cause: None, redraws: 0, score: margin }
+            Self {
+                trial,
+                draws,
+                values,
+                margins,
+                errors,
+                verdict,
+                is_applicable: true,
+                cause: None,
+                redraws: 0,
+                score: margin,
+            }
         }
     }
 
@@ -339,6 +407,7 @@ mod tests {
             margins: vec![f64::NEG_INFINITY],
             errors: vec![0.5, 0.25, 0.125],
             verdict: Verdict::Inconclusive,
+            is_applicable: true,
             cause: Some(Cause::Infeasible),
             redraws: 2,
             score: -1_000.5,

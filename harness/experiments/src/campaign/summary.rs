@@ -69,7 +69,12 @@ pub struct TallyResult {
     pub trials: u64,
     pub failures: u64,
     pub inconclusive: u64,
+    /// Trials that were not played, because the controller does not announce their law or a loop
+    /// delay. They are not in `trials`. Only if there are some.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub not_applicable: Option<u64>,
     pub interval: Option<[f64; 2]>,
+    /// `None` for a cell that is not applicable, and for a complete map.
     pub verdict: Option<Verdict>,
     #[serde(flatten)]
     pub worst: Option<WorstTrial>,
@@ -161,15 +166,19 @@ impl<'a> Summary<'a> {
         self.overall.add(row);
         if self.campaign.chain_trials() > 1 {
             self.chains.add(self.campaign, row);
-        } else {
+        }
+        if let Some(cell) = self.cells.get_mut(self.campaign.cell(&row.draws)) {
+            cell.add(row);
+        }
+        if !row.is_applicable {
+            return;
+        }
+        if self.campaign.chain_trials() == 1 {
             self.sample.add(self.campaign, row);
         }
         // With other methods, the first trials are not a random sample.
         if self.campaign.method == Method::Random {
             self.sequential.add(row);
-        }
-        if let Some(cell) = self.cells.get_mut(self.campaign.cell(&row.draws)) {
-            cell.add(row);
         }
         self.redraws += u64::from(row.redraws);
         if let Some(position) = CAUSES.iter().position(|cause| Some(*cause) == row.cause)
@@ -208,7 +217,8 @@ impl<'a> Summary<'a> {
         let is_spoiled = count(Cause::Rig) + count(Cause::Bench) > 0;
         // If the hosted rig missed a failure, its cells are not those of the emulated firmware.
         let is_wrong = self.agreement.as_ref().is_some_and(|agreement| agreement.missed_failures > 0);
-        (!self.missing.is_empty() || is_spoiled || is_wrong).then_some(Verdict::Inconclusive)
+        let is_empty = self.overall.is_not_applicable();
+        (!self.missing.is_empty() || is_spoiled || is_wrong || is_empty).then_some(Verdict::Inconclusive)
     }
 
     fn confirmed_verdict(&self) -> Verdict {
@@ -223,7 +233,7 @@ impl<'a> Summary<'a> {
     }
 
     fn screened_verdict(&self) -> Verdict {
-        if !self.missing.is_empty() {
+        if !self.missing.is_empty() || self.overall.is_not_applicable() {
             return Verdict::Inconclusive;
         }
         let Campaign { method, at_most, confidence, .. } = *self.campaign;
@@ -278,7 +288,8 @@ impl<'a> Summary<'a> {
             failures: tally.failures,
             inconclusive: tally.inconclusive,
             interval: tally.interval(campaign.confidence),
-            verdict: Some(self.verdict_of(tally)),
+            not_applicable: (tally.not_applicable > 0).then_some(tally.not_applicable),
+            verdict: (!tally.is_not_applicable()).then(|| self.verdict_of(tally)),
             worst: None,
         };
         let cells = self.cells.iter().enumerate().map(|(number, cell)| {
@@ -378,6 +389,18 @@ impl<'a> Summary<'a> {
             ));
         }
         lines.extend(self.campaign.truncated.iter().map(Truncation::line));
+        if self.overall.not_applicable > 0 {
+            let (count, cells) = (self.overall.not_applicable, &self.cells);
+            let cells = match cells.iter().filter(|cell| cell.is_not_applicable()).count() {
+                0 => String::new(),
+                skipped => format!(", with {skipped} of {} combinations of listed values", cells.len()),
+            };
+            lines.push(format!(
+                "{count} trials not applicable{cells}: the controller does not announce their law \
+                 (controller.law), or no loop delay (controller.design_delay_ms); expected a law that it announces, \
+                 or \"own\""
+            ));
+        }
         if self.redraws > 0 {
             lines.push(format!("the scenario refused {} draws, which were repeated", self.redraws));
         }
@@ -406,7 +429,7 @@ fn counterexample_name(trial: u64) -> String {
 /// The caller adds rows in the order of their trials.
 #[derive(Debug, Default)]
 pub struct ChainOutcome {
-    scores: Vec<f64>,
+    scores: Vec<Vec<f64>>,
     pub estimates: Vec<ChainEstimate>,
     pub without_estimate: u64,
     /// Number of trials of a search up to and including the first failing one.
@@ -422,7 +445,7 @@ impl ChainOutcome {
                 self.first_failure = Some(self.trials);
             }
             Method::Rare => {
-                self.scores.push(row.score);
+                self.scores.push(row.scores());
                 let chain = campaign.chain_trials();
                 if (row.trial + 1).is_multiple_of(chain) || row.trial + 1 == campaign.trials {
                     self.end_chain(campaign, row.trial / chain * chain..row.trial + 1);
@@ -525,7 +548,7 @@ impl ChainOutcome {
         let mut lines = vec![format!("probability of failure {:.3e}, {interval}; {precision}", combined.probability)];
         lines.extend(self.methods().into_iter().map(|MethodUse { method, chains, reason }| {
             let method = match method {
-                RareMethod::ImportanceSampling => "importance sampling around the design point",
+                RareMethod::ImportanceSampling => "importance sampling around the failing regions",
                 RareMethod::SubsetSimulation => "subset simulation",
             };
             format!("{method} in {chains} of {} chains: {reason}", self.estimates.len())
@@ -543,7 +566,7 @@ mod tests {
     #[case::failures(
         1e-4,
         0.1,
-        "1.000e-4, 8.487e-5 to 1.178e-4, each end at 95 % confidence; coefficient of variation 0.100, \
+        "1.000e-4, 7.948e-5 to 1.258e-4, each end at 95 % confidence; coefficient of variation 0.100, \
          effective sample size 100"
     )]
     #[case::few_failures(

@@ -157,7 +157,7 @@ pub struct SequenceTally {
     pub failed: u64,
 }
 
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Default)]
 pub struct Exploration {
     pub scenes: u64,
     pub undecided: u64,
@@ -174,6 +174,8 @@ pub struct Exploration {
     pub guidance: GuidanceTally,
     pub elapsed: Duration,
     pub is_interrupted: bool,
+    /// The error that ended the exploration after at least one result.
+    pub error: Option<ExploreError>,
 }
 
 impl Exploration {
@@ -241,7 +243,8 @@ impl Exploration {
 }
 
 /// `ends` receives the ends of all sessions. `on_scene` receives the numbers of played and failed
-/// scenes. Violations are not errors.
+/// scenes. Violations are not errors. After an error, returns what was found before, if anything
+/// was played.
 pub fn explore(
     config: &ExploreConfig,
     connect: &LinkFactory<'_>,
@@ -262,7 +265,7 @@ pub fn explore_and_record<L: RecordingLink>(
 ) -> Result<Exploration, ExploreError> {
     let started = Instant::now();
     let mut exploration = Exploration::default();
-    play_regressions(config, connect, cancel, ends, &mut exploration)?;
+    exploration.error = play_regressions(config, connect, cancel, ends, &mut exploration).err();
     let (next, failed) = (AtomicU64::new(0), AtomicU64::new(0));
     let items = if config.sequences.is_some() { ITEMS } else { 1 };
     let mut workers: Vec<_> =
@@ -276,6 +279,9 @@ pub fn explore_and_record<L: RecordingLink>(
         is_used || cancel.is_cancelled() || failed.load(Ordering::Relaxed) >= config.max_failed
     };
     for round_end in (1..).map(|round| round * ROUND * items) {
+        if exploration.error.is_some() {
+            break;
+        }
         let source = || {
             let number = next.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |next| {
                 (next < round_end && !is_over(next)).then_some(next + 1)
@@ -302,7 +308,7 @@ pub fn explore_and_record<L: RecordingLink>(
             Ok(())
         };
         let mut round = BTreeMap::new();
-        run_workers(workers.iter_mut(), source, work, &mut |played: PlayedItem| {
+        let outcome = run_workers(workers.iter_mut(), source, work, &mut |played: PlayedItem| {
             match played {
                 PlayedItem::Scene(played) => {
                     let PlayedScene { index, scene, drawn, is_derived, mut result, history } = *played;
@@ -324,7 +330,8 @@ pub fn explore_and_record<L: RecordingLink>(
             }
             on_scene(exploration.scenes, (exploration.failed.len() + exploration.failed_sequences.len()) as u64);
             Ok::<_, ExploreError>(ControlFlow::Continue(()))
-        })?;
+        });
+        exploration.error = outcome.err();
         corpus.add_round(round);
         if is_over(next.load(Ordering::Relaxed)) {
             break;
@@ -339,7 +346,11 @@ pub fn explore_and_record<L: RecordingLink>(
     exploration.is_interrupted = cancel.is_cancelled();
     exploration.failed.sort_by_key(|scene| scene.index);
     exploration.elapsed = started.elapsed();
-    Ok(exploration)
+    let is_empty = exploration.scenes == 0 && exploration.sequences.played == 0 && exploration.regressions == 0;
+    match exploration.error.take_if(|_| is_empty) {
+        Some(error) => Err(error),
+        None => Ok(exploration),
+    }
 }
 
 fn play_regressions<L: RecordingLink>(

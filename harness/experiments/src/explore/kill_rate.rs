@@ -221,7 +221,11 @@ impl KillRateConfig {
             is_guided: true,
             branch_outcomes: BTreeSet::new(),
         };
-        let exploration = explore(&config, &|| Ok(link()), cancel, &SafeEnds::default(), &mut |_, _| {})?;
-        if exploration.is_interrupted { Err(ExploreError::Cancelled) } else { Ok(exploration) }
+        let mut exploration = explore(&config, &|| Ok(link()), cancel, &SafeEnds::default(), &mut |_, _| {})?;
+        match exploration.error.take() {
+            Some(error) => Err(error),
+            None if exploration.is_interrupted => Err(ExploreError::Cancelled),
+            None => Ok(exploration),
+        }
     }
 }

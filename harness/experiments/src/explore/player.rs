@@ -22,6 +22,12 @@ pub struct SceneFailure {
     pub limit: Option<f64>,
 }
 
+impl SceneFailure {
+    pub(crate) fn unknown(property: Property) -> Self {
+        Self { property, name: String::new(), value: None, limit: None }
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WindowResult {
     pub property: Property,

@@ -7,12 +7,13 @@ use crate::explore::exploration::{
 };
 use crate::explore::guidance::GuidanceTally;
 use crate::explore::limits::LawProperties;
-use crate::explore::player::violated;
+use crate::explore::player::{ExploreError, violated};
 use crate::explore::properties::Property;
 use platebench_engine::SafeEnds;
 use platebench_model::quoted;
 use platebench_model::record::Verdict;
 use platebench_report::document::{Block, Document, Figure, Table};
+use platebench_report::text::printable;
 use platebench_verdict::statistics::clopper_pearson;
 use platebench_wire::LawId;
 use schemars::JsonSchema;
@@ -26,13 +27,16 @@ pub const FILE: &str = "explore.json";
 #[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct ExploreReport {
     pub format: u32,
-    /// `fail` after a violation. Otherwise `inconclusive` if a scene is undecided, a signal ended
-    /// the exploration or a controller did not confirm 0 V.
+    /// `fail` after a violation. Otherwise `inconclusive` if a scene is undecided, a signal or the
+    /// rig ended the exploration or a controller did not confirm 0 V.
     pub verdict: Verdict,
     /// True if every controller confirmed 0 V and stayed there.
     pub safe_confirmed: bool,
     /// True if a signal ended the exploration. Failing scenes are then not shrunk.
     pub is_interrupted: bool,
+    /// Only if an error of the rig ended the exploration. Failing scenes are then not shrunk.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stopped_by: Option<String>,
     pub envelope: String,
     /// The rig as named on the command line.
     pub rig: String,
@@ -131,6 +135,7 @@ impl ExploreReport {
             verdict,
             safe_confirmed: true,
             is_interrupted: exploration.is_interrupted,
+            stopped_by: None,
             envelope: config.envelope.path.display().to_string(),
             rig: rig.to_owned(),
             firmware: firmware.to_owned(),
@@ -193,6 +198,7 @@ impl ExploreReport {
                 failed_regressions.len()
             ),
             Verdict::Inconclusive if *is_interrupted => "a signal ended the exploration".to_owned(),
+            Verdict::Inconclusive if self.stopped_by.is_some() => self.stopped_by.clone().unwrap_or_default(),
             Verdict::Inconclusive if !self.safe_confirmed => "the controller did not confirm 0 V at the end".to_owned(),
             Verdict::Inconclusive if sequences.undecided > 0 => format!(
                 "{undecided} of {scenes} scenes and {} of {} sequences are undecided, because of the rig",
@@ -202,6 +208,13 @@ impl ExploreReport {
             Verdict::Pass => {
                 format!("no property was violated in {scenes} scenes and {} sequences of messages", sequences.played)
             }
+        }
+    }
+
+    pub(crate) fn record_stop(&mut self, error: Option<&ExploreError>) {
+        self.stopped_by = error.map(ToString::to_string);
+        if self.stopped_by.is_some() && self.verdict == Verdict::Pass {
+            self.verdict = Verdict::Inconclusive;
         }
     }
 
@@ -217,7 +230,11 @@ impl ExploreReport {
 
     pub fn conclusion(&self) -> String {
         let Self { failed, scenes, .. } = self;
-        let interrupted = if self.is_interrupted { " A signal ended the exploration." } else { "" };
+        let interrupted = match &self.stopped_by {
+            Some(error) => format!(" The exploration ended early: {}.", printable(error)),
+            None if self.is_interrupted => " A signal ended the exploration.".to_owned(),
+            None => String::new(),
+        };
         let unsafe_end = if self.safe_confirmed {
             ""
         } else {
@@ -284,7 +301,8 @@ pub fn document(report: &ExploreReport) -> Document {
         let what = if *is_sequence { "sequence" } else { "scene" };
         failures.push(format!("property {property} violated: {difference}; minimal {what}: {file}"));
         if !violation.is_reproduced {
-            failures.push("  this scene did not fail again with a new controller".to_owned());
+            let why = "this scene did not fail again with a new controller, or the exploration ended before";
+            failures.push(format!("  {why}"));
         }
     }
     let mut details: Vec<Block> = report.violations.iter().flat_map(violation_blocks).collect();

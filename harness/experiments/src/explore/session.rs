@@ -6,8 +6,7 @@ use crate::explore::envelope::Envelope;
 use crate::explore::exploration::explore_and_record;
 use crate::explore::exploration::{ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, explore};
 use crate::explore::limits::LawProperties;
-use crate::explore::player::ExploreError;
-use crate::explore::player::Player;
+use crate::explore::player::{ExploreError, Player, SceneFailure};
 use crate::explore::properties::Property;
 use crate::explore::report;
 use crate::explore::report::{ExploreReport, ViolationReport, violated_properties};
@@ -18,7 +17,7 @@ use crate::explore::shrink::{MinimalScene, Shrinker, shrink_messages};
 use crate::firmware_analysis::suite::read_code;
 use platebench_engine::SafeEnds;
 use platebench_engine::plan::LinkFactory;
-use platebench_model::scenario::{Scenario, load};
+use platebench_model::scenario::{Scenario, ScenarioMessage, load};
 use platebench_model::trace::{AtPath, write_atomically};
 use platebench_plate::Time;
 use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, RigError, RigSpec, Session};
@@ -87,13 +86,14 @@ fn branch_outcomes(_: &RigSpec) -> Result<BTreeSet<u32>, ExploreError> {
 }
 
 impl ExploreSession {
-    /// Writes `explore.json` and `report.html` to `folder`. A violated property is no error.
+    /// Writes `explore.json` and `report.html` to `folder`. A violated property is no error. Also
+    /// returns the error that ended the exploration early; what was found before is in the report.
     pub fn run(
         self,
         cancel: &CancelToken,
         folder: &Path,
         on_progress: &mut dyn FnMut(ProgressEvent),
-    ) -> Result<ExploreReport, ExploreError> {
+    ) -> Result<(ExploreReport, Option<ExploreError>), ExploreError> {
         let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
         let connect = || self.rig.connect_with(&options);
         let ends = SafeEnds::default();
@@ -104,53 +104,48 @@ impl ExploreSession {
             on_progress(ProgressEvent { elapsed: started.elapsed(), scenes, failed });
         };
         #[cfg(feature = "firmware-analysis")]
-        let exploration = if self.rig.has(Capability::EmulatedChip) {
+        let mut exploration = if self.rig.has(Capability::EmulatedChip) {
             let connect = || Ok(self.rig.image().map_or_else(EmulatedLink::built_in, EmulatedLink::open)?);
             explore_and_record(&config, &connect, cancel, &ends, &mut on_scene)?
         } else {
             explore(&config, &connect, cancel, &ends, &mut on_scene)?
         };
         #[cfg(not(feature = "firmware-analysis"))]
-        let exploration = explore(&config, &connect, cancel, &ends, &mut on_scene)?;
+        let mut exploration = explore(&config, &connect, cancel, &ends, &mut on_scene)?;
+        let mut stop = exploration.error.take();
+        // Without a rig, a failing scene is stored as it is.
+        let mut is_playable = stop.is_none() && !exploration.is_interrupted;
         let rig = self.rig.to_string();
         let mut report = ExploreReport::new(&config, &exploration, &rig, &platebench_rig::printable_name(&identity));
-        let mut violated = violated_properties(&exploration);
-        if exploration.is_interrupted {
-            violated.clear();
-        }
         let deadline = Instant::now() + SHRINK_TIME;
-        for (position, (property, failed)) in violated.into_iter().take(MAX_MINIMAL).enumerate() {
+        let mut add = |found: (Option<ViolationReport>, Option<ExploreError>)| {
+            report.violations.extend(found.0);
+            match found.1 {
+                Some(ExploreError::Cancelled) => report.is_interrupted = true,
+                Some(error) => stop = stop.take().or(Some(error)),
+                None => return true,
+            }
+            false
+        };
+        for (position, (property, failed)) in
+            violated_properties(&exploration).into_iter().take(MAX_MINIMAL).enumerate()
+        {
             let rest = deadline.saturating_duration_since(Instant::now());
-            let time = rest / (MAX_MINIMAL - position) as u32;
-            match self.minimise(&config, &connect, (cancel, &ends), failed, property, time) {
-                Ok(violation) => report.violations.push(violation),
-                Err(ExploreError::Cancelled) => {
-                    report.is_interrupted = true;
-                    break;
-                }
-                Err(error) => return Err(error),
-            }
+            let time = is_playable.then_some(rest / (MAX_MINIMAL - position) as u32);
+            is_playable &= add(self.minimise(&config, &connect, (cancel, &ends), failed, property, time));
         }
-        if !exploration.is_interrupted {
-            for (position, failed) in distinct_sequences(&exploration.failed_sequences).into_iter().enumerate() {
-                let rest = (deadline + SEQUENCE_SHRINK_TIME).saturating_duration_since(Instant::now());
-                let deadline = Instant::now() + rest / (MAX_MINIMAL - position) as u32;
-                match self.minimise_sequence(&config, &connect, (cancel, &ends), failed, deadline) {
-                    Ok(violation) => report.violations.push(violation),
-                    Err(ExploreError::Cancelled) => {
-                        report.is_interrupted = true;
-                        break;
-                    }
-                    Err(error) => return Err(error),
-                }
-            }
+        for (position, failed) in distinct_sequences(&exploration.failed_sequences).into_iter().enumerate() {
+            let rest = (deadline + SEQUENCE_SHRINK_TIME).saturating_duration_since(Instant::now());
+            let deadline = is_playable.then(|| Instant::now() + rest / (MAX_MINIMAL - position) as u32);
+            is_playable &= add(self.minimise_sequence(&config, &connect, (cancel, &ends), failed, deadline));
         }
+        report.record_stop(stop.as_ref());
         report.record_ends(&ends);
         let text = serde_json::to_string_pretty(&report).unwrap_or_default();
         let path = folder.join(report::FILE);
         write_atomically(&path, text.as_bytes()).at(&path)?;
         report::document(&report).write(&folder.join(report::PAGE_FILE))?;
-        Ok(report)
+        Ok((report, stop))
     }
 
     fn config(&self, identity: &Identity, exchange_time: Duration) -> Result<ExploreConfig, ExploreError> {
@@ -185,28 +180,46 @@ impl ExploreSession {
         })
     }
 
+    /// Stores the sequence, reduced until `deadline`. Without a deadline it is stored as it is. An
+    /// error of the rig comes with the stored sequence.
     fn minimise_sequence(
         &self,
         config: &ExploreConfig,
         connect: &LinkFactory<'_>,
         (cancel, ends): (&CancelToken, &SafeEnds),
         failed: &FailedSequence,
-        deadline: Instant,
-    ) -> Result<ViolationReport, ExploreError> {
-        let FailedSequence { index, messages: original, properties, text } = failed;
+        deadline: Option<Instant>,
+    ) -> (Option<ViolationReport>, Option<ExploreError>) {
+        let FailedSequence { messages: original, properties, .. } = failed;
         let property = properties.first().copied().unwrap_or(Property::Answers);
-        let (law, seed) = (config.law.name(), config.seed);
         let mut player = Player::new(connect, config.own_clock, cancel, ends);
         let mut replays = 0;
-        let (minimal, difference) = shrink_messages(original.clone(), deadline, &mut |messages| {
-            // A candidate may be invalid, for example if the messages before an `again` are gone.
-            let Ok(scenario) = config.sequence_scenario(messages, "Replay", "").check() else { return Ok(None) };
-            replays += 1;
-            player.renew();
-            let result = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
-            let failure = result.failure_of(property).map(|failure| failure.name.clone());
-            Ok(failure.map(|name| result.differences.into_iter().next().unwrap_or(name)))
-        })?;
+        let shrunk = deadline.map(|deadline| {
+            shrink_messages(original.clone(), deadline, &mut |messages| {
+                // A candidate may be invalid, for example if the messages before an `again` are gone.
+                let Ok(scenario) = config.sequence_scenario(messages, "Replay", "").check() else { return Ok(None) };
+                replays += 1;
+                player.renew();
+                let result = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
+                let failure = result.failure_of(property).map(|failure| failure.name.clone());
+                Ok(failure.map(|name| result.differences.into_iter().next().unwrap_or(name)))
+            })
+        });
+        let ((minimal, difference), error) = or_original(shrunk, || (original.clone(), None));
+        let stored = self.write_sequence(config, failed, property, &minimal, difference);
+        let replayed = deadline.is_some() && error.is_none();
+        reproduce(stored.map(|violation| ViolationReport { replays, ..violation }), error, replayed, &mut player)
+    }
+
+    fn write_sequence(
+        &self,
+        config: &ExploreConfig,
+        FailedSequence { index, messages: original, text, .. }: &FailedSequence,
+        property: Property,
+        minimal: &[ScenarioMessage],
+        difference: Option<String>,
+    ) -> Result<ViolationReport, ExploreError> {
+        let (law, seed) = (config.law.name(), config.seed);
         let name = format!("{law}-messages-{seed}-{index}");
         let title = format!("Explored: {law} violates the property {property} (sequence {index} of seed {seed})");
         let mut comment = vec![
@@ -216,16 +229,13 @@ impl ExploreSession {
             format!("rig: {}", self.rig).replace(char::is_control, " "),
         ];
         if difference.is_none() {
-            comment.push("The sequence did not fail again with a new controller, so it is not minimal.".to_owned());
+            comment.push(NOT_MINIMAL.to_owned());
         }
         let folder = &self.regression_folder;
         fs::create_dir_all(folder).at(folder)?;
-        let scenario = config.sequence_scenario(&minimal, &title, &format!("{name}-"));
+        let scenario = config.sequence_scenario(minimal, &title, &format!("{name}-"));
         scenario.write(folder, &name, &comment).at(folder)?;
         let path = folder.join(format!("{name}.toml"));
-        let scenario = load(&path, &name).map_err(|fault| ExploreError::Generated(Box::new(fault)))?;
-        player.renew();
-        let again = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
         Ok(ViolationReport {
             property,
             scene: *index,
@@ -238,11 +248,12 @@ impl ExploreSession {
             minimal_value: None,
             minimal_limit: None,
             file: path.display().to_string(),
-            is_reproduced: again.failure_of(property).is_some(),
-            replays,
+            is_reproduced: false,
+            replays: 0,
         })
     }
 
+    /// As [`Self::minimise_sequence`], for a scene.
     fn minimise(
         &self,
         config: &ExploreConfig,
@@ -250,17 +261,31 @@ impl ExploreSession {
         (cancel, ends): (&CancelToken, &SafeEnds),
         failed: &FailedScene,
         property: Property,
-        time: Duration,
-    ) -> Result<ViolationReport, ExploreError> {
+        time: Option<Duration>,
+    ) -> (Option<ViolationReport>, Option<ExploreError>) {
         let mut player = Player::new(connect, config.own_clock, cancel, ends);
-        let minimal = Shrinker::new(config, &mut player, time).shrink(failed, property)?;
+        let shrunk = time.map(|time| Shrinker::new(config, &mut player, time).shrink(failed, property));
+        let original = || MinimalScene {
+            scene: failed.scene.clone(),
+            demands: config.demands(&failed.scene),
+            failure: failed.failure_of(property).cloned().unwrap_or_else(|| SceneFailure::unknown(property)),
+            is_reproduced: false,
+            replays: 0,
+        };
+        let (minimal, error) = or_original(shrunk, original);
+        let stored = self.write_scene(config, failed, property, &minimal);
+        reproduce(stored, error, time.is_some(), &mut player)
+    }
+
+    fn write_scene(
+        &self,
+        config: &ExploreConfig,
+        failed: &FailedScene,
+        property: Property,
+        minimal: &MinimalScene,
+    ) -> Result<ViolationReport, ExploreError> {
         let rig = self.rig.to_string();
-        let path = write_regression(&self.regression_folder, config, &rig, failed, &minimal)?;
-        // Checks that the written file also fails with a new controller, as in `platebench run`.
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let scenario = load(&path, &name).map_err(|fault| ExploreError::Generated(Box::new(fault)))?;
-        player.renew();
-        let again = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
+        let path = write_regression(&self.regression_folder, config, &rig, failed, minimal)?;
         let original = failed.failure_of(property);
         let title = format!("Scene {} of seed {}", failed.index, config.seed);
         Ok(ViolationReport {
@@ -275,10 +300,47 @@ impl ExploreSession {
             minimal_value: minimal.failure.value,
             minimal_limit: minimal.failure.limit,
             file: path.display().to_string(),
-            is_reproduced: again.failure_of(property).is_some(),
+            is_reproduced: false,
             replays: minimal.replays,
         })
     }
+}
+
+/// Comment of a stored scene that is not reduced.
+const NOT_MINIMAL: &str =
+    "It is not minimal: it did not fail again with a new controller, or the exploration ended before.";
+
+/// The reduced scene, or the original one if it could not be reduced.
+fn or_original<T>(shrunk: Option<Result<T, ExploreError>>, original: impl FnOnce() -> T) -> (T, Option<ExploreError>) {
+    match shrunk {
+        Some(Ok(minimal)) => (minimal, None),
+        Some(Err(error)) => (original(), Some(error)),
+        None => (original(), None),
+    }
+}
+
+/// Plays the written file with a new controller, as `platebench run` does, unless there was an
+/// error before.
+fn reproduce(
+    stored: Result<ViolationReport, ExploreError>,
+    error: Option<ExploreError>,
+    is_playable: bool,
+    player: &mut Player<'_>,
+) -> (Option<ViolationReport>, Option<ExploreError>) {
+    let mut violation = match stored {
+        Ok(violation) => violation,
+        Err(unwritten) => return (None, error.or(Some(unwritten))),
+    };
+    if !is_playable || error.is_some() {
+        return (Some(violation), error);
+    }
+    let path = Path::new(&violation.file);
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    player.renew();
+    let again = load(path, &name).map_err(|fault| ExploreError::Generated(Box::new(fault)));
+    let again = again.and_then(|scenario| player.play(&scenario)?.ok_or(ExploreError::Cancelled));
+    let again = again.map(|again| violation.is_reproduced = again.failure_of(violation.property).is_some());
+    (Some(violation), again.err())
 }
 
 /// Removes loop delays from the envelope if the controller does not announce support for them.
@@ -366,7 +428,7 @@ fn comment(rig: &str, law: &str, minimal: &MinimalScene) -> Vec<String> {
         format!("rig: {rig}").replace(char::is_control, " "),
     ];
     if !minimal.is_reproduced {
-        lines.push("The scene did not fail again with a new controller, so it is not minimal.".to_owned());
+        lines.push(NOT_MINIMAL.to_owned());
     }
     lines
 }

@@ -17,7 +17,7 @@ fn mutate(sample: Option<usize>, until_width: Option<f64>, jobs: usize) -> Mutat
         jobs,
         cancel: CancelToken::never(),
     };
-    measure_mutation(&config, &mut |_| {}).unwrap()
+    measure_mutation(&config, &mut |_| {}).unwrap().0
 }
 
 fn statuses(report: &MutationReport) -> Vec<(u32, &'static str)> {

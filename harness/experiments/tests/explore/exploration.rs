@@ -6,13 +6,14 @@ use platebench_experiments::explore::kill_rate::{KillRateConfig, kill_rate};
 use platebench_experiments::explore::report::violated_properties;
 use platebench_experiments::explore::session::ExploreSession;
 use platebench_experiments::explore::shrink::Shrinker;
-use platebench_experiments::explore::{ExplorationBudget, ExploreConfig, Player, Property, explore};
+use platebench_experiments::explore::{ExplorationBudget, ExploreConfig, ExploreError, Player, Property, explore};
 use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, clean_variants};
 use platebench_model::record::Verdict;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, RigSpec};
 use platebench_wire::{LawId, Message};
 use rstest::rstest;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 /// Long enough that a search ends by its number of replays, also on a busy machine.
@@ -106,6 +107,21 @@ fn a_mutant_is_found_and_its_scene_shrinks_to_one_level() {
 }
 
 #[test]
+fn scenes_before_a_lost_rig_are_kept() {
+    let connections = AtomicU32::new(0);
+    // The controller is replaced after 20 scenes.
+    let connect = || match connections.fetch_add(1, Ordering::Relaxed) {
+        0 => mutant(),
+        _ => "serial:/dev/none".parse::<RigSpec>().unwrap().connect(),
+    };
+    let config = ExploreConfig { jobs: 1, max_failed: u64::MAX, ..configuration(LawId::DqPi, 60) };
+    let result = explore(&config, &connect, &CancelToken::never(), &SafeEnds::default(), &mut |_, _| {}).unwrap();
+    assert_eq!(result.scenes, 20);
+    assert!(!result.failed.is_empty() && matches!(result.error, Some(ExploreError::Run(_))), "{:?}", result.error);
+    assert!(explore(&config, &connect, &CancelToken::never(), &SafeEnds::default(), &mut |_, _| {}).is_err());
+}
+
+#[test]
 fn an_interrupted_exploration_writes_its_result() {
     let ExploreConfig { envelope, law, seed, jobs, .. } = configuration(LawId::DqPi, 1);
     let budget = ExplorationBudget::Scenes(u64::MAX / 4);
@@ -124,7 +140,7 @@ fn an_interrupted_exploration_writes_its_result() {
     };
     let folder = tempfile::tempdir().unwrap();
     let cancel = CancelToken::default();
-    let report = session.run(&cancel, folder.path(), &mut |_| cancel.cancel()).unwrap();
+    let (report, _) = session.run(&cancel, folder.path(), &mut |_| cancel.cancel()).unwrap();
     assert!(report.scenes + report.sequences.played >= 1 && report.is_interrupted, "{report:?}");
     assert_eq!(report.verdict, Verdict::Inconclusive);
     assert!(report.conclusion().ends_with("A signal ended the exploration."), "{}", report.conclusion());

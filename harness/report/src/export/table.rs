@@ -1,6 +1,7 @@
 //! Writes CSV: one tidy table of the whole run, and a description of its columns by the W3C's
 //! "Metadata Vocabulary for Tabular Data".
 
+use crate::escape::without_formula;
 use crate::export::source::{ExportError, ExportScenario, FLAG_COLUMNS, NUMBER_COLUMNS, Number};
 use platebench_model::trace::AtPath;
 use serde::Serialize;
@@ -41,11 +42,12 @@ pub(crate) fn write(sources: &[ExportScenario<'_>], file: &File, path: &Path) ->
     let header = keys.chain(NUMBER_COLUMNS.iter().map(Number::name)).chain(FLAG_COLUMNS.iter().map(|flag| flag.name));
     table.write_record(header).map_err(&format_error)?;
     for source in sources {
+        let scenario = without_formula(source.name);
         for trial in &source.trials {
             for row in trial.rows()? {
                 let row = row?;
                 let line = TableRow {
-                    scenario: source.name,
+                    scenario: &scenario,
                     trial: trial.index,
                     seed: trial.seed,
                     numbers: NUMBER_COLUMNS.map(|number| number.known_value(&row)),

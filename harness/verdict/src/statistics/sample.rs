@@ -1,7 +1,8 @@
 //! Summarises a sample by mean and standard deviation, with bounds for normal data, and tests data
 //! for normality.
 
-use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
+use super::student::student_quantile;
+use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SampleSummary {
@@ -26,7 +27,7 @@ impl SampleSummary {
     /// One-sided bounds by Student's t for normal data. `None` for fewer than two values.
     pub fn mean_bounds(&self, confidence: f64) -> Option<[f64; 2]> {
         let freedom = self.degrees_of_freedom()?;
-        let quantile = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(confidence);
+        let quantile = student_quantile(freedom, confidence);
         let half = quantile * self.deviation / (self.count as f64).sqrt();
         Some([self.mean - half, self.mean + half])
     }
@@ -46,7 +47,7 @@ impl SampleSummary {
             return Some([difference, difference]);
         }
         let freedom = variance.powi(2) / (own_part + their_part);
-        let half = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(confidence) * variance.sqrt();
+        let half = student_quantile(freedom, confidence) * variance.sqrt();
         Some([difference - half, difference + half])
     }
 

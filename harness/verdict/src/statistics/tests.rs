@@ -264,6 +264,42 @@ fn the_tails_are_the_binomial_sums() {
     );
 }
 
+// Values of mpmath with 40 digits: P(B ≥ k) and P(B ≤ k).
+#[rstest]
+#[case(100, 50, 0.5, 0.539_794_618_693_589_4, 0.539_794_618_693_589_4)]
+#[case(1_000_000, 500_000, 0.500_5, 0.841_586_716_672_080_3, 0.158_897_224_534_987_25)]
+#[case(100_000_000, 50_000_000, 0.499_95, 0.158_679_451_003_814_63, 0.841_368_943_140_847_2)]
+#[case(100_000_000, 50_000_000, 0.500_1, 0.977_255_267_958_095_3, 0.022_755_530_234_748_452)]
+#[case(100_000_000, 1_000_000, 0.010_02, 0.977_736_150_743_805_5, 0.022_317_168_761_164_394)]
+#[case(1_000_000_000, 999_999_998, 0.999_999_999, 0.919_698_608_222_746_2, 0.264_241_107_252_774_2)]
+#[case(4_000_000_000, 2_000_000_000, 0.500_01, 0.897_051_228_932_742_3, 0.102_954_439_649_868_71)]
+#[case(4_000_000_000, 2_000_000_000, 0.499_99, 0.102_954_439_648_610_01, 0.897_051_228_934_001)]
+fn the_tails_of_many_trials_are_exact(
+    #[case] count: u32,
+    #[case] seen: u32,
+    #[case] p: f64,
+    #[case] least: f64,
+    #[case] most: f64,
+) {
+    let found = [probability_at_least(seen, count, p), probability_at_most(seen, count, p)];
+    for (found, expected) in found.into_iter().zip([least, most]) {
+        assert!((found / expected - 1.0).abs() < 1e-9, "{found}, expected {expected}");
+    }
+}
+
+// The normal approximation is exact to some 10⁻⁹ for so many trials.
+#[rstest]
+#[case(50_000_000)]
+#[case(100_000_000)]
+#[case(u32::MAX - 1)]
+fn the_bounds_of_half_of_many_trials_are_narrow(#[case] count: u32) {
+    let [low, high] = clopper_pearson(count / 2, count, 0.95).unwrap();
+    let half_width = 1.644_853_627 * 0.5 / f64::from(count).sqrt();
+    for (end, expected) in [(low, 0.5 - half_width), (high, 0.5 + half_width)] {
+        assert!((end - expected).abs() < 1e-3 * half_width, "{end}, expected {expected}");
+    }
+}
+
 #[test]
 fn no_trials_have_no_bounds() {
     assert_eq!(clopper_pearson(0, 0, 0.95), None);
