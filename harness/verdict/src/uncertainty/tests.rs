@@ -122,7 +122,8 @@ fn monte_carlo_gives_the_same_uncertainty() {
 #[case([9.0, 9.0], 1.07)]
 #[case([4.0, 4.0], 1.21)]
 fn limited_freedom_widens_the_monte_carlo_interval(#[case] freedoms: [f64; 2], #[case] ratio: f64) {
-    let part = |freedom: f64| part(ComponentKind::Bench, Distribution::Normal, 1.0, Some(freedom).filter(|f| f.is_finite()));
+    let part =
+        |freedom: f64| part(ComponentKind::Bench, Distribution::Normal, 1.0, Some(freedom).filter(|f| f.is_finite()));
     let stated = CombinedUncertainty::of(freedoms.map(part).to_vec(), 0.95);
     let mut random = ChaCha8Rng::seed_from_u64(5);
     let mut draw = |freedom: f64| {
