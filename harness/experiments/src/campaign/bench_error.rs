@@ -5,8 +5,7 @@ use crate::campaign::definition::Campaign;
 use crate::campaign::paired_trials::PairedErrors;
 use crate::campaign::row::{Tally, TrialRow, ValueTally};
 use platebench_engine::TrialResult;
-use platebench_model::scenario::Expectation;
-use platebench_model::scenario::Scenario;
+use platebench_model::scenario::{Expectation, Scenario};
 use platebench_verdict::missed_between_rows;
 use platebench_verdict::uncertainty::{ErrorOrigin, QuantityBudget, peak_bound};
 
@@ -57,12 +56,12 @@ impl BenchErrors {
         let errors = |(index, (budget, value)): (usize, (&QuantityBudget, &f64))| {
             let [numerical, quantisation, sensor] = OWN_ORIGINS.map(|origin| budget.standard_of(origin, *value, None));
             // Errors of the amplitude do not change a count.
-            let of_pairs = |errors: &Option<Vec<f64>>| numerical.and(errors.as_ref()?.get(index).copied());
+            let of_pairs = |errors: Option<&Vec<f64>>| numerical.and(errors?.get(index).copied());
             let peak = scenario
                 .expectations
                 .get(index)
                 .and_then(|expectation| missed_peak(scenario, expectation, played).filter(|_| value.is_finite()));
-            let noise = of_pairs(&paired.noise);
+            let noise = of_pairs(paired.noise.as_ref());
             let sensor = match noise {
                 // The law ignores the sensor.
                 Some(0.0) => noise,
@@ -70,7 +69,7 @@ impl BenchErrors {
             };
             let errors = [
                 root_sum_square(numerical, peak),
-                root_sum_square(quantisation, of_pairs(&paired.quantisation)),
+                root_sum_square(quantisation, of_pairs(paired.quantisation.as_ref())),
                 sensor,
             ];
             errors.map(|error| error.filter(|_| value.is_finite()).unwrap_or(f64::NAN))
