@@ -16,9 +16,9 @@ use platebench_verdict::{TrialMeasures, judge, measure};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Number of pairs with and without noise. Their standard deviation has a relative error of 9 % if
+/// Number of pairs with and without noise. Their standard deviation has a relative error of 6 % if
 /// the value is normal, and more for a value with a long tail, such as an overshoot near 0.
-pub(crate) const REFERENCES: u64 = 64;
+pub(crate) const REFERENCES: u64 = 128;
 /// A standard deviation of fewer differences is unknown.
 const MIN_DIFFERENCES: usize = 8;
 

@@ -57,11 +57,11 @@ fn column(rows: &[TrialRow], index: usize, origin: usize) -> Vec<[f64; 2]> {
 fn the_sensor_column_is_the_scatter_of_the_trials(#[case] controller: &str) {
     let folder = tempfile::tempdir().unwrap();
     let plate = PLATE.replace("noise_um_rms = 0.0", "noise_um_rms = 0.01");
-    let rows = play(folder.path(), &plate, controller, 300);
+    let rows = play(folder.path(), &plate, controller, 1_000);
     for (index, expect) in EXPECT.iter().enumerate() {
         let column = column(&rows, index, 2);
         let known: Vec<f64> = column.iter().map(|[value, _]| *value).filter(|value| value.is_finite()).collect();
-        if known.len() < 280 {
+        if known.len() < 950 {
             continue;
         }
         let mean = known.iter().sum::<f64>() / known.len() as f64;
