@@ -268,7 +268,7 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
         }
         let next = self.next_event(now);
         if self.may_receive_late_commands() {
-            self.plant.advance(next.min(self.plant.next_scheduled_row()));
+            self.plant.advance(next.min(self.plant.next_scheduled_row()), Flags::empty());
         } else {
             self.plant.advance_through(next, lost);
         }

@@ -179,27 +179,28 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     /// Simulates until `end`. Adds a row before and after each crossing of an expectation's band, or
     /// of the limit of an overshoot or a peak deviation.
     /// No scheduled row may lie before `end`.
-    pub(crate) fn advance(&mut self, end: Time) {
+    pub(crate) fn advance(&mut self, end: Time, flags: Flags) {
         self.update_bands(end);
         self.plant.advance(end, &self.bands, &mut self.crossings);
         if self.time() >= self.next_point {
             self.find_next_point();
         }
         if !self.crossings.is_empty() {
-            self.push_crossings(end);
+            self.push_crossings(end, flags);
         }
     }
 
     /// Adds the rows of the crossings before `end`.
     #[cold]
-    fn push_crossings(&mut self, end: Time) {
+    fn push_crossings(&mut self, end: Time, flags: Flags) {
         let mut crossings = std::mem::take(&mut self.crossings);
         for crossing in crossings.drain(..) {
             let last = Time::from_nanos(crossing.time.as_nanos().saturating_sub(1));
-            for (time, state) in [(last, crossing.before), (crossing.time, crossing.state)] {
+            let instants = [(last, crossing.before), (crossing.time, crossing.state)];
+            for ((time, state), rise_k) in instants.into_iter().zip(crossing.temperature_rise_k) {
                 // The instants at both ends of the interval have rows of their own.
                 if self.pending_row.is_none_or(|last| last.t_s < time.seconds()) && time < end {
-                    self.push(time, &state, 0.0, Flags::empty());
+                    self.push(time, &state, rise_k, 0.0, flags);
                 }
             }
         }
@@ -212,7 +213,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         while self.time() < end {
             self.advance_on_grid(end, flags);
             let next = self.next_scheduled_row().min(end);
-            self.advance(next);
+            self.advance(next, flags);
             if next < end {
                 self.push_row(0.0, flags);
             }
@@ -230,7 +231,8 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         }
         self.update_bands(first);
         let end = end.min(self.next_point).min(self.bands_end);
-        let Some(row) = self.row(now, &self.plant.state(), 0.0, flags) else { return };
+        let rise_k = self.plant.self_heating_k();
+        let Some(row) = self.row(now, &self.plant.state(), rise_k, 0.0, flags) else { return };
         self.plant.advance_in_steps(step, end, &self.bands, |time, state| {
             let row = Row { t_s: time.seconds(), ..with_state(row, state) };
             if let Some(last) = self.pending_row.replace(row) {
@@ -246,13 +248,13 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
 
     /// Adds a row for the present instant, or changes the last row if it has this instant.
     pub(crate) fn push_row(&mut self, lateness_us: f64, flags: Flags) {
-        let (now, state) = (self.time(), self.plant.state());
-        self.push(now, &state, lateness_us, flags);
+        let (now, state, rise_k) = (self.time(), self.plant.state(), self.plant.self_heating_k());
+        self.push(now, &state, rise_k, lateness_us, flags);
     }
 
-    fn push(&mut self, time: Time, state: &State, lateness_us: f64, flags: Flags) {
+    fn push(&mut self, time: Time, state: &State, rise_k: f64, lateness_us: f64, flags: Flags) {
         // If the simulation has overflowed, the trace ends, so the judge excludes the trial.
-        let Some(row) = self.row(time, state, lateness_us, flags) else { return };
+        let Some(row) = self.row(time, state, rise_k, lateness_us, flags) else { return };
         match &mut self.pending_row {
             // A row has the state after the last event of its instant and all flags of the instant.
             Some(last) if last.t_s == row.t_s => {
@@ -268,10 +270,10 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     }
 
     /// `None` if the state or the resonance is not finite.
-    fn row(&self, time: Time, state: &State, lateness_us: f64, flags: Flags) -> Option<Row> {
+    fn row(&self, time: Time, state: &State, rise_k: f64, lateness_us: f64, flags: Flags) -> Option<Row> {
         let drive = self.plant.drive();
         let conditions = self.plant.conditions_at(time);
-        let resonance_hz = self.plant.mode_at(time).omega0 / TAU;
+        let resonance_hz = self.plant.mode_with_rise(time, rise_k).omega0 / TAU;
         let saturated = drive.vpp >= self.scenario.plate.drive_limit_vpp * SATURATION_THRESHOLD;
         let also = [(saturated, Flags::SATURATED), (self.safe, Flags::SAFE)];
         let row = Row {

@@ -13,6 +13,7 @@ pub mod definition;
 pub mod distribution;
 pub mod draw;
 pub mod error;
+mod paired_trials;
 mod part;
 pub mod passing_region;
 pub mod plan;

@@ -68,6 +68,8 @@ pub struct Crossing {
     pub state: State,
     /// State 1 ns before `time`.
     pub before: State,
+    /// Self-heating at `before` and at `state`, K.
+    pub temperature_rise_k: [f64; 2],
 }
 
 /// Bands to monitor, and the crossings found so far.
@@ -144,7 +146,8 @@ fn find_crossings(
                 }
             }
             let time = Time::from_nanos(behind);
-            found.push(Crossing { time, state: state_at(behind), before: state_at(before) });
+            let (state, before) = (state_at(behind), state_at(before));
+            found.push(Crossing { time, state, before, temperature_rise_k: [0.0; 2] });
             inside = !inside;
         }
         low = skip(high, &state);

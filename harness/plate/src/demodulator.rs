@@ -1,7 +1,8 @@
 //! Models the sensor's electronics in the carrier model: sampling converter and lock-in demodulator.
 //!
-//! The converter samples `y = Re(W e^{jθ})` at multiples of its own period, clips and rounds it.
-//! The demodulator multiplies each sample by `2 e^{−jθ}`, with the phase θ of the excitation. Its
+//! The converter samples `y = Re(W e^{jθ})` at multiples of its own period, clips and rounds it. A
+//! reading at the time t contains every sample up to t, and the one at t if there is one. Whole
+//! numbers decide which samples these are. The demodulator multiplies each sample by `2 e^{−jθ}`, with the phase θ of the excitation. Its
 //! output is the mean of these products over the last N carrier periods, which is W delayed by half
 //! of this window. Before the start the plate is at rest.
 //!
@@ -70,7 +71,8 @@ impl Lockin {
 #[derive(Debug, Clone)]
 pub struct Demodulator {
     lockin: Lockin,
-    /// Converter period, ns times 2⁶⁴.
+    rate: SampleRate,
+    /// Converter period, ns times 2⁶⁴, with the rounding of an f64.
     period: u128,
     spacing: f64,
     /// Number of the next sample. Sample k is at k converter periods after the start.
@@ -78,6 +80,35 @@ pub struct Demodulator {
     /// Products `2 y e^{−jθ}` of the last samples in a ring; the oldest is at `oldest`.
     products: Box<[Complex64]>,
     oldest: usize,
+}
+
+/// The converter's rate as a ratio of whole numbers: `samples/span_ns` per nanosecond.
+#[derive(Debug, Clone, Copy)]
+struct SampleRate {
+    samples: u128,
+    span_ns: u128,
+}
+
+impl SampleRate {
+    /// Exact from 2⁻³⁷ Hz on. The rate is positive and at most 1e9 Hz.
+    fn from_hz(hz: f64) -> Self {
+        const MANTISSA: u64 = (1 << 52) - 1;
+        let mantissa = (hz.to_bits() & MANTISSA) | (1 << 52);
+        let shift = 1075_u32.saturating_sub((hz.to_bits() >> 52) as u32);
+        // A rate in whole hertz needs no fraction.
+        let excess = mantissa.trailing_zeros().min(shift).max(shift.saturating_sub(90));
+        let samples = u128::from(mantissa.checked_shr(excess).unwrap_or(0));
+        Self { samples, span_ns: 1_000_000_000 << (shift - excess) }
+    }
+
+    /// Number of samples after 0 up to and including `time`.
+    const fn count_until(self, time: Time) -> u64 {
+        (time.as_nanos() as u128 * self.samples / self.span_ns) as u64
+    }
+
+    const fn is_due(self, number: u64, time: Time) -> bool {
+        number as u128 * self.span_ns <= time.as_nanos() as u128 * self.samples
+    }
 }
 
 struct Wave<const N: usize> {
@@ -109,6 +140,7 @@ impl Demodulator {
         let period = 1e9 / lockin.converter_hz;
         Self {
             lockin,
+            rate: SampleRate::from_hz(lockin.converter_hz),
             period: (period * 2.0_f64.powi(64)) as u128,
             spacing: period / 1e9,
             next: 0,
@@ -132,17 +164,15 @@ impl Demodulator {
         phase: Phase,
         omega: f64,
     ) {
-        let period = self.period;
-        let instant = |number: u64| u128::from(number) * period;
-        let (first, last) = (u128::from(start.as_nanos()) << 64, u128::from(end.as_nanos()) << 64);
-        if instant(self.next) > last {
+        if !self.rate.is_due(self.next, end) {
             return;
         }
+        let first = u128::from(start.as_nanos()) << 64;
         let turn = Complex64::cis(omega * self.spacing);
         let steps = terms.map(|(_, pole)| (pole * self.spacing).exp());
-        let mut left = ((last - instant(self.next)) / self.period) as u64 + 1;
+        let mut left = self.rate.count_until(end) + 1 - self.next;
         while left > 0 {
-            let since = instant(self.next).saturating_sub(first);
+            let since = (u128::from(self.next) * self.period).saturating_sub(first);
             let seconds = since as f64 / (1e9 * 2.0_f64.powi(64));
             let mut wave = Wave::at(rest, terms, phase, omega, seconds);
             let count = left.min(u64::from(REFRESH_INTERVAL));
@@ -189,6 +219,7 @@ mod tests {
     use crate::flow::{ExponentialSum, Flow, Model, State};
     use crate::mode::{Drive, Mode};
     use crate::phase::PhaseRate;
+    use rstest::rstest;
 
     const OMEGA: f64 = 203_540.0;
 
@@ -201,6 +232,52 @@ mod tests {
 
     fn lockin(converter_hz: f64, periods: u32) -> Lockin {
         Lockin { converter_hz, periods, resolution: None }
+    }
+
+    // 1e9/150 kHz rounds up, 1e9/450 kHz rounds down, 129 230.5 Hz is not a whole number.
+    #[rstest]
+    fn a_reading_contains_the_sample_at_its_instant(
+        #[values(150e3, 180e3, 240e3, 300e3, 450e3, 600e3, 700e3, 900e3, 1e6, 1.2e6, 3e6, 6e6, 7e6, 9e6, 11e6)]
+        converter_hz: f64,
+        #[values(1, 2, 7)] periods: u32,
+    ) {
+        let flow = flow(Model::Modal);
+        let (rest, terms) = flow.terms();
+        let mut demodulator = Demodulator::new(lockin(converter_hz, periods), OMEGA);
+        let (rate, mut now) = (PhaseRate::from_omega(OMEGA), Time::ZERO);
+        for period in 1..=10_u64 {
+            let end = Time::from_nanos(1_000_000 * period);
+            // The terms are those of the start of the step.
+            let here = terms.map(|(amplitude, pole)| (amplitude * (pole * now.seconds()).exp(), pole));
+            demodulator.advance(rest, here, now, end, Phase::default().after(now, rate), OMEGA);
+            assert_eq!(demodulator.samples(), period * converter_hz as u64 / 1_000 + 1);
+            now = end;
+        }
+        // The newest sample has the age 0; the oldest counts in part.
+        let window = f64::from(periods) * converter_hz * TAU / OMEGA;
+        let product = |age: f64| {
+            let seconds = now.seconds() - age / converter_hz;
+            let carrier = Complex64::cis(OMEGA * seconds);
+            2.0 * (flow.after(seconds).w * carrier).re * carrier.conj()
+        };
+        let whole: Complex64 = (0..window as u32).map(|age| product(f64::from(age))).sum();
+        let expected = (whole + product(window.floor()) * window.fract()) / window;
+        let apart = (demodulator.read(OMEGA) - expected).norm();
+        assert!(apart < 1e-9, "{apart:e}");
+    }
+
+    #[rstest]
+    #[case(129_230.5, 2_000_000_000, 258_461)]
+    #[case(129_230.5, 1_999_999_999, 258_460)]
+    #[case(1e9, 7, 7)]
+    #[case(1e9, 9_007_199_254_740_992, 9_007_199_254_740_992)]
+    #[case(1.0 / 3.0, 3_000_000_000, 0)]
+    #[case(1.0 / 3.0, 3_000_000_001, 1)]
+    #[case(1e-300, 9_007_199_254_740_992, 0)]
+    fn whole_numbers_count_the_samples(#[case] hz: f64, #[case] nanos: u64, #[case] count: u64) {
+        let (rate, time) = (SampleRate::from_hz(hz), Time::from_nanos(nanos));
+        assert_eq!(rate.count_until(time), count);
+        assert!(rate.is_due(count, time) && !rate.is_due(count + 1, time));
     }
 
     #[test]

@@ -79,7 +79,7 @@ pub(crate) trait ActiveEffect: BoxedClone + Debug + Send + Sync {
     }
 
     /// Amount that the effect adds to the temperature offset at start, middle and end of the
-    /// present step, K.
+    /// present step, K. Between two steps, all three are the present amount.
     fn temperature_rise_k(&self) -> [f64; 3] {
         [0.0; 3]
     }
@@ -90,8 +90,8 @@ pub(crate) trait ActiveEffect: BoxedClone + Debug + Send + Sync {
     }
 
     /// Computes the temperature rise at the middle and at the end of a step, in s from its start.
-    /// `terms` are W with the modes of the middle.
-    fn predict(&mut self, _terms: &[Term], _middle: f64, _end: f64) {}
+    /// `terms` are W with the modes of the middle, in the frame of `omega`.
+    fn predict(&mut self, _terms: &[Term], _omega: f64, _middle: f64, _end: f64) {}
 
     /// Corrects the prediction by the errors of |W|² at a quarter, the half and the end of a step.
     fn correct(&mut self, _errors: [f64; 3], _seconds: f64) {}

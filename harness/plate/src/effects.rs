@@ -12,9 +12,9 @@ pub use second_mode::{RawSecondMode, SecondMode};
 pub use sensor::{ConverterResolution, RawSensor, Sensor, SensorElectronics};
 
 use crate::effect::{ActiveEffect, Effect, HIGHEST_RESONANCE_HZ, PlateError};
-use crate::flow::{Forcing, State};
+use crate::flow::{ExponentialSum, Forcing, State};
 use crate::mode::Drive;
-use crate::motion::PerMode;
+use crate::motion::{FrozenMotion, PerMode};
 use crate::time::Time;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -156,6 +156,27 @@ impl ActiveEffects {
             let (forcing, until) = effect.shape(forcing, now);
             (forcing, end.into_iter().chain(until).min())
         })
+    }
+
+    /// Computes the temperature rise at the middle and at the end of a step. `motion` has the modes
+    /// of the middle.
+    pub(crate) fn predict(&mut self, motion: &FrozenMotion, omega: f64, middle: Time, seconds: f64) {
+        let (_, terms) = motion.terms();
+        self.list.iter_mut().for_each(|effect| effect.predict(&terms, omega, middle.seconds(), seconds));
+    }
+
+    /// Temperature rise in K after a part of the present step of length `whole`: the parabola
+    /// through start, middle and end.
+    pub(crate) fn rise_k_after(&self, part: Time, whole: Time) -> f64 {
+        let [start, middle, end] = self.temperature_rise_k();
+        let half = (whole.as_nanos() / 2) as f64 / whole.as_nanos() as f64;
+        if start == middle && middle == end {
+            return start;
+        }
+        let x = part.seconds() / whole.seconds();
+        // A step of 1 ns has no middle.
+        let bend = if half > 0.0 { ((end - start) - (middle - start) / half) / (1.0 - half) } else { 0.0 };
+        start + x * ((end - start) + bend * (x - 1.0))
     }
 
     /// At start, middle and end of the present step.

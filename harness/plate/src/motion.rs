@@ -16,6 +16,14 @@ pub(crate) enum ModeMotion {
 }
 
 impl ModeMotion {
+    /// State from which a motion with the constant `mode` has the same amplitudes of both poles.
+    pub(crate) fn start_in(&self, mode: &Mode) -> State {
+        match self {
+            Self::Constant(flow) => flow.after(0.0),
+            Self::Varying(flow, _) => flow.start_in(mode),
+        }
+    }
+
     fn after(&self, seconds: f64) -> State {
         match self {
             Self::Constant(flow) => flow.after(seconds),

@@ -3,7 +3,8 @@
 //! A step ends at each command, at each point of a profile and if an effect changes the drive. While
 //! the modes are constant, a step of any length is exact. If the conditions or an effect change the
 //! modes, σ and ω0 follow parabolas as in `varying.rs`. A temperature rise that depends on |W| is
-//! first computed with the modes of the middle of the step, and then corrected.
+//! first computed with the modes of the middle of the step, and then corrected. The length of a step
+//! depends on the state of the plate at its start, not on the rows of the trace.
 
 use crate::crossing::{BandMonitor, BandSearch, Crossing, time_without_crossing};
 use crate::demodulator::Demodulator;
@@ -39,6 +40,11 @@ const EFFECTS_SUBSTEP: f64 = 0.5;
 /// Largest step with a temperature rise by an effect, relative to 1/|λ|; the temperature is then
 /// nearly a parabola.
 const WARMING_SUBSTEP: f64 = 0.25;
+/// Step with a temperature rise by an effect, relative to that of a sine that changes as fast. The
+/// error is an eighth.
+const WARMING_SHARE: f64 = 0.6;
+/// Largest rate κ of a temperature rise by an effect, 1/s: the inverse of the shortest time constant.
+const MAX_WARMING_RATE: f64 = 100.0;
 
 /// Interval without a jump or a bend of a profile or of the damping curve.
 #[derive(Debug, Clone, Copy)]
@@ -143,12 +149,17 @@ impl Plant {
 
     /// First mode at the conditions of `time` and the present self-heating.
     pub fn mode_at(&self, time: Time) -> Mode {
+        self.mode_with_rise(time, self.self_heating_k())
+    }
+
+    /// First mode at the conditions of `time` and a self-heating of `rise_k`.
+    pub fn mode_with_rise(&self, time: Time, rise_k: f64) -> Mode {
         let mut conditions = match self.interval_at(time) {
             Some(interval) if interval.rate == 0.0 && self.effects.is_none() => return interval.mode,
             _ => self.scene.at(time),
         };
-        if let Some(effects) = &self.effects {
-            conditions.temperature_offset_k += effects.temperature_rise_k()[0];
+        if self.effects.is_some() {
+            conditions.temperature_offset_k += rise_k;
         }
         self.plate.mode(&conditions)
     }
@@ -378,9 +389,14 @@ impl Plant {
         }
         let (forcing, forcing_end) = effects.shape(self.drive.vpp, self.time);
         let piece_end = forcing_end.map_or(interval_end, |end| end.min(interval_end));
-        // At least 1 ms keeps the steps independent of the distance between rows of the trace.
-        let amplitude = self.plate.max_amplitude(self.state.w.norm(), (piece_end - self.time).seconds().max(1e-3));
-        let warming = effects.list.iter().map(|effect| effect.max_warming(amplitude)).sum::<f64>();
+        let warming = if self.plate.effects.heating.is_some() {
+            // A step with self-heating is not longer.
+            let longest = WARMING_SUBSTEP / self.modes_at(self.time, effects.temperature_rise_k()[0]).first.sigma;
+            let amplitude = self.plate.max_amplitude(self.state.w.norm(), longest);
+            effects.list.iter().map(|effect| effect.max_warming(amplitude)).sum::<f64>()
+        } else {
+            0.0
+        };
         let is_warming = warming > 0.0;
         let rate = self.plate.max_mode_scale() * (rate + self.plate.omega0_per_k.abs() * warming);
         let (longest, is_fast) = if rate == 0.0 {
@@ -393,6 +409,7 @@ impl Plant {
         let end = Time::from_seconds(longest).map_or(piece_end, |step| (self.time + step).min(piece_end));
         let (start, omega) = (self.time, self.drive.omega);
         let (middle, seconds) = (start.midpoint(end), (end - start).seconds());
+        let is_varying = rate > 0.0 && !is_fast && (end - start).as_nanos() >= 3;
         let frozen_with = |plant: &Self, effects: &ActiveEffects| {
             let [_, rise_k, _] = effects.temperature_rise_k();
             FrozenMotion::new(plant.modes_at(middle, rise_k), omega, &forcing, effects.states)
@@ -400,20 +417,20 @@ impl Plant {
         let mut frozen = frozen_with(self, &effects);
         if is_warming {
             // The second pass uses the modes at the temperature that the first pass found.
-            for _ in 0..2 {
-                let (_, terms) = frozen.terms();
-                effects.list.iter_mut().for_each(|effect| effect.predict(&terms, (middle - start).seconds(), seconds));
+            for _ in 0..if is_varying { 1 } else { 2 } {
+                effects.predict(&frozen, omega, middle - start, seconds);
                 frozen = frozen_with(self, &effects);
             }
         }
-        let motion = if rate > 0.0 && !is_fast && (end - start).as_nanos() >= 3 {
-            let motion = self.varying_motion(&mut effects, &forcing, end, is_warming.then_some(&frozen));
+        let known = bands.found.len();
+        let motion = if is_varying {
+            let motion = self.varying_motion(&mut effects, &forcing, end, is_warming);
             let reach = f64::INFINITY;
             bands.find(|seconds| motion.after(seconds).sum(), reach, |_| 0.0, &self.state, (start, end));
-            let [_, rise_k, _] = effects.temperature_rise_k();
             self.demodulate_pieces(end, max_frozen_substep(rate), |plant, from, to| {
                 let since = (from - start).seconds();
-                let modes = plant.modes_at(from.midpoint(to), rise_k);
+                let middle = from.midpoint(to);
+                let modes = plant.modes_at(middle, effects.rise_k_after(middle - start, end - start));
                 FrozenMotion::new(modes, omega, &forcing.from(since), motion.after(since))
             });
             motion
@@ -421,6 +438,11 @@ impl Plant {
             self.observe_frozen(&frozen, end, bands);
             frozen.map(ModeMotion::Constant)
         };
+        for crossing in bands.found.iter_mut().skip(known) {
+            let at = crossing.time - start;
+            crossing.temperature_rise_k =
+                [at - Time::from_nanos(1), at].map(|since| effects.rise_k_after(since, end - start));
+        }
         let step = Step { start, seconds, forcing: &forcing, motion: &motion };
         effects.list.iter_mut().for_each(|effect| effect.finish(&step));
         effects.states = motion.after(seconds);
@@ -428,31 +450,33 @@ impl Plant {
         self.effects = Some(effects);
     }
 
-    /// Motion to `end` while the modes vary. `frozen` is the motion that predicted the temperature.
-    fn varying_motion(
-        &self,
-        effects: &mut ActiveEffects,
-        forcing: &Forcing,
-        end: Time,
-        frozen: Option<&FrozenMotion>,
-    ) -> Motion {
+    /// Motion to `end` while the modes vary. The temperature rise in `effects` is a prediction.
+    fn varying_motion(&self, effects: &mut ActiveEffects, forcing: &Forcing, end: Time, is_warming: bool) -> Motion {
         let (start, states) = (self.time, effects.states);
+        let (span, middle) = (end - start, start.midpoint(end));
         let varying = |effects: &ActiveEffects| {
             // A `hold` profile may jump at `end`, so the last point is 1 ns earlier.
-            let (middle, last) = (start.midpoint(end), end - Time::from_nanos(1));
-            let [start_k, middle_k, end_k] = effects.temperature_rise_k();
+            let times = [start, middle, end - Time::from_nanos(1)];
             let [first, second, third] =
-                [(start, start_k), (middle, middle_k), (last, end_k)].map(|(time, rise_k)| self.modes_at(time, rise_k));
-            let times = [middle, last].map(|time| (time - start).seconds());
+                times.map(|time| self.modes_at(time, effects.rise_k_after(time - start, span)));
+            let [_, middle, last] = times.map(|time| (time - start).seconds());
             first.zip(second).zip(third).zip(states).map(|(((first, second), third), state)| {
                 let drive = Drive { vpp: forcing.constant, omega: self.drive.omega };
-                let flow = VaryingFlow::new(Model::Modal, [first, second, third], times, &drive, &state);
+                let flow = VaryingFlow::new(Model::Modal, [first, second, third], [middle, last], &drive, &state);
                 ModeMotion::Varying(flow, *forcing)
             })
         };
         let motion = varying(effects);
-        let Some(frozen) = frozen else { return motion };
-        let seconds = (end - start).seconds();
+        if !is_warming {
+            return motion;
+        }
+        // With the amplitudes of the poles of the moving mode, the frozen motion has no ripple that
+        // the moving one does not have, and Simpson's rule can integrate the difference.
+        let modes = self.modes_at(middle, effects.temperature_rise_k()[1]);
+        let matched = motion.zip(modes).map(|(motion, mode)| motion.start_in(&mode));
+        let frozen = FrozenMotion::new(modes, self.drive.omega, forcing, matched);
+        let seconds = span.seconds();
+        effects.predict(&frozen, self.drive.omega, middle - start, seconds);
         let errors = [0.25, 0.5, 1.0].map(|share| {
             let at = share * seconds;
             motion.after(at).sum().w.norm_sqr() - frozen.after(at).w.norm_sqr()
@@ -507,7 +531,7 @@ impl Plant {
     }
 
     /// Longest step in s for `varying.rs`. A ramp of the drive over the whole step adds the error
-    /// `|λ||λ'|h³/240`.
+    /// `|λ||λ'|h³/240`. A temperature rise follows |W|², which changes with up to 2|λ|.
     fn max_substep_with_effects(
         &self,
         effects: &ActiveEffects,
@@ -523,7 +547,12 @@ impl Plant {
         if forcing.slope != 0.0 {
             longest = longest.min(EFFECTS_SUBSTEP * (240.0 * VARYING_ERROR / (pole * rate)).cbrt());
         }
-        if is_warming { longest.min(WARMING_SUBSTEP / pole) } else { longest }
+        if is_warming {
+            let frequency = frequency.max(2.0 * pole + MAX_WARMING_RATE);
+            let smooth = WARMING_SHARE * self.max_varying_substep(rate, frequency, pole);
+            longest = longest.min(smooth).min(WARMING_SUBSTEP / pole);
+        }
+        longest
     }
 
     fn finish_step(&mut self, end: Time, state: State) {

@@ -244,6 +244,16 @@ impl VaryingFlow {
         State { w, u: J * (end.omega * scale) * (slow - fast) - end.shear * w }
     }
 
+    /// State from which a modal plate with the constant `mode` has the amplitudes of the poles that
+    /// this one has at 0 s.
+    pub(crate) fn start_in(&self, mode: &Mode) -> State {
+        let Mode { sigma, omega0, .. } = *mode;
+        let damped = ((omega0 - sigma) * (omega0 + sigma)).sqrt();
+        let (slow, fast) = self.pole_amplitudes(self.oscillation(0.0));
+        let (plus, minus) = (Complex64::new(-sigma, damped), Complex64::new(-sigma, -damped));
+        State { w: slow + fast, u: plus * slow + minus * fast }
+    }
+
     /// Parts of W in µm with the frequencies `Ω − ω` and `−Ω − ω` in the rotating frame.
     fn pole_amplitudes(&self, now: Oscillation) -> (Complex64, Complex64) {
         let State { w, u } = self.state;

@@ -3,6 +3,7 @@
 mod between;
 mod divergence;
 mod fixtures;
+mod inserted_rows;
 mod laws;
 mod live_tap;
 mod lock_in;

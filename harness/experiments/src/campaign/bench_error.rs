@@ -2,9 +2,12 @@
 //! when it is played, the scatter of its cell when the parts are merged.
 
 use crate::campaign::definition::Campaign;
+use crate::campaign::paired_trials::PairedErrors;
 use crate::campaign::row::{Tally, TrialRow, ValueTally};
-use platebench_model::scenario::Scenario;
-use platebench_verdict::uncertainty::{ErrorOrigin, QuantityBudget};
+use platebench_engine::TrialResult;
+use platebench_model::scenario::{Expectation, Scenario};
+use platebench_verdict::missed_between_rows;
+use platebench_verdict::uncertainty::{ErrorOrigin, QuantityBudget, peak_bound};
 
 /// Origins of the errors that a trial has alone, in the order of [`TrialRow::errors`].
 pub(crate) const OWN_ORIGINS: [ErrorOrigin; 3] =
@@ -35,14 +38,58 @@ impl BenchErrors {
     }
 
     /// Standard uncertainties of the values of a trial with `scenario`, as in [`TrialRow::errors`].
-    pub(crate) fn of(&self, scenario: &Scenario, values: &[f64]) -> Vec<f64> {
-        let errors = |budgets: &[QuantityBudget]| {
-            let of_value = |(budget, value): (&QuantityBudget, &f64)| {
-                OWN_ORIGINS.map(|origin| budget.standard_of(origin, *value, None).unwrap_or(f64::NAN))
-            };
-            budgets.iter().zip(values).flat_map(of_value).collect()
+    pub(crate) fn of(
+        &self,
+        scenario: &Scenario,
+        values: &[f64],
+        played: &TrialResult,
+        paired: &PairedErrors,
+    ) -> Vec<f64> {
+        let own;
+        let budgets = match &self.constant {
+            Some(constant) => constant,
+            None => {
+                own = budgets(scenario);
+                &own
+            }
         };
-        self.constant.as_deref().map_or_else(|| errors(&budgets(scenario)), errors)
+        let errors = |(index, (budget, value)): (usize, (&QuantityBudget, &f64))| {
+            let [numerical, quantisation, sensor] = OWN_ORIGINS.map(|origin| budget.standard_of(origin, *value, None));
+            // Errors of the amplitude do not change a count.
+            let of_pairs = |errors: Option<&Vec<f64>>| numerical.and(errors?.get(index).copied());
+            let peak = scenario
+                .expectations
+                .get(index)
+                .and_then(|expectation| missed_peak(scenario, expectation, played).filter(|_| value.is_finite()));
+            let noise = of_pairs(paired.noise.as_ref());
+            let sensor = match noise {
+                // The law ignores the sensor.
+                Some(0.0) => noise,
+                _ => root_sum_square(sensor, noise),
+            };
+            let errors = [
+                root_sum_square(numerical, peak),
+                root_sum_square(quantisation, of_pairs(paired.quantisation.as_ref())),
+                sensor,
+            ];
+            errors.map(|error| error.filter(|_| value.is_finite()).unwrap_or(f64::NAN))
+        };
+        budgets.iter().zip(values).enumerate().flat_map(errors).collect()
+    }
+}
+
+/// Part of a peak that lies between two rows, as a standard uncertainty. It is exact if the motion has
+/// a closed form. `None` if the metric is not a peak.
+fn missed_peak(scenario: &Scenario, expectation: &Expectation, played: &TrialResult) -> Option<f64> {
+    let bound = peak_bound(scenario, expectation)?;
+    let exact = missed_between_rows(scenario, 0, expectation, &played.trace_rows, &played.telemetry);
+    Some(exact.unwrap_or(bound / 3.0_f64.sqrt()))
+}
+
+fn root_sum_square(a: Option<f64>, b: Option<f64>) -> Option<f64> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(a.hypot(b)),
+        (one, other) => one.or(other),
     }
 }
 
@@ -65,7 +112,8 @@ fn budgets(scenario: &Scenario) -> Vec<QuantityBudget> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_model::record::Verdict;
+    use crate::campaign::draw::DrawnTrial;
+    use platebench_model::record::{Telemetry, Verdict};
 
     const GRID: &str = "[plan]\nmethod = \"grid\"\ntrials = 3\n";
     const SENSOR: usize = 2;
@@ -76,22 +124,31 @@ mod tests {
         (folder, campaign)
     }
 
-    #[test]
-    fn a_varied_noise_changes_the_error_and_a_varied_delay_does_not() {
-        let (_folder, campaign) = campaign(
-            "\"controller.loop_delay_ms\" = { each = [0.0, 0.1] }\n\
-             \"plate.sensor.noise_um_rms\" = { each = [0.0, 0.01, 0.02] }\n",
-        );
-        let errors_of = |draws: [f64; 2], value: f64| {
-            let trial = campaign.trial_with(0, draws.to_vec(), 0).unwrap();
-            BenchErrors::new(&campaign).of(&trial.scenario, &[value])
+    fn errors_of(errors: &BenchErrors, trial: &DrawnTrial, value: f64, paired: &PairedErrors) -> Vec<f64> {
+        let played = TrialResult {
+            trace_rows: Vec::new(),
+            telemetry: Telemetry::default(),
+            link_error: None,
+            safe_confirmed: true,
         };
-        assert!(errors_of([0.0, 0.0], 1.5)[SENSOR].is_nan());
-        let (once, twice) = (errors_of([0.0, 1.0], 1.5)[SENSOR], errors_of([0.0, 2.0], 1.5));
-        assert!((twice[SENSOR] / once - 2.0).abs() < 1e-9, "{once} {twice:?}");
-        assert_eq!(errors_of([1.0, 2.0], 1.5), twice);
-        assert!((errors_of([1.0, 2.0], 3.0)[SENSOR] / once - 4.0).abs() < 1e-9);
-        assert!(errors_of([1.0, 2.0], f64::NAN).iter().all(|error| error.is_nan()));
+        errors.of(&trial.scenario, &[value], &played, paired)
+    }
+
+    #[test]
+    fn the_errors_of_pairs_are_part_of_their_column() {
+        let (_folder, campaign) = campaign("\"controller.loop_delay_ms\" = { each = [0.0, 0.1] }\n");
+        let trial = campaign.trial_with(0, vec![0.0], 0).unwrap();
+        let errors = BenchErrors::new(&campaign);
+        let paired = PairedErrors { quantisation: Some(vec![0.5]), noise: Some(vec![0.25]) };
+        let [numerical, quantisation, sensor] = errors_of(&errors, &trial, 1.5, &paired)[..] else { panic!() };
+        assert!(numerical > 0.0 && numerical < 1e-5, "{numerical}");
+        assert!((quantisation - 0.5).abs() < 1e-6, "{quantisation}");
+        assert_eq!(sensor, 0.25);
+        let alone = errors_of(&errors, &trial, 1.5, &PairedErrors::default());
+        assert!(alone[SENSOR].is_nan() && alone[1] < 1e-5, "{alone:?}");
+        let ignored = PairedErrors { quantisation: None, noise: Some(vec![0.0]) };
+        assert_eq!(errors_of(&errors, &trial, 1.5, &ignored)[SENSOR], 0.0);
+        assert!(errors_of(&errors, &trial, f64::NAN, &paired).iter().all(|error| error.is_nan()));
     }
 
     #[test]
@@ -100,8 +157,9 @@ mod tests {
         let errors = BenchErrors::new(&campaign);
         assert!(errors.constant.is_some());
         let trial = campaign.trial_with(1, vec![1.0], 0).unwrap();
-        let expected = BenchErrors { constant: None }.of(&trial.scenario, &[1.5]);
-        assert_eq!(format!("{:?}", errors.of(&trial.scenario, &[1.5])), format!("{expected:?}"));
+        let [found, expected] = [errors, BenchErrors { constant: None }]
+            .map(|errors| errors_of(&errors, &trial, 1.5, &PairedErrors::default()));
+        assert_eq!(format!("{found:?}"), format!("{expected:?}"));
         assert!(expected[0] > 0.0, "{expected:?}");
     }
 

@@ -114,6 +114,26 @@ impl Campaign {
         variables().zip(correlated).map(value).collect()
     }
 
+    /// Trial with the listed values of `trial`, and with other drawn values and another seed for each
+    /// `place`.
+    pub(crate) fn reference_trial(&self, trial: &DrawnTrial, place: u64) -> Result<DrawnTrial, CampaignError> {
+        let (first, count) = match self.method {
+            Method::Grid => (self.cell_of(trial.number) * self.trials_per_cell, self.trials_per_cell),
+            _ => (0, self.trials),
+        };
+        let number = first + place % count.max(1);
+        let mut values = self.trial(number)?.values;
+        for ((value, listed), variable) in values.iter_mut().zip(&trial.values).zip(&self.variables) {
+            if variable.distribution.choices().is_some() {
+                *value = *listed;
+            }
+        }
+        let mut reference = self.trial_with(number, values, 0)?;
+        let seed = &mut reference.scenario.trials.seed;
+        *seed = seed.wrapping_add((place + 1) << 40);
+        Ok(reference)
+    }
+
     fn cell_of(&self, trial: u64) -> u64 {
         if self.method == Method::Grid { trial / self.trials_per_cell } else { 0 }
     }

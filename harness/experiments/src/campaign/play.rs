@@ -4,6 +4,7 @@ use crate::campaign::bench_error::BenchErrors;
 use crate::campaign::definition::Campaign;
 use crate::campaign::draw::DrawnTrial;
 use crate::campaign::error::CampaignError;
+use crate::campaign::paired_trials::{PairedErrors, PairedTrials};
 use crate::campaign::part::{PartReader, PartWriter};
 use crate::campaign::plan::CampaignPlan;
 use crate::campaign::row::{ShardEnd, TrialRow};
@@ -129,7 +130,13 @@ pub fn play_trials(
         ..ExecutorSettings::lockstep(&config.cancel)
     };
     let (ends, mut failed) = (SafeEnds::default(), false);
-    let player = TrialPlayer { campaign, source, errors: BenchErrors::new(campaign), lost: AtomicBool::new(false) };
+    let player = TrialPlayer {
+        campaign,
+        source,
+        errors: BenchErrors::new(campaign),
+        paired: PairedTrials::new(campaign),
+        lost: AtomicBool::new(false),
+    };
     let trials = source.places();
     let count = player.trials_per_task();
     let next = AtomicU64::new(trials.start);
@@ -169,6 +176,7 @@ struct TrialPlayer<'a> {
     campaign: &'a Campaign,
     source: &'a TrialSource<'a>,
     errors: BenchErrors,
+    paired: PairedTrials<'a>,
     /// Becomes true if a controller was lost and the rig caused it.
     lost: AtomicBool,
 }
@@ -236,7 +244,14 @@ impl TrialPlayer<'_> {
         let Some(played) = executor.play(&trial.scenario, law, 0, None)? else { return Ok(None) };
         let measures = measure(&trial.scenario, 0, &played.trace_rows, &played.telemetry);
         self.lost.fetch_or(measures.has_lost_controller(), Ordering::Relaxed);
-        Ok(Some(TrialRow::new(trial, measures, final_distance(&played.trace_rows), &self.errors)))
+        let mut row = TrialRow::new(trial, measures, final_distance(&played.trace_rows));
+        // The errors of a replayed row are not read.
+        let paired = match self.source {
+            TrialSource::Numbers(_) => self.paired.errors(executor, trial, &row.values)?,
+            TrialSource::Rows(_) => PairedErrors::default(),
+        };
+        row.errors = self.errors.of(&trial.scenario, &row.values, &played, &paired);
+        Ok(Some(row))
     }
 }
 

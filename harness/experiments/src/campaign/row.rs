@@ -4,7 +4,7 @@
 //! trials that end first are a biased sample, because a trial that settles late may take longer.
 //! Each look at the results spends a part of the error probability (alpha spending).
 
-use crate::campaign::bench_error::{BenchErrors, OWN_ORIGINS};
+use crate::campaign::bench_error::OWN_ORIGINS;
 use crate::campaign::definition::Campaign;
 use crate::campaign::draw::DrawnTrial;
 use crate::campaign::error::CampaignError;
@@ -52,8 +52,9 @@ pub struct TrialRow {
 }
 
 impl TrialRow {
-    /// `distance` is the relative distance from the setpoint at the end of the trial.
-    pub(crate) fn new(trial: &DrawnTrial, measures: TrialMeasures, distance: f64, errors: &BenchErrors) -> Self {
+    /// `distance` is the relative distance from the setpoint at the end of the trial. The row has no
+    /// errors.
+    pub(crate) fn new(trial: &DrawnTrial, measures: TrialMeasures, distance: f64) -> Self {
         let Judgement { verdict, expectations } = judge(&trial.scenario, &[measures]);
         let undecided = expectations.iter().filter(|expectation| expectation.verdict == Verdict::Inconclusive);
         let margins = expectations.iter().map(|expectation| expectation.margin);
@@ -67,7 +68,7 @@ impl TrialRow {
         Self {
             trial: trial.number,
             draws: trial.values.clone(),
-            errors: errors.of(&trial.scenario, &values),
+            errors: Vec::new(),
             values,
             margins: expectations.iter().map(|expectation| expectation.margin.unwrap_or(f64::NEG_INFINITY)).collect(),
             verdict,

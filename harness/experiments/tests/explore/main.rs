@@ -9,5 +9,6 @@ mod fixtures;
 mod generation;
 mod guidance;
 mod relations;
+mod sensor_column;
 mod sequences;
 mod ways_of_playing;

@@ -116,5 +116,7 @@ fn a_campaign_plays_the_trial_of_run(#[case] file: &str) {
     });
     let by_run = samples(|connect| play_by_run(&scenario, connect));
     assert!(by_run.len() > 10, "{} samples", by_run.len());
-    assert!(by_run == by_campaign, "campaign plays another trial than run");
+    // The campaign then plays trials with and without noise for the error of the sensor.
+    let first = by_campaign.get(..by_run.len()).unwrap();
+    assert!(by_run == first, "campaign plays another trial than run");
 }

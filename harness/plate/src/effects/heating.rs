@@ -7,7 +7,9 @@
 //! `T(t) = T e^{−κt} + κR Σᵢⱼ aᵢ āⱼ (e^{(pᵢ + p̄ⱼ)t} − e^{−κt})/(pᵢ + p̄ⱼ + κ)`.
 //!
 //! This W uses the modes of the middle of the step, so |W|² has a relative error of up to
-//! `|λ'|h²/8`. Simpson's rule corrects it.
+//! `|λ'|h²/8`. Simpson's rule corrects it. The terms of a slow and a fast pole are a ripple of T at
+//! twice the carrier. T contains it, but the parabola of ω0 over the step does not, because three
+//! points cannot follow it.
 
 use crate::effect::{ActiveEffect, Effect, PlateError, Step, check, finite};
 use crate::flow::Term;
@@ -35,10 +37,13 @@ pub struct Heating {
     pub rate: f64,
 }
 
-/// Heating and the temperature rise at start, middle and end of the present step, K.
 #[derive(Debug, Clone)]
 struct ActiveHeating {
     heating: Heating,
+    /// Temperature rise at start and end of the present step, K.
+    start_k: f64,
+    end_k: f64,
+    /// At start, middle and end of the present step, without its ripple, K.
     rise_k: [f64; 3],
 }
 
@@ -60,7 +65,7 @@ impl Effect for Heating {
     }
 
     fn start(&self) -> Option<Box<dyn ActiveEffect>> {
-        Some(Box::new(ActiveHeating { heating: *self, rise_k: [0.0; 3] }))
+        Some(Box::new(ActiveHeating { heating: *self, start_k: 0.0, end_k: 0.0, rise_k: [0.0; 3] }))
     }
 }
 
@@ -73,20 +78,25 @@ impl ActiveEffect for ActiveHeating {
         self.heating.rate * (self.heating.rise_k_per_um2 * amplitude * amplitude + self.rise_k[0].abs())
     }
 
-    fn predict(&mut self, terms: &[Term], middle: f64, end: f64) {
-        let start_k = self.rise_k[0];
-        let [middle_k, end_k] = [middle, end].map(|seconds| self.heating.after(start_k, terms, seconds));
-        self.rise_k = [start_k, middle_k, end_k];
+    fn predict(&mut self, terms: &[Term], omega: f64, middle: f64, end: f64) {
+        let [middle_k, end_k] = [middle, end].map(|seconds| self.heating.after(self.start_k, terms, seconds));
+        let ripples = [0.0, middle, end].map(|seconds| self.heating.ripple(terms, omega, seconds));
+        let [start_ripple, middle_ripple, end_ripple] = ripples;
+        self.rise_k = [self.start_k - start_ripple, middle_k - middle_ripple, end_k - end_ripple];
+        self.end_k = end_k;
     }
 
     fn correct(&mut self, [quarter, half, whole]: [f64; 3], seconds: f64) {
         let scale = self.heating.rate * self.heating.rise_k_per_um2 * seconds / 6.0;
+        let end = scale * (4.0 * half + whole);
         self.rise_k[1] += scale / 2.0 * (4.0 * quarter + half);
-        self.rise_k[2] += scale * (4.0 * half + whole);
+        self.rise_k[2] += end;
+        self.end_k += end;
     }
 
     fn finish(&mut self, _step: &Step<'_>) {
-        self.rise_k = [self.rise_k[2]; 3];
+        self.start_k = self.end_k;
+        self.rise_k = [self.end_k; 3];
     }
 }
 
@@ -102,6 +112,20 @@ impl Heating {
             }
         }
         start_k * kept + self.rate * self.rise_k_per_um2 * sum
+    }
+
+    /// Part of T that oscillates faster than ω after `seconds`, K.
+    fn ripple(&self, terms: &[Term], omega: f64, seconds: f64) -> f64 {
+        let mut sum = 0.0;
+        for (index, (a, p)) in terms.iter().enumerate().filter(|(_, (a, _))| a.norm_sqr() > 0.0) {
+            for (b, q) in terms.iter().skip(index + 1).filter(|(b, _)| b.norm_sqr() > 0.0) {
+                let pole = p + q.conj();
+                if pole.im.abs() > omega.abs() {
+                    sum += 2.0 * (a * b.conj() * (pole * seconds).exp() / (pole + self.rate)).re;
+                }
+            }
+        }
+        self.rate * self.rise_k_per_um2 * sum
     }
 
     /// `∫ e^{−κ(t−s)} e^{ps} ds` from 0 to t.

@@ -41,7 +41,8 @@ pub struct RawSensor {
     /// demodulated component.
     #[schemars(range(min = 2, max = 32))]
     pub converter_bits: Option<i64>,
-    /// The largest amplitude that the converter does not clip, µm.
+    /// Range of the converter, µm. It clips below −range and above the range minus one step (two's
+    /// complement).
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub converter_range_um: Option<f64>,
     /// Age of the demodulated components when they reach the controller, µs.
@@ -57,7 +58,7 @@ pub struct RawSensor {
 pub struct ConverterResolution {
     /// Number of bits from 2 to 32, including the sign bit.
     pub bits: u32,
-    /// Largest peak-to-peak amplitude that the converter does not clip.
+    /// The codes reach from `-range_um` to one step below `range_um`.
     pub range_um: f64,
 }
 

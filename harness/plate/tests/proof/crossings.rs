@@ -166,7 +166,8 @@ fn crossings_of_several_bands_are_in_order_of_time() {
         band(BandSignal::Quadrature, 5.0, 6.0),
     ];
     let mut plant = holding_plant(&plate, Model::Envelope, 0.0);
-    let other = Crossing { time: Time::from_ms(99.0).unwrap(), state: State::default(), before: State::default() };
+    let (time, state) = (Time::from_ms(99.0).unwrap(), State::default());
+    let other = Crossing { time, state, before: state, temperature_rise_k: [0.0; 2] };
     let mut found = vec![other];
     plant.advance(Time::from_ms(12.0).unwrap(), &monitors, &mut found);
     assert_eq!(found.remove(0), other);

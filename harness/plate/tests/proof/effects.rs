@@ -12,6 +12,8 @@ use rstest::rstest;
 use std::f64::consts::TAU;
 
 const MAX_ERROR: f64 = 1e-7;
+/// Bound of `docs/mathematics.md`, relative to the amplitude that the largest drive reaches.
+const MAX_HEATING_ERROR: f64 = 3e-7;
 
 /// Second mode 300 Hz above the first one, with a third of its gain and the opposite sign.
 fn second_mode() -> SecondMode {
@@ -127,6 +129,88 @@ fn self_heating_detunes_a_held_drive_as_the_reference_does(#[case] damping: f64,
     println!("self-heating, 0.3 s: {worst:.1e}; {amplitude:.3} µm, {:.3} K", plant.self_heating_k());
     assert!(worst <= at_most, "{worst:e}");
     assert!(amplitude < 0.99 * SETPOINT);
+}
+
+/// Largest error relative to the amplitude that 900 Vpp reach, while a drive holds some 4 µm near the
+/// resonance of a plate that its vibration warms. `rows_ns` is the distance between rows of a trace.
+fn heating_error(plate: &Plate, scene: &ConditionProfiles, rows_ns: u64, periods: u64, seed: u64) -> f64 {
+    let mut plant = Plant::new(plate.clone(), scene.clone(), Model::Modal);
+    let mut reference = EffectsReference::at_rest(plate, scene);
+    let mut random = Random::new(seed);
+    let (mut worst, period) = (0.0_f64, 1_000_000);
+    for number in 0..periods {
+        let vpp = random.in_range(400.0, 750.0) * if number < 2 { 1.2 } else { 1.0 };
+        let resonance = plant.mode_at(plant.time()).omega0;
+        let drive = Drive { vpp, omega: resonance + random.in_range(-300.0, 100.0) };
+        plant.set_drive(drive);
+        for row in 1..=period / rows_ns {
+            plant.advance(Time::from_nanos(number * period + row * rows_ns), &[], &mut Vec::new());
+        }
+        reference.advance(1e-3, drive.vpp, drive.omega);
+        worst = worst.max(SETPOINT * distance(&plant.state(), &reference.state(), plate.omega0));
+    }
+    assert!(plant.self_heating_k() > 0.01, "{} K", plant.self_heating_k());
+    worst / (plate.gain * plate.drive_limit_vpp)
+}
+
+#[rstest]
+fn strong_self_heating_keeps_its_bound_for_any_rows(#[values(1_000_000, 50_000, 5_000)] rows_ns: u64) {
+    let heating = Some(Heating { rise_k_per_um2: 4.0, rate: 1.0 / 0.03 });
+    let plate = plate_with(Effects { heating, ..Effects::default() });
+    let error = heating_error(&plate, &constant_conditions(), rows_ns, 16, 3);
+    println!("self-heating, 4 K/µm², 30 ms, rows every {rows_ns} ns: {error:.1e}");
+    assert!(error <= MAX_HEATING_ERROR, "{error:e}");
+}
+
+#[test]
+fn self_heating_of_random_plates_keeps_its_bound() {
+    let mut random = Random::new(57);
+    let (mut worst, count) = (0.0_f64, 24);
+    for number in 0..count {
+        // 0.1 to 10 K/µm², 10 ms to 1 s, but at most 64 K at 4 µm.
+        let rise_k_per_um2 = 10.0_f64.powf(random.in_range(-1.0, 0.6));
+        let rate = 10.0_f64.powf(random.in_range(0.0, 2.0));
+        let heating = Some(Heating { rise_k_per_um2, rate });
+        let effects = match number % 3 {
+            0 => Effects { heating, ..Effects::default() },
+            1 => Effects { heating, ..two_modes() },
+            _ => Effects {
+                heating,
+                second_mode: Some(second_mode()),
+                ..amplified(Some(random.in_range(1e3, 1e5)), None)
+            },
+        };
+        let sigma0 = random.in_range(0.5, 3.0) * paper_plate().sigma0;
+        let plate = Plate { sigma0, ..plate_with(effects) };
+        let scene = if number % 2 == 0 { constant_conditions() } else { ramps() };
+        let error = heating_error(&plate, &scene, 50_000, 8, number);
+        println!("{rise_k_per_um2:.2} K/µm², {:.0} ms, σ {sigma0:.0}, case {}: {error:.1e}", 1e3 / rate, number % 3);
+        worst = worst.max(error);
+    }
+    println!("self-heating of {count} random plates: {worst:.1e}");
+    assert!(worst <= MAX_HEATING_ERROR, "{worst:e}");
+}
+
+/// Integrates y and the momentary loss, with and without the ripple of the temperature at twice the
+/// carrier. At resonance the share of |W| is `|s| T'/4σω0`.
+#[rstest]
+#[case(480.0, 6.7e-5)]
+#[case(6.4, 9.0e-7)]
+fn the_neglected_ripple_of_the_temperature_has_its_stated_size(#[case] k_per_s: f64, #[case] stated: f64) {
+    let heating = Some(Heating { rise_k_per_um2: k_per_s / SETPOINT.powi(2), rate: 1.0 });
+    let plate = plate_with(Effects { heating, ..Effects::default() });
+    let scene = constant_conditions();
+    let mut mean = EffectsReference::at_rest(&plate, &scene);
+    let mut momentary = EffectsReference::at_rest(&plate, &scene).with_momentary_loss();
+    let seconds = 2.5e-4;
+    for _ in 0..60 {
+        let omega = plate.omega0 + plate.omega0_per_k * mean.heat_k();
+        mean.advance(seconds, HOLDING_DRIVE_VPP, omega);
+        momentary.advance(seconds, HOLDING_DRIVE_VPP, omega);
+    }
+    let share = momentary.amplitude_of_y() / mean.amplitude_of_y() - 1.0;
+    println!("{k_per_s} K/s: the ripple of the temperature changes |W| by {share:.2e}");
+    assert!((share.abs() / stated - 1.0).abs() < 0.1, "{share:e}");
 }
 
 #[test]

@@ -19,6 +19,7 @@ pub(crate) struct EffectsReference {
     time: f64,
     theta: f64,
     x: Vector,
+    has_momentary_loss: bool,
 }
 
 struct Equations<'a> {
@@ -29,6 +30,7 @@ struct Equations<'a> {
     omega: f64,
     start_vpp: f64,
     input_vpp: f64,
+    has_momentary_loss: bool,
 }
 
 impl Equations<'_> {
@@ -83,7 +85,12 @@ impl System<f64, Vector> for Equations<'_> {
         let pole = plate.effects.amplifier.pole.unwrap_or(0.0);
         change[VPP] = (pole * (self.input_vpp - x[VPP])).clamp(-limit, limit);
         change[HEAT] = plate.effects.heating.map_or(0.0, |heating| {
-            let squared = (x[0] + x[4]).powi(2) + (x[2] + x[6]).powi(2);
+            // The momentary loss is proportional to y'², the mean one to |W|²/2.
+            let squared = if self.has_momentary_loss {
+                2.0 * (x[1] + x[5]).powi(2)
+            } else {
+                (x[0] + x[4]).powi(2) + (x[2] + x[6]).powi(2)
+            };
             heating.rate * (heating.rise_k_per_um2 * squared - x[HEAT])
         });
         change[TIME] = 1.0;
@@ -92,13 +99,30 @@ impl System<f64, Vector> for Equations<'_> {
 
 impl EffectsReference {
     pub(crate) fn at_rest(plate: &Plate, scene: &ConditionProfiles) -> Self {
-        Self { plate: plate.clone(), scene: scene.clone(), time: 0.0, theta: 0.0, x: Vector::zeros() }
+        Self {
+            plate: plate.clone(),
+            scene: scene.clone(),
+            time: 0.0,
+            theta: 0.0,
+            x: Vector::zeros(),
+            has_momentary_loss: false,
+        }
+    }
+
+    pub(crate) fn with_momentary_loss(self) -> Self {
+        Self { has_momentary_loss: true, ..self }
+    }
+
+    /// Amplitude of y at resonance, from y and y'.
+    pub(crate) fn amplitude_of_y(&self) -> f64 {
+        (self.x[0] + self.x[4]).hypot(self.x[1] + self.x[5])
     }
 
     pub(crate) fn advance(&mut self, seconds: f64, input_vpp: f64, omega: f64) {
-        let Self { plate, scene, time: start, theta, .. } = &*self;
-        let equations =
-            Equations { plate, scene, start: *start, theta: *theta, omega, start_vpp: self.x[VPP], input_vpp };
+        let Self { plate, scene, time: start, theta, has_momentary_loss, .. } = &*self;
+        let (start, theta, has_momentary_loss) = (*start, *theta, *has_momentary_loss);
+        let start_vpp = self.x[VPP];
+        let equations = Equations { plate, scene, start, theta, omega, start_vpp, input_vpp, has_momentary_loss };
         let longest = TAU / plate.omega0 / 40.0;
         let out = OutputType::Sparse;
         let mut solver = Dop853::from_param(

@@ -12,11 +12,32 @@ use rstest::rstest;
 use std::f64::consts::TAU;
 use std::path::Path;
 
+/// Bound of `docs/mathematics.md` for a mode that is frozen per substep.
+const FROZEN_BOUND: f64 = 5e-7;
 /// Slope of the resonance, rad/s per K.
 const SLOPE: f64 = -9.638 * TAU;
 
 fn ramp(t: f64, from_ms: f64, from: f64, to_ms: f64, to: f64) -> f64 {
     from + (to - from) * ((t * 1e3 - from_ms) / (to_ms - from_ms)).clamp(0.0, 1.0)
+}
+
+/// A mode that is frozen per substep has its largest error on a strongly damped plate.
+#[rstest]
+fn a_rising_force_on_a_strongly_damped_plate(
+    #[values(0.34, 0.2)] time_constant_ms: f64,
+    #[values(3.0, 1.9, 1.5, 1.0, 0.5, 0.1)] ms: f64,
+) {
+    let plate = Plate { sigma0: 1e3 / time_constant_ms, ..paper_plate() };
+    let scene = finger_profile(line(3.0, 0.0, 3.0 + ms, 1.0));
+    let mode = |t: f64| (plate.sigma0 * (1.0 + ramp(t, 3.0, 0.0, 3.0 + ms, 1.0) / 1.5), plate.omega0);
+    for drive_pattern in [DrivePattern::Hold, DrivePattern::Bang] {
+        for (interval, error) in
+            [1_000_000, 50_000].iter().zip(errors(&plate, &scene, &mode, drive_pattern, 8, &[1_000_000, 50_000]))
+        {
+            println!("{time_constant_ms} ms, 1 N in {ms} ms, {drive_pattern:?}, {interval} ns: {error:.1e}");
+            assert!(error <= FROZEN_BOUND / 3e-7 * drive_pattern.bound(), "{error:e}");
+        }
+    }
 }
 
 fn oscillating_force(amplitude: f64, hertz: f64) -> Profile {

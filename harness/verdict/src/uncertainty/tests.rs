@@ -2,6 +2,7 @@ use super::*;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{ChiSquared, Distribution as _, StandardNormal, Uniform};
+use rstest::rstest;
 
 fn part(kind: ComponentKind, distribution: Distribution, standard: f64, freedom: Option<f64>) -> Contribution {
     Contribution {
@@ -110,6 +111,33 @@ fn monte_carlo_gives_the_same_uncertainty() {
     errors.sort_by(f64::total_cmp);
     let expanded = errors[errors.len() * 95 / 100];
     assert!((expanded / stated.expanded - 1.0).abs() < 0.02, "{expanded}, {stated:?}");
+}
+
+/// Supplement 1 draws a component with ν degrees of freedom from a scaled t distribution.
+/// `docs/acceptance.md` states the ratio of the two intervals.
+#[rstest]
+#[case([30.0, f64::INFINITY], 1.009)]
+#[case([9.0, f64::INFINITY], 1.04)]
+#[case([5.0, f64::INFINITY], 1.09)]
+#[case([9.0, 9.0], 1.07)]
+#[case([4.0, 4.0], 1.21)]
+fn limited_freedom_widens_the_monte_carlo_interval(#[case] freedoms: [f64; 2], #[case] ratio: f64) {
+    let part =
+        |freedom: f64| part(ComponentKind::Bench, Distribution::Normal, 1.0, Some(freedom).filter(|f| f.is_finite()));
+    let stated = CombinedUncertainty::of(freedoms.map(part).to_vec(), 0.95);
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let mut draw = |freedom: f64| {
+        let normal = draw(&mut random, Distribution::Normal, 1.0);
+        if freedom.is_infinite() {
+            return normal;
+        }
+        normal / (ChiSquared::new(freedom).unwrap().sample(&mut random) / freedom).sqrt()
+    };
+    let mut errors: Vec<f64> =
+        (0..400_000).map(|_| freedoms.iter().map(|freedom| draw(*freedom)).sum::<f64>().abs()).collect();
+    errors.sort_by(f64::total_cmp);
+    let found = errors[errors.len() * 95 / 100] / stated.expanded;
+    assert!((found / ratio - 1.0).abs() < 0.01, "{found}");
 }
 
 #[test]

@@ -1,0 +1,146 @@
+//! Plays a trial again with one of its imperfections removed. The difference of the values is the
+//! error that the imperfection causes, for any controller.
+//!
+//! Converters: each trial is played once more without them. Noise of the sensor: the trials with the
+//! same listed values share [`REFERENCES`] pairs of trials, with and without noise, and the standard
+//! deviation of their differences. The pairs depend only on the campaign and the listed values.
+
+use crate::campaign::definition::Campaign;
+use crate::campaign::draw::DrawnTrial;
+use crate::campaign::error::CampaignError;
+use platebench_engine::{Executor, law};
+use platebench_model::scenario::Scenario;
+use platebench_plate::{Amplifier, Effects, Lockin, Plate, Time};
+use platebench_verdict::uncertainty::TypeA;
+use platebench_verdict::{TrialMeasures, judge, measure};
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Number of pairs with and without noise. Their standard deviation has a relative error of 6 % if
+/// the value is normal, and more for a value with a long tail, such as an overshoot near 0.
+pub(crate) const REFERENCES: u64 = 128;
+/// A standard deviation of fewer differences is unknown.
+const MIN_DIFFERENCES: usize = 8;
+
+/// Errors of the values of a trial, one per expectation, in its unit; NaN if one is unknown.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct PairedErrors {
+    /// `None` without converters.
+    pub(crate) quantisation: Option<Vec<f64>>,
+    /// Standard deviation by the noise of the sensor; `None` without noise.
+    pub(crate) noise: Option<Vec<f64>>,
+}
+
+pub(crate) struct PairedTrials<'a> {
+    campaign: &'a Campaign,
+    /// Standard deviations per µm of noise, by the number of the listed values.
+    scatter: Mutex<HashMap<usize, Arc<[f64]>>>,
+}
+
+impl<'a> PairedTrials<'a> {
+    pub(crate) fn new(campaign: &'a Campaign) -> Self {
+        Self { campaign, scatter: Mutex::default() }
+    }
+
+    /// `values` are those of `trial`, which was played.
+    pub(crate) fn errors(
+        &self,
+        executor: &mut Executor<'_>,
+        trial: &DrawnTrial,
+        values: &[f64],
+    ) -> Result<PairedErrors, CampaignError> {
+        let mut errors = PairedErrors::default();
+        let plate = without_converters(&trial.scenario.plate);
+        if plate != trial.scenario.plate {
+            let exact = play(executor, &Scenario { plate, ..trial.scenario.clone() })?;
+            let difference = |(value, exact): (&f64, f64)| (value - exact).abs();
+            errors.quantisation = exact.map(|exact| values.iter().zip(exact).map(difference).collect());
+        }
+        let noise = trial.scenario.plate.noise_um_rms;
+        if noise > 0.0 {
+            let scatter = self.scatter(executor, trial)?;
+            errors.noise = scatter.map(|scatter| scatter.iter().map(|per_um| per_um * noise).collect());
+        }
+        Ok(errors)
+    }
+
+    /// `None` if the campaign was cancelled.
+    fn scatter(&self, executor: &mut Executor<'_>, trial: &DrawnTrial) -> Result<Option<Arc<[f64]>>, CampaignError> {
+        let cell = self.campaign.cell(&trial.values);
+        let known = || self.scatter.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(scatter) = known().get(&cell) {
+            return Ok(Some(Arc::clone(scatter)));
+        }
+        // Two workers may play the same pairs, which gives the same result twice.
+        let Some(differences) = self.play_pairs(executor, trial)? else { return Ok(None) };
+        let scatter = differences.iter().map(|differences| {
+            let known: Vec<f64> = differences.iter().copied().filter(|difference| difference.is_finite()).collect();
+            let spread = TypeA::of_single(&known).filter(|_| known.len() >= MIN_DIFFERENCES);
+            spread.map_or(f64::NAN, |spread| spread.standard)
+        });
+        let scatter: Arc<[f64]> = scatter.collect();
+        known().insert(cell, Arc::clone(&scatter));
+        Ok(Some(scatter))
+    }
+
+    /// Differences of each value per µm of noise.
+    fn play_pairs(
+        &self,
+        executor: &mut Executor<'_>,
+        trial: &DrawnTrial,
+    ) -> Result<Option<Vec<Vec<f64>>>, CampaignError> {
+        let mut differences = vec![Vec::new(); trial.scenario.expectations.len()];
+        let mut last: Option<(Vec<f64>, Vec<f64>)> = None;
+        for place in 0..REFERENCES {
+            let reference = match self.campaign.reference_trial(trial, place) {
+                Ok(reference) => reference,
+                // The scenario refuses the drawn values.
+                Err(CampaignError::Trial { .. }) => continue,
+                Err(error) => return Err(error),
+            };
+            let DrawnTrial { scenario, values: draws, .. } = reference;
+            let noise = scenario.plate.noise_um_rms;
+            if noise <= 0.0 {
+                continue;
+            }
+            // The seed also determines the jitter of the delay.
+            let is_same = scenario.controller.loop_delay_jitter == Time::ZERO;
+            let exact = match last.take_if(|(known, _)| is_same && *known == draws) {
+                Some((_, exact)) => exact,
+                None => {
+                    let plate = Plate { noise_um_rms: 0.0, ..scenario.plate.clone() };
+                    let Some(exact) = play(executor, &Scenario { plate, ..scenario.clone() })? else { return Ok(None) };
+                    exact
+                }
+            };
+            let Some(noisy) = play(executor, &scenario)? else { return Ok(None) };
+            for ((known, noisy), exact) in differences.iter_mut().zip(noisy).zip(&exact) {
+                known.push((noisy - exact) / noise);
+            }
+            last = Some((draws, exact));
+        }
+        Ok(Some(differences))
+    }
+}
+
+/// Values of the expectations; NaN if there is none. `None` if the trial was cancelled.
+fn play(executor: &mut Executor<'_>, scenario: &Scenario) -> Result<Option<Vec<f64>>, CampaignError> {
+    let law = law(scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
+    let Some(played) = executor.play(scenario, law, 0, None)? else { return Ok(None) };
+    Ok(Some(values_of(scenario, measure(scenario, 0, &played.trace_rows, &played.telemetry))))
+}
+
+fn values_of(scenario: &Scenario, measures: TrialMeasures) -> Vec<f64> {
+    let expectations = judge(scenario, &[measures]).expectations;
+    expectations.iter().map(|expectation| expectation.value.unwrap_or(f64::NAN)).collect()
+}
+
+fn without_converters(plate: &Plate) -> Plate {
+    let amplifier = Amplifier { converter: None, ..plate.effects.amplifier };
+    Plate {
+        resolution: None,
+        lockin: plate.lockin.map(|lockin| Lockin { resolution: None, ..lockin }),
+        effects: Effects { amplifier, ..plate.effects },
+        ..plate.clone()
+    }
+}

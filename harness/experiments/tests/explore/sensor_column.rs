@@ -1,0 +1,93 @@
+//! Compares the error columns of campaigns with the scatter of many trials and with exact trials.
+
+use platebench_experiments::campaign::row::TrialRow;
+use platebench_experiments::campaign::{Campaign, PlayConfig, TrialSource, play_trials};
+use platebench_rig::RigSpec;
+use platebench_test_kit::PLATE;
+use rstest::rstest;
+use std::path::Path;
+
+const EXPECT: [&str; 8] = [
+    "metric = \"settling_time_ms\", at_most = 50.0",
+    "metric = \"overshoot_percent\", at_most = 90.0",
+    "metric = \"static_error_percent\", at_most = 90.0, from_ms = 20.0",
+    "metric = \"peak_deviation_percent\", at_most = 90.0, from_ms = 20.0",
+    "metric = \"final_amplitude_um\", at_most = 9.0",
+    "metric = \"quadrature_ratio\", at_most = 9.0, from_ms = 20.0",
+    "metric = \"frequency_error_hz\", at_most = 900.0",
+    "metric = \"drive_peak_vpp\", at_most = 900.0",
+];
+
+fn play(folder: &Path, plate: &str, controller: &str, trials: u64) -> Vec<TrialRow> {
+    std::fs::write(folder.join("plate.toml"), plate).unwrap();
+    let expect: String = EXPECT.iter().map(|expect| format!("{{ {expect} }},\n")).collect();
+    let scenario = format!(
+        "title = \"a\"\nplate = \"plate.toml\"\nduration_ms = 40.0\nexpect = [{expect}]\n\
+         [controller]\n{controller}\n[profile]\nsetpoint_um = 2.0\n"
+    );
+    std::fs::write(folder.join("s.toml"), scenario).unwrap();
+    let text = format!(
+        "title = \"a\"\nscenario = \"s.toml\"\n[vary]\n\"controller.loop_delay_ms\" = {{ each = [0.0] }}\n\
+         [plan]\nmethod = \"grid\"\ntrials = {trials}\nseed = 1\n"
+    );
+    std::fs::write(folder.join("c.toml"), text).unwrap();
+    let campaign = Campaign::load(&folder.join("c.toml")).unwrap_or_else(|faults| panic!("{}", faults[0]));
+    let config = PlayConfig::new(RigSpec::hosted(), 1);
+    let mut rows = Vec::new();
+    let connect = || RigSpec::hosted().connect();
+    let on_row = &mut |row| {
+        rows.push(row);
+        Ok(())
+    };
+    play_trials(&campaign, &TrialSource::Numbers(0..trials), &connect, &config, on_row).unwrap();
+    rows
+}
+
+/// Values and errors of expectation `index` in all rows. The origins are those of the columns.
+fn column(rows: &[TrialRow], index: usize, origin: usize) -> Vec<[f64; 2]> {
+    rows.iter().map(|row| [row.values[index], row.errors[3 * index + origin]]).collect()
+}
+
+#[rstest]
+#[case::dq_pi("law = \"dq-pi\"")]
+#[case::dq_pi_at_a_short_period("law = \"dq-pi\"\nperiod_ms = 0.25")]
+#[case::deadbeat("law = \"deadbeat\"")]
+#[case::pll("law = \"pll\"")]
+#[case::open_loop("law = \"open-loop\"")]
+fn the_sensor_column_is_the_scatter_of_the_trials(#[case] controller: &str) {
+    let folder = tempfile::tempdir().unwrap();
+    let plate = PLATE.replace("noise_um_rms = 0.0", "noise_um_rms = 0.01");
+    let rows = play(folder.path(), &plate, controller, 1_000);
+    for (index, expect) in EXPECT.iter().enumerate() {
+        let column = column(&rows, index, 2);
+        let known: Vec<f64> = column.iter().map(|[value, _]| *value).filter(|value| value.is_finite()).collect();
+        if known.len() < 950 {
+            continue;
+        }
+        let mean = known.iter().sum::<f64>() / known.len() as f64;
+        let squares: f64 = known.iter().map(|value| (value - mean).powi(2)).sum();
+        let scatter = (squares / (known.len() - 1) as f64).sqrt();
+        let stated = column.iter().map(|[_, error]| *error).find(|error| error.is_finite()).unwrap();
+        println!("{controller}, {expect}: column {stated:.3e}, scatter {scatter:.3e}, ratio {:.2}", stated / scatter);
+        if scatter < 1e-12 * mean.abs().max(1.0) {
+            assert_eq!(stated, 0.0, "{expect}");
+        } else {
+            assert!((1.0 / 1.5..=1.5).contains(&(stated / scatter)), "{expect}: {stated} {scatter}");
+        }
+    }
+}
+
+#[test]
+fn the_quantisation_column_is_the_effect_of_the_converter() {
+    let folder = tempfile::tempdir().unwrap();
+    let coarse =
+        PLATE.replace("limit_vpp = 900.0", "limit_vpp = 900.0\nconverter_bits = 10\nconverter_range_vpp = 900.0 #");
+    let exact = play(folder.path(), PLATE, "law = \"dq-pi\"", 1);
+    let rounded = play(folder.path(), &coarse, "law = \"dq-pi\"", 1);
+    for (index, expect) in EXPECT.iter().enumerate() {
+        let ([exact, message_error], [value, stated]) = (column(&exact, index, 1)[0], column(&rounded, index, 1)[0]);
+        let error = (value - exact).abs();
+        println!("{expect}: column {stated:.3e}, error {error:.3e}, messages {message_error:.3e}");
+        assert!(error <= stated && stated <= 3.0 * error.max(message_error), "{expect}: {error} {stated}");
+    }
+}

@@ -1,0 +1,244 @@
+//! Finds the extremes of the motion between two rows of a trace.
+//!
+//! Between two commands W is the sum of a slow part S and of the ripple F of the fast pole,
+//! `S' = (s₊ − jω) S + g` and `F' = (s₋ − jω) F − g` with `g = (N/m) V/2ω_d`
+//! (`docs/mathematics.md`, exact propagation). F follows from the drives of the rows alone, and S is
+//! the W of a row minus F. So the closed form between two rows needs no state that a trace lacks.
+
+use crate::metrics::measure;
+use platebench_model::record::Telemetry;
+use platebench_model::scenario::{Expectation, Scenario, Variation};
+use platebench_model::trace::Row;
+use platebench_plate::{BandSignal, Complex64, Conditions, Mode, Model, State};
+use std::f64::consts::{PI, TAU};
+
+/// Number of points per period of the ripple at which an extreme is searched.
+const POINTS_PER_PERIOD: f64 = 16.0;
+/// Smaller excesses over the rows are rounding errors, µm.
+const ROUNDING_UM: f64 = 1e-12;
+const GOLDEN_STEPS: u32 = 30;
+const GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
+
+/// Difference between the value of an expectation and its value with the extremes between the rows
+/// of the trace, in its unit. `None` if the motion has no closed form between two rows, or if the
+/// trial has no value.
+pub fn missed_between_rows(
+    scenario: &Scenario,
+    index: u32,
+    expectation: &Expectation,
+    rows: &[Row],
+    telemetry: &Telemetry,
+) -> Option<f64> {
+    let exact = rows_with_extremes(scenario, index, expectation, rows)?;
+    let value = |rows: &[Row]| measure(expectation, rows, telemetry).value();
+    Some((value(&exact)? - value(rows)?).abs())
+}
+
+/// The rows, and a row at each extreme of the signal that exceeds the rows with the same setpoint.
+/// `None` for a plate with optional effects, for the model `linear`, and for a sensed signal.
+pub fn rows_with_extremes(
+    scenario: &Scenario,
+    index: u32,
+    expectation: &Expectation,
+    rows: &[Row],
+) -> Option<Vec<Row>> {
+    let scenario = scenario.of_trial(index);
+    let signal = match expectation.signal {
+        "wd_um" => BandSignal::InPhase,
+        "wq_um" => BandSignal::Quadrature,
+        "amplitude_um" => BandSignal::Amplitude,
+        _ => return None,
+    };
+    if scenario.model == Model::Linear || scenario.plate.first_effect().is_some() {
+        return None;
+    }
+    let plate = Variation::of_trial(scenario, index).plate(&scenario.plate);
+    let is_in_window = |row: &Row| {
+        expectation.windows.iter().any(|window| window.from.seconds() <= row.t_s && row.t_s < window.to.seconds())
+    };
+    let mut extended = Vec::with_capacity(rows.len() + 8);
+    let mut conditions = Conditions::default();
+    let mut poles = Poles::new(scenario.model, &plate.mode(&conditions));
+    let (mut fast, mut last) = (Complex64::ZERO, LastStep::default());
+    let mut ranges = setpoint_ranges(rows, signal, is_in_window);
+    let mut range = ranges.next();
+    for (number, row) in rows.iter().enumerate() {
+        extended.push(*row);
+        let Some(next) = rows.get(number + 1) else { break };
+        let w = Complex64::new(row.wd_um, row.wq_um);
+        let present = Conditions { temperature_offset_k: row.temperature_offset_k, finger_force_n: row.finger_force_n };
+        if present != conditions {
+            conditions = present;
+            let changed = Poles::new(scenario.model, &plate.mode(&conditions));
+            fast = poles.fast_part_in(&changed, w, fast);
+            poles = changed;
+        }
+        let motion = Motion::new(&poles, TAU * row.frequency_hz, row.drive_vpp, w, fast);
+        let seconds = next.t_s - row.t_s;
+        while range.as_ref().is_some_and(|range| range.last <= number) {
+            range = ranges.next();
+        }
+        if let Some(range) = range.as_ref().filter(|range| range.first <= number) {
+            motion.push_extremes(row, signal, seconds, range, &mut extended);
+        }
+        fast = last.fast_after(&motion, seconds);
+    }
+    Some(extended)
+}
+
+/// Rows `first` to `last` of a window with one setpoint, and the extremes of their values.
+#[derive(Debug, Clone, Copy)]
+struct SetpointRange {
+    first: usize,
+    last: usize,
+    lowest: f64,
+    highest: f64,
+}
+
+fn setpoint_ranges<'a>(
+    rows: &'a [Row],
+    signal: BandSignal,
+    is_in_window: impl Fn(&Row) -> bool + 'a,
+) -> impl Iterator<Item = SetpointRange> + 'a {
+    let mut next = 0;
+    std::iter::from_fn(move || {
+        let first = next + rows.get(next..)?.iter().position(&is_in_window)?;
+        let setpoint = rows.get(first)?.setpoint_um;
+        let inside = rows.get(first..)?.iter().take_while(|row| row.setpoint_um == setpoint && is_in_window(row));
+        let empty = SetpointRange { first, last: first, lowest: f64::INFINITY, highest: f64::NEG_INFINITY };
+        let range = inside.enumerate().fold(empty, |range, (place, row)| {
+            let value = value_of(signal, Complex64::new(row.wd_um, row.wq_um));
+            let (lowest, highest) = (range.lowest.min(value), range.highest.max(value));
+            SetpointRange { last: first + place, lowest, highest, ..range }
+        });
+        next = range.last + 1;
+        Some(range)
+    })
+}
+
+fn value_of(signal: BandSignal, w: Complex64) -> f64 {
+    signal.value(&State { w, u: Complex64::ZERO })
+}
+
+/// The poles in the fixed frame, and the force per volt of both parts.
+#[derive(Debug, Clone, Copy)]
+struct Poles {
+    slow: Complex64,
+    /// `None` in the envelope model.
+    fast: Option<Complex64>,
+    force: f64,
+}
+
+impl Poles {
+    fn new(model: Model, mode: &Mode) -> Self {
+        let Mode { sigma, omega0, force_constant, envelope_constant } = *mode;
+        if !model.has_both_poles() {
+            return Self { slow: Complex64::new(-sigma, omega0), fast: None, force: envelope_constant };
+        }
+        let damped = ((omega0 - sigma) * (omega0 + sigma)).sqrt();
+        Self {
+            slow: Complex64::new(-sigma, damped),
+            fast: Some(Complex64::new(-sigma, -damped)),
+            force: force_constant / (2.0 * damped),
+        }
+    }
+
+    /// Part of the fast pole after a change of the mode. W and U are continuous.
+    fn fast_part_in(&self, other: &Self, w: Complex64, fast: Complex64) -> Complex64 {
+        let (Some(minus), Some(new_minus)) = (self.fast, other.fast) else { return Complex64::ZERO };
+        let u = self.slow * (w - fast) + minus * fast;
+        (other.slow * w - u) / (other.slow - new_minus)
+    }
+}
+
+/// `W = rest + Σ amplitude e^{pole t}` from a row on.
+#[derive(Debug, Clone, Copy)]
+struct Motion {
+    slow_rest: Complex64,
+    fast_rest: Complex64,
+    /// Amplitude and pole in the rotating frame.
+    slow: [Complex64; 2],
+    fast: [Complex64; 2],
+}
+
+impl Motion {
+    fn new(poles: &Poles, omega: f64, vpp: f64, w: Complex64, fast: Complex64) -> Self {
+        let frame = Complex64::new(0.0, omega);
+        let force = poles.force * vpp;
+        let slow_pole = poles.slow - frame;
+        let slow_rest = -force / slow_pole;
+        let slow = [w - fast - slow_rest, slow_pole];
+        let Some(fast_pole) = poles.fast.map(|pole| pole - frame) else {
+            return Self { slow_rest, fast_rest: Complex64::ZERO, slow, fast: [Complex64::ZERO; 2] };
+        };
+        let fast_rest = force / fast_pole;
+        Self { slow_rest, fast_rest, slow, fast: [fast - fast_rest, fast_pole] }
+    }
+
+    fn after(&self, seconds: f64) -> Complex64 {
+        let [slow, fast] = [self.slow, self.fast].map(|[amplitude, pole]| amplitude * (pole * seconds).exp());
+        self.slow_rest + self.fast_rest + slow + fast
+    }
+
+    /// Adds rows at the extremes between `row` and the next one, `seconds` later.
+    fn push_extremes(&self, row: &Row, signal: BandSignal, seconds: f64, range: &SetpointRange, rows: &mut Vec<Row>) {
+        let [amplitude, pole] = self.slow;
+        let bound = 2.0 * self.fast[0].norm() + (seconds * pole.norm()).powi(2) / 8.0 * amplitude.norm();
+        let ends = [0.0, seconds].map(|t| value_of(signal, self.after(t)));
+        let mut found = Vec::new();
+        for (sign, limit) in [(1.0, range.highest), (-1.0, -range.lowest)] {
+            let value = |t: f64| sign * value_of(signal, self.after(t));
+            let [start, end] = ends.map(|value| sign * value);
+            if start.max(end) + bound <= limit {
+                continue;
+            }
+            let t = self.largest_at(&value, seconds);
+            if value(t) > limit + ROUNDING_UM {
+                found.push(t);
+            }
+        }
+        found.sort_by(f64::total_cmp);
+        rows.extend(found.into_iter().map(|t| {
+            let w = self.after(t);
+            Row { t_s: row.t_s + t, wd_um: w.re, wq_um: w.im, amplitude_um: w.norm(), ..*row }
+        }));
+    }
+
+    /// Instant of the largest value, by a scan and by sections in the golden ratio.
+    fn largest_at(&self, value: &impl Fn(f64) -> f64, seconds: f64) -> f64 {
+        let fastest = self.fast[1].im.abs().max(self.slow[1].norm()).max(PI / seconds);
+        let count = (seconds * fastest / TAU * POINTS_PER_PERIOD).ceil().clamp(POINTS_PER_PERIOD, 1e6);
+        let step = seconds / count;
+        let best = (0..=count as u32)
+            .map(|number| f64::from(number) * step)
+            .reduce(|best, t| if value(t) > value(best) { t } else { best });
+        let best = best.unwrap_or_default();
+        let (mut low, mut high) = ((best - step).max(0.0), (best + step).min(seconds));
+        for _ in 0..GOLDEN_STEPS {
+            let section = GOLDEN_RATIO * (high - low);
+            let (left, right) = (high - section, low + section);
+            if value(left) < value(right) { low = left } else { high = right }
+        }
+        f64::midpoint(low, high)
+    }
+}
+
+/// Exponential of the fast pole over the last step. Most steps have the same length and pole.
+#[derive(Debug, Clone, Copy, Default)]
+struct LastStep {
+    pole: Complex64,
+    seconds: f64,
+    decay: Complex64,
+}
+
+impl LastStep {
+    fn fast_after(&mut self, motion: &Motion, seconds: f64) -> Complex64 {
+        let [amplitude, pole] = motion.fast;
+        // Instants of rows have rounding errors of 1e-17 s.
+        let is_same = self.pole == pole && (self.seconds - seconds).abs() < 1e-16;
+        if !is_same {
+            *self = Self { pole, seconds, decay: (pole * seconds).exp() };
+        }
+        motion.fast_rest + amplitude * self.decay
+    }
+}
