@@ -185,6 +185,12 @@ impl<'a> ParameterLayout<'a> {
         self.state_index() + 2 + 2 * self.restarts.len()
     }
 
+    /// Unit of the shift, periods. The response to a step at time δ contains a small part with the
+    /// phase 2ωδ, which would hide the descent. Differences over π/ω do not contain it.
+    fn shift_unit(&self) -> f64 {
+        PI / self.mean_omega / self.period / DIFFERENCE_STEP
+    }
+
     fn state_index(&self) -> usize {
         self.resonance_index(0) + self.force_index.len()
     }
@@ -211,7 +217,7 @@ impl<'a> ParameterLayout<'a> {
             Complex64::new(theta[index], theta[index + 1])
         };
         let turn = Complex64::cis(self.alignment.rotation.map_or(0.0, |_| theta[self.rotation_index()]));
-        let shift = self.alignment.shift.map_or(0.0, |_| theta[self.shift_index()] * self.period);
+        let shift = self.alignment.shift.map_or(0.0, |_| theta[self.shift_index()] * self.shift_unit() * self.period);
         let shift_of = |inputs: ShiftedInputs| match self.alignment.shift {
             Some((shifted, _)) if shifted == inputs || shifted == ShiftedInputs::All => shift,
             _ => 0.0,
@@ -269,7 +275,7 @@ impl<'a> ParameterLayout<'a> {
             (theta[index], theta[index + 1]) = (w.re, w.im);
         }
         if let Some((_, periods)) = self.alignment.shift {
-            theta[self.shift_index()] = periods;
+            theta[self.shift_index()] = periods / self.shift_unit();
         }
         if let Some(angle) = self.alignment.rotation {
             theta[self.rotation_index()] = angle;
@@ -350,7 +356,7 @@ pub(crate) fn fit_aligned(
     }
     let shift = |(inputs, _): (ShiftedInputs, f64)| {
         let index = layout.shift_index();
-        (inputs, Estimate::new(theta[index], error(index), freedom))
+        (inputs, Estimate::new(theta[index], error(index), freedom).scaled(layout.shift_unit()))
     };
     let rotation = |_| {
         let index = layout.rotation_index();

@@ -9,7 +9,7 @@ use platebench_plate::{Complex64, SecondMode};
 use rstest::rstest;
 use std::f64::consts::TAU;
 
-const SEEDS: u64 = 60;
+const SEEDS: u64 = 6;
 
 fn change_w(recording: &Recording, change: impl Fn(Complex64) -> Complex64) -> Recording {
     relog(recording, |rows| rows.iter_mut().for_each(|row: &mut LogRow| row.w = change(row.w)))
