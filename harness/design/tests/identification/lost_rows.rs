@@ -21,6 +21,11 @@ fn without_rows(recording: &Recording, lost: &[usize]) -> Recording {
     })
 }
 
+/// Four steps of the voltage at the resonance, because ARX models of Wd are biased elsewhere.
+fn resonant_steps(seed: u64) -> Recording {
+    simulate(&plate(), seed, &scene(STILL, STILL), 160, |ms, _| (voltage_drive(ms).0, plate().omega0))
+}
+
 fn missing(found: &Identification) -> Option<(usize, usize)> {
     found.warnings.iter().find_map(|warning| match warning {
         Warning::MissingRows { rows, unknown, .. } => Some((*rows, *unknown)),
@@ -36,8 +41,8 @@ fn missing(found: &Identification) -> Option<(usize, usize)> {
 fn a_row_lost_at_a_step_leaves_the_estimates(#[case] lost: &[usize], #[case] unknown: usize) {
     let mut covered = Covered::default();
     let mut by_step = [0_usize; 2];
-    for seed in 0..8 {
-        let (found, _) = identify(&[without_rows(&voltage_steps(seed), lost)], None).unwrap();
+    for seed in 0..20 {
+        let (found, _) = identify(&[without_rows(&resonant_steps(seed), lost)], None).unwrap();
         assert_eq!(found.inconsistencies, [], "{seed}");
         assert_eq!((found.warnings.len(), missing(&found)), (1, Some((4, unknown))), "{:?}", found.warnings);
         assert_eq!(found.voltage_steps.len(), 4);
@@ -51,8 +56,8 @@ fn a_row_lost_at_a_step_leaves_the_estimates(#[case] lost: &[usize], #[case] unk
         covered.add(&found);
     }
     covered.check();
-    // 480 intervals each. Those of instrumental variables assume a plate of first order.
-    assert!(by_step.iter().all(|count| *count >= 430), "{by_step:?}");
+    // 160 intervals each. Those of instrumental variables assume a plate of first order.
+    assert!(by_step.iter().all(|count| *count >= 140), "{by_step:?}");
 }
 
 #[rstest]
@@ -60,7 +65,7 @@ fn a_row_lost_at_a_step_leaves_the_estimates(#[case] lost: &[usize], #[case] unk
 #[case::frequency_steps(frequency_steps)]
 fn rows_lost_at_random_leave_the_estimates(#[case] record: fn(u64) -> Recording) {
     let mut covered = Covered::default();
-    for seed in 0..8 {
+    for seed in 0..20 {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let share = Uniform::new(0.0, 1.0).unwrap();
         let lost: Vec<usize> = (1..159).filter(|_| share.sample(&mut random) < 0.05).collect();
@@ -116,7 +121,7 @@ fn one_drive_under_each_force_has_no_linearity() {
             20..100 => [120.0, 208.0, 312.0, 370.0][(ms / 160) as usize % 4],
             _ => 0.0,
         };
-        (vpp, plate().omega0 + 60.0)
+        (vpp, plate().omega0 + 40.0)
     };
     let (found, _) = identify(&[steps_under_forces(1, drive)], None).unwrap();
     assert_eq!((found.gain_change_percent, &found.inconsistencies[..]), (None, &[][..]));
