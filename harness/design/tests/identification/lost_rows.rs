@@ -40,22 +40,28 @@ fn missing(found: &Identification) -> Option<(usize, usize)> {
 #[case::two_in_a_row(&[61, 62, 141, 142], 0)]
 fn a_row_lost_at_a_step_leaves_the_estimates(#[case] lost: &[usize], #[case] unknown: usize) {
     let mut covered = Covered::default();
-    let mut by_step = [0_usize; 2];
+    let (mut by_step, mut taus, mut coloured) = ([0_usize; 2], Vec::new(), 0);
     for seed in 0..20 {
         let (found, _) = identify(&[without_rows(&resonant_steps(seed), lost)], None).unwrap();
-        assert_eq!(found.inconsistencies, [], "{seed}");
+        // The Ljung-Box test rejects one of a hundred recordings by chance.
+        let is_chance = |each: &Inconsistency| matches!(each, Inconsistency::Residuals { .. });
+        assert!(found.inconsistencies.iter().all(is_chance), "{seed}: {:?}", found.inconsistencies);
+        coloured += found.inconsistencies.len();
         assert_eq!((found.warnings.len(), missing(&found)), (1, Some((4, unknown))), "{:?}", found.warnings);
         assert_eq!(found.voltage_steps.len(), 4);
         for step in &found.voltage_steps {
             for [gain, tau] in [step.instruments.unwrap(), step.direct.unwrap()] {
                 by_step[0] += usize::from(gain.contains(plate().gain));
                 by_step[1] += usize::from(tau.contains(1.0 / plate().sigma0));
-                assert!((tau.value * 1e3 - 1.88).abs() < 0.12, "{seed}: {step:?}");
             }
+            taus.push(step.instruments.unwrap()[1].value);
         }
         covered.add(&found);
     }
     covered.check();
+    assert!(coloured <= 2, "{coloured}");
+    let mean = taus.iter().sum::<f64>() / taus.len() as f64;
+    assert!((mean * 1e3 / 1.88 - 1.0).abs() < 0.02, "{mean}");
     // 160 intervals each. Those of instrumental variables assume a plate of first order.
     assert!(by_step.iter().all(|count| *count >= 140), "{by_step:?}");
 }
