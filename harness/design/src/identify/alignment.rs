@@ -6,8 +6,11 @@
 
 use crate::identify::estimate::Estimate;
 use crate::identify::fit::{Alignment, DirectFit, FittedAlignment, ShiftedInputs, fit_aligned};
-use crate::identify::residuals::{has_large_transients, information, is_coloured, is_explained_by_chance};
-use platebench_model::recording::{RecordedInput, RecordedSample, Recording};
+use crate::identify::residuals::{
+    has_large_transients, information, is_coloured, is_explained_by_chance, is_implausible,
+};
+use crate::identify::steps::SAME_INSTANT;
+use platebench_model::recording::{Gap, RecordedInput, RecordedSample, Recording};
 use platebench_plate::Complex64;
 use std::f64::consts::PI;
 
@@ -63,9 +66,7 @@ impl Examined {
                 .any(|each| each.value.abs() > NOTABLE_ERRORS * each.error)
         };
         let is_poor = direct.as_ref().is_none_or(|fit| {
-            is_coloured(&recording, fit)
-                || has_large_transients(&recording, fit)
-                || crate::identify::residuals::is_implausible(&recording, fit)
+            is_coloured(&recording, fit) || has_large_transients(&recording, fit) || is_implausible(&recording, fit)
         });
         let aligned = (is_poor || free.as_ref().is_some_and(is_notable))
             .then(|| search(&recording, direct.as_ref()))
@@ -246,9 +247,16 @@ fn shift_inputs(recording: &Recording, shifted: ShiftedInputs, seconds: f64) -> 
     // A shift and its subtraction give the recorded time only up to rounding.
     let rounding = 1e-6 * recording.period();
     times.dedup_by(|later, earlier| *later - *earlier <= rounding);
+    // ARX models need an input at a sample, so a nearly whole shift is a whole one.
+    let (outputs, near) = (&recording.outputs, SAME_INSTANT * recording.period());
+    let snapped = |t: f64| {
+        let next = outputs.get(outputs.partition_point(|output| output.t < t - near));
+        next.filter(|output| output.t <= t + near).map_or(t, |output| output.t)
+    };
     let acting = |t: f64| {
         let (drive, frequency, rest) =
             (at(t - drive + rounding)?, at(t - frequency + rounding)?, at(t - rest + rounding)?);
+        let t = snapped(t);
         Some(RecordedInput { t, vpp: drive.vpp, omega: frequency.omega, conditions: rest.conditions })
     };
     times.into_iter().filter_map(acting).collect()
@@ -280,14 +288,15 @@ fn with_equal_spacing(recording: &Recording) -> Option<(Recording, f64)> {
         let next = outputs.partition_point(|output| output.t < t).clamp(1, outputs.len() - 1);
         let (from, to) = (outputs.get(next - 1)?.t, outputs.get(next)?.t);
         let (start, end) = (grid.get(next - 1)?, grid.get(next)?);
+        if t == to {
+            return Some(*end);
+        }
         Some(start + (end - start) * (t - from) / (to - from))
     };
     let inputs = recording.inputs.iter().filter_map(|input| Some(RecordedInput { t: moved(input.t)?, ..*input }));
     let inputs: Vec<RecordedInput> = inputs.collect();
     let outputs = grid.iter().zip(outputs).map(|(t, output)| RecordedSample { t: *t, ..*output }).collect();
-    let gap = |gap: &platebench_model::recording::Gap| {
-        Some(platebench_model::recording::Gap { from: moved(gap.from)?, to: moved(gap.to)?, ..*gap })
-    };
+    let gap = |gap: &Gap| Some(Gap { from: moved(gap.from)?, to: moved(gap.to)?, ..*gap });
     let gaps = recording.gaps.iter().filter_map(gap).collect();
     Some((Recording { inputs, outputs, gaps, ..recording.clone() }, deviation))
 }

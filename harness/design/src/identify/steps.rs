@@ -22,7 +22,7 @@ const STARTED_BAND: f64 = 0.03;
 const NOISE_BAND: f64 = 4.0;
 const SAME_DETUNING: f64 = 1.0;
 /// Largest distance of two instants that count as equal, in periods.
-const SAME_INSTANT: f64 = 0.02;
+pub(crate) const SAME_INSTANT: f64 = 0.02;
 
 /// Step of the drive without control: a row of Table I.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
@@ -138,7 +138,8 @@ fn periods_between_samples(part: &Recording) -> Option<Vec<usize>> {
     let period = part.period();
     let is_whole = |periods: f64| (periods - periods.round()).abs() <= SAME_INSTANT;
     let at_sample = |input: &RecordedInput| {
-        let next = part.outputs.partition_point(|output| output.t < input.t - SAME_INSTANT * period);
+        // An input shortly after a sample would count from the next sample on.
+        let next = part.outputs.partition_point(|output| output.t < input.t);
         part.outputs.get(next).is_some_and(|output| output.t <= input.t + SAME_INSTANT * period)
     };
     let spacings: Vec<f64> =
