@@ -41,7 +41,7 @@ fn text_of(found: &Identification) -> String {
 fn a_rotation_is_estimated_and_reported(#[case] degrees: f64) {
     for record in [voltage_steps, frequency_steps] {
         let mut covered = Covered::default();
-        for seed in 0..SEEDS / 2 {
+        for seed in 0..SEEDS / 4 {
             let (found, _) = identify(&[rotated(&record(seed), degrees)], None).unwrap();
             assert_eq!(found.inconsistencies, [], "{seed}");
             let [Warning::Rotation { rotation_deg, .. }] = &found.warnings[..] else {
@@ -78,7 +78,7 @@ fn a_quarter_turn_names_both_causes(#[case] change: fn(Complex64) -> Complex64) 
 #[case::both_reversed(|w: Complex64| -w, "the signs of Wd and Wq are reversed")]
 fn steps_of_the_frequency_show_the_sign(#[case] change: fn(Complex64) -> Complex64, #[case] message: &str) {
     let mut covered = Covered::default();
-    for seed in 0..SEEDS / 2 {
+    for seed in 0..SEEDS / 4 {
         let (found, _) = identify(&[change_w(&frequency_steps(seed), change)], None).unwrap();
         assert!(text_of(&found).contains(message), "{seed}: {}", text_of(&found));
         assert_eq!(found.second_mode, None);
