@@ -319,7 +319,7 @@ pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
     fit_aligned(recording, Alignment::default(), None)
 }
 
-/// Fits the alignment too, from the parameters of `start` or, without it, from general start points.
+/// Fits the alignment too. Starts from the parameters of `start`, or from general start points.
 pub(crate) fn fit_aligned(
     recording: &Recording,
     alignment: Alignment,
