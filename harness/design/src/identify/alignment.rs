@@ -180,7 +180,8 @@ fn search(recording: &Recording, direct: Option<&DirectFit>) -> Option<DirectFit
         }
     }
     let best = |found: &[DirectFit]| {
-        let determined = found.iter().filter(|fit| is_determined(fit));
+        // A resonance far from the excitation is an alias.
+        let determined = found.iter().filter(|fit| is_determined(fit) && !is_implausible(recording, fit));
         determined.min_by(|a, b| information(recording, a).total_cmp(&information(recording, b))).cloned()
     };
     let first = best(&found)?;

@@ -152,7 +152,7 @@ fn the_plate_file_contains_the_warnings() {
 
 /// The samples of a mode beyond half the sampling rate are those of a nearer mode.
 #[rstest]
-#[case::within(300.0, true)]
+#[case::within(400.0, true)]
 #[case::beyond(620.0, false)]
 fn an_alias_is_no_second_mode(#[case] distance_hz: f64, #[case] is_found: bool) {
     let second = SecondMode { omega0: plate().omega0 + TAU * distance_hz, sigma0: 1e3 / 1.5, gain: 0.0021 };
