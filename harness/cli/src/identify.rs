@@ -33,8 +33,8 @@ Examples:
   platebench identify telemetry.csv --columns time=t:ms,drive=V:Vpp,frequency=f:Hz,wd=Wd:nm,wq=Wq:nm
 
 Columns: ROLE=COLUMN:UNIT; roles and units: time (s, ms, us), drive (Vpp, V for an amplitude),
-frequency (Hz, kHz, rad/s), wd and wq (um, nm, m, peak to peak), temperature (K above the reference)
-and force (N).
+frequency (Hz, kHz, rad/s), wd and wq (um, nm, m, peak to peak; -nm reverses the sign), temperature
+(K above the reference) and force (N).
 
 Exit codes: 0 identified, 2 unusable input, 3 the input does not determine the plate or is doubtful, 4 no recording")]
 pub(crate) struct IdentifyArgs {
@@ -155,6 +155,9 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
             document.to_html()
         };
         stdio::write_output(path, &page).or_invalid_at(path)?;
+    }
+    for warning in &found.warnings {
+        stdio::note(&format!("warning: {warning}"));
     }
     let exit = if found.inconsistencies.is_empty() { Exit::Passed } else { Exit::Inconclusive };
     for inconsistency in &found.inconsistencies {

@@ -1,7 +1,7 @@
 //! Formats an identification as tables next to the paper's values, and as a plate file, and
 //! combines its errors with the uncertainty budget of the measurement.
 
-use crate::identify::inconsistency::is_explained_by_chance;
+use crate::identify::residuals::is_explained_by_chance;
 use crate::identify::{Estimate, FrequencyStep, Identification, IdentifiedHeating, RecordingFit, VoltageStep};
 use platebench_report::document::{Block, Document, Table};
 use platebench_verdict::uncertainty::{Budget, CombinedUncertainty, EvaluationError, TypeA};
@@ -97,15 +97,23 @@ fn voltage_table(found: &Identification) -> Section {
     ];
     let mut section = Section::new(title, &header);
     let mut steps: Vec<&VoltageStep> = found.voltage_steps.iter().collect();
-    steps.sort_by(|a, b| a.vpp.total_cmp(&b.vpp));
+    steps.sort_by(|a, b| a.force_n.total_cmp(&b.force_n).then(a.vpp.total_cmp(&b.vpp)));
     let mut rows: Vec<VoltageRow<'_>> = Vec::new();
-    for group in steps.chunk_by(|a, b| (a.vpp - b.vpp).abs() <= 1.0) {
-        let vpp = group.iter().map(|step| step.vpp).sum::<f64>() / group.len() as f64;
-        let paper = TABLE_I.iter().find(|row| (row[0] - vpp).abs() <= 1.0).map(|row| [row[1], row[2]]);
-        rows.push((format!("{vpp:.0}"), paper, group.to_vec()));
-    }
-    if rows.len() > 1 {
-        rows.push(("all".to_owned(), Some(TABLE_I_MEANS), steps.clone()));
+    // K1 and τ1 depend on the force.
+    for steps in steps.chunk_by(|a, b| a.force_n == b.force_n) {
+        let force = steps.first().map_or(0.0, |first| first.force_n);
+        let label = |drive: &str| if force == 0.0 { drive.to_owned() } else { format!("{drive}, {force} N") };
+        let paper = |values: [f64; 2]| Some(values).filter(|_| force == 0.0);
+        let before = rows.len();
+        for group in steps.chunk_by(|a, b| (a.vpp - b.vpp).abs() <= 1.0) {
+            let vpp = group.iter().map(|step| step.vpp).sum::<f64>() / group.len() as f64;
+            let printed = TABLE_I.iter().find(|row| (row[0] - vpp).abs() <= 1.0);
+            let printed = printed.and_then(|row| paper([row[1], row[2]]));
+            rows.push((label(&format!("{vpp:.0}")), printed, group.to_vec()));
+        }
+        if rows.len() > before + 1 {
+            rows.push((label("all"), paper(TABLE_I_MEANS), steps.to_vec()));
+        }
     }
     for (level, paper, group) in rows {
         let mut row = vec![level, group.len().to_string()];
@@ -232,6 +240,8 @@ fn plate_table(found: &Identification) -> Section {
         row("self-heating: shift of the resonance, Hz/µm²", Some(heating.shift_hz_per_um2), 1.0, 4, String::new());
         row("self-heating: time constant, s", Some(heating.time_constant_s), 1.0, 4, String::new());
     }
+    row("inputs act later than recorded, periods", found.input_shift_periods, 1.0, 4, String::new());
+    row("rotation of W by the demodulator, °", found.demodulator_rotation_deg, 1.0, 3, String::new());
     let excitation = |whole: &RecordingFit| whole.resonance_hz.value + whole.detuning_hz.value;
     if let Some(first) = found.recordings.first() {
         row(&format!("detuning of {:.1} Hz, Hz", excitation(first)), Some(first.detuning_hz), 1.0, 2, String::new());
@@ -299,6 +309,9 @@ pub fn plate_file(found: &Identification, named: &PlateFileDetails) -> Option<St
         .iter()
         .map(|inconsistency| format!("# DOUBTFUL: {}\n", inconsistency.to_string().replace('\n', " ")));
     let mut text = inconsistencies.collect::<String>();
+    text.extend(
+        found.warnings.iter().map(|warning| format!("# WARNING: {}\n", warning.to_string().replace('\n', " "))),
+    );
     let _ = writeln!(text, "name = \"{}\"\nsource = \"{}\"\n\n[mode]", quoted(&named.name), quoted(&named.source));
     text += &line("resonance_hz", found.resonance_hz?, 1.0, 3);
     let _ = writeln!(text, "reference_temperature_c = {:?}", named.reference_temperature_c);

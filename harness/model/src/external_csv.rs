@@ -36,8 +36,9 @@ const ROLES: [(&str, ColumnRole, Units, bool); 8] = [
 ///
 /// Every role needs a unit, because `drive=V` could name a column or a unit. The units are time s,
 /// ms, us · drive Vpp, V (amplitude, half of Vpp) · frequency Hz, kHz, rad/s · wd and wq um, nm, m,
-/// peak to peak · temperature K above the reference · force N · setpoint um, nm, m. Drive and
-/// frequency of a row act from the time of the row on; Wd and Wq are sampled at this time.
+/// peak to peak, with `-` before the unit for a reversed sign · temperature K above the reference ·
+/// force N · setpoint um, nm, m. Drive and frequency of a row act from the time of the row on; Wd
+/// and Wq are sampled at this time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnMapping(Vec<(ColumnRole, String, f64)>);
 
@@ -56,7 +57,12 @@ impl FromStr for ColumnMapping {
             let (name, unit) = rest.rsplit_once(':').ok_or_else(|| {
                 format!("`{part}` names the column `{rest}` without its unit, expected {part}:UNIT with {listed}")
             })?;
-            let known = units.iter().find(|known| known.0 == unit.trim());
+            let is_signed = matches!(role, ColumnRole::Wd | ColumnRole::Wq);
+            let (sign, bare) = match unit.trim().strip_prefix('-').filter(|_| is_signed) {
+                Some(bare) => (-1.0, bare),
+                None => (1.0, unit.trim()),
+            };
+            let known = units.iter().find(|known| known.0 == bare);
             let factor = known.ok_or(format!("unit `{unit}` of {key}, expected {listed}"))?.1;
             if name.trim().is_empty() {
                 return Err(format!("`{part}` names no column, expected {key}=COLUMN:{unit}"));
@@ -64,7 +70,10 @@ impl FromStr for ColumnMapping {
             if columns.iter().any(|(known, _, _)| known == role) {
                 return Err(format!("two columns for the role {key}, expected one"));
             }
-            columns.push((*role, name.trim().to_owned(), factor));
+            if columns.iter().any(|(_, known, _)| known == name.trim()) {
+                return Err(format!("the column `{}` has two roles, expected one", name.trim()));
+            }
+            columns.push((*role, name.trim().to_owned(), factor * sign));
         }
         let missing = ROLES.iter().find(|role| role.3 && !columns.iter().any(|column| column.0 == role.1));
         missing.map_or(Ok(Self(columns)), |role| {
@@ -109,15 +118,18 @@ pub fn read_rows(name: &str, table: impl Read, columns: &ColumnMapping) -> Resul
     let header = reader.headers().map_err(csv_error)?.clone();
     let mut places = Vec::new();
     for (role, wanted, factor) in &columns.0 {
-        let place = header.iter().position(|title| title == wanted);
+        let mut found = (0..).zip(&header).filter(|(_, title)| title == wanted).map(|(place, _)| place);
         let titles = || header.iter().collect::<Vec<_>>().join(", ");
-        places.push((
-            *role,
-            place.ok_or_else(|| {
-                error_at(1, format!("no column `{wanted}` in: {}; --columns names the columns", titles()))
-            })?,
-            *factor,
-        ));
+        let place: usize = found.next().ok_or_else(|| {
+            error_at(1, format!("no column `{wanted}` in: {}; --columns names the columns", titles()))
+        })?;
+        if let Some(second) = found.next() {
+            let (first, second) = (place + 1, second + 1);
+            let message =
+                format!("columns {first} and {second} both have the title `{wanted}`, expected one; rename one");
+            return Err(error_at(1, message));
+        }
+        places.push((*role, place, *factor));
     }
     let has_setpoint = columns.0.iter().any(|column| column.0 == ColumnRole::Setpoint);
     let mut rows: Vec<TelemetryRow> = Vec::new();

@@ -60,6 +60,8 @@ const MOST: usize = 100_000;
 const MOST_CONDITIONS: usize = 64;
 /// Smallest number of samples of a level. With fewer the level counts as part of a ramp.
 const FEWEST_HELD: usize = 5;
+/// Largest spacing of two rows in periods. A larger spacing is a gap.
+const LONGEST_SPACING: f64 = 1.5;
 const SAME_TEMPERATURE_K: f64 = 0.05;
 const SAME_FORCE_N: f64 = 0.02;
 
@@ -70,10 +72,21 @@ pub struct Recording {
     pub inputs: Vec<RecordedInput>,
     pub outputs: Vec<RecordedSample>,
     pub conditions: Vec<Conditions>,
+    pub gaps: Vec<Gap>,
+}
+
+/// Interval without rows that is longer than one period and a half. The inputs in it are unknown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gap {
+    /// Times of the rows before and after, s.
+    pub from: f64,
+    pub to: f64,
+    pub missing_rows: usize,
 }
 
 impl Recording {
     /// Removes inputs that repeat the previous one, and unifies close temperatures and forces.
+    /// `inputs` and `outputs` contain every row, because rows that are further apart are a gap.
     pub fn new(name: String, inputs: Vec<RecordedInput>, outputs: Vec<RecordedSample>) -> Result<Self, RecordingError> {
         if outputs.len() < FEWEST {
             return Err(RecordingError::TooShort(outputs.len()));
@@ -87,6 +100,8 @@ impl Recording {
         if inputs.iter().all(|input| input.vpp == 0.0) {
             return Err(RecordingError::NoDrive);
         }
+        let mut times: Vec<f64> =
+            inputs.iter().map(|input| input.t).chain(outputs.iter().map(|output| output.t)).collect();
         let mut conditions: Vec<Conditions> = Vec::new();
         let mut kept: Vec<RecordedInput> = Vec::new();
         for mut input in inputs {
@@ -102,7 +117,9 @@ impl Recording {
                 return Err(RecordingError::VaryingConditions);
             }
         }
-        let whole = Self { name, inputs: kept, outputs, conditions };
+        let mut whole = Self { name, inputs: kept, outputs, conditions, gaps: Vec::new() };
+        times.sort_by(f64::total_cmp);
+        whole.gaps = find_gaps(&times, whole.period());
         let acting = whole.inputs_at_samples();
         let count = |level: &Conditions| acting.iter().filter(|input| input.conditions == *level).count();
         let is_varying = whole.conditions.iter().any(|level| count(level) < FEWEST_HELD);
@@ -151,8 +168,30 @@ impl Recording {
         };
         let start = self.inputs.partition_point(|input| input.t <= first.t).saturating_sub(1);
         let end = self.inputs.partition_point(|input| input.t < last.t);
-        Self::new(self.name.clone(), self.inputs.get(start..end).unwrap_or_default().to_vec(), outputs)
+        let (from, to) = (first.t, last.t);
+        let gaps = self.gaps.iter().filter(|gap| from <= gap.from && gap.to <= to).copied().collect();
+        let part = Self::new(self.name.clone(), self.inputs.get(start..end).unwrap_or_default().to_vec(), outputs)?;
+        Ok(Self { gaps, ..part })
     }
+
+    /// Samples at the end of gaps in which an input changed at an unknown time.
+    pub fn samples_after_unknown_inputs(&self) -> Vec<usize> {
+        let place = |t: f64| self.inputs.partition_point(|input| input.t <= t).saturating_sub(1);
+        let is_changed = |gap: &&Gap| {
+            let (before, after) = (self.inputs.get(place(gap.from)), self.inputs.get(place(gap.to)));
+            before.zip(after).is_some_and(|(a, b)| RecordedInput { t: a.t, ..*b } != *a)
+        };
+        let sample = |gap: &Gap| self.outputs.partition_point(|output| output.t < gap.to);
+        self.gaps.iter().filter(is_changed).map(sample).filter(|sample| *sample < self.outputs.len()).collect()
+    }
+}
+
+fn find_gaps(times: &[f64], period: f64) -> Vec<Gap> {
+    let gap = |[from, to]: &[f64; 2]| {
+        let periods = (to - from) / period;
+        (periods > LONGEST_SPACING).then(|| Gap { from: *from, to: *to, missing_rows: periods.round() as usize - 1 })
+    };
+    times.array_windows().filter_map(gap).collect()
 }
 
 pub(crate) fn are_same_conditions(a: &Conditions, b: &Conditions) -> bool {

@@ -218,6 +218,8 @@ pub enum ProfileError {
     Repeated { period_ms: f64, points: u64 },
     #[error("{}: {source}", path.display())]
     Csv { path: PathBuf, source: csv::Error },
+    #[error("{}: columns {first} and {second} both have the title `{title}`, expected one", path.display())]
+    DuplicateColumn { path: PathBuf, title: &'static str, first: usize, second: usize },
 }
 
 impl RawProfile {
@@ -373,6 +375,13 @@ fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, ProfileError> {
     let with_path = |source| ProfileError::Csv { path: path.to_owned(), source };
     let content = input::read(path).map_err(|error| with_path(error.into()))?;
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(&content[..]);
+    let header = reader.headers().map_err(with_path)?.clone();
+    for title in ["t_ms", "value"] {
+        let mut places = (1..).zip(&header).filter(|(_, other)| *other == title).map(|(place, _)| place);
+        if let (Some(first), Some(second)) = (places.next(), places.next()) {
+            return Err(ProfileError::DuplicateColumn { path: path.to_owned(), title, first, second });
+        }
+    }
     reader.deserialize::<Row>().map(|row| row.map(|row| [row.t_ms, row.value]).map_err(with_path)).collect()
 }
 

@@ -247,6 +247,13 @@ fn parse_tubes(head: &BaselineHeader, path: &Path, table: &str) -> Result<Vec<Tu
         return Err(content_error(1, format!("the first column is not `{TIME}`")));
     }
     let column = |name: &str| columns.iter().position(|column| *column == name);
+    if let Some((second, name)) = columns.iter().enumerate().find(|(place, name)| column(name) != Some(*place)) {
+        let (first, second) = (column(name).map_or(1, |first| first + 1), second + 1);
+        return Err(content_error(
+            1,
+            format!("columns {first} and {second} both have the title `{name}`, expected one"),
+        ));
+    }
     let known = |name: &str| {
         head.tolerance.contains_key(name)
             || name.strip_suffix(WIDTH).is_some_and(|name| head.tolerance.contains_key(name))

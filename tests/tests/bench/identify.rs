@@ -110,7 +110,7 @@ fn impossible_estimates_write_no_plate_file() {
         let arguments = ["identify", "t.csv", "--columns", columns, "--out", "plate.toml", "--drive-limit-vpp", "900"];
         folder.bench(arguments.iter().chain(more))
     };
-    for (columns, cause) in [(NM_AS_UM, "check the units of amplitude"), (SWAPPED, "check the columns of wd and wq")] {
+    for (columns, cause) in [(NM_AS_UM, "check the units of amplitude"), (SWAPPED, "Check the columns of wd and wq")] {
         identify(columns, &[]).assert_message(3, &["inconclusive: ", cause, "no plate file was written"]);
         assert!(!folder.exists("plate.toml"));
     }

@@ -212,20 +212,34 @@ pub struct ArxModel {
 /// Samples are `period` s apart, and inputs are constant between them. `None` if there are too few
 /// samples, the inputs are linearly dependent, or `a` is not between 0 and 1.
 pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: ArxMethod) -> Option<ArxModel> {
-    let (rows, width) = (y.len().checked_sub(1)?, inputs.len() + 1);
+    arx_with_gaps(y, inputs, &vec![1; y.len().saturating_sub(1)], period, method)
+}
+
+/// `steps` are the numbers of periods from each sample to the next one. Only pairs of samples that
+/// are one period apart are used.
+pub(crate) fn arx_with_gaps(
+    y: &[f64],
+    inputs: &[Vec<f64>],
+    steps: &[usize],
+    period: f64,
+    method: ArxMethod,
+) -> Option<ArxModel> {
+    let pairs: Vec<usize> = (0..y.len().saturating_sub(1)).filter(|sample| steps.get(*sample) == Some(&1)).collect();
+    let (rows, width) = (pairs.len(), inputs.len() + 1);
     let freedom = rows.checked_sub(width).filter(|&freedom| freedom > 0)? as f64;
     let with = |states: &[f64]| {
         DMatrix::from_fn(rows, width, |row, column| match column.checked_sub(1) {
-            None => states.get(row).copied().unwrap_or(0.0),
-            Some(input) => inputs.get(input).and_then(|values| values.get(row)).copied().unwrap_or(0.0),
+            None => states.get(pairs[row]).copied().unwrap_or(0.0),
+            Some(input) => inputs.get(input).and_then(|values| values.get(pairs[row])).copied().unwrap_or(0.0),
         })
     };
-    let (regressors, target) = (with(y), DVector::from_iterator(rows, y.iter().skip(1).copied()));
+    let target = pairs.iter().filter_map(|sample| y.get(sample + 1).copied());
+    let (regressors, target) = (with(y), DVector::from_iterator(rows, target));
     let mut instruments = regressors.clone();
     let mut theta = solve(&instruments, &regressors, &target)?;
     if method == ArxMethod::InstrumentalVariables {
         for _ in 0..3 {
-            instruments = with(&response(&theta, inputs, y.len())?);
+            instruments = with(&response(&theta, inputs, steps, y.len())?);
             theta = solve(&instruments, &regressors, &target)?;
         }
     }
@@ -239,7 +253,7 @@ pub fn arx(y: &[f64], inputs: &[Vec<f64>], period: f64, method: ArxMethod) -> Op
             // E[e eᵀ]: (1 + a²)σ² on the diagonal, −aσ² next to it; σ² is the power of v.
             let noise = power / (1.0 + a * a);
             let mut coloured = &instruments * power;
-            for row in 1..rows {
+            for row in (1..rows).filter(|row| pairs[*row] == pairs[*row - 1] + 1) {
                 for column in 0..width {
                     coloured[(row, column)] -= a * noise * instruments[(row - 1, column)];
                     coloured[(row - 1, column)] -= a * noise * instruments[(row, column)];
@@ -275,7 +289,7 @@ fn solve(instruments: &DMatrix<f64>, regressors: &DMatrix<f64>, target: &DVector
 
 /// Response of the model, which starts in the steady state of the first inputs. `None` if the model
 /// is unstable.
-fn response(theta: &DVector<f64>, inputs: &[Vec<f64>], length: usize) -> Option<Vec<f64>> {
+fn response(theta: &DVector<f64>, inputs: &[Vec<f64>], steps: &[usize], length: usize) -> Option<Vec<f64>> {
     let a = theta.get(0).copied().filter(|a| a.abs() < 1.0)?;
     let forced = |k: usize| -> f64 {
         let terms = theta.iter().skip(1).zip(inputs).map(|(c, input)| c * input.get(k).copied().unwrap_or(0.0));
@@ -285,7 +299,9 @@ fn response(theta: &DVector<f64>, inputs: &[Vec<f64>], length: usize) -> Option<
     let mut all = Vec::with_capacity(length);
     for k in 0..length {
         all.push(x);
-        x = a * x + forced(k);
+        for _ in 0..steps.get(k).copied().unwrap_or(1) {
+            x = a * x + forced(k);
+        }
     }
     Some(all)
 }

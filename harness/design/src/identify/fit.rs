@@ -11,19 +11,20 @@
 //! on. The time of a touch is therefore known only to one period. Its error δ changes the first
 //! sample by `ΔW(1 − e^(−δ/τ))` and biases τ.
 //!
-//! If one mode does not explain a recording under one temperature and force, a second mode or
-//! self-heating is fitted too. A second mode has the same drive, and W is the sum of both modes.
-//! Self-heating gives the resonance `ω0 + s T` with `T' = (|W|² − T)/τ_h`, T in µm² and 0 at the
-//! first sample. Each interval between samples or inputs uses the resonance at its middle.
+//! The recorded inputs can act earlier or later than recorded, and the demodulator can be rotated.
+//! Both are parameters of an aligned fit. If rows are missing and the inputs changed meanwhile, W at
+//! the next sample is a parameter too, because the inputs in the gap are unknown.
 
-use crate::identify::estimate::{
-    ArxMethod, EffectFit, Estimate, IdentifiedHeating, IdentifiedSecondMode, WhitenessTest, arx,
-};
+use crate::identify::estimate::{ArxMethod, EffectFit, Estimate, WhitenessTest, arx};
 use nalgebra::{DMatrix, DVector};
-use platebench_model::recording::{Recording, RecordingError};
+use platebench_model::recording::{RecordedInput, Recording, RecordingError};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Model, State};
-use std::f64::consts::TAU;
+use schemars::JsonSchema;
+use serde::Serialize;
+use std::f64::consts::PI;
 
+/// Largest number of gaps with unknown inputs in one recording.
+const MAX_RESTARTS: usize = 64;
 const MAX_ITERATIONS: usize = 80;
 const CONVERGENCE_TOLERANCE: f64 = 1e-10;
 const DIFFERENCE_STEP: f64 = 1e-6;
@@ -55,6 +56,39 @@ pub struct DirectFit {
     /// W of the model at each sample.
     pub curve: Vec<Complex64>,
     pub effect: Option<EffectFit>,
+    pub alignment: FittedAlignment,
+    /// Number of fitted parameters.
+    pub parameters: usize,
+}
+
+/// Inputs that an aligned fit shifts in time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum ShiftedInputs {
+    /// All inputs, or W in the other direction.
+    All,
+    Drive,
+    Frequency,
+}
+
+/// Start values of the parameters of an aligned fit.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Alignment {
+    /// Inputs, and the time in periods by which they act later than recorded.
+    pub shift: Option<(ShiftedInputs, f64)>,
+    /// Angle in rad by which the demodulator rotates W.
+    pub rotation: Option<f64>,
+}
+
+/// Estimated alignment. All `None` or false if the recording is taken as it is.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FittedAlignment {
+    /// Inputs, and the time in periods by which they act later than recorded.
+    pub shift: Option<(ShiftedInputs, Estimate)>,
+    /// Angle by which the demodulator rotates W, degrees.
+    pub rotation_deg: Option<Estimate>,
+    /// True if the sign of Wq is reversed, before the rotation.
+    pub is_mirrored: bool,
 }
 
 impl DirectFit {
@@ -73,6 +107,13 @@ struct LevelChange {
 
 struct ParameterLayout<'a> {
     recording: &'a Recording,
+    alignment: Alignment,
+    /// Changes of the drive: time in s and Vpp.
+    drive: Vec<(f64, f64)>,
+    /// Changes of the frequency: time in s and rad/s.
+    frequency: Vec<(f64, f64)>,
+    /// Samples at which W is a parameter, in addition to the first one.
+    restarts: Vec<usize>,
     first_conditions: usize,
     changes: Vec<LevelChange>,
     touches: usize,
@@ -86,7 +127,7 @@ struct ParameterLayout<'a> {
 }
 
 impl<'a> ParameterLayout<'a> {
-    fn new(recording: &'a Recording) -> Self {
+    fn new(recording: &'a Recording, alignment: Alignment) -> Self {
         let mut forces: Vec<f64> = recording.conditions.iter().map(|conditions| conditions.finger_force_n).collect();
         forces.sort_by(f64::total_cmp);
         forces.dedup();
@@ -104,8 +145,17 @@ impl<'a> ParameterLayout<'a> {
                 touches += usize::from(is_touch);
             }
         }
+        let track = |value: fn(&RecordedInput) -> f64| {
+            let mut track: Vec<(f64, f64)> = recording.inputs.iter().map(|input| (input.t, value(input))).collect();
+            track.dedup_by(|later, earlier| later.1 == earlier.1);
+            track
+        };
         Self {
             recording,
+            alignment,
+            drive: track(|input| input.vpp),
+            frequency: track(|input| input.omega),
+            restarts: recording.samples_after_unknown_inputs(),
             first_conditions: recording.inputs.first().map_or(0, |first| level(&first.conditions)),
             changes,
             touches,
@@ -117,13 +167,28 @@ impl<'a> ParameterLayout<'a> {
         }
     }
 
-    /// Number of parameters `[ln K1, ln τ …, resonance …, Re W, Im W, touch time in periods …]`.
+    /// Number of parameters `[ln K1, ln τ …, resonance …, Re W, Im W, Re W, Im W at each restart …,
+    /// shift in periods, rotation, touch time in periods …]`.
     fn parameter_count(&self) -> usize {
         self.touch_index(if self.touch_weight > 0.0 { self.touches } else { 0 })
     }
 
     fn touch_index(&self, touch: usize) -> usize {
-        self.state_index() + 2 + touch
+        self.rotation_index() + usize::from(self.alignment.rotation.is_some()) + touch
+    }
+
+    fn rotation_index(&self) -> usize {
+        self.shift_index() + usize::from(self.alignment.shift.is_some())
+    }
+
+    fn shift_index(&self) -> usize {
+        self.state_index() + 2 + 2 * self.restarts.len()
+    }
+
+    /// Unit of the shift, periods. The response to a step at time δ contains a small part with the
+    /// phase 2ωδ, which would hide the descent. Differences over π/ω do not contain it.
+    fn shift_unit(&self) -> f64 {
+        PI / self.mean_omega / self.period / DIFFERENCE_STEP
     }
 
     fn state_index(&self) -> usize {
@@ -146,29 +211,50 @@ impl<'a> ParameterLayout<'a> {
                 envelope_constant: constant,
             })
             .collect();
-        let Recording { inputs, outputs, .. } = self.recording;
-        let w = Complex64::new(theta[self.state_index()], theta[self.state_index() + 1]);
+        let outputs = &self.recording.outputs;
+        let state_at = |number: usize| {
+            let index = self.state_index() + 2 * number;
+            Complex64::new(theta[index], theta[index + 1])
+        };
+        let turn = Complex64::cis(self.alignment.rotation.map_or(0.0, |_| theta[self.rotation_index()]));
+        let shift = self.alignment.shift.map_or(0.0, |_| theta[self.shift_index()] * self.shift_unit() * self.period);
+        let shift_of = |inputs: ShiftedInputs| match self.alignment.shift {
+            Some((shifted, _)) if shifted == inputs || shifted == ShiftedInputs::All => shift,
+            _ => 0.0,
+        };
+        let (drive_shift, frequency_shift) = (shift_of(ShiftedInputs::Drive), shift_of(ShiftedInputs::Frequency));
         let delay = |touch: usize| theta.get(self.touch_index(touch)).map_or(0.0, |periods| periods * self.period);
-        let at = |change: &LevelChange| change.t + change.touch.map_or(0.0, delay);
+        let at = |change: &LevelChange| change.t + change.touch.map_or(shift_of(ShiftedInputs::All), delay);
         let (mut changes, mut number) = (self.changes.iter().peekable(), self.first_conditions);
-        let mut state = State { w, u: Complex64::I * inputs[0].omega * w };
+        let mut restarts = (1..).zip(&self.restarts).peekable();
         let mut now = outputs[0].t;
-        let mut index = inputs.partition_point(|input| input.t <= now).saturating_sub(1);
+        let current =
+            |track: &[(f64, f64)], shift: f64| track.partition_point(|(t, _)| t + shift <= now).saturating_sub(1);
+        let mut driven = current(&self.drive, drive_shift);
+        let mut excited = current(&self.frequency, frequency_shift);
+        let w = state_at(0);
+        let mut state = State { w, u: Complex64::I * self.frequency[excited].1 * w };
         let mut all = Vec::with_capacity(outputs.len());
-        for output in outputs {
+        for (sample, output) in outputs.iter().enumerate() {
             while now < output.t {
                 while let Some(change) = changes.next_if(|change| at(change) <= now) {
                     number = change.conditions;
                 }
-                let (input, next) = (inputs[index], inputs.get(index + 1));
-                let end = next.map_or(output.t, |next| next.t.min(output.t));
+                let next_drive = self.drive.get(driven + 1).map_or(f64::INFINITY, |next| next.0 + drive_shift);
+                let next_omega = self.frequency.get(excited + 1).map_or(f64::INFINITY, |next| next.0 + frequency_shift);
+                let end = next_drive.min(next_omega).min(output.t);
                 let end = changes.peek().map_or(end, |change| at(change).min(end));
-                let drive = Drive { vpp: input.vpp, omega: input.omega };
+                let drive = Drive { vpp: self.drive[driven].1, omega: self.frequency[excited].1 };
                 state = Flow::new(Model::Modal, &modes[number], &drive, &state).after(end - now);
                 now = end;
-                index += usize::from(next.is_some_and(|next| next.t <= now));
+                driven += usize::from(next_drive <= now);
+                excited += usize::from(next_omega <= now);
             }
-            all.push(state.w);
+            if let Some((restart, _)) = restarts.next_if(|(_, at)| **at == sample) {
+                let w = state_at(restart);
+                state = State { w, u: state.u + Complex64::I * self.frequency[excited].1 * (w - state.w) };
+            }
+            all.push(state.w * turn);
         }
         all
     }
@@ -181,6 +267,35 @@ impl<'a> ParameterLayout<'a> {
         DVector::from_iterator(2 * self.recording.outputs.len() + touches.len(), samples.chain(touches))
     }
 
+    /// Sets W at the first sample and at each restart, and the alignment.
+    fn set_states(&self, theta: &mut DVector<f64>, w: impl Fn(usize) -> Complex64) {
+        let turn = Complex64::cis(-self.alignment.rotation.unwrap_or(0.0));
+        for (number, sample) in std::iter::once(&0).chain(&self.restarts).enumerate() {
+            let (index, w) = (self.state_index() + 2 * number, w(*sample) * turn);
+            (theta[index], theta[index + 1]) = (w.re, w.im);
+        }
+        if let Some((_, periods)) = self.alignment.shift {
+            theta[self.shift_index()] = periods / self.shift_unit();
+        }
+        if let Some(angle) = self.alignment.rotation {
+            theta[self.rotation_index()] = angle;
+        }
+    }
+
+    /// Start at the parameters of `fit`.
+    fn start_at(&self, fit: &DirectFit) -> DVector<f64> {
+        let mut theta = DVector::zeros(self.parameter_count());
+        theta[0] = fit.gain.value.ln();
+        for (force, (_, tau)) in fit.time_constants.iter().enumerate() {
+            theta[1 + force] = tau.value.ln();
+        }
+        for (number, (_, omega0)) in fit.resonances.iter().enumerate() {
+            theta[self.resonance_index(number)] = (omega0.value - self.mean_omega) / OMEGA_UNIT;
+        }
+        self.set_states(&mut theta, |sample| fit.curve.get(sample).copied().unwrap_or_default());
+        theta
+    }
+
     fn start_vector(&self, tau: f64, detuning: f64) -> DVector<f64> {
         let mut theta = DVector::zeros(self.parameter_count());
         for force in 0..self.forces.len() {
@@ -189,8 +304,7 @@ impl<'a> ParameterLayout<'a> {
         for number in 0..self.force_index.len() {
             theta[self.resonance_index(number)] = -detuning / OMEGA_UNIT;
         }
-        let first = self.recording.outputs[0].w;
-        (theta[self.state_index()], theta[self.state_index() + 1]) = (first.re, first.im);
+        self.set_states(&mut theta, |sample| self.recording.outputs[sample].w);
         let unit = self.response(&theta);
         let seen = &self.recording.outputs;
         let along: f64 = seen.iter().zip(&unit).map(|(output, w)| output.w.re * w.re + output.w.im * w.im).sum();
@@ -202,13 +316,29 @@ impl<'a> ParameterLayout<'a> {
 
 /// Fails if the samples do not determine the parameters.
 pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
-    let mut layout = ParameterLayout::new(recording);
+    fit_aligned(recording, Alignment::default(), None)
+}
+
+/// Fits the alignment too. Starts from the parameters of `start`, or from general start points.
+pub(crate) fn fit_aligned(
+    recording: &Recording,
+    alignment: Alignment,
+    start: Option<&DirectFit>,
+) -> Result<DirectFit, RecordingError> {
+    let mut layout = ParameterLayout::new(recording, alignment);
+    if layout.restarts.len() > MAX_RESTARTS {
+        return Err(RecordingError::Undetermined);
+    }
     let count = layout.touch_index(layout.touches);
     let freedom = (2 * recording.outputs.len()).checked_sub(count).filter(|&freedom| freedom > 1);
     let freedom = freedom.ok_or(RecordingError::Undetermined)? as f64;
-    let best = start_points(recording)
+    let starts: Vec<DVector<f64>> = match start {
+        Some(fit) => vec![layout.start_at(fit)],
+        None => start_points(recording).iter().map(|(tau, detuning)| layout.start_vector(*tau, *detuning)).collect(),
+    };
+    let best = starts
         .into_iter()
-        .filter_map(|(tau, detuning)| minimise(&|theta| layout.residuals(theta), layout.start_vector(tau, detuning)))
+        .filter_map(|start| minimise(&|theta| layout.residuals(theta), start))
         .min_by(|a, b| a.1.total_cmp(&b.1));
     let (mut theta, mut squares) = best.ok_or(RecordingError::Undetermined)?;
     for _ in 0..if layout.touches > 0 { TOUCH_FITS } else { 0 } {
@@ -224,6 +354,15 @@ pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
     if !(0..=layout.forces.len()).all(|index| error(index) < MAX_RELATIVE_ERROR) {
         return Err(RecordingError::Undetermined);
     }
+    let shift = |(inputs, _): (ShiftedInputs, f64)| {
+        let index = layout.shift_index();
+        (inputs, Estimate::new(theta[index], error(index), freedom).scaled(layout.shift_unit()))
+    };
+    let rotation = |_| {
+        let index = layout.rotation_index();
+        let turns = (theta[index] / (2.0 * PI)).round();
+        Estimate::new(theta[index] - 2.0 * PI * turns, error(index), freedom).scaled(180.0 / PI)
+    };
     let ratio = |force: usize| {
         let index = 1 + force;
         let variance = covariance[(1, 1)] + covariance[(index, index)] - 2.0 * covariance[(1, index)];
@@ -249,6 +388,12 @@ pub fn fit_direct(recording: &Recording) -> Result<DirectFit, RecordingError> {
         whiteness: WhitenessTest::ljung_box(&[component(0), component(1)]),
         curve: layout.response(&theta),
         effect: None,
+        alignment: FittedAlignment {
+            shift: alignment.shift.map(shift),
+            rotation_deg: alignment.rotation.map(rotation),
+            is_mirrored: false,
+        },
+        parameters: count,
     })
 }
 
@@ -320,179 +465,4 @@ pub(crate) fn minimise(
         }
     }
     squares.is_finite().then_some((theta, squares))
-}
-
-/// Longest interval of the model. In longer ones |W|² and T are not nearly linear.
-const LONGEST_PIECE_S: f64 = 1e-3;
-/// Unit of the parameter s of self-heating, rad/s per µm².
-const SHIFT_UNIT: f64 = 10.0;
-/// Start values, below the Nyquist frequency of 500 Hz with a reserve for the detuning.
-const SECOND_MODE_DISTANCES_HZ: [f64; 10] = [-420.0, -300.0, -200.0, -120.0, -60.0, 60.0, 120.0, 200.0, 300.0, 420.0];
-/// Start values as a fraction of K1.
-const SECOND_GAINS: [f64; 2] = [0.1, -0.1];
-const HEATING_TIME_CONSTANTS_S: [f64; 3] = [0.05, 0.3, 2.0];
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum EffectKind {
-    SecondMode,
-    Heating,
-}
-
-/// Parameters `[ln K1, ln τ, resonance, Re W, Im W]`, followed by `[ln τ2, resonance, gain/K1]` of
-/// a second mode or `[s, ln τ_h]` of self-heating.
-struct EffectModel<'a> {
-    recording: &'a Recording,
-    kind: EffectKind,
-    mean_omega: f64,
-}
-
-fn mode(gain: f64, sigma: f64, omega0: f64) -> Mode {
-    let envelope_constant = gain * sigma;
-    Mode { sigma, omega0, force_constant: 2.0 * envelope_constant * omega0, envelope_constant }
-}
-
-impl EffectModel<'_> {
-    fn omega(&self, parameter: f64) -> f64 {
-        self.mean_omega + OMEGA_UNIT * parameter
-    }
-
-    fn response(&self, theta: &DVector<f64>) -> Vec<Complex64> {
-        let (gain, sigma, omega0) = (theta[0].exp(), (-theta[1]).exp(), self.omega(theta[2]));
-        let (second, shift, rate) = match self.kind {
-            EffectKind::SecondMode => (Some(mode(gain * theta[7], (-theta[5]).exp(), self.omega(theta[6]))), 0.0, 0.0),
-            EffectKind::Heating => (None, SHIFT_UNIT * theta[5], (-theta[6]).exp()),
-        };
-        let Recording { inputs, outputs, .. } = self.recording;
-        let w = Complex64::new(theta[3], theta[4]);
-        let mut first = State { w, u: Complex64::I * inputs[0].omega * w };
-        let mut other = State::default();
-        let mut warmth = 0.0;
-        let mut now = outputs[0].t;
-        let mut index = inputs.partition_point(|input| input.t <= now).saturating_sub(1);
-        let mut all = Vec::with_capacity(outputs.len());
-        for output in outputs {
-            while now < output.t {
-                let (input, next) = (inputs[index], inputs.get(index + 1));
-                let end = next.map_or(output.t, |next| next.t.min(output.t)).min(now + LONGEST_PIECE_S);
-                let drive = Drive { vpp: input.vpp, omega: input.omega };
-                let seconds = end - now;
-                let squared = (first.w + other.w).norm_sqr();
-                let middle = warmth + rate * seconds / 2.0 * (squared - warmth);
-                let plate = mode(gain, sigma, omega0 + shift * middle);
-                first = Flow::new(Model::Modal, &plate, &drive, &first).after(seconds);
-                if let Some(second) = &second {
-                    other = Flow::new(Model::Modal, second, &drive, &other).after(seconds);
-                }
-                let mean = squared.midpoint((first.w + other.w).norm_sqr());
-                warmth = mean + (warmth - mean) * (-rate * seconds).exp();
-                now = end;
-                index += usize::from(next.is_some_and(|next| next.t <= now));
-            }
-            all.push(first.w + other.w);
-        }
-        all
-    }
-
-    fn residuals(&self, theta: &DVector<f64>) -> DVector<f64> {
-        let response = self.response(theta);
-        let differences = self.recording.outputs.iter().zip(response).map(|(output, w)| output.w - w);
-        DVector::from_iterator(2 * self.recording.outputs.len(), differences.flat_map(|d| [d.re, d.im]))
-    }
-
-    fn start_points(&self, fit: &DirectFit) -> Option<Vec<DVector<f64>>> {
-        let (tau, resonance) = (fit.time_constant()?.value, fit.resonances.first()?.1.value);
-        let first = self.recording.outputs[0].w;
-        let parameter = (resonance - self.mean_omega) / OMEGA_UNIT;
-        let common = [fit.gain.value.ln(), tau.ln(), parameter, first.re, first.im];
-        let with = |more: &[f64]| DVector::from_vec([&common[..], more].concat());
-        Some(match self.kind {
-            EffectKind::SecondMode => {
-                let distances = SECOND_MODE_DISTANCES_HZ.iter();
-                let place = |hz: &f64| {
-                    let at = parameter + TAU * hz / OMEGA_UNIT;
-                    SECOND_GAINS.map(|gain| with(&[tau.ln(), at, gain]))
-                };
-                distances.flat_map(place).collect()
-            }
-            EffectKind::Heating => {
-                let starts = HEATING_TIME_CONSTANTS_S.iter();
-                starts.flat_map(|seconds: &f64| [-1.0, 1.0].map(|shift| with(&[shift, seconds.ln()]))).collect()
-            }
-        })
-    }
-
-    /// Parameters with exchanged modes as a new start, if the second mode has the larger gain.
-    fn exchange_modes(&self, theta: &DVector<f64>) -> Option<DVector<f64>> {
-        if self.kind != EffectKind::SecondMode || theta[7].abs() <= 1.0 {
-            return None;
-        }
-        let gain = theta[0] + theta[7].abs().ln();
-        let more = [theta[1], theta[2], 1.0 / theta[7]];
-        Some(DVector::from_vec([&[gain, theta[5], theta[6], theta[3], theta[4]][..], &more].concat()))
-    }
-
-    fn fit(&self, one_mode: &DirectFit) -> Option<DirectFit> {
-        let samples = 2 * self.recording.outputs.len();
-        let residuals = |theta: &DVector<f64>| self.residuals(theta);
-        let found = self.start_points(one_mode)?.into_iter().filter_map(|start| minimise(&residuals, start));
-        let (theta, squares) = found.min_by(|a, b| a.1.total_cmp(&b.1))?;
-        let (theta, squares) = match self.exchange_modes(&theta) {
-            Some(exchanged) => minimise(&residuals, exchanged)?,
-            None => (theta, squares),
-        };
-        let freedom = samples.checked_sub(theta.len()).filter(|freedom| *freedom > 1)? as f64;
-        let covariance = covariance_of(&residuals, &theta)? * (squares / freedom);
-        let error = |index: usize| covariance[(index, index)].max(0.0).sqrt();
-        let positive = |index: usize| Estimate::from_logarithm(theta[index], error(index), freedom);
-        let resonance = |index: usize| Estimate::new(self.omega(theta[index]), OMEGA_UNIT * error(index), freedom);
-        let effect = match self.kind {
-            EffectKind::SecondMode => {
-                let (gain, share) = (theta[0].exp(), theta[7]);
-                let variance =
-                    share * share * covariance[(0, 0)] + covariance[(7, 7)] + 2.0 * share * covariance[(0, 7)];
-                EffectFit::SecondMode(IdentifiedSecondMode {
-                    resonance_hz: resonance(6).scaled(1.0 / TAU),
-                    time_constant_s: positive(5),
-                    gain_um_per_vpp: Estimate::new(gain * share, gain * variance.max(0.0).sqrt(), freedom),
-                })
-            }
-            EffectKind::Heating => EffectFit::Heating(IdentifiedHeating {
-                shift_hz_per_um2: Estimate::new(theta[5], error(5), freedom).scaled(SHIFT_UNIT / TAU),
-                time_constant_s: positive(6),
-            }),
-        };
-        if !effect.is_determined() {
-            return None;
-        }
-        let residuals = self.residuals(&theta);
-        let component = |offset: usize| residuals.iter().skip(offset).step_by(2).copied().collect();
-        let (force, conditions) = (one_mode.time_constants.first()?.0, one_mode.resonances.first()?.0);
-        Some(DirectFit {
-            gain: positive(0),
-            time_constants: vec![(force, positive(1))],
-            damping: one_mode.damping.clone(),
-            resonances: vec![(conditions, resonance(2))],
-            resonance_covariance: DMatrix::from_element(1, 1, covariance[(2, 2)] * OMEGA_UNIT.powi(2)),
-            noise_um: (squares / freedom).sqrt(),
-            whiteness: WhitenessTest::ljung_box(&[component(0), component(1)]),
-            curve: self.response(&theta),
-            effect: Some(effect),
-        })
-    }
-}
-
-/// Fits a second mode and self-heating, and returns the fit with the smaller residuals that
-/// `is_explained` accepts. `None` if it accepts none, or if temperature or force changes.
-pub(crate) fn fit_effect(
-    recording: &Recording,
-    one_mode: &DirectFit,
-    is_explained: impl Fn(&DirectFit) -> bool,
-) -> Option<DirectFit> {
-    if recording.conditions.len() != 1 {
-        return None;
-    }
-    let mean_omega = recording.inputs.iter().map(|input| input.omega).sum::<f64>() / recording.inputs.len() as f64;
-    let kinds = [EffectKind::Heating, EffectKind::SecondMode];
-    let fits = kinds.into_iter().filter_map(|kind| EffectModel { recording, kind, mean_omega }.fit(one_mode));
-    fits.filter(is_explained).min_by(|a, b| a.noise_um.total_cmp(&b.noise_um))
 }

@@ -1,26 +1,31 @@
 //! Finds recordings that no single plate can produce, and parameters that no plate has.
 
-use crate::identify::estimate::Estimate;
-use crate::identify::estimate::IdentifiedSecondMode;
-use crate::identify::fit::{DirectFit, fit_direct};
-use platebench_model::recording::{RecordedSample, Recording};
+use crate::identify::alignment::MAX_ROTATION_DEG;
+use crate::identify::estimate::{Estimate, IdentifiedSecondMode};
+use crate::identify::fit::DirectFit;
+use crate::identify::residuals::{
+    TRANSIENT_SAMPLES, TransientPower, detuning_hz, is_coloured, is_explained_by_chance, noise_percent,
+};
+use platebench_model::recording::Recording;
 use platebench_plate::plausible::{
     GAIN, MAX_DETUNING_HZ, NOISE, PlausibleRange, QUALITY_FACTOR, RESONANCE, TIME_CONSTANT,
 };
-use platebench_plate::{Complex64, Conditions, ImplausibleValue};
+use platebench_plate::{Complex64, ImplausibleValue};
 use schemars::JsonSchema;
 use serde::Serialize;
-use statrs::distribution::{Binomial, DiscreteCDF};
 use std::f64::consts::{PI, TAU};
 
-const LEVEL: f64 = 0.01;
-/// Smallest residuals, as a fraction of the largest |W|, that are tested. Smaller ones are rounding
-/// errors, because the protocol uses f32.
-const ROUNDING: f64 = 1e-5;
 /// A component is clipped if a larger fraction of samples equals its largest or smallest value.
 const CLIPPED_SHARE: f64 = 0.02;
 /// Smallest number of samples at a limit that count as clipping.
 const MIN_CLIPPED: usize = 5;
+/// A mirrored Wq is probable if the resonances then disagree this many times less; more for fewer
+/// than [`MANY_POINTS`] degrees of freedom.
+const MIRRORED_AGREEMENT: f64 = 4.0;
+const MIRRORED_AGREEMENT_OF_FEW: f64 = 10.0;
+const MANY_POINTS: f64 = 4.0;
+/// Smallest disagreement of resonances, in standard errors, that a mirrored Wq explains.
+const DISAGREEMENT: f64 = 5.0;
 /// Largest change of K1 between the drives of a linear plate, percent.
 const LINEAR_PERCENT: f64 = 2.0;
 
@@ -46,8 +51,47 @@ pub enum Inconsistency {
         limit_um: f64,
         samples: usize,
     },
-    #[error("{recording}: the model fits better with Wd and Wq exchanged; check the columns of wd and wq")]
-    Swapped { recording: String },
+    #[error(
+        "{count} of {tested} recordings: the mean square of the residuals in the {TRANSIENT_SAMPLES} samples from each \
+         change on is {ratio:.1} times that of the other samples: the inputs act at other times than recorded. Check \
+         for lost rows, wrong or jittered time stamps, and a varying delay between a row and its drive"
+    )]
+    Transients {
+        /// Number of recordings with such residuals.
+        count: usize,
+        tested: usize,
+        ratio: f64,
+    },
+    /// Wd and Wq are exchanged, or the demodulator is rotated by about 90°.
+    #[error("{recording}: {text}")]
+    Swapped {
+        recording: String,
+        rotation_deg: f64,
+        #[serde(skip)]
+        text: String,
+    },
+    /// A component has the wrong sign, or the demodulator is rotated by a large angle.
+    #[error("{recording}: {text}")]
+    Rotated {
+        recording: String,
+        rotation_deg: f64,
+        /// True if the sign of Wq is reversed too.
+        is_mirrored: bool,
+        #[serde(skip)]
+        text: String,
+    },
+    #[error(
+        "the sign of Wq is probably reversed: the resonances of the recordings disagree by {direct_hz:.2} Hz, and with \
+         a reversed Wq by {mirrored_hz:.2} Hz (root mean square). Check the sign of wq and the demodulator; \
+         --columns wq=COLUMN:-UNIT reverses it"
+    )]
+    Mirrored { direct_hz: f64, mirrored_hz: f64 },
+    #[error(
+        "the resonance rises by {slope_hz_per_k:.2} Hz per kelvin, expected a fall (−9.6 Hz/K in the paper): a plate \
+         becomes softer if it warms. The sign of Wq is probably reversed (--columns wq=COLUMN:-UNIT reverses it), or \
+         the sign of the temperature"
+    )]
+    RisingResonance { slope_hz_per_k: f64 },
     /// A parameter outside the range of `platebench_plate::plausible`.
     #[error("{text}")]
     Implausible {
@@ -80,9 +124,11 @@ impl Inconsistency {
 }
 
 /// Clipped samples, residuals that are not white, and estimates that do not fit the recording.
-pub(crate) fn inconsistent_recordings(fitted: &[(&Recording, DirectFit)]) -> Vec<Inconsistency> {
+pub(crate) fn inconsistent_recordings(fitted: &[(Recording, DirectFit)]) -> Vec<Inconsistency> {
     let mut inconsistencies: Vec<Inconsistency> =
         fitted.iter().flat_map(|(recording, _)| find_clipping(recording)).collect();
+    inconsistencies.extend(fitted.iter().filter_map(|(recording, fit)| misoriented(recording, fit)));
+    inconsistencies.extend(large_transients(fitted));
     let coloured: Vec<_> = fitted.iter().filter(|(recording, fit)| is_coloured(recording, fit)).collect();
     let tested = fitted.iter().filter(|(_, fit)| fit.whiteness.is_some()).count();
     if !coloured.is_empty() && !is_explained_by_chance(coloured.len(), tested) {
@@ -92,24 +138,126 @@ pub(crate) fn inconsistent_recordings(fitted: &[(&Recording, DirectFit)]) -> Vec
         if let Some(distance_hz) = Some(detuning_hz(recording, fit)).filter(|distance| *distance > MAX_DETUNING_HZ) {
             inconsistencies.push(Inconsistency::Detuned { recording: recording.name.clone(), distance_hz });
         }
-        let noise = NOISE.check(fit.noise_um / largest_amplitude(recording) * 100.0);
+        let noise = NOISE.check(noise_percent(recording, fit));
         inconsistencies.extend(noise.map(|found| Inconsistency::implausible(&found, Some(recording))));
     }
     inconsistencies
 }
 
-/// Largest distance of a resonance from the nearest excitation under the same temperature and
-/// force, Hz. 0 without such an excitation.
-fn detuning_hz(recording: &Recording, fit: &DirectFit) -> f64 {
-    let distance = |(conditions, resonance): &(Conditions, Estimate)| {
-        let driven = recording.inputs.iter().filter(|input| input.vpp > 0.0 && input.conditions == *conditions);
-        driven.map(|input| (input.omega - resonance.value).abs()).reduce(f64::min)
-    };
-    fit.resonances.iter().filter_map(distance).fold(0.0, f64::max) / TAU
+fn large_transients(fitted: &[(Recording, DirectFit)]) -> Option<Inconsistency> {
+    let powers = fitted.iter().filter_map(|(recording, fit)| TransientPower::of(recording, fit));
+    let powers: Vec<TransientPower> = powers.collect();
+    let tested = powers.len();
+    let rejected: Vec<TransientPower> = powers.iter().filter(|power| power.is_rejected(tested)).copied().collect();
+    let whole = TransientPower::sum(&powers);
+    if !rejected.is_empty() {
+        let ratio = TransientPower::sum(&rejected).ratio();
+        return Some(Inconsistency::Transients { count: rejected.len(), tested, ratio });
+    }
+    (tested > 1 && whole.is_rejected(1)).then(|| Inconsistency::Transients {
+        count: tested,
+        tested,
+        ratio: whole.ratio(),
+    })
 }
 
-fn largest_amplitude(recording: &Recording) -> f64 {
-    recording.outputs.iter().map(|output| output.w.norm()).fold(0.0, f64::max)
+/// A rotation that is too large to be corrected, or a reversed component.
+fn misoriented(recording: &Recording, fit: &DirectFit) -> Option<Inconsistency> {
+    let is_mirrored = fit.alignment.is_mirrored;
+    let angle = fit.alignment.rotation_deg.filter(|angle| is_mirrored || angle.value.abs() > MAX_ROTATION_DEG)?.value;
+    let is_near = |degrees: f64| (angle.abs() - degrees).abs() <= 90.0 - MAX_ROTATION_DEG;
+    let knows_sign =
+        recording.inputs.iter().any(|input| recording.inputs.first().is_some_and(|first| first.omega != input.omega));
+    let name = recording.name.clone();
+    let (excitation, resonance) = (recording.inputs.first()?.omega / TAU, fit.resonances.first()?.1.value / TAU);
+    let other = 2.0 * excitation - resonance;
+    if is_near(90.0) {
+        let text = match (knows_sign, is_mirrored) {
+            (true, true) => "the model fits with Wd and Wq exchanged; check the columns of wd and wq".to_owned(),
+            (true, false) => format!(
+                "the demodulator rotates W by {angle:.1}°; check its reference phase. Do not exchange the columns of wd \
+                 and wq, because this reverses the sign of the detuning"
+            ),
+            (false, _) => format!(
+                "the model fits with Wd and Wq exchanged (resonance {other:.1} Hz), and as well with a demodulator that \
+                 rotates W by {angle:.1}° (resonance {resonance:.1} Hz); one frequency does not show which. Check the \
+                 columns of wd and wq and the reference phase, and record a step of the frequency"
+            ),
+        };
+        return Some(Inconsistency::Swapped { recording: name, rotation_deg: angle, text });
+    }
+    let is_reversed = is_near(180.0);
+    let text = match (knows_sign, is_mirrored, is_reversed) {
+        (true, true, false) => {
+            "the model fits with a reversed sign of Wq; --columns wq=COLUMN:-UNIT reverses it".to_owned()
+        }
+        (true, true, true) => {
+            "the model fits with a reversed sign of Wd; --columns wd=COLUMN:-UNIT reverses it".to_owned()
+        }
+        (true, false, true) => format!(
+            "W is rotated by {angle:.1}°: the signs of Wd and Wq are reversed; --columns wd=COLUMN:-UNIT and \
+             wq=COLUMN:-UNIT reverse them"
+        ),
+        (false, _, true) => format!(
+            "the model fits with a reversed sign of Wd (resonance {other:.1} Hz), and as well with reversed signs of Wd \
+             and Wq (resonance {resonance:.1} Hz); one frequency does not show which. Check the signs of wd and wq, \
+             and record a step of the frequency; --columns wd=COLUMN:-UNIT reverses a sign"
+        ),
+        _ => format!("the demodulator rotates W by {angle:.1}°; check its reference phase"),
+    };
+    Some(Inconsistency::Rotated { recording: name, rotation_deg: angle, is_mirrored, text })
+}
+
+/// Compares the resonances of recordings with one excitation frequency each, as recorded and with a
+/// reversed Wq. `None` if the recordings do not show the sign.
+pub(crate) fn mirrored_recordings(fitted: &[(Recording, DirectFit)]) -> Option<Inconsistency> {
+    let mut points: Vec<[f64; 4]> = Vec::new();
+    for (recording, fit) in fitted {
+        let omega = recording.inputs.first()?.omega;
+        if recording.inputs.iter().all(|input| input.omega == omega) {
+            let free = fit.resonances.iter().filter(|(conditions, _)| conditions.finger_force_n == 0.0);
+            points.extend(free.map(|(conditions, at)| {
+                [conditions.temperature_offset_k, at.value - omega, omega, at.error.max(f64::MIN_POSITIVE)]
+            }));
+        }
+    }
+    let middle = points.first()?[2];
+    let line = |sign: f64| {
+        weighted_line(points.iter().map(|[kelvin, y, omega, error]| [*kelvin, omega - middle + sign * y, *error]))
+    };
+    let (direct, mirrored) = (line(1.0)?, line(-1.0)?);
+    let agreement = if direct.freedom < MANY_POINTS { MIRRORED_AGREEMENT_OF_FEW } else { MIRRORED_AGREEMENT };
+    let is_mirrored = direct.score > DISAGREEMENT && direct.score > agreement * mirrored.score.max(1.0);
+    is_mirrored
+        .then_some(Inconsistency::Mirrored { direct_hz: direct.deviation / TAU, mirrored_hz: mirrored.deviation / TAU })
+}
+
+/// Residuals of a line.
+struct LineResiduals {
+    /// Root mean square in standard errors.
+    score: f64,
+    /// Root mean square.
+    deviation: f64,
+    freedom: f64,
+}
+
+/// Fits a line to points `[x, y, standard error]`; a constant if all abscissas are equal.
+fn weighted_line(points: impl Iterator<Item = [f64; 3]> + Clone) -> Option<LineResiduals> {
+    let sum = |of: fn([f64; 3]) -> f64| points.clone().map(|point| of(point) / point[2].powi(2)).sum::<f64>();
+    let weight = sum(|_| 1.0);
+    let (x, y) = (sum(|point| point[0]) / weight, sum(|point| point[1]) / weight);
+    let square: f64 = points.clone().map(|point| ((point[0] - x) / point[2]).powi(2)).sum();
+    let product: f64 = points.clone().map(|point| (point[0] - x) * (point[1] - y) / point[2].powi(2)).sum();
+    let count = points.clone().count() as f64;
+    let (slope, freedom) = if square > 0.0 { (product / square, count - 2.0) } else { (0.0, count - 1.0) };
+    let residual = |point: [f64; 3]| point[1] - y - slope * (point[0] - x);
+    let squares: f64 = points.clone().map(|point| (residual(point) / point[2]).powi(2)).sum();
+    let plain: f64 = points.map(|point| residual(point).powi(2)).sum();
+    (freedom > 0.0).then(|| LineResiduals {
+        score: (squares / freedom).sqrt(),
+        deviation: (plain / count).sqrt(),
+        freedom,
+    })
 }
 
 pub(crate) fn implausible_parameters(
@@ -118,6 +266,7 @@ pub(crate) fn implausible_parameters(
     gain_um_per_vpp: Option<Estimate>,
     second_mode: Option<IdentifiedSecondMode>,
     gain_change_percent: Option<Estimate>,
+    slope_hz_per_k: Option<Estimate>,
 ) -> Vec<Inconsistency> {
     let value = |estimate: Option<Estimate>| estimate.map(|estimate| estimate.value);
     let quality = value(resonance_hz).zip(value(time_constant_s)).map(|(resonance, tau)| PI * resonance * tau);
@@ -138,11 +287,10 @@ pub(crate) fn implausible_parameters(
     {
         inconsistencies.push(Inconsistency::NotLinear { change_percent: change.value });
     }
+    if let Some(slope) = slope_hz_per_k.filter(|slope| slope.low > 0.0) {
+        inconsistencies.push(Inconsistency::RisingResonance { slope_hz_per_k: slope.value });
+    }
     inconsistencies
-}
-
-pub(crate) fn is_coloured(recording: &Recording, fit: &DirectFit) -> bool {
-    fit.whiteness.is_some_and(|white| white.is_rejected()) && fit.noise_um > ROUNDING * largest_amplitude(recording)
 }
 
 fn find_clipping(recording: &Recording) -> Vec<Inconsistency> {
@@ -168,44 +316,4 @@ fn find_clipping(recording: &Recording) -> Vec<Inconsistency> {
         }
     }
     inconsistencies
-}
-
-/// True if the columns of Wd and Wq are probably exchanged: the fit is poor, far from the
-/// excitation or impossible, and the fit with exchanged components is better. `fit` has no effects,
-/// because a second mode describes exchanged components well.
-pub(crate) fn has_exchanged_components(recording: &Recording, fit: Option<&DirectFit>) -> bool {
-    let is_detuned = |fit: &DirectFit| detuning_hz(recording, fit) > MAX_DETUNING_HZ;
-    if fit.is_some_and(|fit| !is_coloured(recording, fit) && !is_detuned(fit)) {
-        return false;
-    }
-    let exchange = |output: &RecordedSample| RecordedSample { w: Complex64::new(output.w.im, output.w.re), ..*output };
-    let exchanged = Recording { outputs: recording.outputs.iter().map(exchange).collect(), ..recording.clone() };
-    let Ok(other) = fit_direct(&exchanged) else { return false };
-    match fit {
-        Some(fit) if is_detuned(fit) => !is_detuned(&other) && other.noise_um < 2.0 * fit.noise_um,
-        Some(fit) => other.noise_um < 0.5 * fit.noise_um,
-        None => !is_detuned(&other) && NOISE.check(other.noise_um / largest_amplitude(recording) * 100.0).is_none(),
-    }
-}
-
-/// True if chance gives this many rejections of white residuals with a probability above 1 %.
-pub(crate) fn is_explained_by_chance(rejected: usize, tests: usize) -> bool {
-    let Some(fewer) = (rejected as u64).checked_sub(1) else { return true };
-    // Allows for the rounding error of the computed probability.
-    Binomial::new(LEVEL, tests as u64).is_ok_and(|count| count.sf(fewer) > LEVEL * (1.0 + 1e-9))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rejections_explained_by_chance() {
-        // Probabilities in %: 1 of 2 1.99; 2 of 15 0.96, 2 of 16 1.09; 3 of 66 2.9, 4 of 66 0.44.
-        let cases =
-            [(1, 1, false), (1, 2, true), (2, 15, false), (2, 16, true), (3, 66, true), (4, 66, false), (0, 5, true)];
-        for (rejected, tests, expected) in cases {
-            assert_eq!(is_explained_by_chance(rejected, tests), expected, "{rejected} of {tests}");
-        }
-    }
 }

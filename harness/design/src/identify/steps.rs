@@ -1,7 +1,7 @@
 //! Finds the steps in a recording and fits each step by three methods: the rows of Tables I and II.
 
 use crate::identify::estimate::Estimate;
-use crate::identify::estimate::{ArxMethod, ArxModel, arx};
+use crate::identify::estimate::{ArxMethod, ArxModel, arx_with_gaps};
 use crate::identify::fit::{DirectFit, fit_direct};
 use platebench_model::recording::{RecordedInput, Recording};
 use schemars::JsonSchema;
@@ -21,6 +21,8 @@ const STARTED_BAND: f64 = 0.03;
 /// Smallest width of both bands, in standard deviations of the noise.
 const NOISE_BAND: f64 = 4.0;
 const SAME_DETUNING: f64 = 1.0;
+/// Largest distance of two instants that count as equal, in periods.
+pub(crate) const SAME_INSTANT: f64 = 0.02;
 
 /// Step of the drive without control: a row of Table I.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
@@ -29,6 +31,8 @@ pub struct VoltageStep {
     pub t: f64,
     pub from_vpp: f64,
     pub vpp: f64,
+    /// Finger force, N.
+    pub force_n: f64,
     /// Mean of Wd over the last third of the step, a point of Fig. 7.
     pub settled_um: f64,
     /// K1 in µm/Vpp and τ1 in s by ARX with least squares; `None` if the model is not stable.
@@ -105,8 +109,12 @@ pub fn voltage_steps(recording: &Recording, whole: &DirectFit) -> Vec<VoltageSte
         let Ok(part) = recording.slice(first, last) else { continue };
         let wd: Vec<f64> = part.outputs.iter().map(|output| output.w.re).collect();
         let drive: Vec<f64> = part.inputs_at_samples().iter().map(|input| input.vpp).collect();
-        let by =
-            |method| arx(&wd, std::slice::from_ref(&drive), part.period(), method).and_then(|arx| estimate_pair(&arx));
+        let steps_between = periods_between_samples(&part);
+        let by = |method| {
+            let steps = steps_between.as_ref()?;
+            let arx = arx_with_gaps(&wd, std::slice::from_ref(&drive), steps, part.period(), method)?;
+            estimate_pair(&arx)
+        };
         let third = wd.len() - wd.len() / 3;
         let settled = wd.get(third..).unwrap_or_default();
         steps.push(VoltageStep {
@@ -114,6 +122,7 @@ pub fn voltage_steps(recording: &Recording, whole: &DirectFit) -> Vec<VoltageSte
             t: part.inputs.last().map_or(0.0, |input| input.t),
             from_vpp: from.vpp,
             vpp: to.vpp,
+            force_n: to.conditions.finger_force_n,
             settled_um: settled.iter().sum::<f64>() / settled.len() as f64,
             least_squares: by(ArxMethod::LeastSquares),
             instruments: by(ArxMethod::InstrumentalVariables),
@@ -121,6 +130,22 @@ pub fn voltage_steps(recording: &Recording, whole: &DirectFit) -> Vec<VoltageSte
         });
     }
     steps
+}
+
+/// Number of periods from each sample to the next one. `None` if a spacing is no whole number of
+/// periods, or an input changes between two samples: an ARX model does not apply.
+fn periods_between_samples(part: &Recording) -> Option<Vec<usize>> {
+    let period = part.period();
+    let is_whole = |periods: f64| (periods - periods.round()).abs() <= SAME_INSTANT;
+    let at_sample = |input: &RecordedInput| {
+        // An input shortly after a sample would count from the next sample on.
+        let next = part.outputs.partition_point(|output| output.t < input.t);
+        part.outputs.get(next).is_some_and(|output| output.t <= input.t + SAME_INSTANT * period)
+    };
+    let spacings: Vec<f64> =
+        part.outputs.array_windows().map(|[before, after]| (after.t - before.t) / period).collect();
+    let fits = spacings.iter().all(|periods| is_whole(*periods)) && part.inputs.iter().skip(1).all(at_sample);
+    fits.then(|| spacings.iter().map(|periods| periods.round() as usize).collect())
 }
 
 fn estimate_pair(arx: &ArxModel) -> Option<[Estimate; 2]> {
@@ -180,8 +205,11 @@ pub fn frequency_steps(recording: &Recording, whole: &DirectFit, slope: Option<f
         // The static gain from Δω to Wq/Wd is −K2.
         let input: Vec<f64> = part.inputs_at_samples().iter().map(|input| detuning(from) - detuning(input)).collect();
         let ones = vec![1.0; input.len()];
+        let steps_between = periods_between_samples(&part);
         let by = |method| {
-            arx(&ratio, &[input.clone(), ones.clone()], part.period(), method).and_then(|arx| estimate_pair(&arx))
+            let inputs = [input.clone(), ones.clone()];
+            let arx = arx_with_gaps(&ratio, &inputs, steps_between.as_ref()?, part.period(), method)?;
+            estimate_pair(&arx)
         };
         steps.push(FrequencyStep {
             recording: recording.name.clone(),

@@ -42,11 +42,26 @@ fn units_are_converted() {
 #[case(5, "4,-1,32.3,1,0,0", ":6: column 2 (`V`) is `-1`, expected 0 or more")]
 #[case(5, "4,300,0,1,0,0", ":6: column 3 (`f`) is `0`, expected a frequency above 0")]
 #[case(5, "3,300,32.3,1,0,0", ":6: column 1 (`t`) is `3`, expected a time after that of the row above")]
+#[case(0, "t,V,f,Wd,Wq,T,V", ":1: columns 2 and 7 both have the title `V`, expected one; rename one")]
 #[case(0, "t,V,f,Wd,W_q,T", ":1: no column `Wq` in: t, V, f, Wd, W_q, T; --columns names the columns")]
 fn rejects_a_bad_cell_with_its_line(#[case] line: usize, #[case] text: &str, #[case] message: &str) {
     let mut lines = step_table();
     text.clone_into(&mut lines[line]);
     assert_eq!(read_error(&lines), format!("plate.csv{message}"));
+}
+
+#[test]
+fn a_repeated_title_without_a_role_is_accepted() {
+    let table = step_table().join("\n").replacen("t,V,f,Wd,Wq,T", "t,V,f,Wd,Wq,T,x,x", 1).replace(",1.5", ",1.5,0,1");
+    external_csv::read("plate.csv", table.as_bytes(), &COLUMNS.parse().unwrap()).unwrap();
+}
+
+#[test]
+fn a_minus_sign_before_the_unit_reverses_a_component() {
+    let table = step_table().join("\n");
+    let read = |columns: &str| external_csv::read("", table.as_bytes(), &columns.parse().unwrap()).unwrap().outputs;
+    let (plain, reversed) = (read(COLUMNS), read(&COLUMNS.replace("Wq:nm", "Wq:-nm")));
+    assert!(plain.iter().zip(&reversed).all(|(a, b)| a.w.re == b.w.re && a.w.im == -b.w.im && a.w.im != 0.0));
 }
 
 #[test]
@@ -68,6 +83,8 @@ fn rejects_an_unusable_recording() {
 #[case("time=t:ms,drive=V", "`drive=V` names the column `V` without its unit, expected drive=V:UNIT with Vpp or V")]
 #[case("time=t:ms,drive=:V", "`drive=:V` names no column, expected drive=COLUMN:V")]
 #[case("time=t:s,time=u:s,drive=V:V,frequency=f:Hz,wd=Wd:um,wq=Wq:um", "two columns for the role time")]
+#[case("time=t:s,drive=V:V,frequency=f:Hz,wd=W:um,wq=W:um", "the column `W` has two roles, expected one")]
+#[case("time=t:-s", "unit `-s` of time, expected s or ms or us")]
 #[case("t,V", "`t`, expected ROLE=COLUMN:UNIT")]
 fn rejects_invalid_column_mappings(#[case] text: &str, #[case] message: &str) {
     let error = text.parse::<ColumnMapping>().unwrap_err();

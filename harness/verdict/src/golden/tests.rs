@@ -183,7 +183,8 @@ fn round_trips_within_a_thousandth_of_the_tolerance() {
     "tolerance of `drive`, expected one of amplitude_um"
 )]
 #[case::no_step("toml", "step_ms = 0.05", "step_ms = 0.0", "expected a step")]
-#[case::missing_column("csv", ",wq_um,", ",wd_um,", "no column `wq_um`")]
+#[case::missing_column("csv", ",wq_um,", ",wq_um_width,", "no column `wq_um`")]
+#[case::same_title_twice("csv", ",wq_um,", ",wd_um,", "both have the title `wd_um`, expected one")]
 #[case::other_column("csv", ",wq_um,", ",wq,", "column `wq` has no tolerance")]
 #[case::not_learned("csv", ",frequency_hz\n", ",frequency_hz_width\n", "no column `frequency_hz`")]
 #[case::no_time("csv", "t_ms,", "t_s,", ":1: the first column is not `t_ms`")]

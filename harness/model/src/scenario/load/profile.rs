@@ -56,6 +56,13 @@ impl Checker<'_> {
             ProfileError::Pattern => (usize::MAX, PointField::Value),
             ProfileError::Period { .. } | ProfileError::Repeated { .. } => (1, PointField::Period),
             ProfileError::Csv { path, source } => return self.csv_error(key, path, source),
+            ProfileError::DuplicateColumn { path, title, first, second } => {
+                let text = input::read(path).map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+                let text = text.unwrap_or_default();
+                let span = field_span(&text, record_span(&text, 0), second - 1);
+                let message = format!("columns {first} and {second} both have the title `{title}`, expected one");
+                return Diagnostic::at_span(path, &text, span, message);
+            }
         };
         self.point_error(folder, key, raw, index, part, error.to_string())
     }

@@ -128,6 +128,7 @@ fn message_table(cases: &[(&str, &str)]) -> String {
     ("  30.0, 1.0", "  30.0"),
     ("  30.0, 1.0", "  30.0, 1.0, 3.0"),
     ("t_ms, value", "t_ms, force"),
+    ("t_ms, value", "t_ms, value, value"),
     ("20.0, 0.0\n\n  30.0, 1.0\n", "\n"),
 ])]
 #[case::plate(&[
