@@ -1,7 +1,7 @@
 //! Runs the protocol with one controller: handshake, configuration, samples and 0 V over any link.
 
 use crate::command_audit::{CommandAudit, DrivesAfterSafe};
-use crate::link::{Link, LinkError, LinkKind};
+use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Packet, PacketReader,
     Rejection, Sample,
@@ -344,6 +344,11 @@ impl<L: Link> Session<L> {
     pub fn start_line(&mut self) -> Result<(), RigError> {
         let started = self.link.real_time_line().ok_or(RigError::NoRealTime)?.start();
         self.check_link(started)
+    }
+
+    /// Returns the time of the line's clock.
+    pub fn line_time(&mut self) -> Instant {
+        self.link.real_time_line().map_or_else(Instant::now, RealTimeLine::now)
     }
 
     /// Does not wait for the answer. Returns the sequence number. Neither allocates nor logs.

@@ -4,6 +4,7 @@ mod between;
 mod divergence;
 mod fixtures;
 mod laws;
+mod line_faults;
 mod live_tap;
 mod lock_in;
 mod model;
