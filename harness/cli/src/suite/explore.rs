@@ -86,9 +86,6 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
             (unless_signalled(ended)?, None)
         }
     };
-    stdio::show_result(arguments.format, &report, &report::document(&report));
-    stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
-    stdio::note(&format!("report: {}", folder.path().join(report::PAGE_FILE).display()));
     let is_empty = report.scenes == 0 && report.regressions == 0;
     let exit = || match report.verdict {
         _ if is_empty => Exit::NothingToRun,
@@ -96,6 +93,12 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
         verdict => Exit::of_verdict(verdict),
     };
     let exit = signal.map_or_else(exit, Exit::Signal);
+    if exit.is_hidden(detail == Detail::Failures, arguments.format) {
+        return Ok(exit);
+    }
+    stdio::show_result(arguments.format, &report, &report::document(&report));
+    stdio::note(&format!("result: {}", folder.path().join(report::FILE).display()));
+    stdio::note(&format!("report: {}", folder.path().join(report::PAGE_FILE).display()));
     exit.show_verdict(&report.reason(), arguments.format);
     Ok(exit)
 }
