@@ -46,7 +46,7 @@ fn main() -> Result<(), String> {
             println!("cargo::rerun-if-changed={path}");
         }
     }
-    let features: Vec<_> = ["probe"]
+    let features: Vec<_> = ["analysis", "emulated", "export", "live", "probe"]
         .into_iter()
         .filter(|name| env::var_os(format!("CARGO_FEATURE_{}", name.to_uppercase())).is_some())
         .collect();

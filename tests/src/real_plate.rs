@@ -34,7 +34,8 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, channel, sync_chan
 use std::thread;
 use std::time::{Duration, Instant};
 
-const MAX_QUEUED_FRAMES: usize = 256;
+/// More than the frames of one second, which the board sends at once after a stall of the machine.
+const MAX_QUEUED_FRAMES: usize = 2_048;
 const PLATE: &str = include_str!("../../scenarios/plates/aluminium-198x138.toml");
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -123,6 +124,10 @@ impl SimulatedBoard {
                 Ok(bytes) => self.receive(&bytes)?,
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            }
+            // Messages that came while the machine stalled act before the periods that it missed.
+            while let Ok(waiting) = bytes.try_recv() {
+                self.receive(&waiting)?;
             }
             while self.next_period().is_some_and(|next| next <= Instant::now()) {
                 self.step()?;

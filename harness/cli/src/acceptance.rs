@@ -143,18 +143,21 @@ fn run_session(arguments: &SessionArgs, quiet: bool) -> CommandResult {
     if let Err(AcceptError::Run(RunError::DifferentController { .. })) = &result {
         end.quarantine = result.as_ref().err().map(ToString::to_string);
     }
-    let exit = report_end(result, signal, &folder);
+    let exit = report_end(result, signal, &folder, quiet);
     release(reservation, end)?;
     Ok(exit)
 }
 
-fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, folder: &Path) -> Exit {
+fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, folder: &Path, quiet: bool) -> Exit {
     match result {
         Ok(record) => {
-            print_session(&record);
-            stdio::note(&format!("record: {}", quoted_path(&folder.join(page::FILE))));
             let lost = record.lost_a_controller();
             let exit = if lost { Exit::Unreachable } else { Exit::of_verdict(record.verdict) };
+            if exit.is_hidden(quiet, OutputFormat::Human) {
+                return exit;
+            }
+            print_session(&record);
+            stdio::note(&format!("record: {}", quoted_path(&folder.join(page::FILE))));
             exit.show_verdict(&reason(&record), OutputFormat::Human);
             exit
         }

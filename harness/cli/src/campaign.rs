@@ -279,15 +279,19 @@ fn merge_and_show(
         ResponseLinks::new()
     });
     let document = report::write(folder, &summary, &links)?;
-    stdio::show_result(format, &summary.result(), &document);
-    stdio::note(&format!("report: {}", quoted_path(&folder.join(report::REPORT_FILE))));
-    Ok(match summary.verdict() {
+    let exit = match summary.verdict() {
         _ if summary.is_rig_lost() => Exit::Unreachable,
         _ if summary.overall.is_not_applicable() => Exit::NothingToRun,
-        // The result of a map is its table.
         None => Exit::Passed,
         Some(verdict) => Exit::of_verdict(verdict),
-    })
+    };
+    // The result of a map, which has no verdict, is its table.
+    let can_pass = summary.verdict().is_some();
+    if !exit.is_hidden(quiet && can_pass, format) {
+        stdio::show_result(format, &summary.result(), &document);
+        stdio::note(&format!("report: {}", quoted_path(&folder.join(report::REPORT_FILE))));
+    }
+    Ok(exit)
 }
 
 /// Returns true if the rig counts as lost, although the shards are complete.

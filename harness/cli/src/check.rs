@@ -13,8 +13,7 @@ use platebench_experiments::explore::Envelope;
 use platebench_lab::acceptance::AcceptancePlan;
 use platebench_lab::boards::Inventory;
 use platebench_model::scenario::{
-    Diagnostic, FileKind, changes_after_the_end, list_files, load, load_with_all_errors, plate_warnings,
-    read_requirements, repeated_names, unjudged_changes, unreachable_setpoint,
+    Diagnostic, FileKind, list_files, load, load_with_all_errors, read_requirements, repeated_names, scenario_warnings,
 };
 use platebench_model::trace::FileError;
 use platebench_report::format::count;
@@ -130,14 +129,8 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
     faults.extend(repeated_names(of_kind(FileKind::Scenario)));
     let mut warnings = Vec::new();
     if faults.is_empty() {
-        for (path, name) in of_kind(FileKind::Scenario) {
-            if let Ok(scenario) = load(path, name) {
-                warnings.extend(plate_warnings(&scenario));
-                warnings.extend(changes_after_the_end(&scenario));
-                warnings.extend(unjudged_changes(&scenario));
-                warnings.extend(unreachable_setpoint(&scenario));
-            }
-        }
+        let scenarios = of_kind(FileKind::Scenario).filter_map(|(path, name)| load(path, name).ok());
+        warnings.extend(scenario_warnings(&scenarios.collect::<Vec<_>>()));
         for (path, _) in of_kind(FileKind::Plate) {
             let found = load::load_plate(path).ok().and_then(|plate| load::implausible_values(path, &plate).ok());
             warnings.extend(found.unwrap_or_default());

@@ -73,6 +73,11 @@ impl Exit {
         format!("verdict: {} {}: {reason}", self.sign(), self.word())
     }
 
+    /// True if `--quiet` hides the result, because it passed and people would read it.
+    pub(crate) fn is_hidden(self, is_quiet: bool, format: OutputFormat) -> bool {
+        is_quiet && self == Self::Passed && format == OutputFormat::Human
+    }
+
     /// Ends a text on standard output with the verdict, if there is one. Beside JSON, which has its
     /// own verdict, it is on standard error.
     pub(crate) fn show_verdict(self, reason: &str, format: OutputFormat) {

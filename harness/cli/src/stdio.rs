@@ -331,7 +331,7 @@ pub(crate) fn start_log(arguments: &LoggingArgs) -> Result<(), String> {
         Ok(text) => {
             parse_log_filter(&text).map_err(|error| format!("{LOG_VARIABLE}: {text:?}: {error}, {EXPECTED_LOG}"))?
         }
-        Err(VarError::NotPresent) => Targets::new().with_default(level),
+        Err(VarError::NotPresent) => log_filter(level),
         Err(VarError::NotUnicode(_)) => return Err(format!("{LOG_VARIABLE}: not UTF-8, {EXPECTED_LOG}")),
     };
     // Does not block, because a slow reader must not delay the controller's thread, which logs too.
@@ -413,6 +413,12 @@ impl Visit for EventCause {
             let _ = write!(self.0, "\n{value:?}");
         }
     }
+}
+
+/// Logs at `level` for the crates of the bench only, because the emulator's code generator logs each
+/// instruction.
+fn log_filter(level: LevelFilter) -> Targets {
+    Targets::new().with_default(level.min(LevelFilter::WARN)).with_target("platebench", level)
 }
 
 fn parse_log_filter(text: &str) -> Result<Targets, String> {

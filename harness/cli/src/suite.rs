@@ -125,9 +125,12 @@ fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
     }
     let mut document = document(&report);
     document.blocks.extend(exploration.as_ref().map(|exploration| exploration.block(&report)));
-    stdio::show_result(arguments.format, &report, &document);
     let blames = exploration.map_or(0, |exploration| exploration.alarms.len());
     let exit = Exit::of_verdict(if blames > 0 { Verdict::Fail } else { report.verdict });
+    if exit.is_hidden(detail == Detail::Failures, arguments.format) {
+        return Ok(exit);
+    }
+    stdio::show_result(arguments.format, &report, &document);
     let caught =
         format!("{} of {} mutants were caught for the right reason", report.kill_rate.seen, report.kill_rate.count);
     let protocol = report.protocol_faults.kill_rate;

@@ -74,7 +74,7 @@ pub mod scenario {
     pub use parse::{parse, parse_bytes, parse_file, read_text};
     pub use platebench_plate::input;
     pub use trusted_file::{TRUSTED_FOLDERS_VARIABLE, find_trusted_file_above};
-    pub use warnings::{changes_after_the_end, plate_warnings, unjudged_changes, unreachable_setpoint};
+    pub use warnings::{plate_warnings, scenario_warnings};
     pub use window::{ChangingProfile, Window};
 }
 

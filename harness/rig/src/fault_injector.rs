@@ -223,6 +223,10 @@ impl<L: Link> FaultInjector<L> {
         self.clock = Some(TrialClock { start, scale: scale.max(f64::MIN_POSITIVE) });
     }
 
+    fn inner_now(&mut self) -> Instant {
+        self.inner.link.real_time_line().map_or_else(Instant::now, RealTimeLine::now)
+    }
+
     fn inner_line(&mut self) -> Result<&mut dyn RealTimeLine, LinkError> {
         self.inner
             .link
@@ -231,7 +235,7 @@ impl<L: Link> FaultInjector<L> {
     }
 
     fn send_due(&mut self, clock: TrialClock) -> Result<(), LinkError> {
-        let now = clock.trial_time(Instant::now());
+        let now = clock.trial_time(self.inner_now());
         while let Some(packet) = pop_due(&mut self.to_controller, now) {
             self.record_delivered(&packet);
             self.inner_line()?.send(&packet.bytes)?;
@@ -241,7 +245,7 @@ impl<L: Link> FaultInjector<L> {
 
     /// Appends the due messages and returns the arrival of the first one.
     fn receive_due(&mut self, clock: TrialClock, bytes: &mut Vec<u8>) -> Option<Instant> {
-        let now = clock.trial_time(Instant::now());
+        let now = clock.trial_time(self.inner_now());
         let mut first = None;
         while let Some(packet) = pop_due(&mut self.from_controller, now) {
             bytes.extend_from_slice(&packet.bytes);
@@ -256,16 +260,22 @@ impl<L: Link> RealTimeLine for FaultInjector<L> {
         self.inner_line()?.start()
     }
 
+    fn now(&mut self) -> Instant {
+        self.inner_now()
+    }
+
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         match self.clock {
             Some(clock) if self.active_faults.has_faults() && is_sample(bytes) => {
-                self.queue_sample(clock.trial_time(Instant::now()), bytes);
+                let now = clock.trial_time(self.inner_now());
+                self.queue_sample(now, bytes);
                 self.send_due(clock)
             }
             clock => {
                 if self.active_faults.has_faults() {
                     self.clear();
-                    let now = clock.map_or(Duration::ZERO, |clock| clock.trial_time(Instant::now()));
+                    let wall = self.inner_now();
+                    let now = clock.map_or(Duration::ZERO, |clock| clock.trial_time(wall));
                     self.from_controller.extend(QueuedPacket::new(now, &[DELIMITER]));
                     self.inner_line()?.send(&[DELIMITER])?;
                 }
@@ -290,7 +300,7 @@ impl<L: Link> RealTimeLine for FaultInjector<L> {
             if let Some(at) = arrived? {
                 self.queue_answers(clock.trial_time(at));
             }
-            if Instant::now() >= until {
+            if self.inner_now() >= until {
                 self.send_due(clock)?;
                 return Ok(self.receive_due(clock, bytes));
             }

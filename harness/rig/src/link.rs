@@ -41,6 +41,11 @@ pub trait RealTimeLine: Send {
         Ok(())
     }
 
+    /// Returns the time of the line's clock. Only a line in simulated time has a clock of its own.
+    fn now(&mut self) -> Instant {
+        Instant::now()
+    }
+
     /// Returns at once. Drops the bytes that a full line does not accept.
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
 

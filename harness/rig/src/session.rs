@@ -3,7 +3,7 @@
 use crate::cancel::CancelToken;
 use crate::command_audit::{CommandAudit, DrivesAfterSafe};
 use crate::handshake::{HANDSHAKE_TIMEOUT, RejectedBytes, handshake};
-use crate::link::{Link, LinkError, LinkKind};
+use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use crate::rejected_frame::{FrameMeter, RejectedFrame};
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Packet, PacketReader,
@@ -367,6 +367,11 @@ impl<L: Link> Session<L> {
     pub fn start_line(&mut self) -> Result<(), RigError> {
         let started = self.link.real_time_line().ok_or(RigError::NoRealTime)?.start();
         self.check_link(started)
+    }
+
+    /// Returns the time of the line's clock.
+    pub fn line_time(&mut self) -> Instant {
+        self.link.real_time_line().map_or_else(Instant::now, RealTimeLine::now)
     }
 
     /// Does not wait for the answer. Returns the sequence number. Neither allocates nor logs.

@@ -1,7 +1,8 @@
 //! Runs a link with virtual time in real time. The `now` of the inner link is the wall time since
 //! the start of the trial. An answer arrives after the inner link's delay. While the bench waits,
 //! the target's time advances in small steps to the end of the wait or to the target's next
-//! message. Then the thread sleeps until this instant.
+//! message. Then the thread sleeps until this instant. In simulated time it does not sleep, so that
+//! a test does not depend on the load of the machine.
 
 use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use std::collections::VecDeque;
@@ -15,6 +16,8 @@ const MAX_FRAMES_IN_FLIGHT: usize = 64;
 #[derive(Debug)]
 pub struct WallClockLink<L> {
     link: L,
+    /// Time of the simulated clock, which only waits advance. `None` if the link uses wall time.
+    simulated_now: Option<Instant>,
     trial_start: Instant,
     target_time: Duration,
     /// Arrival and length of each frame in `bytes`.
@@ -27,6 +30,7 @@ impl<L: Link> WallClockLink<L> {
     pub fn new(link: L) -> Self {
         Self {
             link,
+            simulated_now: None,
             trial_start: Instant::now(),
             target_time: Duration::ZERO,
             in_flight: VecDeque::with_capacity(MAX_FRAMES_IN_FLIGHT),
@@ -35,8 +39,26 @@ impl<L: Link> WallClockLink<L> {
         }
     }
 
+    /// A wait ends at once and advances the time. A poll without an answer takes [`TIME_STEP`].
+    pub fn in_simulated_time(link: L) -> Self {
+        let link = Self::new(link);
+        Self { simulated_now: Some(link.trial_start), ..link }
+    }
+
+    fn current_time(&self) -> Instant {
+        self.simulated_now.unwrap_or_else(Instant::now)
+    }
+
+    fn wait_until(&mut self, instant: Instant) {
+        match &mut self.simulated_now {
+            Some(now) if instant <= *now => *now += TIME_STEP,
+            Some(now) => *now = instant,
+            None => thread::sleep(instant.saturating_duration_since(Instant::now())),
+        }
+    }
+
     fn elapsed(&mut self) -> Duration {
-        self.target_time = self.target_time.max(self.trial_start.elapsed());
+        self.target_time = self.target_time.max(self.current_time().saturating_duration_since(self.trial_start));
         self.target_time
     }
 
@@ -56,10 +78,6 @@ impl<L: Link> WallClockLink<L> {
         }
         Ok(())
     }
-}
-
-fn sleep_until(instant: Instant) {
-    thread::sleep(instant.saturating_duration_since(Instant::now()));
 }
 
 impl<L: Link> Link for WallClockLink<L> {
@@ -89,7 +107,7 @@ impl<L: Link> Link for WallClockLink<L> {
             self.bytes.clear();
             self.in_flight.clear();
             self.target_time = Duration::ZERO;
-            self.trial_start = Instant::now();
+            self.trial_start = self.current_time();
         }
         Ok(restarted)
     }
@@ -100,6 +118,10 @@ impl<L: Link> Link for WallClockLink<L> {
 }
 
 impl<L: Link> RealTimeLine for WallClockLink<L> {
+    fn now(&mut self) -> Instant {
+        self.current_time()
+    }
+
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         let since = self.target_time;
         let now = self.elapsed();
@@ -116,13 +138,15 @@ impl<L: Link> RealTimeLine for WallClockLink<L> {
     }
 
     fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
-        let until = until.max(Instant::now());
+        let until = until.max(self.current_time());
         self.advance_target(until.saturating_duration_since(self.trial_start))?;
         let Some(&(at, count)) = self.in_flight.front().filter(|(at, _)| *at <= until) else {
-            sleep_until(until);
+            self.wait_until(until);
             return Ok(None);
         };
-        sleep_until(at);
+        if at > self.current_time() {
+            self.wait_until(at);
+        }
         self.in_flight.pop_front();
         bytes.extend(self.bytes.drain(..count));
         Ok(Some(at))
@@ -153,27 +177,39 @@ mod tests {
     #[test]
     fn delivers_an_answer_after_the_links_delay() {
         let delay = Duration::from_millis(40);
-        let mut line = WallClockLink::new(EchoLink(delay));
+        let mut line = WallClockLink::in_simulated_time(EchoLink(delay));
         let mut bytes = Vec::new();
+        let start = line.now();
+        line.send(b"one").unwrap();
+        assert_eq!(line.now(), start, "sending takes no time");
+        assert_eq!(line.receive(start + delay / 2, &mut bytes).unwrap(), None);
+        assert_eq!(line.now(), start + delay / 2);
+        assert_eq!(line.receive(start + 10 * delay, &mut bytes).unwrap(), Some(start + delay));
+        assert_eq!((line.now(), bytes.as_slice()), (start + delay, &b"one"[..]));
+        assert_eq!(line.receive(start, &mut bytes).unwrap(), None);
+        assert_eq!(line.now(), start + delay + TIME_STEP, "a poll takes time");
+    }
+
+    #[test]
+    fn waits_in_wall_time_for_an_answer() {
+        let delay = Duration::from_millis(20);
+        let mut line = WallClockLink::new(EchoLink(delay));
         let before = Instant::now();
         line.send(b"one").unwrap();
         let after = Instant::now();
-        assert_eq!(line.receive(before + delay / 2, &mut bytes).unwrap(), None);
-        assert!(Instant::now() >= before + delay / 2, "the wait ended early");
-        let at = line.receive(after + 10 * delay, &mut bytes).unwrap().unwrap();
+        let at = line.receive(after + 10 * delay, &mut Vec::new()).unwrap().unwrap();
         assert!((before + delay..=after + delay).contains(&at));
         assert!(Instant::now() >= at, "delivered before its arrival");
-        assert_eq!(bytes, b"one");
     }
 
     #[test]
     fn queues_a_message_while_the_target_is_busy() {
         let delay = Duration::from_millis(20);
-        let mut line = WallClockLink::new(EchoLink(delay));
+        let mut line = WallClockLink::in_simulated_time(EchoLink(delay));
         let mut bytes = Vec::new();
         line.send(b"one").unwrap();
         line.send(b"two").unwrap();
-        let far = Instant::now() + 100 * delay;
+        let far = line.now() + 100 * delay;
         let first = line.receive(far, &mut bytes).unwrap().unwrap();
         let second = line.receive(far, &mut bytes).unwrap().unwrap();
         assert_eq!((bytes.as_slice(), second - first), (&b"onetwo"[..], delay));

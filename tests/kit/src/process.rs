@@ -1,8 +1,9 @@
 //! Runs other programs in tests.
 
 use std::env;
+use std::ffi::OsStr;
 use std::io::Write;
-use std::process::Child;
+use std::process::{Child, Command};
 
 /// If this variable is 1, a missing program fails the test instead of skipping it.
 const REQUIRE_ALL: &str = "PLATEBENCH_REQUIRE_ALL";
@@ -15,6 +16,15 @@ impl Drop for ChildGuard {
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
+}
+
+/// Returns a command that starts `program` with the default action of SIGHUP. Under `nohup`, the tests
+/// ignore this signal, and a program inherits that.
+#[must_use]
+pub fn command_with_default_signals(program: impl AsRef<OsStr>) -> Command {
+    let mut command = Command::new("env");
+    command.arg("--default-signal=HUP").arg(program);
+    command
 }
 
 /// # Panics

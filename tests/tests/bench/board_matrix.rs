@@ -10,7 +10,7 @@ mod labgrid;
 
 use crate::boards::{inventory, state_of};
 use crate::test_folder::{
-    ChildGuard, SETTLING, TestFolder, bench_command, lock_heavy_load, start_bench, step_text, wait_until,
+    ChildGuard, PROGRAM, SETTLING, TestFolder, lock_heavy_load, start_bench, step_text, wait_until,
 };
 use platebench_model::record::Verdict;
 use platebench_test_kit::workspace_root;
@@ -133,9 +133,8 @@ fn clear_killed(folder: &TestFolder) {
 fn two_controllers_on_one_board_would_be_noticed() {
     let folder = lab(1);
     let mut command = Command::new("flock");
-    let bench = bench_command(folder.path());
     let exclusive = folder.join("b1.use");
-    command.arg(exclusive).arg(bench.get_program()).args(["run", "--board", "b1"]).current_dir(folder.path());
+    command.arg(exclusive).arg(PROGRAM).args(["run", "--board", "b1"]).current_dir(folder.path());
     assert_eq!(command.output().unwrap().status.code(), Some(5));
 }
 

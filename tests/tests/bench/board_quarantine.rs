@@ -2,6 +2,7 @@
 
 use crate::boards::{inventory, state_of};
 use crate::test_folder::{SETTLING, TestFolder, controller_rig, start_bench, wait_until};
+use std::fs;
 use std::process::Command;
 
 const LEFT: usize = 0;
@@ -29,11 +30,12 @@ fn assert_only_left_is_quarantined(folder: &TestFolder, reason: &str) {
 
 #[test]
 fn a_controller_that_ends_leaves_0_v_unconfirmed() {
-    let folder = lab(&controller_rig(None));
     let minute = TestFolder::with_minute();
+    let log = minute.join("controller.log");
+    let folder = lab(&controller_rig(Some(&log)));
     folder.write("minute.toml", &minute.read("scenarios/s.toml").replace("\"plates/", "\"scenarios/plates/"));
     let bench = start_bench(folder.path(), ["run", "minute.toml", "--board", "left", "--out", "run"]);
-    wait_until("the run never began", || folder.exists("run/run.json"));
+    wait_until("no trial began", || fs::read_to_string(&log).is_ok_and(|text| text.contains("\"running\"")));
     assert!(Command::new("kill").args(["-KILL", &bench.child_id()]).status().unwrap().success());
     bench.finish().assert_exit(1);
     assert_only_left_is_quarantined(&folder, "did not confirm 0 V");

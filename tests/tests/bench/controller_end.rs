@@ -11,6 +11,10 @@ use std::fs;
 /// Holds also in real time for a controller in Python, whose replies take some milliseconds.
 const ANSWERED: &str = "metric = \"overshoot_percent\"\nat_most = 100.0";
 
+/// The bench observes the controller for ten periods after the confirmation of 0 V. With 20 ms these are
+/// 200 ms, enough for a controller on a busy machine.
+const SLOW: &str = "period_ms = 20.0\nresponse_time_ms = 100.0";
+
 const LATE_DRIVE: &str = "                        if body and body[0] & 15 == SAFE:
                             time.sleep(0.002)
                             drive = 0, 900.0, 32300000, RUNNING, 0, 0
@@ -63,7 +67,7 @@ fn write_campaign(folder: &TestFolder) {
 
 #[test]
 fn a_drive_after_confirmed_0_v_fails_the_run() {
-    let folder = TestFolder::with_step(ANSWERED);
+    let folder = TestFolder::with_scenario(&step_scenario("aluminium-198x138", SLOW, "", ANSWERED));
     let Some(rig) = controller(&folder, Change::AfterAnswer(LATE_DRIVE)) else { return };
     folder.bench(["run", "--rig", &rig, "--out", "run"]).assert_message(1, &["after it had confirmed 0 V"]);
     let record = folder.record("run");
@@ -75,7 +79,7 @@ fn a_drive_after_confirmed_0_v_fails_the_run() {
 
 #[test]
 fn a_drive_after_confirmed_0_v_fails_in_real_time() {
-    let folder = TestFolder::with_step(ANSWERED);
+    let folder = TestFolder::with_scenario(&step_scenario("aluminium-198x138", SLOW, "", ANSWERED));
     let Some(rig) = controller(&folder, Change::AfterAnswer(LATE_DRIVE)) else { return };
     folder.bench(["run", "--clock", "real-time", "--rig", &rig, "--out", "run"]).assert_exit(1);
     let violations = &folder.record("run").scenarios[0].trials[0].telemetry.violations;
@@ -84,7 +88,7 @@ fn a_drive_after_confirmed_0_v_fails_in_real_time() {
 
 #[test]
 fn a_campaign_fails_after_a_drive_after_0_v() {
-    let folder = TestFolder::with_step(ANSWERED);
+    let folder = TestFolder::with_scenario(&step_scenario("aluminium-198x138", SLOW, "", ANSWERED));
     let Some(rig) = controller(&folder, Change::AfterAnswer(LATE_DRIVE)) else { return };
     write_campaign(&folder);
     folder.bench(["campaign", "run", "campaign.toml", "--out", "c", "--rig", &rig]).assert_exit(1);

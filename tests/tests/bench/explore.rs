@@ -22,8 +22,20 @@ fn the_minimal_scene_of_a_mutant_fails_under_run() {
     let mutant = example.replace(call, "self.law.step(setpoint * (1.03 if setpoint > 1.5 else 1.0), wd, wq)");
     fs::write(folder.path().join("mutant.py"), mutant).unwrap();
     let rig = format!("exec:{python} mutant.py {{port}}");
-    let arguments =
-        ["suite", "explore", &envelope(), "--rig", &rig, "--scenes", "12", "--out", "out", "--regressions", "found"];
+    let arguments = [
+        "suite",
+        "explore",
+        &envelope(),
+        "--rig",
+        &rig,
+        "--scenes",
+        "12",
+        "--out",
+        "out",
+        "--regressions",
+        "found",
+        "-q",
+    ];
     run_bench(folder.path(), arguments).assert_exit(1).assert_stdout(&["static-error violated"]);
     let report = report(folder.path());
     let violations = report["violations"].as_array().unwrap();
@@ -77,6 +89,20 @@ fn violations_before_a_lost_rig_are_stored() {
     assert_eq!(violation["is_reproduced"], false);
     let file = violation["file"].as_str().unwrap();
     run_bench(folder.path(), ["run", file, "--rig", "hosted", "--out", "clean"]).assert_exit(0);
+}
+
+#[test]
+fn a_quiet_exploration_that_passes_prints_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let explore = |options: &[&str]| {
+        let envelope = envelope();
+        let arguments = ["suite", "explore", &envelope, "--rig", "hosted", "--scenes", "1", "-q"];
+        run_bench(folder.path(), arguments.iter().chain(options))
+    };
+    assert_eq!(explore(&["--out", "out"]).assert_exit(0).text(), "");
+    assert_eq!(report(folder.path())["verdict"], "pass");
+    let json = explore(&["--out", "json", "--format", "json"]).assert_exit(0).json();
+    assert_eq!(json["scenes"], 1);
 }
 
 #[test]

@@ -2,14 +2,12 @@
 
 use crate::terminal::{LARGE, SMALL, TestTerminal};
 use crate::test_folder::{
-    ChildGuard, TestFolder, assert_same_traces, controller_rig, run_bench, step_text, workspace_root,
+    ChildGuard, SLOW_REAL_TIME, TestFolder, assert_same_traces, controller_rig, run_bench, step_text, workspace_root,
 };
 use rstest::rstest;
 use std::process::Command;
 
 const EXPECT: &str = "metric = \"overshoot_percent\"\nat_most = 100.0";
-/// At this time scale the watchdog waits 0.25 s, so that a busy machine does not trigger it.
-const SLOW: [&str; 4] = ["--clock", "real-time", "--time-scale", "0.02"];
 
 fn run_folder(duration_ms: &str) -> TestFolder {
     let duration = format!("duration_ms = {duration_ms}");
@@ -18,7 +16,7 @@ fn run_folder(duration_ms: &str) -> TestFolder {
 
 fn start_live_run(folder: &TestFolder, size: [u16; 2], rig: &str, more: &[&str]) -> TestTerminal {
     let arguments = ["run", "--live", "--out", "run", "--rig", rig];
-    TestTerminal::start(folder.path(), size, arguments.iter().chain(&SLOW).chain(more), &[])
+    TestTerminal::start(folder.path(), size, arguments.iter().chain(&SLOW_REAL_TIME).chain(more), &[])
 }
 
 #[rstest]
@@ -114,7 +112,8 @@ fn no_color_disables_colours() {
     let folder = run_folder("60000.0");
     for (environment, expected) in [(vec![], true), (vec![("NO_COLOR", "1")], false)] {
         let arguments = ["run", "--live", "--rig", "hosted"];
-        let mut terminal = TestTerminal::start(folder.path(), SMALL, arguments.iter().chain(&SLOW), &environment);
+        let mut terminal =
+            TestTerminal::start(folder.path(), SMALL, arguments.iter().chain(&SLOW_REAL_TIME), &environment);
         terminal.wait_for_view_text("in band");
         assert_eq!(terminal.has_colour(), expected, "{environment:?}");
         terminal.type_keys("q");
@@ -156,7 +155,7 @@ fn progress_is_one_line_that_disappears() {
     let folder = run_folder("60.0");
     folder.write_scenario("t.toml", &folder.read("scenarios/s.toml"));
     let arguments = ["run", "--out", "run", "--rig", &controller_rig(None)];
-    let mut terminal = TestTerminal::start(folder.path(), SMALL, arguments.iter().chain(&SLOW), &[]);
+    let mut terminal = TestTerminal::start(folder.path(), SMALL, arguments.iter().chain(&SLOW_REAL_TIME), &[]);
     terminal.wait_for_terminal_text("1/2 trials");
     assert_eq!(terminal.text().matches("trials").count(), 1, "{}", terminal.text());
     terminal.wait_for_exit(&[0, 3]);
@@ -204,7 +203,8 @@ fn a_session_restores_the_terminal_for_its_questions() {
     folder.write_scenario("s.toml", &format!("{}requirement = \"R-1\"\n", folder.read("scenarios/s.toml")));
     let answers = ["--operator", "A. Tester", "--place", "Lab 2", "--notes", "none"];
     let arguments = ["acceptance", "run", "--live", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
-    let mut terminal = TestTerminal::start(folder.path(), SMALL, arguments.iter().chain(&answers).chain(&SLOW), &[]);
+    let mut terminal =
+        TestTerminal::start(folder.path(), SMALL, arguments.iter().chain(&answers).chain(&SLOW_REAL_TIME), &[]);
     terminal.answer("near the plate?", "yes\n");
     terminal.wait_for_view_text("acceptance run   trial 2 of 3   s.toml");
     terminal.wait_for_exit(&[0, 3]);

@@ -1,6 +1,7 @@
 //! Tests outputs for other programs and exports of a run.
 
 use crate::test_folder::{ProgramOutput, SETTLING, TestFolder};
+use rstest::rstest;
 use serde_json::Value;
 use std::fs;
 
@@ -32,6 +33,24 @@ fn json_lines_end_with_the_verdict() {
     assert_eq!(lines[3]["trial"], scenario["trials"][1]);
     assert_eq!(lines[4]["expectations"], scenario["expectations"]);
     assert_eq!((&lines[5]["verdict"], &lines[5]["exit_code"]), (&record["verdict"], &Value::from(0)));
+}
+
+/// The code generator of the emulator logs 380,000 lines of details.
+#[rstest]
+#[case::steps("-v", "run starts", 18)]
+#[case::details("-vv", "DEBUG platebench", 21)]
+fn verbose_output_on_the_emulated_chip_is_bounded(#[case] option: &str, #[case] text: &str, #[case] expected: usize) {
+    let folder = TestFolder::with_step(SETTLING);
+    let output = folder.bench(["run", "--rig", "emulated", option, "--out", "run"]).assert_exit(0);
+    let lines = output.text().lines().count();
+    assert!((expected / 2..2 * expected).contains(&lines), "{lines} lines");
+    output.assert_output(&[text]);
+}
+
+#[test]
+fn the_version_lists_the_features() {
+    let folder = TestFolder::new();
+    folder.bench(["--version"]).assert_exit(0).assert_stdout(&["features: analysis, emulated, export, live"]);
 }
 
 #[test]

@@ -9,7 +9,8 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-/// On a busy machine the bench may exclude a trial; the test then tries again, at most this often.
+/// On a busy machine the bench may exclude a trial; the test then tries again, at most this often, and
+/// prints how often.
 const ATTEMPTS: u32 = 5;
 
 const EXPECT: &str = "[[expect]]\nmetric = \"settling_time_ms\"\nat_most = 3.0\n\
@@ -51,12 +52,13 @@ fn read_rows(folder: &TestFolder, record: &RunRecord) -> Vec<Row> {
 
 fn repeat_until_counted<T>(mut run: impl FnMut() -> (T, RunRecord)) -> (T, RunRecord) {
     let mut last = run();
-    for _ in 1..ATTEMPTS {
-        if only_trial(&last.1).cause.is_none() {
-            break;
-        }
+    let mut attempts = 1;
+    while attempts < ATTEMPTS && only_trial(&last.1).cause.is_some() {
+        println!("attempt {attempts} of {ATTEMPTS} was excluded: {:?}", only_trial(&last.1).reason);
         last = run();
+        attempts += 1;
     }
+    println!("{attempts} of {ATTEMPTS} attempts");
     last
 }
 

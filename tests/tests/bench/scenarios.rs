@@ -13,6 +13,14 @@ fn scenarios_of(path: &Path) -> Vec<Scenario> {
 }
 
 #[rstest]
+#[case::all_cases("scenarios/laws/drive.toml", "(27 cases: 400vpp-bang-bang, 400vpp-deadbeat, 400vpp-dq-pi, ", 1)]
+#[case::each_command_is_compared("scenarios/reference/damping.toml", "", 0)]
+fn check_prints_each_warning_once(#[case] file: &str, #[case] text: &str, #[case] lines: usize) {
+    let output = run_bench(&workspace_root(), ["check", file]).assert_exit(0).assert_stderr(&[text]);
+    assert_eq!(output.stderr.lines().count(), lines, "{}", output.stderr);
+}
+
+#[rstest]
 fn each_scenario_has_its_expected_exit_code(
     #[files("../scenarios/paper/*.toml")]
     #[files("../scenarios/limits/*.toml")]

@@ -1,14 +1,14 @@
 //! Tests runs that a signal or a limit of the operating system ends.
 
 use crate::test_folder::{
-    ChildGuard, TestFolder, bench_command, controller_rig, start_bench, step_scenario, wait_until,
+    ChildGuard, PROGRAM, TestFolder, bench_command, controller_rig, start_bench, step_scenario, wait_until,
 };
 use platebench_model::record::Cause;
 use rstest::rstest;
-use std::fs;
 use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::Duration;
+use std::{env, fs};
 
 fn long_folder() -> TestFolder {
     let expect = "metric = \"settling_time_ms\"\nat_most = 100.0";
@@ -33,10 +33,9 @@ fn wait_for_traces(folder: &TestFolder) {
 }
 
 fn start_by_shell(folder: &TestFolder, setup: &str) -> ChildGuard {
-    let bench = bench_command(folder.path());
     let mut shell = Command::new("sh");
     shell.current_dir(folder.path()).args(["-c", &format!("{setup}; exec \"$0\" run --rig hosted --out run")]);
-    ChildGuard(shell.arg(bench.get_program()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap())
+    ChildGuard(shell.arg(PROGRAM).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap())
 }
 
 #[rstest]
@@ -53,6 +52,17 @@ fn a_signal_sets_the_exit_code(#[case] name: &str, #[case] expected: i32) {
     let counts = "played so far: 0 of 1 scenario: 0 passed, 0 failed, 0 inconclusive";
     bench.finish().assert_message(expected, &["the run was cancelled", counts]);
     assert!(!folder.record("run").complete);
+}
+
+/// As with `nohup cargo test-all`: the tests ignore SIGHUP, but not the programs that they start.
+#[test]
+fn tests_that_ignore_a_hang_up_can_test_it() {
+    let names = ["signals::a_signal_sets_the_exit_code::case_1_hang_up", "live::a_closed_terminal_ends_the_run"];
+    let mut shell = Command::new("sh");
+    shell.args(["-c", "trap '' HUP; exec \"$0\" --exact \"$@\""]).arg(env::current_exe().unwrap()).args(names);
+    let output = shell.output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && text.contains("2 passed"), "{text}");
 }
 
 #[test]

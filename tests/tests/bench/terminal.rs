@@ -1,7 +1,7 @@
 //! Runs the program in a terminal and reads its screen.
 
-use crate::test_folder::{ChildGuard, wait_until};
-use platebench_test_kit::open_terminal;
+use crate::test_folder::{ChildGuard, PROGRAM, wait_until};
+use platebench_test_kit::{command_with_default_signals, open_terminal};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags, open};
 use rustix::termios::{LocalModes, SpecialCodeIndex, Termios, Winsize, tcgetattr, tcsetwinsize};
@@ -10,7 +10,7 @@ use std::fs::{File, OpenOptions};
 use std::io::{Read, Write};
 use std::num::NonZero;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::{self, JoinHandle};
@@ -43,8 +43,8 @@ impl TestTerminal {
         set_size(&master, size);
         let end = || Stdio::from(OpenOptions::new().read(true).write(true).open(&path).unwrap());
         // In a session of its own, the program gets Ctrl-C and hang-up of the terminal as signals.
-        let mut command = Command::new("setsid");
-        command.args(["--ctty", env!("CARGO_BIN_EXE_platebench-under-test")]).args(arguments).current_dir(folder);
+        let mut command = command_with_default_signals("setsid");
+        command.args(["--ctty", PROGRAM]).args(arguments).current_dir(folder);
         command.env_remove("PLATEBENCH_LOG").env_remove("NO_COLOR").env("TERM", "xterm-256color");
         command.envs(environment.iter().copied()).stdin(end()).stdout(end()).stderr(end());
         let child = ChildGuard(command.spawn().unwrap());

@@ -17,12 +17,18 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
+use platebench_test_kit::command_with_default_signals;
 pub(crate) use platebench_test_kit::workspace_root;
 
+pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_platebench-under-test");
 pub(crate) const PLATE: &str = "scenarios/plates/aluminium-198x138.toml";
 pub(crate) const SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 2.0";
 /// With `dq-pi` the paper's plate settles in 1.96 ms, so this limit is not met.
 pub(crate) const FAILED_SETTLING: &str = "metric = \"settling_time_ms\"\nat_most = 1.9";
+
+/// Real time with a period of 50 ms. The controller's watchdog acts after 0.25 s without a sample, and
+/// the bench gives up after 1 s without an answer, so that a stall of 0.1 s changes no result.
+pub(crate) const SLOW_REAL_TIME: [&str; 4] = ["--clock", "real-time", "--time-scale", "0.02"];
 
 static HEAVY_LOAD: Mutex<()> = Mutex::new(());
 
@@ -32,9 +38,9 @@ pub(crate) fn lock_heavy_load() -> MutexGuard<'static, ()> {
     HEAVY_LOAD.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes environment variables of the tests that would change the output of the program.
+/// Removes signal actions and environment variables of the tests that would change the result.
 pub(crate) fn bench_command(folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_platebench-under-test"));
+    let mut command = command_with_default_signals(PROGRAM);
     command.current_dir(folder);
     for variable in ["PLATEBENCH_LOG", "NO_COLOR", "GITHUB_ACTIONS", "GITHUB_STEP_SUMMARY", "GITHUB_WORKSPACE"] {
         command.env_remove(variable);

@@ -94,3 +94,16 @@ fn finds_links_without_a_target() {
     let readme = DocumentPage { file: "docs/examples/native-tests/README.md".into(), ..DocumentPage::default() };
     assert_eq!(link_fault(&readme, "../../../README.md#two-commands"), None, "not a page of the book");
 }
+
+/// Names of commands before version 0.3 that mean nothing else. CHANGELOG.md says what replaced them.
+const OLD_COMMANDS: [&str; 4] = ["accept verify", "boards clear", "emulate", "export-fmu"];
+
+#[test]
+fn no_page_names_an_old_command() {
+    for page in read_pages().into_iter().filter(|page| page.file != Path::new("CHANGELOG.md")) {
+        for (code, line) in &page.code_spans {
+            let name = code.strip_prefix("platebench ").unwrap_or(code);
+            assert!(!OLD_COMMANDS.contains(&name), "{}:{line}: `{code}`", page.file.display());
+        }
+    }
+}

@@ -87,12 +87,6 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
             (unless_signalled(ended)?, None)
         }
     };
-    stdio::show_result(arguments.format, &report, &report::document(&report));
-    stdio::note(&format!("result: {}", quoted_path(&folder.path().join(report::FILE))));
-    stdio::note(&format!("report: {}", quoted_path(&folder.path().join(report::PAGE_FILE))));
-    if let Some(error) = stop.filter(|_| signal.is_none()) {
-        return Err(error.into());
-    }
     let is_empty = report.scenes == 0 && report.regressions == 0;
     let exit = || match report.verdict {
         _ if is_empty => Exit::NothingToRun,
@@ -100,6 +94,16 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
         verdict => Exit::of_verdict(verdict),
     };
     let exit = signal.map_or_else(exit, Exit::Signal);
+    let lost = stop.filter(|_| signal.is_none());
+    if lost.is_none() && exit.is_hidden(detail == Detail::Failures, arguments.format) {
+        return Ok(exit);
+    }
+    stdio::show_result(arguments.format, &report, &report::document(&report));
+    stdio::note(&format!("result: {}", quoted_path(&folder.path().join(report::FILE))));
+    stdio::note(&format!("report: {}", quoted_path(&folder.path().join(report::PAGE_FILE))));
+    if let Some(error) = lost {
+        return Err(error.into());
+    }
     exit.show_verdict(&report.reason(), arguments.format);
     Ok(exit)
 }

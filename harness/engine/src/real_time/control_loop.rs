@@ -50,7 +50,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         plant: PlantSimulation<'a, RowQueue>,
         manual: Option<&'a ManualControl>,
     ) -> Self {
-        let now = Instant::now();
+        let now = session.line_time();
         Self {
             session,
             scenario: trial.scenario,
@@ -96,7 +96,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
                 return Err(TrialAbort::Cancelled);
             }
             let deadline = self.wall_instant(self.next_control);
-            let now = Instant::now();
+            let now = self.session.line_time();
             if now >= deadline {
                 self.control_at_deadline(now)?;
                 continue;
@@ -136,7 +136,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
     /// Each tick of the target is a control instant. The trial starts with the first tick.
     fn run_target_paced(&mut self) -> Result<(), TrialAbort> {
         let mut ticks = TickTracker::default();
-        let first = Instant::now() + MIN_SILENT_TIME;
+        let first = self.session.line_time() + MIN_SILENT_TIME;
         let mut last_tick = Time::ZERO;
         while !self.is_finished() {
             if self.is_emulation_stopped() {
@@ -145,10 +145,12 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             if self.cancel.is_cancelled() {
                 return Err(TrialAbort::Cancelled);
             }
-            let until = Instant::now() + self.time_base.wall_duration(self.period).min(CANCEL_POLL_INTERVAL);
+            let until = self.session.line_time() + self.time_base.wall_duration(self.period).min(CANCEL_POLL_INTERVAL);
             let until = if ticks.has_ticks() { until.min(self.wall_instant(self.duration)) } else { until };
             let Some(received) = self.session.receive(until)? else {
-                if Instant::now() >= if ticks.has_ticks() { self.last_received + MIN_SILENT_TIME } else { first } {
+                if self.session.line_time()
+                    >= if ticks.has_ticks() { self.last_received + MIN_SILENT_TIME } else { first }
+                {
                     return Err(RigError::NoAnswer { expected: "tick" }.into());
                 }
                 continue;
@@ -189,8 +191,8 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         }
     }
 
-    fn is_finished(&self) -> bool {
-        Instant::now() >= self.wall_instant(self.duration)
+    fn is_finished(&mut self) -> bool {
+        self.session.line_time() >= self.wall_instant(self.duration)
     }
 
     /// The plate must be at the control instant. `missing` counts earlier instants without a tick.
@@ -200,7 +202,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             self.plant.set_manual_inputs(&inputs);
         }
         let sample = self.plant.sense();
-        let sent = Instant::now();
+        let sent = self.session.line_time();
         if let Some(configure) = self.controller.reconfiguration(now) {
             self.session.send(Message::Configure(self.time_base.with_target_timing(configure)))?;
             self.controller.record_configuration(&configure, None, now);
@@ -286,18 +288,19 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
 
     fn receive_until_end(&mut self) -> Result<(), TrialAbort> {
         let end = self.wall_instant(self.duration);
-        while Instant::now() < end {
+        while self.session.line_time() < end {
             if self.cancel.is_cancelled() {
                 return Err(TrialAbort::Cancelled);
             }
-            let soon = Instant::now() + Duration::from_millis(50);
+            let soon = self.session.line_time() + Duration::from_millis(50);
             if let Some(received) = self.session.receive(soon.min(end))? {
                 self.handle_message(&received)?;
             }
         }
         // The number of reads is bounded, because a faulty controller may never stop sending.
         for _ in 0..self.unanswered.len() {
-            let Some(received) = self.session.receive(Instant::now())? else { break };
+            let now = self.session.line_time();
+            let Some(received) = self.session.receive(now)? else { break };
             self.handle_message(&received)?;
         }
         self.plant.advance_through(self.duration, Flags::empty());
@@ -419,10 +422,10 @@ mod tests {
     use super::*;
     use crate::live_tap::LiveTap;
     use crate::plant_simulation::collect_rows;
-    use crate::trial::{configure, wire_faults};
+    use crate::trial::{TrialResult, configure, wire_faults};
     use allocation_counter::{AllocationInfo, measure, opt_out};
     use platebench_model::scenario::load;
-    use platebench_rig::{HostedLink, LinkError, PtyLink, SerialLink, WallClockLink};
+    use platebench_rig::{HostedLink, LinkError, PtyLink, RealTimeLine, SerialLink, WallClockLink};
     use platebench_wire::{LawId, PacketReader};
     use std::path::Path;
     use std::thread;
@@ -535,15 +538,17 @@ mod tests {
         (allocated, periods)
     }
 
-    /// Repeats the trial until it had more than 10 periods, because a busy host skips some.
+    /// Repeats the trial until it had more than 10 periods, because a busy host skips some. Prints how
+    /// often.
     fn assert_no_allocations<L: Link>(name: &str, session: &mut Session<FaultInjector<L>>, pacing: Pacing) {
         let scenario = scenario(name);
         let mut periods = 0;
-        for _ in 0..100 {
+        for trials in 1..=100 {
             let (allocated, played) = count_allocations(&scenario, session, pacing);
             assert_eq!(allocated, AllocationInfo::default(), "{name}, paced by {}", pacing.name());
             periods += played;
             if periods > 10 {
+                println!("{name}, paced by {}: {trials} trials", pacing.name());
                 return;
             }
         }
@@ -560,7 +565,8 @@ mod tests {
             ("faults/late-commands.toml", Pacing::Bench),
         ] {
             let mut session =
-                Session::open(FaultInjector::new(WallClockLink::new(UncountedLink(HostedLink::new())))).unwrap();
+                Session::open(FaultInjector::new(WallClockLink::in_simulated_time(UncountedLink(HostedLink::new()))))
+                    .unwrap();
             assert_no_allocations(name, &mut session, pacing);
         }
     }
@@ -630,36 +636,30 @@ mod tests {
     fn a_last_sample_without_an_answer_is_a_missing_answer() {
         let scenario = scenario("paper/fig13-closed-loop.toml");
         let link = SilentAtLastSample { inner: HostedLink::new(), last_us: 59_000 };
-        let mut session = Session::open(FaultInjector::new(WallClockLink::new(link))).unwrap();
-        let trial = Trial { own_clock: true, ..Trial::new(&scenario, LawId::DqPi, 0) };
-        let time_base = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
-        let result = crate::real_time::play(&mut session, trial, time_base).unwrap();
+        let result = play(&scenario, WallClockLink::in_simulated_time(link));
         let last = result.trace_rows.last().unwrap();
         let timing = result.telemetry.timing.unwrap();
-        // A host that stalls may skip the last sample. Its control instant is then an overrun.
-        let is_marked = last.flags.contains(Flags::LINK_LOST) || timing.skipped > 0;
-        assert!(is_marked && result.link_error.is_none(), "{last:?} {timing:?}");
-        assert!(timing.missed_replies > 0 || timing.skipped > 0, "{timing:?}");
+        assert!(last.flags.contains(Flags::LINK_LOST) && result.link_error.is_none(), "{last:?} {timing:?}");
+        assert_eq!((timing.missed_replies, timing.overruns), (1, 0), "{timing:?}");
     }
-    /// Stalls the bench for 400 ms at one sample. From then on, the controller is silent for 25
-    /// samples.
-    struct StalledLink {
+
+    /// Drops the messages of the controller from the tenth sample on, for 25 samples.
+    struct SilentLink {
         inner: HostedLink,
         samples: u32,
     }
 
-    impl StalledLink {
+    impl SilentLink {
         fn is_silent(&self) -> bool {
             (10..35).contains(&self.samples)
         }
     }
 
-    impl Link for StalledLink {
+    impl Link for SilentLink {
         fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
             let mut packets = PacketReader::new();
             if packets.packets(bytes).flatten().any(|packet| matches!(packet.message, Message::Sample(_))) {
                 self.samples += 1;
-                thread::sleep(Duration::from_millis(if self.samples == 10 { 400 } else { 0 }));
             }
             let before = answer.len();
             let took = self.inner.exchange(now, bytes, answer);
@@ -679,17 +679,66 @@ mod tests {
         }
     }
 
+    /// Stalls the bench while it sends the tenth sample.
+    struct StalledLink {
+        inner: WallClockLink<SilentLink>,
+        samples: u32,
+        stall: Duration,
+    }
+
+    impl Link for StalledLink {
+        fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+            self.inner.exchange(now, bytes, answer)
+        }
+
+        fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
+            self.inner.advance_to(now, received)
+        }
+
+        fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {
+            Some(self)
+        }
+    }
+
+    impl StalledLink {
+        fn past_stall(&self) -> Duration {
+            if self.samples < 10 { Duration::ZERO } else { self.stall }
+        }
+    }
+
+    impl RealTimeLine for StalledLink {
+        fn now(&mut self) -> Instant {
+            self.inner.now() + self.past_stall()
+        }
+
+        fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+            self.samples += 1;
+            self.inner.send(bytes)
+        }
+
+        fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
+            let stall = self.past_stall();
+            let arrived = self.inner.receive(until.checked_sub(stall).unwrap(), bytes)?;
+            Ok(arrived.map(|at| at + stall))
+        }
+    }
+
+    fn play<L: Link>(scenario: &Scenario, link: L) -> TrialResult {
+        let mut session = Session::open(FaultInjector::new(link)).unwrap();
+        let trial = Trial { own_clock: true, ..Trial::new(scenario, LawId::DqPi, 0) };
+        let time_base = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
+        crate::real_time::play(&mut session, trial, time_base).unwrap()
+    }
+
     #[test]
     fn a_stall_of_the_bench_is_no_silence_of_the_controller() {
         let mut scenario = scenario("paper/fig13-closed-loop.toml");
         scenario.duration = Time::from_nanos(700_000_000);
-        let link = StalledLink { inner: HostedLink::new(), samples: 0 };
-        let mut session = Session::open(FaultInjector::new(WallClockLink::new(link))).unwrap();
-        let trial = Trial { own_clock: true, ..Trial::new(&scenario, LawId::DqPi, 0) };
-        let time_base = TimeBase { time_scale: 1.0, pacing: Pacing::Bench };
-        let result = crate::real_time::play(&mut session, trial, time_base).unwrap();
+        let inner = WallClockLink::in_simulated_time(SilentLink { inner: HostedLink::new(), samples: 0 });
+        let result = play(&scenario, StalledLink { inner, samples: 0, stall: Duration::from_millis(400) });
         assert!(result.link_error.is_none(), "{:?}", result.link_error);
         let timing = result.telemetry.timing.unwrap();
-        assert!(timing.skipped >= 300 && timing.missed_replies >= 20, "{timing:?}");
+        // The sample at 9 ms is sent before the stall, and the one at 409 ms is the first after it.
+        assert_eq!((timing.skipped, timing.missed_replies), (399, 25), "{timing:?}");
     }
 }

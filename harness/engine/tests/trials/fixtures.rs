@@ -1,7 +1,7 @@
 use platebench_engine::{Clock, Pacing, RunHooks, RunPlan, TimeBase, run};
 use platebench_model::record::{Overrides, RunFolder, RunRecord};
 use platebench_model::scenario::Scenario;
-use platebench_rig::RigSpec;
+use platebench_rig::{BoxedLink, HostedLink, RigSpec, WallClockLink};
 use platebench_wire::{Packet, PacketReader};
 use std::path::Path;
 
@@ -17,6 +17,16 @@ pub(crate) fn plan(scenarios: Vec<Scenario>, clock: Clock) -> RunPlan {
 pub(crate) fn run_hosted(plan: &RunPlan, out: &Path) -> RunRecord {
     let folder = RunFolder::create(Some(out)).unwrap();
     run(plan, &folder, &|| RigSpec::hosted().connect(), RunHooks::default()).unwrap()
+}
+
+/// Returns a hosted controller. With a real-time clock its time is simulated, so that the load of the
+/// machine changes no result.
+pub(crate) fn new_link(clock: Clock) -> BoxedLink {
+    if clock == LOCKSTEP {
+        Box::new(HostedLink::new())
+    } else {
+        Box::new(WallClockLink::in_simulated_time(HostedLink::new()))
+    }
 }
 
 pub(crate) fn packets(bytes: &[u8]) -> Vec<Packet> {

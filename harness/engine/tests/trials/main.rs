@@ -5,6 +5,7 @@ mod divergence;
 mod fixtures;
 mod inserted_rows;
 mod laws;
+mod line_faults;
 mod live_tap;
 mod lock_in;
 mod model;

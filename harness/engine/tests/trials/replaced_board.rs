@@ -1,7 +1,7 @@
-use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, packets, plan};
+use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, new_link, packets, plan};
 use platebench_engine::{Clock, RunError, RunHooks, run};
 use platebench_model::record::{Cause, RunFolder, RunRecord, Verdict};
-use platebench_rig::{BoxedLink, HostedLink, Link, LinkError, RealTimeLine, WallClockLink};
+use platebench_rig::{BoxedLink, Link, LinkError, RealTimeLine};
 use platebench_test_kit::load_scenario;
 use platebench_wire::Message;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -17,7 +17,6 @@ enum BoardFailure {
 
 struct FailingBoard {
     inner: BoxedLink,
-    new_link: fn() -> BoxedLink,
     number: u8,
     failure: Option<BoardFailure>,
     samples: u32,
@@ -31,7 +30,7 @@ impl FailingBoard {
             return Err(LinkError::Disconnected("unplugged".to_owned()));
         }
         if self.samples > SAMPLES_BEFORE_FAILURE && self.failure.take() == Some(BoardFailure::Restart) {
-            self.inner = (self.new_link)();
+            assert!(self.inner.restart()?, "the link cannot restart");
         }
         Ok(())
     }
@@ -61,6 +60,10 @@ impl Link for FailingBoard {
 }
 
 impl RealTimeLine for FailingBoard {
+    fn now(&mut self) -> Instant {
+        self.inner.real_time_line().unwrap().now()
+    }
+
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         self.count_and_fail(bytes)?;
         self.inner.real_time_line().unwrap().send(bytes)
@@ -77,17 +80,11 @@ fn run_on_boards(clock: Clock, failure: BoardFailure, numbers: [u8; 2]) -> (Resu
     let folder = tempfile::tempdir().unwrap();
     let run_folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
     let connections = AtomicU8::new(0);
-    let new_link: fn() -> BoxedLink = if clock == LOCKSTEP {
-        || Box::new(HostedLink::new())
-    } else {
-        || Box::new(WallClockLink::new(HostedLink::new()))
-    };
     let connect = || {
         let count = connections.fetch_add(1, Ordering::Relaxed);
         let number = numbers[usize::from(count.min(1))];
         Ok(Box::new(FailingBoard {
-            inner: new_link(),
-            new_link,
+            inner: new_link(clock),
             number,
             failure: (count == 0).then_some(failure),
             samples: 0,

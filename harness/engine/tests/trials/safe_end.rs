@@ -1,7 +1,7 @@
-use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, packets, plan};
+use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, new_link, packets, plan};
 use platebench_engine::{RunError, RunHooks, run};
 use platebench_model::record::{RunFolder, RunRecord};
-use platebench_rig::{BoxedLink, HostedLink, Link, LinkError, RealTimeLine, WallClockLink};
+use platebench_rig::{BoxedLink, Link, LinkError, RealTimeLine};
 use platebench_test_kit::load_scenario;
 use platebench_wire::{ControllerState, Message};
 use std::sync::{Arc, Mutex};
@@ -110,6 +110,10 @@ impl Link for FailingLink {
 }
 
 impl RealTimeLine for FailingLink {
+    fn now(&mut self) -> Instant {
+        self.inner.real_time_line().unwrap().now()
+    }
+
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         self.samples += u32::from(has_sample(bytes));
         if self.should_fail(InjectedFailure::PanicOnSend) || self.should_fail(InjectedFailure::PanicPermanently) {
@@ -141,12 +145,11 @@ fn run_with_failure(failure: InjectedFailure) -> (Result<RunRecord, RunError>, R
     let lockstep = matches!(failure, InjectedFailure::PanicOnExchange | InjectedFailure::LostOnExchange);
     let mut scenario = load_scenario(FIG13);
     scenario.trials.count = 1;
-    let plan = plan(vec![scenario], if lockstep { LOCKSTEP } else { REAL_TIME });
+    let clock = if lockstep { LOCKSTEP } else { REAL_TIME };
+    let plan = plan(vec![scenario], clock);
     let log = EventLog::default();
     let connect = || {
-        let inner: BoxedLink =
-            if lockstep { Box::new(HostedLink::new()) } else { Box::new(WallClockLink::new(HostedLink::new())) };
-        let link = FailingLink { inner, failure, samples: 0, failed: false, log: Arc::clone(&log) };
+        let link = FailingLink { inner: new_link(clock), failure, samples: 0, failed: false, log: Arc::clone(&log) };
         Ok(Box::new(link) as BoxedLink)
     };
     let result = run(&plan, &run_folder, &connect, RunHooks::default());

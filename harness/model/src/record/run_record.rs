@@ -313,7 +313,7 @@ pub struct Tool {
     /// Cargo profile.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub profile: Option<String>,
-    /// Cargo features that are not on by default.
+    /// Cargo features of the build.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub features: Vec<String>,
 }

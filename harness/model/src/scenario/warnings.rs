@@ -7,6 +7,33 @@ use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::window::{ChangingProfile, ProfileChanges, Window};
 use platebench_plate::{Profile, Time};
 
+/// Returns the warnings of scenarios, each once. If the file has a `[matrix]`, the message names the
+/// cases.
+pub fn scenario_warnings(scenarios: &[Scenario]) -> Vec<Diagnostic> {
+    let mut warnings: Vec<(Diagnostic, Vec<&str>)> = Vec::new();
+    for scenario in scenarios {
+        let found = [plate_warnings(scenario), changes_after_the_end(scenario), unjudged_changes(scenario)];
+        for warning in found.into_iter().flatten().chain(unreachable_setpoint(scenario)) {
+            let case = scenario.case.as_deref();
+            match warnings.iter_mut().find(|(known, _)| *known == warning) {
+                Some((_, cases)) => cases.extend(case),
+                None => warnings.push((warning, case.into_iter().collect())),
+            }
+        }
+    }
+    let with_cases = |(mut warning, cases): (Diagnostic, Vec<&str>)| {
+        let list = cases.iter().take(MAX_LISTED).copied().collect::<Vec<_>>().join(", ");
+        let suffix = match cases.len() {
+            0 => String::new(),
+            1 => format!(" (case {list})"),
+            count => format!(" ({count} cases: {list}{})", and_more(count)),
+        };
+        warning.message.push_str(&suffix);
+        warning
+    };
+    warnings.into_iter().map(with_cases).collect()
+}
+
 /// Warns of implausible values of the plate, and of a force that changes nothing.
 pub fn plate_warnings(scenario: &Scenario) -> Vec<Diagnostic> {
     let at = |key: &'static str| move |value: platebench_plate::ImplausibleValue| (key, value);
@@ -25,7 +52,7 @@ pub fn plate_warnings(scenario: &Scenario) -> Vec<Diagnostic> {
 
 /// Warns of a setpoint that needs more than the amplifier's limit at resonance, without a finger:
 /// W/K1. A scenario that expects a saturated drive is meant so.
-pub fn unreachable_setpoint(scenario: &Scenario) -> Option<Diagnostic> {
+fn unreachable_setpoint(scenario: &Scenario) -> Option<Diagnostic> {
     let (_, highest_um) = scenario.setpoint.range();
     let (needed_vpp, limit_vpp) = (highest_um / scenario.plate.gain, scenario.plate.drive_limit_vpp);
     (needed_vpp > limit_vpp && !scenario.expects(Metric::Saturated)).then(|| {
@@ -39,7 +66,7 @@ pub fn unreachable_setpoint(scenario: &Scenario) -> Option<Diagnostic> {
 }
 
 /// Warns of a profile whose changes are all at or after the end of the trial.
-pub fn changes_after_the_end(scenario: &Scenario) -> Vec<Diagnostic> {
+fn changes_after_the_end(scenario: &Scenario) -> Vec<Diagnostic> {
     let conditions = &scenario.conditions;
     let profiles = [
         ("profile.setpoint_um", &scenario.setpoint),
@@ -60,11 +87,19 @@ pub fn changes_after_the_end(scenario: &Scenario) -> Vec<Diagnostic> {
     profiles.into_iter().filter_map(warning).collect()
 }
 
-/// A message lists this many changes and counts the others.
-const MAX_TIMES: usize = 5;
+/// A message lists this many changes or cases and counts the others.
+const MAX_LISTED: usize = 5;
 
-/// Warns if force or temperature changes outside the windows of all expectations about the plate.
-pub fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
+fn and_more(count: usize) -> String {
+    match count.saturating_sub(MAX_LISTED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    }
+}
+
+/// Warns if force or temperature changes outside the windows of all expectations about the plate. The
+/// comparison with the reference judges each command, so it judges each change.
+fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
     let conditions = &scenario.conditions;
     let changes = ProfileChanges::new(
         &scenario.setpoint,
@@ -83,11 +118,8 @@ pub fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
     ];
     let warning = |(profile, key): (ChangingProfile, &str)| {
         let missed: Vec<&Time> = changes.starts(profile).iter().filter(|time| !is_judged(time)).collect();
-        let times: Vec<String> = missed.iter().take(MAX_TIMES).map(ToString::to_string).collect();
-        let more = match missed.len().saturating_sub(MAX_TIMES) {
-            0 => String::new(),
-            more => format!(" and {more} more"),
-        };
+        let times: Vec<String> = missed.iter().take(MAX_LISTED).map(ToString::to_string).collect();
+        let more = and_more(missed.len());
         (!missed.is_empty()).then(|| {
             let message = format!(
                 "no expectation judges the change of the {} at {}{more}; add `after = \"{0}\"` or `from_ms` to one",
@@ -101,7 +133,9 @@ pub fn unjudged_changes(scenario: &Scenario) -> Vec<Diagnostic> {
 }
 
 fn judged_intervals(scenario: &Scenario) -> Vec<Window> {
-    let plate = scenario.expectations.iter().filter(|expectation| expectation.metric.spec().subject == Subject::Plate);
+    let judges_changes =
+        |metric: Metric| metric.spec().subject == Subject::Plate || metric == Metric::ReferenceDifference;
+    let plate = scenario.expectations.iter().filter(|expectation| judges_changes(expectation.metric));
     let mut windows: Vec<Window> = plate.flat_map(|expectation| expectation.windows.iter().copied()).collect();
     windows.sort_unstable_by_key(|window| window.from);
     let mut union: Vec<Window> = Vec::new();
@@ -194,8 +228,13 @@ mod profile_tests {
         "\"static_error_percent\"",
         "`finger_force_n`: no expectation judges the change of the force at 10 ms, 20 ms;"
     )]
+    #[case::each_command("\"reference_difference_percent\"", "")]
     #[case::not_about_the_plate(
         "\"overruns\"",
+        "`finger_force_n`: no expectation judges the change of the force at 10 ms, 20 ms;"
+    )]
+    #[case::reported_for_the_whole_trial(
+        "\"loop_delay_us\"",
         "`finger_force_n`: no expectation judges the change of the force at 10 ms, 20 ms;"
     )]
     fn warns_of_a_disturbance_outside_all_windows(#[case] expectation: &str, #[case] message: &str) {
@@ -206,5 +245,27 @@ mod profile_tests {
             "" => assert!(messages.is_empty(), "{messages:?}"),
             start => assert!(matches!(messages[..], [only] if only.starts_with(start)), "{messages:?}"),
         }
+    }
+
+    #[test]
+    fn a_warning_of_several_cases_is_one_warning() {
+        let force = "{ hold = [[0.0, 0.0], [10.0, 1.0]] }";
+        let case = |name: &str| Scenario { case: Some(name.to_owned()), ..scenario_with(force, "\"overruns\"") };
+        let messages = |cases: &[Scenario]| -> Vec<String> {
+            scenario_warnings(cases).into_iter().map(|warning| warning.message).collect()
+        };
+        let first = case("a");
+        let of_the_same_file = |name: &str| Scenario { inputs: first.inputs.clone(), ..case(name) };
+        let names = ["b", "c", "d", "e", "f"];
+        let all: Vec<_> = std::iter::once(first.clone()).chain(names.map(of_the_same_file)).collect();
+        let text = "`finger_force_n`: no expectation judges the change of the force at 10 ms; add `after = \"force\"` or \
+                    `from_ms` to one";
+        assert_eq!(messages(&[Scenario { case: None, ..first.clone() }]), [text]);
+        assert_eq!(messages(&all[..1]), [format!("{text} (case a)")]);
+        assert_eq!(messages(&all[..5]), [format!("{text} (5 cases: a, b, c, d, e)")]);
+        assert_eq!(messages(&all), [format!("{text} (6 cases: a, b, c, d, e and 1 more)")]);
+        let judged =
+            Scenario { expectations: scenario_with(force, "\"peak_deviation_percent\"").expectations, ..first };
+        assert_eq!(messages(&[judged, all[1].clone()]), [format!("{text} (case b)")]);
     }
 }

@@ -25,6 +25,8 @@ struct LoggedDevice {
     device: HostedLink,
     log: Log,
     waiting: Vec<u8>,
+    /// Time of the simulated clock. Only a wait without an answer advances it.
+    now: Instant,
 }
 
 impl Link for LoggedDevice {
@@ -44,6 +46,10 @@ impl Link for LoggedDevice {
 }
 
 impl RealTimeLine for LoggedDevice {
+    fn now(&mut self) -> Instant {
+        self.now
+    }
+
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         let mut waiting = std::mem::take(&mut self.waiting);
         self.exchange(Duration::ZERO, bytes, &mut waiting)?;
@@ -53,12 +59,12 @@ impl RealTimeLine for LoggedDevice {
 
     fn receive(&mut self, until: Instant, bytes: &mut Vec<u8>) -> Result<Option<Instant>, LinkError> {
         if self.waiting.is_empty() {
-            std::thread::sleep(until.saturating_duration_since(Instant::now()));
+            self.now = until.max(self.now + us(1));
             return Ok(None);
         }
         let piece = self.waiting.len().min(7);
         bytes.extend(self.waiting.drain(..piece));
-        Ok(Some(Instant::now()))
+        Ok(Some(self.now))
     }
 }
 
@@ -85,7 +91,7 @@ struct Fixture {
 
 fn trial_with(faults: &[WireFault]) -> Fixture {
     let log = Log::default();
-    let device = LoggedDevice { device: HostedLink::new(), log: log.clone(), waiting: Vec::new() };
+    let device = LoggedDevice { device: HostedLink::new(), log: log.clone(), waiting: Vec::new(), now: Instant::now() };
     let mut session = Session::open(FaultInjector::new(device)).unwrap();
     session.link_mut().set_faults(faults);
     session.start_trial(&CONFIGURE).unwrap();
@@ -374,12 +380,9 @@ fn loses_messages_beyond_the_capacity() {
 
 fn real_time_trial_with(faults: &[WireFault]) -> Fixture {
     let mut fixture = trial_with(faults);
-    fixture.session.link_mut().start_real_time(Instant::now(), 10.0);
+    let start = fixture.session.line_time();
+    fixture.session.link_mut().start_real_time(start, 10.0);
     fixture
-}
-
-fn receive_deadline() -> Instant {
-    Instant::now() + Duration::from_secs(20)
 }
 
 #[test]
@@ -388,13 +391,13 @@ fn delivers_when_due_in_real_time() {
     for delay in [from, WireFault { direction: Direction::ToController, ..from }] {
         let mut fixture = real_time_trial_with(&[delay]);
         let line = fixture.session.link_mut().real_time_line().unwrap();
-        let sent = Instant::now();
+        let sent = line.now();
         line.send(&frame(3, 1.0)).unwrap();
         let mut bytes = Vec::new();
         assert_eq!(line.receive(sent, &mut bytes).unwrap(), None);
-        let at = line.receive(receive_deadline(), &mut bytes).unwrap().unwrap();
+        let at = line.receive(sent + ms(20_000), &mut bytes).unwrap().unwrap();
         // 200 ms of the trial are 20 ms of wall time.
-        assert!(at >= sent + ms(20) && Instant::now() >= at, "{:?}", at - sent);
+        assert_eq!((at, line.now()), (sent + ms(20), sent + ms(20)));
         assert!(matches!(decode_first_packet(&bytes), Some(Packet { sequence: 3, message: Message::Command(_) })));
         assert_eq!(fixture.delivered().len(), 1);
     }
@@ -406,7 +409,8 @@ fn waits_no_longer_than_the_deadline_in_real_time() {
     let line = fixture.session.link_mut().real_time_line().unwrap();
     line.send(&frame(3, 1.0)).unwrap();
     let mut bytes = Vec::new();
-    assert_eq!(line.receive(Instant::now() + ms(5), &mut bytes).unwrap(), None);
+    let deadline = line.now() + ms(5);
+    assert_eq!((line.receive(deadline, &mut bytes).unwrap(), line.now()), (None, deadline));
     assert_eq!((bytes.len(), fixture.counts()), (0, vec![("drop", 1)]));
 }
 
@@ -419,7 +423,8 @@ fn passes_other_messages_at_once_in_real_time() {
     line.send(safe.as_bytes()).unwrap();
     let mut bytes = Vec::new();
     while decode_first_packet(&bytes).is_none() {
-        assert!(line.receive(receive_deadline(), &mut bytes).unwrap().is_some());
+        let deadline = line.now() + ms(20_000);
+        assert!(line.receive(deadline, &mut bytes).unwrap().is_some());
     }
     let Message::Command(command) = decode_first_packet(&bytes).unwrap().message else { panic!("{bytes:?}") };
     assert_eq!((command.state, command.drive_vpp), (ControllerState::Safe, 0.0));
