@@ -10,9 +10,9 @@
 pub use platebench_plate::input::{open_regular_file, read_regular_file, read_text_file};
 use rustix::fs::{AtFlags, Dir, FileType, Mode, OFlags, RenameFlags};
 use rustix::io::Errno;
-use rustix::rand::{GetRandomFlags, getrandom};
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
+use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::io::{self, ErrorKind, Write};
 use std::os::unix::ffi::OsStrExt as _;
 use std::path::{Component, Path, PathBuf};
@@ -107,9 +107,9 @@ impl OutputFolder {
     pub fn create_file(&self, relative: impl AsRef<Path>) -> Result<OutputFile, FileError> {
         let (folder, name) = self.parent(relative.as_ref(), true)?;
         let (temporary, file) = loop {
-            let mut random = [0; RANDOM_DIGITS / 2];
-            getrandom(&mut random, GetRandomFlags::empty()).at(&folder.path)?;
-            let temporary = format!(".{:016x}{TEMPORARY_SUFFIX}", u64::from_ne_bytes(random));
+            // The keys of this hash come from the operating system's random numbers.
+            let random = RandomState::new().build_hasher().finish();
+            let temporary = format!(".{random:016x}{TEMPORARY_SUFFIX}");
             match rustix::fs::openat(&folder.handle, &temporary, NEW_FILE, FILE_MODE) {
                 Err(Errno::EXIST) => {}
                 file => break (temporary, file.at(&folder.path.join(&name))?),
@@ -312,17 +312,23 @@ impl Drop for Place {
 }
 
 impl OutputFile {
+    /// Creates the file at `path`, directly in a folder that the user names. Its folder must exist. A
+    /// link in the place of the file is replaced by the file.
+    pub fn create(path: &Path) -> Result<Self, FileError> {
+        let (folder, name) = folder_and_name(path);
+        OutputFolder::open(folder).and_then(|folder| folder.create_file(name)).map_err(|error| {
+            // The error names the file, also if its folder is missing.
+            FileError { path: path.to_owned(), ..error }
+        })
+    }
+
     /// Creates an output that the user names on the command line. Its folder must exist. A symbolic
     /// link stays, and its target is replaced. An existing pipe or device is written directly.
     pub fn named_by_user(path: &Path) -> Result<Self, FileError> {
         if fs::metadata(path).is_ok_and(|metadata| !metadata.is_file()) {
             return Ok(Self { file: File::options().write(true).open(path).at(path)?, place: None });
         }
-        let target = target_of_link(path);
-        let parent = target.parent().unwrap_or(Path::new(""));
-        let file = target.file_name().ok_or(io::Error::from(ErrorKind::IsADirectory));
-        let file = file.at(path).and_then(|name| OutputFolder::open(parent)?.create_file(name));
-        file.map_err(|error| FileError { path: path.to_owned(), ..error })
+        Self::create(&target_of_link(path)).map_err(|error| FileError { path: path.to_owned(), ..error })
     }
 
     pub fn file(&self) -> &File {
@@ -370,6 +376,11 @@ impl OutputFile {
         self.commit()
     }
 
+    /// Path of the content before the commit; empty for a pipe or a device.
+    pub fn temporary_path(&self) -> PathBuf {
+        self.place.as_ref().map(|place| place.folder.path.join(&place.temporary)).unwrap_or_default()
+    }
+
     fn path(&self) -> PathBuf {
         self.place.as_ref().map(|place| place.folder.path.join(&place.name)).unwrap_or_default()
     }
@@ -401,34 +412,25 @@ pub const MAX_IMAGE_BYTES: u64 = 256 << 20;
 /// Largest table of telemetry: about an hour at 1 kHz with twenty columns.
 pub const MAX_TABLE_BYTES: u64 = 1 << 30;
 
-// TRANSITION: removed when every caller uses `OutputFolder`.
-pub type AtomicFile = OutputFile;
-
-impl OutputFile {
-    pub fn create(path: &Path) -> io::Result<Self> {
-        Self::named_by_user(path).map_err(|error| error.source)
-    }
-}
-
+/// Replaces the file at `path`, directly in a folder that the user names: a link in the place of the
+/// file is replaced by the file. Files in a folder below need an [`OutputFolder`].
 pub fn write_atomically(path: &Path, content: &[u8]) -> io::Result<()> {
-    write_named_by_user(path, content).map_err(|error| error.source)
+    OutputFile::create(path).and_then(|file| file.write_and_commit(content)).map_err(|error| error.source)
 }
 
+/// Like [`OutputFolder::write_new`], for a file that the user names.
 pub fn write_new(path: &Path, content: &[u8]) -> io::Result<()> {
-    let folder = OutputFolder::open(path.parent().unwrap_or(Path::new(""))).map_err(|error| error.source)?;
-    folder.write_new(path.file_name().unwrap_or_default(), content).map_err(|error| error.source)
+    let (folder, name) = folder_and_name(path);
+    OutputFolder::open(folder).and_then(|folder| folder.write_new(name, content)).map_err(|error| error.source)
 }
 
+/// Like [`OutputFolder::create`].
 pub fn create_folder(path: &Path) -> io::Result<()> {
     OutputFolder::create(path).map(drop).map_err(|error| error.source)
 }
 
-pub fn sync_tree(folder: &Path) -> Result<(), FileError> {
-    OutputFolder::open(folder)?.sync_tree()
-}
-
-pub fn remove_temporary_files(folder: &Path) -> Result<(), FileError> {
-    OutputFolder::open(folder)?.remove_temporary_files()
+fn folder_and_name(path: &Path) -> (&Path, &OsStr) {
+    (path.parent().unwrap_or(Path::new("")), path.file_name().unwrap_or_default())
 }
 
 #[cfg(test)]

@@ -1,5 +1,7 @@
 //! Defines scenarios, traces, recordings and the record of a run, and reads and writes their files.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 pub mod external_csv;
 mod files;
 pub mod metrics;
@@ -83,9 +85,8 @@ pub mod trace {
     mod trace_file;
 
     pub use crate::files::{
-        AtPath, AtomicFile, FileError, MAX_IMAGE_BYTES, MAX_TABLE_BYTES, OutputFile, OutputFolder, create_folder,
-        open_regular_file, read_regular_file, read_text_file, remove_temporary_files, sync_tree, write_atomically,
-        write_named_by_user, write_new,
+        AtPath, FileError, MAX_IMAGE_BYTES, MAX_TABLE_BYTES, OutputFile, OutputFolder, create_folder,
+        open_regular_file, read_regular_file, read_text_file, write_atomically, write_named_by_user, write_new,
     };
     pub use trace_file::{
         COLUMNS, Column, Flags, OPTIONAL_COLUMNS, Row, TraceError, TraceReader, TraceWriter, read_trace,

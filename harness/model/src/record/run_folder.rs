@@ -1,5 +1,7 @@
 //! Creates, locks, reads and writes run folders.
 
+#![cfg_attr(not(test), expect(clippy::disallowed_methods, reason = "not yet converted to OutputFolder"))]
+
 use crate::record::reason::ExpectationRecord;
 use crate::record::run_record::RigRecord;
 use crate::record::run_record::{FORMAT, InputRecord, RunRecord};

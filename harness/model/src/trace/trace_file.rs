@@ -192,18 +192,20 @@ impl Cell {
 impl TraceWriter {
     /// Creates the trace at `path`. Its folder must exist. Replaces a link at `path`.
     pub fn create(path: &Path) -> Result<Self, TraceError> {
-        let folder = OutputFolder::open(path.parent().unwrap_or(Path::new("")))?;
-        Self::create_in(&folder, path.file_name().unwrap_or_default())
+        Ok(Self::new(OutputFile::create(path)?, path.to_owned()))
     }
 
     pub fn create_in(folder: &OutputFolder, relative: impl AsRef<Path>) -> Result<Self, TraceError> {
         let path = folder.path().join(&relative);
-        let file = folder.create_file(relative)?;
+        Ok(Self::new(folder.create_file(relative)?, path))
+    }
+
+    fn new(file: OutputFile, path: PathBuf) -> Self {
         let mut buffer = Vec::with_capacity(BUFFER_BYTES + MAX_ROW_BYTES);
         buffer.extend_from_slice(COLUMNS.join(",").as_bytes());
         buffer.push(b'\n');
         let cells = std::array::from_fn(|_| Cell::new());
-        Ok(Self { file, hash: Sha256::new(), buffer, cells, path })
+        Self { file, hash: Sha256::new(), buffer, cells, path }
     }
 
     pub fn write(&mut self, row: &Row) -> Result<(), TraceError> {

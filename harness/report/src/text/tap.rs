@@ -2,10 +2,11 @@
 //! subtests. Inconclusive is `not ok`, because readers count `SKIP` and `TODO` as passed. `SKIP`
 //! marks scenarios and expectations that are not applicable.
 
-use crate::error::{ReportError, write_file};
+use crate::error::ReportError;
 use crate::escape::tap_description;
 use crate::{format, record_queries};
 use platebench_model::record::{ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
+use platebench_model::trace::write_named_by_user;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -17,7 +18,7 @@ pub enum TapVersion {
 }
 
 pub fn write(record: &RunRecord, version: TapVersion, path: &Path) -> Result<(), ReportError> {
-    write_file(path, &text(record, version))
+    Ok(write_named_by_user(path, text(record, version))?)
 }
 
 pub fn text(record: &RunRecord, version: TapVersion) -> String {
