@@ -1,6 +1,8 @@
 //! Draws charts of cost and error of methods, models and laws, as page blocks and files. Running
 //! scenarios does not need this crate.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 pub mod ladder;
 pub mod laws;
 mod measured_run;

@@ -1,11 +1,14 @@
 //! `cargo charts`: measures speed against accuracy and writes one page of charts.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 use clap::Parser;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use platebench_charts::{ChartError, ladder, laws, load_law_scenarios, precision, scenes};
 use platebench_engine::RunError;
 use platebench_model::scenario::{Diagnostic, Scenario, find};
+use platebench_model::trace::create_folder;
 use platebench_report::Style;
 use platebench_report::page::write_chart_page;
 use platebench_report::text::printable_lines;
@@ -128,7 +131,7 @@ fn draw(arguments: &Arguments) -> Result<(), Failure> {
         is_selected(ChartKind::Laws).then(|| load_law_scenarios(&arguments.scenes, arguments.quick)).transpose()?;
     let now = || Timestamp::now().to_zoned(TimeZone::UTC).strftime("%Y%m%dT%H%M%SZ").to_string();
     let folder = arguments.out.clone().unwrap_or_else(|| Path::new("charts").join(now()));
-    std::fs::create_dir_all(&folder)
+    create_folder(&folder)
         .map_err(|error| Failure::new(Failure::INVALID, &format!("{}: {error}", folder.display())))?;
     let rounds = if arguments.quick { 1 } else { COST_ROUNDS };
     let mut sections = Vec::new();

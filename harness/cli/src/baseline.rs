@@ -10,7 +10,8 @@ use platebench_engine::comparison::{
 };
 use platebench_engine::rejudge;
 use platebench_model::quoted;
-use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
+use platebench_model::record::{FileLock, RunRecord, ScenarioRecord, Verdict};
+use platebench_model::trace::create_folder;
 use platebench_report::comparison::{comparison_blocks, tube_plot_document};
 use platebench_report::document::Document;
 use platebench_report::format::count;
@@ -88,6 +89,8 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
     if record.scenarios.is_empty() {
         return Err(Failure::new(Exit::NothingToRun, &"the run contains no scenario, so there is nothing to review"));
     }
+    // One process at a time writes the folder, so that its files are of one run.
+    let _lock = (action != Action::Show).then(|| lock_baselines(baselines)).transpose()?;
     let (mut invalid, mut verdicts, mut compared) = (false, Vec::new(), false);
     for scenario in &record.scenarios {
         let trials = read_scenario_trials(run, scenario);
@@ -135,6 +138,15 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
         exit.show_verdict(&count_verdicts(&verdicts, words), OutputFormat::Human);
     }
     Ok(exit)
+}
+
+fn lock_baselines(folder: &Path) -> Result<FileLock, Failure> {
+    create_folder(folder).or_invalid_at(folder)?;
+    let in_use = || {
+        let folder = folder.display();
+        Failure::invalid(&format!("{folder} is in use by another `platebench baseline`; try again when it has ended"))
+    };
+    FileLock::exclusive(folder).or_invalid()?.ok_or_else(in_use)
 }
 
 /// `words` follow the numbers of passed, failed and inconclusive scenarios.

@@ -9,10 +9,9 @@ use platebench_engine::comparison::{
     BASELINE_KEYWORD, CompareError, Reference, ScenarioTrials, StoredTrial, is_run_folder, read_trials,
 };
 use platebench_model::record::{RunRecord, Verdict};
-use platebench_model::trace::{AtPath, write_atomically};
+use platebench_model::trace::OutputFolder;
 use platebench_report::comparison::{ScenarioComparison, comparison_document};
 use platebench_verdict::golden::TubeComparison;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
@@ -90,17 +89,18 @@ fn nothing_compared(arguments: &CompareArgs, reason: &str) -> Failure {
 
 fn compare_all(arguments: &CompareArgs) -> Result<Vec<ScenarioComparison>, CompareError> {
     let subject = read_trials(&arguments.subject)?;
-    let drawings = arguments
-        .draw
-        .clone()
-        .or_else(|| is_run_folder(&arguments.subject).then(|| arguments.subject.join(DRAWINGS_FOLDER)));
+    // The user names the first folder. A link in the place of the second is not followed.
+    let drawings = match &arguments.draw {
+        Some(folder) => Some((&**folder, "")),
+        None => is_run_folder(&arguments.subject).then_some((&*arguments.subject, DRAWINGS_FOLDER)),
+    };
     note_missing(arguments, &subject)?;
     let mut comparisons = Vec::new();
     for scenario in subject {
         let reference = Reference::find(&arguments.subject, &arguments.reference, &arguments.baselines, &scenario)?;
         let comparison = reference.compare(&scenario)?;
-        let drawing = match &drawings {
-            Some(folder) => draw_worst(&reference, &scenario, &comparison, folder)?,
+        let drawing = match drawings {
+            Some(folders) => draw_worst(&reference, &scenario, &comparison, folders)?,
             None => None,
         };
         comparisons.push(ScenarioComparison { scenario: scenario.name, comparison, drawing });
@@ -129,7 +129,7 @@ fn draw_worst(
     reference: &Reference,
     scenario: &ScenarioTrials,
     comparison: &TubeComparison,
-    folder: &Path,
+    (folder, below): (&Path, &str),
 ) -> Result<Option<PathBuf>, CompareError> {
     let Some((trial, worst)) = &comparison.worst else { return Ok(None) };
     let golden = reference.tubes_for(*trial)?;
@@ -144,9 +144,7 @@ fn draw_worst(
     } else {
         PathBuf::from(&scenario.name)
     };
-    let path = folder.join(name).with_extension("svg");
-    let written =
-        path.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| write_atomically(&path, svg.as_bytes()));
-    written.at(&path)?;
-    Ok(Some(path))
+    let name = Path::new(below).join(name).with_extension("svg");
+    OutputFolder::create(folder)?.write(&name, svg)?;
+    Ok(Some(folder.join(name)))
 }

@@ -18,13 +18,14 @@ use platebench_lab::acceptance::plan::plan_schema;
 use platebench_lab::boards::{BoardStatus, RawInventory, SoakRecord};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::schema;
-use platebench_model::trace::{create_folder, write_atomically};
+use platebench_model::trace::OutputFolder;
 use platebench_report::comparison::ScenarioComparison;
 use platebench_report::events::EventLine;
 use platebench_report::scenario_list::ScenarioList;
 use platebench_rig::RIGS;
 use platebench_verdict::replay::ReplayResult;
 use serde_json::json;
+use std::fs::{self, File};
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -187,10 +188,9 @@ fn write_schemas(arguments: &SchemaArgs) -> CommandResult {
         stdio::show(&arguments.kind.to_text().or_invalid()?);
         return Ok(Exit::Passed);
     };
-    create_folder(folder).or_invalid_at(folder)?;
+    let folder = OutputFolder::create(folder).or_invalid()?;
     for kind in SchemaKind::value_variants() {
-        let path = folder.join(kind.file_name());
-        write_atomically(&path, kind.to_text().or_invalid()?.as_bytes()).or_invalid_at(&path)?;
+        folder.write(kind.file_name(), kind.to_text().or_invalid()?).or_invalid()?;
     }
     Ok(Exit::Passed)
 }
@@ -239,8 +239,14 @@ struct ManArgs {
 
 fn write_manual(arguments: &ManArgs, definition: Command) -> CommandResult {
     if let Some(folder) = &arguments.out {
-        create_folder(folder).or_invalid_at(folder)?;
-        clap_mangen::generate_to(definition, folder).or_invalid_at(folder)?;
+        let output = OutputFolder::create(folder).or_invalid()?;
+        // The library writes through links, so it gets an empty folder.
+        let pages = tempfile::tempdir().or_invalid()?;
+        clap_mangen::generate_to(definition, &pages).or_invalid_at(folder)?;
+        for page in fs::read_dir(&pages).or_invalid()? {
+            let page = page.or_invalid()?;
+            output.copy(&mut File::open(page.path()).or_invalid()?, page.file_name()).or_invalid()?;
+        }
     } else {
         let mut page = Vec::new();
         clap_mangen::Man::new(definition).render(&mut page).or_invalid()?;
@@ -252,7 +258,6 @@ fn write_manual(arguments: &ManArgs, definition: Command) -> CommandResult {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::fs;
     use std::path::Path;
 
     const FOLDER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenarios");

@@ -1,6 +1,7 @@
 //! Defines the command line: arguments, wiring and exit codes. Other crates decide and measure.
 //! This is a library so that the tests of the whole bench can build the same program.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 #![cfg_attr(
     not(all(feature = "analysis", feature = "emulated", feature = "export", feature = "live")),
     allow(dead_code, unused_imports)

@@ -6,10 +6,10 @@ use crate::options::law_names;
 use crate::stdio;
 use clap::Args;
 use platebench_model::quoted_path;
-use platebench_model::trace::write_new;
+use platebench_model::trace::{create_folder, write_new};
 use platebench_wire::LawId;
+use std::io;
 use std::path::{Path, PathBuf};
-use std::{fs, io};
 
 const PLATE: &str = include_str!("../../../scenarios/plates/aluminium-198x138.toml");
 const PLATE_FILE: &str = "plates/aluminium-198x138.toml";
@@ -57,7 +57,7 @@ fn write_files(folder: &Path, name: &str, law: &str) -> Result<Vec<PathBuf>, Fai
     let home = path.parent().unwrap_or(Path::new("")).to_owned();
     let title = path.file_stem().unwrap_or_default().to_string_lossy().replace(['-', '_'], " ");
     // The search below uses paths with `..`, which need an existing folder.
-    fs::create_dir_all(if home.as_os_str().is_empty() { Path::new(".") } else { &home }).or_invalid_at(&home)?;
+    create_folder(&home).or_invalid_at(&home)?;
     let ups = (0..MAX_SEARCHED_FOLDERS).map(|count| "../".repeat(count));
     let up = ups.clone().find(|up| home.join(up).join(PLATE_FILE).is_file());
     let root = up.clone().unwrap_or_default();
@@ -103,8 +103,8 @@ fn scenario_path(folder: &Path, name: &str) -> Result<PathBuf, Failure> {
 }
 
 fn write_new_file(path: PathBuf, text: &str) -> Result<PathBuf, Failure> {
-    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        fs::create_dir_all(folder).or_invalid_at(&path)?;
+    if let Some(folder) = path.parent() {
+        create_folder(folder).or_invalid_at(&path)?;
     }
     match write_new(&path, text.as_bytes()) {
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {

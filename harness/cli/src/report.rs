@@ -219,8 +219,8 @@ fn export(run: &Path, arguments: &ReportArgs, format: ExportFormatArg) -> Comman
         ExportFormatArg::Csv => ExportFormat::Csv,
         ExportFormatArg::Mcap => ExportFormat::Mcap,
     };
-    let out = arguments.out.clone().unwrap_or_else(|| run.join("export"));
-    let exported = platebench_report::export::export(&record, run, &arguments.scenarios, format, &out)?;
+    let out = arguments.out.as_deref();
+    let exported = platebench_report::export::export(&record, run, &arguments.scenarios, format, out)?;
     for file in exported.files {
         stdio::show(&format!("{}\n", quoted_path(&file)));
     }

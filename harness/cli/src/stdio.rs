@@ -5,7 +5,7 @@ use crate::options::OutputFormat;
 use clap::{Args, ColorChoice, ValueEnum};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::Diagnostic;
-use platebench_model::trace::write_atomically;
+use platebench_model::trace::write_named_by_user;
 use platebench_plate::input::STANDARD_STREAM;
 use platebench_report::document::Document;
 use platebench_report::text::{printable, printable_lines};
@@ -84,7 +84,7 @@ pub(crate) fn write_output(path: &Path, text: &str) -> io::Result<()> {
         show(text);
         return Ok(());
     }
-    write_atomically(path, text.as_bytes())
+    write_named_by_user(path, text).map_err(|error| error.source)
 }
 
 /// Parses the path of a file that is written and cannot be standard output.

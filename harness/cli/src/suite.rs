@@ -14,12 +14,13 @@ use platebench_experiments::explore::kill_rate::{KillRateConfig, KillRateReport,
 use platebench_experiments::trust::report::{document, matrix};
 use platebench_experiments::trust::{TrustConfig, TrustReport, catalogue, clean_variants, measure, protocol_faults};
 use platebench_model::record::Verdict;
-use platebench_model::trace::{create_folder, write_atomically};
+use platebench_model::trace::{AtPath, FileError, OutputFolder};
 use platebench_report::Detail;
 use platebench_report::format::count;
 use platebench_rig::CancelToken;
+use serde::Serialize;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -121,7 +122,8 @@ fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
     });
     let exploration = exploration.map(|config| kill_rate(&config, &CancelToken::never())).transpose().or_invalid()?;
     if let Some(folder) = &arguments.out {
-        write_report(&report, exploration.as_ref(), folder).or_invalid_at(folder)?;
+        let folder = OutputFolder::create(folder).or_invalid()?;
+        write_report(&report, exploration.as_ref(), &folder).or_invalid()?;
     }
     let mut document = document(&report);
     document.blocks.extend(exploration.as_ref().map(|exploration| exploration.block(&report)));
@@ -140,12 +142,18 @@ fn trust(arguments: &TrustArgs, detail: Detail) -> CommandResult {
     Ok(exit)
 }
 
-fn write_report(report: &TrustReport, exploration: Option<&KillRateReport>, folder: &Path) -> io::Result<()> {
-    create_folder(folder)?;
+fn write_report(
+    report: &TrustReport,
+    exploration: Option<&KillRateReport>,
+    folder: &OutputFolder,
+) -> Result<(), FileError> {
     if let Some(exploration) = exploration {
-        let text = serde_json::to_string_pretty(exploration)?;
-        write_atomically(&folder.join("exploration.json"), text.as_bytes())?;
+        folder.write("exploration.json", json(exploration, folder)?)?;
     }
-    write_atomically(&folder.join("trust.json"), serde_json::to_string_pretty(report)?.as_bytes())?;
-    write_atomically(&folder.join("matrix.md"), matrix(report).as_bytes())
+    folder.write("trust.json", json(report, folder)?)?;
+    folder.write("matrix.md", matrix(report))
+}
+
+fn json(report: &impl Serialize, folder: &OutputFolder) -> Result<String, FileError> {
+    serde_json::to_string_pretty(report).map_err(io::Error::from).at(folder.path())
 }

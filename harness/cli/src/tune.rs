@@ -16,6 +16,7 @@ use platebench_design::tuning::{
 };
 use platebench_model::scenario::load::{implausible_values, load_plate, require_no_effects};
 use platebench_model::scenario::{Diagnostic, load, read_text};
+use platebench_model::trace::OutputFile;
 use platebench_plate::{Model, Plate, Time, Uncertainty};
 use platebench_rig::RigSpec;
 use platebench_wire::{Gains, LawId};
@@ -24,7 +25,6 @@ use serde::Serialize;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use tempfile::NamedTempFile;
 use toml_edit::{DocumentMut, Item, Table, TableLike, Value};
 use verify::{RigVerification, VerificationConfig, verify_on_rig};
 
@@ -418,20 +418,18 @@ fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) -> Result<S
     let keys = ["amplitude_kp", "amplitude_ki", "frequency_kp", "frequency_ki"];
     let pairs = keys.into_iter().zip(wanted.map(shortest_decimal));
     set_gains(&mut document, pairs).ok_or_else(|| refuse("`controller` is not a table".to_owned()))?;
-    // A new file in the same folder keeps relative paths valid and allows an atomic rename.
-    let folder = file.parent().unwrap_or_else(|| Path::new("."));
-    let mut edited_file = NamedTempFile::new_in(folder).map_err(cannot_write)?;
+    // The temporary file is in the same folder, which keeps relative paths valid.
+    let mut edited_file = OutputFile::create(&file).map_err(|error| cannot_write(error.source))?;
     edited_file.write_all(document.to_string().as_bytes()).map_err(cannot_write)?;
     let permissions = fs::metadata(&file).map_err(cannot_write)?.permissions();
-    edited_file.as_file().set_permissions(permissions).map_err(cannot_write)?;
-    edited_file.as_file().sync_all().map_err(cannot_write)?;
-    let edited = load(edited_file.path(), &name).map_err(|fault| {
+    edited_file.file().set_permissions(permissions).map_err(cannot_write)?;
+    let edited = load(&edited_file.temporary_path(), &name).map_err(|fault| {
         refuse(format!("the edited file is not a valid scenario, so nothing was written: {}", fault.message))
     })?;
     if !has_gains(&edited) {
         return Err(refuse("the edited file does not have the gains, so nothing was written".to_owned()));
     }
-    edited_file.persist(&file).map_err(|error| cannot_write(error.error))?;
+    edited_file.commit().map_err(|error| cannot_write(error.source))?;
     Ok(format!("{name}: gains written into [controller.gains]"))
 }
 

@@ -1,5 +1,7 @@
 //! Identifies plate parameters, analyses control loops and their stability, and tunes gains.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 pub mod identified_plate;
 pub mod identify;
 pub mod law_loops;

@@ -1,5 +1,7 @@
 //! Plays scenarios in lockstep, in real time or on a real plate, and stores the results.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 pub mod comparison;
 mod controller_log;
 pub mod delay_boundary;

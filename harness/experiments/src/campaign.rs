@@ -32,9 +32,8 @@ use bench_error::errors_in_cell;
 use confirm::Agreement;
 use part::PartReader;
 use platebench_model::record::FileLock;
-use platebench_model::trace::{AtPath, write_atomically};
+use platebench_model::trace::{AtPath, OutputFolder};
 use results::ResultsWriter;
-use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use summary::{COUNTEREXAMPLES, SUMMARY_FILE};
 use worst_run::write_scenarios;
@@ -79,11 +78,11 @@ pub fn merge<'a>(
         })?;
     }
     results.commit()?;
-    let path = folder.join(SUMMARY_FILE);
     let text = serde_json::to_string_pretty(&summary.result()).unwrap_or_default();
-    write_atomically(&path, format!("{text}\n").as_bytes()).at(&path)?;
+    let output = OutputFolder::open(folder)?;
+    output.write(SUMMARY_FILE, format!("{text}\n"))?;
     let failing = summary.failing.iter().map(|row| row.trial_in(campaign)).collect::<Result<Vec<_>, _>>()?;
-    write_scenarios(&folder.join(COUNTEREXAMPLES), campaign, &failing)?;
+    write_scenarios(&output, COUNTEREXAMPLES, campaign, &failing)?;
     Ok(summary)
 }
 
@@ -121,6 +120,7 @@ pub fn lock_folder(folder: &Path) -> Result<FileLock, CampaignError> {
 /// Reservation of one shard. Other shards of the folder can be played at the same time.
 #[derive(Debug)]
 pub struct ShardLock {
+    parts: OutputFolder,
     path: PathBuf,
     _shard: FileLock,
     _folder: FileLock,
@@ -135,19 +135,17 @@ impl ShardLock {
         let in_use = || CampaignError::InUse(folder.to_owned());
         let shared = FileLock::shared(folder)?.ok_or_else(in_use)?;
         let path = plan.part_path(folder, shard).with_extension("lock");
-        if let Some(parts) = path.parent() {
-            fs::create_dir_all(parts).at(parts)?;
-        }
-        File::options().create(true).append(true).open(&path).at(&path)?;
+        let parts = OutputFolder::open(folder)?.create_folder(plan::PARTS)?;
+        parts.append(path.file_name().unwrap_or_default())?;
         let own = FileLock::exclusive(&path)?;
         let own = own.ok_or_else(|| CampaignError::ShardInUse { folder: folder.to_owned(), shard })?;
-        Ok(Self { path, _shard: own, _folder: shared })
+        Ok(Self { parts, path, _shard: own, _folder: shared })
     }
 
     /// Removes the lock file. The part must be complete: a process that opened the file before it
     /// was removed then plays nothing.
     pub fn remove(self) {
-        let _ = fs::remove_file(&self.path);
+        let _ = self.parts.remove_file(self.path.file_name().unwrap_or_default());
     }
 }
 

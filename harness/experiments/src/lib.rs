@@ -1,6 +1,8 @@
 //! Plays many variants of scenarios, controllers and firmware, and measures what the scenarios
 //! detect.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 #[cfg(feature = "campaign")]
 pub mod campaign;
 pub mod explore;

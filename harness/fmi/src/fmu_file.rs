@@ -3,7 +3,7 @@
 
 use crate::instance::PLATE_FILE;
 use crate::instance::{INPUTS, OUTPUTS, TIME_REFERENCE, input_reference, output_reference};
-use platebench_model::trace::{AtPath as _, AtomicFile, FileError, MAX_IMAGE_BYTES, read_regular_file};
+use platebench_model::trace::{AtPath as _, FileError, MAX_IMAGE_BYTES, OutputFile, read_regular_file};
 use platebench_plate::Plate;
 use std::borrow::Cow;
 use std::f64::consts::TAU;
@@ -68,7 +68,7 @@ pub fn write(plate: &Plate, plate_text: &str, title: &str, library: &[u8], out: 
         return Err(FmuError::FileExists(out.to_owned()));
     }
     let archive = |source| FmuError::Archive { path: out.to_owned(), source };
-    let file = AtomicFile::create(out).at(out)?;
+    let file = OutputFile::named_by_user(out)?;
     let mut zip = ZipWriter::new(file.file());
     let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
     let description = model_description(plate, title);
@@ -83,7 +83,7 @@ pub fn write(plate: &Plate, plate_text: &str, title: &str, library: &[u8], out: 
         zip.write_all(bytes).at(out)?;
     }
     zip.finish().map_err(archive)?;
-    Ok(file.commit().at(out)?)
+    Ok(file.commit()?)
 }
 
 const MODEL_IDENTIFIER: &str = "platebench_fmi";

@@ -5,6 +5,8 @@
 //! `c_interface`. The crate fmi-export is not used, because its fmi-sys needs libclang at build
 //! time.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 mod c_interface;
 mod fmu_file;
 mod instance;

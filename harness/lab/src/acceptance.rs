@@ -40,11 +40,11 @@ use platebench_model::quoted;
 use platebench_model::record::{
     self, Firmware, Host, InputRecord, RunRecord, Tool, Verdict, sha256, sha256_of_file, to_hex, utc_timestamp,
 };
-use platebench_model::trace::{AtPath, create_folder, read_regular_file, remove_temporary_files, sync_tree};
+use platebench_model::trace::{AtPath, OutputFolder, read_regular_file};
 use platebench_report::format::count;
 use platebench_report::{console, traceability};
 use platebench_rig::{BUILT_IN_IMAGE, CancelToken, ConnectOptions, FirmwareImage, RigSpec, Session};
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, TryLockError};
 use std::io;
 use std::path::Path;
 use tracing::info;
@@ -77,7 +77,7 @@ pub fn play_session(config: &SessionConfig, hooks: &mut SessionHooks<'_>) -> Res
 struct SessionRunner<'a> {
     config: &'a SessionConfig,
     record: SessionRecord,
-    _lock: File,
+    output: OutputFolder,
 }
 
 impl<'a> SessionRunner<'a> {
@@ -88,13 +88,12 @@ impl<'a> SessionRunner<'a> {
             return Err(AcceptError::NoSession(folder.clone()));
         }
         let new = new_session_record(config)?;
-        create_folder(folder).at(folder)?;
-        let lock = File::open(folder).at(folder)?;
-        match lock.try_lock() {
+        let output = OutputFolder::create(folder)?;
+        match output.handle().try_lock() {
             Err(TryLockError::WouldBlock) => return Err(AcceptError::InUse(folder.clone())),
             locked => locked.map_err(io::Error::from).at(folder)?,
         }
-        remove_temporary_files(folder)?;
+        output.remove_temporary_files()?;
         let record = if folder.join(FILE).exists() {
             resume(config, &new)?
         } else {
@@ -108,7 +107,7 @@ impl<'a> SessionRunner<'a> {
         if let Some(decision) = &config.plan.decision {
             write_file(folder, BUDGET, &decision.budget.bytes)?;
         }
-        Ok(Self { config, record, _lock: lock })
+        Ok(Self { config, record, output })
     }
 
     fn run_step(
@@ -120,9 +119,10 @@ impl<'a> SessionRunner<'a> {
         let Some(stored) = self.record.steps.get_mut(index) else { return Ok(()) };
         stored.attempts.push(Attempt { started: utc_timestamp(), ended: None, broken_off: None });
         let mut step = stored.clone();
-        let folder = self.config.out.join(STEPS).join(&step.id);
-        if folder.exists() {
-            fs::remove_dir_all(&folder).at(&folder)?;
+        let steps = self.output.create_folder(STEPS)?;
+        let folder = steps.path().join(&step.id);
+        if folder.symlink_metadata().is_ok() {
+            steps.remove_folder(&step.id)?;
         }
         self.record.write(&self.config.out)?;
         hooks.observer.step_started(&step);
@@ -133,7 +133,7 @@ impl<'a> SessionRunner<'a> {
         }
         if result.is_ok() {
             if folder.exists() {
-                sync_tree(&folder)?;
+                steps.open_folder(&step.id)?.sync_tree()?;
             }
             step.done = true;
             hooks.observer.step_ended(&step);
@@ -238,9 +238,8 @@ impl<'a> SessionRunner<'a> {
     fn judge_and_seal(mut self) -> Result<SessionRecord, AcceptError> {
         let folder = &self.config.out;
         for name in [MANIFEST_FILE, SIGNATURE_FILE] {
-            let path = folder.join(name);
-            if path.exists() {
-                fs::remove_file(&path).at(&path)?;
+            if folder.join(name).symlink_metadata().is_ok() {
+                self.output.remove_file(name)?;
             }
         }
         let runs = read_runs(folder, &self.record.steps)?;

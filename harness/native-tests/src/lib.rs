@@ -13,6 +13,8 @@
 //! The program takes the arguments of a Rust test program and of `cargo nextest`. See
 //! `docs/native-tests.md`.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 pub mod suite;
 
 pub use suite::{Suite, SuiteError};

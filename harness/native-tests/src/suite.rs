@@ -5,12 +5,13 @@ use libtest_mimic::{Arguments, Trial};
 use platebench_engine::{Clock, RunError, RunHooks, RunPlan};
 use platebench_model::record::{FolderError, Overrides, RECORD_FILE, RunFolder, RunRecord, Verdict};
 use platebench_model::scenario::{Diagnostic, Scenario, find};
+use platebench_model::trace::{FileError, OutputFolder};
 use platebench_report::document::Style;
 use platebench_report::{ReportError, console, junit, page, traceability};
 use platebench_rig::SpecError;
 use platebench_rig::{ConnectError, ConnectOptions, RigSpec};
 use std::fmt::Write as _;
-use std::fs::{self, Permissions};
+use std::fs::Permissions;
 use std::io;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -146,6 +147,12 @@ pub(crate) enum TestFailure {
     Folder { path: PathBuf, source: io::Error },
 }
 
+impl From<FileError> for TestFailure {
+    fn from(FileError { path, source }: FileError) -> Self {
+        Self::Folder { path, source }
+    }
+}
+
 impl From<FolderError> for TestFailure {
     fn from(error: FolderError) -> Self {
         Self::Run(error.into())
@@ -174,7 +181,7 @@ impl TestContext {
     /// Runs into a temporary folder, which then replaces an earlier run in `folder`.
     fn run_and_replace(&self, plan: &RunPlan, folder: &Path) -> Result<RunRecord, TestFailure> {
         let parent = folder.parent().unwrap_or(&self.out);
-        fs::create_dir_all(parent).map_err(folder_error(parent))?;
+        let (below, name) = (OutputFolder::create(parent)?, folder.file_name().unwrap_or_default());
         let readable = Permissions::from_mode(0o755);
         let new = tempfile::Builder::new().prefix(".running-").permissions(readable).tempdir_in(parent);
         let new = new.map_err(folder_error(parent))?;
@@ -182,9 +189,9 @@ impl TestContext {
         if new.path().join(RECORD_FILE).exists() {
             // A folder without a record is not a run folder and must not be deleted.
             if folder.join(RECORD_FILE).exists() {
-                fs::remove_dir_all(folder).map_err(folder_error(folder))?;
+                below.remove_folder(name)?;
             }
-            fs::rename(new.path(), folder).map_err(folder_error(folder))?;
+            below.rename(new.path().file_name().unwrap_or_default(), name)?;
         }
         result
     }

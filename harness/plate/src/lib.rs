@@ -5,6 +5,8 @@
 //! `docs/mathematics.md` derives the other equations. Amplitudes are in µm and voltages in Vpp,
 //! both peak to peak. Angular frequencies are in rad/s, times in s unless a name has another unit.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 mod crossing;
 mod demodulator;
 mod effect;

@@ -1,5 +1,7 @@
 //! Renders run records and traces. Every number comes from a record or a trace.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 pub mod document;
 mod error;
 mod escape;

@@ -4,6 +4,7 @@
 //! The caller passes the trial's time to each call. This crate contains no plate, profile or
 //! verdict.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 #![cfg_attr(not(feature = "emulated"), allow(dead_code, unused_imports))]
 
 #[cfg(not(target_os = "linux"))]

@@ -78,6 +78,7 @@ fn check_free(path: &Path) -> Result<(), SerialError> {
 }
 
 /// Sets the latency timer of an FTDI adapter from 16 ms to 1 ms. Other ports have no such timer.
+#[expect(clippy::disallowed_methods, reason = "the kernel reads sysfs in place")]
 fn set_low_latency(path: &Path) {
     let name = path.canonicalize().ok().and_then(|path| path.file_name().map(PathBuf::from)).unwrap_or_default();
     let timer = Path::new("/sys/class/tty").join(name).join("device/latency_timer");

@@ -8,12 +8,11 @@ use crate::metrics::{self, Measure};
 use crate::tube::{TUBE_SIGNALS, Tolerance, Tube, TubePoint, TubeSignal};
 use platebench_model::record::{Telemetry, sha256};
 use platebench_model::scenario::{Expectation, Metric, Window};
-use platebench_model::trace::{AtPath, FileError, Row, read_text_file, write_atomically};
+use platebench_model::trace::{AtPath, FileError, OutputFolder, Row, read_text_file};
 use platebench_plate::Time;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::fs;
 use std::path::{Path, PathBuf};
 use tubes::thin;
 
@@ -167,14 +166,10 @@ impl Baseline {
 
     /// The TOML file has the hash of the CSV file, so a reader detects if only one was replaced.
     pub fn write(&self, folder: &Path) -> Result<(), BaselineError> {
+        let folder = OutputFolder::create(folder)?;
         let [head, table] = self.to_texts();
         for (extension, text) in [("csv", table), ("toml", head)] {
-            let path = baseline_path(folder, &self.scenario, extension);
-            let written = path
-                .parent()
-                .map_or(Ok(()), fs::create_dir_all)
-                .and_then(|()| write_atomically(&path, text.as_bytes()));
-            written.at(&path)?;
+            folder.write(baseline_path(Path::new(""), &self.scenario, extension), text)?;
         }
         Ok(())
     }

@@ -3,6 +3,8 @@
 //! A verdict depends only on scenario, stored traces and stored telemetry, not on a clock or on the
 //! order of execution.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 mod divergence;
 pub mod exclusion;
 mod feasibility;

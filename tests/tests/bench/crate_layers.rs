@@ -6,6 +6,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::process::Command;
 
+const WRITE_LINT: &str = "#![cfg_attr(not(test), warn(clippy::disallowed_methods))]";
+
 /// Level of each crate's folder: the table in `docs/architecture.md`.
 fn levels() -> BTreeMap<String, u8> {
     let page = fs::read_to_string(workspace_root().join("docs/architecture.md")).unwrap();
@@ -32,6 +34,12 @@ fn crates_import_only_lower_levels_and_use_the_shared_lints() {
         let crate_folder = folder(manifest.strip_suffix("/Cargo.toml").unwrap());
         if crate_folder.starts_with("tests") {
             continue;
+        }
+        // The lint that refuses functions which write files, see `clippy.toml`.
+        if crate_folder.starts_with("harness") {
+            let root = workspace_root().join(&crate_folder).join("src/lib.rs");
+            let is_enabled = fs::read_to_string(&root).unwrap().contains(WRITE_LINT);
+            assert!(is_enabled, "{}: expected {WRITE_LINT}", root.display());
         }
         let imports = package["dependencies"].as_array().unwrap().iter().filter(|import| import["kind"].is_null());
         for import in imports.filter_map(|import| import["path"].as_str()).map(folder) {

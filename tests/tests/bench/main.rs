@@ -35,6 +35,7 @@ mod live;
 mod merge;
 mod output_formats;
 mod own_law;
+mod planted_links;
 mod python_package;
 mod real_plate;
 mod real_time;

@@ -15,7 +15,7 @@ use platebench_experiments::mutation::{
     MutationConfig, MutationReport, document as mutation_document, measure_mutation, mutation_json,
 };
 use platebench_model::scenario::Scenario;
-use platebench_model::trace::{create_folder, write_atomically};
+use platebench_model::trace::{AtPath, FileError, OutputFolder};
 use platebench_report::{Detail, Style};
 use platebench_rig::{CancelToken, RigSpec};
 use std::io;
@@ -93,10 +93,9 @@ fn write_coverage(arguments: &CoverageArgs, coverage: &Coverage, text: &str) -> 
         stdio::write_output(path, &tracefile).or_invalid_at(path)?;
     }
     if let Some(folder) = &arguments.out {
-        create_folder(folder).or_invalid_at(folder)?;
-        let write = |path: &Path, text: &str| write_atomically(path, text.as_bytes()).or_invalid_at(path);
-        write(&folder.join("lcov.info"), &tracefile)?;
-        write(&folder.join("coverage.txt"), text)?;
+        let folder = OutputFolder::create(folder).or_invalid()?;
+        folder.write("lcov.info", &tracefile).or_invalid()?;
+        folder.write("coverage.txt", text).or_invalid()?;
     }
     Ok(())
 }
@@ -196,9 +195,9 @@ pub(super) fn mutate(arguments: &MutateArgs, detail: Detail) -> CommandResult {
     Ok(exit)
 }
 
-fn write_mutation(report: &MutationReport, text: &str, folder: &Path) -> io::Result<()> {
-    create_folder(folder)?;
-    let json = serde_json::to_string_pretty(&mutation_json(report))?;
-    write_atomically(&folder.join("mutation.json"), json.as_bytes())?;
-    write_atomically(&folder.join("mutation.txt"), text.as_bytes())
+fn write_mutation(report: &MutationReport, text: &str, folder: &Path) -> Result<(), FileError> {
+    let folder = OutputFolder::create(folder)?;
+    let json = serde_json::to_string_pretty(&mutation_json(report)).map_err(io::Error::from).at(folder.path())?;
+    folder.write("mutation.json", json)?;
+    folder.write("mutation.txt", text)
 }

@@ -2,10 +2,11 @@
 
 use crate::tuning::design::TuningTarget;
 use platebench_model::scenario::{Diagnostic, Scenario, input, load};
+use platebench_model::trace::write_atomically;
 use platebench_wire::{Gains, LawId};
 use serde_json::json;
+use std::io;
 use std::path::Path;
-use std::{fs, io};
 
 /// Relative rounding error of an f32 gain that the controller multiplies by the period and divides.
 const ROUNDING: f32 = 4.0 * f32::EPSILON;
@@ -58,9 +59,9 @@ pub fn step_scenario(folder: &Path, plate: &Path, step: &VerificationStep<'_>) -
         ],
     });
     // `-` is standard input, which the command line has read before.
-    fs::write(folder.join("plate.toml"), input::read(plate)?)?;
+    write_atomically(&folder.join("plate.toml"), &input::read(plate)?)?;
     let path = folder.join("tune.toml");
-    fs::write(&path, toml::to_string(&content)?)?;
+    write_atomically(&path, toml::to_string(&content)?.as_bytes())?;
     load(&path, "tune.toml").map_err(|fault| VerificationError::Scenario(Box::new(fault)))
 }
 

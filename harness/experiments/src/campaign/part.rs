@@ -6,7 +6,7 @@
 
 use crate::campaign::definition::Campaign;
 use crate::campaign::error::CampaignError;
-use crate::campaign::plan::CampaignPlan;
+use crate::campaign::plan::{CampaignPlan, PARTS};
 use crate::campaign::row::{END_KEY, ShardEnd, TrialRow};
 use parquet::basic::{Compression, Repetition, Type as Physical};
 use parquet::column::reader::get_typed_column_reader;
@@ -18,8 +18,7 @@ use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
 use platebench_model::record::sha256;
-use platebench_model::trace::{AtPath, AtomicFile, read_regular_file, write_atomically};
-use std::io::Write;
+use platebench_model::trace::{AtPath, OutputFolder, read_regular_file};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -30,6 +29,7 @@ const MAX_PART_BYTES: u64 = 8 << 30;
 
 /// Collects the rows of a shard in memory. [`Self::commit`] writes the file.
 pub(crate) struct PartWriter {
+    parts: OutputFolder,
     path: PathBuf,
     columns: usize,
     rows: Vec<TrialRow>,
@@ -37,12 +37,15 @@ pub(crate) struct PartWriter {
 }
 
 impl PartWriter {
+    /// Creates the folder of the parts in the campaign's `folder`.
     pub(crate) fn new(
-        path: PathBuf,
+        folder: &Path,
         plan: &CampaignPlan,
         campaign: &Campaign,
         shard: u32,
     ) -> Result<Self, CampaignError> {
+        let parts = OutputFolder::open(folder)?.create_folder(PARTS)?;
+        let path = plan.part_path(folder, shard);
         let columns = column_count(campaign);
         let metadata = [
             ("plan", plan.sha256.clone()),
@@ -55,7 +58,7 @@ impl PartWriter {
         let writer = schema(columns)
             .and_then(|schema| SerializedFileWriter::new(Vec::new(), Arc::new(schema), Arc::new(properties.build())))
             .map_err(CampaignError::write(&path))?;
-        Ok(Self { path, columns, rows: Vec::with_capacity(GROUP_ROWS), writer })
+        Ok(Self { parts, path, columns, rows: Vec::with_capacity(GROUP_ROWS), writer })
     }
 
     /// The caller adds rows in the order of their trials.
@@ -95,7 +98,7 @@ impl PartWriter {
         {
             place.copy_from_slice(digest.as_bytes());
         }
-        Ok(write_atomically(&self.path, &bytes).at(&self.path)?)
+        Ok(self.parts.write(self.path.file_name().unwrap_or_default(), &bytes)?)
     }
 }
 
@@ -218,14 +221,6 @@ impl<'a> PartReader<'a> {
     }
 }
 
-pub(crate) fn create(path: &Path) -> Result<AtomicFile, CampaignError> {
-    Ok(AtomicFile::create(path).at(path)?)
-}
-
-pub(crate) fn finish(mut file: AtomicFile, path: &Path) -> Result<(), CampaignError> {
-    Ok(file.flush().and_then(|()| file.commit()).at(path)?)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -246,7 +241,7 @@ mod tests {
             errors: vec![0.0; 3],
             ..TrialRow::example(0, verdict, margin)
         };
-        let mut part = PartWriter::new(plan.part_path(folder.path(), 1), &plan, &campaign, 1).unwrap();
+        let mut part = PartWriter::new(folder.path(), &plan, &campaign, 1).unwrap();
         part.push(row).unwrap();
         part.commit(ShardEnd::default()).unwrap();
         PartReader::open(folder.path(), &plan, &campaign, 1).unwrap().check_rows()

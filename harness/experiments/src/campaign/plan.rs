@@ -6,14 +6,14 @@ use crate::campaign::truncation::Truncation;
 use platebench_model::record::{
     CAMPAIGN_PLAN_FILE as PLAN_FILE, FolderError, RECORD_FILE, sha256, sha256_of_file, to_hex,
 };
-use platebench_model::trace::{AtPath, MAX_IMAGE_BYTES, read_regular_file, read_text_file, write_atomically};
+use platebench_model::trace::{AtPath, MAX_IMAGE_BYTES, OutputFolder, read_regular_file, read_text_file};
 use platebench_rig::{BUILT_IN_IMAGE, FaultInjector, FirmwareImage, RigSpec, Session, printable_name};
 use serde::{Deserialize, Serialize};
+use std::io;
 use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
-use std::{fs, io};
 
-const PARTS: &str = "parts";
+pub(crate) const PARTS: &str = "parts";
 const FORMAT: u32 = 1;
 const MAX_PLAN_BYTES: u64 = 1 << 20;
 pub const MAX_SHARDS: u32 = 1_000_000;
@@ -107,9 +107,9 @@ impl CampaignPlan {
         if folder.join(RECORD_FILE).exists() {
             return Err(FolderError::AlreadyUsed(folder.to_owned()).into());
         }
-        let parts = folder.join(PARTS);
-        fs::create_dir_all(&parts).at(&parts)?;
-        Ok(write_atomically(&path, self.text().as_bytes()).at(&path)?)
+        let folder = OutputFolder::open(folder)?;
+        folder.create_folder(PARTS)?;
+        Ok(folder.write(PLAN_FILE, self.text())?)
     }
 
     pub fn exists(folder: &Path) -> bool {
@@ -225,6 +225,7 @@ fn identity(rig: &RigSpec) -> Result<String, CampaignError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     fn plan(method: Method, trials: u64, shards: u32) -> CampaignPlan {
         CampaignPlan {

@@ -11,7 +11,7 @@ use crate::campaign::row::{ShardEnd, TrialRow};
 use platebench_engine::workers::{Emit, InOrder, run_workers};
 use platebench_engine::{Executor, ExecutorSettings, LinkFactory, MAX_LOSSES, SafeEnds, law, missing_capability};
 use platebench_model::record::Verdict;
-use platebench_model::trace::{AtPath, Row as TraceRow};
+use platebench_model::trace::Row as TraceRow;
 use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
 use platebench_verdict::measure;
 use std::ops::{ControlFlow, Range};
@@ -59,9 +59,7 @@ pub fn play_shard(
             Err(error) => return Err(error),
         }
     }
-    let parts = path.parent().unwrap_or(folder);
-    std::fs::create_dir_all(parts).at(parts)?;
-    let mut part = PartWriter::new(path, plan, campaign, shard)?;
+    let mut part = PartWriter::new(folder, plan, campaign, shard)?;
     let end = play_on_rig(campaign, &TrialSource::Numbers(plan.trials_of(shard)), config, &mut |row| {
         on_trial(TrialEvent { is_failure: row.verdict == Verdict::Fail });
         part.push(row)

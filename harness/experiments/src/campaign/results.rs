@@ -4,7 +4,6 @@ use crate::campaign::bench_error::RowErrors;
 use crate::campaign::definition::Campaign;
 use crate::campaign::distribution::Variable;
 use crate::campaign::error::CampaignError;
-use crate::campaign::part::{create, finish};
 use crate::campaign::row::TrialRow;
 use parquet::basic::{Compression, LogicalType, Repetition, Type as Physical};
 use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, Int64Type};
@@ -14,7 +13,7 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::Type;
 use platebench_model::scenario::Metric;
-use platebench_model::trace::{AtPath, AtomicFile};
+use platebench_model::trace::{AtPath, OutputFile, OutputFolder};
 use platebench_report::export::parquet::{write_column, write_optional_column};
 use platebench_report::format;
 use platebench_report::text::without_formula;
@@ -61,21 +60,22 @@ pub(crate) fn axis_label(variable: &Variable) -> String {
 pub(crate) struct ResultsWriter<'a> {
     campaign: &'a Campaign,
     rows: Vec<(TrialRow, Vec<RowErrors>)>,
-    csv: csv::Writer<BufWriter<AtomicFile>>,
+    csv: csv::Writer<BufWriter<OutputFile>>,
     csv_path: PathBuf,
     parquet: SerializedFileWriter<File>,
-    parquet_file: AtomicFile,
+    parquet_file: OutputFile,
     parquet_path: PathBuf,
 }
 
 impl<'a> ResultsWriter<'a> {
     pub(crate) fn new(folder: &Path, campaign: &'a Campaign) -> Result<Self, CampaignError> {
+        let output = OutputFolder::open(folder)?;
         let [csv_path, parquet_path] = [CSV_FILE, PARQUET_FILE].map(|name| folder.join(name));
-        let mut csv = csv::Writer::from_writer(BufWriter::new(create(&csv_path)?));
+        let mut csv = csv::Writer::from_writer(BufWriter::new(output.create_file(CSV_FILE)?));
         csv.write_record(columns(campaign).iter().map(|name| without_formula(name).into_owned()))
             .map_err(io::Error::from)
             .at(&csv_path)?;
-        let parquet_file = create(&parquet_path)?;
+        let parquet_file = output.create_file(PARQUET_FILE)?;
         let file = parquet_file.file().try_clone().at(&parquet_path)?;
         let properties = WriterProperties::builder()
             .set_compression(Compression::SNAPPY)
@@ -124,10 +124,10 @@ impl<'a> ResultsWriter<'a> {
             self.write_group()?;
         }
         self.parquet.close().map_err(CampaignError::write(&self.parquet_path))?;
-        finish(self.parquet_file, &self.parquet_path)?;
+        self.parquet_file.commit()?;
         let buffer = self.csv.into_inner().map_err(csv::IntoInnerError::into_error).at(&self.csv_path)?;
         let file = buffer.into_inner().map_err(io::IntoInnerError::into_error).at(&self.csv_path)?;
-        finish(file, &self.csv_path)
+        Ok(file.commit()?)
     }
 }
 

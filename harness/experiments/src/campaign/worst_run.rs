@@ -10,14 +10,14 @@ use crate::campaign::summary::Summary;
 use platebench_engine::{Clock, Event, RunError, RunHooks, RunPlan, run};
 use platebench_model::record::{KeepTraces, Overrides, RunFolder};
 use platebench_model::scenario::load;
-use platebench_model::trace::{AtPath, read_regular_file, write_atomically};
+use platebench_model::trace::{AtPath, OutputFolder, read_regular_file};
 use platebench_report::console;
 use platebench_report::page::{self, ReportPage, RowCache, scenario_anchor};
 use platebench_rig::ConnectOptions;
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
+use std::io;
 use std::path::{Path, PathBuf};
-use std::{fs, io};
 use toml::{Table, Value};
 
 const FOLDER: &str = "worst";
@@ -66,7 +66,7 @@ pub fn play_worst(
     config: &PlayConfig,
 ) -> Result<ResponseLinks, CampaignError> {
     let scenario_folder = folder.join(FOLDER);
-    write_scenarios(&scenario_folder, campaign, trials)?;
+    write_scenarios(&OutputFolder::open(folder)?, FOLDER, campaign, trials)?;
     if trials.is_empty() || !config.rig.is_simulated() {
         return Ok(ResponseLinks::new());
     }
@@ -116,24 +116,23 @@ fn file_name(trial: u64) -> String {
     format!("{trial}.toml")
 }
 
-/// Replaces the folder, or removes it if there are no trials.
-pub(crate) fn write_scenarios(folder: &Path, campaign: &Campaign, trials: &[DrawnTrial]) -> Result<(), CampaignError> {
-    if folder.exists() {
-        fs::remove_dir_all(folder).at(folder)?;
+/// Replaces the folder `name` of the campaign, or removes it if there are no trials.
+pub(crate) fn write_scenarios(
+    campaign_folder: &OutputFolder,
+    name: &str,
+    campaign: &Campaign,
+    trials: &[DrawnTrial],
+) -> Result<(), CampaignError> {
+    if campaign_folder.path().join(name).symlink_metadata().is_ok() {
+        campaign_folder.remove_folder(name)?;
     }
     if trials.is_empty() {
         return Ok(());
     }
-    for name in [PLATES, PROFILES] {
-        let path = folder.join(name);
-        fs::create_dir_all(&path).at(&path)?;
-    }
+    let folder = &campaign_folder.create_folder(name)?;
+    folder.create_folder(PLATES)?;
     let mut copies = Copies { folder, source: source_folder(campaign), names: BTreeMap::new() };
-    trials.iter().try_for_each(|trial| write_trial(folder, campaign, trial, &mut copies))?;
-    let profiles = folder.join(PROFILES);
-    // Removes the folder only if it is empty.
-    let _ = fs::remove_dir(profiles);
-    Ok(())
+    trials.iter().try_for_each(|trial| write_trial(folder, campaign, trial, &mut copies))
 }
 
 fn source_folder(campaign: &Campaign) -> PathBuf {
@@ -142,7 +141,7 @@ fn source_folder(campaign: &Campaign) -> PathBuf {
 }
 
 fn write_trial(
-    folder: &Path,
+    folder: &OutputFolder,
     campaign: &Campaign,
     trial: &DrawnTrial,
     copies: &mut Copies<'_>,
@@ -154,7 +153,7 @@ fn write_trial(
     }
     if let Some(plate) = &trial.tables.plate {
         let name = format!("{PLATES}/trial-{}.toml", trial.number);
-        write_toml(&folder.join(&name), plate, "")?;
+        write_toml(folder, &name, plate, "")?;
         scenario.insert("plate".to_owned(), Value::String(name));
     } else {
         copies.copy(&mut scenario, "plate", PLATES)?;
@@ -166,16 +165,16 @@ fn write_trial(
         }
     }
     let comment = format!("# Written by platebench campaign: trial {} of {:?}.\n", trial.number, campaign.title);
-    write_toml(&folder.join(file_name(trial.number)), &scenario, &comment)
+    write_toml(folder, &file_name(trial.number), &scenario, &comment)
 }
 
-fn write_toml(path: &Path, table: &Table, comment: &str) -> Result<(), CampaignError> {
-    let text = toml::to_string(table).map_err(io::Error::other).at(path)?;
-    Ok(write_atomically(path, format!("{comment}{text}").as_bytes()).at(path)?)
+fn write_toml(folder: &OutputFolder, name: &str, table: &Table, comment: &str) -> Result<(), CampaignError> {
+    let text = toml::to_string(table).map_err(io::Error::other).at(&folder.path().join(name))?;
+    Ok(folder.write(name, format!("{comment}{text}"))?)
 }
 
 struct Copies<'a> {
-    folder: &'a Path,
+    folder: &'a OutputFolder,
     source: PathBuf,
     /// Maps the path in the scenario to the path of the copy.
     names: BTreeMap<String, String>,
@@ -191,8 +190,7 @@ impl Copies<'_> {
             // Files in two folders may have the same name.
             let copy = format!("{below}/{}-{file}", self.names.len());
             let content = read_regular_file(&source, MAX_INPUT_BYTES).at(&source)?;
-            let path = self.folder.join(&copy);
-            write_atomically(&path, &content).at(&path)?;
+            self.folder.write(&copy, &content)?;
             self.names.insert(named.clone(), copy);
         }
         if let Some(copy) = self.names.get(named) {

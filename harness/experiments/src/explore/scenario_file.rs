@@ -8,14 +8,15 @@ use platebench_model::scenario::raw::{
     RawBetween, RawController, RawExpectation, RawOtherTrials, RawProfiles, RawScenario, RawTrials,
 };
 use platebench_model::scenario::{Metric, Scenario};
+use platebench_model::trace::{AtPath, FileError, OutputFolder};
 use platebench_plate::{
     Plate, RawDrive, RawFinger, RawMode, RawPlate, RawProfile, RawSensor, RawShape, RawSine, Uncertainty,
 };
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
+use std::io;
 use std::path::{Path, PathBuf};
-use std::{fs, io};
 
 const TRACE_STEP_MS: f64 = 0.1;
 /// Largest difference between two trials that differ only in history or time stamps, µm. This is
@@ -43,15 +44,12 @@ impl SceneScenario {
     }
 
     /// Writes the files; the scenario is `folder/name.toml`.
-    pub fn write(&self, folder: &Path, name: &str, comment: &[String]) -> io::Result<()> {
+    pub fn write(&self, folder: &Path, name: &str, comment: &[String]) -> Result<(), FileError> {
+        let folder = OutputFolder::create(folder)?;
         for (file, plate) in &self.plates {
-            let path = folder.join(file);
-            if let Some(parent) = path.parent() {
-                fs::create_dir_all(parent)?;
-            }
-            fs::write(path, toml::to_string(plate).map_err(io::Error::other)?)?;
+            folder.write(file, toml::to_string(plate).map_err(io::Error::other).at(file)?)?;
         }
-        fs::write(folder.join(format!("{name}.toml")), self.text(comment)?)
+        folder.write(format!("{name}.toml"), self.text(comment).at(folder.path())?)
     }
 }
 

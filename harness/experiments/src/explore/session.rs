@@ -232,9 +232,8 @@ impl ExploreSession {
             comment.push(NOT_MINIMAL.to_owned());
         }
         let folder = &self.regression_folder;
-        fs::create_dir_all(folder).at(folder)?;
         let scenario = config.sequence_scenario(minimal, &title, &format!("{name}-"));
-        scenario.write(folder, &name, &comment).at(folder)?;
+        scenario.write(folder, &name, &comment)?;
         let path = folder.join(format!("{name}.toml"));
         Ok(ViolationReport {
             property,
@@ -405,9 +404,8 @@ fn write_regression(
         source: "platebench suite explore; the property and its limit: docs/exploration.md",
         plate_prefix: &format!("{name}-"),
     };
-    fs::create_dir_all(folder).at(folder)?;
     let scenario = builder.build(&minimal.scene, &minimal.demands);
-    scenario.write(folder, &name, &comment(rig, law, minimal)).at(folder)?;
+    scenario.write(folder, &name, &comment(rig, law, minimal))?;
     Ok(folder.join(format!("{name}.toml")))
 }
 

@@ -13,11 +13,11 @@ use platebench_engine::{
 use platebench_experiments::trust::report::{CONFIDENCE, MutantOutcome, Rate};
 use platebench_model::record::{Overrides, Quantiles, RunFolder, RunRecord, Verdict};
 use platebench_model::scenario::Scenario;
-use platebench_model::trace::AtPath;
+use platebench_model::trace::{AtPath, create_folder};
 use platebench_rig::{ConnectOptions, RigSpec};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use std::{fs, io, thread};
+use std::{io, thread};
 
 #[derive(Debug, Clone)]
 pub struct SessionConfig {
@@ -260,7 +260,7 @@ pub(crate) fn measure_trust(
         thread::sleep(CANCEL_POLL_INTERVAL);
     }
     let report = measurement.join().unwrap_or(Err(platebench_experiments::trust::TrustError::Internal))?;
-    fs::create_dir_all(folder).at(folder)?;
+    create_folder(folder).at(folder)?;
     let text = serde_json::to_vec_pretty(&report).map_err(io::Error::from).at(&folder.join(TRUST_FILE))?;
     write_file(folder, TRUST_FILE, &text)?;
     let survived = report.faults.iter().filter(|fault| fault.outcome != MutantOutcome::Caught);

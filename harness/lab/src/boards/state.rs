@@ -4,7 +4,7 @@
 use crate::boards::inventory::{Board, BoardError, Inventory};
 use platebench_engine::RunError;
 use platebench_model::record::{RECORD_FILE, RunRecord, Verdict, utc_timestamp};
-use platebench_model::trace::{AtPath, FileError, read_text_file, write_atomically};
+use platebench_model::trace::{AtPath, FileError, OutputFolder, create_folder, read_text_file, write_atomically};
 use platebench_rig::{LockHolder, lock_file};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -116,7 +116,7 @@ impl BoardFiles {
     /// Creates the state folder if it does not exist.
     pub(crate) fn new(inventory: &Inventory, board: &Board) -> Result<Self, BoardError> {
         let folder = inventory.state_folder();
-        fs::create_dir_all(&folder).at(&folder)?;
+        create_folder(&folder).at(&folder)?;
         let probe = board.probe_serial.as_ref().map(|serial| {
             let is_plain = |letter: char| letter.is_ascii_alphanumeric();
             let name: String = serial.chars().map(|letter| if is_plain(letter) { letter } else { '_' }).collect();
@@ -132,7 +132,8 @@ impl BoardFiles {
     pub(crate) fn lock(&self) -> Result<Result<BoardLock, LockHolder>, BoardError> {
         let mut files = Vec::new();
         for path in &self.locks {
-            let file = File::options().create(true).append(true).open(path).at(path)?;
+            let folder = OutputFolder::open(path.parent().unwrap_or(Path::new("")))?;
+            let file = folder.append(path.file_name().unwrap_or_default())?;
             match lock_file(&file).map_err(io::Error::from).at(path)? {
                 None => files.push(file),
                 Some(holder) => return Ok(Err(holder)),

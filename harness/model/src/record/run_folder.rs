@@ -1,10 +1,12 @@
 //! Creates, locks, reads and writes run folders.
 
+#![cfg_attr(not(test), expect(clippy::disallowed_methods, reason = "not yet converted to OutputFolder"))]
+
 use crate::record::reason::ExpectationRecord;
 use crate::record::run_record::RigRecord;
 use crate::record::run_record::{FORMAT, InputRecord, RunRecord};
 use crate::scenario::{InputFile, Scenario};
-use crate::trace::{AtPath, AtomicFile, FileError, create_folder, open_regular_file, read_text_file};
+use crate::trace::{AtPath, FileError, OutputFolder, create_folder, open_regular_file, read_text_file};
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use platebench_plate::input::{STANDARD_INPUT_NAME, STANDARD_STREAM};
@@ -209,14 +211,14 @@ pub enum RecordError {
 impl RunRecord {
     /// Replaces the record in `folder` atomically.
     pub fn write(&self, folder: &Path) -> io::Result<()> {
-        let mut file = AtomicFile::create(&folder.join(RECORD_FILE))?;
+        let mut file = OutputFolder::open(folder)?.create_file(RECORD_FILE)?;
         let mut writer = BufWriter::with_capacity(WRITE_BUFFER_BYTES, &mut file);
         serde_json::to_writer_pretty(&mut writer, self)?;
         writer.write_all(b"\n")?;
         writer.flush()?;
         drop(writer);
         // A sync after every scenario would delay the run.
-        if self.complete { file.commit() } else { file.commit_without_sync() }
+        Ok(if self.complete { file.commit() } else { file.commit_without_sync() }?)
     }
 
     pub fn read(folder: &Path) -> Result<Self, RecordError> {

@@ -3,9 +3,13 @@
 use crate::export::source::{ExportError, ExportScenario};
 use crate::export::{mcap, mf4, parquet, table};
 use platebench_model::record::{RECORD_FILE, RunRecord, ScenarioRecord};
-use platebench_model::trace::{AtPath, AtomicFile};
-use std::fs::{self, File};
+use platebench_model::trace::OutputFolder;
+use std::fs::File;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+
+/// Folder of the exported files in the run folder.
+const FOLDER: &str = "export";
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ExportFormat {
@@ -22,14 +26,14 @@ pub struct ExportResult {
     pub incomplete_trials: usize,
 }
 
-/// Exports the named scenarios (with or without `.toml`) to the folder `out`, or all if `scenarios`
-/// is empty. Checks names, existing files and complete trials before it writes a file.
+/// Exports the named scenarios (with or without `.toml`) to the folder `out`, by default `export` in
+/// the run folder, or all if `scenarios` is empty. Checks names, existing files and complete trials before it writes a file.
 pub fn export(
     run: &RunRecord,
     folder: &Path,
     scenarios: &[String],
     format: ExportFormat,
-    out: &Path,
+    out: Option<&Path>,
 ) -> Result<ExportResult, ExportError> {
     let record = folder.join(RECORD_FILE);
     let started = run.started.parse::<jiff::Timestamp>().map_err(|source| ExportError::InvalidStartTime {
@@ -50,10 +54,12 @@ pub fn export(
     if sources.is_empty() {
         return Err(ExportError::NoCompleteTrial(record));
     }
+    let default = folder.join(FOLDER);
+    let path_of = |file: &Path| out.unwrap_or(&default).join(file);
     let mut tasks: Vec<(PathBuf, Box<WriteFile<'_>>)> = Vec::new();
     match format {
         ExportFormat::Csv => {
-            let path = out.join(table::FILE);
+            let path = PathBuf::from(table::FILE);
             tasks.push((path.clone(), Box::new(|file, path| table::write(&sources, file, path))));
             tasks.push((table::description_path(&path), Box::new(table::write_description)));
         }
@@ -65,7 +71,7 @@ pub fn export(
                         1 => format!("{}.mf4", source.name),
                         _ => format!("{}/{:03}.mf4", source.name, trial.index),
                     };
-                    tasks.push((out.join(name), Box::new(move |file, path| mf4::write(source, trial, file, path))));
+                    tasks.push((name.into(), Box::new(move |file, path| mf4::write(source, trial, file, path))));
                 }
             }
         }
@@ -73,18 +79,21 @@ pub fn export(
             let (write, extension): (WriteScenario, _) =
                 if format == ExportFormat::Mcap { (mcap::write, "mcap") } else { (parquet::write, "parquet") };
             for source in &sources {
-                let path = out.join(format!("{}.{extension}", source.name));
+                let path = format!("{}.{extension}", source.name).into();
                 tasks.push((path, Box::new(move |file, path| write(source, file, path))));
             }
         }
     }
-    if let Some((existing, _)) = tasks.iter().find(|(path, _)| path.exists()) {
-        return Err(ExportError::FileExists(existing.clone()));
+    let mut files: Vec<PathBuf> = tasks.iter().map(|(file, _)| path_of(file)).collect();
+    if let Some(index) = files.iter().position(|path| path.symlink_metadata().is_ok()) {
+        return Err(ExportError::FileExists(files.swap_remove(index)));
     }
-    let mut files = Vec::with_capacity(tasks.len());
-    for (path, write) in tasks {
-        write_new_file(&path, &*write)?;
-        files.push(path);
+    let output = match out {
+        Some(out) => OutputFolder::create(out),
+        None => OutputFolder::open(folder).and_then(|run| run.create_folder(FOLDER)),
+    }?;
+    for ((file, write), path) in tasks.iter().zip(&files) {
+        write_new_file(&output, file, path, &**write)?;
     }
     Ok(ExportResult { files, incomplete_trials: cut_off })
 }
@@ -93,17 +102,19 @@ type WriteScenario = fn(&ExportScenario<'_>, &File, &Path) -> Result<(), ExportE
 
 type WriteFile<'a> = dyn Fn(&File, &Path) -> Result<(), ExportError> + 'a;
 
-fn write_new_file(path: &Path, write: &WriteFile<'_>) -> Result<(), ExportError> {
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder).at(folder)?;
-    }
-    let file = AtomicFile::create(path).at(path)?;
+fn write_new_file(
+    output: &OutputFolder,
+    relative: &Path,
+    path: &Path,
+    write: &WriteFile<'_>,
+) -> Result<(), ExportError> {
+    let file = output.create_file(relative)?;
     write(file.file(), path)?;
     // Another process may have written the file in the meantime.
-    if path.exists() {
-        return Err(ExportError::FileExists(path.to_owned()));
-    }
-    Ok(file.commit_without_sync().at(path)?)
+    file.commit_new().map_err(|error| match error.source.kind() {
+        ErrorKind::AlreadyExists => ExportError::FileExists(path.to_owned()),
+        _ => error.into(),
+    })
 }
 
 /// Returns the requested scenarios in the order of the run, or all if `requested` is empty.

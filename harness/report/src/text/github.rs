@@ -5,13 +5,13 @@
 //! `MAX_ROWS` rows.
 
 use crate::document::Table;
-use crate::error::{ReportError, write_file};
+use crate::error::ReportError;
 use crate::escape::{markdown_cell, workflow_message, workflow_property};
 use crate::record_queries::OwnVerdict;
 use crate::{format, record_queries};
 use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
 use platebench_model::scenario::NotApplicableExpectation;
-use platebench_model::trace::AtPath;
+use platebench_model::trace::{AtPath, write_named_by_user};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::Write as _;
@@ -68,9 +68,10 @@ fn workflow_command(verdict: Verdict, location: Option<SourceLocation>, title: &
 const MAX_ROWS: usize = 200;
 
 pub fn write_markdown(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
-    write_file(path, &render_page(record))
+    Ok(write_named_by_user(path, render_page(record))?)
 }
 
+#[expect(clippy::disallowed_methods, reason = "GitHub names this file, and each step appends to it")]
 pub fn append_markdown(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
     let file = fs::OpenOptions::new().append(true).create(true).open(path);
     Ok(file.and_then(|mut file| file.write_all(format!("{}\n", render_page(record)).as_bytes())).at(path)?)

@@ -15,7 +15,7 @@ fn export_folder(run: &StoredRun) -> PathBuf {
 
 fn export_run(run: &StoredRun, scenarios: &[&str], format: ExportFormat) -> Result<ExportResult, ExportError> {
     let scenarios: Vec<String> = scenarios.iter().map(ToString::to_string).collect();
-    export(&run.record, run.folder.path(), &scenarios, format, &export_folder(run))
+    export(&run.record, run.folder.path(), &scenarios, format, Some(&export_folder(run)))
 }
 
 fn relative_files(folder: &Path) -> Vec<String> {

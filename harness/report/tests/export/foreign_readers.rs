@@ -34,7 +34,7 @@ fn read_with_python(format: &str, path: &Path) -> Value {
 
 fn export_run(run: &StoredRun, format: ExportFormat) -> PathBuf {
     let out = run.folder.path().join("export");
-    let exported = export(&run.record, run.folder.path(), &[], format, &out).unwrap();
+    let exported = export(&run.record, run.folder.path(), &[], format, Some(&out)).unwrap();
     assert_eq!(exported.incomplete_trials, 0);
     out
 }

@@ -7,15 +7,13 @@ use super::bus::SystemBus;
 use super::image::EmulatedOptions;
 use super::machine::{FirmwareOutput, Machine, emulator_error};
 use crate::link::TargetError;
+use platebench_model::trace::OutputFolder;
 use rigless::device::Level;
 use rigless::emulator::{Error, Host, InterruptLine, Memory, Stop, StopReason};
 use rigless::snapshot::{self, Snapshot, Store};
 use rigless::soc::Width;
 use rigless::time::VirtualNanos;
-use std::fs;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
-use std::process;
 use std::sync::{Arc, Mutex, PoisonError};
 
 const MAX_IMAGES: usize = 4;
@@ -112,27 +110,9 @@ pub(super) fn keep(machine: &mut Machine, answer: Vec<ReceivedByte>) -> Result<(
 
 /// The emulator reads snapshots only from a file. `None` if it cannot be written.
 fn read_back(bytes: &[u8]) -> Option<Snapshot> {
-    let path = std::env::temp_dir().join(format!("platebench-{}.snapshot", process::id()));
-    let written = TemporaryFile::write(&path, bytes)?;
-    Snapshot::read(&written.0).ok()
-}
-
-struct TemporaryFile(PathBuf);
-
-impl TemporaryFile {
-    fn write(path: &Path, bytes: &[u8]) -> Option<Self> {
-        let mut file = fs::File::create_new(path).ok()?;
-        let created = Self(path.to_owned());
-        file.write_all(bytes).ok()?;
-        Some(created)
-    }
-}
-
-impl Drop for TemporaryFile {
-    fn drop(&mut self) {
-        // A file that remains is only space in the folder for temporary files.
-        let _ = fs::remove_file(&self.0);
-    }
+    let mut file = OutputFolder::open(&std::env::temp_dir()).ok()?.create_file("snapshot").ok()?;
+    file.write_all(bytes).ok()?;
+    Snapshot::read(&file.temporary_path()).ok()
 }
 
 impl Machine {
