@@ -3,6 +3,7 @@
 //! judge and store the trials.
 
 use crate::controller_log::is_controller_failure;
+use crate::firmware_digest::FirmwareDigest;
 use crate::live_tap::TapWriter;
 use crate::plan::{Clock, LinkFactory, NoOperator, Operator, RunError};
 use crate::trial::{self, Trial, TrialResult};
@@ -54,6 +55,8 @@ pub struct ExecutorSettings<'a> {
     pub operator: &'a dyn Operator,
     /// The executor fails if it connects to another controller. `None` accepts every controller.
     pub identity: Option<Identity>,
+    /// The executor fails if it connects after the program or image of the controller changed.
+    pub firmware: Option<&'a FirmwareDigest>,
     /// Number of consecutive trials with a lost controller after which the executor fails.
     pub max_losses: Option<u32>,
     /// True if the controller keeps its history from one scenario to the next.
@@ -61,6 +64,8 @@ pub struct ExecutorSettings<'a> {
     /// True if the executor never replaces its link, because the caller changes or observes the
     /// target. The link must be able to restart the target.
     pub keeps_link: bool,
+    /// True if the session belongs to several runs, so that no scenario starts with a new one.
+    pub keeps_session: bool,
 }
 
 impl ExecutorSettings<'_> {
@@ -71,9 +76,11 @@ impl ExecutorSettings<'_> {
             cancel: cancel.clone(),
             operator: &NoOperator,
             identity: None,
+            firmware: None,
             max_losses: None,
             shares_controller: false,
             keeps_link: false,
+            keeps_session: false,
         }
     }
 }
@@ -192,7 +199,20 @@ impl<'a, L: Link> Executor<'a, L> {
         }
     }
 
+    /// Requests 0 V and returns the session for another run. `None` if it is closed or has ended, or
+    /// if the controller did not confirm 0 V.
+    pub(crate) fn rest(&mut self) -> Option<RigSession<L>> {
+        let mut session = self.session.take()?;
+        // A panic of the link counts as a missing confirmation of 0 V.
+        let end = catch_unwind(AssertUnwindSafe(|| session.rest())).unwrap_or(SafeEnd::Unconfirmed);
+        self.ends.record(end);
+        Some(session).filter(|session| end == SafeEnd::Confirmed && !session.has_ended())
+    }
+
     fn connect(&self) -> Result<RigSession<L>, RunError> {
+        if let Some(file) = self.settings.firmware.and_then(FirmwareDigest::changed_file) {
+            return Err(RunError::DifferentProgram { file });
+        }
         let session = RigSession::open(FaultInjector::new((self.connect)()?))?;
         let found = *session.identity();
         match self.settings.identity {
@@ -211,8 +231,8 @@ impl<'a, L: Link> Executor<'a, L> {
     /// after the end of a program that had confirmed 0 V.
     fn close_unusable_session(&mut self, scenario: &Scenario, index: u32, keeps_controller: bool) {
         let Some(session) = &self.session else { return };
-        let needs_new =
-            !scenario.between.is_empty() && index == 0 && !self.settings.shares_controller && !self.settings.keeps_link;
+        let is_kept = self.settings.shares_controller || self.settings.keeps_link || self.settings.keeps_session;
+        let needs_new = !scenario.between.is_empty() && index == 0 && !is_kept;
         if needs_new || (session.has_ended() && !keeps_controller) {
             self.close();
         }

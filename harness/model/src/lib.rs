@@ -7,6 +7,8 @@ pub mod recording;
 pub mod record {
     //! Defines the record, the events and the folder of a run.
 
+    mod assessment;
+    mod journal;
     mod reason;
     mod run_folder;
     mod run_record;
@@ -15,6 +17,8 @@ pub mod record {
 
     pub use crate::metrics::{Metric, MissingValue, SignalPoint, UndefinedValue};
     pub use crate::scenario::Limit;
+    pub use assessment::{Assessment, NotPlayed, RunOutcome, ScenarioAssessment, combine_runs};
+    pub use journal::{JOURNAL_FILE, JournalRecord, TrialJournal};
     pub use reason::{
         Bounds, DivergedTrials, Divergence, Evidence, EvidenceMethod, ExpectationRecord, MetricDefinition, Reason,
         SignSymptom, Statistic, TrialFinding, TrialReason, WideBoundsCause, WorstInstant, percent,

@@ -1,8 +1,9 @@
 //! Finds keys, trials and missed expectations in a record.
 
 use platebench_model::record::{
-    Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingValue, NotApplicable, Reason,
-    RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord, Verdict, ViolationKind,
+    Assessment, Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingValue, NotApplicable,
+    NotPlayed, Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord, Verdict,
+    ViolationKind,
 };
 use std::mem::{Discriminant, discriminant};
 
@@ -222,9 +223,9 @@ pub(crate) fn sign_symptoms(record: &RunRecord) -> impl Iterator<Item = (&Scenar
 
 /// Files of the scenarios that `--fail-fast` did not play.
 pub(crate) fn unplayed_scenarios(record: &RunRecord) -> Vec<&str> {
-    let is_unplayed = |scenario: &&ScenarioRecord| scenario.trials.is_empty() && scenario.time_limit_s.is_none();
-    let is_complete = record.overrides.fail_fast && record.complete;
-    record.scenarios.iter().filter(|_| is_complete).filter(is_unplayed).map(|scenario| scenario.file.as_str()).collect()
+    let scenarios = Assessment::of(record).scenarios.into_iter();
+    let unplayed = scenarios.filter(|found| found.played == 0 && found.not_played == Some(NotPlayed::FailFast));
+    unplayed.map(|scenario| scenario.file).collect()
 }
 
 /// The first differences that the check of the protocol found, if they are why an expectation is not
@@ -248,8 +249,10 @@ pub(crate) fn required_not_applicable(record: &RunRecord) -> &[NotApplicable] {
 }
 
 pub(crate) fn run_inconclusive_reason(record: &RunRecord) -> Option<&'static str> {
-    if !record.complete {
-        Some("the run was not finished")
+    let assessment = Assessment::of(record);
+    let missing = assessment.inconclusive.filter(|_| !record.complete || assessment.verdict != Verdict::Fail);
+    if missing.is_some() {
+        missing
     } else if !required_not_applicable(record).is_empty() {
         None
     } else if record.scenarios.is_empty() {
@@ -365,6 +368,7 @@ mod tests {
             not_applicable: Vec::new(),
             requirement_texts: std::collections::BTreeMap::new(),
             time_limit_s: None,
+            planned_trials: None,
             trials: vec![trial_of(0, 1.0), trial_of(1, 3.0), trial_of(2, 3.0), trial_of(3, 2.0)],
         };
         assert_eq!(trial_to_inspect(&scenario, 0).unwrap().index, 1);

@@ -43,6 +43,7 @@ mod rigs;
 mod safe_exit;
 mod scenarios;
 mod schemas;
+mod sealed_trials;
 mod serial_line;
 mod signals;
 mod starter_c;

@@ -3,15 +3,19 @@
 
 use crate::boards::state::BoardOutcome;
 use platebench_engine::plan::LinkFactory;
-use platebench_engine::{CancelToken, RunError, RunHooks, RunPlan, rejudge, run};
-use platebench_model::record::{FileLock, FolderError, RunFolder, RunRecord, Verdict, utc_timestamp};
+use platebench_engine::{CancelToken, RigSession, RunError, RunHooks, RunPlan, rejudge, run};
+use platebench_model::record::{
+    FileLock, FolderError, RigRecord, RunFolder, RunRecord, Verdict, combine_runs, utc_timestamp,
+};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{AtPath as _, create_folder, read_text_file, write_atomically};
 use platebench_report::document::{Block, Document, Table};
+use platebench_rig::SafeEnd;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use std::{fs, io};
 
@@ -33,6 +37,7 @@ pub struct SoakResult {
 }
 
 /// Writes `soak.json` after each run. Keeps the newest run and the first 20 runs that did not pass.
+/// All runs share one session, so that a controller keeps its history from one run to the next.
 pub fn soak(
     config: &SoakConfig,
     out: &Path,
@@ -46,36 +51,63 @@ pub fn soak(
     if out.join(SOAK_FILE).exists() {
         return Err(FolderError::AlreadyUsed(out.to_owned()).into());
     }
-    let (started, mut record) = (Instant::now(), SoakRecord::new(&config.board, &config.plan.rig));
-    write(&record, out)?;
-    let mut board = BoardOutcome::untouched();
+    let mut result = SoakResult {
+        record: SoakRecord::new(&config.board, &config.plan.rig),
+        board: BoardOutcome::untouched(),
+        error: None,
+    };
+    write(&result.record, out)?;
     if config.plan.scenarios.is_empty() {
-        return Ok(SoakResult { record, board: BoardOutcome::untouched(), error: None });
+        return Ok(result);
     }
+    let session = Mutex::new(None);
+    let played = play_rounds(config, out, connect, cancel, &session, &mut result);
+    if played.is_err() && result.record.runs == 0 && !out.join(RUNS).exists() {
+        // The board was not reached, so the same soak can start again.
+        let _ = fs::remove_file(out.join(SOAK_FILE));
+        for folder in created {
+            let _ = fs::remove_dir(folder);
+        }
+    }
+    played?;
+    let last = session.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if last.is_some_and(|session| session.close() != SafeEnd::Confirmed) {
+        result.board = BoardOutcome { last_run: result.board.last_run, ..BoardOutcome::unconfirmed() };
+        result.record.safe_confirmed = false;
+        result.record.set_end(SoakEnd::Unsafe);
+        write(&result.record, out)?;
+    }
+    Ok(result)
+}
+
+fn play_rounds(
+    config: &SoakConfig,
+    out: &Path,
+    connect: &LinkFactory<'_>,
+    cancel: &CancelToken,
+    session: &Mutex<Option<RigSession>>,
+    result: &mut SoakResult,
+) -> Result<(), RunError> {
+    let SoakResult { record, board, error: last_error } = result;
+    let started = Instant::now();
     let mut disposable: Option<PathBuf> = None;
     for (round, scenario) in (0..).flat_map(|round| config.plan.scenarios.iter().map(move |scenario| (round, scenario)))
     {
         let plan = plan_of(&config.plan, scenario, round);
         let name = format!("{RUNS}/{:08}", record.runs);
         let folder = RunFolder::create(Some(&out.join(&name)))?;
-        let hooks = RunHooks { cancel: cancel.clone(), ..RunHooks::default() };
+        let hooks = RunHooks { cancel: cancel.clone(), kept_session: Some(session), ..RunHooks::default() };
         let played = run(&plan, &folder, connect, hooks);
-        board = BoardOutcome::of_run(played.as_ref(), folder.path());
+        *board = BoardOutcome::of_run(played.as_ref(), folder.path());
+        let played = played.and_then(|run| record.check_controller(&run.rig).map(|()| run));
         let run = match played {
             Ok(run) => run,
-            // The board was not reached, so the same soak can start again.
-            Err(error) if record.runs == 0 && !cancel.is_cancelled() && folder.remove_if_empty() => {
-                let _ = fs::remove_file(out.join(SOAK_FILE));
-                for folder in created {
-                    let _ = fs::remove_dir(folder);
-                }
-                return Err(error);
-            }
+            Err(error) if record.runs == 0 && !cancel.is_cancelled() && folder.remove_if_empty() => return Err(error),
             Err(error) => {
-                record.end = Some(if cancel.is_cancelled() { SoakEnd::Cancelled } else { SoakEnd::Lost });
-                write(&record, out)?;
-                let error = (!cancel.is_cancelled()).then_some(error);
-                return Ok(SoakResult { record, board, error });
+                record.set_end(if cancel.is_cancelled() { SoakEnd::Cancelled } else { SoakEnd::Lost });
+                write(record, out)?;
+                *last_error = (!cancel.is_cancelled()).then_some(error);
+                return Ok(());
             }
         };
         record.add(&run, &name);
@@ -87,13 +119,15 @@ pub fn soak(
         } else {
             record.kept.push(name);
         }
-        record.end = end_after(config, &run, &board, started, cancel);
-        write(&record, out)?;
+        if let Some(end) = end_after(config, &run, board, started, cancel) {
+            record.set_end(end);
+        }
+        write(record, out)?;
         if record.end.is_some() {
             break;
         }
     }
-    Ok(SoakResult { record, board, error: None })
+    Ok(())
 }
 
 fn end_after(
@@ -140,8 +174,14 @@ pub struct SoakRecord {
     pub rig: String,
     pub started: String,
     pub updated: String,
-    /// The most severe verdict of all runs.
+    /// The most severe verdict of all runs. A pass only after the whole time: while the soak test
+    /// runs, and after it was killed, it is inconclusive instead.
     pub verdict: Verdict,
+    #[serde(skip)]
+    worst: Option<Verdict>,
+    /// The controller of all runs; absent before the end of the first run and in records of 0.3.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub controller: Option<RigRecord>,
     /// Absent while the soak test runs, and after it was killed.
     pub end: Option<SoakEnd>,
     pub runs: u64,
@@ -211,6 +251,8 @@ impl SoakRecord {
             started: utc_timestamp(),
             updated: utc_timestamp(),
             verdict: Verdict::Inconclusive,
+            worst: None,
+            controller: None,
             end: None,
             runs: 0,
             safe_confirmed: true,
@@ -221,7 +263,30 @@ impl SoakRecord {
     }
 
     pub fn read(folder: &Path) -> io::Result<Self> {
-        Ok(serde_json::from_str(&read_text_file(&folder.join(SOAK_FILE), MAX_BYTES)?)?)
+        let mut record: Self = serde_json::from_str(&read_text_file(&folder.join(SOAK_FILE), MAX_BYTES)?)?;
+        // 0.3 wrote a pass before the end.
+        record.worst = (record.runs > 0).then_some(record.verdict);
+        record.update_verdict();
+        Ok(record)
+    }
+
+    fn update_verdict(&mut self) {
+        self.verdict = combine_runs(self.worst, self.end == Some(SoakEnd::Time));
+    }
+
+    fn set_end(&mut self, end: SoakEnd) {
+        self.end = Some(end);
+        self.update_verdict();
+    }
+
+    /// Fails if another controller answers than in the runs before.
+    fn check_controller(&mut self, rig: &RigRecord) -> Result<(), RunError> {
+        let first = self.controller.get_or_insert_with(|| rig.clone());
+        if first.has_same_controller(rig) {
+            return Ok(());
+        }
+        let [found, expected] = [rig, first].map(RigRecord::describe_controller);
+        Err(RunError::DifferentController { found, expected })
     }
 
     pub(crate) fn write(&self, folder: &Path) -> io::Result<()> {
@@ -229,8 +294,8 @@ impl SoakRecord {
     }
 
     pub(crate) fn add(&mut self, run: &RunRecord, folder: &str) {
-        let before = (self.runs > 0).then_some(self.verdict);
-        self.verdict = Verdict::combine(before.into_iter().chain([run.verdict]));
+        self.worst = Some(Verdict::combine(self.worst.into_iter().chain([run.verdict])));
+        self.update_verdict();
         self.runs += 1;
         self.updated = utc_timestamp();
         self.safe_confirmed &= run.safe_confirmed == Some(true);
