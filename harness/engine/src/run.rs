@@ -53,7 +53,7 @@ pub fn run(
     if plan.overrides.keep_traces != KeepTraces::None {
         plan.scenarios.iter().try_for_each(|scenario| folder.create_trace_folder(scenario))?;
     }
-    let journal = TrialJournal::create(folder.path()).map_err(FolderError::from)?;
+    let journal = TrialJournal::create(folder.output()).map_err(FolderError::from)?;
     let rig = rig_record(plan, &first, &firmware);
     let record = RunRecord { not_applicable, ..initial_record(plan, folder, rig, &inputs, &journal) };
     let identity = *first.identity();

@@ -1,6 +1,7 @@
 //! Defines scenarios, traces, recordings and the record of a run, and reads and writes their files.
 
 pub mod external_csv;
+mod files;
 pub mod metrics;
 pub mod recording;
 
@@ -83,12 +84,12 @@ pub mod trace {
     //! until the next row. Floats have the shortest text that gives the same f64 again, so equal trials
     //! have equal bytes.
 
-    mod files;
     mod trace_file;
 
-    pub use files::{
-        AtPath, AtomicFile, FileError, MAX_IMAGE_BYTES, MAX_TABLE_BYTES, create_folder, open_regular_file,
-        read_regular_file, read_text_file, remove_temporary_files, sync_tree, write_atomically, write_new,
+    pub use crate::files::{
+        AtPath, AtomicFile, FileError, MAX_IMAGE_BYTES, MAX_TABLE_BYTES, OutputFile, OutputFolder, create_folder,
+        open_regular_file, read_regular_file, read_text_file, remove_temporary_files, sync_tree, write_atomically,
+        write_named_by_user, write_new,
     };
     pub use trace_file::{
         COLUMNS, Column, Flags, OPTIONAL_COLUMNS, Row, TraceError, TraceReader, TraceWriter, read_trace,

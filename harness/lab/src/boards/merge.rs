@@ -7,10 +7,9 @@ use platebench_model::record::{
     BoardDifference, FORMAT, FolderError, Host, MergeRecord, MergedRun, MergedScenario, MissingShard, NotApplicable,
     Overrides, RigRecord, RunFolder, RunRecord, ScenarioRecord, Tool, TrialJournal, Verdict, utc_timestamp,
 };
-use platebench_model::trace::AtPath as _;
+use platebench_model::trace::{AtPath as _, open_regular_file};
 use platebench_verdict::statistics::SampleSummary;
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, thiserror::Error)]
@@ -52,13 +51,13 @@ pub fn merge_runs(folders: &[PathBuf], out: &RunFolder) -> Result<RunRecord, Mer
     check_trials(&runs)?;
     let places: BTreeSet<_> = runs.iter().map(|run| run.place.as_str()).collect();
     let mut record = joined_head(&runs, out);
-    let mut journal = TrialJournal::create(out.path()).map_err(FolderError::from)?;
+    let mut journal = TrialJournal::create(out.output()).map_err(FolderError::from)?;
     let mut merge = MergeRecord { missing_shards: missing_shards(&runs), ..MergeRecord::default() };
     for (number, run) in runs.iter().enumerate() {
         let prefix = if places.len() > 1 { format!("{}/", run.place) } else { String::new() };
         let mut files = Vec::new();
         for scenario in &run.record.scenarios {
-            let joined = copy_scenario(run, scenario, &prefix, number, out.path())?;
+            let joined = copy_scenario(run, scenario, &prefix, number, out)?;
             for trial in &joined.trials {
                 let place = record.scenarios.len();
                 journal.append(place, &joined, &run.record.rig, trial).map_err(FolderError::from)?;
@@ -267,13 +266,13 @@ fn copy_scenario(
     scenario: &ScenarioRecord,
     prefix: &str,
     number: usize,
-    out: &Path,
+    out: &RunFolder,
 ) -> Result<ScenarioRecord, MergeError> {
     let mut joined = ScenarioRecord { file: format!("{prefix}{}", scenario.file), ..scenario.clone() };
     for input in &mut joined.inputs {
         let below = input.file.strip_prefix("inputs/").unwrap_or(&input.file);
         let target = format!("inputs/run-{}/{below}", number + 1);
-        copy(&run.folder.join(&input.file), &out.join(&target))?;
+        copy(&run.folder.join(&input.file), &target, out)?;
         input.file = target;
     }
     for trial in &mut joined.trials {
@@ -282,19 +281,16 @@ fn copy_scenario(
         let source = run.folder.join(&trial.trace);
         if trial.sha256.is_some() || source.is_file() {
             check_trace(&run.folder, trial)?;
-            copy(&source, &out.join(&target))?;
+            copy(&source, &target, out)?;
         }
         trial.trace = target;
     }
     Ok(joined)
 }
 
-fn copy(from: &Path, to: &Path) -> Result<(), FolderError> {
-    if let Some(folder) = to.parent() {
-        fs::create_dir_all(folder).at(folder)?;
-    }
-    fs::copy(from, to).at(from)?;
-    Ok(())
+fn copy(from: &Path, to: &str, out: &RunFolder) -> Result<(), FolderError> {
+    let mut source = open_regular_file(from, u64::MAX).at(from)?;
+    Ok(out.output().copy(&mut source, to)?)
 }
 
 const CONFIDENCE: f64 = 0.95;

@@ -8,13 +8,13 @@ use platebench_model::record::{
     FileLock, FolderError, RigRecord, RunFolder, RunRecord, Verdict, combine_runs, utc_timestamp,
 };
 use platebench_model::scenario::Scenario;
-use platebench_model::trace::{AtPath as _, create_folder, read_text_file, write_atomically};
+use platebench_model::trace::{AtPath as _, FileError, OutputFolder, read_text_file};
 use platebench_report::document::{Block, Document, Table};
 use platebench_rig::SafeEnd;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use std::{fs, io};
@@ -45,7 +45,7 @@ pub fn soak(
     cancel: &CancelToken,
 ) -> Result<SoakResult, RunError> {
     let created: Vec<&Path> = out.ancestors().take_while(|folder| !folder.exists()).collect();
-    create_folder(out).at(out).map_err(FolderError::from)?;
+    let output = OutputFolder::create(out).map_err(FolderError::from)?;
     let lock = FileLock::exclusive(out).map_err(FolderError::from)?;
     let _lock = lock.ok_or_else(|| FolderError::InUse(out.to_owned()))?;
     if out.join(SOAK_FILE).exists() {
@@ -56,12 +56,12 @@ pub fn soak(
         board: BoardOutcome::untouched(),
         error: None,
     };
-    write(&result.record, out)?;
+    write(&result.record, &output)?;
     if config.plan.scenarios.is_empty() {
         return Ok(result);
     }
     let session = Mutex::new(None);
-    let played = play_rounds(config, out, connect, cancel, &session, &mut result);
+    let played = play_rounds(config, &output, connect, cancel, &session, &mut result);
     if played.is_err() && result.record.runs == 0 && !out.join(RUNS).exists() {
         // The board was not reached, so the same soak can start again.
         let _ = fs::remove_file(out.join(SOAK_FILE));
@@ -75,14 +75,14 @@ pub fn soak(
         result.board = BoardOutcome { last_run: result.board.last_run, ..BoardOutcome::unconfirmed() };
         result.record.safe_confirmed = false;
         result.record.set_end(SoakEnd::Unsafe);
-        write(&result.record, out)?;
+        write(&result.record, &output)?;
     }
     Ok(result)
 }
 
 fn play_rounds(
     config: &SoakConfig,
-    out: &Path,
+    output: &OutputFolder,
     connect: &LinkFactory<'_>,
     cancel: &CancelToken,
     session: &Mutex<Option<RigSession>>,
@@ -90,12 +90,14 @@ fn play_rounds(
 ) -> Result<(), RunError> {
     let SoakResult { record, board, error: last_error } = result;
     let started = Instant::now();
-    let mut disposable: Option<PathBuf> = None;
+    let mut disposable: Option<String> = None;
     for (round, scenario) in (0..).flat_map(|round| config.plan.scenarios.iter().map(move |scenario| (round, scenario)))
     {
         let plan = plan_of(&config.plan, scenario, round);
         let name = format!("{RUNS}/{:08}", record.runs);
-        let folder = RunFolder::create(Some(&out.join(&name)))?;
+        // Fails if a link is in the place of the folder.
+        let place = output.create_folder(&name).map_err(FolderError::from)?;
+        let folder = RunFolder::create(Some(place.path()))?;
         let hooks = RunHooks { cancel: cancel.clone(), kept_session: Some(session), ..RunHooks::default() };
         let played = run(&plan, &folder, connect, hooks);
         *board = BoardOutcome::of_run(played.as_ref(), folder.path());
@@ -105,24 +107,24 @@ fn play_rounds(
             Err(error) if record.runs == 0 && !cancel.is_cancelled() && folder.remove_if_empty() => return Err(error),
             Err(error) => {
                 record.set_end(if cancel.is_cancelled() { SoakEnd::Cancelled } else { SoakEnd::Lost });
-                write(record, out)?;
+                write(record, output)?;
                 *last_error = (!cancel.is_cancelled()).then_some(error);
                 return Ok(());
             }
         };
         record.add(&run, &name);
         if let Some(old) = disposable.take() {
-            fs::remove_dir_all(&old).at(&old).map_err(FolderError::from)?;
+            output.remove_folder(&old).map_err(FolderError::from)?;
         }
         if run.verdict == Verdict::Pass || record.kept.len() >= MAX_KEPT_FAILURES {
-            disposable = Some(folder.path().to_owned());
+            disposable = Some(name);
         } else {
             record.kept.push(name);
         }
         if let Some(end) = end_after(config, &run, board, started, cancel) {
             record.set_end(end);
         }
-        write(record, out)?;
+        write(record, output)?;
         if record.end.is_some() {
             break;
         }
@@ -159,8 +161,8 @@ fn plan_of(plan: &RunPlan, scenario: &Scenario, round: u64) -> RunPlan {
     RunPlan { scenarios: vec![scenario], overrides, ..plan.clone() }
 }
 
-fn write(record: &SoakRecord, out: &Path) -> Result<(), RunError> {
-    Ok(record.write(out).at(out).map_err(FolderError::from)?)
+fn write(record: &SoakRecord, output: &OutputFolder) -> Result<(), RunError> {
+    Ok(record.write(output).map_err(FolderError::from)?)
 }
 
 pub const SOAK_FILE: &str = "soak.json";
@@ -289,8 +291,9 @@ impl SoakRecord {
         Err(RunError::DifferentController { found, expected })
     }
 
-    pub(crate) fn write(&self, folder: &Path) -> io::Result<()> {
-        write_atomically(&folder.join(SOAK_FILE), format!("{}\n", serde_json::to_string_pretty(self)?).as_bytes())
+    pub(crate) fn write(&self, folder: &OutputFolder) -> Result<(), FileError> {
+        let text = serde_json::to_string_pretty(self).map_err(io::Error::from).at(&folder.path().join(SOAK_FILE))?;
+        folder.write(SOAK_FILE, format!("{text}\n"))
     }
 
     pub(crate) fn add(&mut self, run: &RunRecord, folder: &str) {

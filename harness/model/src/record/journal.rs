@@ -10,7 +10,7 @@ use crate::record::KeepTraces;
 use crate::record::run_folder::{RecordError, sha256};
 use crate::record::run_record::{Firmware, RigRecord, RunRecord, ScenarioRecord};
 use crate::record::trial_record::TrialRecord;
-use crate::trace::{AtPath, FileError, read_regular_file};
+use crate::trace::{AtPath, FileError, OutputFolder, read_regular_file};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -62,9 +62,9 @@ pub struct TrialJournal {
 
 impl TrialJournal {
     /// Creates the journal in a new run folder.
-    pub fn create(folder: &Path) -> Result<Self, FileError> {
-        let path = folder.join(JOURNAL_FILE);
-        let file = File::options().append(true).create_new(true).open(&path).at(&path)?;
+    pub fn create(folder: &OutputFolder) -> Result<Self, FileError> {
+        let path = folder.path().join(JOURNAL_FILE);
+        let file = folder.append(JOURNAL_FILE)?;
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let run = sha256(format!("{} {} {}", path.display(), since.as_nanos(), std::process::id()).as_bytes());
         Ok(Self { file, path, seal: run.clone(), run })

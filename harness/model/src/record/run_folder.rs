@@ -1,10 +1,11 @@
 //! Creates, locks, reads and writes run folders.
 
+use crate::record::journal::JOURNAL_FILE;
 use crate::record::reason::ExpectationRecord;
 use crate::record::run_record::RigRecord;
 use crate::record::run_record::{FORMAT, InputRecord, RunRecord};
 use crate::scenario::{InputFile, Scenario};
-use crate::trace::{AtPath, AtomicFile, FileError, create_folder, open_regular_file, read_text_file};
+use crate::trace::{AtPath, FileError, OutputFolder, open_regular_file, read_text_file};
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use platebench_plate::input::{STANDARD_INPUT_NAME, STANDARD_STREAM};
@@ -36,7 +37,7 @@ pub enum FolderError {
 
 #[derive(Debug, Clone)]
 pub struct RunFolder {
-    path: PathBuf,
+    output: OutputFolder,
     started: Timestamp,
     sequence: u64,
     /// Parent folder that was created for this run.
@@ -51,9 +52,9 @@ impl RunFolder {
         let started = Timestamp::now();
         let path = path.map_or_else(|| Path::new("runs").join(generate_name(started)), Path::to_owned);
         let created_parent = path.parent().filter(|parent| !parent.exists()).map(Path::to_owned);
-        create_folder(&path).at(&path)?;
+        let output = OutputFolder::create(&path)?;
         let Some(lock) = FileLock::exclusive(&path)? else { return Err(FolderError::InUse(path)) };
-        if fs::symlink_metadata(path.join(RECORD_FILE)).is_ok() {
+        if [RECORD_FILE, JOURNAL_FILE].iter().any(|file| fs::symlink_metadata(path.join(file)).is_ok()) {
             return Err(FolderError::AlreadyUsed(path));
         }
         // A campaign has a report of the same name.
@@ -61,7 +62,7 @@ impl RunFolder {
             return Err(FolderError::ContainsCampaign(path));
         }
         let sequence = newest_in(&parent_of(&path)).map_or(0, |(order, _)| order.sequence) + 1;
-        Ok(Self { path, started, sequence, created_parent, _lock: Arc::new(lock) })
+        Ok(Self { output, started, sequence, created_parent, _lock: Arc::new(lock) })
     }
 
     /// Creates a folder below `runs` with the time as name.
@@ -70,12 +71,17 @@ impl RunFolder {
     }
 
     pub fn path(&self) -> &Path {
-        &self.path
+        self.output.path()
+    }
+
+    /// Writes the files of the run.
+    pub fn output(&self) -> &OutputFolder {
+        &self.output
     }
 
     /// Removes the folder, and its parent if it was created for this run. Keeps folders with content.
     pub fn remove_if_empty(&self) -> bool {
-        let is_removed = fs::remove_dir(&self.path).is_ok();
+        let is_removed = fs::remove_dir(self.path()).is_ok();
         if let Some(parent) = self.created_parent.as_ref().filter(|_| is_removed) {
             let _ = fs::remove_dir(parent);
         }
@@ -93,8 +99,8 @@ impl RunFolder {
     }
 
     pub fn create_trace_folder(&self, scenario: &Scenario) -> Result<(), FolderError> {
-        let folder = self.path.join(TRACES).join(scenario.name());
-        Ok(fs::create_dir_all(&folder).at(&folder)?)
+        self.output.create_folder(Path::new(TRACES).join(scenario.name()))?;
+        Ok(())
     }
 
     /// Copies all input files and keeps their relative paths. Returns their records by scenario.
@@ -112,11 +118,9 @@ impl RunFolder {
         let store = |input: &InputFile| {
             let below = place(input)?;
             let relative = Path::new(INPUTS).join(below.strip_prefix(&root).unwrap_or(&below));
-            let target = self.path.join(&relative);
-            if let Some(folder) = target.parent() {
-                fs::create_dir_all(folder).at(folder)?;
-            }
-            fs::write(&target, &input.bytes).at(&target)?;
+            let mut copy = self.output.create_file(&relative)?;
+            copy.write_all(&input.bytes).at(&self.path().join(&relative))?;
+            copy.commit_without_sync()?;
             Ok(InputRecord { file: with_slashes(&relative), sha256: sha256(&input.bytes) })
         };
         scenarios.iter().map(|scenario| scenario.inputs.iter().map(store).collect()).collect()
@@ -238,14 +242,14 @@ pub enum RecordError {
 impl RunRecord {
     /// Replaces the record in `folder` atomically.
     pub fn write(&self, folder: &Path) -> io::Result<()> {
-        let mut file = AtomicFile::create(&folder.join(RECORD_FILE))?;
+        let mut file = OutputFolder::open(folder)?.create_file(RECORD_FILE)?;
         let mut writer = BufWriter::with_capacity(WRITE_BUFFER_BYTES, &mut file);
         serde_json::to_writer_pretty(&mut writer, self)?;
         writer.write_all(b"\n")?;
         writer.flush()?;
         drop(writer);
         // A sync at the start would delay the run.
-        if self.complete { file.commit() } else { file.commit_without_sync() }
+        Ok(if self.complete { file.commit() } else { file.commit_without_sync() }?)
     }
 
     /// The record and, of a run that was killed, its sealed trials.

@@ -1,7 +1,6 @@
 //! Defines the rows of a trace, and reads and writes traces.
 
-use crate::trace::files::AtomicFile;
-use crate::trace::files::open_regular_file;
+use crate::files::{FileError, OutputFile, OutputFolder, open_regular_file};
 use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io;
@@ -145,10 +144,16 @@ pub enum TraceError {
     },
 }
 
+impl From<FileError> for TraceError {
+    fn from(FileError { path, source }: FileError) -> Self {
+        Self::Io { path, source }
+    }
+}
+
 /// The file gets its name in [`TraceWriter::finish`], so a file with this name is complete.
 #[derive(Debug)]
 pub struct TraceWriter {
-    file: AtomicFile,
+    file: OutputFile,
     hash: Sha256,
     buffer: Vec<u8>,
     /// Numbers of the last row as text. Most numbers repeat and are formatted only once.
@@ -185,13 +190,20 @@ impl Cell {
 }
 
 impl TraceWriter {
+    /// Creates the trace at `path`. Its folder must exist. Replaces a link at `path`.
     pub fn create(path: &Path) -> Result<Self, TraceError> {
-        let file = AtomicFile::create(path).map_err(|source| TraceError::Io { path: path.to_owned(), source })?;
+        let folder = OutputFolder::open(path.parent().unwrap_or(Path::new("")))?;
+        Self::create_in(&folder, path.file_name().unwrap_or_default())
+    }
+
+    pub fn create_in(folder: &OutputFolder, relative: impl AsRef<Path>) -> Result<Self, TraceError> {
+        let path = folder.path().join(&relative);
+        let file = folder.create_file(relative)?;
         let mut buffer = Vec::with_capacity(BUFFER_BYTES + MAX_ROW_BYTES);
         buffer.extend_from_slice(COLUMNS.join(",").as_bytes());
         buffer.push(b'\n');
         let cells = std::array::from_fn(|_| Cell::new());
-        Ok(Self { file, hash: Sha256::new(), buffer, cells, path: path.to_owned() })
+        Ok(Self { file, hash: Sha256::new(), buffer, cells, path })
     }
 
     pub fn write(&mut self, row: &Row) -> Result<(), TraceError> {
@@ -219,7 +231,7 @@ impl TraceWriter {
     pub fn finish(mut self) -> Result<[u8; 32], TraceError> {
         self.flush()?;
         // `run.json` contains the hash of every trace, which reveals damage by a power cut.
-        self.file.commit_without_sync().map_err(|source| TraceError::Io { path: self.path, source })?;
+        self.file.commit_without_sync()?;
         Ok(self.hash.finalize().into())
     }
 }
