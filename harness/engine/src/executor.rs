@@ -5,12 +5,12 @@
 use crate::controller_log::is_controller_failure;
 use crate::firmware_digest::FirmwareDigest;
 use crate::live_tap::TapWriter;
-use crate::plan::{Clock, LinkFactory, NoOperator, Operator, RunError};
+use crate::plan::{Clock, LinkFactory, NoOperator, Operator, RigSession, RunError};
 use crate::trial::{self, Trial, TrialResult};
 use crate::{lockstep, real_plate, real_time};
 use platebench_model::record::Telemetry;
 use platebench_model::scenario::Scenario;
-use platebench_rig::{BoxedLink, CancelToken, FaultInjector, Link, RigError, SafeEnd, Session};
+use platebench_rig::{BoxedLink, CancelToken, FaultInjector, Link, RigError, SafeEnd};
 use platebench_verdict::{Judgement, SequentialDecision, judge_sequentially, measure};
 use platebench_wire::{Identity, LawId};
 use std::ops::ControlFlow;
@@ -20,8 +20,6 @@ use tracing::error;
 
 /// Number of consecutive trials with a lost controller after which a search or a sweep ends.
 pub const MAX_LOSSES: u32 = 5;
-
-pub type RigSession<L = BoxedLink> = Session<FaultInjector<L>>;
 
 /// Ends of all sessions of several executors.
 #[derive(Debug, Default)]

@@ -20,10 +20,12 @@ mod trend;
 pub mod trial;
 pub mod workers;
 
-pub use executor::{Executor, ExecutorSettings, MAX_LOSSES, RigSession, SafeEnds, ScenarioEnd};
+pub use executor::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, ScenarioEnd};
 pub use firmware_digest::FirmwareDigest;
 pub use live_tap::{LiveTap, TapReader};
-pub use plan::{Answer, Clock, LinkFactory, NoOperator, Operator, Question, QuestionKind, RunError, RunHooks, RunPlan};
+pub use plan::{
+    Answer, Clock, LinkFactory, NoOperator, Operator, Question, QuestionKind, RigSession, RunError, RunHooks, RunPlan,
+};
 pub use plant_simulation::{ManualControl, ManualInputs};
 pub use platebench_model::record::Event;
 pub use platebench_rig::CancelToken;

@@ -1,18 +1,19 @@
 //! Describes a run: scenarios, clock, operator, hooks and the errors that end it.
 
-use crate::executor::RigSession;
 use crate::live_tap::LiveTap;
 use crate::timing::{Pacing, TimeBase};
 use platebench_model::record::{ClockKind, Event, FolderError, Overrides};
 use platebench_model::scenario::{Diagnostic, Scenario};
 use platebench_model::trace::TraceError;
 use platebench_plate::Time;
-use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, RigError, RigSpec};
+use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, FaultInjector, RigError, RigSpec, Session};
 use std::sync::Mutex;
 
 /// Connects to the controller. An executor calls it at its start and after it has lost the
 /// controller.
 pub type LinkFactory<'a, L = BoxedLink> = dyn Fn() -> Result<L, ConnectError> + Send + Sync + 'a;
+
+pub type RigSession<L = BoxedLink> = Session<FaultInjector<L>>;
 
 #[derive(Debug, Clone)]
 pub struct RunPlan {

@@ -1,8 +1,8 @@
 //! Plays all trials of all scenarios on several workers. No result depends on the order of trials.
 
-use crate::executor::{Executor, ExecutorSettings, RigSession, SafeEnds};
+use crate::executor::{Executor, ExecutorSettings, SafeEnds};
 use crate::firmware_digest::FirmwareDigest;
-use crate::plan::{Clock, LinkFactory, RunError, RunHooks, RunPlan};
+use crate::plan::{Clock, LinkFactory, RigSession, RunError, RunHooks, RunPlan};
 use crate::run_player::{RunPlayer, RunProgress, ScenarioResult};
 use crate::timing::{Pacing, TimeBase};
 use crate::trend;

@@ -62,7 +62,7 @@ pub fn soak(
     }
     let session = Mutex::new(None);
     let played = play_rounds(config, &output, connect, cancel, &session, &mut result);
-    if played.is_err() && result.record.runs == 0 && !out.join(RUNS).exists() {
+    if played.is_err() && result.record.runs == 0 && output.remove_empty_folder(RUNS).is_ok() {
         // The board was not reached, so the same soak can start again.
         let _ = fs::remove_file(out.join(SOAK_FILE));
         for folder in created {

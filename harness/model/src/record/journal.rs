@@ -6,12 +6,10 @@
 //! was interrupted, and it does not count. One write(2) appends a line, before the event of the trial
 //! is sent and after its trace has its final name.
 
-use crate::record::KeepTraces;
-use crate::record::run_folder::{RecordError, sha256};
-use crate::record::run_record::{Firmware, RigRecord, RunRecord, ScenarioRecord};
+use crate::record::run_folder::{JOURNAL_FILE, RecordError, sha256};
+use crate::record::run_record::{Firmware, JournalRecord, KeepTraces, RigRecord, RunRecord, ScenarioRecord};
 use crate::record::trial_record::TrialRecord;
 use crate::trace::{AtPath, FileError, OutputFolder, read_regular_file};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -20,22 +18,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-pub const JOURNAL_FILE: &str = "trials.jsonl";
 /// A journal of 10⁶ trials has about 1 GB.
 const MAX_JOURNAL_BYTES: u64 = 4 << 30;
 const SEAL_KEY: &str = "{\"seal\":\"";
 const ENTRY_KEY: &str = "\",\"entry\":";
 const SEAL_DIGITS: usize = 64;
-
-/// The journal `trials.jsonl` of a run.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct JournalRecord {
-    /// Number of the run, hexadecimal. The seal of the first line includes it.
-    pub run: String,
-    /// Seal of the last line; absent during the run, and if it was killed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub seal: Option<String>,
-}
 
 /// All by which one trial can be judged again, with its trace.
 #[derive(Debug, Serialize, Deserialize)]
@@ -113,6 +100,14 @@ fn split_line(line: &[u8]) -> Option<(&str, &[u8])> {
     let (seal, rest) = line.strip_prefix(SEAL_KEY.as_bytes())?.split_at_checked(SEAL_DIGITS)?;
     let entry = rest.strip_prefix(ENTRY_KEY.as_bytes())?.strip_suffix(b"}")?;
     Some((str::from_utf8(seal).ok()?, entry))
+}
+
+impl ScenarioRecord {
+    /// SHA-256 over the digests of all input files.
+    pub fn inputs_digest(&self) -> String {
+        let digests: Vec<&str> = self.inputs.iter().map(|input| input.sha256.as_str()).collect();
+        sha256(digests.join("\n").as_bytes())
+    }
 }
 
 impl RunRecord {

@@ -1,6 +1,5 @@
 //! Creates, locks, reads and writes run folders.
 
-use crate::record::journal::JOURNAL_FILE;
 use crate::record::reason::ExpectationRecord;
 use crate::record::run_record::RigRecord;
 use crate::record::run_record::{FORMAT, InputRecord, RunRecord};
@@ -218,6 +217,8 @@ fn with_slashes(path: &Path) -> String {
 }
 
 pub const RECORD_FILE: &str = "run.json";
+/// One sealed line per trial.
+pub const JOURNAL_FILE: &str = "trials.jsonl";
 /// The plan in a campaign folder.
 pub const CAMPAIGN_PLAN_FILE: &str = "plan.json";
 /// A record of 10⁶ trials has about 600 MB.

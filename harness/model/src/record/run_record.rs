@@ -1,8 +1,6 @@
 //! Defines the record of a run (`run.json`) and the events of a run.
 
-use crate::record::journal::JournalRecord;
 use crate::record::reason::ExpectationRecord;
-use crate::record::run_folder::sha256;
 use crate::record::trial_record::CostTrend;
 use crate::record::trial_record::TrialRecord;
 use crate::record::verdict::{Cause, Verdict};
@@ -141,12 +139,6 @@ impl ScenarioRecord {
         Path::new(&self.inputs.get(1)?.file).file_stem()?.to_str()
     }
 
-    /// SHA-256 over the digests of all input files.
-    pub fn inputs_digest(&self) -> String {
-        let digests: Vec<&str> = self.inputs.iter().map(|input| input.sha256.as_str()).collect();
-        sha256(digests.join("\n").as_bytes())
-    }
-
     /// Key of an expectation in the metrics of a trial. The first expectation of a metric has its
     /// name, the second has the suffix `[2]`. Empty if there is no expectation `index`.
     pub fn metric_key(&self, index: usize) -> String {
@@ -157,6 +149,16 @@ impl ScenarioRecord {
             earlier => format!("{}[{}]", expectation.metric, earlier + 1),
         }
     }
+}
+
+/// The journal `trials.jsonl` of a run.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct JournalRecord {
+    /// Number of the run, hexadecimal. The seal of the first line includes it.
+    pub run: String,
+    /// Seal of the last line; absent during the run, and if it was killed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seal: Option<String>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
