@@ -197,8 +197,8 @@ impl<'a, L: Link> Executor<'a, L> {
         }
     }
 
-    /// Requests 0 V and returns the session for another run. `None` if it is closed or has ended, or
-    /// if the controller did not confirm 0 V.
+    /// Requests 0 V and returns the session for another run. `None` if it is closed or has ended,
+    /// or if the controller did not confirm 0 V.
     pub(crate) fn rest(&mut self) -> Option<RigSession<L>> {
         let mut session = self.session.take()?;
         // A panic of the link counts as a missing confirmation of 0 V.

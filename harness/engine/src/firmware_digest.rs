@@ -24,7 +24,7 @@ struct HashedFile {
 }
 
 impl FirmwareDigest {
-    /// Contains no digest if the rig has neither a program nor an image, or if a file cannot be read.
+    /// Contains no digest if the rig has neither a program nor an image, or a file cannot be read.
     pub fn of_rig(rig: &str) -> Self {
         let Ok(rig) = rig.parse::<RigSpec>() else { return Self::default() };
         let properties = rig.properties();

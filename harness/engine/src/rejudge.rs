@@ -54,9 +54,9 @@ impl From<Diagnostic> for RejudgeError {
     }
 }
 
-/// The file `expectations` replaces the expectations of the scenario with the same file name. Judges
-/// trials with a record only, by their telemetry and their traces. A trial without a record or
-/// without its trace makes its scenario inconclusive.
+/// The file `expectations` replaces the expectations of the scenario with the same file name.
+/// Judges trials with a record only, by their telemetry and their traces. A trial without a record
+/// or without its trace makes its scenario inconclusive.
 pub fn rejudge(folder: &Path, expectations: Option<&Path>) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
     if record.overrides.keep_traces != KeepTraces::All {

@@ -24,8 +24,8 @@ use std::sync::PoisonError;
 use std::time::Instant;
 
 /// Plays the plan and writes record and traces into `folder`. The record is written at the start
-/// with everything that is selected, and at the end. In between, each trial is sealed in the journal
-/// before its event is sent, so that `platebench report --rejudge` judges it after any end.
+/// with everything that is selected, and at the end. In between, each trial is sealed in the
+/// journal before its event is sent, so that `platebench report --rejudge` judges it after any end.
 pub fn run(
     plan: &RunPlan,
     folder: &RunFolder,

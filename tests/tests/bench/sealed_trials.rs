@@ -31,9 +31,9 @@ fn kill_after_first_trial(folder: &TestFolder, rig: &str) -> Value {
 
 #[test]
 fn a_printed_failure_stays_a_failure_after_a_kill() {
-    let folder = TestFolder::with_step(ANSWERED);
-    let minute = step_text(ANSWERED).replace("duration_ms = 60.0", "duration_ms = 600000.0");
-    folder.write_scenario("z.toml", &minute);
+    let with_duration = |ms: &str| step_text(ANSWERED).replace("duration_ms = 60.0", &format!("duration_ms = {ms}"));
+    let folder = TestFolder::with_scenario(&with_duration("6.0"));
+    folder.write_scenario("z.toml", &with_duration("600000.0"));
     let Some(rig) = controller(&folder, Change::AfterAnswer(SECOND_ANSWER)) else { return };
     let event = kill_after_first_trial(&folder, &rig);
     assert_eq!(event["scenario"], "s.toml");

@@ -1,10 +1,10 @@
 //! Appends one sealed line per trial to `trials.jsonl`, and reads the lines of a stored run.
 //!
 //! A line is `{"seal": HEX, "entry": ENTRY}`. The seal is the SHA-256 of the seal before it and of
-//! the text of the entry; the first line follows the number of the run. A line that was changed, cut
-//! out or taken from another run therefore has a wrong seal. A line without an end is a trial that
-//! was interrupted, and it does not count. One write(2) appends a line, before the event of the trial
-//! is sent and after its trace has its final name.
+//! the text of the entry; the first line follows the number of the run. A line that was changed,
+//! cut out or taken from another run therefore has a wrong seal. A line without an end is a trial
+//! that was interrupted, and it does not count. One write(2) appends a line, before the event of
+//! the trial is sent and after its trace has its final name.
 
 use crate::record::run_folder::{JOURNAL_FILE, RecordError, sha256};
 use crate::record::run_record::{Firmware, JournalRecord, KeepTraces, RigRecord, RunRecord, ScenarioRecord};
