@@ -283,7 +283,7 @@ impl SoakRecord {
 
     /// Fails if another controller answers than in the runs before.
     fn check_controller(&mut self, rig: &RigRecord) -> Result<(), RunError> {
-        let first = self.controller.get_or_insert_with(|| rig.clone());
+        let first: &RigRecord = self.controller.get_or_insert_with(|| rig.clone());
         if first.has_same_controller(rig) {
             return Ok(());
         }

@@ -201,3 +201,87 @@ impl RunRecord {
         misses_traces
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::run_record::tests::record;
+    use rstest::rstest;
+
+    /// A run whose only scenario passed with all its trials.
+    fn passed() -> RunRecord {
+        let mut record = record();
+        let scenario = &mut record.scenarios[0];
+        scenario.verdict = Verdict::Pass;
+        scenario.trials[0].cause = None;
+        record
+    }
+
+    fn assess(change: impl Fn(&mut RunRecord)) -> (Verdict, RunOutcome, Option<String>) {
+        let mut record = passed();
+        change(&mut record);
+        let assessment = Assessment::of(&record);
+        let not_played = assessment.scenarios.first().and_then(|scenario| scenario.not_played);
+        (assessment.verdict, assessment.outcome, not_played.map(|why| format!("{why:?}")))
+    }
+
+    #[rstest]
+    #[case::all_played(|_: &mut RunRecord| {}, Verdict::Pass, None)]
+    #[case::no_plan_of_0_3(|run: &mut RunRecord| run.scenarios[0].planned_trials = None, Verdict::Pass, None)]
+    #[case::one_trial_more(
+        |run: &mut RunRecord| run.scenarios[0].planned_trials = Some(2), Verdict::Inconclusive, Some("MissingRecord")
+    )]
+    #[case::no_trial_of_0_3(
+        |run: &mut RunRecord| {
+            run.scenarios[0].planned_trials = None;
+            run.scenarios[0].trials.clear();
+        },
+        Verdict::Inconclusive,
+        Some("MissingRecord")
+    )]
+    #[case::fail_fast(
+        |run: &mut RunRecord| {
+            run.overrides.fail_fast = true;
+            run.scenarios[0].trials.clear();
+        },
+        Verdict::Inconclusive,
+        Some("FailFast")
+    )]
+    #[case::killed(
+        |run: &mut RunRecord| {
+            run.complete = false;
+            run.scenarios[0].trials.clear();
+        },
+        Verdict::Inconclusive,
+        Some("Interrupted")
+    )]
+    #[case::killed_after_all_trials(|run: &mut RunRecord| run.complete = false, Verdict::Inconclusive, None)]
+    fn a_selected_scenario_without_its_trials_is_no_pass(
+        #[case] change: fn(&mut RunRecord),
+        #[case] verdict: Verdict,
+        #[case] expected: Option<&str>,
+    ) {
+        let (found, outcome, not_played) = assess(change);
+        assert_eq!((found, not_played.as_deref()), (verdict, expected));
+        assert_eq!(outcome.exit_code(), if verdict == Verdict::Pass { 0 } else { 3 });
+    }
+
+    #[test]
+    fn scenarios_that_do_not_apply_fail_only_if_required() {
+        let skip = |require_all: bool| {
+            move |run: &mut RunRecord| {
+                let (file, title, reason) = ("b.toml".to_owned(), String::new(), "no law".to_owned());
+                run.not_applicable = vec![crate::record::NotApplicable { file, title, reason, expectations: 0 }];
+                run.overrides.require_all = require_all;
+            }
+        };
+        assert_eq!(assess(skip(false)).1, RunOutcome::Passed);
+        assert_eq!(assess(skip(true)).1, RunOutcome::Failed);
+        let mut required = passed();
+        skip(true)(&mut required);
+        let assessment = Assessment::of(&required);
+        assert_eq!(assessment.not_passed().map(|scenario| scenario.file).collect::<Vec<_>>(), ["b.toml"]);
+        required.overrides.require_all = false;
+        assert_eq!(Assessment::of(&required).not_passed().count(), 0);
+    }
+}

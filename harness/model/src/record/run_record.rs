@@ -484,7 +484,7 @@ impl From<&ScenarioRecord> for FinishedScenario {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 #[cfg(test)]
 mod provenance_tests {

@@ -23,7 +23,7 @@ fn combines_verdicts() {
 }
 
 #[expect(clippy::too_many_lines, reason = "one value of every field")]
-fn record() -> RunRecord {
+pub(crate) fn record() -> RunRecord {
     let passed = ExpectationRecord {
         name: "settling".to_owned(),
         worst: Some(WorstInstant {
