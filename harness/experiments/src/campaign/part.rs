@@ -223,7 +223,7 @@ pub(crate) fn create(path: &Path) -> Result<AtomicFile, CampaignError> {
 }
 
 pub(crate) fn finish(mut file: AtomicFile, path: &Path) -> Result<(), CampaignError> {
-    Ok(file.flush().and_then(|()| file.commit()).at(path)?)
+    Ok(file.flush().and_then(|()| Ok(file.commit()?)).at(path)?)
 }
 
 #[cfg(test)]
