@@ -290,7 +290,7 @@ fn copy_scenario(
 
 fn copy(from: &Path, to: &str, out: &RunFolder) -> Result<(), FolderError> {
     let mut source = open_regular_file(from, u64::MAX).at(from)?;
-    Ok(out.output().copy(&mut source, to)?)
+    Ok(out.output().copy(source.get_mut(), to)?)
 }
 
 const CONFIDENCE: f64 = 0.95;
