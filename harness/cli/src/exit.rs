@@ -4,7 +4,7 @@ use crate::options::OutputFormat;
 use crate::stdio;
 use platebench_engine::{RejudgeError, RunError};
 use platebench_model::quoted_path;
-use platebench_model::record::{RunRecord, Verdict};
+use platebench_model::record::{Assessment, RunOutcome, RunRecord, Verdict};
 use platebench_model::scenario::Diagnostic;
 use platebench_report::format::sign;
 use platebench_rig::{ConnectError, RigError};
@@ -29,14 +29,13 @@ pub(crate) enum Exit {
 
 impl Exit {
     pub(crate) fn of_record(record: &RunRecord) -> Self {
-        if record.scenarios.is_empty() && record.verdict != Verdict::Fail {
-            return Self::NothingToRun;
+        match Assessment::of(record).outcome {
+            RunOutcome::Passed => Self::Passed,
+            RunOutcome::Failed => Self::Failed,
+            RunOutcome::Inconclusive => Self::Inconclusive,
+            RunOutcome::NothingToRun => Self::NothingToRun,
+            RunOutcome::Unreachable => Self::Unreachable,
         }
-        let unsafe_end = record.verdict == Verdict::Inconclusive && record.safe_confirmed == Some(false);
-        if record.has_lost_controller() || unsafe_end {
-            return Self::Unreachable;
-        }
-        Self::of_verdict(record.verdict)
     }
 
     pub(crate) fn of_verdict(verdict: Verdict) -> Self {
@@ -206,7 +205,9 @@ impl From<RunError> for Failure {
             RunError::Scenario(fault) => fault.into(),
             RunError::Connect(error) => error.into(),
             RunError::Rig(error) => error.into(),
-            RunError::DifferentController { .. } | RunError::Lost(_) => Self::new(Exit::Unreachable, &error),
+            RunError::DifferentController { .. } | RunError::DifferentProgram { .. } | RunError::Lost(_) => {
+                Self::new(Exit::Unreachable, &error)
+            }
             RunError::Internal(_) | RunError::Cancelled => Self::new(Exit::Inconclusive, &error),
             // The firmware rejects a scenario or plate that it cannot control: an invalid input.
             RunError::Refused { .. }

@@ -61,6 +61,7 @@ pub(crate) fn run_plan(
             live_tap,
             on_event: Box::new(|event| events.send(event)),
             trials_with_rows,
+            ..RunHooks::default()
         };
         platebench_engine::run(&plan, &folder, &|| plan.clock.connect(&rig, &connect_options), hooks)
     };

@@ -5,7 +5,7 @@ use crate::exit::{Exit, Failure, OrInvalid};
 use crate::stdio;
 use clap::Args;
 use platebench_model::quoted_path;
-use platebench_model::record::{RunRecord, Verdict, newest_run, sha256};
+use platebench_model::record::{Assessment, RunRecord, newest_run, sha256};
 use platebench_model::scenario::load::implausible_values;
 use platebench_model::scenario::{FoundScenarios, Scenario, find, plate_warnings, suggestion};
 use platebench_plate::Plate;
@@ -70,14 +70,16 @@ pub(crate) fn find_scenarios(
 }
 
 /// Keeps the scenarios that did not pass in the newest run below `runs`, also with `only_if_named`.
+/// Fails if one of them exists no longer, because it would pass by its absence.
 pub(crate) fn keep_last_failed(found: &mut FoundScenarios, runs: &Path) -> Result<(), Failure> {
     let folder = newest_run(runs).ok_or_else(|| {
         let message = format!("--last-failed: {} contains no run; --runs selects another folder", runs.display());
         Failure::invalid(&message)
     })?;
     let record = RunRecord::read(&folder).or_invalid()?;
-    let not_passed = record.scenarios.iter().filter(|scenario| scenario.verdict != Verdict::Pass);
-    let mut names: BTreeSet<&str> = not_passed.map(|scenario| scenario.file.as_str()).collect();
+    let assessment = Assessment::of(&record);
+    let mut names: BTreeSet<&str> =
+        assessment.not_passed().map(|scenario| record.original_file(scenario.file)).collect();
     if names.is_empty() {
         let message = format!("every scenario of {} passed, so there is nothing to run", folder.display());
         return Err(Failure::new(Exit::NothingToRun, &message));
@@ -88,8 +90,18 @@ pub(crate) fn keep_last_failed(found: &mut FoundScenarios, runs: &Path) -> Resul
     for scenario in &found.scenarios {
         names.remove(scenario.file.as_str());
     }
-    for name in names {
-        stdio::note(&format!("{name} did not pass in {}, but is not among the scenarios now", quoted_path(&folder)));
+    let (not_named, gone): (Vec<_>, Vec<_>) = names.into_iter().partition(|name| find(&[PathBuf::from(name)]).is_ok());
+    if !gone.is_empty() {
+        let is = if gone.len() == 1 { "is" } else { "are" };
+        let (names, folder) = (gone.join(", "), quoted_path(&folder));
+        let message = format!(
+            "--last-failed: {names} did not pass in {folder} and {is} not found; name the file if it was renamed or lies \
+             elsewhere, or the scenarios to run if it was deleted"
+        );
+        return Err(Failure::invalid(&message));
+    }
+    for name in not_named {
+        stdio::note(&format!("{name} did not pass in {}, but is not among the named scenarios", quoted_path(&folder)));
     }
     Ok(())
 }

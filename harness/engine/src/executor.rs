@@ -3,14 +3,15 @@
 //! judge and store the trials.
 
 use crate::controller_log::is_controller_failure;
+use crate::firmware_digest::FirmwareDigest;
 use crate::live_tap::TapWriter;
-use crate::plan::{Clock, LinkFactory, NoOperator, Operator, RunError};
+use crate::plan::{Clock, LinkFactory, NoOperator, Operator, RigSession, RunError};
 use crate::trial::{self, Trial, TrialResult};
 use crate::{lockstep, real_plate, real_time};
 use platebench_model::quoted;
 use platebench_model::record::Telemetry;
 use platebench_model::scenario::Scenario;
-use platebench_rig::{BoxedLink, CancelToken, FaultInjector, Link, LinkError, RigError, SafeEnd, Session, WaitBudget};
+use platebench_rig::{BoxedLink, CancelToken, FaultInjector, Link, LinkError, RigError, SafeEnd, WaitBudget};
 use platebench_verdict::{Judgement, SequentialDecision, judge_sequentially, measure};
 use platebench_wire::{Identity, LawId};
 use std::ops::ControlFlow;
@@ -25,8 +26,6 @@ pub const MAX_LOSSES: u32 = 5;
 
 /// Longest wait for a port or a server that has vanished.
 const RETURN_TIMEOUT: Duration = Duration::from_secs(5);
-
-pub type RigSession<L = BoxedLink> = Session<FaultInjector<L>>;
 
 /// Ends of all sessions of several executors.
 #[derive(Debug, Default)]
@@ -62,6 +61,8 @@ pub struct ExecutorSettings<'a> {
     pub operator: &'a dyn Operator,
     /// The executor fails if it connects to another controller. `None` accepts every controller.
     pub identity: Option<Identity>,
+    /// The executor fails if it connects after the program or image of the controller changed.
+    pub firmware: Option<&'a FirmwareDigest>,
     /// Number of consecutive trials with a lost controller after which the executor fails.
     pub max_losses: Option<u32>,
     /// True if the controller keeps its history from one scenario to the next.
@@ -69,6 +70,8 @@ pub struct ExecutorSettings<'a> {
     /// True if the executor never replaces its link, because the caller changes or observes the
     /// target. The link must be able to restart the target.
     pub keeps_link: bool,
+    /// True if the session belongs to several runs, so that no scenario starts with a new one.
+    pub keeps_session: bool,
 }
 
 impl ExecutorSettings<'_> {
@@ -80,9 +83,11 @@ impl ExecutorSettings<'_> {
             cancel: cancel.clone(),
             operator: &NoOperator,
             identity: None,
+            firmware: None,
             max_losses: None,
             shares_controller: false,
             keeps_link: false,
+            keeps_session: false,
         }
     }
 }
@@ -221,7 +226,20 @@ impl<'a, L: Link> Executor<'a, L> {
         }
     }
 
+    /// Requests 0 V and returns the session for another run. `None` if it is closed or has ended,
+    /// or if the controller did not confirm 0 V.
+    pub(crate) fn rest(&mut self) -> Option<RigSession<L>> {
+        let mut session = self.session.take()?;
+        // A panic of the link counts as a missing confirmation of 0 V.
+        let end = catch_unwind(AssertUnwindSafe(|| session.rest())).unwrap_or(SafeEnd::Unconfirmed);
+        self.ends.record(end);
+        Some(session).filter(|session| end == SafeEnd::Confirmed && !session.has_ended())
+    }
+
     fn connect(&mut self) -> Result<RigSession<L>, RunError> {
+        if let Some(file) = self.settings.firmware.and_then(FirmwareDigest::changed_file) {
+            return Err(RunError::DifferentProgram { file });
+        }
         let session = if self.has_connected { self.open_again()? } else { self.open()? };
         self.has_connected = true;
         let found = *session.identity();
@@ -241,8 +259,8 @@ impl<'a, L: Link> Executor<'a, L> {
     /// after the end of a program that had confirmed 0 V.
     fn close_unusable_session(&mut self, scenario: &Scenario, index: u32, keeps_controller: bool) {
         let Some(session) = &self.session else { return };
-        let needs_new =
-            !scenario.between.is_empty() && index == 0 && !self.settings.shares_controller && !self.settings.keeps_link;
+        let is_kept = self.settings.shares_controller || self.settings.keeps_link || self.settings.keeps_session;
+        let needs_new = !scenario.between.is_empty() && index == 0 && !is_kept;
         if needs_new || (session.has_ended() && !keeps_controller) {
             self.close();
         }

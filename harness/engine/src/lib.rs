@@ -6,6 +6,7 @@ pub mod comparison;
 mod controller_log;
 pub mod delay_boundary;
 pub mod executor;
+mod firmware_digest;
 pub mod live_tap;
 pub mod lockstep;
 pub mod plan;
@@ -22,13 +23,15 @@ pub mod trial;
 pub mod workers;
 
 pub use executor::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, ScenarioEnd};
+pub use firmware_digest::FirmwareDigest;
 pub use live_tap::{LiveTap, TapReader};
-pub use plan::{Answer, Clock, LinkFactory, NoOperator, Operator, Question, QuestionKind, RunError, RunHooks, RunPlan};
+pub use plan::{
+    Answer, Clock, LinkFactory, NoOperator, Operator, Question, QuestionKind, RigSession, RunError, RunHooks, RunPlan,
+};
 pub use plant_simulation::{ManualControl, ManualInputs};
 pub use platebench_model::record::Event;
 pub use platebench_rig::CancelToken;
 pub use rejudge::{RejudgeError, rejudge};
 pub use run::run;
 pub use timing::{Pacing, TimeBase};
-pub use trend::inputs_digest;
 pub use trial::{Trial, TrialResult, configure, law, law_names, missing_capability, wire_fault_kind};

@@ -7,11 +7,14 @@ use platebench_model::record::{ClockKind, Event, FolderError, Overrides};
 use platebench_model::scenario::{Diagnostic, Scenario};
 use platebench_model::trace::TraceError;
 use platebench_plate::Time;
-use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, RigError, RigSpec};
+use platebench_rig::{BoxedLink, CancelToken, ConnectError, ConnectOptions, FaultInjector, RigError, RigSpec, Session};
+use std::sync::Mutex;
 
 /// Connects to the controller. An executor calls it at its start and after it has lost the
 /// controller.
 pub type LinkFactory<'a, L = BoxedLink> = dyn Fn() -> Result<L, ConnectError> + Send + Sync + 'a;
+
+pub type RigSession<L = BoxedLink> = Session<FaultInjector<L>>;
 
 #[derive(Debug, Clone)]
 pub struct RunPlan {
@@ -78,6 +81,8 @@ pub enum RunError {
     Refused { file: String, error: RigError },
     #[error("the controller is now {found}, but was {expected} when the run began; keep the same controller connected")]
     DifferentController { found: String, expected: String },
+    #[error("{file} was changed during the run; keep the program or image until the run ends")]
+    DifferentProgram { file: String },
     #[error("{} does not announce that it can pace itself, which --pacing target needs; use --pacing bench", quoted(.0))]
     NoTargetPacing(String),
     #[error(
@@ -110,6 +115,9 @@ pub struct RunHooks<'a> {
     pub on_event: Box<dyn FnMut(Event) + 'a>,
     /// The events of this number of first trials of each scenario contain the rows.
     pub trials_with_rows: usize,
+    /// Session that the run takes over and leaves at 0 V, for a controller that keeps its history
+    /// over several runs.
+    pub kept_session: Option<&'a Mutex<Option<RigSession>>>,
 }
 
 impl Default for RunHooks<'_> {
@@ -120,6 +128,7 @@ impl Default for RunHooks<'_> {
             live_tap: LiveTap::default(),
             on_event: Box::new(|_| {}),
             trials_with_rows: 0,
+            kept_session: None,
         }
     }
 }

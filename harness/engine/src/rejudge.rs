@@ -5,7 +5,7 @@ use crate::run::empty_record;
 use crate::trial::law;
 use platebench_model::record::{
     Exclusion, FolderError, KeepTraces, Overrides, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord,
-    sha256, sha256_of_file, trace_path,
+    sha256, sha256_of_file,
 };
 use platebench_model::scenario::{Diagnostic, MAX_TRIALS, Scenario, Variation, load, load_copies};
 use platebench_model::trace::{AtPath, Row, TraceError, read_trace};
@@ -54,8 +54,9 @@ impl From<Diagnostic> for RejudgeError {
     }
 }
 
-/// The file `expectations` replaces the expectations of the scenario with the same file name. A
-/// trial without a trace was interrupted and makes its scenario inconclusive.
+/// The file `expectations` replaces the expectations of the scenario with the same file name.
+/// Judges trials with a record only, by their telemetry and their traces. A trial without a record
+/// or without its trace makes its scenario inconclusive.
 pub fn rejudge(folder: &Path, expectations: Option<&Path>) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
     if record.overrides.keep_traces != KeepTraces::All {
@@ -66,8 +67,8 @@ pub fn rejudge(folder: &Path, expectations: Option<&Path>) -> Result<RunRecord, 
     let mut scenarios = Vec::with_capacity(record.scenarios.len());
     for (number, stored) in record.scenarios.iter().enumerate() {
         // Each part of a joined run may have its own overrides.
-        let own = record.merge.as_ref().and_then(|merge| merge.overrides_of(&stored.file));
-        let overrides = own.unwrap_or(&record.overrides);
+        let own = record.merge.as_ref().and_then(|merge| merge.run_of(&stored.file));
+        let overrides = own.map_or(&record.overrides, |run| &run.overrides);
         let mut scenario = load_stored_scenario(folder, stored)?;
         // Uses the model of the run, because this version of the bench might select another one.
         let model = Model::from_name(&stored.model).unwrap_or(scenario.model);
@@ -215,25 +216,20 @@ fn rejudge_scenario(
     let mut measures: Vec<TrialMeasures> = Vec::new();
     let mut records = Vec::new();
     while let SequentialDecision::Continue { trials } = judge_sequentially(scenario, &measures) {
-        let played = measures.len();
         let mut ends_early = false;
         for index in measures.len() as u32..trials {
-            match rejudge_trial(folder, scenario, stored, index)? {
-                Some((trial, record)) => {
+            match stored.trials.iter().find(|trial| trial.index == index) {
+                Some(then) => {
+                    let (trial, record) = rejudge_trial(folder, scenario, then)?;
                     measures.push(trial);
-                    records.push(record);
+                    records.extend(record);
                 }
                 // A judged scenario lacks this trial only if `--fail-fast` or its time limit ended it.
-                None if is_judged && stored.trials.iter().all(|trial| trial.index != index) => ends_early = true,
-                None => measures.push(incomplete_trial(scenario, index)),
+                None if is_judged => ends_early = true,
+                None => measures.push(excluded_trial(scenario, index, Exclusion::CutOff)),
             }
         }
         if ends_early {
-            break;
-        }
-        // No trace was found for this look, so the complete run ended before it.
-        if is_judged && records.len() == played {
-            measures.truncate(played);
             break;
         }
     }
@@ -278,38 +274,32 @@ fn check_amplitude(path: &Path, rows: &[Row]) -> Result<(), RejudgeError> {
     })
 }
 
+/// Returns no record if the trial has no valid one.
 fn rejudge_trial(
     folder: &Path,
     scenario: &Scenario,
-    stored: &ScenarioRecord,
-    index: u32,
-) -> Result<Option<(TrialMeasures, TrialRecord)>, RejudgeError> {
-    let trace = trace_path(scenario.name(), index);
-    let path = folder.join(&trace);
+    then: &TrialRecord,
+) -> Result<(TrialMeasures, Option<TrialRecord>), RejudgeError> {
+    // A trial of 0.3 without a hash was cut off before its telemetry was recorded.
+    if then.sha256.is_none() {
+        return Ok((excluded_trial(scenario, then.index, Exclusion::CutOff), None));
+    }
+    let path = folder.join(&then.trace);
     if !path.exists() {
-        return Ok(None);
+        return Ok((excluded_trial(scenario, then.index, Exclusion::MissingTrace), None));
     }
-    let then = stored.trials.iter().find(|then| then.index == index);
-    let rows = match then {
-        Some(then) => read_trial_rows(folder, then)?,
-        None => read_trace(&path)?,
-    };
+    let rows = read_trial_rows(folder, then)?;
     check_amplitude(&path, &rows)?;
-    let telemetry = then.map(|then| then.telemetry.clone()).unwrap_or_default();
-    let measures = measure_trial(scenario, law(scenario)?, index, &rows, &telemetry);
-    let mut record = trial_record(scenario, &measures, telemetry, trace, None);
-    if let Some(then) = then {
-        record.sha256.clone_from(&then.sha256);
-        record.wall_ms = then.wall_ms;
-    }
-    Ok(Some((measures, record)))
+    let measures = measure_trial(scenario, law(scenario)?, then.index, &rows, &then.telemetry);
+    let record = trial_record(scenario, &measures, then.telemetry.clone(), then.trace.clone(), then.wall_ms);
+    Ok((measures, Some(TrialRecord { sha256: then.sha256.clone(), ..record })))
 }
 
-fn incomplete_trial(scenario: &Scenario, index: u32) -> TrialMeasures {
+fn excluded_trial(scenario: &Scenario, index: u32, exclusion: Exclusion) -> TrialMeasures {
     TrialMeasures {
         index,
         seed: Variation::of_trial(scenario, index).seed,
-        exclusion: Some(Exclusion::CutOff),
+        exclusion: Some(exclusion),
         ..TrialMeasures::default()
     }
 }

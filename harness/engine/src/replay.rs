@@ -5,9 +5,8 @@
 //! command acts contains the command for this sample.
 
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, drive_violation, is_controller_failure};
-use crate::executor::RigSession;
 use crate::lockstep::OWN_CLOCK_WATCHDOG_TIMEOUT_MS;
-use crate::plan::{LinkFactory, RunError};
+use crate::plan::{LinkFactory, RigSession, RunError};
 use crate::rejudge::{RejudgeError, apply_overrides, load_stored_scenario, read_trial_rows};
 use crate::trial::{TrialAbort, check_configuration, configure, law, law_number, missing_capability};
 use platebench_model::external_csv::{ColumnMapping, ExternalCsvError, read_rows};

@@ -1,7 +1,8 @@
 //! Plays all trials of all scenarios on several workers. No result depends on the order of trials.
 
-use crate::executor::{Executor, ExecutorSettings, RigSession, SafeEnds};
-use crate::plan::{Clock, LinkFactory, RunError, RunHooks, RunPlan};
+use crate::executor::{Executor, ExecutorSettings, SafeEnds};
+use crate::firmware_digest::FirmwareDigest;
+use crate::plan::{Clock, LinkFactory, RigSession, RunError, RunHooks, RunPlan};
 use crate::run_player::{RunPlayer, RunProgress, ScenarioResult};
 use crate::timing::{Pacing, TimeBase};
 use crate::trend;
@@ -9,7 +10,7 @@ use crate::trial::{self, chip_fault_plan, missing_capability};
 use crate::workers::ResultSink;
 use platebench_model::record::{
     Event, FinishedScenario, Firmware, FolderError, Host, InputRecord, KeepTraces, NotApplicable, RigRecord, RunFolder,
-    RunRecord, ScenarioRecord, Tool, TrialRecord, Verdict, sha256_of_file, to_hex,
+    RunRecord, ScenarioRecord, Tool, TrialJournal, TrialRecord, Verdict, to_hex,
 };
 use platebench_model::scenario::{Metric, OWN_LAW, Scenario};
 use platebench_model::trace::AtPath as _;
@@ -19,24 +20,31 @@ use platebench_wire::{Identity, LawId, capabilities};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
-use std::time::{Duration, Instant};
+use std::sync::PoisonError;
+use std::time::Instant;
 
-/// Plays the plan and writes record and traces into `folder`. After an error, `platebench report --rejudge`
-/// can still judge the complete trials.
+/// Plays the plan and writes record and traces into `folder`. The record is written at the start
+/// with everything that is selected, and at the end. In between, each trial is sealed in the
+/// journal before its event is sent, so that `platebench report --rejudge` judges it after any end.
 pub fn run(
     plan: &RunPlan,
     folder: &RunFolder,
     connect: &LinkFactory<'_>,
     hooks: RunHooks<'_>,
 ) -> Result<RunRecord, RunError> {
-    let RunHooks { cancel, operator, live_tap, on_event, trials_with_rows } = hooks;
+    let RunHooks { cancel, operator, live_tap, on_event, trials_with_rows, kept_session } = hooks;
     let started = Instant::now();
     let law = |scenario| trial::law(scenario).map_err(|diagnostic| RunError::Scenario(Box::new(diagnostic)));
     let laws = plan.scenarios.iter().map(law).collect::<Result<Vec<_>, _>>()?;
     let others =
         plan.scenarios.iter().flat_map(|scenario| scenario.between.iter().chain(scenario.other_trials.as_deref()));
     others.into_iter().try_for_each(|scene| law(scene).map(|_| ()))?;
-    let mut first = RigSession::open_cancellable(FaultInjector::new(connect()?), &cancel)?;
+    let firmware = FirmwareDigest::of_rig(&plan.rig);
+    let kept = kept_session.as_ref().and_then(|slot| slot.lock().unwrap_or_else(PoisonError::into_inner).take());
+    let mut first = match kept.filter(|session| !session.has_ended()) {
+        Some(session) => session,
+        None => RigSession::open_cancellable(FaultInjector::new(connect()?), &cancel)?,
+    };
     check_controller(plan, &first)?;
     let plan = &with_own_law_if_unnumbered(plan, first.identity());
     let (plan, laws, not_applicable) = select_applicable(plan, laws, &mut first)?;
@@ -48,10 +56,12 @@ pub fn run(
     if plan.overrides.keep_traces != KeepTraces::None {
         plan.scenarios.iter().try_for_each(|scenario| folder.create_trace_folder(scenario))?;
     }
-    let record = RunRecord { not_applicable, ..initial_record(plan, folder, &first, &inputs) };
+    let journal = TrialJournal::create(folder.output()).map_err(FolderError::from)?;
+    let rig = rig_record(plan, &first, &firmware);
+    let record = RunRecord { not_applicable, ..initial_record(plan, folder, rig, &inputs, &journal) };
     let identity = *first.identity();
-    let mut recorder = RunRecorder { plan, record, file: RecordFile::new(folder), on_event };
-    recorder.wake()?;
+    write(&record, folder)?;
+    let mut recorder = RunRecorder { plan, record, journal, on_event };
     let ends = SafeEnds::default();
     let settings = ExecutorSettings {
         clock: plan.clock,
@@ -59,6 +69,8 @@ pub fn run(
         long_scripts: plan.overrides.long_scripts,
         operator,
         identity: Some(identity),
+        firmware: Some(&firmware),
+        keeps_session: kept_session.is_some(),
         ..ExecutorSettings::lockstep(&cancel)
     };
     let mut executors = vec![Executor::new(connect, settings.clone(), &ends).with_session(first)];
@@ -71,23 +83,31 @@ pub fn run(
         }
     }
     // Also after an error, because the record must state whether 0 V was confirmed.
+    if let (Some(slot), Some(first)) = (&kept_session, executors.first_mut()) {
+        *slot.lock().unwrap_or_else(PoisonError::into_inner) = first.rest();
+    }
     drop(executors);
-    let RunRecorder { mut record, mut file, .. } = recorder;
+    let RunRecorder { mut record, journal, .. } = recorder;
     record.safe_confirmed = Some(ends.are_confirmed());
     record.drive_after_safe = ends.have_drive();
     if played.is_ok() {
         record.complete = true;
-        record.update_verdict();
+        record.journal = Some(journal.finished());
         // It reads earlier runs, which may take seconds.
         if !cancel.is_cancelled() {
             record.cost = trend::cost_trends(&record, folder.path());
         }
     }
+    record.update_verdict();
     record.wall_ms = Some(started.elapsed().as_secs_f64() * 1e3);
-    let written = file.write(&record);
+    let written = write(&record, folder);
     played?;
     written?;
     Ok(record)
+}
+
+fn write(record: &RunRecord, folder: &RunFolder) -> Result<(), FolderError> {
+    Ok(record.write(folder.path()).at(folder.path())?)
 }
 
 fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError> {
@@ -228,7 +248,7 @@ fn select_applicable(
 struct RunRecorder<'a> {
     plan: &'a RunPlan,
     record: RunRecord,
-    file: RecordFile<'a>,
+    journal: TrialJournal,
     on_event: Box<dyn FnMut(Event) + 'a>,
 }
 
@@ -237,7 +257,6 @@ impl RunRecorder<'_> {
         let Some(record) = self.record.scenarios.get_mut(number) else { return };
         record.time_limit_s = result.time_limit_s;
         complete_record(record, result.judgement, result.trials);
-        self.file.mark_changed();
         // `--fail-fast` may leave a scenario without a trial, which has neither started nor ended.
         if !record.trials.is_empty() || record.time_limit_s.is_some() {
             (self.on_event)(Event::ScenarioFinished(Box::new(FinishedScenario::from(&*record))));
@@ -255,21 +274,15 @@ impl ResultSink<RunProgress, RunError> for RunRecorder<'_> {
                 }
             }
             RunProgress::Played(number, trial, rows) => {
-                if let Some(scenario) = self.plan.scenarios.get(number) {
+                if let Some(scenario) = self.record.scenarios.get(number) {
+                    // The line is the proof of the trial, so it comes before the event.
+                    self.journal.append(number, scenario, &self.record.rig, &trial).map_err(FolderError::from)?;
                     (self.on_event)(Event::TrialFinished { file: scenario.file.clone(), trial, rows });
                 }
             }
             RunProgress::Judged(number, result) => self.finish_scenario(number, result),
         }
         Ok(ControlFlow::Continue(()))
-    }
-
-    fn time_left(&self) -> Duration {
-        self.file.time_left()
-    }
-
-    fn wake(&mut self) -> Result<(), RunError> {
-        Ok(self.file.write(&self.record)?)
     }
 }
 
@@ -295,6 +308,7 @@ pub(crate) fn empty_record(scenario: &Scenario, inputs: Vec<InputRecord>) -> Sce
         not_applicable: scenario.not_applicable.clone(),
         requirement_texts: scenario.requirement_texts.clone(),
         time_limit_s: None,
+        planned_trials: Some(scenario.trials.count),
         trials: Vec::new(),
     }
 }
@@ -315,38 +329,50 @@ struct ImageEntry {
 
 /// A copy of an image with other bytes is not the bench's own, although its identity is the same.
 /// For a controller without a readable image, the build in its identity decides.
-fn is_bench_firmware(rig: &str, identity: &Identity) -> bool {
+fn is_bench_firmware(rig: &str, identity: &Identity, firmware: &FirmwareDigest) -> bool {
     let Ok(manifest) = toml::from_str::<ImageManifest>(IMAGE_MANIFEST) else { return false };
     if [RigSpec::hosted(), RigSpec::emulated(None)].iter().any(|own| own.to_string() == rig) {
         return true;
     }
-    let spec = rig.parse::<RigSpec>();
-    if let Some(digest) = spec.ok().and_then(|rig| sha256_of_file(rig.image()?).ok()) {
+    let has_image = rig.parse::<RigSpec>().is_ok_and(|rig| rig.image().is_some());
+    if let Some(digest) = firmware.sha256().filter(|_| has_image) {
         return manifest.images.values().any(|image| image.sha256 == digest);
     }
     manifest.source_hash.starts_with(&to_hex(&identity.build)) && identity.name.starts_with(b"platebench-")
 }
 
-fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inputs: &[Vec<InputRecord>]) -> RunRecord {
-    let scenarios = plan.scenarios.iter().zip(inputs).map(|(scenario, inputs)| empty_record(scenario, inputs.clone()));
+fn rig_record(plan: &RunPlan, session: &RigSession, firmware: &FirmwareDigest) -> RigRecord {
     let identity = session.identity();
     let [major, minor, patch] = identity.version;
+    RigRecord {
+        name: plan.rig.clone(),
+        firmware: Some(Firmware {
+            name: session.firmware_name(),
+            version: format!("{major}.{minor}.{patch}"),
+            build: to_hex(&identity.build),
+            chip: format!("{:#010x}", identity.chip),
+        }),
+        program_sha256: firmware.sha256().map(str::to_owned),
+        bench_firmware: is_bench_firmware(&plan.rig, identity, firmware),
+    }
+}
+
+fn initial_record(
+    plan: &RunPlan,
+    folder: &RunFolder,
+    rig: RigRecord,
+    inputs: &[Vec<InputRecord>],
+    journal: &TrialJournal,
+) -> RunRecord {
+    let scenarios = plan.scenarios.iter().zip(inputs).map(|(scenario, inputs)| empty_record(scenario, inputs.clone()));
     RunRecord {
         format: platebench_model::record::FORMAT,
+        sequence: folder.sequence(),
         verdict: Verdict::Inconclusive,
         complete: false,
         tool: Tool::running(),
         started: folder.started(),
-        rig: RigRecord {
-            name: plan.rig.clone(),
-            firmware: Some(Firmware {
-                name: session.firmware_name(),
-                version: format!("{major}.{minor}.{patch}"),
-                build: to_hex(&identity.build),
-                chip: format!("{:#010x}", identity.chip),
-            }),
-            bench_firmware: is_bench_firmware(&plan.rig, identity),
-        },
+        rig,
         clock: plan.clock.kind(),
         overrides: plan.overrides.clone(),
         safe_confirmed: None,
@@ -357,40 +383,7 @@ fn initial_record(plan: &RunPlan, folder: &RunFolder, session: &RigSession, inpu
         not_applicable: Vec::new(),
         cost: Vec::new(),
         merge: None,
-    }
-}
-
-const MIN_INTERVAL: Duration = Duration::from_millis(100);
-const INTERVAL_PER_WRITE: u32 = 20;
-/// Time until the next write if nothing has changed. It bounds one wait of the caller, not the run.
-const MAX_WAIT: Duration = Duration::from_hours(1);
-
-#[derive(Debug)]
-pub(crate) struct RecordFile<'a> {
-    folder: &'a RunFolder,
-    next: Instant,
-    has_changed: bool,
-}
-
-impl<'a> RecordFile<'a> {
-    pub(crate) fn new(folder: &'a RunFolder) -> Self {
-        Self { folder, next: Instant::now(), has_changed: false }
-    }
-
-    pub(crate) fn write(&mut self, record: &RunRecord) -> Result<(), FolderError> {
-        let started = Instant::now();
-        record.write(self.folder.path()).at(self.folder.path())?;
-        self.next = Instant::now() + MIN_INTERVAL.max(INTERVAL_PER_WRITE * started.elapsed());
-        self.has_changed = false;
-        Ok(())
-    }
-
-    pub(crate) fn mark_changed(&mut self) {
-        self.has_changed = true;
-    }
-
-    pub(crate) fn time_left(&self) -> Duration {
-        if self.has_changed { self.next.saturating_duration_since(Instant::now()) } else { MAX_WAIT }
+        journal: Some(journal.started()),
     }
 }
 
@@ -415,7 +408,7 @@ mod tests {
         let digits = if build.is_empty() { &images.source_hash[..16] } else { build };
         let build = u64::from_str_radix(digits, 16).unwrap().to_be_bytes();
         let identity = Identity { version: [0; 3], capabilities: 0, laws: 0, build, chip: 0, unique: [0; 12], name };
-        assert_eq!(is_bench_firmware(rig, &identity), is_own);
+        assert_eq!(is_bench_firmware(rig, &identity, &FirmwareDigest::of_rig(rig)), is_own);
     }
 
     #[test]
@@ -429,21 +422,9 @@ mod tests {
         let rig = RigSpec::emulated(Some(elf.clone())).to_string();
         let mut bytes = platebench_rig::BUILT_IN_IMAGE.to_vec();
         std::fs::write(&elf, &bytes).unwrap();
-        assert!(is_bench_firmware(&rig, &identity));
+        assert!(is_bench_firmware(&rig, &identity, &FirmwareDigest::of_rig(&rig)));
         *bytes.last_mut().unwrap() ^= 1;
         std::fs::write(&elf, &bytes).unwrap();
-        assert!(!is_bench_firmware(&rig, &identity));
-    }
-
-    #[test]
-    fn only_a_change_makes_a_write_due() {
-        let folder = tempfile::tempdir().unwrap();
-        let folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
-        let mut file = RecordFile::new(&folder);
-        assert_eq!(file.time_left(), MAX_WAIT);
-        file.mark_changed();
-        assert_eq!(file.time_left(), Duration::ZERO, "never written before");
-        file.next = Instant::now() + MAX_WAIT / 2;
-        assert!(file.time_left() > Duration::ZERO && file.time_left() < MAX_WAIT);
+        assert!(!is_bench_firmware(&rig, &identity, &FirmwareDigest::of_rig(&rig)));
     }
 }

@@ -9,7 +9,7 @@ use crate::plan::{RunError, RunPlan};
 use crate::workers::{Emit, ResultSink, run_workers};
 use platebench_model::record::{FolderError, KeepTraces, RunFolder, TrialRecord, Verdict, to_hex, trace_path};
 use platebench_model::scenario::Scenario;
-use platebench_model::trace::{AtPath as _, Row, TraceError, TraceWriter};
+use platebench_model::trace::{Row, TraceError, TraceWriter};
 use platebench_plate::Time;
 use platebench_rig::CancelToken;
 use platebench_verdict::{
@@ -18,10 +18,8 @@ use platebench_verdict::{
 use platebench_wire::LawId;
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
-use std::fs;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
@@ -200,14 +198,13 @@ impl<'a> RunPlayer<'a> {
             timing.loop_delay_budget_us = boundary.map(|boundary| boundary.seconds() * 1e6);
         }
         let trace = trace_path(scenario.name(), index);
-        let path = self.folder.path().join(&trace);
         let measures = measure_trial(scenario, law, index, &played.trace_rows, &played.telemetry);
         let is_stored = match self.plan.overrides.keep_traces {
             KeepTraces::All | KeepTraces::Worst(_) => true,
             KeepTraces::Failing => measures.margin(&scenario.expectations) < 0.0,
             KeepTraces::None => false,
         };
-        let hash = is_stored.then(|| write_trace(&path, &played.trace_rows)).transpose()?;
+        let hash = is_stored.then(|| write_trace(self.folder, &trace, &played.trace_rows)).transpose()?;
         let wall_ms = started.elapsed().as_secs_f64() * 1e3;
         debug!(rows = played.trace_rows.len(), wall_ms, measures = ?measures.measures, "trial measured");
         let mut record = trial_record(scenario, &measures, played.telemetry, trace, Some(wall_ms));
@@ -337,8 +334,8 @@ impl<'a> ScenarioPlay<'a> {
     }
 }
 
-fn write_trace(path: &Path, rows: &[Row]) -> Result<[u8; 32], TraceError> {
-    let mut writer = TraceWriter::create(path)?;
+fn write_trace(folder: &RunFolder, trace: &str, rows: &[Row]) -> Result<[u8; 32], TraceError> {
+    let mut writer = TraceWriter::create_in(folder.output(), trace)?;
     rows.iter().try_for_each(|row| writer.write(row))?;
     writer.finish()
 }
@@ -356,8 +353,7 @@ fn keep_worst(
     order.sort_by(|(margin, index), (other, later)| margin.total_cmp(other).then(index.cmp(later)));
     let removed: BTreeSet<u32> = order.iter().skip(count as usize).map(|(_, index)| *index).collect();
     for trial in trials.iter_mut().filter(|trial| removed.contains(&trial.index)) {
-        let path = folder.path().join(&trial.trace);
-        fs::remove_file(&path).at(&path).map_err(FolderError::from)?;
+        folder.output().remove_file(&trial.trace).map_err(FolderError::from)?;
         trial.sha256 = None;
     }
     Ok(())

@@ -6,7 +6,6 @@
 
 use platebench_model::record::{
     CostTrend, EarlierCost, RecordError, RigRecord, RunRecord, ScenarioRecord, StepCost, TightestStep, TrialRecord,
-    sha256,
 };
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -36,11 +35,6 @@ struct ReferenceTrial {
     seed: u64,
     mean: f64,
     worst: f64,
-}
-
-pub fn inputs_digest(scenario: &ScenarioRecord) -> String {
-    let digests: Vec<&str> = scenario.inputs.iter().map(|input| input.sha256.as_str()).collect();
-    sha256(digests.join("\n").as_bytes())
 }
 
 pub(crate) fn cost_trends(record: &RunRecord, folder: &Path) -> Vec<CostTrend> {
@@ -121,7 +115,7 @@ fn average_cost(costs: impl ExactSizeIterator<Item = StepCost>) -> Option<StepCo
 /// Costs of the trials that `counts` selects.
 fn trial_costs(record: &RunRecord, counts: impl Fn(&TrialRecord) -> bool) -> Costs {
     let of_scenario = |scenario: &ScenarioRecord| {
-        let digest = inputs_digest(scenario);
+        let digest = scenario.inputs_digest();
         let counted = scenario.trials.iter().filter(|trial| counts(trial)).filter_map(|trial| {
             let cost =
                 StepCost { mean: trial.telemetry.instructions_mean?, worst: trial.telemetry.instructions_worst? };
@@ -211,6 +205,7 @@ mod tests {
             not_applicable: Vec::new(),
             requirement_texts: std::collections::BTreeMap::new(),
             time_limit_s: None,
+            planned_trials: None,
             trials: worst.iter().enumerate().map(trial).collect(),
         }
     }
@@ -224,11 +219,17 @@ mod tests {
         };
         RunRecord {
             format: FORMAT,
+            sequence: 0,
             verdict: Verdict::Pass,
             complete: true,
             tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned(), ..Tool::default() },
             started: format!("2026-01-01T00:00:{second:02}Z"),
-            rig: RigRecord { name: format!("emulated:{build}.elf"), firmware: Some(firmware), bench_firmware: false },
+            rig: RigRecord {
+                name: format!("emulated:{build}.elf"),
+                firmware: Some(firmware),
+                program_sha256: None,
+                bench_firmware: false,
+            },
             clock: ClockKind::Lockstep,
             overrides: Overrides::default(),
             safe_confirmed: None,
@@ -239,6 +240,7 @@ mod tests {
             not_applicable: Vec::new(),
             cost: Vec::new(),
             merge: None,
+            journal: None,
         }
     }
 
@@ -370,7 +372,7 @@ mod tests {
             build: "shipped".to_owned(),
             trial: vec![ReferenceTrial {
                 law: "dq-pi".to_owned(),
-                inputs: inputs_digest(&played()),
+                inputs: played().inputs_digest(),
                 seed: 1,
                 mean: 900.0,
                 worst: 1_000.0,

@@ -5,30 +5,18 @@ use std::collections::BTreeMap;
 use std::iter;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::mpsc;
 use std::thread;
-use std::time::Duration;
 use tracing::subscriber::{NoSubscriber, with_default};
 
 /// Number of results that workers can send before they wait for the sink.
 const RESULT_QUEUE: usize = 256;
-/// Bounds one wait for a result. The workers decide when the work ends.
-const MAX_WAIT: Duration = Duration::from_hours(1);
 
 /// Receives the results of all workers on the thread of the caller.
 pub trait ResultSink<R, E> {
     /// After `Break` or an error, no task starts and no further result is received. After an error
     /// of a worker, no task starts, and the results of the others that already run are received.
     fn receive(&mut self, result: R) -> Result<ControlFlow<()>, E>;
-
-    /// Time after which [`ResultSink::wake`] is called if no result arrives.
-    fn time_left(&self) -> Duration {
-        MAX_WAIT
-    }
-
-    fn wake(&mut self) -> Result<(), E> {
-        Ok(())
-    }
 }
 
 impl<R, E, F: FnMut(R) -> Result<ControlFlow<()>, E>> ResultSink<R, E> for F {
@@ -71,14 +59,13 @@ pub fn run_workers<S: Send, T, R: Send, E: Send>(
         drop(sender);
         let mut first_error = None;
         let outcome = loop {
-            let received = match results.recv_timeout(sink.time_left()) {
+            let received = match results.recv() {
                 Ok(Ok(result)) => sink.receive(result),
                 Ok(Err(error)) => {
                     first_error = first_error.or(Some(error));
                     Ok(ControlFlow::Continue(()))
                 }
-                Err(RecvTimeoutError::Timeout) => sink.wake().map(ControlFlow::Continue),
-                Err(RecvTimeoutError::Disconnected) => Ok(ControlFlow::Break(())),
+                Err(_) => Ok(ControlFlow::Break(())),
             };
             match received {
                 Ok(ControlFlow::Continue(())) => {}
@@ -183,7 +170,7 @@ mod tests {
     use super::*;
     use rstest::rstest;
     use std::sync::atomic::AtomicU32;
-    use std::time::Instant;
+    use std::time::Duration;
 
     #[rstest]
     fn results_have_the_order_of_the_tasks(#[values(0, 1, 4, 200)] jobs: usize) {
@@ -253,37 +240,5 @@ mod tests {
         });
         assert!(outcome.is_err_and(|task| task < 2));
         assert_eq!(started.into_inner(), 2);
-    }
-
-    #[test]
-    fn wakes_the_sink_while_no_result_arrives() {
-        struct WakingSink<'a>(&'a AtomicBool);
-
-        impl ResultSink<u32, ()> for WakingSink<'_> {
-            fn receive(&mut self, _: u32) -> Result<ControlFlow<()>, ()> {
-                Ok(ControlFlow::Break(()))
-            }
-
-            fn time_left(&self) -> Duration {
-                Duration::from_millis(1)
-            }
-
-            fn wake(&mut self) -> Result<(), ()> {
-                self.0.store(true, Ordering::Relaxed);
-                Ok(())
-            }
-        }
-
-        let is_awake = AtomicBool::new(false);
-        let work = |(): &mut (), (), emit: &mut Emit<'_, u32>| {
-            let start = Instant::now();
-            while !is_awake.load(Ordering::Relaxed) && start.elapsed() < Duration::from_mins(1) {
-                thread::yield_now();
-            }
-            emit(1);
-            Ok(())
-        };
-        assert_eq!(run_workers([()], || Some(()), work, &mut WakingSink(&is_awake)), Ok(()));
-        assert!(is_awake.into_inner());
     }
 }

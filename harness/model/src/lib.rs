@@ -14,6 +14,8 @@ pub use quote::{quoted, quoted_path};
 pub mod record {
     //! Defines the record, the events and the folder of a run.
 
+    mod assessment;
+    mod journal;
     mod reason;
     mod run_folder;
     mod run_record;
@@ -22,18 +24,20 @@ pub mod record {
 
     pub use crate::metrics::{Metric, MissingValue, SignalPoint, UndefinedValue};
     pub use crate::scenario::Limit;
+    pub use assessment::{Assessment, NotPlayed, RunOutcome, ScenarioAssessment, combine_runs};
+    pub use journal::TrialJournal;
     pub use reason::{
         Bounds, DivergedTrials, Divergence, Evidence, EvidenceMethod, ExpectationRecord, MetricDefinition, Reason,
         SignSymptom, Statistic, StoppedTrial, TrialFinding, TrialReason, WideBoundsCause, WorstInstant, percent,
     };
     pub use run_folder::{
-        CAMPAIGN_PLAN_FILE, FileLock, FolderError, RECORD_FILE, RecordError, RunFolder, RunSummary, ScenarioSummary,
-        newest_run, sha256, sha256_of_file, to_hex, trace_path, utc_timestamp,
+        CAMPAIGN_PLAN_FILE, FileLock, FolderError, JOURNAL_FILE, RECORD_FILE, RecordError, RunFolder, RunSummary,
+        ScenarioSummary, newest_run, sha256, sha256_of_file, to_hex, trace_path, utc_timestamp,
     };
     pub use run_record::{
-        BoardDifference, ClockKind, Event, FORMAT, FinishedScenario, Firmware, Host, InputRecord, KeepTraces,
-        MergeRecord, MergedRun, MergedScenario, MissingShard, NotApplicable, Overrides, RigRecord, RunRecord,
-        ScenarioRecord, Tool,
+        BoardDifference, ClockKind, Event, FORMAT, FinishedScenario, Firmware, Host, InputRecord, JournalRecord,
+        KeepTraces, MergeRecord, MergedRun, MergedScenario, MissingShard, NotApplicable, Overrides, RigRecord,
+        RunRecord, ScenarioRecord, Tool,
     };
     pub use trial_record::{
         CostChange, CostTrend, EarlierCost, MetricValues, NonFiniteDrive, OperatorRequest, Quantiles, RealPlateRecord,

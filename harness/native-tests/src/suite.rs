@@ -3,7 +3,7 @@
 
 use libtest_mimic::{Arguments, Trial};
 use platebench_engine::{Clock, RunError, RunHooks, RunPlan};
-use platebench_model::record::{FolderError, Overrides, RECORD_FILE, RunFolder, RunRecord, Verdict};
+use platebench_model::record::{Assessment, FolderError, Overrides, RECORD_FILE, RunFolder, RunRecord};
 use platebench_model::scenario::{Diagnostic, Scenario, find};
 use platebench_model::trace::{FileError, OutputFolder};
 use platebench_report::document::Style;
@@ -170,7 +170,7 @@ impl TestContext {
         let expected = scenario.expected_exit.unwrap_or(0);
         let plan = RunPlan::new(&self.rig, self.clock, 1, vec![scenario], Overrides::default());
         let record = self.run_and_replace(&plan, &folder)?;
-        let code = exit_code(&record);
+        let code = Assessment::of(&record).outcome.exit_code();
         if code == expected {
             return Ok(());
         }
@@ -212,21 +212,12 @@ fn folder_error(path: &Path) -> impl FnOnce(io::Error) -> TestFailure + use<> {
     |source| TestFailure::Folder { path, source }
 }
 
-fn exit_code(record: &RunRecord) -> u8 {
-    let unsafe_end = record.verdict == Verdict::Inconclusive && record.safe_confirmed == Some(false);
-    match record.verdict {
-        _ if record.has_lost_controller() || unsafe_end => 5,
-        Verdict::Pass => 0,
-        Verdict::Fail => 1,
-        Verdict::Inconclusive => 3,
-    }
-}
-
 fn describe_exit_code(code: u8) -> String {
     let words = match code {
         0 => "a pass",
         1 => "a failure",
         3 => "an inconclusive verdict",
+        4 => "no scenario that applies to the controller",
         5 => "a lost controller",
         _ => "no verdict",
     };

@@ -3,7 +3,8 @@
 use platebench_model::quoted;
 use platebench_model::record::{
     Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingShard, MissingValue, NotApplicable,
-    Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord, Verdict, ViolationKind,
+    NotPlayed, Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord, Verdict,
+    ViolationKind,
 };
 use std::mem::{Discriminant, discriminant};
 
@@ -229,9 +230,9 @@ pub(crate) fn scripts_not_played(record: &RunRecord) -> Vec<&str> {
 
 /// Files of the scenarios that `--fail-fast` did not play.
 pub(crate) fn unplayed_scenarios(record: &RunRecord) -> Vec<&str> {
-    let is_unplayed = |scenario: &&ScenarioRecord| scenario.trials.is_empty() && scenario.time_limit_s.is_none();
-    let is_complete = record.overrides.fail_fast && record.complete;
-    record.scenarios.iter().filter(|_| is_complete).filter(is_unplayed).map(|scenario| scenario.file.as_str()).collect()
+    let scenarios = Assessment::of(record).scenarios.into_iter();
+    let unplayed = scenarios.filter(|found| found.played == 0 && found.not_played == Some(NotPlayed::FailFast));
+    unplayed.map(|scenario| scenario.file).collect()
 }
 
 /// The first differences that the check of the protocol found, if they are why an expectation is not
@@ -391,6 +392,7 @@ mod tests {
             not_applicable: Vec::new(),
             requirement_texts: std::collections::BTreeMap::new(),
             time_limit_s: None,
+            planned_trials: None,
             trials: vec![trial_of(0, 1.0), trial_of(1, 3.0), trial_of(2, 3.0), trial_of(3, 2.0)],
         };
         assert_eq!(trial_to_inspect(&scenario, 0).unwrap().index, 1);

@@ -348,6 +348,11 @@ impl<L: Link> Session<L> {
     /// Requests 0 V and observes whether the controller stays there.
     pub fn close(mut self) -> SafeEnd {
         self.is_closed = true;
+        self.rest()
+    }
+
+    /// As [`Session::close`], for a session that continues.
+    pub fn rest(&mut self) -> SafeEnd {
         let was_safe = self.audit.is_safe();
         // A program that ended after it confirmed 0 V cannot confirm it again.
         let confirmed = self.request_safe_state() || (was_safe && self.has_ended);

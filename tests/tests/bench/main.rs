@@ -45,6 +45,7 @@ mod rigs;
 mod safe_exit;
 mod scenarios;
 mod schemas;
+mod sealed_trials;
 mod serial_line;
 mod settings_of_others;
 mod signals;

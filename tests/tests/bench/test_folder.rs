@@ -1,7 +1,7 @@
 //! Starts the bench in a folder of its own and checks its output.
 
 use platebench_engine::{Clock, RunHooks, RunPlan};
-use platebench_model::record::{Overrides, RunFolder, RunRecord, TrialRecord};
+use platebench_model::record::{JOURNAL_FILE, Overrides, RunFolder, RunRecord, TrialRecord, Verdict, newest_run};
 use platebench_model::scenario::load;
 use platebench_model::trace::{Row, read_trace};
 use platebench_rig::RigSpec;
@@ -309,6 +309,35 @@ impl TestFolder {
     #[track_caller]
     pub(crate) fn rows(&self, run: &str, trial: &TrialRecord) -> Vec<Row> {
         read_trace(&self.join(run).join(&trial.trace)).unwrap()
+    }
+
+    /// Plays into a new folder below `runs`.
+    #[track_caller]
+    pub(crate) fn run_below_runs(&self, expected: i32) {
+        self.bench(["run", "--rig", "hosted"]).assert_exit(expected);
+    }
+
+    #[track_caller]
+    pub(crate) fn newest_run(&self) -> PathBuf {
+        newest_run(&self.join("runs")).unwrap()
+    }
+
+    /// Leaves the folder that the run has if it is killed after this number of trials.
+    #[track_caller]
+    pub(crate) fn interrupt(&self, run: &str, trials: usize) {
+        let mut record = self.record(run);
+        record.complete = false;
+        record.journal.as_mut().unwrap().seal = None;
+        for scenario in &mut record.scenarios {
+            scenario.verdict = Verdict::Inconclusive;
+            scenario.trials.clear();
+            scenario.expectations.clear();
+        }
+        record.verdict = Verdict::Inconclusive;
+        record.write(&self.join(run)).unwrap();
+        let journal = format!("{run}/{JOURNAL_FILE}");
+        let kept: String = self.read(&journal).split_inclusive('\n').take(trials).collect();
+        self.write(&journal, &kept);
     }
 
     #[track_caller]

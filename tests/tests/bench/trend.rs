@@ -1,7 +1,7 @@
 //! Compares the instructions of a control step with earlier runs and with the shipped image.
 
 use crate::test_folder::{SETTLING, TestFolder, workspace_root};
-use platebench_engine::{Clock, RunHooks, RunPlan, inputs_digest, rejudge, run};
+use platebench_engine::{Clock, RunHooks, RunPlan, rejudge, run};
 use platebench_model::record::{Overrides, RECORD_FILE, RunFolder, RunRecord};
 use platebench_model::scenario::find;
 use platebench_rig::RigSpec;
@@ -41,7 +41,7 @@ fn append_reference_lines(record: &RunRecord, text: &mut String) {
             "\n[[trial]] # {}\nlaw = {:?}\ninputs = {:?}\nseed = {}\nmean = {mean:?}\nworst = {worst:?}",
             scenario.file,
             scenario.law,
-            inputs_digest(scenario),
+            scenario.inputs_digest(),
             trial.seed
         )
         .unwrap();

@@ -7,12 +7,11 @@ use platebench_engine::rejudge::check_trace;
 use platebench_engine::{RejudgeError, rejudge};
 use platebench_model::record::{
     BoardDifference, FORMAT, FolderError, Host, MergeRecord, MergedRun, MergedScenario, MissingShard, NotApplicable,
-    Overrides, RigRecord, RunFolder, RunRecord, ScenarioRecord, Tool, Verdict, utc_timestamp,
+    Overrides, RigRecord, RunFolder, RunRecord, ScenarioRecord, Tool, TrialJournal, Verdict, utc_timestamp,
 };
-use platebench_model::trace::AtPath as _;
+use platebench_model::trace::{AtPath as _, open_regular_file};
 use platebench_verdict::statistics::SampleSummary;
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, thiserror::Error)]
@@ -54,12 +53,17 @@ pub fn merge_runs(folders: &[PathBuf], out: &RunFolder) -> Result<RunRecord, Mer
     check_trials(&runs)?;
     let places: BTreeSet<_> = runs.iter().map(|run| run.place.as_str()).collect();
     let mut record = joined_head(&runs, out);
+    let mut journal = TrialJournal::create(out.output()).map_err(FolderError::from)?;
     let mut merge = MergeRecord { missing_shards: missing_shards(&runs), ..MergeRecord::default() };
     for (number, run) in runs.iter().enumerate() {
         let prefix = if places.len() > 1 { format!("{}/", run.place) } else { String::new() };
         let mut files = Vec::new();
         for scenario in &run.record.scenarios {
-            let joined = copy_scenario(run, scenario, &prefix, number, out.path())?;
+            let joined = copy_scenario(run, scenario, &prefix, number, out)?;
+            for trial in &joined.trials {
+                let place = record.scenarios.len();
+                journal.append(place, &joined, &run.record.rig, trial).map_err(FolderError::from)?;
+            }
             files.push(MergedScenario { file: joined.file.clone(), original: scenario.file.clone() });
             record.scenarios.push(joined);
         }
@@ -83,6 +87,7 @@ pub fn merge_runs(folders: &[PathBuf], out: &RunFolder) -> Result<RunRecord, Mer
     }
     merge.differences = differences(&merge, &record.scenarios);
     record.merge = Some(merge);
+    record.journal = Some(journal.finished());
     record.update_verdict();
     record.write(out.path()).at(out.path()).map_err(FolderError::from)?;
     Ok(record)
@@ -128,10 +133,21 @@ fn read_runs(folders: &[PathBuf]) -> Result<Vec<StoredRun>, MergeError> {
             if let Some((first, expected)) = others.into_iter().find(|(_, other)| *other != options) {
                 return different(first, "the set of options of the shard", &options, &expected);
             }
+            let shards = runs.iter().filter(|run| run.record.overrides.shard.is_some());
+            let others = shards.filter(|run| !are_different_boards(&run.record.overrides, &record.overrides));
+            if let Some(first) = others.into_iter().find(|run| !run.record.rig.has_same_controller(&record.rig)) {
+                let [found, expected] = [&record.rig, &first.record.rig].map(RigRecord::describe_controller);
+                return different(first, "the controller of the shard", &found, &expected);
+            }
         }
         runs.push(StoredRun { folder: folder.clone(), record, board, place });
     }
     Ok(runs)
+}
+
+/// Only boards that are named may have different firmware.
+fn are_different_boards(one: &Overrides, other: &Overrides) -> bool {
+    one.board.is_some() && other.board.is_some() && one.board != other.board
 }
 
 /// Options that all shards of a run have in common.
@@ -221,6 +237,7 @@ fn joined_head(runs: &[StoredRun], out: &RunFolder) -> RunRecord {
     let confirmed = all().map(|run| run.safe_confirmed);
     RunRecord {
         format: FORMAT,
+        sequence: out.sequence(),
         verdict: Verdict::Inconclusive,
         complete: all().all(|run| run.complete),
         tool: Tool::running(),
@@ -228,6 +245,7 @@ fn joined_head(runs: &[StoredRun], out: &RunFolder) -> RunRecord {
         rig: one_rig.unwrap_or_else(|| RigRecord {
             name: names,
             firmware: None,
+            program_sha256: None,
             bench_firmware: all().all(|run| run.rig.bench_firmware),
         }),
         clock: first.map_or(platebench_model::record::ClockKind::Lockstep, |first| first.clock),
@@ -240,6 +258,7 @@ fn joined_head(runs: &[StoredRun], out: &RunFolder) -> RunRecord {
         not_applicable: Vec::new(),
         cost: Vec::new(),
         merge: None,
+        journal: None,
     }
 }
 
@@ -249,13 +268,13 @@ fn copy_scenario(
     scenario: &ScenarioRecord,
     prefix: &str,
     number: usize,
-    out: &Path,
+    out: &RunFolder,
 ) -> Result<ScenarioRecord, MergeError> {
     let mut joined = ScenarioRecord { file: format!("{prefix}{}", scenario.file), ..scenario.clone() };
     for input in &mut joined.inputs {
         let below = input.file.strip_prefix("inputs/").unwrap_or(&input.file);
         let target = format!("inputs/run-{}/{below}", number + 1);
-        copy(&run.folder.join(&input.file), &out.join(&target))?;
+        copy(&run.folder.join(&input.file), &target, out)?;
         input.file = target;
     }
     for trial in &mut joined.trials {
@@ -264,19 +283,16 @@ fn copy_scenario(
         let source = run.folder.join(&trial.trace);
         if trial.sha256.is_some() || source.is_file() {
             check_trace(&run.folder, trial)?;
-            copy(&source, &out.join(&target))?;
+            copy(&source, &target, out)?;
         }
         trial.trace = target;
     }
     Ok(joined)
 }
 
-fn copy(from: &Path, to: &Path) -> Result<(), FolderError> {
-    if let Some(folder) = to.parent() {
-        fs::create_dir_all(folder).at(folder)?;
-    }
-    fs::copy(from, to).at(from)?;
-    Ok(())
+fn copy(from: &Path, to: &str, out: &RunFolder) -> Result<(), FolderError> {
+    let mut source = open_regular_file(from, u64::MAX).at(from)?;
+    Ok(out.output().copy(source.get_mut(), to)?)
 }
 
 const CONFIDENCE: f64 = 0.95;

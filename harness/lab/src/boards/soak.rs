@@ -5,16 +5,20 @@
 
 use crate::boards::state::BoardOutcome;
 use platebench_engine::plan::LinkFactory;
-use platebench_engine::{CancelToken, RunError, RunHooks, RunPlan, rejudge, run};
-use platebench_model::record::{FileLock, FolderError, RunFolder, RunRecord, Verdict, utc_timestamp};
+use platebench_engine::{CancelToken, RigSession, RunError, RunHooks, RunPlan, rejudge, run};
+use platebench_model::record::{
+    FileLock, FolderError, RigRecord, RunFolder, RunRecord, Verdict, combine_runs, utc_timestamp,
+};
 use platebench_model::scenario::Scenario;
-use platebench_model::trace::{AtPath as _, create_folder, read_text_file, write_atomically};
+use platebench_model::trace::{AtPath as _, FileError, OutputFolder, read_text_file};
 use platebench_report::console;
 use platebench_report::document::{Block, Document, Table};
+use platebench_rig::SafeEnd;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use std::{fs, io};
 
@@ -36,6 +40,7 @@ pub struct SoakResult {
 }
 
 /// Writes `soak.json` after each run. Keeps the newest run and the first 20 runs that did not pass.
+/// All runs share one session, so that a controller keeps its history from one run to the next.
 pub fn soak(
     config: &SoakConfig,
     out: &Path,
@@ -43,60 +48,91 @@ pub fn soak(
     cancel: &CancelToken,
 ) -> Result<SoakResult, RunError> {
     let created: Vec<&Path> = out.ancestors().take_while(|folder| !folder.exists()).collect();
-    create_folder(out).at(out).map_err(FolderError::from)?;
+    let output = OutputFolder::create(out).map_err(FolderError::from)?;
     let lock = FileLock::exclusive(out).map_err(FolderError::from)?;
     let _lock = lock.ok_or_else(|| FolderError::InUse(out.to_owned()))?;
     if out.join(SOAK_FILE).exists() {
         return Err(FolderError::AlreadyUsed(out.to_owned()).into());
     }
-    let (started, mut record) = (Instant::now(), SoakRecord::new(&config.board, &config.plan.rig));
-    write(&record, out)?;
-    let mut board = BoardOutcome::untouched();
+    let mut result = SoakResult {
+        record: SoakRecord::new(&config.board, &config.plan.rig),
+        board: BoardOutcome::untouched(),
+        error: None,
+    };
+    write(&result.record, &output)?;
     if config.plan.scenarios.is_empty() {
-        return Ok(SoakResult { record, board: BoardOutcome::untouched(), error: None });
+        return Ok(result);
     }
-    let mut disposable: Option<PathBuf> = None;
+    let session = Mutex::new(None);
+    let played = play_rounds(config, &output, connect, cancel, &session, &mut result);
+    if played.is_err() && result.record.runs == 0 && output.remove_empty_folder(RUNS).is_ok() {
+        // The board was not reached, so the same soak can start again.
+        let _ = fs::remove_file(out.join(SOAK_FILE));
+        for folder in created {
+            let _ = fs::remove_dir(folder);
+        }
+    }
+    played?;
+    let last = session.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if last.is_some_and(|session| session.close() != SafeEnd::Confirmed) {
+        result.board = BoardOutcome { last_run: result.board.last_run, ..BoardOutcome::unconfirmed() };
+        result.record.safe_confirmed = false;
+        result.record.set_end(SoakEnd::Unsafe);
+        write(&result.record, &output)?;
+    }
+    Ok(result)
+}
+
+fn play_rounds(
+    config: &SoakConfig,
+    output: &OutputFolder,
+    connect: &LinkFactory<'_>,
+    cancel: &CancelToken,
+    session: &Mutex<Option<RigSession>>,
+    result: &mut SoakResult,
+) -> Result<(), RunError> {
+    let SoakResult { record, board, error: last_error } = result;
+    let started = Instant::now();
+    let mut disposable: Option<String> = None;
     for (round, scenario) in (0..).flat_map(|round| config.plan.scenarios.iter().map(move |scenario| (round, scenario)))
     {
         let plan = plan_of(&config.plan, scenario, round);
         let name = format!("{RUNS}/{:08}", record.runs);
-        let folder = RunFolder::create(Some(&out.join(&name)))?;
-        let hooks = RunHooks { cancel: cancel.clone(), ..RunHooks::default() };
+        // Fails if a link is in the place of the folder.
+        let place = output.create_folder(&name).map_err(FolderError::from)?;
+        let folder = RunFolder::create(Some(place.path()))?;
+        let hooks = RunHooks { cancel: cancel.clone(), kept_session: Some(session), ..RunHooks::default() };
         let played = run(&plan, &folder, connect, hooks);
-        board = BoardOutcome::of_run(played.as_ref(), folder.path());
+        *board = BoardOutcome::of_run(played.as_ref(), folder.path());
+        let played = played.and_then(|run| record.check_controller(&run.rig).map(|()| run));
         let run = match played {
             Ok(run) => run,
-            // The board was not reached, so the same soak can start again.
-            Err(error) if record.runs == 0 && !cancel.is_cancelled() && folder.remove_if_empty() => {
-                let _ = fs::remove_file(out.join(SOAK_FILE));
-                for folder in created {
-                    let _ = fs::remove_dir(folder);
-                }
-                return Err(error);
-            }
+            Err(error) if record.runs == 0 && !cancel.is_cancelled() && folder.remove_if_empty() => return Err(error),
             Err(error) => {
-                record.end = Some(if cancel.is_cancelled() { SoakEnd::Cancelled } else { SoakEnd::Lost });
-                write(&record, out)?;
-                let error = (!cancel.is_cancelled()).then_some(error);
-                return Ok(SoakResult { record, board, error });
+                record.set_end(if cancel.is_cancelled() { SoakEnd::Cancelled } else { SoakEnd::Lost });
+                write(record, output)?;
+                *last_error = (!cancel.is_cancelled()).then_some(error);
+                return Ok(());
             }
         };
         record.add(&run, &name);
         if let Some(old) = disposable.take() {
-            fs::remove_dir_all(&old).at(&old).map_err(FolderError::from)?;
+            output.remove_folder(&old).map_err(FolderError::from)?;
         }
         if run.verdict == Verdict::Pass || record.kept.len() >= MAX_KEPT_FAILURES {
-            disposable = Some(folder.path().to_owned());
+            disposable = Some(name);
         } else {
             record.kept.push(name);
         }
-        record.end = end_after(config, &run, &board, started, cancel);
-        write(&record, out)?;
+        if let Some(end) = end_after(config, &run, board, started, cancel) {
+            record.set_end(end);
+        }
+        write(record, output)?;
         if record.end.is_some() {
             break;
         }
     }
-    Ok(SoakResult { record, board, error: None })
+    Ok(())
 }
 
 fn end_after(
@@ -128,8 +164,8 @@ fn plan_of(plan: &RunPlan, scenario: &Scenario, round: u64) -> RunPlan {
     RunPlan { scenarios: vec![scenario], overrides, ..plan.clone() }
 }
 
-fn write(record: &SoakRecord, out: &Path) -> Result<(), RunError> {
-    Ok(record.write(out).at(out).map_err(FolderError::from)?)
+fn write(record: &SoakRecord, output: &OutputFolder) -> Result<(), RunError> {
+    Ok(record.write(output).map_err(FolderError::from)?)
 }
 
 pub const SOAK_FILE: &str = "soak.json";
@@ -143,8 +179,14 @@ pub struct SoakRecord {
     pub rig: String,
     pub started: String,
     pub updated: String,
-    /// The most severe verdict of all runs.
+    /// The most severe verdict of all runs. A pass only after the whole time: while the soak test
+    /// runs, and after it was killed, it is inconclusive instead.
     pub verdict: Verdict,
+    #[serde(skip)]
+    worst: Option<Verdict>,
+    /// The controller of all runs; absent before the end of the first run and in records of 0.3.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub controller: Option<RigRecord>,
     /// Absent while the soak test runs, and after it was killed.
     pub end: Option<SoakEnd>,
     pub runs: u64,
@@ -217,6 +259,8 @@ impl SoakRecord {
             started: utc_timestamp(),
             updated: utc_timestamp(),
             verdict: Verdict::Inconclusive,
+            worst: None,
+            controller: None,
             end: None,
             runs: 0,
             safe_confirmed: true,
@@ -228,19 +272,43 @@ impl SoakRecord {
     }
 
     pub fn read(folder: &Path) -> io::Result<Self> {
-        Ok(serde_json::from_str(&read_text_file(&folder.join(SOAK_FILE), MAX_BYTES)?)?)
+        let mut record: Self = serde_json::from_str(&read_text_file(&folder.join(SOAK_FILE), MAX_BYTES)?)?;
+        // 0.3 wrote a pass before the end.
+        record.worst = (record.runs > 0).then_some(record.verdict);
+        record.update_verdict();
+        Ok(record)
     }
 
-    pub(crate) fn write(&self, folder: &Path) -> io::Result<()> {
-        write_atomically(&folder.join(SOAK_FILE), format!("{}\n", serde_json::to_string_pretty(self)?).as_bytes())
+    fn update_verdict(&mut self) {
+        self.verdict = combine_runs(self.worst, self.end == Some(SoakEnd::Time));
+    }
+
+    fn set_end(&mut self, end: SoakEnd) {
+        self.end = Some(end);
+        self.update_verdict();
+    }
+
+    /// Fails if another controller answers than in the runs before.
+    fn check_controller(&mut self, rig: &RigRecord) -> Result<(), RunError> {
+        let first: &RigRecord = self.controller.get_or_insert_with(|| rig.clone());
+        if first.has_same_controller(rig) {
+            return Ok(());
+        }
+        let [found, expected] = [rig, first].map(RigRecord::describe_controller);
+        Err(RunError::DifferentController { found, expected })
+    }
+
+    pub(crate) fn write(&self, folder: &OutputFolder) -> Result<(), FileError> {
+        let text = serde_json::to_string_pretty(self).map_err(io::Error::from).at(&folder.path().join(SOAK_FILE))?;
+        folder.write(SOAK_FILE, format!("{text}\n"))
     }
 
     pub(crate) fn add(&mut self, run: &RunRecord, folder: &str) {
-        let before = (self.runs > 0).then_some(self.verdict);
-        self.verdict = Verdict::combine(before.into_iter().chain([run.verdict]));
+        self.worst = Some(Verdict::combine(self.worst.into_iter().chain([run.verdict])));
         if run.verdict != Verdict::Pass && self.reason.is_none() {
             self.reason = Some(format!("{folder}: {}", console::verdict_reason(run)));
         }
+        self.update_verdict();
         self.runs += 1;
         self.updated = utc_timestamp();
         self.safe_confirmed &= run.safe_confirmed == Some(true);

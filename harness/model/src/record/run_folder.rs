@@ -6,7 +6,7 @@ use crate::record::reason::ExpectationRecord;
 use crate::record::run_record::RigRecord;
 use crate::record::run_record::{FORMAT, InputRecord, RunRecord};
 use crate::scenario::{InputFile, Scenario};
-use crate::trace::{AtPath, FileError, OutputFolder, create_folder, open_regular_file, read_text_file};
+use crate::trace::{AtPath, FileError, OutputFolder, open_regular_file, read_text_file};
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use platebench_plate::input::{STANDARD_INPUT_NAME, STANDARD_STREAM};
@@ -38,8 +38,9 @@ pub enum FolderError {
 
 #[derive(Debug, Clone)]
 pub struct RunFolder {
-    path: PathBuf,
+    output: OutputFolder,
     started: Timestamp,
+    sequence: u64,
     /// Parent folder that was created for this run.
     created_parent: Option<PathBuf>,
     /// Lock of the folder until the run ends, so that no other process uses it.
@@ -52,16 +53,17 @@ impl RunFolder {
         let started = Timestamp::now();
         let path = path.map_or_else(|| Path::new("runs").join(generate_name(started)), Path::to_owned);
         let created_parent = path.parent().filter(|parent| !parent.exists()).map(Path::to_owned);
-        create_folder(&path).at(&path)?;
+        let output = OutputFolder::create(&path)?;
         let Some(lock) = FileLock::exclusive(&path)? else { return Err(FolderError::InUse(path)) };
-        if fs::symlink_metadata(path.join(crate::record::run_folder::RECORD_FILE)).is_ok() {
+        if [RECORD_FILE, JOURNAL_FILE].iter().any(|file| fs::symlink_metadata(path.join(file)).is_ok()) {
             return Err(FolderError::AlreadyUsed(path));
         }
         // A campaign has a report of the same name.
         if fs::symlink_metadata(path.join(CAMPAIGN_PLAN_FILE)).is_ok() {
             return Err(FolderError::ContainsCampaign(path));
         }
-        Ok(Self { path, started, created_parent, _lock: Arc::new(lock) })
+        let sequence = newest_in(&parent_of(&path)).map_or(0, |(order, _)| order.sequence) + 1;
+        Ok(Self { output, started, sequence, created_parent, _lock: Arc::new(lock) })
     }
 
     /// Creates a folder below `runs` with the time as name.
@@ -70,16 +72,26 @@ impl RunFolder {
     }
 
     pub fn path(&self) -> &Path {
-        &self.path
+        self.output.path()
+    }
+
+    /// Writes the files of the run.
+    pub fn output(&self) -> &OutputFolder {
+        &self.output
     }
 
     /// Removes the folder, and its parent if it was created for this run. Keeps folders with content.
     pub fn remove_if_empty(&self) -> bool {
-        let is_removed = fs::remove_dir(&self.path).is_ok();
+        let is_removed = fs::remove_dir(self.path()).is_ok();
         if let Some(parent) = self.created_parent.as_ref().filter(|_| is_removed) {
             let _ = fs::remove_dir(parent);
         }
         is_removed
+    }
+
+    /// One more than the largest number of the neighbouring runs.
+    pub fn sequence(&self) -> u64 {
+        self.sequence
     }
 
     /// Time of creation, as [`utc_timestamp`].
@@ -88,8 +100,8 @@ impl RunFolder {
     }
 
     pub fn create_trace_folder(&self, scenario: &Scenario) -> Result<(), FolderError> {
-        let folder = self.path.join(TRACES).join(scenario.name());
-        Ok(fs::create_dir_all(&folder).at(&folder)?)
+        self.output.create_folder(Path::new(TRACES).join(scenario.name()))?;
+        Ok(())
     }
 
     /// Copies all input files and keeps their relative paths. Returns their records by scenario.
@@ -107,11 +119,9 @@ impl RunFolder {
         let store = |input: &InputFile| {
             let below = place(input)?;
             let relative = Path::new(INPUTS).join(below.strip_prefix(&root).unwrap_or(&below));
-            let target = self.path.join(&relative);
-            if let Some(folder) = target.parent() {
-                fs::create_dir_all(folder).at(folder)?;
-            }
-            fs::write(&target, &input.bytes).at(&target)?;
+            let mut copy = self.output.create_file(&relative)?;
+            copy.write_all(&input.bytes).at(&self.path().join(&relative))?;
+            copy.commit_without_sync()?;
             Ok(InputRecord { file: with_slashes(&relative), sha256: sha256(&input.bytes) })
         };
         scenarios.iter().map(|scenario| scenario.inputs.iter().map(store).collect()).collect()
@@ -123,12 +133,32 @@ pub fn trace_path(scenario: &str, index: u32) -> String {
     format!("{TRACES}/{scenario}/{index:03}.csv")
 }
 
-/// Returns the folder of the run below `runs` that started last; of the same second, the one with
-/// the last name. Skips records that cannot be read.
+/// Order of runs. Runs of 0.3 have no number and come first; their clock orders them.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+struct RunOrder {
+    sequence: u64,
+    /// RFC 3339 in UTC sorts as text.
+    started: String,
+}
+
+/// Returns the folder of the newest run below `runs`; of equal ones, the one with the last name. Skips
+/// records that cannot be read.
 pub fn newest_run(runs: &Path) -> Option<PathBuf> {
+    newest_in(runs).map(|(_, path)| path)
+}
+
+fn newest_in(runs: &Path) -> Option<(RunOrder, PathBuf)> {
     let folders = fs::read_dir(runs).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
-    let started = folders.filter_map(|path| Some((read_started(&path).ok()?, path)));
-    started.max().map(|(_, path)| path)
+    folders.filter_map(|path| Some((read_order(&path).ok()?, path))).max()
+}
+
+/// The parent of a bare name is the working directory.
+fn parent_of(path: &Path) -> PathBuf {
+    match path.parent() {
+        Some(parent) if parent.as_os_str().is_empty() => PathBuf::from("."),
+        Some(parent) => parent.to_owned(),
+        None => path.to_owned(),
+    }
 }
 
 pub fn sha256(bytes: &[u8]) -> String {
@@ -189,6 +219,8 @@ fn with_slashes(path: &Path) -> String {
 }
 
 pub const RECORD_FILE: &str = "run.json";
+/// One sealed line per trial.
+pub const JOURNAL_FILE: &str = "trials.jsonl";
 /// The plan in a campaign folder.
 pub const CAMPAIGN_PLAN_FILE: &str = "plan.json";
 /// A record of 10⁶ trials has about 600 MB.
@@ -204,6 +236,8 @@ pub enum RecordError {
     Content { path: PathBuf, source: serde_json::Error },
     #[error("{}: the record has format {found}, expected {FORMAT}", path.display())]
     Format { path: PathBuf, found: u32 },
+    #[error("{}:{line}: {what}; the run was changed after it was played, restore its files", path.display())]
+    Journal { path: PathBuf, line: u32, what: &'static str },
     #[error("{}: {what} `{found}`, expected a path below the run folder", path.display())]
     OutsidePath { path: PathBuf, what: &'static str, found: String },
 }
@@ -217,12 +251,14 @@ impl RunRecord {
         writer.write_all(b"\n")?;
         writer.flush()?;
         drop(writer);
-        // A sync after every scenario would delay the run.
+        // A sync at the start would delay the run.
         Ok(if self.complete { file.commit() } else { file.commit_without_sync() }?)
     }
 
+    /// The record and, of a run that was killed, its sealed trials.
     pub fn read(folder: &Path) -> Result<Self, RecordError> {
-        let record: Self = read(folder)?;
+        let mut record: Self = read(folder)?;
+        record.read_journal(folder)?;
         match record.outside_path() {
             None => Ok(record),
             Some((what, found)) => {
@@ -253,18 +289,19 @@ impl RunRecord {
     ) -> Vec<(String, T)> {
         let Ok(own) = fs::canonicalize(folder) else { return Vec::new() };
         let Some(entries) = own.parent().and_then(|parent| fs::read_dir(parent).ok()) else { return Vec::new() };
-        let mut earlier: Vec<(String, PathBuf)> = entries
+        let own_order = RunOrder { sequence: self.sequence, started: self.started.clone() };
+        let mut earlier: Vec<(RunOrder, PathBuf)> = entries
             .filter_map(|entry| entry.ok().map(|entry| entry.path()))
             .filter(|path| *path != own && path.join(RECORD_FILE).exists())
             .filter_map(|path| {
-                let started = read_started(&path).inspect_err(|error| skipped(&path, error)).ok()?;
-                // RFC 3339 in UTC sorts as text. Short runs may start in the same second.
-                (started <= self.started).then_some((started, path))
+                let order = read_order(&path).inspect_err(|error| skipped(&path, error)).ok()?;
+                // Short runs of 0.3 may start in the same second.
+                (order <= own_order).then_some((order, path))
             })
             .collect();
         earlier.sort_by(|a, b| b.cmp(a));
         earlier.truncate(MAX_EARLIER_RUNS);
-        let read_named = |(_, path): (String, PathBuf)| {
+        let read_named = |(_, path): (RunOrder, PathBuf)| {
             let record = read(&path).inspect_err(|error| skipped(&path, error)).ok()?;
             Some((path.file_name()?.to_string_lossy().into_owned(), record))
         };
@@ -290,6 +327,8 @@ pub struct ScenarioSummary {
 #[derive(Default)]
 struct Head {
     format: Option<u32>,
+    /// Stands before `started`.
+    sequence: u64,
     started: Option<String>,
 }
 
@@ -304,6 +343,7 @@ impl<'de> Visitor<'de> for &mut Head {
         while self.format.is_none() || self.started.is_none() {
             match map.next_key::<String>()?.as_deref() {
                 Some("format") => self.format = Some(map.next_value()?),
+                Some("sequence") => self.sequence = map.next_value()?,
                 Some("started") => self.started = Some(map.next_value()?),
                 Some(_) => _ = map.next_value::<IgnoredAny>()?,
                 None => break,
@@ -328,11 +368,13 @@ impl Head {
     }
 }
 
-fn read_started(folder: &Path) -> Result<String, RecordError> {
+fn read_order(folder: &Path) -> Result<RunOrder, RecordError> {
     let path = folder.join(RECORD_FILE);
     let file = open_regular_file(&path, MAX_RECORD_BYTES).at(&path)?;
-    let head = Head::read(&path, &mut serde_json::Deserializer::from_reader(BufReader::new(file)))?;
-    head.started.ok_or_else(|| RecordError::Content { path, source: serde_json::Error::missing_field("started") })
+    let Head { sequence, started, .. } =
+        Head::read(&path, &mut serde_json::Deserializer::from_reader(BufReader::new(file)))?;
+    let missing = || RecordError::Content { path, source: serde_json::Error::missing_field("started") };
+    Ok(RunOrder { sequence, started: started.ok_or_else(missing)? })
 }
 
 fn read<T: DeserializeOwned>(folder: &Path) -> Result<T, RecordError> {

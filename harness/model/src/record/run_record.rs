@@ -1,10 +1,8 @@
 //! Defines the record of a run (`run.json`) and the events of a run.
 
 use crate::record::reason::ExpectationRecord;
-use crate::record::reason::Reason;
 use crate::record::trial_record::CostTrend;
 use crate::record::trial_record::TrialRecord;
-use crate::record::verdict::Exclusion;
 use crate::record::verdict::{Cause, Verdict};
 use crate::scenario::NotApplicableExpectation;
 use crate::trace::Row;
@@ -17,10 +15,15 @@ use std::sync::OnceLock;
 
 /// Version of `run.json`. Readers reject other versions.
 pub const FORMAT: u32 = 1;
+const DIGEST_START: usize = 12;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunRecord {
     pub format: u32,
+    /// One more than the largest number of the neighbouring runs at the start. Orders runs whatever
+    /// the clock does; absent in records of 0.3.
+    #[serde(default, skip_serializing_if = "is_zero_sequence")]
+    pub sequence: u64,
     pub verdict: Verdict,
     /// False during the run, and if the run was killed.
     pub complete: bool,
@@ -53,6 +56,9 @@ pub struct RunRecord {
     /// The runs that `platebench report --merge` joined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub merge: Option<MergeRecord>,
+    /// The sealed trials; absent in records of 0.3, whose trials have no other place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub journal: Option<JournalRecord>,
 }
 
 #[derive(
@@ -86,6 +92,11 @@ pub struct NotApplicable {
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
+const fn is_zero_sequence(number: &u64) -> bool {
+    *number == 0
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
 const fn is_zero(number: &usize) -> bool {
     *number == 0
 }
@@ -116,6 +127,9 @@ pub struct ScenarioRecord {
     /// Time limit that ended the scenario before all trials were played, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_limit_s: Option<f64>,
+    /// Smallest number of trials that the scenario needs; `null` in records of 0.3.
+    #[serde(default)]
+    pub planned_trials: Option<u32>,
     pub trials: Vec<TrialRecord>,
 }
 
@@ -137,6 +151,16 @@ impl ScenarioRecord {
     }
 }
 
+/// The journal `trials.jsonl` of a run.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct JournalRecord {
+    /// Number of the run, hexadecimal. The seal of the first line includes it.
+    pub run: String,
+    /// Seal of the last line; absent during the run, and if it was killed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seal: Option<String>,
+}
+
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct InputRecord {
     /// Path of the copy, relative to the run folder.
@@ -145,42 +169,15 @@ pub struct InputRecord {
 }
 
 impl RunRecord {
-    /// Combines the verdicts of all scenarios. A pass also needs a complete run, all shards and
-    /// confirmed 0 V. A drive after confirmed 0 V fails the run.
-    pub fn update_verdict(&mut self) {
-        let combined = Verdict::combine(self.scenarios.iter().map(|scenario| scenario.verdict));
-        let misses_shards = self.merge.as_ref().is_some_and(|merge| !merge.missing_shards.is_empty());
-        let is_inconclusive = !self.complete || misses_shards || self.safe_confirmed == Some(false);
-        let misses_required = self.overrides.require_all && !self.not_applicable.is_empty();
-        self.verdict = if misses_required || self.drive_after_safe {
-            Verdict::Fail
-        } else if combined == Verdict::Pass && is_inconclusive {
-            Verdict::Inconclusive
-        } else {
-            combined
-        };
+    /// The rig that played a scenario. The runs of a joined run may have different ones.
+    pub fn rig_of(&self, file: &str) -> &RigRecord {
+        self.merge.as_ref().and_then(|merge| merge.run_of(file)).map_or(&self.rig, |run| &run.rig)
     }
 
-    /// Turns passes of a scenario into inconclusive verdicts if one of its traces is missing.
-    /// Returns whether a trace is missing.
-    pub fn discount_missing_traces(&mut self, folder: &Path) -> bool {
-        let mut misses_traces = false;
-        for scenario in &mut self.scenarios {
-            let is_missing = |trial: &&TrialRecord| trial.sha256.is_some() && !folder.join(&trial.trace).is_file();
-            let Some(trial) = scenario.trials.iter().find(is_missing).map(|trial| trial.index) else { continue };
-            misses_traces = true;
-            for expectation in &mut scenario.expectations {
-                if expectation.verdict == Verdict::Pass {
-                    let exclusion = Exclusion::MissingTrace;
-                    expectation.verdict = Verdict::Inconclusive;
-                    expectation.cause = Some(exclusion.cause());
-                    expectation.reason = Some(Reason::Excluded { trial, exclusion });
-                }
-            }
-            scenario.verdict = Verdict::combine(scenario.expectations.iter().map(|expectation| expectation.verdict));
-        }
-        self.update_verdict();
-        misses_traces
+    /// Name of a scenario in the run that played it. A joined run adds the board.
+    pub fn original_file<'a>(&'a self, file: &'a str) -> &'a str {
+        let mut merged = self.merge.iter().flat_map(|merge| merge.runs.iter().flat_map(|run| &run.scenarios));
+        merged.find(|scenario| scenario.file == file).map_or(file, |scenario| &scenario.original)
     }
 
     /// A copy whose traces have paths that are valid in the working directory of `folder`.
@@ -220,12 +217,36 @@ pub struct RigRecord {
     /// `null` if the firmware never identified itself.
     #[serde(default)]
     pub firmware: Option<Firmware>,
+    /// SHA-256 of the program that the bench starts or of the image that it loads; absent on other
+    /// rigs and in records of 0.3.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub program_sha256: Option<String>,
     /// True if the controller is the bench's own firmware, so that the run tests no other code.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub bench_firmware: bool,
 }
 
 impl RigRecord {
+    /// True if the same controller answered: the same identity and the same program or image. If
+    /// the bench knows no program, also the kinds of the rigs must be equal.
+    pub fn has_same_controller(&self, other: &Self) -> bool {
+        let has_program = self.program_sha256.is_some();
+        self.firmware == other.firmware
+            && self.program_sha256 == other.program_sha256
+            && (has_program || self.kind() == other.kind())
+    }
+
+    /// Rig, identity and start of the digest of the controller, for messages.
+    pub fn describe_controller(&self) -> String {
+        let identity = self.firmware.as_ref().map(|firmware| {
+            let Firmware { name, version, build, .. } = firmware;
+            format!("{name:?} {version}, build {build}")
+        });
+        let digest = self.program_sha256.as_deref().and_then(|digest| digest.get(..DIGEST_START));
+        let parts = identity.into_iter().chain(digest.map(|start| format!("SHA-256 {start}…")));
+        format!("{} ({})", self.name, parts.collect::<Vec<_>>().join(", "))
+    }
+
     /// Kind of the rig without port or file, for example `emulated`.
     pub fn kind(&self) -> &str {
         self.name.split(':').next().unwrap_or_default()
@@ -419,9 +440,8 @@ pub struct BoardDifference {
 }
 
 impl MergeRecord {
-    pub fn overrides_of(&self, file: &str) -> Option<&Overrides> {
-        let run = self.runs.iter().find(|run| run.scenarios.iter().any(|scenario| scenario.file == file))?;
-        Some(&run.overrides)
+    pub fn run_of(&self, file: &str) -> Option<&MergedRun> {
+        self.runs.iter().find(|run| run.scenarios.iter().any(|scenario| scenario.file == file))
     }
 }
 
@@ -467,7 +487,7 @@ impl From<&ScenarioRecord> for FinishedScenario {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 #[cfg(test)]
 mod provenance_tests {

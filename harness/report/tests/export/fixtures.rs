@@ -84,6 +84,7 @@ fn scenario_record(name: &str, title: &str, trials: Vec<TrialRecord>) -> Scenari
         not_applicable: Vec::new(),
         requirement_texts: std::collections::BTreeMap::new(),
         time_limit_s: None,
+        planned_trials: None,
         trials,
     }
 }
@@ -104,11 +105,17 @@ pub(crate) fn stored_run() -> StoredRun {
     };
     let record = RunRecord {
         format: FORMAT,
+        sequence: 0,
         verdict: Verdict::Pass,
         complete: true,
         tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned(), ..Tool::default() },
         started: "2026-03-02T09:30:00Z".to_owned(),
-        rig: RigRecord { name: "hosted".to_owned(), firmware: Some(firmware), bench_firmware: true },
+        rig: RigRecord {
+            name: "hosted".to_owned(),
+            firmware: Some(firmware),
+            program_sha256: None,
+            bench_firmware: true,
+        },
         clock: ClockKind::Lockstep,
         overrides: Overrides::default(),
         safe_confirmed: Some(true),
@@ -119,6 +126,7 @@ pub(crate) fn stored_run() -> StoredRun {
         not_applicable: Vec::new(),
         cost: Vec::new(),
         merge: None,
+        journal: None,
     };
     StoredRun { folder, record }
 }

@@ -20,6 +20,7 @@ pub(crate) use crate::response::Response;
 pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
     RunRecord {
         format: FORMAT,
+        sequence: 0,
         verdict: Verdict::combine(scenarios.iter().map(|scenario| scenario.verdict)),
         complete: true,
         tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned(), ..Tool::default() },
@@ -32,6 +33,7 @@ pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
                 build: "5f3a9c01".to_owned(),
                 chip: "0".to_owned(),
             }),
+            program_sha256: None,
             bench_firmware: false,
         },
         clock: ClockKind::Lockstep,
@@ -44,6 +46,7 @@ pub(crate) fn run(scenarios: Vec<ScenarioRecord>) -> RunRecord {
         not_applicable: Vec::new(),
         cost: Vec::new(),
         merge: None,
+        journal: None,
     }
 }
 
@@ -66,6 +69,7 @@ pub(crate) fn scenario(file: &str, title: &str, law: &str, expectations: Vec<Exp
         not_applicable: Vec::new(),
         requirement_texts: std::collections::BTreeMap::new(),
         time_limit_s: None,
+        planned_trials: None,
         trials: Vec::new(),
     }
 }

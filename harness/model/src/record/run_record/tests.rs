@@ -23,7 +23,7 @@ fn combines_verdicts() {
 }
 
 #[expect(clippy::too_many_lines, reason = "one value of every field")]
-fn record() -> RunRecord {
+pub(crate) fn record() -> RunRecord {
     let passed = ExpectationRecord {
         name: "settling".to_owned(),
         worst: Some(WorstInstant {
@@ -91,6 +91,7 @@ fn record() -> RunRecord {
     };
     RunRecord {
         format: FORMAT,
+        sequence: 7,
         verdict: Verdict::Inconclusive,
         complete: true,
         tool: Tool { name: "platebench".to_owned(), version: "0.1.0".to_owned(), ..Tool::default() },
@@ -103,6 +104,7 @@ fn record() -> RunRecord {
                 build: "0123abcd".to_owned(),
                 chip: "00000000".to_owned(),
             }),
+            program_sha256: None,
             bench_firmware: false,
         },
         clock: ClockKind::Lockstep,
@@ -125,11 +127,13 @@ fn record() -> RunRecord {
             not_applicable: Vec::new(),
             requirement_texts: std::collections::BTreeMap::new(),
             time_limit_s: None,
+            planned_trials: Some(1),
             trials: vec![trial],
         }],
         not_applicable: Vec::new(),
         cost: Vec::new(),
         merge: None,
+        journal: None,
     }
 }
 
@@ -158,28 +162,30 @@ fn round_trips_and_leaves_no_other_file() {
 #[test]
 fn finds_earlier_runs_in_neighbouring_folders() {
     let runs = TempDir::new().unwrap();
-    let started = |name: &str, second: u32| {
+    let started = |name: &str, sequence: u64, second: u32| {
         let folder = runs.path().join(name);
         fs::create_dir(&folder).unwrap();
-        let record = RunRecord { started: format!("2026-01-01T00:00:{second:02}Z"), ..record() };
+        let record = RunRecord { sequence, started: format!("2026-01-01T00:00:{second:02}Z"), ..record() };
         record.write(&folder).unwrap();
         (folder, record)
     };
-    started("before", 6);
-    started("after", 8);
-    started("at-once", 7);
-    let (own, record) = started("own", 7);
+    // The clock was set back between two runs.
+    started("before", 6, 9);
+    started("old-format", 0, 9);
+    started("after", 8, 6);
+    started("at-once", 7, 7);
+    let (own, record) = started("own", 7, 7);
     fs::create_dir(runs.path().join("damaged")).unwrap();
     fs::write(runs.path().join("damaged").join(RECORD_FILE), "{}").unwrap();
     let skipped = std::cell::RefCell::new(Vec::new());
     // The start of this record is valid, so the rest is read too, and is rejected.
-    let cut = RunRecord { started: "2026-01-01T00:00:05Z".to_owned(), ..record.clone() };
+    let cut = RunRecord { sequence: 5, started: "2026-01-01T00:00:05Z".to_owned(), ..record.clone() };
     fs::create_dir(runs.path().join("cut")).unwrap();
     let text = serde_json::to_string_pretty(&cut).unwrap();
     fs::write(runs.path().join("cut").join(RECORD_FILE), &text[..text.len() / 2]).unwrap();
     let skip = |path: &Path, _: &_| skipped.borrow_mut().push(path.file_name().unwrap().to_owned());
     let earlier: Vec<(String, RunSummary)> = record.earlier_runs(&own, skip);
-    assert_eq!(earlier.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["at-once", "before"]);
+    assert_eq!(earlier.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["at-once", "before", "old-format"]);
     assert_eq!(skipped.into_inner(), ["damaged", "cut"]);
 }
 
