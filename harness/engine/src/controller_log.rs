@@ -6,8 +6,8 @@ use platebench_model::record::{Telemetry, Violation, ViolationKind};
 use platebench_model::scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_plate::Time;
 use platebench_rig::{
-    CheckOptions, DrivesAfterSafe, FREQUENCY_TOLERANCE_MHZ, FaultInjector, Link, LinkError, LinkKind, ProtocolCheck, RejectedFrame,
-    RigError, Session, check_protocol,
+    CheckOptions, DrivesAfterSafe, FREQUENCY_TOLERANCE_MHZ, FaultInjector, Link, LinkError, LinkKind, ProtocolCheck,
+    RejectedFrame, RigError, Session, check_protocol,
 };
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
 use tracing::warn;

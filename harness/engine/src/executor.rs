@@ -170,9 +170,8 @@ impl<'a, L: Link> Executor<'a, L> {
         let Some(mut played) = self.play_on_clock(scene, law, index, continues, tap)? else { return Ok(None) };
         played.telemetry.include_scene(scenes);
         match &played.link_error {
-            None => self.losses = 0,
-            // The controller answers, so the next trial needs no other one.
-            Some(RigError::ConfigurationRejected(_)) => self.losses = 0,
+            // A controller that refuses a configuration answers, so the next trial needs no other one.
+            None | Some(RigError::ConfigurationRejected(_)) => self.losses = 0,
             Some(lost) => self.replace_lost_controller(lost)?,
         }
         Ok(Some(played))

@@ -1,7 +1,5 @@
 //! Plays the trials of a run on several workers, judges each scenario and stores the traces.
 
-#![cfg_attr(not(test), expect(clippy::disallowed_methods, reason = "not yet converted to OutputFolder"))]
-
 use crate::delay_boundary::{measure_trial, scenario_delay_boundary};
 use crate::executor::Executor;
 use crate::live_tap::LiveTap;

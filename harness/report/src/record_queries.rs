@@ -2,9 +2,9 @@
 
 use platebench_model::quoted;
 use platebench_model::record::{
-    Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingShard, MissingValue, NotApplicable,
-    NotPlayed, Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord, Verdict,
-    ViolationKind,
+    Assessment, Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingShard, MissingValue,
+    NotApplicable, NotPlayed, Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord,
+    Verdict, ViolationKind,
 };
 use std::mem::{Discriminant, discriminant};
 

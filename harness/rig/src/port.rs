@@ -375,7 +375,7 @@ mod tests {
             sender.send(port.exchange(Duration::ZERO, frame.as_bytes(), &mut Vec::new()).is_ok())
         });
         cancel.cancel();
-        assert_eq!(ended.recv_timeout(Duration::from_secs(60)), Ok(true), "the wait does not end");
+        assert_eq!(ended.recv_timeout(Duration::from_mins(1)), Ok(true), "the wait does not end");
     }
 
     #[rstest]

@@ -72,9 +72,9 @@ fn a_report_replaces_a_link_in_the_place_of_a_file(#[case] command: &[&str], #[c
 }
 
 #[rstest]
-#[case::of_the_folder("run/export", "traces.csv")]
-#[case::of_a_folder_below("run/export/s", "000.mf4")]
-fn an_export_refuses_a_link_in_the_place_of_a_folder(#[case] link: &str, #[case] _file: &str) {
+#[case::of_the_folder("run/export")]
+#[case::of_a_folder_below("run/export/s")]
+fn an_export_refuses_a_link_in_the_place_of_a_folder(#[case] link: &str) {
     let folder = TestFolder::with_scenario(&format!("{}[trials]\ncount = 2\n", step_text(SETTLING)));
     folder.run_hosted("run").assert_exit(0);
     let private = Private::new();

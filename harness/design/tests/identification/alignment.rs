@@ -159,7 +159,9 @@ fn jittered_time_stamps_are_replaced_by_equal_spacing() {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let jitter = Normal::new(0.0, 1e-4).unwrap();
         let jittered = relog(&voltage_steps(seed), |rows| {
-            rows.iter_mut().for_each(|row| row.t += f64::clamp(jitter.sample(&mut random), -4e-4, 4e-4));
+            for row in rows {
+                row.t += f64::clamp(jitter.sample(&mut random), -4e-4, 4e-4);
+            }
         });
         let (found, _) = identify(&[jittered], None).unwrap();
         assert!(matches!(found.warnings[..], [Warning::Jitter { .. }]), "{seed}: {:?}", found.warnings);

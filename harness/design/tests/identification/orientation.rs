@@ -31,7 +31,8 @@ fn sweep(seed: u64) -> Recording {
 }
 
 fn text_of(found: &Identification) -> String {
-    found.inconsistencies.iter().map(|each| format!("{each}\n")).collect()
+    let lines: Vec<_> = found.inconsistencies.iter().map(ToString::to_string).collect();
+    lines.join("\n")
 }
 
 #[rstest]

@@ -89,7 +89,7 @@ pub(crate) fn relog(recording: &Recording, change: impl FnOnce(&mut Vec<LogRow>)
 
 /// Moves a column by whole rows: positive rows log a value later than it acts.
 pub(crate) fn move_column<T: Copy>(rows: &mut [LogRow], late: i64, of: impl Fn(&mut LogRow) -> &mut T) {
-    let last = rows.len() as i64 - 1;
+    let last = i64::try_from(rows.len()).unwrap() - 1;
     let values: Vec<T> = rows.iter_mut().map(|row| *of(row)).collect();
     for (number, row) in (0..).zip(rows) {
         *of(row) = values[(number - late).clamp(0, last) as usize];

@@ -46,12 +46,11 @@ impl BenchErrors {
         paired: &PairedErrors,
     ) -> Vec<f64> {
         let own;
-        let budgets = match &self.constant {
-            Some(constant) => constant,
-            None => {
-                own = budgets(scenario);
-                &own
-            }
+        let budgets = if let Some(constant) = &self.constant {
+            constant
+        } else {
+            own = budgets(scenario);
+            &own
         };
         let errors = |(index, (budget, value)): (usize, (&QuantityBudget, &f64))| {
             let [numerical, quantisation, sensor] = OWN_ORIGINS.map(|origin| budget.standard_of(origin, *value, None));

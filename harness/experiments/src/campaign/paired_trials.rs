@@ -105,13 +105,12 @@ impl<'a> PairedTrials<'a> {
             }
             // The seed also determines the jitter of the delay.
             let is_same = scenario.controller.loop_delay_jitter == Time::ZERO;
-            let exact = match last.take_if(|(known, _)| is_same && *known == draws) {
-                Some((_, exact)) => exact,
-                None => {
-                    let plate = Plate { noise_um_rms: 0.0, ..scenario.plate.clone() };
-                    let Some(exact) = play(executor, &Scenario { plate, ..scenario.clone() })? else { return Ok(None) };
-                    exact
-                }
+            let exact = if let Some((_, exact)) = last.take_if(|(known, _)| is_same && *known == draws) {
+                exact
+            } else {
+                let plate = Plate { noise_um_rms: 0.0, ..scenario.plate.clone() };
+                let Some(exact) = play(executor, &Scenario { plate, ..scenario.clone() })? else { return Ok(None) };
+                exact
             };
             let Some(noisy) = play(executor, &scenario)? else { return Ok(None) };
             for ((known, noisy), exact) in differences.iter_mut().zip(noisy).zip(&exact) {

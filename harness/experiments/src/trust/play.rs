@@ -1,7 +1,7 @@
 //! Plays a scenario with a controller and judges it in memory.
 
 use platebench_engine::{Executor, ExecutorSettings, RunError, SafeEnds, ScenarioEnd};
-use platebench_model::record::{Verdict, ViolationKind};
+use platebench_model::record::ViolationKind;
 use platebench_model::scenario::Scenario;
 use platebench_rig::{BoxedLink, CancelToken};
 use platebench_verdict::Judgement;

@@ -20,7 +20,7 @@ const EXPECT: [&str; 8] = [
 
 fn play(folder: &Path, plate: &str, controller: &str, trials: u64) -> Vec<TrialRow> {
     std::fs::write(folder.join("plate.toml"), plate).unwrap();
-    let expect: String = EXPECT.iter().map(|expect| format!("{{ {expect} }},\n")).collect();
+    let expect = EXPECT.map(|expect| format!("{{ {expect} }},\n")).concat();
     let scenario = format!(
         "title = \"a\"\nplate = \"plate.toml\"\nduration_ms = 40.0\nexpect = [{expect}]\n\
          [controller]\n{controller}\n[profile]\nsetpoint_um = 2.0\n"

@@ -1,8 +1,6 @@
 //! Joins the runs of shards and boards into one run folder. Compares
 //! the means of the metrics of several boards.
 
-#![cfg_attr(not(test), expect(clippy::disallowed_methods, reason = "not yet converted to OutputFolder"))]
-
 use platebench_engine::rejudge::check_trace;
 use platebench_engine::{RejudgeError, rejudge};
 use platebench_model::record::{

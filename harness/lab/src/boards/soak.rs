@@ -1,7 +1,7 @@
 //! Plays scenarios in rotation for hours (soak test). Each round has new seeds, and the record has
 //! a bounded size.
 
-#![cfg_attr(not(test), expect(clippy::disallowed_methods, reason = "not yet converted to OutputFolder"))]
+#![cfg_attr(not(test), expect(clippy::disallowed_methods, reason = "removes an empty folder"))]
 
 use crate::boards::state::BoardOutcome;
 use platebench_engine::plan::LinkFactory;

@@ -1,6 +1,6 @@
 //! Creates, locks, reads and writes run folders.
 
-#![cfg_attr(not(test), expect(clippy::disallowed_methods, reason = "not yet converted to OutputFolder"))]
+#![cfg_attr(not(test), expect(clippy::disallowed_methods, reason = "removes an empty folder"))]
 
 use crate::record::reason::ExpectationRecord;
 use crate::record::run_record::RigRecord;

@@ -361,7 +361,7 @@ mod tests {
         let (sender, ended) = channel();
         let cancel = cancel.clone();
         thread::spawn(move || sender.send(connect(line, limit, &cancel).map(drop)));
-        ended.recv_timeout(Duration::from_secs(60)).expect("the wait does not end").unwrap_err()
+        ended.recv_timeout(Duration::from_mins(1)).expect("the wait does not end").unwrap_err()
     }
 
     #[test]

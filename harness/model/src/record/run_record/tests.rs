@@ -1,10 +1,11 @@
 use super::*;
 use crate::metrics::{Metric, SignalPoint};
-use crate::record::reason::TrialReason;
 use crate::record::reason::{Evidence, EvidenceMethod, MetricDefinition, Statistic, WorstInstant};
+use crate::record::reason::{Reason, TrialReason};
 use crate::record::run_folder::{RECORD_FILE, RecordError, RunSummary};
 use crate::record::run_record::Firmware;
 use crate::record::trial_record::Telemetry;
+use crate::record::verdict::Exclusion;
 use crate::scenario::Limit;
 use rstest::rstest;
 use serde_json::json;

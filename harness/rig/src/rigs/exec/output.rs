@@ -31,7 +31,7 @@ impl OutputRelay {
         let is_stopped = Arc::new(AtomicBool::new(false));
         let stop = Arc::clone(&is_stopped);
         let mut lines = Lines::new(program);
-        let relay = move || relay(output.into(), &stop, |bytes| print(&lines.add(bytes)));
+        let relay = move || relay(&output.into(), &stop, |bytes| print(&lines.add(bytes)));
         let thread = thread::Builder::new().name("output".to_owned()).spawn(relay)?;
         Ok(Self { is_stopped, thread })
     }
@@ -50,17 +50,17 @@ impl Drop for OutputRelay {
 
 /// Reads until the end of the output. After `stop`, another process may keep the pipe open, so
 /// that silence ends the relay too. The last call of `consume` has no bytes.
-fn relay(output: OwnedFd, stop: &AtomicBool, mut consume: impl FnMut(&[u8])) {
+fn relay(output: &OwnedFd, stop: &AtomicBool, mut consume: impl FnMut(&[u8])) {
     let mut chunk = [0; 4096];
     loop {
         let is_last = stop.load(Ordering::Relaxed);
-        match poll_until(&output, PollFlags::IN, Instant::now() + POLL_INTERVAL) {
+        match poll_until(output, PollFlags::IN, Instant::now() + POLL_INTERVAL) {
             Ok(true) => {}
             Ok(false) if is_last => break,
             Ok(false) => continue,
             Err(_) => break,
         }
-        match rustix::io::read(&output, &mut chunk) {
+        match rustix::io::read(output, &mut chunk) {
             Ok(0) => break,
             Ok(count) => consume(chunk.get(..count).unwrap_or_default()),
             Err(rustix::io::Errno::INTR) => {}
@@ -146,7 +146,7 @@ mod tests {
         let (reader, mut writer) = pipe().unwrap();
         writer.write_all(b"last").unwrap();
         let (sender, received) = channel();
-        relay(reader.into(), &AtomicBool::new(true), |bytes| sender.send(bytes.to_vec()).unwrap());
+        relay(&reader.into(), &AtomicBool::new(true), |bytes| sender.send(bytes.to_vec()).unwrap());
         assert_eq!(received.try_iter().collect::<Vec<_>>(), [b"last".to_vec(), Vec::new()]);
         drop(writer);
     }
