@@ -269,7 +269,11 @@ fn merge_and_show(
     let (trials, out, played) = (worst_trials(&summary)?, folder.to_owned(), Arc::clone(&campaign));
     let work = move |config: &PlayConfig, _: &mut EventSender<PlayEvent>| play_worst(&out, &played, &trials, config);
     let links = match bench {
-        Ok(()) => run_campaign_work(config, CampaignProgress::new(0, true), work)?,
+        Ok(()) => match run_campaign_work(config, CampaignProgress::new(0, true), work)? {
+            // The folder cannot be written, for example because of a link in it.
+            Err(error @ CampaignError::File(_)) => return Err(error.into()),
+            played => played,
+        },
         Err(error) => Err(error),
     };
     let links = links.unwrap_or_else(|error| {
