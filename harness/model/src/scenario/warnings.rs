@@ -264,8 +264,8 @@ mod profile_tests {
         assert_eq!(messages(&all[..1]), [format!("{text} (case a)")]);
         assert_eq!(messages(&all[..5]), [format!("{text} (5 cases: a, b, c, d, e)")]);
         assert_eq!(messages(&all), [format!("{text} (6 cases: a, b, c, d, e and 1 more)")]);
-        let judged =
-            Scenario { expectations: scenario_with(force, "\"peak_deviation_percent\"").expectations, ..first };
+        let judging = scenario_with(force, "\"peak_deviation_percent\"\nafter = \"force\"");
+        let judged = Scenario { expectations: judging.expectations, ..first };
         assert_eq!(messages(&[judged, all[1].clone()]), [format!("{text} (case b)")]);
     }
 }

@@ -301,5 +301,5 @@ fn rejects_a_truncated_record() {
 fn rejects_an_unknown_verdict_with_its_position() {
     let (_, text) = write_record();
     let error = read_error(&text.replacen("inconclusive", "passed", 1)).to_string();
-    assert!(error.contains("run.json:3:"), "{error}");
+    assert!(error.contains("run.json:4:"), "{error}");
 }
