@@ -199,12 +199,16 @@ mod tests {
 
     #[test]
     fn results_of_running_tasks_survive_an_error() {
-        let is_failed = AtomicBool::new(false);
+        let (is_failed, is_running) = (AtomicBool::new(false), AtomicBool::new(false));
         let work = |(): &mut (), task: &u32| {
             if *task == 0 {
+                while !is_running.load(Ordering::Relaxed) {
+                    thread::yield_now();
+                }
                 is_failed.store(true, Ordering::Relaxed);
                 return Err(*task);
             }
+            is_running.store(true, Ordering::Relaxed);
             while !is_failed.load(Ordering::Relaxed) {
                 thread::yield_now();
             }

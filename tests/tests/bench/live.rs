@@ -101,7 +101,7 @@ fn stderr_of_a_controller_is_printed_after_the_view() {
     let noisy = quiet.replacen("exec:", "exec:sh -c 'echo NOISE >&2; exec \"$0\" \"$@\"' ", 1);
     let mut terminal = start_live_run(&folder, SMALL, &noisy, &[]);
     terminal.wait_for_view_text("trial 1 of 1");
-    let at = terminal.text().lines().position(|line| line.trim() == "NOISE");
+    let at = terminal.text().lines().position(|line| line.trim_end().ends_with("NOISE"));
     assert_eq!(at, Some(22), "the line above the keys:\n{}", terminal.text());
     terminal.wait_for_exit(&[0, 3]);
     terminal.assert_text("NOISE");
