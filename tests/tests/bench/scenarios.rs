@@ -13,7 +13,7 @@ fn scenarios_of(path: &Path) -> Vec<Scenario> {
 }
 
 #[rstest]
-#[case::all_cases("scenarios/laws/drive.toml", "(27 cases: 400vpp-bang-bang, 400vpp-deadbeat, 400vpp-dq-pi, ", 1)]
+#[case::all_cases("scenarios/laws/drive.toml", "(27 cases: 400vpp-bang-bang, 400vpp-deadbeat, 400vpp-dq-pi-euler, ", 1)]
 #[case::each_command_is_compared("scenarios/reference/damping.toml", "", 0)]
 fn check_prints_each_warning_once(#[case] file: &str, #[case] text: &str, #[case] lines: usize) {
     let output = run_bench(&workspace_root(), ["check", file]).assert_exit(0).assert_stderr(&[text]);
