@@ -170,14 +170,13 @@ fn a_program_that_crashes_before_the_trial_fails(#[case] scenario: &str) {
     folder.bench(["run", scenario, "--rig", &rig, "--out", "run"]).assert_exit(1).assert_stdout(&["signal 11"]);
 }
 
-/// A child of the program keeps the line open, so that it does not hang up. In real time, such a crash
-/// is still inconclusive (rig).
-#[test]
-fn a_crash_counts_although_another_process_holds_the_line() {
+/// A child of the program keeps the line open, so that it does not hang up.
+#[rstest]
+fn a_crash_counts_although_another_process_holds_the_line(#[values("lockstep", "real-time")] clock: &str) {
     let folder = TestFolder::with_step(ANSWERED);
     let action = "os.kill(os.getpid(), 11) if os.fork() else time.sleep(60)";
     let Some(rig) = controller(&folder, Change::Message { kind: "SAMPLE", action }) else { return };
-    let played = folder.bench(["run", "--clock", "lockstep", "--rig", &rig, "--out", "run"]);
+    let played = folder.bench(["run", "--clock", clock, "--rig", &rig, "--out", "run"]);
     played.assert_exit(1).assert_stdout(&["signal 11"]);
     assert_eq!(folder.record("run").scenarios[0].trials[0].cause, None, "a failure of the controller");
 }
