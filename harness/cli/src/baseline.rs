@@ -11,7 +11,7 @@ use platebench_engine::comparison::{
 use platebench_engine::rejudge;
 use platebench_model::quoted;
 use platebench_model::record::{FileLock, RunRecord, ScenarioRecord, Verdict};
-use platebench_model::trace::create_folder;
+use platebench_model::trace::{create_folder, missing_folders, remove_empty_folders};
 use platebench_report::comparison::{comparison_blocks, tube_plot_document};
 use platebench_report::document::Document;
 use platebench_report::format::count;
@@ -140,13 +140,27 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
     Ok(exit)
 }
 
-fn lock_baselines(folder: &Path) -> Result<FileLock, Failure> {
+/// The lock of a folder of baselines. Its end removes the folder again if nothing was accepted.
+struct BaselinesLock {
+    created: Vec<PathBuf>,
+    _lock: FileLock,
+}
+
+impl Drop for BaselinesLock {
+    fn drop(&mut self) {
+        remove_empty_folders(&self.created);
+    }
+}
+
+fn lock_baselines(folder: &Path) -> Result<BaselinesLock, Failure> {
+    let created = missing_folders(folder);
     create_folder(folder).or_invalid_at(folder)?;
     let in_use = || {
         let folder = folder.display();
         Failure::invalid(&format!("{folder} is in use by another `platebench baseline`; try again when it has ended"))
     };
-    FileLock::exclusive(folder).or_invalid()?.ok_or_else(in_use)
+    let lock = FileLock::exclusive(folder).or_invalid()?.ok_or_else(in_use)?;
+    Ok(BaselinesLock { created, _lock: lock })
 }
 
 /// `words` follow the numbers of passed, failed and inconclusive scenarios.

@@ -179,6 +179,7 @@ impl<'a> ControllerLog<'a> {
         Telemetry {
             ended: lost.map(ToString::to_string),
             end_cause: lost.map(RigError::cause),
+            ended_by_controller: lost.is_some_and(is_controller_failure),
             stopped: self.stop_cause.map(|cause| stop_reason(cause).to_owned()),
             faults: session.link().fault_counts().map(|(kind, count)| (kind.to_owned(), count)).collect(),
             violations: refused_configuration(lost).into_iter().chain(self.checks.violations()).collect(),

@@ -5,7 +5,7 @@ mod telemetry_loop;
 
 use telemetry_loop::{TelemetryLoop, TelemetryLoopResult};
 
-use crate::controller_log::refused_configuration;
+use crate::controller_log::{is_controller_failure, refused_configuration};
 use crate::plan::{Answer, Operator, Question, QuestionKind};
 use crate::plant_simulation::{RowQueue, watch_rows};
 use crate::trial::{Trial, TrialAbort, TrialResult};
@@ -61,6 +61,7 @@ pub(crate) fn play<L: Link>(
     let telemetry = Telemetry {
         violations: refused.into_iter().chain(violation).collect(),
         ended: link_error.as_ref().map(ToString::to_string),
+        ended_by_controller: link_error.as_ref().is_some_and(is_controller_failure),
         stopped: stop_reason.map(str::to_owned),
         real_plate: Some(Box::new(real_plate)),
         ..Telemetry::default()

@@ -401,6 +401,17 @@ pub fn write_named_by_user(path: &Path, content: impl AsRef<[u8]>) -> Result<(),
     OutputFile::named_by_user(path)?.write_and_commit(content.as_ref())
 }
 
+/// Returns the folders that must be created for the folder `path`, innermost first.
+pub fn missing_folders(path: &Path) -> Vec<PathBuf> {
+    let named = path.ancestors().filter(|folder| !folder.as_os_str().is_empty());
+    named.take_while(|folder| !folder.exists()).map(Path::to_owned).collect()
+}
+
+/// Removes folders in the given order, and stops at the first one with content. True if one was removed.
+pub fn remove_empty_folders<'a>(folders: impl IntoIterator<Item = &'a PathBuf>) -> bool {
+    folders.into_iter().take_while(|folder| fs::remove_dir(folder).is_ok()).count() > 0
+}
+
 fn target_of_link(path: &Path) -> PathBuf {
     let Ok(target) = fs::read_link(path) else { return path.to_owned() };
     // The target may not exist yet.

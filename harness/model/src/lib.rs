@@ -9,7 +9,7 @@ pub mod printable;
 mod quote;
 pub mod recording;
 
-pub use quote::{quoted, quoted_path};
+pub use quote::{in_quotes, quoted, quoted_path};
 
 pub mod record {
     //! Defines the record, the events and the folder of a run.
@@ -95,8 +95,9 @@ pub mod trace {
     mod trace_file;
 
     pub use crate::files::{
-        AtPath, FileError, MAX_IMAGE_BYTES, MAX_TABLE_BYTES, OutputFile, OutputFolder, create_folder,
-        open_regular_file, read_regular_file, read_text_file, write_atomically, write_named_by_user, write_new,
+        AtPath, FileError, MAX_IMAGE_BYTES, MAX_TABLE_BYTES, OutputFile, OutputFolder, create_folder, missing_folders,
+        open_regular_file, read_regular_file, read_text_file, remove_empty_folders, write_atomically,
+        write_named_by_user, write_new,
     };
     pub use trace_file::{
         COLUMNS, Column, Flags, OPTIONAL_COLUMNS, Row, TraceError, TraceReader, TraceWriter, read_trace,

@@ -12,13 +12,6 @@ pub fn printable_lines(text: &str) -> Cow<'_, str> {
     escape(text, |character| character != '\n' && is_active(character))
 }
 
-/// Returns the text in quotes, escaped, and shortened to `max_chars`.
-pub fn quoted(text: &str, max_chars: usize) -> String {
-    let end = text.char_indices().nth(max_chars).map_or(text.len(), |(at, _)| at);
-    let (shown, rest) = text.split_at(end);
-    format!("\"{}{}\"", printable(shown), if rest.is_empty() { "" } else { "…" })
-}
-
 fn escape(text: &str, is_escaped: fn(char) -> bool) -> Cow<'_, str> {
     if !text.contains(is_escaped) {
         return Cow::Borrowed(text);
@@ -39,16 +32,4 @@ pub fn is_active(character: char) -> bool {
     character.is_control()
         || matches!(character, '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}')
         || matches!(character, '\u{2060}'..='\u{206f}' | '\u{feff}')
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn quotes_escapes_and_shortens() {
-        assert_eq!(quoted("a\u{1b}[m\r\n", 20), "\"a\\u{1b}[m\\r\\n\"");
-        assert_eq!(quoted("µµµ", 3), "\"µµµ\"");
-        assert_eq!(quoted("µµµµ", 3), "\"µµµ…\"");
-    }
 }

@@ -9,11 +9,17 @@ const MAX_CHARS: usize = 200;
 /// A plain word stays as it is. Other text is in double quotes, with quotes, control characters and
 /// marks of the writing direction escaped, and `…` after the quotes if it was cut.
 pub fn quoted(text: &str) -> Cow<'_, str> {
-    let (kept, cut) = match text.char_indices().nth(MAX_CHARS) {
-        Some((end, _)) => (text.get(..end).unwrap_or_default(), "…"),
-        None => (text, ""),
-    };
-    if cut.is_empty() && is_plain_word(text) { Cow::Borrowed(text) } else { Cow::Owned(format!("{kept:?}{cut}")) }
+    if text.chars().nth(MAX_CHARS).is_none() && is_plain_word(text) {
+        return Cow::Borrowed(text);
+    }
+    Cow::Owned(in_quotes(text, MAX_CHARS))
+}
+
+/// As [`quoted`], but also a plain word is in quotes, and the text is cut to `max_chars`.
+pub fn in_quotes(text: &str, max_chars: usize) -> String {
+    let end = text.char_indices().nth(max_chars).map_or(text.len(), |(at, _)| at);
+    let (kept, cut) = text.split_at(end);
+    format!("{kept:?}{}", if cut.is_empty() { "" } else { "…" })
 }
 
 /// As [`quoted`], but a path may also consist of several words of any script.

@@ -7,7 +7,7 @@ use crate::cancel::CancelToken;
 use crate::link::{Link, LinkError, LinkKind};
 use crate::session::RigError;
 use crate::wait_budget::WaitBudget;
-use platebench_model::printable::quoted;
+use platebench_model::in_quotes;
 use platebench_wire::{FaultReport, FrameError, Identity, Message, Packet, PacketError, PacketReader};
 use std::fmt;
 use std::thread;
@@ -171,7 +171,7 @@ impl RejectedBytes {
 pub(crate) fn quoted_text(bytes: &[u8]) -> Option<String> {
     let text = str::from_utf8(bytes).ok()?.trim();
     let is_text = |letter: char| letter == ' ' || letter.is_ascii_graphic() || letter.is_ascii_whitespace();
-    (text.len() >= MIN_TEXT && text.chars().all(is_text)).then(|| quoted(text, MAX_TEXT))
+    (text.len() >= MIN_TEXT && text.chars().all(is_text)).then(|| in_quotes(text, MAX_TEXT))
 }
 
 impl fmt::Display for RejectedBytes {

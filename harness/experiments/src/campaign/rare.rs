@@ -1,8 +1,8 @@
 //! Estimates the probability of rare failures from a chain of trials, in standard normal space.
 //!
 //! A trial at the point u has the scores g(u) of its limit states, one per expectation, and fails if
-//! one of them is at most 0. [`design_point`] searches each limit state alone and [`mixture`] samples
-//! around all failing regions that are found. If no failing point is found, [`subsets`] are used.
+//! one of them is at most 0. `design_point` searches each limit state alone and `mixture` samples
+//! around all failing regions that are found. If no failing point is found, `subsets` are used.
 
 mod design_point;
 mod mixture;

@@ -1,8 +1,6 @@
 //! Plays scenarios in rotation for hours (soak test). Each round has new seeds, and the record has
 //! a bounded size.
 
-#![cfg_attr(not(test), expect(clippy::disallowed_methods, reason = "removes an empty folder"))]
-
 use crate::boards::state::BoardOutcome;
 use platebench_engine::plan::LinkFactory;
 use platebench_engine::{CancelToken, RigSession, RunError, RunHooks, RunPlan, rejudge, run};
@@ -10,17 +8,19 @@ use platebench_model::record::{
     FileLock, FolderError, RigRecord, RunFolder, RunRecord, Verdict, combine_runs, utc_timestamp,
 };
 use platebench_model::scenario::Scenario;
-use platebench_model::trace::{AtPath as _, FileError, OutputFolder, read_text_file};
+use platebench_model::trace::{
+    AtPath as _, FileError, OutputFolder, missing_folders, read_text_file, remove_empty_folders,
+};
 use platebench_report::console;
 use platebench_report::document::{Block, Document, Table};
 use platebench_rig::SafeEnd;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::io;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use std::{fs, io};
 
 const RUNS: &str = "runs";
 const MAX_KEPT_FAILURES: usize = 20;
@@ -47,7 +47,7 @@ pub fn soak(
     connect: &LinkFactory<'_>,
     cancel: &CancelToken,
 ) -> Result<SoakResult, RunError> {
-    let created: Vec<&Path> = out.ancestors().take_while(|folder| !folder.exists()).collect();
+    let created = missing_folders(out);
     let output = OutputFolder::create(out).map_err(FolderError::from)?;
     let lock = FileLock::exclusive(out).map_err(FolderError::from)?;
     let _lock = lock.ok_or_else(|| FolderError::InUse(out.to_owned()))?;
@@ -67,10 +67,8 @@ pub fn soak(
     let played = play_rounds(config, &output, connect, cancel, &session, &mut result);
     if played.is_err() && result.record.runs == 0 && output.remove_empty_folder(RUNS).is_ok() {
         // The board was not reached, so the same soak can start again.
-        let _ = fs::remove_file(out.join(SOAK_FILE));
-        for folder in created {
-            let _ = fs::remove_dir(folder);
-        }
+        let _ = output.remove_file(SOAK_FILE);
+        remove_empty_folders(&created);
     }
     played?;
     let last = session.into_inner().unwrap_or_else(PoisonError::into_inner);

@@ -1,12 +1,10 @@
 //! Creates, locks, reads and writes run folders.
 
-#![cfg_attr(not(test), expect(clippy::disallowed_methods, reason = "removes an empty folder"))]
-
 use crate::record::reason::ExpectationRecord;
 use crate::record::run_record::RigRecord;
 use crate::record::run_record::{FORMAT, InputRecord, RunRecord};
 use crate::scenario::{InputFile, Scenario};
-use crate::trace::{AtPath, FileError, OutputFolder, open_regular_file, read_text_file};
+use crate::trace::{AtPath, FileError, OutputFolder, open_regular_file, read_text_file, remove_empty_folders};
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use platebench_plate::input::{STANDARD_INPUT_NAME, STANDARD_STREAM};
@@ -82,11 +80,7 @@ impl RunFolder {
 
     /// Removes the folder, and its parent if it was created for this run. Keeps folders with content.
     pub fn remove_if_empty(&self) -> bool {
-        let is_removed = fs::remove_dir(self.path()).is_ok();
-        if let Some(parent) = self.created_parent.as_ref().filter(|_| is_removed) {
-            let _ = fs::remove_dir(parent);
-        }
-        is_removed
+        remove_empty_folders([&self.path().to_owned()].into_iter().chain(&self.created_parent))
     }
 
     /// One more than the largest number of the neighbouring runs.

@@ -76,6 +76,9 @@ pub struct Telemetry {
     /// `ended` without instants and callers: equal for the same fault at the same place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub end_cause: Option<String>,
+    /// True if the controller, not the rig, caused the end. A silence before it is then the controller's.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub ended_by_controller: bool,
     /// Absent on rigs without an emulated chip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transport: Option<Transport>,
@@ -134,6 +137,11 @@ impl Telemetry {
             self.step_time.get_or_insert_default().include(&steps);
         }
     }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde fixes the signature")]
+const fn is_false(flag: &bool) -> bool {
+    !*flag
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde fixes the signature")]

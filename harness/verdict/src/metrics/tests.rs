@@ -24,6 +24,7 @@ const EMPTY_TELEMETRY: Telemetry = Telemetry {
     scripts_not_played: Vec::new(),
     ended: None,
     end_cause: None,
+    ended_by_controller: false,
     stopped: None,
     firmware_output: None,
     faults: BTreeMap::new(),

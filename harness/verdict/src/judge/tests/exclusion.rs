@@ -42,6 +42,18 @@ fn accepts_as_many_overruns_as_the_scenario_allows(
     assert_eq!(judge_rows(&scenario, &rows), expected);
 }
 
+#[rstest]
+#[case::a_lost_line(false, Some(Cause::Rig))]
+#[case::a_crash(true, None)]
+fn a_silence_before_a_crash_is_no_failure_of_the_rig(#[case] ended_by_controller: bool, #[case] cause: Option<Cause>) {
+    let scenario = fixed_scenario("metric = \"settling_time_ms\", at_most = 2.0");
+    let mut rows = trace_rows(&scenario, |_| 2.0);
+    rows[100].flags |= Flags::LINK_LOST;
+    let telemetry = Telemetry { ended: Some("ended".to_owned()), ended_by_controller, ..Telemetry::default() };
+    let measures = measure(&scenario, 0, &rows, &telemetry);
+    assert_eq!(measures.exclusion.as_ref().map(Exclusion::cause), cause);
+}
+
 #[test]
 fn a_trial_with_lost_rows_does_not_count() {
     let scenario = fixed_scenario("metric = \"settling_time_ms\", at_most = 2.0");
