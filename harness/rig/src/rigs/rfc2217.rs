@@ -370,7 +370,7 @@ mod tests {
         assert!(matches!(error, NetworkError::NoPortOption { .. }), "{error}");
         let text = error.to_string();
         let (_, quoted) = text.split_once("; the server sent ").unwrap();
-        assert_eq!(quoted, format!("\"{}…\"", "x".repeat(80)));
+        assert_eq!(quoted, format!("\"{}\"…", "x".repeat(80)));
     }
 
     #[test]
