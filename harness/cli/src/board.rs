@@ -99,10 +99,10 @@ pub(crate) fn board(arguments: &BoardCommandArgs, detail: Detail) -> CommandResu
 #[command(next_help_heading = "Board")]
 pub(crate) struct BoardSelection {
     /// Board of boards.toml, instead of a rig
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, hide_short_help = true, value_name = "NAME")]
     pub(crate) board: Option<String>,
     /// Board inventory; default: the nearest boards.toml, from the working directory upwards
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, hide_short_help = true, value_name = "FILE")]
     pub(crate) boards: Option<PathBuf>,
 }
 
@@ -112,7 +112,7 @@ pub(crate) struct BoardArgs {
     #[command(flatten)]
     pub(crate) selection: BoardSelection,
     /// Time to wait for a board that another process holds, s
-    #[arg(long, value_name = "SECONDS", default_value = "0", value_parser = parse_seconds)]
+    #[arg(long, hide_short_help = true, value_name = "SECONDS", default_value = "0", value_parser = parse_seconds)]
     pub(crate) wait: Duration,
 }
 

@@ -20,10 +20,10 @@ pub(crate) const RESULTS: &str = "Results";
 pub(crate) struct Outputs {
     /// Write a summary in Markdown to FILE; `-` is standard output, and the table goes to standard
     /// error
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, hide_short_help = true, value_name = "FILE")]
     summary: Option<PathBuf>,
     /// Annotations on GitHub Actions and its step summary; auto: if `GITHUB_ACTIONS` is true
-    #[arg(long, value_enum, default_value_t, value_name = "WHEN")]
+    #[arg(long, hide_short_help = true, value_enum, default_value_t, value_name = "WHEN")]
     github: GithubMode,
 }
 

@@ -108,13 +108,17 @@ pub(crate) fn keep_last_failed(found: &mut FoundScenarios, runs: &Path) -> Resul
 
 #[derive(Debug, Clone, Default, Args)]
 pub(crate) struct ScenarioFilter {
-    /// Only scenarios with this tag; if given again, scenarios with any of the tags
+    /// Only scenarios with this tag
+    ///
+    /// If given again, scenarios with any of the tags.
     #[arg(long = "tag", value_name = "TAG")]
     tags: Vec<String>,
     /// No scenarios with this tag, also if --tag selects them; may be given again
-    #[arg(long = "not-tag", value_name = "TAG")]
+    #[arg(long = "not-tag", hide_short_help = true, value_name = "TAG")]
     excluded: Vec<String>,
-    /// Only scenarios whose name contains this text; if given again, any of the texts
+    /// Only scenarios whose name contains this text
+    ///
+    /// If given again, any of the texts.
     #[arg(short = 'k', long = "filter", value_name = "TEXT")]
     texts: Vec<String>,
 }

@@ -203,8 +203,9 @@ fn a_session_restores_the_terminal_for_its_questions() {
     folder.write_scenario("s.toml", &format!("{}requirement = \"R-1\"\n", folder.read("scenarios/s.toml")));
     let answers = ["--operator", "A. Tester", "--place", "Lab 2", "--notes", "none"];
     let arguments = ["acceptance", "run", "--live", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
+    // Every line of the session fits, so that the question is still on the screen at the end.
     let mut terminal =
-        TestTerminal::start(folder.path(), SMALL, arguments.iter().chain(&answers).chain(&SLOW_REAL_TIME), &[]);
+        TestTerminal::start(folder.path(), LARGE, arguments.iter().chain(&answers).chain(&SLOW_REAL_TIME), &[]);
     terminal.answer("near the plate?", "yes\n");
     terminal.wait_for_view_text("acceptance run   trial 2 of 3   s.toml");
     terminal.wait_for_exit(&[0, 3]);

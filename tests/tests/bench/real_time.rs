@@ -103,7 +103,8 @@ fn the_target_s_timer_sets_the_control_instants() {
     let timing = timing(&record);
     // On a busy machine, the target skips periods, so their exact number is not checked.
     assert_eq!((timing.pacing.as_str(), trial(&record).telemetry.stopped.as_deref()), ("target", None));
-    assert!((2..=20).contains(&timing.periods), "{timing:?}");
+    // If the target's clock is fast, the tick at the end is one more.
+    assert!((2..=21).contains(&timing.periods), "{timing:?}");
     let rows = folder.rows("run", trial(&record));
     let instants: Vec<f64> = rows.iter().filter(|row| row.flags.contains(Flags::CONTROL)).map(|row| row.t_s).collect();
     assert_eq!(instants[0], 0.0, "the first tick is the start");

@@ -3,7 +3,7 @@
 //! them.
 
 use crate::page::workspace_root;
-use clap::Command;
+use clap::{Arg, Command};
 use platebench_model::metrics::TrialRule;
 use platebench_model::scenario::{ChangingProfile, Metric};
 use serde_json::Value;
@@ -14,7 +14,8 @@ const HEAD: &str = "<!-- Written by `ci/reference --update`; a test compares it 
 
 #[test]
 fn the_command_reference_matches_the_program() {
-    let mut page = format!("{HEAD}# Commands\n\nThe output of `--help` for every command.\n");
+    let mut page = format!("{HEAD}# Commands\n\nThe output of `--help` for every command. The \
+                            options of the first block apply to all commands.\n");
     let mut program = without_environment(platebench_cli::command()).color(clap::ColorChoice::Never).term_width(100);
     program.build();
     append_command(&mut program, "platebench", &mut page);
@@ -32,6 +33,9 @@ fn append_command(command: &mut Command, name: &str, page: &mut String) {
     write!(page, "\n## {name}\n\n```text\n{}\n```\n", lines.join("\n").trim_end()).unwrap();
     for below in command.get_subcommands_mut().filter(|below| below.get_name() != "help" && !below.is_hide_set()) {
         let name = format!("{name} {}", below.get_name());
+        let is_of_all = |argument: &Arg| argument.is_global_set() || argument.get_id() == "help";
+        let hide = |argument: Arg| if is_of_all(&argument) { argument.hide(true) } else { argument };
+        *below = std::mem::take(below).mut_args(hide);
         append_command(below, &name, page);
     }
 }

@@ -37,6 +37,12 @@ const PLATE: &str = "Plate, clock and line";
 #[derive(Debug, Clone, Args)]
 #[command(after_help = "\
 Examples:
+  platebench run                                      every scenario below scenarios/ without `only_if_named`
+  platebench run paper/fig13-closed-loop.toml         one scenario by its name
+  platebench run -k fig13 --law dq-pi-euler           scenarios whose names contain a text, with another law
+More options and examples: platebench run --help")]
+#[command(after_long_help = "\
+Examples:
   platebench run                                        every scenario below scenarios/ without `only_if_named`
   platebench run paper/fig13-closed-loop.toml           one scenario by its name, from any folder of the project
   platebench run -k fig13 -k fig14                      scenarios whose names contain a text
@@ -51,7 +57,8 @@ pub(crate) struct RunArgs {
     /// Scenario files or folders, or their names below the nearest folder `scenarios`
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     pub(crate) scenarios: Vec<PathBuf>,
-    #[arg(long, help = rig_help(), default_value = "emulated", conflicts_with = "board")]
+    /// Rig of the controller: hosted, emulated[:ELF], exec:COMMAND, serial:PORT, ...
+    #[arg(long, long_help = rig_help(), default_value = "emulated", conflicts_with = "board")]
     pub(crate) rig: RigSpec,
     /// Control law of the firmware; own: any algorithm, judged by the requirements
     #[arg(long, value_name = "NAME", value_parser = law_names())]
@@ -60,7 +67,7 @@ pub(crate) struct RunArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_TRIALS)))]
     pub(crate) trials: Option<u32>,
     /// Seed of each scenario's first trial
-    #[arg(long, value_name = "S")]
+    #[arg(long, hide_short_help = true, value_name = "S")]
     pub(crate) seed: Option<u64>,
     #[command(flatten)]
     pub(crate) tags: ScenarioFilter,
@@ -70,76 +77,78 @@ pub(crate) struct RunArgs {
     /// Only scenarios that did not pass in the newest run below --runs
     #[arg(long, conflicts_with = "watch")]
     pub(crate) last_failed: bool,
-    /// List the scenarios with tags, limits and windows instead of playing them; with -q, one name
-    /// per line
+    /// List the scenarios instead of playing them
+    ///
+    /// With tags, limits and windows; with -q, one name per line.
     #[arg(long, conflicts_with = "watch")]
     pub(crate) list: bool,
-    /// Run changed scenarios again until Ctrl-C: a scenario if its file, plate or profile changed,
-    /// all if the ELF changed
+    /// Run changed scenarios again until Ctrl-C
+    ///
+    /// A scenario if its file, plate or profile changed, all if the ELF changed.
     #[arg(long)]
     pub(crate) watch: bool,
     /// Live view in the terminal; ignored without a terminal
     #[arg(long)]
     pub(crate) live: bool,
     /// Format of standard output; json: one event per line, the last is the verdict
-    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    #[arg(long, hide_short_help = true, value_enum, default_value_t = OutputFormat::Human)]
     pub(crate) format: OutputFormat,
     /// Trials that run at once; default: one per core
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, hide_short_help = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(crate) jobs: Option<u16>,
     /// Run the K-th of N parts of the scenarios
-    #[arg(long, help_heading = EXTENT, value_name = "K/N")]
+    #[arg(long, hide_short_help = true, help_heading = EXTENT, value_name = "K/N")]
     pub(crate) shard: Option<Shard>,
     /// Fail if the controller does not announce a law or capability that a scenario needs
-    #[arg(long, help_heading = EXTENT)]
+    #[arg(long, hide_short_help = true, help_heading = EXTENT)]
     pub(crate) require_all: bool,
     /// Start no further trial once a scenario failed; scenarios without all trials are inconclusive
-    #[arg(long, help_heading = EXTENT)]
+    #[arg(long, hide_short_help = true, help_heading = EXTENT)]
     pub(crate) fail_fast: bool,
     /// Play the long scripts of the protocol check also with a controller that runs in wall time
-    #[arg(long, help_heading = EXTENT)]
+    #[arg(long, hide_short_help = true, help_heading = EXTENT)]
     pub(crate) long_scripts: bool,
     /// Wall time after which the trials of a scenario end, s; replaces its key `timeout_s`
-    #[arg(long, help_heading = EXTENT, value_name = "SECONDS", value_parser = parse_timeout)]
+    #[arg(long, hide_short_help = true, help_heading = EXTENT, value_name = "SECONDS", value_parser = parse_timeout)]
     pub(crate) timeout: Option<f64>,
     #[command(flatten)]
     pub(crate) board: BoardArgs,
     /// Model of the plate, instead of the scenario's
-    #[arg(long, help_heading = PLATE, value_name = "NAME", value_parser = PossibleValuesParser::new(
+    #[arg(long, hide_short_help = true, help_heading = PLATE, value_name = "NAME", value_parser = PossibleValuesParser::new(
         std::iter::once(AUTO_MODEL).chain(Model::ALL.map(Model::name))))]
     pub(crate) model: Option<String>,
     /// Clock of the plate; default: real-time on a serial port, lockstep otherwise
-    #[arg(long, help_heading = PLATE, value_enum)]
+    #[arg(long, hide_short_help = true, help_heading = PLATE, value_enum)]
     pub(crate) clock: Option<ClockArg>,
     /// Plate seconds per wall second: at 0.1 the delay of the line is ten times smaller for the
     /// plate
-    #[arg(long, help_heading = PLATE, value_name = "X", default_value_t = 1.0, value_parser = parse_time_scale)]
+    #[arg(long, hide_short_help = true, help_heading = PLATE, value_name = "X", default_value_t = 1.0, value_parser = parse_time_scale)]
     pub(crate) time_scale: f64,
     /// Timer of the control instants in real time
-    #[arg(long, help_heading = PLATE, value_enum, default_value_t = PacingArg::Bench)]
+    #[arg(long, hide_short_help = true, help_heading = PLATE, value_enum, default_value_t = PacingArg::Bench)]
     pub(crate) pacing: PacingArg,
     /// Let the emulated line and computing time act on the plate as loop delay
-    #[arg(long, help_heading = PLATE)]
+    #[arg(long, hide_short_help = true, help_heading = PLATE)]
     pub(crate) wire_time: bool,
     /// Lockstep over a line: time to wait for a reply before it counts as missed, ms
-    #[arg(long, help_heading = PLATE, value_name = "MS", default_value = "500", value_parser = parse_reply_timeout)]
+    #[arg(long, hide_short_help = true, help_heading = PLATE, value_name = "MS", default_value = "500", value_parser = parse_reply_timeout)]
     pub(crate) reply_timeout: Duration,
     /// Which plate is driven
-    #[arg(long, help_heading = PLATE, value_enum, default_value_t = PlateModeArg::Emulated, value_name = "MODE")]
+    #[arg(long, hide_short_help = true, help_heading = PLATE, value_enum, default_value_t = PlateModeArg::Emulated, value_name = "MODE")]
     pub(crate) plate_mode: PlateModeArg,
     /// Ask no operator; with --plate-mode real, everything that needs one stays inconclusive
-    #[arg(long, help_heading = PLATE)]
+    #[arg(long, hide_short_help = true, help_heading = PLATE)]
     pub(crate) yes: bool,
     /// Emulated rig: wait for a debugger on this port of the local host; the debugger controls the
     /// chip while the plate waits
-    #[arg(long, help_heading = PLATE, value_name = "PORT", conflicts_with_all = ["watch", "jobs", "board", "list"])]
+    #[arg(long, hide_short_help = true, help_heading = PLATE, value_name = "PORT", conflicts_with_all = ["watch", "jobs", "board", "list"])]
     pub(crate) gdb: Option<u16>,
     /// Parent folder of new run folders
-    #[arg(long, help_heading = RESULTS, value_name = "FOLDER", default_value = "runs")]
+    #[arg(long, hide_short_help = true, help_heading = RESULTS, value_name = "FOLDER", default_value = "runs")]
     pub(crate) runs: PathBuf,
     /// Which traces to store: all, failing, none or worst:N of each scenario; `report --rejudge`
     /// needs all
-    #[arg(long, help_heading = RESULTS, value_name = "WHICH", value_parser = parse_keep_traces, default_value = "all")]
+    #[arg(long, hide_short_help = true, help_heading = RESULTS, value_name = "WHICH", value_parser = parse_keep_traces, default_value = "all")]
     pub(crate) keep_traces: KeepTraces,
     #[command(flatten)]
     pub(crate) outputs: Outputs,
