@@ -60,6 +60,11 @@ pub(crate) fn rig_help() -> String {
     RIGS.iter().fold("Rig of the controller:".to_owned(), |text, rig| format!("{text}\n{rig}: {}", rig.help))
 }
 
+pub(crate) fn law_help() -> String {
+    let names: Vec<_> = platebench_engine::law_names().collect();
+    format!("Control law of the firmware: {}. `own` is any algorithm, judged by the requirements", names.join(", "))
+}
+
 /// Laws of the bench.
 pub(crate) fn bench_law_names() -> PossibleValuesParser {
     PossibleValuesParser::new(LawId::ALL.map(LawId::name))

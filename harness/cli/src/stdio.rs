@@ -283,8 +283,9 @@ const EXPECTED_LOG: &str = "expected a filter such as `debug` or `platebench_rig
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Options of every command")]
 pub(crate) struct LoggingArgs {
-    /// Print more: -v a table for each scenario and a log of the steps, -vv details, -vvv
-    /// everything
+    /// Print more
+    ///
+    /// -v a table for each scenario and a log of the steps, -vv details, -vvv everything.
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub(crate) verbose: u8,
     /// Print only errors and what did not pass

@@ -14,8 +14,10 @@ const HEAD: &str = "<!-- Written by `ci/reference --update`; a test compares it 
 
 #[test]
 fn the_command_reference_matches_the_program() {
-    let mut page = format!("{HEAD}# Commands\n\nThe output of `--help` for every command. The \
-                            options of the first block apply to all commands.\n");
+    let mut page = format!(
+        "{HEAD}# Commands\n\nThe output of `--help` for every command. The \
+                            options of the first block apply to all commands.\n"
+    );
     let mut program = without_environment(platebench_cli::command()).color(clap::ColorChoice::Never).term_width(100);
     program.build();
     append_command(&mut program, "platebench", &mut page);

@@ -5,7 +5,7 @@ use crate::board::{BoardArgs, release};
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{
     BASELINES, ClockArg, ClockRequest, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, check_line_speed, job_count,
-    law_names, parse_keep_traces, parse_time_scale, parse_timeout, rig_help,
+    law_help, law_names, parse_keep_traces, parse_time_scale, parse_timeout, rig_help,
 };
 use crate::outputs::{Outputs, RESULTS, ScenarioLocations};
 use crate::prompt::TerminalOperator;
@@ -37,9 +37,9 @@ const PLATE: &str = "Plate, clock and line";
 #[derive(Debug, Clone, Args)]
 #[command(after_help = "\
 Examples:
-  platebench run                                      every scenario below scenarios/ without `only_if_named`
-  platebench run paper/fig13-closed-loop.toml         one scenario by its name
-  platebench run -k fig13 --law dq-pi-euler           scenarios whose names contain a text, with another law
+  platebench run                                every scenario that plays by default
+  platebench run paper/fig13-closed-loop.toml   one scenario by its name
+  platebench run -k fig13 --law dq-pi-euler     names that contain a text, with another law
 More options and examples: platebench run --help")]
 #[command(after_long_help = "\
 Examples:
@@ -54,14 +54,16 @@ Examples:
   platebench run --list -q -k fig13                     list names only")]
 #[expect(clippy::struct_excessive_bools, reason = "each is a flag of its own on the command line")]
 pub(crate) struct RunArgs {
-    /// Scenario files or folders, or their names below the nearest folder `scenarios`
+    /// Files, folders or names below `scenarios`
+    ///
+    /// Names are those below the nearest folder `scenarios`.
     #[arg(value_name = "SCENARIO|FOLDER", default_value = SCENARIOS)]
     pub(crate) scenarios: Vec<PathBuf>,
     /// Rig of the controller: hosted, emulated[:ELF], exec:COMMAND, serial:PORT, ...
     #[arg(long, long_help = rig_help(), default_value = "emulated", conflicts_with = "board")]
     pub(crate) rig: RigSpec,
     /// Control law of the firmware; own: any algorithm, judged by the requirements
-    #[arg(long, value_name = "NAME", value_parser = law_names())]
+    #[arg(long, long_help = law_help(), value_name = "NAME", value_parser = law_names(), hide_possible_values = true)]
     pub(crate) law: Option<String>,
     /// Trials of each scenario
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_TRIALS)))]
