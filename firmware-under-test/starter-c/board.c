@@ -137,12 +137,16 @@ bool tick_take(void)
     return was;
 }
 
+#ifndef ANNOUNCED_LAWS
+#define ANNOUNCED_LAWS (1u << DQ_PI)
+#endif
+
 struct identity board_identity(void)
 {
     struct identity identity = {
         .version = {0, 1, 0},
         .capabilities = MEASURES_STEP_TIME,
-        .laws = 1u << DQ_PI,
+        .laws = ANNOUNCED_LAWS,
         .chip = DBGMCU_IDCODE,
     };
     for (size_t at = 0; at < sizeof identity.build; at++) {

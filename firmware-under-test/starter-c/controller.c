@@ -34,7 +34,8 @@ static bool are_finite(const struct gains *gains)
 
 static enum configured_result check(const struct identity *identity, const struct configure *configure)
 {
-    if (!(identity->laws >> configure->law & 1u)) {
+    /* An identity without laws announces an own law, which ignores the number. */
+    if (identity->laws != 0 && !(identity->laws >> configure->law & 1u)) {
         return UNKNOWN_LAW;
     }
     /* Pacing, a loop delay and an own plate are not part of this firmware. */

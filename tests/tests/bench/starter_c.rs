@@ -25,8 +25,12 @@ pub(crate) fn has_cross_compiler() -> bool {
 }
 
 pub(crate) fn build_starter(folder: &Path) -> PathBuf {
-    let output =
-        Command::new("make").arg("-C").arg(starter()).arg(format!("BUILD={}", folder.display())).output().unwrap();
+    build_starter_with(folder, &[])
+}
+
+fn build_starter_with(folder: &Path, settings: &[&str]) -> PathBuf {
+    let folder_setting = format!("BUILD={}", folder.display());
+    let output = Command::new("make").arg("-C").arg(starter()).arg(folder_setting).args(settings).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     folder.join("starter.elf")
 }
@@ -49,6 +53,21 @@ fn the_c_starter_passes_the_default_suite() {
         "{:?}",
         record.verdict
     );
+}
+
+#[test]
+fn the_c_starter_without_laws_has_an_own_law() {
+    if !has_cross_compiler() {
+        return skip_without("make, arm-none-eabi-gcc or newlib");
+    }
+    let folder = TestFolder::new();
+    let elf = build_starter_with(&folder.join("build"), &["CFLAGS_BOARD=-DANNOUNCED_LAWS=0u"]);
+    let out = folder.join("run");
+    let rig = format!("emulated:{}", elf.display());
+    let arguments = ["run", "paper/fig13-closed-loop.toml", "--rig", &rig, "--out", out.to_str().unwrap()];
+    run_bench(&workspace_root(), arguments).assert_exit(0);
+    let record = RunRecord::read(&out).unwrap();
+    assert!(!record.scenarios.is_empty() && record.scenarios.iter().all(|scenario| scenario.law == "own"));
 }
 
 /// Runs `tests/wire.c` with the streams as input. Returns its vectors, then one line per stream.
