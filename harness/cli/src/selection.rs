@@ -72,7 +72,13 @@ pub(crate) fn find_scenarios(
 /// Keeps the scenarios that did not pass in the newest run below `runs`, also with `only_if_named`.
 /// Fails if one of them exists no longer, because it would pass by its absence.
 pub(crate) fn keep_last_failed(found: &mut FoundScenarios, runs: &Path) -> Result<(), Failure> {
-    let folder = newest_run(runs).ok_or_else(|| {
+    let newest = newest_run(runs).map_err(|error| {
+        Failure::invalid(&format!(
+            "--last-failed: {error}; this may be the newest run: remove its folder, or name the \
+                                   scenarios"
+        ))
+    })?;
+    let folder = newest.ok_or_else(|| {
         let message = format!("--last-failed: {} contains no run; --runs selects another folder", runs.display());
         Failure::invalid(&message)
     })?;
@@ -81,7 +87,8 @@ pub(crate) fn keep_last_failed(found: &mut FoundScenarios, runs: &Path) -> Resul
     let mut names: BTreeSet<&str> =
         assessment.not_passed().map(|scenario| record.original_file(scenario.file)).collect();
     if names.is_empty() {
-        let message = format!("every scenario of {} passed, so there is nothing to run", folder.display());
+        let state = if record.scenarios.is_empty() { "no scenario was played in" } else { "every scenario passed in" };
+        let message = format!("{state} {}, so there is nothing to run", quoted_path(&folder));
         return Err(Failure::new(Exit::NothingToRun, &message));
     }
     found.scenarios.append(&mut found.skipped);

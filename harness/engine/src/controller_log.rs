@@ -187,6 +187,7 @@ impl<'a> ControllerLog<'a> {
             protocol_differences: self.protocol_check.as_ref().map(|check| check.differences.clone()),
             protocol_repeats: self.protocol_check.as_ref().map_or(0, |check| check.repeats),
             scripts_not_played: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.not_played.clone()),
+            scripts_not_decided: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.undecided.clone()),
             transport: session.link_mut().chip().map(|chip| chip.transport()),
             firmware_output: session.link_mut().chip().and_then(|chip| chip.firmware_output()),
             ..Telemetry::default()

@@ -187,7 +187,8 @@ pub(crate) fn measure_trial(
 ) -> TrialMeasures {
     let scenario = scenario.of_trial(index);
     let mut measures = measure(scenario, index, rows, telemetry);
-    let Some((typical, longest)) = rig_delay(telemetry) else { return measures };
+    let delay = rig_delay(telemetry).filter(|_| !telemetry.ended_by_controller);
+    let Some((typical, longest)) = delay else { return measures };
     excuse_loop_delay(scenario, &mut measures);
     let missed: Vec<usize> = missed_expectations(scenario, &measures).collect();
     // The bench cannot simulate an own law.

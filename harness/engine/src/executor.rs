@@ -17,6 +17,7 @@ use platebench_wire::{Identity, LawId};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::{Duration, Instant};
 use tracing::{debug, error};
@@ -59,8 +60,9 @@ pub struct ExecutorSettings<'a> {
     pub long_scripts: bool,
     pub cancel: CancelToken,
     pub operator: &'a dyn Operator,
-    /// The executor fails if it connects to another controller. `None` accepts every controller.
-    pub identity: Option<Identity>,
+    /// Identity of the first controller, shared by all executors with a copy of these settings. An
+    /// executor fails if it connects to another controller.
+    pub identity: Arc<OnceLock<Identity>>,
     /// The executor fails if it connects after the program or image of the controller changed.
     pub firmware: Option<&'a FirmwareDigest>,
     /// Number of consecutive trials with a lost controller after which the executor fails.
@@ -82,7 +84,7 @@ impl ExecutorSettings<'_> {
             long_scripts: false,
             cancel: cancel.clone(),
             operator: &NoOperator,
-            identity: None,
+            identity: Arc::default(),
             firmware: None,
             max_losses: None,
             shares_controller: false,
@@ -242,16 +244,12 @@ impl<'a, L: Link> Executor<'a, L> {
         let session = if self.has_connected { self.open_again()? } else { self.open()? };
         self.has_connected = true;
         let found = *session.identity();
-        match self.settings.identity {
-            Some(expected) if found != expected => {
-                self.ends.record(session.close());
-                Err(RunError::DifferentController {
-                    found: controller_name(&found),
-                    expected: controller_name(&expected),
-                })
-            }
-            _ => Ok(session),
+        let expected = self.settings.identity.get_or_init(|| found);
+        if found == *expected {
+            return Ok(session);
         }
+        self.ends.record(session.close());
+        Err(RunError::DifferentController { found: controller_name(&found), expected: controller_name(expected) })
     }
 
     /// Closes the session if the trial needs another one: for a controller without a history, or

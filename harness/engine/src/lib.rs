@@ -2,6 +2,7 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 
+mod applicability;
 pub mod comparison;
 mod controller_log;
 pub mod delay_boundary;
@@ -22,6 +23,7 @@ mod trend;
 pub mod trial;
 pub mod workers;
 
+pub use applicability::why_not_applicable;
 pub use executor::{Executor, ExecutorSettings, MAX_LOSSES, SafeEnds, ScenarioEnd};
 pub use firmware_digest::FirmwareDigest;
 pub use live_tap::{LiveTap, TapReader};
@@ -34,4 +36,4 @@ pub use platebench_rig::CancelToken;
 pub use rejudge::{RejudgeError, rejudge};
 pub use run::run;
 pub use timing::{Pacing, TimeBase};
-pub use trial::{Trial, TrialResult, configure, law, law_names, missing_capability, wire_fault_kind};
+pub use trial::{Trial, TrialResult, configure, law, law_names, wire_fault_kind};

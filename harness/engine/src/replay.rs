@@ -4,11 +4,12 @@
 //! A row of a trace with the flag `control` contains the sample. The last row before the next
 //! command acts contains the command for this sample.
 
+use crate::applicability::missing_capability;
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, drive_violation, is_controller_failure};
 use crate::lockstep::OWN_CLOCK_WATCHDOG_TIMEOUT_MS;
 use crate::plan::{LinkFactory, RigSession, RunError};
 use crate::rejudge::{RejudgeError, apply_overrides, load_stored_scenario, read_trial_rows};
-use crate::trial::{TrialAbort, check_configuration, configure, law, law_number, missing_capability};
+use crate::trial::{TrialAbort, check_configuration, configure, law, law_number};
 use platebench_model::external_csv::{ColumnMapping, ExternalCsvError, read_rows};
 use platebench_model::record::{ClockKind, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord};
 use platebench_model::scenario::{Diagnostic, Scenario, load};

@@ -1,12 +1,13 @@
 //! Plays all trials of all scenarios on several workers. No result depends on the order of trials.
 
+use crate::applicability::{only_describes_bench_law, why_not_applicable};
 use crate::executor::{Executor, ExecutorSettings, SafeEnds};
 use crate::firmware_digest::FirmwareDigest;
 use crate::plan::{Clock, LinkFactory, RigSession, RunError, RunHooks, RunPlan};
 use crate::run_player::{RunPlayer, RunProgress, ScenarioResult};
 use crate::timing::{Pacing, TimeBase};
 use crate::trend;
-use crate::trial::{self, chip_fault_plan, missing_capability};
+use crate::trial;
 use crate::workers::ResultSink;
 use platebench_model::record::{
     Event, FinishedScenario, Firmware, FolderError, Host, InputRecord, KeepTraces, NotApplicable, RigRecord, RunFolder,
@@ -14,13 +15,13 @@ use platebench_model::record::{
 };
 use platebench_model::scenario::{Metric, OWN_LAW, Scenario};
 use platebench_model::trace::AtPath as _;
-use platebench_rig::{ChipFaultError, FaultInjector, Link, RigSpec, is_defined_law};
+use platebench_rig::{FaultInjector, RigSpec};
 use platebench_verdict::Judgement;
 use platebench_wire::{Identity, LawId, capabilities};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
-use std::sync::PoisonError;
+use std::sync::{Arc, PoisonError};
 use std::time::Instant;
 
 /// Plays the plan and writes record and traces into `folder`. The record is written at the start
@@ -68,7 +69,7 @@ pub fn run(
         own_clock: plan.own_clock,
         long_scripts: plan.overrides.long_scripts,
         operator,
-        identity: Some(identity),
+        identity: Arc::new(identity.into()),
         firmware: Some(&firmware),
         keeps_session: kept_session.is_some(),
         ..ExecutorSettings::lockstep(&cancel)
@@ -91,8 +92,8 @@ pub fn run(
     record.safe_confirmed = Some(ends.are_confirmed());
     record.drive_after_safe = ends.have_drive();
     if played.is_ok() {
+        record.journal = Some(journal.finished().map_err(FolderError::from)?);
         record.complete = true;
-        record.journal = Some(journal.finished());
         // It reads earlier runs, which may take seconds.
         if !cancel.is_cancelled() {
             record.cost = trend::cost_trends(&record, folder.path());
@@ -140,36 +141,6 @@ fn check_controller(plan: &RunPlan, session: &RigSession) -> Result<(), RunError
     Ok(())
 }
 
-/// Returns why the rig cannot apply the chip faults. Fails if the firmware lacks a fault's target.
-fn missing_chip_faults(
-    plan: &RunPlan,
-    scenario: &Scenario,
-    session: &mut RigSession,
-) -> Result<Option<String>, RunError> {
-    let faults = chip_fault_plan(scenario, 0);
-    if faults.faults.is_empty() {
-        return Ok(None);
-    }
-    let checked = match plan.clock {
-        Clock::Lockstep { .. } => session.link_mut().set_chip_faults(&faults),
-        Clock::RealTime(_) | Clock::RealPlate => Err(ChipFaultError::Unsupported),
-    };
-    match checked {
-        Ok(()) => Ok(None),
-        Err(error @ ChipFaultError::Unsupported) => Ok(Some(error.to_string())),
-        Err(error) => Err(RunError::Scenario(Box::new(scenario.diagnostic("fault", error.to_string())))),
-    }
-}
-
-/// Returns why the rig cannot measure the time of a control step, if the scenario expects it.
-fn missing_step_time(plan: &RunPlan, scenario: &Scenario, session: &mut RigSession) -> Option<String> {
-    // The handshake was an exchange, so a rig that measures has a value.
-    let mut measures = || session.link_mut().chip().is_some_and(|chip| chip.computing_time().is_some());
-    let is_measured = matches!(plan.clock, Clock::Lockstep { .. }) && measures();
-    let why = format!("{} needs the emulated chip and the clock lockstep", Metric::StepTime);
-    (scenario.expects(Metric::StepTime) && !is_measured).then_some(why)
-}
-
 /// The rules of the protocol hold for every law. A scenario that tests only them is played with the
 /// first law that the controller announces if it does not announce that of the scenario.
 fn protocol_law(scenario: &Scenario, law: LawId, identity: &Identity) -> LawId {
@@ -189,19 +160,6 @@ fn with_own_law_if_unnumbered(plan: &RunPlan, identity: &Identity) -> RunPlan {
     plan
 }
 
-/// Returns why no expectation of the scenario applies to the controller's own law.
-fn only_describes_bench_law(scenario: &Scenario) -> Option<String> {
-    let first = scenario.not_applicable.first().filter(|_| scenario.expectations.is_empty())?;
-    Some(first.reason.clone())
-}
-
-/// Returns why the commands of the law cannot be compared, if the scenario compares them.
-fn undefined_commands(scenario: &Scenario, law: LawId) -> Option<String> {
-    let is_compared = scenario.expects(Metric::ReferenceDifference) && !scenario.has_own_law();
-    (is_compared && !is_defined_law(law))
-        .then(|| format!("the page of the wire protocol does not define the commands of {}", law.name()))
-}
-
 fn select_applicable(
     plan: &RunPlan,
     laws: Vec<LawId>,
@@ -212,18 +170,8 @@ fn select_applicable(
     let (mut selected_laws, mut not_applicable) = (Vec::new(), Vec::new());
     for (scenario, law) in plan.scenarios.iter().zip(laws) {
         let law = protocol_law(scenario, law, &identity);
-        let others = scenario.between.iter().chain(scenario.other_trials.as_deref());
-        let mut others = others.filter_map(|scene| Some((scene, trial::law(scene).ok()?)));
-        let is_compared =
-            scenario.expects(Metric::ReferenceDifference) || scenario.expects(Metric::ProtocolDifferences);
-        let missing = (is_compared && !matches!(plan.clock, Clock::Lockstep { .. }))
-            .then(|| "the metrics that compare the controller with the reference need the clock lockstep".to_owned())
-            .or(missing_chip_faults(plan, scenario, session)?)
-            .or_else(|| missing_step_time(plan, scenario, session))
-            .or_else(|| only_describes_bench_law(scenario))
-            .or_else(|| undefined_commands(scenario, law))
-            .or_else(|| missing_capability(scenario, law, &identity))
-            .or_else(|| others.find_map(|(scene, law)| missing_capability(scene, law, &identity)));
+        let is_lockstep = matches!(plan.clock, Clock::Lockstep { .. });
+        let missing = why_not_applicable(scenario, law, is_lockstep, session).map_err(RunError::Scenario)?;
         match missing {
             None => {
                 let mut scenario = scenario.clone();

@@ -12,7 +12,7 @@ use platebench_model::trace::Row;
 use platebench_plate::Time;
 use platebench_rig::{CancelToken, Direction as Way, HostedLink, RigError, Session, WireFault, WireFaultKind};
 use platebench_rig::{ChipFault as RigChipFault, ChipFaultKind as RigChipFaultKind, ChipFaultPlan};
-use platebench_wire::{Configure, Gains, Identity, LawId, capabilities};
+use platebench_wire::{Configure, Gains, Identity, LawId};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::Duration;
@@ -143,32 +143,6 @@ pub(crate) fn check_configuration(scenario: &Scenario, law: LawId) -> Result<(),
     accepted.map(drop).map_err(|error| RunError::Refused { file: scenario.file.clone(), error })
 }
 
-pub fn missing_capability(scenario: &Scenario, law: LawId, identity: &Identity) -> Option<String> {
-    if !scenario.has_own_law() && !identity.has_law(law) {
-        return Some(missing_law(law, identity));
-    }
-    let needs_delay = scenario.controller.design_delay != Time::ZERO;
-    (needs_delay && !identity.has_capability(capabilities::LOOP_DELAY))
-        .then(|| "the controller does not announce that it accepts a loop delay (design_delay_ms)".to_owned())
-}
-
-/// Names the option or the change that makes the scenario applicable.
-fn missing_law(law: LawId, identity: &Identity) -> String {
-    let announced: Vec<_> = LawId::ALL
-        .into_iter()
-        .filter(|&law| identity.has_law(law))
-        .map(|law| format!("--law {}", law.name()))
-        .collect();
-    let (missing, options) = (law.name(), announced.join(" or "));
-    let own = format!("--law {OWN_LAW} judges the requirements only, for any algorithm");
-    let remedy = if announced.is_empty() {
-        format!("it announces none; {own}")
-    } else {
-        format!("{options} plays every scenario with a law that it announces; {own}")
-    };
-    format!("the controller does not announce the law {missing}; {remedy}")
-}
-
 pub(crate) fn start_frequency_mhz(scenario: &Scenario) -> u32 {
     (scenario.controller.start_frequency_hz * 1e3).round() as u32
 }
@@ -264,7 +238,9 @@ pub(crate) fn needs_reconfiguration(scenario: &Scenario, stopped: Time, now: Tim
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::applicability::missing_capability;
     use platebench_model::scenario::load;
+    use platebench_wire::capabilities;
     use rstest::rstest;
     use std::path::Path;
 

@@ -68,6 +68,9 @@ pub fn merge<'a>(
             summary.add(&row);
             Ok(())
         })?;
+        if let Some(trial) = summary.chains.foreign_chain {
+            return Err(CampaignError::OtherChain { path: plan.part_path(folder, shard), trial });
+        }
     }
     // The scatter in a cell is known only after all of its trials.
     let mut results = ResultsWriter::new(folder, campaign)?;

@@ -35,15 +35,16 @@ use crate::acceptance::session_record::{
 use crate::acceptance::steps::{
     ScenarioRun, StepAction, ask_operator, measure_trust, run_self_test, step_actions, step_records,
 };
-use platebench_engine::{Clock, Pacing, Question, QuestionKind, RunError};
+use platebench_engine::{Clock, FirmwareDigest, Pacing, Question, QuestionKind, RunError};
 use platebench_model::quoted;
 use platebench_model::record::{
-    self, Firmware, Host, InputRecord, RunRecord, Tool, Verdict, sha256, sha256_of_file, to_hex, utc_timestamp,
+    self, Firmware, Host, InputRecord, RigRecord, RunRecord, Tool, Verdict, sha256, sha256_of_file, to_hex,
+    utc_timestamp,
 };
 use platebench_model::trace::{AtPath, OutputFolder, read_regular_file};
 use platebench_report::format::count;
-use platebench_report::{console, traceability};
-use platebench_rig::{BUILT_IN_IMAGE, CancelToken, ConnectOptions, FirmwareImage, RigSpec, Session};
+use platebench_report::{console, scripts_not_played, traceability};
+use platebench_rig::{CancelToken, ConnectOptions, Session};
 use std::fs::{self, TryLockError};
 use std::io;
 use std::path::Path;
@@ -192,10 +193,8 @@ impl<'a> SessionRunner<'a> {
         let (scenario, trials) = (&planned.scenario, planned.repetitions);
         let run = ScenarioRun { scenario, trials, rig, clock: *clock, jobs: *jobs };
         let record = run.play(folder, hooks)?;
-        if let (Some(played), Some(known)) = (&record.rig.firmware, &self.record.firmware)
-            && *played != known.firmware
-        {
-            return Err(changed_error("the firmware", &format_firmware(&known.firmware), &format_firmware(played)));
+        if let Some(known) = &self.record.firmware {
+            check_controller(known, &record.rig)?;
         }
         platebench_report::page::write(&record, folder)?;
         traceability::write(&record, folder)?;
@@ -207,7 +206,8 @@ impl<'a> SessionRunner<'a> {
         let trials: usize = record.scenarios.iter().map(|scenario| scenario.trials.len()).sum();
         let trials = count(trials, "trial");
         let why = (record.verdict != Verdict::Pass).then(|| format!(": {}", console::verdict_reason(&record)));
-        let why = why.unwrap_or_default();
+        let not_played = scripts_not_played(&record).map(|scripts| format!("; not played: {scripts}"));
+        let why = why.unwrap_or_default() + &not_played.unwrap_or_default();
         step.reason = Some(format!("{passed} of {} expectations met in {trials}{why}", expectations.len()));
         Ok(())
     }
@@ -231,7 +231,7 @@ impl<'a> SessionRunner<'a> {
                 chip: format!("{:#010x}", identity.chip),
             },
             unique: to_hex(&identity.unique),
-            image_sha256: image_sha256(&self.config.rig)?,
+            image_sha256: FirmwareDigest::of_rig(&self.config.rig.to_string()).sha256().map(str::to_owned),
         })
     }
 
@@ -368,15 +368,6 @@ fn bench_record() -> Result<BenchRecord, AcceptError> {
     Ok(BenchRecord { tool: Tool::running(), sha256: sha256(&program), host: Host::current() })
 }
 
-/// Returns the SHA-256 of the image that the bench loads. `None` if it loads no image.
-pub(crate) fn image_sha256(rig: &RigSpec) -> Result<Option<String>, AcceptError> {
-    Ok(match &rig.properties().image {
-        FirmwareImage::None => None,
-        FirmwareImage::BuiltIn => Some(sha256(BUILT_IN_IMAGE)),
-        FirmwareImage::File(elf) => Some(sha256_of_file(elf).at(elf)?),
-    })
-}
-
 pub(crate) fn check_run_hashes(folder: &Path, record: &SessionRecord) -> Result<(), AcceptError> {
     for step in record.steps.iter().filter(|step| step.done) {
         if let Some(then) = &step.run_sha256 {
@@ -439,6 +430,17 @@ pub(crate) fn check_unchanged(then: &SessionRecord, now: &SessionRecord) -> Resu
         }
     }
     Ok(())
+}
+
+/// Fails if `rig` had another controller or program than the session.
+pub(crate) fn check_controller(known: &FirmwareRecord, rig: &RigRecord) -> Result<(), AcceptError> {
+    if let Some(played) = rig.firmware.as_ref().filter(|played| **played != known.firmware) {
+        return Err(changed_error("the firmware", &format_firmware(&known.firmware), &format_firmware(played)));
+    }
+    match (&known.image_sha256, &rig.program_sha256) {
+        (Some(then), Some(now)) if then != now => Err(changed_error("the program of the controller", then, now)),
+        _ => Ok(()),
+    }
 }
 
 pub(crate) fn check_same_firmware(then: Option<&FirmwareRecord>, now: &FirmwareRecord) -> Result<(), AcceptError> {

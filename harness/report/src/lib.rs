@@ -13,6 +13,7 @@ mod record_queries;
 
 pub use document::Style;
 pub use error::ReportError;
+pub use record_queries::scripts_not_played;
 pub use text::console::{Detail, Progress, ProgressKind, counts_so_far, slow_scenarios};
 pub use text::{comparison, console, events, github, junit, scenario_list, traceability};
 

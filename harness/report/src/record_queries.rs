@@ -222,10 +222,14 @@ pub(crate) fn sign_symptoms(record: &RunRecord) -> impl Iterator<Item = (&Scenar
     })
 }
 
-/// Names of the scripts of the protocol check that some trial did not play, each once.
-pub(crate) fn scripts_not_played(record: &RunRecord) -> Vec<&str> {
+/// Names the scripts of the protocol check that some trial did not play. `None` if all were played.
+pub fn scripts_not_played(record: &RunRecord) -> Option<String> {
     let trials = record.scenarios.iter().flat_map(|scenario| &scenario.trials);
-    crate::format::distinct(trials.flat_map(|trial| &trial.telemetry.scripts_not_played).map(String::as_str))
+    let scripts =
+        crate::format::distinct(trials.flat_map(|trial| &trial.telemetry.scripts_not_played).map(String::as_str));
+    let count = crate::format::count(scripts.len(), "script");
+    let names = scripts.join(", ");
+    (!scripts.is_empty()).then(|| format!("{count} of the protocol check ({names}); `run --long-scripts` plays them"))
 }
 
 /// Files of the scenarios that `--fail-fast` did not play.

@@ -65,6 +65,8 @@ pub struct ProtocolCheck {
     pub repeats: u32,
     /// Names of the long scripts that were not requested. Never depends on a measured speed.
     pub not_played: Vec<String>,
+    /// Names of the scripts with a difference that a stall of the host may have caused in each attempt.
+    pub undecided: Vec<String>,
 }
 
 /// What is played and compared.
@@ -153,10 +155,13 @@ pub fn check_protocol(
             check.repeats += 1;
             difference = player.play(&script)?;
         }
-        // If the host stalled, the stall may have caused the difference.
-        let is_certain = |difference: &CommandDifference| difference.other_cause != Some(BenchCause::Stall);
-        let difference = difference.filter(is_certain);
-        check.differences.extend(difference.map(|difference| format!("{}: {}", script.name, difference.text)));
+        match difference {
+            None => {}
+            Some(CommandDifference { other_cause: Some(BenchCause::Stall), .. }) => {
+                check.undecided.push(script.name.into_owned());
+            }
+            Some(difference) => check.differences.push(format!("{}: {}", script.name, difference.text)),
+        }
     }
     Ok(check)
 }

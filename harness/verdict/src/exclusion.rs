@@ -28,8 +28,7 @@ pub(crate) fn find_exclusion(scenario: &Scenario, rows: &[Row], telemetry: &Tele
     let timing = telemetry.timing.as_ref();
     let clock = timing.filter(|timing| timing.pacing == "target");
     let clock = clock.and_then(|timing| timing.target_clock_ppm.zip(timing.target_clock_error_ppm));
-    let is_silence = |row: &Row| !telemetry.ended_by_controller && is_unplanned_silence(scenario, row);
-    let silences = || rows.iter().enumerate().filter(|(_, row)| is_silence(row));
+    let silences = || rows.iter().enumerate().filter(|(_, row)| is_unplanned_silence(scenario, row));
     let no_answer = |(_, row): (usize, &Row)| Exclusion::NoAnswer { at_ms: rounded_ms(row.t_s) };
     silences()
         .find(|(index, _)| !follows_late_bench(rows, *index))

@@ -11,7 +11,7 @@ use crate::metrics::Measure;
 use crate::statistics::{Look, clopper_pearson, plan_looks, widen_bounds};
 use crate::trial::TrialMeasures;
 use over_trials::{Containment, Outcome, OverTrials, all_equal, containment, exceedance};
-use platebench_model::metrics::TrialRule;
+use platebench_model::metrics::{TrialRule, UndefinedValue};
 use platebench_model::record::{
     Cause, DivergedTrials, Evidence, EvidenceMethod, ExpectationRecord, MetricDefinition, Reason, Statistic,
     StoppedTrial, TrialFinding, Verdict, WorstInstant, percent,
@@ -223,7 +223,11 @@ impl ExpectationJudge<'_> {
             stopped: stopped.clone(),
         };
         let fail = |outcome: Outcome, finding| outcome.fail(reason(trial.divergence, finding));
-        let undecided = |outcome: Outcome, finding| outcome.inconclusive(Cause::Evidence, reason(None, finding));
+        let undecided = |outcome: Outcome, finding| {
+            let is_stalled = matches!(finding, TrialFinding::Undefined(UndefinedValue::StalledScripts));
+            let cause = if is_stalled { Cause::Bench } else { Cause::Evidence };
+            outcome.inconclusive(cause, reason(None, finding))
+        };
         let is_interval = matches!(measure, Measure::Interval(_));
         let outcome = match (measure, self.value_interval(measure)) {
             (Measure::Undefined(why), _) => undecided(outcome, TrialFinding::Undefined(*why)),

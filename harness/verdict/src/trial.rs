@@ -41,9 +41,13 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
     let plant = variation.plant(scenario);
     let expectations = &scenario.expectations;
     let is_real_plate = rows.iter().any(|row| row.flags.contains(Flags::SENSED));
+    // Neither the bench nor a limit of the drive ends a controller.
+    let failed = telemetry.ended_by_controller;
     let is_limited = !is_real_plate && may_be_limited(rows);
     let excuses = expectations.iter().map(|expectation| {
-        if is_real_plate {
+        if failed {
+            None
+        } else if is_real_plate {
             saturation_excuse(expectation, rows)
         } else {
             is_limited.then(|| infeasibility_excuse(scenario, expectation, &plant, rows)).flatten()
@@ -62,7 +66,9 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
         violations: violations(scenario, telemetry),
         divergence: detect_divergence(scenario, rows, telemetry),
         sign_symptom: detect_wrong_sign(scenario, rows),
-        exclusion: if is_real_plate {
+        exclusion: if failed {
+            None
+        } else if is_real_plate {
             find_real_plate_exclusion(scenario, rows, telemetry.real_plate.as_deref())
         } else {
             find_exclusion(scenario, rows, telemetry)

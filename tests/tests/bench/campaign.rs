@@ -1,4 +1,6 @@
-use crate::test_folder::{PLATE, ProgramOutput, TestFolder, bench_command, run_bench, start_bench, wait_until};
+use crate::test_folder::{
+    PLATE, ProgramOutput, TestFolder, bench_command, run_bench, start_bench, step_scenario, wait_until,
+};
 use platebench_model::record::FileLock;
 use rstest::rstest;
 use serde_json::Value;
@@ -334,4 +336,20 @@ fn only_one_process_plays_a_shard() {
     drop((shared, own));
     play_first().assert_exit(0);
     folder.bench(["campaign", "merge", "c"]).assert_exit(1);
+}
+
+/// `run` has the same rules (`exit_codes.rs`).
+#[rstest]
+#[case::chip_fault("", "metric = \"settling_time_ms\"\nat_most = 9.0\n[[fault]]\nkind = \"reset\"\nat_ms = 10.0")]
+#[case::undefined_commands("law = \"pll\"", "metric = \"reference_difference_percent\"\nat_most = 1.0")]
+#[case::step_time("", "metric = \"step_time_percent\"\nat_most = 90.0")]
+fn a_campaign_plays_no_trial_that_run_does_not_play(#[case] controller: &str, #[case] expect: &str) {
+    let folder = TestFolder::with_scenario(&step_scenario("aluminium-198x138", controller, "", expect));
+    folder.bench(["run", "--rig", "hosted", "--out", "run"]).assert_exit(4);
+    folder.write(
+        "campaign.toml",
+        "title = \"t\"\nscenario = \"scenarios/s.toml\"\n[vary]\n\
+         \"profile.finger_force_n\" = { uniform = [0.0, 0.1] }\n[plan]\nmethod = \"random\"\ntrials = 2\n",
+    );
+    folder.bench(["campaign", "run", "campaign.toml", "--out", "c", "--rig", "hosted"]).assert_exit(4);
 }

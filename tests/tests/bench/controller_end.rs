@@ -181,6 +181,16 @@ fn a_crash_counts_although_another_process_holds_the_line(#[values("lockstep", "
     assert_eq!(folder.record("run").scenarios[0].trials[0].cause, None, "a failure of the controller");
 }
 
+/// In real time, neither the delay of the line nor a late bench excuses a crash.
+#[rstest]
+fn a_crash_in_the_middle_of_a_trial_fails(#[values("lockstep", "real-time")] clock: &str) {
+    let folder = TestFolder::with_step(SETTLING);
+    let action = "os.kill(os.getpid(), 11) if number == 21 else None";
+    let Some(rig) = controller(&folder, Change::Message { kind: "SAMPLE", action }) else { return };
+    let played = folder.bench(["run", "--clock", clock, "--rig", &rig, "--out", "run"]);
+    played.assert_exit(1).assert_stdout(&["signal 11"]);
+}
+
 #[test]
 fn the_output_of_a_program_has_its_name_and_no_control_characters() {
     let folder = TestFolder::with_step(ANSWERED);
@@ -190,6 +200,23 @@ fn the_output_of_a_program_has_its_name_and_no_control_characters() {
     let name = rig.split([':', ' ', '/']).find(|word| word.starts_with("python")).unwrap();
     let line = format!("{name}: to\\u{{1b}}[2Jld");
     assert!(played.text().lines().any(|printed| printed == line), "{}", played.text());
+}
+
+/// A wrong answer is no pass of a controller that needs longer than 80 ms for each of its answers.
+#[rstest]
+#[case::quick("body = body[:14] + bytes(4)", 1)]
+#[case::slow("time.sleep(0.1); body = body[:14] + bytes(4)", 3)]
+fn a_wrong_answer_is_no_pass_of_a_slow_controller(#[case] action: &'static str, #[case] expected: i32) {
+    let folder = TestFolder::new();
+    let messages = "[[message]]\nkind = \"configure\"\n[[message]]\nkind = \"sample\"\nsetpoint_um = 2.0\n\
+                    wd_um = 1.0\nwq_um = \"inf\"\n[[message]]\nkind = \"safe\"\n";
+    let expect = "metric = \"protocol_differences\"\nat_most = 0.0";
+    folder.write_scenario("s.toml", &(step_scenario("aluminium-198x138", "", "", expect) + messages));
+    let Some(rig) = controller(&folder, Change::Message { kind: "SAMPLE", action }) else { return };
+    let arguments = ["run", "--clock", "lockstep", "--reply-timeout", "5000", "--rig", &rig, "--out", "run"];
+    folder.bench(arguments).assert_exit(expected);
+    let telemetry = &folder.record("run").scenarios[0].trials[0].telemetry;
+    assert_eq!(telemetry.scripts_not_decided.is_empty(), expected == 1, "{telemetry:?}");
 }
 
 #[test]

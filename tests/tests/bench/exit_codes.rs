@@ -39,7 +39,10 @@ fn the_example_controller_answers_as_the_protocol_says() {
     // What was not tested is no silent pass, and no measured speed decides it.
     let named = "not played: 1 script of the protocol check (more samples than sixteen bits count)";
     let text = played.assert_exit(0).stdout.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(text.contains(named) && text.contains("--long-scripts plays them"), "{text}");
+    assert!(text.contains(named) && text.contains("`run --long-scripts` plays them"), "{text}");
+    for file in ["run/report.html", "run/junit.xml"] {
+        assert!(folder.read(file).contains("more samples than sixteen bits count"), "{file}");
+    }
     let scripts = &folder.record("run").scenarios[0].trials[0].telemetry.scripts_not_played;
     assert_eq!(scripts, &["more samples than sixteen bits count"]);
 }

@@ -193,6 +193,26 @@ fn the_last_failed_are_those_that_fail_with_require_all() {
 }
 
 #[test]
+fn a_damaged_newest_run_is_no_pass_of_the_last_failed() {
+    let folder = TestFolder::with_step(SETTLING);
+    folder.run_below_runs(0);
+    folder.write_scenario("s.toml", &step_text(FAILED_SETTLING));
+    folder.run_below_runs(1);
+    let record = folder.newest_run().join("run.json");
+    let text = fs::read_to_string(&record).unwrap();
+    fs::write(&record, &text[..text.len() / 2]).unwrap();
+    let list = ["run", "--rig", "hosted", "--last-failed"];
+    folder.bench(list).assert_message(2, &["run.json", "this may be the newest run"]);
+}
+
+#[test]
+fn a_run_without_scenarios_is_no_pass_of_the_last_failed() {
+    let folder = TestFolder::with_scenario(&(step_text(SETTLING) + "[[fault]]\nkind = \"reset\"\nat_ms = 10.0\n"));
+    folder.bench(["run", "--rig", "hosted"]).assert_exit(4);
+    folder.bench(["run", "--rig", "hosted", "--last-failed"]).assert_message(4, &["no scenario was played in"]);
+}
+
+#[test]
 fn a_renamed_scenario_is_no_pass_of_the_last_failed() {
     let folder = TestFolder::with_step(FAILED_SETTLING);
     folder.run_below_runs(1);

@@ -172,17 +172,19 @@ impl Campaign {
         None
     }
 
+    /// Values of a trial of `rare` at `point`, which contains standard normal scores.
+    pub(crate) fn rare_values(&self, point: &[f64]) -> Vec<f64> {
+        let scores = self.correlation.as_ref().map(|correlation| correlation.apply(point));
+        let values = self.variables.iter().zip(scores.as_deref().unwrap_or(point));
+        let at = |score: f64| score.clamp(-RARE_DEVIATIONS, RARE_DEVIATIONS);
+        values.map(|(variable, score)| variable.distribution.at_score(at(*score))).collect()
+    }
+
     /// For `rare`, `point` contains standard normal scores. For `search`, it contains positions
     /// from 0 to 1 in the ranges of the values.
     pub(crate) fn chain_trial(&self, number: u64, point: &[f64]) -> Result<DrawnTrial, CampaignError> {
         if self.method == Method::Rare {
-            let scores = self.correlation.as_ref().map(|correlation| correlation.apply(point));
-            let scores = scores.as_deref().unwrap_or(point);
-            let values = self.variables.iter().zip(scores);
-            let values = values
-                .map(|(variable, score)| variable.distribution.at_score(score.clamp(-RARE_DEVIATIONS, RARE_DEVIATIONS)))
-                .collect();
-            return self.trial_with(number, values, 0);
+            return self.trial_with(number, self.rare_values(point), 0);
         }
         let mut point = point.to_vec();
         for step in 0.. {

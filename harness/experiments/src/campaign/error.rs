@@ -27,6 +27,12 @@ pub enum CampaignError {
         path.display()
     )]
     Damaged { path: PathBuf, why: &'static str },
+    #[error(
+        "{}: the chain of trials from trial {trial} on has other values than this version draws, so another version \
+         played it; merge the campaign with that version, or play it again in another folder",
+        path.display()
+    )]
+    OtherChain { path: PathBuf, trial: u64 },
     #[error("{}: belongs to another plan or shard; expected a part of this campaign folder", .0.display())]
     OtherPart(PathBuf),
     #[error(

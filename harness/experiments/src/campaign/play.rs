@@ -9,7 +9,9 @@ use crate::campaign::part::{PartReader, PartWriter};
 use crate::campaign::plan::CampaignPlan;
 use crate::campaign::row::{ShardEnd, TrialRow};
 use platebench_engine::workers::{Emit, InOrder, run_workers};
-use platebench_engine::{Executor, ExecutorSettings, LinkFactory, MAX_LOSSES, SafeEnds, law, missing_capability};
+use platebench_engine::{
+    Executor, ExecutorSettings, FirmwareDigest, LinkFactory, MAX_LOSSES, SafeEnds, law, why_not_applicable,
+};
 use platebench_model::record::Verdict;
 use platebench_model::trace::Row as TraceRow;
 use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
@@ -18,6 +20,7 @@ use std::ops::{ControlFlow, Range};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use tracing::error;
 
 #[derive(Debug, Clone)]
 pub struct PlayConfig {
@@ -60,9 +63,19 @@ pub fn play_shard(
         }
     }
     let mut part = PartWriter::new(folder, plan, campaign, shard)?;
+    let (mut played, mut failed) = (0, Vec::new());
     let end = play_on_rig(campaign, &TrialSource::Numbers(plan.trials_of(shard)), config, &mut |row| {
-        on_trial(TrialEvent { is_failure: row.verdict == Verdict::Fail });
+        let is_failure = row.verdict == Verdict::Fail;
+        on_trial(TrialEvent { is_failure });
+        played += 1;
+        failed.extend(is_failure.then_some(row.trial));
         part.push(row)
+    });
+    let end = end.inspect_err(|_| {
+        // The part is not written, but each trial can be played again by its number.
+        if !failed.is_empty() {
+            error!(shard, played, ?failed, "the shard ended early; trials that failed before");
+        }
     })?;
     part.commit(end)?;
     Ok(true)
@@ -122,8 +135,10 @@ pub fn play_trials(
     config: &PlayConfig,
     on_row: &mut dyn FnMut(TrialRow) -> Result<(), CampaignError>,
 ) -> Result<ShardEnd, CampaignError> {
+    let firmware = FirmwareDigest::of_rig(&config.rig.to_string());
     let settings = ExecutorSettings {
         own_clock: config.rig.has_own_clock(),
+        firmware: Some(&firmware),
         max_losses: Some(MAX_LOSSES),
         ..ExecutorSettings::lockstep(&config.cancel)
     };
@@ -134,6 +149,7 @@ pub fn play_trials(
         errors: BenchErrors::new(campaign),
         paired: PairedTrials::new(campaign),
         lost: AtomicBool::new(false),
+        has_stated_reason: AtomicBool::new(false),
     };
     let trials = source.places();
     let count = player.trials_per_task();
@@ -177,6 +193,8 @@ struct TrialPlayer<'a> {
     paired: PairedTrials<'a>,
     /// Becomes true if a controller was lost and the rig caused it.
     lost: AtomicBool,
+    /// True after the message about the first trial that does not count, or whose controller ended.
+    has_stated_reason: AtomicBool,
 }
 
 impl TrialPlayer<'_> {
@@ -235,13 +253,19 @@ impl TrialPlayer<'_> {
     /// `None` if the trial was cancelled.
     fn play_trial(&self, executor: &mut Executor<'_>, trial: &DrawnTrial) -> Result<Option<TrialRow>, CampaignError> {
         let law = law(&trial.scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
-        let identity = *executor.session()?.identity();
-        if missing_capability(&trial.scenario, law, &identity).is_some() {
+        let missing = why_not_applicable(&trial.scenario, law, true, executor.session()?);
+        if missing.map_err(|fault| CampaignError::Files(vec![*fault]))?.is_some() {
             return Ok(Some(TrialRow::not_applicable(trial)));
         }
         let Some(played) = executor.play(&trial.scenario, law, 0, None)? else { return Ok(None) };
         let measures = measure(&trial.scenario, 0, &played.trace_rows, &played.telemetry);
         self.lost.fetch_or(measures.has_lost_controller(), Ordering::Relaxed);
+        let reason = measures.exclusion.as_ref().map(ToString::to_string).or_else(|| measures.ended.clone());
+        if let Some(reason) = reason
+            && !self.has_stated_reason.swap(true, Ordering::Relaxed)
+        {
+            error!(trial = trial.number, "{reason}");
+        }
         let mut row = TrialRow::new(trial, measures, final_distance(&played.trace_rows));
         // The errors of a replayed row are not read.
         let paired = match self.source {

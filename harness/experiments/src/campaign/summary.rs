@@ -429,7 +429,10 @@ fn counterexample_name(trial: u64) -> String {
 /// The caller adds rows in the order of their trials.
 #[derive(Debug, Default)]
 pub struct ChainOutcome {
-    scores: Vec<Vec<f64>>,
+    /// Values and scores of the trials of the present chain.
+    chain: Vec<(Vec<f64>, Vec<f64>)>,
+    /// First trial of a chain with other points than those of this version's method.
+    pub(crate) foreign_chain: Option<u64>,
     pub estimates: Vec<ChainEstimate>,
     pub without_estimate: u64,
     /// Number of trials of a search up to and including the first failing one.
@@ -445,7 +448,7 @@ impl ChainOutcome {
                 self.first_failure = Some(self.trials);
             }
             Method::Rare => {
-                self.scores.push(row.scores());
+                self.chain.push((row.draws.clone(), row.scores()));
                 let chain = campaign.chain_trials();
                 if (row.trial + 1).is_multiple_of(chain) || row.trial + 1 == campaign.trials {
                     self.end_chain(campaign, row.trial / chain * chain..row.trial + 1);
@@ -457,8 +460,17 @@ impl ChainOutcome {
 
     /// Computes the estimate of the chain again from its scores, without playing trials.
     fn end_chain(&mut self, campaign: &Campaign, trials: std::ops::Range<u64>) {
-        let mut scores = std::mem::take(&mut self.scores).into_iter();
-        match campaign.run_chain(&trials, &mut |_| scores.next()) {
+        let mut stored = std::mem::take(&mut self.chain).into_iter();
+        let mut is_foreign = false;
+        let estimate = campaign.run_chain(&trials, &mut |point| {
+            let (draws, scores) = stored.next()?;
+            is_foreign |= draws != campaign.rare_values(point);
+            (!is_foreign).then_some(scores)
+        });
+        if is_foreign {
+            self.foreign_chain.get_or_insert(trials.start);
+        }
+        match estimate {
             Some(estimate) => self.estimates.push(estimate),
             None => self.without_estimate += 1,
         }

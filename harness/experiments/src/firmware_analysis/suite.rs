@@ -3,7 +3,7 @@
 use crate::firmware_analysis::code_map::CodeMap;
 use crate::firmware_analysis::error::AnalysisError;
 use platebench_engine::plan::LinkFactory;
-use platebench_engine::{Executor, ExecutorSettings, SafeEnds, ScenarioEnd, TrialResult, law, missing_capability};
+use platebench_engine::{Executor, ExecutorSettings, SafeEnds, ScenarioEnd, TrialResult, law, why_not_applicable};
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{MAX_IMAGE_BYTES, Row, read_regular_file};
@@ -61,10 +61,11 @@ impl Suite {
         }
         let mut suite =
             Self { elf: rig.image().map(Path::to_owned), scenarios: Vec::new(), not_applicable: Vec::new() };
-        let session = Session::open(FaultInjector::new(suite.connect()?))?;
+        let mut session = Session::open(FaultInjector::new(suite.connect()?))?;
         for scenario in scenarios {
             let law = law(&scenario).map_err(|fault| AnalysisError::Scenario(Box::new(fault)))?;
-            match missing_capability(&scenario, law, session.identity()) {
+            let missing = why_not_applicable(&scenario, law, true, &mut session);
+            match missing.map_err(AnalysisError::Scenario)? {
                 None => suite.scenarios.push((scenario, law)),
                 Some(reason) => suite.not_applicable.push(format!("{}: {reason}", scenario.file)),
             }

@@ -2,6 +2,7 @@
 //! signature, and the verdicts with traces that it judges again. Without a signature, a changed
 //! file with a matching new manifest is found only if it contradicts the traces.
 
+use crate::acceptance::check_controller;
 use crate::acceptance::judge::judge_requirements;
 use crate::acceptance::plan;
 use crate::acceptance::seal::{
@@ -172,6 +173,10 @@ fn find_contradictions(folder: &Path, session: &SessionRecord) -> Vec<Finding> {
                     let message =
                         format!("step {} has verdict {stored}, but its traces give {}", step.id, again.verdict);
                     findings.push(contradiction(FILE, message));
+                }
+                let known = session.firmware.as_ref();
+                if let Some(error) = known.and_then(|known| check_controller(known, &again.rig).err()) {
+                    findings.push(contradiction(&file, error.to_string()));
                 }
                 let used = again.scenarios.iter().flat_map(|scenario| &scenario.inputs);
                 for input in used.filter(|input| session.inputs.iter().all(|known| known.sha256 != input.sha256)) {

@@ -85,7 +85,7 @@ pub fn merge_runs(folders: &[PathBuf], out: &RunFolder) -> Result<RunRecord, Mer
     }
     merge.differences = differences(&merge, &record.scenarios);
     record.merge = Some(merge);
-    record.journal = Some(journal.finished());
+    record.journal = Some(journal.finished().map_err(FolderError::from)?);
     record.update_verdict();
     record.write(out.path()).at(out.path()).map_err(FolderError::from)?;
     Ok(record)
@@ -150,13 +150,14 @@ fn are_different_boards(one: &Overrides, other: &Overrides) -> bool {
 
 /// Options that all shards of a run have in common.
 fn shared_options(overrides: &Overrides) -> String {
-    let Overrides { law, trials, seed, model, wire_time, .. } = overrides;
+    let Overrides { law, trials, seed, model, wire_time, long_scripts, .. } = overrides;
     let options = [
         law.as_ref().map(|law| format!("--law {law}")),
         trials.map(|trials| format!("--trials {trials}")),
         seed.map(|seed| format!("--seed {seed}")),
         model.as_ref().map(|model| format!("--model {model}")),
         wire_time.then(|| "--wire-time".to_owned()),
+        long_scripts.then(|| "--long-scripts".to_owned()),
     ];
     let options: Vec<_> = options.into_iter().flatten().collect();
     if options.is_empty() { "none".to_owned() } else { options.join(" ") }

@@ -32,6 +32,8 @@ pub struct RigReports {
     pub step_time_percent: Option<f64>,
     pub reference_difference_percent: Option<f64>,
     pub protocol_differences: Option<f64>,
+    /// True if a stall of the computer may have caused further differences.
+    pub has_undecided_scripts: bool,
 }
 
 #[derive(Debug, Clone, Copy)]

@@ -134,4 +134,8 @@ pub enum UndefinedValue {
     NotInLoop,
     #[error("a controller that drives a real plate does not report its instructions")]
     UncountedInstructions,
+    #[error(
+        "scripts with other answers contain an exchange of more than 80 ms each time, so the computer may have stalled"
+    )]
+    StalledScripts,
 }

@@ -1,5 +1,6 @@
 //! Takes the metrics that the rig reports about a whole trial.
 
+use super::input::RigReports;
 use super::measurement::{Measurement, UndefinedValue};
 use super::spec::{MetricSpec, Subject, Unit, WindowRule};
 
@@ -55,7 +56,12 @@ pub(super) const PROTOCOL_DIFFERENCES: MetricSpec = MetricSpec {
     name: "protocol_differences",
     definition: "message scripts that the controller answers differently from the reference; in lockstep only, as \
                  `reference_difference_percent`",
-    measure: |input| reported(input.reports.protocol_differences),
+    measure: |input| match input.reports {
+        RigReports { protocol_differences: Some(0.0), has_undecided_scripts: true, .. } => {
+            Err(UndefinedValue::StalledScripts)
+        }
+        reports => reported(reports.protocol_differences),
+    },
     ..REPORTED
 };
 

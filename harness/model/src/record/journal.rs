@@ -62,8 +62,10 @@ impl TrialJournal {
         JournalRecord { run: self.run.clone(), seal: None }
     }
 
-    pub fn finished(&self) -> JournalRecord {
-        JournalRecord { run: self.run.clone(), seal: Some(self.seal.clone()) }
+    /// Waits until the lines are on the disk, because the complete record refers to the last seal.
+    pub fn finished(&self) -> Result<JournalRecord, FileError> {
+        self.file.sync_all().at(&self.path)?;
+        Ok(JournalRecord { run: self.run.clone(), seal: Some(self.seal.clone()) })
     }
 
     /// Appends a trial of `scenario`, which has index `number` in the record.

@@ -135,10 +135,13 @@ struct RunOrder {
     started: String,
 }
 
-/// Returns the folder of the newest run below `runs`; of equal ones, the one with the last name. Skips
-/// records that cannot be read.
-pub fn newest_run(runs: &Path) -> Option<PathBuf> {
-    newest_in(runs).map(|(_, path)| path)
+/// Returns the folder of the newest run below `runs`; of equal ones, the one with the last name. Fails
+/// if a record cannot be read, because it may be that of the newest run.
+pub fn newest_run(runs: &Path) -> Result<Option<PathBuf>, RecordError> {
+    let has_record = |path: &PathBuf| [RECORD_FILE, JOURNAL_FILE].iter().any(|file| path.join(file).is_file());
+    let folders = fs::read_dir(runs).into_iter().flatten().filter_map(|entry| Some(entry.ok()?.path()));
+    let orders = folders.filter(has_record).map(|path| Ok((read_order(&path)?, path)));
+    Ok(orders.collect::<Result<Vec<_>, RecordError>>()?.into_iter().max().map(|(_, path)| path))
 }
 
 fn newest_in(runs: &Path) -> Option<(RunOrder, PathBuf)> {
@@ -463,7 +466,7 @@ mod tests {
             let record = format!("{{\"format\": {FORMAT}, \"started\": \"2026-01-01T00:00:00Z\"}}");
             fs::write(runs.path().join(name).join(RECORD_FILE), record).unwrap();
         }
-        assert_eq!(newest_run(runs.path()), Some(runs.path().join("c")));
+        assert_eq!(newest_run(runs.path()).unwrap(), Some(runs.path().join("c")));
     }
 
     #[test]

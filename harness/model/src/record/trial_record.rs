@@ -70,6 +70,10 @@ pub struct Telemetry {
     /// Message scripts that `--long-scripts` plays and that this trial did not play.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub scripts_not_played: Vec<String>,
+    /// Message scripts with other answers than the reference, each time after an exchange of more
+    /// than 80 ms. A stall of the computer may be the cause.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub scripts_not_decided: Vec<String>,
     /// The rig's message about the loss of the controller.
     #[serde(default)]
     pub ended: Option<String>,
@@ -126,6 +130,7 @@ impl Telemetry {
             step_time_percent: self.step_time.map(|step| step.longest_percent),
             reference_difference_percent: self.reference_difference_percent,
             protocol_differences: self.protocol_differences.as_ref().map(|all| all.len() as f64),
+            has_undecided_scripts: !self.scripts_not_decided.is_empty(),
         }
     }
 

@@ -421,6 +421,7 @@ pub(super) fn environment_section(record: &RunRecord) -> Markup {
         ("Clock", record.clock.to_string()),
         ("Host", format!("{}, {}", record.host.os, record.host.arch)),
         ("Overridden", format::overrides(record).unwrap_or_else(|| "nothing".to_owned())),
+        ("Not played", record_queries::scripts_not_played(record).unwrap_or_else(|| "nothing".to_owned())),
     ];
     let inputs = record.scenarios.iter().flat_map(|scenario| &scenario.inputs);
     let inputs: BTreeSet<(&str, &str)> = inputs.map(|input| (input.file.as_str(), input.sha256.as_str())).collect();

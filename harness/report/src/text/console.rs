@@ -183,11 +183,8 @@ fn write_time_limits(text: &mut String, record: &RunRecord, style: Style, in_ful
 
 /// A script that was not played is no pass, even if the verdict is.
 fn write_scripts_not_played(text: &mut String, record: &RunRecord, style: Style) {
-    let scripts = record_queries::scripts_not_played(record);
-    if !scripts.is_empty() {
-        let count = format::count(scripts.len(), "script");
-        let sentence = format!("{count} of the protocol check ({}); --long-scripts plays them", scripts.join(", "));
-        style.write_wrapped(text, "not played: ", "  ", &sentence);
+    if let Some(scripts) = record_queries::scripts_not_played(record) {
+        style.write_wrapped(text, "not played: ", "  ", &scripts);
     }
 }
 

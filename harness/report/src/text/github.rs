@@ -86,6 +86,9 @@ pub fn render_page(record: &RunRecord) -> String {
     let trials = format::count(record.scenarios.iter().map(|scenario| scenario.trials.len()).sum(), "trial");
     let started = markdown_cell(&record.started);
     let _ = writeln!(text, "{scenarios}, {trials}; expectations: {counts}. Started {started}.\n");
+    if let Some(scripts) = record_queries::scripts_not_played(record) {
+        let _ = writeln!(text, "Not played: {}.\n", markdown_cell(&scripts));
+    }
     if let Some(overrides) = format::overrides(record) {
         let _ = writeln!(text, "Overridden: {}.\n", markdown_cell(&overrides));
     }

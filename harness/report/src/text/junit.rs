@@ -100,6 +100,12 @@ fn test_suite(scenario: &ScenarioRecord, class: &str, record: &RunRecord) -> Tes
     suite.add_test_cases((0..count).filter_map(|index| test_case(scenario, class, index, share)));
     let skipped = scenario.not_applicable.iter();
     suite.add_test_cases(skipped.map(|skipped| skipped_case(&skipped.name, class, &skipped.reason)));
+    let scripts = scenario.trials.iter().flat_map(|trial| &trial.telemetry.scripts_not_played).map(String::as_str);
+    suite.add_test_cases(
+        format::distinct(scripts).into_iter().map(|script| {
+            skipped_case(&format!("script: {script}"), class, "not played; `run --long-scripts` plays it")
+        }),
+    );
     if let Some(OwnVerdict { verdict, reason }) = record_queries::own_verdict_of_scenario(scenario) {
         suite.add_test_case(case_of("the whole scenario", class, verdict, &reason));
     }

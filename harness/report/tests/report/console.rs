@@ -125,7 +125,7 @@ fn unplayed_scenarios_are_counted_instead_of_listed() {
 
 #[rstest]
 #[case::played(&[], None)]
-#[case::not_played(&["a", "b", "a"], Some("not played: 2 scripts of the protocol check (a, b); --long-scripts plays them\n"))]
+#[case::not_played(&["a", "b", "a"], Some("not played: 2 scripts of the protocol check (a, b); `run --long-scripts` plays them\n"))]
 fn scripts_that_were_not_played_are_named(#[case] scripts: &[&str], #[case] expected: Option<&str>) {
     let mut record = fixtures::mixed_run();
     let trial = record.scenarios.iter_mut().flat_map(|scenario| &mut scenario.trials).next().unwrap();

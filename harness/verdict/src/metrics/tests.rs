@@ -22,6 +22,7 @@ const EMPTY_TELEMETRY: Telemetry = Telemetry {
     protocol_differences: None,
     protocol_repeats: 0,
     scripts_not_played: Vec::new(),
+    scripts_not_decided: Vec::new(),
     ended: None,
     end_cause: None,
     ended_by_controller: false,
