@@ -18,7 +18,7 @@ const EXPECT: [&str; 8] = [
     "metric = \"drive_peak_vpp\", at_most = 900.0",
 ];
 
-fn play(folder: &Path, plate: &str, controller: &str, trials: u64) -> Vec<TrialRow> {
+fn play(folder: &Path, plate: &str, controller: &str, trials: u64, seed: u64) -> Vec<TrialRow> {
     std::fs::write(folder.join("plate.toml"), plate).unwrap();
     let expect = EXPECT.map(|expect| format!("{{ {expect} }},\n")).concat();
     let scenario = format!(
@@ -28,7 +28,7 @@ fn play(folder: &Path, plate: &str, controller: &str, trials: u64) -> Vec<TrialR
     std::fs::write(folder.join("s.toml"), scenario).unwrap();
     let text = format!(
         "title = \"a\"\nscenario = \"s.toml\"\n[vary]\n\"controller.loop_delay_ms\" = {{ each = [0.0] }}\n\
-         [plan]\nmethod = \"grid\"\ntrials = {trials}\nseed = 1\n"
+         [plan]\nmethod = \"grid\"\ntrials = {trials}\nseed = {seed}\n"
     );
     std::fs::write(folder.join("c.toml"), text).unwrap();
     let campaign = Campaign::load(&folder.join("c.toml")).unwrap_or_else(|faults| panic!("{}", faults[0]));
@@ -48,27 +48,41 @@ fn column(rows: &[TrialRow], index: usize, origin: usize) -> Vec<[f64; 2]> {
     rows.iter().map(|row| [row.values[index], row.errors[3 * index + origin]]).collect()
 }
 
+/// 1 nm is so little that few overshoots have another sign; 30 nm are 1.5 % of the setpoint.
 #[rstest]
-#[case::dq_pi("law = \"dq-pi\"")]
-#[case::dq_pi_at_a_short_period("law = \"dq-pi\"\nperiod_ms = 0.25")]
-#[case::deadbeat("law = \"deadbeat\"")]
-#[case::pll("law = \"pll\"")]
-#[case::open_loop("law = \"open-loop\"")]
-fn the_sensor_column_is_the_scatter_of_the_trials(#[case] controller: &str) {
+#[case::dq_pi("law = \"dq-pi\"", 0.01, 1)]
+#[case::little_noise("law = \"dq-pi\"", 0.001, 2)]
+#[case::much_noise("law = \"dq-pi\"", 0.03, 3)]
+#[case::a_short_period("law = \"dq-pi\"\nperiod_ms = 0.25", 0.01, 1)]
+#[case::a_long_period("law = \"dq-pi\"\nperiod_ms = 2.0\nresponse_time_ms = 8.0", 0.01, 4)]
+#[case::a_detuned_start("law = \"dq-pi\"\nstart_frequency_hz = 32220.9\nloop_delay_ms = 0.3", 0.01, 5)]
+#[case::jitter("law = \"dq-pi\"\nloop_delay_ms = 0.3\nloop_delay_jitter_ms = 0.1", 0.01, 6)]
+#[case::euler("law = \"dq-pi-euler\"", 0.01, 7)]
+#[case::fixed("law = \"dq-pi-fixed\"", 0.01, 8)]
+#[case::frequency_only("law = \"frequency-only\"", 0.01, 9)]
+#[case::bang_bang("law = \"bang-bang\"", 0.01, 10)]
+#[case::deadbeat("law = \"deadbeat\"", 0.01, 1)]
+#[case::deadbeat_at_a_short_period("law = \"deadbeat\"\nperiod_ms = 0.5", 0.01, 11)]
+#[case::pll("law = \"pll\"", 0.01, 1)]
+#[case::open_loop("law = \"open-loop\"", 0.01, 1)]
+fn the_sensor_column_is_the_scatter_of_the_trials(#[case] controller: &str, #[case] noise: f64, #[case] seed: u64) {
     let folder = tempfile::tempdir().unwrap();
-    let plate = PLATE.replace("noise_um_rms = 0.0", "noise_um_rms = 0.01");
-    let rows = play(folder.path(), &plate, controller, 1_000);
+    let plate = PLATE.replace("noise_um_rms = 0.0", &format!("noise_um_rms = {noise}"));
+    let rows = play(folder.path(), &plate, controller, 2_000, seed);
     for (index, expect) in EXPECT.iter().enumerate() {
         let column = column(&rows, index, 2);
         let known: Vec<f64> = column.iter().map(|[value, _]| *value).filter(|value| value.is_finite()).collect();
-        if known.len() < 950 {
+        if known.len() < 1_900 {
             continue;
         }
         let mean = known.iter().sum::<f64>() / known.len() as f64;
         let squares: f64 = known.iter().map(|value| (value - mean).powi(2)).sum();
         let scatter = (squares / (known.len() - 1) as f64).sqrt();
         let stated = column.iter().map(|[_, error]| *error).find(|error| error.is_finite()).unwrap();
-        println!("{controller}, {expect}: column {stated:.3e}, scatter {scatter:.3e}, ratio {:.2}", stated / scatter);
+        println!(
+            "{controller}, {noise}, {expect}: column {stated:.3e}, scatter {scatter:.3e}, ratio {:.2}",
+            stated / scatter
+        );
         if scatter < 1e-12 * mean.abs().max(1.0) {
             assert_eq!(stated, 0.0, "{expect}");
         } else {
@@ -77,17 +91,38 @@ fn the_sensor_column_is_the_scatter_of_the_trials(#[case] controller: &str) {
     }
 }
 
-#[test]
-fn the_quantisation_column_is_the_effect_of_the_converter() {
+/// The converter of the drive has steps of 0.88 Vpp, those of the sensor have 0.98 nm.
+#[rstest]
+fn the_quantisation_column_is_the_effect_of_the_converters(
+    #[values(
+        "law = \"dq-pi\"",
+        "law = \"dq-pi\"\nperiod_ms = 0.25",
+        "law = \"deadbeat\"",
+        "law = \"pll\"",
+        "law = \"open-loop\""
+    )]
+    controller: &str,
+    #[values(true, false)] of_drive: bool,
+) {
     let folder = tempfile::tempdir().unwrap();
-    let coarse =
-        PLATE.replace("limit_vpp = 900.0", "limit_vpp = 900.0\nconverter_bits = 10\nconverter_range_vpp = 900.0 #");
-    let exact = play(folder.path(), PLATE, "law = \"dq-pi\"", 1);
-    let rounded = play(folder.path(), &coarse, "law = \"dq-pi\"", 1);
+    let coarse = if of_drive {
+        PLATE.replace("limit_vpp = 900.0", "limit_vpp = 900.0\nconverter_bits = 10\nconverter_range_vpp = 900.0 #")
+    } else {
+        PLATE.replace("[sensor]", "[sensor]\nconverter_bits = 13\nconverter_range_um = 4.0")
+    };
+    let exact = play(folder.path(), PLATE, controller, 1, 1);
+    let rounded = play(folder.path(), &coarse, controller, 1, 1);
     for (index, expect) in EXPECT.iter().enumerate() {
         let ([exact, message_error], [value, stated]) = (column(&exact, index, 1)[0], column(&rounded, index, 1)[0]);
         let error = (value - exact).abs();
-        println!("{expect}: column {stated:.3e}, error {error:.3e}, messages {message_error:.3e}");
-        assert!(error <= stated && stated <= 3.0 * error.max(message_error), "{expect}: {error} {stated}");
+        println!(
+            "{controller}, {noise}, {expect}: column {stated:.3e}, error {error:.3e}, messages {message_error:.3e}"
+        );
+        if error.is_nan() {
+            continue;
+        }
+        // A settling time in its band has no rounding of messages.
+        let least = message_error.max(0.0);
+        assert!(error <= stated && stated <= 3.0 * error.max(least), "{expect}: {error} {stated}");
     }
 }

@@ -8,7 +8,7 @@
 use super::{Component, ComponentKind, Distribution, QuantityBudget, TypeA};
 use jiff::civil::Date;
 use platebench_model::scenario::{Expectation, Metric, Scenario};
-use platebench_plate::{Model, Profile, Time};
+use platebench_plate::{Profile, Time};
 use std::f64::consts::PI;
 
 /// Bounds of the propagation error: of constant modes relative to the setpoint, and of moving modes
@@ -17,10 +17,6 @@ const CONSTANT_PROPAGATION: f64 = 1e-10;
 const MOVING_PROPAGATION: f64 = 3e-7;
 /// Resolution of the search for the crossing of a band, ms.
 const CROSSING_MS: f64 = 1e-6;
-/// Largest measured part of the ripple between two rows: overshoot in percent of the step, other
-/// peaks in percent of the setpoint.
-const OVERSHOOT_RIPPLE_PERCENT: f64 = 0.20;
-const PEAK_RIPPLE_PERCENT: f64 = 0.12;
 /// Largest relative rounding error of an `f32`.
 const F32_ROUNDING: f64 = 1.0 / 16_777_216.0;
 /// Half of the resolution of a frequency in a command.
@@ -169,30 +165,6 @@ impl QuantityBudget {
     }
 }
 
-/// Bound on the part of a peak between two rows, in the unit of the metric. `None` if the metric is
-/// not a peak.
-pub fn peak_bound(scenario: &Scenario, expectation: &Expectation) -> Option<f64> {
-    let setpoint = smallest_setpoint(scenario, expectation).unwrap_or_default();
-    // Only the models with both poles have the ripple of the fast one.
-    let has_ripple = matches!(scenario.model, Model::Modal | Model::Carrier);
-    let ripple = |percent: f64| if has_ripple { percent } else { 0.0 };
-    let curvature = peak_between_rows_um(scenario);
-    match expectation.metric {
-        Metric::Overshoot => {
-            let step = smallest_step(scenario, expectation).unwrap_or(setpoint);
-            Some(ripple(OVERSHOOT_RIPPLE_PERCENT) + curvature / step * 100.0)
-        }
-        Metric::PeakDeviation if setpoint > 0.0 => Some(ripple(PEAK_RIPPLE_PERCENT) + curvature / setpoint * 100.0),
-        // Both extremes may lie between rows.
-        Metric::RipplePercent if setpoint > 0.0 => {
-            Some(2.0 * (ripple(PEAK_RIPPLE_PERCENT) + curvature / setpoint * 100.0))
-        }
-        Metric::Ripple => Some(2.0 * (ripple(PEAK_RIPPLE_PERCENT) / 100.0 * setpoint + curvature)),
-        _ => None,
-    }
-    .filter(|bound| bound.is_finite())
-}
-
 /// True if the temperature or the force moves the modes between two points of its profile.
 fn has_moving_modes(scenario: &Scenario) -> bool {
     let moves = |profile: &Profile| {
@@ -267,18 +239,6 @@ fn smallest_step(scenario: &Scenario, expectation: &Expectation) -> Option<f64> 
 
 const fn just_before(time: Time) -> Time {
     Time::from_nanos(time.as_nanos().saturating_sub(1))
-}
-
-/// Largest part of a peak between two rows that are h apart: h²/8 · |W''|. Within a period
-/// W' = σ (K1 V − W), so |W''| is at most σ² K1 V for the largest drive V.
-fn peak_between_rows_um(scenario: &Scenario) -> f64 {
-    let plate = &scenario.plate;
-    let (low, high) = scenario.conditions.finger_force_n.range();
-    let bends = plate.damping_ratio.iter().map(|point| point[0]).filter(|force| (low..=high).contains(force));
-    let damping = bends.chain([low, high]).map(|force| plate.damping_ratio_at(force)).fold(1.0, f64::max);
-    let step = scenario.trace_step.min(scenario.controller.period).seconds();
-    // A finger changes σ and not the force of the drive, so K1 σ is that of the untouched plate.
-    (step * plate.sigma0).powi(2) / 8.0 * damping * plate.gain * plate.drive_limit_vpp
 }
 
 #[cfg(test)]
@@ -364,19 +324,6 @@ mod tests {
         let parts = ErrorOrigin::ALL.map(|origin| budget.standard_of(origin, 1.0, Some(observed)).unwrap());
         let squares: f64 = parts.iter().map(|part| part.powi(2)).sum();
         assert!((combined.standard - squares.sqrt()).abs() < 1e-12, "{combined:?} {parts:?}");
-    }
-
-    // 0.2 % of the step, and (0.05/1.88)²/8 of 6.282 µm, relative to the step.
-    #[rstest]
-    #[case("2.0", OVERSHOOT, Some(0.2 + 0.027_77))]
-    #[case("{ hold = [[0.0, 0.0], [1.0, 1.5], [30.0, 2.0]] }", "metric = \"overshoot_percent\", at_most = 5.0, from_ms = 30.0", Some(0.2 + 0.027_77 * 4.0))]
-    #[case("2.0", STATIC, None)]
-    fn a_peak_has_a_bound_between_rows(#[case] setpoint: &str, #[case] expect: &str, #[case] expected: Option<f64>) {
-        let scenario = scenario(setpoint, SILENT, expect);
-        let found = peak_bound(&scenario, &scenario.expectations[0]);
-        assert_eq!(found.is_some(), expected.is_some());
-        let apart = found.zip(expected).map_or(0.0, |(found, expected)| (found / expected - 1.0).abs());
-        assert!(apart < 2e-3, "{found:?}");
     }
 
     #[test]
