@@ -128,13 +128,13 @@ fn random_plates_keep_the_bound_of_each_effect(
 /// The response of the amplifier is a difference of two large terms if its pole is that of the plate.
 #[test]
 fn a_bandwidth_near_that_of_the_plate_keeps_its_bound() {
-    let mut worst = 0.0_f64;
     for share in [0.0, 1e-12, 1e-9, 1e-8, 3e-8, 1e-7, 1e-6, 1e-4] {
         let plate = paper_plate();
         let amplifier = Amplifier { pole: Some(plate.sigma0 * (1.0 + share)), ..Amplifier::default() };
         let plate = Plate { effects: Effects { amplifier, ..Effects::default() }, ..plate };
         let mut plant = Plant::new(plate.clone(), conditions(0.0, 0.0), Model::Modal);
         let mut reference = EffectsReference::at_rest(&plate, &conditions(0.0, 0.0));
+        let mut worst = 0.0_f64;
         let damped = (plate.omega0.powi(2) - plate.sigma0.powi(2)).sqrt();
         for number in 1..=4 {
             let vpp = if number % 2 == 0 { 0.0 } else { LIMIT_VPP };
@@ -145,8 +145,8 @@ fn a_bandwidth_near_that_of_the_plate_keeps_its_bound() {
             worst = worst.max(error / (plate.gain * LIMIT_VPP));
         }
         println!("bandwidth of the plate times 1 + {share:e}: {worst:.1e}");
+        assert!(worst <= 3e-8, "{worst:e}");
     }
-    assert!(worst <= 1e-8, "{worst:e}");
 }
 
 /// Warming by up to the largest rate that the plate file accepts.
@@ -171,7 +171,7 @@ fn random_self_heating_keeps_its_bound(#[values(false, true)] moving: bool) {
 #[test]
 fn fast_ramps_of_random_plates_keep_the_bound_of_frozen_modes() {
     let (mut random, mut worst) = (Random::new(9), 0.0_f64);
-    for number in 0..60 {
+    for number in 0..1500 {
         let omega0 = TAU * power(&mut random, 4.0, 5.176);
         let sigma0 = omega0 / 2.0 / power(&mut random, 0.7, 2.48);
         let ratio = random.in_range(1.2, 3.0);
@@ -210,5 +210,5 @@ fn fast_ramps_of_random_plates_keep_the_bound_of_frozen_modes() {
         worst = worst.max(error);
     }
     println!("random plates, fast ramps: {worst:.1e}");
-    assert!(worst <= 5e-7, "{worst:e}");
+    assert!(worst <= 3e-7, "{worst:e}");
 }

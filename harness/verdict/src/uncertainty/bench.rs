@@ -9,12 +9,18 @@ use super::{Component, ComponentKind, Distribution, QuantityBudget, TypeA};
 use jiff::civil::Date;
 use platebench_model::scenario::{Expectation, Metric, Scenario};
 use platebench_plate::{Profile, Time};
-use std::f64::consts::PI;
+use std::f64::consts::{E, PI};
 
 /// Bounds of the propagation error: of constant modes relative to the setpoint, and of moving modes
 /// relative to the largest amplitude.
 const CONSTANT_PROPAGATION: f64 = 1e-10;
 const MOVING_PROPAGATION: f64 = 3e-7;
+/// Error relative to the largest amplitude if the pole of the amplifier has the relative distance 1
+/// from the damping, and the smallest distance.
+const POLE_DIFFERENCE: f64 = 3e-16;
+const MIN_POLE_DISTANCE: f64 = 1e-8;
+/// Rounding of the end of a ramp of the amplifier, s.
+const RAMP_END_S: f64 = 1e-9;
 /// Resolution of the search for the crossing of a band, ms.
 const CROSSING_MS: f64 = 1e-6;
 /// Largest relative rounding error of an `f32`.
@@ -98,11 +104,7 @@ impl QuantityBudget {
                 }
             }
         };
-        let propagation = if has_moving_modes(scenario) {
-            MOVING_PROPAGATION * plate.gain * plate.drive_limit_vpp
-        } else {
-            CONSTANT_PROPAGATION * setpoint
-        };
+        let propagation = propagation_um(scenario, setpoint);
         add(ComponentKind::Bench, Rectangular, propagation, "docs/mathematics.md, propagation");
         add(ComponentKind::Converter, Rectangular, F32_ROUNDING * setpoint, "docs/wire-protocol.md, f32 of a sample");
         if let Some(lockin) = &plate.lockin {
@@ -163,6 +165,27 @@ impl QuantityBudget {
             instrument: None,
         });
     }
+}
+
+/// Bound on the error of the propagation, µm (`docs/mathematics.md`, bounds of each effect).
+fn propagation_um(scenario: &Scenario, setpoint: f64) -> f64 {
+    let plate = &scenario.plate;
+    let largest = plate.gain * plate.drive_limit_vpp;
+    let modes = if has_moving_modes(scenario) {
+        (MOVING_PROPAGATION + plate.warming_share() / (4.0 * E)) * largest
+    } else {
+        CONSTANT_PROPAGATION * setpoint
+    };
+    let amplifier = &plate.effects.amplifier;
+    let force = scenario.conditions.finger_force_n.at(Time::ZERO);
+    let sigma = plate.sigma0 * plate.damping_ratio_at(force);
+    let of_pole =
+        amplifier.pole.map_or(0.0, |pole| POLE_DIFFERENCE / (pole / sigma - 1.0).abs().max(MIN_POLE_DISTANCE));
+    let of_slew_rate = amplifier.slew_rate.map_or(0.0, |rate| {
+        let unsettled = plate.sigma0 * (rate / plate.drive_limit_vpp * RAMP_END_S).min(1.0) * RAMP_END_S / 2.0;
+        unsettled / -(-sigma * scenario.controller.period.seconds()).exp_m1()
+    });
+    modes + (of_pole + of_slew_rate) * largest
 }
 
 /// True if the temperature or the force moves the modes between two points of its profile.
@@ -324,6 +347,29 @@ mod tests {
         let parts = ErrorOrigin::ALL.map(|origin| budget.standard_of(origin, 1.0, Some(observed)).unwrap());
         let squares: f64 = parts.iter().map(|part| part.powi(2)).sum();
         assert!((combined.standard - squares.sqrt()).abs() < 1e-12, "{combined:?} {parts:?}");
+    }
+
+    // Relative to 6.282 µm; 0.577350 in percent of 2 µm is 28.8675 per µm.
+    #[rstest]
+    #[case::no_effect("", 1e-10 * 2.0)]
+    #[case::other_bandwidth("bandwidth_hz = 5e3", 1e-10 * 2.0)]
+    // 1/(2π · 1.88 ms).
+    #[case::bandwidth_of_the_plate("bandwidth_hz = 84.657106", 2e-10 + 3e-8 * 6.282)]
+    // σ0 · 1e12/900 Vpp · (1 ns)²/2 of 6.282 µm, for periods of 1 ms: 1 − e^(−1/1.88) = 0.41248.
+    #[case::slew_rate("slew_rate_vpp_per_ms = 9e7", 2e-10 + 531.915 * 1e8 * 5e-19 / 0.412_48 * 6.282)]
+    #[case::slew_rate_above_the_resolution("slew_rate_vpp_per_ms = 9e20", 2e-10 + 531.915 * 5e-10 / 0.412_48 * 6.282)]
+    // 9.638 Hz/K · 2π · 4 K/µm² · (6.282 µm)² / 0.03 s / (202 995/s)².
+    #[case::heating("\n[heating]\nrise_k_per_um2 = 4.0\ntime_constant_s = 0.03\n", (3e-7 + 7.7328e-6 / 10.873_13) * 6.282)]
+    fn the_propagation_has_the_bound_of_its_effects(#[case] keys: &str, #[case] um: f64) {
+        let plate = PLATE.replace("limit_vpp = 900.0", &format!("limit_vpp = 900.0\n{keys} #"));
+        let text = format!(
+            "title = \"a\"\nplate = \"plate.toml\"\nduration_ms = 60.0\nexpect = [{{ {STATIC} }}]\n\
+             [profile]\nsetpoint_um = {{ hold = [[0.0, 0.0], [1.0, 2.0]] }}\n"
+        );
+        let scenario = parse_scenario(&text, &plate);
+        let budget = QuantityBudget::of_bench(&scenario, &scenario.expectations[0]);
+        let error = budget.standard_of(ErrorOrigin::Numerical, 1.0, None).unwrap();
+        assert!((error / (um * 28.8675) - 1.0).abs() < 2e-3, "{} µm, expected {um}", error / 28.8675);
     }
 
     #[test]
