@@ -161,3 +161,28 @@ fn without_converters(plate: &Plate) -> Plate {
         ..plate.clone()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::is_precise;
+
+    #[test]
+    fn a_long_tail_needs_more_differences() {
+        // The kurtosis of a normal value is 3, which needs 0.5/0.115² = 37.8 differences.
+        let differences = |count: usize| -> Vec<f64> {
+            let normal = [0.0, 0.0, 0.0, 0.0, 3.0_f64.sqrt(), -(3.0_f64.sqrt())];
+            (0..count).map(|number| normal[number % 6]).collect()
+        };
+        assert!(!is_precise(&differences(36)));
+        assert!(is_precise(&differences(42)));
+        let mut with_a_tail = differences(126);
+        with_a_tail[0] = 20.0;
+        assert!(!is_precise(&with_a_tail));
+    }
+
+    #[test]
+    fn equal_or_missing_differences_need_no_more() {
+        assert!(is_precise(&[0.0; 32]));
+        assert!(is_precise(&[f64::NAN; 32]));
+    }
+}
