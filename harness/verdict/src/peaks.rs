@@ -4,10 +4,11 @@
 //! `S' = (s₊ − jω) S + g` and `F' = (s₋ − jω) F − g` with `g = (N/m) V/2ω_d`
 //! (`docs/mathematics.md`, exact propagation). F follows from the drives of the rows alone, and S is
 //! the W of a row minus F. So the closed form between two rows needs no state that a trace lacks.
-//! A plate with optional effects or with the model `linear` has more states; it is simulated again
-//! with the commands of the rows.
+//! A plate with optional effects or with the model `linear` has more states, and moving modes have no
+//! such form: these plates are simulated again with the commands of the rows.
 
 use crate::metrics::measure;
+use crate::uncertainty::has_moving_modes;
 use platebench_model::record::Telemetry;
 use platebench_model::scenario::{Expectation, Metric, Scenario, Variation};
 use platebench_model::trace::Row;
@@ -64,7 +65,7 @@ pub fn rows_with_extremes(
     };
     let ranges = setpoint_ranges(rows, signal, is_in_window);
     let variation = Variation::of_trial(scenario, index);
-    if scenario.model == Model::Linear || scenario.plate.first_effect().is_some() {
+    if scenario.model == Model::Linear || scenario.plate.first_effect().is_some() || has_moving_modes(scenario) {
         let mut plant = variation.plant(&without_sensor(scenario));
         let start_hz = (scenario.controller.start_frequency_hz * 1e3).round() / 1e3;
         plant.set_drive(Drive { vpp: 0.0, omega: TAU * start_hz });

@@ -189,7 +189,7 @@ fn propagation_um(scenario: &Scenario, setpoint: f64) -> f64 {
 }
 
 /// True if the temperature or the force moves the modes between two points of its profile.
-fn has_moving_modes(scenario: &Scenario) -> bool {
+pub(crate) fn has_moving_modes(scenario: &Scenario) -> bool {
     let moves = |profile: &Profile| {
         let mut time = Time::ZERO;
         loop {
