@@ -115,7 +115,9 @@ fn simulated_extremes(
 ) -> Vec<Row> {
     let mut extended = Vec::with_capacity(rows.len() + 8);
     let mut ranges = Ranges::new(ranges);
-    let resonance = plant.plate().effects.second_mode.map_or(0.0, |second| second.omega0).max(plant.plate().omega0);
+    let first = plant.plate().omega0;
+    let second = plant.plate().effects.second_mode.map_or(first, |second| second.omega0);
+    let (slowest, fastest) = (first.min(second), first.max(second));
     let time_of = |row: &Row| Time::from_seconds(row.t_s).unwrap_or_default();
     let mut speed = 0.0_f64;
     for (number, row) in rows.iter().enumerate() {
@@ -130,18 +132,19 @@ fn simulated_extremes(
         let [w, next_w] = [row, next].map(|row| Complex64::new(row.wd_um, row.wq_um));
         let seconds = next.t_s - row.t_s;
         let state = plant.state();
-        let momentary = if model.has_both_poles() { state.u - Complex64::I * drive.omega * state.w } else { w - w };
+        let momentary =
+            if model.has_both_poles() { state.u - Complex64::I * drive.omega * state.w } else { Complex64::ZERO };
         speed = (SPEED_MEMORY * speed).max(momentary.norm()).max((next_w - w).norm() / seconds);
         let Some(range) = ranges.at(number) else { continue };
-        // Half the distance of the slow part between the rows, and the ripple 2|B| with |W'| = 2ω|B|.
-        let bound = speed * (seconds / 2.0 + 1.0 / resonance);
+        // Half the distance of the slow part between the rows, and the ripple 2|B| with |W'| = (ω + ω0)|B|.
+        let bound = speed * (seconds / 2.0 + 2.0 / (drive.omega + slowest));
         let ends = [w, next_w].map(|w| value_of(signal, w));
         let mut found = Vec::new();
         for (sign, limit) in [(1.0, range.highest), (-1.0, -range.lowest)] {
             if (sign * ends[0]).max(sign * ends[1]) + bound <= limit {
                 continue;
             }
-            let step = PI / (resonance * POINTS_PER_PERIOD);
+            let step = PI / (fastest * POINTS_PER_PERIOD);
             let (at, coarse) = largest_of(&plant, signal, sign, [start, end], step);
             let span = Time::from_seconds(step).unwrap_or_default();
             let around = [start.max(at - span.min(at)), end.min(at + span)];
