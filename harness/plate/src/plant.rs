@@ -29,7 +29,7 @@ use std::f64::consts::PI;
 /// commutator.
 const VARYING_ERROR: f64 = 1e-7;
 /// Shortest substep, s. A profile that would need a shorter one changes only for microseconds.
-const MIN_SUBSTEP: f64 = 1e-7;
+const MIN_SUBSTEP: f64 = 1e-8;
 /// Largest rate of a pole for `varying.rs`, as a fraction of Ω³/ω0 (Ω: frequency of the free
 /// oscillation). The equations there require a slow change; a faster mode is frozen per substep.
 /// For the paper's plate the limit is about 1e6 rad/s², which is 1 N in 0.35 ms.
@@ -273,7 +273,7 @@ impl Plant {
         for end in split_interval(self.time, end, longest) {
             // A parabola needs three different instants; less than 3 ns do not contain them.
             if is_fast || (end - self.time).as_nanos() < 3 {
-                let mode = self.mode_at(self.time.midpoint(end));
+                let mode = self.plate.mode(&self.conditions_in(self.time, end));
                 self.advance_frozen(&mode, end, bands);
             } else {
                 self.advance_varying(end, max_frozen_substep(rate), bands);
@@ -412,7 +412,8 @@ impl Plant {
         let is_varying = rate > 0.0 && !is_fast && (end - start).as_nanos() >= 3;
         let frozen_with = |plant: &Self, effects: &ActiveEffects| {
             let [_, rise_k, _] = effects.temperature_rise_k();
-            FrozenMotion::new(plant.modes_at(middle, rise_k), omega, &forcing, effects.states)
+            let modes = plant.modes_with(plant.conditions_in(start, end), rise_k);
+            FrozenMotion::new(modes, omega, &forcing, effects.states)
         };
         let mut frozen = frozen_with(self, &effects);
         if is_warming {
@@ -524,8 +525,26 @@ impl Plant {
         self.demodulator = Some(demodulator);
     }
 
+    /// Conditions in the middle of `start` to `end`, without its rounding to 1 ns: a substep of a fast
+    /// change takes some 100 ns, and half a nanosecond in each would add up.
+    fn conditions_in(&self, start: Time, end: Time) -> Conditions {
+        let (middle, nanos) = (start.midpoint(end), (end - start).as_nanos());
+        let before = self.scene.at(middle);
+        if nanos % 2 == 0 || nanos == 1 {
+            return before;
+        }
+        let after = self.scene.at(middle + Time::from_nanos(1));
+        Conditions {
+            temperature_offset_k: f64::midpoint(before.temperature_offset_k, after.temperature_offset_k),
+            finger_force_n: f64::midpoint(before.finger_force_n, after.finger_force_n),
+        }
+    }
+
     fn modes_at(&self, time: Time, temperature_rise_k: f64) -> PerMode<Mode> {
-        let mut conditions = self.scene.at(time);
+        self.modes_with(self.scene.at(time), temperature_rise_k)
+    }
+
+    fn modes_with(&self, mut conditions: Conditions, temperature_rise_k: f64) -> PerMode<Mode> {
         conditions.temperature_offset_k += temperature_rise_k;
         PerMode { first: self.plate.mode(&conditions), second: self.plate.second_mode(&conditions) }
     }

@@ -2,10 +2,14 @@
 
 use crate::demodulator::Lockin;
 use crate::effect::{Effect, PlateError, check, finite, positive, resonance};
-use crate::effects::{ConverterResolution, Effects, RawPlate, Uncertainty};
+use crate::effects::{ConverterResolution, Effects, Heating, RawPlate, Uncertainty};
 use crate::flow::Model;
 use crate::mode::{Conditions, Mode};
 use std::f64::consts::TAU;
+
+/// Largest [`Plate::warming_share`], for which the error of self-heating is known
+/// (`docs/mathematics.md`, optional effects).
+const MAX_WARMING_SHARE: f64 = 1.0 / (TAU * 12_500.0);
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plate {
@@ -47,6 +51,16 @@ impl RawPlate {
     }
 
     pub fn check(self) -> Result<Plate, PlateError> {
+        let rise = self.heating.as_ref().map_or(0.0, |heating| heating.rise_k_per_um2);
+        let plate = self.check_numbers()?;
+        let share = plate.warming_share();
+        let expected = "a rise with |mode.resonance_slope_hz_per_k| · rise_k_per_um2 · (largest amplitude)² / \
+                        time_constant_s of at most resonance_hz² / 12 500";
+        check(share <= MAX_WARMING_SHARE, "heating.rise_k_per_um2", &rise, expected)?;
+        Ok(plate)
+    }
+
+    fn check_numbers(self) -> Result<Plate, PlateError> {
         let resonance_hz = self.mode.resonance_hz;
         let keys = ["mode.resonance_hz", "mode.time_constant_ms"];
         let (omega0, sigma0) = resonance(keys, resonance_hz, self.mode.time_constant_ms)?;
@@ -134,12 +148,26 @@ impl Plate {
         self.sigma0 * bends.chain([low, high]).map(|force| self.damping_ratio_at(force)).fold(0.0_f64, f64::max)
     }
 
-    /// Upper bound on |W| after `seconds`, if it is `amplitude` µm now. Per mode the amplitude rises
-    /// by at most b V t = K1 σ0 V t.
+    /// Upper bound on |W| after `seconds`, if it is `amplitude` µm now.
     pub(crate) fn max_amplitude(&self, amplitude: f64, seconds: f64) -> f64 {
-        let second = self.effects.second_mode.map_or(0.0, |second| second.gain.abs());
-        let rise = (self.gain + second) * (self.drive_limit_vpp + self.effects.amplifier.offset_vpp.abs());
-        amplitude + rise.min(rise * self.sigma0 * seconds)
+        amplitude + self.max_rise(seconds)
+    }
+
+    /// Upper bound on the rise of |W| in `seconds`. Per mode |W| rises by at most b V t = K1 σ0 V t,
+    /// and to at most K1 V σ0/σ.
+    fn max_rise(&self, seconds: f64) -> f64 {
+        let least = self.damping_ratio.iter().map(|point| point[1]).fold(1.0, f64::min);
+        let second = self.effects.second_mode.map_or((0.0, 0.0), |second| (second.gain.abs(), second.sigma0));
+        let per_vpp = [(self.gain, self.sigma0), second].map(|(gain, sigma)| gain * (sigma * seconds).min(1.0 / least));
+        per_vpp.iter().sum::<f64>() * (self.drive_limit_vpp + self.effects.amplifier.offset_vpp.abs())
+    }
+
+    /// Largest rate in rad/s² at which the vibration warms ω0, relative to ω0². 0 without `[heating]`.
+    pub fn warming_share(&self) -> f64 {
+        self.effects.heating.map_or(0.0, |Heating { rise_k_per_um2, rate }| {
+            let warming = rate * rise_k_per_um2 * self.max_rise(f64::MAX).powi(2);
+            self.omega0_per_k.abs() * warming / self.omega0.powi(2)
+        })
     }
 
     /// Factor by which σ or ω0 of any mode changes at most, relative to the first mode.
@@ -253,6 +281,10 @@ mod tests {
     )]
     #[case("[heating]\nrise_k_per_um2 = -0.1\ntime_constant_s = 1.0", "heating.rise_k_per_um2")]
     #[case("[heating]\nrise_k_per_um2 = 0.1\ntime_constant_s = 0.009", "heating.time_constant_s")]
+    // 9.638 Hz/K · rise · (6.282 µm)² / 0.03 s is at most (32307.6 Hz)² / 12 500 up to 6.5862 K/µm².
+    #[case("[heating]\nrise_k_per_um2 = 6.59\ntime_constant_s = 0.03", "heating.rise_k_per_um2")]
+    #[case("[heating]\nrise_k_per_um2 = 1e300\ntime_constant_s = 0.03", "heating.rise_k_per_um2")]
+    #[case("offset_vpp = -90.0\n[heating]\nrise_k_per_um2 = 6.58\ntime_constant_s = 0.03", "heating.rise_k_per_um2")]
     #[case(
         "[second_mode]\nresonance_hz = 0.0\ntime_constant_ms = 1.0\ngain_um_per_vpp = 1.0",
         "second_mode.resonance_hz"
@@ -269,6 +301,14 @@ mod tests {
         let text = PAPER.replacen("[sensor]\nnoise_um_rms = 0.0", "", 1);
         let text = text.replacen("limit_vpp = 900.0", &format!("limit_vpp = 900.0\n{keys} #"), 1);
         assert_eq!(read(&text).unwrap_err().key, key);
+    }
+
+    #[test]
+    fn accepts_the_strongest_self_heating() {
+        let heating = "limit_vpp = 900.0\n[heating]\nrise_k_per_um2 = 6.58\ntime_constant_s = 0.03\n#";
+        let plate =
+            read(&PAPER.replacen("[sensor]\nnoise_um_rms = 0.0", "", 1).replacen("limit_vpp = 900.0", heating, 1));
+        assert!((plate.unwrap().warming_share() / MAX_WARMING_SHARE - 1.0).abs() < 2e-3);
     }
 
     #[test]

@@ -4,12 +4,15 @@
 //! `S' = (s₊ − jω) S + g` and `F' = (s₋ − jω) F − g` with `g = (N/m) V/2ω_d`
 //! (`docs/mathematics.md`, exact propagation). F follows from the drives of the rows alone, and S is
 //! the W of a row minus F. So the closed form between two rows needs no state that a trace lacks.
+//! A plate with optional effects or with the model `linear` has more states, and moving modes have no
+//! such form: these plates are simulated again with the commands of the rows.
 
 use crate::metrics::measure;
+use crate::uncertainty::has_moving_modes;
 use platebench_model::record::Telemetry;
-use platebench_model::scenario::{Expectation, Scenario, Variation};
+use platebench_model::scenario::{Expectation, Metric, Scenario, Variation};
 use platebench_model::trace::Row;
-use platebench_plate::{BandSignal, Complex64, Conditions, Mode, Model, State};
+use platebench_plate::{BandSignal, Complex64, Conditions, Drive, Mode, Model, Plant, Plate, State, Time};
 use std::f64::consts::{PI, TAU};
 
 /// Number of points per period of the ripple at which an extreme is searched.
@@ -19,9 +22,13 @@ const ROUNDING_UM: f64 = 1e-12;
 const GOLDEN_STEPS: u32 = 30;
 const GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
 
+/// Share of the largest |W'| of earlier rows that bounds the next one. The slow oscillation of a
+/// second mode may have W' = 0 at a row.
+const SPEED_MEMORY: f64 = 0.8;
+
 /// Difference between the value of an expectation and its value with the extremes between the rows
-/// of the trace, in its unit. `None` if the motion has no closed form between two rows, or if the
-/// trial has no value.
+/// of the trace, in its unit. `None` if the metric is not an extreme of the motion, or if the trial
+/// has no value.
 pub fn missed_between_rows(
     scenario: &Scenario,
     index: u32,
@@ -29,13 +36,17 @@ pub fn missed_between_rows(
     rows: &[Row],
     telemetry: &Telemetry,
 ) -> Option<f64> {
+    use Metric::{Overshoot, PeakDeviation, Ripple, RipplePercent};
+    if !matches!(expectation.metric, Overshoot | PeakDeviation | Ripple | RipplePercent) {
+        return None;
+    }
     let exact = rows_with_extremes(scenario, index, expectation, rows)?;
     let value = |rows: &[Row]| measure(expectation, rows, telemetry).value();
     Some((value(&exact)? - value(rows)?).abs())
 }
 
 /// The rows, and a row at each extreme of the signal that exceeds the rows with the same setpoint.
-/// `None` for a plate with optional effects, for the model `linear`, and for a sensed signal.
+/// `None` for a sensed signal, which has no values between the control instants.
 pub fn rows_with_extremes(
     scenario: &Scenario,
     index: u32,
@@ -49,19 +60,23 @@ pub fn rows_with_extremes(
         "amplitude_um" => BandSignal::Amplitude,
         _ => return None,
     };
-    if scenario.model == Model::Linear || scenario.plate.first_effect().is_some() {
-        return None;
-    }
-    let plate = Variation::of_trial(scenario, index).plate(&scenario.plate);
     let is_in_window = |row: &Row| {
         expectation.windows.iter().any(|window| window.from.seconds() <= row.t_s && row.t_s < window.to.seconds())
     };
+    let ranges = setpoint_ranges(rows, signal, is_in_window);
+    let variation = Variation::of_trial(scenario, index);
+    if scenario.model == Model::Linear || scenario.plate.first_effect().is_some() || has_moving_modes(scenario) {
+        let mut plant = variation.plant(&without_sensor(scenario));
+        let start_hz = (scenario.controller.start_frequency_hz * 1e3).round() / 1e3;
+        plant.set_drive(Drive { vpp: 0.0, omega: TAU * start_hz });
+        return Some(simulated_extremes(plant, scenario.model, signal, rows, ranges));
+    }
+    let plate = variation.plate(&scenario.plate);
     let mut extended = Vec::with_capacity(rows.len() + 8);
     let mut conditions = Conditions::default();
     let mut poles = Poles::new(scenario.model, &plate.mode(&conditions));
     let (mut fast, mut last) = (Complex64::ZERO, LastStep::default());
-    let mut ranges = setpoint_ranges(rows, signal, is_in_window);
-    let mut range = ranges.next();
+    let mut ranges = Ranges::new(ranges);
     for (number, row) in rows.iter().enumerate() {
         extended.push(*row);
         let Some(next) = rows.get(number + 1) else { break };
@@ -75,15 +90,95 @@ pub fn rows_with_extremes(
         }
         let motion = Motion::new(&poles, TAU * row.frequency_hz, row.drive_vpp, w, fast);
         let seconds = next.t_s - row.t_s;
-        while range.as_ref().is_some_and(|range| range.last <= number) {
-            range = ranges.next();
-        }
-        if let Some(range) = range.as_ref().filter(|range| range.first <= number) {
-            motion.push_extremes(row, signal, seconds, range, &mut extended);
+        if let Some(range) = ranges.at(number) {
+            motion.push_extremes(row, signal, seconds, &range, &mut extended);
         }
         fast = last.fast_after(&motion, seconds);
     }
     Some(extended)
+}
+
+/// The scenario for a plate without the demodulator, which does not act on the motion.
+fn without_sensor(scenario: &Scenario) -> Scenario {
+    let model = if scenario.model == Model::Carrier { Model::Modal } else { scenario.model };
+    let plate = Plate { lockin: None, ..scenario.plate.clone() };
+    Scenario { model, plate, other_trials: None, ..scenario.clone() }
+}
+
+/// Simulates `plant` with the commands of `rows` and searches the extremes between the rows.
+fn simulated_extremes(
+    mut plant: Plant,
+    model: Model,
+    signal: BandSignal,
+    rows: &[Row],
+    ranges: impl Iterator<Item = SetpointRange>,
+) -> Vec<Row> {
+    let mut extended = Vec::with_capacity(rows.len() + 8);
+    let mut ranges = Ranges::new(ranges);
+    let first = plant.plate().omega0;
+    let second = plant.plate().effects.second_mode.map_or(first, |second| second.omega0);
+    let (slowest, fastest) = (first.min(second), first.max(second));
+    let time_of = |row: &Row| Time::from_seconds(row.t_s).unwrap_or_default();
+    let mut speed = 0.0_f64;
+    for (number, row) in rows.iter().enumerate() {
+        extended.push(*row);
+        let Some(next) = rows.get(number + 1) else { break };
+        let (start, end) = (time_of(row), time_of(next));
+        plant.advance(start, &[], &mut Vec::new());
+        let drive = Drive { vpp: row.drive_vpp, omega: TAU * row.frequency_hz };
+        if drive != plant.drive() {
+            plant.set_drive(drive);
+        }
+        let [w, next_w] = [row, next].map(|row| Complex64::new(row.wd_um, row.wq_um));
+        let seconds = next.t_s - row.t_s;
+        let state = plant.state();
+        let momentary =
+            if model.has_both_poles() { state.u - Complex64::I * drive.omega * state.w } else { Complex64::ZERO };
+        speed = (SPEED_MEMORY * speed).max(momentary.norm()).max((next_w - w).norm() / seconds);
+        let Some(range) = ranges.at(number) else { continue };
+        // Half the distance of the slow part between the rows, and the ripple 2|B| with |W'| = (ω + ω0)|B|.
+        let bound = speed * (seconds / 2.0 + 2.0 / (drive.omega + slowest));
+        let ends = [w, next_w].map(|w| value_of(signal, w));
+        let mut found = Vec::new();
+        for (sign, limit) in [(1.0, range.highest), (-1.0, -range.lowest)] {
+            if (sign * ends[0]).max(sign * ends[1]) + bound <= limit {
+                continue;
+            }
+            let step = PI / (fastest * POINTS_PER_PERIOD);
+            let (at, coarse) = largest_of(&plant, signal, sign, [start, end], step);
+            let span = Time::from_seconds(step).unwrap_or_default();
+            let around = [start.max(at - span.min(at)), end.min(at + span)];
+            let (at, fine) = largest_of(&plant, signal, sign, around, step / POINTS_PER_PERIOD);
+            let state = if sign * signal.value(&fine) > sign * signal.value(&coarse) { fine } else { coarse };
+            if sign * signal.value(&state) > limit + ROUNDING_UM {
+                found.push((at, state.w));
+            }
+        }
+        found.sort_by_key(|(at, _)| *at);
+        extended.extend(found.into_iter().map(|(at, w)| row_at(row, at.seconds(), w)));
+    }
+    extended
+}
+
+/// Instant and state of the largest value at points that are `step` s apart.
+fn largest_of(plant: &Plant, signal: BandSignal, sign: f64, [start, end]: [Time; 2], step: f64) -> (Time, State) {
+    let mut plant = plant.clone();
+    plant.advance(start, &[], &mut Vec::new());
+    let mut best = (start, plant.state());
+    let step = Time::from_nanos(((step * 1e9) as u64).max(1));
+    let mut time = start;
+    while time < end {
+        plant.advance(time, &[], &mut Vec::new());
+        if sign * signal.value(&plant.state()) > sign * signal.value(&best.1) {
+            best = (time, plant.state());
+        }
+        time = time + step;
+    }
+    best
+}
+
+fn row_at(row: &Row, t_s: f64, w: Complex64) -> Row {
+    Row { t_s, wd_um: w.re, wq_um: w.im, amplitude_um: w.norm(), ..*row }
 }
 
 /// Rows `first` to `last` of a window with one setpoint, and the extremes of their values.
@@ -93,6 +188,26 @@ struct SetpointRange {
     last: usize,
     lowest: f64,
     highest: f64,
+}
+
+/// The ranges in the order of the rows, and the present one.
+struct Ranges<I> {
+    ranges: I,
+    present: Option<SetpointRange>,
+}
+
+impl<I: Iterator<Item = SetpointRange>> Ranges<I> {
+    fn new(mut ranges: I) -> Self {
+        Self { present: ranges.next(), ranges }
+    }
+
+    /// The range that contains row `number` and the next one. `number` must not decrease.
+    fn at(&mut self, number: usize) -> Option<SetpointRange> {
+        while self.present.is_some_and(|range| range.last <= number) {
+            self.present = self.ranges.next();
+        }
+        self.present.filter(|range| range.first <= number)
+    }
 }
 
 fn setpoint_ranges<'a>(
@@ -198,10 +313,7 @@ impl Motion {
             }
         }
         found.sort_by(f64::total_cmp);
-        rows.extend(found.into_iter().map(|t| {
-            let w = self.after(t);
-            Row { t_s: row.t_s + t, wd_um: w.re, wq_um: w.im, amplitude_um: w.norm(), ..*row }
-        }));
+        rows.extend(found.into_iter().map(|t| row_at(row, row.t_s + t, self.after(t))));
     }
 
     /// Instant of the largest value, by a scan and by sections in the golden ratio.

@@ -13,7 +13,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
-pub use bench::{ErrorOrigin, peak_bound};
+pub use bench::ErrorOrigin;
+pub(crate) use bench::has_moving_modes;
 pub use budget::{Budget, Component, ComponentKind, Distribution, Instrument, QuantityBudget, known_quantities};
 
 /// For more degrees of freedom, Student's t equals the normal distribution to 1e-8.

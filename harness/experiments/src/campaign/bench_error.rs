@@ -5,9 +5,9 @@ use crate::campaign::definition::Campaign;
 use crate::campaign::paired_trials::PairedErrors;
 use crate::campaign::row::{Tally, TrialRow, ValueTally};
 use platebench_engine::TrialResult;
-use platebench_model::scenario::{Expectation, Scenario};
+use platebench_model::scenario::Scenario;
 use platebench_verdict::missed_between_rows;
-use platebench_verdict::uncertainty::{ErrorOrigin, QuantityBudget, peak_bound};
+use platebench_verdict::uncertainty::{ErrorOrigin, QuantityBudget};
 
 /// Origins of the errors that a trial has alone, in the order of [`TrialRow::errors`].
 pub(crate) const OWN_ORIGINS: [ErrorOrigin; 3] =
@@ -56,10 +56,9 @@ impl BenchErrors {
             let [numerical, quantisation, sensor] = OWN_ORIGINS.map(|origin| budget.standard_of(origin, *value, None));
             // Errors of the amplitude do not change a count.
             let of_pairs = |errors: Option<&Vec<f64>>| numerical.and(errors?.get(index).copied());
-            let peak = scenario
-                .expectations
-                .get(index)
-                .and_then(|expectation| missed_peak(scenario, expectation, played).filter(|_| value.is_finite()));
+            let peak = scenario.expectations.get(index).and_then(|expectation| {
+                missed_between_rows(scenario, 0, expectation, &played.trace_rows, &played.telemetry)
+            });
             let noise = of_pairs(paired.noise.as_ref());
             let sensor = match noise {
                 // The law ignores the sensor.
@@ -75,14 +74,6 @@ impl BenchErrors {
         };
         budgets.iter().zip(values).enumerate().flat_map(errors).collect()
     }
-}
-
-/// Part of a peak that lies between two rows, as a standard uncertainty. It is exact if the motion has
-/// a closed form. `None` if the metric is not a peak.
-fn missed_peak(scenario: &Scenario, expectation: &Expectation, played: &TrialResult) -> Option<f64> {
-    let bound = peak_bound(scenario, expectation)?;
-    let exact = missed_between_rows(scenario, 0, expectation, &played.trace_rows, &played.telemetry);
-    Some(exact.unwrap_or(bound / 3.0_f64.sqrt()))
 }
 
 fn root_sum_square(a: Option<f64>, b: Option<f64>) -> Option<f64> {

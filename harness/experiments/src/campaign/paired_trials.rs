@@ -2,8 +2,8 @@
 //! error that the imperfection causes, for any controller.
 //!
 //! Converters: each trial is played once more without them. Noise of the sensor: the trials with the
-//! same listed values share [`REFERENCES`] pairs of trials, with and without noise, and the standard
-//! deviation of their differences. The pairs depend only on the campaign and the listed values.
+//! same listed values share pairs of trials, with and without noise, and the standard deviation of
+//! their differences. The pairs depend only on the campaign and the listed values.
 
 use crate::campaign::definition::Campaign;
 use crate::campaign::draw::DrawnTrial;
@@ -14,11 +14,15 @@ use platebench_plate::{Amplifier, Effects, Lockin, Plate, Time};
 use platebench_verdict::uncertainty::TypeA;
 use platebench_verdict::{TrialMeasures, judge, measure};
 use std::collections::HashMap;
+use std::ops::RangeInclusive;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Number of pairs with and without noise. Their standard deviation has a relative error of 6 % if
-/// the value is normal, and more for a value with a long tail, such as an overshoot near 0.
-pub(crate) const REFERENCES: u64 = 128;
+/// Numbers of pairs with and without noise. The largest is for values with a long tail, such as an
+/// overshoot near 0.
+const PAIRS: RangeInclusive<u64> = 32..=128;
+/// Relative standard error of the standard deviations at which no more pairs are played. A factor of
+/// 1.5 is then 3.5 standard errors.
+const MAX_RELATIVE_ERROR: f64 = 0.115;
 /// A standard deviation of fewer differences is unknown.
 const MIN_DIFFERENCES: usize = 8;
 
@@ -91,7 +95,10 @@ impl<'a> PairedTrials<'a> {
     ) -> Result<Option<Vec<Vec<f64>>>, CampaignError> {
         let mut differences = vec![Vec::new(); trial.scenario.expectations.len()];
         let mut last: Option<(Vec<f64>, Vec<f64>)> = None;
-        for place in 0..REFERENCES {
+        for place in 0..*PAIRS.end() {
+            if place >= *PAIRS.start() && differences.iter().all(|differences| is_precise(differences)) {
+                break;
+            }
             let reference = match self.campaign.reference_trial(trial, place) {
                 Ok(reference) => reference,
                 // The scenario refuses the drawn values.
@@ -122,6 +129,17 @@ impl<'a> PairedTrials<'a> {
     }
 }
 
+/// True if the standard deviation of the finite differences is precise, or if all are equal or none is
+/// finite. Its relative standard error with n differences of kurtosis κ is √((κ − 1)/4n).
+fn is_precise(differences: &[f64]) -> bool {
+    let known = || differences.iter().filter(|difference| difference.is_finite());
+    let count = known().count() as f64;
+    let mean = known().sum::<f64>() / count;
+    let moment = |order: i32| known().map(|difference| (difference - mean).powi(order)).sum::<f64>() / count;
+    let (second, fourth) = (moment(2), moment(4));
+    count == 0.0 || second == 0.0 || (fourth / second.powi(2) - 1.0) / (4.0 * count) <= MAX_RELATIVE_ERROR.powi(2)
+}
+
 /// Values of the expectations; NaN if there is none. `None` if the trial was cancelled.
 fn play(executor: &mut Executor<'_>, scenario: &Scenario) -> Result<Option<Vec<f64>>, CampaignError> {
     let law = law(scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
@@ -141,5 +159,30 @@ fn without_converters(plate: &Plate) -> Plate {
         lockin: plate.lockin.map(|lockin| Lockin { resolution: None, ..lockin }),
         effects: Effects { amplifier, ..plate.effects },
         ..plate.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_precise;
+
+    #[test]
+    fn a_long_tail_needs_more_differences() {
+        // The kurtosis of a normal value is 3, which needs 0.5/0.115² = 37.8 differences.
+        let differences = |count: usize| -> Vec<f64> {
+            let normal = [0.0, 0.0, 0.0, 0.0, 3.0_f64.sqrt(), -(3.0_f64.sqrt())];
+            (0..count).map(|number| normal[number % 6]).collect()
+        };
+        assert!(!is_precise(&differences(36)));
+        assert!(is_precise(&differences(42)));
+        let mut with_a_tail = differences(126);
+        with_a_tail[0] = 20.0;
+        assert!(!is_precise(&with_a_tail));
+    }
+
+    #[test]
+    fn equal_or_missing_differences_need_no_more() {
+        assert!(is_precise(&[0.0; 32]));
+        assert!(is_precise(&[f64::NAN; 32]));
     }
 }

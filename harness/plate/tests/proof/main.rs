@@ -12,5 +12,6 @@ mod limits;
 mod linear;
 mod paper;
 mod propagation;
+mod random_plates;
 mod reference;
 mod varying;

@@ -8,19 +8,21 @@
 use super::{Component, ComponentKind, Distribution, QuantityBudget, TypeA};
 use jiff::civil::Date;
 use platebench_model::scenario::{Expectation, Metric, Scenario};
-use platebench_plate::{Model, Profile, Time};
-use std::f64::consts::PI;
+use platebench_plate::{Profile, Time};
+use std::f64::consts::{E, PI};
 
 /// Bounds of the propagation error: of constant modes relative to the setpoint, and of moving modes
 /// relative to the largest amplitude.
 const CONSTANT_PROPAGATION: f64 = 1e-10;
 const MOVING_PROPAGATION: f64 = 3e-7;
+/// Error relative to the largest amplitude if the pole of the amplifier has the relative distance 1
+/// from the damping, and the smallest distance.
+const POLE_DIFFERENCE: f64 = 3e-16;
+const MIN_POLE_DISTANCE: f64 = 1e-8;
+/// Rounding of the end of a ramp of the amplifier, s.
+const RAMP_END_S: f64 = 1e-9;
 /// Resolution of the search for the crossing of a band, ms.
 const CROSSING_MS: f64 = 1e-6;
-/// Largest measured part of the ripple between two rows: overshoot in percent of the step, other
-/// peaks in percent of the setpoint.
-const OVERSHOOT_RIPPLE_PERCENT: f64 = 0.20;
-const PEAK_RIPPLE_PERCENT: f64 = 0.12;
 /// Largest relative rounding error of an `f32`.
 const F32_ROUNDING: f64 = 1.0 / 16_777_216.0;
 /// Half of the resolution of a frequency in a command.
@@ -102,11 +104,7 @@ impl QuantityBudget {
                 }
             }
         };
-        let propagation = if has_moving_modes(scenario) {
-            MOVING_PROPAGATION * plate.gain * plate.drive_limit_vpp
-        } else {
-            CONSTANT_PROPAGATION * setpoint
-        };
+        let propagation = propagation_um(scenario, setpoint);
         add(ComponentKind::Bench, Rectangular, propagation, "docs/mathematics.md, propagation");
         add(ComponentKind::Converter, Rectangular, F32_ROUNDING * setpoint, "docs/wire-protocol.md, f32 of a sample");
         if let Some(lockin) = &plate.lockin {
@@ -169,32 +167,29 @@ impl QuantityBudget {
     }
 }
 
-/// Bound on the part of a peak between two rows, in the unit of the metric. `None` if the metric is
-/// not a peak.
-pub fn peak_bound(scenario: &Scenario, expectation: &Expectation) -> Option<f64> {
-    let setpoint = smallest_setpoint(scenario, expectation).unwrap_or_default();
-    // Only the models with both poles have the ripple of the fast one.
-    let has_ripple = matches!(scenario.model, Model::Modal | Model::Carrier);
-    let ripple = |percent: f64| if has_ripple { percent } else { 0.0 };
-    let curvature = peak_between_rows_um(scenario);
-    match expectation.metric {
-        Metric::Overshoot => {
-            let step = smallest_step(scenario, expectation).unwrap_or(setpoint);
-            Some(ripple(OVERSHOOT_RIPPLE_PERCENT) + curvature / step * 100.0)
-        }
-        Metric::PeakDeviation if setpoint > 0.0 => Some(ripple(PEAK_RIPPLE_PERCENT) + curvature / setpoint * 100.0),
-        // Both extremes may lie between rows.
-        Metric::RipplePercent if setpoint > 0.0 => {
-            Some(2.0 * (ripple(PEAK_RIPPLE_PERCENT) + curvature / setpoint * 100.0))
-        }
-        Metric::Ripple => Some(2.0 * (ripple(PEAK_RIPPLE_PERCENT) / 100.0 * setpoint + curvature)),
-        _ => None,
-    }
-    .filter(|bound| bound.is_finite())
+/// Bound on the error of the propagation, µm (`docs/mathematics.md`, bounds of each effect).
+fn propagation_um(scenario: &Scenario, setpoint: f64) -> f64 {
+    let plate = &scenario.plate;
+    let largest = plate.gain * plate.drive_limit_vpp;
+    let modes = if has_moving_modes(scenario) {
+        (MOVING_PROPAGATION + plate.warming_share() / (4.0 * E)) * largest
+    } else {
+        CONSTANT_PROPAGATION * setpoint
+    };
+    let amplifier = &plate.effects.amplifier;
+    let force = scenario.conditions.finger_force_n.at(Time::ZERO);
+    let sigma = plate.sigma0 * plate.damping_ratio_at(force);
+    let of_pole =
+        amplifier.pole.map_or(0.0, |pole| POLE_DIFFERENCE / (pole / sigma - 1.0).abs().max(MIN_POLE_DISTANCE));
+    let of_slew_rate = amplifier.slew_rate.map_or(0.0, |rate| {
+        let unsettled = plate.sigma0 * (rate / plate.drive_limit_vpp * RAMP_END_S).min(1.0) * RAMP_END_S / 2.0;
+        unsettled / -(-sigma * scenario.controller.period.seconds()).exp_m1()
+    });
+    modes + (of_pole + of_slew_rate) * largest
 }
 
 /// True if the temperature or the force moves the modes between two points of its profile.
-fn has_moving_modes(scenario: &Scenario) -> bool {
+pub(crate) fn has_moving_modes(scenario: &Scenario) -> bool {
     let moves = |profile: &Profile| {
         let mut time = Time::ZERO;
         loop {
@@ -267,18 +262,6 @@ fn smallest_step(scenario: &Scenario, expectation: &Expectation) -> Option<f64> 
 
 const fn just_before(time: Time) -> Time {
     Time::from_nanos(time.as_nanos().saturating_sub(1))
-}
-
-/// Largest part of a peak between two rows that are h apart: h²/8 · |W''|. Within a period
-/// W' = σ (K1 V − W), so |W''| is at most σ² K1 V for the largest drive V.
-fn peak_between_rows_um(scenario: &Scenario) -> f64 {
-    let plate = &scenario.plate;
-    let (low, high) = scenario.conditions.finger_force_n.range();
-    let bends = plate.damping_ratio.iter().map(|point| point[0]).filter(|force| (low..=high).contains(force));
-    let damping = bends.chain([low, high]).map(|force| plate.damping_ratio_at(force)).fold(1.0, f64::max);
-    let step = scenario.trace_step.min(scenario.controller.period).seconds();
-    // A finger changes σ and not the force of the drive, so K1 σ is that of the untouched plate.
-    (step * plate.sigma0).powi(2) / 8.0 * damping * plate.gain * plate.drive_limit_vpp
 }
 
 #[cfg(test)]
@@ -366,17 +349,27 @@ mod tests {
         assert!((combined.standard - squares.sqrt()).abs() < 1e-12, "{combined:?} {parts:?}");
     }
 
-    // 0.2 % of the step, and (0.05/1.88)²/8 of 6.282 µm, relative to the step.
+    // Relative to 6.282 µm; 0.577350 in percent of 2 µm is 28.8675 per µm.
     #[rstest]
-    #[case("2.0", OVERSHOOT, Some(0.2 + 0.027_77))]
-    #[case("{ hold = [[0.0, 0.0], [1.0, 1.5], [30.0, 2.0]] }", "metric = \"overshoot_percent\", at_most = 5.0, from_ms = 30.0", Some(0.2 + 0.027_77 * 4.0))]
-    #[case("2.0", STATIC, None)]
-    fn a_peak_has_a_bound_between_rows(#[case] setpoint: &str, #[case] expect: &str, #[case] expected: Option<f64>) {
-        let scenario = scenario(setpoint, SILENT, expect);
-        let found = peak_bound(&scenario, &scenario.expectations[0]);
-        assert_eq!(found.is_some(), expected.is_some());
-        let apart = found.zip(expected).map_or(0.0, |(found, expected)| (found / expected - 1.0).abs());
-        assert!(apart < 2e-3, "{found:?}");
+    #[case::no_effect("", 1e-10 * 2.0)]
+    #[case::other_bandwidth("bandwidth_hz = 5e3", 1e-10 * 2.0)]
+    // 1/(2π · 1.88 ms).
+    #[case::bandwidth_of_the_plate("bandwidth_hz = 84.656884623349", 2e-10 + 3e-8 * 6.282)]
+    // σ0 · 1e12/900 Vpp · (1 ns)²/2 of 6.282 µm, for periods of 1 ms: 1 − e^(−1/1.88) = 0.41248.
+    #[case::slew_rate("slew_rate_vpp_per_ms = 9e7", 2e-10 + 531.915 * 1e8 * 5e-19 / 0.412_48 * 6.282)]
+    #[case::slew_rate_above_the_resolution("slew_rate_vpp_per_ms = 9e20", 2e-10 + 531.915 * 5e-10 / 0.412_48 * 6.282)]
+    // 9.638 Hz/K · 2π · 4 K/µm² · (6.282 µm)² / 0.03 s / (202 995/s)².
+    #[case::heating("\n[heating]\nrise_k_per_um2 = 4.0\ntime_constant_s = 0.03\n", (3e-7 + 7.7328e-6 / 10.873_13) * 6.282)]
+    fn the_propagation_has_the_bound_of_its_effects(#[case] keys: &str, #[case] um: f64) {
+        let plate = PLATE.replace("limit_vpp = 900.0", &format!("limit_vpp = 900.0\n{keys} #"));
+        let text = format!(
+            "title = \"a\"\nplate = \"plate.toml\"\nduration_ms = 60.0\nexpect = [{{ {STATIC} }}]\n\
+             [profile]\nsetpoint_um = {{ hold = [[0.0, 0.0], [1.0, 2.0]] }}\n"
+        );
+        let scenario = parse_scenario(&text, &plate);
+        let budget = QuantityBudget::of_bench(&scenario, &scenario.expectations[0]);
+        let error = budget.standard_of(ErrorOrigin::Numerical, 1.0, None).unwrap();
+        assert!((error / (um * 28.8675) - 1.0).abs() < 2e-3, "{} µm, expected {um}", error / 28.8675);
     }
 
     #[test]
