@@ -319,7 +319,7 @@ impl TestFolder {
 
     #[track_caller]
     pub(crate) fn newest_run(&self) -> PathBuf {
-        newest_run(&self.join("runs")).unwrap()
+        newest_run(&self.join("runs")).unwrap().unwrap()
     }
 
     /// Leaves the folder that the run has if it is killed after this number of trials.
