@@ -56,7 +56,8 @@ pub(crate) fn handshake<L: Link + ?Sized>(
         answers.read(&bytes);
         if let Some(identity) = answers.identity {
             debug!(attempt, rejected = answers.rejected.bytes, "identity received");
-            if attempt > 1 {
+            // The controller may answer another client, which stops when it notices this one.
+            if attempt > 1 || link.kind() == LinkKind::Network {
                 drain(link, cancel)?;
             }
             return Ok(identity);

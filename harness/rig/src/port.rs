@@ -38,6 +38,7 @@ pub struct Port<T> {
     cancel: CancelToken,
     /// True from a missing answer to the next answer.
     is_silent: bool,
+    kind: LinkKind,
 }
 
 impl Port<OwnedFd> {
@@ -56,7 +57,12 @@ impl<T: Tty> Port<T> {
             reply_timeout: DEFAULT_REPLY_TIMEOUT,
             cancel: CancelToken::never(),
             is_silent: false,
+            kind: LinkKind::Lossy,
         }
+    }
+
+    pub(crate) fn on_network(terminal: T) -> Self {
+        Self { kind: LinkKind::Network, ..Self::new(terminal) }
     }
 
     /// A cancellation shortens the waits for answers.
@@ -147,7 +153,7 @@ impl<T: Tty> Link for Port<T> {
     }
 
     fn kind(&self) -> LinkKind {
-        LinkKind::Lossy
+        self.kind
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

@@ -126,7 +126,7 @@ pub fn check_protocol(
     let kind = player.link.kind();
     let may_repeat = |difference: &CommandDifference| match difference.other_cause {
         None => false,
-        Some(BenchCause::NoAnswer) => kind == LinkKind::Lossy,
+        Some(BenchCause::NoAnswer) => kind.loses_bytes(),
         Some(BenchCause::LateAnswer | BenchCause::LateTicks | BenchCause::Stall) => kind != LinkKind::Simulated,
     };
     let scripts = if messages.is_empty() {
