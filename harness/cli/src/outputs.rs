@@ -56,7 +56,8 @@ impl Outputs {
         Ok(())
     }
 
-    /// Renames the file of an earlier run to NAME.previous, so that it never describes a run without a verdict.
+    /// Renames the file of an earlier run to NAME.previous, so that it never stands beside a run
+    /// without a verdict.
     pub(crate) fn set_aside(&self) -> Result<(), FileError> {
         let Some(file) = &self.summary else { return Ok(()) };
         let (Some(folder), Some(name)) = (file.parent(), file.file_name()) else { return Ok(()) };

@@ -141,7 +141,8 @@ fn shared_cause(scenario: &ScenarioRecord, index: usize) -> Option<SharedCause<'
     }
 }
 
-/// True if a slower `--time-scale` or `--clock lockstep` may decide an expectation. [`Excuse::LoopDelay`] says so itself.
+/// True if a slower `--time-scale` or `--clock lockstep` may decide an expectation.
+/// [`Excuse::LoopDelay`] says so itself.
 pub(crate) fn is_late_in_real_time(record: &RunRecord) -> bool {
     let is_late = |expectation: &ExpectationRecord| {
         matches!(
@@ -161,8 +162,8 @@ const SERVER_DELAY_MS: Range<f64> = 2.8..4.2;
 /// The delay of a server is constant; that of a busy network or bench is not.
 const MAX_SERVER_SPREAD_MS: f64 = 1.0;
 
-/// Median wall time from a sample to its answer over a network, if it has the signature of a server that collects
-/// characters: about 3 ms, and constant.
+/// Median wall time from a sample to its answer over a network, if it has the signature of a server
+/// that collects characters: about 3 ms, and constant.
 pub(crate) fn server_delay_ms(record: &RunRecord) -> Option<f64> {
     let is_network = matches!(record.rig.kind(), "tcp" | "rfc2217") && record.clock == ClockKind::RealTime;
     let trials = record.scenarios.iter().flat_map(|scenario| &scenario.trials).filter(|_| is_network);

@@ -150,8 +150,8 @@ impl Symbols {
         found
     }
 
-    /// The name of a source file, from the image alone. A compiler that shortens paths writes the folder of
-    /// the unit in front of a path that is already complete: `a/wire/a/wire/src/x.rs`.
+    /// The name of a source file, from the image alone. A compiler that shortens paths writes the
+    /// folder of the unit in front of a path that is already complete: `a/wire/a/wire/src/x.rs`.
     fn source_name(&self, file: &str) -> String {
         let first = |path: &str| path.split('/').next().map(str::to_owned);
         let is_complete = |rest: &&str| self.build_folders.iter().any(|folder| first(folder) == first(rest));

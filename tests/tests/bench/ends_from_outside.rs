@@ -77,7 +77,7 @@ fn start_pytest(drive: &Drive, options: &[&str]) -> Option<ChildGuard> {
     Some(ChildGuard(pytest.spawn().unwrap()))
 }
 
-/// Without a handler of its own, pytest ends by SIGTERM; the package lets it act after the bench has ended.
+/// pytest has no handler of SIGTERM; the package lets it act after the bench has ended.
 #[rstest]
 #[case::interrupt("INT", true)]
 #[case::terminate("TERM", true)]

@@ -1,5 +1,5 @@
-//! Plays the recipes for continuous integration as the services do: each step or job in order, if the earlier ones let
-//! it run.
+//! Plays the recipes for continuous integration as the services do: each step or job in order, if
+//! the earlier ones let it run.
 
 use crate::page::workspace_root;
 use rstest::rstest;
