@@ -130,11 +130,11 @@ class ScenarioFailure(Exception):
 
 
 class ScenarioItem(pytest.Item):
-    # Other plugins, such as labgrid's, read it of every test.
-    fixturenames: tuple[str, ...] = ()
-
     def __init__(self, *, content: dict[str, Any], case: Path, **arguments: Any) -> None:
         super().__init__(**arguments)
+        # Other plugins, such as those of labgrid and pytest-embedded, read them of every test.
+        self.fixturenames: list[str] = []
+        self.funcargs: dict[str, Any] = {}
         self.case = case
         self.title = str(content.get("title", "faulty scenario"))
         code, tags = content.get("expected_exit") or 0, content.get("tags", [])

@@ -81,6 +81,13 @@ enum Action {
     Ask,
 }
 
+const CHOICES: [(&str, &str); 4] = [
+    ("accept", "the response becomes the golden trace"),
+    ("reject", "the golden trace stays; the review ends with exit code 1"),
+    ("skip", "no decision; the review ends with exit code 3"),
+    ("quit", "no decision about this and the other scenarios"),
+];
+
 fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
     let ReviewArgs { run, baselines, false_alarm_rate: rate } = arguments;
     // Only verdicts from the traces count, because the verdicts in run.json may have been edited.
@@ -91,7 +98,7 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
     }
     // One process at a time writes the folder, so that its files are of one run.
     let _lock = (action != Action::Show).then(|| lock_baselines(baselines)).transpose()?;
-    let (mut invalid, mut verdicts, mut compared) = (false, Vec::new(), false);
+    let (mut invalid, mut verdicts, mut compared, mut has_quit) = (false, Vec::new(), false, false);
     for scenario in &record.scenarios {
         let trials = read_scenario_trials(run, scenario);
         let old = Baseline::read(baselines, &scenario.file).map_err(CompareError::from);
@@ -106,7 +113,10 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
                     Verdict::Pass => Ok(Verdict::Pass),
                     found => {
                         print_drawings(&trials, old.as_ref())?;
-                        match prompt::ask_choice(&["accept", "reject", "skip"]) {
+                        // After `quit`, and at the end of the input, the others are not decided.
+                        let answer = if has_quit { None } else { prompt::ask_choice(&CHOICES) };
+                        has_quit = matches!(answer, None | Some("quit"));
+                        match answer {
                             Some("accept") => accept(),
                             Some("reject") => Ok(Verdict::Fail),
                             _ => Ok(Verdict::combine([found, Verdict::Inconclusive])),

@@ -1,10 +1,10 @@
 //! `platebench campaign`: plays sweeps and Monte Carlo in shards, on one machine or many.
 
 use crate::board::{BoardArgs, release};
-use crate::exit::{CommandResult, Exit, Failure};
+use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{OutputFormat, job_count, rig_help};
 use crate::selection::warn_of_scenarios;
-use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
+use crate::shutdown::{self, EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::{Args, Subcommand, ValueEnum};
 use platebench_engine::RunError;
@@ -220,7 +220,18 @@ fn submit(arguments: &SubmitArgs, quiet: bool) -> CommandResult {
     }
     let [array, _] = &commands;
     let [program, words @ ..] = &**array else { return Ok(Exit::Invalid) };
-    match Command::new(program).args(words).status() {
+    shutdown::listen().or_invalid()?;
+    let mut command = Command::new(program);
+    command.args(words);
+    let Some(ended) = shutdown::run_unless_signalled(move || command.status()).or_invalid()? else {
+        let cancel = match engine {
+            Engine::Slurm => "scancel JOB",
+            Engine::HyperQueue => "hq job cancel JOB",
+        };
+        let message = format!("the shards stay in the queue; end them with `{cancel}`, {program} printed the number");
+        return Err(Failure::new(Exit::Signal(shutdown::received_signal().unwrap_or_default()), &message));
+    };
+    match ended {
         Ok(status) if status.success() => merge_folder(&arguments.folder, None, quiet, OutputFormat::Human),
         Ok(status) => {
             let message = format!("{program} ended with {status}; `campaign status` lists the missing shards");

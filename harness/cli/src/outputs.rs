@@ -6,6 +6,7 @@ use crate::stdio::{self, is_stdout};
 use clap::{Args, ValueEnum};
 use platebench_model::record::{RunRecord, ScenarioRecord};
 use platebench_model::scenario::{Scenario, number_in_file};
+use platebench_model::trace::{FileError, OutputFolder};
 use platebench_report::ReportError;
 use platebench_report::github::{self, SourceLocation};
 use std::io::Write as _;
@@ -53,6 +54,20 @@ impl Outputs {
             return Err(format!("--summary {}: this is a folder, expected a file to write", file.display()));
         }
         Ok(())
+    }
+
+    /// Renames the file of an earlier run to NAME.previous, so that it never stands beside a run
+    /// without a verdict.
+    pub(crate) fn set_aside(&self) -> Result<(), FileError> {
+        let Some(file) = &self.summary else { return Ok(()) };
+        let (Some(folder), Some(name)) = (file.parent(), file.file_name()) else { return Ok(()) };
+        // A device, a pipe or a link stays.
+        if is_stdout(file) || !file.symlink_metadata().is_ok_and(|metadata| metadata.is_file()) {
+            return Ok(());
+        }
+        let mut previous = name.to_owned();
+        previous.push(".previous");
+        OutputFolder::open(folder)?.rename(name, previous)
     }
 
     /// True if another output uses standard output. Text for people then goes to standard error.

@@ -156,12 +156,22 @@ impl Operator for TerminalOperator {
     }
 }
 
-/// Repeats the question until the answer is a choice or its first letter. `None` without input.
-pub(crate) fn ask_choice(choices: &[&'static str]) -> Option<&'static str> {
+/// Repeats the question until the answer is a choice or its first letter; `?` prints what each
+/// choice does. `None` without input.
+pub(crate) fn ask_choice(meanings: &[(&'static str, &str)]) -> Option<&'static str> {
+    let choices: Vec<_> = meanings.iter().map(|(choice, _)| *choice).collect();
     let mut lines = stdin().lock().lines().map_while(Result::ok);
     loop {
         write_prompt(&format!("{}? ", choices.join(", ")));
         let line = lines.next()?.trim().to_lowercase();
+        if line == "?" {
+            for (choice, meaning) in meanings {
+                write_prompt(&format!(
+                    "  {:<9}{meaning}\n",
+                    format!("{} {choice}", choice.get(..1).unwrap_or_default())
+                ));
+            }
+        }
         let is_meant = |choice: &&&str| **choice == line || choice.get(..1) == Some(line.as_str());
         if let Some(choice) = choices.iter().find(is_meant) {
             return Some(choice);

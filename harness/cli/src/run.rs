@@ -53,7 +53,7 @@ fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Selection, Fa
     let mut found = find(&arguments.scenarios).map_err(|faults| {
         let exit = Failure::from(faults).report();
         if arguments.scenarios == [Path::new(SCENARIOS)] && !Path::new(SCENARIOS).exists() {
-            stdio::note("the default folder is `scenarios`; platebench new writes a first scenario");
+            stdio::note("the default folder is `scenarios`; `platebench new scenarios/first-step` writes a first scenario there");
         }
         exit
     })?;

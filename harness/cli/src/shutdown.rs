@@ -11,6 +11,8 @@ use crate::exit::{Exit, Failure};
 use crate::stdio;
 use crossterm::terminal::disable_raw_mode;
 use platebench_engine::CancelToken;
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::process::{Pid, PidfdFlags, Signal as SignalName, getpid, kill_process, pidfd_open};
 use std::future::poll_fn;
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, channel, sync_channel};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
@@ -22,6 +24,9 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 const HANG_UP: u8 = 1;
 /// Signals of a closed terminal, Ctrl-C, Ctrl-\, SIGABRT, SIGTERM, SIGXCPU (`ulimit -t`).
 const TERMINATION_SIGNALS: [u8; 6] = [HANG_UP, 2, 3, 6, 15, 24];
+/// Number of the process that started the bench, or of the one that it works for, such as pytest.
+/// The bench ends with it as after SIGTERM.
+const PARENT_VARIABLE: &str = "PLATEBENCH_PARENT";
 /// SIGXFSZ (`ulimit -f`). It is caught so that the write fails and the program continues.
 const FILE_SIZE: u8 = 25;
 /// A signal this long after the first one abandons the work. An earlier second signal does not,
@@ -82,9 +87,29 @@ pub(crate) fn listen() -> io::Result<()> {
             });
         };
         thread::Builder::new().name("signals".to_owned()).spawn(listener).map_err(|error| error.to_string())?;
-        receiver.recv().map_err(|error| error.to_string())?
+        receiver.recv().map_err(|error| error.to_string())??;
+        watch_parent().map_err(|error| format!("{PARENT_VARIABLE}: {error}"))
     });
     started.clone().map_err(io::Error::other)
+}
+
+/// Sends SIGTERM to this process when the process of [`PARENT_VARIABLE`] ends, however it ends.
+fn watch_parent() -> io::Result<()> {
+    let Some(number) = std::env::var_os(PARENT_VARIABLE).filter(|number| !number.is_empty()) else { return Ok(()) };
+    let number = number.to_str().and_then(|number| number.parse().ok()).and_then(Pid::from_raw);
+    let number = number.ok_or_else(|| io::Error::other("expected the number of a process"))?;
+    let parent = match pidfd_open(number, PidfdFlags::empty()) {
+        Err(rustix::io::Errno::SRCH) => return Ok(kill_process(getpid(), SignalName::TERM)?),
+        opened => opened?,
+    };
+    let watch = move || {
+        // The descriptor becomes readable when the process ends.
+        while poll(&mut [PollFd::new(&parent, PollFlags::IN)], None).is_err() {
+            thread::sleep(POLL_INTERVAL);
+        }
+        let _ = kill_process(getpid(), SignalName::TERM);
+    };
+    thread::Builder::new().name("parent".to_owned()).spawn(watch).map(drop)
 }
 
 struct Signals(Vec<(Signal, u8)>);

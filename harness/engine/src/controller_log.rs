@@ -6,7 +6,7 @@ use platebench_model::record::{Telemetry, Violation, ViolationKind};
 use platebench_model::scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_plate::Time;
 use platebench_rig::{
-    CheckOptions, DrivesAfterSafe, FREQUENCY_TOLERANCE_MHZ, FaultInjector, Link, LinkError, LinkKind, ProtocolCheck,
+    CheckOptions, DrivesAfterSafe, FREQUENCY_TOLERANCE_MHZ, FaultInjector, Link, LinkError, ProtocolCheck,
     RejectedFrame, RigError, Session, check_protocol,
 };
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
@@ -113,7 +113,7 @@ impl<'a> ControllerLog<'a> {
         if rejected > 0 && self.scenario.faults.is_empty() {
             warn!(scenario = self.scenario.file, frames = rejected, "frames from the controller rejected");
             // Noise on a line may damage a frame, and a reset of the chip may cut one.
-            if session.link().kind() != LinkKind::Lossy && self.scenario.chip_faults.is_empty() {
+            if !session.link().kind().loses_bytes() && self.scenario.chip_faults.is_empty() {
                 self.checks.set_count(ViolationKind::RejectedFrame, rejected, now);
                 self.checks.set_frame_lengths(session.first_rejected_frame());
             }
@@ -182,7 +182,11 @@ impl<'a> ControllerLog<'a> {
             ended_by_controller: lost.is_some_and(is_controller_failure),
             stopped: self.stop_cause.map(|cause| stop_reason(cause).to_owned()),
             faults: session.link().fault_counts().map(|(kind, count)| (kind.to_owned(), count)).collect(),
-            violations: refused_configuration(lost).into_iter().chain(self.checks.violations()).collect(),
+            violations: match lost {
+                // The commands may answer the other client.
+                Some(RigError::OtherClient) => Vec::new(),
+                lost => refused_configuration(lost).into_iter().chain(self.checks.violations()).collect(),
+            },
             reference_difference_percent: session.link().reference_difference_percent(),
             protocol_differences: self.protocol_check.as_ref().map(|check| check.differences.clone()),
             protocol_repeats: self.protocol_check.as_ref().map_or(0, |check| check.repeats),
@@ -221,6 +225,7 @@ pub(crate) fn is_controller_failure(error: &RigError) -> bool {
         | RigError::Cancelled
         | RigError::RejectedAnswer { .. }
         | RigError::Restarted
+        | RigError::OtherClient
         | RigError::NoRealTime => false,
     }
 }

@@ -18,7 +18,6 @@ use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
-use std::thread;
 use std::time::{Duration, Instant};
 use tracing::{debug, error};
 
@@ -223,7 +222,7 @@ impl<'a, L: Link> Executor<'a, L> {
             }
             let Some(until) = budget.next_part(Instant::now()) else { return Err(error) };
             debug!(%error, "the rig is not there, which is tried again");
-            thread::sleep(until.saturating_duration_since(Instant::now()));
+            self.settings.cancel.sleep(until.saturating_duration_since(Instant::now()));
         }
     }
 

@@ -14,7 +14,6 @@ use platebench_wire::{Command, Configure, ControllerState as Mode, LawId, StateC
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::collections::VecDeque;
-use std::thread;
 use std::time::{Duration, Instant};
 
 /// Watchdog time-out of a controller with its own clock. The bench sets the pace, so the time-out
@@ -24,7 +23,6 @@ pub(crate) const OWN_CLOCK_WATCHDOG_TIMEOUT_MS: u16 = 10_000;
 /// bench waits for it in wall time.
 const SILENCE_WATCHDOG_TIMEOUT_MS: u16 = 1_000;
 const WATCHDOG_MARGIN: Duration = Duration::from_millis(100);
-const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// One of this many trials is played over both transports of the emulated chip.
 const CHECKED_TRIALS: u32 = 10;
 /// Random stream of the jitter. Streams 0 and 1 of a seed belong to sensor noise and plate spread.
@@ -375,10 +373,7 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
     fn wait_for_planned_stop(&mut self, now: Time) {
         if self.watchdog.planned_stops.pop_if(|stop| *stop <= now).is_some() && !self.controller.is_stopped() {
             let timeout = Duration::from_millis(self.watchdog.timeout_ms.into()) + WATCHDOG_MARGIN;
-            let left = || timeout.saturating_sub(self.watchdog.last_sample_sent.elapsed());
-            while !left().is_zero() && !self.trial.cancel.is_cancelled() {
-                thread::sleep(left().min(CANCEL_POLL_INTERVAL));
-            }
+            self.trial.cancel.sleep(timeout.saturating_sub(self.watchdog.last_sample_sent.elapsed()));
             self.receive_late_commands(now);
             // This wait must not count as a stall of the host.
             self.watchdog.last_sample_sent = Instant::now();

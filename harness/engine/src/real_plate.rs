@@ -17,7 +17,7 @@ use platebench_rig::{CancelToken, FaultInjector, Link, RigError, Session};
 use platebench_verdict::exclusion::{needs_operator, operator_exclusion, scene_changes};
 use std::panic::resume_unwind;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 const COUNTDOWN_S: u32 = 3;
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -109,12 +109,9 @@ fn prepare_plate(scenario: &Scenario, operator: &dyn Operator, cancel: &CancelTo
     }
     for seconds in (1..=COUNTDOWN_S).rev() {
         operator.announce("the trial starts", seconds);
-        let until = Instant::now() + Duration::from_secs(1);
-        while Instant::now() < until {
-            if cancel.is_cancelled() {
-                return None;
-            }
-            thread::sleep(POLL_INTERVAL);
+        cancel.sleep(Duration::from_secs(1));
+        if cancel.is_cancelled() {
+            return None;
         }
     }
     operator.announce("the trial runs", 0);

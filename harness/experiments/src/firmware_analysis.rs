@@ -5,7 +5,6 @@ pub mod code_map;
 pub mod error;
 pub mod suite;
 
-use code_map::SourceMap;
 use platebench_engine::SafeEnds;
 use platebench_engine::workers::in_parallel;
 use platebench_model::record::Verdict;
@@ -16,7 +15,6 @@ use platebench_wire::LawId;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::fmt::{self, Write};
-use std::path::Path;
 use std::time::{Duration, Instant};
 use suite::{BoardExecutor, SuiteOutcome, new_executor, play};
 
@@ -103,12 +101,11 @@ impl Coverage {
     fn new(map: &CodeMap, symbols: &Symbols, executed: &BTreeMap<u32, bool>, only: &[String]) -> Self {
         let mut coverage = Self::default();
         let mut places = Vec::new();
-        let sources = SourceMap::new(symbols);
         for &address in map.instructions.keys() {
             let state = executed.get(&map.leader_of(address)).copied();
             coverage.instructions.total += 1;
             coverage.instructions.executed += usize::from(state.is_some());
-            for frame in sources.frames(address) {
+            for frame in symbols.frames(address) {
                 let Some(line) = frame.line else { continue };
                 let file = coverage.files.entry(line.file.clone()).or_default();
                 let function = file.functions.entry(frame.function.clone()).or_insert(FunctionCoverage {
@@ -137,16 +134,21 @@ impl Coverage {
         if !only.is_empty() {
             return self.files.retain(|file, _| only.iter().any(|part| file.contains(part)));
         }
-        self.files.retain(|file, _| !is_standard_library(file));
-        // Dependencies have no sources on this computer, and genhtml stops at a missing source.
-        if self.files.keys().any(|file| Path::new(file).is_file()) {
-            self.files.retain(|file, _| Path::new(file).is_file());
-        }
+        self.files.retain(|file, _| !is_standard_library(file) && !is_package(file));
     }
 }
 
 pub(crate) fn is_standard_library(file: &str) -> bool {
     ["/rustc/", "library/core/", "library/alloc/", "library/compiler-builtins/"].iter().any(|part| file.contains(part))
+}
+
+/// True for a file of a package that Cargo downloaded: a folder of its path has a name and a version.
+fn is_package(file: &str) -> bool {
+    let is_versioned = |folder: &str| {
+        let version = folder.rsplit_once('-').map(|(_, version)| version.split('.').collect::<Vec<_>>());
+        version.is_some_and(|parts| parts.len() == 3 && parts.iter().all(|part| part.parse::<u32>().is_ok()))
+    };
+    file.contains("/.cargo/") || file.split('/').rev().skip(1).any(is_versioned)
 }
 
 pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisError> {
@@ -295,6 +297,7 @@ mod tests {
     use platebench_model::trace::read_trace;
     use platebench_rig::RigSpec;
     use std::hash::{DefaultHasher, Hasher};
+    use std::path::Path;
 
     /// Coverage and mutation both start with the baselines.
     #[test]

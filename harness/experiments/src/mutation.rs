@@ -10,10 +10,12 @@ use crate::firmware_analysis::{ReferencePlay, executed_by_all, play_baselines};
 use mutants::{Disassembler, Mutant, MutantFilter, Operator, all_mutants};
 use platebench_engine::SafeEnds;
 use platebench_engine::workers::in_parallel;
+use platebench_model::scenario::Scenario;
 use platebench_model::trace::read_text_file;
 use platebench_report::document::{Block, Column, Document, Table};
 use platebench_rig::CancelToken;
 use platebench_verdict::statistics::clopper_pearson;
+use platebench_wire::LawId;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde_json::{Map, Value, json};
@@ -139,10 +141,7 @@ impl MutantRunner<'_> {
                 continue;
             };
             let limit = (baseline.duration * TIMEOUT_FACTOR).max(MIN_TIMEOUT);
-            let played = with_deadline(limit, &self.config.cancel, |cancel| {
-                executor.set_cancel(cancel);
-                play(executor, scenario, *law)
-            });
+            let played = play_within(limit, &self.config.cancel, executor, scenario, *law);
             if self.config.cancel.is_cancelled() {
                 return Err(AnalysisError::Cancelled);
             }
@@ -162,6 +161,23 @@ impl MutantRunner<'_> {
         }
         Ok(Status::Survived { closest, same_commands })
     }
+}
+
+/// `None` if the time limit or `cancel` ended the scenario.
+fn play_within(
+    limit: Duration,
+    cancel: &CancelToken,
+    executor: &mut BoardExecutor<'_>,
+    scenario: &Scenario,
+    law: LawId,
+) -> Result<Option<SuiteOutcome>, AnalysisError> {
+    let played = with_deadline(limit, cancel, |token| {
+        executor.set_cancel(token);
+        play(executor, scenario, law)
+    });
+    // The cancelled token would also cancel the next connection.
+    executor.set_cancel(cancel);
+    played
 }
 
 /// Cancels `work` after `limit`, or if `cancel` is cancelled.
@@ -454,4 +470,27 @@ fn survivor_lines(MutantResult { mutant, status, covered_by, .. }: &MutantResult
 fn format_score(score: Score) -> String {
     let interval = score.interval().map_or_else(String::new, |[low, high]| format!(" (95 %: {low:.1} to {high:.1} %)"));
     format!("{} of {}, {:.1} %{interval}", score.detected, score.valid, score.percent())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_model::scenario::load;
+    use platebench_rig::RigSpec;
+
+    /// After a mutant without an end, the runner connects again to restore the firmware.
+    #[test]
+    fn a_time_limit_does_not_cancel_the_next_connection() {
+        let file = "paper/fig13-closed-loop.toml";
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
+        let mut scenario = load(&path, file).unwrap_or_else(|fault| panic!("{fault}"));
+        (scenario.trials.count, scenario.trials.max_count) = (100_000, 100_000);
+        let suite = Suite::new(&"emulated".parse::<RigSpec>().unwrap(), vec![scenario]).unwrap();
+        let (connect, cancel, ends) = (|| suite.connect(), CancelToken::never(), SafeEnds::default());
+        let mut executor = new_executor(&connect, &cancel, &ends);
+        let (scenario, law) = &suite.scenarios[0];
+        let played = play_within(Duration::ZERO, &cancel, &mut executor, scenario, *law).unwrap();
+        assert!(played.is_none(), "the limit did not end the scenario");
+        assert!(executor.session().is_ok());
+    }
 }

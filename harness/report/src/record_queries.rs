@@ -7,6 +7,7 @@ use platebench_model::record::{
     Verdict, ViolationKind,
 };
 use std::mem::{Discriminant, discriminant};
+use std::ops::Range;
 
 const MAX_PROTOCOL_DIFFERENCES: usize = 3;
 
@@ -140,19 +141,45 @@ fn shared_cause(scenario: &ScenarioRecord, index: usize) -> Option<SharedCause<'
     }
 }
 
-/// True if a slower `--time-scale` may decide an expectation. [`Excuse::LoopDelay`] says so itself.
+/// True if a slower `--time-scale` or `--clock lockstep` may decide an expectation.
+/// [`Excuse::LoopDelay`] says so itself.
 pub(crate) fn is_late_in_real_time(record: &RunRecord) -> bool {
     let is_late = |expectation: &ExpectationRecord| {
         matches!(
             expectation.reason,
             Some(
-                Reason::Excluded { exclusion: Exclusion::LateBench { .. }, .. }
+                Reason::Excluded { exclusion: Exclusion::LateBench { .. } | Exclusion::NoAnswer { .. }, .. }
                     | Reason::Excused(Excuse::RealTimeDelay)
             )
         )
     };
     let expectations = || record.scenarios.iter().flat_map(|scenario| &scenario.expectations);
     record.clock == ClockKind::RealTime && expectations().any(is_late)
+}
+
+/// Wall time by which ser2net 4 delays every answer by default, ms: 3.2 on an idle machine.
+const SERVER_DELAY_MS: Range<f64> = 2.8..4.2;
+/// The delay of a server is constant; that of a busy network or bench is not.
+const MAX_SERVER_SPREAD_MS: f64 = 1.0;
+
+/// Median wall time from a sample to its answer over a network, if it has the signature of a server
+/// that collects characters: about 3 ms, and constant.
+pub(crate) fn server_delay_ms(record: &RunRecord) -> Option<f64> {
+    let is_network = matches!(record.rig.kind(), "tcp" | "rfc2217") && record.clock == ClockKind::RealTime;
+    let trials = record.scenarios.iter().flat_map(|scenario| &scenario.trials).filter(|_| is_network);
+    let delays = trials.filter_map(|trial| {
+        let timing = trial.telemetry.timing.as_deref()?;
+        let wall_ms = |delay_us: f64| delay_us / timing.time_scale / 1e3;
+        timing.loop_delay_us.map(|delay| (wall_ms(delay.p50), wall_ms(delay.p99)))
+    });
+    let mut typical = None;
+    for (median, high) in delays {
+        if !SERVER_DELAY_MS.contains(&median) || high - median > MAX_SERVER_SPREAD_MS {
+            return None;
+        }
+        typical.get_or_insert(median);
+    }
+    typical
 }
 
 pub(crate) fn smallest_margin(record: &RunRecord) -> Option<(&ScenarioRecord, &ExpectationRecord, f64)> {

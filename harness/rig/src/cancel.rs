@@ -2,7 +2,11 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// A loop that may drive a plate looks for a cancellation at least this often.
+pub const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(10);
 
 /// All clones share one state.
 #[derive(Debug, Clone, Default)]
@@ -30,12 +34,21 @@ impl CancelToken {
     pub fn is_cancelled(&self) -> bool {
         self.is_cancelled.load(Ordering::Relaxed) || self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
     }
+
+    /// Sleeps for `time`, or until a cancellation.
+    pub fn sleep(&self, time: Duration) {
+        let end = Instant::now() + time;
+        while !self.is_cancelled()
+            && let Some(left) = end.checked_duration_since(Instant::now()).filter(|left| !left.is_zero())
+        {
+            thread::sleep(left.min(CANCEL_POLL_INTERVAL));
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
 
     #[test]
     fn a_deadline_cancels_its_token_only() {
@@ -45,5 +58,7 @@ mod tests {
         assert!(!token.is_cancelled() && !later.is_cancelled());
         token.cancel();
         assert!(later.is_cancelled());
+        // Without the cancellation, it sleeps for an hour.
+        token.sleep(Duration::from_hours(1));
     }
 }

@@ -129,6 +129,17 @@ impl CommandAudit {
         }
     }
 
+    /// True for an identity or an answer to a configuration that the bench did not send. Wrong numbers
+    /// of commands do not count, because a faulty controller sends them, too.
+    pub(crate) fn is_unrequested_setup(&self, packet: &Packet) -> bool {
+        let requested = self.exchanges.get(usize::from(packet.sequence)).map(|exchange| exchange.request);
+        match packet.message {
+            Message::Identity(_) => true,
+            Message::Configured(_) => requested != Some(Request::Configuration),
+            _ => false,
+        }
+    }
+
     fn check_drive(&mut self, drive_vpp: f32) {
         if !self.is_safe || drive_vpp == 0.0 {
             return;

@@ -56,8 +56,9 @@ pub(crate) fn handshake<L: Link + ?Sized>(
         answers.read(&bytes);
         if let Some(identity) = answers.identity {
             debug!(attempt, rejected = answers.rejected.bytes, "identity received");
-            if attempt > 1 {
-                drain(link)?;
+            // The controller may answer another client, which stops when it notices this one.
+            if attempt > 1 || link.kind() == LinkKind::Network {
+                drain(link, cancel)?;
             }
             return Ok(identity);
         }
@@ -66,7 +67,7 @@ pub(crate) fn handshake<L: Link + ?Sized>(
             return Err(LinkError::Ended(how).into());
         }
         if !is_simulated {
-            thread::sleep(HELLO_INTERVAL.saturating_sub(asked.elapsed()));
+            cancel.sleep(HELLO_INTERVAL.saturating_sub(asked.elapsed()));
         }
     }
     Err(match answers.fault {
@@ -128,10 +129,10 @@ impl HandshakeAnswers {
 }
 
 /// Reads the answers to earlier hellos, so that no later request gets them.
-fn drain<L: Link + ?Sized>(link: &mut L) -> Result<(), RigError> {
+fn drain<L: Link + ?Sized>(link: &mut L, cancel: &CancelToken) -> Result<(), RigError> {
     let mut budget = WaitBudget::new(MAX_DRAIN);
     let mut quiet_since = Instant::now();
-    while quiet_since.elapsed() < QUIET && budget.next_part(Instant::now()).is_some() {
+    while quiet_since.elapsed() < QUIET && !cancel.is_cancelled() && budget.next_part(Instant::now()).is_some() {
         let mut bytes = Vec::new();
         link.advance_to(Duration::ZERO, &mut bytes)?;
         if link.kind() == LinkKind::Simulated {

@@ -34,7 +34,7 @@ mod tty;
 mod wait_budget;
 pub mod wall_clock;
 
-pub use cancel::CancelToken;
+pub use cancel::{CANCEL_POLL_INTERVAL, CancelToken};
 pub use command_audit::DrivesAfterSafe;
 pub use compared_link::FREQUENCY_TOLERANCE_MHZ;
 pub use crash_report::CrashReport;

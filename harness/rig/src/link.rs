@@ -31,6 +31,14 @@ pub enum LinkKind {
     Lossless,
     /// The target runs in wall time. Noise on the line may destroy bytes.
     Lossy,
+    /// As [`Self::Lossy`]. A server may let other clients use the line, too.
+    Network,
+}
+
+impl LinkKind {
+    pub fn loses_bytes(self) -> bool {
+        matches!(self, Self::Lossy | Self::Network)
+    }
 }
 
 /// A line on which one thread sends and receives in real time.

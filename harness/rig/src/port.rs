@@ -1,7 +1,7 @@
 //! Exchanges messages over an open terminal and waits for answers. Opens pseudo-terminals, for a
 //! program or for a controller that is started by hand.
 
-use crate::cancel::CancelToken;
+use crate::cancel::{CANCEL_POLL_INTERVAL, CancelToken};
 use crate::factory::ConnectOptions;
 use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use crate::tty::{LineReader, Tty, disconnected};
@@ -23,7 +23,7 @@ const ANSWER_TIMEOUT: Duration = Duration::from_millis(100);
 const CANCELLED_SAFE_TIMEOUT: Duration = Duration::from_secs(1);
 /// Longest wait after a message that needs no answer.
 const OPTIONAL_ANSWER_TIMEOUT: Duration = Duration::from_millis(1);
-/// Number of parts of a wait for an answer.
+/// Smallest number of parts of a wait for an answer.
 const WAIT_PARTS: u32 = 10;
 const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 const READ_CHUNK_BYTES: usize = 512;
@@ -38,6 +38,7 @@ pub struct Port<T> {
     cancel: CancelToken,
     /// True from a missing answer to the next answer.
     is_silent: bool,
+    kind: LinkKind,
 }
 
 impl Port<OwnedFd> {
@@ -56,7 +57,12 @@ impl<T: Tty> Port<T> {
             reply_timeout: DEFAULT_REPLY_TIMEOUT,
             cancel: CancelToken::never(),
             is_silent: false,
+            kind: LinkKind::Lossy,
         }
+    }
+
+    pub(crate) fn on_network(terminal: T) -> Self {
+        Self { kind: LinkKind::Network, ..Self::new(terminal) }
     }
 
     /// A cancellation shortens the waits for answers.
@@ -115,7 +121,7 @@ impl<T: Tty> Link for Port<T> {
         let start = Instant::now();
         self.write(bytes, start + WRITE_TIMEOUT)?;
         let timeout = self.answer_timeout(request);
-        let mut budget = WaitBudget::with_parts(timeout, timeout / WAIT_PARTS);
+        let mut budget = WaitBudget::with_parts(timeout, (timeout / WAIT_PARTS).min(CANCEL_POLL_INTERVAL));
         let mut read = answer.len();
         while let Some(until) = budget.next_part(Instant::now()) {
             if self.cancel.is_cancelled() {
@@ -147,7 +153,7 @@ impl<T: Tty> Link for Port<T> {
     }
 
     fn kind(&self) -> LinkKind {
-        LinkKind::Lossy
+        self.kind
     }
 
     fn real_time_line(&mut self) -> Option<&mut dyn RealTimeLine> {

@@ -17,7 +17,6 @@ use comparison::{BenchCause, CommandDifference, CommandHistory, Comparison, Comp
 use platebench_model::scenario::ScenarioMessage;
 use platebench_wire::{Configure, Identity};
 use script::{Script, Step, Variation};
-use std::thread;
 use std::time::{Duration, Instant};
 
 /// Variations of each script, played on further references. If a variation changes the commands,
@@ -54,8 +53,6 @@ const STEP: Duration = Duration::from_millis(3);
 const MAX_STEPS: u32 = 4_096;
 /// A longer script takes minutes on a slow line. It is played on request if time passes meanwhile.
 const LONG_SCRIPT: u64 = 10_000;
-/// Longest part of a silence. A cancellation ends the silence after it.
-const SILENCE_PART: Duration = Duration::from_millis(100);
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ProtocolCheck {
@@ -131,7 +128,7 @@ pub fn check_protocol(
     let kind = player.link.kind();
     let may_repeat = |difference: &CommandDifference| match difference.other_cause {
         None => false,
-        Some(BenchCause::NoAnswer) => kind == LinkKind::Lossy,
+        Some(BenchCause::NoAnswer) => kind.loses_bytes(),
         Some(BenchCause::LateAnswer | BenchCause::LateTicks | BenchCause::Stall) => kind != LinkKind::Simulated,
     };
     let scripts = if messages.is_empty() {
@@ -210,7 +207,7 @@ impl Player<'_> {
         let (start, mut late) = (Instant::now(), Vec::new());
         while start.elapsed() < LATE_ANSWER && !self.cancel.is_cancelled() {
             let known = late.len();
-            thread::sleep(QUIET);
+            self.cancel.sleep(QUIET);
             self.link.advance_to(self.now, &mut late)?;
             if late.len() == known && !comparison::packets(&late).is_empty() {
                 return Ok(true);
@@ -218,15 +215,6 @@ impl Player<'_> {
         }
         self.lost_answers += 1;
         Ok(false)
-    }
-
-    fn sleep(&self, time: Duration) {
-        let end = Instant::now() + time;
-        while !self.cancel.is_cancelled()
-            && let Some(left) = end.checked_duration_since(Instant::now()).filter(|left| !left.is_zero())
-        {
-            thread::sleep(left.min(SILENCE_PART));
-        }
     }
 
     fn play(&mut self, script: &Script) -> Result<Option<CommandDifference>, LinkError> {
@@ -241,7 +229,7 @@ impl Player<'_> {
         let mut expected = vec![Vec::new(); references.len()];
         for (number, exchange) in script.exchanges(Variation::NONE).enumerate() {
             if self.own_clock {
-                self.sleep(exchange.wait);
+                self.cancel.sleep(exchange.wait);
             }
             if self.cancel.is_cancelled() {
                 return Ok(None);

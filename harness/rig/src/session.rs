@@ -37,6 +37,11 @@ pub enum RigError {
     NoRealTime,
     #[error("the controller was restarted in the middle of a trial")]
     Restarted,
+    #[error(
+        "another client uses the line: the controller answered a hello or a configuration that this bench did not \
+         send; let one client at a time use the server's port"
+    )]
+    OtherClient,
     #[error("the controller answered with a sequence number that the bench has not sent")]
     WrongSequence,
     #[error("the controller refused its configuration: {}", match .0 {
@@ -119,6 +124,8 @@ pub struct Session<L: Link> {
     /// Shortens the observation after 0 V.
     cancel: CancelToken,
     has_identity: bool,
+    /// True from the configuration of a trial to the request for 0 V, until another client is found.
+    detects_clients: bool,
     is_closed: bool,
     /// True if the controller is a program that has ended.
     has_ended: bool,
@@ -159,6 +166,7 @@ impl<L: Link> Session<L> {
             received_at: Instant::now(),
             cancel: cancel.with_deadline(None),
             has_identity: false,
+            detects_clients: false,
             is_closed: false,
             has_ended: false,
             ended_before_safe: None,
@@ -236,6 +244,7 @@ impl<L: Link> Session<L> {
         let gains = self.reconfigure(Duration::ZERO, configure)?;
         self.frames.reset();
         self.rejected_frames = 0;
+        self.detects_clients = self.link.kind() == LinkKind::Network;
         Ok(gains)
     }
 
@@ -298,6 +307,7 @@ impl<L: Link> Session<L> {
 
     /// Returns true if the controller confirmed 0 V under the number of the request.
     pub fn request_safe_state(&mut self) -> bool {
+        self.detects_clients = false;
         // A line that cannot be read may still carry the request.
         if let Err(error) = self.receive_before_request() {
             debug!(%error, "nothing was received before the request for 0 V");
@@ -536,6 +546,10 @@ impl<L: Link> Session<L> {
                 None => {}
                 Some(Err(_)) => self.rejected_frames += 1,
                 Some(Ok(Packet { message: Message::Fault(report), .. })) => return Err(RigError::Trapped(report)),
+                Some(Ok(packet)) if self.detects_clients && self.audit.is_unrequested_setup(&packet) => {
+                    self.detects_clients = false;
+                    return Err(RigError::OtherClient);
+                }
                 Some(Ok(packet)) => {
                     self.audit.record(self.sequence, &packet);
                     return Ok(Some(packet));

@@ -4,10 +4,11 @@
 
 use addr2line::Context;
 use gimli::{
-    BaseAddresses, CfaRule, DebugFrame, Dwarf, EndianArcSlice, Register, RegisterRule, RunTimeEndian, SectionId,
-    UnwindContext, UnwindSection as _,
+    BaseAddresses, CfaRule, DebugFrame, Dwarf, EndianArcSlice, Reader as _, Register, RegisterRule, RunTimeEndian,
+    SectionId, UnwindContext, UnwindSection as _,
 };
 use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
+use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::Arc;
 
@@ -62,6 +63,8 @@ pub struct Symbols {
     functions: Vec<Function>,
     all: Vec<(String, u64)>,
     lines: Option<Context<DebugSlice>>,
+    /// Relative folders in which units were compiled.
+    build_folders: BTreeSet<String>,
     call_frames: CallFrames,
 }
 
@@ -75,10 +78,12 @@ impl Symbols {
             None => Vec::new(),
         };
         let load = |id| Ok::<_, gimli::Error>(section(file, id));
+        let dwarf = Dwarf::load(load).ok();
         Self {
             functions: functions(&named),
             all: named.into_iter().map(|(name, symbol)| (name, symbol.address())).collect(),
-            lines: Dwarf::load(load).and_then(Context::from_dwarf).ok(),
+            build_folders: dwarf.as_ref().map(relative_build_folders).unwrap_or_default(),
+            lines: dwarf.and_then(|dwarf| Context::from_dwarf(dwarf).ok()),
             call_frames: CallFrames::new(section(file, SectionId::DebugFrame)),
         }
     }
@@ -139,10 +144,28 @@ impl Symbols {
             let line = frame.location.and_then(|location| Some((location.file?, location.line?)));
             found.push(SourceFrame {
                 function: name.map_or_else(|| "?".to_owned(), |name| strip_hash(&name)),
-                line: line.map(|(file, line)| SourceLine { file: file.to_owned(), line }),
+                line: line.map(|(file, line)| SourceLine { file: self.source_name(file), line }),
             });
         }
         found
+    }
+
+    /// The name of a source file, from the image alone. A compiler that shortens paths writes the
+    /// folder of the unit in front of a path that is already complete: `a/wire/a/wire/src/x.rs`.
+    fn source_name(&self, file: &str) -> String {
+        let first = |path: &str| path.split('/').next().map(str::to_owned);
+        let is_complete = |rest: &&str| self.build_folders.iter().any(|folder| first(folder) == first(rest));
+        let rests = self.build_folders.iter().filter_map(|folder| file.strip_prefix(folder)?.strip_prefix('/'));
+        let name = rests.filter(is_complete).min_by_key(|rest| rest.len()).unwrap_or(file);
+        let mut parts: Vec<&str> = Vec::new();
+        for part in name.split('/') {
+            match (part, parts.last()) {
+                (".", _) => {}
+                ("..", Some(last)) if !last.is_empty() && *last != ".." => drop(parts.pop()),
+                _ => parts.push(part),
+            }
+        }
+        parts.join("/")
     }
 
     /// Returns function and line. The function's name includes the innermost inlined function.
@@ -190,6 +213,17 @@ fn fill_missing_ends(functions: &mut [Function]) {
             function.end = next.unwrap_or(function.address + 2);
         }
     }
+}
+
+fn relative_build_folders(dwarf: &Dwarf<DebugSlice>) -> BTreeSet<String> {
+    let mut folders = BTreeSet::new();
+    let mut headers = dwarf.units();
+    while let Ok(Some(header)) = headers.next() {
+        let folder = dwarf.unit(header).ok().and_then(|unit| unit.comp_dir);
+        let folder = folder.and_then(|folder| Some(folder.to_string_lossy().ok()?.into_owned()));
+        folders.extend(folder.filter(|folder| !folder.starts_with('/') && !folder.is_empty()));
+    }
+    folders
 }
 
 fn section(file: Option<&object::File<'_>>, id: SectionId) -> DebugSlice {
@@ -289,6 +323,7 @@ impl CallFrames {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rstest::rstest;
 
     #[inline(never)]
     fn known_function() -> u32 {
@@ -297,6 +332,17 @@ mod tests {
 
     fn own_symbols() -> Symbols {
         Symbols::read(&std::fs::read(std::env::current_exe().unwrap()).unwrap())
+    }
+
+    #[rstest]
+    #[case::complete("a/wire/a/wire/src/x.rs", "a/wire/src/x.rs")]
+    #[case::of_another_unit("a/wire/a/law/src/x.rs", "a/law/src/x.rs")]
+    #[case::below_the_folder("a/wire/src/x.rs", "a/wire/src/x.rs")]
+    #[case::steps_up("/home/u/build/../src/./x.c", "/home/u/src/x.c")]
+    #[case::starts_above("../src/x.c", "../src/x.c")]
+    fn names_come_from_the_image_alone(#[case] file: &str, #[case] expected: &str) {
+        let build_folders = ["a/wire".to_owned(), "a/law".to_owned()].into();
+        assert_eq!(Symbols { build_folders, ..Symbols::read(&[]) }.source_name(file), expected);
     }
 
     #[test]

@@ -1,10 +1,11 @@
 use crate::test_folder::{
-    PLATE, ProgramOutput, TestFolder, bench_command, run_bench, start_bench, step_scenario, wait_until,
+    ChildGuard, PLATE, ProgramOutput, TestFolder, bench_command, run_bench, start_bench, step_scenario, wait_until,
 };
 use platebench_model::record::FileLock;
 use rstest::rstest;
 use serde_json::Value;
 use std::fs;
+use std::process::{Command, Stdio};
 
 const SCENARIO: &str = "title = \"Step\"\nplate = \"scenarios/plates/plate.toml\"\nduration_ms = 20.0\n\
     [profile]\nsetpoint_um = { hold = [[0.0, 0.0], [1.0, 2.0]] }\n\
@@ -248,21 +249,37 @@ fn submitted_commands_play_every_shard(#[case] on: &str, #[case] program: &str, 
     let printed = folder.bench(["campaign", "submit", "a folder", "--on", on]);
     printed.assert_exit(0).assert_stdout(&[program, "--array=1-3", task, "campaign merge"]);
     // A script replaces the engine. It runs the last word of its command line for each task.
+    let engine =
+        format!("for word; do last=$word; done\nfor {task} in 1 2 3; do export {task}; sh -c \"$last\"; done\n");
+    let output = ProgramOutput::from(submit_by_script(&folder, on, program, &engine).output().unwrap());
+    let run = folder.bench(["campaign", "run", "campaign.toml", "--out", "b"]);
+    assert_eq!(output.exit, run.exit);
+    assert!(results(&folder, "a folder") == results(&folder, "b"));
+}
+
+fn submit_by_script(folder: &TestFolder, on: &str, program: &str, script: &str) -> Command {
     let tools = folder.join("tools");
     fs::create_dir(&tools).unwrap();
-    let engine = format!(
-        "#!/bin/sh\nfor word; do last=$word; done\nfor {task} in 1 2 3; do export {task}; sh -c \"$last\"; done\n"
-    );
-    fs::write(tools.join(program), engine).unwrap();
+    fs::write(tools.join(program), format!("#!/bin/sh\n{script}")).unwrap();
     let executable = std::os::unix::fs::PermissionsExt::from_mode(0o755);
     fs::set_permissions(tools.join(program), executable).unwrap();
     let path = format!("{}:{}", tools.display(), std::env::var("PATH").unwrap());
     let mut command = bench_command(folder.path());
     command.args(["campaign", "submit", "a folder", "--on", on, "--run"]).env("PATH", path);
-    let output = ProgramOutput::from(command.output().unwrap());
-    let run = folder.bench(["campaign", "run", "campaign.toml", "--out", "b"]);
-    assert_eq!(output.exit, run.exit);
-    assert!(results(&folder, "a folder") == results(&folder, "b"));
+    command
+}
+
+#[rstest]
+#[case::slurm("slurm", "sbatch", "scancel")]
+#[case::hyperqueue("hyperqueue", "hq", "hq job cancel")]
+fn ctrl_c_names_the_shards_in_the_queue(#[case] on: &str, #[case] program: &str, #[case] cancel: &str) {
+    let folder = folder(GRID);
+    plan(&folder, "a folder", 3);
+    let mut command = submit_by_script(&folder, on, program, "touch waits; exec sleep 5 2>/dev/null\n");
+    let bench = ChildGuard(command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
+    wait_until("the engine is not called", || folder.exists("waits"));
+    bench.signal("INT");
+    bench.finish().assert_message(130, &["the shards stay in the queue", cancel]);
 }
 
 #[test]

@@ -51,14 +51,14 @@ pub(crate) fn assert_same_bytes(engine: &str, begin: &str, start: &dyn Fn(&Path,
 }
 
 /// Slurm cluster of one controller and one node on this machine, run by this user.
-struct Slurm {
+pub(crate) struct Slurm {
     /// The first field is dropped first, so that the daemons end before their folder is removed.
     daemons: Vec<ChildGuard>,
     folder: tempfile::TempDir,
 }
 
 impl Slurm {
-    fn start() -> Option<Self> {
+    pub(crate) fn start() -> Option<Self> {
         let output = |program: &str, argument: &str| {
             let output = Command::new(program).arg(argument).output().ok().filter(|output| output.status.success())?;
             Some(String::from_utf8(output.stdout).unwrap().trim().to_owned())
@@ -104,7 +104,7 @@ impl Slurm {
         self.folder.path().join("slurm.conf").to_str().unwrap().to_owned()
     }
 
-    fn command(&self, program: &str) -> Command {
+    pub(crate) fn command(&self, program: &str) -> Command {
         let mut command = Command::new(program);
         command.env("SLURM_CONF", self.config());
         command

@@ -23,6 +23,7 @@ mod crate_layers;
 mod debugger;
 mod deciding_reason;
 mod determinism;
+mod ends_from_outside;
 mod exit_codes;
 mod explore;
 mod extreme_inputs;

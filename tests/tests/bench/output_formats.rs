@@ -73,3 +73,16 @@ fn complete_trials_of_a_killed_run_are_exported() {
     fs::remove_file(folder.join(TRACE)).unwrap();
     folder.bench(["report", "run", "--export", "csv", "--out", "other"]).assert_exit(4);
 }
+
+#[test]
+fn an_old_summary_does_not_stand_beside_a_run_without_a_verdict() {
+    let folder = TestFolder::with_step(SETTLING);
+    let run = |out: &str, rig: &str| folder.bench(["run", "--rig", rig, "--summary", "s.md", "--out", out]);
+    run("first", "hosted").assert_exit(0);
+    let first = folder.read("s.md");
+    assert!(!folder.exists("s.md.previous"));
+    run("lost", "tcp:127.0.0.1:1").assert_exit(5);
+    assert_eq!((folder.exists("s.md"), folder.read("s.md.previous")), (false, first));
+    run("second", "hosted").assert_exit(0);
+    assert!(folder.exists("s.md"));
+}

@@ -85,6 +85,10 @@ fn the_wheel_plays_scenarios_and_pytest_collects_them() {
         assert!(text.contains(part), "{part} is not in {text}");
     }
     assert!(!text.contains("Traceback"), "{text}");
+    // Their hooks read attributes of every test.
+    for plugin in ["embedded-", "labgrid-", "timeout-"] {
+        assert!(text.contains(plugin), "{plugin} is not in {text}");
+    }
 
     // Folders that pytest skips by default contain scenarios too.
     for name in ["build", "dist/deep", "venv", "node_modules"] {

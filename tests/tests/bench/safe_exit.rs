@@ -19,7 +19,7 @@ fn running_bench(folder: &TestFolder) -> (ChildGuard, PathBuf) {
     (bench, log)
 }
 
-fn log_lines(log: &Path) -> Vec<Value> {
+pub(crate) fn log_lines(log: &Path) -> Vec<Value> {
     let text = fs::read_to_string(log).unwrap_or_default();
     text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
 }

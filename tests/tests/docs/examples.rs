@@ -6,7 +6,7 @@ use std::fs;
 use std::process::Command;
 use yaml_serde::Value;
 
-const RUN_FOLDER_FILES: [&str; 3] = ["junit.xml", "report.html", "run.json"];
+const RUN_FOLDER_FILES: [&str; 4] = ["comparison/", "junit.xml", "report.html", "run.json"];
 
 fn recipe(name: &str) -> Value {
     yaml_serde::from_str(&fs::read_to_string(workspace_root().join("docs/examples/ci").join(name)).unwrap()).unwrap()

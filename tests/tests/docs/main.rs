@@ -15,6 +15,7 @@ mod examples;
 mod justfile;
 mod links;
 mod page;
+mod played_recipes;
 mod reference;
 mod templates;
 mod tutorial;

@@ -298,6 +298,7 @@ pub(super) fn play(
     let reservation = arguments.board.reserve("run").inspect_err(|_| {
         folder.remove_if_empty();
     })?;
+    arguments.outputs.set_aside().or_invalid()?;
     let is_real = clock == Clock::RealPlate;
     // A line or a board plays one trial at a time. In real time, parallel trials delay each other,
     // so only `--jobs` allows them.

@@ -12,7 +12,7 @@ use platebench_model::record::{RealPlateRecord, Violation};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::Time;
-use platebench_rig::{CancelToken, FaultInjector, Link, RigError, Session};
+use platebench_rig::{CANCEL_POLL_INTERVAL, CancelToken, FaultInjector, Link, RigError, Session};
 use platebench_wire::{Command, Configure, ControllerState, LawId, Message, Setpoint, StateCause, Telemetry};
 use std::time::{Duration, Instant};
 
@@ -24,7 +24,6 @@ const LATE_SETPOINT: Duration = Duration::from_millis(200);
 const ACKNOWLEDGE_TIMEOUT: Duration = Duration::from_millis(100);
 /// The controller is lost if it sends no telemetry for this time.
 const SILENCE_TIMEOUT: Duration = Duration::from_millis(500);
-const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 pub(super) struct TelemetryLoopResult {
     pub(super) abort: Option<TrialAbort>,

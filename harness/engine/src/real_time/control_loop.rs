@@ -8,11 +8,10 @@ use platebench_model::record::Telemetry;
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::Flags;
 use platebench_plate::Time;
-use platebench_rig::{CancelToken, FaultInjector, Link, ReceivedMessage, RigError, Session};
+use platebench_rig::{CANCEL_POLL_INTERVAL, CancelToken, FaultInjector, Link, ReceivedMessage, RigError, Session};
 use platebench_wire::{Configure, Configured, ControllerState, Gains, Message, StateCause};
 use std::time::{Duration, Instant};
 
-const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// The thread polls for this time before a deadline, because a timer would wake it some 10 µs late.
 const SPIN_TIME: Duration = Duration::from_micros(80);
 /// A sample is an overrun of the bench if it is later than this share of the control period.
@@ -292,7 +291,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             if self.cancel.is_cancelled() {
                 return Err(TrialAbort::Cancelled);
             }
-            let soon = self.session.line_time() + Duration::from_millis(50);
+            let soon = self.session.line_time() + CANCEL_POLL_INTERVAL;
             if let Some(received) = self.session.receive(soon.min(end))? {
                 self.handle_message(&received)?;
             }

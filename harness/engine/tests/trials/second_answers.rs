@@ -4,9 +4,9 @@
 use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
 use platebench_engine::{RunHooks, run};
 use platebench_model::record::{RunFolder, RunRecord, Verdict, ViolationKind};
-use platebench_rig::{HostedLink, Link, LinkError, LinkKind};
+use platebench_rig::{HostedLink, Link, LinkError, LinkKind, Session};
 use platebench_test_kit::load_scenario;
-use platebench_wire::{Command, ControllerState, Message, Packet};
+use platebench_wire::{Command, Configured, ControllerState, Gains, Message, Packet};
 use rstest::rstest;
 use std::time::Duration;
 
@@ -104,4 +104,43 @@ fn a_damaged_frame_fails_unless_the_line_may_damage_it(#[case] kind: LinkKind, #
     let record = run_on(kind, damaged);
     let expected = if fails { vec![ViolationKind::RejectedFrame] } else { Vec::new() };
     assert_eq!((record.verdict == Verdict::Fail, violations(&record)), (fails, expected));
+}
+
+/// Answers of the controller to another client, which a server sends to this bench as well.
+fn identity(packet: &Packet) -> Option<Vec<u8>> {
+    let identity = Session::open(HostedLink::new()).unwrap().identity().to_owned();
+    is_running(packet).then(|| frame(&Packet { sequence: 0, message: Message::Identity(identity) }))
+}
+
+fn configured(packet: &Packet) -> Option<Vec<u8>> {
+    let gains = Gains { amplitude_kp: 1.0, amplitude_ki: 1.0, frequency_kp: 1.0, frequency_ki: 1.0 };
+    let message = Message::Configured(Configured { outcome: Ok(gains) });
+    is_running(packet).then(|| frame(&Packet { message, ..*packet }))
+}
+
+fn is_running(packet: &Packet) -> bool {
+    matches!(packet.message, Message::Command(Command { state: ControllerState::Running, .. }))
+}
+
+#[rstest]
+#[case::identity(identity)]
+#[case::configured(configured)]
+fn another_client_of_a_server_decides_nothing(#[case] answer: fn(&Packet) -> Option<Vec<u8>>) {
+    let record = run_on(LinkKind::Network, answer);
+    assert_eq!((record.verdict, violations(&record)), (Verdict::Inconclusive, Vec::new()));
+    let trial = &record.scenarios[0].trials[0].telemetry;
+    assert!(trial.ended.as_ref().unwrap().starts_with("another client uses the line"), "{:?}", trial.ended);
+    assert!(!trial.ended_by_controller);
+    // No second client can use another rig.
+    for kind in [LinkKind::Simulated, LinkKind::Lossless, LinkKind::Lossy] {
+        assert_eq!(run_on(kind, answer).scenarios[0].trials[0].telemetry.ended, None, "{kind:?}");
+    }
+}
+
+/// A faulty controller must not look like another client.
+#[test]
+fn doubled_answers_fail_behind_a_server_too() {
+    let doubled = |packet: &Packet| matches!(packet.message, Message::Command(_)).then(|| frame(packet));
+    let record = run_on(LinkKind::Network, doubled);
+    assert_eq!((record.verdict, violations(&record)), (Verdict::Fail, vec![ViolationKind::SecondReply]));
 }

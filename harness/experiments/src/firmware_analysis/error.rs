@@ -39,6 +39,6 @@ pub enum AnalysisError {
 impl AnalysisError {
     /// False if the run was cancelled or the bench has a defect.
     pub fn is_invalid_input(&self) -> bool {
-        !matches!(self, Self::Cancelled | Self::Disassembler(_))
+        !matches!(self, Self::Cancelled | Self::Run(RunError::Cancelled) | Self::Disassembler(_))
     }
 }

@@ -1,7 +1,7 @@
 //! Lists the mutants of a firmware image. Encodings: ARM DDI 0403E, sections A5.2, A5.3, A6.4, A7.3
 //! and A7.7.
 
-use crate::firmware_analysis::code_map::{CodeMap, Flow, Instruction, SourceMap, it_condition, it_length};
+use crate::firmware_analysis::code_map::{CodeMap, Flow, Instruction, it_condition, it_length};
 use crate::firmware_analysis::error::AnalysisError;
 use crate::firmware_analysis::is_standard_library;
 use capstone::arch::arm::{ArchExtraMode, ArchMode};
@@ -142,10 +142,9 @@ struct CandidatePlace {
 }
 
 fn places(map: &CodeMap, symbols: &Symbols) -> BTreeMap<u32, CandidatePlace> {
-    let sources = SourceMap::new(symbols);
     let place = |&address: &u32| {
         let symbol = map.function_at(address).map_or_else(String::new, |function| function.name.clone());
-        let frames = sources.frames(address);
+        let frames = symbols.frames(address);
         let is_own = |frame: &&SourceFrame| frame.line.as_ref().is_some_and(|line| !is_standard_library(&line.file));
         let is_of_compiler =
             frames.iter().any(|frame| frame.line.is_some()) && !frames.iter().any(|frame| is_own(&frame));

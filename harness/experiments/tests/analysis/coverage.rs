@@ -27,6 +27,16 @@ fn a_scenario_executes_its_own_law_only() {
     assert!(law.functions.values().any(|function| function.in_control_step), "{law:?}");
 }
 
+/// The tests run in the folder of this crate, where no name of the image is a file.
+#[test]
+fn names_come_from_the_image_alone() {
+    let coverage = coverage(&["paper/fig13-closed-loop.toml"], &[]).unwrap();
+    let files: Vec<_> = coverage.files.keys().collect();
+    assert!(files.iter().any(|file| file.as_str() == "firmware-under-test/controller/src/dq_pi.rs"), "{files:?}");
+    let missing: Vec<_> = files.iter().filter(|file| !workspace_root().join(file).is_file()).collect();
+    assert!(missing.is_empty(), "{missing:?}");
+}
+
 #[test]
 fn an_unknown_path_is_an_error() {
     let error = coverage(&["paper/fig13-closed-loop.toml"], &["no such file"]).unwrap_err();

@@ -9,8 +9,6 @@ use platebench_rig::{BUILT_IN_IMAGE, RigSpec, Symbols};
 use platebench_test_kit::{load_scenario, workspace_root};
 
 fn suite(scenarios: &[&str]) -> Suite {
-    // Relative paths in the debug information start at the workspace root.
-    std::env::set_current_dir(workspace_root()).unwrap();
     let scenarios = scenarios.iter().map(|name| load_scenario(name));
     Suite::new(&RigSpec::emulated(None), scenarios.collect()).unwrap()
 }

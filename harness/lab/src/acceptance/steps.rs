@@ -14,9 +14,8 @@ use platebench_experiments::trust::report::{CONFIDENCE, MutantOutcome, Rate};
 use platebench_model::record::{Overrides, Quantiles, RunFolder, RunRecord, Verdict};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{AtPath, create_folder};
-use platebench_rig::{ConnectOptions, RigSpec};
+use platebench_rig::{CANCEL_POLL_INTERVAL, ConnectOptions, RigSpec};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 use std::{io, thread};
 
 #[derive(Debug, Clone)]
@@ -167,7 +166,6 @@ pub(crate) fn ask_operator(
 /// Seed of the first clean run. It equals the default of `platebench suite trust --seed`.
 const SEED: u64 = 31_415;
 const TRUST_FILE: &str = "trust.json";
-const CANCEL_POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Plays the shortest scenario to the hosted controller: twice in lockstep to compare the traces,
 /// then in real time to measure lateness.
@@ -257,7 +255,7 @@ pub(crate) fn measure_trust(
         if cancel.is_cancelled() {
             return Err(AcceptError::Cancelled);
         }
-        thread::sleep(CANCEL_POLL_INTERVAL);
+        cancel.sleep(CANCEL_POLL_INTERVAL);
     }
     let report = measurement.join().unwrap_or(Err(platebench_experiments::trust::TrustError::Internal))?;
     create_folder(folder).at(folder)?;

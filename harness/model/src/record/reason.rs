@@ -208,7 +208,10 @@ impl fmt::Display for Reason {
             }
             Self::TooFewTrials { counted: 0, .. } => formatter.write_str("no trial counts"),
             Self::TooFewTrials { counted, needed } => {
-                write!(formatter, "{counted} of the trials count, expected at least {needed}")
+                write!(
+                    formatter,
+                    "{counted} of the trials count, expected at least {needed}: raise [trials] count or --trials"
+                )
             }
             Self::Outside { value, bounds, limit, diverged, stopped } => {
                 write!(formatter, "{}, {bounds}, expected {limit}{}", format_value(*value), suffix(diverged))?;

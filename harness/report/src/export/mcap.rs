@@ -7,7 +7,7 @@
 use crate::export::source::{ExportError, ExportScenario, FLAG_COLUMNS, NUMBER_COLUMNS};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions};
-use platebench_model::trace::AtPath;
+use platebench_model::trace::{AtPath, Row};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -15,6 +15,8 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 const CHUNK_BYTES: u64 = 1 << 20;
+/// Messages are in time order within so many trials, whose traces are open at once.
+const MAX_OPEN_TRACES: usize = 256;
 
 pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Result<(), ExportError> {
     let format_error = ExportError::format::<McapError>(path);
@@ -29,27 +31,43 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
     let schema = serde_json::to_vec(&schema()).map_err(ExportError::format(path))?;
     let schema = writer.add_schema("platebench.Row", "jsonschema", &schema).map_err(&format_error)?;
     let mut text = Vec::new();
-    for trial in &source.trials {
-        let about = BTreeMap::from([("seed".to_owned(), trial.seed.to_string())]);
-        let topic = format!("/trial/{:03}", trial.index);
-        let channel_id = writer.add_channel(schema, &topic, "json", &about).map_err(&format_error)?;
-        for (sequence, row) in (0_u32..).zip(trial.rows()?) {
-            let row = row?;
-            let numbers = NUMBER_COLUMNS
-                .iter()
-                .filter_map(|number| Some((number.name().to_owned(), json!(number.known_value(&row)?))));
-            let flags =
-                FLAG_COLUMNS.iter().map(|flag| (flag.name.to_owned(), Value::from(row.flags.contains(flag.flag))));
-            let message: Map<String, Value> = numbers.chain(flags).collect();
+    for trials in source.trials.chunks(MAX_OPEN_TRACES) {
+        let mut topics = Vec::with_capacity(trials.len());
+        for trial in trials {
+            let about = BTreeMap::from([("seed".to_owned(), trial.seed.to_string())]);
+            let topic = format!("/trial/{:03}", trial.index);
+            let channel_id = writer.add_channel(schema, &topic, "json", &about).map_err(&format_error)?;
+            topics.push((channel_id, (0_u32..).zip(trial.rows()?)));
+        }
+        let time_of = |row: &Row| source.started_ns.saturating_add((row.t_s * 1e9).round() as u64);
+        // The next row of each topic. Rows of one instant are in the order of the topics.
+        let mut next: BTreeMap<(u64, usize), (u32, Row)> = BTreeMap::new();
+        let mut due: Vec<usize> = (0..topics.len()).collect();
+        loop {
+            for index in due.drain(..) {
+                if let Some((sequence, row)) = topics.get_mut(index).and_then(|(_, rows)| rows.next()) {
+                    let row = row?;
+                    next.insert((time_of(&row), index), (sequence, row));
+                }
+            }
+            let Some(((log_time, index), (sequence, row))) = next.pop_first() else { break };
             text.clear();
-            serde_json::to_writer(&mut text, &message).map_err(ExportError::format(path))?;
-            let log_time = source.started_ns.saturating_add((row.t_s * 1e9).round() as u64);
+            serde_json::to_writer(&mut text, &message(&row)).map_err(ExportError::format(path))?;
+            let channel_id = topics.get(index).map_or(0, |(channel_id, _)| *channel_id);
             let header = MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
             writer.write_to_known_channel(&header, &text).map_err(&format_error)?;
+            due.push(index);
         }
     }
     writer.finish().map_err(&format_error)?;
     Ok(writer.into_inner().flush().at(path)?)
+}
+
+fn message(row: &Row) -> Map<String, Value> {
+    let numbers =
+        NUMBER_COLUMNS.iter().filter_map(|number| Some((number.name().to_owned(), json!(number.known_value(row)?))));
+    let flags = FLAG_COLUMNS.iter().map(|flag| (flag.name.to_owned(), Value::from(row.flags.contains(flag.flag))));
+    numbers.chain(flags).collect()
 }
 
 /// JSON Schema of a message. `unit` is an annotation, which validators ignore.

@@ -54,7 +54,11 @@ fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter<'_>) -> io
             name: blocks.write_text(number.name())?,
             unit: blocks.write_text(number.unit)?,
             comment: blocks.write_text(number.meaning)?,
-            kind: if place == 0 { ChannelKind::Time { byte } } else { ChannelKind::Real { byte } },
+            kind: if place == 0 {
+                ChannelKind::Time { byte }
+            } else {
+                ChannelKind::Real { byte, is_held: number.is_held() }
+            },
         });
     }
     for (flag, bit) in FLAG_COLUMNS.iter().zip(0..) {
@@ -104,17 +108,19 @@ fn escape_xml(text: &str) -> String {
 /// Size of the header fields: kind, reserved bytes, length, number of links.
 const BLOCK_HEADER_BYTES: u64 = 24;
 const LINK_BYTES: u64 = 8;
+/// Flag of a channel: readers must not interpolate it.
+const DISCRETE_VALUE: u32 = 1 << 8;
 /// The header block follows the identification block of 64 bytes.
 const HEADER_POSITION: u64 = 64;
 
 #[derive(Debug, Clone, Copy)]
 enum ChannelKind {
     /// The master channel: time, s, as a double.
-    Time {
-        byte: u32,
-    },
+    Time { byte: u32 },
     Real {
         byte: u32,
+        /// True if the value holds until the next record.
+        is_held: bool,
     },
     Bit {
         byte: u32,
@@ -206,15 +212,16 @@ impl<'a> BlockWriter<'a> {
 
     fn write_channel(&mut self, channel: Channel, next: u64) -> io::Result<u64> {
         // Channel type 2: master. Synchronisation type 1: time. Data types 4: real, 0: unsigned.
-        let ((channel_type, sync, data_type), byte, bit, bits) = match channel.kind {
-            ChannelKind::Time { byte } => ((2, 1, 4), byte, 0, 64_u32),
-            ChannelKind::Real { byte } => ((0, 0, 4), byte, 0, 64),
-            ChannelKind::Bit { byte, bit } => ((0, 0, 0), byte, bit, 1),
+        let ((channel_type, sync, data_type), byte, bit, bits, is_held) = match channel.kind {
+            ChannelKind::Time { byte } => ((2, 1, 4), byte, 0, 64_u32, false),
+            ChannelKind::Real { byte, is_held } => ((0, 0, 4), byte, 0, 64, is_held),
+            ChannelKind::Bit { byte, bit } => ((0, 0, 0), byte, bit, 1, true),
         };
         let mut data = vec![channel_type, sync, data_type, bit];
         data.extend(byte.to_le_bytes());
         data.extend(bits.to_le_bytes());
-        // The flags are 0: no invalidation bit, precision, attachments, ranges or limits.
+        // No invalidation bit, precision, attachments, ranges or limits.
+        data.extend(if is_held { DISCRETE_VALUE } else { 0 }.to_le_bytes());
         data.resize(72, 0);
         let Channel { name, unit, comment, .. } = channel;
         self.write_block(*b"CN", &[next, 0, name, 0, 0, 0, unit, comment], &data)

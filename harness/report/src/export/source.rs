@@ -135,6 +135,12 @@ impl Number {
         OPTIONAL_COLUMNS.contains(&self.column)
     }
 
+    /// True if the value holds until the next row.
+    pub fn is_held(&self) -> bool {
+        let held = [Column::Setpoint, Column::Drive, Column::Frequency, Column::SensedWd, Column::SensedWq];
+        held.contains(&self.column)
+    }
+
     pub fn known_value(&self, row: &Row) -> Option<f64> {
         Some(self.column.value(row)).filter(|value| !value.is_nan())
     }

@@ -355,8 +355,16 @@ fn write_list_of_not_passed(text: &mut String, record: &RunRecord, style: Style,
         write_group(text, group, style, in_full);
     }
     if record_queries::is_late_in_real_time(record) {
-        let hint = "with a slower --time-scale, for example 0.1, bench and line have more time per period";
+        let hint = "with a slower --time-scale, for example 0.1, bench and line have more time per period; with \
+                    --clock lockstep time waits for each answer";
         style.write_wrapped(text, "hint: ", "  ", hint);
+    }
+    if let Some(delay_ms) = record_queries::server_delay_ms(record) {
+        let hint = format!(
+            "every answer takes about {delay_ms:.1} ms, as behind a ser2net that collects characters, at any baud rate: \
+             set `chardelay: false` in its connection"
+        );
+        style.write_wrapped(text, "hint: ", "  ", &hint);
     }
 }
 

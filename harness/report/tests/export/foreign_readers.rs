@@ -137,6 +137,8 @@ fn asammdf_reads_the_same_bits_from_mdf4() {
         for number in NUMBER_COLUMNS {
             assert_eq!(channels[number.name()]["unit"], number.unit);
             assert_eq!(channels[number.name()]["comment"], number.meaning);
+            let is_held = ["setpoint_um", "drive_vpp", "frequency_hz", "sensed_wd_um", "sensed_wq_um"];
+            assert_eq!(channels[number.name()]["discrete"], is_held.contains(&number.name()), "{}", number.name());
         }
         for flag in FLAG_COLUMNS {
             assert_eq!(channels[flag.name]["unit"], "");
@@ -153,6 +155,7 @@ fn the_mcap_library_reads_the_same_bits() {
     let run = fixtures::stored_run();
     let found = read_with_python("mcap", &export_run(&run, ExportFormat::Mcap).join("paper/step.mcap"));
     assert_eq!(found["count"], 16);
+    assert_eq!(found["ordered"], true, "the rows of the trials are in time order");
     assert_eq!(found["metadata"]["platebench"]["law"], "dq-pi");
     assert_eq!(found["topics"].as_object().unwrap().len(), 2);
     let properties = &found["schemas"]["platebench.Row"]["properties"];

@@ -46,6 +46,7 @@ def mf4(path):
             channels[channel.name] = {
                 "unit": signal.unit,
                 "comment": signal.comment,
+                "discrete": bool(channel.flags & 1 << 8),
                 "master": channel.channel_type == 2 and channel.sync_type == 1,
                 "times": bits(signal.timestamps),
                 "values": bits(signal.samples) if real else [bool(value) for value in signal.samples],
@@ -63,7 +64,7 @@ def mf4(path):
 def mcap(path):
     from mcap.reader import make_reader
 
-    topics, schemas, metadata = {}, {}, {}
+    topics, schemas, metadata, times = {}, {}, {}, []
     with open(path, "rb") as file:
         reader = make_reader(file, validate_crcs=True)
         for schema, channel, message in reader.iter_messages(log_time_order=False):
@@ -71,11 +72,12 @@ def mcap(path):
             topic = topics.setdefault(channel.topic, {"about": dict(channel.metadata), "messages": []})
             row = json.loads(message.data)
             row = {name: value if isinstance(value, bool) else bits([value])[0] for name, value in row.items()}
+            times.append(message.log_time)
             topic["messages"].append({"log_time": message.log_time, "row": row})
         for record in reader.iter_metadata():
             metadata[record.name] = dict(record.metadata)
         count = reader.get_summary().statistics.message_count
-    return {"topics": topics, "schemas": schemas, "metadata": metadata, "count": count}
+    return {"topics": topics, "schemas": schemas, "metadata": metadata, "count": count, "ordered": times == sorted(times)}
 
 
 def csv(path):

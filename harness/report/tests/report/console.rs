@@ -2,7 +2,7 @@
 
 use crate::fixtures;
 use crate::hostile_text::written;
-use platebench_model::record::{ClockKind, Event, NotApplicable, Overrides, RunRecord};
+use platebench_model::record::{ClockKind, Event, NotApplicable, Overrides, Quantiles, RunRecord, TimingRecord};
 use platebench_report::{Detail, Progress, Style, console, junit, page};
 use rstest::rstest;
 use serde_json::json;
@@ -15,6 +15,28 @@ fn hints_at_the_time_scale_only_if_a_run_in_real_time_is_late() {
         let text = console::run_text(&record, Style::default(), Detail::Summary);
         assert_eq!(text.contains("slower --time-scale"), expected, "{text}");
     }
+}
+
+#[rstest]
+#[case::usual("rfc2217:lab:4001@115200", 3.2, 3.4, true)]
+#[case::raw("tcp:lab:4001", 3.2, 3.4, true)]
+#[case::shortest("tcp:lab:4001", 2.8, 2.9, true)]
+#[case::too_short("tcp:lab:4001", 2.7, 2.8, false)]
+#[case::longest("tcp:lab:4001", 4.1, 5.1, true)]
+#[case::too_long("tcp:lab:4001", 4.2, 4.3, false)]
+#[case::not_constant("tcp:lab:4001", 3.2, 4.3, false)]
+#[case::serial_port("serial:/dev/ttyUSB0@115200", 3.2, 3.4, false)]
+fn names_the_delay_of_a_server(#[case] rig: &str, #[case] p50: f64, #[case] p99: f64, #[case] expected: bool) {
+    let mut record = fixtures::mixed_run();
+    record.clock = ClockKind::RealTime;
+    rig.clone_into(&mut record.rig.name);
+    for trial in record.scenarios.iter_mut().flat_map(|scenario| &mut scenario.trials) {
+        let delay = Quantiles { p50: p50 * 1e2, p99: p99 * 1e2, ..Quantiles::default() };
+        let timing = TimingRecord { time_scale: 0.1, loop_delay_us: Some(delay), ..TimingRecord::default() };
+        trial.telemetry.timing = Some(Box::new(timing));
+    }
+    let text = console::run_text(&record, Style::default(), Detail::Summary);
+    assert_eq!(text.contains("chardelay: false"), expected, "{text}");
 }
 
 #[test]

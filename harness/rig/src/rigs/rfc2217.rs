@@ -41,7 +41,7 @@ impl Rig for Rfc2217Rig {
     fn open(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
         let mut budget = WaitBudget::new(CONNECT_TIMEOUT);
         let line = connect(&self.address, &mut budget, &options.cancel)?;
-        let port = Port::new(Rfc2217::start(line, &self.address, self.baud, budget, &options.cancel)?);
+        let port = Port::on_network(Rfc2217::start(line, &self.address, self.baud, budget, &options.cancel)?);
         Ok(Box::new(port.with_options(options)))
     }
 }

@@ -34,7 +34,7 @@ impl Rig for TcpRig {
 
     fn open(&self, options: &ConnectOptions) -> Result<BoxedLink, ConnectError> {
         let line = connect(&self.address, &mut WaitBudget::new(CONNECT_TIMEOUT), &options.cancel)?;
-        Ok(Box::new(Port::new(line).with_options(options)))
+        Ok(Box::new(Port::on_network(line).with_options(options)))
     }
 }
 

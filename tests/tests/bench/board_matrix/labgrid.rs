@@ -4,6 +4,7 @@ use super::{DEAD, KILLED, WRONG_CHIP, assert_states, clear_killed, kill_first_be
 use crate::test_folder::{ChildGuard, SETTLING, TestFolder, lock_heavy_load, wait_until};
 use platebench_model::record::{ClockKind, RunRecord, Verdict};
 use platebench_test_kit::{serve_board, skip_without, workspace_root};
+use rstest::rstest;
 use std::fs;
 use std::net::{Ipv4Addr, TcpListener};
 use std::process::{Command, Stdio};
@@ -140,4 +141,35 @@ fn the_template_runs_scenarios_on_a_board_behind_an_exporter() {
     assert_eq!((record.clock, record.safe_confirmed), (ClockKind::RealTime, Some(true)));
     assert_eq!(record.rig.name, format!("tcp:{address}"));
     assert!(!exporter.has_ended());
+}
+
+#[test]
+fn the_template_ends_with_5_without_an_acquired_place() {
+    let Some(labgrid) = Labgrid::start(TestFolder::with_step(SETTLING)) else { return };
+    let template = |name: &str| workspace_root().join("ci/templates").join(name);
+    fs::copy(template("labgrid.yaml"), labgrid.folder.join("labgrid.yaml")).unwrap();
+    labgrid.line("labgrid-client -p plate create").finish().assert_exit(0);
+    let python = workspace_root().join("target/test-readers/bin/python");
+    let line =
+        format!("env LG_ENV=labgrid.yaml '{}' '{}' scenarios", python.display(), template("labgrid_run.py").display());
+    let output =
+        labgrid.line(&line).finish().assert_message(5, &["error: no board from labgrid:", "is the place acquired?"]);
+    assert!(!output.stderr.contains("Traceback"), "{}", output.stderr);
+}
+
+#[rstest]
+#[case::interrupt("INT")]
+#[case::terminate("TERM")]
+fn the_wrapper_forwards_signals_and_releases_the_place(#[case] signal: &str) {
+    let Some(labgrid) = Labgrid::start(TestFolder::new()) else { return };
+    for line in ["create", "set-tags place=left"] {
+        labgrid.line(&format!("labgrid-client -p left {line}")).finish().assert_exit(0);
+    }
+    let command = format!("trap 'exit 7' {signal}; touch ready; while :; do sleep 0.05; done");
+    labgrid.folder.write("command.sh", &command);
+    let wrapper = labgrid.line("with-labgrid-place left sh command.sh");
+    wait_until("the command does not start", || labgrid.folder.exists("ready"));
+    wrapper.signal(signal);
+    wrapper.finish().assert_exit(7);
+    labgrid.line("labgrid-client -p left release").finish().assert_message(1, &["not acquired"]);
 }

@@ -2,10 +2,12 @@
 
 use super::output::OutputRelay;
 use crate::cancel::CancelToken;
+use rustix::fs::{Access, access};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, WaitIdStatus, getpgid, kill_process_group, waitid};
 use std::fs;
 use std::io;
 use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tracing::{debug, warn};
@@ -30,7 +32,7 @@ impl Program {
     pub(crate) fn start(name: &str, arguments: impl Iterator<Item = String>, port: &str) -> io::Result<Self> {
         let (output, writer) = io::pipe()?;
         let marker = format!("{} {port}", std::process::id());
-        let mut command = Command::new(name);
+        let mut command = command(name);
         command.args(arguments).env(MARKER, &marker).process_group(0).stdin(Stdio::null());
         command.stdout(writer.try_clone()?).stderr(writer);
         let output = OutputRelay::start(name, output)?;
@@ -97,6 +99,27 @@ impl Program {
             debug!(?signal, %error, "the signal did not reach the program's group");
         }
     }
+}
+
+/// `scancel` sends SIGTERM to every process of a job. A program that does not handle it would end
+/// before the bench has its 0 V, so it is started with SIGTERM ignored.
+fn command(name: &str) -> Command {
+    let mut command = Command::new(name);
+    // Without an executable file, the error of the start names the program.
+    if std::env::var_os("SLURM_JOB_ID").is_some() && is_executable(name) {
+        command = Command::new("/bin/sh");
+        command.args(["-c", r#"trap "" TERM; exec "$0" "$@""#, name]);
+    }
+    command
+}
+
+fn is_executable(name: &str) -> bool {
+    let path = std::env::var_os("PATH").filter(|_| !name.contains('/')).unwrap_or_else(|| "".into());
+    let is_program = |folder: PathBuf| {
+        let file = folder.join(name);
+        file.is_file() && access(&file, Access::EXEC_OK).is_ok()
+    };
+    std::env::split_paths(&path).any(is_program)
 }
 
 fn exit_description(status: &WaitIdStatus) -> String {

@@ -55,7 +55,7 @@ fn one_random_trial_has_no_mean() {
     );
     assert_eq!(
         record.reason.map(|reason| reason.to_string()).as_deref(),
-        Some("1 of the trials count, expected at least 2")
+        Some("1 of the trials count, expected at least 2: raise [trials] count or --trials")
     );
 }
 
