@@ -7,7 +7,7 @@ use gimli::{
     BaseAddresses, CfaRule, DebugFrame, Dwarf, EndianArcSlice, Register, RegisterRule, RunTimeEndian, SectionId,
     UnwindContext, UnwindSection as _,
 };
-use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
+use object::{CompressionFormat, Object, ObjectSection, ObjectSymbol, SymbolKind};
 use std::fmt;
 use std::sync::Arc;
 
@@ -63,6 +63,7 @@ pub struct Symbols {
     all: Vec<(String, u64)>,
     lines: Option<Context<DebugSlice>>,
     call_frames: CallFrames,
+    has_compressed_lines: bool,
 }
 
 impl Symbols {
@@ -80,6 +81,7 @@ impl Symbols {
             all: named.into_iter().map(|(name, symbol)| (name, symbol.address())).collect(),
             lines: Dwarf::load(load).and_then(Context::from_dwarf).ok(),
             call_frames: CallFrames::new(section(file, SectionId::DebugFrame)),
+            has_compressed_lines: file.is_some_and(has_compressed_lines),
         }
     }
 
@@ -123,6 +125,11 @@ impl Symbols {
         before.take(MAX_ALIASES).find(|function| address < function.end)
     }
 
+    /// True if the line table is compressed. It is not read then.
+    pub fn has_compressed_lines(&self) -> bool {
+        self.has_compressed_lines
+    }
+
     /// Sorted by address.
     pub fn functions(&self) -> &[Function] {
         &self.functions
@@ -136,9 +143,11 @@ impl Symbols {
         let mut found = Vec::new();
         while let Ok(Some(frame)) = frames.next() {
             let name = frame.function.as_ref().and_then(|function| function.demangle().ok());
+            // With split DWARF, the names are in another file. Inlined functions then have no frame.
+            let name = name.map(|name| strip_hash(&name)).or_else(|| Some(self.function(address.into())?.name.clone()));
             let line = frame.location.and_then(|location| Some((location.file?, location.line?)));
             found.push(SourceFrame {
-                function: name.map_or_else(|| "?".to_owned(), |name| strip_hash(&name)),
+                function: name.unwrap_or_else(|| "?".to_owned()),
                 line: line.map(|(file, line)| SourceLine { file: file.to_owned(), line }),
             });
         }
@@ -195,6 +204,13 @@ fn fill_missing_ends(functions: &mut [Function]) {
 fn section(file: Option<&object::File<'_>>, id: SectionId) -> DebugSlice {
     let data = file.and_then(|file| file.section_by_name(id.name())?.uncompressed_data().ok()).unwrap_or_default();
     EndianArcSlice::new(Arc::from(&*data), RunTimeEndian::Little)
+}
+
+fn has_compressed_lines(file: &object::File<'_>) -> bool {
+    let compressed = |section: object::Section<'_, '_>| {
+        section.compressed_file_range().is_ok_and(|range| range.format != CompressionFormat::None)
+    };
+    file.section_by_name(SectionId::DebugLine.name()).is_some_and(compressed)
 }
 
 fn strip_hash(name: &str) -> String {
