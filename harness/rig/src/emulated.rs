@@ -23,6 +23,7 @@ pub(crate) use image::read_elf;
 pub use image::{EmulatedError, EmulatedOptions, ImageError};
 
 use crate::cancel::CancelToken;
+use crate::crash_report::StoppedAt;
 use crate::debug_port::DebugPort;
 use crate::factory::BUILT_IN_IMAGE;
 use crate::link::{Chip, ChipFaultError, ChipFaultPlan, Link, LinkError, TargetError};
@@ -205,11 +206,12 @@ impl EmulatedLink {
                 return Ok(());
             }
             if attempt_ends >= HANDSHAKE_TIMEOUT_NS || (Instant::now() > deadline && self.debugger.is_none()) {
-                return Err(TargetError::NoHandshake {
+                let silent = TargetError::NoHandshake {
                     waited_ms: self.target.now_ns() / NS_PER_MS,
                     instances: self.target.used_instances(),
                     place: self.target.code_location(),
-                });
+                };
+                return Err(self.target.trap(StoppedAt::Body).unwrap_or(silent));
             }
         }
     }
@@ -338,7 +340,8 @@ impl EmulatedLink {
             None if !asks || self.chip_faults.is_active() => Ok(Duration::ZERO),
             None => {
                 let waited_us = (self.target.now_ns() - arrived_ns) / 1_000;
-                Err(TargetError::Silent { waited_us, place: self.target.code_location() })
+                let silent = TargetError::Silent { waited_us, place: self.target.code_location() };
+                Err(self.target.trap(StoppedAt::Body).unwrap_or(silent))
             }
         }
     }
@@ -450,7 +453,12 @@ impl Link for EmulatedLink {
 
 impl Chip for EmulatedLink {
     fn instruction_count(&self) -> Option<u64> {
-        self.instructions
+        let (executed, computing_ns) = self.instructions.zip(self.computing_ns)?;
+        Some(executed.min(self.target.instructions_in(computing_ns)))
+    }
+
+    fn baud(&self) -> u32 {
+        Self::baud(self)
     }
 
     fn computing_time(&self) -> Option<Duration> {

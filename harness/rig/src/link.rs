@@ -57,8 +57,12 @@ pub trait RealTimeLine: Send {
 /// Access to an emulated chip: measurements, pins, RTT text and faults.
 pub trait Chip {
     /// Instructions that the chip ran from the first bit of the last [`Link::exchange`] to the last
-    /// bit of its answer; `None` without an answer.
+    /// bit of its answer, but at most those of [`Chip::computing_time`], because firmware that polls
+    /// also runs during the transmission; `None` without an answer.
     fn instruction_count(&self) -> Option<u64>;
+
+    /// Bits per second of the line.
+    fn baud(&self) -> u32;
 
     /// Time that the chip computed for the last [`Link::exchange`] with an answer, without the
     /// transmission.

@@ -119,6 +119,10 @@ impl Microcontroller {
         let _ = self.port.start_sending(now, self.mcu.bus(), self.slots, read);
     }
 
+    pub(super) fn has_register(&self, address: u64) -> bool {
+        self.mcu.bus().slot_at(address).is_some()
+    }
+
     pub(super) fn mark_used(&mut self, address: u64) -> bool {
         let Some(slot) = self.mcu.bus().slot_at(address) else { return false };
         if let Some(used) = self.used.get_mut(slot) {

@@ -25,6 +25,43 @@ pub(super) struct SystemBus {
     pub(super) reset_requested: bool,
     /// Addresses of registers whose reads always return the same value, and this value.
     pub(super) stuck: Vec<(u32, u32)>,
+    /// First use of a part of the flash interface without a model.
+    pub(super) unmodelled: Option<UnmodelledAccess>,
+    /// Address and instruction of each access that the chip refused, in order of time.
+    pub(super) refused: Vec<(u64, u64)>,
+    /// Instruction of the access after which a model first reported a violated rule.
+    pub(super) told_at: Option<u64>,
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(super) struct UnmodelledAccess {
+    pub(super) what: &'static str,
+    pub(super) address: u64,
+    pub(super) instruction: Option<u64>,
+}
+
+/// Control register of flash and the bit that starts an erase (RM0090, 3.9.8).
+const FLASH_CR: u64 = 0x4002_3C10;
+const FLASH_CR_START: u64 = 1 << 16;
+/// Option control register and the bit that starts their programming (RM0090, 3.9.10).
+const FLASH_OPTCR: u64 = 0x4002_3C14;
+const FLASH_OPTCR_START: u64 = 1 << 1;
+/// Option bytes of both banks (RM0090, table 15).
+const OPTION_BYTES: [std::ops::Range<u64>; 2] = [0x1FFE_C000..0x1FFE_C010, 0x1FFF_C000..0x1FFF_C010];
+
+/// What the access needs if the emulator does not model it. The chip itself would do it.
+fn unmodelled(access: &Access) -> Option<&'static str> {
+    let starts = |bits: u64| access.kind == AccessKind::Write && access.value & bits != 0;
+    match access.address {
+        FLASH_CR if starts(FLASH_CR_START) => Some("the erase of flash is not modelled, FLASH.CR written with STRT"),
+        FLASH_OPTCR if starts(FLASH_OPTCR_START) => {
+            Some("the programming of option bytes is not modelled, FLASH.OPTCR written with OPTSTRT")
+        }
+        address if OPTION_BYTES.iter().any(|bytes| bytes.contains(&address)) => {
+            Some("the option bytes are not modelled as memory; FLASH.OPTCR contains them")
+        }
+        _ => None,
+    }
 }
 
 /// Nanoseconds per instruction in lowest terms, so that years of time fit into 64 bits.
@@ -57,7 +94,18 @@ impl InstructionRate {
 impl SystemBus {
     pub(super) fn new(memory: Memory, instructions_per_second: NonZeroU64) -> Self {
         let (rate, deadline) = (InstructionRate::new(instructions_per_second), NO_DEADLINE);
-        Self { memory, queued: Vec::new(), rate, slept_ns: 0, deadline, reset_requested: false, stuck: Vec::new() }
+        Self {
+            memory,
+            queued: Vec::new(),
+            rate,
+            slept_ns: 0,
+            deadline,
+            reset_requested: false,
+            stuck: Vec::new(),
+            unmodelled: None,
+            refused: Vec::new(),
+            told_at: None,
+        }
     }
 
     pub(super) fn reset(&mut self) {
@@ -67,6 +115,9 @@ impl SystemBus {
         self.deadline = NO_DEADLINE;
         self.reset_requested = false;
         self.stuck.clear();
+        self.unmodelled = None;
+        self.refused.clear();
+        self.told_at = None;
     }
 
     pub(super) fn time_at(&self, instructions: u64) -> VirtualNanos {
@@ -75,6 +126,10 @@ impl SystemBus {
 
     pub(super) fn nanoseconds_of(&self, instructions: u64) -> u64 {
         self.rate.nanoseconds(instructions)
+    }
+
+    pub(super) fn instructions_in(&self, nanoseconds: u64) -> u64 {
+        self.rate.instructions(nanoseconds)
     }
 
     pub(super) fn instructions_until(&self, instructions: u64, target: VirtualNanos) -> u32 {
@@ -160,6 +215,15 @@ impl CoreBus for BusGuard<'_> {
             }
             (Some(false), AccessKind::Write) | (None, _) => {}
         }
+        if self.bus.unmodelled.is_none()
+            && let Some(what) = unmodelled(&access)
+        {
+            let (address, instruction) = (access.address, access.program_counter);
+            self.bus.unmodelled = Some(UnmodelledAccess { what, address, instruction });
+            if !self.session.board().part.has_register(address) {
+                return Some(0);
+            }
+        }
         // If nothing is at the address, the chip raises a bus error. The emulator alone would
         // ignore the access.
         let answers = self.session.board_mut().part.mark_used(access.address);
@@ -174,8 +238,18 @@ impl CoreBus for BusGuard<'_> {
         if self.session.board().part.port.has_deferred_words() {
             self.transport_due_words(&access);
         }
+        let refused = self.session.refused().len();
+        let has_told = self.session.told().next().is_some();
         let (value, next) = self.session.access(access, self.bus);
         self.bus.deadline = next;
+        if self.session.refused().len() > refused
+            && let Some(instruction) = access.program_counter
+        {
+            self.bus.refused.push((access.address, instruction));
+        }
+        if !has_told && self.session.told().next().is_some() {
+            self.bus.told_at = access.program_counter;
+        }
         if access.address == TRANSMIT_STREAM && access.kind == AccessKind::Write {
             let memory = &self.bus.memory;
             let read = |address, length| memory.slice(address, length);

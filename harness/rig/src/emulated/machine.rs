@@ -2,10 +2,11 @@
 
 use super::board::{EmulatedBoard, INSTRUCTIONS_PER_SECOND, ReceivedByte};
 use super::bus::{BusGuard, SystemBus};
-use super::image::{EmulatedOptions, Image};
+use super::image::{EmulatedOptions, FLASH_START, Image};
 use super::memory::{Memory, POWER_ON_FILL};
 use super::post_mortem::FaultHandlers;
 use super::{memory, post_mortem};
+use crate::crash_report::StoppedAt;
 use crate::link::TargetError;
 use crate::symbols::{CodeLocation, Symbols};
 use gdbstub::stub::SingleThreadStopReason;
@@ -13,6 +14,7 @@ use rigless::emulator::{Exit, Processor, Stop, StopReason};
 use rigless::machine::Board as _;
 use rigless::mcu::Operate as _;
 use rigless::session::Session;
+use rigless::soc::Width;
 use rigless::time::{NO_DEADLINE, VirtualNanos};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -20,6 +22,9 @@ use std::fmt;
 /// Largest number of rounds of the run loop at one instant. Some hundred are normal; after more
 /// than this number, the emulator counts as hung.
 const MAX_ROUNDS_WITHOUT_PROGRESS: u32 = 100_000;
+
+/// Address of the vector table (ARMv7-M, B3.2.5).
+const VTOR: u64 = 0xE000_ED08;
 
 /// Addresses and values of the unique device ID and of the flash size (RM0090, chapter 39).
 const UNIQUE_ID: (u64, &[u8; 12]) = (0x1FFF_7A10, b"emulated-427");
@@ -118,7 +123,7 @@ impl Machine {
     fn reset_core(&mut self) {
         let Self { core, bus, .. } = self;
         core.reset();
-        core.boot(super::image::FLASH_START, &|address, width| bus.memory.value(address, width));
+        core.boot(FLASH_START, &|address, width| bus.memory.value(address, width));
     }
 
     fn symbols(&self) -> Symbols {
@@ -127,6 +132,24 @@ impl Machine {
 
     pub(super) fn code_location(&self) -> CodeLocation {
         self.symbols().locate(self.core.pc() as u32)
+    }
+
+    /// Stops at the fault handlers of the present vector table, which the firmware may have moved.
+    fn follow_vector_table(&mut self) {
+        if self.options.stop_at_traps {
+            let now = self.bus.time_at(self.core.retired());
+            let table = self.core.debugger_access(None, VTOR, Width::W32, now).unwrap_or(FLASH_START);
+            self.handlers.follow(&self.bus.memory, table, &mut *self.core);
+        }
+    }
+
+    /// The trap that the firmware handles now, if the bench ends trials at traps.
+    pub(super) fn trap(&mut self, stopped: StoppedAt) -> Option<TargetError> {
+        if self.is_faulted || !self.options.stop_at_traps {
+            return None;
+        }
+        let crash = self.handlers.read_crash(stopped, &mut *self.core, &self.bus, &mut self.session, &self.image);
+        crash.map(|crash| TargetError::Trap(Box::new(crash)))
     }
 
     fn take_frame_end(&mut self) -> bool {
@@ -140,7 +163,7 @@ impl Machine {
         if let Some(failure) = self.session.board().part.port.failure {
             return Err(emulator_error(&failure));
         }
-        let access = post_mortem::first_unsupported_access(&self.session, &self.image);
+        let access = post_mortem::first_unsupported_access(&self.session, &self.bus, &self.image);
         if let Some(access) = access.filter(|_| !self.is_faulted) {
             return Err(TargetError::Unsupported(access));
         }
@@ -149,7 +172,8 @@ impl Machine {
             let (cause, at_us) = (post_mortem::reset_cause(reset.cause), reset.at.0 / 1_000);
             self.reported_resets = resets.len();
             if self.options.stop_at_traps && !self.is_faulted {
-                return Err(TargetError::Reset { cause, at_us, place: self.code_location() });
+                let reset = TargetError::Reset { cause, at_us, place: self.code_location() };
+                return Err(self.trap(StoppedAt::Body).unwrap_or(reset));
             }
         }
         Ok(())
@@ -171,9 +195,8 @@ impl Machine {
             Exit::Breakpoint => {
                 let pc = self.core.pc();
                 self.recorder.record(pc, &mut *self.core);
-                let crash = self.handlers.read_crash(&mut *self.core, &self.bus, &mut self.session, &self.image);
-                if let Some(crash) = crash.filter(|_| !self.is_faulted) {
-                    return Err(TargetError::Trap(Box::new(crash)));
+                if let Some(trap) = self.trap(StoppedAt::Entry) {
+                    return Err(trap);
                 }
                 if self.debug.has_breakpoint(pc) {
                     self.debug.stop = Some(DebugStop::SwBreak(()));
@@ -249,6 +272,11 @@ impl Machine {
         self.bus.nanoseconds_of(instructions)
     }
 
+    /// Number of instructions that take this time at one instruction per cycle.
+    pub(super) fn instructions_in(&self, nanoseconds: u64) -> u64 {
+        self.bus.instructions_in(nanoseconds)
+    }
+
     pub(super) fn send(&mut self, bytes: &[u8]) {
         self.transport_due_words();
         let now = VirtualNanos(self.now_ns());
@@ -278,6 +306,7 @@ impl Machine {
         let until = VirtualNanos(until_ns);
         self.session.run_until(until);
         self.bus.deadline = self.session.next_deadline();
+        self.follow_vector_table();
         let mut rounds_at = (VirtualNanos(u64::MAX), 0);
         loop {
             let now = self.bus.time_at(self.core.retired());
@@ -295,8 +324,8 @@ impl Machine {
                 self.reset_core();
             } else if self.core.take_reset_request() {
                 self.stop(StopReason::Reset);
-                self.reset_core();
                 self.check_for_errors()?;
+                self.reset_core();
             } else if self.core.next_event().is_some_and(|event| event <= now) {
                 self.core.on_event(now);
             } else if now >= self.bus.deadline {
@@ -311,6 +340,9 @@ impl Machine {
                     return Ok(false);
                 }
             } else {
+                if !self.session.board().part.booted {
+                    self.follow_vector_table();
+                }
                 self.step()?;
                 if self.debug.stop.is_some() {
                     return Ok(false);
