@@ -188,6 +188,7 @@ impl<'a> ControllerLog<'a> {
             protocol_repeats: self.protocol_check.as_ref().map_or(0, |check| check.repeats),
             scripts_not_played: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.not_played.clone()),
             transport: session.link_mut().chip().map(|chip| chip.transport()),
+            baud: session.link_mut().chip().map(|chip| chip.baud()),
             firmware_output: session.link_mut().chip().and_then(|chip| chip.firmware_output()),
             ..Telemetry::default()
         }

@@ -82,6 +82,9 @@ pub struct Telemetry {
     /// Absent on rigs without an emulated chip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transport: Option<Transport>,
+    /// Bits per second of the emulated chip's line. Absent on other rigs and in older runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub baud: Option<u32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timing: Option<Box<TimingRecord>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]

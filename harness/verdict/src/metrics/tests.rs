@@ -11,6 +11,7 @@ mod windows;
 
 const EMPTY_TELEMETRY: Telemetry = Telemetry {
     transport: None,
+    baud: None,
     timing: None,
     real_plate: None,
     loop_delay_us: None,
