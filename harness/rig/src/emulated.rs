@@ -14,6 +14,7 @@ mod debugger;
 mod image;
 mod machine;
 mod memory;
+mod peripherals;
 mod post_mortem;
 mod serial_port;
 mod transport_check;

@@ -193,12 +193,11 @@ fn a_scenario_can_limit_the_time_of_a_step() {
     run_and_read(&folder, &["--rig", "hosted", "--require-all"], 1);
 }
 
-/// A setpoint of 900 + n µm triggers fault n of `stm32f4/src/planted_faults.rs`: here a trap, a
-/// watchdog reset, and an access that the emulator does not model. Tests of `rig` cover all faults.
+/// A setpoint of 900 + n µm triggers fault n of `stm32f4/src/planted_faults.rs`: here a trap and a
+/// watchdog reset. Tests of `rig` cover all faults.
 #[rstest]
 #[case::division_by_zero(2, "planted_faults::division_by_zero")]
 #[case::endless_loop(3, "planted_faults::endless_loop")]
-#[case::unmodelled_peripheral(9, "planted_faults::unmodelled_peripheral")]
 fn a_trap_is_reported_with_function_and_address(#[case] number: u32, #[case] function: &str) {
     // A plate at 0 V meets this expectation, so the verdict must fail because of the trap.
     let text = step_text("metric = \"overshoot_percent\"\nat_most = 1000.0");

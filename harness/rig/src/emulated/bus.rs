@@ -250,6 +250,11 @@ impl CoreBus for BusGuard<'_> {
         if !has_told && self.session.told().next().is_some() {
             self.bus.told_at = access.program_counter;
         }
+        // An access to the clock controller ends the time in which unused peripherals are not polled.
+        if access.kind == AccessKind::Write && !self.session.board().part.booted {
+            self.session.board_mut().part.follow_clocks(access.address, access.virtual_time.0);
+            self.bus.deadline = self.session.next_deadline();
+        }
         if access.address == TRANSMIT_STREAM && access.kind == AccessKind::Write {
             let memory = &self.bus.memory;
             let read = |address, length| memory.slice(address, length);

@@ -140,6 +140,7 @@ impl StackReader for EmulatedStack<'_> {
 pub(super) fn reset_cause(cause: ResetCause) -> String {
     match cause {
         ResetCause::Model("IWDG") => "independent watchdog".to_owned(),
+        ResetCause::Model("WWDG") => "window watchdog".to_owned(),
         ResetCause::Model(instance) => instance.to_owned(),
         ResetCause::Core => "request of the firmware".to_owned(),
         other => format!("{other:?}"),

@@ -5,6 +5,7 @@ use super::{CONFIGURE, PERIOD, firmware_under_test, sample};
 use platebench_rig::emulated::EmulatedOptions;
 use platebench_rig::{Chip, EmulatedError, EmulatedLink, LinkError, RigError, Session, TargetError};
 use platebench_test_kit::skip_without;
+use platebench_wire::{ControllerState, StateCause};
 use rstest::rstest;
 use std::path::Path;
 use std::process::Command;
@@ -71,6 +72,17 @@ __attribute__((noinline)) static void erase_flash(void)
 }
 __attribute__((noinline)) static void read_option_bytes(void) { (void)REGISTER(0x1FFFC000); }
 __attribute__((noinline)) static void use_gated_timer(void) { REGISTER(0x40000800) = 1; }
+__attribute__((noinline)) static void use_can(void)
+{
+    RCC_APB1ENR |= 1u << 25;
+    REGISTER(0x40006400) = 1;
+}
+__attribute__((noinline)) static void starve_window_watchdog(void)
+{
+    RCC_APB1ENR |= 1u << 11;
+    REGISTER(0x40002C00) = 0xFF;
+    for (;;) { }
+}
 __attribute__((noinline)) static void too_few_wait_states(void) { FLASH_ACR = 0; (void)FLASH_ACR; }
 
 static void own_handler(void) { for (;;) { } }
@@ -103,6 +115,8 @@ void planted(const struct message *message)
     case 7: read_option_bytes(); break;
     case 8: use_gated_timer(); break;
     case 9: too_few_wait_states(); break;
+    case 10: use_can(); break;
+    case 11: starve_window_watchdog(); break;
     default: break;
     }
 }
@@ -131,11 +145,13 @@ fn target_error<T: std::fmt::Debug>(result: Result<T, RigError>) -> TargetError 
 
 #[rstest]
 #[case::reset(1, &["reset itself (request of the firmware)", "in request_reset", "planted.c:"])]
-#[case::trap_after_a_move_in_the_same_step(4, &["trapped: HardFault, undefined instruction, at", "in trap", "planted.c:"])]
+#[case::trap_after_a_move_in_the_same_step(4, &["HardFault, undefined instruction, at", "in trap", "planted.c:"])]
 #[case::trap_whose_handler_resets(5, &["trapped: HardFault, undefined instruction, at", "in trap", "planted.c:"])]
 #[case::erase(6, &["the erase of flash is not modelled, FLASH.CR", "0x40023c10", "in erase_flash", "planted.c:"])]
 #[case::option_bytes(7, &["the option bytes are not modelled", "0x1fffc000", "in read_option_bytes", "planted.c:"])]
 #[case::gated(8, &["TIM4", "is gated by RCC.APB1ENR", "in use_gated_timer", "planted.c:"])]
+#[case::unmodelled(10, &["CAN1.MCR written, address 0x40006400", "in use_can", "planted.c:"])]
+#[case::window_watchdog(11, &["reset itself (window watchdog)", "in starve_window_watchdog", "planted.c:"])]
 #[case::wait_states(9, &["FLASH.ACR", "LATENCY", "in too_few_wait_states", "planted.c:"])]
 fn names_cause_function_and_line(#[case] number: u8, #[case] expected: &[&str]) {
     let Some(elf) = planted_image() else { return };
@@ -193,4 +209,205 @@ fn counts_no_instructions_of_idle_spinning() {
     // Half of the 16,000 instructions of an idle line of one byte at 1 Mbaud belong to the spinning.
     assert!(spins.0 < sleeps.0 + 4_000, "{sleeps:?} {spins:?}");
     assert!(spins.1 < sleeps.1 + Duration::from_micros(24), "{sleeps:?} {spins:?}");
+}
+
+/// Uses every modelled peripheral once and writes the results to RTT.
+const PERIPHERALS: &str = r#"
+#include "board.h"
+#include "protocol.h"
+#include "stm32f4.h"
+
+static char text[512];
+struct {
+    char id[16];
+    int32_t up, down;
+    const char *name;
+    char *buffer;
+    uint32_t size, write, read, flags;
+} _SEGGER_RTT;
+
+static void print(const char *words, uint32_t value)
+{
+    while (*words) { text[_SEGGER_RTT.write++] = *words++; }
+    for (int shift = 28; shift >= 0; shift -= 4) {
+        if (value >> shift || shift == 0) { text[_SEGGER_RTT.write++] = "0123456789abcdef"[value >> shift & 15]; }
+    }
+}
+
+static volatile uint32_t basic, updates, compares, external;
+
+void TIM6_IRQHandler(void) { REGISTER(0x40001010) = 0; basic++; }
+void TIM12_IRQHandler(void)
+{
+    uint32_t status = REGISTER(0x40001810);
+    REGISTER(0x40001810) = ~status;
+    updates += status & 1;
+    compares += status >> 1 & 1;
+}
+void EXTI0_IRQHandler(void) { REGISTER(0x40013C14) = 1; external++; }
+
+static void wait(uint32_t us) { for (uint32_t since = now_us(); now_us() - since < us;) { } }
+
+static void measure(void)
+{
+    RCC_APB1ENR |= 0x1FFu << 0 | 1u << 29;
+    REGISTER(0x40023844) |= 1u << 14 | 7u << 16;
+    REGISTER(0x40023830) |= 1u << 12;
+    REGISTER(0x40023834) |= 1u << 6;
+    REGISTER(0xE000E100) = 1u << 6;
+    NVIC_ISER1 = 1u << 11 | 1u << 22;
+
+    print("reload ", REGISTER(0x4000102C));
+    REGISTER(0x40001028) = 83; REGISTER(0x4000102C) = 999; REGISTER(0x40001014) = 1;
+    REGISTER(0x40001010) = 0; REGISTER(0x4000100C) = 1; REGISTER(0x40001000) = 1;
+    wait(5250);
+    REGISTER(0x40001000) = 0;
+    print(", basic ", basic);
+
+    REGISTER(0x40001828) = 83; REGISTER(0x4000182C) = 999; REGISTER(0x40001834) = 500; REGISTER(0x40001814) = 1;
+    REGISTER(0x40001810) = 0; REGISTER(0x4000180C) = 3; REGISTER(0x40001800) = 1;
+    wait(5750);
+    REGISTER(0x40001800) = 0;
+    print(", updates ", updates); print(", compares ", compares);
+
+    REGISTER(0x40014428) = 167; REGISTER(0x40014414) = 1; REGISTER(0x40014400) = 1;
+    wait(100);
+    uint32_t count = REGISTER(0x40014424);
+    print(", count ", count >= 99 && count <= 103);
+
+    REGISTER(0x40001428) = 83; REGISTER(0x4000142C) = 999; REGISTER(0x40001414) = 1; REGISTER(0x40001410) = 0;
+    REGISTER(0x40001400) = 1u << 3 | 1;
+    wait(900);
+    print(", pulse ", REGISTER(0x40001400)); print(" ", REGISTER(0x40001410));
+    wait(200);
+    print(" then ", REGISTER(0x40001400)); print(" ", REGISTER(0x40001410));
+
+    REGISTER(0x40013808) = 1; REGISTER(0x40013C08) = 1;
+    REGISTER(0x40013C10) = 1;
+    REGISTER(0x40013C00) = 1;
+    print(", unmasked ", external);
+    REGISTER(0x40013C14) = 1;
+    REGISTER(0x40013C10) = 1;
+    wait(1);
+    print(", external ", external); print(" ", REGISTER(0x40013C14));
+    print(", port ", REGISTER(0x40013808));
+
+    REGISTER(0x40023008) = 1;
+    REGISTER(0x40023000) = 0; print(", crc ", REGISTER(0x40023000));
+    REGISTER(0x50060800) = 1u << 2;
+    print(", ready ", REGISTER(0x50060804)); print(" ", REGISTER(0x50060808) != REGISTER(0x50060808));
+    REGISTER(0x40007400) = 1; REGISTER(0x40007408) = 0x7FF; print(", dac ", REGISTER(0x4000742C));
+}
+
+void planted(const struct message *message);
+void planted(const struct message *message)
+{
+    if (message->kind == SAMPLE && message->sample.setpoint_um > 900.0f) {
+        _SEGGER_RTT.up = 1; _SEGGER_RTT.buffer = text; _SEGGER_RTT.size = sizeof text;
+        const char *id = "SEGGER RTT";
+        for (int at = 0; at < 11; at++) { _SEGGER_RTT.id[at] = id[at]; }
+        measure();
+    }
+}
+"#;
+
+/// Expected values follow from RM0090: counts from prescaler and reload at 84 and 168 MHz, the checksum
+/// from the polynomial, and no software interrupt while its line is masked.
+#[test]
+fn models_peripherals_of_start_up_code() {
+    let handlers = (
+        "startup.c",
+        "    [16 + USART2_IRQ] = USART2_IRQHandler,\n",
+        "    [16 + USART2_IRQ] = USART2_IRQHandler,\n    [16 + 6] = EXTI0_IRQHandler,\n    \
+         [16 + 43] = TIM12_IRQHandler,\n    [16 + 54] = TIM6_IRQHandler,\n",
+    );
+    let declared = (
+        "startup.c",
+        "void USART2_IRQHandler(void);\n",
+        "void USART2_IRQHandler(void), EXTI0_IRQHandler(void), TIM12_IRQHandler(void), TIM6_IRQHandler(void);\n",
+    );
+    let longer = ("startup.c", "vectors[16 + USART2_IRQ + 1]", "vectors[16 + 91]");
+    let Some(elf) = build(PERIPHERALS, &[TRIGGER, handlers, declared, longer]) else { return };
+    let mut session = start(&elf);
+    session.send_sample(PERIOD, &action(1)).unwrap().unwrap();
+    assert_eq!(
+        session.link_mut().firmware_output().as_deref(),
+        Some(
+            "reload ffff, basic 5, updates 5, compares 6, count 1, pulse 9 0 then 8 1, unmasked 0, external 1 0, \
+             port 1, crc c704dd7b, ready 1 1, dac 7ff"
+        )
+    );
+}
+
+/// The order of CubeMX with FreeRTOS: TIM6 as time base first at 16 MHz and again after the change of the
+/// clocks, a button on EXTI and SYSCFG.
+const TIME_BASE: &str = r#"
+#include "board.h"
+#include "protocol.h"
+#include "stm32f4.h"
+
+void time_base_start(uint32_t timer_hz);
+void time_base_start(uint32_t timer_hz)
+{
+    RCC_APB1ENR |= 1u << 4;
+    (void)RCC_APB1ENR;
+    NVIC_ISER1 = 1u << 22;
+    REGISTER(0x40001000) = 1u << 7;
+    REGISTER(0x4000102C) = 999;
+    REGISTER(0x40001028) = timer_hz / 1000000u - 1u;
+    REGISTER(0x40001014) = 1;
+    REGISTER(0x40001010) = ~1u;
+    REGISTER(0x4000100C) |= 1;
+    REGISTER(0x40001000) |= 1;
+}
+
+void button_start(void);
+void button_start(void)
+{
+    REGISTER(0x40023844) |= 1u << 14;
+    REGISTER(0x40013814) = (REGISTER(0x40013814) & ~0xF0u) | 2u << 4;
+    REGISTER(0x40013C00) |= 1u << 13;
+    REGISTER(0x40013C0C) |= 1u << 13;
+    NVIC_ISER1 = 1u << 8;
+}
+
+void planted(const struct message *message);
+void planted(const struct message *message) { (void)message; }
+"#;
+
+#[test]
+fn a_time_base_on_tim6_stops_a_silent_bench() {
+    let replacements = [
+        TRIGGER,
+        (
+            "main.c",
+            "    amplifier_start();\n",
+            "    void time_base_start(uint32_t);\n    time_base_start(16000000);\n    amplifier_start();\n",
+        ),
+        (
+            "main.c",
+            "    tick_start(&clocks);\n",
+            "    void button_start(void);\n    button_start();\n    tick_start(&clocks);\n",
+        ),
+        (
+            "board.c",
+            "    SYST_RVR = clocks->core_hz / 1000u - 1u;\n",
+            "    void time_base_start(uint32_t);\n    time_base_start(clocks->timer_hz);\n",
+        ),
+        ("board.c", "    SYST_CVR = 0;\n", ""),
+        ("board.c", "    SYST_CSR = 7; /* core clock, interrupt, enable */\n", ""),
+        ("board.c", "    tick = true;\n", "    REGISTER(0x40001010) = ~1u;\n    tick = true;\n"),
+        (
+            "startup.c",
+            "    [16 + USART2_IRQ] = USART2_IRQHandler,\n",
+            "    [16 + USART2_IRQ] = USART2_IRQHandler,\n    [16 + 54] = SysTick_Handler,\n",
+        ),
+        ("startup.c", "    [15] = SysTick_Handler,\n", ""),
+        ("startup.c", "vectors[16 + USART2_IRQ + 1]", "vectors[16 + 91]"),
+    ];
+    let Some(elf) = build(TIME_BASE, &replacements) else { return };
+    let mut session = start(&elf);
+    assert_eq!(session.advance_to(Duration::from_micros(4_900)).unwrap(), None);
+    let command = session.advance_to(Duration::from_micros(6_600)).unwrap().unwrap();
+    assert_eq!((command.state, command.cause), (ControllerState::Fault, StateCause::SampleTimeout));
 }
