@@ -89,6 +89,10 @@ impl Symbols {
         self.all.iter().find(|(other, _)| other == name).map(|&(_, address)| address)
     }
 
+    pub(crate) fn has_section(elf: &[u8], name: &str) -> bool {
+        object::File::parse(elf).is_ok_and(|file| file.section_by_name(name).is_some())
+    }
+
     /// Address and size in bytes of a variable. `name` may be mangled or demangled, or its last
     /// part.
     pub(crate) fn variable(elf: &[u8], name: &str) -> Option<(u32, u32)> {

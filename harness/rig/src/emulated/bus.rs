@@ -2,6 +2,7 @@
 
 use super::board::EmulatedBoard;
 use super::memory::Memory;
+use gdbstub::target::ext::breakpoints::WatchKind;
 use rigless::device::Level;
 use rigless::emulator::{
     Access, AccessKind, CoreBus, Error, Host, InterruptLine, Memory as GuestMemory, Processor, Queued,
@@ -25,12 +26,34 @@ pub(super) struct SystemBus {
     pub(super) reset_requested: bool,
     /// Addresses of registers whose reads always return the same value, and this value.
     pub(super) stuck: Vec<(u32, u32)>,
+    /// Watchpoints of a debugger, and the address of the first access that one of them stops.
+    pub(super) watchpoints: Vec<Watchpoint>,
+    pub(super) watch_hit: Option<(u32, WatchKind)>,
     /// First use of a part of the flash interface without a model.
     pub(super) unmodelled: Option<UnmodelledAccess>,
     /// Address and instruction of each access that the chip refused, in order of time.
     pub(super) refused: Vec<(u64, u64)>,
     /// Instruction of the access after which a model first reported a violated rule.
     pub(super) told_at: Option<u64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Watchpoint {
+    pub(super) start: u64,
+    pub(super) length: u64,
+    pub(super) kind: WatchKind,
+}
+
+impl Watchpoint {
+    fn is_hit_by(&self, access: &Access) -> bool {
+        let is_of_kind = match self.kind {
+            WatchKind::Write => access.kind == AccessKind::Write,
+            WatchKind::Read => access.kind == AccessKind::Read,
+            WatchKind::ReadWrite => true,
+        };
+        let end = access.address + u64::from(access.width.bytes());
+        is_of_kind && access.address < self.start + self.length && self.start < end
+    }
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -102,6 +125,8 @@ impl SystemBus {
             deadline,
             reset_requested: false,
             stuck: Vec::new(),
+            watchpoints: Vec::new(),
+            watch_hit: None,
             unmodelled: None,
             refused: Vec::new(),
             told_at: None,
@@ -115,6 +140,7 @@ impl SystemBus {
         self.deadline = NO_DEADLINE;
         self.reset_requested = false;
         self.stuck.clear();
+        self.watch_hit = None;
         self.unmodelled = None;
         self.refused.clear();
         self.told_at = None;
@@ -178,6 +204,15 @@ pub(super) struct BusGuard<'a> {
 }
 
 impl BusGuard<'_> {
+    /// Stops the processor after an instruction whose access a debugger watches.
+    fn stop_at_watchpoint(&mut self, access: &Access) {
+        let hit = self.bus.watchpoints.iter().find(|watchpoint| watchpoint.is_hit_by(access));
+        if let Some(hit) = hit.filter(|_| access.program_counter.is_some()) {
+            self.bus.watch_hit.get_or_insert((access.address as u32, hit.kind));
+            self.bus.queued.push(Queued::Return);
+        }
+    }
+
     /// Transports the words that are due before an access that shows them. After a write, words may
     /// no longer pass as a block.
     fn transport_due_words(&mut self, access: &Access) {
@@ -200,6 +235,9 @@ impl BusGuard<'_> {
 
 impl CoreBus for BusGuard<'_> {
     fn access(&mut self, access: Access, _from_code: bool) -> Option<u64> {
+        if !self.bus.watchpoints.is_empty() {
+            self.stop_at_watchpoint(&access);
+        }
         let memory = &mut self.bus.memory;
         let writable = memory.is_writable(access.address);
         match (writable, access.kind) {

@@ -126,6 +126,17 @@ impl Machine {
         core.boot(FLASH_START, &|address, width| bus.memory.value(address, width));
     }
 
+    /// Resets chip and processor. It counts as no reset by the firmware.
+    pub(super) fn reset_by_debugger(&mut self) {
+        let instructions = self.core.retired();
+        self.session.reset_by_pin(self.bus.time_at(instructions), instructions, &mut self.bus);
+        self.reported_resets = self.session.resets().len();
+        self.bus.reset_requested = false;
+        self.bus.notify_core(&mut *self.core);
+        self.reset_core();
+        self.bus.deadline = self.session.next_deadline();
+    }
+
     fn symbols(&self) -> Symbols {
         Symbols::read(&self.image.elf)
     }
@@ -191,16 +202,18 @@ impl Machine {
         } else if single_step {
             self.debug.stop = Some(DebugStop::DoneStep);
         }
+        if let Some((addr, kind)) = self.bus.watch_hit.take() {
+            self.debug.stop = Some(DebugStop::Watch { tid: (), kind, addr });
+        }
         match exit {
-            Exit::Breakpoint => {
+            Exit::Breakpoint if self.debug.stop.is_none() => {
                 let pc = self.core.pc();
                 self.recorder.record(pc, &mut *self.core);
                 if let Some(trap) = self.trap(StoppedAt::Entry) {
                     return Err(trap);
                 }
-                if self.debug.has_breakpoint(pc) {
-                    self.debug.stop = Some(DebugStop::SwBreak(()));
-                } else {
+                self.debug.stop = self.debug.stop_at(pc);
+                if self.debug.stop.is_none() {
                     self.core.pass_breakpoint(pc);
                 }
             }
@@ -301,8 +314,24 @@ impl Machine {
     }
 
     /// Returns true at the end of a frame from the firmware, false at `until_ns`. Fails if time
-    /// does not advance.
+    /// does not advance. Firmware that waits for room in its output is emptied meanwhile.
     pub(super) fn run(&mut self, until_ns: u64) -> Result<bool, TargetError> {
+        while self.output.is_blocking() && self.now_ns() + DRAIN_INTERVAL_NS < until_ns {
+            self.drain_output();
+            if self.run_without_drain(self.now_ns() + DRAIN_INTERVAL_NS)? || self.debug.stop.is_some() {
+                return Ok(self.debug.stop.is_none());
+            }
+        }
+        self.run_without_drain(until_ns)
+    }
+
+    fn drain_output(&mut self) {
+        if self.output.drain(&mut self.bus.memory) {
+            self.bus.notify_core(&mut *self.core);
+        }
+    }
+
+    fn run_without_drain(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         let until = VirtualNanos(until_ns);
         self.session.run_until(until);
         self.bus.deadline = self.session.next_deadline();
@@ -359,9 +388,7 @@ impl Machine {
         if let Some(wire) = self.session.board_mut().wire() {
             into.append(&mut wire.received);
         }
-        if self.output.drain(&mut self.bus.memory) {
-            self.bus.notify_core(&mut *self.core);
-        }
+        self.drain_output();
     }
 
     pub(super) fn firmware_output(&self) -> Option<String> {
@@ -418,25 +445,40 @@ impl Machine {
 
 pub(super) type DebugStop = SingleThreadStopReason<u32>;
 
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum BreakpointKind {
+    Software,
+    Hardware,
+}
+
 /// Breakpoints of a debugger and its requests to step or to stop the chip.
 #[derive(Debug, Default)]
 pub(super) struct DebugControl {
-    breakpoints: BTreeSet<u64>,
+    /// Both kinds stop before the instruction at their address.
+    breakpoints: BTreeSet<(u64, BreakpointKind)>,
     pub(super) single_step: bool,
     pub(super) stop: Option<DebugStop>,
 }
 
 impl DebugControl {
     pub(super) fn has_breakpoint(&self, address: u64) -> bool {
-        self.breakpoints.contains(&address)
+        self.stop_at(address).is_some()
     }
 
-    pub(super) fn add(&mut self, address: u64, core: &mut dyn Processor) -> bool {
-        self.breakpoints.contains(&address) || core.add_breakpoint(address) && self.breakpoints.insert(address)
+    fn stop_at(&self, address: u64) -> Option<DebugStop> {
+        if self.breakpoints.contains(&(address, BreakpointKind::Software)) {
+            return Some(DebugStop::SwBreak(()));
+        }
+        self.breakpoints.contains(&(address, BreakpointKind::Hardware)).then_some(DebugStop::HwBreak(()))
     }
 
-    pub(super) fn remove(&mut self, address: u64, core: &mut dyn Processor) -> bool {
-        let removed = self.breakpoints.remove(&address);
+    pub(super) fn add(&mut self, address: u64, kind: BreakpointKind, core: &mut dyn Processor) -> bool {
+        let breakpoint = (address, kind);
+        self.breakpoints.contains(&breakpoint) || core.add_breakpoint(address) && self.breakpoints.insert(breakpoint)
+    }
+
+    pub(super) fn remove(&mut self, address: u64, kind: BreakpointKind, core: &mut dyn Processor) -> bool {
+        let removed = self.breakpoints.remove(&(address, kind));
         if removed {
             core.remove_breakpoint(address);
         }
@@ -444,7 +486,7 @@ impl DebugControl {
     }
 
     pub(super) fn end(&mut self, core: &mut dyn Processor) {
-        for address in std::mem::take(&mut self.breakpoints) {
+        for (address, _) in std::mem::take(&mut self.breakpoints) {
             core.remove_breakpoint(address);
         }
         *self = Self::default();
@@ -504,6 +546,12 @@ const BUFFER: u64 = 28;
 const SIZE: u64 = 32;
 const WRITE_OFFSET: u64 = 36;
 const READ_OFFSET: u64 = 40;
+const FLAGS: u64 = 44;
+const MODE: u32 = 0b11;
+/// Mode in which the firmware waits for room instead of overwriting or dropping.
+const BLOCK_IF_FULL: u32 = 2;
+/// Time between two reads of the output of firmware in this mode.
+const DRAIN_INTERVAL_NS: u64 = 100_000;
 /// Longest text of a trial, bytes. The rest is dropped.
 const MAX_BYTES: usize = 16 * 1024;
 
@@ -516,12 +564,19 @@ pub(super) struct FirmwareOutput {
     control_block: Option<u64>,
     bytes: Vec<u8>,
     is_cut: bool,
+    /// True if the ELF has the table of the crate `defmt`, whose frames are no text. The firmware then
+    /// overwrites unread bytes unless the host sets the blocking mode.
+    has_frames: bool,
 }
 
 impl FirmwareOutput {
     pub(super) fn new(elf: &[u8]) -> Self {
         let control_block = Symbols::variable(elf, CONTROL_BLOCK).map(|(address, _)| u64::from(address));
-        Self { control_block, ..Self::default() }
+        Self { control_block, has_frames: Symbols::has_section(elf, ".defmt"), ..Self::default() }
+    }
+
+    fn is_blocking(&self) -> bool {
+        self.has_frames && self.control_block.is_some()
     }
 
     pub(super) fn clear(&mut self) {
@@ -532,6 +587,10 @@ impl FirmwareOutput {
     /// Empties the ring buffer, as a debug probe does. Returns true if it wrote to the memory.
     pub(super) fn drain(&mut self, memory: &mut Memory) -> bool {
         let Some(block) = self.control_block else { return false };
+        let flags = memory.word(block + FLAGS).filter(|_| self.has_frames && is_initialised(memory, block));
+        if let Some(flags) = flags.filter(|flags| flags & MODE != BLOCK_IF_FULL) {
+            memory.store(block + FLAGS, &(flags & !MODE | BLOCK_IF_FULL).to_le_bytes());
+        }
         let Some((text, write_offset)) = read_ring(memory, block) else { return false };
         let room = MAX_BYTES - self.bytes.len();
         self.is_cut |= text.len() > room;
@@ -545,17 +604,24 @@ impl FirmwareOutput {
         let rest = self.control_block.and_then(|block| read_ring(memory, block)).map(|(rest, _)| rest);
         let mut bytes = self.bytes.clone();
         bytes.extend(rest.into_iter().flatten().take(MAX_BYTES - self.bytes.len()));
+        if self.has_frames && !bytes.is_empty() {
+            return Some(format!("{} bytes of defmt frames, which the bench does not decode", bytes.len()));
+        }
         let text = String::from_utf8_lossy(&bytes).into_owned();
         let end = if self.is_cut { "\n(cut after 16 KiB)" } else { "" };
         (!text.is_empty()).then(|| text + end)
     }
 }
 
+/// RAM is undefined until the firmware has initialised the block.
+fn is_initialised(memory: &Memory, block: u64) -> bool {
+    memory.slice(block, IDENTIFIER.len()) == Some(IDENTIFIER) && memory.word(block + CHANNEL_COUNT).unwrap_or(0) > 0
+}
+
 /// Returns the unread text and its end as an offset in the buffer. `None` without text or with an
 /// invalid control block.
 fn read_ring(memory: &Memory, block: u64) -> Option<(Vec<u8>, u32)> {
-    // RAM is undefined until the firmware has initialised the block.
-    if memory.slice(block, IDENTIFIER.len())? != IDENTIFIER || memory.word(block + CHANNEL_COUNT)? == 0 {
+    if !is_initialised(memory, block) {
         return None;
     }
     let [buffer, size, write_offset, read_offset] =

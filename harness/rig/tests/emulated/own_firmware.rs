@@ -411,3 +411,53 @@ fn a_time_base_on_tim6_stops_a_silent_bench() {
     let command = session.advance_to(Duration::from_micros(6_600)).unwrap().unwrap();
     assert_eq!((command.state, command.cause), (ControllerState::Fault, StateCause::SampleTimeout));
 }
+
+/// Writes 4096 bytes through a ring of 64 bytes as `defmt-rtt` does: it waits for room only if the host
+/// has set the blocking mode, and otherwise overwrites unread bytes.
+const FRAMES: &str = r#"
+#include "protocol.h"
+
+__attribute__((section(".defmt"), used)) static const char table[] = "_defmt_version_ = 4";
+static char ring[64];
+struct {
+    char id[16];
+    int32_t up, down;
+    const char *name;
+    char *buffer;
+    uint32_t size;
+    volatile uint32_t write, read, flags;
+} _SEGGER_RTT;
+
+static void put(char byte)
+{
+    uint32_t next = (_SEGGER_RTT.write + 1) % sizeof ring;
+    if (_SEGGER_RTT.flags == 2) {
+        while (next == _SEGGER_RTT.read) { }
+    }
+    ring[_SEGGER_RTT.write] = byte;
+    _SEGGER_RTT.write = next;
+}
+
+void planted(const struct message *message);
+void planted(const struct message *message)
+{
+    _SEGGER_RTT.up = 1; _SEGGER_RTT.buffer = ring; _SEGGER_RTT.size = sizeof ring;
+    const char *id = "SEGGER RTT";
+    for (int at = 0; at < 11; at++) { _SEGGER_RTT.id[at] = id[at]; }
+    if (message->kind == SAMPLE && message->sample.setpoint_um > 900.0f) {
+        for (int at = 0; at < 4096; at++) { put(table[0]); }
+    }
+}
+"#;
+
+#[test]
+fn loses_no_byte_of_defmt_frames() {
+    let section = ("stm32f4.ld", "    /DISCARD/ :", "    .defmt 0 (INFO) : { *(.defmt) }\n    /DISCARD/ :");
+    let Some(elf) = build(FRAMES, &[TRIGGER, section]) else { return };
+    let mut session = start(&elf);
+    session.send_sample(PERIOD, &action(1)).unwrap().unwrap();
+    assert_eq!(
+        session.link_mut().firmware_output().as_deref(),
+        Some("4096 bytes of defmt frames, which the bench does not decode")
+    );
+}
