@@ -161,13 +161,16 @@ fn missing_chip_faults(
     }
 }
 
-/// Returns why the rig cannot measure the time of a control step, if the scenario expects it.
-fn missing_step_time(plan: &RunPlan, scenario: &Scenario, session: &mut RigSession) -> Option<String> {
+/// Metrics that only an emulated chip reports.
+const OF_THE_CHIP: [Metric; 2] = [Metric::StepTime, Metric::EnableOff];
+
+/// Returns why the rig cannot measure a metric of the chip, if the scenario expects it.
+fn missing_chip(plan: &RunPlan, scenario: &Scenario, session: &mut RigSession) -> Option<String> {
     // The handshake was an exchange, so a rig that measures has a value.
     let mut measures = || session.link_mut().chip().is_some_and(|chip| chip.computing_time().is_some());
     let is_measured = matches!(plan.clock, Clock::Lockstep { .. }) && measures();
-    let why = format!("{} needs the emulated chip and the clock lockstep", Metric::StepTime);
-    (scenario.expects(Metric::StepTime) && !is_measured).then_some(why)
+    let expected = OF_THE_CHIP.into_iter().find(|metric| scenario.expects(*metric)).filter(|_| !is_measured)?;
+    Some(format!("{expected} needs the emulated chip and the clock lockstep"))
 }
 
 /// The rules of the protocol hold for every law. A scenario that tests only them is played with the
@@ -219,7 +222,7 @@ fn select_applicable(
         let missing = (is_compared && !matches!(plan.clock, Clock::Lockstep { .. }))
             .then(|| "the metrics that compare the controller with the reference need the clock lockstep".to_owned())
             .or(missing_chip_faults(plan, scenario, session)?)
-            .or_else(|| missing_step_time(plan, scenario, session))
+            .or_else(|| missing_chip(plan, scenario, session))
             .or_else(|| only_describes_bench_law(scenario))
             .or_else(|| undefined_commands(scenario, law))
             .or_else(|| missing_capability(scenario, law, &identity))

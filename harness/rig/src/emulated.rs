@@ -30,11 +30,13 @@ use crate::factory::BUILT_IN_IMAGE;
 use crate::link::{Chip, ChipFaultError, ChipFaultPlan, Link, LinkError, TargetError};
 use crate::port::{PendingRequests, Request};
 use board::ReceivedByte;
+use bus::PinLog;
 use chip_faults::ChipFaults;
 use debugger::Debugger;
 use gdbstub::common::Signal;
 use image::{Image, catch_emulator_panic};
 use machine::{DebugStop, Machine};
+use platebench_model::metrics::EnablePin;
 use platebench_model::record::Transport;
 use platebench_wire::{EncodedFrame, MAX_ENCODED, Message, Packet};
 use std::collections::{BTreeMap, BTreeSet};
@@ -443,6 +445,7 @@ impl Link for EmulatedLink {
     fn continue_trial(&mut self) {
         self.trial_start_ns = self.target.now_ns();
         self.target.clear_output();
+        self.target.bus.enable_pin.start(self.target.now_ns());
         // The history of the controller before the trial cannot be played again.
         self.calls.start(false);
     }
@@ -470,6 +473,12 @@ impl Chip for EmulatedLink {
         let enabled = self.target.amplifier_enabled();
         self.chip_faults.uses_amplifier |= enabled;
         self.chip_faults.uses_amplifier.then_some(enabled)
+    }
+
+    fn enable_pin(&self) -> EnablePin {
+        let PinLog { was_high, low_since_ns, .. } = self.target.bus.enable_pin;
+        let seconds = |at_ns: u64| at_ns.saturating_sub(self.trial_start_ns) as f64 / 1e9;
+        EnablePin { was_high, low_from_s: low_since_ns.map(seconds) }
     }
 
     fn firmware_output(&self) -> Option<String> {

@@ -3,6 +3,7 @@
 
 use crate::crash_report::CrashReport;
 use crate::symbols::CodeLocation;
+use platebench_model::metrics::EnablePin;
 use platebench_model::record::Transport;
 use std::fmt;
 use std::ops::DerefMut;
@@ -74,6 +75,9 @@ pub trait Chip {
     /// True if the pin PB0, which enables the amplifier, is high. `None` if it was not high yet in
     /// this trial.
     fn amplifier_enabled(&mut self) -> Option<bool>;
+
+    /// The same pin over the whole trial.
+    fn enable_pin(&self) -> EnablePin;
 
     /// Sets how messages pass from the next restart on. Call it before the trial's configuration.
     fn set_transport(&mut self, transport: Transport);

@@ -26,6 +26,7 @@ pub(super) struct SystemBus {
     pub(super) reset_requested: bool,
     /// Addresses of registers whose reads always return the same value, and this value.
     pub(super) stuck: Vec<(u32, u32)>,
+    pub(super) enable_pin: PinLog,
     /// Watchpoints of a debugger, and the address of the first access that one of them stops.
     pub(super) watchpoints: Vec<Watchpoint>,
     pub(super) watch_hit: Option<(u32, WatchKind)>,
@@ -35,6 +36,36 @@ pub(super) struct SystemBus {
     pub(super) refused: Vec<(u64, u64)>,
     /// Instruction of the access after which a model first reported a violated rule.
     pub(super) told_at: Option<u64>,
+}
+
+/// Registers of the port with the pin that enables the amplifier.
+const GPIOB: std::ops::Range<u64> = 0x4002_0400..0x4002_0800;
+
+/// The pin that enables the amplifier since the start of the trial.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PinLog {
+    pub(super) was_high: bool,
+    /// `None` if the pin is high.
+    pub(super) low_since_ns: Option<u64>,
+}
+
+impl Default for PinLog {
+    fn default() -> Self {
+        Self { was_high: false, low_since_ns: Some(0) }
+    }
+}
+
+impl PinLog {
+    /// Begins a trial with the present level.
+    pub(super) fn start(&mut self, now_ns: u64) {
+        let is_high = self.low_since_ns.is_none();
+        *self = Self { was_high: is_high, low_since_ns: (!is_high).then_some(now_ns) };
+    }
+
+    pub(super) fn record(&mut self, is_high: bool, now_ns: u64) {
+        self.was_high |= is_high;
+        self.low_since_ns = if is_high { None } else { self.low_since_ns.or(Some(now_ns)) };
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -125,6 +156,7 @@ impl SystemBus {
             deadline,
             reset_requested: false,
             stuck: Vec::new(),
+            enable_pin: PinLog::default(),
             watchpoints: Vec::new(),
             watch_hit: None,
             unmodelled: None,
@@ -140,6 +172,7 @@ impl SystemBus {
         self.deadline = NO_DEADLINE;
         self.reset_requested = false;
         self.stuck.clear();
+        self.enable_pin = PinLog::default();
         self.watch_hit = None;
         self.unmodelled = None;
         self.refused.clear();
@@ -287,6 +320,10 @@ impl CoreBus for BusGuard<'_> {
         }
         if !has_told && self.session.told().next().is_some() {
             self.bus.told_at = access.program_counter;
+        }
+        if access.kind == AccessKind::Write && GPIOB.contains(&access.address) {
+            let is_high = self.session.board().amplifier_enabled();
+            self.bus.enable_pin.record(is_high, access.virtual_time.0);
         }
         // An access to the clock controller ends the time in which unused peripherals are not polled.
         if access.kind == AccessKind::Write && !self.session.board().part.booted {

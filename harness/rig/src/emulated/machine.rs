@@ -122,6 +122,8 @@ impl Machine {
 
     fn reset_core(&mut self) {
         let Self { core, bus, .. } = self;
+        // A reset makes the pin an input, which the board pulls low.
+        bus.enable_pin.record(false, bus.time_at(core.retired()).0);
         core.reset();
         core.boot(FLASH_START, &|address, width| bus.memory.value(address, width));
     }
