@@ -11,6 +11,7 @@ mod boot_cache;
 mod bus;
 mod chip_faults;
 mod debugger;
+mod firmware_output;
 mod image;
 mod machine;
 mod memory;

@@ -98,6 +98,9 @@ impl Model for WindowWatchdog {
     }
 
     fn on_clock(&mut self, clocks: &Clocks, registers: &mut Registers<'_>, context: &mut DeviceContext<'_>) {
+        if clocks.pclk1 == self.hz {
+            return;
+        }
         let now = context.now().0;
         (self.count, self.since_ns) = (self.count_at(now, registers), now);
         self.hz = clocks.pclk1;
