@@ -452,7 +452,7 @@ void planted(const struct message *message)
 
 #[test]
 fn loses_no_byte_of_defmt_frames() {
-    let section = ("stm32f4.ld", "    /DISCARD/ :", "    .defmt 0 (INFO) : { *(.defmt) }\n    /DISCARD/ :");
+    let section = ("stm32f4.ld", "    /DISCARD/ :", "    .defmt 0 (INFO) : { KEEP(*(.defmt)) }\n    /DISCARD/ :");
     let Some(elf) = build(FRAMES, &[TRIGGER, section]) else { return };
     let mut session = start(&elf);
     session.send_sample(PERIOD, &action(1)).unwrap().unwrap();
