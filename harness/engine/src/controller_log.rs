@@ -189,7 +189,6 @@ impl<'a> ControllerLog<'a> {
             scripts_not_played: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.not_played.clone()),
             transport: session.link_mut().chip().map(|chip| chip.transport()),
             baud: session.link_mut().chip().map(|chip| chip.baud()),
-            enable_pin: session.link_mut().chip().map(|chip| chip.enable_pin()),
             firmware_output: session.link_mut().chip().and_then(|chip| chip.firmware_output()),
             ..Telemetry::default()
         }
