@@ -163,7 +163,7 @@ impl Microcontroller {
     }
 }
 
-/// Flags of the watchdogs in RCC_CSR (RM0090, 6.3.21).
+/// Flags of the watchdogs in `RCC_CSR` (RM0090, 6.3.21).
 const IWDG_FLAG: u64 = 1 << 29;
 const WWDG_FLAG: u64 = 1 << 30;
 

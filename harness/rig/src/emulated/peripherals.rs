@@ -16,8 +16,10 @@ use rigless::soc::{Bus, Layout, RegisterSpec};
 use rigless::time::{EventId, VirtualNanos};
 use std::fmt;
 
+type NewModel = fn() -> Box<dyn Model>;
+
 /// Instances and their models. RM0090, chapters 4, 9, 12, 14, 19, 20, 22 and 24.
-const MODELS: [(&str, fn() -> Box<dyn Model>); 14] = [
+const MODELS: [(&str, NewModel); 14] = [
     ("TIM6", || Box::new(timer::Timer::new(Apb::One))),
     ("TIM7", || Box::new(timer::Timer::new(Apb::One))),
     ("TIM9", || Box::new(timer::Timer::new(Apb::Two))),

@@ -21,6 +21,9 @@ const RELOAD_PRELOAD: u32 = 7;
 
 /// Flag of the update in SR, DIER and EGR. Flags of the channels follow.
 const UPDATE: u64 = 1;
+const FLAGS: u64 = 0b111;
+/// Bits of a channel in CCMR1 that are 0 for a compare.
+const CAPTURE: u64 = 0b11;
 const CHANNELS: [(&str, u64, u32); 2] = [("CCR1", 1 << 1, 0), ("CCR2", 1 << 2, 8)];
 
 #[derive(Debug)]
@@ -101,7 +104,7 @@ impl Timer {
             let updates = !registers.is_set("CR1", UPDATE_DISABLE);
             let to = update.filter(|_| changes && updates).unwrap_or(last);
             let flags = CHANNELS.iter().filter(|&&(register, _, shift)| {
-                let is_output = registers.get("CCMR1_Output") >> shift & 0b11 == 0;
+                let is_output = registers.get("CCMR1_Output") >> shift & CAPTURE == 0;
                 is_output && self.next_tick_at(registers.get(register)).is_some_and(|tick| tick <= to)
             });
             let mut set = flags.fold(0, |set, (_, flag, _)| set | flag);
@@ -128,7 +131,7 @@ impl Timer {
     /// Drives the interrupt and schedules the next one.
     fn settle(&mut self, registers: &Registers<'_>, context: &mut DeviceContext<'_>) {
         let enabled = registers.get("DIER");
-        if registers.get("SR") & enabled & 0x7 == 0 {
+        if registers.get("SR") & enabled & FLAGS == 0 {
             context.lower(LINE);
         } else {
             context.raise(LINE);
