@@ -21,7 +21,7 @@ pub fn why_not_applicable<L: Link>(
     Ok((is_compared && !is_lockstep)
         .then(|| "the metrics that compare the controller with the reference need the clock lockstep".to_owned())
         .or(missing_chip_faults(scenario, is_lockstep, session)?)
-        .or_else(|| missing_step_time(scenario, is_lockstep, session))
+        .or_else(|| missing_chip(scenario, is_lockstep, session))
         .or_else(|| only_describes_bench_law(scenario))
         .or_else(|| undefined_commands(scenario, law))
         .or_else(|| missing_capability(scenario, law, &identity))
@@ -49,8 +49,11 @@ fn missing_chip_faults<L: Link>(
     }
 }
 
-/// Returns why the rig cannot measure the time of a control step, if the scenario expects it.
-fn missing_step_time<L: Link>(
+/// Metrics that only an emulated chip reports.
+const OF_THE_CHIP: [Metric; 2] = [Metric::StepTime, Metric::EnableOff];
+
+/// Returns why the rig cannot measure a metric of the chip, if the scenario expects it.
+fn missing_chip<L: Link>(
     scenario: &Scenario,
     is_lockstep: bool,
     session: &mut Session<FaultInjector<L>>,
@@ -58,8 +61,8 @@ fn missing_step_time<L: Link>(
     // The handshake was an exchange, so a rig that measures has a value.
     let mut measures = || session.link_mut().chip().is_some_and(|chip| chip.computing_time().is_some());
     let is_measured = is_lockstep && measures();
-    let why = format!("{} needs the emulated chip and the clock lockstep", Metric::StepTime);
-    (scenario.expects(Metric::StepTime) && !is_measured).then_some(why)
+    let expected = OF_THE_CHIP.into_iter().find(|metric| scenario.expects(*metric)).filter(|_| !is_measured)?;
+    Some(format!("{expected} needs the emulated chip and the clock lockstep"))
 }
 
 /// Returns why no expectation of the scenario applies to the controller's own law.

@@ -193,6 +193,7 @@ impl<'a> ControllerLog<'a> {
             scripts_not_played: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.not_played.clone()),
             scripts_not_decided: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.undecided.clone()),
             transport: session.link_mut().chip().map(|chip| chip.transport()),
+            baud: session.link_mut().chip().map(|chip| chip.baud()),
             firmware_output: session.link_mut().chip().and_then(|chip| chip.firmware_output()),
             ..Telemetry::default()
         }

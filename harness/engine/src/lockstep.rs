@@ -454,6 +454,8 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
 
     fn finish(mut self) -> TrialResult {
         let now = self.plant.time();
+        // The safe state at the end of the trial disables the amplifier, too.
+        let enable_pin = self.session.link_mut().chip().map(|chip| chip.enable_pin());
         if let Err(error) = self.restart_after_chip_faults() {
             self.link_error.get_or_insert(error);
         }
@@ -473,6 +475,7 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
         let mut telemetry = Telemetry {
             not_finite: self.plant.not_finite(),
             watchdog_timeout_ms: self.trial.own_clock.then_some(self.watchdog.timeout_ms),
+            enable_pin,
             ..self.controller.telemetry(self.session, self.link_error.as_ref())
         };
         if let Some(error) = &self.chip.stop {

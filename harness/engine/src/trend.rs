@@ -16,14 +16,16 @@ use tracing::{info, warn};
 const REFERENCE: &str = include_str!("../../../firmware-under-test/images/cost.toml");
 const EMULATED: &str = "emulated";
 
-/// Trial as law, digest of the input files, seed, and whether the controller stopped.
-type TrialKey = (String, String, u64, bool);
+/// Trial as law, digest of the input files, seed, whether the controller stopped, and baud rate, which
+/// affects the count by the wait for the end of a frame.
+type TrialKey = (String, String, u64, bool, Option<u32>);
 type Costs = BTreeMap<TrialKey, StepCost>;
 
 #[derive(Deserialize)]
 struct Reference {
     firmware: String,
     build: String,
+    baud: u32,
     #[serde(default)]
     trial: Vec<ReferenceTrial>,
 }
@@ -120,7 +122,7 @@ fn trial_costs(record: &RunRecord, counts: impl Fn(&TrialRecord) -> bool) -> Cos
             let cost =
                 StepCost { mean: trial.telemetry.instructions_mean?, worst: trial.telemetry.instructions_worst? };
             let stopped = trial.telemetry.stopped.is_some();
-            Some(((scenario.law.clone(), digest.clone(), trial.seed, stopped), cost))
+            Some(((scenario.law.clone(), digest.clone(), trial.seed, stopped, trial.telemetry.baud), cost))
         });
         counted.collect::<Vec<_>>()
     };
@@ -156,10 +158,10 @@ fn load_reference() -> Option<Reference> {
 }
 
 fn reference_run(reference: Reference) -> (EarlierRun, Costs) {
-    let costs = reference
-        .trial
-        .into_iter()
-        .map(|trial| ((trial.law, trial.inputs, trial.seed, false), StepCost { mean: trial.mean, worst: trial.worst }));
+    let baud = Some(reference.baud);
+    let costs = reference.trial.into_iter().map(|trial| {
+        ((trial.law, trial.inputs, trial.seed, false, baud), StepCost { mean: trial.mean, worst: trial.worst })
+    });
     (EarlierRun { run: None, started: None, build: reference.build }, costs.collect())
 }
 
@@ -173,6 +175,8 @@ mod tests {
     use std::path::PathBuf;
     use tempfile::TempDir;
 
+    const BAUD: u32 = 1_000_000;
+
     fn scenario(law: &str, input: &str, worst: &[f64]) -> ScenarioRecord {
         let trial = |(index, &worst): (usize, &f64)| TrialRecord {
             index: index as u32,
@@ -183,6 +187,7 @@ mod tests {
             telemetry: Telemetry {
                 instructions_mean: Some(0.9 * worst),
                 instructions_worst: Some(worst),
+                baud: Some(BAUD),
                 ..Telemetry::default()
             },
             cause: None,
@@ -365,11 +370,25 @@ mod tests {
     }
 
     #[test]
+    fn compares_no_trials_at_different_baud_rates() {
+        let mut slow = scenario("dq-pi", "1", &[2_000.0]);
+        slow.trials[0].telemetry.baud = Some(115_200);
+        let runs = RunsFolder::new(&[
+            ("a", record("old", 1, vec![scenario("dq-pi", "1", &[1_000.0])])),
+            ("b", record("older", 0, vec![slow.clone()])),
+        ]);
+        let trends = runs.cost(&record("new", 2, vec![slow]));
+        let names: Vec<_> = trends[0].earlier.iter().map(|earlier| earlier.run.as_deref()).collect();
+        assert_eq!(names, [Some("b")]);
+    }
+
+    #[test]
     fn reference_comes_last_and_for_its_firmware_only() {
         let played = || scenario("dq-pi", "1", &[2_000.0]);
         let reference = |firmware: &str| Reference {
             firmware: firmware.to_owned(),
             build: "shipped".to_owned(),
+            baud: BAUD,
             trial: vec![ReferenceTrial {
                 law: "dq-pi".to_owned(),
                 inputs: played().inputs_digest(),

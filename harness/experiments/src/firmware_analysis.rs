@@ -3,8 +3,10 @@
 
 pub mod code_map;
 pub mod error;
+mod line_tables;
 pub mod suite;
 
+use line_tables::check_line_tables;
 use platebench_engine::SafeEnds;
 use platebench_engine::workers::in_parallel;
 use platebench_model::record::Verdict;
@@ -138,8 +140,21 @@ impl Coverage {
     }
 }
 
+/// Folders of Rust's standard library, of newlib, picolibc and libgcc.
+const STANDARD_LIBRARIES: [&str; 9] = [
+    "/rustc/",
+    "library/core/",
+    "library/alloc/",
+    "library/compiler-builtins/",
+    "/newlib/libc/",
+    "/newlib/libm/",
+    "/libgloss/",
+    "/picolibc",
+    "/libgcc/",
+];
+
 pub(crate) fn is_standard_library(file: &str) -> bool {
-    ["/rustc/", "library/core/", "library/alloc/", "library/compiler-builtins/"].iter().any(|part| file.contains(part))
+    STANDARD_LIBRARIES.iter().any(|part| file.contains(part))
 }
 
 /// True for a file of a package that Cargo downloaded: a folder of its path has a name and a version.
@@ -153,6 +168,7 @@ fn is_package(file: &str) -> bool {
 
 pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisError> {
     let (symbols, map) = config.suite.code()?;
+    check_line_tables(&map, &symbols, !config.only.is_empty())?;
     let baselines = play_baselines(&config.suite, &map, config.jobs, &config.cancel)?;
     let coverage = Coverage::new(&map, &symbols, &executed_by_all(&baselines), &config.only);
     match config.only.iter().find(|_| coverage.files.is_empty()) {

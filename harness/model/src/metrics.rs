@@ -4,6 +4,7 @@ mod band_entry;
 mod control_instants;
 mod deviation;
 mod drive;
+mod enable_pin;
 mod input;
 mod last_row;
 mod measurement;
@@ -14,7 +15,7 @@ mod spec;
 mod window_mean;
 
 pub(crate) use input::band_around;
-pub use input::{MeasureInput, MetricSignal, RigReports, setpoint_steps};
+pub use input::{EnablePin, MeasureInput, MetricSignal, RigReports, setpoint_steps};
 pub use measurement::{Measure, Measurement, MissingValue, SignalPoint, UndefinedValue};
 pub use spec::{
     DriveBound, ElapsedLabels, Levels, LimitMarkSpec, MetricSpec, Subject, TrialRule, Unit, ValidIf, WindowRule,
@@ -63,6 +64,7 @@ metrics! {
     StepTime => reported::STEP_TIME,
     Overruns => control_instants::OVERRUNS,
     ShutdownTime => shutdown_time::SHUTDOWN_TIME,
+    EnableOff => enable_pin::ENABLE_OFF,
     MissedReplies => control_instants::MISSED_REPLIES,
     RipplePercent => ripple::PERCENT,
     Ripple => ripple::MICROMETRES,

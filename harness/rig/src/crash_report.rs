@@ -178,7 +178,6 @@ pub(crate) enum StoppedAt {
     /// At the handler's first instruction, when the link register contains the exception return.
     Entry,
     /// Later in the handler, which may have pushed the exception return below the frame.
-    #[cfg(feature = "probe")]
     Body,
 }
 
@@ -418,13 +417,11 @@ mod tests {
         assert_eq!(frame(StoppedAt::Entry, 7, 0xffff_ffed, 0, 0x2000_0010, XPSR_THUMB), with_floats);
         assert_eq!(frame(StoppedAt::Entry, 7, LR, 0x2000_0010, 0, XPSR_THUMB), None, "no exception return");
         assert_eq!(frame(StoppedAt::Entry, 7, 0xffff_fff9, 0x2000_0020, 0, XPSR_THUMB), None, "end of memory");
-        #[cfg(feature = "probe")]
         for (exception_return, found) in [(0xffff_fff9, found), (0xffff_ffe9, with_floats)] {
             assert_eq!(frame(StoppedAt::Body, exception_return, LR, 0x2000_0000, 0, XPSR_THUMB), found);
             assert_eq!(frame(StoppedAt::Body, 7, exception_return, 0x2000_0010, 0, XPSR_THUMB), found, "not pushed");
             assert_eq!(frame(StoppedAt::Body, exception_return, LR, 0x2000_0000, 0, 0), None, "no Thumb bit");
         }
-        #[cfg(feature = "probe")]
         assert_eq!(frame(StoppedAt::Body, 0xffff_fffd, LR, 0x2000_0000, 0x2000_0010, XPSR_THUMB), found);
     }
 }

@@ -11,9 +11,11 @@ mod boot_cache;
 mod bus;
 mod chip_faults;
 mod debugger;
+mod firmware_output;
 mod image;
 mod machine;
 mod memory;
+mod peripherals;
 mod post_mortem;
 mod serial_port;
 mod transport_check;
@@ -23,16 +25,19 @@ pub(crate) use image::read_elf;
 pub use image::{EmulatedError, EmulatedOptions, ImageError};
 
 use crate::cancel::CancelToken;
+use crate::crash_report::StoppedAt;
 use crate::debug_port::DebugPort;
 use crate::factory::BUILT_IN_IMAGE;
 use crate::link::{Chip, ChipFaultError, ChipFaultPlan, Link, LinkError, TargetError};
 use crate::port::{PendingRequests, Request};
 use board::ReceivedByte;
+use bus::PinLog;
 use chip_faults::ChipFaults;
 use debugger::Debugger;
 use gdbstub::common::Signal;
 use image::{Image, catch_emulator_panic};
 use machine::{DebugStop, Machine};
+use platebench_model::metrics::EnablePin;
 use platebench_model::record::Transport;
 use platebench_wire::{EncodedFrame, MAX_ENCODED, Message, Packet};
 use std::collections::{BTreeMap, BTreeSet};
@@ -205,11 +210,12 @@ impl EmulatedLink {
                 return Ok(());
             }
             if attempt_ends >= HANDSHAKE_TIMEOUT_NS || (Instant::now() > deadline && self.debugger.is_none()) {
-                return Err(TargetError::NoHandshake {
+                let silent = TargetError::NoHandshake {
                     waited_ms: self.target.now_ns() / NS_PER_MS,
                     instances: self.target.used_instances(),
                     place: self.target.code_location(),
-                });
+                };
+                return Err(self.target.trap(StoppedAt::Body).unwrap_or(silent));
             }
         }
     }
@@ -338,7 +344,8 @@ impl EmulatedLink {
             None if !asks || self.chip_faults.is_active() => Ok(Duration::ZERO),
             None => {
                 let waited_us = (self.target.now_ns() - arrived_ns) / 1_000;
-                Err(TargetError::Silent { waited_us, place: self.target.code_location() })
+                let silent = TargetError::Silent { waited_us, place: self.target.code_location() };
+                Err(self.target.trap(StoppedAt::Body).unwrap_or(silent))
             }
         }
     }
@@ -439,6 +446,7 @@ impl Link for EmulatedLink {
     fn continue_trial(&mut self) {
         self.trial_start_ns = self.target.now_ns();
         self.target.clear_output();
+        self.target.bus.enable_pin.start(self.target.now_ns());
         // The history of the controller before the trial cannot be played again.
         self.calls.start(false);
     }
@@ -450,7 +458,12 @@ impl Link for EmulatedLink {
 
 impl Chip for EmulatedLink {
     fn instruction_count(&self) -> Option<u64> {
-        self.instructions
+        let (executed, computing_ns) = self.instructions.zip(self.computing_ns)?;
+        Some(executed.min(self.target.instructions_in(computing_ns)))
+    }
+
+    fn baud(&self) -> u32 {
+        Self::baud(self)
     }
 
     fn computing_time(&self) -> Option<Duration> {
@@ -461,6 +474,12 @@ impl Chip for EmulatedLink {
         let enabled = self.target.amplifier_enabled();
         self.chip_faults.uses_amplifier |= enabled;
         self.chip_faults.uses_amplifier.then_some(enabled)
+    }
+
+    fn enable_pin(&self) -> EnablePin {
+        let PinLog { was_high, low_since_ns, .. } = self.target.bus.enable_pin;
+        let seconds = |at_ns: u64| at_ns.saturating_sub(self.trial_start_ns) as f64 / 1e9;
+        EnablePin { was_high, low_from_s: low_since_ns.map(seconds) }
     }
 
     fn firmware_output(&self) -> Option<String> {

@@ -3,6 +3,7 @@
 
 use crate::crash_report::CrashReport;
 use crate::symbols::CodeLocation;
+use platebench_model::metrics::EnablePin;
 use platebench_model::record::Transport;
 use std::fmt;
 use std::ops::DerefMut;
@@ -65,8 +66,12 @@ pub trait RealTimeLine: Send {
 /// Access to an emulated chip: measurements, pins, RTT text and faults.
 pub trait Chip {
     /// Instructions that the chip ran from the first bit of the last [`Link::exchange`] to the last
-    /// bit of its answer; `None` without an answer.
+    /// bit of its answer, but at most those of [`Chip::computing_time`], because firmware that polls
+    /// also runs during the transmission; `None` without an answer.
     fn instruction_count(&self) -> Option<u64>;
+
+    /// Bits per second of the line.
+    fn baud(&self) -> u32;
 
     /// Time that the chip computed for the last [`Link::exchange`] with an answer, without the
     /// transmission.
@@ -78,6 +83,9 @@ pub trait Chip {
     /// True if the pin PB0, which enables the amplifier, is high. `None` if it was not high yet in
     /// this trial.
     fn amplifier_enabled(&mut self) -> Option<bool>;
+
+    /// The same pin over the whole trial.
+    fn enable_pin(&self) -> EnablePin;
 
     /// Sets how messages pass from the next restart on. Call it before the trial's configuration.
     fn set_transport(&mut self, transport: Transport);

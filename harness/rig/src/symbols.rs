@@ -7,7 +7,7 @@ use gimli::{
     BaseAddresses, CfaRule, DebugFrame, Dwarf, EndianArcSlice, Reader as _, Register, RegisterRule, RunTimeEndian,
     SectionId, UnwindContext, UnwindSection as _,
 };
-use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
+use object::{CompressionFormat, Object, ObjectSection, ObjectSymbol, SymbolKind};
 use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::Arc;
@@ -66,6 +66,7 @@ pub struct Symbols {
     /// Relative folders in which units were compiled.
     build_folders: BTreeSet<String>,
     call_frames: CallFrames,
+    has_compressed_lines: bool,
 }
 
 impl Symbols {
@@ -85,11 +86,16 @@ impl Symbols {
             build_folders: dwarf.as_ref().map(relative_build_folders).unwrap_or_default(),
             lines: dwarf.and_then(|dwarf| Context::from_dwarf(dwarf).ok()),
             call_frames: CallFrames::new(section(file, SectionId::DebugFrame)),
+            has_compressed_lines: file.is_some_and(has_compressed_lines),
         }
     }
 
     pub(crate) fn address(&self, name: &str) -> Option<u64> {
         self.all.iter().find(|(other, _)| other == name).map(|&(_, address)| address)
+    }
+
+    pub(crate) fn has_section(elf: &[u8], name: &str) -> bool {
+        object::File::parse(elf).is_ok_and(|file| file.section_by_name(name).is_some())
     }
 
     /// Address and size in bytes of a variable. `name` may be mangled or demangled, or its last
@@ -128,6 +134,11 @@ impl Symbols {
         before.take(MAX_ALIASES).find(|function| address < function.end)
     }
 
+    /// True if the line table is compressed. It is not read then.
+    pub fn has_compressed_lines(&self) -> bool {
+        self.has_compressed_lines
+    }
+
     /// Sorted by address.
     pub fn functions(&self) -> &[Function] {
         &self.functions
@@ -141,9 +152,11 @@ impl Symbols {
         let mut found = Vec::new();
         while let Ok(Some(frame)) = frames.next() {
             let name = frame.function.as_ref().and_then(|function| function.demangle().ok());
+            // With split DWARF, the names are in another file. Inlined functions then have no frame.
+            let name = name.map(|name| strip_hash(&name)).or_else(|| Some(self.function(address.into())?.name.clone()));
             let line = frame.location.and_then(|location| Some((location.file?, location.line?)));
             found.push(SourceFrame {
-                function: name.map_or_else(|| "?".to_owned(), |name| strip_hash(&name)),
+                function: name.unwrap_or_else(|| "?".to_owned()),
                 line: line.map(|(file, line)| SourceLine { file: self.source_name(file), line }),
             });
         }
@@ -229,6 +242,13 @@ fn relative_build_folders(dwarf: &Dwarf<DebugSlice>) -> BTreeSet<String> {
 fn section(file: Option<&object::File<'_>>, id: SectionId) -> DebugSlice {
     let data = file.and_then(|file| file.section_by_name(id.name())?.uncompressed_data().ok()).unwrap_or_default();
     EndianArcSlice::new(Arc::from(&*data), RunTimeEndian::Little)
+}
+
+fn has_compressed_lines(file: &object::File<'_>) -> bool {
+    let compressed = |section: object::Section<'_, '_>| {
+        section.compressed_file_range().is_ok_and(|range| range.format != CompressionFormat::None)
+    };
+    file.section_by_name(SectionId::DebugLine.name()).is_some_and(compressed)
 }
 
 fn strip_hash(name: &str) -> String {

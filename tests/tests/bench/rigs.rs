@@ -193,12 +193,41 @@ fn a_scenario_can_limit_the_time_of_a_step() {
     run_and_read(&folder, &["--rig", "hosted", "--require-all"], 1);
 }
 
-/// A setpoint of 900 + n µm triggers fault n of `stm32f4/src/planted_faults.rs`: here a trap, a
-/// watchdog reset, and an access that the emulator does not model. Tests of `rig` cover all faults.
+/// Five periods after the last sample, at 39 ms, the controller disables the amplifier.
+fn enable_pin_scenario(limit: &str) -> String {
+    let fault = "[[fault]]\nkind = \"drop\"\ndirection = \"to-controller\"\nfrom_ms = 40.0\nuntil_ms = 60.0\n";
+    step_text(&format!("metric = \"enable_off_ms\"\nfrom_ms = 40.0\n{limit}\n{fault}"))
+}
+
+#[test]
+fn the_enable_pin_of_the_chip_is_judged() {
+    let folder = TestFolder::with_scenario(&enable_pin_scenario("within = [3.9, 5.6]"));
+    let passed = run_and_read(&folder, &["--rig", "emulated"], 0);
+    let pin = passed.scenarios[0].trials[0].telemetry.enable_pin.unwrap();
+    assert!(pin.was_high && pin.low_from_s.is_some_and(|at| (0.0439..0.0456).contains(&at)), "{pin:?}");
+    folder.write_scenario("s.toml", &enable_pin_scenario("at_most = 3.0"));
+    let record = run_and_read(&folder, &["--rig", "emulated"], 1);
+    assert_eq!(record.verdict, Verdict::Fail);
+    for arguments in [&["--rig", "hosted"][..], &["--rig", "emulated", "--clock", "real-time"]] {
+        let elsewhere = run_and_read(&folder, arguments, 4);
+        assert!(elsewhere.not_applicable[0].reason.contains("enable_off_ms needs the emulated chip"), "{arguments:?}");
+    }
+}
+
+#[test]
+fn an_amplifier_that_stays_enabled_fails() {
+    let text = step_text("metric = \"enable_off_ms\"\nfrom_ms = 40.0\nat_most = 19.0");
+    let folder = TestFolder::with_scenario(&text);
+    let record = run_and_read(&folder, &["--rig", "emulated"], 1);
+    let trial = &record.scenarios[0].trials[0];
+    assert_eq!(trial.telemetry.enable_pin.unwrap().low_from_s, None);
+}
+
+/// A setpoint of 900 + n µm triggers fault n of `stm32f4/src/planted_faults.rs`: here a trap and a
+/// watchdog reset. Tests of `rig` cover all faults.
 #[rstest]
 #[case::division_by_zero(2, "planted_faults::division_by_zero")]
 #[case::endless_loop(3, "planted_faults::endless_loop")]
-#[case::unmodelled_peripheral(9, "planted_faults::unmodelled_peripheral")]
 fn a_trap_is_reported_with_function_and_address(#[case] number: u32, #[case] function: &str) {
     // A plate at 0 V meets this expectation, so the verdict must fail because of the trap.
     let text = step_text("metric = \"overshoot_percent\"\nat_most = 1000.0");

@@ -72,7 +72,8 @@ fn the_cost_reference_matches_the_image() {
         let record = run(&plan, &folder, &connect, RunHooks::default()).unwrap();
         if law == LawId::ALL[0] {
             let firmware = record.rig.firmware.as_ref().unwrap();
-            writeln!(text, "firmware = {:?}\nbuild = {:?}", firmware.name, firmware.build).unwrap();
+            let baud = record.scenarios[0].trials[0].telemetry.baud.unwrap();
+            writeln!(text, "firmware = {:?}\nbuild = {:?}\nbaud = {baud}", firmware.name, firmware.build).unwrap();
         }
         append_reference_lines(&record, &mut text);
     }

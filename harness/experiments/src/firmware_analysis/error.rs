@@ -28,12 +28,30 @@ pub enum AnalysisError {
     NothingApplicable(Vec<String>),
     #[error("the ELF has no function symbols in flash, expected an image that is not stripped")]
     NoFunctions,
+    #[error(
+        "{} of {total} functions in flash have no line table: {}; expected debug information of all of the firmware: \
+         {}, or select files that have it by --only",
+        .functions.len(), first_names(.functions), if *.compressed {
+            "link with -gz=none, because compressed sections are not read"
+        } else {
+            "compile with -g, and do not strip the ELF (no -s, no --strip-debug)"
+        }
+    )]
+    NoLines { functions: Vec<String>, total: usize, compressed: bool },
     #[error("no function or file matches `{0}`")]
     NoMatch(String),
     #[error("the disassembler failed: {0}")]
     Disassembler(String),
     #[error("cancelled")]
     Cancelled,
+}
+
+/// Largest number of functions that a message names.
+const MAX_NAMES: usize = 5;
+
+fn first_names(functions: &[String]) -> String {
+    let names: Vec<&str> = functions.iter().take(MAX_NAMES).map(String::as_str).collect();
+    names.join(", ") + if functions.len() > MAX_NAMES { ", …" } else { "" }
 }
 
 impl AnalysisError {

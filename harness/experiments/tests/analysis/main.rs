@@ -2,15 +2,21 @@
 
 mod coverage;
 mod encodings;
+mod line_tables;
 mod mutation;
 
 use platebench_experiments::firmware_analysis::{CodeMap, Suite};
 use platebench_rig::{BUILT_IN_IMAGE, RigSpec, Symbols};
 use platebench_test_kit::{load_scenario, workspace_root};
+use std::path::Path;
 
 fn suite(scenarios: &[&str]) -> Suite {
+    suite_of(None, scenarios)
+}
+
+fn suite_of(elf: Option<&Path>, scenarios: &[&str]) -> Suite {
     let scenarios = scenarios.iter().map(|name| load_scenario(name));
-    Suite::new(&RigSpec::emulated(None), scenarios.collect()).unwrap()
+    Suite::new(&RigSpec::emulated(elf.map(Path::to_owned)), scenarios.collect()).unwrap()
 }
 
 fn shipped_code() -> (CodeMap, Symbols) {

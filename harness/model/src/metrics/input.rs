@@ -8,6 +8,8 @@
 use super::measurement::{SignalPoint, UndefinedValue};
 use crate::scenario::expect::Comparison;
 use crate::trace::{Column, Flags, Row};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// What a metric is computed from. Instants are in s since the start of the trial.
 #[derive(Debug, Clone, Copy)]
@@ -34,6 +36,16 @@ pub struct RigReports {
     pub protocol_differences: Option<f64>,
     /// True if a stall of the computer may have caused further differences.
     pub has_undecided_scripts: bool,
+    pub enable_pin: Option<EnablePin>,
+}
+
+/// The pin that enables the amplifier, PB0 of an emulated chip.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+pub struct EnablePin {
+    /// True if it was high in the trial.
+    pub was_high: bool,
+    /// Instant from which it is low to the end of the trial, s; `null` if it is high at the end.
+    pub low_from_s: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy)]

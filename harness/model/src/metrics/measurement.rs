@@ -85,6 +85,10 @@ pub enum MissingValue {
     NeverDrove,
     #[error("the controller does not stop at 0 V")]
     NotAtRest,
+    #[error("the pin PB0 was never high")]
+    NeverEnabled,
+    #[error("the pin PB0 is high at the end")]
+    StaysEnabled,
     #[error("the controller stopped before the window began")]
     StoppedBefore,
     #[error("the controller does not run at the end")]
@@ -96,7 +100,7 @@ pub enum MissingValue {
 impl MissingValue {
     /// True if the metric is the time of an event that did not happen.
     pub const fn is_not_reached(self) -> bool {
-        matches!(self, Self::NeverSettles | Self::NeverRecovers | Self::NotAtRest)
+        matches!(self, Self::NeverSettles | Self::NeverRecovers | Self::NotAtRest | Self::StaysEnabled)
     }
 }
 

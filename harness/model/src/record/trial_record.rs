@@ -1,7 +1,6 @@
 //! Records the results of a trial: values, telemetry, step time and cost, lateness, real plate.
 
-use crate::metrics::Metric;
-use crate::metrics::RigReports;
+use crate::metrics::{EnablePin, Metric, RigReports};
 use crate::record::reason;
 use crate::record::reason::{SignSymptom, TrialReason};
 use crate::record::verdict::Cause;
@@ -86,6 +85,12 @@ pub struct Telemetry {
     /// Absent on rigs without an emulated chip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transport: Option<Transport>,
+    /// Bits per second of the emulated chip's line. Absent on other rigs and in older runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub baud: Option<u32>,
+    /// Absent on rigs without an emulated chip.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub enable_pin: Option<EnablePin>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timing: Option<Box<TimingRecord>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -131,6 +136,7 @@ impl Telemetry {
             reference_difference_percent: self.reference_difference_percent,
             protocol_differences: self.protocol_differences.as_ref().map(|all| all.len() as f64),
             has_undecided_scripts: !self.scripts_not_decided.is_empty(),
+            enable_pin: self.enable_pin,
         }
     }
 

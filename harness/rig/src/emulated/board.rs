@@ -1,5 +1,6 @@
 //! Describes the emulated board: an STM32F427 with crystal, supply and the bench's wire on USART2.
 
+use super::peripherals::{Clocks, Peripherals};
 use super::serial_port::{DMA1, SerialPort, Slots, USART2};
 use rigless::chip::{Timeline, uart};
 use rigless::cpu::armv7m::windows;
@@ -9,6 +10,7 @@ use rigless::mcu::{Mcu, Operate};
 use rigless::snapshot::{self, Reader, Store, Writer};
 use rigless::soc::stm32f427::Stm32f427;
 use rigless::soc::stm32f427::generated::gpiob::Register as Gpiob;
+use rigless::soc::stm32f427::generated::rcc::Register as Rcc;
 use rigless::soc::{Bus, Error};
 use rigless::time::VirtualNanos;
 use std::collections::VecDeque;
@@ -81,6 +83,8 @@ impl uart::Peer for UartPeer {
 pub(super) struct Microcontroller {
     mcu: Stm32f427,
     pub(super) port: SerialPort,
+    /// Models of the bench, for instances without one in the emulator.
+    peripherals: Peripherals,
     slots: Slots,
     clocks: usize,
     used: Box<[bool]>,
@@ -119,6 +123,20 @@ impl Microcontroller {
         let _ = self.port.start_sending(now, self.mcu.bus(), self.slots, read);
     }
 
+    /// Call it after a write to the instance at `address`.
+    pub(super) fn follow_clocks(&mut self, address: u64, now: u64) {
+        let Self { mcu, peripherals, clocks, .. } = self;
+        let slot = mcu.bus().slot_at(address).filter(|slot| slot == clocks);
+        if let Some(slot) = slot.and_then(|slot| mcu.bus().slots().get(slot)) {
+            let clocks = Clocks::read(&mcu.rcc, slot.registers());
+            peripherals.follow_clocks(now, clocks, mcu.bus_mut());
+        }
+    }
+
+    pub(super) fn has_register(&self, address: u64) -> bool {
+        self.mcu.bus().slot_at(address).is_some()
+    }
+
     pub(super) fn mark_used(&mut self, address: u64) -> bool {
         let Some(slot) = self.mcu.bus().slot_at(address) else { return false };
         if let Some(used) = self.used.get_mut(slot) {
@@ -145,6 +163,16 @@ impl Microcontroller {
     }
 }
 
+/// Flags of the watchdogs in `RCC_CSR` (RM0090, 6.3.21).
+const IWDG_FLAG: u64 = 1 << 29;
+const WWDG_FLAG: u64 = 1 << 30;
+
+impl Microcontroller {
+    fn reset_flags(&self) -> u64 {
+        self.mcu.bus().slots().get(self.clocks).map_or(0, |slot| slot.registers().get(Rcc::Csr))
+    }
+}
+
 impl Mcu for Microcontroller {
     fn bus(&self) -> &Bus {
         self.mcu.bus()
@@ -155,7 +183,11 @@ impl Mcu for Microcontroller {
     }
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
-        let Self { mcu, port, .. } = self;
+        // The emulator has no flag of the window watchdog, so it gets that of the other one.
+        let by_window = matches!(cause, ResetCause::Model("WWDG"));
+        let cause = if by_window { ResetCause::Model("IWDG") } else { cause };
+        let before = self.reset_flags();
+        let Self { mcu, port, peripherals, .. } = self;
         port.reset_chip(at.0, |usart| {
             let [_, inherited, ..] = &mut mcu.usart;
             std::mem::swap(usart, inherited);
@@ -163,6 +195,11 @@ impl Mcu for Microcontroller {
             let [_, fresh, ..] = &mut mcu.usart;
             std::mem::swap(usart, fresh);
         });
+        peripherals.reset(mcu.bus_mut());
+        if by_window {
+            let flags = self.reset_flags() & !IWDG_FLAG | before & IWDG_FLAG | WWDG_FLAG;
+            self.mcu.bus_mut().drive(at, self.clocks).0.set(Rcc::Csr, flags);
+        }
     }
 
     fn poll(&mut self, now: VirtualNanos) {
@@ -177,6 +214,8 @@ impl Mcu for Microcontroller {
             (self.mcu.bus_mut(), None)
         } else if slot == self.slots.usart {
             (self.mcu.bus_mut(), Some(&mut self.port))
+        } else if let Some(peripheral) = self.peripherals.at(slot) {
+            (self.mcu.bus_mut(), Some(peripheral))
         } else {
             self.mcu.split(slot)
         }
@@ -197,7 +236,10 @@ impl EmulatedBoard {
         let clocks = mcu.bus().slot("RCC")?;
         let used = vec![false; mcu.bus().slots().len()].into_boxed_slice();
         let port = SerialPort::new();
-        Ok(Self { part: Microcontroller { mcu, port, slots, clocks, used, booted: false, has_pending_bytes: false } })
+        let peripherals = Peripherals::new(mcu.bus_mut())?;
+        let part =
+            Microcontroller { mcu, port, peripherals, slots, clocks, used, booted: false, has_pending_bytes: false };
+        Ok(Self { part })
     }
 
     /// True if PB0 is an output and high. If PB0 is no output, the board's pull-down holds it low.
@@ -214,20 +256,24 @@ impl EmulatedBoard {
 
 impl Store for EmulatedBoard {
     fn store(&self, to: &mut Writer) -> Result<(), snapshot::Error> {
-        let Microcontroller { mcu, port, slots: _, clocks: _, used, booted, has_pending_bytes } = &self.part;
+        let Microcontroller { mcu, port, peripherals, slots: _, clocks: _, used, booted, has_pending_bytes } =
+            &self.part;
         to.put(used)?;
         to.put(booted)?;
         to.put(has_pending_bytes)?;
         mcu.store(to)?;
+        peripherals.store(to)?;
         port.store(to)
     }
 
     fn load(&mut self, from: &mut Reader) -> Result<(), snapshot::Error> {
-        let Microcontroller { mcu, port, slots: _, clocks: _, used, booted, has_pending_bytes } = &mut self.part;
+        let Microcontroller { mcu, port, peripherals, slots: _, clocks: _, used, booted, has_pending_bytes } =
+            &mut self.part;
         *used = from.take()?;
         *booted = from.take()?;
         *has_pending_bytes = from.take()?;
         mcu.load(from)?;
+        peripherals.load(from)?;
         port.load(from)
     }
 }

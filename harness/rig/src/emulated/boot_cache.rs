@@ -4,8 +4,9 @@
 
 use super::board::ReceivedByte;
 use super::bus::SystemBus;
+use super::firmware_output::FirmwareOutput;
 use super::image::EmulatedOptions;
-use super::machine::{FirmwareOutput, Machine, emulator_error};
+use super::machine::{Machine, emulator_error};
 use crate::link::TargetError;
 use platebench_model::trace::OutputFolder;
 use rigless::device::Level;

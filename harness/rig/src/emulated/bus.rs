@@ -2,6 +2,7 @@
 
 use super::board::EmulatedBoard;
 use super::memory::Memory;
+use gdbstub::target::ext::breakpoints::WatchKind;
 use rigless::device::Level;
 use rigless::emulator::{
     Access, AccessKind, CoreBus, Error, Host, InterruptLine, Memory as GuestMemory, Processor, Queued,
@@ -25,6 +26,96 @@ pub(super) struct SystemBus {
     pub(super) reset_requested: bool,
     /// Addresses of registers whose reads always return the same value, and this value.
     pub(super) stuck: Vec<(u32, u32)>,
+    pub(super) enable_pin: PinLog,
+    /// Watchpoints of a debugger, and the address of the first access that one of them stops.
+    pub(super) watchpoints: Vec<Watchpoint>,
+    pub(super) watch_hit: Option<(u32, WatchKind)>,
+    /// First use of a part of the flash interface without a model.
+    pub(super) unmodelled: Option<UnmodelledAccess>,
+    /// Address and instruction of each access that the chip refused, in order of time.
+    pub(super) refused: Vec<(u64, u64)>,
+    /// Instruction of the access after which a model first reported a violated rule.
+    pub(super) told_at: Option<u64>,
+}
+
+/// Registers of the port with the pin that enables the amplifier.
+const GPIOB: std::ops::Range<u64> = 0x4002_0400..0x4002_0800;
+
+/// The pin that enables the amplifier since the start of the trial.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PinLog {
+    pub(super) was_high: bool,
+    /// `None` if the pin is high.
+    pub(super) low_since_ns: Option<u64>,
+}
+
+impl Default for PinLog {
+    fn default() -> Self {
+        Self { was_high: false, low_since_ns: Some(0) }
+    }
+}
+
+impl PinLog {
+    /// Begins a trial with the present level.
+    pub(super) fn start(&mut self, now_ns: u64) {
+        let is_high = self.low_since_ns.is_none();
+        *self = Self { was_high: is_high, low_since_ns: (!is_high).then_some(now_ns) };
+    }
+
+    pub(super) fn record(&mut self, is_high: bool, now_ns: u64) {
+        self.was_high |= is_high;
+        self.low_since_ns = if is_high { None } else { self.low_since_ns.or(Some(now_ns)) };
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Watchpoint {
+    pub(super) start: u64,
+    pub(super) length: u64,
+    pub(super) kind: WatchKind,
+}
+
+impl Watchpoint {
+    fn is_hit_by(&self, access: &Access) -> bool {
+        let is_of_kind = match self.kind {
+            WatchKind::Write => access.kind == AccessKind::Write,
+            WatchKind::Read => access.kind == AccessKind::Read,
+            WatchKind::ReadWrite => true,
+        };
+        let end = access.address + u64::from(access.width.bytes());
+        is_of_kind && access.address < self.start + self.length && self.start < end
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(super) struct UnmodelledAccess {
+    pub(super) what: &'static str,
+    pub(super) address: u64,
+    pub(super) instruction: Option<u64>,
+}
+
+/// Control register of flash and the bit that starts an erase (RM0090, 3.9.8).
+const FLASH_CR: u64 = 0x4002_3C10;
+const FLASH_CR_START: u64 = 1 << 16;
+/// Option control register and the bit that starts their programming (RM0090, 3.9.10).
+const FLASH_OPTCR: u64 = 0x4002_3C14;
+const FLASH_OPTCR_START: u64 = 1 << 1;
+/// Option bytes of both banks (RM0090, table 15).
+const OPTION_BYTES: [std::ops::Range<u64>; 2] = [0x1FFE_C000..0x1FFE_C010, 0x1FFF_C000..0x1FFF_C010];
+
+/// What the access needs if the emulator does not model it. The chip itself would do it.
+fn unmodelled(access: &Access) -> Option<&'static str> {
+    let starts = |bits: u64| access.kind == AccessKind::Write && access.value & bits != 0;
+    match access.address {
+        FLASH_CR if starts(FLASH_CR_START) => Some("the erase of flash is not modelled, FLASH.CR written with STRT"),
+        FLASH_OPTCR if starts(FLASH_OPTCR_START) => {
+            Some("the programming of option bytes is not modelled, FLASH.OPTCR written with OPTSTRT")
+        }
+        address if OPTION_BYTES.iter().any(|bytes| bytes.contains(&address)) => {
+            Some("the option bytes are not modelled as memory; FLASH.OPTCR contains them")
+        }
+        _ => None,
+    }
 }
 
 /// Nanoseconds per instruction in lowest terms, so that years of time fit into 64 bits.
@@ -57,7 +148,21 @@ impl InstructionRate {
 impl SystemBus {
     pub(super) fn new(memory: Memory, instructions_per_second: NonZeroU64) -> Self {
         let (rate, deadline) = (InstructionRate::new(instructions_per_second), NO_DEADLINE);
-        Self { memory, queued: Vec::new(), rate, slept_ns: 0, deadline, reset_requested: false, stuck: Vec::new() }
+        Self {
+            memory,
+            queued: Vec::new(),
+            rate,
+            slept_ns: 0,
+            deadline,
+            reset_requested: false,
+            stuck: Vec::new(),
+            enable_pin: PinLog::default(),
+            watchpoints: Vec::new(),
+            watch_hit: None,
+            unmodelled: None,
+            refused: Vec::new(),
+            told_at: None,
+        }
     }
 
     pub(super) fn reset(&mut self) {
@@ -67,6 +172,11 @@ impl SystemBus {
         self.deadline = NO_DEADLINE;
         self.reset_requested = false;
         self.stuck.clear();
+        self.enable_pin = PinLog::default();
+        self.watch_hit = None;
+        self.unmodelled = None;
+        self.refused.clear();
+        self.told_at = None;
     }
 
     pub(super) fn time_at(&self, instructions: u64) -> VirtualNanos {
@@ -75,6 +185,10 @@ impl SystemBus {
 
     pub(super) fn nanoseconds_of(&self, instructions: u64) -> u64 {
         self.rate.nanoseconds(instructions)
+    }
+
+    pub(super) fn instructions_in(&self, nanoseconds: u64) -> u64 {
+        self.rate.instructions(nanoseconds)
     }
 
     pub(super) fn instructions_until(&self, instructions: u64, target: VirtualNanos) -> u32 {
@@ -123,6 +237,15 @@ pub(super) struct BusGuard<'a> {
 }
 
 impl BusGuard<'_> {
+    /// Stops the processor after an instruction whose access a debugger watches.
+    fn stop_at_watchpoint(&mut self, access: &Access) {
+        let hit = self.bus.watchpoints.iter().find(|watchpoint| watchpoint.is_hit_by(access));
+        if let Some(hit) = hit.filter(|_| access.program_counter.is_some()) {
+            self.bus.watch_hit.get_or_insert((access.address as u32, hit.kind));
+            self.bus.queued.push(Queued::Return);
+        }
+    }
+
     /// Transports the words that are due before an access that shows them. After a write, words may
     /// no longer pass as a block.
     fn transport_due_words(&mut self, access: &Access) {
@@ -145,6 +268,9 @@ impl BusGuard<'_> {
 
 impl CoreBus for BusGuard<'_> {
     fn access(&mut self, access: Access, _from_code: bool) -> Option<u64> {
+        if !self.bus.watchpoints.is_empty() {
+            self.stop_at_watchpoint(&access);
+        }
         let memory = &mut self.bus.memory;
         let writable = memory.is_writable(access.address);
         match (writable, access.kind) {
@@ -160,6 +286,15 @@ impl CoreBus for BusGuard<'_> {
             }
             (Some(false), AccessKind::Write) | (None, _) => {}
         }
+        if self.bus.unmodelled.is_none()
+            && let Some(what) = unmodelled(&access)
+        {
+            let (address, instruction) = (access.address, access.program_counter);
+            self.bus.unmodelled = Some(UnmodelledAccess { what, address, instruction });
+            if !self.session.board().part.has_register(address) {
+                return Some(0);
+            }
+        }
         // If nothing is at the address, the chip raises a bus error. The emulator alone would
         // ignore the access.
         let answers = self.session.board_mut().part.mark_used(access.address);
@@ -174,8 +309,27 @@ impl CoreBus for BusGuard<'_> {
         if self.session.board().part.port.has_deferred_words() {
             self.transport_due_words(&access);
         }
+        let refused = self.session.refused().len();
+        let has_told = self.session.told().next().is_some();
         let (value, next) = self.session.access(access, self.bus);
         self.bus.deadline = next;
+        if self.session.refused().len() > refused
+            && let Some(instruction) = access.program_counter
+        {
+            self.bus.refused.push((access.address, instruction));
+        }
+        if !has_told && self.session.told().next().is_some() {
+            self.bus.told_at = access.program_counter;
+        }
+        if access.kind == AccessKind::Write && GPIOB.contains(&access.address) {
+            let is_high = self.session.board().amplifier_enabled();
+            self.bus.enable_pin.record(is_high, access.virtual_time.0);
+        }
+        // An access to the clock controller ends the time in which unused peripherals are not polled.
+        if access.kind == AccessKind::Write && !self.session.board().part.booted {
+            self.session.board_mut().part.follow_clocks(access.address, access.virtual_time.0);
+            self.bus.deadline = self.session.next_deadline();
+        }
         if access.address == TRANSMIT_STREAM && access.kind == AccessKind::Write {
             let memory = &self.bus.memory;
             let read = |address, length| memory.slice(address, length);

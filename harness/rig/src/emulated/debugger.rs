@@ -1,6 +1,7 @@
 //! Serves a debugger with GDB's remote protocol. While the chip is stopped, the plate waits, too.
 
-use super::machine::{DebugStop, Machine};
+use super::bus::Watchpoint;
+use super::machine::{BreakpointKind as Kind, DebugStop, Machine};
 use crate::cancel::CancelToken;
 use crate::debug_port::{DebuggerError, POLL};
 use gdbstub::arch::{Arch, RegId, Registers};
@@ -12,11 +13,16 @@ use gdbstub::target::ext::base::single_register_access::{SingleRegisterAccess, S
 use gdbstub::target::ext::base::singlethread::{
     SingleThreadBase, SingleThreadResume, SingleThreadResumeOps, SingleThreadSingleStep, SingleThreadSingleStepOps,
 };
-use gdbstub::target::ext::breakpoints::{Breakpoints, BreakpointsOps, SwBreakpoint, SwBreakpointOps};
+use gdbstub::target::ext::breakpoints::{
+    Breakpoints, BreakpointsOps, HwBreakpoint, HwBreakpointOps, HwWatchpoint, HwWatchpointOps, SwBreakpoint,
+    SwBreakpointOps, WatchKind,
+};
+use gdbstub::target::ext::monitor_cmd::{ConsoleOutput, MonitorCmd, MonitorCmdOps, outputln};
 use gdbstub::target::ext::target_description_xml_override::{
     TargetDescriptionXmlOverride, TargetDescriptionXmlOverrideOps,
 };
 use gdbstub::target::{Target, TargetError, TargetResult};
+use rigless::emulator::Queued;
 use rigless::soc::Width;
 use std::convert::Infallible;
 use std::io::Read as _;
@@ -27,6 +33,8 @@ use std::{fmt, io};
 
 /// If a debugger has stopped the chip and is silent for this time, the chip runs on.
 const COMMAND_TIMEOUT: Duration = Duration::from_hours(1);
+
+const MAX_WATCHPOINTS: usize = 64;
 
 type Stub = GdbStubStateMachine<'static, Machine, TcpStream>;
 
@@ -187,6 +195,22 @@ impl Machine {
     pub(super) fn end_debugging(&mut self) {
         self.resume_from_stop(false);
         self.debug.end(&mut *self.core);
+        for watchpoint in std::mem::take(&mut self.bus.watchpoints) {
+            self.route(&watchpoint, false);
+        }
+    }
+
+    /// Sends the processor's accesses to the pages of the watched bytes over the bus, or no longer.
+    fn route(&mut self, watchpoint: &Watchpoint, over_bus: bool) {
+        let page = self.core.page_size().max(1);
+        let (start, end) = (watchpoint.start / page * page, watchpoint.start + watchpoint.length);
+        for at in (start..end).step_by(usize::try_from(page).unwrap_or(usize::MAX)) {
+            let others =
+                self.bus.watchpoints.iter().any(|other| other.start < at + page && at < other.start + other.length);
+            if over_bus || !others {
+                self.core.ask(if over_bus { Queued::Route(at) } else { Queued::Unroute(at) });
+            }
+        }
     }
 }
 
@@ -199,6 +223,10 @@ impl Target for Machine {
     }
 
     fn support_breakpoints(&mut self) -> Option<BreakpointsOps<'_, Self>> {
+        Some(self)
+    }
+
+    fn support_monitor_cmd(&mut self) -> Option<MonitorCmdOps<'_, Self>> {
         Some(self)
     }
 
@@ -273,15 +301,68 @@ impl Breakpoints for Machine {
     fn support_sw_breakpoint(&mut self) -> Option<SwBreakpointOps<'_, Self>> {
         Some(self)
     }
+
+    fn support_hw_breakpoint(&mut self) -> Option<HwBreakpointOps<'_, Self>> {
+        Some(self)
+    }
+
+    fn support_hw_watchpoint(&mut self) -> Option<HwWatchpointOps<'_, Self>> {
+        Some(self)
+    }
+}
+
+impl HwBreakpoint for Machine {
+    fn add_hw_breakpoint(&mut self, address: u32, _kind: usize) -> TargetResult<bool, Self> {
+        Ok(self.debug.add(u64::from(address), Kind::Hardware, &mut *self.core))
+    }
+
+    fn remove_hw_breakpoint(&mut self, address: u32, _kind: usize) -> TargetResult<bool, Self> {
+        Ok(self.debug.remove(u64::from(address), Kind::Hardware, &mut *self.core))
+    }
+}
+
+impl HwWatchpoint for Machine {
+    fn add_hw_watchpoint(&mut self, address: u32, length: u32, kind: WatchKind) -> TargetResult<bool, Self> {
+        let watchpoint = Watchpoint { start: u64::from(address), length: u64::from(length), kind };
+        if length == 0 || self.bus.watchpoints.len() >= MAX_WATCHPOINTS {
+            return Ok(false);
+        }
+        self.route(&watchpoint, true);
+        self.bus.watchpoints.push(watchpoint);
+        Ok(true)
+    }
+
+    fn remove_hw_watchpoint(&mut self, address: u32, length: u32, kind: WatchKind) -> TargetResult<bool, Self> {
+        let watchpoint = Watchpoint { start: u64::from(address), length: u64::from(length), kind };
+        let Some(index) = self.bus.watchpoints.iter().position(|other| *other == watchpoint) else { return Ok(false) };
+        self.bus.watchpoints.remove(index);
+        self.route(&watchpoint, false);
+        Ok(true)
+    }
+}
+
+/// Commands after `monitor`. The chip is stopped whenever a command arrives.
+impl MonitorCmd for Machine {
+    fn handle_monitor_cmd(&mut self, command: &[u8], mut out: ConsoleOutput<'_>) -> Result<(), Infallible> {
+        match command {
+            b"halt" => outputln!(out, "the chip is stopped"),
+            b"reset" | b"reset halt" | b"reset init" => {
+                self.reset_by_debugger();
+                outputln!(out, "the chip is at its reset vector, stopped");
+            }
+            _ => outputln!(out, "unknown command; expected: halt, reset, reset halt"),
+        }
+        Ok(())
+    }
 }
 
 impl SwBreakpoint for Machine {
     fn add_sw_breakpoint(&mut self, address: u32, _kind: usize) -> TargetResult<bool, Self> {
-        Ok(self.debug.add(u64::from(address), &mut *self.core))
+        Ok(self.debug.add(u64::from(address), Kind::Software, &mut *self.core))
     }
 
     fn remove_sw_breakpoint(&mut self, address: u32, _kind: usize) -> TargetResult<bool, Self> {
-        Ok(self.debug.remove(u64::from(address), &mut *self.core))
+        Ok(self.debug.remove(u64::from(address), Kind::Software, &mut *self.core))
     }
 }
 

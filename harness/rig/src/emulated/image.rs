@@ -17,6 +17,7 @@ const FLASH: std::ops::Range<u64> = FLASH_START..0x0820_0000;
 const SRAM: std::ops::RangeInclusive<u32> = 0x2000_0000..=0x2003_0000;
 const CCM: std::ops::RangeInclusive<u32> = 0x1000_0000..=0x1001_0000;
 const ARM: u16 = 40;
+const RELOCATABLE: u16 = 1;
 const EXECUTABLE: u16 = 2;
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -29,6 +30,8 @@ pub enum ImageError {
     Machine(u16),
     #[error("not linked to an executable (ELF type {0})")]
     NotExecutable(u16),
+    #[error("made by objcopy from a hex or binary file, without segments and symbols; give the ELF of the linker")]
+    Converted,
     #[error("damaged: {0}")]
     Damaged(String),
     #[error(
@@ -119,8 +122,11 @@ fn check_header(elf: &[u8]) -> Result<(), ImageError> {
     let half = |at: usize| elf.get(at..).and_then(|rest| rest.first_chunk()).map(|two| u16::from_le_bytes(*two));
     let &[class, data] = elf.get(4..).and_then(|rest| rest.first_chunk::<2>()).ok_or_else(cut)?;
     let (kind, processor) = half(16).zip(half(18)).ok_or_else(cut)?;
+    // A compiler writes the version of the ABI; a conversion from another format does not.
+    let eabi_flags = elf.get(36..).and_then(|rest| rest.first_chunk()).map(|four| u32::from_le_bytes(*four));
     match (class, data) {
         (1 | 2, 1) if processor != ARM => Err(ImageError::Machine(processor)),
+        (1, 1) if kind == RELOCATABLE && eabi_flags == Some(0) => Err(ImageError::Converted),
         (1, 1) if kind != EXECUTABLE => Err(ImageError::NotExecutable(kind)),
         (1, 1) => Ok(()),
         (2, _) => Err(ImageError::Class("64-bit")),

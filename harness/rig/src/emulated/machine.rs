@@ -2,10 +2,12 @@
 
 use super::board::{EmulatedBoard, INSTRUCTIONS_PER_SECOND, ReceivedByte};
 use super::bus::{BusGuard, SystemBus};
-use super::image::{EmulatedOptions, Image};
+use super::firmware_output::FirmwareOutput;
+use super::image::{EmulatedOptions, FLASH_START, Image};
 use super::memory::{Memory, POWER_ON_FILL};
 use super::post_mortem::FaultHandlers;
 use super::{memory, post_mortem};
+use crate::crash_report::StoppedAt;
 use crate::link::TargetError;
 use crate::symbols::{CodeLocation, Symbols};
 use gdbstub::stub::SingleThreadStopReason;
@@ -13,6 +15,7 @@ use rigless::emulator::{Exit, Processor, Stop, StopReason};
 use rigless::machine::Board as _;
 use rigless::mcu::Operate as _;
 use rigless::session::Session;
+use rigless::soc::Width;
 use rigless::time::{NO_DEADLINE, VirtualNanos};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -20,6 +23,12 @@ use std::fmt;
 /// Largest number of rounds of the run loop at one instant. Some hundred are normal; after more
 /// than this number, the emulator counts as hung.
 const MAX_ROUNDS_WITHOUT_PROGRESS: u32 = 100_000;
+
+/// Time between two reads of the output of firmware that waits for room in it.
+const DRAIN_INTERVAL_NS: u64 = 100_000;
+
+/// Address of the vector table (ARMv7-M, B3.2.5).
+const VTOR: u64 = 0xE000_ED08;
 
 /// Addresses and values of the unique device ID and of the flash size (RM0090, chapter 39).
 const UNIQUE_ID: (u64, &[u8; 12]) = (0x1FFF_7A10, b"emulated-427");
@@ -117,8 +126,21 @@ impl Machine {
 
     fn reset_core(&mut self) {
         let Self { core, bus, .. } = self;
+        // A reset makes the pin an input, which the board pulls low.
+        bus.enable_pin.record(false, bus.time_at(core.retired()).0);
         core.reset();
-        core.boot(super::image::FLASH_START, &|address, width| bus.memory.value(address, width));
+        core.boot(FLASH_START, &|address, width| bus.memory.value(address, width));
+    }
+
+    /// Resets chip and processor. It counts as no reset by the firmware.
+    pub(super) fn reset_by_debugger(&mut self) {
+        let instructions = self.core.retired();
+        self.session.reset_by_pin(self.bus.time_at(instructions), instructions, &mut self.bus);
+        self.reported_resets = self.session.resets().len();
+        self.bus.reset_requested = false;
+        self.bus.notify_core(&mut *self.core);
+        self.reset_core();
+        self.bus.deadline = self.session.next_deadline();
     }
 
     fn symbols(&self) -> Symbols {
@@ -127,6 +149,24 @@ impl Machine {
 
     pub(super) fn code_location(&self) -> CodeLocation {
         self.symbols().locate(self.core.pc() as u32)
+    }
+
+    /// Stops at the fault handlers of the present vector table, which the firmware may have moved.
+    fn follow_vector_table(&mut self) {
+        if self.options.stop_at_traps {
+            let now = self.bus.time_at(self.core.retired());
+            let table = self.core.debugger_access(None, VTOR, Width::W32, now).unwrap_or(FLASH_START);
+            self.handlers.follow(&self.bus.memory, table, &mut *self.core);
+        }
+    }
+
+    /// The trap that the firmware handles now, if the bench ends trials at traps.
+    pub(super) fn trap(&mut self, stopped: StoppedAt) -> Option<TargetError> {
+        if self.is_faulted || !self.options.stop_at_traps {
+            return None;
+        }
+        let crash = self.handlers.read_crash(stopped, &mut *self.core, &self.bus, &mut self.session, &self.image);
+        crash.map(|crash| TargetError::Trap(Box::new(crash)))
     }
 
     fn take_frame_end(&mut self) -> bool {
@@ -140,7 +180,7 @@ impl Machine {
         if let Some(failure) = self.session.board().part.port.failure {
             return Err(emulator_error(&failure));
         }
-        let access = post_mortem::first_unsupported_access(&self.session, &self.image);
+        let access = post_mortem::first_unsupported_access(&self.session, &self.bus, &self.image);
         if let Some(access) = access.filter(|_| !self.is_faulted) {
             return Err(TargetError::Unsupported(access));
         }
@@ -149,7 +189,8 @@ impl Machine {
             let (cause, at_us) = (post_mortem::reset_cause(reset.cause), reset.at.0 / 1_000);
             self.reported_resets = resets.len();
             if self.options.stop_at_traps && !self.is_faulted {
-                return Err(TargetError::Reset { cause, at_us, place: self.code_location() });
+                let reset = TargetError::Reset { cause, at_us, place: self.code_location() };
+                return Err(self.trap(StoppedAt::Body).unwrap_or(reset));
             }
         }
         Ok(())
@@ -167,17 +208,18 @@ impl Machine {
         } else if single_step {
             self.debug.stop = Some(DebugStop::DoneStep);
         }
+        if let Some((addr, kind)) = self.bus.watch_hit.take() {
+            self.debug.stop = Some(DebugStop::Watch { tid: (), kind, addr });
+        }
         match exit {
-            Exit::Breakpoint => {
+            Exit::Breakpoint if self.debug.stop.is_none() => {
                 let pc = self.core.pc();
                 self.recorder.record(pc, &mut *self.core);
-                let crash = self.handlers.read_crash(&mut *self.core, &self.bus, &mut self.session, &self.image);
-                if let Some(crash) = crash.filter(|_| !self.is_faulted) {
-                    return Err(TargetError::Trap(Box::new(crash)));
+                if let Some(trap) = self.trap(StoppedAt::Entry) {
+                    return Err(trap);
                 }
-                if self.debug.has_breakpoint(pc) {
-                    self.debug.stop = Some(DebugStop::SwBreak(()));
-                } else {
+                self.debug.stop = self.debug.stop_at(pc);
+                if self.debug.stop.is_none() {
                     self.core.pass_breakpoint(pc);
                 }
             }
@@ -249,6 +291,11 @@ impl Machine {
         self.bus.nanoseconds_of(instructions)
     }
 
+    /// Number of instructions that take this time at one instruction per cycle.
+    pub(super) fn instructions_in(&self, nanoseconds: u64) -> u64 {
+        self.bus.instructions_in(nanoseconds)
+    }
+
     pub(super) fn send(&mut self, bytes: &[u8]) {
         self.transport_due_words();
         let now = VirtualNanos(self.now_ns());
@@ -273,11 +320,28 @@ impl Machine {
     }
 
     /// Returns true at the end of a frame from the firmware, false at `until_ns`. Fails if time
-    /// does not advance.
+    /// does not advance. Firmware that waits for room in its output is emptied meanwhile.
     pub(super) fn run(&mut self, until_ns: u64) -> Result<bool, TargetError> {
+        while self.output.is_blocking() && self.now_ns() + DRAIN_INTERVAL_NS < until_ns {
+            self.drain_output();
+            if self.run_without_drain(self.now_ns() + DRAIN_INTERVAL_NS)? || self.debug.stop.is_some() {
+                return Ok(self.debug.stop.is_none());
+            }
+        }
+        self.run_without_drain(until_ns)
+    }
+
+    fn drain_output(&mut self) {
+        if self.output.drain(&mut self.bus.memory) {
+            self.bus.notify_core(&mut *self.core);
+        }
+    }
+
+    fn run_without_drain(&mut self, until_ns: u64) -> Result<bool, TargetError> {
         let until = VirtualNanos(until_ns);
         self.session.run_until(until);
         self.bus.deadline = self.session.next_deadline();
+        self.follow_vector_table();
         let mut rounds_at = (VirtualNanos(u64::MAX), 0);
         loop {
             let now = self.bus.time_at(self.core.retired());
@@ -295,8 +359,8 @@ impl Machine {
                 self.reset_core();
             } else if self.core.take_reset_request() {
                 self.stop(StopReason::Reset);
-                self.reset_core();
                 self.check_for_errors()?;
+                self.reset_core();
             } else if self.core.next_event().is_some_and(|event| event <= now) {
                 self.core.on_event(now);
             } else if now >= self.bus.deadline {
@@ -311,6 +375,9 @@ impl Machine {
                     return Ok(false);
                 }
             } else {
+                if !self.session.board().part.booted {
+                    self.follow_vector_table();
+                }
                 self.step()?;
                 if self.debug.stop.is_some() {
                     return Ok(false);
@@ -327,9 +394,7 @@ impl Machine {
         if let Some(wire) = self.session.board_mut().wire() {
             into.append(&mut wire.received);
         }
-        if self.output.drain(&mut self.bus.memory) {
-            self.bus.notify_core(&mut *self.core);
-        }
+        self.drain_output();
     }
 
     pub(super) fn firmware_output(&self) -> Option<String> {
@@ -386,25 +451,40 @@ impl Machine {
 
 pub(super) type DebugStop = SingleThreadStopReason<u32>;
 
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum BreakpointKind {
+    Software,
+    Hardware,
+}
+
 /// Breakpoints of a debugger and its requests to step or to stop the chip.
 #[derive(Debug, Default)]
 pub(super) struct DebugControl {
-    breakpoints: BTreeSet<u64>,
+    /// Both kinds stop before the instruction at their address.
+    breakpoints: BTreeSet<(u64, BreakpointKind)>,
     pub(super) single_step: bool,
     pub(super) stop: Option<DebugStop>,
 }
 
 impl DebugControl {
     pub(super) fn has_breakpoint(&self, address: u64) -> bool {
-        self.breakpoints.contains(&address)
+        self.stop_at(address).is_some()
     }
 
-    pub(super) fn add(&mut self, address: u64, core: &mut dyn Processor) -> bool {
-        self.breakpoints.contains(&address) || core.add_breakpoint(address) && self.breakpoints.insert(address)
+    fn stop_at(&self, address: u64) -> Option<DebugStop> {
+        if self.breakpoints.contains(&(address, BreakpointKind::Software)) {
+            return Some(DebugStop::SwBreak(()));
+        }
+        self.breakpoints.contains(&(address, BreakpointKind::Hardware)).then_some(DebugStop::HwBreak(()))
     }
 
-    pub(super) fn remove(&mut self, address: u64, core: &mut dyn Processor) -> bool {
-        let removed = self.breakpoints.remove(&address);
+    pub(super) fn add(&mut self, address: u64, kind: BreakpointKind, core: &mut dyn Processor) -> bool {
+        let breakpoint = (address, kind);
+        self.breakpoints.contains(&breakpoint) || core.add_breakpoint(address) && self.breakpoints.insert(breakpoint)
+    }
+
+    pub(super) fn remove(&mut self, address: u64, kind: BreakpointKind, core: &mut dyn Processor) -> bool {
+        let removed = self.breakpoints.remove(&(address, kind));
         if removed {
             core.remove_breakpoint(address);
         }
@@ -412,7 +492,7 @@ impl DebugControl {
     }
 
     pub(super) fn end(&mut self, core: &mut dyn Processor) {
-        for address in std::mem::take(&mut self.breakpoints) {
+        for (address, _) in std::mem::take(&mut self.breakpoints) {
             core.remove_breakpoint(address);
         }
         *self = Self::default();
@@ -463,80 +543,4 @@ impl ExecutionRecorder {
     pub(super) fn executed_instructions(&self) -> &BTreeMap<u32, bool> {
         &self.executed
     }
-}
-
-const CONTROL_BLOCK: &str = "_SEGGER_RTT";
-const IDENTIFIER: &[u8] = b"SEGGER RTT\0";
-const CHANNEL_COUNT: u64 = 16;
-const BUFFER: u64 = 28;
-const SIZE: u64 = 32;
-const WRITE_OFFSET: u64 = 36;
-const READ_OFFSET: u64 = 40;
-/// Longest text of a trial, bytes. The rest is dropped.
-const MAX_BYTES: usize = 16 * 1024;
-
-/// Collects the text that the firmware writes to channel 0 of RTT (SEGGER, *Real Time Transfer*). The
-/// control block is the variable `_SEGGER_RTT`: an identifier of 16 bytes, the number of channels to
-/// the bench (4 bytes), the number from the bench (4 bytes), and per channel 24 bytes: name, buffer,
-/// size, write offset, read offset, flags.
-#[derive(Debug, Clone, Default)]
-pub(super) struct FirmwareOutput {
-    control_block: Option<u64>,
-    bytes: Vec<u8>,
-    is_cut: bool,
-}
-
-impl FirmwareOutput {
-    pub(super) fn new(elf: &[u8]) -> Self {
-        let control_block = Symbols::variable(elf, CONTROL_BLOCK).map(|(address, _)| u64::from(address));
-        Self { control_block, ..Self::default() }
-    }
-
-    pub(super) fn clear(&mut self) {
-        self.bytes.clear();
-        self.is_cut = false;
-    }
-
-    /// Empties the ring buffer, as a debug probe does. Returns true if it wrote to the memory.
-    pub(super) fn drain(&mut self, memory: &mut Memory) -> bool {
-        let Some(block) = self.control_block else { return false };
-        let Some((text, write_offset)) = read_ring(memory, block) else { return false };
-        let room = MAX_BYTES - self.bytes.len();
-        self.is_cut |= text.len() > room;
-        self.bytes.extend(text.into_iter().take(room));
-        memory.store(block + READ_OFFSET, &write_offset.to_le_bytes())
-    }
-
-    /// Also returns unread text, because a trap may end a trial before the bench drains it. `None`
-    /// without text.
-    pub(super) fn text(&self, memory: &Memory) -> Option<String> {
-        let rest = self.control_block.and_then(|block| read_ring(memory, block)).map(|(rest, _)| rest);
-        let mut bytes = self.bytes.clone();
-        bytes.extend(rest.into_iter().flatten().take(MAX_BYTES - self.bytes.len()));
-        let text = String::from_utf8_lossy(&bytes).into_owned();
-        let end = if self.is_cut { "\n(cut after 16 KiB)" } else { "" };
-        (!text.is_empty()).then(|| text + end)
-    }
-}
-
-/// Returns the unread text and its end as an offset in the buffer. `None` without text or with an
-/// invalid control block.
-fn read_ring(memory: &Memory, block: u64) -> Option<(Vec<u8>, u32)> {
-    // RAM is undefined until the firmware has initialised the block.
-    if memory.slice(block, IDENTIFIER.len())? != IDENTIFIER || memory.word(block + CHANNEL_COUNT)? == 0 {
-        return None;
-    }
-    let [buffer, size, write_offset, read_offset] =
-        [BUFFER, SIZE, WRITE_OFFSET, READ_OFFSET].map(|field| memory.word(block + field));
-    let (buffer, size, write_offset, read_offset) = (buffer?, size?, write_offset?, read_offset?);
-    if write_offset == read_offset || write_offset >= size || read_offset >= size {
-        return None;
-    }
-    let part = |from: u32, to: u32| memory.slice(u64::from(buffer) + u64::from(from), (to - from) as usize);
-    let text = if read_offset < write_offset {
-        part(read_offset, write_offset)?.to_vec()
-    } else {
-        [part(read_offset, size)?, part(0, write_offset)?].concat()
-    };
-    Some((text, write_offset))
 }

@@ -1,7 +1,7 @@
 //! Reads the state of an emulated board after a crash, a reset or an unsupported access.
 
 use super::board::EmulatedBoard;
-use super::bus::SystemBus;
+use super::bus::{SystemBus, UnmodelledAccess};
 use super::image::{FLASH_START, Image};
 use super::memory::Memory;
 use crate::crash_report::{
@@ -44,22 +44,37 @@ impl FaultHandlers {
         Self { exceptions, panic: Symbols::read(&image.elf).panic_handler() }
     }
 
+    /// Adds the handlers of the vector table at `table`, which the firmware may have moved or changed,
+    /// and sets breakpoints on the new ones.
+    pub(super) fn follow(&mut self, memory: &Memory, table: u64, core: &mut dyn Processor) {
+        for number in fault_handlers() {
+            let Some(vector) = memory.word(table + 4 * u64::from(number)) else { return };
+            let handler = u64::from(vector & !1);
+            if vector != 0 && vector != u32::MAX && !self.exceptions.contains(&handler) {
+                self.exceptions.push(handler);
+                core.add_breakpoint(handler);
+            }
+        }
+    }
+
     pub(super) fn set_breakpoints(&self, core: &mut dyn Processor) {
         for &address in self.exceptions.iter().chain(&self.panic) {
             core.add_breakpoint(address);
         }
     }
 
-    /// `None` if the processor is not at the start of a fault handler, or if another exception uses
-    /// this handler.
+    /// `None` if the processor is in no fault handler, or if another exception uses this handler.
+    /// `stopped` states where in the handler it is.
     pub(super) fn read_crash(
         &self,
+        stopped: StoppedAt,
         core: &mut dyn Processor,
         bus: &SystemBus,
         session: &mut Session<EmulatedBoard>,
         image: &Image,
     ) -> Option<CrashReport> {
-        let is_panic = self.panic == Some(core.pc());
+        let is_entry = stopped == StoppedAt::Entry;
+        let is_panic = is_entry && self.panic == Some(core.pc());
         let active = register(core, XPSR) & 0x1FF;
         let exception = if is_panic { "panic" } else { fault_handler(active)? };
         let now = bus.time_at(core.retired());
@@ -68,16 +83,16 @@ impl FaultHandlers {
         let symbols = Symbols::read(&image.elf);
         let (lr, sp) = (register(core, LR), register(core, SP));
         // At its first instruction, the handler has changed none of these registers.
-        let saved = std::array::from_fn(|index| Some(register(core, R4 + index)));
+        let saved = std::array::from_fn(|index| is_entry.then(|| register(core, R4 + index)));
         let at_entry = FrameRegisters { sp, lr: Some(lr), saved };
         let mut stack = EmulatedStack { memory: &bus.memory, top: image.initial_stack };
         let mut chain = CallChain::default();
         let mut place = None;
         if is_panic {
             chain.callers = calls_before_panic(&mut stack, &symbols, core.pc() as u32, at_entry);
-        } else if status.is_stacking_failure() {
+        } else if status.is_stacking_failure() && is_entry {
             chain.callers = calls_before_overflow(&mut stack, &symbols, at_entry);
-        } else if let Some(frame) = exception_frame(&mut stack, StoppedAt::Entry, [lr, sp, register(core, PSP)]) {
+        } else if let Some(frame) = exception_frame(&mut stack, stopped, [lr, sp, register(core, PSP)]) {
             place = Some(symbols.locate(frame.pc));
             let interrupted = FrameRegisters { sp: frame.end, lr: Some(frame.lr), saved };
             chain = call_chain(&mut stack, &symbols, frame.pc, interrupted);
@@ -125,17 +140,26 @@ impl StackReader for EmulatedStack<'_> {
 pub(super) fn reset_cause(cause: ResetCause) -> String {
     match cause {
         ResetCause::Model("IWDG") => "independent watchdog".to_owned(),
+        ResetCause::Model("WWDG") => "window watchdog".to_owned(),
         ResetCause::Model(instance) => instance.to_owned(),
         ResetCause::Core => "request of the firmware".to_owned(),
         other => format!("{other:?}"),
     }
 }
 
-pub(super) fn first_unsupported_access(session: &Session<EmulatedBoard>, image: &Image) -> Option<UnsupportedAccess> {
+/// `bus` knows the instructions of accesses for which the emulator keeps none.
+pub(super) fn first_unsupported_access(
+    session: &Session<EmulatedBoard>,
+    bus: &SystemBus,
+    image: &Image,
+) -> Option<UnsupportedAccess> {
     let place = |pc: u64| Some(Symbols::read(&image.elf).locate(pc as u32));
     let part = &session.board().part;
     let unsupported =
         |access, address: u64, place| Some(UnsupportedAccess { access, address: Some(address as u32), place });
+    if let Some(UnmodelledAccess { what, address, instruction }) = &bus.unmodelled {
+        return unsupported((*what).to_owned(), *address, instruction.and_then(place));
+    }
     if let Some((&address, access)) = session.unimplemented().first_key_value() {
         let kind = match (access.reads, access.writes) {
             (_, 0) => "read",
@@ -155,6 +179,11 @@ pub(super) fn first_unsupported_access(session: &Session<EmulatedBoard>, image: 
         };
         return unsupported(what, access.address, place(access.program_counter));
     }
+    let first_refused =
+        bus.refused.first().and_then(|&(address, pc)| Some((address, pc, session.refused().get(&address)?)));
+    if let Some((address, pc, fault)) = first_refused {
+        return unsupported(fault.to_string(), address, place(pc));
+    }
     if let Some((&address, fault)) = session.refused().first_key_value() {
         return unsupported(fault.to_string(), address, None);
     }
@@ -166,7 +195,7 @@ pub(super) fn first_unsupported_access(session: &Session<EmulatedBoard>, image: 
         let what = format!("interrupt {number} of {instance} is not connected");
         return Some(UnsupportedAccess { access: what, address: None, place: None });
     }
-    let report = session.told().next()?;
+    let report = session.told().min_by_key(|told| told.at)?;
     let access = format!("{}.{}: {}", report.instance, report.register, report.reason);
-    Some(UnsupportedAccess { access, address: None, place: None })
+    Some(UnsupportedAccess { access, address: None, place: bus.told_at.and_then(place) })
 }

@@ -1,6 +1,7 @@
 //! Tests the debugger's connection with raw packets of GDB's remote protocol.
 
 use super::{CONFIGURE, LoggedLink, PERIOD, firmware_under_test, open_logged, sample};
+use object::{Object as _, ObjectSymbol as _};
 use platebench_rig::{CancelToken, DebugPort, EmulatedLink, Session};
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
@@ -135,6 +136,56 @@ fn stops_and_steps_change_no_answer_and_no_instant() {
         }
         session.advance_to(index * PERIOD).unwrap();
     }
+    client.join().unwrap();
+}
+
+/// Address and size of the state of the controller, which every message changes.
+fn controller_state() -> (u64, u64) {
+    let elf = super::image("platebench-stm32f4.elf");
+    let file = object::File::parse(&*elf).unwrap();
+    let symbol = file.symbols().find(|symbol| symbol.name().is_ok_and(|name| name.contains("CONTROLLER"))).unwrap();
+    (symbol.address(), symbol.size())
+}
+
+#[test]
+fn serves_hardware_breakpoints_watchpoints_and_a_reset() {
+    let port = DebugPort::bind(0).unwrap();
+    let client = debugger(&port, |mut client| {
+        let reset = client.word(RESET_VECTOR) & !1;
+        let handler = client.word(USART2_VECTOR) & !1;
+        assert_eq!(client.ask(&format!("Z1,{handler:x},2")), "OK");
+        let stop = client.ask("c");
+        assert!(stop.ends_with("hwbreak:;"), "{stop}");
+        assert_eq!(client.pc(), handler);
+        assert_eq!(client.ask(&format!("z1,{handler:x},2")), "OK");
+        // "monitor reset halt" and "monitor halt" in hexadecimal.
+        client.send("qRcmd,72657365742068616c74");
+        assert!(client.receive().starts_with('O'));
+        assert_eq!(client.receive(), "OK");
+        assert_eq!(client.pc(), reset);
+        client.send("qRcmd,68616c74");
+        assert!(client.receive().starts_with('O'));
+        assert_eq!(client.receive(), "OK");
+
+        let (start, size) = controller_state();
+        assert_eq!(client.ask(&format!("Z2,{start:x},{size:x}")), "OK");
+        let stop = client.ask("c");
+        let at = stop.split_once(";watch:").unwrap_or_else(|| panic!("{stop}")).1.trim_end_matches(';');
+        let at = u64::from_str_radix(at, 16).unwrap();
+        assert!((start..start + size).contains(&at), "{stop}");
+        assert_eq!(client.ask(&format!("z2,{start:x},{size:x}")), "OK");
+        // Status register of USART2, which the handler reads.
+        assert_eq!(client.ask("Z3,40004400,4"), "OK");
+        let stop = client.ask("c");
+        assert!(stop.contains("rwatch:40004400"), "{stop}");
+        assert_eq!(client.ask("z3,40004400,4"), "OK");
+
+        assert_eq!(client.ask("D"), "OK");
+    });
+    // The handshake begins again after the reset, which counts as none of the firmware.
+    let mut session = Session::open(open(&port, None)).unwrap();
+    session.start_trial(&CONFIGURE).unwrap();
+    assert!(session.send_sample(Duration::ZERO, &sample(2.0, 0.0)).unwrap().is_some());
     client.join().unwrap();
 }
 

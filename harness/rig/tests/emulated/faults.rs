@@ -45,9 +45,6 @@ fn planted_fault(number: u8) -> platebench_wire::Sample {
 #[case::jump_into_nothing(8, &[
     "instruction bus error, at 0x30000000", "; called from", "planted_faults::jump_into_nothing",
 ])]
-#[case::unmodelled_peripheral(9, &[
-    "does not support this access", "TIM6.ARR written, address 0x4000102c", "planted_faults::unmodelled_peripheral",
-])]
 #[case::hole_between_peripherals(10, &[
     "data bus error", "planted_faults::hole_between_peripherals", "address 0x40002400 (nothing answers there)",
 ])]
@@ -65,7 +62,6 @@ fn reports_a_planted_fault(#[case] number: u8, #[case] expected: &[&str]) {
     for part in expected {
         assert!(message.contains(part), "`{part}` is missing in: {message}");
     }
-    assert_eq!(matches!(*error, TargetError::Unsupported(_)), number == 9);
     assert_eq!(matches!(*error, TargetError::Reset { .. }), [3, 11, 12].contains(&number));
     let again = session.send_sample(2 * PERIOD, &sample(2.0, 0.0));
     let Err(RigError::Link(LinkError::Target(again))) = again else { panic!("{again:?}") };

@@ -9,6 +9,7 @@ const CLASS: usize = 4;
 const DATA: usize = 5;
 const KIND: usize = 16;
 const MACHINE: usize = 18;
+const EABI_FLAGS: usize = 36;
 const PROGRAM_HEADERS: usize = 28;
 
 fn half(elf: &mut [u8], at: usize, value: u16) {
@@ -56,6 +57,12 @@ fn rejects_files_for_other_processors() {
     assert_eq!(image_error(|elf| elf[CLASS] = 2), ImageError::Class("64-bit"));
     assert_eq!(image_error(|elf| elf[DATA] = 2), ImageError::Class("big-endian"));
     assert_eq!(image_error(|elf| half(elf, KIND, 1)), ImageError::NotExecutable(1));
+    let converted = image_error(|elf| {
+        half(elf, KIND, 1);
+        set_word(elf, EABI_FLAGS, 0);
+    });
+    assert_eq!(converted, ImageError::Converted);
+    assert!(converted.to_string().starts_with("made by objcopy from a hex or binary file"), "{converted}");
 }
 
 #[test]

@@ -6,6 +6,7 @@ mod debugger;
 mod equivalence;
 mod faults;
 mod images;
+mod own_firmware;
 mod provenance;
 mod transports;
 

@@ -11,6 +11,8 @@ mod windows;
 
 const EMPTY_TELEMETRY: Telemetry = Telemetry {
     transport: None,
+    baud: None,
+    enable_pin: None,
     timing: None,
     real_plate: None,
     loop_delay_us: None,

@@ -1,4 +1,5 @@
 use super::*;
+use platebench_model::metrics::EnablePin;
 use platebench_model::record::StepTime;
 
 #[test]
@@ -104,6 +105,15 @@ fn saturation_is_time_weighted() {
     assert_eq!(measure(&expectation_for(Metric::ReferenceDifference), &trace, &differing), Measure::Value(0.25));
     let differing = Telemetry { protocol_differences: Some(vec!["one".to_owned()]), ..EMPTY_TELEMETRY };
     assert_eq!(measure(&expectation_for(Metric::ProtocolDifferences), &trace, &differing), Measure::Value(1.0));
+    let disabled = |was_high, low_from_s| {
+        let enable_pin = Some(EnablePin { was_high, low_from_s });
+        measure(&expectation_with_from(Metric::EnableOff, 1.5), &trace, &Telemetry { enable_pin, ..EMPTY_TELEMETRY })
+    };
+    assert_eq!(disabled(true, Some(0.004)), Measure::Value(2.5));
+    assert_eq!(disabled(true, Some(0.0015)), Measure::Value(0.0));
+    assert_eq!(disabled(true, Some(0.001_499)), Measure::Missing(MissingValue::StoppedBefore));
+    assert_eq!(disabled(true, None), Measure::Missing(MissingValue::StaysEnabled));
+    assert_eq!(disabled(false, Some(0.004)), Measure::Missing(MissingValue::NeverEnabled));
     for unreported in [
         Metric::LoopDelay,
         Metric::InstructionsPerStep,
