@@ -4,8 +4,8 @@ use crate::record_queries::{CauseGroup, NotApplicableGroup};
 use platebench_model::metrics::Unit;
 use platebench_model::quoted;
 use platebench_model::record::{
-    ExpectationRecord, Limit, Metric, NotApplicable, Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic,
-    TrialFinding, Verdict,
+    Assessment, ExpectationRecord, Limit, Metric, NotApplicable, Reason, RigRecord, RunRecord, ScenarioRecord,
+    SignSymptom, Statistic, TrialFinding, Verdict,
 };
 use platebench_verdict::tube::{Exceedance, TubeSignal};
 use schemars::JsonSchema;
@@ -60,10 +60,12 @@ const MAX_NAMES: usize = 3;
 
 /// One line: firmware, rig, clock, laws, plates and models of the run. Text from outside is quoted.
 pub(crate) fn tested(record: &RunRecord) -> String {
-    let mut firmware = firmware_build(record);
-    if record.rig.bench_firmware {
-        firmware += " (the bench's own firmware)";
-    }
+    let firmware: Vec<_> = Assessment::of(record)
+        .rigs
+        .into_iter()
+        .map(|rig| firmware_of_rig(rig) + if rig.bench_firmware { " (the bench's own firmware)" } else { "" })
+        .collect();
+    let firmware = distinct(firmware.iter().map(String::as_str)).join(", ");
     let scenarios = || record.scenarios.iter();
     let lists = [
         names("law", scenarios().map(|scenario| scenario.law.as_str())),
@@ -100,7 +102,11 @@ pub(crate) fn distinct<'a>(all: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
 }
 
 pub(crate) fn firmware_build(record: &RunRecord) -> String {
-    let Some(firmware) = &record.rig.firmware else { return "firmware unknown".to_owned() };
+    firmware_of_rig(&record.rig)
+}
+
+fn firmware_of_rig(rig: &RigRecord) -> String {
+    let Some(firmware) = &rig.firmware else { return "firmware unknown".to_owned() };
     let is_known = firmware.build.contains(|digit| digit != '0');
     let build = if is_known { short_build_id(&firmware.build) } else { "unknown" };
     format!("{} {}, build {}", quoted(&firmware.name), quoted(&firmware.version), quoted(build))
@@ -112,8 +118,10 @@ pub(crate) fn short_build_id(build: &str) -> &str {
 
 /// Follows the verdict of a run that tests no firmware of the user.
 pub(crate) fn bench_firmware_note(record: &RunRecord) -> String {
-    let note = || format!(" (the bench's own firmware on the rig {}; name yours with --rig)", quoted(&record.rig.name));
-    if record.rig.bench_firmware { note() } else { String::new() }
+    let of_bench = Assessment::of(record).rigs.into_iter().find(|rig| rig.bench_firmware);
+    of_bench.map_or_else(String::new, |rig| {
+        format!(" (the bench's own firmware on the rig {}; name yours with --rig)", quoted(&rig.name))
+    })
 }
 
 /// Settings that the command line or the environment overrides, as `law = dq-pi, trials = 1`.

@@ -193,6 +193,20 @@ fn the_last_failed_are_those_that_fail_with_require_all() {
 }
 
 #[test]
+fn a_joined_run_names_every_controller() {
+    let folder = TestFolder::with_step(SETTLING);
+    folder.run_hosted("a").assert_exit(0);
+    let rig = controller_rig(None);
+    folder.write_scenario("t.toml", &step_text(SETTLING));
+    let second = ["run", "scenarios/t.toml", "--clock", "lockstep", "--rig", &rig, "--out", "b"];
+    folder.bench(second).assert_exit(0);
+    let joined = folder.bench(["report", "--merge", "a", "b", "--out", "joined"]);
+    let text = joined.text().split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(text.contains("(the bench's own firmware), ") && !text.contains("firmware unknown"), "{text}");
+    assert!(text.contains("(the bench's own firmware on the rig hosted; name yours with --rig)"), "{text}");
+}
+
+#[test]
 fn a_damaged_newest_run_is_no_pass_of_the_last_failed() {
     let folder = TestFolder::with_step(SETTLING);
     folder.run_below_runs(0);
