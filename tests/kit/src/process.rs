@@ -18,12 +18,12 @@ impl Drop for ChildGuard {
     }
 }
 
-/// Returns a command that starts `program` with the default action of SIGHUP. Under `nohup`, the tests
-/// ignore this signal, and a program inherits that.
+/// Returns a command that starts `program` with the default actions of SIGHUP, SIGINT and SIGQUIT. Under
+/// `nohup` or in the background of a shell, the tests ignore them, and a program inherits that.
 #[must_use]
 pub fn command_with_default_signals(program: impl AsRef<OsStr>) -> Command {
     let mut command = Command::new("env");
-    command.arg("--default-signal=HUP").arg(program);
+    command.arg("--default-signal=HUP,INT,QUIT").arg(program);
     command
 }
 

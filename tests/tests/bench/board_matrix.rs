@@ -13,7 +13,7 @@ use crate::test_folder::{
     ChildGuard, PROGRAM, SETTLING, TestFolder, lock_heavy_load, start_bench, step_text, wait_until,
 };
 use platebench_model::record::Verdict;
-use platebench_test_kit::workspace_root;
+use platebench_test_kit::{command_with_default_signals, workspace_root};
 use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::Path;
@@ -91,7 +91,7 @@ pub(crate) fn start_line(folder: &Path, line: &str, variables: &[(&str, &str)]) 
     }
     let readers = workspace_root().join("target/test-readers/bin");
     let path = format!("{}:{}:{}", programs.display(), std::env::var("PATH").unwrap(), readers.display());
-    let mut shell = Command::new("sh");
+    let mut shell = command_with_default_signals("sh");
     shell.args(["-c", &format!("exec {line}")]).current_dir(folder).env("PATH", path);
     shell.envs(variables.iter().copied());
     ChildGuard(shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap())

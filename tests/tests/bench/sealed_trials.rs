@@ -206,17 +206,19 @@ fn a_joined_run_names_every_controller() {
     assert!(text.contains("(the bench's own firmware on the rig hosted; name yours with --rig)"), "{text}");
 }
 
-#[test]
-fn a_damaged_newest_run_is_no_pass_of_the_last_failed() {
+/// The start of the record decides whether a run is the newest.
+#[rstest]
+#[case::start(20, "this may be the newest run")]
+#[case::rest(2_000, "run.json")]
+fn a_damaged_newest_run_is_no_pass_of_the_last_failed(#[case] length: usize, #[case] message: &str) {
     let folder = TestFolder::with_step(SETTLING);
     folder.run_below_runs(0);
     folder.write_scenario("s.toml", &step_text(FAILED_SETTLING));
     folder.run_below_runs(1);
     let record = folder.newest_run().join("run.json");
     let text = fs::read_to_string(&record).unwrap();
-    fs::write(&record, &text[..text.len() / 2]).unwrap();
-    let list = ["run", "--rig", "hosted", "--last-failed"];
-    folder.bench(list).assert_message(2, &["run.json", "this may be the newest run"]);
+    fs::write(&record, &text[..length]).unwrap();
+    folder.bench(["run", "--rig", "hosted", "--last-failed"]).assert_message(2, &["run.json", message]);
 }
 
 #[test]
@@ -251,7 +253,7 @@ fn the_newest_run_does_not_depend_on_the_clock() {
     let mut record = RunRecord::read(&second).unwrap();
     "2001-01-01T00:00:00Z".clone_into(&mut record.started);
     record.write(&second).unwrap();
-    folder.bench(["run", "--rig", "hosted", "--last-failed"]).assert_message(4, &["passed, so there is nothing"]);
+    folder.bench(["run", "--rig", "hosted", "--last-failed"]).assert_message(4, &["every scenario passed in"]);
 }
 
 /// Answers every sample twice from its fifth trial on.

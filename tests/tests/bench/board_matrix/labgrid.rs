@@ -165,7 +165,8 @@ fn the_wrapper_forwards_signals_and_releases_the_place(#[case] signal: &str) {
     for line in ["create", "set-tags place=left"] {
         labgrid.line(&format!("labgrid-client -p left {line}")).finish().assert_exit(0);
     }
-    let command = format!("trap 'exit 7' {signal}; touch ready; while :; do sleep 0.05; done");
+    let command =
+        format!("trap 'exit 7' {signal}; touch ready; i=0; while [ $i -lt 1200 ]; do sleep 0.05; i=$((i + 1)); done");
     labgrid.folder.write("command.sh", &command);
     let wrapper = labgrid.line("with-labgrid-place left sh command.sh");
     wait_until("the command does not start", || labgrid.folder.exists("ready"));
