@@ -38,10 +38,8 @@ fn missing_chip_faults<L: Link>(
     if faults.faults.is_empty() {
         return Ok(None);
     }
-    let checked = match is_lockstep {
-        true => session.link_mut().set_chip_faults(&faults),
-        false => Err(ChipFaultError::Unsupported),
-    };
+    let checked =
+        if is_lockstep { session.link_mut().set_chip_faults(&faults) } else { Err(ChipFaultError::Unsupported) };
     match checked {
         Ok(()) => Ok(None),
         Err(error @ ChipFaultError::Unsupported) => Ok(Some(error.to_string())),

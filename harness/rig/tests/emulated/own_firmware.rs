@@ -339,7 +339,7 @@ fn models_peripherals_of_start_up_code() {
     );
 }
 
-/// The order of CubeMX with FreeRTOS: TIM6 as time base first at 16 MHz and again after the change of the
+/// The order of `CubeMX` with `FreeRTOS`: TIM6 as time base first at 16 MHz and again after the change of the
 /// clocks, a button on EXTI and SYSCFG.
 const TIME_BASE: &str = r#"
 #include "board.h"
