@@ -39,7 +39,7 @@ impl<L: Link> WallClockLink<L> {
         }
     }
 
-    /// A wait ends at once and advances the time. A poll without an answer takes [`TIME_STEP`].
+    /// A wait ends at once and advances the time. A poll without an answer takes `TIME_STEP`.
     pub fn in_simulated_time(link: L) -> Self {
         let link = Self::new(link);
         Self { simulated_now: Some(link.trial_start), ..link }
