@@ -34,7 +34,9 @@ const VARIATIONS: [Variation; 6] = [
 const ROUNDING: f32 = 2e-6;
 /// Largest number of attempts at a script. A lost answer repeats the script only if the line may
 /// have lost it, a late answer or a stall of the host only if the target runs in wall time.
-const ATTEMPTS: usize = 3;
+const ATTEMPTS: u32 = 3;
+/// As [`ATTEMPTS`], after a stall of the computer. On a busy computer, several in sequence may stall.
+const STALL_ATTEMPTS: u32 = 10;
 /// Longest wait for an answer after the time-out of the link. The host may have delayed a
 /// controller that is a program on it.
 const LATE_ANSWER: Duration = Duration::from_secs(1);
@@ -145,8 +147,12 @@ pub fn check_protocol(
             continue;
         }
         let mut difference = player.play(&script)?;
-        for _ in 1..ATTEMPTS {
-            if !difference.as_ref().is_some_and(may_repeat) {
+        let attempts = |difference: &CommandDifference| match difference.other_cause {
+            Some(BenchCause::Stall) => STALL_ATTEMPTS,
+            _ => ATTEMPTS,
+        };
+        for attempt in 1.. {
+            if !difference.as_ref().is_some_and(|found| may_repeat(found) && attempt < attempts(found)) {
                 break;
             }
             check.repeats += 1;
