@@ -109,9 +109,10 @@ fn missing_telemetry_is_inconclusive(#[case] options: &str, #[case] reason: &str
     let (output, record) = run_on_board(&folder, options);
     let trial = only_trial(&record);
     assert_eq!((record.verdict, trial.cause), (Verdict::Inconclusive, Some(Cause::Rig)), "{trial:?}");
-    // On a busy machine, a late acknowledgement may be the reason instead.
+    // On a busy machine, a late acknowledgement or a stall that falsifies the clock may be the reason instead.
     let text = trial.reason.as_ref().unwrap().to_string();
-    assert!(text.contains(reason) || text.contains("was not acknowledged"), "{trial:?}");
+    let reasons = [reason, "was not acknowledged", "the controller's clock differs by"];
+    assert!(reasons.iter().any(|reason| text.contains(reason)), "{trial:?}");
     output.assert_exit(expected);
     if options == "skip=150" {
         assert_eq!(real_plate_record(&record).missing, 1);
