@@ -35,8 +35,8 @@ const ROUNDING: f32 = 2e-6;
 /// Largest number of attempts at a script. A lost answer repeats the script only if the line may
 /// have lost it, a late answer or a stall of the host only if the target runs in wall time.
 const ATTEMPTS: u32 = 3;
-/// As [`ATTEMPTS`], after a stall of the computer. On a busy computer, several in sequence may stall.
-const STALL_ATTEMPTS: u32 = 10;
+/// Time in which a script is repeated after stalls of the host. On a busy host many attempts stall.
+const STALL_REPEATS: Duration = Duration::from_secs(10);
 /// Longest wait for an answer after the time-out of the link. The host may have delayed a
 /// controller that is a program on it.
 const LATE_ANSWER: Duration = Duration::from_secs(1);
@@ -147,12 +147,11 @@ pub fn check_protocol(
             continue;
         }
         let mut difference = player.play(&script)?;
-        let attempts = |difference: &CommandDifference| match difference.other_cause {
-            Some(BenchCause::Stall) => STALL_ATTEMPTS,
-            _ => ATTEMPTS,
-        };
+        let started = Instant::now();
         for attempt in 1.. {
-            if !difference.as_ref().is_some_and(|found| may_repeat(found) && attempt < attempts(found)) {
+            let is_stalled = |found: &CommandDifference| found.other_cause == Some(BenchCause::Stall);
+            let has_time = |found| attempt < ATTEMPTS || (is_stalled(found) && started.elapsed() < STALL_REPEATS);
+            if cancel.is_cancelled() || !difference.as_ref().is_some_and(|found| may_repeat(found) && has_time(found)) {
                 break;
             }
             check.repeats += 1;
