@@ -40,7 +40,7 @@ fn a_session_refuses_another_program_in_a_later_step() {
                 [bench]\ntiming_trials = 1\nclean_runs = 2\n";
     folder.write("plan.toml", plan);
     let action = "open(__file__, 'a').write('# changed\\n')";
-    let Some(rig) = controller(&folder, Change::Message { kind: "SAMPLE", action }) else { return };
+    let Some(rig) = controller(&folder, Change::Message { kind: "CONFIGURE", action }) else { return };
     let arguments = ["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--rig", &rig, "--yes"];
     folder
         .bench(arguments)
