@@ -295,10 +295,16 @@ pub(crate) struct LoggingArgs {
     #[arg(long, global = true, hide_short_help = true, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
     /// Format of the log on standard error; `PLATEBENCH_LOG` selects its content
-    #[arg(long, global = true, hide_short_help = true, value_enum, default_value_t = LogFormat::Human, value_name = "FORMAT")]
+    #[arg(
+        long, global = true, hide_short_help = true,
+        value_enum, default_value_t = LogFormat::Human, value_name = "FORMAT"
+    )]
     pub(crate) log_format: LogFormat,
     /// Colours of the output for people, of diagnostics and of the log
-    #[arg(long, global = true, hide_short_help = true, value_enum, default_value_t = ColorArg::Auto, value_name = "WHEN")]
+    #[arg(
+        long, global = true, hide_short_help = true,
+        value_enum, default_value_t = ColorArg::Auto, value_name = "WHEN"
+    )]
     pub(crate) color: ColorArg,
 }
 

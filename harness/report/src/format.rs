@@ -4,8 +4,8 @@ use crate::record_queries::{CauseGroup, NotApplicableGroup};
 use platebench_model::metrics::Unit;
 use platebench_model::quoted;
 use platebench_model::record::{
-    Assessment, ExpectationRecord, Limit, Metric, NotApplicable, Reason, RigRecord, RunRecord, ScenarioRecord,
-    SignSymptom, Statistic, TrialFinding, Verdict,
+    ExpectationRecord, Limit, Metric, NotApplicable, Reason, RigRecord, RunRecord, ScenarioRecord, SignSymptom,
+    Statistic, TrialFinding, Verdict,
 };
 use platebench_verdict::tube::{Exceedance, TubeSignal};
 use schemars::JsonSchema;
@@ -60,8 +60,8 @@ const MAX_NAMES: usize = 3;
 
 /// One line: firmware, rig, clock, laws, plates and models of the run. Text from outside is quoted.
 pub(crate) fn tested(record: &RunRecord) -> String {
-    let firmware: Vec<_> = Assessment::of(record)
-        .rigs
+    let firmware: Vec<_> = record
+        .controllers()
         .into_iter()
         .map(|rig| firmware_of_rig(rig) + if rig.bench_firmware { " (the bench's own firmware)" } else { "" })
         .collect();
@@ -118,7 +118,7 @@ pub(crate) fn short_build_id(build: &str) -> &str {
 
 /// Follows the verdict of a run that tests no firmware of the user.
 pub(crate) fn bench_firmware_note(record: &RunRecord) -> String {
-    let of_bench = Assessment::of(record).rigs.into_iter().find(|rig| rig.bench_firmware);
+    let of_bench = record.controllers().into_iter().find(|rig| rig.bench_firmware);
     of_bench.map_or_else(String::new, |rig| {
         format!(" (the bench's own firmware on the rig {}; name yours with --rig)", quoted(&rig.name))
     })

@@ -124,7 +124,10 @@ pub(crate) struct RunArgs {
     pub(crate) clock: Option<ClockArg>,
     /// Plate seconds per wall second: at 0.1 the delay of the line is ten times smaller for the
     /// plate
-    #[arg(long, hide_short_help = true, help_heading = PLATE, value_name = "X", default_value_t = 1.0, value_parser = parse_time_scale)]
+    #[arg(
+        long, hide_short_help = true, help_heading = PLATE,
+        value_name = "X", default_value_t = 1.0, value_parser = parse_time_scale
+    )]
     pub(crate) time_scale: f64,
     /// Timer of the control instants in real time
     #[arg(long, hide_short_help = true, help_heading = PLATE, value_enum, default_value_t = PacingArg::Bench)]
@@ -133,24 +136,36 @@ pub(crate) struct RunArgs {
     #[arg(long, hide_short_help = true, help_heading = PLATE)]
     pub(crate) wire_time: bool,
     /// Lockstep over a line: time to wait for a reply before it counts as missed, ms
-    #[arg(long, hide_short_help = true, help_heading = PLATE, value_name = "MS", default_value = "500", value_parser = parse_reply_timeout)]
+    #[arg(
+        long, hide_short_help = true, help_heading = PLATE,
+        value_name = "MS", default_value = "500", value_parser = parse_reply_timeout
+    )]
     pub(crate) reply_timeout: Duration,
     /// Which plate is driven
-    #[arg(long, hide_short_help = true, help_heading = PLATE, value_enum, default_value_t = PlateModeArg::Emulated, value_name = "MODE")]
+    #[arg(
+        long, hide_short_help = true, help_heading = PLATE,
+        value_enum, default_value_t = PlateModeArg::Emulated, value_name = "MODE"
+    )]
     pub(crate) plate_mode: PlateModeArg,
     /// Ask no operator; with --plate-mode real, everything that needs one stays inconclusive
     #[arg(long, hide_short_help = true, help_heading = PLATE)]
     pub(crate) yes: bool,
     /// Emulated rig: wait for a debugger on this port of the local host; the debugger controls the
     /// chip while the plate waits
-    #[arg(long, hide_short_help = true, help_heading = PLATE, value_name = "PORT", conflicts_with_all = ["watch", "jobs", "board", "list"])]
+    #[arg(
+        long, hide_short_help = true, help_heading = PLATE,
+        value_name = "PORT", conflicts_with_all = ["watch", "jobs", "board", "list"]
+    )]
     pub(crate) gdb: Option<u16>,
     /// Parent folder of new run folders
     #[arg(long, hide_short_help = true, help_heading = RESULTS, value_name = "FOLDER", default_value = "runs")]
     pub(crate) runs: PathBuf,
     /// Which traces to store: all, failing, none or worst:N of each scenario; `report --rejudge`
     /// needs all
-    #[arg(long, hide_short_help = true, help_heading = RESULTS, value_name = "WHICH", value_parser = parse_keep_traces, default_value = "all")]
+    #[arg(
+        long, hide_short_help = true, help_heading = RESULTS,
+        value_name = "WHICH", value_parser = parse_keep_traces, default_value = "all"
+    )]
     pub(crate) keep_traces: KeepTraces,
     #[command(flatten)]
     pub(crate) outputs: Outputs,

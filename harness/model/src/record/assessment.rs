@@ -16,8 +16,6 @@ pub struct Assessment<'a> {
     pub scenarios: Vec<ScenarioAssessment<'a>>,
     /// Why the whole run is no pass although every scenario passed.
     pub inconclusive: Option<&'static str>,
-    /// Each rig with another controller.
-    pub rigs: Vec<&'a RigRecord>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -114,14 +112,7 @@ impl<'a> Assessment<'a> {
         } else {
             RunOutcome::of_verdict(verdict)
         };
-        let mut rigs: Vec<&RigRecord> = Vec::new();
-        let runs = record.merge.iter().flat_map(|merge| merge.runs.iter().map(|run| &run.rig));
-        for rig in runs.chain(record.merge.is_none().then_some(&record.rig)) {
-            if !rigs.iter().any(|known| known.has_same_controller(rig)) {
-                rigs.push(rig);
-            }
-        }
-        Self { verdict, outcome, scenarios, inconclusive, rigs }
+        Self { verdict, outcome, scenarios, inconclusive }
     }
 
     /// Scenarios that must be played again: those that did not pass and apply, or fail the run.
@@ -174,6 +165,18 @@ fn missing_part(record: &RunRecord) -> Option<&'static str> {
 }
 
 impl RunRecord {
+    /// Each rig with another controller.
+    pub fn controllers(&self) -> Vec<&RigRecord> {
+        let runs = self.merge.iter().flat_map(|merge| merge.runs.iter().map(|run| &run.rig));
+        let mut rigs: Vec<&RigRecord> = Vec::new();
+        for rig in runs.chain(self.merge.is_none().then_some(&self.rig)) {
+            if !rigs.iter().any(|known| known.has_same_controller(rig)) {
+                rigs.push(rig);
+            }
+        }
+        rigs
+    }
+
     /// Sets the verdict of [`Assessment`].
     pub fn update_verdict(&mut self) {
         self.verdict = Assessment::of(self).verdict;
