@@ -421,8 +421,9 @@ pub(super) fn environment_section(record: &RunRecord) -> Markup {
         ("Clock", record.clock.to_string()),
         ("Host", format!("{}, {}", record.host.os, record.host.arch)),
         ("Overridden", format::overrides(record).unwrap_or_else(|| "nothing".to_owned())),
-        ("Not played", record_queries::scripts_not_played(record).unwrap_or_else(|| "nothing".to_owned())),
     ];
+    let not_played = record_queries::scripts_not_played(record).map(|scripts| ("Not played", scripts));
+    let facts = facts.into_iter().chain(not_played);
     let inputs = record.scenarios.iter().flat_map(|scenario| &scenario.inputs);
     let inputs: BTreeSet<(&str, &str)> = inputs.map(|input| (input.file.as_str(), input.sha256.as_str())).collect();
     let rows = html! {
@@ -431,7 +432,7 @@ pub(super) fn environment_section(record: &RunRecord) -> Markup {
     html! {
         section aria-labelledby="environment" {
             h2 id="environment" { "Environment" }
-            dl { @for (name, value) in &facts { div { dt { (name) } dd { (value) } } } }
+            dl { @for (name, value) in facts { div { dt { (name) } dd { (value) } } } }
             @if !inputs.is_empty() {
                 h3 { "Inputs" }
                 (scroll_table("Inputs", "inputs", &["File", "SHA-256"], &rows))
