@@ -9,6 +9,7 @@ use crate::stdio;
 use crate::tune::TuneOutput;
 use clap::{Args, Command, Subcommand, ValueEnum};
 use clap_complete::Shell;
+use platebench_design::margins::result::MarginReport;
 #[cfg(feature = "export")]
 use platebench_experiments::campaign::{RawCampaign, summary::CampaignResult};
 use platebench_experiments::explore::{ExploreReport, RawEnvelope};
@@ -107,6 +108,8 @@ pub(crate) enum SchemaKind {
     Identification,
     /// tune --format json
     Tuning,
+    /// stability --rig --format json
+    Margins,
     /// summary.json of a campaign
     #[cfg(feature = "export")]
     Summary,
@@ -168,6 +171,7 @@ impl SchemaKind {
                 schema::schema_of_json::<IdentifyOutput<'_>>("Identified plate: identify --format json")
             }
             Self::Tuning => schema::schema_of_json::<TuneOutput<'_>>("Tuned gains: tune --format json"),
+            Self::Margins => schema::schema_of_json::<MarginReport>("Measured margins: stability --rig --format json"),
             #[cfg(feature = "export")]
             Self::Summary => schema::schema_of_json::<CampaignResult<'_>>("Result of a campaign: summary.json"),
             Self::Exploration => schema::schema_of_json::<ExploreReport>("Result of an exploration: explore.json"),

@@ -1,20 +1,25 @@
 //! `platebench stability`: predicts and measures where methods and loops become unstable.
 
+mod measured;
+
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
-use crate::options::{bench_law_names, job_count, parse_number};
+use crate::options::{OutputFormat, job_count, law_names, parse_number, rig_help};
 use crate::selection::warn_of_plate;
 use crate::stdio;
 use clap::Args;
 use platebench_design::stability::{StudyConfig, build_chart, rig_delay};
 use platebench_model::record::RunRecord;
+use platebench_model::scenario::OWN_LAW;
 use platebench_model::scenario::load::{load_plate, require_no_effects};
 use platebench_model::trace::create_folder;
 use platebench_report::Style;
 use platebench_report::chart::RigDelay;
 use platebench_report::page::write_chart_page;
+use platebench_rig::RigSpec;
 use platebench_wire::LawId;
 use std::path::{Path, PathBuf};
 
+const PLATE: &str = "scenarios/plates/aluminium-198x138.toml";
 const HIGHEST_DELAY_US: f64 = 12e3;
 
 #[derive(Debug, Args)]
@@ -23,17 +28,49 @@ Examples:
   platebench stability                                   methods; every law at resonance, detuned, with a finger
   platebench stability --out /tmp/stability              also CSV, a map per law and a page
   platebench stability --law dq-pi --law deadbeat        two laws
-  platebench stability --run runs/night --out /tmp/maps  with the measured loop delay of a run in the maps")]
+  platebench stability --run runs/night --out /tmp/maps  with the measured loop delay of a run in the maps
+  platebench stability --rig 'exec:./controller {port}' --law own          measured margins of a controller
+  platebench stability --rig emulated --force-n 0 --force-n 1 --force-n 2  with a map over operating points
+  platebench stability --rig emulated:my.elf --reference emulated --out M  next to the bench's laws, with a chart
+
+Exit codes: 0 done, 2 wrong usage or invalid input, 4 the controller does not announce the law, 5 the rig could not be
+reached or was lost")]
 pub(crate) struct StabilityArgs {
     /// Folder for CSV, maps and page; default: only the table
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Control laws of the firmware under test; default: all
-    #[arg(long = "law", value_name = "NAME", value_parser = bench_law_names())]
+    #[arg(long = "law", value_name = "NAME", value_parser = law_names(), help = "Control laws of the firmware; default: \
+        all, with --rig that of the scenario. `own` is any algorithm, with --rig")]
     laws: Vec<String>,
-    /// The plate file
-    #[arg(long, value_name = "FILE", default_value = "scenarios/plates/aluminium-198x138.toml")]
-    plate: PathBuf,
+    /// The plate file; default: scenarios/plates/aluminium-198x138.toml, with --rig that of the
+    /// scenario
+    #[arg(long, value_name = "FILE")]
+    plate: Option<PathBuf>,
+    #[arg(long, value_name = "RIG", conflicts_with_all = ["run", "measured_delay_us"], help = format!("Measure the \
+        margins of this controller instead. {}", rig_help()))]
+    rig: Option<RigSpec>,
+    /// Also measure the bench's laws on this rig, for comparison
+    #[arg(long, value_name = "RIG", requires = "rig")]
+    reference: Option<RigSpec>,
+    /// Scenario with the step and the expectations; default:
+    /// scenarios/paper/fig13-closed-loop.toml
+    #[arg(long, value_name = "FILE", requires = "rig")]
+    scenario: Option<PathBuf>,
+    /// Only expectations whose requirement begins with this text, such as ACC or ACC-2
+    #[arg(long, value_name = "ID", requires = "rig")]
+    requirement: Option<String>,
+    /// Control period, ms; with each of the next options, every combination is an operating point
+    #[arg(long, alias = "period", value_name = "X", requires = "rig", value_parser = parse_period_ms)]
+    period_ms: Vec<f64>,
+    /// Setpoint, µm
+    #[arg(long, value_name = "X", requires = "rig", value_parser = parse_setpoint_um)]
+    setpoint_um: Vec<f64>,
+    /// Resonance minus excitation frequency at the start, Hz
+    #[arg(long, value_name = "X", requires = "rig", allow_negative_numbers = true, value_parser = parse_detuning_hz)]
+    detuning_hz: Vec<f64>,
+    /// Normal force of the finger, N
+    #[arg(long, value_name = "X", requires = "rig", value_parser = parse_force_n)]
+    force_n: Vec<f64>,
     /// Measured loop delay of a rig, µs; margins and maps include it
     #[arg(long, value_name = "X", conflicts_with = "run", value_parser = parse_delay_us)]
     measured_delay_us: Option<f64>,
@@ -43,6 +80,25 @@ pub(crate) struct StabilityArgs {
     /// Threads; default: one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
+    /// Format of standard output, with --rig
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human, requires = "rig")]
+    format: OutputFormat,
+}
+
+fn parse_period_ms(text: &str) -> Result<f64, String> {
+    parse_number(text, |ms| ms > 0.0 && ms <= 1_000.0, "a time in ms above 0, at most 1000")
+}
+
+fn parse_setpoint_um(text: &str) -> Result<f64, String> {
+    parse_number(text, |um| um > 0.0 && um <= 1e3, "an amplitude in µm above 0, at most 1000")
+}
+
+fn parse_detuning_hz(text: &str) -> Result<f64, String> {
+    parse_number(text, |hz| (-5e3..=5e3).contains(&hz), "a frequency in Hz from -5000 to 5000")
+}
+
+fn parse_force_n(text: &str) -> Result<f64, String> {
+    parse_number(text, |newton| (0.0..=100.0).contains(&newton), "a force in N from 0 to 100")
 }
 
 fn parse_delay_us(text: &str) -> Result<f64, String> {
@@ -51,14 +107,23 @@ fn parse_delay_us(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn stability(arguments: &StabilityArgs) -> CommandResult {
+    if let Some(rig) = &arguments.rig {
+        return measured::measure(arguments, rig);
+    }
     stdio::show(&analyse(arguments)?);
     Ok(Exit::Passed)
 }
 
 fn analyse(arguments: &StabilityArgs) -> Result<String, Failure> {
-    let plate = load_plate(&arguments.plate)?;
-    warn_of_plate(&arguments.plate, &plate);
-    require_no_effects(&arguments.plate, &plate, "stability")?;
+    if arguments.laws.iter().any(|law| law == OWN_LAW) {
+        return Err(Failure::invalid(
+            &"--law own needs --rig, because the bench does not know the controller's own law",
+        ));
+    }
+    let path = arguments.plate.as_deref().unwrap_or_else(|| Path::new(PLATE));
+    let plate = load_plate(path)?;
+    warn_of_plate(path, &plate);
+    require_no_effects(path, &plate, "stability")?;
     let rig = match (&arguments.run, arguments.measured_delay_us) {
         (Some(run), _) => Some(delay_of_run(run)?),
         (None, Some(delay)) => Some(RigDelay { typical_ms: delay * 1e-3, longest_ms: delay * 1e-3 }),
@@ -109,10 +174,19 @@ mod tests {
         StabilityArgs {
             out: out.map(Path::to_owned),
             laws: vec!["open-loop".to_owned()],
-            plate: Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/plates/aluminium-198x138.toml"),
+            plate: Some(Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(PLATE)),
             measured_delay_us: None,
             run: None,
             jobs: Some(1),
+            rig: None,
+            reference: None,
+            scenario: None,
+            requirement: None,
+            period_ms: Vec::new(),
+            setpoint_um: Vec::new(),
+            detuning_hz: Vec::new(),
+            force_n: Vec::new(),
+            format: OutputFormat::Human,
         }
     }
 
@@ -135,7 +209,7 @@ mod tests {
         assert!(row("Störmer-Verlet", "carrier").contains("3.142 points per period"), "{text}");
         assert!(row("exact", "modal").contains("no limit no limit"), "{text}");
         assert!(text.find("Methods").unwrap() < text.find("Loops").unwrap(), "{text}");
-        let rows = step_limits(&load_plate(&arguments(None).plate).unwrap());
+        let rows = step_limits(&load_plate(&arguments(None).plate.unwrap()).unwrap());
         let csv = fs::read_to_string(out.join("methods.csv")).unwrap();
         assert_eq!(csv.lines().count(), 1 + rows.len());
         for row in &rows {

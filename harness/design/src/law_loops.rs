@@ -15,6 +15,7 @@ use crate::loops::{
 };
 use platebench_controller::design;
 use platebench_engine::delay_boundary::{DelayBoundary, DelayedLoop, search_boundary};
+use platebench_model::scenario::Scenario;
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Model, Plate, State, Time};
 use platebench_verdict::statistics::bisect;
 use platebench_wire::{Configure, Gains, LawId};
@@ -59,7 +60,12 @@ impl OperatingCondition {
 pub struct LoopCase<'a> {
     pub plate: &'a Plate,
     pub law: LawId,
-    pub condition: OperatingCondition,
+    pub conditions: Conditions,
+    /// Excitation at the start, rad/s.
+    pub start_omega: f64,
+    pub setpoint: f64,
+    /// Drive limit, Vpp.
+    pub limit: f64,
     /// Control period, µs, above 0.
     pub period_us: u32,
     /// 5 % response time of the design, s. `None` means the law's default.
@@ -68,8 +74,34 @@ pub struct LoopCase<'a> {
 }
 
 impl<'a> LoopCase<'a> {
+    /// The setpoint is 2 µm as in the paper, and 1 µm for `frequency-only`, which cannot reach 2 µm
+    /// under a finger. Only this law gets the plate's drive limit, because its drive is half of it.
     pub fn new(plate: &'a Plate, law: LawId, condition: OperatingCondition) -> Self {
-        Self { plate, law, condition, period_us: 1_000, response_s: None, gains: None }
+        let (setpoint, limit) =
+            if law == LawId::FrequencyOnly { (1.0, plate.drive_limit_vpp) } else { (2.0, UNREACHED_LIMIT_VPP) };
+        let (conditions, start_omega) = (condition.conditions(), condition.start_omega(plate));
+        Self { plate, law, conditions, start_omega, setpoint, limit, period_us: 1_000, response_s: None, gains: None }
+    }
+
+    /// The loop at the highest setpoint and the first conditions of `scenario`. `None` if the linear
+    /// form does not describe it: another design plate, a specified delay, or an effect of the plate.
+    pub fn of_scenario(scenario: &'a Scenario, law: LawId) -> Option<Self> {
+        let (plate, controller) = (&scenario.plate, &scenario.controller);
+        let is_described = controller.design_plate.is_none()
+            && controller.design_delay == Time::ZERO
+            && controller.loop_delay_jitter == Time::ZERO
+            && plate.first_effect().is_none();
+        is_described.then(|| Self {
+            plate,
+            law,
+            conditions: scenario.conditions.at(Time::ZERO),
+            start_omega: controller.start_frequency_hz * TAU,
+            setpoint: scenario.setpoint.range().1,
+            limit: plate.drive_limit_vpp,
+            period_us: controller.period.wrapping_micros(),
+            response_s: controller.response_time_ms.map(|ms| ms / 1e3),
+            gains: platebench_engine::configure(scenario, law).gains,
+        })
     }
 
     pub fn period(&self) -> f64 {
@@ -81,17 +113,7 @@ impl<'a> LoopCase<'a> {
     }
 
     pub fn mode(&self) -> Mode {
-        self.plate.mode(&self.condition.conditions())
-    }
-
-    /// 2 µm as in the paper. 1 µm for `frequency-only`, which cannot reach 2 µm under a finger.
-    pub fn setpoint(&self) -> f64 {
-        if self.law == LawId::FrequencyOnly { 1.0 } else { 2.0 }
-    }
-
-    /// Only `frequency-only` gets the plate's drive limit, because its drive is half of this limit.
-    pub fn limit(&self) -> f64 {
-        if self.law == LawId::FrequencyOnly { self.plate.drive_limit_vpp } else { UNREACHED_LIMIT_VPP }
+        self.plate.mode(&self.conditions)
     }
 
     /// Configures the controller for the nominal plate, not for the condition.
@@ -103,11 +125,11 @@ impl<'a> LoopCase<'a> {
             watchdog_timeout_ms: 0,
             loop_delay_us: 0,
             period_us: self.period_us,
-            start_frequency_mhz: (self.condition.start_omega(self.plate) / TAU * 1e3).round() as u32,
+            start_frequency_mhz: (self.start_omega / TAU * 1e3).round() as u32,
             gain_um_per_vpp: self.plate.gain as f32,
             time_constant_s: (1.0 / self.plate.sigma0) as f32,
             response_time_s: self.response_s.map_or(0.0, |seconds| seconds as f32),
-            drive_limit_vpp: self.limit() as f32,
+            drive_limit_vpp: self.limit as f32,
             frequency_range_hz: RANGE_HZ as f32,
             frequency_slew_hz: RANGE_HZ as f32,
             gains: self.gains,
@@ -116,8 +138,8 @@ impl<'a> LoopCase<'a> {
 
     /// Drive and excitation of the law's steady state. `None` if the law cannot reach the setpoint.
     pub fn steady_drive(&self, model: Model) -> Option<Drive> {
-        let (mode, setpoint) = (self.mode(), self.setpoint());
-        let start = self.condition.start_omega(self.plate);
+        let (mode, setpoint) = (self.mode(), self.setpoint);
+        let start = self.start_omega;
         let undisturbed = setpoint / self.plate.gain;
         Some(match self.law {
             LawId::OpenLoop => Drive { vpp: undisturbed, omega: start },
@@ -143,7 +165,7 @@ impl<'a> LoopCase<'a> {
     }
 
     fn frequency_only_drive(&self) -> f64 {
-        f64::from(design::FREQUENCY_ONLY_DRIVE_SHARE) * self.limit()
+        f64::from(design::FREQUENCY_ONLY_DRIVE_SHARE) * self.limit
     }
 
     /// Plate and law, linearised around the steady state. `None` if the law cannot reach it.
@@ -173,7 +195,7 @@ impl<'a> LoopCase<'a> {
                 LinearController { drive: Some(error_of(magnitude)), ..LinearController::default() }
             }
             LawId::FrequencyOnly => {
-                let sees = magnitude.map(|part| part / self.setpoint());
+                let sees = magnitude.map(|part| part / self.setpoint);
                 LinearController { frequency: follows(sees), ..LinearController::default() }
             }
             LawId::Pll => LinearController {
@@ -200,7 +222,7 @@ impl<'a> LoopCase<'a> {
         }
         let (gain, tau, response) = (self.plate.gain, 1.0 / self.plate.sigma0, self.response());
         if self.law == LawId::FrequencyOnly {
-            let ratio = self.frequency_only_drive() * gain / self.setpoint();
+            let ratio = self.frequency_only_drive() * gain / self.setpoint;
             let detuning = (ratio * ratio - 1.0).max(0.0).sqrt();
             let share = 1.0 - design::closed_loop_pole(response, period);
             return [integral_only(share * design::inverse_slope(detuning, tau)); 2];
@@ -266,7 +288,7 @@ pub struct LoopSimulation {
 
 /// `None` if the firmware rejects the configuration.
 pub fn loop_at_rest(case: &LoopCase<'_>) -> Option<DelayedLoop> {
-    DelayedLoop::new(&case.configure(), case.plate, case.condition.conditions(), Model::Modal, case.setpoint())
+    DelayedLoop::new(&case.configure(), case.plate, case.conditions, Model::Modal, case.setpoint)
 }
 
 impl LoopSimulation {
@@ -287,8 +309,8 @@ impl LoopSimulation {
             _ => PERTURBATION,
         };
         let is_hunting_law = case.law == LawId::BangBang;
-        let spread = (highest - lowest) / case.setpoint();
-        let perturbation = case.setpoint() * perturbation;
+        let spread = (highest - lowest) / case.setpoint;
+        let perturbation = case.setpoint * perturbation;
         (spread < if is_hunting_law { HUNT_BAND } else { STEADY_TOLERANCE }).then_some(Self {
             delayed_loop,
             is_hunting_law,

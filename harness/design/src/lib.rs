@@ -6,6 +6,7 @@ pub mod identified_plate;
 pub mod identify;
 pub mod law_loops;
 pub mod loops;
+pub mod margins;
 pub mod stability;
 pub mod step_limits;
 pub mod tuning;

@@ -348,34 +348,44 @@ pub struct Margins {
 }
 
 impl ClosedLoop {
-    /// The smaller margin of both loops, each with the other loop closed. These loops are stable at
-    /// small gain. A rising gain first meets the outermost crossing of the negative real axis, or L
-    /// at half the sampling frequency. `delay_ms` is the result of a search over delays.
+    /// The smaller margin of both loops, each with the other loop closed. `delay_ms` is the result of
+    /// a search over delays.
     pub fn margins(&self, delay_ms: Option<f64>) -> Margins {
-        let mut margins = Margins { delay_ms, ..Margins::default() };
+        let [drive, frequency] = [0, 1].map(|kind| self.loop_margins(kind));
+        let smaller = |one: Option<f64>, other: Option<f64>| one.into_iter().chain(other).reduce(f64::min);
+        Margins {
+            gain: smaller(drive.gain, frequency.gain),
+            phase_deg: smaller(drive.phase_deg, frequency.phase_deg),
+            delay_ms,
+        }
+    }
+
+    /// Gain and phase margin of the drive loop (`kind` 0) or the frequency loop (1) while the other
+    /// loop is closed. These loops are stable at small gain. A rising gain first meets the outermost
+    /// crossing of the negative real axis, or L at half the sampling frequency.
+    pub fn loop_margins(&self, kind: usize) -> Margins {
+        let mut margins = Margins::default();
         let smaller = |known: Option<f64>, new: f64| Some(known.map_or(new, |known| known.min(new)));
-        for kind in 0..2 {
-            let Some(open) = self.open_loop_transfer(kind) else { continue };
-            let at = |theta: f64| open(Complex64::from_polar(1.0, theta));
-            for &[low, high] in frequency_grid().array_windows() {
-                let (Some(before), Some(after)) = (at(low), at(high)) else { continue };
-                if before.im * after.im < 0.0
-                    && let Some(crossing) = at(root(low, high, |theta| at(theta).map(|l| l.im)))
-                    && crossing.re < 0.0
-                {
-                    margins.gain = smaller(margins.gain, 1.0 / crossing.norm());
-                }
-                if (before.norm() - 1.0) * (after.norm() - 1.0) < 0.0
-                    && let Some(crossing) = at(root(low, high, |theta| at(theta).map(|l| l.norm() - 1.0)))
-                {
-                    margins.phase_deg = smaller(margins.phase_deg, (-crossing).arg().to_degrees());
-                }
-            }
-            if let Some(end) = at(PI)
-                && end.re < 0.0
+        let Some(open) = self.open_loop_transfer(kind) else { return margins };
+        let at = |theta: f64| open(Complex64::from_polar(1.0, theta));
+        for &[low, high] in frequency_grid().array_windows() {
+            let (Some(before), Some(after)) = (at(low), at(high)) else { continue };
+            if before.im * after.im < 0.0
+                && let Some(crossing) = at(root(low, high, |theta| at(theta).map(|l| l.im)))
+                && crossing.re < 0.0
             {
-                margins.gain = smaller(margins.gain, 1.0 / end.norm());
+                margins.gain = smaller(margins.gain, 1.0 / crossing.norm());
             }
+            if (before.norm() - 1.0) * (after.norm() - 1.0) < 0.0
+                && let Some(crossing) = at(root(low, high, |theta| at(theta).map(|l| l.norm() - 1.0)))
+            {
+                margins.phase_deg = smaller(margins.phase_deg, (-crossing).arg().to_degrees());
+            }
+        }
+        if let Some(end) = at(PI)
+            && end.re < 0.0
+        {
+            margins.gain = smaller(margins.gain, 1.0 / end.norm());
         }
         margins
     }

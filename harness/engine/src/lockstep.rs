@@ -5,7 +5,7 @@ use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_fai
 use crate::plant_simulation::{PlantSimulation, expected_rows};
 use crate::trial::{Trial, TrialResult, WATCHDOG_PERIODS, chip_fault_plan, planned_stops, wire_faults};
 use platebench_model::record::{StepTime, Telemetry, Transport};
-use platebench_model::scenario::{Metric, Scenario, Variation};
+use platebench_model::scenario::{LoopInsertion, Metric, Scenario, Variation};
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::Time;
 use platebench_rig::TargetError;
@@ -103,6 +103,7 @@ struct ChipState {
 struct DelayedCommands {
     smallest: Time,
     jitter: Time,
+    insertion: Option<LoopInsertion>,
     random: ChaCha8Rng,
     waiting: VecDeque<(Time, Command)>,
 }
@@ -113,15 +114,17 @@ impl DelayedCommands {
         random.set_stream(JITTER_STREAM);
         let controller = &scenario.controller;
         let (smallest, jitter) = (controller.loop_delay, controller.loop_delay_jitter);
-        Self { smallest, jitter, random, waiting: VecDeque::new() }
+        Self { smallest, jitter, insertion: controller.insertion, random, waiting: VecDeque::new() }
     }
 
-    fn draw_delay(&mut self) -> Time {
+    fn draw_delay(&mut self, now: Time) -> Time {
+        let inserted = self.insertion.filter(|insertion| insertion.from <= now).map_or(Time::ZERO, |found| found.delay);
+        let smallest = self.smallest + inserted;
         if self.jitter == Time::ZERO {
-            return self.smallest;
+            return smallest;
         }
         let share = f64::from(self.random.next_u32()) / f64::from(u32::MAX);
-        self.smallest + Time::from_nanos((self.jitter.as_nanos() as f64 * share).round() as u64)
+        smallest + Time::from_nanos((self.jitter.as_nanos() as f64 * share).round() as u64)
     }
 
     /// A command never overtakes an earlier one.
@@ -297,7 +300,7 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
                 flags.set(Flags::OVERRUN, host_stalled && reply.command.cause == StateCause::SampleTimeout);
                 let rig_delay = Time::from_nanos(reply.delay.as_nanos() as u64);
                 let acting = if self.trial.wire_time { rig_delay } else { Time::ZERO };
-                let delay = self.commands.draw_delay() + acting;
+                let delay = self.commands.draw_delay(now) + acting;
                 self.replies.record(&reply, delay, now, self.trial.scenario.controller.period);
                 self.schedule_command(now, now + delay, reply.command);
             }
@@ -320,7 +323,7 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
         self.record_delivered_sample();
         match received {
             Ok(Some(command)) => {
-                let loop_delay = self.commands.draw_delay();
+                let loop_delay = self.commands.draw_delay(now);
                 if let Some((sampled, _)) = self.unanswered.take_if(|_| self.session.last_sample_answered()) {
                     self.replies.record_late(now - sampled + loop_delay);
                 }

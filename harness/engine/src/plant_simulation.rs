@@ -4,7 +4,7 @@
 use crate::live_tap::TapWriter;
 use crate::trial::start_frequency_mhz;
 use platebench_model::record::NonFiniteDrive;
-use platebench_model::scenario::{Scenario, Variation};
+use platebench_model::scenario::{LoopInsertion, Scenario, Variation};
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::{BandMonitor, BandSignal, Conditions, Crossing, Drive, Plant, Sensor, State, Time};
 use platebench_wire::{Command, ControllerState as Mode, Sample};
@@ -65,6 +65,41 @@ pub(crate) struct PlantSimulation<'a, R> {
     sensed: [f64; 2],
     safe: bool,
     not_finite: Option<NonFiniteDrive>,
+    inserted: Option<InsertedGains>,
+}
+
+/// Gains of a [`LoopInsertion`].
+struct InsertedGains {
+    insertion: LoopInsertion,
+    averaged_from: Time,
+    /// Sums of drive and frequency over the commands before the insertion, and their number.
+    sums: [f64; 2],
+    count: f64,
+    /// Drive in Vpp and frequency in Hz if there are no commands before the insertion.
+    start: [f64; 2],
+}
+
+impl InsertedGains {
+    fn new(scenario: &Scenario) -> Option<Self> {
+        let insertion = scenario.controller.insertion?;
+        let averaged = scenario.controller.period.times(LoopInsertion::AVERAGED_PERIODS);
+        let start = [0.0, f64::from(start_frequency_mhz(scenario)) / 1e3];
+        Some(Self { insertion, averaged_from: insertion.from - averaged, sums: [0.0; 2], count: 0.0, start })
+    }
+
+    /// Returns drive and frequency of the plate for those of a command at `now`.
+    fn apply(&mut self, now: Time, command: [f64; 2]) -> [f64; 2] {
+        if now < self.insertion.from {
+            if now >= self.averaged_from {
+                self.count += 1.0;
+                self.sums = [self.sums[0] + command[0], self.sums[1] + command[1]];
+            }
+            return command;
+        }
+        let reference = if self.count > 0.0 { self.sums.map(|sum| sum / self.count) } else { self.start };
+        let changed = |gain: f64, n: usize| reference[n] + gain * (command[n] - reference[n]);
+        [changed(self.insertion.drive_gain, 0), changed(self.insertion.frequency_gain, 1)]
+    }
 }
 
 impl<'a, R: RowSink> PlantSimulation<'a, R> {
@@ -92,6 +127,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
             sensed: [0.0; 2],
             safe: false,
             not_finite: None,
+            inserted: InsertedGains::new(scenario),
         };
         simulation.find_next_point();
         simulation
@@ -152,14 +188,20 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     pub(crate) fn actuate(&mut self, command: &Command) {
         self.safe = command.state != Mode::Running;
         let commanded = f64::from(command.drive_vpp);
-        let vpp = if commanded.is_finite() {
-            commanded.clamp(0.0, self.scenario.plate.drive_limit_vpp)
+        let limit = self.scenario.plate.drive_limit_vpp;
+        let mut vpp = if commanded.is_finite() {
+            commanded.clamp(0.0, limit)
         } else {
             let first = NonFiniteDrive { at_s: self.time().seconds(), count: 0 };
             self.not_finite.get_or_insert(first).count += 1;
             0.0
         };
         self.frequency_hz = f64::from(command.frequency_mhz) / 1e3;
+        if let Some(inserted) = self.inserted.as_mut().filter(|_| !self.safe) {
+            let now = self.plant.time();
+            [vpp, self.frequency_hz] = inserted.apply(now, [vpp, self.frequency_hz]);
+            vpp = vpp.clamp(0.0, limit);
+        }
         self.plant.set_drive(Drive { vpp, omega: TAU * self.frequency_hz });
     }
 

@@ -67,8 +67,8 @@ pub mod scenario {
 
     pub use crate::metrics::Metric;
     pub use definition::{
-        AUTO_MODEL, Controller, InputFile, MAX_TIMEOUT_S, MAX_TRIALS, Scenario, ScenarioGains, Spread, Trials,
-        Variation,
+        AUTO_MODEL, Controller, InputFile, LoopInsertion, MAX_TIMEOUT_S, MAX_TRIALS, Scenario, ScenarioGains, Spread,
+        Trials, Variation,
     };
     pub use diagnostic::{Diagnostic, suggestion};
     pub use expect::{Aggregation, Expectation, Limit};

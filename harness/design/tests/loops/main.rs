@@ -6,6 +6,7 @@ mod detuned_start;
 mod firmware_agreement;
 mod known_values;
 mod linear_plant;
+mod measured_margins;
 mod step_limits;
 mod tables;
 mod tuning;

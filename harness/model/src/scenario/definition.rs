@@ -87,6 +87,27 @@ pub struct Controller {
     pub frequency_slew_hz: f64,
     pub gains: Option<ScenarioGains>,
     pub design_plate: Option<Plate>,
+    /// Change of the loop that a search for margins inserts. No scenario file contains it.
+    pub insertion: Option<LoopInsertion>,
+}
+
+/// Gains and a delay between controller and plate from an instant on. A gain multiplies the
+/// deviation from the mean of the last [`Self::AVERAGED_PERIODS`] before the instant, so the steady
+/// state stays. Without a command before the instant, the reference is 0 V and the start frequency.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LoopInsertion {
+    pub from: Time,
+    pub drive_gain: f64,
+    pub frequency_gain: f64,
+    pub delay: Time,
+}
+
+impl LoopInsertion {
+    pub const AVERAGED_PERIODS: u64 = 100;
+
+    pub const fn none_from(from: Time) -> Self {
+        Self { from, drive_gain: 1.0, frequency_gain: 1.0, delay: Time::ZERO }
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]

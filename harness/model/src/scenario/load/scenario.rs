@@ -390,6 +390,7 @@ impl Checker<'_> {
             frequency_slew_hz: slew?.unwrap_or(DEFAULT_FREQUENCY_SLEW_HZ),
             gains: gains?,
             design_plate,
+            insertion: None,
         })
     }
 

@@ -1,0 +1,274 @@
+//! Builds the scenes of a search for margins from a scenario, and decides whether a loop is stable.
+
+use platebench_model::scenario::load::ScenarioTemplate;
+use platebench_model::scenario::{Diagnostic, LoopInsertion, Scenario, Spread, Trials};
+use platebench_model::trace::Row;
+use platebench_plate::{ConditionProfiles, Profile, Time};
+use schemars::JsonSchema;
+use serde::Serialize;
+use std::f64::consts::TAU;
+use toml::Value;
+
+/// Periods from the start to the insertion, and from the insertion to the end.
+const START_PERIODS: u64 = 400;
+const INSERTED_PERIODS: u64 = 1_600;
+/// Periods after the insertion before the first of the two compared windows.
+const TRANSIENT_PERIODS: u64 = 40;
+const WINDOW_PERIODS: u64 = 100;
+/// Half width of the band around the mean of |W|, as a share of the mean.
+const BAND: f64 = 0.05;
+/// Range of |W| in the last window over that in the first one, from which on the motion grows.
+const GROWTH: f64 = 2.0;
+/// Range of |W| below which nothing grows, as a share of the mean: the resolution of the wire.
+const RESOLUTION: f64 = 2e-4;
+/// Smallest mean of |W| of a working loop, as a share of the setpoint.
+const MIN_AMPLITUDE: f64 = 0.05;
+/// Steps that excite the loops at the insertion: of the setpoint, as a share of it, and of τΔω. They
+/// are small, because laws that identify the plate must not take them for another plate.
+const SETPOINT_STEP: f64 = 3e-3;
+const DETUNING_STEP: f64 = 0.05;
+/// Sensor noise of a trial for the noise gain as a share of the setpoint, if the plate has none.
+const NOISE: f64 = 4e-3;
+
+/// What the text of a result states about [`is_stable`].
+pub const STABILITY_RULE: &str = "Stable: after an insertion into the steady state, with a step of 0.3 % of the \
+    setpoint and of 0.05 in τΔω, the amplitude stays within 5 % of its mean in the last 100 of 1600 periods, and its \
+    range there is not more than twice that of 100 periods at the start (or is below 0.02 %). Detuning and force act \
+    from the start.";
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
+pub struct OperatingPoint {
+    pub period_ms: f64,
+    /// Highest setpoint.
+    pub setpoint_um: f64,
+    /// Resonance minus excitation frequency at the start.
+    pub detuning_hz: f64,
+    pub force_n: f64,
+}
+
+impl OperatingPoint {
+    pub fn of(scenario: &Scenario) -> Self {
+        Self {
+            period_ms: scenario.controller.period.ms(),
+            setpoint_um: scenario.setpoint.range().1,
+            // Start frequencies are on the wire in mHz.
+            detuning_hz: ((resonance_hz(scenario) - scenario.controller.start_frequency_hz) * 1e3).round() / 1e3,
+            force_n: scenario.conditions.at(Time::ZERO).finger_force_n,
+        }
+    }
+
+    pub const fn coordinates(&self) -> [f64; 4] {
+        [self.period_ms, self.setpoint_um, self.detuning_hz, self.force_n]
+    }
+}
+
+fn resonance_hz(scenario: &Scenario) -> f64 {
+    scenario.plate.mode(&scenario.conditions.at(Time::ZERO)).omega0 / TAU
+}
+
+/// `None` keeps the value of the scenario.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct PointChoice {
+    pub period_ms: Option<f64>,
+    pub setpoint_um: Option<f64>,
+    pub detuning_hz: Option<f64>,
+    pub force_n: Option<f64>,
+}
+
+impl PointChoice {
+    pub fn scenario(&self, template: &ScenarioTemplate, law: &str) -> Result<Scenario, Vec<Diagnostic>> {
+        let first_step = template.scenario.setpoint.next_point_after(Time::ZERO).map_or(1.0, Time::ms);
+        let step = |setpoint: f64| {
+            let points = [[0.0, 0.0], [first_step, setpoint]].map(|point| Value::from(point.to_vec()));
+            Value::Table([("hold".to_owned(), Value::from(points.to_vec()))].into_iter().collect())
+        };
+        let changes = [
+            ("controller.period_ms", self.period_ms.map(Value::Float)),
+            ("profile.setpoint_um", self.setpoint_um.map(step)),
+            ("profile.finger_force_n", self.force_n.map(Value::Float)),
+        ];
+        let changes = changes.into_iter().filter_map(|(key, value)| Some((key, value?)));
+        let tables = template.tables(changes).map_err(|fault| vec![template.scenario.diagnostic("profile", fault)])?;
+        let mut scenario = template.check(&tables)?;
+        if let Some(detuning) = self.detuning_hz {
+            scenario.controller.start_frequency_hz = resonance_hz(&scenario) - detuning;
+        }
+        scenario.set_law(law);
+        scenario.trials = Trials { count: 1, max_count: 1, ..scenario.trials };
+        Ok(scenario)
+    }
+}
+
+/// What a search changes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Quantity {
+    /// Factor between the drive that the controller commands and the amplitude.
+    DriveGain,
+    /// Factor on the deviation of the excitation frequency.
+    FrequencyGain,
+    /// Additional loop delay, control periods.
+    Delay,
+    /// Resonance minus excitation frequency at the start, upwards, Hz.
+    DetuningUp,
+    /// The same downwards.
+    DetuningDown,
+    /// Force of the finger, N.
+    Force,
+}
+
+impl Quantity {
+    pub const ALL: [Self; 6] =
+        [Self::DriveGain, Self::FrequencyGain, Self::Delay, Self::DetuningUp, Self::DetuningDown, Self::Force];
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::DriveGain => "gain margin of the drive",
+            Self::FrequencyGain => "gain margin of the frequency",
+            Self::Delay => "delay margin, periods",
+            Self::DetuningUp => "highest detuning, Hz",
+            Self::DetuningDown => "lowest detuning, Hz",
+            Self::Force => "largest force, N",
+        }
+    }
+
+    /// Value that changes nothing.
+    pub(super) const fn identity(self) -> f64 {
+        match self {
+            Self::DriveGain | Self::FrequencyGain => 1.0,
+            Self::Delay | Self::DetuningUp | Self::DetuningDown | Self::Force => 0.0,
+        }
+    }
+
+    /// Ascending values at which a search looks for the first failure.
+    pub(super) fn scan(self, scenario: &Scenario) -> Vec<f64> {
+        let even = |step: f64, count: u32| (1..=count).map(|n| step * f64::from(n)).collect::<Vec<_>>();
+        let growing = |from: f64, count: i32| (1..=count).map(move |n| from * 1.25_f64.powi(n));
+        match self {
+            Self::DriveGain | Self::FrequencyGain => growing(1.0, 14).collect(),
+            Self::Delay => even(0.25, 8).into_iter().chain(growing(2.0, 8)).collect(),
+            Self::DetuningUp | Self::DetuningDown => even(scenario.controller.frequency_range_hz / 8.0, 10),
+            Self::Force => even(0.5, 8).into_iter().chain(growing(4.0, 6)).collect(),
+        }
+    }
+
+    /// Width of the interval at which a search ends.
+    pub(super) fn resolution(self, scenario: &Scenario, high: f64) -> f64 {
+        match self {
+            Self::DriveGain | Self::FrequencyGain | Self::Delay => 0.002 * high,
+            Self::DetuningUp | Self::DetuningDown => scenario.controller.frequency_range_hz / 500.0,
+            Self::Force => 0.01,
+        }
+    }
+
+    /// Applies `value` from the start or, for gains and delay, from `from` on.
+    pub(super) fn apply(self, scenario: &mut Scenario, value: f64, from: Time) {
+        let controller = &mut scenario.controller;
+        let insertion = controller.insertion.get_or_insert(LoopInsertion::none_from(from));
+        match self {
+            // From the start, the plate itself answers more strongly, so that its drive limit stays.
+            Self::DriveGain if from == Time::ZERO => {
+                controller.design_plate.get_or_insert_with(|| scenario.plate.clone());
+                scenario.plate.gain *= value;
+            }
+            Self::DriveGain => insertion.drive_gain = value,
+            Self::FrequencyGain => insertion.frequency_gain = value,
+            Self::Delay => {
+                insertion.delay = Time::from_seconds(value * controller.period.seconds()).unwrap_or_default();
+            }
+            Self::DetuningUp => controller.start_frequency_hz -= value,
+            Self::DetuningDown => controller.start_frequency_hz += value,
+            Self::Force => {
+                let force_n = scenario.conditions.at(Time::ZERO).finger_force_n + value;
+                scenario.conditions.finger_force_n = Profile::constant(force_n);
+            }
+        }
+    }
+
+    /// Value in a result: the absolute detuning or force.
+    pub(super) fn absolute(self, point: &OperatingPoint, value: f64) -> f64 {
+        match self {
+            Self::DriveGain | Self::FrequencyGain | Self::Delay => value,
+            Self::DetuningUp => point.detuning_hz + value,
+            Self::DetuningDown => point.detuning_hz - value,
+            Self::Force => point.force_n + value,
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Criterion {
+    /// Every expectation of the scenario holds.
+    Requirement,
+    /// See [`is_stable`].
+    Stability,
+}
+
+/// A step to the setpoint, then an insertion into the steady state.
+pub(super) fn steady_scene(scenario: &Scenario) -> Scenario {
+    let (plate, period) = (&scenario.plate, scenario.controller.period);
+    let (from, setpoint) = (insertion_time(scenario), scenario.setpoint.range().1);
+    let at = scenario.conditions.at(Time::ZERO);
+    // A plate whose resonance does not depend on temperature gets no step of it.
+    let warmer = DETUNING_STEP * plate.mode(&at).sigma / plate.omega0_per_k.abs();
+    let warmer = if warmer.is_finite() { warmer } else { 0.0 };
+    let offset = at.temperature_offset_k;
+    Scenario {
+        setpoint: Profile::Hold(vec![(Time::ZERO, 0.0), (period, setpoint), (from, setpoint * (1.0 + SETPOINT_STEP))]),
+        conditions: ConditionProfiles {
+            temperature_offset_k: Profile::Hold(vec![(Time::ZERO, offset), (from, offset + warmer)]),
+            finger_force_n: Profile::constant(at.finger_force_n),
+        },
+        duration: from + period.times(INSERTED_PERIODS),
+        trace_step: period,
+        trials: Trials { spread: Spread::default(), ..scenario.trials },
+        faults: Vec::new(),
+        chip_faults: Vec::new(),
+        between: Vec::new(),
+        other_trials: None,
+        messages: Vec::new(),
+        expectations: Vec::new(),
+        ..scenario.clone()
+    }
+}
+
+pub(super) fn insertion_time(scenario: &Scenario) -> Time {
+    scenario.controller.period.times(START_PERIODS)
+}
+
+/// The steady state with sensor noise and without a disturbance.
+pub(super) fn noise_scene(scenario: &Scenario, seed: u64) -> Scenario {
+    let mut scene = steady_scene(scenario);
+    let setpoint = scenario.setpoint.range().1;
+    scene.setpoint = Profile::Hold(vec![(Time::ZERO, 0.0), (scenario.controller.period, setpoint)]);
+    let offset = scenario.conditions.at(Time::ZERO).temperature_offset_k;
+    scene.conditions.temperature_offset_k = Profile::constant(offset);
+    if scene.plate.noise_um_rms == 0.0 {
+        scene.controller.design_plate.get_or_insert_with(|| scenario.plate.clone());
+        scene.plate.noise_um_rms = NOISE * setpoint;
+    }
+    scene.trials.seed = scene.trials.seed.wrapping_add(seed);
+    scene
+}
+
+/// Amplitudes from `from` to before `to`.
+pub(super) fn amplitudes(rows: &[Row], from: Time, to: Time) -> Vec<f64> {
+    let inside = |row: &&Row| (from.seconds()..to.seconds()).contains(&row.t_s);
+    rows.iter().filter(inside).map(|row| row.amplitude_um).collect()
+}
+
+/// Applies [`STABILITY_RULE`] to the rows of a [`steady_scene`].
+pub(super) fn is_stable(scene: &Scenario, rows: &[Row]) -> bool {
+    let period = scene.controller.period;
+    let window = |from: Time| amplitudes(rows, from, from + period.times(WINDOW_PERIODS));
+    let early = window(insertion_time(scene) + period.times(TRANSIENT_PERIODS));
+    let late = window(scene.duration - period.times(WINDOW_PERIODS));
+    let mean = late.iter().sum::<f64>() / late.len() as f64;
+    let range = |values: &[f64]| {
+        let ends = [values.iter().copied().reduce(f64::min), values.iter().copied().reduce(f64::max)];
+        ends[1].zip(ends[0]).map_or(f64::INFINITY, |(high, low)| high - low)
+    };
+    let is_in_band = late.iter().all(|amplitude| (amplitude - mean).abs() <= BAND * mean);
+    let grows = range(&late) > (GROWTH * range(&early)).max(RESOLUTION * mean);
+    mean >= MIN_AMPLITUDE * scene.setpoint.range().1 && is_in_band && !grows
+}
