@@ -7,6 +7,8 @@ use crate::options::{OutputFormat, job_count, law_names, parse_number, rig_help}
 use crate::selection::warn_of_plate;
 use crate::stdio;
 use clap::Args;
+use clap::builder::PossibleValuesParser;
+use platebench_design::margins::scenes::Quantity;
 use platebench_design::stability::{StudyConfig, build_chart, rig_delay};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::OWN_LAW;
@@ -59,6 +61,10 @@ pub(crate) struct StabilityArgs {
     /// Only expectations whose requirement begins with this text, such as ACC or ACC-2
     #[arg(long, value_name = "ID", requires = "rig")]
     requirement: Option<String>,
+    /// Limits to search; default: all
+    #[arg(long = "margin", value_name = "NAME", requires = "rig",
+        value_parser = PossibleValuesParser::new(Quantity::ALL.map(Quantity::key)))]
+    margins: Vec<String>,
     /// Control period, ms; with each of the next options, every combination is an operating point
     #[arg(long, alias = "period", value_name = "X", requires = "rig", value_parser = parse_period_ms)]
     period_ms: Vec<f64>,
@@ -182,6 +188,7 @@ mod tests {
             reference: None,
             scenario: None,
             requirement: None,
+            margins: Vec::new(),
             period_ms: Vec::new(),
             setpoint_um: Vec::new(),
             detuning_hz: Vec::new(),

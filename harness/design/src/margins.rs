@@ -59,6 +59,7 @@ pub struct MarginConfig<'a> {
     pub is_reference: bool,
     /// Laws at operating points.
     pub cases: &'a [Scenario],
+    pub quantities: &'a [Quantity],
     pub own_clock: bool,
     pub jobs: usize,
     pub cancel: &'a CancelToken,
@@ -102,7 +103,7 @@ pub fn measure_margins(
         ..ExecutorSettings::lockstep(config.cancel)
     };
     let (cases, skipped) = applicable_cases(config, Executor::new(connect, settings.clone(), ends))?;
-    let tasks: Vec<Task<'_>> = cases.iter().flat_map(|case| Task::of_case(case)).collect();
+    let tasks: Vec<Task<'_>> = cases.iter().flat_map(|case| Task::of_case(case, config.quantities)).collect();
     let executors = (0..config.jobs.max(1)).map(|_| Executor::new(connect, settings.clone(), ends));
     let mut results = Vec::with_capacity(tasks.len());
     in_parallel(executors, &tasks, TaskResult::play, |result| {
@@ -143,9 +144,9 @@ enum Task<'a> {
 }
 
 impl<'a> Task<'a> {
-    fn of_case(case: &'a Scenario) -> impl Iterator<Item = Self> {
+    fn of_case(case: &'a Scenario, quantities: &'a [Quantity]) -> impl Iterator<Item = Self> {
         let both = |quantity| [Criterion::Requirement, Criterion::Stability].map(|by| Self::Search(case, quantity, by));
-        [Self::Nominal(case), Self::Noise(case)].into_iter().chain(Quantity::ALL.into_iter().flat_map(both))
+        [Self::Nominal(case), Self::Noise(case)].into_iter().chain(quantities.iter().copied().flat_map(both))
     }
 }
 
@@ -348,24 +349,28 @@ fn case_margins(config: &MarginConfig<'_>, case: &Scenario, parts: &[TaskResult]
     }
     let predicted = predicted_limits(case)?;
     let (pairs, _) = edges.as_chunks();
-    for ((quantity, [requirement, stability]), predicted) in Quantity::ALL.into_iter().zip(pairs).zip(predicted) {
+    for (&quantity, [requirement, stability]) in config.quantities.iter().zip(pairs) {
+        let predicted = predicted.iter().find(|(known, _)| *known == quantity).map(|(_, limit)| *limit);
         let (requirement, stability) = (requirement.clone(), stability.clone());
         result.margins.push(Margin { quantity, requirement, stability, predicted });
     }
     Ok(result)
 }
 
-/// Stability limits of the bench's law, in the order of [`Quantity::ALL`].
-fn predicted_limits(case: &Scenario) -> Result<[Option<f64>; 6], MarginError> {
+/// Stability limits of the bench's law, as far as the loop analysis has them.
+fn predicted_limits(case: &Scenario) -> Result<Vec<(Quantity, f64)>, MarginError> {
     let known = LawId::from_name(&case.controller.law).and_then(|law| LoopCase::of_scenario(case, law));
     let Some((plant, controller)) = known.and_then(|known| known.linearise(Model::Modal)) else {
-        return Ok([None; 6]);
+        return Ok(Vec::new());
     };
     let period = case.controller.period.seconds();
     let timing = LoopTiming { period, delay: case.controller.loop_delay.seconds() };
     let boundary = delay_boundary(&plant, &controller, period, MAX_PREDICTED_PERIODS * period)?;
     let closed = ClosedLoop::new(plant, controller, timing)?;
-    let [drive, frequency] = [0, 1].map(|kind| closed.loop_margins(kind).gain);
-    let delay = boundary.seconds().map(|seconds| (seconds - timing.delay) / period);
-    Ok([drive, frequency, delay, None, None, None])
+    let limits = [
+        (Quantity::DriveGain, closed.loop_margins(0).gain),
+        (Quantity::FrequencyGain, closed.loop_margins(1).gain),
+        (Quantity::Delay, boundary.seconds().map(|seconds| (seconds - timing.delay) / period)),
+    ];
+    Ok(limits.into_iter().filter_map(|(quantity, limit)| Some((quantity, limit?))).collect())
 }

@@ -35,6 +35,7 @@ mod golden;
 mod identify;
 mod line_faults;
 mod live;
+mod margins;
 mod merge;
 mod output_formats;
 mod own_law;

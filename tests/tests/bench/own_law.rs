@@ -183,3 +183,20 @@ fn a_campaign_without_an_applicable_law_ends_with_4() {
     output.assert_exit(4).assert_stdout(&["1 trials not applicable"]);
     assert_eq!((&summary["verdict"], &summary["overall"]["trials"]), (&"inconclusive".into(), &0.into()));
 }
+
+/// At a period of 20 ms the plate follows a drive within a period, so the open loop is 1.9/(z − 1).
+#[test]
+fn the_gain_margin_of_an_own_integrator_is_at_half_the_sampling_rate() {
+    let law = "(lambda law: (setattr(law, 'u', getattr(law, 'u', 0.0) + 1.9 * (setpoint - wd) / 0.00698), \
+               (min(max(law.u, 0.0), law.limit), 0.0, 0))[1])(self.law)";
+    let Some(controller) = OwnController::new(&[ANNOUNCES_NONE, (STEP, law)]) else { return };
+    let only = ["--margin", "drive-gain", "--period-ms", "20", "--requirement", "ACC-2", "--format", "json"];
+    let arguments = ["stability", "--rig", &controller.rig].into_iter().chain(only);
+    let result = run_bench(&workspace_root(), arguments).assert_exit(0).json();
+    let case = &result["cases"][0];
+    assert_eq!((&case["law"], case["margins"].as_array().unwrap().len()), (&"own".into(), 1));
+    let stability = &case["margins"][0]["stability"];
+    let [low, high] = ["holds_to", "fails_from"].map(|end| stability[end].as_f64().unwrap());
+    assert!(low < 1.0555 && high > 1.05 && high - low < 0.005, "{stability}");
+    assert!(case["margins"][0]["predicted"].is_null() && case["instructions_per_step"].is_null(), "{case}");
+}

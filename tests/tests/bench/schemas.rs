@@ -50,6 +50,7 @@ fn a_record_and_its_events_conform() {
 #[case("comparison", &["compare", "run", "run"])]
 #[case("replay", &["replay", "run/traces/s/000.csv", "--rig", "hosted"])]
 #[case("tuning", &["tune", "--plate", "scenarios/plates/aluminium-198x138.toml", "--samples", "2"])]
+#[case("margins", &["stability", "--rig", "hosted", "--scenario", "scenarios/s.toml", "--margin", "force"])]
 #[case("board-list", &["board", "list"])]
 fn a_result_conforms(#[case] kind: &str, #[case] arguments: &[&str]) {
     let folder = TestFolder::with_step(MIXED);

@@ -8,7 +8,7 @@ use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalle
 use crate::stdio;
 use platebench_design::margins::report::build_section;
 use platebench_design::margins::result::{CaseMargins, MarginReport};
-use platebench_design::margins::scenes::PointChoice;
+use platebench_design::margins::scenes::{PointChoice, Quantity};
 use platebench_design::margins::{MarginConfig, MarginError, identify, measure_margins, select_requirements};
 use platebench_engine::SafeEnds;
 use platebench_model::record::Cause;
@@ -33,6 +33,7 @@ pub(super) fn measure(arguments: &StabilityArgs, rig: &RigSpec) -> CommandResult
         points: points(arguments),
         laws: arguments.laws.clone(),
         requirement: arguments.requirement.clone(),
+        quantities: quantities(arguments),
         jobs: job_count(arguments.jobs),
     };
     // Refuses values that no scenario can have before the rig is started.
@@ -91,6 +92,11 @@ fn template(arguments: &StabilityArgs) -> Result<ScenarioTemplate, Failure> {
     Ok(template?)
 }
 
+fn quantities(arguments: &StabilityArgs) -> Vec<Quantity> {
+    let named = |quantity: &Quantity| arguments.margins.iter().any(|name| name == quantity.key());
+    Quantity::ALL.into_iter().filter(|quantity| arguments.margins.is_empty() || named(quantity)).collect()
+}
+
 /// All combinations of the values that the user names.
 fn points(arguments: &StabilityArgs) -> Vec<PointChoice> {
     fn or_none(values: &[f64]) -> Vec<Option<f64>> {
@@ -115,6 +121,7 @@ struct MarginSearch {
     /// Empty for the law of the scenario, or the controller's own if it announces none.
     laws: Vec<String>,
     requirement: Option<String>,
+    quantities: Vec<Quantity>,
     jobs: usize,
 }
 
@@ -163,6 +170,7 @@ impl MarginSearch {
             rig: rig.to_string(),
             is_reference,
             cases: &cases,
+            quantities: &self.quantities,
             own_clock: rig.has_own_clock(),
             jobs: if rig.allows_parallel_links() { self.jobs } else { 1 },
             cancel,

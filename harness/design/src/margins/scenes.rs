@@ -100,8 +100,9 @@ impl PointChoice {
 }
 
 /// What a search changes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema, strum::IntoStaticStr)]
 #[serde(rename_all = "kebab-case")]
+#[strum(const_into_str, serialize_all = "kebab-case")]
 pub enum Quantity {
     /// Factor between the drive that the controller commands and the amplitude.
     DriveGain,
@@ -121,6 +122,12 @@ impl Quantity {
     pub const ALL: [Self; 6] =
         [Self::DriveGain, Self::FrequencyGain, Self::Delay, Self::DetuningUp, Self::DetuningDown, Self::Force];
 
+    /// Name in options.
+    pub const fn key(self) -> &'static str {
+        self.into_str()
+    }
+
+    /// Name in texts.
     pub const fn name(self) -> &'static str {
         match self {
             Self::DriveGain => "gain margin of the drive",

@@ -27,6 +27,7 @@ fn measured(case: &Scenario) -> CaseMargins {
         rig: "hosted".to_owned(),
         is_reference: false,
         cases: std::slice::from_ref(case),
+        quantities: &Quantity::ALL,
         own_clock: false,
         jobs: 1,
         cancel: &cancel,
