@@ -20,7 +20,7 @@ use platebench_verdict::statistics::mean_bounds;
 use platebench_verdict::{Measure, TrialMeasures, judge, measure, metrics};
 use platebench_wire::{Identity, LawId};
 use result::{CaseMargins, Edge, Margin, NoiseGain};
-use scenes::{Criterion, OperatingPoint, Quantity, amplitudes, insertion_time, is_stable, noise_scene, steady_scene};
+use scenes::{Criterion, OperatingPoint, Quantity, insertion_time, is_stable, noise_scene, steady_scene, vibration};
 use std::time::Instant;
 
 /// Largest number of trials of a search. With twelve searches, a step and the trials with noise, an
@@ -65,7 +65,7 @@ pub struct MarginConfig<'a> {
     pub cancel: &'a CancelToken,
 }
 
-/// Keeps the expectations whose requirement begins with `class`.
+/// Keeps the expectations whose requirement begins with `class`, and judges each trial alone.
 pub fn select_requirements(scenario: &mut Scenario, class: Option<&str>) -> Result<(), MarginError> {
     let file = || scenario.file.clone();
     if let Some(class) = class {
@@ -75,10 +75,14 @@ pub fn select_requirements(scenario: &mut Scenario, class: Option<&str>) -> Resu
         }
         scenario.expectations.retain(is_selected);
     }
-    match scenario.expectations.iter().find(|found| !matches!(found.aggregation, Aggregation::Each)) {
-        Some(found) => Err(MarginError::SeveralTrials { file: file(), name: found.name.clone() }),
-        None => Ok(()),
+    for expectation in &mut scenario.expectations {
+        if matches!(expectation.aggregation, Aggregation::StandardDeviation) {
+            return Err(MarginError::SeveralTrials { file: scenario.file.clone(), name: expectation.name.clone() });
+        }
+        // A value is played once.
+        expectation.aggregation = Aggregation::Each;
     }
+    Ok(())
 }
 
 /// Connects, and returns the controller's identity.
@@ -296,7 +300,8 @@ fn noise_gain(executor: &mut Executor<'_>, case: &Scenario) -> Result<TaskResult
         let (played, _) = play(executor, &scene)?;
         let steps = scene.duration.seconds() / scene.controller.period.seconds();
         fastest = fastest.min(started.elapsed().as_secs_f64() * 1e6 / steps);
-        let settled = amplitudes(&played.trace_rows, insertion_time(&scene), scene.duration);
+        let settled = vibration(&played.trace_rows, insertion_time(&scene), scene.duration);
+        let settled: Vec<f64> = settled.iter().map(|w| w.norm()).collect();
         let mean = settled.iter().sum::<f64>() / settled.len() as f64;
         let variance = settled.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / settled.len() as f64;
         if played.link_error.is_none() {

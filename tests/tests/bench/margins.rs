@@ -45,8 +45,7 @@ fn equal_searches_have_equal_margins() {
 #[test]
 fn references_are_rows_of_the_same_table() {
     let folder = folder();
-    let options =
-        ["--rig", "hosted", "--law", "own", "--reference", "hosted", "--margin", "force", "--format", "json"];
+    let options = ["--rig", "hosted", "--law", "own", "--reference", "hosted", "--margin", "force", "--format", "json"];
     let result = folder.bench(SCENARIO.iter().chain(&options)).assert_exit(0).json();
     let cases = result["cases"].as_array().unwrap();
     let references = cases.iter().filter(|case| case["is_reference"] == true).count();

@@ -3,7 +3,7 @@
 use platebench_model::scenario::load::ScenarioTemplate;
 use platebench_model::scenario::{Diagnostic, LoopInsertion, Scenario, Spread, Trials};
 use platebench_model::trace::Row;
-use platebench_plate::{ConditionProfiles, Profile, Time};
+use platebench_plate::{Complex64, ConditionProfiles, Profile, Time};
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::f64::consts::TAU;
@@ -15,26 +15,26 @@ const INSERTED_PERIODS: u64 = 1_600;
 /// Periods after the insertion before the first of the two compared windows.
 const TRANSIENT_PERIODS: u64 = 40;
 const WINDOW_PERIODS: u64 = 100;
-/// Half width of the band around the mean of |W|, as a share of the mean.
+/// Half width of the band around the mean of |W| and of W, as a share of the mean of |W|.
 const BAND: f64 = 0.05;
-/// Range of |W| in the last window over that in the first one, from which on the motion grows.
+/// Spread of W in the last window over that in an earlier one, from which on the motion grows.
 const GROWTH: f64 = 2.0;
-/// Range of |W| below which nothing grows, as a share of the mean: the resolution of the wire.
+/// Spread of W below which nothing grows, as a share of |W|: the resolution of the wire.
 const RESOLUTION: f64 = 2e-4;
 /// Smallest mean of |W| of a working loop, as a share of the setpoint.
 const MIN_AMPLITUDE: f64 = 0.05;
 /// Steps that excite the loops at the insertion: of the setpoint, as a share of it, and of τΔω. They
 /// are small, because laws that identify the plate must not take them for another plate.
 const SETPOINT_STEP: f64 = 3e-3;
-const DETUNING_STEP: f64 = 0.05;
+const DETUNING_STEP: f64 = 1e-2;
 /// Sensor noise of a trial for the noise gain as a share of the setpoint, if the plate has none.
 const NOISE: f64 = 4e-3;
 
 /// What the text of a result states about [`is_stable`].
-pub const STABILITY_RULE: &str = "Stable: after an insertion into the steady state, with a step of 0.3 % of the \
-    setpoint and of 0.05 in τΔω, the amplitude stays within 5 % of its mean in the last 100 of 1600 periods, and its \
-    range there is not more than twice that of 100 periods at the start (or is below 0.02 %). Detuning and force act \
-    from the start.";
+pub const STABILITY_RULE: &str = "Stable: gain or delay are inserted into the steady state, with steps of 0.3 % of \
+    the setpoint and of 0.01 in τΔω. In the last 100 of 1600 periods the amplitude stays within 5 % of its mean, and \
+    Wd and Wq deviate from their means by at most 5 % of it (or twice as much as before the insertion) and by at most \
+    twice as much as in 100 periods at the start. Detuning and force act from the start.";
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct OperatingPoint {
@@ -258,24 +258,32 @@ pub(super) fn noise_scene(scenario: &Scenario, seed: u64) -> Scenario {
     scene
 }
 
-/// Amplitudes from `from` to before `to`.
-pub(super) fn amplitudes(rows: &[Row], from: Time, to: Time) -> Vec<f64> {
+/// Vibration W from `from` to before `to`.
+pub(super) fn vibration(rows: &[Row], from: Time, to: Time) -> Vec<Complex64> {
     let inside = |row: &&Row| (from.seconds()..to.seconds()).contains(&row.t_s);
-    rows.iter().filter(inside).map(|row| row.amplitude_um).collect()
+    rows.iter().filter(inside).map(|row| Complex64::new(row.wd_um, row.wq_um)).collect()
 }
 
 /// Applies [`STABILITY_RULE`] to the rows of a [`steady_scene`].
 pub(super) fn is_stable(scene: &Scenario, rows: &[Row]) -> bool {
-    let period = scene.controller.period;
-    let window = |from: Time| amplitudes(rows, from, from + period.times(WINDOW_PERIODS));
-    let early = window(insertion_time(scene) + period.times(TRANSIENT_PERIODS));
-    let late = window(scene.duration - period.times(WINDOW_PERIODS));
-    let mean = late.iter().sum::<f64>() / late.len() as f64;
-    let range = |values: &[f64]| {
-        let ends = [values.iter().copied().reduce(f64::min), values.iter().copied().reduce(f64::max)];
-        ends[1].zip(ends[0]).map_or(f64::INFINITY, |(high, low)| high - low)
-    };
-    let is_in_band = late.iter().all(|amplitude| (amplitude - mean).abs() <= BAND * mean);
-    let grows = range(&late) > (GROWTH * range(&early)).max(RESOLUTION * mean);
-    mean >= MIN_AMPLITUDE * scene.setpoint.range().1 && is_in_band && !grows
+    let window = scene.controller.period.times(WINDOW_PERIODS);
+    let inserted = insertion_time(scene);
+    let vibration = |from: Time| vibration(rows, from, from + window);
+    let before = spread(&vibration(inserted - window));
+    let early = spread(&vibration(inserted + scene.controller.period.times(TRANSIENT_PERIODS)));
+    let last = vibration(scene.duration - window);
+    let mean = last.iter().map(|w| w.norm()).sum::<f64>() / last.len() as f64;
+    let is_in_band = last.iter().all(|w| (w.norm() - mean).abs() <= BAND * mean);
+    let hunting = GROWTH * before;
+    let late = spread(&last);
+    mean >= MIN_AMPLITUDE * scene.setpoint.range().1
+        && is_in_band
+        && late <= hunting.max(BAND * mean)
+        && late <= hunting.max(GROWTH * early).max(RESOLUTION * mean)
+}
+
+/// Largest distance from the mean. Infinite without values.
+fn spread(vibration: &[Complex64]) -> f64 {
+    let mean = vibration.iter().sum::<Complex64>() / vibration.len() as f64;
+    vibration.iter().map(|w| (w - mean).norm()).reduce(f64::max).unwrap_or(f64::INFINITY)
 }

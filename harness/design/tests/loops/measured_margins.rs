@@ -36,7 +36,7 @@ fn measured(case: &Scenario) -> CaseMargins {
     let (mut cases, skipped) = measure_margins(&config, &connect, &ends, &mut |_, _| {}).unwrap();
     assert!(skipped.is_empty() && ends.are_confirmed(), "{skipped:?}");
     let found = cases.remove(0);
-    assert!((100..=MAX_TRIALS).contains(&found.trials), "{}", found.trials);
+    assert!((50..=MAX_TRIALS).contains(&found.trials), "{}", found.trials);
     found
 }
 
